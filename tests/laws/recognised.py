@@ -2,12 +2,11 @@
 
 import numpy as np
 
-from lampest.loads.recognition.baseline import Baseline
 from lampest.loads.recognition.candidates import LOADS
 from lampest.loads.recognition.detector import Detector
-from lampest.loads.recognition.frame import Observation
+from lampest.loads.recognition.evidence import Verdict
+from lampest.loads.recognition.observation import Baseline, Observation
 from lampest.loads.recognition.settings import ModelErrors
-from lampest.loads.recognition.verdict import Verdict
 from lampest.loads.shapes import Shape
 from lampest.loads.shapes.shape import Candidate
 from lampest.panel.panel import Panel
@@ -30,4 +29,4 @@ def frame_under(load: Shape, panel: Panel) -> Observation:
 def verdict_on(load: Shape, loads: tuple[Candidate, ...] = LOADS, panel: Panel = PANEL) -> Verdict:
     """What one frame of a panel under a load is called, with these candidates for loads."""
     frame = frame_under(load, panel)
-    return Detector.of(panel, PATCH_MM, frame, loads).push(frame)[1]
+    return Detector(panel, PATCH_MM, loads).verdict(frame)

@@ -14,8 +14,8 @@ from laws.recognised import verdict_on
 from lampest.loads.recognition.candidates import LOADS
 from lampest.loads.shapes import Rod, Shape
 from lampest.loads.shapes.disc import Disc, contact_of_weight
-from lampest.loads.shapes.round import QUANTITIES, RoundCandidate
-from lampest.loads.shapes.shape import Candidate, Prior, Quantity, Template, centre_priors
+from lampest.loads.shapes.round import RoundCandidate
+from lampest.loads.shapes.shape import Candidate, Prior, Template, centre_priors
 from lampest.panel.panel import Array, Panel
 from lampest.panel.scene import Scene
 from lampest.recording.recording import Recording
@@ -81,13 +81,13 @@ class SquareCandidate(Candidate):
     def start(self, disc: Disc) -> Array:
         return np.array([disc.x_mm, disc.y_mm, log(disc.diameter_mm * sqrt(np.pi) / 2), log(max(disc.rim_kpa, 0.1))])
 
-    @property
-    def quantities(self) -> tuple[Quantity, ...]:
-        return (*QUANTITIES[:2], Quantity("edge", "mm", "edge", "edge of a square"))
-
-    def report(self, parameters: Array) -> tuple[Array, Array]:
+    def report(self, parameters: Array) -> dict[str, tuple[float, Array]]:
         edge = exp(parameters[2])
-        return np.array([*parameters[:2], edge]), np.diag([1.0, 1.0, edge, 0.0])[:3]
+        values = {"x_mm": parameters[0], "y_mm": parameters[1], "edge_mm": edge}
+        return {
+            name: (float(value), slopes)
+            for (name, value), slopes in zip(values.items(), np.diag([1.0, 1.0, edge, 0.0]), strict=False)
+        }
 
 
 def covered(centres: Array, half: float, patch_mm: float) -> tuple[Array, Array, Array]:
@@ -120,8 +120,9 @@ def test_a_candidate_of_ones_own_is_recognised_and_no_disc() -> None:
     loads = (*(load for load in LOADS if isinstance(load, RoundCandidate)), Square.candidate)
     verdict = verdict_on(Square(centre_mm=(45.5, 44.5), edge_mm=50.0, mass_g=1500.0), loads)
     assert verdict.label == "square" and verdict.goodness < 1.4
-    values, slopes = verdict.best.candidate.report(verdict.best.parameters)
-    errors = np.sqrt(np.diag(slopes @ verdict.best.covariance @ slopes.T))
-    assert np.all(np.abs(values - (45.5, 44.5, 50)) < np.maximum(4 * errors, 0.5))
+    found = verdict.best.candidate.report(verdict.best.parameters)
+    for name, true in {"x_mm": 45.5, "y_mm": 44.5, "edge_mm": 50.0}.items():
+        value, slopes = found[name]
+        assert abs(value - true) < max(4 * np.sqrt(slopes @ verdict.best.covariance @ slopes), 0.5)
     rod = Rod(kind="rod", centre_mm=(45.0, 45.0), diameter_mm=40.0, mass_g=680.0)
     assert verdict_on(rod, loads).label == "rod"

@@ -7,15 +7,13 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from lampest.loads.recognition.baseline import Baseline
 from lampest.loads.recognition.candidates import AND, CANDIDATES, FLAT, Several
-from lampest.loads.recognition.detector import Detector
-from lampest.loads.recognition.field import EACH, OWN, SD, field_fit
-from lampest.loads.recognition.frame import Observation, Whitening, outliers
-from lampest.loads.recognition.multistart import discs_of
+from lampest.loads.recognition.detector import Detector, discs_of
+from lampest.loads.recognition.evidence import CANNOT_BE, Verdict, outline_cost
+from lampest.loads.recognition.field import SD, field_fit, paid, prior, states
+from lampest.loads.recognition.observation import Baseline, Observation, Whitening, outliers
 from lampest.loads.recognition.oral_disc import fit_oral_disc
 from lampest.loads.recognition.settings import ModelErrors
-from lampest.loads.recognition.verdict import HIDDEN, IN_EACH_OTHER, Verdict, outline_cost
 from lampest.loads.shapes import Block, OralDisc, Ring, Rod, SuctionCup
 from lampest.loads.shapes.disc import Disc, oval_pressure
 from lampest.loads.shapes.round import RoundCandidate
@@ -61,12 +59,11 @@ def frames_of(recording: Recording, measured: Any = None, errors: ModelErrors | 
     return [Observation(values[k], readings.sigma[k], baseline, dry, k - 1.0) for k in range(3, len(values))]
 
 
-def seen(frames: list[Any], panel: Panel = PANEL, prepared: Observation | None = None) -> list[Verdict]:
-    detector = Detector.of(panel, 0.6 * panel.pitch_mm, prepared or frames[0])
-    verdicts = []
+def seen(frames: list[Any], panel: Panel = PANEL) -> list[Verdict]:
+    detector = Detector(panel, 0.6 * panel.pitch_mm)
+    verdicts: list[Verdict] = []
     for frame in frames:
-        detector, verdict = detector.push(frame)
-        verdicts.append(verdict)
+        verdicts.append(detector.verdict(frame, verdicts[-1] if verdicts else None))
     return verdicts
 
 
@@ -133,7 +130,7 @@ def test_two_mouths_are_two() -> None:
     assert verdict.label == TWO
     several = verdict.best.candidate
     assert isinstance(several, Several) and len(several.parts) == 2
-    found = sorted(several.of_part(number, verdict.best.parameters)[0][2] for number in range(2))
+    found = sorted(disc.diameter_mm for disc in discs_of(verdict.best))
     np.testing.assert_allclose(found, sorted(sizes), atol=2.0)
 
 
@@ -165,10 +162,10 @@ def test_two_small_mouths_are_two_on_any_panel(side: int, places: tuple[tuple[fl
 def test_loads_do_not_stand_in_one_place() -> None:
     fit = seen(frames_of(recorded(MOUTH)))[-1].best
     both = Several.of((OralDisc.candidate, OralDisc.candidate))
-    for shift, cost in ((0.0, IN_EACH_OTHER), (60.0, 0.0)):
+    for shift, cost in ((0.0, CANNOT_BE), (60.0, 0.0)):
         other = fit.parameters + np.eye(len(fit.parameters))[0] * shift
         twice = replace(fit, candidate=both, parameters=np.concatenate([fit.parameters, other]))
-        alone = outline_cost(PANEL, replace(fit, parameters=other)) if shift == 0 else HIDDEN  # no cell rises there
+        alone = outline_cost(PANEL, replace(fit, parameters=other)) if shift == 0 else CANNOT_BE  # no cell rises there
         assert outline_cost(PANEL, twice) == pytest.approx(outline_cost(PANEL, fit) + alone + cost, abs=0.5)
 
 
@@ -189,7 +186,7 @@ def test_the_field_is_none_of_a_reading_that_stands_alone() -> None:
     frame = frames_of(recorded(*blocks))[0]
     wild = frame.measured.copy()
     wild[1, 9] *= 3
-    clean, fooled = (field_fit(one, np.zeros(PANEL.shape)) for one in (frame, replace(frame, measured=wild)))
+    clean, fooled = (field_fit(one) for one in (frame, replace(frame, measured=wild)))
     assert np.abs(fooled.change - clean.change).max() < 0.3 and fooled.evidence > clean.evidence - 30
 
 
@@ -216,20 +213,18 @@ def test_hidden_suction_counts_less() -> None:
     verdict = seen(frames_of(recorded(MOUTH)))[-1]
     assert verdict.best.change.max() > 1 and outline_cost(PANEL, verdict.best) == pytest.approx(0, abs=0.1)
     hidden = replace(verdict.best, explained=verdict.best.explained._replace(change=np.minimum(verdict.best.change, 0)))
-    assert outline_cost(PANEL, hidden) == HIDDEN
+    assert outline_cost(PANEL, hidden) == CANNOT_BE
     assert outline_cost(PANEL, replace(hidden, candidate=Ring.candidate)) == 0
 
 
 def test_the_field_has_the_evidence_of_its_gaussian() -> None:
     """Where readings are straight in ln r, it is that of a Gaussian with the prior's covariance through them."""
     frame, cells = frames_of(recorded(frames=1))[0], PANEL.rows * PANEL.columns
-    fit = field_fit(frame, np.zeros(PANEL.shape))
+    fit = field_fit(frame)
     slope = frame.slope(fit.change)
-    prior = SD[0] ** 2 * (OWN * np.eye(cells) + (1 - OWN) * frame.baseline.near)
-    spread = frame.covariance(fit.change) + slope @ prior @ slope.T
-    apart = frame.missed(np.zeros(PANEL.shape), np.zeros(0, dtype=np.intp))[0]
-    expected = multivariate_normal(np.zeros(cells), spread, allow_singular=False).logpdf(apart)
-    constant = cells * np.log(2 * np.pi) / 2 - EACH * cells
+    spread = frame.covariance(fit.change) + slope @ prior(frame, np.full(cells, SD[0])) @ slope.T
+    expected = multivariate_normal(np.zeros(cells), spread, allow_singular=False).logpdf(frame.residual())
+    constant = cells * np.log(2 * np.pi) / 2 - paid(states(np.zeros(PANEL.shape)))
     assert fit.evidence == pytest.approx(expected + constant, abs=0.5)
 
 
@@ -275,7 +270,7 @@ def test_an_outlier_does_not_move_the_mouth() -> None:
 def test_an_outlier_is_the_reading_that_the_others_contradict() -> None:
     frame = frames_of(recorded(frames=1))[0]
     weight = Whitening.at_rest(frame)
-    residual = frame.missed(np.zeros(PANEL.shape), np.zeros(0, dtype=np.intp))[0]
+    residual = frame.residual()
     assert list(outliers(weight, residual)) == []
     residual[17] += 60.0
     assert list(outliers(weight, residual)) == [17]
@@ -284,7 +279,7 @@ def test_an_outlier_is_the_reading_that_the_others_contradict() -> None:
 def test_direct_fit_gives_cells_that_explain_the_readings() -> None:
     recording = recorded(MOUTH)
     frames = frames_of(recording)
-    detector = Detector.of(PANEL, 6.0, frames[0])
+    detector = Detector(PANEL, 6.0)
     first = fit_oral_disc(detector, frames[0])
     second = fit_oral_disc(detector, frames[1], first.fit)
     for fit in (first, second):
@@ -310,6 +305,6 @@ def test_error_bars_hold_the_diameter() -> None:
             rim_kpa=float(rng.uniform(50, 110)),
         )
         frame = frames_of(recorded(load, seed=seed, frames=1))[0]
-        fit = fit_oral_disc(Detector.of(PANEL, 6.0, frame), frame)
+        fit = fit_oral_disc(Detector(PANEL, 6.0), frame)
         scores.append(abs(fit.disc.diameter_mm - load.diameter_mm) / max(fit.disc_errors.diameter_mm, 0.2))
     assert np.mean(np.array(scores) < 3) >= 0.9

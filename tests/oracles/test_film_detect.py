@@ -7,9 +7,9 @@ import pytest
 
 from lampest.loads.recognition.attachment import Attachment
 from lampest.loads.recognition.detector import Detector
-from lampest.loads.recognition.frame import Observation
+from lampest.loads.recognition.evidence import Verdict
+from lampest.loads.recognition.observation import Observation
 from lampest.loads.recognition.settings import ModelErrors
-from lampest.loads.recognition.verdict import Verdict
 from lampest.loads.recognition.watch import Panelled, Watch
 from lampest.loads.shapes import OralDisc, Rod, Shape
 from lampest.panel.film import Film
@@ -90,15 +90,14 @@ def test_an_hour_at_a_frame_every_ten_seconds_is_kept_from_the_first_frame_to_th
 
 def test_a_known_load_ends_by_a_step_and_not_by_an_opinion(monkeypatch: pytest.MonkeyPatch) -> None:
     """However probable drift makes it afterwards that nothing is there."""
-    first, verdicts = Detector.push, list[Verdict]()
+    first, verdicts = Detector.verdict, list[Verdict]()
 
-    def pushed(self: Detector, frame: Observation) -> tuple[Detector, Verdict]:
-        detector, verdict = first(self, frame)
-        verdicts.append(verdict)
-        nothing = (1.0, *(0.0 for _ in verdict.fits[1:]))
-        return detector, verdict if len(verdicts) == 1 else replace(verdict, shares=nothing)
+    def judged(self: Detector, frame: Observation, before: Verdict | None = None) -> Verdict:
+        verdicts.append(first(self, frame, before))
+        nothing = (1.0, *(0.0 for _ in verdicts[-1].fits[1:]))
+        return verdicts[-1] if len(verdicts) == 1 else replace(verdicts[-1], shares=nothing)
 
-    monkeypatch.setattr(Detector, "push", pushed)
+    monkeypatch.setattr(Detector, "verdict", judged)
     (one,) = watched([recorded(None)])
     assert len(verdicts) > 1 and one.since_s == pytest.approx(5, abs=2) and one.until_s == pytest.approx(16, abs=2)
 

@@ -6,7 +6,7 @@ from laws.recognised import PATCH_MM, frame_under, verdict_on
 
 from lampest.loads.recognition.detector import Detector
 from lampest.loads.recognition.fit import Fitting, along_diameter
-from lampest.loads.recognition.frame import Whitening
+from lampest.loads.recognition.observation import Whitening
 from lampest.loads.shapes import Rod
 from lampest.panel.panel import Array, Panel
 
@@ -30,7 +30,7 @@ def walked(fitting: Fitting, start: Array, root: Array) -> Array:
 @pytest.mark.slow
 def test_a_diameter_that_patches_hardly_see_is_as_wide_as_its_posterior() -> None:
     frame = frame_under(Rod(centre_mm=(20.0, 20.0), diameter_mm=10.0, mass_g=60), PANEL)
-    verdict = Detector.of(PANEL, PATCH_MM, frame).push(frame)[1]
+    verdict = Detector(PANEL, PATCH_MM).verdict(frame)
     rod = next(fit for fit in verdict.loads if fit.candidate is Rod.candidate)
     fitting = Fitting(PANEL, PATCH_MM, rod.candidate, frame, Whitening.of(frame, rod.explained, rod.scatter))
     local = fitting.best(rod.parameters)
@@ -46,7 +46,7 @@ def test_a_diameter_that_patches_hardly_see_is_as_wide_as_its_posterior() -> Non
 )
 def test_small_rods_are_as_large_as_they_are_said_to_be(diameter_mm: float, centre_mm: tuple[float, float]) -> None:
     best = verdict_on(Rod(centre_mm=centre_mm, diameter_mm=diameter_mm, mass_g=60), panel=PANEL).best
-    values, slopes = best.candidate.report(best.parameters)
-    error = np.sqrt(slopes[2] @ best.covariance @ slopes[2])
+    value, slopes = best.candidate.report(best.parameters)["diameter_mm"]
+    error = np.sqrt(slopes @ best.covariance @ slopes)
     assert error < 9.0
-    assert abs(values[2] - diameter_mm) < 2 * error
+    assert abs(value - diameter_mm) < 2 * error

@@ -42,9 +42,7 @@ PANEL = Panel(8, 10, 10.0)
 MOUTH = OralDisc(centre_mm=(48, 36), diameter_mm=33, rim_width_mm=5.5, pressure_kpa=-10, rim_kpa=85)
 BREATHING = Course(start_s=1, approach_s=0.5, attachment_s=0.5, breathing_hz=1.1, breathing_depth=0.1)
 SEEN = Attachment(0.99, 6.0, (44.1, 0.6), (46.0, 0.6), (35.0, 1.6), (-11.0, 1.9), cells=12, area_mm2=(1200.0, 100.0))
-BREATHES = dataclasses.replace(
-    SEEN, sucks_s=6.0, breathing=6.0, breathing_hz=(1.1, 0.05), breathing_depth=(0.08, 0.01), watched_s=8.0
-)
+BREATHES = dataclasses.replace(SEEN, sucks_s=6.0, breathing=6.0, breathing_hz=(1.1, 0.05), breathing_depth=(0.08, 0.01))
 
 
 def recorded(seed: int = 2, **known: Any) -> Recording:
@@ -187,7 +185,7 @@ def test_one_frame_shows_no_change(tmp_path: Path) -> None:
 
 def test_errors_are_those_that_the_scene_names() -> None:
     scene = solved_case(water=Water(70.0), systematic=Systematic(0.03, 5.0)).scene
-    errors = ModelErrors().told_by(scene, 0.03)
+    errors = ModelErrors().of_scene(scene, 0.03)
     assert (errors.channel_ohm, errors.reference) == (5.0, pytest.approx(0.03 / 3**0.5))
     assert errors.reading_error == 0.03
 

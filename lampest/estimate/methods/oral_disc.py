@@ -15,9 +15,8 @@ from lampest.estimate.state import S, SequenceState, Step
 from lampest.files.errors import InputError
 from lampest.files.process import delayed_interrupt
 from lampest.loads.pressure import water_pressure
-from lampest.loads.recognition.baseline import Baseline
 from lampest.loads.recognition.detector import Detector
-from lampest.loads.recognition.frame import Observation, counting
+from lampest.loads.recognition.observation import Baseline, Observation, counting
 from lampest.loads.recognition.oral_disc import OralDiscFit, fit_oral_disc
 from lampest.loads.recognition.settings import ModelErrors, RecognitionSettings
 from lampest.panel.panel import Array
@@ -48,7 +47,7 @@ class OralDiscTracker:
         scene, resting, noise = state.scene, state.resting, state.frame_noise
         if resting.sigma is None:
             raise InputError("formulation: oral_disc needs the noise: a readout in the scene or sigma in the recording")
-        errors = ModelErrors().told_by(scene, state.reading_error)
+        errors = ModelErrors().of_scene(scene, state.reading_error)
         common = None if noise is None else noise.columns(resting.value[None], True)
         try:
             return cls(Baseline.of(resting.value, _sigma(resting), scene, errors, common))
@@ -62,7 +61,7 @@ class OralDiscTracker:
         common = None if noise is None else noise.columns(readings.value[None], False)
         water = water_pressure(panel, state.scene.water)
         frame = Observation(readings.value, _sigma(readings), self.baseline, water, seconds, common=common)
-        detector = self.detector or Detector.of(panel, RecognitionSettings().patch_of(panel), frame)
+        detector = self.detector or Detector(panel, RecognitionSettings().patch_of(panel))
         found = fit_oral_disc(detector, frame, None if self.last is None else self.last.fit)
         return replace(self, frames=self.frames + 1, detector=detector, last=found), found
 

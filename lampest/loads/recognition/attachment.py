@@ -7,18 +7,14 @@ from math import exp, hypot, inf, log
 import numpy as np
 
 from lampest.loads.recognition.breathing import Breath
-from lampest.loads.recognition.candidates import Several
-from lampest.loads.recognition.fit import Fit
-from lampest.loads.recognition.frame import Observation
-from lampest.loads.recognition.search import cells_about
-from lampest.loads.recognition.verdict import Verdict
+from lampest.loads.recognition.evidence import Verdict
+from lampest.loads.recognition.observation import Observation
 from lampest.loads.shapes.disc import Disc
 from lampest.panel.panel import Array
 
-OFTEN = 0.9  # of its windows in which a mouth breathes
-SURE, PAUSED = 10.0, 5.0  # of ln odds, the most that breathing, and its absence, can bring together
-CLEAR = 3.0  # standard deviations of a touched cell
-MOVED_MM = 3.0  # beyond which a centre has moved
+OFTEN = 0.9  # of its windows in which a mouth breathes; an assumption
+PAUSED, SURE = -5.0, 10.0  # of ln odds, what absence of breathing, and breathing, can bring together at most
+CLEAR = 3.0  # standard deviations of a touched cell, and of a centre that has moved
 
 Pair = tuple[float, float]
 
@@ -30,8 +26,8 @@ class Attachment:
     sucks : probability. since_s, until_s : s; until None: it is there. x_mm and so on : (value, standard deviation),
     None where it is not known. cells : how many it touches; conductance_s : what these conduct more than at rest.
     breathing, before : ln of the odds that it breathes, and those without the last window.
-    shaken : whether it moves at a breathing rate, but not its suction. watched_s : how long that was looked for.
-    sucks_s, moved_s : when it began to suck, None: it does not; when it moved.
+    shaken : whether it moves at a breathing rate, but not its suction. sucks_s, moved_s : when it began to suck, None:
+    it does not; when it moved.
     """
 
     sucks: float
@@ -49,7 +45,6 @@ class Attachment:
     breathing_hz: Pair | None = None
     breathing_depth: Pair | None = None
     shaken: bool = False
-    watched_s: float = 0.0
     sucks_s: float | None = None
     moved_s: tuple[float, ...] = ()
 
@@ -79,53 +74,44 @@ class Attachment:
 
     def continued(self, later: "Attachment") -> "Attachment":
         """As it was recognised later."""
-        far = max(MOVED_MM, 4 * hypot(self.x_mm[1], self.y_mm[1], later.x_mm[1], later.y_mm[1]))
+        far = CLEAR * max(1.0, hypot(self.x_mm[1], self.y_mm[1], later.x_mm[1], later.y_mm[1]))
         moved = (*self.moved_s, later.since_s) if self.distance(later.place) > far else self.moved_s
         began = later.since_s if self.sucks_s is None and later.sucks > 0.5 else self.sucks_s
-        kept = ("breathing", "before", "breathing_hz", "breathing_depth", "shaken", "watched_s")
-        heard = {name: getattr(self, name) for name in kept}
-        return replace(later, since_s=self.since_s, sucks_s=began, moved_s=moved, **heard)
+        kept = ("since_s", "breathing", "before", "breathing_hz", "breathing_depth", "shaken")
+        return replace(later, sucks_s=began, moved_s=moved, **{name: getattr(self, name) for name in kept})
 
-    def breathed(self, seen: Breath, full: bool, lasted: float) -> "Attachment":
+    def breathed(self, seen: Breath, full: bool) -> "Attachment":
         """After a window; full : whether its odds stay. A mouth breathes in OFTEN of all windows."""
-        odds = float(np.clip(self.before + np.logaddexp(log(1 - OFTEN), log(OFTEN) + seen.odds), -PAUSED, SURE))
+        odds = float(np.clip(self.before + np.logaddexp(log(1 - OFTEN), log(OFTEN) + seen.odds), PAUSED, SURE))
+        here = replace(self, breathing=odds, before=odds if full else self.before, shaken=seen.shaken)
         clear = seen.odds > 0 or self.breathing_hz is None
-        return replace(
-            self,
-            breathing=odds,
-            before=odds if full else self.before,
-            breathing_hz=seen.hertz if clear else self.breathing_hz,
-            breathing_depth=seen.depth if clear else self.breathing_depth,
-            shaken=seen.shaken,
-            watched_s=self.watched_s + lasted * full,
-        )
+        return replace(here, breathing_hz=seen.hertz, breathing_depth=seen.depth) if clear else here
 
 
 def attachment_of(frame: Observation, verdict: Verdict, number: int, since: float) -> Attachment:
     """One load of the most probable candidate."""
     best, panel = verdict.best, frame.baseline.scene.panel
-    candidate, own = best.loads[number]
+    (candidate, own), before = best.loads[number], sum(len(own) for _, own in best.loads[:number])
     disc = candidate.disc(own)
     touched = _touched(frame, best.change, disc)
     if disc is None:
         return replace(touched, sucks=verdict.sucks, since_s=since)
-    several, at = best.candidate, best.parameters
-    values, slopes = several.of_part(number, at) if isinstance(several, Several) else several.report(at)
-    errors = np.sqrt(np.einsum("qi,ij,qj->q", slopes, best.covariance, slopes))
-    named = zip(candidate.quantities, values, errors, strict=True)
-    pairs = {one.name: (float(value), float(error)) for one, value, error in named}
-    sucks = sum(share for fit, share in zip(verdict.fits, verdict.shares, strict=True) if _sucks_there(fit, disc))
-    sucks /= max(1 - verdict.nothing, 1e-9)
-    x, y = (pairs.get(f"centre_{name}", (at, panel.pitch_mm / 2)) for name, at in (("x", disc.x_mm), ("y", disc.y_mm)))
-    began = since if sucks > 0.5 else None
-    here = replace(touched, sucks=sucks, since_s=since, sucks_s=began, x_mm=x, y_mm=y)
-    return replace(here, diameter_mm=pairs.get("diameter"), suction_kpa=pairs.get("inner_pressure"))
+    covariance = best.covariance[before : before + len(own), before : before + len(own)]
+    pairs = {
+        name: (value, float(np.sqrt(slopes @ covariance @ slopes)))
+        for name, (value, slopes) in candidate.report(own).items()
+    }
+    sucks, place = verdict.sucks_at(disc), {"x_mm": disc.x_mm, "y_mm": disc.y_mm}
+    known: dict[str, Pair] = {name: pairs.get(name, (at, panel.pitch_mm / 2)) for name, at in place.items()}
+    known |= {name: pairs[name] for name in ("diameter_mm", "suction_kpa") if name in pairs}
+    return replace(touched, sucks=sucks, since_s=since, sucks_s=since if sucks > 0.5 else None, **known)
 
 
 def _touched(frame: Observation, change: Array, disc: Disc | None) -> Attachment:
     """Cells that differ clearly from those at rest, near a disc or anywhere: their centre, area and conductance."""
     panel = frame.baseline.scene.panel
-    found, sd = cells_about(frame, change)
+    cells = frame.cells(change, np.eye(change.size))
+    found, sd = cells.state.reshape(change.shape), cells.sd.reshape(change.shape)
     x, y = np.meshgrid(*panel.centres_mm())
     moved = np.abs(found) > CLEAR * np.hypot(sd, frame.baseline.model_errors.resting_sd(frame.seconds))
     if disc is not None:
@@ -138,14 +124,6 @@ def _touched(frame: Observation, change: Array, disc: Disc | None) -> Attachment
     conductance = float(more[moved].sum()), float(np.sqrt((error[moved] ** 2).sum()))
     area = count * square, square * (max(count, 1) / 3) ** 0.5
     return Attachment(0.0, 0.0, at[0], at[1], cells=count, area_mm2=area, conductance_s=conductance)
-
-
-def _sucks_there(fit: Fit, disc: Disc) -> bool:
-    """Whether one of its loads sucks, and stands where the disc is."""
-    discs = [part.disc(own) for part, own in fit.loads if part.sucks]
-    return any(
-        one is not None and hypot(one.x_mm - disc.x_mm, one.y_mm - disc.y_mm) < disc.diameter_mm / 2 for one in discs
-    )
 
 
 def continued_by(before: Sequence[Attachment], found: Sequence[Attachment], time: float) -> tuple[Attachment, ...]:

@@ -16,6 +16,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import logsumexp
 
+from lampest.loads.recognition.fit import Fit
+from lampest.loads.recognition.observation import Observation
+from lampest.loads.response import RESPONSE_SD
 from lampest.panel.panel import Array
 
 RATES_HZ = (0.5, 2.5)  # of breathing; sea lampreys at rest 0.8 to 1.6 Hz
@@ -23,9 +26,8 @@ LEAST_RATE = 3.8  # frames a second: those of four whose clock is slow; they sho
 # A: the amplitude of mouths is 5.4 % of their suction in the mean, of cups that leak 0.6 % (docs/studies/mouths.md)
 BREATH, STEADY = 0.045, 0.005
 WINDOW_S, LEAST_S = 8.0, 4.5  # over which a rhythm is steady; and the least that shows one
-CLEARLY = 6.0  # times the median over all rates: noise passes that at 1.5 % of them
-ALIKE = 1.2  # what a pattern may explain more than the true one does: films answer a tenth apart from cell to cell
-NOISES = np.geomspace(1e-4, 1.0, 25)  # σ
+# Standard deviations of what may move with time: suction, rim and supply, relative; mm; tilts. Assumptions.
+MOVES = {"suction": 0.1, "push": 0.1, "supply": 0.01, "x": 1.0, "y": 1.0, "tilt_x": 0.1, "tilt_y": 0.1}
 
 
 @dataclass(frozen=True)
@@ -43,17 +45,45 @@ class Breath:
 
 @dataclass(frozen=True, eq=False)
 class Patterns:
-    """What readings of unit variance do, (readings) or (readings, n).
+    """What readings of unit variance do, (readings) or (readings, n), for each move of MOVES.
 
-    own : where suction and rim grow by `scale`; rim : the same of the rim alone. moves : the load's other movements.
-    others : what else may move.
+    own : where suction and rim grow alike; rim : the rim alone. moves : the load's other movements. others : what else.
     """
 
     own: Array
-    scale: float
     rim: Array
     moves: Array
     others: Array
+
+
+def breaths(
+    times: Array, logarithms: Array, frame: Observation, fit: Fit, whitening: Array, pressure: Array
+) -> list[tuple[tuple[float, float], Breath]]:
+    """(centre, breath) of every load that sucks, from the frames of a window.
+
+    times : (frames) s. logarithms : (frames, readings) ln y. frame, fit : what was recognised, and of what. whitening :
+    (readings, readings). pressure : (rows, columns) kPa of the fit.
+    """
+    model, panel = frame.measured.ravel(), frame.baseline.scene.panel
+    names = list(fit.candidate.priors(panel))
+    slopes = dict(zip(names, (whitening @ (fit.slopes / model[:, None])).T, strict=True))
+    changes, discs, patterns = logarithms - np.log(model), [], []
+    for number, (part, own) in enumerate(fit.loads):
+        before, disc = f"{number}." if len(fit.loads) > 1 else "", part.disc(own)
+        moved = {name: sd * slopes[before + name] for name, sd in MOVES.items() if before + name in slopes}
+        if disc is not None and "suction" in moved and "push" in moved:
+            suction, rim, *moves = moved.values()
+            discs.append(disc)
+            patterns.append([suction + rim, rim, *moves])
+    water, found = _water(changes, frame, fit, pressure), []
+    for number, (disc, (own, rim, *moves)) in enumerate(zip(discs, patterns, strict=True)):
+        others = [MOVES["supply"] * whitening.sum(axis=1)]
+        for other, (beside, _, *moving) in enumerate(patterns):
+            others += [] if other == number else [beside, *moving]
+        seen = Patterns(own, rim, np.array(moves).T, np.array(others).T)
+        heard = breath(times, changes @ whitening.T, seen, water / abs(disc.suction_kpa))
+        found += [] if heard is None else [((disc.x_mm, disc.y_mm), heard)]
+    return found
 
 
 def breath(times: Array, changes: Array, patterns: Patterns, water: Array) -> Breath | None:
@@ -67,54 +97,57 @@ def breath(times: Array, changes: Array, patterns: Patterns, water: Array) -> Br
         return None
     at = (times - times[0]) / lasted
     trend = np.linalg.qr(np.column_stack([np.ones_like(at), at, at**2, np.log1p(10 * at)]))[0]
-    own, rim, scale = patterns.own, patterns.rim, patterns.scale
+    own, rim, scale = patterns.own, patterns.rim, MOVES["suction"]
     basis, kept = np.column_stack([own, patterns.moves, patterns.others]), 1 + patterns.moves.shape[1]
     together = np.linalg.solve(basis.T @ basis + np.eye(basis.shape[1]), basis.T @ changes.T).T[:, :kept]
-    apart = changes @ np.column_stack([own / (own @ own), rim / (rim @ rim)])
-    series = np.column_stack([scale * _calm(together[:, 0]), together[:, 1:], apart, water])
+    alone = changes @ np.column_stack([own / (own @ own), rim / (rim @ rim)])
+    series = np.column_stack([scale * _calm(together[:, 0]), together[:, 1:], alone, water])
     weights = np.array([own @ own / scale**2, *(patterns.moves**2).sum(axis=0), own @ own, rim @ rim, 0.0])
     series = series - trend @ (trend.T @ series)
     hertz = np.arange(RATES_HZ[0], min(RATES_HZ[1], rate / 2) + 1e-9, 0.25 / lasted)
-    power, total = np.empty((len(hertz), series.shape[1])), float(series[:, 0] @ series[:, 0])
-    gain = np.empty((len(hertz), 2))
-    own = np.empty((len(hertz), 2))
-    for number, one in enumerate(hertz):
-        phase = 2 * np.pi * one * times
-        wave = np.column_stack([np.cos(phase), np.sin(phase)])
-        wave = wave - trend @ (trend.T @ wave)
-        axes, sizes, _ = np.linalg.svd(wave, full_matrices=False)
-        found = axes.T @ series
-        power[number], gain[number], own[number] = (found**2).sum(axis=0), sizes**2, found[:, 0]
-    moved = weights * np.where(power > CLEARLY * np.median(power, axis=0), power, 0.0)
-    moved[:, 0] = weights[0] * power[:, 0]
-    free = (moved[:, 0] >= moved[:, 1:-3].max(axis=1)) & (ALIKE * moved[:, -3] >= moved[:, -2])
+    waves = np.exp(2j * np.pi * hertz[:, None] * times)
+    waves = np.stack([waves.real, waves.imag], axis=2)
+    axes, sizes, _ = np.linalg.svd(waves - trend @ (trend.T @ waves), full_matrices=False)
+    found, gain = np.swapaxes(axes, 1, 2) @ series, sizes**2
+    power, amplitude, total = (found**2).sum(axis=1), found[:, :, 0], float(series[:, 0] @ series[:, 0])
+    moved = weights * power
+    # Films answer differently from cell to cell: the true pattern explains less than all by twice that deviation.
+    free = (moved[:, 0] >= moved[:, 1:-3].max(axis=1)) & ((1 + 2 * RESPONSE_SD) * moved[:, -3] >= moved[:, -2])
     free &= power[:, 0] >= power[:, -1]  # of waves suction follows by as much at most
     freedom = len(times) - trend.shape[1]
-    breathing, steady = (_evidence(total, own, gain, scale, freedom) for scale in (BREATH, STEADY))
-    against = float(logsumexp(steady)) - np.log(len(hertz))
-    all_in_all = float(logsumexp(breathing)) - np.log(len(hertz)) - against
-    odds = float(logsumexp(np.where(free, breathing, np.minimum(breathing, steady)))) - np.log(len(hertz)) - against
+    breathing, steady = (_evidence(total, amplitude, gain, sd, freedom) for sd in (BREATH, STEADY))
+    against = float(logsumexp(steady))
+    of_all = float(logsumexp(breathing)) - against
+    odds = float(logsumexp(np.where(free, breathing, np.minimum(breathing, steady)))) - against
     best = int(np.argmax(np.where(free, power[:, 0], 0.0) if free.any() else power[:, 0]))
     noise = max(total - power[best, 0], 1e-12) / max(freedom - 2, 1)
-    scale = float(np.mean(gain[best]))
-    depth = np.sqrt(max(power[best, 0] / scale, 1e-12))
-    spread = np.sqrt(6 * noise / (scale * 2)) / (np.pi * lasted * depth)  # Rife and Boorstyn, IEEE Trans. IT-20, 1974
+    size = float(np.mean(gain[best]))
+    depth = np.sqrt(max(power[best, 0] / size, 1e-12))
+    spread = np.sqrt(6 * noise / (size * 2)) / (np.pi * lasted * depth)  # Rife and Boorstyn, IEEE Trans. IT-20, 1974
     return Breath(
         odds,
         (float(hertz[best]), float(np.hypot(spread, 0.25 / lasted / 12**0.5))),
-        (float(depth), float(np.sqrt(noise / scale))),
-        all_in_all > 3.0 and odds < 0.0,
+        (float(depth), float(np.sqrt(noise / size))),
+        of_all > 3.0 and odds < 0.0,
     )
 
 
-def _evidence(total: float, own: Array, gain: Array, scale: float, freedom: int) -> Array:
+def _evidence(total: float, amplitude: Array, gain: Array, sd: float, freedom: int) -> Array:
     """ln P(s | f) up to what all share, (rates): summed over σ."""
-    noise = NOISES[:, None, None] ** 2
-    wide = noise + scale**2 * gain
-    rest = total - (own**2).sum(axis=1)
-    fits = -0.5 * ((own**2 / wide).sum(axis=2) + np.maximum(rest, 0.0) / noise[..., 0])
+    noise = np.geomspace(1e-4, 1.0, 25)[:, None, None] ** 2
+    wide = noise + sd**2 * gain
+    rest = total - (amplitude**2).sum(axis=1)
+    fits = -0.5 * ((amplitude**2 / wide).sum(axis=2) + np.maximum(rest, 0.0) / noise[..., 0])
     volume = -0.5 * (np.log(wide).sum(axis=2) + (freedom - 2) * np.log(noise[..., 0]))
     return np.asarray(logsumexp(fits + volume, axis=0))
+
+
+def _water(changes: Array, frame: Observation, fit: Fit, pressure: Array) -> Array:
+    """(frames) kPa by which the water's pressure has changed, from lines without a load; 0 where there is none."""
+    loaded = pressure != 0
+    free = ~(loaded.any(axis=0) | loaded.any(axis=1)[:, None]).ravel()
+    slope = frame.slope(fit.change) @ frame.change(pressure)[1].ravel() / frame.measured.ravel()
+    return np.asarray(changes[:, free] @ slope[free] / max(float(slope[free] @ slope[free]), 1e-300))
 
 
 def _calm(series: Array) -> Array:

@@ -2,13 +2,14 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import accumulate
 
 import numpy as np
 
 from lampest.loads.shapes import shape_types
 from lampest.loads.shapes.disc import Disc
-from lampest.loads.shapes.shape import Candidate, Prior, Quantity
+from lampest.loads.shapes.shape import Candidate, Prior
 from lampest.panel.panel import Array, Panel
 
 AND = " and "
@@ -16,22 +17,14 @@ AND = " and "
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Several(Candidate):
-    """p = Σ p_i(φ_i); reported is the first of them; what sucks comes first.
-
-    parts : the candidates, φ in their order. Use `of`.
-    """
+    """p = Σ p_i(φ_i) of its parts, φ in their order; those that suck come first. Use `of`."""
 
     parts: tuple[Candidate, ...]
 
     @classmethod
     def of(cls, parts: tuple[Candidate, ...]) -> "Several":
         """Called by the names of all."""
-        return cls(
-            label=AND.join(part.label for part in parts),
-            sucks=all(part.sucks for part in parts),
-            hollow=all(part.hollow for part in parts),
-            parts=parts,
-        )
+        return cls(label=AND.join(part.label for part in parts), sucks=all(part.sucks for part in parts), parts=parts)
 
     def priors(self, panel: Panel) -> Mapping[str, Prior]:
         """Those of every part, its number before their names."""
@@ -39,15 +32,13 @@ class Several(Candidate):
             f"{number}.{name}": p for number, part in enumerate(self.parts) for name, p in part.priors(panel).items()
         }
 
-    def split(self, parameters: Array) -> list[Array]:
-        """φ of every part."""
-        return np.split(parameters, list(accumulate(self._lengths))[:-1])
+    def loads(self, parameters: Array) -> list[tuple[Candidate, Array]]:
+        """Every part with its own φ."""
+        return list(zip(self.parts, np.split(parameters, self._ends), strict=True))
 
     def pressure(self, panel: Panel, patch_mm: float, parameters: Array) -> tuple[Array, Array]:
         """The sum, and the slopes of each by its own numbers."""
-        each = [
-            part.pressure(panel, patch_mm, own) for part, own in zip(self.parts, self.split(parameters), strict=True)
-        ]
+        each = [part.pressure(panel, patch_mm, own) for part, own in self.loads(parameters)]
         return np.sum([pressure for pressure, _ in each], axis=0), np.concatenate([slopes for _, slopes in each])
 
     def start(self, disc: Disc) -> Array:
@@ -56,38 +47,21 @@ class Several(Candidate):
 
     def like(self, other: Candidate, parameters: Array) -> Array | None:
         """That of every part where there are as many."""
-        if not isinstance(other, Several) or len(other.parts) != len(self.parts):
+        loads = other.loads(parameters)
+        if len(loads) != len(self.parts):
             return None
-        pairs = zip(self.parts, other.parts, other.split(parameters), strict=True)
-        begin = [part.like(one, own) for part, one, own in pairs]
+        begin = [part.like(one, own) for part, (one, own) in zip(self.parts, loads, strict=True)]
         found = [one for one in begin if one is not None]
         return np.concatenate(found) if len(found) == len(begin) else None
 
     def blind(self, parameters: Array) -> Array:
         """Those of the parts."""
-        return np.concatenate([part.blind(own) for part, own in zip(self.parts, self.split(parameters), strict=True)])
+        return np.concatenate([part.blind(own) for part, own in self.loads(parameters)])
 
-    @property
-    def quantities(self) -> tuple[Quantity, ...]:
-        """Those of the first."""
-        return self.parts[0].quantities
-
-    def report(self, parameters: Array) -> tuple[Array, Array]:
-        """Those of the first."""
-        return self.of_part(0, parameters)
-
-    def of_part(self, number: int, parameters: Array) -> tuple[Array, Array]:
-        """What one part reports, with slopes by all of φ."""
-        before, own = sum(self._lengths[:number]), self._lengths[number]
-        values, slopes = self.parts[number].report(parameters[before : before + own])
-        padded = np.zeros((len(values), len(parameters)))
-        padded[:, before : before + own] = slopes
-        return values, padded
-
-    @property
-    def _lengths(self) -> list[int]:
-        """How many numbers each part has; the same on every panel."""
-        return [len(part.priors(Panel(2, 2))) for part in self.parts]
+    @cached_property
+    def _ends(self) -> list[int]:
+        """Where the numbers of each part end but of the last; the same on every panel."""
+        return list(accumulate(len(part.priors(Panel(2, 2))) for part in self.parts))[:-1]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -110,17 +84,10 @@ class Uniform(Candidate):
         return np.zeros(len(self.numbers))
 
 
-def loads_of(candidate: Candidate, parameters: Array) -> list[tuple[Candidate, Array]]:
-    """Each of its loads with its own φ."""
-    if isinstance(candidate, Several):
-        return list(zip(candidate.parts, candidate.split(parameters), strict=True))
-    return [(candidate, parameters)]
-
-
 NOTHING = Uniform(label="nothing", numbers={})
 FLAT = Uniform(label="flat load", numbers={"flat": Prior(0, 5)})
 UNIFORM: tuple[Candidate, ...] = (NOTHING, FLAT)
 LOADS: tuple[Candidate, ...] = tuple(shape.candidate for shape in shape_types() if shape.candidate is not None)
 CANDIDATES = UNIFORM + LOADS
-UNKNOWN = "unlike any"
-KINDS = (*(candidate.label for candidate in CANDIDATES), UNKNOWN)
+FIELD = Uniform(label="unlike any", numbers={})  # changes of any form, see `lampest.loads.recognition.field`
+KINDS = (*(candidate.label for candidate in CANDIDATES), FIELD.label)

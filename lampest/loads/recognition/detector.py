@@ -1,125 +1,203 @@
-"""What stands on a panel in one frame: every candidate fitted, from where the frame before ended where there is one."""
+"""What stands on a panel in one frame: every candidate fitted from wherever the change looks like something.
 
-from collections.abc import Sequence
+Between patches lie many minima. So fits begin wherever a template matches, first with coarse errors and then step by
+step with sharper ones, each kind from its own place and from where the best of all is. In the end all are weighed by
+the errors about what the best explains: by what each explains itself, errors would jump with every edge that passes a
+patch, by more than kinds differ. Where no kind explains a frame, two and three loads at once are tried.
+"""
+
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
-from lampest.loads.recognition.candidates import LOADS, UNIFORM, Several
-from lampest.loads.recognition.field import FIELD, field_fit
-from lampest.loads.recognition.fit import Fit, along_diameter, with_errors
-from lampest.loads.recognition.frame import SUSPICIOUS, Observation, Whitening, outliers, without
-from lampest.loads.recognition.multistart import LEVELS, MultiStart, discs_of
-from lampest.loads.recognition.search import cell_map
-from lampest.loads.recognition.verdict import Verdict, judged, outline_cost
+import numpy as np
+
+from lampest.loads.recognition.candidates import FIELD, LOADS, UNIFORM, Several
+from lampest.loads.recognition.evidence import Verdict, judged, prior_cost
+from lampest.loads.recognition.field import field_fit
+from lampest.loads.recognition.fit import Fit, Fitting, along_diameter
+from lampest.loads.recognition.observation import SUSPICIOUS, Observation, Whitening, outliers, whitenings
+from lampest.loads.recognition.search import DiscSearch, unit
+from lampest.loads.shapes.disc import Disc
 from lampest.loads.shapes.shape import Candidate
 from lampest.panel.panel import Array, Panel
 
 QUIET = 4.5  # standard deviations by which something must stand out for loads to be looked for
-FORGOTTEN = 60.0  # ln of a likelihood ratio beyond which a candidate is left out until the panel is searched again
-CLEAR = 1.15  # χ² per reading: above, a field might win; below, it lost by more than 60 in all scenes that were tried
-NO_DOUBT = 1.0  # of ln P: an outline that costs more might be anything's
+COARSE, FINER = 0.2, 0.03  # standard deviations of cells at rest in ln r: while a load is looked for, and then
+COARSE_STEPS = 12  # evaluations of a coarse fit
+HOPELESS = 30.0  # of ln P: a coarse fit that stays so far behind the best is not ended
+FAR = 1.0  # difference of ln r/r0 beyond which errors are weighed anew
+ROUNDS = 3  # of a fit with errors, or without outliers, that the one before left
+LEVELS = (0.5, 1.2, 2.5)  # times the response's standard deviation: from a film as published to a bent, uneven one
 MOST_AT_ONCE = 3  # loads
-COUNTED = 0.02  # share below which a kind hardly counts for a load's size
 
 
 @dataclass(frozen=True, eq=False)
 class Detector:
-    """Where a sequence of frames stands.
+    """A panel whose cells have films of an edge of `patch_mm`, and the loads that may stand on it."""
 
-    starts : what fits to its frames need.
-    previous : the verdict on the last frame, or None. changed : ln r/r0 of its field, where a field was fitted.
-    """
+    panel: Panel
+    patch_mm: float
+    loads: tuple[Candidate, ...] = LOADS
 
-    starts: MultiStart
-    previous: Verdict | None = None
-    changed: Array | None = None
+    @cached_property
+    def search(self) -> DiscSearch:
+        """The templates of all loads, all over the panel."""
+        templates = tuple(dict.fromkeys(template for load in self.loads for template in load.templates))
+        return DiscSearch.over(self.panel, self.patch_mm, templates)
 
-    @classmethod
-    def of(cls, panel: Panel, patch_mm: float, first: Observation, loads: tuple[Candidate, ...] = LOADS) -> "Detector":
-        """Before the first frame."""
-        return cls(MultiStart.of(panel, patch_mm, first, loads))
-
-    def push(self, frame: Observation) -> tuple["Detector", Verdict]:
-        """The verdict on a frame, begun where the one before ended, and the detector for the next one."""
-        calm, whitening = self._at_rest(frame)
-        if whitening is not None:
-            verdict = self._judged(calm, self._uniform(calm, whitening))
-            return replace(self, previous=verdict), verdict
-        verdicts = []
-        if self.previous is not None and self.previous.loads:
-            first = self.previous.loads[0].evidence - FORGOTTEN
-            verdicts = [self._settled(calm, [fit for fit in self.previous.loads if fit.evidence > first])]
-            if self._clear(verdicts[0]):
-                verdict = self._spread(calm, verdicts[0])
-                return replace(self, previous=verdict), verdict
-        field = field_fit(calm, cell_map(calm), *(() if self.changed is None else (self.changed,)))
-        verdicts = [self._judged(calm, (*one.fits, field)) for one in verdicts]
-        if not verdicts or self._doubtful(verdicts[0]):
-            verdicts.append(self._settled(calm, self.starts.everywhere(calm), field))
-            if self._doubtful(verdicts[-1]):
-                verdicts += self._several(calm, verdicts[-1], field)
-        verdict = self._spread(calm, max(verdicts, key=lambda one: one.evidence))
-        return replace(self, previous=verdict, changed=field.change), verdict
-
-    def _at_rest(self, frame: Observation) -> tuple[Observation, Whitening | None]:
-        """(frame, None) where something stands out; else the frame without outliers, and its whitening."""
-        residual, rest = self.starts.unexplained(frame), self.starts.rest
-        far = outliers(rest, residual)
-        calm = without(frame, far)
-        whitening = Whitening.at_rest(calm) if len(far) else rest
-        errors = whitening @ residual
-        quiet = errors @ errors < SUSPICIOUS * errors.size and self.starts.search.stands_out(errors) < QUIET
-        return (calm, whitening) if quiet else (frame, None)
-
-    def _settled(self, frame: Observation, starts: Sequence[Fit], *others: Fit) -> Verdict:
-        """The verdict on all candidates from those starts, and other fits."""
-        frame, fits = self.starts.settled(frame, starts)
-        return self._judged(frame, (*self._uniform(frame, Whitening.at_rest(frame)), *fits, *others))
-
-    def _several(self, frame: Observation, single: Verdict, field: Fit) -> list[Verdict]:
-        """Verdicts on two loads at once, then on three, while they explain more than what one load fewer does."""
-        search = self.starts.search
-        discs = search.beside(field.change, ())[:1]
-        found: list[Verdict] = []
+    def verdict(self, frame: Observation, before: Verdict | None = None) -> Verdict:
+        """What a frame shows. before : the verdict on an earlier one, whose loads are tried, too."""
+        rest, residual = Whitening.at_rest(frame), frame.residual()
+        calm = frame.without(outliers(rest, residual))
+        errors = Whitening.at_rest(calm) @ residual
+        stands_out = unit(rest @ self.search.readings(frame)).T @ errors
+        if errors @ errors < SUSPICIOUS * errors.size and stands_out.max() < QUIET:
+            return self._judged(calm, self._uniform(calm))
+        field, found = field_fit(frame), list[Verdict]()
+        if before is not None and before.loads:
+            found.append(self._settled(frame, before.loads, field))
+        if not found or self._doubtful(found[0]):
+            discs = self.search.starts(frame, rest)
+            found.append(self._settled(frame, [self._coarse(load, frame, discs) for load in self.loads], field))
+        single, places = found[-1], self.search.beside(field.change, ())[:1]
         for _ in range(1, MOST_AT_ONCE):
-            places = [[*discs, place] for place in search.beside(field.change, discs)]
-            if not places:
+            beside = self.search.beside(field.change, places)
+            if not beside or not self._doubtful(found[-1]):
                 break
-            fits = self.starts.sharper(frame, self.starts.together(frame, places))
-            verdict = self._settled(frame, (*fits, *single.loads[:1]), field)
-            if verdict.evidence <= (found[-1] if found else single).evidence:
+            fits = self._together(frame, [[*places, place] for place in beside])
+            found.append(self._settled(frame, (*fits, *single.loads[:1]), field))
+            places = discs_of(fits[0])
+        return self._spread(frame, max(found, key=lambda one: one.evidence))
+
+    def fitted(self, candidate: Candidate, frame: Observation, start: Fit | None) -> Fit:
+        """One candidate fitted whether or not anything else would do; from everywhere, unless a start fits."""
+        fit = None if start is None else self._without_outliers(frame, start)
+        if fit is None or fit.chi2 > SUSPICIOUS * frame.measured.size:
+            discs = self.search.starts(frame, Whitening.at_rest(frame))
+            other = self._without_outliers(frame, self._coarse(candidate, frame, discs))
+            fit = other if fit is None or other.chi2 < fit.chi2 else fit
+        return fit
+
+    def fitting(self, candidate: Candidate, frame: Observation, whitening: Whitening) -> Fitting:
+        """Of one candidate to one frame."""
+        return Fitting(self.panel, self.patch_mm, candidate, frame, whitening)
+
+    def _without_outliers(self, frame: Observation, fit: Fit) -> Fit:
+        for _ in range(ROUNDS):
+            fit = self._weighed(frame, fit, frame.baseline.model_errors.response)
+            far = fit.outliers(frame)
+            if len(far) == 0:
                 break
-            found.append(verdict)
-            if not self._doubtful(verdict):
+            frame = frame.without(far)
+        return fit
+
+    def _weighed(self, frame: Observation, fit: Fit, scatter: float, rough: bool = False) -> Fit:
+        """The fit from a start, with the errors about what it explains, until these stay."""
+        for _ in range(ROUNDS):
+            before = fit.change
+            fitting = self.fitting(fit.candidate, frame, Whitening.of(frame, fit.explained, scatter))
+            fit = fitting.best(fit.parameters, rough=rough)
+            if np.abs(fit.change - before).max() < FAR:
                 break
-            discs = discs_of(fits[0])
-        return found
+        return fit
+
+    def _coarse(self, load: Candidate, frame: Observation, discs: Sequence[Disc]) -> Fit:
+        """The best fit of a load from any disc, with the errors of a panel at rest."""
+        fitting = self.fitting(load, frame, Whitening.at_rest(frame.blurred(COARSE)))
+        fits: list[Fit] = []
+        for disc in discs:
+            most = min((fit.cost for fit in fits), default=np.inf) + HOPELESS
+            fits.append(fitting.best(load.start(disc), COARSE_STEPS, most, rough=True))
+        return best_of(fits)
+
+    def _settled(self, frame: Observation, fits: Sequence[Fit], field: Fit) -> Verdict:
+        """The verdict on all candidates from coarse fits, compared step by step more sharply and without outliers."""
+        scatter = LEVELS[-1] * frame.baseline.model_errors.response
+        for blurred in (frame.blurred(FINER), frame):
+            fits = [self._weighed(blurred, fit, scatter, rough=True) for fit in fits]
+        for _ in range(ROUNDS):
+            far = best_of(fits).outliers(frame)
+            if len(far) == 0:
+                break
+            frame = frame.without(far)
+            fits = [self._weighed(frame, fit, scatter, rough=True) for fit in fits]
+        return self._judged(frame, (*self._uniform(frame), *self._weighed_alike(frame, fits), field))
+
+    def _weighed_alike(self, frame: Observation, fits: Sequence[Fit]) -> list[Fit]:
+        """All fits weighed by what the best of them explains, from where they are or where that is.
+
+        The film's relative deviation is that of LEVELS under which the frame is most probable.
+        """
+        best, response = best_of(fits), frame.baseline.model_errors.response
+        levels = [
+            self.fitting(best.candidate, frame, whitening).best(best.parameters, rough=True)
+            for whitening in whitenings(frame, best.explained, [level * response for level in LEVELS])
+        ]
+        suits = max(levels, key=lambda fit: fit.evidence)
+        whitening = Whitening.of(frame, best.explained, suits.scatter)
+        return [
+            best_of(
+                self.fitting(fit.candidate, frame, whitening).best(start.parameters)
+                for start in (fit, *_like(fit, suits))
+            )
+            for fit in fits
+        ]
+
+    def _together(self, frame: Observation, places: Sequence[Sequence[Disc]]) -> list[Fit]:
+        """Coarse fits of loads about the best of some sets of discs: all that suck, and each of the likeliest kind."""
+        whitening = Whitening.at_rest(frame.blurred(COARSE))
+
+        def fitted(loads: Sequence[tuple[Candidate, Array]]) -> Fit:
+            parts, own = zip(*sorted(loads, key=lambda load: not load[0].sucks), strict=True)
+            return self.fitting(Several.of(parts), frame, whitening).best(np.concatenate(own), COARSE_STEPS, rough=True)
+
+        def likely(fit: Fit) -> float:
+            return fit.evidence - prior_cost(self.panel, fit)
+
+        first = next((load for load in self.loads if load.sucks), self.loads[0])
+        sucking = best = best_of(fitted([(first, first.start(disc)) for disc in discs]) for discs in places)
+        for place in range(len(best.loads)):
+            for kind in self.loads:
+                loads = best.loads
+                alike = kind.like(*loads[place])
+                if kind is not loads[place][0] and alike is not None:
+                    loads[place] = kind, alike
+                    best = max(best, fitted(loads), key=likely)
+        return [best] if best is sucking else [best, sucking]
 
     def _spread(self, frame: Observation, verdict: Verdict) -> Verdict:
-        """The verdict with single loads as large as they may be, where their shares count."""
+        """The verdict with a single load as large as it may be."""
         best = verdict.best
-        if best not in verdict.loads or isinstance(best.candidate, Several):
+        if best.candidate not in self.loads:
             return verdict
-        frame, whitening = with_errors(frame, best)
-        fits = tuple(
-            along_diameter(self.starts.fitting(fit.candidate, frame, whitening), fit)
-            if share > COUNTED and not isinstance(fit.candidate, Several)
-            else fit
-            for fit, share in zip(verdict.fits, verdict.shares, strict=True)
-        )
-        return replace(verdict, fits=fits)
-
-    def _clear(self, verdict: Verdict) -> bool:
-        """Whether a shape explains so much, on a film that is not at its worst, that no field need stand against it."""
-        best = verdict.best
-        likely = verdict.goodness < CLEAR and best.scatter < LEVELS[-1] * self.starts.response
-        return likely and outline_cost(self.starts.panel, best) < NO_DOUBT
+        wide = along_diameter(self.fitting(best.candidate, *best.with_errors(frame)), best)
+        return replace(verdict, fits=tuple(wide if fit is best else fit for fit in verdict.fits))
 
     def _doubtful(self, verdict: Verdict) -> bool:
-        """Whether another position, or another number of loads, might explain more."""
+        """Whether another number of loads might explain more."""
         return verdict.best.candidate is FIELD or verdict.goodness > SUSPICIOUS
 
-    def _uniform(self, frame: Observation, whitening: Whitening) -> tuple[Fit, ...]:
-        return tuple(self.starts.fitting(kind, frame, whitening).best(kind.mean(self.starts.panel)) for kind in UNIFORM)
+    def _uniform(self, frame: Observation) -> tuple[Fit, ...]:
+        rest = Whitening.at_rest(frame)
+        return tuple(self.fitting(kind, frame, rest).best(kind.mean(self.panel)) for kind in UNIFORM)
 
     def _judged(self, frame: Observation, fits: tuple[Fit, ...]) -> Verdict:
-        return judged(self.starts.panel, fits, frame.measured.size, frame.baseline.response)
+        return judged(self.panel, fits, frame.measured.size, frame.baseline.response)
+
+
+def best_of(fits: Iterable[Fit]) -> Fit:
+    """The one with the least score, the first of equal ones."""
+    return min(fits, key=lambda fit: fit.score)
+
+
+def discs_of(fit: Fit) -> list[Disc]:
+    """The discs of all its loads that are like one."""
+    discs = [part.disc(own) for part, own in fit.loads]
+    return [disc for disc in discs if disc is not None]
+
+
+def _like(fit: Fit, best: Fit) -> list[Fit]:
+    """A start for a kind where another one is; none where that is itself, or has another number of loads."""
+    begin = fit.candidate.like(best.candidate, best.parameters)
+    return [] if begin is None or best is fit else [replace(best, candidate=fit.candidate, parameters=begin)]

@@ -13,8 +13,8 @@ import numpy as np
 from scipy.linalg import cho_solve
 
 from lampest.loads.recognition.detector import Detector
-from lampest.loads.recognition.fit import Fit, with_errors
-from lampest.loads.recognition.frame import Observation
+from lampest.loads.recognition.fit import Fit
+from lampest.loads.recognition.observation import Observation
 from lampest.loads.shapes import OralDisc
 from lampest.loads.shapes.disc import Disc
 from lampest.panel.panel import Array
@@ -42,10 +42,9 @@ def fit_oral_disc(detector: Detector, frame: Observation, start: Fit | None = No
     """argmin ‖R − f(r0·f(p(θ)))‖² over centre, diameters, suction, rim pressure and tilt, with their priors.
 
     Weighed by what films and panels depart by; the cells are those of the disc with the departures that this leaves.
-
-    detector : prepared for the panel and its baseline. start : the frame before, or None: all of the panel is searched.
+    start : the frame before, or None: all of the panel is searched.
     """
-    fit = detector.starts.fitted(OralDisc.candidate, frame, start)
+    fit = detector.fitted(OralDisc.candidate, frame, start)
     disc, slopes = OralDisc.candidate.disc_with_slopes(fit.parameters)
     covariance = slopes @ fit.covariance @ slopes.T
     cells = np.exp(frame.baseline.logarithm + fit.change + _departure(frame, fit))
@@ -55,11 +54,11 @@ def fit_oral_disc(detector: Detector, frame: Observation, start: Fit | None = No
 
 def _departure(frame: Observation, fit: Fit) -> Array:
     """d (rows, columns): the mean of ln r − ln r0 − x after the readings, outliers left out."""
-    frame, whitening = with_errors(frame, fit)
-    cells, errors = fit.change.size, frame.baseline.model_errors
-    shared = fit.explained.shared(errors.bent)
-    film = fit.scatter**2 * fit.explained.uneven(frame.baseline.alike) + shared.T @ shared
-    spread = errors.resting_covariance(frame.seconds, cells) + film
+    frame, whitening = fit.with_errors(frame)
+    cells, baseline = fit.change.size, frame.baseline
+    shared = fit.explained.shared(baseline.model_errors)
+    film = fit.scatter**2 * fit.explained.uneven(baseline) + shared.T @ shared
+    spread = baseline.model_errors.resting_covariance(frame.seconds, cells) + film
     both = np.hstack([frame.slope(fit.change), frame.offsets])
-    before = frame.baseline.covariance[:cells] @ both.T + spread @ both[:, :cells].T
+    before = baseline.covariance[:cells] @ both.T + spread @ both[:, :cells].T
     return np.asarray((before @ cho_solve((whitening.root, True), fit.residual)).reshape(fit.change.shape))

@@ -15,13 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cholesky, solve_triangular
 
-from lampest.loads.recognition.frame import Observation
-from lampest.loads.recognition.search import DiscSearch
+from lampest.loads.recognition.observation import Observation
+from lampest.loads.recognition.search import DiscSearch, unit
 from lampest.panel.panel import Array
 
 STEP = 6.0  # standard deviations: with some 1000 patterns normal noise passes them once in 10⁶ frames
-FREE = 0.1  # of ln r and of ln y, what all cells and all readings may share: temperature, waves, supply
-OWN = 0.002  # of ln r, what a cell at rest wavers by from frame to frame
+# Standard deviations of ln r and of ln y that all cells and all readings may share (temperature, waves, supply), and of
+# ln r by which a cell at rest wavers from frame to frame; assumptions.
+FREE, OWN = 0.1, 0.002
 NEAR = 3.0  # pitches about a disc in which a load's pattern counts for it
 MEMORY = 20.0  # frames over which v_k is a mean
 
@@ -40,8 +41,8 @@ class StepTest:
     loud: Array
 
     @classmethod
-    def of(cls, frame: Observation, search: DiscSearch) -> "StepTest":
-        """About a panel at rest; frame : its readings with the noise of one frame."""
+    def of(cls, frame: Observation, search: DiscSearch, unloaded: Array) -> "StepTest":
+        """About a panel at rest; frame : its readings with the noise of one frame. unloaded : (frames, cells) ln y."""
         value, cells = frame.measured.ravel(), frame.measured.size
         slope = frame.slope(np.zeros(frame.measured.shape)) / value[:, None]
         covariance = np.diag((frame.sigma.ravel() / value) ** 2) + OWN**2 * slope @ slope.T
@@ -50,12 +51,13 @@ class StepTest:
         columns = np.hstack(shared)
         root = cholesky(covariance + columns @ columns.T, lower=True)
         whitening = solve_triangular(root, np.eye(cells), lower=True)
-        discs = whitening @ (search.readings / value[:, None])
-        patterns = (discs / np.maximum(np.linalg.norm(discs, axis=0), 1e-300)).T @ whitening
-        pitch = frame.baseline.scene.panel.pitch_mm
-        x, y = search.faint_places().T / pitch
+        patterns = unit(whitening @ (search.readings(frame) / value[:, None])).T @ whitening
+        x, y = search.places[search.faint].T / frame.baseline.scene.panel.pitch_mm
         near = np.hypot(x[:, None] - x, y[:, None] - y) < NEAR
-        return cls(patterns, near, whitening, np.linalg.norm(patterns @ slope, axis=1), np.ones(len(patterns)))
+        scores = (unloaded - np.log(value)) @ patterns.T
+        spread = np.mean(scores**2) * len(scores) / (len(scores) - 1) if len(scores) > 1 else 1.0
+        drift = np.linalg.norm(patterns @ slope, axis=1)
+        return cls(patterns, near, whitening, drift, np.full(len(patterns), max(float(spread), 1.0)))
 
     def scores(self, change: Array) -> Array:
         """|t_kᵀ W δ| of a change of ln y (cells)."""
@@ -68,13 +70,6 @@ class StepTest:
     def least(self) -> Array:
         """(discs) scores beyond which something has happened."""
         return np.asarray(STEP * np.sqrt(np.maximum(self.loud, max(1.0, float(self.loud.mean())))))
-
-    def primed(self, changes: Array) -> "StepTest":
-        """After unloaded frames, of which (frames, cells) ln y differ from their mean by so much."""
-        if len(changes) < 2:
-            return self
-        square = np.mean((changes @ self.patterns.T) ** 2) * len(changes) / (len(changes) - 1)
-        return replace(self, loud=np.full(len(self.loud), max(float(square), 1.0)))
 
     def heard(self, scores: Array) -> "StepTest":
         """After a frame without a load."""

@@ -6,36 +6,28 @@ A load that is there goes only by a step back to that, up to what film and drift
 slowly as it likes. While nothing is there, the panel at rest follows the readings.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
 
-from lampest.loads.recognition.attachment import Attachment, attachment_of, continued_by
-from lampest.loads.recognition.baseline import Baseline
-from lampest.loads.recognition.breathing import LEAST_S, WINDOW_S, Breath, Patterns, breath
-from lampest.loads.recognition.candidates import LOADS
+from lampest.loads.recognition.attachment import CLEAR, Attachment, attachment_of, continued_by
+from lampest.loads.recognition.breathing import LEAST_S, WINDOW_S, breaths
 from lampest.loads.recognition.detector import Detector
-from lampest.loads.recognition.fit import Fit
-from lampest.loads.recognition.frame import Observation, counting
+from lampest.loads.recognition.evidence import Verdict
+from lampest.loads.recognition.observation import Baseline, Observation, counting
 from lampest.loads.recognition.search import cell_map
 from lampest.loads.recognition.settings import ModelErrors
 from lampest.loads.recognition.steps import StepTest
-from lampest.loads.shapes.shape import Candidate
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 
 FOLLOWS_S = 20.0  # in which the mean of frames follows them
-# Of what stands there, as patterns see it: a change beyond it is another load, or one that left.
-CHANGED = 0.5
-# Of a load's ln r/r0, the most that a film keeps of it: 12 %, and 5 % for each decade, as `ModelErrors` have it.
-FILM_KEEPS = 0.25
-FIRST_S, FRAMES = 1.0, 3  # after which something is recognised first, and at least
-AGAIN_S = 1.0  # after which breathing is judged again while the window fills
-# Standard deviations of what may move with time: the supply, relative; mm, tilts; suction and rim, relative.
-SUPPLY = 0.01
-MOVES = {"x": 1.0, "y": 1.0, "tilt_x": 0.1, "tilt_y": 0.1}
-BREATHES = 0.1
+# Of what stands there, as patterns see it: a change beyond it is another load, or one that left. And of a load's
+# ln r/r0 the most that a film keeps of it: 12 %, and 5 % for each decade.
+CHANGED, FILM_KEEPS = 0.5, 0.25
+FIRST_S, FRAMES = 1.0, 3  # after which something is recognised first, and at least; breathing is judged again
 
 
 class SharedNoise(Protocol):
@@ -54,17 +46,23 @@ class Panelled:
     water: Array
     errors: ModelErrors
     noise: SharedNoise | None = None
-    loads: tuple[Candidate, ...] = LOADS
 
-    def frame(self, measured: Array, sigma: Array, baseline: Baseline, seconds: float, scale: float) -> Observation:
-        """A mean of frames; scale : its errors over those of one."""
-        common = None if self.noise is None else scale * self.noise.columns(measured[None], False)
-        return Observation(measured, scale * sigma, baseline, self.water, seconds, common=common)
+    @cached_property
+    def detector(self) -> Detector:
+        """Of its loads."""
+        return Detector(self.scene.panel, self.patch_mm)
 
-    def baseline(self, measured: Array, sigma: Array, scale: float) -> Baseline:
-        """The panel at rest; scale : as above."""
-        common = None if self.noise is None else scale * self.noise.columns(measured[None], False)
-        return Baseline.of(measured, scale * sigma, self.scene, self.errors, common)
+    def frame(self, measured: Array, sigma: Array, baseline: Baseline, seconds: float) -> Observation:
+        """A mean of frames, as sure as one: films err alike in all of them."""
+        return Observation(measured, sigma, baseline, self.water, seconds, common=self._common(measured))
+
+    def baseline(self, measured: Array, sigma: Array, frames: float) -> Baseline:
+        """The panel at rest from the mean of so many frames."""
+        scale, common = frames**-0.5, self._common(measured)
+        return Baseline.of(measured, scale * sigma, self.scene, self.errors, None if common is None else scale * common)
+
+    def _common(self, measured: Array) -> Array | None:
+        return None if self.noise is None else self.noise.columns(measured[None], False)
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +72,9 @@ class Watch:
     test : of steps. rest, rested : the panel before a load, and how many frames that is a mean of. rest_s : its last.
     mean, begun : of the frames since the last step, and when that was. recent : the last two. window : (s, ℓ) since the
     step, of WINDOW_S or FRAMES if that is more. present : whether something is there. size : (discs) what patterns see
-    of it, or of the last one. known : whether it was recognised; next_s : when it will be again. verdict : as what.
+    of it. left, left_s : the same of the last load that was recognised, and when. seen, verdict : the median frame in
+    which something was recognised since it came, and as what. known : whether that was since the last step. next_s,
+    breath_s : when it will be again, and when breathing is judged.
     """
 
     panelled: Panelled
@@ -91,13 +91,12 @@ class Watch:
     size: Array | float = 0.0
     left: Array | float = 0.0
     left_s: float = 0.0
+    seen: Observation | None = None
+    verdict: Verdict | None = None
     known: bool = False
     next_s: float = np.inf
     breath_s: float = np.inf
-    detector: Detector | None = None
-    seen: Observation | None = None
-    change: Array | None = None
-    attachments: tuple[Attachment, ...] = ()
+    attachments: tuple[Attachment, ...] = field(default=())
 
     @classmethod
     def begin(cls, panelled: Panelled, measured: Array, sigma: Array, unloaded: Array, time: float) -> "Watch":
@@ -106,12 +105,10 @@ class Watch:
         measured : their mean. sigma : of one frame. unloaded : (frames, rows, columns) those that are values, NaN else.
         time : s, of the last one.
         """
-        frames, sigma = max(len(unloaded), 1), counting(sigma, measured)
-        baseline = panelled.baseline(measured, sigma, frames**-0.5)
-        frame = panelled.frame(measured, sigma, baseline, 0.0, 1.0)
-        search = Detector.of(panelled.scene.panel, panelled.patch_mm, frame, panelled.loads).starts.search
-        rest = np.log(measured.ravel())
-        test = StepTest.of(frame, search).primed(np.nan_to_num(np.log(unloaded.reshape(len(unloaded), -1)) - rest))
+        frames, sigma, rest = max(len(unloaded), 1), counting(sigma, measured), np.log(measured.ravel())
+        frame = panelled.frame(measured, sigma, panelled.baseline(measured, sigma, frames), 0.0)
+        own = np.log(unloaded.reshape(len(unloaded), rest.size))
+        test = StepTest.of(frame, panelled.detector.search, np.where(np.isfinite(own), own, rest))
         return cls(panelled, test, sigma, rest, frames, time, rest, time, (rest, rest))
 
     def push(self, measured: Array, sigma: Array, time: float) -> "Watch":
@@ -119,9 +116,8 @@ class Watch:
         counts = np.isfinite(sigma).ravel()
         logarithm = np.where(counts, np.log(np.where(counts, measured.ravel(), 1.0)), self.mean)
         shown = np.median([*self.recent, logarithm], axis=0)
-        here = replace(
-            self, recent=(self.recent[-1], logarithm), sigma=counting(sigma, np.exp(self.rest).reshape(sigma.shape))
-        )
+        sigma = counting(sigma, np.exp(self.rest).reshape(sigma.shape))
+        here = replace(self, recent=(self.recent[-1], logarithm), sigma=sigma)
         return here._stepped(shown, logarithm, time)._looked(time)
 
     @property
@@ -129,29 +125,32 @@ class Watch:
         """By how many standard deviations the last frames differ from the panel at rest."""
         return float(np.max(self.test.scores(np.median([*self.recent, self.mean], axis=0) - self.rest)))
 
+    @property
+    def change(self) -> Array | None:
+        """(rows, columns) ln r/r0 of what was recognised last; None: nothing was."""
+        return None if self.verdict is None else self.verdict.best.change
+
     def _stepped(self, shown: Array, logarithm: Array, time: float) -> "Watch":
         """With a frame among those since the last step, or the first after one."""
         before = self.window[-1][0] if self.window else self.begun
         scores = self.test.scores(shown - self.mean)
-        allowed = CHANGED * self.size if self.present else self._kept(time)
-        if np.all(scores < self.test.least() + allowed):
-            follows = max(1 / (len(self.window) + 1), min((time - before) / FOLLOWS_S, 1.0))
-            lately = sum(one[0] > time - WINDOW_S for one in self.window)
-            window = (*self.window[-max(lately, FRAMES - 1) :], (time, logarithm))
-            here = replace(self, mean=self.mean + follows * (shown - self.mean), window=window)
-            if self.present:
-                return here
-            rested = max(1 / follows, self.rested)
-            return replace(here, rest=here.mean, rest_s=time, rested=rested, test=self.test.heard(scores))
-        size, detector = self.test.sizes(shown - self.rest), self.detector if self.present else None
-        fresh = replace(
-            self, mean=shown, begun=before, window=((time, logarithm),), known=False, present=True, size=size
-        )
-        return replace(fresh, next_s=before + FIRST_S, breath_s=before + LEAST_S, detector=detector)
+        if np.any(scores >= self.test.least() + CHANGED * (self.size if self.present else self._kept(time))):
+            here = replace(self, mean=shown, begun=before, window=((time, logarithm),), known=False)
+            here = here if self.present else replace(here, present=True, seen=None)
+            size = self.test.sizes(shown - self.rest)
+            return replace(here, size=size, next_s=before + FIRST_S, breath_s=before + LEAST_S)
+        follows = max(1 / (len(self.window) + 1), min((time - before) / FOLLOWS_S, 1.0))
+        lately = sum(one[0] > time - WINDOW_S for one in self.window)
+        window = (*self.window[-max(lately, FRAMES - 1) :], (time, logarithm))
+        here = replace(self, mean=self.mean + follows * (shown - self.mean), window=window)
+        if self.present:
+            return here
+        rested = max(1 / follows, self.rested)
+        return replace(here, rest=here.mean, rest_s=time, rested=rested, test=self.test.heard(scores))
 
     def _kept(self, time: float) -> Array | float:
         """(discs) what the film may show of the last load."""
-        return CHANGED * self.left / (1 + max(time - self.left_s, 0.0) / FOLLOWS_S)
+        return self.left / (1 + max(time - self.left_s, 0.0) / FOLLOWS_S)
 
     def _looked(self, time: float) -> "Watch":
         """With what stands there, where it is time to look."""
@@ -159,14 +158,12 @@ class Watch:
             return self
         if not self.known and self._at_rest(time):
             return self._gone(self.begun)
-        here = self
-        if time >= self.next_s and len(self.window) >= FRAMES:
-            here = here._recognised(time)
+        here = self._recognised(time) if time >= self.next_s and len(self.window) >= FRAMES else self
         return here._breathed(time) if here.present and here.known and time >= here.breath_s else here
 
     def _at_rest(self, time: float) -> bool:
         """Whether the readings are back to where they were before the load, up to what film and drift leave."""
-        drift = 3 * self.panelled.errors.resting_sd(time - self.rest_s) * self.test.drift
+        drift = CLEAR * self.panelled.errors.resting_sd(time - self.rest_s) * self.test.drift
         scores, least = self.test.scores(self.mean - self.rest), self.test.least() + drift
         if np.all(scores < least):
             return True
@@ -176,86 +173,42 @@ class Watch:
         return bool(left @ before < FILM_KEEPS * (before @ before))
 
     def _frame(self, logarithm: Array, time: float) -> Observation:
-        """Readings against the panel before the load, as sure as one frame: films err alike in all of them."""
+        """Readings against the panel before the load."""
         panelled, shape = self.panelled, self.panelled.scene.panel.shape
-        rest = panelled.baseline(np.exp(self.rest).reshape(shape), self.sigma, max(self.rested, 1.0) ** -0.5)
-        return panelled.frame(np.exp(logarithm).reshape(shape), self.sigma, rest, time - self.rest_s, 1.0)
+        rest = panelled.baseline(np.exp(self.rest).reshape(shape), self.sigma, max(self.rested, 1.0))
+        return panelled.frame(np.exp(logarithm).reshape(shape), self.sigma, rest, time - self.rest_s)
 
     def _gone(self, time: float) -> "Watch":
         """Once nothing is there any more; the panel at rest is what it is now, unless nothing had been recognised."""
         closed = tuple(replace(one, until_s=time) if one.here else one for one in self.attachments)
-        here = replace(
-            self, present=False, known=False, attachments=closed, next_s=np.inf, breath_s=np.inf, detector=None
-        )
-        if self.detector is None:
+        here = replace(self, present=False, known=False, attachments=closed, next_s=np.inf, breath_s=np.inf)
+        if self.seen is None:
             return replace(here, mean=self.rest, window=())
         return replace(here, rest=self.mean, rest_s=time, rested=float(len(self.window)), left_s=time)
 
     def _recognised(self, time: float) -> "Watch":
         """With what stands there, by the frames of the window."""
-        panelled, frame = self.panelled, self._frame(np.median([one for _, one in self.window], axis=0), time)
-        if self.detector is None:
-            detector = Detector.of(panelled.scene.panel, panelled.patch_mm, frame, panelled.loads)
-        else:
-            detector = replace(self.detector, starts=self.detector.starts.against(frame))
-        detector, verdict = detector.push(frame)
+        frame = self._frame(np.median([one for _, one in self.window], axis=0), time)
+        verdict = self.panelled.detector.verdict(frame, self.verdict if self.seen else None)
         again = time + max(time - self.begun, FIRST_S)
         if verdict.nothing > 0.5:
-            return replace(self, next_s=again) if self.known else replace(self, detector=detector)._gone(self.begun)
-        found = [attachment_of(frame, verdict, number, self.begun) for number in range(verdict.count)]
-        here = replace(self, detector=detector, seen=frame, known=True, next_s=again, change=verdict.best.change)
-        here = replace(
-            here, left=self.test.sizes(self.mean - self.rest), left_s=time, size=self.test.sizes(self.mean - self.rest)
-        )
+            return replace(self, next_s=again) if self.known else replace(self, seen=frame)._gone(self.begun)
+        found = [attachment_of(frame, verdict, number, self.begun) for number in range(len(verdict.best.loads))]
+        size = self.test.sizes(self.mean - self.rest)
+        here = replace(self, seen=frame, verdict=verdict, known=True, next_s=again, left=size, left_s=time, size=size)
         return replace(here, attachments=continued_by(self.attachments, found, self.begun))
 
     def _breathed(self, time: float) -> "Watch":
         """With what the window shows of breathing; judged anew until it is full, and then window after window."""
-        lasted = time - self.window[0][0]
-        full = lasted > WINDOW_S - 1.5 * lasted / max(len(self.window) - 1, 1)
-        attachments = list(self.attachments)
-        for place, found in self._breaths():
-            number = min(
-                (number for number, one in enumerate(attachments) if one.here),
-                key=lambda number: attachments[number].distance(place),
-                default=None,
-            )
-            if number is not None:
-                attachments[number] = attachments[number].breathed(found, full, lasted)
-        return replace(self, attachments=tuple(attachments), breath_s=time + (WINDOW_S if full else AGAIN_S))
-
-    def _breaths(self) -> list[tuple[tuple[float, float], Breath]]:
-        """(centre, breath) of every load that sucks, from the frames of the window."""
-        assert self.detector is not None and self.detector.previous is not None and self.seen is not None
-        best, model, white = self.detector.previous.best, self.seen.measured.ravel(), self.test.whitening
-        slopes = dict(zip(best.candidate.priors(self.panelled.scene.panel), best.slopes.T / model, strict=True))
+        assert self.seen is not None and self.verdict is not None
         times, logarithms = np.array([time for time, _ in self.window]), np.array([one for _, one in self.window])
-        changes = logarithms - np.log(model)
-        water, supply = self._water(changes, best), SUPPLY * white.sum(axis=1)
-        discs, own, rims, moves = [], [], [], []
-        for number, (part, parameters) in enumerate(best.loads):
-            disc, before = part.disc(parameters), f"{number}." if len(best.loads) > 1 else ""
-            if disc is not None and before + "suction" in slopes and before + "push" in slopes:
-                discs.append(disc)
-                rims.append(BREATHES * white @ slopes[before + "push"])
-                own.append(BREATHES * white @ slopes[before + "suction"] + rims[-1])
-                moves.append([sd * white @ slopes[before + name] for name, sd in MOVES.items()])
-        found = []
-        for number, disc in enumerate(discs):
-            others = [
-                column for other in range(len(discs)) if other != number for column in (own[other], *moves[other])
-            ]
-            beside = np.array([supply, *others]).T
-            patterns = Patterns(own[number], BREATHES, rims[number], np.array(moves[number]).T, beside)
-            heard = breath(times, changes @ white.T, patterns, water / abs(disc.suction_kpa))
-            found += [] if heard is None else [((disc.x_mm, disc.y_mm), heard)]
-        return found
-
-    def _water(self, changes: Array, best: Fit) -> Array:
-        """(frames) kPa by which the water's pressure has changed, from lines without a load; 0 where there is none."""
-        assert self.seen is not None
-        pressure, _ = best.candidate.pressure(self.panelled.scene.panel, self.panelled.patch_mm, best.parameters)
-        loaded = pressure != 0
-        free = ~(loaded.any(axis=0) | loaded.any(axis=1)[:, None]).ravel()
-        slope = self.seen.slope(best.change) @ self.seen.change(pressure)[1].ravel() / self.seen.measured.ravel()
-        return np.asarray(changes[:, free] @ slope[free] / max(float(slope[free] @ slope[free]), 1e-300))
+        best, panel = self.verdict.best, self.panelled.scene.panel
+        pressure, _ = best.candidate.pressure(panel, self.panelled.patch_mm, best.parameters)
+        lasted = float(times[-1] - times[0])
+        full = lasted > WINDOW_S - 1.5 * lasted / max(len(times) - 1, 1)
+        attachments = list(self.attachments)
+        for place, found in breaths(times, logarithms, self.seen, best, self.test.whitening, pressure):
+            here = [number for number, one in enumerate(attachments) if one.here]
+            number = min(here, key=lambda number: attachments[number].distance(place))
+            attachments[number] = attachments[number].breathed(found, full)
+        return replace(self, attachments=tuple(attachments), breath_s=time + (WINDOW_S if full else FIRST_S))

@@ -22,7 +22,6 @@ from lampest.loads.shapes.round import (
 from lampest.loads.shapes.shape import Prior, Shape, Template
 from lampest.panel.panel import Array
 
-HOLE = 0.25  # d_i/d below which what presses is a rod; an assumption
 MOST_ELONGATED, MOST_LOBES = 10.0, 100  # of a mouth: beyond, a file has a slip of the pen
 
 
@@ -58,18 +57,9 @@ class Rod(RoundShape):
         return self.pressing(0.0, self.diameter_mm, weight)
 
 
-def hollow(ring: RoundCandidate, parameters: Array) -> tuple[float, Array]:
-    """d_i/d − HOLE, and its slopes by φ."""
-    disc, slopes = ring.disc_with_slopes(parameters)
-    share = disc.inner_mm / disc.diameter_mm
-    return share - HOLE, (slopes[3] - share * slopes[2]) / disc.diameter_mm
-
-
 @dataclass(frozen=True, kw_only=True)
 class Ring(RoundShape):
     """p = m·g/(π (d² − d_i²)/4) under a weighted ring.
-
-    Recognition asks for a hole of a quarter of its diameter: what has less is a rod.
 
     Parameters
     ----------
@@ -83,13 +73,10 @@ class Ring(RoundShape):
 
     candidate: ClassVar[RoundCandidate] = RoundCandidate(
         label="ring",
-        hollow=True,
-        follows=True,
         templates=(Template(22.0, 11.0, faint=True), Template(42.0, 32.0), Template(32.0, 21.0)),
         # An assumption: 95 % of rings press with 4 to 220 kPa.
         numbers={"diameter": DIAMETER, "width": WIDTH, "rim": Prior(log(30), 1.0)} | TILT,
         uneven=MADE,
-        bound=hollow,
     )
     positive: ClassVar[tuple[str, ...]] = ("inner_diameter_mm", "outer_diameter_mm", "mass_g")
     kind: Literal["ring"] = "ring"
@@ -160,7 +147,6 @@ class OralDisc(RoundShape):
     candidate: ClassVar[RoundCandidate] = RoundCandidate(
         label="lamprey or cup",
         sucks=True,
-        hollow=True,
         templates=SUCKING,
         # Assumptions: 95 % of rims are 3 to 10 mm wide and press with 0.02 to 110 kPa more than their suction needs:
         # nearly nothing under a soft mouth, 80 kPa where bending under rim and teeth is taken in.

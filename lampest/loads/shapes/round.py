@@ -1,7 +1,7 @@
 """What round shapes share: the disc that they are, and how recognition fits it."""
 
 from abc import abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from math import exp, log, sqrt
@@ -19,7 +19,7 @@ from lampest.loads.shapes.disc import (
     log_bearing,
     oval_pressure,
 )
-from lampest.loads.shapes.shape import Candidate, Prior, Quantity, Shape, Template, centre_priors
+from lampest.loads.shapes.shape import Candidate, Prior, Shape, Template, centre_priors
 from lampest.panel.panel import Array, Panel
 
 CLOSED = 0.05  # d_i/d where the rim would leave no inside
@@ -37,16 +37,6 @@ MADE = (0.02, 0.02, 0.08, 0.08)
 EDGE_MM, SOFT_EDGE_MM = 0.7, 1.1  # of what is made, and of a soft rim in more lobes than are fitted
 # Where the search begins with what sucks: mm, and a suction that shows as clearly as the rim.
 SUCKING = (Template(45.0, 32.0, 1.0), Template(34.0, 22.0, 1.0), Template(24.0, 12.0, 1.0))
-QUANTITIES = (
-    Quantity("centre_x", "mm", "x", "centre of the load across the columns, column 0 at 0"),
-    Quantity("centre_y", "mm", "y", "centre of the load across the rows, row 0 at 0"),
-    Quantity("diameter", "mm", "diameter", "outer diameter of the load; of a mouth over its rim"),
-    Quantity("rim_width", "mm", "rim", "width of the rim"),
-    Quantity(
-        "inner_pressure", "kPa", "inside", "pressure inside the rim against the surroundings; suction is negative"
-    ),
-    Quantity("rim_pressure", "kPa", "rim", "mean contact pressure under the rim, or under a rod"),
-)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -97,13 +87,11 @@ class RoundCandidate(Candidate):
         is full; suction, or there is none; rim, the pressure under it, or push, by which that is above p_bear.
     uneven : standard deviations of the numbers of `Unevenness`, which come last.
     edge_mm : by which both edges may seem to lie beside their places.
-    bound : margin of φ within a bound with its slopes, or None.
     """
 
     numbers: Mapping[str, Prior]
     uneven: tuple[float, ...] = UNEVEN
     edge_mm: float = EDGE_MM
-    bound: Callable[["RoundCandidate", Array], tuple[float, Array]] | None = None
 
     @cached_property
     def names(self) -> tuple[str, ...]:
@@ -189,10 +177,6 @@ class RoundCandidate(Candidate):
             begin[-form:] = parameters[-form:]
         return begin
 
-    def margin(self, parameters: Array) -> tuple[float, Array] | None:
-        """That of `bound`."""
-        return None if self.bound is None else self.bound(self, parameters)
-
     def blind(self, parameters: Array) -> Array:
         """That of the diameter: edge_mm/d in its logarithm."""
         unseen = np.zeros(len(parameters))
@@ -200,23 +184,11 @@ class RoundCandidate(Candidate):
         unseen[place] = self.edge_mm / exp(parameters[place])
         return unseen
 
-    @property
-    def quantities(self) -> tuple[Quantity, ...]:
-        """All but what a full disc, or one that does not suck, has none of."""
-        return tuple(QUANTITIES[number] for number in self._reported)
-
-    def report(self, parameters: Array) -> tuple[Array, Array]:
-        """Those of the disc."""
+    def report(self, parameters: Array) -> dict[str, tuple[float, Array]]:
+        """Centre and diameter, and the suction of what sucks."""
         disc, slopes = self.disc_with_slopes(parameters)
-        x, y, diameter, inner, suction, rim, *_ = np.eye(8)
-        choice = np.stack([x, y, diameter, (diameter - inner) / 2, suction, rim])[self._reported]
-        return choice @ np.array(disc), choice @ slopes
-
-    @property
-    def _reported(self) -> list[int]:
-        """Which of QUANTITIES it has: some need a parameter."""
-        needed = ("diameter", "diameter", "diameter", "width", "suction", "diameter")
-        return [number for number, name in enumerate(needed) if name in self.numbers]
+        names = ("x_mm", "y_mm", "diameter_mm", *(("suction_kpa",) if self.sucks else ()))
+        return {name: (getattr(disc, name), slopes[Disc._fields.index(name)]) for name in names}
 
 
 def _share(solid: float) -> tuple[float, float]:

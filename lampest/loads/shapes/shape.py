@@ -24,15 +24,6 @@ class Prior(NamedTuple):
     step: float = 0.7
 
 
-class Quantity(NamedTuple):
-    """A number of a load as files, with name, units and long name, and tables, with a header, report it."""
-
-    name: str
-    units: str
-    header: str
-    long_name: str
-
-
 class Template(NamedTuple):
     """A disc that is laid over a map of the cells, where a search begins.
 
@@ -54,16 +45,11 @@ class Candidate(ABC):
     ----------
     label : what tables, files and pictures call it.
     sucks : whether it is attached, and not only touching.
-    hollow : whether a rim about an inside presses. Hollow kinds can do nearly all that others do, and are tried again
-        from the best of all.
-    follows : whether its search begins about the best hollow fits, where there are any, and not all over the panel.
     templates : what the search lays over the panel because of it, for all kinds to begin at.
     """
 
     label: str
     sucks: bool = False
-    hollow: bool = False
-    follows: bool = False
     templates: tuple[Template, ...] = ()
 
     @abstractmethod
@@ -87,18 +73,13 @@ class Candidate(ABC):
         disc = other.disc(parameters)
         return None if disc is None else self.start(disc)
 
-    def margin(self, parameters: Array) -> tuple[float, Array] | None:
-        """How far φ lies within a bound, positive inside, and its slopes (parameters); None: there is no bound."""
-        return None
+    def loads(self, parameters: Array) -> list[tuple["Candidate", Array]]:
+        """Each of its loads with its own φ."""
+        return [(self, parameters)]
 
-    @property
-    def quantities(self) -> tuple[Quantity, ...]:
-        """What is reported of it."""
-        return ()
-
-    def report(self, parameters: Array) -> tuple[Array, Array]:
-        """The values of these (quantities), and their slopes by φ (quantities, parameters)."""
-        return np.zeros(0), np.zeros((0, len(parameters)))
+    def report(self, parameters: Array) -> dict[str, tuple[float, Array]]:
+        """What is reported of it by name, `x_mm`, `y_mm`, `diameter_mm` and `suction_kpa`: value and slopes by φ."""
+        return {}
 
     def blind(self, parameters: Array) -> Array:
         """Standard deviation of φ that no reading takes away, because all patches may be off alike, (parameters)."""

@@ -13,7 +13,7 @@ from lampest.files import hdf5
 from lampest.files.errors import InputError
 from lampest.files.process import told_reason
 from lampest.loads.pressure import water_pressure
-from lampest.loads.recognition.settings import RecognitionSettings
+from lampest.loads.recognition.settings import ModelErrors, RecognitionSettings
 from lampest.loads.recognition.watch import Panelled, Watch
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene, Water
@@ -59,10 +59,8 @@ class Known:
         """Before the first frame. Raises ValueError where the panel cannot be watched."""
         if self.scene.panel.cells is not None or self.scene.panel.modules is not None:
             raise ValueError("loads are recognised on full panels of one network only")
-        depth, errors = settings.top_row_depth_mm, settings.model_errors
+        depth, errors = settings.top_row_depth_mm, ModelErrors().of_scene(self.scene, self.reading_error)
         water = water_pressure(self.scene.panel, self.scene.water if depth is None else Water(depth))
-        if errors == AS_PUBLISHED.model_errors:  # what the scene and the frames say of errors and of the film
-            errors = errors.told_by(self.scene, self.reading_error)
         panelled = Panelled(self.scene, settings.patch_of(self.scene.panel), water, errors, self.noise)
         return Watch.begin(panelled, self.resting, self.sigma, self.unloaded, self.begin)
 

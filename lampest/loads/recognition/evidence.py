@@ -1,0 +1,138 @@
+"""The comparison of evidence: which candidates are how probable in one frame.
+
+    P(fit) ∝ e^(evidence·COUNTS)·P(fit beforehand)
+
+All kinds are alike beforehand, but for further loads, for suction that raises no cell, and for loads in one place:
+between patches a rim can be made to cancel suction, and one load can stand within another; then they fit any outline,
+and of such outlines there are many more than candidates.
+"""
+
+from dataclasses import dataclass
+from itertools import combinations
+from math import exp, hypot, log
+
+import numpy as np
+from scipy.special import softmax
+
+from lampest.loads.recognition.candidates import FIELD, UNIFORM
+from lampest.loads.recognition.fit import Fit
+from lampest.loads.response import PUBLISHED
+from lampest.loads.shapes.disc import Disc
+from lampest.panel.panel import Array, Panel
+from lampest.panel.response import Response
+
+# Of ln P, assumptions: of every further load; and of what cannot be, hidden suction and two loads in one place. What is
+# no candidate is fitted by such with up to e⁶⁰ times the evidence of any other.
+RARER, CANNOT_BE = log(20), 60.0
+# ln r/r0 that a panel shows clearly, a suction of 1 kPa; and the part of what a cell under suction alone would
+# show. Mouths of 24 to 45 mm at a pitch of 10 mm show more than 0.7 in some cell, and nine in ten more than 0.9.
+SHOWN, SHARE = 0.2, 0.35
+OVERLAP = 0.3  # of the smaller one's diameter: less may be the error of both edges
+# By how much differences of evidence count: films and loads differ from their models in more ways than errors say.
+# Fitted by log-likelihood to scenes made without this package's simulation; see docs/studies/mouths.md.
+COUNTS = 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class Verdict:
+    """What a frame shows.
+
+    fits : those of UNIFORM first; of these alone where nothing stood out. shares : (fits) how probable each is.
+    goodness : χ² per reading of the best fit. evidence : ln of the frame's probability under the best fit and of that
+    beforehand, up to what all fits to the same frame share.
+    """
+
+    fits: tuple[Fit, ...]
+    shares: tuple[float, ...]
+    goodness: float
+    evidence: float
+
+    @property
+    def best(self) -> Fit:
+        """The most probable one."""
+        return self.fits[int(np.argmax(self.shares))]
+
+    @property
+    def label(self) -> str:
+        """What that is called."""
+        return self.best.candidate.label
+
+    @property
+    def loads(self) -> tuple[Fit, ...]:
+        """Those that are loads of some shape, the best first; none where nothing stood out."""
+        shaped = (fit for fit in self.fits if fit.candidate not in (*UNIFORM, FIELD))
+        return tuple(sorted(shaped, key=lambda fit: -fit.evidence))
+
+    @property
+    def nothing(self) -> float:
+        """How probable it is that nothing stands there, or the same pressure everywhere."""
+        pairs = zip(self.fits, self.shares, strict=True)
+        return sum(share for fit, share in pairs if fit.candidate in UNIFORM)
+
+    @property
+    def sucks(self) -> float:
+        """How probable it is that a load sucks, given that there is one."""
+        return self.sucks_at(None)
+
+    def sucks_at(self, disc: Disc | None) -> float:
+        """How probable it is that a load sucks there, given that there is one; None: anywhere."""
+        pairs = zip(self.fits, self.shares, strict=True)
+        return sum(share for fit, share in pairs if _sucks(fit, disc)) / max(1 - self.nothing, 1e-9)
+
+
+def judged(panel: Panel, fits: tuple[Fit, ...], readings: int, response: Response = PUBLISHED) -> Verdict:
+    """The verdict on one frame.
+
+    Where no candidate fits, differences of evidence count less, by χ² per reading of the best one. Candidates that were
+    not fitted, because nothing stands out, have no probability.
+    """
+    before = np.array([prior_cost(panel, fit, response) for fit in fits])
+    evidence = np.array([fit.evidence for fit in fits])
+    goodness = fits[int(np.argmax(evidence - before))].chi2 / readings
+    counts = (COUNTS if len(fits) > len(UNIFORM) else 1.0) / max(1.0, goodness)
+    shares = softmax(counts * evidence - before)
+    return Verdict(fits, tuple(map(float, shares)), goodness, float(max(evidence - before)))
+
+
+def prior_cost(panel: Panel, fit: Fit, response: Response = PUBLISHED) -> float:
+    """−ln P of a fit before the measurement, up to what all share; response : the scene's own."""
+    return RARER * (len(fit.loads) - 1) + outline_cost(panel, fit, response)
+
+
+def outline_cost(panel: Panel, fit: Fit, response: Response = PUBLISHED) -> float:
+    """By how much ln P falls of suction that raises no cell, and of loads that stand in each other."""
+    loads = [(part, part.disc(own)) for part, own in fit.loads]
+    cost = sum(_overlapping(*pair) for pair in combinations([disc for _, disc in loads if disc is not None], 2))
+    hidden = [_hidden(panel, fit.change, disc, response, len(loads) == 1) for part, disc in loads if part.sucks]
+    return CANNOT_BE * (cost + sum(hidden))
+
+
+def _hidden(panel: Panel, change: Array, disc: Disc | None, response: Response, whole: bool) -> float:
+    """1 where suction raises no cell under the disc (on the panel), or none by much of what it would alone; else 0."""
+    under = np.ones(change.shape, dtype=bool)
+    if disc is not None and not whole:
+        across, down = panel.centres_mm()
+        under = np.hypot(across - disc.x_mm, down[:, None] - disc.y_mm) < (disc.diameter_mm + panel.pitch_mm) / 2
+    rise = float(change[under].max(initial=0.0))
+    missing = exp(-((rise / SHOWN) ** 2))
+    if disc is not None:
+        full = float(np.mean(response.gains * response.logarithm(disc.suction_kpa)))
+        missing = max(missing, exp(-((rise / max(full, 1e-9) / SHARE) ** 2)))
+    return missing
+
+
+def _overlapping(one: Disc, other: Disc) -> float:
+    """1 where two discs are in one place, 0 where they stand clear."""
+    apart = hypot(one.x_mm - other.x_mm, one.y_mm - other.y_mm)
+    common = (one.diameter_mm + other.diameter_mm) / 2 - apart
+    share = max(common, 0.0) / min(one.diameter_mm, other.diameter_mm)
+    return 1 - exp(-((share / OVERLAP) ** 2))
+
+
+def _sucks(fit: Fit, disc: Disc | None) -> bool:
+    """Whether one of its loads sucks, and stands where the disc is."""
+    discs = [part.disc(own) for part, own in fit.loads if part.sucks]
+    if disc is None:
+        return bool(discs)
+    apart = [hypot(one.x_mm - disc.x_mm, one.y_mm - disc.y_mm) for one in discs if one is not None]
+    return min(apart, default=disc.diameter_mm) < disc.diameter_mm / 2

@@ -1,0 +1,309 @@
+"""The unloaded panel, and one frame as a likelihood: what a pressure on the cells makes of the readings.
+
+    R = f(r0·e^x) + E δ + noise,   x = κ·(ln F(p + p_w) − ln F(p_w))
+
+f is the circuit, F the film's response, κ the cells' gains, δ the errors common to all frames. All errors are Gaussian.
+"""
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cho_solve, cholesky, lapack, solve_triangular
+
+from lampest.loads.recognition.settings import ModelErrors
+from lampest.loads.response import PUBLISHED
+from lampest.panel.network import Network
+from lampest.panel.panel import Array
+from lampest.panel.response import Response
+from lampest.panel.scene import Scene
+
+LONGEST = 1.5  # of ln r, a Gauss-Newton step: twice the published response between two of its corners
+MOST_CHANGED = 12.0  # of ln r/r0: beyond, a cell is open or shorted to all readings, and a network soon has no inverse
+OUTLIER_SD, OUTLIERS = 5.0, 0.03  # normal noise passes once in 10⁶ readings; the part of the readings that may be
+SUSPICIOUS = 1.4  # χ² per reading beyond which outliers, or another position, are looked for: 3 σ of 100 readings
+DROPPED = 1e3  # so many times its σ, or its reading, is the σ of one that does not count
+
+
+def counting(sigma: Array, measured: Array) -> Array:
+    """σ, so large that a reading does not count where it is no value (no finite, positive σ); any shape, ohm."""
+    return np.where(np.isfinite(sigma) & (sigma > 0), sigma, DROPPED * measured)
+
+
+@dataclass(frozen=True, eq=False)
+class MostProbable:
+    """x that minimises ‖y − f(x)‖² in C + ‖x − mean‖² in P, with f linearised where the last step began.
+
+    state : x (n). prior : P. across : P Aᵀ (n, readings). root : of A P Aᵀ + C, lower. apart : y − f(mean) (readings).
+    """
+
+    state: Array
+    prior: Array
+    across: Array
+    root: Array
+    apart: Array
+
+    @property
+    def covariance(self) -> Array:
+        """Of x after the readings, (n, n)."""
+        return np.asarray(self.prior - self.across @ cho_solve((self.root, True), self.across.T))
+
+    @property
+    def sd(self) -> Array:
+        """Standard deviations of x, (n)."""
+        seen = solve_triangular(self.root, self.across.T, lower=True)
+        return np.sqrt(np.maximum(self.prior.diagonal() - (seen**2).sum(axis=0), 0.0))
+
+
+def most_probable(
+    model: Callable[[Array], tuple[Array, Array, Array]], start: Array, mean: Array, prior: Array, settled: float
+) -> MostProbable:
+    """By Gauss-Newton steps in the space of the readings, until a step is below `settled`, but at most twelve.
+
+    model : x → (y − f(x), A = ∂f/∂x, C).
+    """
+    state = start
+    for _ in range(12):
+        residual, slope, noise = model(state)
+        across = prior @ slope.T
+        root = cholesky(slope @ across + noise, lower=True)
+        apart = residual + slope @ (state - mean)
+        step = np.clip(mean + across @ cho_solve((root, True), apart) - state, -LONGEST, LONGEST)
+        state = state + step
+        if np.abs(step).max() < settled:
+            break
+    return MostProbable(state, prior, across, root, apart)
+
+
+@dataclass(frozen=True, eq=False)
+class Baseline:
+    """ln r0 and the readings' offsets, Gaussian after the unloaded readings.
+
+    logarithm : (rows, columns) mean of ln r0. offsets : those of `ModelErrors.offsets`, in standard deviations.
+    covariance : of both together, (cells + offsets)². model_errors : as assumed. scene : circuit, panel and response.
+    """
+
+    logarithm: Array
+    offsets: Array
+    covariance: Array
+    model_errors: ModelErrors
+    scene: Scene
+
+    @classmethod
+    def of(
+        cls, measured: Array, sigma: Array, scene: Scene, model_errors: ModelErrors, common: Array | None = None
+    ) -> "Baseline":
+        """argmin ‖(R0 − f(r0) − E δ)/σ‖² + ‖(ln r0 − mean)/spread‖² + ‖δ‖², outliers left out.
+
+        measured, sigma : (rows, columns) in the readout's unit. scene : what they were taken in. common : (cells, n), a
+        root of the covariance of what they share by chance; None: nothing.
+        """
+        circuit, spread = scene.circuit, model_errors.offsets(measured, scene)
+        cells, offsets = spread.shape
+        mean, prior = np.zeros(cells + offsets), np.eye(cells + offsets)
+        mean[:cells] = np.log(np.median(circuit.uniform_start(measured)))
+        prior[:cells, :cells] = 9.0 + model_errors.cell_spread**2 * np.eye(cells)  # their mean is open: σ = 3
+        shared = 0.0 if common is None else common @ common.T
+        noise = sigma.ravel() ** 2
+
+        def model(state: Array) -> tuple[Array, Array, Array]:
+            here = np.exp(state[:cells].reshape(measured.shape))
+            network = circuit.network(here, circuit.ties(here), scene.wiring)
+            residual = measured.ravel() - network.reading().ravel() - spread @ state[cells:]
+            return residual, np.hstack([network.sensitivity(), spread]), np.diag(noise) + shared
+
+        coarse = most_probable(model, mean, mean, prior, LONGEST / 10)
+        noise[outliers(Whitening(coarse.root), coarse.apart)] *= DROPPED**2
+        found = most_probable(model, coarse.state, mean, prior, 1e-6)
+        logarithm, shifts = found.state[:cells].reshape(measured.shape), found.state[cells:]
+        return cls(logarithm, shifts, found.covariance, model_errors, scene)
+
+    @property
+    def response(self) -> Response:
+        """Of the scene's film; the published one where it names none."""
+        return self.scene.response or PUBLISHED
+
+    def network(self, change: Array | float = 0.0) -> Network:
+        """The solved network of cells r0·e^change."""
+        cells = np.exp(self.logarithm + change)
+        circuit = self.scene.circuit
+        return circuit.network(cells, circuit.ties(cells), self.scene.wiring)
+
+    @cached_property
+    def alike(self) -> Array:
+        """Correlation of the cells' departures from the response curve, (cells, cells): shared, near, and own."""
+        errors = self.model_errors
+        own = 1 - errors.common - errors.near
+        return np.asarray(errors.common + errors.near * self.near + own * np.eye(len(self.near)))
+
+    @cached_property
+    def near(self) -> Array:
+        """exp(−½ (distance/near_pitches)²) between all cells, (cells, cells)."""
+        places = np.argwhere(np.ones(self.logarithm.shape, dtype=bool))
+        square = ((places[:, None] - places) ** 2).sum(axis=2)
+        return np.asarray(np.exp(-square / (2 * self.model_errors.near_pitches**2)))
+
+
+@dataclass(frozen=True, eq=False)
+class Observation:
+    """A frame's readings and what they are compared with.
+
+    measured, sigma : (rows, columns) ohm. baseline : the unloaded panel. water : (rows, columns) kPa, that of the
+    unloaded frames too. seconds : since the baseline. common : (cells, n) ohm, a root of the covariance of what the
+    frame's readings share by chance, its gain and patterns along scanned lines; None: nothing.
+    """
+
+    measured: Array
+    sigma: Array
+    baseline: Baseline
+    water: Array
+    seconds: float
+    common: Array | None = field(default=None, kw_only=True)
+
+    def residual(self, change: Array | float = 0.0) -> Array:
+        """R − f(r0·e^change) − E δ, (cells)."""
+        return np.asarray(self.target - self.baseline.network(change).reading().ravel())
+
+    def linearised(self, change: Array, chosen: NDArray[np.intp] | None = None) -> tuple[Array, Array]:
+        """The residual, and ∂f/∂ln r of some cells or all (cells, chosen)."""
+        network = self.baseline.network(change)
+        return self.target - network.reading().ravel(), network.sensitivity(chosen)
+
+    def slope(self, change: Array) -> Array:
+        """∂f/∂ln r at ln r/r0 = `change`, (cells, cells)."""
+        return self.baseline.network(change).sensitivity()
+
+    def change(self, pressure: Array) -> tuple[Array, Array]:
+        """x of pressures and its slope, (rows, columns), 1 and 1/kPa; MOST_CHANGED at most."""
+        response, step = self.baseline.response, 1e-3  # kPa: the slope is a difference, F has corners
+        near = pressure + self.water + np.array([0.0, step, -step])[:, None, None]
+        here, up, down = response.gains * (response.logarithm(near) - response.logarithm(self.water))
+        return np.clip(here, -MOST_CHANGED, MOST_CHANGED), (up - down) / (2 * step) * (np.abs(here) < MOST_CHANGED)
+
+    def covariance(self, change: Array) -> Array:
+        """σ² + V Vᵀ + H C Hᵀ + J T Jᵀ at ln r/r0 = `change`, (cells, cells) ohm².
+
+        Of each reading, of all in a frame, of the baseline, and of cells at rest.
+        """
+        slope = self.slope(change)
+        resting = self.baseline.model_errors.resting_covariance(self.seconds, len(slope))
+        both = np.hstack([slope, self.offsets])
+        total = both @ self.baseline.covariance @ both.T + slope @ resting @ slope.T
+        if self.common is not None:
+            total += self.common @ self.common.T
+        return np.asarray(total + np.diag(self.sigma.ravel() ** 2))
+
+    def cells(self, start: Array, prior: Array, settled: float = LONGEST / 10) -> MostProbable:
+        """The most probable ln r/r0 of all cells, Gaussian with mean zero and this covariance, from a start."""
+
+        def model(change: Array) -> tuple[Array, Array, Array]:
+            shaped = change.reshape(self.measured.shape)
+            return *self.linearised(shaped), self.covariance(shaped)
+
+        return most_probable(model, start.ravel(), np.zeros(start.size), prior, settled)
+
+    @cached_property
+    def target(self) -> Array:
+        """The readings without the most probable offsets, (cells) ohm."""
+        return np.asarray(self.measured.ravel() - self.offsets @ self.baseline.offsets)
+
+    @cached_property
+    def offsets(self) -> Array:
+        """E (cells, offsets) ohm: what every offset's standard deviation adds to the readings."""
+        return self.baseline.model_errors.offsets(self.measured, self.baseline.scene)
+
+    def without(self, dropped: NDArray[np.intp]) -> "Observation":
+        """With some readings' σ so large that they no longer count."""
+        sigma = self.sigma.copy().ravel()
+        sigma[dropped] *= DROPPED
+        return replace(self, sigma=sigma.reshape(self.sigma.shape))
+
+    def blurred(self, settled: float) -> "Observation":
+        """With cells that have a standard deviation of `settled` at rest, in ln r."""
+        errors = replace(self.baseline.model_errors, settled=settled)
+        return replace(self, baseline=replace(self.baseline, model_errors=errors))
+
+
+class Explained(NamedTuple):
+    """What a load explains, (rows, columns) ln r/r0.
+
+    edges, patches : by how much a shift of the load by 1 mm changes that, and patches that are larger by their edge.
+    """
+
+    change: Array
+    edges: Array
+    patches: Array
+
+    def uneven(self, baseline: Baseline) -> Array:
+        """x K xᵀ + w², (cells, cells): how cells of a film with a relative deviation of 1 answer, K = `alike`."""
+        change, edge_mm = self.change.ravel(), baseline.model_errors.edge_mm
+        return np.asarray(baseline.alike * np.outer(change, change) + np.diag((edge_mm * self.edges.ravel()) ** 2))
+
+    def shared(self, errors: ModelErrors) -> Array:
+        """(2, cells) ln r of one standard deviation of what all cells share: a bent film, and patches' sizes."""
+        return np.stack([errors.bent * self.change.ravel(), errors.patch * self.patches.ravel()])
+
+
+@dataclass(frozen=True, eq=False)
+class Whitening:
+    """The root of a covariance, lower triangular, with the relative deviation of the film that it was made for."""
+
+    root: Array
+    scatter: float = 0.0
+
+    @classmethod
+    def of(cls, frame: Observation, explained: Explained, scatter: float) -> "Whitening":
+        """For a frame about what a load explains, where cells answer with a relative deviation of `scatter`."""
+        return whitenings(frame, explained, (scatter,))[0]
+
+    @classmethod
+    def at_rest(cls, frame: Observation) -> "Whitening":
+        """For a frame of a panel that nothing touches."""
+        return cls(cholesky(frame.covariance(np.zeros(frame.measured.shape)), lower=True))
+
+    @cached_property
+    def volume(self) -> float:
+        """½ ln det C."""
+        return float(np.log(np.diag(self.root)).sum())
+
+    def __matmul__(self, vectors: Array) -> Array:
+        """L⁻¹·v: errors of unit variance."""
+        return np.asarray(lapack.dtrtrs(self.root, vectors, lower=1)[0])
+
+
+def whitenings(frame: Observation, explained: Explained, scatters: Iterable[float]) -> list[Whitening]:
+    """About what a load explains, for films whose cells answer with a relative deviation of each `scatter`.
+
+    Covariance S + scatter²·J (x K xᵀ + w²) Jᵀ, S that of the frame without a load and of what all cells share.
+    """
+    slope = frame.slope(explained.change)
+    shared = slope @ explained.shared(frame.baseline.model_errors).T
+    base = frame.covariance(explained.change) + shared @ shared.T
+    film = slope @ explained.uneven(frame.baseline) @ slope.T
+    return [
+        Whitening(cholesky(base + scatter**2 * film, lower=True, check_finite=False), scatter) for scatter in scatters
+    ]
+
+
+def outliers(whitening: Whitening, residual: Array) -> NDArray[np.intp]:
+    """Numbers of the readings that lie far from what all the others predict; residual (cells) ohm.
+
+    z_i = (C⁻¹e)_i/√(C⁻¹)_ii is the error of i as predicted from the rest, over its standard deviation. The worst one
+    is taken out before the next is looked for.
+    """
+    inverse = whitening @ np.eye(len(residual))
+    precision = inverse.T @ inverse
+    pull, left = precision @ residual, np.ones(len(residual), dtype=bool)
+    for _ in range(max(1, int(OUTLIERS * len(residual)))):
+        score = np.where(left, np.abs(pull) / np.sqrt(np.where(left, np.diag(precision), 1.0)), 0.0)
+        worst = int(np.argmax(score))
+        if score[worst] <= OUTLIER_SD:
+            break
+        left[worst] = False
+        column = precision[:, worst] / precision[worst, worst]
+        pull = pull - column * pull[worst]
+        precision = precision - np.outer(column, precision[worst])
+    return np.flatnonzero(~left)
