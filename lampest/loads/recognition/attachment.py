@@ -102,9 +102,9 @@ def attachment_of(frame: Observation, verdict: Verdict, number: int, since: floa
         for name, (value, slopes) in candidate.report(own).items()
     }
     sucks, place = verdict.sucks_at(disc), {"x_mm": disc.x_mm, "y_mm": disc.y_mm}
-    known: dict[str, Pair] = {name: pairs.get(name, (at, panel.pitch_mm / 2)) for name, at in place.items()}
-    known |= {name: pairs[name] for name in ("diameter_mm", "suction_kpa") if name in pairs}
-    return replace(touched, sucks=sucks, since_s=since, sucks_s=since if sucks > 0.5 else None, **known)
+    x, y = (pairs.get(name, (at, panel.pitch_mm / 2)) for name, at in place.items())
+    here = replace(touched, sucks=sucks, since_s=since, sucks_s=since if sucks > 0.5 else None, x_mm=x, y_mm=y)
+    return replace(here, diameter_mm=pairs.get("diameter_mm"), suction_kpa=pairs.get("suction_kpa"))
 
 
 def _touched(frame: Observation, change: Array, disc: Disc | None) -> Attachment:

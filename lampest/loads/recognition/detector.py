@@ -15,19 +15,17 @@ import numpy as np
 from lampest.loads.recognition.candidates import FIELD, LOADS, UNIFORM, Several
 from lampest.loads.recognition.evidence import Verdict, judged, prior_cost
 from lampest.loads.recognition.field import field_fit
-from lampest.loads.recognition.fit import Fit, Fitting, along_diameter
-from lampest.loads.recognition.observation import SUSPICIOUS, Observation, Whitening, outliers, whitenings
+from lampest.loads.recognition.fit import COARSE_STEPS, UNLIKELY, Fit, Fitting, along_diameter
+from lampest.loads.recognition.observation import OUTLIER_SD, SUSPICIOUS, Observation, Whitening, outliers, whitenings
 from lampest.loads.recognition.search import DiscSearch, unit
 from lampest.loads.shapes.disc import Disc
 from lampest.loads.shapes.shape import Candidate
 from lampest.panel.panel import Array, Panel
 
-QUIET = 4.5  # standard deviations by which something must stand out for loads to be looked for
 COARSE, FINER = 0.2, 0.03  # standard deviations of cells at rest in ln r: while a load is looked for, and then
-COARSE_STEPS = 12  # evaluations of a coarse fit
-HOPELESS = 30.0  # of ln P: a coarse fit that stays so far behind the best is not ended
-FAR = 1.0  # difference of ln r/r0 beyond which errors are weighed anew
-ROUNDS = 3  # of a fit with errors, or without outliers, that the one before left
+# Of a fit with the errors, or without the outliers, that the one before left: how often, and from which difference of
+# ln r/r0 on.
+ROUNDS, FAR = 3, 1.0
 LEVELS = (0.5, 1.2, 2.5)  # times the response's standard deviation: from a film as published to a bent, uneven one
 MOST_AT_ONCE = 3  # loads
 
@@ -52,7 +50,7 @@ class Detector:
         calm = frame.without(outliers(rest, residual))
         errors = Whitening.at_rest(calm) @ residual
         stands_out = unit(rest @ self.search.readings(frame)).T @ errors
-        if errors @ errors < SUSPICIOUS * errors.size and stands_out.max() < QUIET:
+        if errors @ errors < SUSPICIOUS * errors.size and stands_out.max() < OUTLIER_SD:
             return self._judged(calm, self._uniform(calm))
         field, found = field_fit(frame), list[Verdict]()
         if before is not None and before.loads:
@@ -60,14 +58,16 @@ class Detector:
         if not found or self._doubtful(found[0]):
             discs = self.search.starts(frame, rest)
             found.append(self._settled(frame, [self._coarse(load, frame, discs) for load in self.loads], field))
-        single, places = found[-1], self.search.beside(field.change, ())[:1]
-        for _ in range(1, MOST_AT_ONCE):
-            beside = self.search.beside(field.change, places)
-            if not beside or not self._doubtful(found[-1]):
+        single, discs = found[-1], list[Disc]()
+        while self._doubtful(found[-1]) and len(discs) < MOST_AT_ONCE:
+            beside = self.search.beside(field.change, discs)
+            if beside is None:
                 break
-            fits = self._together(frame, [[*places, place] for place in beside])
-            found.append(self._settled(frame, (*fits, *single.loads[:1]), field))
-            places = discs_of(fits[0])
+            discs.append(beside)
+            if len(discs) > 1:
+                fits = self._together(frame, discs)
+                found.append(self._settled(frame, (*fits, *single.loads[:1]), field))
+                discs = discs_of(fits[0])
         return self._spread(frame, max(found, key=lambda one: one.evidence))
 
     def fitted(self, candidate: Candidate, frame: Observation, start: Fit | None) -> Fit:
@@ -107,7 +107,7 @@ class Detector:
         fitting = self.fitting(load, frame, Whitening.at_rest(frame.blurred(COARSE)))
         fits: list[Fit] = []
         for disc in discs:
-            most = min((fit.cost for fit in fits), default=np.inf) + HOPELESS
+            most = min((fit.cost for fit in fits), default=np.inf) + UNLIKELY
             fits.append(fitting.best(load.start(disc), COARSE_STEPS, most, rough=True))
         return best_of(fits)
 
@@ -144,8 +144,8 @@ class Detector:
             for fit in fits
         ]
 
-    def _together(self, frame: Observation, places: Sequence[Sequence[Disc]]) -> list[Fit]:
-        """Coarse fits of loads about the best of some sets of discs: all that suck, and each of the likeliest kind."""
+    def _together(self, frame: Observation, discs: Sequence[Disc]) -> list[Fit]:
+        """Coarse fits of loads about some discs at once: each of the likeliest kind, and all that suck."""
         whitening = Whitening.at_rest(frame.blurred(COARSE))
 
         def fitted(loads: Sequence[tuple[Candidate, Array]]) -> Fit:
@@ -156,7 +156,7 @@ class Detector:
             return fit.evidence - prior_cost(self.panel, fit)
 
         first = next((load for load in self.loads if load.sucks), self.loads[0])
-        sucking = best = best_of(fitted([(first, first.start(disc)) for disc in discs]) for discs in places)
+        sucking = best = fitted([(first, first.start(disc)) for disc in discs])
         for place in range(len(best.loads)):
             for kind in self.loads:
                 loads = best.loads

@@ -22,15 +22,16 @@ from lampest.loads.recognition.search import cell_map
 from lampest.panel.panel import Array
 
 SD = np.array([0.005, 0.08, 0.4, 1.6])  # of ln r/r0 where nothing is, at half a kPa, a few kPa, tens; assumptions
-LIMITS = np.sqrt(SD[1:] * SD[:-1])
 PAIR = 1.0  # of ln P; an assumption
 
 
 def field_fit(frame: Observation) -> Fit:
     """The most probable field, without outliers, and its evidence."""
     fit, found = _of_two_maps(frame)
-    far = outliers(Whitening(found.root), found.apart) if fit.chi2 > SUSPICIOUS * frame.measured.size else ()
-    return max(fit, _of_two_maps(frame.without(far))[0], key=lambda one: one.evidence) if len(far) else fit
+    if fit.chi2 < SUSPICIOUS * frame.measured.size:
+        return fit
+    calm = frame.without(outliers(Whitening(found.root), found.apart))
+    return max(fit, _of_two_maps(calm)[0], key=lambda one: one.evidence)
 
 
 def _of_two_maps(frame: Observation) -> tuple[Fit, MostProbable]:
@@ -75,7 +76,8 @@ def states(change: Array) -> NDArray[np.intp]:
     """0 to 3 for quiet to strongly changed cells: by their own change and that of their neighbours."""
     square = np.pad(change**2, 1, mode="edge")
     beside = square[:-2, 1:-1] + square[2:, 1:-1] + square[1:-1, :-2] + square[1:-1, 2:]
-    return np.asarray(np.digitize(np.sqrt(0.6 * square[1:-1, 1:-1] + 0.1 * beside), LIMITS))
+    limits = np.sqrt(SD[1:] * SD[:-1])
+    return np.asarray(np.digitize(np.sqrt(0.6 * square[1:-1, 1:-1] + 0.1 * beside), limits))
 
 
 def paid(of_cells: NDArray[np.intp]) -> float:

@@ -12,10 +12,12 @@ from lampest.loads.shapes.shape import Candidate
 from lampest.panel.least_squares import LevenbergMarquardt, SumOfSquares
 from lampest.panel.panel import Array, Panel
 
-STEPS, ENOUGH = 30, 2e-2  # evaluations of the model; of ln P, below which a step changes nothing that is reported
+# Evaluations of the model in a fit, and in a coarse one; of ln P, below which a step changes nothing that is reported.
+STEPS, COARSE_STEPS, ENOUGH = 30, 12, 2e-2
 FARTHEST = 5.0  # standard deviations of the prior: the bounds of a fit
 LOOSE = 0.3  # of the prior's width: wider axes of the posterior are measured, see `Fitting._widths`
-PROFILE_STEP, UNLIKELY = 0.03, 10.0  # of ln d, 0.9 mm at 30 mm; and of ln P, at which a profile ends
+UNLIKELY = 20.0  # of ln P: what is so far below the best hardly counts
+PROFILE_STEP = 0.03  # of ln d, 0.9 mm at 30 mm
 
 
 @dataclass(frozen=True, eq=False)
@@ -209,7 +211,7 @@ def along_diameter(fitting: Fitting, fit: Fit) -> Fit:
         while here.cost < points[0].cost + UNLIKELY:
             begin = here.parameters.copy()
             begin[place] += step
-            here = fitting.descended(begin, STEPS // 3, held=place)[0]
+            here = fitting.descended(begin, COARSE_STEPS, held=place)[0]
             points.append(here)
     volumes = np.array([np.linalg.slogdet(point.normal[others])[1] / 2 for point in points])
     share = softmax(-np.array([point.cost for point in points]) - volumes)

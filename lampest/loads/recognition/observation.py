@@ -21,8 +21,9 @@ from lampest.panel.panel import Array
 from lampest.panel.response import Response
 from lampest.panel.scene import Scene
 
-LONGEST = 1.5  # of ln r, a Gauss-Newton step: twice the published response between two of its corners
-MOST_CHANGED = 12.0  # of ln r/r0: beyond, a cell is open or shorted to all readings, and a network soon has no inverse
+# Of ln r: the longest Gauss-Newton step; and the most a load may change, beyond which a cell is open or shorted to all
+# readings, and a network soon has no inverse.
+LONGEST, MOST_CHANGED = 1.5, 12.0
 OUTLIER_SD, OUTLIERS = 5.0, 0.03  # normal noise passes once in 10⁶ readings; the part of the readings that may be
 SUSPICIOUS = 1.4  # χ² per reading beyond which outliers, or another position, are looked for: 3 σ of 100 readings
 DROPPED = 1e3  # so many times its σ, or its reading, is the σ of one that does not count
@@ -55,7 +56,7 @@ class MostProbable:
     def sd(self) -> Array:
         """Standard deviations of x, (n)."""
         seen = solve_triangular(self.root, self.across.T, lower=True)
-        return np.sqrt(np.maximum(self.prior.diagonal() - (seen**2).sum(axis=0), 0.0))
+        return np.asarray(np.sqrt(np.maximum(self.prior.diagonal() - (seen**2).sum(axis=0), 0.0)))
 
 
 def most_probable(

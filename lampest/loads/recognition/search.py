@@ -14,7 +14,6 @@ from lampest.panel.panel import Array, Panel
 
 MAP_SD = 0.5  # of ln r/r0 before the readings, on the map that templates are laid over; an assumption
 FULL_KPA, HOLLOW_KPA = (0.0, 8.0), (-6.0, 30.0)  # inside and under the rim, where a fit begins
-PLACES = 3  # where one more load is tried
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,19 +71,15 @@ class DiscSearch:
         best += [number * size + int(np.argmax(row)) for number, row in in_errors if self.templates[number].faint]
         return [self.discs[number] for number in dict.fromkeys(best)]
 
-    def beside(self, change: Array, discs: Sequence[Disc]) -> list[Disc]:
-        """At most PLACES where one more load may stand on a map of ln r/r0 (rows, columns), clear of those discs."""
-        left, pitch = np.tanh(change), self.panel.pitch_mm
+    def beside(self, change: Array, discs: Sequence[Disc]) -> Disc | None:
+        """Where one more load may stand on a map of ln r/r0 (rows, columns), clear of those discs; None: nowhere."""
+        left = np.tanh(change)
         across, down = self.panel.centres_mm()
         for disc in discs:
             distance = np.hypot(across - disc.x_mm, down[:, None] - disc.y_mm)
-            left[distance < disc.diameter_mm / 2 + pitch / 2] = 0.0
-        score, found = self.changes.T @ left.ravel(), list[Disc]()
-        while len(found) < PLACES and score.max() > 0:
-            found.append(self.discs[int(np.argmax(score))])
-            apart = np.hypot(*(self.places - found[-1][:2]).T)
-            score = np.where(apart > 0.6 * pitch, score, -np.inf)  # of places half a pitch apart in x and y each second
-        return found
+            left[distance < (disc.diameter_mm + self.panel.pitch_mm) / 2] = 0.0
+        score = self.changes.T @ left.ravel()
+        return self.discs[int(np.argmax(score))] if score.max() > 0 else None
 
 
 def cell_map(frame: Observation) -> Array:
@@ -99,7 +94,7 @@ def unit(columns: Array) -> Array:
 
 
 def _everywhere(panel: Panel, patch_mm: float, template: Template, shift: float) -> Array:
-    """ln r/r0 (cells, rows, columns) of a template about every cell's centre, `shift` further on: cut from a large one."""
+    """ln r/r0 (cells, rows, columns) of a template about every cell's centre and `shift`: cut from a large one."""
     across, down = panel.centres_mm()
     large = Panel(2 * panel.rows - 1, 2 * panel.columns - 1, panel.pitch_mm)
     numbers = (template.outer_mm, template.inner_mm, template.inside, -1.0, 0.0, 0.0)

@@ -6,7 +6,7 @@ A load that is there goes only by a step back to that, up to what film and drift
 slowly as it likes. While nothing is there, the panel at rest follows the readings.
 """
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Protocol
 
@@ -96,7 +96,7 @@ class Watch:
     known: bool = False
     next_s: float = np.inf
     breath_s: float = np.inf
-    attachments: tuple[Attachment, ...] = field(default=())
+    attachments: tuple[Attachment, ...] = ()
 
     @classmethod
     def begin(cls, panelled: Panelled, measured: Array, sigma: Array, unloaded: Array, time: float) -> "Watch":
@@ -139,14 +139,15 @@ class Watch:
             here = here if self.present else replace(here, present=True, seen=None)
             size = self.test.sizes(shown - self.rest)
             return replace(here, size=size, next_s=before + FIRST_S, breath_s=before + LEAST_S)
-        follows = max(1 / (len(self.window) + 1), min((time - before) / FOLLOWS_S, 1.0))
+        share = min((time - before) / FOLLOWS_S, 1.0)
+        follows = max(1 / (len(self.window) + 1), share)
         lately = sum(one[0] > time - WINDOW_S for one in self.window)
         window = (*self.window[-max(lately, FRAMES - 1) :], (time, logarithm))
         here = replace(self, mean=self.mean + follows * (shown - self.mean), window=window)
         if self.present:
             return here
         rested = max(1 / follows, self.rested)
-        return replace(here, rest=here.mean, rest_s=time, rested=rested, test=self.test.heard(scores))
+        return replace(here, rest=here.mean, rest_s=time, rested=rested, test=self.test.heard(scores, share))
 
     def _kept(self, time: float) -> Array | float:
         """(discs) what the film may show of the last load."""
