@@ -14,11 +14,10 @@ is shaken, and waves.
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import logsumexp
+from scipy.special import log_expit, logsumexp
 
 from lampest.loads.recognition.fit import Fit
 from lampest.loads.recognition.observation import Observation
-from lampest.loads.response import RESPONSE_SD
 from lampest.panel.panel import Array
 
 RATES_HZ = (0.5, 2.5)  # of breathing; sea lampreys at rest 0.8 to 1.6 Hz
@@ -100,9 +99,8 @@ def breath(times: Array, changes: Array, patterns: Patterns, water: Array) -> Br
     own, rim, scale = patterns.own, patterns.rim, MOVES["suction"]
     basis, kept = np.column_stack([own, patterns.moves, patterns.others]), 1 + patterns.moves.shape[1]
     together = np.linalg.solve(basis.T @ basis + np.eye(basis.shape[1]), basis.T @ changes.T).T[:, :kept]
-    alone = changes @ np.column_stack([own / (own @ own), rim / (rim @ rim)])
-    series = np.column_stack([scale * _calm(together[:, 0]), together[:, 1:], alone, water])
-    weights = np.array([own @ own / scale**2, *(patterns.moves**2).sum(axis=0), own @ own, rim @ rim, 0.0])
+    series = np.column_stack([scale * _calm(together[:, 0]), together[:, 1:], water])
+    weights = np.array([own @ own / scale**2, *(patterns.moves**2).sum(axis=0), 0.0])
     series = series - trend @ (trend.T @ series)
     hertz = np.arange(RATES_HZ[0], min(RATES_HZ[1], rate / 2) + 1e-9, 0.25 / lasted)
     waves = np.exp(2j * np.pi * hertz[:, None] * times)
@@ -111,14 +109,15 @@ def breath(times: Array, changes: Array, patterns: Patterns, water: Array) -> Br
     found, gain = np.swapaxes(axes, 1, 2) @ series, sizes**2
     power, amplitude, total = (found**2).sum(axis=1), found[:, :, 0], float(series[:, 0] @ series[:, 0])
     moved = weights * power
-    # Films answer differently from cell to cell: the true pattern explains less than all by twice that deviation.
-    free = (moved[:, 0] >= moved[:, 1:-3].max(axis=1)) & ((1 + 2 * RESPONSE_SD) * moved[:, -3] >= moved[:, -2])
-    free &= power[:, 0] >= power[:, -1]  # of waves suction follows by as much at most
+    free = (moved[:, 0] >= moved[:, 1:-1].max(axis=1)) & (power[:, 0] >= power[:, -1])  # suction follows waves at most
+    rather = _rather(own, rim, basis[:, 1:], np.swapaxes(axes, 1, 2) @ (changes - trend @ (trend.T @ changes)))
     freedom = len(times) - trend.shape[1]
     breathing, steady = (_evidence(total, amplitude, gain, sd, freedom) for sd in (BREATH, STEADY))
     against = float(logsumexp(steady))
     of_all = float(logsumexp(breathing)) - against
-    odds = float(logsumexp(np.where(free, breathing, np.minimum(breathing, steady)))) - against
+    left_out = np.minimum(breathing, steady)
+    suction = np.logaddexp(breathing + log_expit(rather), left_out + log_expit(-rather))
+    odds = float(logsumexp(np.where(free, suction, left_out))) - against
     best = int(np.argmax(np.where(free, power[:, 0], 0.0) if free.any() else power[:, 0]))
     noise = max(total - power[best, 0], 1e-12) / max(freedom - 2, 1)
     size = float(np.mean(gain[best]))
@@ -140,6 +139,23 @@ def _evidence(total: float, amplitude: Array, gain: Array, sd: float, freedom: i
     fits = -0.5 * ((amplitude**2 / wide).sum(axis=2) + np.maximum(rest, 0.0) / noise[..., 0])
     volume = -0.5 * (np.log(wide).sum(axis=2) + (freedom - 2) * np.log(noise[..., 0]))
     return np.asarray(logsumexp(fits + volume, axis=0))
+
+
+def _rather(own: Array, rim: Array, others: Array, moving: Array) -> Array:
+    """ln of the odds that at a rate (rates) suction moves with the rim, and not the rim alone.
+
+    moving : (rates, 2, readings). What neither pattern explains, beside the others, has one unknown scale; as many
+    readings count as the pattern reaches.
+    """
+    apart = np.linalg.qr(others)[0]
+    moving = moving - moving @ apart @ apart.T
+    left = []
+    for pattern in (own, rim):
+        alone = pattern - apart @ (apart.T @ pattern)
+        along = moving @ alone / np.linalg.norm(alone)
+        left.append((moving**2).sum(axis=(1, 2)) - (along**2).sum(axis=1))
+    reaches = (own @ own) ** 2 / (own**4).sum()
+    return np.asarray(reaches / 2 * np.log(left[1] / left[0]))
 
 
 def _water(changes: Array, frame: Observation, fit: Fit, pressure: Array) -> Array:

@@ -1,0 +1,55 @@
+"""Whether suction moves, or something else: windows whose every reading is known."""
+
+import numpy as np
+import pytest
+
+from lampest.loads.recognition.breathing import Breath, Patterns, breath
+
+TIMES = np.arange(0, 8, 0.25)
+READINGS = 40
+
+
+def window(own: float = 0.0, rim: float = 0.0, place: float = 0.0, seed: int = 0, uneven: float = 0.1) -> Breath:
+    """8 s at four frames a second in which parts swing by so much at 1.1 Hz, on a film that answers unevenly.
+
+    Half of the readings lie under the rim; the suction of all of them is much the same pattern.
+    """
+    rng = np.random.default_rng(seed)
+    under, inside = np.repeat([1.0, 0.2], READINGS // 2), np.repeat([0.0, 1.0], READINGS // 2)
+    patterns = {"rim": 30 * under, "own": 30 * under - 15 * inside, "place": 8 * rng.standard_normal(READINGS)}
+    film = 1 + uneven * rng.standard_normal(READINGS)
+    wave = np.sin(2 * np.pi * 1.1 * TIMES)
+    swing = film * (own * patterns["own"] + rim * patterns["rim"] + place * patterns["place"])
+    changes = np.outer(wave, swing) + rng.standard_normal((len(TIMES), READINGS))
+    supply = rng.standard_normal((READINGS, 1))
+    known = Patterns(patterns["own"], patterns["rim"], patterns["place"][:, None], supply)
+    found = breath(TIMES, changes, known, np.zeros(len(TIMES)))
+    assert found is not None
+    return found
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("uneven", [0.0, 0.1, 0.25])
+def test_suction_that_swings_with_its_rim_is_breath_on_any_film(seed: int, uneven: float) -> None:
+    found = window(own=0.8, seed=seed, uneven=uneven)
+    assert found.odds > 3 and not found.shaken
+    assert found.hertz[0] == pytest.approx(1.1, abs=0.05) and found.depth[0] == pytest.approx(0.08, abs=0.02)
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("moving", [{"rim": 0.8}, {"place": 2.0}, {"rim": 0.4, "place": 2.0}], ids=str)
+def test_a_rim_or_a_place_that_swings_is_none(seed: int, moving: dict[str, float]) -> None:
+    found = window(**moving, seed=seed)
+    assert found.odds < 0
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_noise_is_none(seed: int) -> None:
+    found = window(seed=seed)
+    assert found.odds < 0 and not found.shaken
+
+
+def test_too_few_frames_say_nothing() -> None:
+    patterns = Patterns(np.ones(4), np.ones(4), np.eye(4)[:, :1], np.eye(4)[:, 1:2])
+    for times in (TIMES[:10], np.arange(0, 8, 0.5)):
+        assert breath(times, np.zeros((len(times), 4)), patterns, np.zeros(len(times))) is None
