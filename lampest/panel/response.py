@@ -245,7 +245,7 @@ class PublishedResponse(Response):
         logarithm = SUCTION_RATE * np.minimum(pressure, 0.0)
         logarithm = logarithm + SATURATING_RATE * np.clip(pressure - 28.0, 0.0, 12.0)
         logarithm = logarithm + SATURATED_RATE * np.maximum(pressure - 40.0, 0.0)
-        return np.asarray(np.log(linear * np.exp(logarithm)))
+        return np.asarray(np.log(linear) + logarithm)
 
     def pressure(self, logarithm: ArrayLike) -> Array:
         """p of ln f(p)."""

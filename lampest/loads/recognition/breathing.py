@@ -7,8 +7,8 @@ the water over all cells, the supply. A trend is taken off: 1, t, t², and ln(1 
     s_t = a cos 2πft + b sin 2πft + noise,   a, b ~ N(0, A²),   noise ~ N(0, σ²), σ unknown,   f uniform,
 
 with A = BREATH where it breathes and A = STEADY where it does not. Summed over σ and f this gives the odds. Where the
-readings' oscillation at f is rather that of the place, the rim or the water than of suction, f is left out: a cup that
-is shaken, and waves.
+readings oscillate at f rather as the place, the rim alone or the water than as suction does, that is no breath: a cup
+that is shaken, and waves.
 """
 
 from dataclasses import dataclass
@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import log_expit, logsumexp
 
+from lampest.loads.recognition.evidence import RARER
 from lampest.loads.recognition.fit import Fit
 from lampest.loads.recognition.observation import Observation
 from lampest.panel.panel import Array
@@ -113,11 +114,9 @@ def breath(times: Array, changes: Array, patterns: Patterns, water: Array) -> Br
     rather = _rather(own, rim, basis[:, 1:], np.swapaxes(axes, 1, 2) @ (changes - trend @ (trend.T @ changes)))
     freedom = len(times) - trend.shape[1]
     breathing, steady = (_evidence(total, amplitude, gain, sd, freedom) for sd in (BREATH, STEADY))
-    against = float(logsumexp(steady))
-    of_all = float(logsumexp(breathing)) - against
-    left_out = np.minimum(breathing, steady)
-    suction = np.logaddexp(breathing + log_expit(rather), left_out + log_expit(-rather))
-    odds = float(logsumexp(np.where(free, suction, left_out))) - against
+    own, other = (np.where(free, log_expit(sign * (rather + RARER)), none) for sign, none in ((1, -np.inf), (-1, 0.0)))
+    still = float(logsumexp(steady))
+    odds = float(logsumexp(breathing + own) - np.logaddexp(still, logsumexp(breathing + other)))
     best = int(np.argmax(np.where(free, power[:, 0], 0.0) if free.any() else power[:, 0]))
     noise = max(total - power[best, 0], 1e-12) / max(freedom - 2, 1)
     size = float(np.mean(gain[best]))
@@ -127,7 +126,7 @@ def breath(times: Array, changes: Array, patterns: Patterns, water: Array) -> Br
         odds,
         (float(hertz[best]), float(np.hypot(spread, 0.25 / lasted / 12**0.5))),
         (float(depth), float(np.sqrt(noise / size))),
-        of_all > 3.0 and odds < 0.0,
+        float(logsumexp(breathing + other)) - still > RARER and odds < 0.0,
     )
 
 
@@ -142,7 +141,7 @@ def _evidence(total: float, amplitude: Array, gain: Array, sd: float, freedom: i
 
 
 def _rather(own: Array, rim: Array, others: Array, moving: Array) -> Array:
-    """ln of the odds that at a rate (rates) suction moves with the rim, and not the rim alone.
+    """ln of the ratio of likelihoods at each rate (rates): of suction that moves with the rim, and of the rim alone.
 
     moving : (rates, 2, readings). What neither pattern explains, beside the others, has one unknown scale; as many
     readings count as the pattern reaches.

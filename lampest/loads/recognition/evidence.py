@@ -21,8 +21,8 @@ from lampest.loads.shapes.disc import Disc
 from lampest.panel.panel import Array, Panel
 from lampest.panel.response import Response
 
-# Of ln P, assumptions: of every further load; and of what cannot be, hidden suction and two loads in one place. What is
-# no candidate is fitted by such with up to e⁶⁰ times the evidence of any other.
+# Of ln P, assumptions: of every further load, or a rim that moves without its suction; and of what cannot be, hidden
+# suction and two loads in one place. What is no candidate is fitted by such with up to e⁶⁰ times their evidence.
 RARER, CANNOT_BE = log(20), 60.0
 # ln r/r0 that a panel shows clearly, a suction of 1 kPa; and the part of what a cell under suction alone would
 # show. Mouths of 24 to 45 mm at a pitch of 10 mm show more than 0.7 in some cell, and nine in ten more than 0.9.

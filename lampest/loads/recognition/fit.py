@@ -125,6 +125,11 @@ class Fitting:
         """Mean and standard deviation of φ."""
         return self.candidate.mean(self.panel), self.candidate.sd(self.panel)
 
+    @cached_property
+    def centred(self) -> NDArray[np.bool_]:
+        """Which of φ are coordinates of a centre, (parameters)."""
+        return np.array([name.split(".")[-1] in ("x", "y") for name in self.candidate.priors(self.panel)], dtype=bool)
+
     def best(self, start: Array, steps: int = STEPS, most: float = np.inf, rough: bool = False) -> Fit:
         """The most probable φ that `descended` finds. rough : its widths are those of the curvature."""
         here, count = self.descended(start, steps, most)
@@ -164,12 +169,10 @@ class Fitting:
 
     def _explained(self, here: Linearisation) -> Explained:
         """By secants as long as such errors are: tangents jump where pressure comes to the response's corners."""
-        names = [name.split(".")[-1] for name in self.candidate.priors(self.panel)]
-        centred = np.array([name in ("x", "y") for name in names], dtype=bool)
-        if not centred.any():
+        if not self.centred.any():
             return Explained(here.change, np.zeros_like(here.change), np.zeros_like(here.change))
         pressure, by_parameter = self.candidate.pressure(self.panel, self.patch_mm, here.parameters)
-        shift = np.sqrt((by_parameter[centred] ** 2).sum(axis=0))
+        shift = np.sqrt((by_parameter[self.centred] ** 2).sum(axis=0))
         sizes = [self.candidate.pressure(self.panel, self.patch_mm * by, here.parameters)[0] for by in (0.9, 1.1)]
         ends = [self.frame.change(end)[0] for end in (pressure + shift, pressure - shift, *sizes)]
         return Explained(here.change, np.abs(ends[0] - ends[1]) / 2, (ends[3] - ends[2]) / (1.1 - 0.9))
@@ -213,10 +216,13 @@ def along_diameter(fitting: Fitting, fit: Fit) -> Fit:
             begin[place] += step
             here = fitting.descended(begin, COARSE_STEPS, held=place)[0]
             points.append(here)
-    volumes = np.array([np.linalg.slogdet(point.normal[others])[1] / 2 for point in points])
+    # A centre a pitch further on would have touched other patches.
+    centred = np.diag(fitting.centred * 12 / fitting.panel.pitch_mm**2)
+    precisions = [(point.normal + centred)[others] for point in points]
+    volumes = np.array([np.linalg.slogdet(precision)[1] / 2 for precision in precisions])
     share = softmax(-np.array([point.cost for point in points]) - volumes)
     apart = np.array([point.parameters for point in points]) - fit.parameters
     covariance = (share[:, None] * apart).T @ apart + np.diag(fit.candidate.blind(fit.parameters) ** 2)
-    covariance[others] += np.tensordot(share, [np.linalg.inv(point.normal[others]) for point in points], 1)
+    covariance[others] += np.tensordot(share, np.linalg.inv(precisions), 1)
     wider = covariance[place, place] > fit.covariance[place, place]
     return replace(fit, covariance=covariance) if wider else fit

@@ -12,6 +12,7 @@ nobody specified. What all cells share is free. ℓ is the median of three frame
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import cholesky, solve_triangular
 
 from lampest.loads.recognition.observation import Observation
@@ -22,15 +23,18 @@ STEP = 6.0  # standard deviations: with some 1000 patterns normal noise passes t
 FREE = 0.1  # σ of ln r and of ln y that all cells and all readings may share: temperature, waves, supply; an assumption
 
 
+NEAR = 3.0  # pitches about a disc in which a load's pattern counts for it
+
+
 @dataclass(frozen=True, eq=False)
 class StepTest:
-    """patterns : (discs, cells) t_kᵀ W. alike : (discs, discs) |t_kᵀ t_l|. whitening : W (cells, cells).
+    """patterns : (discs, cells) t_kᵀ W. near : (discs, discs) which discs are near. whitening : W (cells, cells).
 
     drift : (discs) score of cells that drift by 1, each by itself. loud : (discs) v_k².
     """
 
     patterns: Array
-    alike: Array
+    near: NDArray[np.bool_]
     whitening: Array
     drift: Array
     loud: Array
@@ -48,20 +52,21 @@ class StepTest:
         columns = np.hstack(shared)
         root = cholesky(covariance + columns @ columns.T, lower=True)
         whitening = solve_triangular(root, np.eye(cells), lower=True)
-        discs = unit(whitening @ (search.readings(frame) / value[:, None]))
-        patterns = discs.T @ whitening
+        patterns = unit(whitening @ (search.readings(frame) / value[:, None])).T @ whitening
+        x, y = search.places[search.faint].T / frame.baseline.scene.panel.pitch_mm
+        near = np.hypot(x[:, None] - x, y[:, None] - y) < NEAR
         scores = (unloaded - np.log(value)) @ patterns.T
         spread = np.mean(scores**2) * len(scores) / (len(scores) - 1) if len(scores) > 1 else 1.0
         drift = np.linalg.norm(patterns @ slope, axis=1)
-        return cls(patterns, np.abs(discs.T @ discs), whitening, drift, np.full(len(patterns), max(float(spread), 1.0)))
+        return cls(patterns, near, whitening, drift, np.full(len(patterns), max(float(spread), 1.0)))
 
     def scores(self, change: Array) -> Array:
         """|t_kᵀ W δ| of a change of ln y (cells)."""
         return np.abs(self.patterns @ change)
 
     def sizes(self, change: Array) -> Array:
-        """(discs) the largest score that a change has by what any other disc sees of it."""
-        return np.asarray((self.alike * self.scores(change)).max(axis=1))
+        """(discs) the largest score of a change within NEAR of each disc."""
+        return np.asarray(np.where(self.near, self.scores(change), 0.0).max(axis=1))
 
     def least(self) -> Array:
         """(discs) scores beyond which something has happened."""
