@@ -1,7 +1,6 @@
 """A full disk, a read-only folder, files that go or change under way, Ctrl-C: what is finished stays, and is right."""
 
 import os
-import re
 import shlex
 import signal
 import subprocess
@@ -9,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from fuzz.batches import COMMAND, Batch, batch, content, finished, session, until, write_recording
+from fuzz.batches import COMMAND, Batch, batch, content, finished, session, until, without_progress, write_recording
 
 from lampest.recording.recording import Recording
 from lampest.runs.results import read_kept, read_results
@@ -66,11 +65,6 @@ def started(made: Batch, out: Path, jobs: int) -> "subprocess.Popen[str]":
     until(lambda: finished(out) >= 2 or run.poll() is not None)
     assert run.poll() is None
     return run
-
-
-def without_progress(said: str) -> list[str]:
-    """Lines on standard error; a machine that is slow sees how far a run is, too."""
-    return [line for line in said.splitlines() if not re.match(r"lampest: (\d+ cases? to solve|\d+ of \d+)", line)]
 
 
 def test_recording_that_is_deleted_under_way(tmp_path: Path) -> None:
