@@ -3,13 +3,13 @@
 import csv
 import dataclasses
 import io
-import itertools
 import json
 import re
 import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
+from math import inf
 from pathlib import Path
 from typing import Any
 
@@ -22,18 +22,13 @@ from ruamel.yaml.error import MarkedYAMLError, YAMLError
 from lampest.files.errors import InputError, in_words, meant
 from lampest.files.whole import note_read
 
-MOST_VALUES = 100_000
-MOST_BYTES = 100_000  # which take up to 4 s
-DEEPEST = 50
-MOST_BITS = 1000
+MOST_BYTES = 100_000  # of a text, which take up to 4 s; and so many values at most
 # In any unit: what is smaller or larger is no measure of anything, and loses its digits as soon as it is squared.
 SMALLEST, LARGEST = 1e-30, 1e30
-EXACT = (0, float("inf"), float("-inf"))
 NO_MEASURE = f"must be zero or lie between {SMALLEST:g} and {LARGEST:g}, whatever its sign"
 WITHOUT_UNIT = ("seed",)  # keys whose numbers measure nothing
 SHOULD_BE = "Input should be "
 UNKNOWN = "no such key"
-FEW_KEYS = 12  # which a sentence can name
 TABLES = (("panel", "cells"), ("scene", "panel", "cells"))  # which a file of their own may hold
 OF_TAGS = ("union_tag_not_found", "model_attributes_type")  # beside what says which objects are meant
 UNKNOWN_KEY = ("extra_forbidden", "unexpected_keyword_argument")
@@ -65,17 +60,29 @@ class Document:
         path = ".".join(str(part) for part in location)
         return InputError(f"{self.position(location)}: {path + ': ' if path else ''}{message}")
 
-    def with_value(self, path: tuple[str, ...], value: Any) -> "Document":
-        """A copy whose entry at `path` (mapping keys; missing mappings are made) is `value`."""
+    def with_value(self, path: Sequence[str | int], value: Any) -> "Document":
+        """A copy whose entry at `path` (keys of mappings, indices of lists) is `value`; missing mappings are made.
+
+        Raises InputError where the path leads nowhere.
+        """
         content = json.loads(json.dumps(self.content))
         node = content
-        for key in path[:-1]:
-            child = node.setdefault(key, {}) if isinstance(node, dict) else None
-            if not isinstance(child, dict):
-                raise InputError(f"{self.source}: {'.'.join(path)} does not lead through mappings")
-            node = child
-        node[path[-1]] = value
+        for depth, part in enumerate(path):
+            index = place_in(node, part)
+            if index is None or (isinstance(node, list) and index >= len(node)):
+                raise self.error((), f"no such place: '{part}' is not found in this document")
+            if depth == len(path) - 1:
+                node[index] = value
+            else:
+                node = node.setdefault(index, {}) if isinstance(node, dict) else node[index]
         return dataclasses.replace(self, content=content)
+
+
+def place_in(node: Any, part: str | int) -> Any:
+    """`part` of a dotted path as a key of `node`: a word in a mapping, a number in a list, None elsewhere."""
+    if isinstance(node, dict):
+        return part
+    return int(part) if isinstance(node, list) and str(part).isascii() and str(part).isdigit() else None
 
 
 def read_document(path: Path, settings: Sequence[str] = ()) -> Document:
@@ -128,8 +135,6 @@ def parse_document(text: str, source: str) -> Document:
     """Parse YAML 1.2 text; duplicate keys, tags and more than one document are errors. Raises InputError."""
     if len(text) > MOST_BYTES:
         raise InputError(f"{source}: larger than {MOST_BYTES} characters, which no configuration is")
-    if _depth(text) > DEEPEST:
-        raise InputError(f"{source}: brackets within brackets more than {DEEPEST} times")
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of an anchor that is set twice
@@ -146,12 +151,6 @@ def parse_document(text: str, source: str) -> Document:
     return Document(content, source, marks)
 
 
-def _depth(text: str) -> int:
-    """How deep brackets stand within brackets; those in quotes count, too."""
-    steps = (1 if sign in "[{" else -1 for sign in re.findall(r"[\[\]{}]", text))
-    return max(itertools.accumulate(steps, lambda depth, step: max(depth + step, 0)), default=0)
-
-
 def parse_scalar(text: str) -> Any:
     """The value that YAML 1.2 reads from a short text such as `1e-3`, `nodal` or `[1, 2]`."""
     return parse_document(text, f"'{text}'").content
@@ -164,8 +163,8 @@ def _plain(marks: Any) -> Any:
     def walk(node: Any) -> Any:
         nonlocal count
         count += 1
-        if count > MOST_VALUES:
-            raise ValueError(f"more than {MOST_VALUES} values")
+        if count > MOST_BYTES:
+            raise ValueError(f"more than {MOST_BYTES} values")
         if isinstance(node, CommentedMap | CommentedSeq) and node.tag.value is not None:
             raise ValueError(f"the tag {node.tag.value} has no place here")
         if isinstance(node, CommentedMap):
@@ -175,8 +174,8 @@ def _plain(marks: Any) -> Any:
             return {str(key): walk(node[key]) for key in node}
         if isinstance(node, CommentedSeq):
             return [walk(item) for item in node]
-        if isinstance(node, int) and node.bit_length() > MOST_BITS:
-            raise ValueError(f"a whole number of more than {MOST_BITS} bits")
+        if isinstance(node, int) and node.bit_length() > 1000:
+            raise ValueError("a whole number of more than 1000 bits")
         if node is None or isinstance(node, bool | int | float | str):
             for kind in (bool, int, float, str):
                 if isinstance(node, kind):
@@ -211,7 +210,7 @@ def validated(document: Document, kind: Any) -> Any:
         location, message = _worst(error.errors(include_url=False), document.content)
         if message == UNKNOWN:
             known = _known_keys(kind, document.content, location)
-            some = f"; there are {', '.join(sorted(known))}" if 0 < len(known) <= FEW_KEYS else ""
+            some = f"; there are {', '.join(sorted(known))}" if 0 < len(known) <= 12 else ""
             message += meant(str(location[-1]), known) or some
         raise document.error(location, message) from error
 
@@ -225,7 +224,7 @@ def _out_of_range(content: Any, place: tuple[int | str, ...]) -> Iterator[tuple[
     elif isinstance(content, list | tuple):
         for index, value in enumerate(content):
             yield from _out_of_range(value, (*place, index))
-    elif isinstance(content, int | float) and not (SMALLEST <= abs(content) <= LARGEST or content in EXACT):
+    elif isinstance(content, int | float) and abs(content) not in (0, inf) and not SMALLEST <= abs(content) <= LARGEST:
         yield place
 
 

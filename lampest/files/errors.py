@@ -6,7 +6,6 @@ from difflib import get_close_matches
 from typing import Any
 
 LONGEST_START, LONGEST_END = 500, 200
-LIKE = 0.65  # of two words: one slip of the finger in a word of four letters or more
 
 
 class InputError(ValueError):
@@ -33,7 +32,7 @@ def printable(text: str) -> str:
 
 def meant(word: str, known: Iterable[str]) -> str:
     """'; did you mean reduced?' where one of the known words is close to what was typed, else nothing."""
-    close = get_close_matches(word, list(known), 1, LIKE)
+    close = get_close_matches(word, list(known), 1, 0.65)  # one slip of the finger in four letters or more
     return f"; did you mean {close[0]}?" if close else ""
 
 

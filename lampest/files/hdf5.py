@@ -5,7 +5,6 @@ Format v110 has checksums of all metadata, small values among it; larger values 
 
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
-from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -29,13 +28,11 @@ from lampest.files.whole import check_room, is_locked, note_read, whole_file
 FORMAT = ("v110", "v110")  # HDF5 1.10 of 2016: the oldest with checksums of all metadata
 MOST_VALUES = 100_000_000
 MOST_TEXT_BYTES = 5_000_000
-PER_TEXT = 50  # bytes that one without a fixed length counts for beside its own: reading it takes as long
 MOST_FILL_BYTES = 64_000_000  # what a dataset may claim without holding it
 MOST_PLAIN = 64  # values that are not worth compression
 MOST_ATTRIBUTE_BYTES = 4_000  # larger ones may stand where HDF5 has no checksum
 MOST_COMPACT_BYTES = 60_000  # beside its metadata; HDF5's limit is 64 KiB
 BEST_COMPRESSION = 1100  # deflate's limit is 1032
-MOST_LINKS = 8
 PACKED = {"compression": "gzip", "shuffle": True, "fletcher32": True}
 ALL = slice(None)
 OPEN_FOR_WRITING = ("already open for", "truncated file")
@@ -121,7 +118,7 @@ def ascii_array(values: Any) -> Any:
 
 
 def set_attributes(node: Any, **attributes: Any) -> None:
-    """Attributes with text as fixed-length ASCII; a batch writes a hundred a case, so they go straight down.
+    """Attributes with text as fixed-length ASCII; the same ones make the same bytes, which `attrs` does not.
 
     Of one beyond MOST_ATTRIBUTE_BYTES the SHA-256 stands beside it, as `<name>_sha256`.
     """
@@ -132,8 +129,8 @@ def set_attributes(node: Any, **attributes: Any) -> None:
             set_attributes(node, **{f"{name}_{DIGEST}": digest_of(data)})
         if h5py.h5a.exists(place, key):
             h5py.h5a.delete(place, key)
-        kind = _kind(data.dtype)
-        h5py.h5a.create(place, key, kind, _space(data.shape)).write(data, kind)
+        kind, space = _kind_and_space(data)
+        h5py.h5a.create(place, key, kind, space).write(data, kind)
 
 
 def write_dataset(
@@ -162,9 +159,15 @@ def attach_scales(group: h5py.Group, axes: Mapping[str, tuple[str, ...]]) -> Non
 
 
 def write_plain(group: h5py.Group, name: str, data: NDArray[Any]) -> h5py.Dataset:
-    """A dataset that nothing packs, written in a fifth of the time: in the metadata, or beside them with a digest."""
-    kind, compact = _kind(data.dtype), data.nbytes <= MOST_COMPACT_BYTES
-    made = h5py.h5d.create(group.id, name.encode("utf-8"), kind, _space(data.shape), _creation(compact), _with_groups())
+    """A dataset that nothing packs: in the metadata, or beside them with a digest; h5py itself puts no scalar there."""
+    properties, links = h5py.h5p.create(h5py.h5p.DATASET_CREATE), h5py.h5p.create(h5py.h5p.LINK_CREATE)
+    links.set_create_intermediate_group(True)
+    properties.set_obj_track_times(False)  # which would make the same cases other bytes
+    compact = data.nbytes <= MOST_COMPACT_BYTES
+    if compact:
+        properties.set_layout(h5py.h5d.COMPACT)
+    kind, space = _kind_and_space(data)
+    made = h5py.h5d.create(group.id, name.encode("utf-8"), kind, space, properties, links)
     if data.size:
         made.write(h5py.h5s.ALL, h5py.h5s.ALL, np.ascontiguousarray(data), kind)
     dataset = h5py.Dataset(made)
@@ -173,32 +176,9 @@ def write_plain(group: h5py.Group, name: str, data: NDArray[Any]) -> h5py.Datase
     return dataset
 
 
-@lru_cache(maxsize=256)
-def _kind(dtype: np.dtype[Any]) -> h5py.h5t.TypeID:
-    return h5py.h5t.py_create(dtype, logical=True)
-
-
-@lru_cache(maxsize=64)
-def _space(shape: tuple[int, ...]) -> h5py.h5s.SpaceID:
-    return h5py.h5s.create_simple(shape) if shape else h5py.h5s.create(h5py.h5s.SCALAR)
-
-
-@cache
-def _creation(compact: bool) -> h5py.h5p.PropDCID:
-    """How datasets are made that nothing packs: without the time, which would make the same cases other bytes."""
-    properties = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
-    properties.set_obj_track_times(False)
-    if compact:
-        properties.set_layout(h5py.h5d.COMPACT)
-    return properties
-
-
-@cache
-def _with_groups() -> h5py.h5p.PropLCID:
-    """How links are made: with the groups on their way."""
-    properties = h5py.h5p.create(h5py.h5p.LINK_CREATE)
-    properties.set_create_intermediate_group(True)
-    return properties
+def _kind_and_space(data: NDArray[Any]) -> tuple[h5py.h5t.TypeID, h5py.h5s.SpaceID]:
+    space = h5py.h5s.create_simple(data.shape) if data.shape else h5py.h5s.create(h5py.h5s.SCALAR)
+    return h5py.h5t.py_create(data.dtype, logical=True), space
 
 
 def write_scale(group: h5py.Group, name: str, data: Any, units: str, long_name: str) -> None:
@@ -313,7 +293,7 @@ def read_texts(file: h5py.File, path: str, length: int | None = None, part: slic
         texts, total = list[str](), 0
         for index in numbers:  # one by one: a short file may name a long text often, or many short ones
             texts.append(_text(dataset[index]))
-            total += len(texts[-1]) + PER_TEXT
+            total += len(texts[-1]) + 50  # reading takes as long as so many bytes
             if total > MOST_TEXT_BYTES:
                 raise InputError(f"{file.filename}: {path} claims texts of more than {MOST_TEXT_BYTES} bytes")
         return tuple(texts)
@@ -382,7 +362,7 @@ def _node(file: h5py.File, path: str) -> Any:
     return node
 
 
-def _found(file: h5py.File, path: str, links: int = MOST_LINKS) -> Any:
+def _found(file: h5py.File, path: str, links: int = 8) -> Any:
     """The group or dataset at a path, or None; what the file says of other files of the machine is not followed."""
     node: Any = file
     for part in filter(None, path.split("/")):

@@ -2,14 +2,13 @@
 
 import dataclasses
 import itertools
-import json
 import math
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
-from lampest.files.document import UNKNOWN, Document
+from lampest.files.document import UNKNOWN, Document, place_in
 from lampest.files.errors import InputError
 
 MOST_CASES = 10_000
@@ -64,28 +63,12 @@ def combinations(document: Document, validate: Callable[[Document], Kind]) -> li
 
 def with_assignments(document: Document, assignments: dict[str, Any]) -> Document:
     """A copy with each dotted path set to its value. Raises InputError at a sweep's path that leads nowhere."""
-    content = json.loads(json.dumps(document.content))
     for path, value in assignments.items():
-        node, parts = content, path.split(".")
-        for depth, part in enumerate(parts):
-            index = _key(node, part)
-            if index is None or (isinstance(node, list) and index >= len(node)):
-                raise document.error(("sweep", path), f"no such place: '{part}' is not found in this document")
-            if depth == len(parts) - 1:
-                node[index] = value
-            elif isinstance(node, dict):
-                # An empty mapping stands for defaults; a path that exists nowhere is caught by the validation.
-                node = node.setdefault(index, {})
-            else:
-                node = node[index]
-    return dataclasses.replace(document, content=content)
-
-
-def _key(node: Any, part: str) -> Any:
-    """`part` as a key of `node`: a word in a mapping, a number in a list, None elsewhere."""
-    if isinstance(node, dict):
-        return part
-    return int(part) if isinstance(node, list) and part.isascii() and part.isdigit() else None
+        try:
+            document = document.with_value(path.split("."), value)
+        except InputError as error:
+            raise document.error(("sweep", path), _without_position(error)) from error
+    return document
 
 
 def _validated(
@@ -105,7 +88,7 @@ def _validated(
 def _is_place(content: Any, value: Any, parts: list[str]) -> bool:
     """Whether the path leads through what the document holds or, where it is silent, through fields with defaults."""
     for part in parts:
-        index = _key(content, part)
+        index = place_in(content, part)
         held = index is not None and (index in content if isinstance(content, dict) else index < len(content))
         if not held and isinstance(value, dict):
             return False

@@ -21,8 +21,7 @@ from lampest.files.process import in_bytes
 
 # By the letter that `ls` has for them.
 KINDS = {"d": "a folder", "l": "a link", "c": "a device", "b": "a device", "p": "a pipe", "s": "a socket"}
-NO_LINK = getattr(os, "O_NOFOLLOW", 0)  # Windows has no such flag
-NO_WAIT = getattr(os, "O_NONBLOCK", 0)
+SAFELY = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)  # Windows has no such flags
 
 
 @dataclass(frozen=True)
@@ -111,7 +110,7 @@ def whole_file(path: Path, durable: bool = True) -> Iterator[Path]:
     made = False
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        os.close(os.open(unfinished, os.O_WRONLY | os.O_CREAT | os.O_EXCL | NO_LINK, 0o666))
+        os.close(os.open(unfinished, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666))
         made = True
         yield unfinished
         if durable:
@@ -209,7 +208,7 @@ def opened_for_locking(path: Path, make: bool = False) -> int:
     if _kind(path) not in (None, "-"):
         check_output(path)
     made = os.O_RDWR | os.O_CREAT if make else os.O_RDONLY
-    descriptor = os.open(path, made | NO_LINK | NO_WAIT, 0o666)
+    descriptor = os.open(path, made | SAFELY, 0o666)
     if not stat.S_ISREG(os.fstat(descriptor).st_mode):
         os.close(descriptor)
         raise InputError(f"{path}: is no regular file, which a lock must be")
