@@ -20,7 +20,7 @@ from lampest.panel.readouts import TwoPointReadout
 from lampest.posterior.linear import LinearModel
 from lampest.recording.readings import Readings
 from lampest.solvers.batch import Ended, Kept, solve
-from lampest.solvers.bound_multipliers import bounds_matter
+from lampest.solvers.bounds import bounds_matter
 from lampest.solvers.multistart import BROKEN, SAME, several_minima
 from lampest.solvers.panel_batch import PanelBatch
 from lampest.solvers.solution import OPEN_FRACTION, VERIFIED, Settings, Solution, Status

@@ -21,7 +21,6 @@ from lampest.posterior.sampled import SampledErrors
 
 MOST_ROUNDS, SETTLED = 30, 0.01  # of the fixed point; of log λ
 FLAT, NOTHING = 1e-9, 1e-12  # of the mean curvature, a ridge; of a residual's unit, below which there are none yet
-LEAST = 1e-300  # instead of a division by zero
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,7 +103,7 @@ def next_weights(model: LinearModel, open_terms: Collection[int]) -> list[float]
 
 def settled_weight(scale: float, loss: Loss, evidence: PenaltyEvidence) -> float:
     """s² γ/η, as if at least one residual were determined."""
-    return scale * max(loss.determined(evidence), 1.0) / max(loss.size(evidence), LEAST)
+    return scale * max(loss.determined(evidence), 1.0) / max(loss.size(evidence), np.finfo(float).tiny)
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,6 +160,6 @@ class FixedPoint:
 
 def folded(mean: Array, variance: Array) -> Array:
     """E|x| of normal x, any shape."""
-    size = np.sqrt(np.maximum(variance, LEAST))
+    size = np.sqrt(np.maximum(variance, np.finfo(float).tiny))
     away = mean / size
     return np.asarray(size * np.sqrt(2 / np.pi) * np.exp(-0.5 * away**2) + mean * erf(away / np.sqrt(2)))

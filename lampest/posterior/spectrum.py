@@ -23,7 +23,6 @@ from lampest.posterior.linear import IGNORANCE, LinearModel
 Rule = Literal["risk", "evidence", "press"]
 POINTS = 80  # of a grid of log λ, between which the least value is searched for
 BEYOND, LEAST = 1e4, 1e-12  # times the stiffest and softest direction; of the stiffest, below which there is none
-TOLD = 0.5  # of a direction's precision: where the data make up more than that, and not IGNORANCE, they determine it
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,23 +105,23 @@ class Spectrum:
         IEEE Trans. Signal Process. 57, 2009), and what the penalty would do to the present estimate.
         """
         left = 1 / (1 + weight * self.stiffness)
-        apart = np.where(self.told, self.change(weight) + self.misfit_slope, 0.0)
-        pulled = np.where(self.told, weight * self.penalty_slope * left, 0.0)
+        apart = np.where(self.determined, self.change(weight) + self.misfit_slope, 0.0)
+        pulled = np.where(self.determined, weight * self.penalty_slope * left, 0.0)
         everything = np.ones(len(left))
         unbiased = apart @ self.gram @ apart + (2 * left - everything) @ self.spread @ everything
         present = pulled @ self.gram @ pulled + left @ self.spread @ left
         return float(unbiased + present) / 2
 
     @cached_property
-    def told(self) -> NDArray[np.bool_]:
-        """Which directions the data tell more of than `IGNORANCE` does; all, where they tell of none."""
-        told = np.sum(self.directions**2, axis=0) > TOLD
-        return np.asarray(told | ~told.any())
+    def determined(self) -> NDArray[np.bool_]:
+        """Of whose precision the data make up more than `IGNORANCE` does; all, where there are none."""
+        most = np.sum(self.directions**2, axis=0) > 0.5
+        return np.asarray(most | ~most.any())
 
     @property
     def extent(self) -> tuple[float, float]:
-        """log of the smallest and of the largest λ that make a difference to what the data tell."""
-        stiffness = self.stiffness[self.told]
+        """log of the smallest and of the largest λ that make a difference to what data determine."""
+        stiffness = self.stiffness[self.determined]
         seen = stiffness[stiffness > LEAST * stiffness.max()]
         return -float(np.log(BEYOND * seen.max())), float(np.log(BEYOND / seen.min()))
 

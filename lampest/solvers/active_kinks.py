@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from lampest.cost.problem import Evaluation
 from lampest.panel.panel import Array
 from lampest.panel.trust_region import LONGEST
+from lampest.solvers.bounds import free_cells, moved_by
 from lampest.solvers.certificate import Certificate, Definiteness, at_kinks
-from lampest.solvers.descent import free_cells, moved_by
 from lampest.solvers.hessian import DENSE_STIFF_CELLS, Hessian
 from lampest.solvers.kinks import AT_ZERO, Kinks, Unsmoothed, at_kink
 

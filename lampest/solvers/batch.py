@@ -11,18 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.panel.panel import Array
-from lampest.solvers.certificate import MILLIONTH, SHARE, clear_of_rounding
-from lampest.solvers.descent import STILL
+from lampest.solvers.bounds import MILLIONTH, STILL
+from lampest.solvers.certificate import SHARE, clear_of_rounding
 from lampest.solvers.panel_batch import Mask, Numbers, PanelBatch, Points
 from lampest.solvers.preconditioners import Cholesky, matrix_between
-from lampest.solvers.projected_newton import ACCEPTED, FARTHEST, MOVED, NEAR, SHORTER
+from lampest.solvers.projected_newton import ACCEPTED, FARTHEST, MOST_TRIES, NEAR, SHORTER, WORN
 from lampest.solvers.solution import Settings
 
 MOST_STEPS = 25  # of a panel in a batch; the solver for single panels goes on from there
 MOST_PRODUCTS = 12  # of one direction
-MOST_STOPS = 5  # solves of one direction, in which cells stop at their bounds
-MOST_TRIES = 4  # lengths of a step, each a quarter of the one before
-WORN = 6  # products of a direction after which its preconditioner is made anew
 CERTIFIED = 0.1  # of log r: ∇²φ changes by as much, and its definiteness is shown again beyond
 
 
@@ -153,11 +150,11 @@ def _times(matrices: Array, vectors: Array) -> Array:
 
 def _advanced(here: Points, kept: Kept, panels: Numbers) -> tuple[Points, Mask]:
     """The points after one step each, and which of them found one that lowers the cost."""
-    old = kept.worn[panels] | (kept.distance(panels, here.position) > MOVED)
+    old = kept.worn[panels]
     if old.any():
         kept.renew(panels[old], here.some(np.flatnonzero(old)))
     step, predicted, products = _direction(here, kept.inverse[panels])
-    kept.worn[panels[products > WORN]] = True
+    kept.worn[panels[products > WORN[True]]] = True
     position, moved = here.position.copy(), np.zeros(len(panels), dtype=bool)
     trying, length = np.arange(len(panels)), 1.0
     lower, upper = here.batch.log_bounds
@@ -191,7 +188,7 @@ def _direction(here: Points, inverse: Array) -> tuple[Array, Array, NDArray[np.i
     step, moving, slope = np.zeros_like(here.gradient), here.free, here.gradient.copy()
     exact, left = np.ones((len(step), 1)), np.arange(len(step))
     predicted, count = np.zeros_like(accuracy), np.zeros(len(step), dtype=np.int64)
-    for stop in range(MOST_STOPS):
+    for stop in range(MOST_TRIES):
         some = here if len(left) == len(step) else here.some(left)
         given = inverse[left], moving[left], slope[left], accuracy[left]
         found = conjugate_gradients(some.product, exact[left], *given)

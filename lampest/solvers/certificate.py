@@ -19,15 +19,13 @@ from scipy.linalg import lapack
 from lampest.cost.problem import Evaluation
 from lampest.panel.panel import Array
 from lampest.panel.trust_region import DENSE_CELLS, restricted, steihaug
-from lampest.solvers.descent import downhill, free_cells, within_bounds
+from lampest.solvers.bounds import MILLIONTH, downhill, free_cells, within_bounds
 from lampest.solvers.hessian import DENSE_STIFF_CELLS, Hessian
-from lampest.solvers.kinks import Kinks, Unsmoothed, at_kink
+from lampest.solvers.kinks import AT_ZERO, Kinks, Unsmoothed, at_kink
 from lampest.solvers.orthogonal import Squares
 from lampest.solvers.preconditioners import Cholesky, Numbers, Preconditioner, TwoLevel, matrix_between
 
-# Of a cell: what a verified estimate may still move by where the noise is not known; of the cost's scale: its gradient.
-MILLIONTH = 1e-6
-SHARE = 1e-3  # of a cell's posterior deviation: the same where it is
+SHARE = 1e-3  # of a cell's posterior deviation: what a verified estimate may still move by where the noise is known
 NOTHING = 1e-10  # of the cost's scale: four digits below what a verified cost may be off by
 REPRODUCED = 1e-5  # of a reading: second derivatives of readings add no larger part to JᵀWJ
 SOLVED = 0.3  # of log r: so near within the bounds, cells that reproduce all readings minimise the cost
@@ -35,7 +33,6 @@ REPRODUCED_CELLS = 1024  # up to which a solve with J is affordable where no noi
 ACCURACY = 0.1  # of a predicted step on large panels
 SURE = 1e-3  # of the squares' own curvature
 UNSEEN = 1e-14  # of the cost's scale, over a change of one in log r: below any digit of the cost itself
-DUAL_ROUNDING = 1e-9  # of a row's weight and slope: what duals lose of their digits
 ROUNDING = 1e-11  # of a matrix with a unit diagonal: what differences of impedances leave of 16 digits
 
 
@@ -180,7 +177,7 @@ def at_kinks(hessian: Hessian, free: Numbers, kinks: Kinks) -> Certificate:
     move = kinks.back + along @ part
     across = np.abs(kinks.across.T @ (hessian.gradient[free] + whole @ move)).max(initial=0.0)
     rows = float((hessian.at.cost.slope[kinks.rows] * kinks.length).max(initial=0.0))
-    if across > max(MILLIONTH * hessian.at.cost_scale, DUAL_ROUNDING * rows):
+    if across > max(MILLIONTH * hessian.at.cost_scale, AT_ZERO * rows):
         decrement = float("inf")
     return Certificate.of(hessian, definiteness, free, move, decrement, left=left, descent=descent)
 

@@ -21,7 +21,6 @@ from lampest.solvers.preconditioners import TwoLevel
 from lampest.solvers.smoothing import Smoothing
 
 ROOM = 0.05  # of the median conductance: how far from its bounds a cell begins, or a fiftieth of what lies between them
-FORCING = 0.25  # power of the bounds' share of the cost with which steps grow exact (Dembo, Eisenstat & Steihaug, 1982)
 CENTRED = 0.2  # of the mean force times room: μ of the next step; twice that after a step cut short by a tenth
 BOUNDARY = 0.99  # of the way to the next bound
 MOST_STEPS = 90
@@ -142,7 +141,8 @@ class _Barrier:
         exact: Linear = lambda step: hessian.product(step) + (stiff + hessian.gradient) * step  # noqa: E731
         precondition = TwoLevel.of(hessian, stiff).over(free, self.at.cell_resistance)
         slope = -(push * self.conductance).ravel()[chosen]
-        accuracy = ACCURACY * min(1.0, self.added / self.at.objective) ** FORCING
+        # Steps grow exact as the bounds' part fades: residuals of cells there hide those of others.
+        accuracy = ACCURACY * min(1.0, self.added / self.at.objective) ** 0.25
         found = steihaug(restricted(exact, chosen, push.size), precondition, slope, accuracy)
         if found.negative:
             squares: Linear = lambda step: hessian.gauss_newton_product(step) + stiff * step  # noqa: E731

@@ -24,7 +24,6 @@ BROKEN = (ArithmeticError, ValueError, RuntimeError)  # what numpy, LAPACK, Supe
 FIRST_STARTS = 3
 SPREAD = 20.0  # times the apparent resistance, to which scattered starts reach
 SAME = 1e-9  # of the cost: minima that differ by less are one, reached from two sides
-POLISHED = 0.1 * VERIFIED
 LAST_STEPS = Settings(max_iterations=20)
 # Readings in volt are large beside their noise, and so is the cost against which the test of optimality is scaled.
 FINE_STEPS = Settings(tolerance=1e-12, max_iterations=20)
@@ -135,7 +134,7 @@ def solved_from(solver: Solver, start: Evaluation) -> Solution:
 def _solved(solver: Solver, start: Evaluation) -> Solution:
     outcome = solver.solve(start.data, start)
     solution = check(start, outcome)
-    settled = solution.strict and solution.kkt_residual <= POLISHED
+    settled = solution.strict and solution.kkt_residual <= VERIFIED / 10
     unique = start.data.readout.unique
     if (settled and unique) or isinstance(solver, ProjectedNewton) or outcome.status is not Status.OPTIMUM:
         return solution

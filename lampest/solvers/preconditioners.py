@@ -25,7 +25,6 @@ from lampest.solvers.hessian import Hessian
 LEAST = 1e-12  # of the largest entry of a diagonal: double precision tells no smaller one from zero
 SHIFTS = (1e-10, 1e-6, 1e-3)  # of a unit diagonal: where rounding makes Gauss–Newton's matrix indefinite
 WEAK = 1e-3  # of the largest weight: readings beyond a loss's corner, which still tie a line together
-STRONG = 1.0  # VᵀAV over Vᵀ(T + diag c)V of a typical line, from which lines are worth their cost
 Numbers = NDArray[np.intp]
 Free = NDArray[np.bool_]
 
@@ -191,7 +190,7 @@ class CoarseLines:
         columns = sparse.csr_array(columns @ sparse.diags_array(1 / length))
         crossed, square = (columns.T @ (local @ columns)).toarray(), (columns.T @ columns).toarray()
         added = square @ (mixed * length[:, None] * length) @ square
-        if np.quantile(added.diagonal() / crossed.diagonal(), 0.75) < STRONG:
+        if np.quantile(added.diagonal() / crossed.diagonal(), 0.75) < 1:
             return None
         whole = crossed + added
         size = np.sqrt(np.maximum(np.abs(whole.diagonal()), 1e-300))

@@ -18,8 +18,8 @@ from lampest.cost.problem import Data, Evaluation
 from lampest.panel.panel import Array
 from lampest.panel.trust_region import Linear, restricted, steihaug
 from lampest.solvers.active_kinks import unsmoothed_minimum
+from lampest.solvers.bounds import MILLIONTH, STILL, free_cells, moved_by
 from lampest.solvers.certificate import Certificate, Definiteness, certificate
-from lampest.solvers.descent import STILL, free_cells, moved_by
 from lampest.solvers.hessian import DENSE_STIFF_CELLS, Hessian
 from lampest.solvers.interior_point import by_interior_point
 from lampest.solvers.orthogonal import Squares
@@ -30,13 +30,10 @@ from lampest.solvers.solution import Outcome, Settings, Status
 ACCEPTED = 1e-4  # of the predicted decrease, as in Nocedal & Wright, 2006, algorithm 4.1
 SHORTER = 0.25  # of a rejected step: the radius for the next try
 FARTHEST = float(np.log(4.0))  # of log r in one step: beyond, the quadratic model of a cell is wrong
-MOST_TRIES = 15  # solves of one direction, in which cells stop at their bounds; tries of a step: 4⁻¹⁵ is rounding
+MOST_TRIES = 15  # solves of a direction, in which cells stop at bounds; tries of a step (4⁻¹⁵ is rounding); last steps
 GAUSS_NEWTON = 3  # steps with JᵀWJ before a direction of negative curvature is followed
 WORN = {True: 5, False: 30}  # products of a step after which a kept preconditioner is made anew: dense, sparse
-MOVED = 0.7  # of log r: the same
-MOST_UNSETTLED = 8  # steps of an estimate that satisfies first-order conditions: they converge quadratically
-NEAR = 0.01  # of log r: second derivatives change by as much, and a predicted step with them
-SOON = 1e-4  # of log r: before a step that short ∇²φ is factored; nearby its change is a ten-thousandth as well
+NEAR = 0.01  # of log r: second derivatives change by as much; before a step of its square ∇²φ is factored
 DAMPINGS = (0.0, 1e-3, 0.1)  # of least squares by QR
 
 
@@ -64,7 +61,7 @@ class ProjectedNewton:
                 if not point.sharp(tolerance):
                     point, iteration = point.sharpened(), iteration + 1
                     continue
-                if point.certificate.settled or unsettled == MOST_UNSETTLED:
+                if point.certificate.settled or unsettled == MOST_TRIES:
                     return point.unsmoothed(iteration) or point.outcome(Status.OPTIMUM, iteration)
                 unsettled += 1
             moved = advanced(point)
@@ -136,7 +133,7 @@ class Iterate:
     def certificate(self) -> Certificate:
         """What one more step would do; by the factor of a point before, where ∇²φ has hardly changed since."""
         before, cells = self.nearby, self.at.cell_resistance
-        if before is not None and before.factor is not None and before.factor.distance(cells) <= SOON:
+        if before is not None and before.factor is not None and before.factor.distance(cells) <= NEAR**2:
             free = np.flatnonzero(free_cells(self.at, self.hessian.gradient))
             if before.definiteness is Definiteness.POSITIVE and np.array_equal(free, before.factor.cells):
                 return before.after(self.at, self.hessian.gradient)
@@ -158,7 +155,7 @@ class Iterate:
         found, cells = self.__dict__.get("certificate"), self.at.cell_resistance
         dual = self.hessian.smoothing.slope(self.at.rough)
         factored = found is not None and found.factor is not None and found.settled and not len(dual)
-        if found is not None and factored and 0 < float(np.abs(found.step).max()) <= NEAR:
+        if found is not None and factored and MILLIONTH / 1000 < float(np.abs(found.step).max()) <= NEAR:
             cells = np.exp(self.at.position + found.step.reshape(cells.shape))
         return Outcome(cells, dual, status, iterations, found, self.newest, self.convex, self.at)
 
@@ -211,10 +208,10 @@ def advanced(point: Iterate) -> Iterate | None:
     Every iteration begins with the whole step: readings at a rail curve the cost on one side alone.
     """
     hessian, cells = point.hessian, point.at.cell_resistance
-    if point.expected <= SOON and not len(point.at.rough):
+    if point.expected <= NEAR**2 and not len(point.at.rough):
         _ = point.certificate
     free, kept = free_cells(point.at, hessian.gradient), point.newest
-    if kept is None or kept.distance(cells) > MOVED:
+    if kept is None or kept.cell_resistance.shape != cells.shape:
         kept = preconditioner(hessian, free)
     radius, patience, convex = inf, point.gauss_newton, point.convex
     curved = np.zeros_like(hessian.gradient) if shares_conductance(point.at) else hessian.gradient

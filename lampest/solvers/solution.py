@@ -12,16 +12,15 @@ from lampest.cost.cost import Cost
 from lampest.cost.problem import Data, Evaluation, within_one
 from lampest.files.typed import Validated, typed
 from lampest.panel.panel import Array
-from lampest.solvers.bound_multipliers import bounds_matter
+from lampest.solvers.bounds import MILLIONTH, bounds_matter, free_cells
 from lampest.solvers.certificate import Certificate, Definiteness, certificate
-from lampest.solvers.descent import free_cells
 from lampest.solvers.hessian import DENSE_STIFF_CELLS, Hessian
 from lampest.solvers.kinks import Unsmoothed
 from lampest.solvers.orthogonal import runs_off
 from lampest.solvers.preconditioners import Preconditioner
 from lampest.solvers.smoothing import Smoothing
 
-VERIFIED = 1e-6
+VERIFIED = MILLIONTH
 OPEN_FRACTION = 0.99
 MOST_STARTS = 1000
 SHARP = 1e-8  # of the largest residual with an absolute loss: the width of its kink

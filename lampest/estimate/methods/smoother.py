@@ -35,7 +35,7 @@ from lampest.posterior.dense import positive_inverse
 from lampest.posterior.linear import IGNORANCE
 from lampest.posterior.track import Track
 from lampest.recording.readings import Readings
-from lampest.solvers.bound_multipliers import bounds_matter
+from lampest.solvers.bounds import bounds_matter
 from lampest.solvers.multistart import BROKEN
 from lampest.solvers.solution import OPEN_FRACTION, VERIFIED, Settings, Solution, Solver, Status, blank
 

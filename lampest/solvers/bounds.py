@@ -1,13 +1,18 @@
-"""Where a point may move: free cells, steps within the bounds, and whether the cost falls along a direction."""
+"""Bounds: free cells, steps within them, and whether they keep cells from meeting readings.
+
+The multiplier of an active bound is what is left of the gradient. Source: Nocedal & Wright, Numerical Optimization,
+2006, section 12.3 (multipliers as sensitivities).
+"""
 
 from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.cost.problem import Evaluation
+from lampest.cost.problem import Evaluation, within_one
 from lampest.panel.panel import Array
 
+MILLIONTH = 1e-6  # of a reading or a cell: what may be left of it where no noise is known
 LENGTHS = (1.0, 0.3, 0.1, 0.03, 0.01)  # of log r, of the cell that moves most
 STILL = 1e-12  # of the cost's scale: a smaller decrease is its rounding
 
@@ -58,3 +63,34 @@ def moved_by(at: Evaluation, step: Array) -> Evaluation | None:
         return at.elsewhere(np.clip(cells, at.data.lower, at.data.upper))
     except np.linalg.LinAlgError:
         return None
+
+
+def bounds_matter(at: Evaluation, gradient: Array, dual: Array) -> bool:
+    """Whether bounds hold cells, and are why some reading is missed by more than its noise.
+
+    With penalties, or losses that forgive a reading, they are where the missed reading pulls its own cell beyond a
+    bound that bears at least half of what all readings pull there. gradient : in u = log r, (frames, rows, columns).
+    """
+    lower, upper = at.data.log_bounds
+    held = ((at.position >= upper) & (gradient < 0)) | ((at.position <= lower) & (gradient > 0))
+    held &= lower < upper
+    if not held.any() or not (missed := _missed(at)).any():
+        return False
+    if all(term.reads_measurement and term.loss.squared for term in at.cost.terms):
+        return True
+    through, networks = at.partials(within_one(dual))[1], at.networks
+    own = through * np.stack([network.own_response() for network in networks])
+    pull = np.stack([network.adjoint(part) for network, part in zip(networks, through, strict=True)])
+    borne = (pull * gradient > 0) & (np.abs(gradient) >= np.abs(pull) / 2)
+    return bool(np.any(held & missed & borne & (own * gradient > 0)))
+
+
+def _missed(at: Evaluation) -> NDArray[np.bool_]:
+    """(frames, rows, columns) which readings are off by more than their noise; those that are bounds, if broken."""
+    data = at.data
+    limit = data.deviation if data.noise_known else MILLIONTH * np.abs(data.measured)
+    missed = at.reading - data.measured
+    if data.partial:
+        side, seen = data.given.side, data.given.seen
+        missed = np.where(side == 0, missed, np.minimum(side * missed, 0.0)) * (seen > 0)
+    return np.asarray(np.abs(missed) > limit)
