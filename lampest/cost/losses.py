@@ -5,10 +5,11 @@ is enough: all else follows from it by default, for smooth losses.
 """
 
 from abc import abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 from math import isfinite
-from typing import Annotated, Any, ClassVar, Literal, Protocol
+from typing import Annotated, Any, ClassVar, Literal
 
 import casadi
 import numpy as np
@@ -34,28 +35,24 @@ Entry = Literal["whole", "split", "dual"]
 INSIDE = 0.01  # (split unit) p, q begin as far from their bound 0 as IPOPT's option bound_push has it by default
 
 
-class PenaltyEvidence(Protocol):
-    """What the evidence for a penalty's weight counts, over its rows with curvature; x̂ at an estimate."""
+@dataclass(frozen=True, eq=False)
+class PenaltyEvidence:
+    """What the evidence for a penalty's weight counts, over its rows with curvature.
 
-    @property
-    def residual(self) -> Array:
-        """x̂ (rows)."""
+    residual : x̂ (rows) at an estimate. magnitude : Σ E|x|, x scattered about x̂ as the estimate is uncertain. count :
+    tr(B⁺ B_t), how many residuals there are, dependent ones counted once. determined : gives γ_t = tr(B⁺ B_t) −
+    tr(A⁻¹ B_t), how many of them data determine.
+    """
+
+    residual: Array
+    magnitude: float
+    count: float
+    determined: Callable[[], float]
 
     @property
     def squares(self) -> float:
         """Σ x̂²."""
-
-    @property
-    def magnitude(self) -> float:
-        """Σ E|x|, x scattered about x̂ as the estimate is uncertain."""
-
-    @property
-    def count(self) -> float:
-        """tr(B⁺ B_t): how many residuals there are, those counted once that follow from others."""
-
-    @property
-    def determined(self) -> float:
-        """γ_t = tr(B⁺ B_t) − tr(A⁻¹ B_t): how many of them data determine."""
+        return float(np.sum(self.residual**2))
 
 
 @dataclass(frozen=True)
@@ -116,7 +113,7 @@ class Loss(Validated):
 
     def determined(self, evidence: PenaltyEvidence) -> float:
         """γ of the same."""
-        return evidence.determined
+        return evidence.determined()
 
 
 def _halves(loss: Loss, residual: Array) -> tuple[Array, Array]:

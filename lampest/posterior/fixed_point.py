@@ -6,7 +6,7 @@ and η_t = Σ x². Source: MacKay, Neural Computation 4, 1992.
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import partial
 
 import numpy as np
 from scipy.special import erf
@@ -23,58 +23,6 @@ MOST_ROUNDS, SETTLED = 30, 0.01  # of the fixed point; of log λ
 FLAT, NOTHING = 1e-9, 1e-12  # of the mean curvature, a ridge; of a residual's unit, below which there are none yet
 
 
-@dataclass(frozen=True, eq=False)
-class ComputedEvidence:
-    """What a linear model tells of one term, in numbers; `PenaltyEvidence` says what they are.
-
-    variance : of x about x̂ (rows).
-    """
-
-    residual: Array
-    squares: float
-    variance: Array
-    count: float
-    determined: float
-
-    @property
-    def magnitude(self) -> float:
-        """Σ E|x| of normal x."""
-        return float(folded(self.residual, self.variance).sum())
-
-
-@dataclass(frozen=True, eq=False)
-class ProbedEvidence:
-    """The same from an estimate that is taken for exact; probes for γ are drawn where that is asked for.
-
-    number : of the term. count : its share of the penalties' rank.
-    """
-
-    errors: SampledErrors
-    number: int
-    count: float
-
-    @cached_property
-    def residual(self) -> Array:
-        """x̂."""
-        model = self.errors.model
-        return np.asarray(model.penalty[model.penalty_term == self.number])
-
-    @property
-    def squares(self) -> float:
-        """Σ x̂²."""
-        return float(np.sum(self.residual**2))
-
-    @property
-    def magnitude(self) -> float:
-        """Σ |x̂|."""
-        return float(np.abs(self.residual).sum())
-
-    @property
-    def determined(self) -> float:
-        """γ."""
-        return self.count - self.errors.used(self.number)
-
-
 def first_weights(model: LinearModel, weights: Sequence[float], open_terms: Collection[int]) -> list[float]:
     """λ_t = s² n / η_t: what n residuals of that size suggest, for the terms whose weights are open."""
     chosen = list(weights)
@@ -84,7 +32,7 @@ def first_weights(model: LinearModel, weights: Sequence[float], open_terms: Coll
         if rows == 0:
             name = term_kind(model.at.cost.terms[number])
             raise InputError(f"weight: auto finds nothing of {name} on what is left of the panel; give a number")
-        evidence = ComputedEvidence(size, float(size @ size), np.zeros(rows), rows, rows)
+        evidence = PenaltyEvidence(size, float(np.abs(size).sum()), rows, partial(float, rows))
         total = model.at.cost.terms[number].loss.size(evidence)
         # An estimate that is its own reference has no residuals yet: as if each were of its unit's size.
         chosen[number] = model.scale * rows / (total if total > NOTHING * rows else rows)
@@ -96,8 +44,10 @@ def next_weights(model: LinearModel, open_terms: Collection[int]) -> list[float]
     errors, weights = SampledErrors(model), list(model.at.cost.weights)
     share = min(rank(model.at.cost.unweighted), len(model.free)) / len(np.unique(model.penalty_term))
     for number in open_terms:
-        loss = model.at.cost.terms[number].loss
-        weights[number] = settled_weight(model.scale, loss, ProbedEvidence(errors, number, share))
+        residual = model.penalty[model.penalty_term == number]
+        left = partial(lambda number: share - errors.used(number), number)
+        evidence = PenaltyEvidence(residual, float(np.abs(residual).sum()), share, left)
+        weights[number] = settled_weight(model.scale, model.at.cost.terms[number].loss, evidence)
     return weights
 
 
@@ -146,13 +96,9 @@ class FixedPoint:
             free = np.einsum("ij,jk,ik->i", rows[own], alone, rows[own], optimize=True)
             inside = curvature[own] > 0
             residual = size[own][inside]
-            evidence = ComputedEvidence(
-                residual,
-                float(np.sum(residual**2)),
-                self.model.scale * posterior[inside],
-                float(np.sum(curvature[own] * free)),
-                float(np.sum(curvature[own] * (free - posterior))),
-            )
+            magnitude = float(folded(residual, self.model.scale * posterior[inside]).sum())
+            count, used = (float(np.sum(curvature[own] * part)) for part in (free, posterior))
+            evidence = PenaltyEvidence(residual, magnitude, count, partial(float, count - used))
             loss = self.model.at.cost.terms[number].loss
             new[number] = settled_weight(self.model.scale, loss, evidence)
         return new

@@ -4,8 +4,6 @@ The multiplier of an active bound is what is left of the gradient. Source: Noced
 2006, section 12.3 (multipliers as sensitivities).
 """
 
-from collections.abc import Iterator
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -36,10 +34,12 @@ def within_bounds(at: Evaluation, free: NDArray[np.intp], step: Array) -> Array:
     return np.asarray(np.minimum(np.maximum(target, lower), upper) - position)
 
 
-def downhill(at: Evaluation, along: Array) -> Evaluation | None:
-    """A point from u forth or back along a direction (cells) where the cost is lower; None where there is none."""
-    least = _certain_cost(at) - STILL * at.cost_scale
-    return next((one for one in _beside(at, along) if _certain_cost(one) < least), None)
+def falls_along(at: Evaluation, along: Array) -> bool:
+    """Whether the cost is lower forth or back along a direction (cells) of u."""
+    least, size = _certain_cost(at) - STILL * at.cost_scale, float(np.abs(along).max(initial=0.0)) or 1.0
+    lengths = [sign * length / size for length in LENGTHS for sign in (1.0, -1.0)]
+    beside = (moved_by(at, length * along) for length in lengths)
+    return any(_certain_cost(one) < least for one in beside if one is not None)
 
 
 def _certain_cost(at: Evaluation) -> float:
@@ -47,13 +47,6 @@ def _certain_cost(at: Evaluation) -> float:
     if not len(at.rough):
         return at.objective
     return at.objective - float(np.sum(at.cost.slope * np.minimum(np.abs(at.rough), at.last_bits)))
-
-
-def _beside(at: Evaluation, along: Array) -> Iterator[Evaluation]:
-    size = float(np.abs(along).max(initial=0.0)) or 1.0
-    for share in (sign * length / size for length in LENGTHS for sign in (1.0, -1.0)):
-        if (found := moved_by(at, share * along)) is not None:
-            yield found
 
 
 def moved_by(at: Evaluation, step: Array) -> Evaluation | None:
