@@ -25,9 +25,9 @@ from lampest.panel.panel import Array, Panel
 class Cost:
     """φ over `frames` frames of a panel, built once and evaluated for any data.
 
-    With two frames the first is the baseline and the previous frame of the second; terms that need those skip it.
-    Residuals that read a `faulty` cell (numbers) are left out. With `partial`, readings may be bounds or say nothing.
-    A loss without a derivative at 0 enters derivatives through its dual variables z, |z| ≤ 1: weight · Σ z·x.
+    Of two the first is the baseline and the previous frame of the second; terms that need those skip it. Residuals that
+    read a `faulty` cell (numbers) are left out. With `partial`, readings may be bounds or missing. A loss without a
+    derivative at 0 enters through its dual variables z, |z| ≤ 1: weight · Σ z·x.
     """
 
     panel: Panel
@@ -131,10 +131,9 @@ class Symbols:
 class CostFunctions:
     """Functions of what `Symbols.inputs` names, of the terms' weights and of the duals.
 
-    first : the costs of each term, the same at readings of zero, and the gradient, in one: a call costs more than what
-    it computes. hessian : like the gradient of the Lagrangian Σ smooth + Σ weight·z·x with respect to (cells;
-    readings). rough, rough_jacobian : residuals x that enter through duals, whose terms are `rough_terms`.
-    split : the residuals that an interior-point method splits, in blocks of `split_blocks` (loss, rows).
+    first : the costs of each term, the same at readings of zero, and the gradient by (cells; readings) of Σ smooth +
+    Σ weight·z·x, in one call. hessian : of the same. rough, rough_jacobian : residuals x that enter through duals, of
+    `rough_terms`. split : residuals that an interior-point method splits, in blocks of `split_blocks` (loss, rows).
     """
 
     first: Compiled
@@ -180,7 +179,9 @@ class CostFunctions:
         }
         return cls(
             **compiled,
-            rough_terms=np.array([part.term for part in through_duals for _ in range(part.rows)], dtype=np.intp),
+            rough_terms=np.array(
+                [part.term for part in through_duals for _ in range(part.residual.shape[0])], dtype=np.intp
+            ),
             split_blocks=tuple((group[0].loss, sum(part.rows for part in group)) for group in split),
         )
 
@@ -190,9 +191,8 @@ class Entries:
     """Where nonzeros of the second derivatives with respect to (cells; readings) stand, count of each.
 
     cells, model : the numbers of the nonzeros between cells, and between readings. at_cells : (rows, columns) of the
-    former. at_model : readings of the latter, where they stand on the diagonal alone; else None. crossed : whether any
-    stand between cells and readings. on_diagonal : numbers and places of nonzeros on the diagonal. alone : whether no
-    others are there.
+    former. at_model : readings of the latter, where all are on the diagonal; else None. crossed : whether any stand
+    between both. on_diagonal : numbers and places of nonzeros on the diagonal. alone : whether there are no others.
     """
 
     cells: NDArray[np.intp]
@@ -217,10 +217,7 @@ class Entries:
 
 @dataclass(frozen=True, eq=False)
 class Summand:
-    """weight·loss(residual) of one term in one frame.
-
-    term : its number. residual : (rows, 1). weight : (1, 1).
-    """
+    """weight·loss(residual) of one term (number) in one frame; residual (rows, 1), weight (1, 1)."""
 
     term: int
     loss: Loss
@@ -237,14 +234,14 @@ class Summand:
         return self.weight * cost
 
     @property
-    def smooth(self) -> bool:
-        """Whether it enters derivatives as it is, not through duals."""
-        return self.loss.enters != "dual"
-
-    @property
     def rows(self) -> int:
         """How many residuals it has."""
         return int(self.residual.shape[0])
+
+    @property
+    def smooth(self) -> bool:
+        """Whether it enters derivatives as it is, not through duals."""
+        return self.loss.enters != "dual"
 
 
 def summands(terms: Sequence[Term], pairs: Iterable[tuple[int, casadi.SX]], weights: casadi.SX) -> list[Summand]:
@@ -255,9 +252,8 @@ def summands(terms: Sequence[Term], pairs: Iterable[tuple[int, casadi.SX]], weig
 def stacked(parts: Sequence[Summand]) -> tuple[casadi.SX, casadi.SX]:
     """(residual, weight) of all rows, (rows, 1) each."""
     weights = [casadi.repmat(part.weight, part.rows, 1) for part in parts]
-    return casadi.vertcat(casadi.SX(0, 1), *(part.residual for part in parts)), casadi.vertcat(
-        casadi.SX(0, 1), *weights
-    )
+    residuals = [part.residual for part in parts]
+    return casadi.vertcat(casadi.SX(0, 1), *residuals), casadi.vertcat(casadi.SX(0, 1), *weights)
 
 
 def program_groups(parts: Sequence[Summand]) -> list[list[Summand]]:

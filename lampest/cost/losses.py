@@ -40,19 +40,23 @@ class PenaltyEvidence:
     """What the evidence for a penalty's weight counts, over its rows with curvature.
 
     residual : x̂ (rows) at an estimate. magnitude : Σ E|x|, x scattered about x̂ as the estimate is uncertain. count :
-    tr(B⁺ B_t), how many residuals there are, dependent ones counted once. determined : gives γ_t = tr(B⁺ B_t) −
-    tr(A⁻¹ B_t), how many of them data determine.
+    tr(B⁺ B_t), how many residuals there are, dependent ones counted once. trace : gives tr(A⁻¹ B_t), which probes cost.
     """
 
     residual: Array
     magnitude: float
     count: float
-    determined: Callable[[], float]
+    trace: Callable[[], float]
 
     @property
     def squares(self) -> float:
         """Σ x̂²."""
         return float(np.sum(self.residual**2))
+
+    @property
+    def determined(self) -> float:
+        """γ_t = tr(B⁺ B_t) − tr(A⁻¹ B_t): how many of them data determine."""
+        return self.count - self.trace()
 
 
 @dataclass(frozen=True)
@@ -113,7 +117,7 @@ class Loss(Validated):
 
     def determined(self, evidence: PenaltyEvidence) -> float:
         """γ of the same."""
-        return evidence.determined()
+        return evidence.determined
 
 
 def _halves(loss: Loss, residual: Array) -> tuple[Array, Array]:

@@ -1,7 +1,7 @@
 """What is known of an estimate beyond its value: standard deviation, 95 % interval, resolution, share of the data."""
 
 from dataclasses import dataclass, fields, replace
-from typing import Protocol
+from typing import Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,16 +39,26 @@ class Errors(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class Certainty:
-    """Of log r, all (frames, rows, columns); deviation and above are infinite for an open cell.
-
-    deviation : standard deviation. below, above : how far the 95 % interval reaches. resolution, data_share : diagonal
-    and row sums of the averaging kernel, 0 where a bound decides. common : the part of the deviation that cells share.
-    """
+class LogInterval:
+    """Of log r: standard deviation, and how far the 95 % interval reaches down and up; any shape."""
 
     deviation: Array
     below: Array
     above: Array
+
+    def reaching_farther(self, below: Array, above: Array) -> Self:
+        """With intervals that reach farther, by squares that are added to theirs."""
+        return replace(self, below=np.sqrt(self.below**2 + below), above=np.sqrt(self.above**2 + above))
+
+
+@dataclass(frozen=True, eq=False)
+class Certainty(LogInterval):
+    """Of log r, all (frames, rows, columns); deviation and above are infinite for an open cell.
+
+    resolution, data_share : diagonal and row sums of the averaging kernel, 0 where a bound decides. common : the part
+    of the deviation that cells share.
+    """
+
     resolution: Array
     data_share: Array
     common: Array
@@ -104,10 +114,6 @@ class Certainty:
         lower.flat[cells] = np.maximum(lower.flat[cells], below)
         upper.flat[cells] = np.maximum(upper.flat[cells], above)
         return replace(self, below=lower, above=upper)
-
-    def reaching_farther(self, below: Array, above: Array) -> "Certainty":
-        """With intervals that reach farther, by squares of log r that are added to theirs."""
-        return replace(self, below=np.sqrt(self.below**2 + below), above=np.sqrt(self.above**2 + above))
 
     def by_conductance(self) -> "Certainty":
         """With intervals as far upwards as conductances may fall: r/(1 − x) for exp(−x) of r downwards, x < 1."""

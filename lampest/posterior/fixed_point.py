@@ -32,7 +32,7 @@ def first_weights(model: LinearModel, weights: Sequence[float], open_terms: Coll
         if rows == 0:
             name = term_kind(model.at.cost.terms[number])
             raise InputError(f"weight: auto finds nothing of {name} on what is left of the panel; give a number")
-        evidence = PenaltyEvidence(size, float(np.abs(size).sum()), rows, partial(float, rows))
+        evidence = PenaltyEvidence(size, float(np.abs(size).sum()), rows, float)
         total = model.at.cost.terms[number].loss.size(evidence)
         # An estimate that is its own reference has no residuals yet: as if each were of its unit's size.
         chosen[number] = model.scale * rows / (total if total > NOTHING * rows else rows)
@@ -45,8 +45,7 @@ def next_weights(model: LinearModel, open_terms: Collection[int]) -> list[float]
     share = min(rank(model.at.cost.unweighted), len(model.free)) / len(np.unique(model.penalty_term))
     for number in open_terms:
         residual = model.penalty[model.penalty_term == number]
-        left = partial(lambda number: share - errors.used(number), number)
-        evidence = PenaltyEvidence(residual, float(np.abs(residual).sum()), share, left)
+        evidence = PenaltyEvidence(residual, float(np.abs(residual).sum()), share, partial(errors.used, number))
         weights[number] = settled_weight(model.scale, model.at.cost.terms[number].loss, evidence)
     return weights
 
@@ -98,7 +97,7 @@ class FixedPoint:
             residual = size[own][inside]
             magnitude = float(folded(residual, self.model.scale * posterior[inside]).sum())
             count, used = (float(np.sum(curvature[own] * part)) for part in (free, posterior))
-            evidence = PenaltyEvidence(residual, magnitude, count, partial(float, count - used))
+            evidence = PenaltyEvidence(residual, magnitude, count, partial(float, used))
             loss = self.model.at.cost.terms[number].loss
             new[number] = settled_weight(self.model.scale, loss, evidence)
         return new

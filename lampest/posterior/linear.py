@@ -1,8 +1,7 @@
 """The surroundings of an estimate as a linear model with Gaussian noise and Gaussian penalties, in u = log r.
 
-Residuals are x ≈ x̂ + Z·p for a change p of u, each with a curvature ω, so that the cost is Σ ω x². Rows that read
-readings are data, with noise τ, all others penalties. With s² = mean ω τ² over the data, cost/s² stands
-for −2·log probability, whatever the unit of the misfit.
+Residuals are x ≈ x̂ + Z·p with curvature ω, data with noise τ, all others penalties: the cost is Σ ω x². With s² = mean
+ω τ² over the data, cost/s² stands for −2·log probability.
 """
 
 from collections.abc import Iterator

@@ -6,7 +6,7 @@ import numpy as np
 
 from lampest.panel.panel import Array
 from lampest.panel.systematic import Shared
-from lampest.posterior.certainty import Certainty
+from lampest.posterior.certainty import Certainty, LogInterval
 from lampest.posterior.dense import ActiveBounds, DenseErrors, DenseMemory
 from lampest.posterior.frame_noise import FrameNoise
 from lampest.posterior.interval import TWO_SIDED
@@ -17,12 +17,8 @@ MOST_DENSE = 1200  # unknowns; from there on samples are faster
 
 
 @dataclass(frozen=True, eq=False)
-class Change:
-    """Of log r − log r_baseline: standard deviation, and how far the 95 % interval reaches down and up; any shape."""
-
-    deviation: Array
-    below: Array
-    above: Array
+class Change(LogInterval):
+    """Of log r − log r_baseline."""
 
     @classmethod
     def between(cls, frame: Certainty, baseline: Certainty, shared: Array) -> "Change":
@@ -39,10 +35,6 @@ class Change:
             joined(frame.below, baseline.above, ends),
             joined(frame.above, baseline.below, ends),
         )
-
-    def reaching_farther(self, below: Array, above: Array) -> "Change":
-        """As `Certainty.reaching_farther`."""
-        return replace(self, below=np.sqrt(self.below**2 + below), above=np.sqrt(self.above**2 + above))
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,7 +1,6 @@
 """Primal-dual active set for absolute losses: from a point where they are smoothed to the minimum where they are not.
 
-Which rows stand at their kink, and on which side the others lie, is read off the point and corrected after every Newton
-step: a row whose residual changes its sign joins them, one whose dual leaves ±1 goes.
+After a Newton step, a row whose residual changes its sign joins those at their kink, one whose dual leaves ±1 goes.
 Source: Hintermüller, Ito & Kunisch, SIAM J. Optim. 13, 2003.
 """
 
@@ -23,10 +22,7 @@ MET = 1e-6  # of a residual, after a step to its kink; of those that depend on h
 
 
 def unsmoothed_minimum(at: Evaluation, dual: Array) -> tuple[Evaluation, Array, Certificate] | None:
-    """(point, duals, certificate) of the minimum near a point; None where the steps do not end at one.
-
-    dual : of the smoothed losses at the point.
-    """
+    """(point, duals, certificate) of the minimum near a point with smoothed duals; None where steps end at none."""
     if not len(at.rough) or at.cell_resistance.size > DENSE_STIFF_CELLS:
         return None
     begun, active = at, at_kink(at, dual)
@@ -68,10 +64,7 @@ def _corrected(
 
 
 def _released(at: Evaluation, active: NDArray[np.bool_], dual: Array) -> NDArray[np.bool_]:
-    """(rows) which leave their kink: duals beyond ±1; of those only the farthest where readings have absolute losses.
-
-    There nothing but kinks holds cells, and each of them can spare but one.
-    """
+    """(rows) which leave their kink: duals beyond ±1; only the farthest where readings have absolute losses."""
     beyond = active & (np.abs(dual) > 1)
     if not beyond.any() or not any(term.reads_measurement and term.loss.enters == "dual" for term in at.cost.terms):
         return beyond

@@ -1,9 +1,7 @@
 """Second-order certificate of a local minimum: what one more Newton step would do there, and how the cost curves.
 
-With g and H the first and second derivatives of the cost φ in u = log r over the free cells, a Newton step is
-s = −H⁻¹ g and its decrement δ = √(gᵀ H⁻¹ g). Where cost/s₀² stands for −2·log probability, √2·s₀·√(H⁻¹)_cc is the
-posterior deviation of u_c, so that δ/(√2·s₀) bounds |s_c| over it for all cells at once (Cauchy and Schwarz). No scale
-of the cost enters, and no large reading hides a small one.
+With g and H of the cost in u = log r over the free cells, a Newton step is s = −H⁻¹ g, its decrement δ = √(gᵀ H⁻¹ g).
+Where cost/s₀² is −2·log probability, δ/(√2·s₀) bounds |s_c| over the posterior deviation of u_c (Cauchy and Schwarz).
 Source: Nocedal & Wright, Numerical Optimization, 2006, theorem 2.4; Boyd & Vandenberghe, Convex Optimization, 2004,
 section 9.5 (the decrement).
 """

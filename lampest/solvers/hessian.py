@@ -1,8 +1,8 @@
 """First and second derivatives of the cost in u = log r, potentials eliminated: as products, or as a matrix.
 
-With the network's J = ∂y/∂u, e = ∂φ/∂y, N = diag(g)·Σ_i e_i ∂²y_i/∂g²·diag(g), and T the second derivatives of the
-terms with respect to (r; y): ∇²φ = (diag r; J)ᵀ T (diag r; J) + N + diag(r ∂φ/∂r − Jᵀ e). Gauss–Newton's matrix is
-JᵀWJ + PᵀKP with W = max(∂²φ/∂y², 0), P = ∂x/∂u of the penalties' residuals x and K = ρ'(x)/x of their losses.
+With J = ∂y/∂u, e = ∂φ/∂y, N = diag(g)·Σ_i e_i ∂²y_i/∂g²·diag(g), T the second derivatives of the terms by (r; y):
+∇²φ = (diag r; J)ᵀ T (diag r; J) + N + diag(r ∂φ/∂r − Jᵀ e). Gauss–Newton's matrix is JᵀWJ + PᵀKP, W = max(∂²φ/∂y², 0),
+P = ∂x/∂u of the penalties' residuals x, K = ρ'(x)/x of their losses.
 Source: Nocedal & Wright, Numerical Optimization, 2006, section 10.3.
 """
 

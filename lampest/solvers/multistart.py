@@ -1,8 +1,6 @@
-"""From where a solve is begun, and which of several minima is taken: multi-start.
+"""Multi-start: plain least squares of two-point readings begins at the convex start, a frame at the estimate before.
 
-Plain least squares of two-point readings has a convex start, which is its answer where cells can reproduce the
-readings. A frame that follows another begins at that frame's estimate. A first frame whose cost may have several minima
-begins at three places: the frame before it (the baseline), equal cells, and the readout's own start.
+A first frame whose cost may have several minima begins at the baseline, at equal cells, and at the readout's own start.
 """
 
 from collections.abc import Iterable, Iterator
@@ -65,9 +63,7 @@ def _lowest(solver: Solver, data: Data, previous: Array | None) -> Solution:
 
 
 def several_minima(cost: Cost, data: Data) -> bool:
-    """Whether the cost may have several minima: all but plain least squares of two-point readings, and penalties that
-    are convex in log r beside whole frames of these.
-    """
+    """All but plain least squares of two-point readings may have, and these with penalties convex in log r."""
     if not (all(term.loss.convex for term in cost.terms) and data.readout.unique):
         return True
     if all(term.reads_measurement for term in cost.terms):
@@ -100,10 +96,7 @@ def scattered(data: Data) -> Iterator[Array]:
 
 
 def convex(data: Data, near: Array | None) -> Array:
-    """The readout's start of every frame, begun near an earlier estimate (frames, rows, columns) ohm if there is one.
-
-    Of two-point readings it is the convex one.
-    """
+    """The readout's start of every frame, of two-point readings the convex one; near : an estimate, or None."""
     places = [None] * len(data.measured) if near is None else list(near)
     with suppress(*BROKEN):
         return np.stack([data.readout.start(*three) for three in zip(data.measured, data.upper, places, strict=True)])

@@ -55,11 +55,6 @@ class PanelBatch:
         return absent | flat | {"weights": self.weights, "dual": np.zeros((count, 0))}
 
     @cached_property
-    def ties(self) -> Array:
-        """(panels, lines) siemens."""
-        return self.data.ties
-
-    @cached_property
     def log_bounds(self) -> tuple[Array, Array]:
         """(panels, cells) logarithms of the bounds."""
         count = len(self.weights)
@@ -83,7 +78,7 @@ class Points:
     def at(cls, batch: PanelBatch, position: Array) -> "Points":
         """Solve the networks. Raises numpy.linalg.LinAlgError where a line is not connected."""
         cells = np.exp(position).reshape(batch.data.measured.shape)
-        return cls(batch, position, FloatingNetwork.solve(1 / cells, batch.ties))
+        return cls(batch, position, FloatingNetwork.solve(1 / cells, batch.data.ties))
 
     def some(self, panels: Numbers) -> "Points":
         """Those of some panels, with what is known of them."""

@@ -238,10 +238,7 @@ def advanced(point: Iterate) -> Iterate | None:
 
 
 def shares_conductance(at: Evaluation) -> bool:
-    """Whether lines touch, so that readings leave open how parallel cells share their conductance, and no penalty says.
-
-    In conductances all shares are equally good. In log r, which takes their place, cells stay near the start's shares.
-    """
+    """Whether lines touch and no penalty says how parallel cells share: in log r they stay near the start's shares."""
     wiring = at.data.wiring
     return wiring is not None and bool(wiring.joined) and all(term.reads_measurement for term in at.cost.terms)
 

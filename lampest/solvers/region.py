@@ -1,7 +1,6 @@
 """Only what changed is unknown: blocks of cells are estimated, all others keep their baseline value.
 
-A cell of an M × N panel that changes moves the other readings of its row and column, all by about a 1/N or 1/M of what
-it moves its own. An error of the converter moves no other reading, and may be larger than any cell can cause.
+A cell moves the other readings of its row and column by about 1/N or 1/M of its own, an error of the converter none.
 """
 
 from dataclasses import dataclass, replace

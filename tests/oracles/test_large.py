@@ -13,14 +13,13 @@ from lampest.cost.terms import CellResistance, Gradient, GradientOfRelativeChang
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.sequence import reconstruct
 from lampest.panel.panel import Panel
-from lampest.panel.readouts import TwoPointReadout
+from lampest.panel.readouts import TwoPointReadout, floating
 from lampest.panel.readouts.floating import (
     FloatingNetwork,
     Stencil,
     grounding,
     square_by_lines,
 )
-from lampest.panel.readouts.two_point import convex
 from lampest.panel.scene import Scene
 from lampest.recording.recording import Recording
 from lampest.solvers import certificate, hessian, projected_newton
@@ -64,7 +63,7 @@ def recording(noise: float) -> Recording:
 def test_products_and_factors_agree(name: str, noise: float, monkeypatch: pytest.MonkeyPatch) -> None:
     recorded, estimator = recording(noise), Estimator(ESTIMATORS[name], formulation="reduced")
     factored = reconstruct(recorded, estimator)
-    for module in (hessian, convex):
+    for module in (hessian, floating):
         monkeypatch.setattr(module, "DENSE_CELLS", 0)
     monkeypatch.setattr(hessian, "DENSE_STIFF_CELLS", 0)
     products = reconstruct(recorded, estimator)

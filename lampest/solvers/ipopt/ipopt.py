@@ -1,7 +1,4 @@
-"""IPOPT, an interior-point method, on formulations that keep node voltages as unknowns.
-
-Source: Wächter & Biegler, Mathematical Programming 106, 2006.
-"""
+"""IPOPT (Wächter & Biegler, Mathematical Programming 106, 2006) with node voltages as unknowns."""
 
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
@@ -51,10 +48,7 @@ class Limits:
     high: Array
 
     def multipliers(self, conductance: Array, pull: Array, barrier: float) -> Array:
-        """z_high − z_low of every cell, pull : −∂φ/∂g with voltages that follow.
-
-        At an active bound z balances the pull, and is 0 where this points inwards; elsewhere z = barrier/distance.
-        """
+        """z_high − z_low of every cell: at an active bound the outward pull −∂φ/∂g, elsewhere barrier/distance."""
         below, above = conductance - self.low, self.high - conductance
         on_low, on_high = below <= PUSH * np.maximum(self.low, 1), above <= PUSH * np.maximum(self.high, 1)
         inside = barrier / np.where(on_high, 1, above) - barrier / np.where(on_low, 1, below)
@@ -119,10 +113,7 @@ class Ipopt:
     def _multipliers(
         self, start: Evaluation, scale: float, x0: Array, parameters: Array, limits: Limits
     ) -> dict[str, Array]:
-        """λ for which voltages are stationary at the start, z of the bounds; empty where digits do not suffice.
-
-        The barrier is the square of the projected gradient, which is what a Newton step leaves of it.
-        """
+        """λ for which voltages are stationary at the start, z of the bounds; empty where digits do not suffice."""
         slopes = np.split(self._built.slope(x0, parameters) / scale, len(start.networks))
         frames = zip(start.networks, start.data.ties, slopes, strict=True)
         try:
@@ -130,7 +121,8 @@ class Ipopt:
         except np.linalg.LinAlgError:
             return {}
         gradient, conductance = start.log_gradient(np.zeros(0)), x0[: start.cell_resistance.size]
-        barrier = min(start.projected_gradient(gradient) ** 2, 0.1)  # at most IPOPT's own mu_init
+        # What a Newton step leaves of the gradient, at most IPOPT's own mu_init.
+        barrier = min(start.projected_gradient(gradient) ** 2, 0.1)
         pull = gradient.ravel() / (conductance * start.cost_scale)
         of_bounds = np.zeros(len(x0))
         of_bounds[: len(conductance)] = limits.multipliers(conductance, pull, barrier)
