@@ -329,14 +329,8 @@ class Estimates:
 
         What the scene leaves open is estimated from the frames after a load was taken off.
         """
-        film = self.recording.scene.film
-        if film is None or self._bars is None:
-            return None
-        warmth = self.recording.scene.temperature
-        change = np.log(self._ratio) - (0.0 if warmth is None else warmth.logarithm)
-        with np.errstate(divide="ignore"):
-            width = np.log(self._bars.ratio_upper) - np.log(self._bars.ratio_lower)
-        return FilmKnown.specified(film).estimated(change, width / (2 * NORMAL_95), self.time)
+        film, known = self.recording.scene.film, log_change(self)
+        return None if film is None or known is None else FilmKnown.specified(film).estimated(*known, self.time)
 
     @property
     def misfit(self) -> dict[str, Array]:
@@ -368,3 +362,14 @@ class Estimates:
     @property
     def _ratio(self) -> Array:
         return self.cell_resistance / self.baseline_resistance
+
+
+def log_change(found: Estimates) -> tuple[Array, Array] | None:
+    """(ln(r/r0) without what warmth does, its standard deviation), (frames, rows, columns); None without error bars."""
+    if found._bars is None:
+        return None
+    warmth = found.recording.scene.temperature
+    with np.errstate(divide="ignore"):
+        width = np.log(found._bars.ratio_upper) - np.log(found._bars.ratio_lower)
+    change = np.log(found._ratio) - (0.0 if warmth is None else warmth.logarithm)
+    return change, width / (2 * NORMAL_95)

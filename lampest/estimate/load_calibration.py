@@ -2,13 +2,12 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lampest.cost.terms import Misfit
-from lampest.estimate.estimates import Estimates
+from lampest.estimate.estimates import log_change
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.outliers import TO_SIGMA
 from lampest.estimate.sequence import reconstruct
@@ -16,7 +15,7 @@ from lampest.files.document import to_yaml
 from lampest.files.errors import InputError
 from lampest.loads.calibration import Fitted, Loaded, answers_by_others, fit_loads, response_of
 from lampest.loads.known_loads import KnownLoad, KnownLoads
-from lampest.loads.pressure import NORMAL_95, water_pressure
+from lampest.loads.pressure import water_pressure
 from lampest.loads.response import PUBLISHED
 from lampest.panel.panel import Array
 from lampest.panel.response import Response
@@ -29,6 +28,7 @@ CLEARLY = 5.0  # standard deviations of a cell's change
 FEWEST_JUDGED, MOST_JUDGED = 5, 60  # loads: fewer show no usual one; each costs a fit
 ALIKE = 0.02  # of ln of an answer: so well films repeat at best
 UNLIKE = 2.0  # of ln of the first guess's steepness, two standard deviations of its prior: units are wrong more often
+MOST_NAMED = 5  # loads in one warning
 CHANGED, BESIDE = 0.25, 0.5  # of a load's answer: change within its frames, and answer of cells beside its foot
 
 
@@ -75,19 +75,27 @@ def calibrate_loads(recordings: Sequence[Recording], known: KnownLoads, toleranc
     for other in recordings[1:]:
         if other.scene != scene:
             raise InputError(f"{other.name}: its scene is another than that of {recordings[0].name}")
-    of_each = _by_recording(recordings, known)
-    parts = [_answers(recording, [known.loads[number] for number in numbers]) for recording, numbers in of_each]
-    order = [number for _, numbers in of_each for number in numbers]
-    change, sd = (np.concatenate([part[index] for part in parts]) for index in (0, 1))
-    pressure, pressure_sd = _specified([known.loads[number] for number in order], known, scene)
-    for number, felt in zip(order, pressure, strict=True):
-        if not felt.any():
+    loads = known.loads
+    place = _places([recording.name for recording in recordings], loads)
+    parts: dict[int, tuple[Array, Array, float]] = {}
+    for index in np.unique(place):
+        own = np.flatnonzero(place == index).tolist()
+        parts |= dict(zip(own, _answers(recordings[index], [loads[number] for number in own]), strict=True))
+    change, sd, within = (np.stack([parts[number][index] for number in range(len(loads))]) for index in (0, 1, 2))
+    pressure, pressure_sd = _specified(known, scene)
+    felt = pressure != 0
+    for number, cells in enumerate(felt):
+        if not cells.any():
             raise InputError(f"load {number + 1}: its foot misses the film of every cell")
-    for numbers in (numbers for _, numbers in of_each):
-        _check_apart([(number, known.loads[number].frames, pressure[order.index(number)]) for number in numbers])
+    begin, end = np.array([load.frames for load in loads]).T
+    overlap = np.maximum(begin[:, None], begin) <= np.minimum(end[:, None], end)
+    together = (place[:, None] == place) & overlap
+    for one, two in np.argwhere(np.triu(together, 1)):
+        if np.any(felt[one] & felt[two]):
+            raise InputError(f"loads {one + 1} and {two + 1} lie on the same cells in the same frames: give one line")
     water = water_pressure(scene.panel, scene.water)
     base = scene.response or PUBLISHED
-    flat = [values.reshape(len(order), -1) for values in (change, sd, pressure, pressure_sd)]
+    flat = [values.reshape(len(loads), -1) for values in (change, sd, pressure, pressure_sd)]
     loaded = Loaded(flat[0], flat[1], flat[2], flat[3], water.ravel(), base)
     fitted = fit_loads(loaded)
     if not fitted.touched.any():
@@ -105,34 +113,17 @@ def calibrate_loads(recordings: Sequence[Recording], known: KnownLoads, toleranc
             f"the loads make a curve that no film has ({error}): is mass_g in gram, force_newton in newton, and "
             "diameter_mm the diameter in mm?"
         ) from error
-    within = np.concatenate([part[2] for part in parts])
+    beside = _beside(change, felt, pressure_sd, together)
     warnings = (
-        *_named("{} answers otherwise than the others let expect: is its weight right?", order, _odd_ones(loaded)),
+        *_named("{} answers otherwise than the others let expect: is its weight right?", _odd_ones(loaded)),
         *_unlike_first_guess(fitted, pressure, base),
-        *_named(
-            "readings change within the frames of {}: were they put on or taken off then?", order, within > CHANGED
-        ),
+        *_named("readings change within the frames of {}: were they put on or taken off then?", within > CHANGED),
         *_named(
             "cells beside the foot of {} answer as those under it: are places, frames and diameter_mm right?",
-            order,
-            _beside(change, pressure, pressure_sd, [known.loads[number] for number in order]) > BESIDE,
+            beside > BESIDE,
         ),
     )
-    return LoadCalibration(replace(scene, response=response), fitted, len(order), warnings)
-
-
-def _check_apart(loads: Sequence[tuple[int, tuple[int, int], Array]]) -> None:
-    """Raise InputError where two loads of one recording, (number, frames, pressure), lie on the same cell at once."""
-    for (other, others, pressed), (number, frames, pressure) in combinations(loads, 2):
-        if _together(others, frames) and np.any((pressure != 0) & (pressed != 0)):
-            raise InputError(
-                f"loads {other + 1} and {number + 1} lie on the same cells in the same frames: give one line"
-            )
-
-
-def _together(one: tuple[int, int], other: tuple[int, int]) -> bool:
-    """Whether the first and last frames of two loads overlap."""
-    return max(one[0], other[0]) <= min(one[1], other[1])
+    return LoadCalibration(replace(scene, response=response), fitted, len(loads), warnings)
 
 
 def _odd_ones(loaded: Loaded) -> NDArray[np.bool_]:
@@ -162,52 +153,55 @@ def _unlike_first_guess(fitted: Fitted, pressure: Array, base: Response) -> list
     ]
 
 
-def _beside(change: Array, pressure: Array, pressure_sd: Array, loads: Sequence[KnownLoad]) -> Array:
+def _beside(change: Array, felt: NDArray[np.bool_], pressure_sd: Array, together: NDArray[np.bool_]) -> Array:
     """(loads) the largest answer of cells beside a foot over the median one under it; 0 where nothing is beside."""
-    found = np.zeros(len(loads))
-    for number, load in enumerate(loads):
-        same = [other.recording == load.recording and _together(other.frames, load.frames) for other in loads]
-        beside = ((pressure[same] == 0) & (pressure_sd[same] == 0)).all(axis=0)
-        under = np.nanmedian(np.abs(change[number][pressure[number] != 0]))
+    found = np.zeros(len(change))
+    for number, same in enumerate(together):
+        beside = (~felt[same] & (pressure_sd[same] == 0)).all(axis=0)
+        under = np.nanmedian(np.abs(change[number][felt[number]]))
         if beside.any() and under > 0:
             found[number] = float(np.nanmax(np.abs(change[number][beside]))) / under
     return found
 
 
-def _named(sentence: str, order: Sequence[int], which: NDArray[np.bool_]) -> list[str]:
+def _named(sentence: str, which: NDArray[np.bool_]) -> list[str]:
     """The sentence with the loads that it is about; none where it is about none."""
-    numbers = sorted(order[int(at)] + 1 for at in np.flatnonzero(which))
+    numbers = (np.flatnonzero(which) + 1).tolist()
     if not numbers:
         return []
-    more = f" and {len(numbers) - 5} more" if len(numbers) > 5 else ""
-    name = f"load {numbers[0]}" if len(numbers) == 1 else f"loads {', '.join(map(str, numbers[:5]))}{more}"
+    more = f" and {len(numbers) - MOST_NAMED} more" if len(numbers) > MOST_NAMED else ""
+    name = f"load {numbers[0]}" if len(numbers) == 1 else f"loads {', '.join(map(str, numbers[:MOST_NAMED]))}{more}"
     return [sentence.format(name)]
 
 
-def _by_recording(recordings: Sequence[Recording], known: KnownLoads) -> list[tuple[Recording, list[int]]]:
-    """Each recording with the numbers of its loads; those without loads left out."""
-    names = [recording.name for recording in recordings]
-    found: dict[int, list[int]] = {}
-    for number, load in enumerate(known.loads):
+def _places(names: Sequence[str], loads: Sequence[KnownLoad]) -> NDArray[np.intp]:
+    """The index of each load's recording."""
+    found = []
+    for number, load in enumerate(loads):
         name = load.recording.removesuffix(".h5")
         if not name and len(names) > 1:
             raise InputError(f"load {number + 1}: with {len(names)} recordings it must name its own")
         if name and names.count(name) != 1:
             raise InputError(f"load {number + 1}: there is no recording {name} among {', '.join(names)}")
-        found.setdefault(names.index(name) if name else 0, []).append(number)
-    return [(recordings[index], numbers) for index, numbers in sorted(found.items())]
+        found.append(names.index(name) if name else 0)
+    return np.array(found, dtype=np.intp)
 
 
-def _answers(recording: Recording, loads: Sequence[KnownLoad]) -> tuple[Array, Array, Array]:
-    """ln(r/r0) (loads, rows, columns), mean over each load's frames, its standard deviation, and (loads) its change."""
+def _answers(recording: Recording, loads: Sequence[KnownLoad]) -> list[tuple[Array, Array, float]]:
+    """ln(r/r0) (rows, columns), mean over each load's frames, its standard deviation, and its change within them."""
     for load in loads:
         if load.frames[1] >= len(recording.role):
             raise InputError(
                 f"{recording.name}: there is no frame {load.frames[1]}, its frames are 0 to {len(recording.role) - 1}"
             )
     found = reconstruct(recording, Estimator((Misfit(),), "reduced"))
-    logarithm, sd = _logarithms(found)
-    parts = []
+    known = log_change(found)
+    if known is None:
+        raise InputError(
+            f"{recording.name}: its estimates have no error bars, without which loads calibrate nothing; the "
+            "scene must name the readout, and the panel have at most 600 cells"
+        )
+    (logarithm, sd), parts = known, []
     for load in loads:
         inside = (found.frame >= load.frames[0]) & (found.frame <= load.frames[1])
         if inside.sum() < load.frames[1] - load.frames[0] + 1:
@@ -220,36 +214,20 @@ def _answers(recording: Recording, loads: Sequence[KnownLoad]) -> tuple[Array, A
         row, column = divmod(int(np.argmax(np.abs(mean))), mean.shape[1])
         moved = float(np.ptp(logarithm[solved, row, column]))
         noticed = moved > CLEARLY * float(np.median(sd[solved, row, column]))
-        within = np.array(moved / max(abs(float(mean[row, column])), 1e-300) if noticed else 0.0)
+        within = moved / max(abs(float(mean[row, column])), 1e-300) if noticed else 0.0
         parts.append((mean, np.sqrt((sd[solved] ** 2).mean(axis=0)), within))
-    change, error, within_frames = (np.stack([part[index] for part in parts]) for index in (0, 1, 2))
-    return change, error, within_frames
+    return parts
 
 
-def _logarithms(found: Estimates) -> tuple[Array, Array]:
-    """ln(r/r0) without what warmth does, and its standard deviation; (frames, rows, columns)."""
-    lower, upper = found.relative_change_lower, found.relative_change_upper
-    if lower is None or upper is None:
-        raise InputError(
-            f"{found.recording.name}: its estimates have no error bars, without which loads calibrate nothing; the "
-            "scene must name the readout, and the panel have at most 600 cells"
-        )
-    warmth = found.recording.scene.temperature
-    with np.errstate(divide="ignore"):
-        width = np.log1p(upper / 100) - np.log1p(lower / 100)
-    ratio = np.log(found.cell_resistance / found.baseline_resistance)
-    return ratio - (0.0 if warmth is None else warmth.logarithm), width / (2 * NORMAL_95)
-
-
-def _specified(loads: Sequence[KnownLoad], known: KnownLoads, scene: Scene) -> tuple[Array, Array]:
+def _specified(known: KnownLoads, scene: Scene) -> tuple[Array, Array]:
     """(loads, rows, columns) kPa of the loads, and by how much their places leave it open."""
     panel, away = scene.panel, known.place_mm
     patch = FILM_SHARE * panel.pitch_mm if known.patch_mm is None else known.patch_mm
-    pressure = np.stack([load.pressure(panel, patch) for load in loads])
+    pressure = np.stack([load.pressure(panel, patch) for load in known.loads])
     if not away:
         return pressure, np.zeros_like(pressure)
     across, down = (
-        np.stack([load.pressure(panel, patch, *step) - load.pressure(panel, patch, *back) for load in loads]) / 2
+        np.stack([load.pressure(panel, patch, *step) - load.pressure(panel, patch, *back) for load in known.loads]) / 2
         for step, back in (((away, 0.0), (-away, 0.0)), ((0.0, away), (0.0, -away)))
     )
     return pressure, np.hypot(across, down)
