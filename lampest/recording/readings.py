@@ -58,11 +58,8 @@ class StandIn:
 
 
 def _polished(rest: Array) -> tuple[Array, Array]:
-    """(m + a_j + b_k, variance of the effects of lines of which nothing is known), any shape + (rows, columns).
-
-    Median polish of log y, NaN where unknown; an unknown line has the mean of the others, and 0 stands where nothing is
-    known. Source: Tukey, Exploratory Data Analysis, 1977, chapter 11.
-    """
+    """Median polish of log y: (m + a_j + b_k, variance of effects of unknown lines), any shape + (rows, columns)."""
+    # Source: Tukey, Exploratory Data Analysis, 1977, chapter 11.
     unknown = np.isnan(rest)
     level = _median(rest, (-2, -1))
     rest = rest - level
@@ -323,10 +320,7 @@ def _noise(scene: Scene, recorded: Array, sigma: Array | None) -> Array | None:
 
 
 def _within_rails(scene: Scene, recorded: Array) -> tuple[Array, Array]:
-    """Values put within the converter's rails, and the side on which those beyond them bound the truth.
-
-    Without a converter only infinity is beyond a rail; its value is not known here and stays infinite.
-    """
+    """Values put within the converter's rails, and the side on which those beyond them bound the truth."""
     side = np.zeros(recorded.shape)
     least, largest = (0.0, np.inf) if scene.readout is None else scene.readout.rails()
     side[recorded < least], side[recorded > largest] = AT_MOST, AT_LEAST

@@ -17,7 +17,7 @@ from lampest.files.document import parse_document, validated
 from lampest.files.errors import InputError
 from lampest.files.process import check_memory
 from lampest.files.typed import Validated
-from lampest.panel.panel import Array, as_panels_have
+from lampest.panel.panel import Array, Panel, as_panels_have
 from lampest.panel.readouts import Readout, TwoPointReadout
 from lampest.panel.scene import Scene, scene_text
 from lampest.recording.acquisition import Acquisition, undamaged_frames
@@ -113,10 +113,7 @@ class Recording(Validated):
         )
 
     def _check_unit(self) -> None:
-        """Raise InputError where kohm were meant: all readings are below the resistance in series, without raw sums.
-
-        A thousand times as large, the converter resolves them: the median lies eight codes or more from either rail.
-        """
+        """Raise InputError where kohm were meant: all readings are below the resistance in series, without raw sums."""
         circuit, plain = self.scene.circuit, self.recorded[np.isfinite(self.recorded) & (self.recorded > 0)]
         if not isinstance(circuit, TwoPointReadout) or self.raw_sums is not None or not plain.size:
             return
@@ -244,13 +241,12 @@ class Recording(Validated):
     def _frames_group(self, entry: h5py.Group, name: str, signal: str) -> h5py.Group:
         group = entry.create_group(name)
         hdf5.set_attributes(group, NX_class="NXdata", signal=signal, axes=["time", "row", "column"])
-        rows, columns = self.scene.panel.shape
         hdf5.write_scale(group, "time", self.time, "s", "time of the frame")
-        hdf5.write_scale(group, "row", np.arange(rows), "1", "row line")
-        hdf5.write_scale(group, "column", np.arange(columns), "1", "column line")
-        x, y = self.scene.panel.centres_mm()
-        hdf5.write_dataset(group, "y", y, "mm", "position of the row", ("row",))
-        hdf5.write_dataset(group, "x", x, "mm", "position of the column", ("column",))
+        for name, (axis, values, units, long_name) in coordinates(self.scene.panel).items():
+            if name == axis:
+                hdf5.write_scale(group, name, values, units, long_name)
+            else:
+                hdf5.write_dataset(group, name, values, units, long_name, (axis,))
         return group
 
     @cached_property
@@ -294,6 +290,17 @@ def _check_held(file: h5py.File, signal: str, *others: str) -> None:
     held = sum(prod(hdf5.shape_of(file, path)) for path in others if hdf5.has(file, path))
     what = f"{file.filename}: {shape[0]} frames of {prod(shape[1:])} cells at once"
     check_memory(8.0 * (WORK * prod(shape) + held), what)
+
+
+def coordinates(panel: Panel) -> dict[str, tuple[str, NDArray[Any], str, str]]:
+    """row, column, y and x → (axis, values, unit, long name), as files and labelled arrays have them."""
+    (rows, columns), (x, y) = panel.shape, panel.centres_mm()
+    return {
+        "row": ("row", np.arange(rows), "1", "row line"),
+        "column": ("column", np.arange(columns), "1", "column line"),
+        "y": ("row", y, "mm", "position of the row"),
+        "x": ("column", x, "mm", "position of the column"),
+    }
 
 
 def group_of(circuit: Readout) -> str:

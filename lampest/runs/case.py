@@ -14,7 +14,8 @@ from lampest.files.errors import InputError, extra
 from lampest.files.typed import Validated
 from lampest.panel.panel import Array, beyond_any_panel
 from lampest.panel.scene import Scene, scene_text
-from lampest.runs.columns import CELLS, COLUMNS, FIGURES, FRAME, FRAMES, MAPS, MEASURED, TIME, Column, all_columns
+from lampest.recording.recording import coordinates
+from lampest.runs.columns import COLUMNS, FIGURES, FRAME, FRAMES, MAPS, MEASURED, TIME, Column, all_columns
 
 if TYPE_CHECKING:
     from pandas import DataFrame as DataFrame
@@ -305,8 +306,14 @@ def dataset_of(case: CaseResult, columns: Sequence[Column]) -> Dataset:
     }
     for folder in FIGURES:
         for name, values in getattr(case, folder.name).items():
-            variables[f"{folder.folder}_{name}"] = FRAMES, values, _said(folder.units(name), folder.long_name(name))
-    return Dataset(variables, _coordinates(case), about(case))
+            told = {"units": folder.units(name), "long_name": folder.long_name(name)}
+            variables[f"{folder.folder}_{name}"] = FRAMES, values, told
+    axes: dict[str, Any] = {
+        column.name: (FRAMES, case.column(column.name), column.attributes) for column in (TIME, FRAME)
+    }
+    for name, (axis, values, units, long_name) in coordinates(case.scene.panel).items():
+        axes[name] = (axis, values, {"units": units, "long_name": long_name})
+    return Dataset(variables, axes, about(case))
 
 
 def table_of(case: CaseResult, columns: Sequence[Column]) -> DataFrame:
@@ -319,9 +326,7 @@ def table_of(case: CaseResult, columns: Sequence[Column]) -> DataFrame:
 
     held = dict(_held(case, columns))
     sizes = dict(zip(MAPS, case.measured.shape, strict=True))
-    lines = {axis: _lines(np.arange(sizes[axis]), (axis,), sizes) for axis in CELLS}
-    x, y = case.scene.panel.centres_mm()
-    lines |= {"y": _lines(y, CELLS[:1], sizes), "x": _lines(x, CELLS[1:], sizes)}
+    lines = {name: _lines(values, (axis,), sizes) for name, (axis, values, *_) in coordinates(case.scene.panel).items()}
     first = {column.name: _lines(held.pop(column), FRAMES, sizes) for column in (TIME, FRAME)} | lines
     table = DataFrame(first | {column.label: _lines(values, column.axes, sizes) for column, values in held.items()})
     table.attrs = about(case) | {
@@ -342,22 +347,6 @@ def _lines(values: Any, axes: tuple[str, ...], sizes: Mapping[str, int]) -> NDAr
     """Values over some of the axes, one for every cell of every frame, in that order."""
     shape = [sizes[axis] if axis in axes else 1 for axis in MAPS]
     return np.broadcast_to(np.reshape(values, shape), list(sizes.values())).ravel()
-
-
-def _coordinates(case: CaseResult) -> dict[str, Any]:
-    x, y = case.scene.panel.centres_mm()
-    return {
-        "time": (FRAMES, case.time, _said(TIME.units, TIME.long_name)),
-        "frame": (FRAMES, case.frame, _said(FRAME.units, FRAME.long_name)),
-        "row": ("row", np.arange(len(y)), _said("1", "row line")),
-        "column": ("column", np.arange(len(x)), _said("1", "column line")),
-        "y": ("row", y, _said("mm", "position of the row")),
-        "x": ("column", x, _said("mm", "position of the column")),
-    }
-
-
-def _said(units: str, long_name: str) -> dict[str, str]:
-    return {"units": units, "long_name": long_name}
 
 
 def about(case: CaseResult) -> dict[str, Any]:

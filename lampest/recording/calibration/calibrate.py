@@ -178,16 +178,14 @@ def _offsets(fit: CircuitFit, side: Side, off: Array, slopes: Array, measured: N
 
 
 def _check_fit(fit: CircuitFit) -> None:
-    """Raise InputError where the readings are not those of the known resistors behind any such circuit.
-
-    χ² over its freedom follows Fisher's distribution, because σ itself is known from as many repeats only.
-    """
+    """Raise InputError where the readings are not those of the known resistors behind any such circuit."""
     trials = fit.problem.trials
     for trial in trials:
         _check_open_lines(fit, trial)
     if fit.freedom < 0 or not fit.readings:
         many = "nothing was read across a known resistor" if not fit.readings else f"only {fit.readings} readings"
         raise InputError(f"{trials[0].name}: no calibration: {many}; join lines by more known resistors")
+    # σ itself is known from as many repeats only: χ² over its freedom follows Fisher's distribution.
     freedom, repeated = max(fit.freedom, 1), sum(trial.readings.freedom for trial in trials)
     if fisher.sf(fit.chi_square / freedom, freedom, repeated) < BY_CHANCE:
         off = np.abs(fit.rest) / fit.sigma
@@ -217,11 +215,7 @@ def _check_open_lines(fit: CircuitFit, trial: Trial) -> None:
 
 
 def _check_number(fit: CircuitFit, found: Found) -> None:
-    """Raise InputError where the readings do not tell a number, or it is none that such electronics have.
-
-    A recording of equal cells looks like one of a larger series resistance in all else: channels alone have at most
-    what the worst ones have, or as much above the scene's.
-    """
+    """Raise InputError where the readings do not tell a number, or it is none that such electronics have."""
     number, channels = found.number, len(found.lines)
     where = f"{fit.problem.trials[0].name}: no calibration: "
     enough = ENOUGH.get(number.name, WORST_OHM - TYPICAL_OHM if number.channel else 0.0)
@@ -230,6 +224,7 @@ def _check_number(fit: CircuitFit, found: Found) -> None:
             f"{where}the readings do not tell {number.name} ({found.value:.4g} ± {found.sigma:.2g} {number.unit}); "
             f"known resistors of different values, on more lines, do"
         )
+    # Equal cells look like a larger series resistance: channels have at most what the worst have, or as much above it.
     specified = fit.problem.circuit.specified(number)
     most = max(channels * WORST_OHM, specified + channels * (WORST_OHM - TYPICAL_OHM))
     if number.in_scene and number.channel and found.value - SURE * found.sigma > most:

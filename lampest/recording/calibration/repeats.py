@@ -121,11 +121,8 @@ def _kept(recording: Recording, readout: Readout, volt: Array, other: int) -> ND
 
 
 def _check_steady(recording: Recording, readout: Readout, rest: Array) -> None:
-    """Raise InputError where deviations (LSB) from the mean stay from one frame to the next, as noise does not.
-
-    Half the mean squared difference of successive frames is the variance of noise; of what moves slowly it is less.
-    Source: von Neumann, Annals of Mathematical Statistics 12(4), 1941.
-    """
+    """Raise InputError where deviations (LSB) from the mean stay from one frame to the next, as noise does not."""
+    # Source: von Neumann, Annals of Mathematical Statistics 12(4), 1941.
     if len(rest) < FEWEST_FRAMES:
         return
     total = float((rest**2).sum()) / (len(rest) - 1)

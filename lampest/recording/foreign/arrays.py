@@ -84,10 +84,8 @@ def _of_npz(path: Path) -> ArraysByName:
 
 
 def _of_mat(path: Path) -> ArraysByName:
-    """Arrays in MATLAB's shape, in the file's order; texts, structures, cells and complex arrays are left out.
-
-    Damaged files end SciPy's reader in a segmentation fault. Source: MATLAB, MAT-File Format, 2020.
-    """
+    """Arrays in MATLAB's shape, in the file's order; texts, structures, cells and complex arrays are left out."""
+    # Source: MATLAB, MAT-File Format, 2020. Damaged files end SciPy's reader in a segmentation fault.
     data = path.read_bytes()
     if data.startswith((b"MATLAB 7.3", b"\x89HDF")):
         return _of_level_7(path)

@@ -140,10 +140,7 @@ def _delimiter(lines: Sequence[str]) -> str:
 
 
 def _fields(path: Path, lines: Sequence[_Line], delimiter: str) -> tuple[NDArray[Any], NDArray[np.intp]]:
-    """(lines, fields) stripped texts, and how many fields each line has.
-
-    Raises InputError with the line where quotation marks do not pair, or more fields stand than are imported.
-    """
+    """(lines, fields) stripped texts, and how many fields each line has."""
     split, total, width = list[list[str]](), 0, 0
     for line in lines:
         split.append(_split(path, line, delimiter))

@@ -133,10 +133,7 @@ def _panel(rows: int | None, columns: int | None, scene: Scene | None) -> Panel:
 
 
 def _frames(path: Path, panel: Panel, transpose: bool, variable: str | None, layout: str | None) -> Frames:
-    """The file's frames over the panel; where it does not hold all crossings, one value for each cell of the list.
-
-    At a crossing without a cell only a positive number is a reading.
-    """
+    """The file's frames over the panel; where it does not hold all crossings, one value for each cell of the list."""
     try:
         frames = _read_frames(path, panel.shape[::-1] if transpose else panel.shape, variable, layout)
     except InputError:

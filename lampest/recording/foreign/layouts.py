@@ -154,10 +154,7 @@ def _indices(table: ForeignTable, field: int) -> NDArray[np.int64]:
 
 
 def _frames_of_single_values(table: ForeignTable, shape: Shape, order: dict[str, int]) -> Frames:
-    """Frames from lines that hold row, column and value, and the frame's number or time; what has no line is missing.
-
-    Raises InputError where an index is none or beyond the panel, or a cell comes twice in a frame.
-    """
+    """Frames from lines that hold row, column and value, and the frame's number or time; others are missing."""
     table.checked([order["value"]])
     rows, columns, first = _cells_of_lines(table, order, shape)
     frames, how = _frame_numbers(table, rows * shape[1] + columns, order)
@@ -189,10 +186,7 @@ def _frames_of_single_values(table: ForeignTable, shape: Shape, order: dict[str,
 def _cells_of_lines(
     table: ForeignTable, order: dict[str, int], shape: Shape
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], int]:
-    """Row and column of all lines from 0, and where the file counts from; one field may name or number the cell.
-
-    Raises InputError for the first that is beyond the panel.
-    """
+    """Row and column of all lines from 0, and where the file counts from; one field may name or number the cell."""
     shift = 0
     if {"row", "column"} <= set(order):
         rows, columns = _indices(table, order["row"]), _indices(table, order["column"])
@@ -247,10 +241,7 @@ Block = tuple[int, list[int]]
 
 
 def _frames_in_blocks(table: ForeignTable, shape: Shape) -> Frames:
-    """Frames from lines that hold a row each, with the row's name or the time before it where there is one field more.
-
-    Raises InputError where a block has more lines than the panel has rows.
-    """
+    """Frames from lines that hold a row each; one field more is the row's name or the time."""
     titles = ""
     if table.width > 2 and np.any(table.counts == 1) and np.any(table.counts > 1):
         table, titles = table.only(table.counts > 1), "; a number alone in a line is taken as a title"
@@ -329,10 +320,7 @@ def _labelled_blocks(table: ForeignTable, labels: NDArray[np.int64]) -> tuple[li
 
 
 def _blocks(table: ForeignTable, rows: int) -> tuple[list[Block], str, str | None]:
-    """The frames, a sentence on those that are not whole and on lines that were skipped, and the kind of their titles.
-
-    Lines between frames are of the kind that leaves most frames whole; what else stands between rows is skipped.
-    """
+    """The frames, a sentence on those that are cut and on lines that were skipped, and the kind of their titles."""
     groups, title = _grouped(table, rows)
     blocks: list[Block] = []
     said: list[str] = []
@@ -353,10 +341,7 @@ def _blocks(table: ForeignTable, rows: int) -> tuple[list[Block], str, str | Non
 
 
 def _grouped(table: ForeignTable, rows: int) -> tuple[list[list[int]], str | None]:
-    """Lines frame by frame, and the kind of what stands between frames; None: anything, or nothing.
-
-    Raises InputError where all blocks have as many lines as another panel has rows.
-    """
+    """Lines frame by frame, and the kind of what stands between frames; None: anything, or nothing."""
     kinds = table.kinds_before
     apart = [line for line in range(1, len(kinds)) if kinds[line]]
     often = Counter(kind for line in apart for kind in kinds[line])

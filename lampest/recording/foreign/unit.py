@@ -105,10 +105,7 @@ def _by_steps(finite: Array, units: Sequence[str], readout: Readout) -> tuple[li
 
 
 def _on_steps(finite: Array, unit: str, readout: Readout) -> bool | None:
-    """Whether values, were they in this unit, are means of the converter's codes; None where that cannot be seen.
-
-    V = (Σ code/readings + 0 or ½)·Vcc/2^bits, or by the steps of Vcc/(2^bits − 1) that many programs take.
-    """
+    """Whether values, were they in this unit, are means of the converter's codes; None where that cannot be seen."""
     values = np.unique(finite)
     ends = [(values + sign * _rounding(values)) * FACTORS[unit] for sign in (-1, 0, 1)]
     if unit in RESISTANCES:
@@ -119,7 +116,7 @@ def _on_steps(finite: Array, unit: str, readout: Readout) -> bool | None:
     half = np.abs(high - low) / 2
     if len(values) < DISTINCT or np.median(half) * VISIBLE > readout.lsb_volt / readout.readings:
         return None
-    for steps in (2.0**readout.adc_bits, 2.0**readout.adc_bits - 1):
+    for steps in (2.0**readout.adc_bits, 2.0**readout.adc_bits - 1):  # many programs take the latter
         scale = steps / readout.supply_volt * readout.readings
         for offset in (0.0, 0.5):
             sums = volt * scale - offset * readout.readings

@@ -211,10 +211,7 @@ def raw_sums(readout: Readout | None, sums: NDArray[np.int64] | None) -> NDArray
 
 
 def _disturbed(readout: Readout, volt: Array, unmodelled: Unmodelled, seed: int, period_s: float) -> Array:
-    """V·(1 + gain) + ripple + INL(V), (frames, rows, columns) volt at the converter; period_s : between frames.
-
-    Ripple: sin(2πft + φ), t in the order of the scan, φ that of the frame. INL: a few sines, 0 at both ends.
-    """
+    """V·(1 + gain) + ripple + INL(V), (frames, rows, columns) volt at the converter; period_s : between frames."""
     if unmodelled.gain_spread:
         gain = unmodelled.gain_spread * random_stream(seed, "gain").standard_normal(len(volt))
         volt = volt * (1 + gain[:, None, None])

@@ -244,10 +244,7 @@ def _read_published(file: h5py.File) -> dict[str, PublishedFigures]:
 
 
 def _stored_scene(file: h5py.File, base: str, measured: str) -> Scene:
-    """The scene of a recording's group. Raises InputError where it is damaged or impossible.
-
-    measured : the dataset of the readings, whose shape says the panel's where a file has no scene.
-    """
+    """The scene of a recording's group. Raises InputError where it is damaged or impossible."""
     if not hdf5.has(file, f"{base}/scene"):
         return _from_attributes(file, base, hdf5.read_array(file, measured, 3).shape[1:])
     document = parse_document(hdf5.read_text(file, f"{base}/scene"), f"{file.filename}:{base}/scene")

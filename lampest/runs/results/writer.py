@@ -13,10 +13,10 @@ from lampest.files import hdf5
 from lampest.files.errors import InputError
 from lampest.files.parts import copy_group, join_parts
 from lampest.files.typed import Configuration, check_not_negative, typed
-from lampest.panel.panel import Array
 from lampest.panel.scene import Scene, SeriesPerLine, scene_text
+from lampest.recording.recording import coordinates
 from lampest.runs.case import SENTENCES, SHARED, CaseResult, StoredCase
-from lampest.runs.columns import CELLS, FIGURES, FRAME, FRAMES, MAPS, MEASURED, TIME, Column, Figures, all_columns
+from lampest.runs.columns import FIGURES, FRAME, FRAMES, MAPS, MEASURED, TIME, Column, Figures, all_columns
 
 FORMAT = "results/1"
 POSITIONS = "y x"  # by this the CF conventions, and so xarray, know them for coordinates
@@ -165,19 +165,13 @@ def _write_recording(group: h5py.Group, order: int, cases: list[CaseResult], tab
     _write_datasets(given, cases[0], [column for column in table if column.shared and column != TIME])
     for number, case in enumerate(cases):
         estimate = _group_of_data(group, case.estimator, "cell_resistance")
-        hdf5.set_attributes(estimate, order=number, case_id=case.case_id, case=case.case_yaml)
-        hdf5.set_attributes(estimate, **{f"{library}_version": text for library, text in sorted(case.versions.items())})
-        hdf5.set_attributes(
-            estimate,
-            baseline_status=case.baseline_status,
-            baseline_solve_time_s=float(case.baseline_solve_time),
-            joint_start=np.uint8(case.joint_start),
-        )
-        sentences = {name: getattr(case, field) for name, field in SENTENCES.items()}
-        hdf5.set_attributes(estimate, **{name: sentence for name, sentence in sentences.items() if sentence})
-        if case.reading_error:
-            hdf5.set_attributes(estimate, reading_error=float(case.reading_error))
-        hdf5.set_attributes(estimate, **{f"frame_{name}": value for name, value in case.frame_noise.items()})
+        told: dict[str, Any] = {"order": number, "case_id": case.case_id, "case": case.case_yaml}
+        told |= {f"{library}_version": text for library, text in sorted(case.versions.items())}
+        told |= {"baseline_status": case.baseline_status, "baseline_solve_time_s": float(case.baseline_solve_time)}
+        told |= {"joint_start": np.uint8(case.joint_start)}
+        told |= {name: text for name, field in SENTENCES.items() if (text := getattr(case, field))}
+        told |= {"reading_error": float(case.reading_error)} if case.reading_error else {}
+        hdf5.set_attributes(estimate, **told, **{f"frame_{name}": noise for name, noise in case.frame_noise.items()})
         own = [*(column for column in table if not column.shared), FRAME]
         _write_datasets(estimate, case, own, FIGURES)
 
@@ -214,41 +208,25 @@ def _write_datasets(
     group: h5py.Group, case: CaseResult, columns: Sequence[Column], folders: Sequence[Figures] = ()
 ) -> None:
     """Axes, positions, columns and figures of a case in a group, and then which of them lie along which axes."""
-    _write_axes(group, case)
-    axes = _write_columns(group, case, columns)
-    for folder in folders:
-        axes |= _write_figures(group, folder, getattr(case, folder.name))
-    hdf5.attach_scales(group, {"y": CELLS[:1], "x": CELLS[1:]} | axes)
-
-
-def _write_axes(group: h5py.Group, case: CaseResult) -> None:
     hdf5.write_scale(group, TIME.path, np.asarray(case.time, dtype=float), TIME.units, TIME.long_name)
-    for axis, lines in zip(CELLS, case.scene.panel.shape, strict=True):
-        hdf5.write_scale(group, axis, np.arange(lines), "1", f"{axis} line")
-    x, y = case.scene.panel.centres_mm()
-    hdf5.write_dataset(group, "y", y, "mm", "position of the row")
-    hdf5.write_dataset(group, "x", x, "mm", "position of the column")
-
-
-def _write_columns(group: h5py.Group, case: CaseResult, columns: Sequence[Column]) -> dict[str, tuple[str, ...]]:
-    """Dataset → its axes, of those that were written."""
     axes: dict[str, tuple[str, ...]] = {}
+    for name, (axis, values, units, long_name) in coordinates(case.scene.panel).items():
+        if name == axis:
+            hdf5.write_scale(group, name, values, units, long_name)
+        else:
+            hdf5.write_dataset(group, name, values, units, long_name)
+            axes[name] = (axis,)
     for column in columns:
-        values = case.column(column.name)
-        if values is not None:
+        if (held := case.column(column.name)) is not None:
             seen: dict[str, Any] = {"coordinates": POSITIONS} if column.axes != FRAMES else {}
-            hdf5.write_dataset(group, column.path, column.stored(values), **column.attributes, **seen)
+            hdf5.write_dataset(group, column.path, column.stored(held), **column.attributes, **seen)
             axes[column.path] = column.axes
-    return axes
-
-
-def _write_figures(group: h5py.Group, folder: Figures, figures: Mapping[str, Array]) -> dict[str, tuple[str, ...]]:
-    """Dataset → its axes, of a folder."""
-    axes: dict[str, tuple[str, ...]] = {}
-    for name, values in figures.items():
-        path, data = f"{folder.folder}/{name}", np.asarray(values, dtype=float)
-        hdf5.write_dataset(group, path, data, folder.units(name), folder.long_name(name))
-        axes[path] = FRAMES
-    if figures:
-        hdf5.set_attributes(group[folder.folder], NX_class="NXcollection")
-    return axes
+    for folder in folders:
+        figures = getattr(case, folder.name)
+        for name, values in figures.items():
+            path, data = f"{folder.folder}/{name}", np.asarray(values, dtype=float)
+            hdf5.write_dataset(group, path, data, folder.units(name), folder.long_name(name))
+            axes[path] = FRAMES
+        if figures:
+            hdf5.set_attributes(group[folder.folder], NX_class="NXcollection")
+    hdf5.attach_scales(group, axes)
