@@ -18,7 +18,7 @@ from lampest.panel.scene import Faults
 from lampest.recording.board.record import record
 from lampest.recording.recording import MEASURED, UNLOADED
 from lampest.recording.simulation.measure import Unmodelled, measured
-from lampest.report.live.run import recorded_from_board
+from lampest.report.live.run import LiveBoard, recorded_from_board
 
 SHIPPED = Path(__file__).parents[2] / "data" / "lamprey_35mm.h5"
 
@@ -57,7 +57,9 @@ def test_live_and_the_file_agree_on_a_panel_with_a_dead_row(tmp_path: Path) -> N
     estimator, out = Estimator((Misfit(),), "reduced"), tmp_path / "r.h5"
     with bench(tmp_path, truth) as board:
         pictures = live_pictures(
-            estimator, 1, lambda engine: recorded_from_board(engine, board.port, out, broken, 1, None, 4)
+            estimator,
+            1,
+            lambda engine: recorded_from_board(engine, board.port, LiveBoard(None, broken, 1, None, out), 4),
         )
     found = reconstruct(Recording.load(out), estimator)
     assert [picture.status for picture in pictures] == ["optimum verified"] * 3

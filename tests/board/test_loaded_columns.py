@@ -20,7 +20,7 @@ from lampest.recording.board.protocol import Hello, Receiver, hello_body, messag
 from lampest.recording.board.record import record
 from lampest.recording.board.stream import declared_readout, scene_of
 from lampest.recording.recording import UNLOADED
-from lampest.report.live.run import recorded_from_board
+from lampest.report.live.run import LiveBoard, recorded_from_board
 
 WIRING = "loaded_columns"
 SHIPPED = Path(__file__).parents[2] / "data" / "lamprey_35mm.h5"
@@ -95,7 +95,9 @@ def test_live_and_the_file_agree(tmp_path: Path) -> None:
     known, estimator, out = loaded_scene(6, 7), Estimator((Misfit(),), "reduced"), tmp_path / "r.h5"
     with bench(tmp_path, truth, wiring=WIRING) as board:
         pictures = live_pictures(
-            estimator, 1, lambda engine: recorded_from_board(engine, board.port, out, known, 1, None, 4)
+            estimator,
+            1,
+            lambda engine: recorded_from_board(engine, board.port, LiveBoard(None, known, 1, None, out), 4),
         )
     found = reconstruct(Recording.load(out), estimator)
     assert [picture.status for picture in pictures] == ["optimum verified"] * 3

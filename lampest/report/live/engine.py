@@ -41,10 +41,6 @@ class Scan:
     arrived: float
     lost: int = 0
 
-    def readings(self, scene: Scene) -> Readings:
-        """As an estimator takes them. Raises InputError as `Readings.of`."""
-        return Readings.of(scene, self.recorded, self.sigma)
-
 
 @dataclass(frozen=True)
 class FrameSource:
@@ -119,7 +115,7 @@ class Engine:
         Raises InputError where one of them makes no readings.
         """
         try:
-            first, *others = (scan.readings(source.scene) for scan in unloaded)
+            first, *others = (Readings.of(source.scene, scan.recorded, scan.sigma) for scan in unloaded)
         except InputError as error:
             raise InputError(f"the unloaded panel is no baseline: {error}; check the scene's readout") from error
         every = first.together(*others)
@@ -217,7 +213,7 @@ def solved_scan(state: PanelState, scan: Scan, number: int, skipped: int) -> tup
     nothing, flags = np.full(scene.panel.shape, np.nan), np.zeros(scene.panel.shape, dtype=bool)
     picture = Picture(number, scan.time, scan.arrived, nothing, nothing, flags, UNKNOWN, "", 0.0, skipped)
     try:
-        readings = scan.readings(scene)
+        readings = Readings.of(scene, scan.recorded, scan.sigma)
     except InputError as error:
         return state, replace(picture, status=str(error))
     change = 100 * (readings.shown / state.stream.resting.shown - 1)

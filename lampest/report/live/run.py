@@ -96,8 +96,8 @@ def live(
     with (
         Engine(port if recording is None else recording.name, name, estimator, source.baseline, True) as engine,
         publishing(ways, engine.shown, on_trouble) as published,
-        recorder_of(source, engine) as recorder,
-        serving(*address(http), engine.shown, token, asked_of(engine, recorder)) as server,
+        recorder_of(source, engine) as (recorder, asks),
+        serving(*address(http), engine.shown, token, asks) as server,
     ):
         for where in (server.url, *published):
             on_url(where)
@@ -107,11 +107,9 @@ def live(
                 assert recording is not None
                 from_recording(engine, recording, source.speed, frames)
             elif recorder is not None:
-                from_board(engine, port, source.scene, source.period, frames, recorder.take)
+                from_board(engine, port, source, frames, recorder.take)
             else:
-                assert source.out is not None
-                known = source.out, source.scene, source.baseline, source.period
-                done = recorded_from_board(engine, port, *known, frames)
+                done = recorded_from_board(engine, port, source, frames)
             engine.finish()
         except InputError as error:
             engine.say(f"stopped: {error}")
@@ -124,26 +122,22 @@ def live(
 
 
 @contextmanager
-def recorder_of(source: LiveBoard | Replay, engine: Engine) -> Iterator[Recorder | None]:
-    """What the page's button records with, into the folder where lampest was begun; None where it has nothing to do."""
+def recorder_of(source: LiveBoard | Replay, engine: Engine) -> Iterator[tuple[Recorder | None, Asks]]:
+    """What the page's button records with, into the folder where lampest was begun, and what the page may ask for.
+
+    None where there is nothing to record: then the page may ask for a new zero alone.
+    """
     if isinstance(source, Replay) or source.out is not None:
-        yield None
+        yield None, Asks(engine.tare)
         return
     engine.say_of_recording("", False)
     with closing(Recorder(Path(), source.scene, source.baseline, engine.say_of_recording)) as recorder:
-        yield recorder
 
+        def tare() -> None:
+            recorder.zero()
+            engine.tare()
 
-def asked_of(engine: Engine, recorder: Recorder | None) -> Asks:
-    """What the page may ask for: a new zero, and a recording where there is something to record."""
-    if recorder is None:
-        return Asks(engine.tare)
-
-    def tare() -> None:
-        recorder.zero()
-        engine.tare()
-
-    return Asks(tare, recorder.ask)
+        yield recorder, Asks(tare, recorder.ask)
 
 
 def chosen(name: str | None, config: Path | None, settings: tuple[str, ...] = ()) -> tuple[str, Estimator]:
@@ -162,43 +156,32 @@ def chosen(name: str | None, config: Path | None, settings: tuple[str, ...] = ()
 
 
 def from_board(
-    engine: Engine,
-    url: str,
-    scene: Scene | None,
-    period: float | None,
-    frames: int | None,
-    on_sample: Callable[[Sample], None],
+    engine: Engine, url: str, board: LiveBoard, frames: int | None, on_sample: Callable[[Sample], None]
 ) -> None:
     """Every frame of a board, until `frames` have come or for ever; on_sample : given each of them, too.
 
     Raises InputError as `lampest.recording.board.stream.stream`.
     """
     engine.say(f"waiting for the board at {url}")
-    with closing(board_samples(url, scene, period, engine.say)) as samples:
+    with closing(board_samples(url, board.scene, board.period, engine.say)) as samples:
         for sample in islice((sample for batch in samples for sample in batch), frames):
-            take_sample(engine, sample, scene)
+            take_sample(engine, sample, board.scene)
             on_sample(sample)
 
 
-def recorded_from_board(
-    engine: Engine,
-    url: str,
-    out: Path,
-    scene: Scene | None,
-    baseline: int,
-    period: float | None,
-    frames: int | None,
-) -> Recorded:
-    """The same while every frame goes into the recording `out` first. Raises InputError as `record`."""
+def recorded_from_board(engine: Engine, url: str, board: LiveBoard, frames: int | None) -> Recorded:
+    """The same while every frame goes into the recording `board.out` first. Raises InputError as `record`."""
+    assert board.out is not None
     engine.say(f"waiting for the board at {url}")
 
     def on_progress(progress: Progress) -> None:
         if progress.sample is not None:
-            take_sample(engine, progress.sample, scene)
+            take_sample(engine, progress.sample, board.scene)
         elif progress.state:
             engine.say(progress.state)
 
-    return record(url, out, frames=frames, scene=scene, baseline=baseline, period=period, on_progress=on_progress)
+    scene, baseline, period = board.scene, board.baseline, board.period
+    return record(url, board.out, frames=frames, scene=scene, baseline=baseline, period=period, on_progress=on_progress)
 
 
 def take_sample(engine: Engine, sample: Sample, scene: Scene | None) -> None:

@@ -1,13 +1,13 @@
 """The page itself: everything put in order, and written as one HTML file that needs nothing else."""
 
-from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from lampest.files.whole import write_whole
-from lampest.report.compare import Table
 from lampest.report.page import pictures
 from lampest.report.page.batch import Batch, Subject, read_batch, without_copies
 from lampest.report.page.compared import Advice, Comparison, advise, compared, doubts
@@ -17,7 +17,6 @@ from lampest.report.page.template import SHARED, Illustration, filled
 from lampest.report.plots.style import verbatim
 from lampest.report.strongest import strongest_index
 from lampest.report.words import counted, digits, listed
-from lampest.runs.case import CaseResult
 from lampest.runs.executors import each_of
 
 MOST_WHOLE, MOST_DRAWN = 6, 6  # recordings with all figures, estimators in them
@@ -57,9 +56,12 @@ def report(batch: Batch, on_recording: Callable[[int, int], None] = lambda done,
     if advice.estimator is not None:
         taken = [own[advice.estimator] for own in found.values() if advice.estimator in own]
         advice = replace(advice, warnings=(*advice.warnings, *doubts(advice.estimator, taken)))
-    whole, drawn = shown_whole(batch, comparison, advice), shown_estimators(batch, comparison)
-    with verbatim():
-        shown = [] if comparison is None else pictures.standings(comparison)
+    whole, shown, first = shown_whole(batch, comparison, advice), list[Illustration](), list[str]()
+    if comparison is not None:
+        first = [row.estimator for row in comparison.standings]
+        with verbatim():
+            shown = pictures.standings(comparison)
+    drawn = [*dict.fromkeys((*first, *batch.estimators))][:MOST_DRAWN]
     tasks = [
         (subject, number, found[subject.name], drawn, subject.name in whole)
         for number, subject in enumerate(batch.subjects, 1)
@@ -77,8 +79,8 @@ def report(batch: Batch, on_recording: Callable[[int, int], None] = lambda done,
         units=comparison and few and unit_table(comparison),
         pictures_of_comparison=shown,
         together=batch_table(replace(batch, subjects=tuple(own)), found) if len(own) > 1 else None,
-        whole=[part for part in sections if part.name in whole],
-        others=[part for part in sections if part.name not in whole],
+        whole=[part for part in sections if part["name"] in whole],
+        others=[part for part in sections if part["name"] not in whole],
         shown=_shown(comparison, advice),
         most_whole=MOST_WHOLE,
         most_drawn=MOST_DRAWN,
@@ -89,56 +91,30 @@ def report(batch: Batch, on_recording: Callable[[int, int], None] = lambda done,
     )
 
 
-@dataclass(frozen=True)
-class Section:
-    """A recording. brief : a few words on its estimators. place : of the frame that maps show, in `case`.
+def _section(task: tuple[Subject, int, dict[str, Measures], Sequence[str], bool]) -> dict[str, Any]:
+    """What the template says of a recording: contours and a table; every other figure too where it is shown whole.
 
-    undecided : whether nobody knows where the estimators differ. failed : sentences.
+    task : the recording, its number, estimator → figures, the estimators that pictures show, whether it is shown whole.
     """
-
-    name: str
-    anchor: str
-    brief: str
-    case: CaseResult
-    place: int
-    table: Table
-    pictures: tuple[Illustration, ...]
-    undecided: bool
-    failed: tuple[str, ...]
-
-
-def section(
-    subject: Subject, number: int, found: Mapping[str, Measures], drawn: Collection[str], whole: bool
-) -> Section:
-    """Table and contours of one recording; every other figure too where it is shown whole.
-
-    found : estimator → its figures. drawn : the estimators that pictures show, of those that the recording has.
-    """
+    subject, number, found, drawn, whole = task
     cases = tuple(case for case in subject.cases if case.estimator in drawn) or subject.cases[:1]
-    place = strongest_index(cases)
-    shown, pairs = [pictures.contours(cases)], disagreements(cases) if whole else ()
-    if whole:
-        shown += [
-            *pictures.certainty(cases, place),
-            *pictures.misfits(cases, place),
-            *pictures.differences(cases, place, pairs),
-        ]
-    return Section(
-        subject.name,
-        f"recording-{number}",
-        _brief(found),
-        cases[0],
-        place,
-        recording_table(found),
-        tuple(shown),
-        whole and len(cases) > 1 and not pairs,
-        failures(found),
-    )
-
-
-def _section(task: tuple[Subject, int, dict[str, Measures], tuple[str, ...], bool]) -> Section:
+    place, pairs = strongest_index(cases), disagreements(cases) if whole else ()
     with verbatim():
-        return section(*task)
+        shown = [pictures.contours(cases)]
+        if whole:
+            shown += [*pictures.certainty(cases, place), *pictures.misfits(cases, place)]
+            shown += pictures.differences(cases, place, pairs)
+    return {
+        "name": subject.name,
+        "anchor": f"recording-{number}",
+        "brief": _brief(found),
+        "case": cases[0],
+        "place": place,
+        "table": recording_table(found),
+        "pictures": shown,
+        "undecided": whole and len(cases) > 1 and not pairs,
+        "failed": failures(found),
+    }
 
 
 def _brief(found: Mapping[str, Measures]) -> str:
@@ -171,12 +147,6 @@ def shown_whole(batch: Batch, comparison: Comparison | None, advice: Advice) -> 
     order = np.argsort(scores.values[:, scores.estimators.index(estimator)], kind="stable")
     middle = len(order) // 2
     return frozenset(scores.units[place] for place in (*order[:2], *order[middle - 1 : middle + 1], *order[-2:]))
-
-
-def shown_estimators(batch: Batch, comparison: Comparison | None) -> tuple[str, ...]:
-    """The estimators that figures of recordings show: the first ones by the criterion, else as they were named."""
-    standing = [] if comparison is None else [row.estimator for row in comparison.standings]
-    return tuple(dict.fromkeys((*standing, *batch.estimators)))[:MOST_DRAWN]
 
 
 def missing(batch: Batch) -> str:

@@ -12,7 +12,7 @@ from lampest.report.page.compared import Comparison, Standing
 from lampest.report.page.measures import Disagreement, weighted_residual
 from lampest.report.page.template import Illustration
 from lampest.report.plots.contours import ContourPlot
-from lampest.report.plots.curves import Forest, forest_figure, histogram_figure, paired_figure, profile_figure
+from lampest.report.plots.curves import forest_figure, histogram_figure, paired_figure, profile_figure
 from lampest.report.plots.maps import Scale, Tile, maps_figure, percent_scale, resolution_scale, signed_scale
 from lampest.report.plots.style import data_uri, short_title
 from lampest.report.strongest import percent_change
@@ -144,10 +144,7 @@ def standings(comparison: Comparison) -> list[Illustration]:
     quickest = comparison.times[0].estimator
     from_best = f"difference from {short_title(best)} [{criterion.difference_unit}]"
     times = f"time per frame, times that of {short_title(quickest)}"
-    forests = (
-        Forest(_lines(rows, float), from_best, 0.0, False),
-        Forest(_lines(comparison.times, exp), times, 1.0, True),
-    )
+    forests = ((_lines(rows, float), from_best, 0.0), (_lines(comparison.times, exp), times, 1.0))
     return [
         Illustration(
             data_uri(dots),

@@ -44,8 +44,8 @@ MOST_ACROSS = 7  # maps side by side, an inch wide each
 class ContourPlot(Plot):
     """Maps of one frame side by side: measured readings, each estimator's cell resistance, the truth.
 
-    All show the change against the unloaded panel in percent on one scale that is symmetric about zero. `frame` is an
-    index into the recording; without it `strongest_index` chooses. Source: paper, figure 8.
+    All show the change against the unloaded panel in percent on one scale that is symmetric about zero. Source: paper,
+    figure 8.
 
     >>> lampest.ContourPlot(frame=2).kind
     'contours'
@@ -124,7 +124,7 @@ class CertaintyPlot(Plot):
     """One frame, one column for each of the first seven estimators with error bars, three rows of maps:
 
     standard deviation of the cells [%], resolution, and, where the truth is known, the error in units of the
-    standard deviation. `frame` is an index into the recording; without it `strongest_index` chooses.
+    standard deviation.
 
     >>> lampest.CertaintyPlot().needs
     ('cell_resistance_errors', 'resolution')
@@ -177,8 +177,7 @@ def _finite(values: Array) -> Array:
 class ResistancePlot(Plot):
     """Maps of one frame: what was measured, the first six estimators' cells, the truth; r in ohm, dark where low.
 
-    For recordings without unloaded frames. `frame` is an index into the recording; without it `strongest_index`
-    chooses.
+    For recordings without unloaded frames.
     """
 
     kind: ClassVar[str] = "resistance"

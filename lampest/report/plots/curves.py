@@ -1,7 +1,6 @@
 """The report's curves: rows of cells with intervals, histograms of residuals, and estimators compared in pairs."""
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
 from math import ceil, floor, log10
 from statistics import NormalDist
 from typing import Any, Literal
@@ -16,11 +15,12 @@ from lampest.panel.panel import Array
 from lampest.report.plots.maps import ABREAST
 from lampest.report.plots.style import (
     BLUE,
+    HALF_INCH,
     ORANGE,
     SMALL_POINT,
     TEXT_POINT,
-    half_figure,
     labelled,
+    new_figure,
     plain_number,
     round_numbers,
     shared_legend,
@@ -37,7 +37,7 @@ def _grid(titles: Sequence[str], across: int, tall: float, room: float) -> tuple
     """A half figure, its grid, and its axes in order; numbers of columns below the lowest, what is left over hidden."""
     across = min(across, len(titles))
     down = ceil(len(titles) / across)
-    figure = half_figure(tall * down + room)
+    figure = new_figure(tall * down + room, HALF_INCH)
     grid = figure.subplots(down, across, squeeze=False, sharex=True, sharey=True)
     for number, axes in enumerate(grid.flat):
         axes.set_visible(number < len(titles))
@@ -169,7 +169,7 @@ def _plain_ticks(axis: Axis, low: float, high: float) -> None:
     _fixed_ticks(axis, ticks)
 
 
-def _lines(axes: Axes, across: Literal["x", "y"], label: str) -> None:
+def _label(axes: Axes, across: Literal["x", "y"], label: str) -> None:
     """Thin lines across an axis, and what it says."""
     axes.set(**{f"{across}label": label})
     getattr(axes, f"{across}axis").label.set_fontsize(TEXT_POINT)
@@ -179,7 +179,7 @@ def _lines(axes: Axes, across: Literal["x", "y"], label: str) -> None:
 
 def paired_figure(names: Sequence[str], values: Array, label: str) -> Figure:
     """values (units, estimators): a dot for each unit, lines join those of one unit, a bar marks the mean."""
-    figure = half_figure(2.6)
+    figure = new_figure(2.6, HALF_INCH)
     axes = figure.subplots()
     place = np.arange(len(names))
     shown = np.maximum(values, 0)
@@ -195,43 +195,39 @@ def paired_figure(names: Sequence[str], values: Array, label: str) -> Figure:
     slant: dict[str, Any] = {"rotation": 35, "ha": "right"} if sum(map(len, names)) > 40 else {}
     axes.set_xticks(place, [short_title(name) for name in names], **slant)
     axes.tick_params(labelsize=SMALL_POINT, which="both")
-    _lines(axes, "y", label)
+    _label(axes, "y", label)
     return figure
 
 
-@dataclass(frozen=True)
-class Forest:
-    """Lines of (name, value, lower, upper) beside a vertical one at the reference; label : of the axis, with unit."""
-
-    lines: Sequence[tuple[str, float, float, float]]
-    label: str
-    reference: float
-    logarithmic: bool
+Lines = Sequence[tuple[str, float, float, float]]  # name, value, lower and upper end
 
 
-def forest_figure(forests: Sequence[Forest]) -> Figure:
-    """Values with their intervals, forest below forest; filled where an interval excludes the reference."""
-    high = [0.2 * len(forest.lines) + 0.45 for forest in forests]
-    figure = half_figure(sum(high) + 0.3)
+def forest_figure(forests: Sequence[tuple[Lines, str, float]]) -> Figure:
+    """Values with their intervals, forest below forest; filled where an interval excludes the reference.
+
+    forests : lines, the label of their axis with its unit, and the reference: 1 of ratios, on a logarithmic axis.
+    """
+    high = [0.2 * len(lines) + 0.45 for lines, _, _ in forests]
+    figure = new_figure(sum(high) + 0.3, HALF_INCH)
     every = figure.subplots(len(forests), squeeze=False, height_ratios=high).flat
     for axes, forest in zip(every, forests, strict=True):
-        _forest(axes, forest)
+        _forest(axes, *forest)
     return figure
 
 
-def _forest(axes: Axes, forest: Forest) -> None:
-    if forest.logarithmic:
+def _forest(axes: Axes, lines: Lines, label: str, reference: float) -> None:
+    if reference:
         axes.set_xscale("log")
-    axes.axvline(forest.reference, color="black", lw=0.7)
-    for place, (_, value, lower, upper) in enumerate(forest.lines):
+    axes.axvline(reference, color="black", lw=0.7)
+    for place, (_, value, lower, upper) in enumerate(lines):
         axes.plot([lower, upper], [place, place], color=BLUE, lw=1.4)
-        held = lower <= forest.reference <= upper
-        axes.plot(value, place, "o", mec=BLUE, mfc="white" if held else BLUE, ms=4.5, mew=1.1)
-    axes.set_yticks(range(len(forest.lines)), [short_title(name, 30) for name, *_ in forest.lines])
-    axes.set_ylim(len(forest.lines) - 0.4, -0.6)
+        covered = lower <= reference <= upper
+        axes.plot(value, place, "o", mec=BLUE, mfc="white" if covered else BLUE, ms=4.5, mew=1.1)
+    axes.set_yticks(range(len(lines)), [short_title(name, 30) for name, *_ in lines])
+    axes.set_ylim(len(lines) - 0.4, -0.6)
     axes.tick_params(labelsize=SMALL_POINT)
-    if forest.logarithmic:
+    if reference:
         _plain_ticks(axes.xaxis, *axes.get_xlim())
     else:
         axes.xaxis.set_major_locator(MaxNLocator(6))
-    _lines(axes, "x", forest.label)
+    _label(axes, "x", label)

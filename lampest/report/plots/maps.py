@@ -22,7 +22,7 @@ from lampest.report.plots.style import (
     HALF_INCH,
     SMALL_POINT,
     TEXT_POINT,
-    half_figure,
+    new_figure,
     plain_number,
     round_numbers,
     short_title,
@@ -281,7 +281,7 @@ def maps_figure(tiles: Sequence[Tile], panel: Panel, scale: Scale) -> Figure:
     across = min(ABREAST, len(tiles))
     down = ceil(len(tiles) / across)
     tall = ((HALF_INCH - 0.45) / across - 0.12) * panel.rows / panel.columns
-    figure = half_figure(max(1.4, min(down * (tall + 0.36) + 0.85, 7.0)))
+    figure = new_figure(max(1.4, min(down * (tall + 0.36) + 0.85, 7.0)), HALF_INCH)
     grid = figure.subplots(down, across, squeeze=False, sharex=True, sharey=True)
     painter = MapPainter(panel, scale, point=SMALL_POINT + 0.5)
     painter.draw_all(grid, [replace(tile, title=short_title(tile.title)) for tile in tiles])

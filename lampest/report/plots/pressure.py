@@ -30,8 +30,7 @@ SHOWN = (-32.0, 132.0)
 class PressurePlot(Plot):
     """Three panels of one frame: pressure, half its 95 % interval, resistance against pressure with the response curve.
 
-    `frame` is an index into the recording; without it `strongest_index` chooses. Crosses mark cells whose pressure the
-    response leaves open.
+    Crosses mark cells whose pressure the response leaves open.
 
     >>> lampest.PressurePlot().apart
     True
