@@ -11,7 +11,7 @@ from typing import Annotated, Any
 import typer
 
 from lampest.cli import board, estimation, results, studies
-from lampest.cli.screen import INTERRUPTED, WRONG_INPUT, is_written, say
+from lampest.cli.screen import INTERRUPTED, WRONG_INPUT, is_written, say, warn
 from lampest.files.errors import InputError, extra
 from lampest.files.process import ONE_THREAD, ending_signals, libraries_to_the_log
 from lampest.files.whole import refuse_inputs, sparing
@@ -70,7 +70,7 @@ def _renamed(old: str, new: str) -> Callable[..., None]:
 
     @wraps(command)
     def called(**options: Any) -> None:
-        say(f"lampest: {old} is now: lampest {new}; the old word answers for one release more", to=sys.stderr)
+        warn(f"{old} is now: lampest {new}; the old word answers for one release more")
         command(**options | ({FLAGS[flag]: True} if flag else {}))
 
     return called
@@ -159,13 +159,13 @@ def main() -> None:
         with ending_signals(), libraries_to_the_log(), extra():
             _program()()
     except InputError as error:
-        say(f"lampest: {error}", to=sys.stderr)
+        warn(error)
         sys.exit(WRONG_INPUT)
     except MemoryError as error:
         said = " ".join(str(error).split()) or "no more is said"
-        say(f"lampest: more memory is needed than there is ({said})", to=sys.stderr)
+        warn(f"more memory is needed than there is ({said})")
         sys.exit(WRONG_INPUT)
     except SystemExit as end:
         if end.code == INTERRUPTED:
-            say("lampest: interrupted; what was finished is kept", to=sys.stderr)
+            warn("interrupted; what was finished is kept")
         raise

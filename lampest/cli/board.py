@@ -19,6 +19,7 @@ from lampest.cli.screen import (
     say,
     say_text,
     scene_of,
+    warn,
     written,
 )
 from lampest.files.errors import InputError
@@ -88,7 +89,7 @@ def record(
 def _count(count: int | None, frames: int | None) -> int | None:
     """--count, or what the release before called --frames, which elsewhere names frames."""
     if frames is not None:
-        say("lampest: --frames is now: --count; the old word answers for one release more", to=sys.stderr)
+        warn("--frames is now: --count; the old word answers for one release more")
     return frames if count is None else count
 
 
@@ -112,7 +113,6 @@ def calibrate(
 
     Every number comes with its uncertainty.
     """
-    from lampest.files.whole import write_whole
     from lampest.recording.calibration.calibrate import calibrate as calibrate_recordings
     from lampest.recording.calibration.calibrate import calibrated_scene_text, summary
     from lampest.recording.calibration.repeats import known_resistors
@@ -135,31 +135,32 @@ def calibrate(
     ]
     with progress("calibrating"):
         found = calibrate_recordings(recordings, tables, tolerance)
-    text = calibrated_scene_text(found)
-    if out is None:
-        say_text(text.removesuffix("\n"))
-        return
-    write_whole(out, text)
-    say(f"{summary(found)}: {out}")
-    if any(one.differ for one in found.found):
-        say("lampest: the lines differ by more than their noise; the scene's comments say how much", to=sys.stderr)
+    _scene_out(calibrated_scene_text(found), summary(found), out)
+    if out is not None and any(one.differ for one in found.found):
+        warn("the lines differ by more than their noise; the scene's comments say how much")
 
 
 def calibrate_film(files: list[Path], loads: Path, tolerance: float, out: Path | None) -> None:
     """Find the film's response from known loads and write it into a scene."""
     from lampest.estimate.load_calibration import calibrate_loads
-    from lampest.files.whole import write_whole
     from lampest.loads.known_loads import read_known_loads
     from lampest.recording.recording import Recording
 
     found = calibrate_loads([Recording.load(file) for file in files], read_known_loads(loads), tolerance)
     for warning in found.warnings:
-        say(f"lampest: {warning}", to=sys.stderr)
+        warn(warning)
+    _scene_out(found.text(), found.summary(), out)
+
+
+def _scene_out(text: str, summary: str, out: Path | None) -> None:
+    """Write a scene, or print it where no file is named."""
+    from lampest.files.whole import write_whole
+
     if out is None:
-        say_text(found.text().removesuffix("\n"))
-        return
-    write_whole(out, found.text())
-    say(f"{found.summary()}: {out}")
+        say_text(text.removesuffix("\n"))
+    else:
+        write_whole(out, text)
+        say(f"{summary}: {out}")
 
 
 def live(
@@ -208,7 +209,7 @@ def live(
             lambda url: say(f"{url}  (Ctrl-C ends)" if url.startswith("http") else url),
             tuple(assign or ()),
             publish or (),
-            lambda sentence: say(f"lampest: {sentence}", to=sys.stderr),
+            warn,
         )
     if done is not None:
         report_recorded(done)
@@ -219,22 +220,17 @@ def report_recorded(done: "Recorded") -> None:
     noise = "" if done.noise_lsb is None else f", noise of one reading {done.noise_lsb:.2f} LSB"
     say(f"{done.frames} frames, {done.lost} lost, {done.restarts} restarts of the board{noise}: {done.path}")
     if done.clock_jumps:
-        say(
-            f"lampest: the board's clock jumped {done.clock_jumps} times; events mark where, and time goes on by the "
-            "period",
-            to=sys.stderr,
-        )
+        warn(f"the board's clock jumped {done.clock_jumps} times; events mark where, and time goes on by the period")
     if done.silent:
-        say(f"lampest: no frame came in the last {done.silent:.1f} s", to=sys.stderr)
+        warn(f"no frame came in the last {done.silent:.1f} s")
     if done.scene.circuit.unit == "ohm" and not done.scene.series_resistance_ohm:
-        say(
-            "lampest: no series resistance is assumed, because the scene names none; two multiplexer channels have "
-            "some 140 ohm, which lampest calibrate measures",
-            to=sys.stderr,
+        warn(
+            "no series resistance is assumed, because the scene names none; two multiplexer channels have "
+            "some 140 ohm, which lampest calibrate measures"
         )
     if done.ended_by:
         behind = f"{done.behind} of the {done.frames} frames were" if done.behind else "no frame was"
-        say(f"lampest: {done.ended_by} ended the recording; {behind} still in the port then", to=sys.stderr)
+        warn(f"{done.ended_by} ended the recording; {behind} still in the port then")
         raise typer.Exit(INTERRUPTED)
 
 

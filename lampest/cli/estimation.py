@@ -1,6 +1,5 @@
 """Commands that make files to begin with and recordings, and estimate cells."""
 
-import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -16,6 +15,7 @@ from lampest.cli.screen import (
     say,
     say_text,
     scene_of,
+    warn,
     written,
 )
 
@@ -66,7 +66,7 @@ def run(
     cases = read_run(config, tuple(assign or ()))
     limited = any(case.estimator.solver.time_limit_s is not None for case in cases.cases)
     for name, text in cases.assumed:
-        say(f"lampest: {name}: {text} assumed; the scene does not say", to=sys.stderr)
+        warn(f"{name}: {text} assumed; the scene does not say")
     executor = cases.executor if cases.executor and not jobs else local(jobs, len(cases.cases), limited)
     bar = progress("cases")
     bar.begin(f"{counted(len(cases.cases), 'case')} to solve, first frames take longest; what is done is kept")
@@ -75,12 +75,12 @@ def run(
     counts = f"{counted(report.done, 'case')} solved, {report.skipped} were done before, {len(report.failed)} failed"
     say(f"{counts}: {report.results or 'no results'}")
     if report.aside:
-        say(f"lampest: the results that stood there held other cases; they are kept: {report.aside}", to=sys.stderr)
+        warn(f"the results that stood there held other cases; they are kept: {report.aside}")
     for name, sentence in report.failed:
-        say(f"lampest: {name} failed: {sentence}", to=sys.stderr)
+        warn(f"{name} failed: {sentence}")
     if report.lost:
         left = f"{counted(report.not_run, 'case')} were not run: {report.lost}; the same command goes on with them"
-        say(f"lampest: {left}", to=sys.stderr)
+        warn(left)
     if report.failed or report.not_run:
         raise typer.Exit(SOME_FAILED)
 
@@ -152,7 +152,4 @@ def tare(
     made.save(out)
     say(f"unloaded: frames {named[0]} to {named[-1]}: {out}")
     if change > STILL:
-        say(
-            f"lampest: readings change by up to {100 * change:.1f} % within these frames; did something come or go?",
-            to=sys.stderr,
-        )
+        warn(f"readings change by up to {100 * change:.1f} % within these frames; did something come or go?")

@@ -1,12 +1,13 @@
 """Commands that read results and say what there is."""
 
-import sys
+import dataclasses
+import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from lampest.cli.screen import WRONG_INPUT, mended, option, print_notes, progress, say, say_text, written
+from lampest.cli.screen import WRONG_INPUT, mended, option, print_notes, progress, say, say_text, warn, written
 from lampest.cli.tables import print_table
 from lampest.files.errors import InputError
 
@@ -156,7 +157,8 @@ def detect(
             answers = detect_results(results, settings, on_case)
             loads = pressed(results.named("estimator", (estimator or results.estimators()[0],)))
     if as_json:
-        _print_json([one.content() for one in answers])
+        content = [one.content() for one in answers]
+        say_text(json.dumps(content, indent=1, allow_nan=False, ensure_ascii=False))
     else:
         _tell(answers, loads, file.parent if out is None else out, everything)
 
@@ -182,16 +184,8 @@ def _tell(answers: "Sequence[Detected]", loads: "Sequence[PressedCells]", folder
         say(path)
 
 
-def _print_json(content: object) -> None:
-    import json
-
-    say_text(json.dumps(content, indent=1, allow_nan=False, ensure_ascii=False))
-
-
 def terms() -> None:
     """List the cost terms with their formulas, units and options."""
-    import dataclasses
-
     from lampest.cost.terms import term_types
     from lampest.report.compare import Table
 
@@ -208,8 +202,6 @@ def terms() -> None:
 
 def schema() -> None:
     """Print the JSON schema of a run's file."""
-    import json
-
     from lampest.runs.config import json_schema
 
     say_text(json.dumps(json_schema(), indent=2))
@@ -247,7 +239,7 @@ def check(
             try:
                 say(_repaired(file) if repair else checked_sentence(file))
             except InputError as error:
-                say(f"lampest: {error}", to=sys.stderr)
+                warn(error)
                 damaged += 1
             on_file(number, len(files))
     if damaged:

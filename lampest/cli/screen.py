@@ -82,6 +82,11 @@ def say(thing: object, to: TextIO | None = None) -> None:
     print(printable(str(thing)), file=to, flush=True)
 
 
+def warn(sentence: object) -> None:
+    """Print a sentence on stderr, after the program's name."""
+    print(printable(f"lampest: {sentence}"), file=sys.stderr, flush=True)
+
+
 def say_text(text: str) -> None:
     """Print a text line by line."""
     for line in text.split("\n"):
@@ -119,7 +124,7 @@ class progress:  # noqa: N801
     def begin(self, text: str) -> None:
         """Say what takes time, once it does, where no bar shows it."""
         if self._bar.disable:
-            self._first = Timer(FIRST_SECONDS, say, (f"lampest: {text}", sys.stderr))
+            self._first = Timer(FIRST_SECONDS, warn, (text,))
             self._first.daemon = True
             self._first.start()
 
@@ -140,7 +145,7 @@ class progress:  # noqa: N801
     def _line(self, text: str) -> None:
         if self._bar.disable and monotonic() - self._said >= LINE_SECONDS:
             self._said = monotonic()
-            say(f"lampest: {text}", to=sys.stderr)
+            warn(text)
 
     def __exit__(self, *error: Any) -> None:
         if self._first is not None:

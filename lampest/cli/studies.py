@@ -1,6 +1,5 @@
 """Commands that measure lampest itself: `lampest study ...`."""
 
-import sys
 from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
@@ -8,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lampest.cli.screen import Assign, Folder, option, progress, say
+from lampest.cli.screen import Assign, Folder, option, progress, say, warn
 from lampest.cli.tables import print_table
 
 if TYPE_CHECKING:
@@ -117,4 +116,4 @@ def print_reported(reported: "Reported") -> None:
     for line in (*reported.remarks, *reported.files):
         say(line)
     for sentence in reported.left_out:
-        say(f"lampest: {sentence}", to=sys.stderr)
+        warn(sentence)
