@@ -15,7 +15,7 @@ from lampest.solvers.bounds import MILLIONTH, STILL
 from lampest.solvers.certificate import SHARE, clear_of_rounding
 from lampest.solvers.panel_batch import Mask, Numbers, PanelBatch, Points
 from lampest.solvers.preconditioners import Cholesky, matrix_between
-from lampest.solvers.projected_newton import ACCEPTED, FARTHEST, MOST_TRIES, NEAR, SHORTER, WORN
+from lampest.solvers.projected_newton import ACCEPTED, FARTHEST, MOST_TRIES, MOVED, NEAR, SHORTER, WORN
 from lampest.solvers.solution import Settings
 
 MOST_STEPS = 25  # of a panel in a batch; the solver for single panels goes on from there
@@ -150,7 +150,7 @@ def _times(matrices: Array, vectors: Array) -> Array:
 
 def _advanced(here: Points, kept: Kept, panels: Numbers) -> tuple[Points, Mask]:
     """The points after one step each, and which of them found one that lowers the cost."""
-    old = kept.worn[panels]
+    old = kept.worn[panels] | (kept.distance(panels, here.position) > MOVED)
     if old.any():
         kept.renew(panels[old], here.some(np.flatnonzero(old)))
     step, predicted, products = _direction(here, kept.inverse[panels])

@@ -33,6 +33,7 @@ FARTHEST = float(np.log(4.0))  # of log r in one step: beyond, the quadratic mod
 MOST_TRIES = 15  # solves of a direction, in which cells stop at bounds; tries of a step (4⁻¹⁵ is rounding); last steps
 GAUSS_NEWTON = 3  # steps with JᵀWJ before a direction of negative curvature is followed
 WORN = {True: 5, False: 30}  # products of a step after which a kept preconditioner is made anew: dense, sparse
+MOVED = 0.7  # of log r: the same; without it small panels take a third more products
 NEAR = 0.01  # of log r: second derivatives change by as much; before a step of its square ∇²φ is factored
 DAMPINGS = (0.0, 1e-3, 0.1)  # of least squares by QR
 
@@ -211,7 +212,7 @@ def advanced(point: Iterate) -> Iterate | None:
     if point.expected <= NEAR**2 and not len(point.at.rough):
         _ = point.certificate
     free, kept = free_cells(point.at, hessian.gradient), point.newest
-    if kept is None or kept.cell_resistance.shape != cells.shape:
+    if kept is None or kept.distance(cells) > MOVED:
         kept = preconditioner(hessian, free)
     radius, patience, convex = inf, point.gauss_newton, point.convex
     curved = np.zeros_like(hessian.gradient) if shares_conductance(point.at) else hessian.gradient
