@@ -2,9 +2,6 @@
 
     minimise ½ |f(x)|² over lower ≤ x ≤ upper,   (JᵀJ + μ diag(JᵀJ)) δ = −Jᵀ f
 
-The damping μ falls to a tenth after a step that gains at least half of what the linear model predicts, and grows
-tenfold after one that gains nothing. Unknowns at a bound that the gradient presses against stay there. A prior is a
-part of f: its distance from the mean in standard deviations.
 Source: Moré, The Levenberg-Marquardt algorithm, Lecture Notes in Mathematics 630, Springer, 1978.
 """
 
@@ -78,7 +75,8 @@ class Minimum(Generic[P]):
 
 @dataclass(frozen=True, eq=False)
 class LevenbergMarquardt:
-    """The loop's settings.
+    """The loop's settings. μ falls to a tenth after a step that gains at least half of what the linear model predicts,
+    and grows tenfold after one that gains nothing.
 
     evaluations : of the model, at most. settled : a gain, made and predicted, of less than that ends the loop; so does
     one of less than `share` of the cost.

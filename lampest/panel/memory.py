@@ -2,10 +2,8 @@
 
     V_n = (1 − m)·U_n + m·V_(n−1)
 
-with U_n the voltage of the n-th channel in scan order, V_n what the converter holds and tells, m the fraction that is
-remembered. The first channel of a frame follows the last one of the frame before, for which that of the same frame
-stands: scans follow each other without a pause, and between two of them little changes. All voltages at the converter,
-(…, rows, columns) in the panel's order.
+U_n : voltage of the n-th channel in scan order. m : the fraction that is remembered. The first channel of a frame
+follows the last one of the same frame. All voltages at the converter, (…, rows, columns) in the panel's order.
 """
 
 import numpy as np

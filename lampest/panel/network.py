@@ -13,7 +13,7 @@ from typing import Any, Protocol, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.panel.kirchhoff import injected, laplacian, line_sums
+from lampest.panel.kirchhoff import laplacian, line_sums
 from lampest.panel.panel import Array
 
 Block = tuple[slice, slice]
@@ -34,10 +34,7 @@ class ReadCircuit(Hashable, Protocol):
 
 
 class SecondOrder(Protocol):
-    """H = diag(g)·Σ_i w_i ∂²y_i/∂g²·diag(g) for weights w that were given.
-
-    With the change of variable, Σ_i w_i ∂²y_i/∂u² = H − diag(Jᵀw).
-    """
+    """H = diag(g)·Σ_i w_i ∂²y_i/∂g²·diag(g) for given weights w; Σ_i w_i ∂²y_i/∂u² = H − diag(Jᵀw)."""
 
     def products(self, step: Array) -> tuple[Array, Array]:
         """(J·p, H·p) of a step p in u; all (rows, columns)."""
@@ -114,10 +111,8 @@ class Network(ABC):
         return self._impedance
 
     def condition(self) -> float:
-        """Σ_l |L_ll Z_ll| over the lines: how many times the rounding of L can reappear in any reading.
-
-        With v = Z·b the potentials of a unit current, an error ε_l of L_ll moves bᵀZb by ε_l·v_l², and v_l² ≤ Z_ll·bᵀZb
-        (Cauchy and Schwarz). Infinite or no number where the inverse is spoilt altogether.
+        """Σ_l |L_ll Z_ll| over the lines: how many times the rounding of L can reappear in any reading, as an error ε_l
+        of L_ll moves bᵀZb by ε_l·v_l², v = Z·b, and v_l² ≤ Z_ll·bᵀZb. Infinite or NaN where the inverse is spoilt.
         """
         return float(np.sum(np.abs(line_sums(self.conductance) * np.diag(self._impedance))))
 
@@ -137,15 +132,9 @@ class Network(ABC):
         rows, columns = self.conductance.shape
         return np.concatenate([np.arange(rows)[block[0]], rows + np.arange(columns)[block[1]]])
 
-    def _injected(self, weights: Array, potentials: Array) -> Array:
-        """L_w·V: currents (lines, patterns) that conductances w (rows, columns) draw at potentials V."""
-        return injected(weights, potentials)
-
     def _differences(self, left: Array, right: Array, symmetric: bool) -> Array:
-        """b_iᵀ ½(P + Pᵀ) b_i of P = left·right for all cells i at once, b_i = the cell's ±1 incidence vector.
-
-        Only what is read is multiplied out: the diagonal and the blocks between rows and columns, one where P is known
-        to be symmetric.
+        """b_iᵀ ½(P + Pᵀ) b_i of P = left·right for all cells i; only the diagonal and the blocks between rows and
+        columns are multiplied out, one where P is symmetric.
         """
         rows = self.rows
         diagonal = np.einsum("...ij,...ji->...i", left, right)

@@ -2,18 +2,16 @@
 
 from dataclasses import dataclass
 from functools import cached_property
-from math import isfinite
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.files.typed import Configuration
+from lampest.files.typed import Configuration, check_range, check_ranges
 from lampest.panel.panel import Array
 from lampest.panel.readouts.lines import PerLine, Side, along, as_tuple, check_lines, lines_text
 
 USUAL_NOISE_LSB = 0.7  # (LSB) enough to dither: what the shipped boards show, and what averaging needs
-LEAST_VOLT, MOST_VOLT = 1e-3, 1e3  # a thermocouple's; where low voltage ends by IEC 60038
 HARMONICS = 2000  # of quantisation noise; the tail beyond is 1/(2π²·2000), and matters only where there is no noise
 
 
@@ -41,21 +39,13 @@ class Converter(Configuration):
     floor_code: int | None = None
 
     def __post_init__(self) -> None:
-        if not (isfinite(self.supply_volt) and self.supply_volt > 0):
-            raise ValueError("supply_volt must be positive and finite")
-        if not LEAST_VOLT <= self.supply_volt <= MOST_VOLT:
-            raise ValueError(f"supply_volt must lie between {LEAST_VOLT:g} and {MOST_VOLT:g} V")
-        if not 1 <= self.adc_bits <= 32:
-            raise ValueError("adc_bits must lie between 1 and 32")
-        if not 1 <= self.readings <= 65535:
-            raise ValueError("readings must lie between 1 and 65535")
+        check_range("supply_volt", self.supply_volt, 1e-3, 1e3, " V")  # a thermocouple's; low voltage by IEC 60038
+        check_ranges(self, 1, 32, "adc_bits")
+        check_ranges(self, 1, 65535, "readings")
         check_lines("noise_lsb", self.assumed_noise)
         if max(as_tuple(self.assumed_noise)) > 2**self.adc_bits:
             raise ValueError(f"noise_lsb must not exceed the converter's range, {2**self.adc_bits} LSB")
-        if self.floor_code is not None and not 0 <= self.floor_code <= 2**self.adc_bits - 3:
-            raise ValueError(
-                f"floor_code must lie between 0 and {2**self.adc_bits - 3}, so that codes are left above it"
-            )
+        check_ranges(self, 0, 2**self.adc_bits - 3, "floor_code")
 
     @property
     def noise_told(self) -> bool:
@@ -107,11 +97,11 @@ class Converter(Configuration):
 
     def noise_volt(self) -> Array:
         """The noise of one reading, to be broadcast to (rows, columns)."""
-        return self._of_driven_lines(np.array(self.assumed_noise)) * self.lsb_volt
+        return self._volt_of_lines(np.array(self.assumed_noise))
 
-    def _of_driven_lines(self, values: Array) -> Array:
-        """One number, or one for each driven line, to be broadcast to (rows, columns)."""
-        return along(self.noisy_side, values) if values.ndim else values
+    def _volt_of_lines(self, codes: Array) -> Array:
+        """LSB, one number or one for each driven line → volt, to be broadcast to (rows, columns)."""
+        return np.asarray((along(self.noisy_side, codes) if codes.ndim else codes) * self.lsb_volt)
 
     def sigma_code(self) -> Array:
         """σ of the mean of `readings` codes, in LSB: σ² = (noise² + 1/12 − b²)/readings + b²; as `noise_lsb` is given.
@@ -119,15 +109,10 @@ class Converter(Configuration):
         b² = Σ_h exp(−4π²h²·noise²)/(2π²h²) is what averaging cannot remove, because without noise all readings agree:
         1/12 for no noise, 0.0000 above half an LSB. Source: Widrow & Kollár, Quantization Noise, 2008 (dither).
         """
-        noise, bias = np.array(self.assumed_noise), self._bias
-        return np.asarray(np.sqrt((noise**2 + 1 / 12 - bias) / self.readings + bias))
-
-    @cached_property
-    def _bias(self) -> Array:
-        """b² of `sigma_code`; a sum that is the same for every frame."""
         harmonic, noise = np.arange(1, HARMONICS + 1, dtype=float), np.array(self.assumed_noise)
         damped = np.exp(-((2 * np.pi * harmonic * noise[..., None]) ** 2)) / (2 * np.pi**2 * harmonic**2)
-        return np.asarray(np.where(noise == 0, 1 / 12, np.minimum(np.sum(damped, axis=-1), 1 / 12)))
+        bias = np.where(noise == 0, 1 / 12, np.minimum(np.sum(damped, axis=-1), 1 / 12))
+        return np.asarray(np.sqrt((noise**2 + 1 / 12 - bias) / self.readings + bias))
 
     def sigma(self, recorded: Array) -> Array:
         """σ of recorded readings, the same shape and unit."""
@@ -139,7 +124,7 @@ class Converter(Configuration):
 
     @cached_property
     def _sigma_volt(self) -> Array:
-        return np.asarray(self._of_driven_lines(self.sigma_code()) * self.lsb_volt)
+        return self._volt_of_lines(self.sigma_code())
 
     def rails(self) -> tuple[float, float]:
         """(least, largest) recorded reading that a code between the first above the floor and the last one can mean.

@@ -12,11 +12,11 @@ from lampest.panel.readouts.lines import (
     LineNumber,
     PerLine,
     Side,
+    as_tuple,
     check_resistors,
     of_side,
     opposite,
     per_line,
-    scaled,
     with_channels,
 )
 from lampest.panel.readouts.readout import Readout, Surroundings
@@ -90,7 +90,10 @@ class DrivenReadout(Readout):
 
     def off_by(self, fraction: float) -> Self:
         """Every reference·(1 + fraction)."""
-        changes: dict[str, Any] = {self.of_sensed[0]: scaled(getattr(self, self.of_sensed[0]), 1 + fraction)}
+        name = self.of_sensed[0]
+        value: PerLine = getattr(self, name)
+        larger = tuple(number * (1 + fraction) for number in as_tuple(value))
+        changes: dict[str, Any] = {name: larger if isinstance(value, tuple) else larger[0]}
         return replace(self, **changes)
 
     def line_numbers(self) -> tuple[LineNumber, ...]:

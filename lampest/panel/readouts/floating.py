@@ -1,6 +1,5 @@
-"""The network of a panel of which all lines but two float: R = Z_jj + Z_kk − 2 Z_jk, whichever line is the ground.
+"""A panel of which all lines but two float, R = Z_jj + Z_kk − 2 Z_jk: its network, and the convex start of a search.
 
-Here W of `lampest.panel.readouts.tied` is the Laplacian of the weights and the reading is linear in Z, so that
 ∂R_i/∂u_c = g_c D_ic² with D = BᵀZB, the transfer resistances: one operator is both forward and adjoint.
 """
 
@@ -12,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import lapack
 
-from lampest.panel.kirchhoff import line_sums
+from lampest.panel.kirchhoff import injected, line_sums
 from lampest.panel.network import Block, Network, NormalByLines, Numbers, SecondOrder, inverse_of
 from lampest.panel.panel import Array
 from lampest.panel.trust_region import DENSE_CELLS, steihaug
@@ -30,11 +29,9 @@ def grounding(two_point_resistance: Array, parts: Numbers | None = None) -> Arra
     """Tie to ground: the line with the largest Σ 1/R gets a conductance of that size, all others none.
 
     (rows, columns) ohm → (rows + columns) siemens. parts : (lines) of which each has its ground; None: all are one. A
-    tie at a single line carries no current, so potential differences are those of the paper's grounded line, equation
-    (5), while the line can be chosen by the data.
+    tie at a single line carries no current: potential differences are those of the paper's equation (5).
     """
-    admittance = 1 / two_point_resistance
-    total = np.concatenate([admittance.sum(axis=1), admittance.sum(axis=0)])
+    total = line_sums(1 / two_point_resistance)
     tie = np.zeros_like(total)
     if parts is None:
         grounds = [int(np.argmax(total))]
@@ -64,11 +61,8 @@ class FloatingNetwork(Network):
         return self._across(self._impedance)
 
     def conductance_product(self, weights: Array) -> Array:
-        """(∂R/∂g)·w = −bᵀ Z L_w Z b, which is also (∂R/∂g)ᵀ·w; w (rows, columns), result likewise.
-
-        Costs (rows + columns)³ and never forms the matrix of cells × cells.
-        """
-        return -self._differences(self._impedance, self._injected(weights, self._impedance), symmetric=True)
+        """(∂R/∂g)·w = −bᵀ Z L_w Z b = (∂R/∂g)ᵀ·w, (rows, columns), in (rows + columns)³ operations."""
+        return -self._differences(self._impedance, injected(weights, self._impedance), symmetric=True)
 
     def forward(self, step: Array) -> Array:
         """−(∂R/∂g)·(g·p)."""
@@ -106,7 +100,7 @@ class FloatingNetwork(Network):
 
     def second_order(self, weights: Array) -> SecondOrder:
         """With Z L_w Z."""
-        return FloatingSecondOrder(self, self._impedance @ self._injected(weights, self._impedance))
+        return FloatingSecondOrder(self, self._impedance @ injected(weights, self._impedance))
 
     def normal_by_lines(self, weight: Array) -> NormalByLines:
         """Diagonal, rows and columns; see `square_by_lines`."""
@@ -133,9 +127,9 @@ class FloatingSecondOrder:
     def products(self, step: Array) -> tuple[Array, Array]:
         """(J·p, 2 g·bᵀ K L_{g·p} Z b)."""
         network = self.network
-        injected = network._injected(step / network.cell_resistance, network._impedance)
-        change = network._differences(network._impedance, injected, symmetric=True)
-        return change, 2 * network._differences(self.twice, injected, symmetric=False) / network.cell_resistance
+        currents = injected(step / network.cell_resistance, network._impedance)
+        change = network._differences(network._impedance, currents, symmetric=True)
+        return change, 2 * network._differences(self.twice, currents, symmetric=False) / network.cell_resistance
 
     def adjoint(self) -> Array:
         """g·bᵀ K b."""
@@ -154,10 +148,9 @@ class FloatingSecondOrder:
 class Stencil:
     """(D∘D)⁻¹ as a preconditioner: (D∘D)_il ≈ 1/A_j² for cells of one row j, 1/B_k² of one column k, R_l² at i = l.
 
-    A and B are the lines' total conductances, and elsewhere it is 0; exact up to 1/(rows + columns) on even panels. A
-    diagonal d and two multiples of lines, it is inverted through one matrix of lines × lines (Woodbury). diagonal :
-    (rows, columns) 1/d, zero at cells that are left out. inner : (lines)², the inverse of S⁻¹ + Uᵀ diag(1/d) U, where U
-    has a column for every line and S its 1/A² or 1/B².
+    A and B are the lines' total conductances. Inverted through one matrix of lines × lines (Woodbury). diagonal :
+    (rows, columns) 1/d, zero at cells that are left out. inner : (S⁻¹ + Uᵀ diag(1/d) U)⁻¹, (lines)², U with a column for
+    every line and S its 1/A² or 1/B².
     """
 
     diagonal: Array
@@ -214,9 +207,10 @@ Evaluated = tuple[float, FloatingNetwork]  # the convex function and the network
 def convex_start(measured: Array, upper: Array, near: Array | None = None) -> Array:
     """Cell resistance (rows, columns) ohm from R_m (rows, columns) ohm by damped, projected Newton steps.
 
-    Starts at `near`, an earlier frame's answer, or at R_m·MN/(M + N − 1). Stops when no reading is missed by more than
-    REPRODUCED, relative, or after 30 steps; the result is a start, not an estimate, unless the readings are attainable:
-    then it is what plain least squares seeks, with more digits.
+    g* = argmin ⟨R_m, g⟩ − log det C(g) over g ≥ 1/r_upper, from `near`, an earlier frame's answer, or from
+    R_m·MN/(M + N − 1). As R = ∇ log det C, attainable readings are reproduced, and the result is what plain least
+    squares seeks; else it is a start, not an estimate. Source: Foster's theorem and the concavity of log det (Boyd &
+    Vandenberghe, Convex Optimization, 2004, section 3.1.5).
     """
     tie = grounding(measured)
     first = measured / uniform_factor(*measured.shape) if near is None else near

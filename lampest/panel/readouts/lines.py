@@ -1,7 +1,6 @@
 """Numbers that hold for all lines of one side of the panel, or are given for each."""
 
 from dataclasses import dataclass
-from math import isfinite
 from typing import Any, Literal
 
 import numpy as np
@@ -10,6 +9,8 @@ from lampest.panel.panel import Array
 
 PerLine = float | tuple[float, ...]
 Side = Literal["rows", "columns"]
+# Beside cells of kilo-ohms: a wire, and an insulator that leaves ten of sixteen digits.
+LEAST_OHM, MOST_OHM = 1e-6, 1e9
 
 
 @dataclass(frozen=True)
@@ -26,10 +27,6 @@ class LineNumber:
     channel: bool = False
     in_scene: bool = False
     unit: Literal["ohm", "volt", "1"] = "ohm"
-
-
-# Beside cells of kilo-ohms: a wire, and an insulator that leaves ten of sixteen digits.
-LEAST_OHM, MOST_OHM = 1e-6, 1e9
 
 
 def opposite(side: Side) -> Side:
@@ -54,8 +51,7 @@ def as_tuple(value: PerLine) -> tuple[float, ...]:
 
 def lines_text(value: PerLine, unit: str = "ohm") -> str:
     """'10000 ohm', or 'from 980 to 1020 ohm' where lines differ."""
-    numbers = as_tuple(value)
-    low, high = min(numbers), max(numbers)
+    low, high = min(as_tuple(value)), max(as_tuple(value))
     return f"{low:g} {unit}" if low == high else f"from {low:g} to {high:g} {unit}"
 
 
@@ -63,31 +59,22 @@ def check_lines(name: str, value: PerLine, open_end: bool = False) -> None:
     """Raise ValueError unless every number is finite and not negative, nor zero with an open end."""
     if not as_tuple(value):
         raise ValueError(f"{name} lists no number")
-    for number in as_tuple(value):
-        if not isfinite(number) or number < 0 or (open_end and number == 0):
-            raise ValueError(f"{name} must be {'positive' if open_end else 'zero or positive'} and finite")
+    if not all(0 < number < np.inf or (number == 0 and not open_end) for number in as_tuple(value)):
+        raise ValueError(f"{name} must be {'positive' if open_end else 'zero or positive'} and finite")
 
 
 def check_resistors(name: str, value: PerLine, open_end: bool = True, most: float = MOST_OHM) -> None:
     """The same for resistances, and raise ValueError where one is so small or so large that digits are lost."""
     check_lines(name, value, open_end)
-    for number in as_tuple(value):
-        if number and not LEAST_OHM <= number <= most:
-            raise ValueError(f"{name} must lie between {LEAST_OHM:g} and {most:g} ohm")
+    if not all(LEAST_OHM <= number <= most for number in as_tuple(value) if number):
+        raise ValueError(f"{name} must lie between {LEAST_OHM:g} and {most:g} ohm")
 
 
 def per_line(name: str, value: PerLine, lines: int) -> Array:
     """(lines) the number for every line. Raises ValueError where a list has another length."""
-    if not isinstance(value, tuple):
-        return np.full(lines, value)
-    if len(value) != lines:
+    if isinstance(value, tuple) and len(value) != lines:
         raise ValueError(f"{name} lists {len(value)} numbers, but there are {lines} such lines")
-    return np.array(value)
-
-
-def scaled(value: PerLine, factor: float) -> PerLine:
-    """Every number times a factor."""
-    return tuple(number * factor for number in value) if isinstance(value, tuple) else value * factor
+    return np.array(value) if isinstance(value, tuple) else np.full(lines, value)
 
 
 def with_channels(name: str, value: PerLine, channels: Array) -> tuple[float, ...]:

@@ -21,8 +21,6 @@ from lampest.panel.readouts.wiring import WiredNetwork, Wiring
 LEAST_SHARE = 1e-3  # (of a load) what a reading at its end leaves of the apparent resistance
 SHORT_SHARE = 1e-6  # (of the apparent resistance) from here to a dead short readings move by a millionth
 FITTED = 1e-9  # of the largest reading, the residual of a fitted block
-# Beyond 1.5 in log r a reading's slope no longer predicts it.
-BLOCK_FIT = LevenbergMarquardt(evaluations=30, settled=0.0, damping=1e-12, longest=1.5)
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,8 +163,7 @@ class Readout(Converter, ABC):
         (…, rows, columns) ohm. Never below twice the start.
         """
         if measured.ndim > 2:
-            pairs = zip(measured, sigma, strict=True)
-            return np.stack([self.resolution(frame, noise) for frame, noise in pairs])
+            return np.stack([self.resolution(*both) for both in zip(measured, sigma, strict=True)])
         start = self.uniform_start(measured)
         network = self.network(start, self.ties(measured))
         limit = np.abs(network.own_response()) * start / sigma
@@ -199,7 +196,9 @@ class Readout(Converter, ABC):
             return FittedBlock(missed / size, there.sensitivity(cells, cells) / size, network=there)
 
         start, highest = (-np.log(part[chosen]) for part in (network.conductance[block], least))
-        found = BLOCK_FIT.minimum(
+        # Beyond 1.5 in log r a reading's slope no longer predicts it.
+        loop = LevenbergMarquardt(evaluations=30, settled=0.0, damping=1e-12, longest=1.5)
+        found = loop.minimum(
             fitted, start, (-np.inf, highest), lambda at, _: bool(np.abs(at.residual).max(initial=0.0) <= FITTED)
         )
         return found.at.network
@@ -241,14 +240,10 @@ class Readout(Converter, ABC):
     def rails_reached(self, recorded: Array) -> str:
         """'the rail of 0.005 volt', or both, that recorded readings reach or pass; '' where none does."""
         least, largest = self.rails()
-        reached = [
-            f"{rail:.3g}"
-            for rail, any_beyond in ((least, recorded < least), (largest, recorded > largest))
-            if np.any(any_beyond)
-        ]
-        return (
-            f"the converter's rail{'s' * (len(reached) - 1)} of {' and '.join(reached)} {self.unit}" if reached else ""
-        )
+        beyond = ((least, recorded < least), (largest, recorded > largest))
+        reached = [f"{rail:.3g}" for rail, readings in beyond if np.any(readings)]
+        plural = "s" * (len(reached) - 1)
+        return f"the converter's rail{plural} of {' and '.join(reached)} {self.unit}" if reached else ""
 
     @property
     def direction(self) -> float:

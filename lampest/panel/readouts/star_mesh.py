@@ -1,7 +1,6 @@
-"""Two-point resistances of cells, by an inverse where it promises its digits and by star–mesh elimination elsewhere.
+"""Two-point resistances of cells, by an inverse where it promises its digits, else by star–mesh elimination.
 
-Star–mesh elimination never subtracts, which keeps the relative accuracy at any contrast. Symbols: w (networks, lines,
-lines) conductances between lines in siemens; their diagonals are never read.
+Symbols: w (networks, lines, lines) conductances between lines in siemens; their diagonals are never read.
 """
 
 from contextlib import suppress
@@ -21,10 +20,8 @@ SAFE_CONDITION = 1e4  # rounding times that leaves 11 digits; ordinary panels ha
 def two_point_resistance(cell_resistance: Array) -> Array:
     """R = f(r): two-point resistances of a panel, (rows, columns) or (frames, rows, columns) ohm → the same shape.
 
-    At least ten digits of every entry are right: where an inverse does not promise them, it is not used, but
-    exact_two_point_resistance. That also knows open cells (infinite), shorts (zero) and lines that nothing connects
-    (R infinite). Raises ValueError where a cell is negative or no number.
-    Source: paper, equations (5)-(10).
+    At least ten digits of every entry are right; see `exact_two_point_resistance`, also for open cells and shorts.
+    Raises ValueError where a cell is negative or no number. Source: paper, equations (5)-(10).
 
     >>> lampest.two_point_resistance(np.full((2, 2), 1000.0)).round(6)
     array([[750., 750.],
@@ -46,10 +43,9 @@ def exact_two_point_resistance(cell_resistance: Array) -> Array:
 
     (rows, columns) or (frames, rows, columns) ohm → the same shape. A cell of infinite resistance is open and one of
     zero is a short; lines that nothing connects have R = inf, lines that shorts connect have R = 0.
-    Removing a line s leaves w_ab + w_as·w_sb/Σ_c w_sc between the others; of the last two it leaves 1/R. Which two are
-    the last is decided by halves: half of the lines of one side are removed, in turn each half, then likewise among the
-    lines that are left. That shares most of the work: all pairs cost a small multiple of (rows + columns)³.
-    Raises ValueError where a cell is negative or no number.
+    Removing a line s leaves w_ab + w_as·w_sb/Σ_c w_sc between the others, without a subtraction; of the last two it
+    leaves 1/R. Half of the lines of one side are removed, in turn each half, then likewise among those that are left:
+    all pairs cost a small multiple of (rows + columns)³. Raises ValueError where a cell is negative or no number.
     Source: Alfa, Xue, Ye, Mathematics of Computation 71 (2002), after Grassmann, Taksar, Heyman (1985).
     """
     if not np.all(cell_resistance >= 0):

@@ -1,7 +1,6 @@
 """Networks with tied lines and any reading y = h(Z_jj, Z_kk, Z_jk): all derivatives from ties and equation alone.
 
-With the weights w of the readings, W = [[diag Σ_k w h_p, ½ w h_t], [·, diag Σ_j w h_q]] makes d(Σ w y) = tr(W dZ), so
-Jᵀw = g·bᵀ(Z W Z)b. For floating lines W is the Laplacian of w.
+With weights w of the readings, W = [[diag Σ_k w h_p, ½ w h_t], [·, diag Σ_j w h_q]] makes d(Σ w y) = tr(W dZ).
 """
 
 from collections.abc import Callable
@@ -11,6 +10,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 
 from lampest.panel.compiled import Compiled
+from lampest.panel.kirchhoff import injected
 from lampest.panel.network import Network, Numbers, ReadCircuit, SecondOrder
 from lampest.panel.panel import Array
 
@@ -62,7 +62,7 @@ class TiedNetwork(Network):
 
     def forward(self, step: Array) -> Array:
         """h_p dZ_jj + h_q dZ_kk + h_t dZ_jk with dZ = Z L_{g·p} Z."""
-        return self.read_change(self._impedance @ self._injected(self.conductance * step, self._impedance))
+        return self.read_change(self._impedance @ injected(self.conductance * step, self._impedance))
 
     def read_change(self, change: Array) -> Array:
         """What a change of Z (lines, lines) does to the readings, to first order."""
@@ -117,10 +117,14 @@ class TiedSecondOrder:
     weights: Array
 
     @cached_property
+    def loading(self) -> Array:
+        """W (lines, lines)."""
+        return self.network.loading(self.weights)
+
+    @cached_property
     def _twice(self) -> Array:
         """K (lines, lines)."""
-        impedance = self.network._impedance
-        return impedance @ self.network.loading(self.weights) @ impedance
+        return self.network._impedance @ self.loading @ self.network._impedance
 
     def adjoint(self) -> Array:
         """g·bᵀ K b."""
@@ -129,20 +133,16 @@ class TiedSecondOrder:
     def products(self, step: Array) -> tuple[Array, Array]:
         """(J·p, g·(2 bᵀ K L_{g·p} Z b + bᵀ Z W' Z b)), W' from what the step does to the slopes of h."""
         network, impedance = self.network, self.network._impedance
-        injected = network._injected(network.conductance * step, impedance)
-        change = impedance @ injected
-        twice = 2 * network._differences(self._twice, injected, symmetric=False)
+        currents = injected(network.conductance * step, impedance)
+        change = impedance @ currents
+        twice = 2 * network._differences(self._twice, currents, symmetric=False)
         once = network._differences(impedance, self.loading_change(change) @ impedance, symmetric=True)
         return network.read_change(change), network.conductance * (twice + once)
-
-    def _curvature(self, name: str) -> Array:
-        """w·∂²h, (rows, columns)."""
-        return self.weights * self.network._equation[name]
 
     def loading_change(self, change: Array) -> Array:
         """W' (lines, lines): what a change of Z does to W through the slopes of h."""
         row, column, mutual = self.network._read(change)
-        pp, pq, pt, qq, qt, tt = map(self._curvature, PARTS[4:])
+        pp, pq, pt, qq, qt, tt = (self.weights * self.network._equation[name] for name in PARTS[4:])
         return self.network._loading(
             pp * row + pq * column + pt * mutual,
             pq * row + qq * column + qt * mutual,
@@ -170,7 +170,7 @@ class TiedSecondOrder:
             "qt": lambda by: column.T @ np.einsum("jk,jkc->kc", by, mutual),
         }
         for name, half in halves.items():
-            curvature = self._curvature(name)
+            curvature = self.weights * self.network._equation[name]
             if curvature.any():
                 part = half(curvature)
                 matrix += part + part.T

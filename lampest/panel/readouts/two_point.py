@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from lampest.panel.network import Block, Network, inverse_of
 from lampest.panel.panel import Array
 from lampest.panel.readouts.floating import FloatingNetwork, convex_start, fitted_block, grounding, uniform_factor
-from lampest.panel.readouts.lines import LineNumber, along, check_resistors
+from lampest.panel.readouts.lines import LineNumber, check_resistors
 from lampest.panel.readouts.readout import FreeTest, Readout, Surroundings
 from lampest.panel.readouts.star_mesh import two_point_resistance
 from lampest.panel.readouts.wiring import Wiring
@@ -84,9 +84,9 @@ class TwoPointReadout(Readout):
 
     def exact_reading(self, cell_resistance: Array, wiring: Wiring | None = None) -> Array:
         """R = f(r), without wire with at least ten digits at any contrast."""
-        return (
-            two_point_resistance(cell_resistance) if wiring is None else super().exact_reading(cell_resistance, wiring)
-        )
+        if wiring is not None:
+            return super().exact_reading(cell_resistance, wiring)
+        return two_point_resistance(cell_resistance)
 
     def apparent_resistance(self, measured: Array) -> Array:
         """R itself."""
@@ -114,8 +114,7 @@ class TwoPointReadout(Readout):
 
         Never below twice the cell of a uniform panel.
         """
-        least = 2 * measured / uniform_factor(*measured.shape[-2:])
-        return np.asarray(np.maximum(resolution_limit(measured, sigma), least))
+        return np.asarray(np.maximum(resolution_limit(measured, sigma), 2 * self.uniform_start(measured)))
 
     def common_step(self, measured: Array, expected: Array, chosen: NDArray[np.bool_]) -> float:
         """The mean of the shortest half of log R_m/R, so that a load on some lines does not count.
@@ -188,10 +187,11 @@ class TwoPointReadout(Readout):
         self, cells: Array, measured: Array, scene: Surroundings, reference: float, channel: float
     ) -> Array:
         """(R + R_series)·reference, and `channel` in every reading of the line; see `Readout.shared_errors`."""
-        rows, columns = (np.eye(count) for count in measured.shape)
-        lines = [*(along("rows", line) for line in rows), *(along("columns", line) for line in columns)]
-        ones = np.ones(measured.shape)
-        return np.stack([(measured + scene.series_ohm) * reference, *(line * ones * channel for line in lines)])
+        rows, columns = measured.shape
+        lines = np.zeros((rows + columns, rows, columns))
+        row, column = np.indices(measured.shape)
+        lines[row, row, column] = lines[rows + column, row, column] = channel
+        return np.concatenate([((measured + scene.series_ohm) * reference)[None], lines])
 
     def off_by(self, fraction: float) -> Self:
         """Rref·(1 + fraction)."""
@@ -207,8 +207,8 @@ class TwoPointReadout(Readout):
         0 V and Vcc give 0 or infinite ohm.
         """
         volt = np.asarray(volt, dtype=float)
-        rest = self.supply_volt - volt
-        upper, lower = (rest, volt) if self.measured_across == "reference" else (volt, rest)
+        ends = self.supply_volt - volt, volt
+        upper, lower = ends if self.measured_across == "reference" else ends[::-1]
         with np.errstate(divide="ignore"):
             return np.asarray(upper / lower * self.reference_ohm)
 
@@ -216,10 +216,7 @@ class TwoPointReadout(Readout):
         """V = Vcc·Rref/(R + Rref) across the reference, V = Vcc·R/(R + Rref) across the sensor; any shape."""
         with np.errstate(divide="ignore"):
             ratio = np.asarray(recorded, dtype=float) / self.reference_ohm
-        if self.measured_across == "reference":
-            return np.asarray(self.supply_volt / (1 + ratio))
-        with np.errstate(divide="ignore"):
-            return np.asarray(self.supply_volt / (1 + 1 / ratio))
+            return np.asarray(self.supply_volt / (1 + (ratio if self.measured_across == "reference" else 1 / ratio)))
 
     def sigma(self, recorded: Array) -> Array:
         """σ_R = (R + Rref)²/Rref · σ_V/Vcc (delta method, either divider); any shape, ohm.
@@ -250,19 +247,16 @@ def _excess(resistance: Array, sigma: Array) -> float:
     """Of one frame (rows, columns)."""
     value = np.where(np.isfinite(sigma), resistance, np.inf)
     variance = np.where(np.isfinite(sigma), sigma, 0.0) ** 2
-    rows, columns = value.shape
-    between, spread = np.empty((rows, rows)), np.empty((rows, rows))
-    for row in range(rows):
+    every, columns = np.arange(len(value)), np.arange(value.shape[1])
+    worst, ways = -np.inf, np.empty((len(value), 2, len(value)))
+    for row, (between, spread) in enumerate(ways):
         over = value[row] + value
         middle = over.argmin(axis=1)
-        between[row] = over[np.arange(rows), middle]
-        spread[row] = variance[row, middle] + variance[np.arange(rows), middle]
-    worst = -np.inf
-    for row in range(rows):
-        way = between[row][:, None] + value
-        over = way.argmin(axis=0)
-        chosen = over, np.arange(columns)
-        noise = np.sqrt(variance[row] + spread[row, over] + variance[chosen])
+        between[:], spread[:] = over[every, middle], variance[row, middle] + variance[every, middle]
+    for row, (between, spread) in enumerate(ways):
+        way = between[:, None] + value
+        chosen = over, _ = way.argmin(axis=0), columns
+        noise = np.sqrt(variance[row] + spread[over] + variance[chosen])
         counted = np.isfinite(value[row]) & np.isfinite(way[chosen]) & (noise > 0)
         worst = max(worst, float(((value[row] - way[chosen])[counted] / noise[counted]).max(initial=-np.inf)))
     return worst

@@ -1,15 +1,12 @@
-"""What lies between the terminals of the lines and the cells: wire, contacts, lines that touch. All exact.
+"""Wire, contacts and touching lines between the terminals and the cells, all exact; the network seen from terminals.
 
-A row is a chain of cells at equal distances; every cell takes one segment of wire more than the one before it, the
-first included, so that a row of N cells has N segments from its terminal to its last cell and none beyond. Columns are
-alike. This is the convention of badcrossbar (Joksas & Mehonic, SoftwareX 12, 2020). A contact is in series with the
-first segment. Lines that touch do so at their terminals, beyond the contacts.
+Every cell takes one segment of wire more than the one before it, the first included, as in badcrossbar (Joksas &
+Mehonic, SoftwareX 12, 2020). A contact is in series with the first segment; lines touch beyond the contacts.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from math import isfinite
 from typing import Literal
 
 import numpy as np
@@ -47,9 +44,7 @@ class Lines(Configuration):
 
     def __post_init__(self) -> None:
         for name in ("row_ohm_per_cell", "column_ohm_per_cell"):
-            value = getattr(self, name)
-            if not (isfinite(value) and value >= 0):
-                raise ValueError(f"{name} must be zero or positive, and finite")
+            check_lines(name, getattr(self, name))
 
     @property
     def resist(self) -> bool:
@@ -104,38 +99,28 @@ class Contacts(Configuration):
 
     def _of_lines(self, name: str, shape: tuple[int, ...]) -> Array:
         sides = zip(("rows", "columns"), (self.rows, self.columns), shape, strict=True)
-        return np.concatenate(
-            [per_line(f"contacts.{side}.{name}", getattr(prior, name), count) for side, prior, count in sides]
-        )
+        return np.concatenate([per_line(f"contacts.{side}.{name}", getattr(own, name), n) for side, own, n in sides])
 
     @classmethod
     def of(cls, mean: Array, deviation: Array, rows: int) -> "Contacts":
         """Of (lines) ohm each, rows first."""
-        sides = (
-            ContactPrior(*(tuple(map(float, part)) for part in both))
-            for both in ((mean[:rows], deviation[:rows]), (mean[rows:], deviation[rows:]))
-        )
-        return cls(*sides)
+        both = np.stack([mean, deviation])
+        return cls(*(ContactPrior(*map(tuple, part.tolist())) for part in (both[:, :rows], both[:, rows:])))
 
 
 @dataclass(frozen=True, eq=False)
 class Ladder:
-    """Currents through the cells of a wired panel, exactly and without building its matrix.
+    """K·i = e, the currents i through cells under potential differences e = Bᵀp of terminals at p.
 
-    With e = Bᵀp the potential differences that terminals at potentials p put on the cells, currents i flow through
-    them:
+    K = diag(r) + T, T_cd = Σ of the wire that cells c and d share on their ways to terminals. Block elimination: the
+    lines of one side are rungs, the others' wire the rails. The rungs passed so far are a source with an internal
+    conductance, to which each rung adds its own and each segment of the rails its resistance. Costs long·short³.
 
-        K·i = e,   K = diag(r) + T,   T_cd = Σ of the wire that cells c and d have in common on their ways to terminals.
-
-    Block elimination from rung to rung: along the lines of one side K is a matrix of that line (a rung); the rungs
-    passed so far are a source with an internal conductance, to which each rung adds its own and each segment of the
-    other side's wire (the rails) its resistance. Rungs enter at their first cell, rails leave at the last. Nowhere
-    stands a large conductance: wire of no resistance is no special case. Costs long·short³ for long·short cells.
-
-    swapped : whether the columns are the rungs. outer, inner : steps that put rungs and their cells in that order.
-    rung : (rungs, n, n) siemens, of every rung's own K⁻¹. passed : (rungs, n, n), the share of the current that gets
-    through the next segment of the rails. shown : (rungs, n, n) siemens, the conductance that all rungs so far show
-    beyond that segment. segment_ohm : (rungs, n) of the rails, the contacts in the last.
+    swapped : whether the columns are the rungs. outer, inner : steps that put rungs and their cells in order; rungs
+    enter at their first cell, rails leave at the last. rung : (rungs, n, n) siemens, of every rung's own K⁻¹.
+    passed : (rungs, n, n), the share of the current that gets through the next segment of the rails.
+    shown : (rungs, n, n) siemens, the conductance of all rungs so far beyond that segment.
+    segment_ohm : (rungs, n) of the rails, the contacts in the last.
     """
 
     swapped: bool
@@ -242,9 +227,14 @@ class Wiring:
 
 @dataclass(frozen=True, eq=False)
 class WiredNetwork(TiedNetwork):
-    """ties : (lines) siemens. wiring, ladder : what lies between terminals and cells, and its K⁻¹.
+    """With C = K⁻¹Bᵀ the terminals' currents are BC·p, and Z = (BC + diag t)⁻¹, lines that touch taken as one.
 
-    currents : C (cells, lines) siemens, through the cells for a unit of potential at every terminal.
+    D = (r C Z)ᵀ are the potential differences across the cells for a unit current into every terminal; ∂Z_ab/∂g_c =
+    −D_ac D_bc as without wire. With X = diag(r) − r K⁻¹ r + DᵀCᵀ r, those for a unit current through every cell,
+    ∂D_ac/∂g_d = −D_ad X_dc. Without wire X = BᵀZB.
+
+    ties : (lines) siemens. wiring, ladder : what lies between terminals and cells, and its K⁻¹. currents : C (cells,
+    lines) siemens.
     """
 
     ties: Array
@@ -327,27 +317,22 @@ class WiredSecondOrder(TiedSecondOrder):
 
     network: WiredNetwork
 
-    @cached_property
-    def _loading(self) -> Array:
-        """W (lines, lines)."""
-        return self.network.loading(self.weights)
-
     def products(self, step: Array) -> tuple[Array, Array]:
         """(J·p, g·(2 diag(Dᵀ W dD) + diag(Dᵀ W' D))), dDᵀ = X·(g·p·Dᵀ), W' from what p does to the slopes of h."""
         network = self.network
         across, change = network.potential_differences, network.changes(step)
         moved = network.driven_through((across * (network.conductance * step).ravel()).T).T
-        twice = 2 * np.sum(moved * (self._loading @ across), axis=0).reshape(step.shape)
+        twice = 2 * np.sum(moved * (self.loading @ across), axis=0).reshape(step.shape)
         return network.read_change(change), network.conductance * (twice + network.drawn(self.loading_change(change)))
 
     def adjoint(self) -> Array:
         """g·diag(Dᵀ W D)."""
-        return self.network.conductance * self.network.drawn(self._loading)
+        return self.network.conductance * self.network.drawn(self.loading)
 
     def matrix(self) -> Array:
         """2 g (X ∘ Dᵀ W D) g, and what the curvature of h adds."""
         conductance, across = self.network.conductance.ravel(), self.network.potential_differences
-        matrix = 2 * self.network.driven_through(np.eye(len(conductance))) * (across.T @ self._loading @ across)
+        matrix = 2 * self.network.driven_through(np.eye(len(conductance))) * (across.T @ self.loading @ across)
         matrix *= conductance[:, None] * conductance
         return self.with_curvature(matrix)
 
