@@ -44,17 +44,11 @@ class Faults(Configuration):
 
     def shorted_cells(self, panel: Panel) -> NDArray[np.bool_]:
         """(rows, columns) where a cell joins its lines."""
-        cells = np.zeros(panel.shape, dtype=bool)
-        for row, column in self.shorted:
-            cells[row, column] = True
-        return cells
+        return Faults(open=self.shorted).open_cells(panel)
 
     def blind(self, panel: Panel) -> NDArray[np.bool_]:
-        """(rows, columns) where a reading says nothing."""
-        readings = self.shorted_cells(panel)
-        readings[list(self.dead_rows)] = True
-        readings[:, list(self.dead_columns)] = True
-        return readings
+        """(rows, columns) where a reading is missing."""
+        return replace(self, open=self.shorted).open_cells(panel)
 
     def joined(self, panel: Panel) -> tuple[tuple[int, ...], ...]:
         """Groups of lines that are one node, by the numbers of lines, rows first."""
@@ -90,11 +84,9 @@ class Faults(Configuration):
         if np.any(self.open_cells(panel) & self.shorted_cells(panel)):
             raise ValueError("faults: a cell cannot be open and shorted")
         read, conducting = (panel.present & ~gone for gone in (self.blind(panel), self.open_cells(panel)))
-        if not (read.any() and conducting.any()) or self._all_dead(panel):
+        all_dead = layout is not None and len(set(self.dead_modules)) == layout.count
+        if not (read.any() and conducting.any()) or all_dead:
             raise ValueError("faults: nothing is left of the panel")
-
-    def _all_dead(self, panel: Panel) -> bool:
-        return panel.modules is not None and len(set(self.dead_modules)) == panel.modules.count
 
     def of_module(self, layout: Modules, number: int, own: "Faults | None") -> "Faults | None":
         """Of one module, by its own rows and columns: what lies on it, and what only it has; None: nothing."""
@@ -103,14 +95,10 @@ class Faults(Configuration):
             tuple(
                 (row - rows.start, column - columns.start)
                 for row, column in cells
-                if _within(row, rows) and _within(column, columns)
+                if rows.start <= row < rows.stop and columns.start <= column < columns.stop
             )
             for cells in (self.open, self.shorted)
         ]
         own = own or Faults()
         merged = replace(own, open=(*own.open, *inside[0]), shorted=(*own.shorted, *inside[1]))
         return None if merged == Faults() else merged
-
-
-def _within(number: int, among: slice) -> bool:
-    return bool(among.start <= number < among.stop)

@@ -1,19 +1,15 @@
-"""What a piezoresistive film does beside its response curve: it remembers, and it may be bent.
-
-    hysteresis   p → p_e ≥ p: while a load is taken off, a cell still answers as to a larger one
-    creep        ln(r/r0) goes on growing by a fraction of itself for each decade of time, and fades as slowly
-    bending      unloaded cells are lower, and answer less
+"""What a piezoresistive film does beside its response curve: hysteresis, creep, bending, in numbers.
 
 Operators and their sources are in `lampest.loads.film`.
 """
 
 from dataclasses import dataclass
-from math import hypot, isfinite
+from math import hypot
 from typing import Literal, NamedTuple
 
 import numpy as np
 
-from lampest.files.typed import Configuration
+from lampest.files.typed import Configuration, check_ranges
 
 MOST_HYSTERESIS, MOST_CREEP = 0.6, 0.5
 # Where a scene leaves it open: 10 to 25 % of full scale are published for velostat; data sheets of kindred films
@@ -24,8 +20,6 @@ OPEN_HYSTERESIS, OPEN_CREEP = (0.17, 0.07), (0.04, 0.04)
 CURVATURES = np.array([0.0, 20.0, 30.3, 58.8])
 BENT_OHM = np.array([3050.0, 1030.0, 560.0, 350.0])
 BENT_CHANGE = np.array([-0.94, -0.82, -0.69, -0.81])
-# Of what a bent cell answers, relatively: the three published ones lie so far from a line over the curvature.
-BENT_SD = 0.15
 
 
 class Strength(NamedTuple):
@@ -64,14 +58,10 @@ class Film(Configuration):
 
     def __post_init__(self) -> None:
         for name, most in (("hysteresis", MOST_HYSTERESIS), ("creep_per_decade", MOST_CREEP)):
-            value = getattr(self, name)
-            if value != "auto" and not 0 <= value <= most:
-                raise ValueError(f"{name} must lie between 0 and {most}, or be auto")
-        for name in ("deviation", "cell_spread"):
-            if not 0 <= getattr(self, name) <= 1:
-                raise ValueError(f"{name} must lie between 0 and 1")
-        if not (isfinite(self.curvature_per_m) and 0 <= self.curvature_per_m <= CURVATURES[-1]):
-            raise ValueError(f"curvature_per_m must lie between 0 and {CURVATURES[-1]:g}: beyond nothing is published")
+            if getattr(self, name) != "auto":
+                check_ranges(self, 0, most, name)
+        check_ranges(self, 0, 1, "deviation", "cell_spread")
+        check_ranges(self, 0, CURVATURES[-1], "curvature_per_m")
 
     @property
     def remembers(self) -> bool:
@@ -106,5 +96,5 @@ class Film(Configuration):
 
     @property
     def answer_sd(self) -> float:
-        """Its relative standard deviation; none of a flat film."""
-        return BENT_SD if self.curvature_per_m else 0.0
+        """Its relative standard deviation: the three published cells lie so far from a line over the curvature."""
+        return 0.15 if self.curvature_per_m else 0.0

@@ -3,12 +3,11 @@
 Symbols: g (rows, columns) cell conductance in siemens; u, v potentials of row and column lines in volt.
 """
 
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
 
-from lampest.panel.panel import Array, Panel
+from lampest.panel.panel import MANY_LINES, Array, Panel
 
 
 def current_balance(conductance: Any, row_potential: Any, column_potential: Any) -> tuple[Any, Any]:
@@ -31,16 +30,12 @@ def current_balance(conductance: Any, row_potential: Any, column_potential: Any)
 def laplacian(conductance: Array) -> Array:
     """L with L·(u, v) = current_balance(g, u, v): (…, lines, lines) siemens, singular; paper, equation (3)."""
     rows, columns = conductance.shape[-2:]
-    _panel(rows, columns).check_memory()
+    if rows + columns > MANY_LINES:
+        Panel(rows, columns).check_memory()
     matrix = np.zeros((*conductance.shape[:-2], rows + columns, rows + columns), dtype=conductance.dtype)
     matrix[..., :rows, rows:], matrix[..., rows:, :rows] = -conductance, -conductance.swapaxes(-1, -2)
     np.einsum("...ii->...i", matrix)[...] = line_sums(conductance)
     return matrix
-
-
-@lru_cache(maxsize=64)
-def _panel(rows: int, columns: int) -> Panel:
-    return Panel(rows, columns)
 
 
 def injected(conductance: Array, potentials: Array) -> Array:

@@ -9,14 +9,11 @@ from numpy.typing import NDArray
 
 from lampest.files.document import LARGEST, SMALLEST
 from lampest.files.process import check_memory
-from lampest.files.typed import Configuration
+from lampest.files.typed import Configuration, check_positive_fields, check_ranges
 
 Array = NDArray[np.floating[Any]]
-LEAST_PITCH_MM, MOST_PITCH_MM = 1e-3, 1e6  # a transistor's width, a street's length
+MOST_PITCH_MM = 1e6
 MANY_LINES = 2000  # fewer fit into 100 MB
-ROUNDED = (
-    0.01  # (of a squared distance) places are written with three digits, and right angles are then no longer right
-)
 CellPlace = tuple[int, int, float, float]
 
 
@@ -46,8 +43,7 @@ class Modules(Configuration):
     def __post_init__(self) -> None:
         if min(self.rows, self.columns, self.each.rows, self.each.columns) < 1:
             raise ValueError("modules need at least one row and one column of modules, and of cells in each")
-        if not 0 <= self.seam_mm <= 1e6:
-            raise ValueError("seam_mm must be zero or positive, and finite: at most 1e+06")
+        check_ranges(self, 0, MOST_PITCH_MM, "seam_mm")
 
     @property
     def count(self) -> int:
@@ -117,10 +113,8 @@ class Panel(Configuration):
                 raise ValueError("cells: of modules every crossing has a cell")
         if self.rows < 1 or self.columns < 1:
             raise ValueError("a panel needs at least one row and one column")
-        if not LEAST_PITCH_MM <= self.pitch_mm <= MOST_PITCH_MM:
-            raise ValueError(
-                f"pitch_mm must be positive and finite, a length between {LEAST_PITCH_MM:g} and {MOST_PITCH_MM:g} mm"
-            )
+        check_positive_fields(self, "pitch_mm")
+        check_ranges(self, 1e-3, MOST_PITCH_MM, "pitch_mm")  # a transistor's width, a street's length
         if self.cells is not None:
             self._check_cells(self.cells)
 
@@ -157,15 +151,11 @@ class Panel(Configuration):
         return present
 
     def check_memory(self, matrices: int = 3) -> None:
-        """Raise InputError where there is no room for so many matrices (lines, lines) over the panel's lines.
-
-        matrices : the impedance, what it is solved from, and room to solve it.
-        """
-        if self.rows + self.columns > MANY_LINES:
-            check_memory(
-                8.0 * matrices * (self.rows + self.columns) ** 2,
-                f"a panel of {self.rows} × {self.columns} cells ({self.rows + self.columns} lines)",
-            )
+        """Raise InputError where there is no room for so many matrices (lines, lines) over the panel's lines."""
+        lines = self.rows + self.columns
+        if lines > MANY_LINES:
+            what = f"a panel of {self.rows} × {self.columns} cells ({lines} lines)"
+            check_memory(8.0 * matrices * lines**2, what)
 
     def centres_mm(self) -> tuple[Array, Array]:
         """x_k = k·pitch and y_j = j·pitch, and the seams before them: positions of columns and rows in millimetre."""
@@ -239,7 +229,7 @@ def circle_neighbours(places: Array, here: int) -> NDArray[np.intp]:
     for nearest in np.argsort(square)[1:]:
         if not np.any(alone & (square > square[nearest])):
             break
-        within = square[nearest] <= (1 + ROUNDED) * (way @ way[nearest])
+        within = square[nearest] <= 1.01 * (way @ way[nearest])  # places are written with three digits
         within[nearest] = False
         alone &= ~within
     after = np.flatnonzero(alone)

@@ -15,24 +15,18 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.interpolate import PchipInterpolator
 
-from lampest.files.typed import ByKind, Configuration
+from lampest.files.typed import ByKind, Configuration, check_ranges
 from lampest.panel.panel import Array
 
 Table = tuple[tuple[float, ...], ...]
-PARTS = (
-    16  # lines between two points of a table: they miss the cubic by 1/1000 of the interval's fall, and invert exactly
-)
-
-
-# The points of figure 1-e: kPa and r/r0; straight between them, and decay rates of ln(r/r0) per kPa beside them.
-LINEAR_PRESSURE = np.array([0.0, 2.5, 28.0])
-LINEAR_RATIO = np.array([1.0, 0.52, 0.112])
-SUCTION_RATE = np.log(7.54) / -10.0
-SATURATING_RATE = np.log(0.06 / 0.112) / 12.0
-SATURATED_RATE = np.log(0.02 / 0.06) / 195.0
-
-# kPa between which a resistance determines the pressure. Below, nothing is published. Above, 1 % of the resistance is
-# 1.8 kPa and no longer 0.2, and what the scatter of cells leaves open is more than the pressure itself.
+# Lines between two points of a table: they miss the cubic by 1/1000 of the interval's fall, and invert exactly.
+PARTS = 16
+# Figure 1-e, kPa and r/r0: straight lines between the first three points, exponentials beyond.
+CURVE_KPA = np.array([0.0, 2.5, 28.0, 40.0, 235.0])
+CURVE_RATIO = np.array([1.0, 0.52, 0.112, 0.06, 0.02])
+SUCTION_RATE = np.log(7.54) / -10.0  # 1/kPa
+# kPa between which a resistance determines the pressure: nothing is published below; above, 1 % of the resistance is
+# 1.8 kPa and no longer 0.2.
 TOLD_KPA = (-10.0, 40.0)
 
 
@@ -189,8 +183,8 @@ class PowerResponse(Response):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not (0.01 <= self.exponent <= 100 and 1e-3 <= self.scale_kpa <= 1e6):
-            raise ValueError("exponent must lie between 0.01 and 100, scale_kpa between 0.001 and 1e6")
+        check_ranges(self, 0.01, 100, "exponent")
+        check_ranges(self, 1e-3, 1e6, "scale_kpa")
         if not (0 <= self.sd < float("inf")):
             raise ValueError("sd must be zero or positive, and finite")
         if not -1e6 < self.from_kpa <= 0 < self.to_kpa < 1e6:
@@ -241,21 +235,27 @@ class PublishedResponse(Response):
     def logarithm(self, pressure: ArrayLike) -> Array:
         """ln f(p)."""
         pressure = np.asarray(pressure, dtype=float)
-        linear = np.interp(pressure, LINEAR_PRESSURE, LINEAR_RATIO)
+        linear = np.interp(pressure, CURVE_KPA[:3], CURVE_RATIO[:3])
+        saturating, saturated = self._rates
         logarithm = SUCTION_RATE * np.minimum(pressure, 0.0)
-        logarithm = logarithm + SATURATING_RATE * np.clip(pressure - 28.0, 0.0, 12.0)
-        logarithm = logarithm + SATURATED_RATE * np.maximum(pressure - 40.0, 0.0)
+        logarithm = logarithm + saturating * np.clip(pressure - 28.0, 0.0, 12.0)
+        logarithm = logarithm + saturated * np.maximum(pressure - 40.0, 0.0)
         return np.asarray(np.log(linear) + logarithm)
+
+    @property
+    def _rates(self) -> Array:
+        """1/kPa of ln(r/r0), of the last two pieces."""
+        return np.asarray(np.log(CURVE_RATIO[3:] / CURVE_RATIO[2:-1]) / np.diff(CURVE_KPA[2:]))
 
     def pressure(self, logarithm: ArrayLike) -> Array:
         """p of ln f(p)."""
         logarithm = np.asarray(logarithm, dtype=float)
-        start = np.log(LINEAR_RATIO[-1])
-        linear = np.interp(-np.exp(np.clip(logarithm, start, 0.0)), -LINEAR_RATIO, LINEAR_PRESSURE)
+        start, rates = np.log(CURVE_RATIO[2]), self._rates
+        linear = np.interp(-np.exp(np.clip(logarithm, start, 0.0)), -CURVE_RATIO[:3], CURVE_KPA[:3])
         suction = np.maximum(logarithm, 0.0) / SUCTION_RATE
         below = np.minimum(logarithm - start, 0.0)
-        saturating = np.maximum(below, 12.0 * SATURATING_RATE)
-        return np.asarray(linear + suction + saturating / SATURATING_RATE + (below - saturating) / SATURATED_RATE)
+        saturating = np.maximum(below, 12.0 * rates[0])
+        return np.asarray(linear + suction + saturating / rates[0] + (below - saturating) / rates[1])
 
     def curve_sd(self, pressure: ArrayLike) -> Array:
         """None is published; the scatter of single cells covers it."""

@@ -1,9 +1,7 @@
-"""What all frames of a recording share and nobody knows better: it moves all readings together, not apart.
+"""Errors that all frames of a recording share: reference, channels, contacts, series, wire, the converter's curve.
 
-The reference resistor (the loads, the feedback) is off by a fraction, every line's channel by some ohm, the same in
-every frame. So are errors that are hidden: resistance in series, wire, the converter's curve, each reading's own. To
-first order the estimate moves by K·U·z with independent standard normal z, one column of U for each error: what it does
-to the readings, a secant of the readout's own equations. Changes against the baseline move by the difference.
+To first order the estimate moves by K·U·z with independent standard normal z, one column of U for each error: what it
+does to the readings, a secant of the readout's own equations.
 """
 
 from collections.abc import Sequence
@@ -18,14 +16,15 @@ from lampest.panel.readouts.wiring import Wiring, contact_responses
 from lampest.panel.scene import Scene, Systematic
 
 SINES = 4  # that a converter's curve is made of; between them they are as large as specified, in the mean square
-# Two channels of a CD74HC4067, 70 ohm each and 160 at most, lie within 50 ohm of what is typical; resistors of
-# the series E24 within 5 %. So large that 95 % intervals cover both at once.
-USUAL_SERIES_OHM = 35.0  # standard deviation
-USUAL_REFERENCE = 0.06  # tolerance, as a fraction
-USUAL_INL_LSB = 0.5  # rms of the curve of microcontrollers' converters, of which data sheets promise 1 to 2 at most
-USUAL_WIRE_OHM = 0.2  # per cell: copper tape has none, conductive thread and printed silver 0.1 to 1
-
-USUAL_RESPONSE_SD = 0.25  # flat film of one batch scatters by a tenth; bent, glued or old film answers otherwise
+USUAL = Systematic(
+    # Two channels of a CD74HC4067, 70 ohm each and 160 at most, lie within 50 ohm of what is typical; resistors of the
+    # series E24 within 5 %. So large that 95 % intervals cover both at once.
+    series_ohm=35.0,
+    reference_tolerance=0.06,
+    inl_lsb=0.5,  # rms; data sheets of microcontrollers' converters promise 1 to 2 at most
+    wire_ohm_per_cell=0.2,  # copper tape has none, conductive thread and printed silver 0.1 to 1
+    response_sd=0.25,  # flat film of one batch scatters by a tenth; bent, glued or old film answers otherwise
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,14 +49,7 @@ def usual(scene: Scene) -> Systematic | None:
         return scene.told_systematic
     if scene.readout is None or scene.systematic == "none":
         return None
-    series = USUAL_SERIES_OHM if scene.circuit.series_name else None
-    return Systematic(
-        reference_tolerance=USUAL_REFERENCE,
-        series_ohm=series,
-        inl_lsb=USUAL_INL_LSB,
-        wire_ohm_per_cell=USUAL_WIRE_OHM,
-        response_sd=USUAL_RESPONSE_SD,
-    )
+    return USUAL if scene.circuit.series_name else replace(USUAL, series_ohm=None)
 
 
 def hidden_columns(cells: Array, measured: Array, scene: Scene, sizes: Systematic) -> Array:

@@ -12,7 +12,6 @@ from lampest.panel.panel import Array
 from lampest.panel.readouts.lines import PerLine, Side, along, as_tuple, check_lines, lines_text
 
 USUAL_NOISE_LSB = 0.7  # (LSB) enough to dither: what the shipped boards show, and what averaging needs
-HARMONICS = 2000  # of quantisation noise; the tail beyond is 1/(2π²·2000), and matters only where there is no noise
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -109,7 +108,8 @@ class Converter(Configuration):
         b² = Σ_h exp(−4π²h²·noise²)/(2π²h²) is what averaging cannot remove, because without noise all readings agree:
         1/12 for no noise, 0.0000 above half an LSB. Source: Widrow & Kollár, Quantization Noise, 2008 (dither).
         """
-        harmonic, noise = np.arange(1, HARMONICS + 1, dtype=float), np.array(self.assumed_noise)
+        # The tail beyond 2000 harmonics is 1/(2π²·2000), and matters only where there is no noise.
+        harmonic, noise = np.arange(1, 2001, dtype=float), np.array(self.assumed_noise)
         damped = np.exp(-((2 * np.pi * harmonic * noise[..., None]) ** 2)) / (2 * np.pi**2 * harmonic**2)
         bias = np.where(noise == 0, 1 / 12, np.minimum(np.sum(damped, axis=-1), 1 / 12))
         return np.asarray(np.sqrt((noise**2 + 1 / 12 - bias) / self.readings + bias))

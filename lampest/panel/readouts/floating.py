@@ -22,7 +22,6 @@ MOST_ITERATIONS = 30  # 6 suffice from the uniform start at 10 × 10 to 32 × 32
 LENGTHS = tuple(0.5**power for power in range(20))  # of a step: below, none lowers the cost in double precision
 REPRODUCED = 1e-9  # relative misfit of any reading; near a solution each step doubles the digits
 DECREASE = 1e-4  # Armijo's share, as in Nocedal & Wright, Numerical Optimization, 2006, section 3.1
-ROUNDING = 1e-14  # what double precision leaves of a block's cost, relative
 
 
 def grounding(two_point_resistance: Array, parts: Numbers | None = None) -> Array:
@@ -149,8 +148,8 @@ class Stencil:
     """(D∘D)⁻¹ as a preconditioner: (D∘D)_il ≈ 1/A_j² for cells of one row j, 1/B_k² of one column k, R_l² at i = l.
 
     A and B are the lines' total conductances. Inverted through one matrix of lines × lines (Woodbury). diagonal :
-    (rows, columns) 1/d, zero at cells that are left out. inner : (S⁻¹ + Uᵀ diag(1/d) U)⁻¹, (lines)², U with a column for
-    every line and S its 1/A² or 1/B².
+    (rows, columns) 1/d, zero at cells that are left out. inner : (S⁻¹ + Uᵀ diag(1/d) U)⁻¹, (lines)², U with a column
+    for every line and S its 1/A² or 1/B².
     """
 
     diagonal: Array
@@ -242,7 +241,7 @@ def fitted_block(
         there = inside.changed(everything, conductance)
         return float(np.sum(measured * conductance)) + there.log_determinant() - rest, there
 
-    return network.changed(block, _least_cost(at, measured, inside.conductance, least, chosen, ROUNDING))
+    return network.changed(block, _least_cost(at, measured, inside.conductance, least, chosen, rounding=1e-14))
 
 
 def _least_cost(

@@ -1,7 +1,6 @@
 """Circuits whose idle driven lines are held at a potential all the time, each through its resistance Rd.
 
-A resistance of zero has no tie, but its limit is plain: readings depart from it by Rd·ΣG of a driven line's cells,
-which LEAST_DRIVE makes some 1e-8 of ordinary cells, below what any converter sees.
+A resistance of zero has no tie; a micro-ohm in its place moves readings by some 1e-8, below what any converter sees.
 """
 
 from abc import abstractmethod
@@ -12,17 +11,23 @@ import numpy as np
 
 from lampest.panel.panel import Array
 from lampest.panel.readouts.driven import END, DrivenReadout, alternated
-from lampest.panel.readouts.lines import PerLine, Side, along, lines_text, of_side, opposite, parallel, per_line
+from lampest.panel.readouts.lines import (
+    LEAST_OHM,
+    PerLine,
+    Side,
+    along,
+    lines_text,
+    of_side,
+    opposite,
+    parallel,
+    per_line,
+)
 from lampest.panel.readouts.readout import LEAST_SHARE, SHORT_SHARE, FreeTest
-
-LEAST_DRIVE = 1e-6  # ohm
-LEAST_REST = 1e-3  # (of a sensed line's current) the load's share; noise of 12 bits over 16 lines is as much
-LEAST_VOLTAGE = 1e-9  # of the frame's largest
 
 
 def at_least_a_tie(name: str, value: PerLine, lines: int) -> Array:
-    """(lines) ohm, never below LEAST_DRIVE."""
-    return np.maximum(per_line(name, value, lines), LEAST_DRIVE)
+    """(lines) ohm, never below LEAST_OHM."""
+    return np.maximum(per_line(name, value, lines), LEAST_OHM)
 
 
 class IdleGroundedReadout(DrivenReadout):
@@ -67,10 +72,10 @@ class IdleGroundedReadout(DrivenReadout):
         Then no sensed line knows of another, and with its load or without, all others stay as they are.
         """
         along_driven = -2 if self.driven == "rows" else -1
-        voltage = np.maximum(share, LEAST_VOLTAGE * share.max(axis=(-2, -1), keepdims=True))
+        voltage = np.maximum(share, END * share.max(axis=(-2, -1), keepdims=True))
         rest = 1 - voltage.sum(axis=along_driven, keepdims=True)
         # A rest below zero is noise, or what stands in for a dead line. Then the load counts as one more cell.
-        return np.asarray(load * np.where(rest > LEAST_REST, rest, 1 / (1 + share.shape[along_driven])) / voltage)
+        return np.asarray(load * np.where(rest > LEAST_SHARE, rest, 1 / (1 + share.shape[along_driven])) / voltage)
 
     def uniform_start(self, measured: Array) -> Array:
         """Right where Rd = 0."""

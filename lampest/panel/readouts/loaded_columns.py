@@ -6,10 +6,11 @@ from typing import Any, ClassVar, Literal
 
 import numpy as np
 
-from lampest.files.typed import Configuration
+from lampest.files.typed import Configuration, check_ranges
 from lampest.panel.panel import Array
 from lampest.panel.readouts.driven import END, DrivenReadout, alternated
 from lampest.panel.readouts.lines import (
+    RELAXED,
     LineNumber,
     PerLine,
     Side,
@@ -21,13 +22,6 @@ from lampest.panel.readouts.lines import (
     per_line,
 )
 from lampest.panel.readouts.readout import LEAST_SHARE, FreeTest
-
-RELAXED = (
-    3.0  # (σ of the data) by which bounds give way: with 1 % noise the truth itself breaks them in a third of cases
-)
-# Of what diodes do: n·kT/q is 0.02 V in the cold with n = 1, and an LED's 0.2 V; a Schottky drops 0.1 V, an LED 4 V.
-SLOPES, DROPS, CURRENTS = (0.015, 0.5), (0.01, 10.0), (1e-7, 10.0)  # volt, volt, ampere
-STEPS = 7  # of Newton's method: five suffice for the value at any resistance, and its second derivatives need two more
 
 
 @dataclass(frozen=True)
@@ -50,9 +44,10 @@ class Diode(Configuration):
     slope_volt: float = 0.05
 
     def __post_init__(self) -> None:
-        for name, (least, most) in (("drop_volt", DROPS), ("at_ampere", CURRENTS), ("slope_volt", SLOPES)):
-            if not least <= getattr(self, name) <= most:
-                raise ValueError(f"{name} must lie between {least:g} and {most:g}")
+        # n·kT/q is 0.02 V in the cold with n = 1, and an LED's 0.2 V; a Schottky drops 0.1 V, an LED 4 V.
+        check_ranges(self, 0.01, 10, "drop_volt")
+        check_ranges(self, 1e-7, 10, "at_ampere")
+        check_ranges(self, 0.015, 0.5, "slope_volt")
 
     def description(self) -> str:
         """The drop and its slope."""
@@ -77,7 +72,7 @@ class Diode(Configuration):
         part = resistance * (self._saturation / self.slope_volt)
         right = part + _logarithm(part) + supply_volt / self.slope_volt
         omega = right + _logarithm(1 + _exponential(-right))
-        for _ in range(STEPS):
+        for _ in range(7):  # five suffice for the value at any resistance, its second derivatives need two more
             omega = omega * (1 + right - _logarithm(omega)) / (1 + omega)
         return self.slope_volt * (omega - part)
 

@@ -14,13 +14,13 @@ from lampest.panel.least_squares import LevenbergMarquardt, SumOfSquares
 from lampest.panel.network import Block, Network, inverse_of
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts.converter import Converter
+from lampest.panel.readouts.floating import REPRODUCED
 from lampest.panel.readouts.lines import LineNumber, of_side, per_line
 from lampest.panel.readouts.tied import TiedNetwork
 from lampest.panel.readouts.wiring import WiredNetwork, Wiring
 
 LEAST_SHARE = 1e-3  # (of a load) what a reading at its end leaves of the apparent resistance
 SHORT_SHARE = 1e-6  # (of the apparent resistance) from here to a dead short readings move by a millionth
-FITTED = 1e-9  # of the largest reading, the residual of a fitted block
 
 
 @dataclass(frozen=True, eq=False)
@@ -199,7 +199,7 @@ class Readout(Converter, ABC):
         # Beyond 1.5 in log r a reading's slope no longer predicts it.
         loop = LevenbergMarquardt(evaluations=30, settled=0.0, damping=1e-12, longest=1.5)
         found = loop.minimum(
-            fitted, start, (-np.inf, highest), lambda at, _: bool(np.abs(at.residual).max(initial=0.0) <= FITTED)
+            fitted, start, (-np.inf, highest), lambda at, _: bool(np.abs(at.residual).max(initial=0.0) <= REPRODUCED)
         )
         return found.at.network
 

@@ -11,11 +11,9 @@ from lampest.panel.network import Block, Network, inverse_of
 from lampest.panel.panel import Array
 from lampest.panel.readouts.floating import FloatingNetwork, convex_start, fitted_block, grounding, uniform_factor
 from lampest.panel.readouts.lines import LineNumber, check_resistors
-from lampest.panel.readouts.readout import FreeTest, Readout, Surroundings
+from lampest.panel.readouts.readout import SHORT_SHARE, FreeTest, Readout, Surroundings
 from lampest.panel.readouts.star_mesh import two_point_resistance
 from lampest.panel.readouts.wiring import Wiring
-
-LEAST_REST = 1e-6  # of the input's conductance: a cell that conducts less is beyond any converter
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -168,7 +166,7 @@ class TwoPointReadout(Readout):
         if self.input_ohm is None:
             return recorded
         if self.measured_across == "sensor":
-            return np.asarray(1 / np.maximum(1 / recorded - 1 / self.input_ohm, LEAST_REST / self.input_ohm))
+            return np.asarray(1 / np.maximum(1 / recorded - 1 / self.input_ohm, SHORT_SHARE / self.input_ohm))
         return np.asarray(recorded / (1 + self.reference_ohm / self.input_ohm))
 
     def sigma_of_reading(self, recorded: Array, sigma: Array) -> Array:

@@ -14,10 +14,8 @@ import numpy as np
 from lampest.files.typed import Configuration
 from lampest.panel.network import Block, Network, ReadCircuit, SecondOrder
 from lampest.panel.panel import Array
-from lampest.panel.readouts.lines import PerLine, check_lines, per_line
+from lampest.panel.readouts.lines import RELAXED, PerLine, check_lines, per_line
 from lampest.panel.readouts.tied import TiedNetwork, TiedSecondOrder
-
-RELAXED = 3.0  # standard deviations that a contact may be larger where it must not make a bound wrong
 
 
 @dataclass(frozen=True)
