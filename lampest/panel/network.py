@@ -1,8 +1,7 @@
 """A solved network of cells: the only owner of the impedance Z = (L(g) + diag(t))⁻¹ of a panel's lines.
 
-A readout ties lines to ground (t, siemens) and reads a scalar function of a few entries of Z. Whoever needs a reading
-or what it answers to changes of the cells asks the network, in u = log r: with D = Z·B, B the ±1 incidence vectors of
-the cells, ∂Z_ab/∂u_c = g_c D_ac D_bc. Nobody else reads an impedance.
+A readout ties lines to ground (t, siemens) and reads a function of a few entries of Z. Derivatives are in u = log r:
+with D = Z·B, B the ±1 incidence vectors of the cells, ∂Z_ab/∂u_c = g_c D_ac D_bc.
 """
 
 from abc import ABC, abstractmethod

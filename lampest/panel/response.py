@@ -1,9 +1,4 @@
-"""A film's response to pressure: ln(r/r0) over kPa, strictly falling, and each cell's gain.
-
-    ln(r/r0) = κ·ln f(p)     f of the film, 1 at 0 kPa; κ of the cell, 1 where the scene names none
-
-A scene that names no response has no pressures.
-"""
+"""A film's response to pressure, ln(r/r0) = κ·ln f(p): f of the film, strictly falling, 1 at 0 kPa; κ of the cell."""
 
 from abc import abstractmethod
 from dataclasses import dataclass, replace

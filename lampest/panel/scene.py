@@ -8,6 +8,7 @@ from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse.csgraph import connected_components
 
 from lampest.files.document import to_yaml
 from lampest.files.typed import Configuration, members_of
@@ -139,8 +140,8 @@ class Scene(Configuration):
                 raise ValueError(f"modules: module {list(own.at)} is named twice")
             if own.readout is not None and type(own.readout) is not type(self.readout):
                 raise ValueError(f"modules: module {list(own.at)} has a readout of another kind than the scene")
-        for _ in () if layout is None else self.of_modules:  # each checks itself
-            pass
+        if layout is not None:
+            assert self.of_modules  # each checks itself
 
     @cached_property
     def of_modules(self) -> tuple["Scene", ...]:
@@ -178,8 +179,9 @@ class Scene(Configuration):
     def dead_modules(self) -> tuple[int, ...]:
         """The numbers of modules that are not read."""
         layout = self.panel.modules
-        dead = () if layout is None or self.faults is None else self.faults.dead_modules
-        return tuple(sorted({row * layout.columns + column for row, column in dead})) if layout is not None else ()
+        if layout is None or self.faults is None:
+            return ()
+        return tuple(sorted({row * layout.columns + column for row, column in self.faults.dead_modules}))
 
     @cached_property
     def blind(self) -> NDArray[np.bool_]:
@@ -277,16 +279,11 @@ class Scene(Configuration):
         """(lines) the number of the part that each line belongs to, joined by cells; None where all are one."""
         if self.whole:
             return None
-        joined = ~self.open_cells
-        row, column = np.arange(self.panel.rows), np.full(self.panel.columns, self.panel.crossings)
-        for _ in range(sum(self.panel.shape)):
-            before = row
-            column = np.min(np.where(joined, row[:, None], self.panel.rows + np.arange(self.panel.columns)), axis=0)
-            row = np.minimum(row, np.min(np.where(joined, column, self.panel.crossings), axis=1))
-            if np.array_equal(row, before):
-                break
-        parts = np.concatenate([row, column])
-        return None if np.all(parts == parts[0]) else parts
+        rows, columns = self.panel.shape
+        lines = np.zeros((rows + columns,) * 2, dtype=bool)
+        lines[:rows, rows:] = ~self.open_cells
+        count, parts = connected_components(lines, directed=False)
+        return None if count == 1 else np.asarray(parts, dtype=np.intp)
 
     @cached_property
     def wiring(self) -> Wiring | None:

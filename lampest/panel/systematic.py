@@ -57,46 +57,27 @@ def hidden_columns(cells: Array, measured: Array, scene: Scene, sizes: Systemati
 
     measured : its readings. In the order series, curve, wire of rows, wire of columns, each reading.
     """
-    parts = []
+    circuit, wiring, parts = scene.circuit, scene.wiring or Wiring(), []
     if sizes.series_ohm:
-        parts.append(_series(cells, measured, scene, sizes.series_ohm))
+        lines = circuit.shared_errors(cells, measured, scene, 0.0, 1.0)[1:]
+        driven, _ = of_side(circuit.noisy_side, *np.split(lines, [len(measured)]))
+        parts.append(sizes.series_ohm * driven.sum(axis=0)[None])
     if sizes.inl_lsb and scene.readout is not None:
-        parts.append(_curve(measured, scene, sizes.inl_lsb))
+        volt = circuit.volt_from_recorded(circuit.to_recorded(measured, scene))
+        size = sizes.inl_lsb * circuit.lsb_volt * np.sqrt(2 / SINES)
+        waves = size * np.sin(np.pi * (np.arange(SINES)[:, None, None] + 1) * volt / circuit.supply_volt)
+        ends = [circuit.from_recorded(circuit.recorded_from_volt(volt + sign * waves), scene) for sign in (0.5, -0.5)]
+        parts.append(ends[0] - ends[1])
     if sizes.wire_ohm_per_cell:
-        parts.append(_wire(cells, scene, sizes.wire_ohm_per_cell))
+        still = circuit.exact_reading(cells, scene.wiring)
+        for name in ("row_ohm_per_cell", "column_ohm_per_cell"):
+            more: dict[str, float] = {name: getattr(wiring.lines, name) + sizes.wire_ohm_per_cell}
+            longer = replace(wiring, lines=replace(wiring.lines, **more))  # type: ignore[arg-type]
+            parts.append((circuit.exact_reading(cells, longer) - still)[None])
     if sizes.reading_error:
         each = sizes.reading_error * recorded_share(measured, scene)
         parts.append(np.diag(each.ravel()).reshape(measured.size, *measured.shape))
     return np.concatenate(parts) if parts else np.zeros((0, *measured.shape))
-
-
-def _series(cells: Array, measured: Array, scene: Scene, ohm: float) -> Array:
-    """Of so many ohm in every driven line."""
-    lines = scene.circuit.shared_errors(cells, measured, scene, 0.0, 1.0)[1:]
-    rows = measured.shape[0]
-    driven, _ = of_side(scene.circuit.noisy_side, lines[:rows], lines[rows:])
-    return np.asarray(ohm * driven.sum(axis=0)[None])
-
-
-def _curve(measured: Array, scene: Scene, lsb: float) -> Array:
-    """Of sines over the converter's range."""
-    circuit = scene.circuit
-    volt = circuit.volt_from_recorded(circuit.to_recorded(measured, scene))
-    size = lsb * circuit.lsb_volt * np.sqrt(2 / SINES)
-    waves = size * np.sin(np.pi * (np.arange(SINES)[:, None, None] + 1) * volt / circuit.supply_volt)
-    ends = [circuit.from_recorded(circuit.recorded_from_volt(volt + sign * waves), scene) for sign in (0.5, -0.5)]
-    return np.asarray(ends[0] - ends[1])
-
-
-def _wire(cells: Array, scene: Scene, ohm: float) -> Array:
-    """Of so many ohm more from cell to cell, in rows and in columns."""
-    still, wiring = scene.circuit.exact_reading(cells, scene.wiring), scene.wiring or Wiring()
-    lines = wiring.lines
-    longer = (
-        replace(lines, row_ohm_per_cell=lines.row_ohm_per_cell + ohm),
-        replace(lines, column_ohm_per_cell=lines.column_ohm_per_cell + ohm),
-    )
-    return np.stack([scene.circuit.exact_reading(cells, replace(wiring, lines=one)) - still for one in longer])
 
 
 def recorded_share(measured: Array, scene: Scene) -> Array:
@@ -173,15 +154,15 @@ class Shared:
 
         A tolerance is the half width of a uniform distribution, σ = 1/√3 of it.
         """
-        reference = systematic.reference_tolerance / np.sqrt(3)
+        reference, pairs = systematic.reference_tolerance / np.sqrt(3), list(zip(cells, measured, strict=True))
         circuit, channel = self.scene.circuit, systematic.channel_spread_ohm
-        frames = [
-            circuit.shared_errors(*pair, self.scene, reference, channel) for pair in zip(cells, measured, strict=True)
-        ]
-        told = np.concatenate([errors.reshape(len(errors), -1).T for errors in frames])
-        pairs = zip(cells, measured, strict=True)
-        hidden = [hidden_columns(*pair, self.scene, systematic) for pair in pairs]
-        if not len(hidden[0]):
-            return [told]
-        columns = np.concatenate([errors.reshape(len(errors), -1).T for errors in hidden])
-        return [told, columns if self.hidden_root is None else columns @ self.hidden_root]
+        specified = _columns([circuit.shared_errors(*pair, self.scene, reference, channel) for pair in pairs])
+        hidden = _columns([hidden_columns(*pair, self.scene, systematic) for pair in pairs])
+        if not hidden.size:
+            return [specified]
+        return [specified, hidden if self.hidden_root is None else hidden @ self.hidden_root]
+
+
+def _columns(frames: Sequence[Array]) -> Array:
+    """(n, rows, columns) of every frame → (frames · cells, n)."""
+    return np.concatenate([errors.reshape(len(errors), -1).T for errors in frames])

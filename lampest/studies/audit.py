@@ -29,25 +29,18 @@ NAN = float("nan")
 
 
 def usual_effects() -> dict[str, Unmodelled]:
-    """What electronics, films and animals do that no scene states, each at two strengths; first of all nothing."""
+    """What electronics, films and animals do that no scene states, most at two strengths; first of all nothing."""
     return {
         "as told": Unmodelled(),
         "noise 2": Unmodelled(noise_factor=2),
-        "ripple 0.5 LSB": Unmodelled(supply_ripple_lsb=0.5),
-        "ripple 2 LSB": Unmodelled(supply_ripple_lsb=2),
-        "outliers 1e-4": Unmodelled(outlier_probability=1e-4),
-        "outliers 1e-3": Unmodelled(outlier_probability=1e-3),
-        "outliers 1e-2": Unmodelled(outlier_probability=1e-2),
-        "gain 0.2 %": Unmodelled(gain_spread=0.002),
-        "gain 0.5 %": Unmodelled(gain_spread=0.005),
-        "moves 5 mm/s": Unmodelled(load_speed_mm_s=5),
-        "moves 30 mm/s": Unmodelled(load_speed_mm_s=30),
-        "series 5 ohm": Unmodelled(series_resistance_ohm=5),
-        "series 20 ohm": Unmodelled(series_resistance_ohm=20),
+        **{f"ripple {lsb:g} LSB": Unmodelled(supply_ripple_lsb=lsb) for lsb in (0.5, 2)},
+        **{f"outliers 1e-{digit}": Unmodelled(outlier_probability=10.0**-digit) for digit in (4, 3, 2)},
+        **{f"gain {percent:g} %": Unmodelled(gain_spread=percent / 100) for percent in (0.2, 0.5)},
+        **{f"moves {speed} mm/s": Unmodelled(load_speed_mm_s=speed) for speed in (5, 30)},
+        **{f"series {ohm} ohm": Unmodelled(series_resistance_ohm=ohm) for ohm in (5, 20)},
         "INL 2 LSB": Unmodelled(inl_lsb=2),
         "wire 0.5 ohm": Unmodelled(wire_ohm_per_cell=0.5),
-        "static 1 %": Unmodelled(reading_error=0.01),
-        "static 10 %": Unmodelled(reading_error=0.1),
+        **{f"static {percent} %": Unmodelled(reading_error=percent / 100) for percent in (1, 10)},
         "film bent": Unmodelled(response_loss=0.2),
         "film uneven": Unmodelled(response_spread=0.2),
     }

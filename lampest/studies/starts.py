@@ -14,7 +14,7 @@ from lampest.recording.recording import Recording
 from lampest.runs.config import Case, Run, read_run
 from lampest.solvers.multistart import evaluated, solved_from
 from lampest.solvers.solution import Status
-from lampest.studies.study import OnStep, Study, screen_table
+from lampest.studies.study import Cases, Study, of_cases, screen_table
 
 SAME = 1e-6  # of the cost and of a cell's share of it: objectives that differ by less are one
 FARTHEST = 60.0  # random starts reach up to so many times the reading
@@ -94,23 +94,16 @@ SCREEN: dict[str, Callable[[Tally], str]] = {
 }
 
 
-def starts_study(random: int, seed: int) -> Study[Run, list[Tally]]:
+def starts_study(random: int, seed: int) -> Study[Run, Cases[Tally]]:
     """The study with so many random starts for every frame."""
-
-    def measure(run: Run, on_step: OnStep) -> list[Tally]:
-        found = []
-        for number, case in enumerate(run.cases, 1):
-            found.append(tally(case, random, seed))
-            on_step(number, len(run.cases))
-        return found
 
     return Study(
         "starts",
         "cases",
         "table1.yaml",
         read_run,
-        measure,
+        lambda run, on_step: of_cases(lambda case: [tally(case, random, seed)], run, on_step),
         Tally.__dataclass_fields__,
-        lambda found: found,
-        lambda found: [("", screen_table(found, SCREEN))],
+        lambda cases: cases.found,
+        lambda cases: [("", screen_table(cases.found, SCREEN))],
     )

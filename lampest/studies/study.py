@@ -22,6 +22,7 @@ from lampest.files.whole import write_whole
 from lampest.recording.datasets import folder as shipped_folder
 from lampest.report.compare import Table
 from lampest.report.plots.style import save
+from lampest.runs.config import Case, Run
 from lampest.runs.executors import Executor, local
 
 if TYPE_CHECKING:
@@ -149,6 +150,35 @@ def published_code(name: str) -> ModuleType:
     module = importlib.util.module_from_spec(described)
     described.loader.exec_module(module)
     return module
+
+
+@dataclass(frozen=True, eq=False)
+class Cases(Generic[Found]):
+    """What was found in the cases of a run. left_out : 'recording/estimator left out: why'."""
+
+    found: Sequence[Found]
+    left_out: Sequence[str]
+
+
+def of_cases(
+    function: Callable[[Case], Sequence[Found] | str], run: Run, on_step: OnStep, purpose: str = "measure"
+) -> Cases[Found]:
+    """What a function finds in every case of a run, in order; a text says why one is left out.
+
+    on_step is called with how many of how many are done. Raises InputError where there is nothing for the purpose.
+    """
+    found: list[Found] = []
+    left_out = []
+    for number, case in enumerate(run.cases, 1):
+        found_here = function(case)
+        if isinstance(found_here, str):
+            left_out.append((f"{case.recording}/{case.name}", found_here))
+        else:
+            found += found_here
+        on_step(number, len(run.cases))
+    if not found:
+        raise InputError(f"nothing to {purpose}: {'; '.join(f'{name}: {why}' for name, why in left_out)}")
+    return Cases(found, [f"{name} left out: {why}" for name, why in left_out])
 
 
 def grouped(samples: Iterable[Any], key: Callable[[Any], Any]) -> dict[Any, list[Any]]:

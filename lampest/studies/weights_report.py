@@ -2,7 +2,6 @@
 
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -13,7 +12,6 @@ from matplotlib.patheffects import withStroke
 from matplotlib.ticker import LogFormatterSciNotation, LogLocator, NullLocator
 
 from lampest.files import hdf5
-from lampest.files.errors import InputError
 from lampest.recording.recording import Recording
 from lampest.report.plots.style import SMALL_POINT, TEXT_POINT, new_figure
 from lampest.runs.config import Case, Run, read_run
@@ -186,34 +184,11 @@ PANELS: Sequence[tuple[str, Callable[[Axes, Tuned], None]]] = (
 )
 
 
-@dataclass(frozen=True, eq=False)
-class TunedCases:
-    """tuned : in the order of the run. left_out : 'recording/estimator left out: why'."""
+def tuned(case: Case) -> list[Tuned] | str:
+    """A case that has one penalty with a squared loss; else why it cannot be tuned.
 
-    tuned: Sequence[Tuned]
-    left_out: Sequence[str]
-
-
-def run_weights(run: Run, on_step: study.OnStep) -> TunedCases:
-    """Every case that has one penalty with a squared loss. on_step is called with how many of how many are done.
-
-    Raises InputError where there is none, or where a rule needs the noise and it is unknown.
+    Raises InputError where a rule needs the noise and it is unknown.
     """
-    tuned: list[Tuned] = []
-    left_out: dict[str, str] = {}
-    for number, case in enumerate(run.cases, 1):
-        found = _tuned(case)
-        if isinstance(found, Tuned):
-            tuned.append(found)
-        else:
-            left_out[f"{case.recording}/{case.name}"] = found
-        on_step(number, len(run.cases))
-    if not tuned:
-        raise InputError(f"nothing to tune: {'; '.join(f'{name}: {reason}' for name, reason in left_out.items())}")
-    return TunedCases(tuned, [f"{name} left out: {reason}" for name, reason in left_out.items()])
-
-
-def _tuned(case: Case) -> Tuned | str:
     recording = Recording.load(case.path)
     frames = 2 if case.estimator.relative else 1
     reason = why_not(case.estimator, frames * recording.scene.panel.crossings)
@@ -223,7 +198,7 @@ def _tuned(case: Case) -> Tuned | str:
     if subject is None:
         return "too little was read of every measured frame"
     found = tune(subject)
-    return found if any(point.solved for point in found.curves.points) else "it was solved for no weight"
+    return [found] if any(point.solved for point in found.curves.points) else "it was solved for no weight"
 
 
 FIGURES: study.Figures = {  # of a case and one rule's choice
@@ -251,9 +226,9 @@ SCREEN: dict[str, Callable[[study.Row], str]] = {
 }
 
 
-def _write_curves(entry: Any, found: TunedCases) -> None:
+def _write_curves(entry: Any, found: study.Cases[Tuned]) -> None:
     """/entry/<recording>/<estimator>: everything over the weight; `choices` beside it."""
-    for one in found.tuned:
+    for one in found.found:
         recording = entry.require_group(one.subject.recording)
         hdf5.set_attributes(recording, NX_class="NXsubentry")
         _write_one(recording.create_group(one.subject.name), one)
@@ -291,22 +266,22 @@ def _write_one(group: Any, one: Tuned) -> None:
     study.write_columns(choices, one.choices, numbers, (), float)
 
 
-def weight_rows(found: TunedCases) -> list[study.Row]:
+def weight_rows(found: study.Cases[Tuned]) -> list[study.Row]:
     """A row for every case and rule."""
-    return study.rows_of([(one.subject, choice) for one in found.tuned for choice in one.choices], FIGURES)
+    return study.rows_of([(one.subject, choice) for one in found.found for choice in one.choices], FIGURES)
 
 
-STUDY: study.Study[Run, TunedCases] = study.Study(
+STUDY: study.Study[Run, study.Cases[Tuned]] = study.Study(
     "tune",
     "cases",
     "tune.yaml",
     read_run,
-    run_weights,
+    lambda run, on_step: study.of_cases(tuned, run, on_step, "tune"),
     FIGURES,
     weight_rows,
     lambda found: [("", study.screen_table(weight_rows(found), SCREEN))],
     "tune/1",
     _write_curves,
-    lambda found: {f"tune_{file_name(one)}": weights_figure(one) for one in found.tuned},
+    lambda found: {f"tune_{file_name(one)}": weights_figure(one) for one in found.found},
     left_out=lambda found: found.left_out,
 )

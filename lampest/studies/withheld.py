@@ -67,9 +67,8 @@ def interpolated(panel: Panel, values: Array, known: NDArray[np.bool_]) -> Array
     return filled.reshape(panel.shape)
 
 
-def predictions(case: Case, share: float, draws: int, seed: int) -> Iterator[Withheld]:
+def predictions(recording: Recording, case: Case, share: float, draws: int, seed: int) -> Iterator[Withheld]:
     """Every frame, draw and weight of a case. share : of a frame's readings that are values, at least one."""
-    recording = Recording.load(case.path)
     scene, readings = recording.scene, recording.readings()
     estimator = first_stream(recording, readings, case.estimator).estimator
     frames = recording.measured_frames()
@@ -123,35 +122,27 @@ def unpredictable(estimator: Estimator, scene: Scene) -> str | None:
     return None if scene.panel.modules is None else "its panel is one of modules"
 
 
-def withheld_study(share: float, draws: int = 5, seed: int = 0) -> study.Study[Run, list[Withheld]]:
+def withheld_study(share: float, draws: int = 5, seed: int = 0) -> study.Study[Run, study.Cases[Withheld]]:
     """The study that withholds a share of each frame's readings. Raises InputError unless 0 < share < 1."""
     if not 0 < share < 1:
         raise InputError("--withhold must lie between 0 and 1, such as 0.1")
-    left_out: list[str] = []
 
-    def measure(run: Run, on_step: study.OnStep) -> list[Withheld]:
-        found: list[Withheld] = []
-        for number, case in enumerate(run.cases, 1):
-            reason = unpredictable(case.estimator, Recording.load(case.path).scene)
-            if reason is None:
-                found += predictions(case, share, draws, seed)
-            else:
-                left_out.append(f"{case.recording}/{case.name} left out: {reason}")
-            on_step(number, len(run.cases))
-        if not found:
-            raise InputError(f"nothing to predict: {'; '.join(left_out) or 'too little was read of every frame'}")
-        return found
+    def predicted(case: Case) -> list[Withheld] | str:
+        recording = Recording.load(case.path)
+        reason = unpredictable(case.estimator, recording.scene)
+        found = list(predictions(recording, case, share, draws, seed)) if reason is None else []
+        return found or reason or "too little was read of every frame"
 
     return study.Study(
         "withheld",
         "cases",
         "insole.yaml",
         read_run,
-        measure,
+        lambda run, on_step: study.of_cases(predicted, run, on_step, "predict"),
         FIGURES,
         withheld_rows,
         lambda found: [("", study.screen_table(withheld_rows(found), SCREEN))],
-        left_out=lambda found: left_out,
+        left_out=lambda found: found.left_out,
     )
 
 
@@ -185,9 +176,7 @@ SCREEN = {
 }
 
 
-def withheld_rows(found: Sequence[Withheld]) -> list[study.Row]:
+def withheld_rows(cases: study.Cases[Withheld]) -> list[study.Row]:
     """A row for every case and weight: medians over frames and draws."""
-    groups: dict[tuple[str, str, float], list[Withheld]] = {}
-    for one in found:
-        groups.setdefault((one.recording, one.estimator, one.factor), []).append(one)
-    return study.rows_of(list(groups.values()), FIGURES)
+    groups = study.grouped(cases.found, lambda one: (one.recording, one.estimator, one.factor))
+    return study.rows_of(groups.values(), FIGURES)

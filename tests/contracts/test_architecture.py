@@ -39,6 +39,7 @@ DOORS = {
     "scipy": (
         "panel.readouts",
         "panel.response",
+        "panel.scene",
         "loads",
         "cost.problem",
         "recording.calibration",

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from functools import cached_property
+from math import e
 from typing import Any, ClassVar, Literal
 
 import numpy as np
@@ -71,7 +72,7 @@ class Diode(Configuration):
         """
         part = resistance * (self._saturation / self.slope_volt)
         right = part + _logarithm(part) + supply_volt / self.slope_volt
-        omega = right + _logarithm(1 + _exponential(-right))
+        omega = right + _logarithm(1 + e**-right)
         for _ in range(7):  # five suffice for the value at any resistance, its second derivatives need two more
             omega = omega * (1 + right - _logarithm(omega)) / (1 + omega)
         return self.slope_volt * (omega - part)
@@ -80,10 +81,6 @@ class Diode(Configuration):
 def _logarithm(value: Any) -> Any:
     """ln of an array, or of CasADi's matrices by their own method."""
     return value.log() if hasattr(value, "log") else np.log(value)
-
-
-def _exponential(value: Any) -> Any:
-    return value.exp() if hasattr(value, "exp") else np.exp(value)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -128,28 +125,21 @@ class LoadedColumnsReadout(DrivenReadout):
             f"{diode}{self._input_text}, {self.converter_description()}"
         )
 
-    def _load(self, lines: int) -> Array:
-        """Rs of the sensed lines, the converter parallel to it."""
-        return parallel(per_line("load_ohm", self.load_ohm, lines), self.input_ohm)
-
-    def _drive(self, shape: tuple[int, ...]) -> Array:
-        """Rd, to be broadcast to (rows, columns)."""
-        return along(self.driven, per_line("drive_ohm", self.drive_ohm, of_side(self.driven, *shape)[0]))
-
     def _circuit(self, shape: tuple[int, ...]) -> tuple[Array, Array]:
-        """(Rd, Rs), each to be broadcast to (rows, columns)."""
-        load = along(opposite(self.driven), self._load(of_side(self.driven, *shape)[1]))
-        return self._drive(shape), load
+        """(Rd, Rs with the converter parallel to it), each to be broadcast to (rows, columns)."""
+        driven, sensed = of_side(self.driven, *shape)
+        load = parallel(per_line("load_ohm", self.load_ohm, sensed), self.input_ohm)
+        return along(self.driven, per_line("drive_ohm", self.drive_ohm, driven)), along(opposite(self.driven), load)
 
     def ties(self, measured: Array) -> Array:
         """1/Rs at the sensed lines, none at the driven ones."""
-        driven, sensed = of_side(self.driven, *measured.shape)
-        return np.concatenate(of_side(self.driven, np.zeros(driven), 1 / self._load(sensed)))
+        drive, load = (part.ravel() for part in self._circuit(measured.shape))
+        return np.concatenate(of_side(self.driven, np.zeros(len(drive)), 1 / load))
 
     def reading(self, row: Any, column: Any, mutual: Any) -> Any:
         """V = U·Z_ij/(Rd_i + Z_ii)."""
         driven, _ = of_side(self.driven, row, column)
-        resistance = driven + np.broadcast_to(self._drive(mutual.shape), mutual.shape)
+        resistance = driven + np.broadcast_to(self._circuit(mutual.shape)[0], mutual.shape)
         supply = self.supply_volt if self.diode is None else self.diode.left(self.supply_volt, resistance)
         return supply * mutual / resistance
 

@@ -48,10 +48,10 @@ class Surroundings(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class FreeTest:
-    """An inequality that readings of a circuit keep whatever its cells are: a test that needs no estimate.
+    """An inequality that readings of a circuit keep whatever its cells are.
 
-    law : what must be true, in words. excess : by how many σ the readings of every frame break it, at worst (frames).
-    count : how many inequalities of a frame the worst was taken from.
+    law : in words. excess : by how many σ the readings of every frame break it, at worst (frames). count : how many
+    inequalities of a frame the worst was taken from.
     """
 
     law: str
@@ -66,10 +66,8 @@ class Readout(Converter, ABC):
     A recorded reading lies between 0 and the supply in volt at the converter; see `rails` for what lies beyond.
 
     unit : of a reading, 'ohm' or 'volt'. signal, signal_name : its dataset in files, and that in words. homogeneous :
-    whether readings grow with all cells by one factor. unique : whether theory promises that plain least squares
-    without noise has one minimum; where it does not, the reduced solver searches and others go on from what it finds.
-    in_series : whether the scene's series resistance adds to every reading. mirrored : whether loads lead to the
-    supply, so that the converter sees Vcc minus the network's reading.
+    whether readings grow with all cells by one factor. unique : whether plain least squares without noise has one
+    minimum; else solvers search. in_series : whether the scene's series resistance adds to every reading.
 
     >>> issubclass(lampest.GroundedReadout, lampest.Readout)
     True
@@ -93,7 +91,7 @@ class Readout(Converter, ABC):
 
     @property
     def mirrored(self) -> bool:
-        """No, unless a kind says otherwise."""
+        """Whether loads lead to the supply, so that the converter sees Vcc minus the network's reading."""
         return False
 
     @abstractmethod
@@ -181,8 +179,7 @@ class Readout(Converter, ABC):
     ) -> Network:
         """The network with a block's cells such that they reproduce its chosen readings, as far as bounds allow.
 
-        measured, least : (rows, columns) of the block: readings, and the least conductance in siemens. Gauss and
-        Newton's method in log r, damped where it does not gain.
+        measured, least : (rows, columns) of the block: readings, and the least conductance in siemens.
         """
         whole = np.zeros(network.conductance.shape, dtype=bool)
         whole[block] = chosen
@@ -230,7 +227,7 @@ class Readout(Converter, ABC):
 
     @property
     def by_columns(self) -> bool:
-        """Whether a scan goes column by column: kinds that drive the lines of one side say which, others go by rows."""
+        """Whether a scan goes column by column, as kinds do that drive columns."""
         return bool(getattr(self, "driven", "rows") == "columns")
 
     def from_recorded(self, recorded: Array, scene: Surroundings) -> Array:
