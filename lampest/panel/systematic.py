@@ -6,6 +6,7 @@ does to the readings, a secant of the readout's own equations.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from math import prod
 
 import numpy as np
 
@@ -165,4 +166,4 @@ class Shared:
 
 def _columns(frames: Sequence[Array]) -> Array:
     """(n, rows, columns) of every frame → (frames · cells, n)."""
-    return np.concatenate([errors.reshape(len(errors), -1).T for errors in frames])
+    return np.concatenate([errors.reshape(len(errors), prod(errors.shape[1:])).T for errors in frames])
