@@ -139,7 +139,8 @@ class LoadedColumnsReadout(DrivenReadout):
     def reading(self, row: Any, column: Any, mutual: Any) -> Any:
         """V = U·Z_ij/(Rd_i + Z_ii)."""
         driven, _ = of_side(self.driven, row, column)
-        resistance = driven + np.broadcast_to(self._circuit(mutual.shape)[0], mutual.shape)
+        drive = along(self.driven, per_line("drive_ohm", self.drive_ohm, of_side(self.driven, *mutual.shape)[0]))
+        resistance = driven + np.broadcast_to(drive, mutual.shape)
         supply = self.supply_volt if self.diode is None else self.diode.left(self.supply_volt, resistance)
         return supply * mutual / resistance
 
