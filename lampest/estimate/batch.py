@@ -140,21 +140,16 @@ class Together:
             found.append(solve(self.batch, start, kept, self.numbers, self.settings))
         solutions = self._solutions(reduce(_lower, found), len(found))
         seconds = (perf_counter() - begin) / len(self.numbers)
-        weights = [tuple(float(weight) for weight in each) for each in self.batch.weights]
-        return [
-            None if solution is None else Step(solution, seconds, each)
-            for solution, each in zip(solutions, weights, strict=True)
-        ]
+        pairs = zip(solutions, self.batch.weights.tolist(), strict=True)
+        return [None if found is None else Step(found, seconds, tuple(weights)) for found, weights in pairs]
 
     def _starts(self, kept: Kept) -> Iterator[Array]:
         """As `lampest.solvers.multistart.starts`: one of a frame that follows another, else up to three."""
         cost, uniform = self.batch.cost, self.batch.data.uniform_start
         rested = self.streams[0].rested
         if rested:
-            near = [
-                stream.baseline_resistance if stream.previous is None else stream.previous for stream in self.streams
-            ]
-            yield np.stack(near)
+            pairs = ((stream.previous, stream.baseline_resistance) for stream in self.streams)
+            yield np.stack([resting if previous is None else previous for previous, resting in pairs])
         if rested and not (self.streams[0].first and several_minima(cost, self.batch.data)):
             return
         yield uniform
@@ -167,16 +162,12 @@ class Together:
         """The checked solutions of all panels; None where one is not verified."""
         points, data = ended.points, self.batch.data
         cells, reading = points.network.cell_resistance, points.reading
-        at_lower = np.asarray(cells <= data.lower / OPEN_FRACTION)
-        open_cell = np.asarray(cells >= data.upper * OPEN_FRACTION)
-        verified: NDArray[np.bool_] = ended.solved & (points.residual <= VERIFIED)
+        at_lower, open_cell = cells <= data.lower / OPEN_FRACTION, cells >= data.upper * OPEN_FRACTION
+        verified = ended.solved & (points.residual <= VERIFIED)
         lower, upper = self.batch.log_bounds
         held = np.asarray((~points.free & (lower < upper)).any(axis=1))
-        found: list[Solution | None] = []
-        for number in range(len(cells)):
-            if not verified[number]:
-                found.append(None)
-                continue
+        found: list[Solution | None] = [None] * len(cells)
+        for number in np.flatnonzero(verified).tolist():
             one = slice(number, number + 1)
             solution = Solution(
                 cells[one],
@@ -195,7 +186,7 @@ class Together:
                 gradient = points.gradient[number].reshape(cells[one].shape)
                 status = Status.HELD if held[number] and bounds_matter(at, gradient, NO_DUAL) else Status.OPTIMUM
                 solution = replace(solution, at=at, dual=NO_DUAL, status=status)
-            found.append(solution)
+            found[number] = solution
         return found
 
     def _evaluation(self, ended: Ended, number: int) -> Evaluation:

@@ -79,14 +79,14 @@ def rivals_of(scene: Scene, recorded: Array, sigma: Array | None) -> Iterator[Ri
             if circuit == specified or not _alike(apparent, _logarithm(circuit, scene, values)):
                 continue
             try:
-                other = with_circuit(scene, circuit)
+                other = replace(scene, readout=circuit, series_resistance_ohm=0.0, systematic=None)
             except ValueError:  # of what the scene specifies besides, the kind has no model
                 continue
             own_sigma = sigma if circuit.unit == specified.unit else None
             yield Rival(other, values, own_sigma, circuit_name(circuit, specified))
 
 
-def variants(kind: type[Any], specified: Readout) -> Iterator[Readout]:
+def variants(kind: type[Any], specified: Readout) -> Iterator[Any]:
     """A kind with the specified readout's converter, resistor and all else that both have, in every choice of words."""
     names, hints = {field.name for field in fields(kind)}, get_type_hints(kind)
     resistor = next((getattr(specified, name) for name in RESISTORS if hasattr(specified, name)), None)
@@ -100,11 +100,6 @@ def variants(kind: type[Any], specified: Readout) -> Iterator[Readout]:
         yield kind(**shared, **dict(zip(words, chosen, strict=True)))
 
 
-def with_circuit(scene: Scene, circuit: Any) -> Scene:
-    """The scene with another readout, and nothing that belongs to the one before."""
-    return replace(scene, readout=circuit, series_resistance_ohm=0.0, systematic=None)
-
-
 def circuit_name(circuit: Readout, specified: Readout) -> str:
     """'rows and columns swapped' where nothing but the driven side differs, else the kind with its words."""
     words = {name: getattr(circuit, name) for name in ("kind", "driven", "sense") if hasattr(circuit, name)}
@@ -113,20 +108,18 @@ def circuit_name(circuit: Readout, specified: Readout) -> str:
     return ", ".join(f"readout.{name}: {word}" for name, word in words.items())
 
 
-def _logarithm(circuit: Readout, scene: Scene, recorded: Array) -> Array | None:
-    """log of the apparent resistances; None where the circuit does not fit the panel or its readings are none."""
+def _logarithm(circuit: Readout, scene: Scene, recorded: Array) -> Array:
+    """log of the apparent resistances; NaN where the circuit does not fit the panel or its readings are none."""
     try:
         with np.errstate(all="ignore"):
             circuit.check(replace(scene, readout=None, series_resistance_ohm=0.0, systematic=None))
             return np.asarray(np.log(circuit.apparent_resistance(circuit.from_recorded(recorded, scene))))
     except (InputError, ValueError):
-        return None
+        return np.full(recorded.shape, np.nan)
 
 
-def _alike(first: Array | None, second: Array | None) -> bool:
+def _alike(first: Array, second: Array) -> bool:
     """Whether pressing a cell moves both in the same direction: a circuit read the other way round is none at all."""
-    if first is None or second is None:
-        return False
     known = np.isfinite(first) & np.isfinite(second)
     if not known.any():
         return False
@@ -138,9 +131,8 @@ def _alike(first: Array | None, second: Array | None) -> bool:
 class Question:
     """What a circuit is asked to explain.
 
-    specified : the circuit as the scene has it. resting : the numbers of the unloaded frames. standing : those of the
-    measured ones to explain beside them, alike but for their noise; none. widening : factor on every σ, where repeats
-    scatter by more than it. named : (frames) the numbers by which sentences name them.
+    specified : the circuit as the scene has it. resting, standing : the numbers of the unloaded frames, and of measured
+    ones that are alike but for their noise. widening : factor on every σ. named : (frames) what sentences call them.
     """
 
     specified: Rival
@@ -161,16 +153,13 @@ class Question:
 
         Raises InputError where values are none of the circuit.
         """
-        read, count = self._read(rival), len(self.resting)
+        chosen, count = self._chosen, len(self.resting)
+        sigma = rival.sigma if rival.sigma is None or rival.sigma.ndim == 2 else rival.sigma[chosen]
+        read = Readings.of(rival.scene, rival.recorded[chosen], sigma)
         assert read.sigma is not None
         read = replace(read, sigma=self.widening * read.sigma, seen=read.seen * self._usable)
         resting = read[:count].mean()
         return (resting,) if len(self.standing) == 0 else (resting, read[count:].mean())
-
-    def _read(self, rival: Rival) -> Readings:
-        """The frames that are asked for, as a circuit reads them."""
-        sigma = rival.sigma if rival.sigma is None or rival.sigma.ndim == 2 else rival.sigma[self._chosen]
-        return Readings.of(rival.scene, rival.recorded[self._chosen], sigma)
 
     @cached_property
     def _usable(self) -> Array:
