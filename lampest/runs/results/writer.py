@@ -11,7 +11,7 @@ import numpy as np
 
 from lampest.files import hdf5
 from lampest.files.errors import InputError
-from lampest.files.parts import copy_group, join_parts
+from lampest.files.parts import join_parts
 from lampest.files.typed import Configuration, check_not_negative, typed
 from lampest.panel.scene import Scene, SeriesPerLine, scene_text
 from lampest.recording.recording import coordinates
@@ -119,9 +119,8 @@ def _copy_recording(group: h5py.Group, order: int, cases: list[StoredCase]) -> N
     """The cases of a long recording from their own files."""
     hdf5.set_attributes(group, NX_class="NXsubentry", default=cases[0].estimator, order=order)
     for number, case in enumerate(cases):
-        with hdf5.existing_file(case.path) as file:
-            for name in (SHARED, case.estimator)[bool(number) :]:
-                copy_group(file[f"/entry/{case.recording}/{name}"], group.create_group(name))
+        for name in (SHARED, case.estimator)[bool(number) :]:
+            join_parts((case.path,), group.create_group(name), f"/entry/{case.recording}/{name}")
         hdf5.set_attributes(group[case.estimator], order=number)
 
 
