@@ -55,7 +55,7 @@ def sparing(inputs: Iterable[Path] = ()) -> Iterator[None]:
 
 
 def note_read(path: Path) -> None:
-    """Every reader of a user's files says so here; what a command made itself is not noted, see `own`."""
+    """Every reader of a user's files says so here; what a command owns is not noted."""
     touched = _TOUCHED.get()
     if touched is not None and not touched.owns(path.absolute()):
         touched.read.add(path.absolute())
@@ -82,11 +82,9 @@ def refuse_inputs(outputs: Sequence[Path]) -> None:
 
 def _refuse_touched(path: Path) -> None:
     touched = _TOUCHED.get()
-    if touched is None:
-        return
-    if any(_same(path, read) for read in touched.read):
+    if touched and any(_same(path, read) for read in touched.read):
         raise InputError(f"{path}: is what is read; give what is written another name")
-    if path.absolute() in touched.written:
+    if touched and path.absolute() in touched.written:
         raise InputError(f"{path}: two outputs have this name; give one of them another")
 
 
@@ -101,9 +99,8 @@ def _same(path: Path, other: Path) -> bool:
 def whole_file(path: Path, durable: bool = True) -> Iterator[Path]:
     """A temporary path beside `path` to write to; it takes that name once it is complete and on the disk.
 
-    durable : False for a file that can be made again, and that whoever reads it knows to be whole: nobody waits for the
-    disk then, and a power failure may cost it. Raises InputError as `check_output`, and where the folder cannot be
-    written or the disk is full; nothing is left behind then.
+    durable : False where nobody waits for the disk, and a power failure may cost the file. Raises InputError as
+    `check_output`, and where the folder cannot be written or the disk is full; nothing is left behind then.
     """
     check_output(path)
     unfinished = path.with_name(f".{path.name}.{os.getpid()}-{secrets.token_hex(4)}.part")
@@ -129,10 +126,7 @@ def whole_file(path: Path, durable: bool = True) -> Iterator[Path]:
 
 @contextmanager
 def folder_beside(path: Path) -> Iterator[Path]:
-    """A new folder beside `path` for the parts of what will stand there; it goes at the end.
-
-    Raises InputError as `check_output`, and where the folder cannot be made.
-    """
+    """A new folder beside `path` for the parts of what will stand there; it goes at the end. Raises as `whole_file`."""
     check_output(path)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -143,19 +137,13 @@ def folder_beside(path: Path) -> Iterator[Path]:
 
 
 def write_whole(path: Path, text: str) -> None:
-    """Write a text in UTF-8 with the line ends it has; half signs, of files' names, as escapes.
-
-    Raises InputError where the place cannot be written.
-    """
+    """Write a text in UTF-8; half signs, of files' names, as escapes. Raises InputError as `whole_file`."""
     with whole_file(path) as unfinished:
         unfinished.write_bytes(text.encode("utf-8", "backslashreplace"))
 
 
 def check_output(path: Path) -> None:
-    """Raise InputError unless a file may appear at `path`: nothing stands there, or a regular file that it replaces.
-
-    Neither what is read nor another output may be replaced, see `sparing`.
-    """
+    """Raise InputError unless nothing stands at `path`, or a regular file that is neither read nor another output."""
     if path.name in ("", ".."):
         raise InputError(f"'{path}' names no file that could be written")
     kind = _kind(path)
@@ -165,10 +153,7 @@ def check_output(path: Path) -> None:
 
 
 def check_room(path: Path, size: int) -> None:
-    """Raise InputError where the disk of a file that is to come, or of the nearest folder there is, has less room.
-
-    size : bytes.
-    """
+    """Raise InputError where the disk of a file that is to come has less room than `size` bytes."""
     folder = next(parent for parent in path.absolute().parents if parent.exists())
     free = shutil.disk_usage(folder).free
     if size > free:
@@ -176,10 +161,7 @@ def check_room(path: Path, size: int) -> None:
 
 
 def output_folder(folder: Path) -> Path:
-    """The folder, made where there is none. Raises InputError where it is the root, no folder, or cannot be made.
-
-    The user may name it through links; what lies in it may not be reached through them, see `inner_folder`.
-    """
+    """The folder, made where there is none. Raises InputError where it is the root, no folder, or cannot be made."""
     if folder.resolve() == Path(folder.resolve().anchor):
         raise InputError(f"{folder}: is the root of all files, no folder for results")
     try:

@@ -99,10 +99,9 @@ RESULT_CODES = tuple(Result)
 
 @dataclass(frozen=True)
 class Hello:
-    """What the board is and how it is set; it says so after a reset, once a second while idle, and when asked.
+    """What the board is and how it is set: after a reset, once a second while idle, and when asked.
 
-    With loaded columns reference_milliohm is the load of every column, and drive_milliohm what stands before each row;
-    boards that say nothing of their wiring have two multiplexers.
+    With loaded columns reference_milliohm is the load of every column, and drive_milliohm what stands before each row.
     """
 
     rows: int

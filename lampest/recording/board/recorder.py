@@ -33,8 +33,7 @@ class Recorder:
     """Takes every sample from one thread; any other may ask for the next recording's beginning or end.
 
     The unloaded frames with which a watch began, or the last zero that was asked for, come first in every file.
-    folder : where files are made. baseline : so many frames are unloaded. say : called with a sentence on where
-    recording stands, and whether it runs.
+    folder : of the files. baseline : so many frames are unloaded. say : gets a sentence, and whether a recording runs.
     """
 
     def __init__(self, folder: Path, scene: Scene | None, baseline: int, say: Callable[[str, bool], None]) -> None:

@@ -19,6 +19,7 @@ SHARED = {
     "two_point": ("supply_volt", "reference_ohm", "measured_across", "adc_bits"),
     "loaded_columns": ("driven", "polarity", "supply_volt", "adc_bits", "load_ohm"),
 }
+SET = ("rows", "columns", "readings")
 # A calibrated load differs from the one that is printed on it: 5 % of ordinary resistors, twice.
 LOAD_TOLERANCE = 0.1
 ROUND = 2**32  # numbers and the board's clock begin anew after so many
@@ -242,20 +243,14 @@ def board_samples(
 ) -> Samples:
     """Samples as they come, several at once where they wait, and none now and then. Close it to stop the board.
 
-    Parameters
-    ----------
-    url : port name or pyserial URL.
-    scene : what the board must fit, and is set to.
-    period : s between frames; None for 1 s, or the shortest where that is longer.
-    on_state : called with a sentence when the board is gone.
-    ending : asked again and again; once it says so, what the port has delivered comes as one last batch.
+    url, scene, period : as `record` has them. on_state : called with a sentence when the board is gone. ending : asked
+    again and again; once it says so, what the port has delivered comes as one last batch.
 
     Raises InputError where no board answers at first, where it does not fit the scene, cannot be that fast, or the line
     talks without a frame that fits.
     """
     last: Sample | None = None
-    session = 0
-    patience = Patience(url)
+    session, patience = 0, Patience(url)
     while not ending():
         heard = 0
         try:
@@ -336,15 +331,14 @@ def _one_run(board: Board, run: Scanning, patience: Patience, ending: Callable[[
             came = board.heard
             try:
                 now = board.identify()
+                patience.hear(now, False)
+                if not now.running or any(getattr(now, name) != getattr(hello, name) for name in SET):
+                    return
+                run = run.doubted()
             except NoBoardError:
-                if board.heard == came:
+                if board.heard == came:  # a noisy line is no reason to reset the board
                     raise
-                heard = time.monotonic()  # the line is noisy, which is no reason to reset the board
-                continue
-            patience.hear(now, False)
-            if not now.running or (now.rows, now.columns, now.readings) != (hello.rows, hello.columns, hello.readings):
-                return
-            run, heard = run.doubted(), time.monotonic()
+            heard = time.monotonic()
 
 
 def _taken(run: Scanning, found: Sequence[Message], patience: Patience) -> tuple[Scanning, tuple[Sample, ...], bool]:
