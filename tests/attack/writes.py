@@ -97,7 +97,7 @@ def _no_file(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str
 
 def _over_inputs(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:
     """What a command reads as what it writes: by its name, in another way, through another name of the same file."""
-    made = small_folder(folder / "work")
+    made = _inputs(folder / "work")
     shutil.copy(made / "results.h5", made / "detections.h5")
     tries = [(*writer, way) for writer in (*FILES, *OVER_INPUTS) if writer[0] != "record" for way in ("", "./", "hard")]
     for index in rng.permutation(len(tries))[:count]:
