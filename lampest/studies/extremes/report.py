@@ -228,7 +228,9 @@ def _title(case: str, decades: float) -> str:
 def _fill(axes: Axes, table: list[list[list[Solve]]]) -> None:
     """A square for every cell of the table, coloured by its share, with a number where that is not all."""
     share = [[np.mean([one.verified for one in solves]) if solves else np.nan for solves in line] for line in table]
-    axes.imshow(np.array(share, dtype=float), cmap=COLOURS, vmin=0, vmax=1, aspect="auto")
+    shown: dict[str, Any] = {"shading": "nearest", "edgecolors": "white", "linewidth": 0.4}
+    axes.pcolormesh(np.array(share, dtype=float), cmap=COLOURS, vmin=0, vmax=1, **shown)
+    axes.set_ylim(len(table) - 0.5, -0.5)
     look: dict[str, Any] = {"ha": "center", "va": "center", "fontsize": SMALL_POINT, "fontweight": "bold"}
     for line, column in zip(*np.nonzero(np.array(share) < 1), strict=True):
         solves = table[line][column]
