@@ -1,10 +1,7 @@
 """Zero taken anew by itself, where nothing touches the panel: drift is taken off, a load never.
 
-In each of the last so many frames every cell must lie where noise, drift and the film's memory may have brought it;
-their mean no farther than MOST, that of four neighbours MOST_OF_FOUR. Then the mean of the first half of them is the
-new zero; the other half is a guard, so that a load that begins to come is not in it. Noise is what cells scatter by
-from frame to frame. Zero waits while the memory of a load fades by more than FADES over the frames: it would hold the
-memory's error. What grows more slowly than films drift cannot be told from drift, and is taken off.
+Every cell must lie where noise, drift and the film's memory may have brought it, in each of the last frames. The mean
+of their first half is the new zero; the other half is a guard against a load that begins to come.
 """
 
 from dataclasses import dataclass

@@ -6,6 +6,7 @@ from math import exp, hypot, inf, log
 
 import numpy as np
 
+from lampest.loads.force import CLEAR
 from lampest.loads.recognition.breathing import Breath
 from lampest.loads.recognition.evidence import Verdict
 from lampest.loads.recognition.observation import Observation
@@ -14,7 +15,6 @@ from lampest.panel.panel import Array
 
 OFTEN = 0.9  # of its windows in which a mouth breathes; an assumption
 PAUSED, SURE = -5.0, 10.0  # of ln odds, what absence of breathing, and breathing, can bring together at most
-CLEAR = 3.0  # standard deviations of a touched cell, and of a centre that has moved
 
 Pair = tuple[float, float]
 
@@ -111,7 +111,7 @@ def _touched(frame: Observation, change: Array, disc: Disc | None) -> Attachment
     """Cells that differ clearly from those at rest, near a disc or anywhere: their centre, area and conductance."""
     panel = frame.baseline.scene.panel
     cells = frame.cells(change, np.eye(change.size))
-    found, sd = cells.state.reshape(change.shape), cells.sd.reshape(change.shape)
+    found, sd = (part.reshape(change.shape) for part in (cells.state, np.sqrt(np.diag(cells.covariance))))
     x, y = np.meshgrid(*panel.centres_mm())
     moved = np.abs(found) > CLEAR * np.hypot(sd, frame.baseline.model_errors.resting_sd(frame.seconds))
     if disc is not None:

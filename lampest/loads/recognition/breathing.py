@@ -1,14 +1,7 @@
 """Whether a load's suction changes periodically: Bretthorst's odds of a sinusoid (Bayesian Spectrum Analysis, 1988).
 
-Of the frames of a window the relative change s_t of a load's suction, and of the rim that bears it, is the amplitude of
-their pattern by least squares, beside patterns of all that may move otherwise: the load's place and tilt, other loads,
-the water over all cells, the supply. A trend is taken off: 1, t, t², and ln(1 + t) for what a film remembers. Left is
-
-    s_t = a cos 2πft + b sin 2πft + noise,   a, b ~ N(0, A²),   noise ~ N(0, σ²), σ unknown,   f uniform,
-
-with A = BREATH where it breathes and A = STEADY where it does not. Summed over σ and f this gives the odds. Where the
-readings oscillate at f rather as the place, the rim alone or the water than as suction does, that is no breath: a cup
-that is shaken, and waves.
+Suction is the amplitude of its pattern in the readings of a window, beside patterns of what else may move; a trend is
+taken off. Equations are in docs/theory/recognition.md.
 """
 
 from dataclasses import dataclass

@@ -1,9 +1,7 @@
 """What stands on a panel in one frame: every candidate fitted from wherever the change looks like something.
 
-Between patches lie many minima. So fits begin wherever a template matches, first with coarse errors and then step by
-step with sharper ones, each kind from its own place and from where the best of all is. In the end all are weighed by
-the errors about what the best explains: by what each explains itself, errors would jump with every edge that passes a
-patch, by more than kinds differ. Where no kind explains a frame, two and three loads at once are tried.
+Between patches lie many minima: fits begin wherever a template matches, with coarse errors and then sharper ones. In
+the end all are weighed by the errors about what the best explains; where none fits, more loads at once are tried.
 """
 
 from collections.abc import Iterable, Sequence
@@ -16,7 +14,7 @@ from lampest.loads.recognition.candidates import FIELD, LOADS, UNIFORM, Several
 from lampest.loads.recognition.evidence import Verdict, judged, prior_cost
 from lampest.loads.recognition.field import field_fit
 from lampest.loads.recognition.fit import COARSE_STEPS, UNLIKELY, Fit, Fitting, along_diameter
-from lampest.loads.recognition.observation import OUTLIER_SD, SUSPICIOUS, Observation, Whitening, outliers, whitenings
+from lampest.loads.recognition.observation import OUTLIER_SD, SUSPICIOUS, Observation, Whitening, outliers
 from lampest.loads.recognition.search import DiscSearch, unit
 from lampest.loads.shapes.disc import Disc
 from lampest.loads.shapes.shape import Candidate
@@ -130,12 +128,10 @@ class Detector:
         The film's relative deviation is that of LEVELS under which the frame is most probable.
         """
         best, response = best_of(fits), frame.baseline.model_errors.response
-        levels = [
-            self.fitting(best.candidate, frame, whitening).best(best.parameters, rough=True)
-            for whitening in whitenings(frame, best.explained, [level * response for level in LEVELS])
-        ]
+        errors = [Whitening.of(frame, best.explained, level * response) for level in LEVELS]
+        levels = [self.fitting(best.candidate, frame, one).best(best.parameters, rough=True) for one in errors]
         suits = max(levels, key=lambda fit: fit.evidence)
-        whitening = Whitening.of(frame, best.explained, suits.scatter)
+        whitening = errors[levels.index(suits)]
         return [
             best_of(
                 self.fitting(fit.candidate, frame, whitening).best(start.parameters)

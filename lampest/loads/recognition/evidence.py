@@ -1,10 +1,7 @@
-"""The comparison of evidence: which candidates are how probable in one frame.
+"""The comparison of evidence: P(fit) ∝ e^(evidence·COUNTS)·P(fit beforehand).
 
-    P(fit) ∝ e^(evidence·COUNTS)·P(fit beforehand)
-
-All kinds are alike beforehand, but for further loads, for suction that raises no cell, and for loads in one place:
-between patches a rim can be made to cancel suction, and one load can stand within another; then they fit any outline,
-and of such outlines there are many more than candidates.
+Beforehand all kinds are alike, but for further loads, suction that raises no cell, and loads in one place: with those,
+rims that cancel suction between patches fit any outline, and of outlines there are many more than candidates.
 """
 
 from dataclasses import dataclass

@@ -1,8 +1,7 @@
-"""What no shape explains: a field of changes of any form, with an evidence of its own to compete with shapes.
+"""What no shape explains: a field of changes of any form, whose evidence competes with that of shapes.
 
-x = ln r/r0 is Gaussian with mean zero. Every cell is quiet, changed faintly, changed or strongly changed; neighbours
-tend to be alike. Cells are marginalised analytically about the most probable x. The map of the four is chosen from x,
-twice, and paid for: ln P(map) = −PAIR · (unlike neighbours) − ln(1 + 3e^(−4 PAIR)) · cells, a four-state Potts field.
+x = ln r/r0 is Gaussian, each cell's σ that of one of four states, neighbours alike. Cells are marginalised about the
+most probable x; the states are chosen from x and paid for as a Potts field pays (docs/theory/recognition.md).
 """
 
 import numpy as np

@@ -5,14 +5,14 @@
 f is the circuit, F the film's response, κ the cells' gains, δ the errors common to all frames. All errors are Gaussian.
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_solve, cholesky, lapack, solve_triangular
+from scipy.linalg import cho_solve, cholesky, lapack
 
 from lampest.loads.recognition.settings import ModelErrors
 from lampest.loads.response import PUBLISHED
@@ -51,12 +51,6 @@ class MostProbable:
     def covariance(self) -> Array:
         """Of x after the readings, (n, n)."""
         return np.asarray(self.prior - self.across @ cho_solve((self.root, True), self.across.T))
-
-    @property
-    def sd(self) -> Array:
-        """Standard deviations of x, (n)."""
-        seen = solve_triangular(self.root, self.across.T, lower=True)
-        return np.asarray(np.sqrt(np.maximum(self.prior.diagonal() - (seen**2).sum(axis=0), 0.0)))
 
 
 def most_probable(
@@ -257,8 +251,15 @@ class Whitening:
 
     @classmethod
     def of(cls, frame: Observation, explained: Explained, scatter: float) -> "Whitening":
-        """For a frame about what a load explains, where cells answer with a relative deviation of `scatter`."""
-        return whitenings(frame, explained, (scatter,))[0]
+        """About what a load explains, for a film whose cells answer with a relative deviation of `scatter`.
+
+        Covariance S + scatter²·J (x K xᵀ + w²) Jᵀ, S that of the frame without a load and of what all cells share.
+        """
+        slope, baseline = frame.slope(explained.change), frame.baseline
+        shared = slope @ explained.shared(baseline.model_errors).T
+        film = slope @ explained.uneven(baseline) @ slope.T
+        total = frame.covariance(explained.change) + shared @ shared.T + scatter**2 * film
+        return cls(cholesky(total, lower=True, check_finite=False), scatter)
 
     @classmethod
     def at_rest(cls, frame: Observation) -> "Whitening":
@@ -273,20 +274,6 @@ class Whitening:
     def __matmul__(self, vectors: Array) -> Array:
         """L⁻¹·v: errors of unit variance."""
         return np.asarray(lapack.dtrtrs(self.root, vectors, lower=1)[0])
-
-
-def whitenings(frame: Observation, explained: Explained, scatters: Iterable[float]) -> list[Whitening]:
-    """About what a load explains, for films whose cells answer with a relative deviation of each `scatter`.
-
-    Covariance S + scatter²·J (x K xᵀ + w²) Jᵀ, S that of the frame without a load and of what all cells share.
-    """
-    slope = frame.slope(explained.change)
-    shared = slope @ explained.shared(frame.baseline.model_errors).T
-    base = frame.covariance(explained.change) + shared @ shared.T
-    film = slope @ explained.uneven(frame.baseline) @ slope.T
-    return [
-        Whitening(cholesky(base + scatter**2 * film, lower=True, check_finite=False), scatter) for scatter in scatters
-    ]
 
 
 def outliers(whitening: Whitening, residual: Array) -> NDArray[np.intp]:

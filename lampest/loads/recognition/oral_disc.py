@@ -1,10 +1,7 @@
 """An oral disc fitted to two-point resistances without an estimate between; the cells follow from both.
 
-Given a load, ln r = ln r0 + x + d: cells depart by d from what it makes of them, by bent films, edges and an error of
-the baseline. Readings R = f(r) + E δ + noise hold d (cells) and the offsets δ, Gaussian before the measurement with the
-covariance that `Observation` weighs them by. Linearised about the load, their mean is
-
-    (d, δ) = P Aᵀ C⁻¹ (R − f(r0·e^x) − E δ0),   A = (∂f/∂ln r, E),   C = A P Aᵀ + σ².
+ln r = ln r0 + x + d: cells depart by d from what the load makes of them. With A = (∂f/∂ln r, E), C = A P Aᵀ + σ² the
+mean of d and of the offsets δ is (d, δ) = P Aᵀ C⁻¹ (R − f(r0·e^x) − E δ0), P that of `Observation`.
 """
 
 from dataclasses import dataclass
@@ -25,16 +22,13 @@ class OralDiscFit:
     """An oral disc and what follows from it.
 
     disc, disc_errors : its numbers and their standard deviations. disc_covariance : (8, 8) in the order of the numbers.
-    cell_resistance : (rows, columns) ohm. goodness : χ² per reading.
-    objective : ½χ² of readings and priors. fit : where the next frame's fit may start.
+    cell_resistance : (rows, columns) ohm. fit : where the next frame's fit may start.
     """
 
     disc: Disc
     disc_errors: Disc
     disc_covariance: Array
     cell_resistance: Array
-    goodness: float
-    objective: float
     fit: Fit
 
 
@@ -48,8 +42,7 @@ def fit_oral_disc(detector: Detector, frame: Observation, start: Fit | None = No
     disc, slopes = OralDisc.candidate.disc_with_slopes(fit.parameters)
     covariance = slopes @ fit.covariance @ slopes.T
     cells = np.exp(frame.baseline.logarithm + fit.change + _departure(frame, fit))
-    errors, goodness = Disc(*np.sqrt(np.diag(covariance))), fit.chi2 / frame.measured.size
-    return OralDiscFit(disc, errors, covariance, cells, goodness, fit.cost, fit)
+    return OralDiscFit(disc, Disc(*np.sqrt(np.diag(covariance))), covariance, cells, fit)
 
 
 def _departure(frame: Observation, fit: Fit) -> Array:

@@ -1,9 +1,8 @@
 """Frame after frame of one panel: what is attached, since when, and whether it sucks and breathes.
 
-Readings that do not step belong together. What stands there between two steps is recognised once it has lasted for a
-second, and again after 2, 4, 8 … seconds, from the median of the latest frames against the panel before the load came.
-A load that is there goes only by a step back to that, up to what film and drift leave; its pattern may fade or grow as
-slowly as it likes. While nothing is there, the panel at rest follows the readings.
+Steps are found by a matched filter on the logarithms of all readings (Page, Biometrika 41, 1954, of one). What stands
+there between two steps is recognised after 1, 2, 4 … seconds, from the median of the latest frames against the panel
+before the load came, and goes only by a step back to that. A bare panel at rest follows the readings.
 """
 
 from dataclasses import dataclass, replace
@@ -11,18 +10,25 @@ from functools import cached_property
 from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cholesky, solve_triangular
 
-from lampest.loads.recognition.attachment import CLEAR, Attachment, attachment_of, continued_by
+from lampest.loads.force import CLEAR
+from lampest.loads.recognition.attachment import Attachment, attachment_of, continued_by
 from lampest.loads.recognition.breathing import LEAST_S, WINDOW_S, breaths
 from lampest.loads.recognition.detector import Detector
 from lampest.loads.recognition.evidence import Verdict
 from lampest.loads.recognition.observation import Baseline, Observation, counting
-from lampest.loads.recognition.search import cell_map
+from lampest.loads.recognition.search import DiscSearch, cell_map, unit
 from lampest.loads.recognition.settings import ModelErrors
-from lampest.loads.recognition.steps import StepTest
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 
+STEP = 6.0  # standard deviations: with some 1000 patterns normal noise passes them once in 10⁶ frames
+FREE = 0.1  # σ of ln r and of ln y that all cells and all readings may share: temperature, waves, supply; an assumption
+
+
+NEAR = 3.0  # pitches about a disc in which a load's pattern counts for it
 FOLLOWS_S = 20.0  # in which the mean of frames follows them
 # Of what stands there, as patterns see it: a change beyond it is another load, or one that left. And of a load's
 # ln r/r0 the most that a film keeps of it: 12 %, and 5 % for each decade.
@@ -66,15 +72,67 @@ class Panelled:
 
 
 @dataclass(frozen=True, eq=False)
+class StepTest:
+    """|t_kᵀ W δ| > STEP·v_k + tolerance of a change δ of ln y. What all cells share is free.
+
+    patterns : (discs, cells) t_kᵀ W, those of discs, whitened and of unit length. near : (discs, discs) which are near.
+    whitening : W (cells, cells). drift : (discs) score of cells that drift by 1, each by itself. loud : (discs) v_k²,
+    the mean square in frames without a load: ripple and noise that nobody specified count.
+    """
+
+    patterns: Array
+    near: NDArray[np.bool_]
+    whitening: Array
+    drift: Array
+    loud: Array
+
+    @classmethod
+    def of(cls, frame: Observation, search: DiscSearch, unloaded: Array) -> "StepTest":
+        """About a panel at rest; frame : its readings with the noise of one frame. unloaded : (frames, cells) ln y."""
+        value, cells = frame.measured.ravel(), frame.measured.size
+        slope = frame.slope(np.zeros(frame.measured.shape)) / value[:, None]
+        covariance = (
+            np.diag((frame.sigma.ravel() / value) ** 2) + frame.baseline.model_errors.settled**2 * slope @ slope.T
+        )
+        shared = [FREE * slope.sum(axis=1, keepdims=True), FREE * np.ones((cells, 1))]
+        shared += [] if frame.common is None else [frame.common / value[:, None]]
+        columns = np.hstack(shared)
+        root = cholesky(covariance + columns @ columns.T, lower=True)
+        whitening = solve_triangular(root, np.eye(cells), lower=True)
+        patterns = unit(whitening @ (search.readings(frame) / value[:, None])).T @ whitening
+        x, y = search.places[search.faint].T / frame.baseline.scene.panel.pitch_mm
+        near = np.hypot(x[:, None] - x, y[:, None] - y) < NEAR
+        scores = (unloaded - np.log(value)) @ patterns.T
+        spread = np.mean(scores**2) * len(scores) / (len(scores) - 1) if len(scores) > 1 else 1.0
+        drift = np.linalg.norm(patterns @ slope, axis=1)
+        return cls(patterns, near, whitening, drift, np.full(len(patterns), max(float(spread), 1.0)))
+
+    def scores(self, change: Array) -> Array:
+        """|t_kᵀ W δ| of a change of ln y (cells)."""
+        return np.abs(self.patterns @ change)
+
+    def sizes(self, change: Array) -> Array:
+        """(discs) the largest score of a change within NEAR of each disc."""
+        return np.asarray(np.where(self.near, self.scores(change), 0.0).max(axis=1))
+
+    def least(self) -> Array:
+        """(discs) scores beyond which something has happened."""
+        return np.asarray(STEP * np.sqrt(np.maximum(self.loud, max(1.0, float(self.loud.mean())))))
+
+    def heard(self, scores: Array, share: float) -> "StepTest":
+        """After a frame without a load, which counts by this share."""
+        return replace(self, loud=self.loud + share * (scores**2 - self.loud))
+
+
+@dataclass(frozen=True, eq=False)
 class Watch:
     """Where a sequence of frames stands. Readings are logarithms, (cells).
 
-    test : of steps. rest, rested : the panel before a load, and how many frames that is a mean of. rest_s : its last.
-    mean, begun : of the frames since the last step, and when that was. recent : the last two. window : (s, ℓ) since the
-    step, of WINDOW_S or FRAMES if that is more. present : whether something is there. size : (discs) what patterns see
-    of it. left, left_s : the same of the last load that was recognised, and when. seen, verdict : the median frame in
-    which something was recognised since it came, and as what. known : whether that was since the last step. next_s,
-    breath_s : when it will be again, and when breathing is judged.
+    rest, rested, rest_s : the panel before a load, of how many frames it is the mean, its last. mean, begun : of the
+    frames since the last step, and when that was. recent : the last two. window : (s, ℓ) since the step, of WINDOW_S or
+    FRAMES if that is more. size : (discs) what patterns see of what is there. left, left_s : the same of the last load
+    that was recognised, and when. seen, verdict : the median frame in which something was recognised since it came, and
+    as what. known : whether that was since the last step. next_s, breath_s : when it will be again, and its breathing.
     """
 
     panelled: Panelled

@@ -1,9 +1,7 @@
-"""A disc: what all round loads are made of.
+"""A disc: what all round loads are made of; its pressure at points, and its mean on patches with derivatives.
 
-A circle of diameter d about (x, y) presses with p·(1 + tilt) between its inner diameter d_i and d, and sucks with s
-inside d_i. Simulation takes its pressure at points; recognition its mean on every patch, with derivatives, of a disc
-that is stretched, has soft edges, and a rim that presses in lobes. A stretched circle has no closed form on square
-patches, so that this is the mean over points, each weighed by its distance from an edge within `SOFT` of it.
+On patches it may be stretched and press in lobes, with soft edges: the mean over points, each weighed by its distance
+from an edge. A stretched circle has no closed form on squares.
 """
 
 from math import log, pi

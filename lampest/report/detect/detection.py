@@ -15,6 +15,7 @@ from lampest.files.process import told_reason
 from lampest.loads.pressure import water_pressure
 from lampest.loads.recognition.settings import ModelErrors, RecognitionSettings
 from lampest.loads.recognition.watch import Panelled, Watch
+from lampest.loads.tare import OF_DIFFERENCES
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene, Water
 from lampest.posterior.frame_noise import FrameNoise
@@ -32,7 +33,6 @@ RESULTS = "results/"  # how the format of such a file begins
 BY = "from the readings; cells by Gauss-Newton steps with a Gaussian prior"
 NO_RESPONSE = "the scene names no response: shapes are fitted with the published one, and no pressures are given"
 HEAD = 100  # measured frames from which the noise is learned, with those without a load
-OF_DIFFERENCES = 1.4826 / np.sqrt(2)  # median of |differences of two| → standard deviation of one
 Frames = Iterator[tuple[Array, Array, float]]
 
 
