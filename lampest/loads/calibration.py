@@ -23,9 +23,9 @@ from lampest.panel.response import Response, Table, TableResponse
 # Ends of pieces, kPa: thirds of octaves. Within one the base curve's form is taken as it is.
 THIRDS = 0.5 * 2.0 ** (np.arange(19) / 3)
 ENDS = np.concatenate([-THIRDS[::-1], [0.0], THIRDS])
-# Assumptions, in logarithms: how much steeper than the base a film is as a whole, and from a piece to the next: e^0.4,
-# for the published curve has a corner at 2.5 kPa at which it becomes twelve times as flat, and other films have none.
-LEVEL, WALK = 1.0, 0.4
+# An assumption, of the logarithm: how much steeper than the base a film is from a piece to the next; as a whole σ is 1.
+# The published curve has a corner at 2.5 kPa at which it becomes twelve times as flat, and other films have none.
+WALK = 0.4
 LEAST_SD = 1e-3  # of ln(r/r0): no answer counts as better known
 BEGIN, RANGE = (0.2, 0.05), (1e-3, 2.0)  # spread and scatter, relative: where their search begins, and where they lie
 ROUNDS = 4  # of least squares and evidence, one after the other
@@ -157,7 +157,7 @@ class _Answers:
         known, square = self.variance(found)
         weight = 1 / np.sqrt(known + found.scatter**2 * square)
         walk = np.diff(np.eye(pieces), axis=0) / WALK
-        level = (np.arange(pieces) == np.searchsorted(ENDS, 0.0) + 1)[None] / LEVEL
+        level = (np.arange(pieces) == np.searchsorted(ENDS, 0.0) + 1)[None]
         prior = np.zeros((cells + pieces, cells + pieces))
         prior[:cells, :cells] = np.eye(cells) / found.spread
         prior[cells:, cells:] = np.vstack([walk, level])

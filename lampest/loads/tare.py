@@ -10,9 +10,10 @@ from typing import Any, ClassVar
 import numpy as np
 
 from lampest.files.typed import Validated
+from lampest.loads.film import SETTLED
 from lampest.panel.panel import Array
 
-SETTLED, OWN = 0.005, 0.4  # ln r/r0 of a cell at rest at once, and the part of its memory that may be wrong
+OWN = 0.4  # the part of a cell's memory that may be wrong
 FAR, FAR_MEAN = 6.0, 4.5  # standard deviations of a cell in one frame, and in the mean of all
 TOGETHER = 1.4  # mean square over the cells, in the same units
 # ln r/r0 beyond which a cell, and the mean of four neighbours, may be under a load: 0.8 and 0.3 kPa. The weakest

@@ -15,8 +15,8 @@ from laws.recognised import PATCH_MM, frame_under, verdict_on
 
 from lampest.files.document import adapter, parse_document, to_yaml, validated
 from lampest.loads.recognition.candidates import KINDS, LOADS
-from lampest.loads.recognition.fit import FARTHEST, Fitting
-from lampest.loads.recognition.observation import Whitening
+from lampest.loads.recognition.fit import Fitting
+from lampest.loads.recognition.observation import FARTHEST, Whitening
 from lampest.loads.shapes import OralDisc, Rod, Shape, shape_types
 from lampest.loads.shapes.disc import bearing_kpa, log_bearing, oval_pressure
 from lampest.loads.shapes.round import RoundCandidate

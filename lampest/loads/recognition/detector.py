@@ -14,7 +14,7 @@ from lampest.loads.recognition.candidates import FIELD, LOADS, UNIFORM, Several
 from lampest.loads.recognition.evidence import Verdict, judged, prior_cost
 from lampest.loads.recognition.field import field_fit
 from lampest.loads.recognition.fit import COARSE_STEPS, UNLIKELY, Fit, Fitting, along_diameter
-from lampest.loads.recognition.observation import OUTLIER_SD, SUSPICIOUS, Observation, Whitening, outliers
+from lampest.loads.recognition.observation import FARTHEST, SUSPICIOUS, Observation, Whitening, outliers
 from lampest.loads.recognition.search import DiscSearch, unit
 from lampest.loads.shapes.disc import Disc
 from lampest.loads.shapes.shape import Candidate
@@ -48,7 +48,7 @@ class Detector:
         calm = frame.without(outliers(rest, residual))
         errors = Whitening.at_rest(calm) @ residual
         stands_out = unit(rest @ self.search.readings(frame)).T @ errors
-        if errors @ errors < SUSPICIOUS * errors.size and stands_out.max() < OUTLIER_SD:
+        if errors @ errors < SUSPICIOUS * errors.size and stands_out.max() < FARTHEST:
             return self._judged(calm, self._uniform(calm))
         field, found = field_fit(frame), list[Verdict]()
         if before is not None and before.loads:

@@ -21,7 +21,6 @@ from lampest.loads.recognition.search import cell_map
 from lampest.panel.panel import Array
 
 SD = np.array([0.005, 0.08, 0.4, 1.6])  # of ln r/r0 where nothing is, at half a kPa, a few kPa, tens; assumptions
-PAIR = 1.0  # of ln P; an assumption
 
 
 def field_fit(frame: Observation) -> Fit:
@@ -80,6 +79,6 @@ def states(change: Array) -> NDArray[np.intp]:
 
 
 def paid(of_cells: NDArray[np.intp]) -> float:
-    """−ln P of the states."""
+    """−ln P of the states: 1 for a pair of unlike neighbours, an assumption, and what makes the sum of all P one."""
     unlike = np.count_nonzero(np.diff(of_cells, axis=0)) + np.count_nonzero(np.diff(of_cells, axis=1))
-    return float(PAIR * unlike + np.log1p(3 * np.exp(-4 * PAIR)) * of_cells.size)
+    return float(unlike + np.log1p(3 * np.exp(-4)) * of_cells.size)

@@ -7,14 +7,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import softmax
 
-from lampest.loads.recognition.observation import SUSPICIOUS, Explained, Observation, Whitening, outliers
+from lampest.loads.recognition.observation import FARTHEST, SUSPICIOUS, Explained, Observation, Whitening, outliers
 from lampest.loads.shapes.shape import Candidate
 from lampest.panel.least_squares import LevenbergMarquardt, SumOfSquares
 from lampest.panel.panel import Array, Panel
 
 # Evaluations of the model in a fit, and in a coarse one; of ln P, below which a step changes nothing that is reported.
 STEPS, COARSE_STEPS, ENOUGH = 30, 12, 2e-2
-FARTHEST = 5.0  # standard deviations of the prior: the bounds of a fit
 LOOSE = 0.3  # of the prior's width: wider axes of the posterior are measured, see `Fitting._widths`
 UNLIKELY = 20.0  # of ln P: what is so far below the best hardly counts
 PROFILE_STEP = 0.03  # of ln d, 0.9 mm at 30 mm

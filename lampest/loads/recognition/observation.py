@@ -24,7 +24,7 @@ from lampest.panel.scene import Scene
 # Of ln r: the longest Gauss-Newton step; and the most a load may change, beyond which a cell is open or shorted to all
 # readings, and a network soon has no inverse.
 LONGEST, MOST_CHANGED = 1.5, 12.0
-OUTLIER_SD, OUTLIERS = 5.0, 0.03  # normal noise passes once in 10⁶ readings; the part of the readings that may be
+FARTHEST, OUTLIERS = 5.0, 0.03  # σ, which normal numbers pass once in 10⁶; the part of the readings that may do so
 SUSPICIOUS = 1.4  # χ² per reading beyond which outliers, or another position, are looked for: 3 σ of 100 readings
 DROPPED = 1e3  # so many times its σ, or its reading, is the σ of one that does not count
 
@@ -288,7 +288,7 @@ def outliers(whitening: Whitening, residual: Array) -> NDArray[np.intp]:
     for _ in range(max(1, int(OUTLIERS * len(residual)))):
         score = np.where(left, np.abs(pull) / np.sqrt(np.where(left, np.diag(precision), 1.0)), 0.0)
         worst = int(np.argmax(score))
-        if score[worst] <= OUTLIER_SD:
+        if score[worst] <= FARTHEST:
             break
         left[worst] = False
         column = precision[:, worst] / precision[worst, worst]
