@@ -130,7 +130,7 @@ class Watch:
 
     rest, rested, rest_s : the panel before a load, of how many frames it is the mean, its last. mean, begun : of the
     frames since the last step, and when that was. recent : the last two. window : (s, ℓ) since the step, of WINDOW_S or
-    FRAMES if that is more. size : (discs) what patterns see of what is there. left, left_s : the same of the last load
+    FRAMES if that is more. size : (discs) scores of the load that is there. left, left_s : the same of the last load
     that was recognised, and when. seen, verdict : the median frame in which something was recognised since it came, and
     as what. known : whether that was since the last step. next_s, breath_s : when it will be again, and its breathing.
     """
