@@ -1,6 +1,7 @@
 """Where a run's cases are solved: on a cluster that runs, without its library, with a wrong entry, and Ctrl-C."""
 
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -25,7 +26,8 @@ def test_a_running_cluster_is_used_by_its_address(disk: SimpleNamespace, lampest
     ) as cluster:
         path = disk.run(disk.text + f"executor: {{kind: dask, address: '{cluster.scheduler_address}'}}\n")
         ended = lampest("run", path, "--out", disk.folder / "out", "--set", "formulation=reduced")
-        assert (ended.code, ended.err) == (0, "")
+        progress = r"lampest: (\d+ cases? to solve|\d+ of \d+).*\n"  # lines that a slow machine sees
+        assert (ended.code, re.sub(progress, "", ended.err)) == (0, "")
         assert "3 cases solved" in ended.out
         assert len(cluster.scheduler.workers) == 1
 
