@@ -62,7 +62,7 @@ class ProjectedNewton:
                 if not point.sharp(tolerance):
                     point, iteration = point.sharpened(), iteration + 1
                     continue
-                if point.certificate.settled or unsettled == MOST_TRIES:
+                if point.certificate.settled or unsettled == MOST_TRIES or not point.residual:
                     return point.unsmoothed(iteration) or point.outcome(Status.OPTIMUM, iteration)
                 unsettled += 1
             moved = advanced(point)
