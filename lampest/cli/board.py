@@ -220,7 +220,8 @@ def report_recorded(done: "Recorded") -> None:
     noise = "" if done.noise_lsb is None else f", noise of one reading {done.noise_lsb:.2f} LSB"
     say(f"{done.frames} frames, {done.lost} lost, {done.restarts} restarts of the board{noise}: {done.path}")
     if done.clock_jumps:
-        warn(f"the board's clock jumped {done.clock_jumps} times; events mark where, and time goes on by the period")
+        jumps = "1 jump" if done.clock_jumps == 1 else f"{done.clock_jumps} jumps"
+        warn(f"{jumps} of the board's clock; events mark where, and time goes on by the period")
     if done.silent:
         warn(f"no frame came in the last {done.silent:.1f} s")
     if done.scene.circuit.unit == "ohm" and not done.scene.series_resistance_ohm:
