@@ -24,7 +24,6 @@ from lampest.studies import study
 from lampest.studies.methods import StudyMethod
 
 LEAST, MOST, NEVER_BELOW = 90.0, 98.0, 80.0  # percent of 95 % intervals that shall cover the truth
-LOADED_KPA = 0.5  # a cell counts as loaded from here on: below, a film's answer is smaller than its creep
 NAN = float("nan")
 
 
@@ -180,7 +179,8 @@ def _counted(task: AuditTask, name: str, recording: Recording, found: Estimates)
     load = pressure[found.frame] - pressure[0]
     cells = covered_truths(found.cell_resistance_lower, truth[found.frame], found.cell_resistance_upper)
     changes = covered_truths(found.relative_change_lower, change, found.relative_change_upper)
-    pressures = covered_truths(found.pressure_lower, load, found.pressure_upper, np.abs(load) > LOADED_KPA)
+    # A cell counts as loaded from 0.5 kPa on: below, a film's answer is smaller than its creep.
+    pressures = covered_truths(found.pressure_lower, load, found.pressure_upper, np.abs(load) > 0.5)
     errors = found.cell_resistance_errors
     width = NAN if errors is None else float(np.nanmedian(errors / found.cell_resistance))
     parts = [NAN if part is None else float(np.nanmedian(part)) for part in (found.sigma_own, found.sigma_common)]

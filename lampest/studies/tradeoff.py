@@ -60,7 +60,6 @@ LADDER: tuple[MethodName | AnyMethod, ...] = (
     "nodal",
     "per_pixel",
 )
-CHANGED = 0.05  # a cell has changed that has left its unloaded resistance by more
 Task = tuple[Estimator, Recording]
 Passage = tuple[Estimates, Array]  # through a recording: estimates, and the processor's s of each frame
 
@@ -350,7 +349,7 @@ def errors(found: Estimates) -> tuple[Array, Array]:
     unloaded = np.flatnonzero(recording.role == UNLOADED)
     resting = np.median(truth[unloaded], axis=0) if len(unloaded) else truth[0]
     error = relative_error(found.cell_resistance, truth[found.frame])
-    changed = np.abs(truth[found.frame] / resting - 1) > CHANGED
+    changed = np.abs(truth[found.frame] / resting - 1) > 0.05  # as `Measured.changed_error` says
     inside = [np.median(part[which]) if which.any() else np.nan for part, which in zip(error, changed, strict=True)]
     return np.median(error, axis=(1, 2)), np.array(inside)
 

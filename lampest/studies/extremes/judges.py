@@ -11,7 +11,6 @@ from lampest.files.errors import extra
 from lampest.panel.panel import Array
 from lampest.panel.readouts.star_mesh import exact_two_point_resistance
 
-MOST_DIGITS = 15.0  # of double precision
 MOST_STEPS, FINE = 500, 1e-13  # of the convex estimate: steps, and the relative error of a reading
 
 
@@ -25,7 +24,7 @@ def correct_digits(found: Array, certified: Array) -> float:
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         error = np.where(found == certified, 0.0, np.abs(found / certified - 1))
         worst = float(np.max(np.where(np.isnan(error), np.inf, error), initial=0.0))
-        return float(np.clip(-np.log10(worst), 0.0, MOST_DIGITS))
+        return float(np.clip(-np.log10(worst), 0.0, 15.0))
 
 
 def fifty_digits(cells: Array) -> Array:

@@ -20,7 +20,6 @@ from lampest.studies.methods import Shape, Sizes, SquaredMethod, paper_methods, 
 GRID = "log-uniform"
 USUAL_OHM = 3000.0  # of a cell, before a case changes it
 OPEN, SHORT = 1e9, 1e-9  # factors of a cell that is broken and not known to be
-LEAST_NOISE = 1e-9  # σ of readings that are exact, relative
 Generator = np.random.Generator
 
 
@@ -101,7 +100,7 @@ def recording_of(sample: AtlasSample) -> tuple[Recording, Made]:
     total = network + scene.series_ohm
     if scene.series_ohm:
         total = np.maximum(total + sample.noise * scene.series_ohm * rng.standard_normal(exact.shape), 1e-3)
-    sigma: Array | None = max(sample.noise, LEAST_NOISE) * total
+    sigma: Array | None = max(sample.noise, 1e-9) * total
     if scene.readout is not None:
         total, sigma = _converted(scene.readout, total, rng), None
     usable = np.isfinite(total) & (total > 0)  # readings that are no value hold any finite number

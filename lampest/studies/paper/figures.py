@@ -15,8 +15,6 @@ from lampest.report.plots.style import BLUE, ORANGE, SMALL_POINT, TEXT_POINT, ch
 from lampest.studies.paper.sides import MEASURED, Published, Side
 
 CHANGE = "relative change of resistance [%]"
-PRESSURES = np.linspace(-10.0, 235.0, 981)
-BENT_KPA = np.linspace(0.0, 40.0, 161)
 COLOURS = ("#222222", "#0072B2", "#E69F00", "#009E73")
 
 
@@ -24,7 +22,8 @@ def response_figure(published: Published) -> Figure:
     """Figure 1-e with its inset: the curve that lampest uses through the published numbers."""
     figure = new_figure(3.2)
     axes = figure.subplots()
-    axes.plot(PRESSURES, 100 * relative_change_from_pressure(PRESSURES), color=BLUE, lw=1.2, label="lampest")
+    pressures = np.linspace(-10.0, 235.0, 981)
+    axes.plot(pressures, 100 * relative_change_from_pressure(pressures), color=BLUE, lw=1.2, label="lampest")
     points = [(point.kpa, point.percent) for point in published.changes]
     axes.plot(*zip(*points, strict=True), "o", color=ORANGE, ms=4.5, label="published")
     _dressed(axes, "pressure [kPa]", "relative change of resistance ΔR/R₀ [%]")
@@ -55,11 +54,12 @@ def bending_figure(published: Published) -> Figure:
     left.minorticks_off()
     left.legend(fontsize=SMALL_POINT, frameon=False)
     _dressed(left, "curvature [1/m]", "unloaded resistance R₀ [ohm]")
+    pressures = np.linspace(0.0, 40.0, 161)
     for cell, colour in zip(published.bent_cells, COLOURS, strict=True):
         answer = Film(curvature_per_m=cell.curvature_per_m).answer
-        change = 100 * (ratio_from_pressure(BENT_KPA) ** answer - 1)
+        change = 100 * (ratio_from_pressure(pressures) ** answer - 1)
         name = "flat" if cell.radius_mm is None else f"radius {cell.radius_mm:g} mm"
-        right.plot(BENT_KPA, change, color=colour, lw=1.1, label=name)
+        right.plot(pressures, change, color=colour, lw=1.1, label=name)
         right.plot(40, cell.percent, "o", color=colour, ms=4.5, clip_on=False)
     right.legend(fontsize=SMALL_POINT, frameon=False, title="dots: published", title_fontsize=SMALL_POINT)
     _dressed(right, "pressure [kPa]", CHANGE)
