@@ -17,8 +17,7 @@ from unittest import mock
 
 import numpy as np
 from attack.attack import HELD, HOUSE, MAIN, Attack, command
-from fuzz.batches import batch
-from fuzz.test_kills import killed_again_and_again
+from fuzz.batches import batch, killed_again_and_again
 from wild_board import WildBoard, hundred_a_second, wild_board, wire
 
 from lampest import Recording

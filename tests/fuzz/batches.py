@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,6 +21,7 @@ from lampest.panel.scene import Panel, Scene
 from lampest.recording.recording import Recording
 
 COMMAND = Path(sys.executable).with_name("lampest")
+WHOM = ("command", "all", "worker")
 TIMES = ("solve_time", "error_bar_time", "baseline_solve_time_s")
 RUN = """\
 schema: 1
@@ -140,3 +142,33 @@ def kill(process: subprocess.Popen[str], whom: str, rng: np.random.Generator) ->
             os.kill(target, signal.SIGKILL)
         except ProcessLookupError:
             continue
+
+
+def killed_again_and_again(tmp_path: Path, made: Batch, kills: int, seed: int) -> Counter[str]:
+    """Kill as often, resume each time, and compare every folder that gets done; how often what happened."""
+    rng, counts, folder = np.random.default_rng(seed), Counter[str](), 0
+    begin = time.monotonic()
+    made.finish(tmp_path / "undisturbed", 2)
+    longest = time.monotonic() - begin
+    undisturbed = content(tmp_path / "undisturbed" / "results.h5")
+    while counts["kills"] < kills:
+        out = tmp_path / f"out{folder}"
+        before = finished(out)
+        run = made.start(out, int(rng.integers(1, 3)))
+        whom = WHOM[int(rng.integers(len(WHOM)))]
+        time.sleep(float(rng.uniform(0.1 * longest, longest)))
+        alive = run.poll() is None
+        if alive:
+            kill(run, whom, rng)
+            counts.update({"kills": 1, whom: 1})
+        _, said = run.communicate(timeout=300)
+        assert "Traceback" not in said
+        until(lambda leader=run.pid: not session(leader))
+        assert finished(out) >= before
+        if run.returncode == 0:
+            assert content(out / "results.h5") == undisturbed
+            folder, counts = folder + 1, counts + Counter(done=1)
+    made.finish(tmp_path / f"out{folder}")
+    assert content(tmp_path / f"out{folder}" / "results.h5") == undisturbed
+    assert not list(tmp_path.rglob("*.part"))
+    return counts
