@@ -59,16 +59,10 @@ class Spread:
 class Row:
     """One case over some of its steps; a failed frame counts in `frames` and nowhere else.
 
-    Parameters
-    ----------
-    source, label : results file, and the estimator's name as tables show it. case : the case itself.
-    steps : 'all'; or 'initial' and 'following' where the first frame was solved together with the baseline.
-    frames, solved : number of frames, and how many of them were solved.
-    solve_time : of the solved frames, in s.
-    data_error : |model − measured|/measured over all readings that are values, of the solved frames, in percent.
-    cell_error : |cell resistance − truth|/truth over all cells and solved frames, in percent; None without a truth.
-    open_cells : cells that cannot be told from open ones, summed over the solved frames.
-    worst_kkt_residual : the largest violation of the optimality conditions.
+    source, label : results file, and the estimator's name as tables show it. steps : 'all'; or 'initial' and
+    'following' where the first frame was solved together with the baseline. solve_time : s. data_error :
+    |model − measured|/measured over readings that are values, percent. cell_error : |cell resistance − truth|/truth,
+    percent; None without a truth. open_cells : that cannot be told from open ones, over all frames.
     missing_readings, bound_readings : of all frames, solved or not: missing; at a rail, zero or below.
     published : what a publication says of the same steps.
     """

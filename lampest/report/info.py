@@ -273,10 +273,7 @@ def holes_sentence(missing: NDArray[np.bool_], bounds: NDArray[np.bool_]) -> str
 
 
 def understood_lines(recording: Recording, notes: Sequence[str]) -> list[str]:
-    """The sentences of an import, and a map of every cell's mean reading over the frames that have one.
-
-    Rows and columns that were swapped or turned show in the map.
-    """
+    """The sentences of an import, and a map of mean readings, which shows rows and columns that were swapped."""
     return [*notes, f"mean reading in {recording.scene.circuit.unit}:", *text_map(mean_reading(recording.recorded))]
 
 

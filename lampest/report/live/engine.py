@@ -103,17 +103,11 @@ class Engine:
         self.shown.change(lambda view: replace(view, **fields))
 
     def tare(self) -> None:
-        """Nothing is on the panel: the mean of the next frames, as many as the first baseline had, is the new one.
-
-        From any thread; it takes effect with the next frame that is solved.
-        """
+        """The mean of the next frames, as many as the first baseline had, is the new one; called from any thread."""
         self._zero_asked.set()
 
     def begin(self, source: FrameSource, unloaded: Sequence[Scan]) -> None:
-        """Start solving against the mean of unloaded frames, without their outliers.
-
-        Raises InputError where one of them makes no readings.
-        """
+        """Solve against the mean of unloaded frames without outliers. Raises InputError where one has no readings."""
         try:
             first, *others = (Readings.of(source.scene, scan.recorded, scan.sigma) for scan in unloaded)
         except InputError as error:
@@ -139,11 +133,7 @@ class Engine:
             self.begin(source, self._unloaded)
 
     def _solve(self, source: FrameSource, resting: Readings, unloaded: tuple[Scan, ...]) -> None:
-        """Solve the newest frame again and again until nothing more will come.
-
-        The circuit is held against the unloaded frames, and once more with the first three frames that show a load: of
-        one alone nobody knows whether a reading that stands out is wrong.
-        """
+        """Solve the newest frame until no more come; check the circuit at once and with the first three loaded frames."""
         state = PanelState.begin(self._estimator, source.scene, source.period, resting, self._beside is not None)
         self._check(source.scene, unloaded)
         seen, loaded = 0, list[Scan]()

@@ -60,10 +60,7 @@ class Newest(Generic[T]):
 
 
 class Errand(NamedTuple):
-    """run : computes the answer, in the other process. then : takes the answer, or the exception, in a thread here.
-
-    urgent : whether it may not be replaced by one that is not.
-    """
+    """run : in the other process. then : takes answer or exception here. urgent : replaced by urgent ones alone."""
 
     run: Callable[[], Any]
     then: Callable[[Any], None]

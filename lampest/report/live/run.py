@@ -123,10 +123,7 @@ def live(
 
 @contextmanager
 def recorder_of(source: LiveBoard | Replay, engine: Engine) -> Iterator[tuple[Recorder | None, Asks]]:
-    """What the page's button records with, into the folder where lampest was begun, and what the page may ask for.
-
-    None where there is nothing to record: then the page may ask for a new zero alone.
-    """
+    """What the page's button records with, into the working folder, or None; and what the page may ask for."""
     if isinstance(source, Replay) or source.out is not None:
         yield None, Asks(engine.tare)
         return

@@ -168,10 +168,7 @@ class PanelState:
 
 
 def solved_picture(state: PanelState, readings: Readings, picture: Picture) -> tuple[PanelState, Picture]:
-    """Solve one frame without its outliers: (the state after it, the picture with what the solver found).
-
-    Where it cannot be solved, the picture holds NaN and says why, and the cells stay as they were.
-    """
+    """Solve one frame without its outliers: the state after it, and the picture, with NaN where that cannot be."""
     stream, before, outliers = state.stream, state.before, 0
     if not stream.parts:
         state = replace(state, before=before.after(readings))

@@ -211,11 +211,7 @@ def disagreements(cases: Sequence[CaseResult]) -> tuple[Disagreement, ...]:
 
 
 def _disagreement(one: CaseResult, other: CaseResult) -> Disagreement:
-    """a − b is significant where its 95 % interval excludes zero: a − b > √((a − a_low)² + (b_high − b)²) for a > b.
-
-    That is exact for independent normal errors. Both estimates rest on the same readings, so that their errors agree in
-    part, and fewer than one cell in twenty is marked by chance. Source: Zou and Donner, Stat. Med. 27, 2008.
-    """
+    """a − b > √((a − a_low)² + (b_high − b)²) for a > b: Zou and Donner, Stat. Med. 27, 2008; exact if independent."""
     difference = one.relative_change - other.relative_change
     (below, above), (other_below, other_above) = _arms(one), _arms(other)
     with np.errstate(invalid="ignore"):

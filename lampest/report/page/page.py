@@ -92,10 +92,7 @@ def report(batch: Batch, on_recording: Callable[[int, int], None] = lambda done,
 
 
 def _section(task: tuple[Subject, int, dict[str, Measures], Sequence[str], bool]) -> dict[str, Any]:
-    """What the template says of a recording: contours and a table; every other figure too where it is shown whole.
-
-    task : the recording, its number, estimator → figures, the estimators that pictures show, whether it is shown whole.
-    """
+    """What the template says of a recording: contours and a table; every other figure too where it is shown whole."""
     subject, number, found, drawn, whole = task
     cases = tuple(case for case in subject.cases if case.estimator in drawn) or subject.cases[:1]
     place, pairs = strongest_index(cases), disagreements(cases) if whole else ()
@@ -136,10 +133,7 @@ def _shown(comparison: Comparison | None, advice: Advice) -> str | None:
 
 
 def shown_whole(batch: Batch, comparison: Comparison | None, advice: Advice) -> frozenset[str]:
-    """The recordings that get all figures: everyone of a few; else the two best, middle and worst ones.
-
-    By the criterion, for the estimator that is recommended or stands first.
-    """
+    """The recordings that get all figures: everyone of a few; else the two best, middle and worst by the criterion."""
     names, estimator = [subject.name for subject in batch.subjects], _shown(comparison, advice)
     if len(names) <= MOST_WHOLE or comparison is None or estimator is None:
         return frozenset(names[:MOST_WHOLE])

@@ -41,10 +41,7 @@ def filled(package: str, **values: Any) -> str:
 
 
 def between(interval: Interval, unit: str = "", sign: str = "") -> str:
-    """'2.13 (1.95 to 2.36) %', all three with the decimals that the interval's length deserves.
-
-    No line is broken within the brackets.
-    """
+    """'2.13 (1.95 to 2.36) %', all with the decimals that the interval's length deserves, in brackets on one line."""
     value, lower, upper = (_together(part, interval, sign) for part in (interval.value, interval.lower, interval.upper))
     return f"{value} ({lower}{HARD}to{HARD}{upper}){unit and HARD + unit}"
 
