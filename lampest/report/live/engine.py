@@ -133,7 +133,7 @@ class Engine:
             self.begin(source, self._unloaded)
 
     def _solve(self, source: FrameSource, resting: Readings, unloaded: tuple[Scan, ...]) -> None:
-        """Solve the newest frame until no more come; check the circuit at once and with the first three loaded frames."""
+        """Solve the newest frame until no more come; check the circuit before and with the first loaded frames."""
         state = PanelState.begin(self._estimator, source.scene, source.period, resting, self._beside is not None)
         self._check(source.scene, unloaded)
         seen, loaded = 0, list[Scan]()
