@@ -34,12 +34,12 @@ def within_bounds(at: Evaluation, free: NDArray[np.intp], step: Array) -> Array:
     return np.asarray(np.minimum(np.maximum(target, lower), upper) - position)
 
 
-def falls_along(at: Evaluation, along: Array) -> bool:
-    """Whether the cost is lower forth or back along a direction (cells) of u."""
+def lower_along(at: Evaluation, along: Array) -> Evaluation | None:
+    """A point forth or back along a direction (cells) of u where the cost is lower; None where there is none."""
     least, size = _certain_cost(at) - STILL * at.cost_scale, float(np.abs(along).max(initial=0.0)) or 1.0
     lengths = [sign * length / size for length in LENGTHS for sign in (1.0, -1.0)]
     beside = (moved_by(at, length * along) for length in lengths)
-    return any(_certain_cost(one) < least for one in beside if one is not None)
+    return next((one for one in beside if one is not None and _certain_cost(one) < least), None)
 
 
 def _certain_cost(at: Evaluation) -> float:

@@ -17,7 +17,7 @@ from scipy.linalg import lapack
 from lampest.cost.problem import Evaluation
 from lampest.panel.panel import Array
 from lampest.panel.trust_region import DENSE_CELLS, restricted, steihaug
-from lampest.solvers.bounds import MILLIONTH, falls_along, free_cells, within_bounds
+from lampest.solvers.bounds import MILLIONTH, free_cells, lower_along, within_bounds
 from lampest.solvers.hessian import DENSE_STIFF_CELLS, Hessian
 from lampest.solvers.kinks import AT_ZERO, Kinks, Unsmoothed, at_kink
 from lampest.solvers.orthogonal import Squares
@@ -49,7 +49,7 @@ class Certificate:
     decrement : δ = √(gᵀ H⁻¹ g). deviations : δ/(√2·s₀), s₀² = ½ mean ∂²φ/∂y² σ² over the readings that count: at least
     |s_c| over its cell's posterior deviation; infinite where the noise is not known, or where the step is a millionth
     anyway. left : the largest entry of the gradient in undetermined directions; infinite where nobody asked.
-    factor : of ∇²φ, where it was made by Cholesky.
+    factor : of ∇²φ, where it was made by Cholesky. lower : beside a saddle, a point of lower cost.
     """
 
     definiteness: Definiteness
@@ -58,6 +58,7 @@ class Certificate:
     deviations: float
     left: float = float("inf")
     factor: Cholesky | None = None
+    lower: Evaluation | None = None
 
     @classmethod
     def of(
@@ -169,23 +170,26 @@ def at_kinks(hessian: Hessian, free: Numbers, kinks: Kinks) -> Certificate:
     matrix, slope = kinks.reduced(whole, hessian.gradient[free])
     usual = np.einsum("ij,i,ij->j", along, _usual_curvature(hessian)[free], along)
     definiteness, part, left, lowest = newton_step(matrix, slope, ROUNDING * usual)
-    definiteness = _confirmed(hessian, definiteness, free, along @ lowest)
+    definiteness, lower = _confirmed(hessian, definiteness, free, along @ lowest)
     decrement = float(np.sqrt(max(-float(slope @ part), 0.0)))
     move = kinks.back + along @ part
     across = np.abs(kinks.across.T @ (hessian.gradient[free] + whole @ move)).max(initial=0.0)
     rows = float((hessian.at.cost.slope[kinks.rows] * kinks.length).max(initial=0.0))
     if across > max(MILLIONTH * hessian.at.cost_scale, AT_ZERO * rows):
         decrement = float("inf")
-    return Certificate.of(hessian, definiteness, free, move, decrement, left=left)
+    return Certificate.of(hessian, definiteness, free, move, decrement, left=left, lower=lower)
 
 
-def _confirmed(hessian: Hessian, definiteness: Definiteness, free: Numbers, along: Array) -> Definiteness:
-    """Indefinite only where the cost is seen to fall along a direction of the free cells."""
+def _confirmed(
+    hessian: Hessian, definiteness: Definiteness, free: Numbers, along: Array
+) -> tuple[Definiteness, Evaluation | None]:
+    """Indefinite only where the cost is seen to fall along a direction of the free cells, and a point where it has."""
     if definiteness is not Definiteness.INDEFINITE:
-        return definiteness
+        return definiteness, None
     whole = np.zeros(len(hessian.gradient))
     whole[free] = along
-    return definiteness if falls_along(hessian.at, whole) else Definiteness.UNDETERMINED
+    lower = lower_along(hessian.at, whole)
+    return (definiteness if lower is not None else Definiteness.UNDETERMINED), lower
 
 
 def _by_factorisation(hessian: Hessian, free: Numbers) -> Certificate:
@@ -199,8 +203,8 @@ def _by_factorisation(hessian: Hessian, free: Numbers) -> Certificate:
         part = factor.solve(-slope)
         return Certificate.of(hessian, Definiteness.POSITIVE, free, part, None, left=0.0, factor=factor)
     definiteness, part, left, lowest = newton_step(matrix, slope, least)
-    definiteness = _confirmed(hessian, definiteness, free, lowest)
-    return Certificate.of(hessian, definiteness, free, part, None, left=left, factor=factor)
+    definiteness, lower = _confirmed(hessian, definiteness, free, lowest)
+    return Certificate.of(hessian, definiteness, free, part, None, left=left, factor=factor, lower=lower)
 
 
 def newton_step(matrix: Array, slope: Array, least: Array) -> tuple[Definiteness, Array, float, Array]:
@@ -252,11 +256,14 @@ def _by_conjugate_gradients(hessian: Hessian, free: NDArray[np.bool_], kept: Pre
     slope, product = hessian.gradient[chosen], restricted(hessian.product, chosen, free.size)
     precondition = (kept or TwoLevel.of(hessian)).over(free, hessian.at.cell_resistance)
     found = steihaug(product, precondition, slope, ACCURACY)
-    moved = bool(found.products) or not slope.any()
+    moved, lower = bool(found.products) or not slope.any(), None
     definiteness = Definiteness.POSITIVE if moved else Definiteness.UNDETERMINED
     if found.negative:
         along = found.step / (float(np.abs(found.step).max()) or 1.0)
         curvature, size = float(along @ product(along)), hessian.diagonal[chosen]
         rounding = max(ROUNDING * float(along @ (size * along)), UNSEEN * hessian.at.cost_scale)
         definiteness = Definiteness.UNDETERMINED if curvature > -rounding else Definiteness.INDEFINITE
-    return Certificate.of(hessian, definiteness, chosen, found.step, None)
+        whole = np.zeros(free.size)
+        whole[chosen] = along
+        lower = lower_along(hessian.at, whole) if definiteness is Definiteness.INDEFINITE else None
+    return Certificate.of(hessian, definiteness, chosen, found.step, None, lower=lower)

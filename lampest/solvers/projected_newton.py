@@ -62,13 +62,14 @@ class ProjectedNewton:
                 if not point.sharp(tolerance):
                     point, iteration = point.sharpened(), iteration + 1
                     continue
-                if point.certificate.settled or unsettled == MOST_TRIES or not point.residual:
+                flat = not point.residual and point.certificate.lower is None
+                if point.certificate.settled or flat or unsettled == MOST_TRIES:
                     return point.unsmoothed(iteration) or point.outcome(Status.OPTIMUM, iteration)
                 unsettled += 1
-            moved = advanced(point)
+            moved = (escaped(point) if near else None) or advanced(point)
             if moved is None or not moved.gauss_newton:
                 found = [one for one in (moved, least_squares_step(point)) if one is not None]
-                moved = min(found, key=lambda one: one.objective, default=None)
+                moved = min(found, key=lambda one: one.objective, default=None) or escaped(point)
             if moved is None:
                 if (ended := point.unsmoothed(iteration)) is not None:
                     return ended
@@ -277,6 +278,12 @@ def direction(
     if predicted == -inf:
         predicted = -float(gradient @ step + 0.5 * step @ product(step))
     return Direction(step if logarithmic else -np.log1p(-step), predicted, length, most, negative)
+
+
+def escaped(point: Iterate) -> Iterate | None:
+    """From a saddle, where the certificate has seen the cost fall."""
+    lower = point.certificate.lower
+    return None if lower is None else Iterate.of(lower, point.hessian.smoothing.moved(point.at, lower), convex=False)
 
 
 def least_squares_step(point: Iterate) -> Iterate | None:
