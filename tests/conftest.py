@@ -20,8 +20,11 @@ THINNED = ("oracles", "units")  # laws and contracts keep all of theirs
 
 
 @pytest.hookimpl(tryfirst=True)
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Of a test with many variants all but FEW, spread over them, carry the mark `slow`."""
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Of a test with many variants all but FEW, spread over them, carry the mark `slow`; `soak` runs when asked for."""
+    if "soak" not in config.getoption("-m"):
+        config.hook.pytest_deselected(items=[item for item in items if item.get_closest_marker("soak")])
+        items[:] = [item for item in items if not item.get_closest_marker("soak")]
     variants: dict[tuple[Path, str], list[pytest.Item]] = {}
     for item in items:
         if item.path.parent.name in THINNED:

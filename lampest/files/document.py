@@ -22,6 +22,7 @@ from ruamel.yaml.error import MarkedYAMLError, YAMLError
 from lampest.files.errors import InputError, in_words, meant
 from lampest.files.whole import note_read
 
+DEEPEST = 50  # brackets within brackets: the parser's time grows with their square
 MOST_BYTES = 100_000  # of a text, which take up to 4 s; and so many values at most
 # In any unit: what is smaller or larger is no measure of anything, and loses its digits as soon as it is squared.
 SMALLEST, LARGEST = 1e-30, 1e30
@@ -70,7 +71,8 @@ class Document:
         for depth, part in enumerate(path):
             index = place_in(node, part)
             if index is None or (isinstance(node, list) and index >= len(node)):
-                raise self.error((), f"no such place: '{part}' is not found in this document")
+                dotted = ".".join(str(one) for one in path)
+                raise self.error((), f"no such place: '{dotted}' is not found in this document")
             if depth == len(path) - 1:
                 node[index] = value
             else:
@@ -135,6 +137,9 @@ def parse_document(text: str, source: str) -> Document:
     """Parse YAML 1.2 text; duplicate keys, tags and more than one document are errors. Raises InputError."""
     if len(text) > MOST_BYTES:
         raise InputError(f"{source}: larger than {MOST_BYTES} characters, which no configuration is")
+    depth = np.cumsum([1 if sign in "[{" else -1 for sign in re.findall(r"[\[\]{}]", text)])
+    if depth.max(initial=0) > DEEPEST:
+        raise InputError(f"{source}: brackets within brackets more than {DEEPEST} times")
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of an anchor that is set twice
