@@ -22,7 +22,7 @@ APT = export DEBIAN_FRONTEND=noninteractive; apt-get update -qq && apt-get insta
 OUT = results/table1
 QUICK = tests/laws tests/golden tests/contracts/test_architecture.py --ignore tests/laws/test_holes.py
 PYTEST = $(BIN)/python -m pytest -q
-SPREAD = --numprocesses auto --maxprocesses 4 --dist loadgroup
+SPREAD = --numprocesses auto --maxprocesses 4
 
 install: $(VENV)/.installed
 
@@ -32,10 +32,12 @@ run: install
 	@$(BIN)/lampest plot $(OUT)/results.h5 --out $(OUT)
 
 test: $(VENV)/.installed-dev board-packages
-	@$(PYTEST) $(SPREAD) -m 'not slow'
+	@$(PYTEST) $(SPREAD) -m 'not slow' --ignore tests/board
+	@$(PYTEST) -m 'not slow' tests/board
 
 test-all: test
-	@$(PYTEST) $(SPREAD) -m slow
+	@$(PYTEST) $(SPREAD) -m slow --ignore tests/board
+	@$(PYTEST) -m slow tests/board
 
 quick: $(VENV)/.installed-dev
 	@$(PYTEST) $(SPREAD) -m 'not slow' $(QUICK)

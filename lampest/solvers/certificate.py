@@ -62,22 +62,14 @@ class Certificate:
 
     @classmethod
     def of(
-        cls,
-        hessian: Hessian,
-        definiteness: Definiteness,
-        free: Numbers,
-        part: Array,
-        decrement: float | None,
-        **more: Any,
+        cls, hessian: Hessian, kind: Definiteness, free: Numbers, part: Array, decrement: float | None, **more: Any
     ) -> "Certificate":
         """From Newton's step of the free cells (numbers)."""
         step = within_bounds(hessian.at, free, part)
         if decrement is None:
             decrement = float(np.sqrt(max(-float(hessian.gradient[free] @ part), 0.0)))
-        short = float(np.abs(step).max(initial=0.0)) <= MILLIONTH
-        positive = definiteness is Definiteness.POSITIVE
-        deviations = _deviations(hessian, decrement) if positive and not short else float("inf")
-        return cls(definiteness, step, decrement, deviations, **more)
+        clear = kind is Definiteness.POSITIVE and float(np.abs(step).max(initial=0.0)) > MILLIONTH
+        return cls(kind, step, decrement, _deviations(hessian, decrement) if clear else float("inf"), **more)
 
     @property
     def settled(self) -> bool:
@@ -256,14 +248,12 @@ def _by_conjugate_gradients(hessian: Hessian, free: NDArray[np.bool_], kept: Pre
     slope, product = hessian.gradient[chosen], restricted(hessian.product, chosen, free.size)
     precondition = (kept or TwoLevel.of(hessian)).over(free, hessian.at.cell_resistance)
     found = steihaug(product, precondition, slope, ACCURACY)
-    moved, lower = bool(found.products) or not slope.any(), None
+    moved = bool(found.products) or not slope.any()
     definiteness = Definiteness.POSITIVE if moved else Definiteness.UNDETERMINED
     if found.negative:
         along = found.step / (float(np.abs(found.step).max()) or 1.0)
         curvature, size = float(along @ product(along)), hessian.diagonal[chosen]
         rounding = max(ROUNDING * float(along @ (size * along)), UNSEEN * hessian.at.cost_scale)
         definiteness = Definiteness.UNDETERMINED if curvature > -rounding else Definiteness.INDEFINITE
-        whole = np.zeros(free.size)
-        whole[chosen] = along
-        lower = lower_along(hessian.at, whole) if definiteness is Definiteness.INDEFINITE else None
+    definiteness, lower = _confirmed(hessian, definiteness, chosen, found.step)
     return Certificate.of(hessian, definiteness, chosen, found.step, None, lower=lower)

@@ -60,6 +60,7 @@ def test_shorted_lines_calibrate_the_scene_that_records_next(tmp_path: Path) -> 
     assert Recording.load(tmp_path / "r.h5").scene == found
 
 
+@pytest.mark.slow
 def test_known_resistors_calibrate_too(tmp_path: Path) -> None:
     rng = np.random.default_rng(2)
     known = np.exp(rng.normal(np.log(1000), 0.3, (3, 4)))
@@ -113,6 +114,7 @@ def test_ctrl_c_ends_a_recording_with_130_and_a_clean_file(tmp_path: Path) -> No
     assert len(Recording.load(out).time) >= 1
 
 
+@pytest.mark.slow
 def test_repair_brings_back_what_a_crash_left(tmp_path: Path) -> None:
     out = tmp_path / "r.h5"
     with bench(tmp_path, some_cells(np.random.default_rng(9), 1)) as board:

@@ -138,6 +138,7 @@ def test_what_is_not_solved_is_not_drawn(tmp_path: Path) -> None:
     assert np.ptp(np.delete(drawn, [4, 5], axis=0)) == 0, "one colour but for the words"
 
 
+@pytest.mark.slow
 def test_a_frame_without_readings_is_named_and_leaves_the_maps_empty(tmp_path: Path) -> None:
     ring = Recording.load(RING)
     resistance = ring.resistance.copy()
@@ -171,6 +172,7 @@ def test_every_word_fits_a_wide_and_a_narrow_screen(width: int, tmp_path: Path) 
         assert max(map(int, page.strip("rgb()").split(","))) < 64, "dark where the browser is"
 
 
+@pytest.mark.slow
 def test_a_solver_that_is_too_slow_drops_frames_and_says_so(tmp_path: Path) -> None:
     words = ("--recording", LAMPREY, "--speed", 1000, "--config", ROOT / "configs" / "table1.yaml")
     with live(tmp_path, *words, "--estimator", "LSR-gdCR") as (window, _):
@@ -181,6 +183,7 @@ def test_a_solver_that_is_too_slow_drops_frames_and_says_so(tmp_path: Path) -> N
         assert "passed over for the newest one" in window.text("behind")
 
 
+@pytest.mark.slow
 def test_an_unplugged_board_is_waited_for_and_every_frame_is_recorded(tmp_path: Path) -> None:
     cells, _ = truth_of(LAMPREY)
     out = tmp_path / "along.h5"
@@ -208,6 +211,7 @@ def test_an_unplugged_board_is_waited_for_and_every_frame_is_recorded(tmp_path: 
     assert len(found.time) > before + 5 and found.role[:4].tolist() == [0, 0, 0, 1]
 
 
+@pytest.mark.slow
 def test_a_button_records_what_the_port_delivers(tmp_path: Path) -> None:
     """With the unloaded frames first, into the folder where lampest was begun; a second one is another file."""
     cells, _ = truth_of(LAMPREY)
@@ -275,6 +279,7 @@ def test_a_missing_browser_is_named_in_one_sentence(tmp_path: Path, monkeypatch:
         pass
 
 
+@pytest.mark.slow
 def test_five_seconds_at_thirty_frames_a_second_with_the_page_open(tmp_path: Path) -> None:
     assert thirty_frames_a_second(tmp_path, 5) == 150
 

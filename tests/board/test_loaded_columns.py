@@ -61,6 +61,7 @@ def test_every_code_is_that_of_the_node_equations(tmp_path: Path, rows: int, col
     np.testing.assert_array_equal(found.raw_sums, readings * np.array(codes))
 
 
+@pytest.mark.slow
 def test_from_the_board_to_the_cells_by_the_commands(tmp_path: Path) -> None:
     """The shipped lamprey on the loaded board: record → /entry/readings in volt → run → the truth."""
     shipped = Recording.load(SHIPPED)

@@ -125,6 +125,7 @@ def test_mqtt_carries_the_message(lampest: Run, tmp_path: Path) -> None:
         check_message(told)
 
 
+@pytest.mark.slow
 @needs_broker
 def test_a_broker_that_goes_away_is_said_and_called_again(lampest: Run, tmp_path: Path) -> None:
     port, after = free_port(), []
@@ -246,6 +247,7 @@ def test_osc_carries_the_frame(lampest: Run) -> None:
     assert told["/panel/verdict"][0].startswith("pressing") and told["/panel/solved"] == [True]
 
 
+@pytest.mark.slow
 def test_lsl_is_a_described_stream(lampest: Run) -> None:
     import pylsl
 

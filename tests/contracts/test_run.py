@@ -159,6 +159,7 @@ def started(long: SimpleNamespace) -> subprocess.Popen[str]:
     return run
 
 
+@pytest.mark.slow
 def test_killed_run_resumes(long: SimpleNamespace, lampest: Command) -> None:
     run = started(long)
     run.kill()
@@ -196,6 +197,7 @@ def test_one_run_at_a_time_in_a_folder(disk: SimpleNamespace, lampest: Command) 
     assert lampest("run", disk.folder / "run.yaml", "--out", out, "--jobs", "1").code == 0
 
 
+@pytest.mark.slow
 def test_two_runs_into_one_folder_at_once(disk: SimpleNamespace) -> None:
     """Either one waits for none and refuses, or it comes late and finds all done; the results are whole."""
     command = [COMMAND, "run", str(disk.folder / "run.yaml"), "--out", str(disk.folder / "out"), "--jobs", "2"]

@@ -67,6 +67,7 @@ def started(made: Batch, out: Path, jobs: int) -> "subprocess.Popen[str]":
     return run
 
 
+@pytest.mark.slow
 def test_recording_that_is_deleted_under_way(tmp_path: Path) -> None:
     """Its cases fail with a sentence each; those that are finished, and those of the other recording, are complete."""
     made = batch(tmp_path, 12)
@@ -82,6 +83,7 @@ def test_recording_that_is_deleted_under_way(tmp_path: Path) -> None:
     assert [case.recording for case in cases] == ["one"] * (made.cases // 2)
 
 
+@pytest.mark.slow
 def test_recording_that_is_replaced_under_way(tmp_path: Path) -> None:
     """No result under the old recording's hash holds the new one's numbers."""
     made = batch(tmp_path, 12)

@@ -67,6 +67,7 @@ def test_numbers_stand_for_inputs(good: Corpus, folder: Path) -> None:
             assert good.mutant(number) == again.mutant(number)
 
 
+@pytest.mark.slow
 @given(trees)
 @QUICK
 def test_any_tree_as_a_run(good: Corpus, folder: Path, tree: Any) -> None:

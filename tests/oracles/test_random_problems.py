@@ -50,6 +50,7 @@ def test_no_other_solver_finds_less(seed: int, number: int) -> None:
     assert found.verdict in ("equal", "better") or found.status == Status.ROUNDED.name, found
 
 
+@pytest.mark.slow
 def test_a_large_joint_pair_of_noisy_readings_ends() -> None:
     """Two frames of 19 × 18 cells, readings off by 5 % of unknown noise: once it took all iterations."""
     problem = replace(RandomProblem.drawn(97, 130), joint=True)

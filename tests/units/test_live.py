@@ -110,6 +110,7 @@ def test_what_is_left_to_another_process_reaches_the_frames_after(
     assert json.loads(view_text(view, 0.0))["deviation"] == pytest.approx(view.deviation, abs=1e-4)
 
 
+@pytest.mark.slow
 def test_should_the_other_process_die_every_frame_waits_for_its_own(lamprey: Recording) -> None:
     with Engine("test", "test", METHODS["smooth"], 3, beside=True) as engine:
 
@@ -611,6 +612,7 @@ def test_live_pressure_forgets_what_the_film_remembers() -> None:
     assert abs(left[0]) < 0.1 * abs(left[1])
 
 
+@pytest.mark.slow
 def test_zero_is_taken_anew_live_where_nothing_touches_the_panel() -> None:
     recording = drifting()
     said: list[str] = []
