@@ -69,7 +69,6 @@ def run(
         warn(f"{name}: {text} assumed; the scene does not say")
     executor = cases.executor if cases.executor and not jobs else local(jobs, len(cases.cases), limited)
     bar = progress("cases")
-    bar.begin(f"{counted(len(cases.cases), 'case')} to solve, first frames take longest; what is done is kept")
     with bar as on_case:
         report = run_batch(cases, out or Path("results") / config.stem, executor, fresh, on_case, bar.about)
     counts = f"{counted(report.done, 'case')} solved, {report.skipped} were done before, {len(report.failed)} failed"

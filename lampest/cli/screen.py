@@ -2,8 +2,6 @@
 
 import sys
 from pathlib import Path
-from threading import Timer
-from time import monotonic
 from typing import TYPE_CHECKING, Annotated, Any, TextIO
 
 import typer
@@ -17,7 +15,6 @@ if TYPE_CHECKING:
 
 WRONG_INPUT, SOME_FAILED, INTERRUPTED = 2, 3, 130
 WIDTH = 100  # columns of a terminal that every table and note fits
-FIRST_SECONDS, LINE_SECONDS = 8.0, 15.0  # until the first line of progress and between lines, without a terminal
 
 
 def written(name: str, text: str) -> Any:
@@ -109,7 +106,7 @@ def print_notes(notes: "Iterable[str]") -> None:
 
 
 class progress:  # noqa: N801
-    """A progress bar on stderr, which moves by itself; where that is no terminal, a plain line now and then."""
+    """A progress bar on stderr, which moves by itself; none where that is no terminal."""
 
     def __init__(self, what: str) -> None:
         from rich.console import Console
@@ -118,36 +115,18 @@ class progress:  # noqa: N801
         columns = (*Progress.get_default_columns(), TimeElapsedColumn())
         self._bar = Progress(*columns, console=Console(stderr=True), disable=not sys.stderr.isatty())
         self._task = self._bar.add_task(what, total=None)
-        self._what, self._said = what, monotonic()
-        self._first: Timer | None = None
-
-    def begin(self, text: str) -> None:
-        """Say what takes time, once it does, where no bar shows it."""
-        if self._bar.disable:
-            self._first = Timer(FIRST_SECONDS, warn, (text,))
-            self._first.daemon = True
-            self._first.start()
 
     def __enter__(self) -> Any:
         self._bar.__enter__()
-        return self._told
+        return self._advanced
 
-    def _told(self, done: int, total: int, what: str | None = None) -> None:
+    def _advanced(self, done: int, total: int, what: str | None = None) -> None:
         """How many of how many are done, and what is next where that takes long."""
         self._bar.update(self._task, completed=done, total=total, description=what and markless(what))
-        self._line(f"{done} of {total} {what or self._what}")
 
     def about(self, what: str) -> None:
         """What is under way, in words that say how far it is."""
         self._bar.update(self._task, description=markless(what))
-        self._line(what)
-
-    def _line(self, text: str) -> None:
-        if self._bar.disable and monotonic() - self._said >= LINE_SECONDS:
-            self._said = monotonic()
-            warn(text)
 
     def __exit__(self, *error: Any) -> None:
-        if self._first is not None:
-            self._first.cancel()
         self._bar.__exit__(*error)
