@@ -164,7 +164,8 @@ def test_every_word_fits_a_wide_and_a_narrow_screen(width: int, tmp_path: Path) 
     with live(tmp_path, "--recording", LAMPREY, "--speed", 50) as (window, _):
         window.resized(width, 900, "dark")
         window.until("return document.getElementById('state').innerText == 'the recording has ended'")
-        window.run("document.getElementById('verdict').innerText = 'pressing and sucking'")
+        window.run("view.alarm = view.detection.sentence; answer()")
+        assert window.run("return document.querySelectorAll('#events li').length") >= 1
         window.run("document.getElementById('total').innerText = '−123.45 ± 67.89 N'")
         assert window.run("return document.documentElement.scrollWidth") == width
         assert window.run(CUT) == []

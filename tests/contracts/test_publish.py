@@ -120,7 +120,10 @@ def test_mqtt_carries_the_message(lampest: Run, tmp_path: Path) -> None:
         assert done.code == 0 and f"mqtt://127.0.0.1:{port}/panel/one\n" in done.out
         until(lambda: bool(came) and came[-1]["sequence"] == UNLOADED + 6)
     numbers = [told["sequence"] for told in came]
-    assert numbers == sorted(set(numbers)) and numbers[0] > UNLOADED, "each frame once, in order, unloaded ones first"
+    assert numbers == sorted(numbers) and numbers[0] > UNLOADED, "in order, unloaded ones first"
+    signs = [(told["sequence"], told["detection"] and told["detection"]["sentence"], told["alarm"]) for told in came]
+    assert len(set(signs)) == len(signs), "again only once the answer or the alarm has changed"
+    assert came[-1]["detection"]["answer"] == "sucks", "the last answer comes after the last frame"
     for told in came:
         check_message(told)
 
@@ -244,6 +247,7 @@ def test_osc_carries_the_frame(lampest: Run) -> None:
     assert told["/panel/size"] == [10, 10] and len(told["/panel/cells"]) == 100
     pressed = np.clip(told["/panel/pressure"], 0, 40).sum() / 10
     assert 0 < told["/panel/force"][0] <= pressed + 0.02, "saturated cells of the rim count with what is determined"
+    assert isinstance(told["/panel/alarm"][0], str)
     assert told["/panel/verdict"][0].startswith("pressing") and told["/panel/solved"] == [True]
 
 
@@ -266,10 +270,11 @@ def test_lsl_is_a_described_stream(lampest: Run) -> None:
     assert replayed(lampest, "lsl://lampest-test", frames=20, speed=2.0).code == 0
     beside.join()
     info, sample = came["info"], np.array(came["sample"])
-    assert (info.type(), info.channel_count(), info.channel_format()) == ("Pressure", 305, pylsl.cf_float32)
+    assert (info.type(), info.channel_count(), info.channel_format()) == ("Pressure", 315, pylsl.cf_float32)
     assert info.get_channel_labels()[:5] == ["sequence", "force", "verdict", "solved", "change_0_0"]
     assert info.get_channel_units()[1:5:3] == ["newton", "percent"]
-    assert (info.get_channel_labels()[-1], info.get_channel_units()[-1]) == ("force_sd", "newton")
+    assert (info.get_channel_labels()[304], info.get_channel_units()[304]) == ("force_sd", "newton")
+    assert info.get_channel_labels()[305:308] == ["answer", "probability", "alarm"]
     cell = info.desc().child("channels").first_child()
     while cell.child_value("label") != "pressure_3_4":
         cell = cell.next_sibling()

@@ -15,7 +15,8 @@ import psutil
 import lampest
 from lampest.estimate.estimator import Estimator
 from lampest.panel.panel import Array
-from lampest.report.live.engine import Engine, FrameSource, Scan
+from lampest.report.live.engine import Engine, FrameSource
+from lampest.report.live.watcher import Scan
 
 SCENE = lampest.Scene(lampest.Panel(3, 4), lampest.TwoPointReadout(noise_lsb=0.7))
 METHOD = Estimator((lampest.Misfit(weighting="noise"), lampest.Gradient(weight=1e-5)), "reduced", error_bars=False)

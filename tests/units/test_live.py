@@ -39,12 +39,13 @@ from lampest.recording.recording import MEASURED, UNLOADED, Recording
 from lampest.recording.simulation import Course, Simulation, Unmodelled, read_simulations, simulate
 from lampest.report.live import engine as engine_module
 from lampest.report.live import server as server_module
-from lampest.report.live.engine import Engine, FrameSource, Scan, with_picture
+from lampest.report.live.engine import Engine, FrameSource, with_picture
 from lampest.report.live.handover import Newest
 from lampest.report.live.message import POINTS, Message, Picture, View, view_text
 from lampest.report.live.run import METHODS, Replay, chosen, from_recording, live
 from lampest.report.live.server import Asks, PageServer, address, is_local_name, serving
 from lampest.report.live.state import ASKED, read_load, verdict_of
+from lampest.report.live.watcher import Scan
 from lampest.solvers.solution import Settings
 
 LAMPREY = Path(__file__).parents[2] / "data" / "lamprey_25mm.h5"
@@ -472,7 +473,9 @@ def test_the_server_gives_the_page_and_the_views_and_nothing_else(page: SimpleNa
 def test_a_new_zero_is_for_the_page_itself_to_ask_for() -> None:
     asked: list[str] = []
     shown = Newest(View("here", "LSM", "receiving"))
-    with serving("127.0.0.1", 0, shown, asks=Asks(lambda: asked.append("zero"))) as server:
+    with serving(
+        "127.0.0.1", 0, shown, asks=Asks(lambda: asked.append("zero"), lambda: asked.append("seen"))
+    ) as server:
 
         def posted(path: str, **headers: str) -> int:
             with closing(http.client.HTTPConnection("127.0.0.1", server.server_address[1], timeout=10)) as connection:
@@ -482,8 +485,9 @@ def test_a_new_zero_is_for_the_page_itself_to_ask_for() -> None:
         assert [posted("/zero"), posted("/zero", X_Lampest="one"), posted("/", X_Lampest="zero")] == [403, 403, 404]
         assert posted("/zero", X_Lampest="zero", Host="attacker.example") == 403
         assert not asked
-        assert posted("/zero", X_Lampest="zero") == 200
-        assert asked == ["zero"]
+        assert posted("/acknowledge") == posted("/acknowledge", X_Lampest="zero") == 403
+        assert posted("/zero", X_Lampest="zero") == posted("/acknowledge", X_Lampest="acknowledge") == 200
+        assert asked == ["zero", "seen"]
         assert posted("/record", X_Lampest="record") == 404, "there is nothing to record"
 
 

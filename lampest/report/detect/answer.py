@@ -156,6 +156,9 @@ class Detected:
             "why": self.why,
             "notes": list(self.notes),
             "attachments": [self._content(one) for one in self.attachments],
+            "events": [
+                {"event": one.kind, "time_s": _round(one.time_s), "attachment": one.number} for one in self.events
+            ],
         }
 
     def _content(self, one: Attachment) -> dict[str, Any]:
@@ -190,6 +193,13 @@ def answer_of(one: Attachment, rate: float) -> tuple[str, float, str]:
     else:
         why = f"whether it breathes is not clear (P = {one.breathes:.2f})"
     return SUCKS, one.sucks, why
+
+
+def alarming(detected: Detected) -> list[float]:
+    """Since when attachments are there that are lampreys, or suck while frames are too few to know more, s."""
+    rate = detected.frames_per_second or 0.0
+    called = ((one, answer_of(one, rate)[0]) for one in detected.attachments)
+    return [one.since_s for one, name in called if name == LAMPREY or (name == SUCKS and rate < LEAST_RATE)]
 
 
 def _round(number: float) -> float:

@@ -19,7 +19,7 @@ from lampest.loads.tare import OF_DIFFERENCES
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene, Water
 from lampest.posterior.frame_noise import FrameNoise
-from lampest.recording.readings import StandIn
+from lampest.recording.readings import Readings, StandIn
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
 from lampest.recording.stored import StoredRecording
 from lampest.report.detect.answer import Detected
@@ -33,6 +33,7 @@ RESULTS = "results/"  # how the format of such a file begins
 BY = "from the readings; cells by Gauss-Newton steps with a Gaussian prior"
 NO_RESPONSE = "the scene names no response: shapes are fitted with the published one, and no pressures are given"
 HEAD = 100  # measured frames from which the noise is learned, with those without a load
+MOST_CELLS = 1024  # patterns of loads take 64 bytes for each pair of cells: 134 MB, and 2 GB on 64 × 64
 Frames = Iterator[tuple[Array, Array, float]]
 
 
@@ -59,6 +60,8 @@ class Known:
         """Before the first frame. Raises ValueError where the panel cannot be watched."""
         if self.scene.panel.cells is not None or self.scene.panel.modules is not None:
             raise ValueError("loads are recognised on full panels of one network only")
+        if self.scene.panel.crossings > MOST_CELLS:
+            raise ValueError(f"loads are recognised on panels of up to {MOST_CELLS} cells")
         depth, errors = settings.top_row_depth_mm, ModelErrors().of_scene(self.scene, self.reading_error)
         water = water_pressure(self.scene.panel, self.scene.water if depth is None else Water(depth))
         panelled = Panelled(self.scene, settings.patch_of(self.scene.panel), water, errors, self.noise)
@@ -77,11 +80,20 @@ class Known:
             return Detected.unknown(self.name, told_reason(error, self.name))
         if len(times) < 2:
             return Detected.unknown(self.name, "one frame shows no change; three are needed")
-        rate, course, found = float(1 / np.median(np.diff(times))), np.array([times, loudness]), watch.attachments
-        if self.scene.response is None:
+        return self.detected(watch, float(1 / np.median(np.diff(times))), np.array([times, loudness]))
+
+    def detected(self, watch: Watch, rate: float, course: Array | None = None) -> Detected:
+        """What the frames so far show, at so many frames a second; course : as `Detected` has it."""
+        found, response = watch.attachments, self.scene.response
+        if response is None:
             found = tuple(replace(one, suction_kpa=None) for one in found)
-        notes = (*self.notes, BY, *(() if self.scene.response else (NO_RESPONSE,)))
+        notes = (*self.notes, BY, *(() if response else (NO_RESPONSE,)))
         return Detected.of(self.name, found, rate, notes, course, watch.change, self.scene.panel)
+
+    def values(self, readings: Readings) -> tuple[Array, Array]:
+        """(value, σ) (rows, columns) of one frame; σ is infinite where a reading is no value."""
+        sigma = readings.sigma_of_values
+        return readings.value, np.where(readings.plain, self.sigma if sigma is None else sigma, np.inf)
 
 
 def is_results(path: Path) -> bool:
@@ -164,13 +176,10 @@ def known_of(head: Recording, settings: RecognitionSettings = AS_PUBLISHED) -> "
 
 
 def measured_frames(part: Recording, watched: Known, asked: NDArray[np.bool_]) -> Frames:
-    """(value, sigma, s) of the measured frames that were asked for; σ is infinite where a reading is no value."""
+    """(value, sigma, s) of the measured frames that were asked for."""
     readings = part.readings()
-    sigma = readings.sigma_of_values
     for number in np.flatnonzero((part.role == MEASURED) & asked):
-        own = watched.sigma if sigma is None else sigma[number]
-        valued = np.isfinite(readings.plain_values[number])
-        yield readings.value[number], np.where(valued, own, np.inf), float(part.time[number])
+        yield *watched.values(readings[number]), float(part.time[number])
 
 
 def _head(stored: StoredRecording) -> Recording:

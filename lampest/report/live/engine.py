@@ -15,31 +15,17 @@ from lampest.estimate.estimator import Estimator
 from lampest.estimate.model_check import ModelCheck, model_check
 from lampest.estimate.outliers import without_outliers
 from lampest.files.errors import InputError
-from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.recording.readings import Readings
+from lampest.report.detect.answer import Detected
 from lampest.report.live.handover import Beside, Errand, Newest
-from lampest.report.live.message import POINTS, UNKNOWN, Picture, Point, View
+from lampest.report.live.message import POINTS, UNKNOWN, Picture, Point, View, acknowledged, with_detected
 from lampest.report.live.state import Findings, PanelState, SecondLook, solved_picture
+from lampest.report.live.watcher import Scan, Unloaded, Watcher
 
 BARS_SECONDS = 0.2  # between looks that only lack error bars: what reads them is the eye
 LOADED = 1.0  # percent by which readings have changed on average: far above noise, and what a finger does
 LOADED_FRAMES = 3  # with which the circuit is checked: one alone may have a wrong reading
-
-
-@dataclass(frozen=True, eq=False)
-class Scan:
-    """One frame as it arrives.
-
-    recorded, sigma : (rows, columns) ohm or volt, as `Readings.of` takes them; σ may be None.
-    time : s, on the recording's axis. arrived : s since 1970-01-01 UTC. lost : frames missing before this one.
-    """
-
-    recorded: Array
-    sigma: Array | None
-    time: float
-    arrived: float
-    lost: int = 0
 
 
 @dataclass(frozen=True)
@@ -59,7 +45,8 @@ class Engine:
     """Takes frames from one thread, solves the newest in another, and keeps what is to be shown in `shown`.
 
     One thread solves, because a CasADi solver must not be shared between threads. beside : whether weights, searches
-    for lower minima, error bars and the check of the circuit are left to another process; else every frame waits.
+    for lower minima, error bars and the check of the circuit are left to another process, else every frame waits; and
+    whether one more process says what is attached.
     """
 
     def __init__(self, name: str, method: str, estimator: Estimator, baseline: int, beside: bool = False) -> None:
@@ -73,6 +60,7 @@ class Engine:
         self._zero_asked = Event()
         self._looked = 0.0
         self._beside = Beside() if beside else None
+        self._watcher = Watcher(name, self._take_detected) if beside else None
         self._found: SimpleQueue[Any] = SimpleQueue()
 
     def __enter__(self) -> "Engine":
@@ -83,13 +71,17 @@ class Engine:
         self._pool.shutdown()
         if self._beside is not None:
             self._beside.close()
+        if self._watcher is not None:
+            self._watcher.close()
 
     def finish(self) -> None:
-        """Solve the frame that waits; no other may come. Raises what stopped the solver."""
+        """Solve the frame that waits, and watch all that came; no other may come. Raises what stopped the solver."""
         self._arrivals.close()
         self._pool.shutdown()
         if self._solving is not None:
             self._solving.result()
+        if self._watcher is not None:
+            self._watcher.finish()
 
     def say(self, sentence: str) -> None:
         """Show a state of the port or the recording."""
@@ -105,6 +97,18 @@ class Engine:
     def tare(self) -> None:
         """The mean of the next frames, as many as the first baseline had, is the new one; called from any thread."""
         self._zero_asked.set()
+        self._watch(self._baseline)
+
+    def acknowledge(self) -> None:
+        """The alarm has been seen; called from any thread."""
+        self.shown.change(acknowledged)
+
+    def _watch(self, news: Unloaded | Scan | int) -> None:
+        if self._watcher is not None:
+            self._watcher.take(news)
+
+    def _take_detected(self, found: Detected) -> None:
+        self.shown.change(lambda view: with_detected(view, found))
 
     def begin(self, source: FrameSource, unloaded: Sequence[Scan]) -> None:
         """Solve against the mean of unloaded frames without outliers. Raises InputError where one has no readings."""
@@ -115,6 +119,7 @@ class Engine:
         every = first.together(*others)
         resting = without_outliers(every, np.ones(len(every.value), dtype=bool))[1].mean()
         self._show(panel=source.scene.panel, state=source.state, frames=len(unloaded))
+        self._watch(Unloaded(source.scene, tuple(unloaded)))
         self._solving = self._pool.submit(self._solve, source, resting, tuple(unloaded))
 
     def take(self, source: FrameSource, scan: Scan) -> None:
@@ -124,6 +129,7 @@ class Engine:
         self.shown.change(lambda view: replace(view, frames=view.frames + 1, lost=view.lost + scan.lost))
         if self._solving is not None:
             self._arrivals.put(scan)
+            self._watch(scan)
             if self.shown.thing.state != source.state:
                 self.say(source.state)
             return

@@ -125,8 +125,13 @@ class Beside:
             return None if self._closed else self._waiting.pop(next(iter(self._waiting)))
 
 
-def run_politely(run: Callable[[], Any]) -> Any:
-    """The answer, by a process that lets others go first."""
+def politely() -> None:
+    """Let other processes go first."""
     with suppress(AttributeError, OSError):  # Linux alone has it
         os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
+
+
+def run_politely(run: Callable[[], Any]) -> Any:
+    """The answer, by a process that lets others go first."""
+    politely()
     return run()

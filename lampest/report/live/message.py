@@ -6,7 +6,7 @@ docs/reference/stream.md explains the message.
 import json
 import time
 from bisect import bisect_right
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import isfinite
 from typing import Any, NamedTuple
 
@@ -15,12 +15,25 @@ from numpy.typing import NDArray
 
 from lampest.loads.force import Force
 from lampest.panel.panel import Array, Panel
+from lampest.report.detect.answer import ANSWERS, Detected, alarming
 
 FORMAT = "lampest stream 1"
 MAP_UNITS = {"change": "percent", "pressure": "kPa", "cells": "ohm"}
 UNKNOWN = Force(float("nan"), float("nan"))
 COMPACT: dict[str, Any] = {"allow_nan": False, "separators": (",", ":")}
 POINTS = 1800  # frames of the page's history, one minute at 30 frames a second
+ANSWER = {  # of what is answered, the numbers and their units
+    "answer": "1",
+    "probability": "1",
+    "alarm": "1",
+    "since_s": "second",
+    "until_s": "second",
+    "x_mm": "millimetre",
+    "y_mm": "millimetre",
+    "diameter_mm": "millimetre",
+    "suction_kpa": "kilopascal",
+    "breathing_hz": "hertz",
+}
 VERDICTS = "nothing", "pressing", "sucking", "pressing and sucking", "unsolved"
 NOTHING, PRESSING, SUCKING, BOTH, UNSOLVED = VERDICTS
 
@@ -80,6 +93,9 @@ class View:
     model, zero : what is wrong with the scene's circuit or its noise; when zero was taken anew last and why. Sentences,
     or empty. deviation, deviation_of : standard deviation of the total force, newton, and the newest frame of which it
     is known. recording : state of one that the page may begin and end, and whether it runs; None: without a port.
+    detected : the answer of `lampest detect` after the newest frame that was watched; None: nothing watches. alarm :
+    the last sentence on what nobody has acknowledged, or ''. acknowledged : since when attachments are there that
+    somebody has, s.
     """
 
     source: str
@@ -96,11 +112,26 @@ class View:
     deviation: float = float("nan")
     deviation_of: int = 0
     recording: tuple[str, bool] | None = None
+    detected: Detected | None = None
+    alarm: str = ""
+    acknowledged: frozenset[float] = frozenset()
+
+
+def with_detected(view: View, detected: Detected) -> View:
+    """The view with a new answer; a lamprey that nobody acknowledged raises an alarm, which stays when it leaves."""
+    raised = any(since not in view.acknowledged for since in alarming(detected))
+    return replace(view, detected=detected, alarm=detected.sentence if raised else view.alarm)
+
+
+def acknowledged(view: View) -> View:
+    """The view without its alarm: what is there now raises none again."""
+    seen = frozenset() if view.detected is None else frozenset(alarming(view.detected))
+    return replace(view, alarm="", acknowledged=seen)
 
 
 @dataclass(frozen=True, eq=False)
 class Message:
-    """One frame for other programs.
+    """One frame for other programs, or the same one again once the answer or the alarm has changed.
 
     panel : rows, columns, pitch. picture : the frame. view : what was shown when it was solved.
     """
@@ -113,6 +144,12 @@ class Message:
     def of(cls, view: View) -> "Message | None":
         """The newest frame of a view; None where there is none yet."""
         return None if view.panel is None or view.picture is None else cls(view.panel, view.picture, view)
+
+    @property
+    def signature(self) -> tuple[int, str, str]:
+        """What makes it new: its frame, the answer's sentence, the alarm."""
+        detected = self.view.detected
+        return self.picture.number, "" if detected is None else detected.sentence, self.view.alarm
 
     @property
     def maps(self) -> dict[str, Array]:
@@ -130,7 +167,22 @@ class Message:
         """The frame as one row of numbers, in the order of `channels`."""
         picture = self.picture
         head = [float(picture.number), picture.force.newton, float(VERDICTS.index(picture.verdict)), float(self.solved)]
-        return np.concatenate([head, *(values.ravel() for values in self.maps.values()), [self.view.deviation]])
+        tail = [self.view.deviation, *self._answer()]
+        return np.concatenate([head, *(values.ravel() for values in self.maps.values()), tail])
+
+    def _answer(self) -> list[float]:
+        """The numbers of ANSWER; NaN where they are not known."""
+        detected, known = self.view.detected, dict[str, float]()
+        if detected is None:
+            return [float("nan")] * len(ANSWER)
+        known = {"answer": ANSWERS.index(detected.answer), "probability": detected.probability}
+        known["alarm"] = bool(self.view.alarm)
+        if detected.chosen is not None:
+            one = detected.chosen
+            pairs = {name: getattr(one, name) for name in ANSWER if name.endswith(("_mm", "_kpa", "_hz"))}
+            known |= {name: pair[0] for name, pair in pairs.items() if pair is not None}
+            known |= {"since_s": one.since_s, "until_s": float("nan") if one.until_s is None else one.until_s}
+        return [float(known.get(name, np.nan)) for name in ANSWER]
 
     def channels(self) -> list[Channel]:
         """What the numbers of `row` are."""
@@ -141,7 +193,8 @@ class Message:
             for name in self.maps
             for row, column in np.ndindex(self.panel.shape)
         ]
-        return [*head, *cells, Channel("force_sd", "newton")]
+        answer = [Channel(name, unit) for name, unit in ANSWER.items()]
+        return [*head, *cells, Channel("force_sd", "newton"), *answer]
 
     def content(self, sent_at: float) -> dict[str, Any]:
         """As docs/reference/stream.schema.json has it; what is no number is None. sent_at : s since 1970-01-01 UTC."""
@@ -158,6 +211,8 @@ class Message:
             "force_sd": _number(view.deviation, 4),
             "force_sd_of": view.deviation_of or None,
             "verdict": picture.verdict,
+            "detection": view.detected and view.detected.content(),
+            "alarm": view.alarm,
             "health": {
                 "solved": self.solved,
                 "status": picture.status,
@@ -184,18 +239,20 @@ def view_text(view: View, sent_at: float, known: int = 0) -> str:
     """One line of JSON for the page: the view, its message and its history as far as newer than frame `known`.
 
     The message is that of other programs without `cells` and `pressure`, with `measured` (percent), `passed` (frames
-    skipped for this one) and `centre`. sent_at : s since 1970-01-01 UTC.
+    skipped for this one) and `centre`; `detection` and `alarm` stand in the view. sent_at : s since 1970-01-01 UTC.
     """
     first = bisect_right(view.history, known, key=lambda point: point.number)
     message, picture = Message.of(view), None
     if message and message.picture.number > known:
         picture = message.content(sent_at)
-        del picture["cells"], picture["pressure"]
+        for known_elsewhere in ("cells", "pressure", "detection", "alarm"):
+            del picture[known_elsewhere]
         picture |= {"measured": _numbers(message.picture.measured_change, 2), "passed": message.picture.skipped}
         picture["centre"] = _centre(message)
-    as_they_are = ("source", "method", "state", "model", "zero", "frames", "lost", "skipped")
+    as_they_are = ("source", "method", "state", "model", "zero", "frames", "lost", "skipped", "alarm")
     content = {name: getattr(view, name) for name in as_they_are} | {
         "deviation": _number(view.deviation, 4),
+        "detection": view.detected and view.detected.content(),
         "recording": view.recording and {"said": view.recording[0], "on": view.recording[1]},
         "sent": sent_at,
         "panel": view.panel and _panel(view.panel),

@@ -22,10 +22,11 @@ from lampest.recording.board.record import Progress, Recorded, record
 from lampest.recording.board.recorder import Recorder
 from lampest.recording.board.stream import Sample, agreed_and_recorded, board_samples
 from lampest.recording.recording import UNLOADED, Recording
-from lampest.report.live.engine import Engine, FrameSource, Scan
+from lampest.report.live.engine import Engine, FrameSource
 from lampest.report.live.publish import publish_at
 from lampest.report.live.publish.publish import publishing
 from lampest.report.live.server import Asks, address, serving
+from lampest.report.live.watcher import Scan
 from lampest.runs.config import RunFile, resolve
 
 PENALTIES: dict[str, tuple[Term, ...]] = {
@@ -125,7 +126,7 @@ def live(
 def recorder_of(source: LiveBoard | Replay, engine: Engine) -> Iterator[tuple[Recorder | None, Asks]]:
     """What the page's button records with, into the working folder, or None; and what the page may ask for."""
     if isinstance(source, Replay) or source.out is not None:
-        yield None, Asks(engine.tare)
+        yield None, Asks(engine.tare, engine.acknowledge)
         return
     engine.say_of_recording("", False)
     with closing(Recorder(Path(), source.scene, source.baseline, engine.say_of_recording)) as recorder:
@@ -134,7 +135,7 @@ def recorder_of(source: LiveBoard | Replay, engine: Engine) -> Iterator[tuple[Re
             recorder.zero()
             engine.tare()
 
-        yield recorder, Asks(tare, recorder.ask)
+        yield recorder, Asks(tare, engine.acknowledge, recorder.ask)
 
 
 def chosen(name: str | None, config: Path | None, settings: tuple[str, ...] = ()) -> tuple[str, Estimator]:

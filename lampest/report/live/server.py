@@ -1,4 +1,4 @@
-"""The page and its stream of views (server-sent events) over HTTP: GET of two paths, POST of two wishes, no more."""
+"""The page and its stream of views (server-sent events) over HTTP: GET of two paths, POST of three wishes, no more."""
 
 import ipaddress
 import os
@@ -93,11 +93,12 @@ def query(target: str) -> list[tuple[str, str]]:
 class Asks:
     """What visitors of the page may ask for; called from any thread.
 
-    tare : a new zero. record : a recording of that name, or '', or its end; raises InputError where that is no name.
-    None where there is nothing to record.
+    tare : a new zero. acknowledge : the end of an alarm. record : a recording of that name, or '', or its end; raises
+    InputError where that is no name. None where there is nothing to record.
     """
 
     tare: Callable[[], None] = lambda: None
+    acknowledge: Callable[[], None] = lambda: None
     record: Callable[[str], None] | None = None
 
 
@@ -175,10 +176,14 @@ class PageHandler(BaseHTTPRequestHandler):
                 self.server.seats.release()
 
     def do_POST(self) -> None:
-        """A new zero at /zero, a recording or its end at /record, for the page's own script alone."""
+        """A new zero at /zero, the end of an alarm at /acknowledge, a recording or its end at /record.
+
+        For who sends the header WISH: no page from elsewhere may.
+        """
         asks, wish = self.server.asks, urlsplit(self.path).path.removeprefix("/")
         record, name = asks.record, dict(query(self.path)).get("name", "")
-        wishes = {"zero": asks.tare} | ({"record": lambda: record(name)} if record else {})
+        wishes = {"zero": asks.tare, "acknowledge": asks.acknowledge}
+        wishes |= {"record": lambda: record(name)} if record else {}
         if wish not in wishes:
             self.send_error(HTTPStatus.NOT_FOUND)
         elif self.headers.get(WISH) != wish or self.headers.get("Content-Length", "0") != "0":

@@ -1,5 +1,6 @@
-"""Lab Streaming Layer: one stream of numbers, a sample for each frame, stamped with when its last byte arrived."""
+"""Lab Streaming Layer: numbers of each frame, stamped with when its last byte arrived; and answers as they change."""
 
+import json
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -10,7 +11,8 @@ from urllib.parse import SplitResult
 import numpy as np
 
 from lampest.files.errors import InputError, extra
-from lampest.report.live.message import FORMAT, VERDICTS, Message
+from lampest.report.detect.answer import ANSWERS
+from lampest.report.live.message import COMPACT, FORMAT, VERDICTS, Message
 from lampest.report.live.publish.publish import Publish, Say, Send
 
 QUIET = "[log]\nlevel = -1\n"  # of liblsl's own configuration: errors alone
@@ -18,7 +20,10 @@ QUIET = "[log]\nlevel = -1\n"  # of liblsl's own configuration: errors alone
 
 @dataclass(frozen=True)
 class LslPublish(Publish):
-    """`lsl://NAME`: found by its name in the local network, with the first frame: only then its size is known."""
+    """`lsl://NAME`: found by its name in the local network, with the first frame: only then its size is known.
+
+    `NAME-answer` has a line of JSON whenever the answer or the alarm changes.
+    """
 
     kind: ClassVar[str] = "lsl"
     name: str = "lampest"
@@ -36,14 +41,24 @@ class LslPublish(Publish):
                 raise InputError(f"--publish: lsl: {' '.join(str(error).split())}") from error
         pylsl.set_config_content(QUIET)
         outlets: list[Any] = []
+        sent = 0, "", ""
 
         def send(message: Message) -> None:
-            row = message.row().astype(np.float32)
+            nonlocal sent
+            row, name = message.row().astype(np.float32), f"{self.name}-answer"
             if not outlets:
                 info = pylsl.StreamInfo(self.name, "Pressure", len(row), pylsl.IRREGULAR_RATE, "float32", self.name)
                 _describe(info.desc(), message)
-                outlets.append(pylsl.StreamOutlet(info))
-            outlets[0].push_sample(row, pylsl.local_clock() - (time.time() - message.picture.arrived))
+                texts = pylsl.StreamInfo(name, "Markers", 1, pylsl.IRREGULAR_RATE, "string", name)
+                outlets.extend(pylsl.StreamOutlet(one) for one in (info, texts))
+            frame, *told = message.signature
+            if frame != sent[0]:
+                outlets[0].push_sample(row, pylsl.local_clock() - (time.time() - message.picture.arrived))
+            if tuple(told) != sent[1:]:
+                view = message.view
+                text = {"detection": view.detected and view.detected.content(), "alarm": view.alarm}
+                outlets[1].push_sample([json.dumps(text, **COMPACT)])
+            sent = message.signature
 
         yield f"lsl://{self.name}", send
         outlets.clear()
@@ -51,8 +66,8 @@ class LslPublish(Publish):
 
 def _describe(about: Any, message: Message) -> None:
     panel = message.panel
-    head = {"format": FORMAT, "verdicts": ",".join(VERDICTS), "rows": panel.rows, "columns": panel.columns}
-    _write(about, head | {"pitch_mm": panel.pitch_mm})
+    texts = {"format": FORMAT, "verdicts": ",".join(VERDICTS), "answers": ",".join(ANSWERS)}
+    _write(about, texts | {"rows": panel.rows, "columns": panel.columns, "pitch_mm": panel.pitch_mm})
     channels = about.append_child("channels")
     for label, unit, place in message.channels():
         channel = channels.append_child("channel")

@@ -1,5 +1,6 @@
 """Open Sound Control: a bundle of messages for each frame, over UDP."""
 
+import json
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -7,7 +8,7 @@ from typing import Any, ClassVar, Self
 from urllib.parse import SplitResult
 
 from lampest.files.errors import InputError, extra
-from lampest.report.live.message import Message
+from lampest.report.live.message import COMPACT, Message
 from lampest.report.live.publish.publish import Publish, Say, Send
 
 MOST_BYTES = 65_507  # of a UDP datagram over IPv4
@@ -39,11 +40,11 @@ class OscPublish(Publish):
             yield where, lambda message: client.send(self._bundle(message))
 
     def _bundle(self, message: Message) -> Any:
-        """Sequence i, time d, size ii, status s, verdict s, solved T or F; maps, force and force_sd f."""
+        """Sequence i, time d, size ii, texts s, solved T or F; maps, force, force_sd and probability f."""
         from pythonosc.osc_bundle_builder import IMMEDIATELY, OscBundleBuilder
         from pythonosc.osc_message_builder import OscMessageBuilder
 
-        picture, bundle = message.picture, OscBundleBuilder(IMMEDIATELY)
+        picture, bundle, detected = message.picture, OscBundleBuilder(IMMEDIATELY), message.view.detected
         parts: list[tuple[str, str, Sequence[Any]]] = [
             ("sequence", "i", [picture.number]),
             ("time", "d", [picture.time]),
@@ -54,7 +55,16 @@ class OscPublish(Publish):
             ("verdict", "s", [picture.verdict]),
             ("solved", "T" if message.solved else "F", [message.solved]),
             ("status", "s", [picture.status]),
+            ("alarm", "s", [message.view.alarm]),
         ]
+        if detected is not None:
+            told = json.dumps(detected.content(), **COMPACT)
+            parts += [
+                ("answer", "s", [detected.answer]),
+                ("probability", "f", [detected.probability]),
+                ("sentence", "s", [detected.sentence]),
+                ("detection", "s", [told]),
+            ]
         for name, kind, values in parts:
             built = OscMessageBuilder(f"/{self.prefix}/{name}")
             for value in values:

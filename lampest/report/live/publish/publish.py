@@ -40,7 +40,9 @@ class Publish(ABC):
 
 @contextmanager
 def publishing(ways: Sequence[Publish], shown: Newest[View], say: Say) -> Iterator[tuple[str, ...]]:
-    """Send every new picture each way, in a thread of its own, until nothing more will come: the ways' addresses.
+    """Send every new picture, answer and alarm each way, in a thread of its own, until nothing more will come.
+
+    Yields the ways' addresses.
 
     say : gets a sentence when a way fails first. Raises InputError where one cannot be opened.
     """
@@ -62,12 +64,12 @@ def publishing(ways: Sequence[Publish], shown: Newest[View], say: Say) -> Iterat
 
 def _forward(shown: Newest[View], send: Send, where: str, say: Say) -> None:
     """Send the newest picture, those that came meanwhile are left out; a failure is said once until it works again."""
-    seen, number, failed = 0, 0, False
+    seen, sent, failed = 0, (0, "", ""), False
     while (news := shown.after(seen)) is not None:
         seen, message = news.number, Message.of(news.thing)
-        if message is None or message.picture.number == number:
+        if message is None or message.signature == sent:
             continue
-        number = message.picture.number
+        sent = message.signature
         try:
             send(message)
             failed = False

@@ -1,0 +1,169 @@
+"""What live says of attachments: the answer of `lampest detect`, and an alarm that stays until it is acknowledged."""
+
+import dataclasses
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lampest.loads.recognition.attachment import Attachment
+from lampest.loads.shapes import OralDisc
+from lampest.panel.panel import Panel
+from lampest.panel.readouts import TwoPointReadout
+from lampest.panel.response import PublishedResponse
+from lampest.panel.scene import Scene
+from lampest.recording.recording import MEASURED, UNLOADED, Recording
+from lampest.recording.simulation import Course, Simulation, simulate
+from lampest.report.detect.answer import Detected
+from lampest.report.detect.detection import detect_recording
+from lampest.report.live import watcher as watcher_module
+from lampest.report.live.message import UNKNOWN, Message, Picture, View, acknowledged, with_detected
+from lampest.report.live.run import scan_of
+from lampest.report.live.watcher import Unloaded, Watched, Watcher
+
+SCENE = Scene(Panel(6, 6), TwoPointReadout(noise_lsb=0.7), 140.0, response=PublishedResponse())
+MOUTH = OralDisc(centre_mm=(26, 24), diameter_mm=33, rim_width_mm=5.5, pressure_kpa=-10, rim_kpa=85)
+LAMPREY = Attachment(0.99, 6.0, (44.0, 0.6), (46.0, 0.6), (35.0, 1.6), (-11.0, 1.9), breathing=6.0)
+CUP = dataclasses.replace(LAMPREY, breathing=-6.0, breathing_hz=(1.0, 0.1))
+
+
+def taken(frames: int, loads: tuple[OralDisc, ...] = (), period_s: float = 0.25) -> Recording:
+    """Three unloaded frames and some measured ones."""
+    course = Course(start_s=1, approach_s=0.5, attachment_s=0.5, breathing_hz=1.1, breathing_depth=0.1)
+    made = Simulation(1, 2, SCENE, frames=frames, loads=loads, frame_period_s=period_s, course=course)
+    return dataclasses.replace(simulate(made), name="mouth")
+
+
+def news(recording: Recording) -> list[object]:
+    """As the engine hands a recording on."""
+    scans = [scan_of(recording, frame) for frame in range(len(recording.time))]
+    unloaded = tuple(scan for scan, role in zip(scans, recording.role, strict=True) if role == UNLOADED)
+    measured = [scan for scan, role in zip(scans, recording.role, strict=True) if role == MEASURED]
+    return [Unloaded(recording.scene, unloaded), *measured]
+
+
+def watched(recording: Recording) -> Watched:
+    """After all of it."""
+    here = Watched(recording.name)
+    for one in news(recording):
+        here = here.after(one)  # type: ignore[arg-type]
+    return here
+
+
+@pytest.mark.slow
+def test_live_answers_as_detect_does(tmp_path: Path) -> None:
+    recording = taken(40, (MOUTH,))
+    recording.save(tmp_path / "mouth.h5")
+    batch, live = detect_recording(tmp_path / "mouth.h5"), watched(recording).detected
+    assert live.answer == batch.answer == "lamprey" and live.content().keys() == batch.content().keys()
+    assert live.frames_per_second == batch.frames_per_second == 4.0
+    (one,), (other,) = live.attachments, batch.attachments
+    assert one.since_s == other.since_s and one.place == pytest.approx(other.place, abs=0.3)
+
+
+def test_a_panel_that_nothing_has_touched_is_answered_with_nothing() -> None:
+    assert Watched("mouth").detected.answer == "cannot say"
+    here = watched(taken(4))
+    assert here.detected.answer == "nothing"
+    broken = dataclasses.replace(scan_of(taken(4), 6), recorded=np.full((2, 2), np.nan))
+    told = here.after(broken).detected
+    assert told.answer == "cannot say" and told.why
+    assert here.after(broken).after(scan_of(taken(4), 6)).detected.answer == "nothing"
+
+
+def test_a_panel_too_large_for_patterns_is_said_at_once() -> None:
+    scan = dataclasses.replace(scan_of(taken(4), 3), recorded=np.full((33, 32), 1000.0))
+    told = Watched("mat").after(Unloaded(dataclasses.replace(SCENE, panel=Panel(33, 32)), (scan,) * 3)).detected
+    assert told.answer == "cannot say" and "up to 1024 cells" in told.why
+
+
+def test_a_new_zero_ends_what_was_attached() -> None:
+    recording = taken(8)
+    here = watched(recording)
+    assert here.watch is not None
+    here = dataclasses.replace(here, watch=dataclasses.replace(here.watch, attachments=(LAMPREY,)))
+    here = here.after(2)
+    for frame in (5, 6):
+        assert here.detected.attachments[0].here
+        here = here.after(scan_of(recording, frame))
+    assert here.detected.attachments[0].until_s == recording.time[5] and not here.missing
+    assert here.watch is not None and here.watch.rest_s == recording.time[6]
+
+
+def test_only_the_latest_of_what_has_left_is_remembered(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(watcher_module, "LATEST", 1)
+    recording = taken(4)
+    here = watched(recording)
+    assert here.watch is not None
+    left = [dataclasses.replace(LAMPREY, since_s=float(since), until_s=8.0) for since in (1, 2)]
+    here = dataclasses.replace(here, watch=dataclasses.replace(here.watch, attachments=(CUP, *left)))
+    assert here.after(scan_of(recording, 6)).detected.attachments == (CUP, left[1])
+
+
+def test_an_alarm_stays_until_it_is_acknowledged_and_rises_once_for_each_lamprey() -> None:
+    view = View("here", "LSM", "receiving", Panel(2, 3))
+    cup, lamprey = (Detected.of("here", (one,), 4.0) for one in (CUP, LAMPREY))
+    assert with_detected(view, cup).alarm == ""
+    raised = with_detected(view, lamprey)
+    assert raised.alarm == lamprey.sentence
+    gone = Detected.of("here", (dataclasses.replace(LAMPREY, until_s=9.0),), 4.0)
+    left = with_detected(raised, gone)
+    assert "to 9.0 s" in left.alarm and with_detected(left, Detected.of("here", (), 4.0)).alarm == left.alarm
+    seen = acknowledged(left)
+    assert seen.alarm == "" and with_detected(seen, gone).alarm == ""
+    another = Detected.of("here", (LAMPREY, dataclasses.replace(LAMPREY, since_s=20.0)), 4.0)
+    assert with_detected(seen, another).alarm == another.sentence
+    slow = Detected.of("here", (dataclasses.replace(LAMPREY, breathing=0.0, breathing_hz=None),), 1.0)
+    assert with_detected(view, slow).alarm == slow.sentence, "nothing more will be known"
+
+
+def test_a_message_is_new_with_its_frame_its_sentence_and_its_alarm() -> None:
+    zero = np.zeros((2, 3))
+    picture = Picture(1, 0.0, 0.0, zero, zero, zero > 0, UNKNOWN, "fine", 0.0, 0)
+    view = View("here", "LSM", "receiving", Panel(2, 3), picture=picture)
+    raised = with_detected(view, Detected.of("here", (LAMPREY,), 4.0))
+    messages = [Message.of(one) for one in (view, raised, acknowledged(raised), raised)]
+    signatures = [message.signature for message in messages if message is not None]
+    assert len(set(signatures)) == 3 and signatures[1] == signatures[3]
+
+
+def test_streams_of_numbers_have_the_answer_too() -> None:
+    zero = np.zeros((2, 3))
+    picture = Picture(1, 0.0, 0.0, zero, zero, zero > 0, UNKNOWN, "fine", 0.0, 0)
+    view = View("here", "LSM", "receiving", Panel(2, 3), picture=picture)
+    for one, known in ((view, False), (with_detected(view, Detected.of("here", (LAMPREY,), 4.0)), True)):
+        message = Message.of(one)
+        assert message is not None
+        numbers = dict(zip([channel.label for channel in message.channels()], message.row(), strict=True))
+        assert np.isnan(numbers["until_s"]) and np.isnan(numbers["probability"]) != known
+        if known:
+            assert (numbers["answer"], numbers["alarm"], numbers["since_s"]) == (0, 1, 6.0)
+            assert (numbers["x_mm"], numbers["diameter_mm"], numbers["suction_kpa"]) == (44.0, 35.0, -11.0)
+
+
+def test_more_than_can_be_watched_is_watched_less_often(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(watcher_module, "MOST_WAITING", 4)
+    monkeypatch.setattr(Watcher, "_serve", lambda self: None)
+    watcher, (unloaded, *scans) = Watcher("mouth", print), news(taken(8))
+    for one in (unloaded, *scans):
+        watcher.take(one)  # type: ignore[arg-type]
+    assert watcher._waiting[0] is unloaded and watcher._waiting[-1] is scans[-1] and len(watcher._waiting) <= 5
+
+
+@pytest.mark.slow
+def test_a_process_of_its_own_answers_and_its_death_is_said() -> None:
+    answers: list[Detected] = []
+    watcher = Watcher("mouth", answers.append)
+    for one in news(taken(4)):
+        watcher.take(one)  # type: ignore[arg-type]
+    watcher.finish()
+    assert answers[-1].answer == "nothing"
+    watcher = Watcher("mouth", answers.append)
+    while watcher._worker is None:
+        time.sleep(0.01)
+    watcher._worker.process.kill()
+    watcher.take(2)
+    watcher.finish()
+    assert answers[-1].answer == "cannot say" and "has died" in answers[-1].why
+    watcher.close()
