@@ -11,6 +11,7 @@ from lampest.cli.screen import (
     AssignToScene,
     check_positive,
     option,
+    print_notes,
     progress,
     say,
     say_text,
@@ -75,6 +76,7 @@ def run(
     say(f"{counts}: {report.results or 'no results'}")
     if report.aside:
         warn(f"the results that stood there held other cases; they are kept: {report.aside}")
+    print_notes(f"warning: {line}" for line in report.warnings)
     for name, sentence in report.failed:
         warn(f"{name} failed: {sentence}")
     if report.lost:

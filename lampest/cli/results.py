@@ -175,6 +175,7 @@ def _tell(answers: "Sequence[Detected]", loads: "Sequence[PressedCells]", folder
     files += [write_pressed(folder / PRESSED, loads)] if loads else []
     for one in answers:
         say(f"{one.recording}: {one.sentence}" if len(answers) > 1 else one.sentence)
+    print_notes(f"warning: {one.recording}: {line}" for one in answers for line in one.warnings)
     print_table(event_table(answers))
     if everything:
         print_table(load_table(answers))

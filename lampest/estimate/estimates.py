@@ -11,6 +11,7 @@ from lampest.estimate.estimator import Estimator
 from lampest.estimate.model_check import ModelCheck, recording_check
 from lampest.estimate.noise import NoiseSeen, noise_seen
 from lampest.estimate.state import Step
+from lampest.estimate.warnings import unsolved, warnings_of
 from lampest.loads.film import FilmKnown
 from lampest.loads.pressure import NORMAL_95, Pressure, pressure_of
 from lampest.panel.panel import Array
@@ -322,6 +323,12 @@ class Estimates:
     def noise(self) -> NoiseSeen:
         """What the recording's own frames say of its noise, beside what the scene says."""
         return noise_seen(self.asked or self.recording)
+
+    @cached_property
+    def checks(self) -> tuple[str, ...]:
+        """What speaks against the estimates, one line each: failed frames, roles and units, circuit, noise."""
+        failed = unsolved(self.solved, self.status)
+        return (*([failed] if failed else []), *warnings_of(self.asked or self.recording, self.noise, self.model_check))
 
     @cached_property
     def film(self) -> FilmKnown | None:

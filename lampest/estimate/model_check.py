@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from lampest.estimate.cells_fit import LEVEL, PRICE, CellsFit, JointFit, fitted, moved_score
 from lampest.estimate.outliers import without_outliers
-from lampest.estimate.rivals import Question, Rival, nearly_gaussian, rivals_of, standing_frames
+from lampest.estimate.rivals import Question, Rival, changes_beyond_noise, nearly_gaussian, rivals_of, standing_frames
 from lampest.estimate.scatter import LEAST_FACTOR
 from lampest.files.errors import InputError
 from lampest.panel.panel import Array, Modules
@@ -139,7 +139,9 @@ def _checked(
     readings = Readings.of(scene, recorded, sigma)
     resting = unloaded if len(unloaded) else np.array([0])
     standing = np.setdiff1d(measured, resting)
-    specified, *rivals = rivals_of(scene, recorded, sigma)
+    change = changes_beyond_noise(scene, readings, unloaded, measured)
+    less_load = bool(change.max(initial=0.0) > -change.min(initial=0.0))
+    specified, *rivals = rivals_of(scene, recorded, sigma, less_load)
     used = replace(readings, seen=readings.seen * nearly_gaussian(specified, 1))
     noise = noise_factor(used[resting])
     if len(standing):
@@ -161,7 +163,7 @@ def _checked(
     else:
         sentence = f"{better} explains the readings better: {reason}" if better else EXPLAINED
     if noise > 1:
-        sentence += f"; the unloaded frames scatter by {noise:.2g} times the noise that is told, which is allowed for"
+        sentence += f"; the unloaded frames scatter by {noise:.2g} times the specified noise, which is allowed for"
     return ModelCheck(not fault and not better, sentence, better, noise)
 
 
@@ -290,18 +292,18 @@ def better_rival(rivals: list[Rival], question: Question, specified: Explanation
         return min(((one.score, one.rival.name) for one in found), default=(0.0, ""))[1], ""
     if not specified.comparable:
         return "", ""
-    as_told = specified.joint(question, specified.moving)
-    if as_told.beyond_noise < MARGIN:
+    given = specified.joint(question, specified.moving)
+    if given.beyond_noise < MARGIN:
         return "", ""
-    best = min(_others(as_told, specified, rivals[1:], question), key=lambda fit: fit.beyond_noise, default=None)
-    if best is None or not _beaten(as_told, best):
+    best = min(_others(given, specified, rivals[1:], question), key=lambda fit: fit.beyond_noise, default=None)
+    if best is None or not _beaten(given, best):
         return "", ""
     # What moved under the rival may have moved under the specified circuit.
     again = specified.joint(question, best.moved)
-    moved = min(as_told.count, again.count)
+    moved = min(given.count, again.count)
     if not _beaten(again, best) or best.count >= moved:
         return "", ""
-    counts = f"{best.count} cells have moved then, and {moved} as told"
+    counts = f"{best.count} cells have moved then, and {moved} as specified"
     return best.rival.name, f"between the unloaded panel and {question.loaded} {counts}"
 
 
@@ -310,7 +312,7 @@ def _beaten(specified: JointFit, best: JointFit) -> bool:
     return bool(specified.beyond_noise > best.beyond_noise + MARGIN * best.excess)
 
 
-def _others(as_told: JointFit, specified: Explanation, rivals: list[Rival], question: Question) -> Iterator[JointFit]:
+def _others(given: JointFit, specified: Explanation, rivals: list[Rival], question: Question) -> Iterator[JointFit]:
     """The specified circuit and its likeliest rivals, as linear theory has it, explained by the networks themselves."""
     plain = (explanation_of(rival, question) for rival in rivals)
     better = (one for one in plain if one is not None and one.score < specified.score)
@@ -318,7 +320,7 @@ def _others(as_told: JointFit, specified: Explanation, rivals: list[Rival], ques
     begun = (with_some_in_series(one.rival, question) for one in likely)
     for one in (specified, *likely, *(one for one in begun if one is not None)):
         try:
-            fit = as_told if one is specified else one.joint(question, one.moving)
+            fit = given if one is specified else one.joint(question, one.moving)
             most = most_in_series(fit.rival, question)
             fits = [fit] * (one is not specified) + ([fit.with_series(most)] if most else [])
         except (InputError, *BROKEN):

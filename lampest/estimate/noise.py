@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.estimate.cells_fit import LEVEL, fitted
-from lampest.estimate.outliers import FAR, LEAST_FRAMES, SHARE, without_outliers
+from lampest.estimate.outliers import LEAST_FRAMES, SHARE, without_outliers
 from lampest.estimate.scatter import LEAST_FACTOR, Scatter, unloaded_scatter
 from lampest.estimate.still_cells import errors_left_possible
 from lampest.panel.memory import in_panel_order
@@ -32,28 +32,25 @@ MOST_MOVING = 3  # frames, those that move most, in which it is sought
 THIRD = 3.0  # by which χ² must fall, and the rms of Δ·τ in σ below which nobody would notice it
 LEAST_LEFT = 0.1  # of a reading, however fast it changes
 
-STEPS = 16  # of the converter: a median reading that close to a rail is known to 6 % at best
-MOVED = 0.01  # of a reading: what a load changes at least
-SEVERAL = 5  # readings: a finger moves as many
-
 
 @dataclass(frozen=True, eq=False)
 class NoiseSeen:
     """What unloaded frames and neighbours in time show.
 
     outliers : (frames, rows, columns). outlier_rate : share of the unloaded readings that are, or, without enough of
-    them, of all. sentence : what contradicts the scene, or may mislead; ''. readings : of all frames, which allow for
-    all this. factor, factor_error : of each reading's own noise against the specified one, and its standard deviation;
-    NaN where fewer than two unloaded frames show nothing. used : by what σ is multiplied, 1 where nothing contradicts
-    the scene. frame : what the readings of a frame share, or None. gain : as a fraction; together, apart : rms in LSB,
-    of what all scanned lines of a frame share and of what each has anew; 0 where not seen. hidden : what still cells
-    leave possible of errors that all frames share, or None. share : of its period that a scan seems to take, where
-    loads move within it; else 0. of_modules : the same of each module, None of a dead one; () of a single network.
+    them, of all. warnings : what contradicts the scene, or may mislead, a line each. readings : of all frames, which
+    allow for all this. factor, factor_error : of each reading's own noise against the specified one, and its standard
+    deviation; NaN where fewer than two unloaded frames show nothing. used : by what σ is multiplied, 1 where nothing
+    contradicts the scene. frame : what the readings of a frame share, or None. gain : as a fraction; together, apart :
+    rms in LSB, of what all scanned lines of a frame share and of what each has anew; 0 where not seen. hidden : what
+    still cells leave possible of errors that all frames share, or None. share : of its period that a scan seems to
+    take, where loads move within it; else 0. of_modules : the same of each module, None of a dead one; () of a single
+    network.
     """
 
     outliers: NDArray[np.bool_]
     outlier_rate: float
-    sentence: str
+    warnings: tuple[str, ...]
     readings: Readings
     factor: float = np.nan
     factor_error: float = np.nan
@@ -65,6 +62,11 @@ class NoiseSeen:
     hidden: Possible | None = None
     share: float = 0.0
     of_modules: tuple["NoiseSeen | None", ...] = ()
+
+    @property
+    def sentence(self) -> str:
+        """The warnings as one."""
+        return "; ".join(self.warnings)
 
     @property
     def reading_error(self) -> float:
@@ -79,11 +81,13 @@ class NoiseSeen:
         taken = "taken as assumed" if self.used == 1 else f"taken {self.used:.3g} times"
         shared = ((100 * self.gain, "% gain"), (self.together, "LSB along a scan"), (self.apart, "LSB of a line"))
         frames = ", ".join(f"{size:.2g} {name}" for size, name in shared if size)
-        return _joined(
-            f"sigma {self.factor:.3g} +- {self.factor_error:.1g} times as assumed and {taken}",
-            f"frames share {frames or 'nothing'}",
-            f"{int(self.outliers.sum())} of {self.outliers.size} readings are outliers",
-            "" if self.hidden is None else _sizes_in_words(self.hidden),
+        return "; ".join(
+            _lines(
+                f"sigma {self.factor:.3g} +- {self.factor_error:.1g} times as assumed and {taken}",
+                f"frames share {frames or 'nothing'}",
+                f"{int(self.outliers.sum())} of {self.outliers.size} readings are outliers",
+                "" if self.hidden is None else _sizes_in_words(self.hidden),
+            )
         )
 
 
@@ -93,7 +97,6 @@ def noise_seen(recording: Recording) -> NoiseSeen:
     if recording.scene.panel.modules is not None:
         return _of_modules(recording, recording.scene.panel.modules, noise_seen.__wrapped__)
     seen, sizes, scene = frame_noise_seen(recording), usual(recording.scene), recording.scene
-    seen = replace(seen, sentence=_joined(*plain_warnings(recording, seen.readings), seen.sentence))
     unloaded, measured = (np.flatnonzero(recording.role == role) for role in (UNLOADED, MEASURED))
     if not len(unloaded) or not len(measured) or sizes is None:
         return seen
@@ -109,7 +112,7 @@ def noise_seen(recording: Recording) -> NoiseSeen:
             "frames, which error bars allow for"
         )
         more = own > (sizes.reading_error or 0.0)
-        return replace(still, hidden=hidden, sentence=_joined(still.sentence, said if more else ""))
+        return replace(still, hidden=hidden, warnings=(*still.warnings, *([said] if more else [])))
     return seen
 
 
@@ -139,7 +142,7 @@ def frame_noise_seen(recording: Recording) -> NoiseSeen:
     unloaded = int(resting.sum())
     counted = outliers[resting] if unloaded >= LEAST_FRAMES and readings.sigma is not None else outliers
     rate = float(counted.mean())
-    plain = NoiseSeen(outliers, rate, _outliers_in_words(outliers, rate), cleaned)
+    plain = NoiseSeen(outliers, rate, _lines(_outliers_in_words(outliers, rate)), cleaned)
     parts = unloaded_scatter(recording, cleaned[resting]) if unloaded > 1 and readings.sigma is not None else None
     if parts is None:
         return plain
@@ -163,8 +166,8 @@ def frame_noise_seen(recording: Recording) -> NoiseSeen:
     if used != 1 and cleaned.sigma is not None:
         cleaned = replace(cleaned, sigma=used * cleaned.sigma)
     said = "" if used == 1 or from_frames else contradicted
-    sentence = _joined(plain.sentence, said, _shared_in_words(parts.gain, *sizes))
-    return NoiseSeen(outliers, rate, sentence, cleaned, parts.own, error, used, frame, parts.gain, *sizes)
+    said_of_all = (*plain.warnings, *_lines(said, _shared_in_words(parts.gain, *sizes)))
+    return NoiseSeen(outliers, rate, said_of_all, cleaned, parts.own, error, used, frame, parts.gain, *sizes)
 
 
 def _of_modules(recording: Recording, layout: Modules, seen: Callable[[Recording], NoiseSeen]) -> NoiseSeen:
@@ -175,12 +178,12 @@ def _of_modules(recording: Recording, layout: Modules, seen: Callable[[Recording
     readings = [given.of_module(layout, n) if one is None else one.readings for n, one in enumerate(every)]
     nothing = np.zeros(recording.modules[0].recorded.shape, dtype=bool)
     outliers = np.stack([nothing if one is None else one.outliers for one in every], axis=-3)
-    said = [f"module {list(layout.place(n))}: {one.sentence}" for n, one in enumerate(every) if one and one.sentence]
+    said = [f"module {list(layout.place(n))}: {one.sentence}" for n, one in enumerate(every) if one and one.warnings]
     more = f"and {len(said) - MOST_NAMED} modules more" if len(said) > MOST_NAMED else ""
     return NoiseSeen(
         layout.joined(outliers),
         float(np.mean([one.outlier_rate for one in every if one is not None])),
-        _joined(*said[:MOST_NAMED], more),
+        _lines(*said[:MOST_NAMED], more),
         Readings.of_parts(layout, readings),
         of_modules=tuple(every),
     )
@@ -277,36 +280,7 @@ def _with_motion(scene: Scene, seen: NoiseSeen, share: float, measured: NDArray[
         "error bars allow for it as far as their neighbours show"
     )
     wider = replace(seen.readings, sigma=np.hypot(sigma, moved))
-    return replace(seen, readings=wider, share=share, sentence=_joined(seen.sentence, said))
-
-
-@np.errstate(all="ignore")
-def plain_warnings(recording: Recording, readings: Readings) -> list[str]:
-    """What a user most often gets wrong, a sentence each without a full stop; readings : of all frames."""
-    unloaded, measured, circuit = recording.role == UNLOADED, recording.role == MEASURED, recording.scene.circuit
-    readout, said = recording.scene.readout, []
-    if not unloaded.any():
-        said.append("no frame is unloaded (role 0), so changes and pressures are against the first measured frame")
-    elif unloaded.sum() == 1:
-        said.append("only one frame is unloaded, so that nothing shows the noise: record five or more")
-    if readout is not None and recording.sigma is None:
-        volt = float(np.nanmedian(circuit.volt_from_recorded(recording.recorded)))
-        steps = min(volt, readout.supply_volt - volt) / readout.lsb_volt
-        if steps < STEPS:
-            said.append(
-                f"the median reading, {np.nanmedian(recording.recorded):.3g} {circuit.unit}, is {max(steps, 0.0):.2g} "
-                f"steps of the converter from a rail: are readings in {circuit.unit}, and is the scene's readout right?"
-            )
-    if unloaded.any() and measured.any() and readings.sigma is not None:
-        resting, values = readings[unloaded].mean().value, readings[measured].plain_values
-        far = np.abs(values - resting) > FAR * readings.sigma[measured]
-        change: Array = np.log(circuit.apparent_resistance(values) / circuit.apparent_resistance(resting))
-        risen, fallen = (int((far & (sign * change > MOVED)).any(axis=0).sum()) for sign in (1, -1))
-        if risen >= SEVERAL and fallen == 0:
-            said.append(
-                "readings only ever show less load than the unloaded frames: did something lie on the panel then?"
-            )
-    return said
+    return replace(seen, readings=wider, share=share, warnings=(*seen.warnings, said))
 
 
 def _shared_in_words(gain: float, together: float, apart: float) -> str:
@@ -347,6 +321,6 @@ def _sizes_in_words(hidden: Possible) -> str:
     return f"{own}; left possible, as standard deviations: {', '.join(parts) or 'nothing else'}"
 
 
-def _joined(*said: str) -> str:
-    """One after the other, what is empty left out."""
-    return "; ".join(filter(None, said))
+def _lines(*said: str) -> tuple[str, ...]:
+    """Those that say something."""
+    return tuple(filter(None, said))

@@ -23,9 +23,17 @@ from lampest.recording.readings import Readings
 
 RESISTORS = ("reference_ohm", "load_ohm", "feedback_ohm")  # what kinds call the resistor that a converter reads across
 CHANNELS = ("drive_ohm", "sense_ohm", "input_ohm")
+WORDS = ("kind", "driven", "sense", "polarity", "measured_across")
+CALLED = {
+    "driven": "rows and columns swapped",
+    "polarity": "polarity reversed",
+    "measured_across": "read across the other resistor",
+}
 CONVERTER = tuple(field.name for field in fields(Readout))
 LARGEST_NOISE = 0.05  # of a resistance: beyond, what a divider makes of Gaussian volts is no longer nearly Gaussian
 LARGEST_SHIFT = 0.1  # σ of a mean by which the same curvature may shift it
+FAR = 6.0  # σ by which a load changes readings at least
+MOVED = 0.01  # of a reading: the same
 ALIKE = 0.01  # tail of χ² of the difference of two frames, above which they are taken for the same
 
 
@@ -62,10 +70,11 @@ class Rival:
         return replace(self, scene=self.scene.with_series(float(ohm)), in_series=float(ohm))
 
 
-def rivals_of(scene: Scene, recorded: Array, sigma: Array | None) -> Iterator[Rival]:
+def rivals_of(scene: Scene, recorded: Array, sigma: Array | None, reversed_too: bool = False) -> Iterator[Rival]:
     """The specified circuit itself, for other resistances in series, then those of every kind that can be had.
 
-    recorded : (frames, rows, columns) as the scene's readout gives it.
+    recorded : (frames, rows, columns) as the scene's readout gives it. reversed_too : those as well under which the
+    readings show less load where the specified circuit shows more.
     """
     yield Rival(scene, recorded, sigma, "", own=True)
     specified = scene.readout
@@ -76,7 +85,8 @@ def rivals_of(scene: Scene, recorded: Array, sigma: Array | None) -> Iterator[Ri
     for kind in members_of(AnyReadout):
         for circuit in variants(kind, specified):
             values = circuit.recorded_from_volt(volt)
-            if circuit == specified or not _alike(apparent, _logarithm(circuit, scene, values)):
+            sense = _sense(apparent, _logarithm(circuit, scene, values))
+            if circuit == specified or not (sense > 0 or (reversed_too and sense < 0)):
                 continue
             try:
                 other = replace(scene, readout=circuit, series_resistance_ohm=0.0, systematic=None)
@@ -101,10 +111,11 @@ def variants(kind: type[Any], specified: Readout) -> Iterator[Any]:
 
 
 def circuit_name(circuit: Readout, specified: Readout) -> str:
-    """'rows and columns swapped' where nothing but the driven side differs, else the kind with its words."""
-    words = {name: getattr(circuit, name) for name in ("kind", "driven", "sense") if hasattr(circuit, name)}
-    if all(getattr(specified, name, None) == word for name, word in words.items() if name != "driven"):
-        return f"readout.driven: {words['driven']} (rows and columns swapped)" if "driven" in words else words["kind"]
+    """What differs where one word does, with what users call that; else the kind with its words."""
+    words = {name: getattr(circuit, name) for name in WORDS if hasattr(circuit, name)}
+    differ = [name for name, word in words.items() if getattr(specified, name, None) != word]
+    if len(differ) == 1 and differ[0] in CALLED:
+        return f"readout.{differ[0]}: {words[differ[0]]} ({CALLED[differ[0]]})"
     return ", ".join(f"readout.{name}: {word}" for name, word in words.items())
 
 
@@ -118,13 +129,26 @@ def _logarithm(circuit: Readout, scene: Scene, recorded: Array) -> Array:
         return np.full(recorded.shape, np.nan)
 
 
-def _alike(first: Array, second: Array) -> bool:
-    """Whether pressing a cell moves both in the same direction: a circuit read the other way round is none at all."""
+def _sense(first: Array, second: Array) -> float:
+    """Positive where pressing a cell moves both in the same direction, negative where in opposite ones; 0 unknown."""
     known = np.isfinite(first) & np.isfinite(second)
     if not known.any():
-        return False
+        return 0.0
     one, other = (values[known] - values[known].mean() for values in (first, second))
-    return bool(np.sum(one * other) > 0)
+    return float(np.sum(one * other))
+
+
+@np.errstate(all="ignore")
+def changes_beyond_noise(
+    scene: Scene, readings: Readings, unloaded: NDArray[np.intp], measured: NDArray[np.intp]
+) -> Array:
+    """ln of apparent resistances over the unloaded ones (frames, rows, columns); 0 where noise may make it."""
+    if not len(unloaded) or not len(measured) or readings.sigma is None:
+        return np.zeros((0, *scene.panel.shape))
+    resting, values = readings[unloaded].mean().value, readings[measured].plain_values
+    change = np.log(scene.circuit.apparent_resistance(values) / scene.circuit.apparent_resistance(resting))
+    far = (np.abs(values - resting) > FAR * readings.sigma[measured]) & (np.abs(change) > MOVED)
+    return np.where(far, change, 0.0)
 
 
 @dataclass(frozen=True, eq=False)

@@ -170,10 +170,9 @@ def _figures(published: PublishedFigures | None, steps: Steps) -> StepFigures:
 
 
 def model_notes(rows: Sequence[Row]) -> list[str]:
-    """Sentences for every recording of which the circuit, or its noise, is in doubt; each once."""
-    notes = (f"{row.recording}: {row.case.model_sentence}" for row in rows if row.case.model_mark not in ("", "yes"))
-    noise = (f"{row.recording}: {row.case.noise_sentence}" for row in rows if row.case.noise_sentence)
-    return list(dict.fromkeys((*notes, *noise)))
+    """What speaks against each recording and its estimates, a line each; each once."""
+    notes = (f"warning: {row.recording}: {line}" for row in rows for line in row.case.warnings.split("\n") if line)
+    return list(dict.fromkeys(notes))
 
 
 def csv_text(rows: Sequence[Row]) -> str:

@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.estimate.noise import frame_noise_seen, plain_warnings
+from lampest.estimate.noise import frame_noise_seen
+from lampest.estimate.warnings import warnings_of
 from lampest.files import hdf5
 from lampest.files.errors import InputError
 from lampest.panel.film import Film
@@ -123,7 +124,7 @@ def _noise_lines(recording: Recording) -> list[str]:
     with suppress(InputError):
         learned = frame_noise_seen(recording).learned
         lines += [f"noise     {_plain(learned)}"] if learned else []
-        lines += [f"warning   {one}" for one in plain_warnings(recording, recording.readings())]
+        lines += [f"warning   {_plain(one)}" for one in warnings_of(recording)]
     return lines
 
 
@@ -195,12 +196,12 @@ def _results_lines(results: Results) -> list[str]:
             "(as the network is read, series resistance taken off)",
             *(f"{'':9} {sentence}" for sentence in (_holes_of_case(first),) if sentence),
         ]
-        if first.model_mark:
+        if first.model_mark and first.model_sentence not in first.warnings:
             lines.append(f"model     {first.model_mark}: {first.model_sentence}")
+        lines += [f"warning   {_plain(one)}" for one in first.warnings.split("\n") if one]
         if first.film_sentence:
             lines.append(f"film      {first.film_sentence}")
-        said = (_plain(first.noise_learned), first.noise_sentence)
-        lines += [f"{head:9} {line}" for head, line in zip(("noise", ""), filter(None, said), strict=False)]
+        lines += [f"noise     {_plain(first.noise_learned)}"] if first.noise_learned else []
         width = max(len(case.estimator) for case in cases)
         for case in cases:
             lines.append(

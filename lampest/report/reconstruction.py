@@ -54,14 +54,6 @@ class Reconstruction(Estimates):
         values: Mapping[str, Array] = next(folder for folder in FIGURES if folder.name == "weights").value(self)
         return {term: weight for term, weight in values.items() if term != "misfit"}
 
-    @property
-    def checks(self) -> tuple[str, ...]:
-        """Sentences on what speaks against the estimates: failed frames, the circuit, the noise; none is good."""
-        failed = int(np.sum(~self.solved))
-        said = f"{failed} of {len(self.solved)} frames are not solved: {self.status[int(np.argmin(self.solved))]}"
-        circuit = "" if self.model_check.mark in ("yes", "not checked") else self.model_check.sentence
-        return tuple(filter(None, (said if failed else "", circuit, self.noise.sentence)))
-
     def _repr_html_(self) -> str:
         """For notebooks: what was found, and a small map of the strongest frame."""
         place = strongest_index([self.result()])

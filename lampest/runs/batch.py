@@ -31,6 +31,7 @@ class Report:
 
     results : the file, None where no case has a result. done, skipped : cases solved now and before. failed : (case,
     sentence). aside : where results of other cases went. not_run : cases without an executor to run them; lost : why.
+    warnings : what speaks against the results, a line each.
     """
 
     results: Path | None
@@ -40,6 +41,7 @@ class Report:
     aside: Path | None = None
     not_run: int = 0
     lost: str = ""
+    warnings: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -104,7 +106,15 @@ def run_batch(
         skipped = len(tasks) - len(waiting)
         not_run = len(tasks) - len(done) - len(failed) if lost else 0
         solved = len(waiting) - len(failed) - not_run
-        return Report(folder / RESULTS if done else None, solved, skipped, tuple(failed), aside, not_run, lost)
+        warnings = dict.fromkeys(
+            f"{case.recording}: {line}"
+            for case in done
+            if isinstance(case, CaseResult)
+            for line in case.warnings.split("\n")
+            if line
+        )
+        results = folder / RESULTS if done else None
+        return Report(results, solved, skipped, tuple(failed), aside, not_run, lost, tuple(warnings))
 
 
 def _put_aside(path: Path, done: Sequence[CaseResult | StoredCase]) -> Path | None:

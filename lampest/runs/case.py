@@ -30,6 +30,7 @@ SENTENCES = {
     "noise_check": "noise_sentence",
     "noise_learned": "noise_learned",
     "film": "film_sentence",
+    "warnings": "warnings",
 }
 
 
@@ -50,6 +51,7 @@ class CaseResult(Validated):
         where an older file does not say), and the sentence that says so.
     noise_sentence, noise_learned, film_sentence : what frames say against the scene's noise; what they told of it; what
         the scene leaves open of the film; ''.
+    warnings : what speaks against the case, lines of a text.
     reading_error : standard deviation of the logarithm of a factor on each reading, as still cells told it; 0: none.
     frame_noise : what the readings of a frame share by chance; empty: nothing.
     start_time : date and time at 0 s, ISO 8601, with its zone where that is known; '' where it is not.
@@ -98,6 +100,7 @@ class CaseResult(Validated):
     model_sentence: str = ""
     noise_sentence: str = ""
     noise_learned: str = ""
+    warnings: str = ""
     reading_error: float = 0.0
     frame_noise: dict[str, Array] = field(default_factory=dict)
     film_sentence: str = ""

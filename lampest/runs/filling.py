@@ -59,6 +59,7 @@ def _filled(
         model_sentence=estimates.model_check.sentence,
         noise_sentence=estimates.noise.sentence,
         noise_learned=estimates.noise.learned,
+        warnings="\n".join(estimates.checks),
         reading_error=estimates.noise.reading_error,
         frame_noise=arrays_of(estimates.noise.frame),
         start_time=estimates.recording.start_time or "",

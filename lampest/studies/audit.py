@@ -185,9 +185,7 @@ def _counted(task: AuditTask, name: str, recording: Recording, found: Estimates)
     width = NAN if errors is None else float(np.nanmedian(errors / found.cell_resistance))
     parts = [NAN if part is None else float(np.nanmedian(part)) for part in (found.sigma_own, found.sigma_common)]
     failed = "" if cells[0] else "no error bars"
-    check = found.model_check
-    sentences = (found.noise.sentence, "" if check.mark in ("", "yes") else check.sentence)
-    said, scatter = "; ".join(part for part in sentences if part), repeats_chi_square(recording)
+    said, scatter = "; ".join(found.checks), repeats_chi_square(recording)
     return Audited(task.effect, task.seed, name, failed, *cells, *changes, *pressures, scatter, width, said, *parts)
 
 

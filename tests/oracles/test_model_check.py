@@ -125,7 +125,7 @@ def test_noise_beyond_what_is_told_is_not_taken_for_a_wrong_circuit() -> None:
     assert check.explains
     assert check.mark == "noise"
     assert 2.7 < check.noise < 3.3
-    assert "times the noise" in check.sentence
+    assert "times the specified noise" in check.sentence
     assert recording_check(two_point_frames()).mark == "yes"
 
 
@@ -298,7 +298,7 @@ def test_results_table_page_and_info_say_it(results: Path, tmp_path: Path, capsy
     assert "swapped" in case.model_sentence
     assert set(case.misfit) >= {"chi_square", "degrees_of_freedom", "tail", "worst_row", "worst_column"}
     rows = compare(Results((case,)))
-    assert f"{case.recording}: {case.model_sentence}" in model_notes(rows)
+    assert f"warning: {case.recording}: {case.model_sentence}" in model_notes(rows)
     compare_command([results], csv=tmp_path / "table.csv")
     assert case.model_sentence in " ".join(capsys.readouterr().out.split())
     assert case.model_sentence in (tmp_path / "table.csv").read_text()

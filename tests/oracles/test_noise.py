@@ -15,8 +15,9 @@ from lampest.estimate.noise import noise_seen, passing, swept
 from lampest.estimate.outliers import Outliers
 from lampest.estimate.scatter import scatter
 from lampest.estimate.sequence import reconstruct
+from lampest.estimate.warnings import warnings_of
 from lampest.panel.panel import Array
-from lampest.panel.readouts import TwoPointReadout
+from lampest.panel.readouts import Readout, TwoPointReadout
 from lampest.panel.scene import Systematic
 from lampest.posterior.frame_noise import FrameNoise
 from lampest.recording.readings import Readings
@@ -348,7 +349,7 @@ def test_what_frames_told_is_one_line_in_info_and_results(tmp_path: Path) -> Non
     (line,) = [line for line in describe(tmp_path / "wrong.h5") if line.startswith("noise")]
     assert re.search(r"sigma [23]\.\d+ ± 0\.\d+ times as assumed", line) and "% gain" in line and "outliers" in line
     lampest.reconstruct(wrong, [Misfit()], formulation="reduced").save(tmp_path / "results.h5")
-    told, sentence = (line for line in describe(tmp_path / "results.h5") if "times as" in line)
+    sentence, told = (line for line in describe(tmp_path / "results.h5") if "times as" in line)
     assert told.startswith("noise") and "left possible, as standard deviations: series" in told
     assert "times as much as the scene says" in sentence
 
@@ -370,14 +371,37 @@ def test_samples_and_matrices_agree_on_what_a_frame_shares() -> None:
     assert np.diag(dense.covariance) == pytest.approx(dense.variance)
 
 
-def test_what_users_get_wrong_is_one_plain_sentence() -> None:
-    """Roles, units, and a load on the baseline; nothing of a recording as it should be."""
+def test_what_users_get_wrong_is_one_plain_line() -> None:
+    """Roles, units, noise, and a load on the baseline; nothing of a recording as it should be."""
     fine, _ = recorded(6, scene_of(0.7, None), lambda exact, rng: converted(exact, rng, 0.7))
-    assert noise_seen(fine).sentence == ""
+    assert warnings_of(fine) == ()
     none = replace(fine, role=np.full(8, MEASURED, dtype=np.uint8))
-    assert "no frame is unloaded" in noise_seen(none).sentence
     alone = replace(fine, role=np.where(np.arange(8) < 1, UNLOADED, MEASURED).astype(np.uint8))
-    assert "only one frame is unloaded" in noise_seen(alone).sentence
-    assert "of the converter from a rail" in noise_seen(replace(fine, recorded=1000 * fine.recorded)).sentence
     swapped = replace(fine, role=np.where(np.arange(8) < 5, MEASURED, UNLOADED).astype(np.uint8))
-    assert "did something lie on the panel" in noise_seen(swapped).sentence
+    copied = replace(fine, recorded=fine.recorded[[0, 0, 0, 0, 0, 5, 6, 7]])
+    for wrong, line in (
+        (none, "no frame is unloaded"),
+        (alone, "only one frame is unloaded"),
+        (replace(fine, recorded=1000 * fine.recorded), "of the converter from a rail"),
+        (swapped, "did something lie on the panel"),
+        (copied, "unloaded frames scatter 0 times as much"),
+    ):
+        assert sum(line in one for one in warnings_of(wrong)) == 1
+
+
+@pytest.mark.parametrize(
+    ("right", "wrong", "word"),
+    [
+        (TwoPointReadout(adc_bits=12), {"measured_across": "sensor"}, "reference"),
+        (lampest.LoadedColumnsReadout(adc_bits=12, readings=20), {"polarity": "down"}, "up"),
+    ],
+)
+def test_a_circuit_that_is_read_in_reverse_is_named(right: Readout, wrong: dict, word: str) -> None:
+    rod = lampest.Rod(centre_mm=(30.0, 40.0), diameter_mm=30, mass_g=850)
+    scene = Scene(Panel(7, 8), right)
+    made = lampest.simulate(lampest.Simulation(1, 1, scene, baseline_frames=5, frames=3, loads=(rod,)))
+    other = replace(scene, readout=replace(right, **wrong))
+    volt = right.volt_from_recorded(made.recorded)
+    said = warnings_of(replace(made, scene=other, recorded=other.circuit.recorded_from_volt(volt), raw_sums=None))
+    assert any(f"readout.{next(iter(wrong))}: {word} (" in line for line in said)
+    assert not any("did something lie" in line for line in said)

@@ -84,6 +84,7 @@ def test_every_array_of_a_case_is_a_column() -> None:
         "model_sentence",
         "noise_sentence",
         "noise_learned",
+        "warnings",
         "reading_error",
         "frame_noise",
         "film_sentence",

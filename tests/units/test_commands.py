@@ -9,7 +9,10 @@ from types import SimpleNamespace
 import pytest
 from typer.main import get_command
 
+from lampest import Estimator, Misfit, Recording
 from lampest.cli import app, screen
+from lampest.report.live.engine import Engine
+from lampest.report.live.run import from_recording
 
 Command = Callable[..., SimpleNamespace]
 GROUPS = ("show", "study")
@@ -133,3 +136,23 @@ def test_pictures_of_a_frame_an_estimator_and_a_form(disk: SimpleNamespace, lamp
         ended = lampest("plot", results, *wrong)
         assert ended.code == 2 and not new.exists(), wrong
     assert f"did you mean {name}?" in ended.err
+
+
+def test_every_command_prints_the_same_warnings(disk: SimpleNamespace, lampest: Command) -> None:
+    """One frame of the recording is unloaded, and the live page replays it."""
+    out, warning = disk.folder / "out", "only one frame is unloaded, so that nothing shows the noise"
+    for command in (
+        ("run", disk.folder / "run.yaml", "--out", out, "--jobs", "1"),
+        ("compare", out / "results.h5"),
+        ("info", out / "results.h5"),
+        ("info", disk.folder / "small.h5"),
+        ("detect", disk.folder / "small.h5", "--out", out),
+        ("detect", out / "results.h5", "--json"),
+    ):
+        assert lampest(*command).out.count(warning) == 1, command
+    recording = Recording.load(disk.folder / "small.h5")
+    estimator = Estimator((Misfit(),), "reduced")
+    with Engine("test", "test", estimator, 1) as engine:
+        from_recording(engine, recording, 1e6, None)
+        engine.finish()
+        assert warning in engine.shown.thing.model

@@ -62,9 +62,9 @@ class Detected:
     """What one recording is answered with.
 
     answer : one of ANSWERS. probability : of it. why : why nothing more can be said, a sentence, or ''.
-    notes : what was assumed or computed. attachments : loads in the order in which they came. course : (2, frames) s
-    and by how many standard deviations the readings stand out. change : (rows, columns) ln r/r0 when something was
-    recognised last, or None. panel : its cells.
+    notes : what was assumed or computed. warnings : what speaks against the recording, a line each. attachments : loads
+    in the order in which they came. course : (2, frames) s and by how many standard deviations the readings stand out.
+    change : (rows, columns) ln r/r0 when something was recognised last, or None. panel : its cells.
     """
 
     recording: str
@@ -77,6 +77,7 @@ class Detected:
     course: Array | None = None
     change: Array | None = None
     panel: Panel | None = None
+    warnings: tuple[str, ...] = ()
 
     @classmethod
     def of(
@@ -155,6 +156,7 @@ class Detected:
             "frames_per_second": None if rate is None else round(rate, 4),
             "why": self.why,
             "notes": list(self.notes),
+            "warnings": list(self.warnings),
             "attachments": [self._content(one) for one in self.attachments],
             "events": [
                 {"event": one.kind, "time_s": _round(one.time_s), "attachment": one.number} for one in self.events

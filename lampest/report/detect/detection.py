@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from lampest.estimate.noise import noise_seen
 from lampest.estimate.sequence import resting_readings
+from lampest.estimate.warnings import warnings_of
 from lampest.files import hdf5
 from lampest.files.errors import InputError
 from lampest.files.process import told_reason
@@ -128,19 +129,20 @@ def _of_case(task: tuple[CaseResult, RecognitionSettings]) -> Detected:
     rest = np.where(np.isfinite(rest), rest, StandIn.of(rest, np.isfinite(rest)).value)
     period = float(np.median(np.diff(case.time))) if len(case.time) > 1 else 0.0
     known = rest, own, rest[None]
+    said = tuple(filter(None, case.warnings.split("\n")))
     begin = float(case.time[0]) - period
     watched = Known(case.recording, case.scene, *known, begin, case.reading_error, noise, notes)
     values = zip(side, np.where(case.valued, sigma, np.inf), map(float, case.time), strict=True)
-    return watched.answer(values, settings)
+    return replace(watched.answer(values, settings), warnings=said)
 
 
 def detect_recording(path: Path, settings: RecognitionSettings = AS_PUBLISHED, frames: range | None = None) -> Detected:
     """What a recording shows, read part by part. Raises InputError where it cannot be read."""
     stored = StoredRecording.of(path)
     head = _head(stored)
-    watched = known_of(head, settings)
+    watched, said = known_of(head, settings), warnings_of(head)
     if isinstance(watched, Detected):
-        return watched
+        return replace(watched, warnings=said)
     asked = range(stored.frames) if frames is None else frames
 
     def each() -> Frames:
@@ -148,18 +150,16 @@ def detect_recording(path: Path, settings: RecognitionSettings = AS_PUBLISHED, f
             part = stored.part(block)
             yield from measured_frames(part, watched, np.isin(block, asked))
 
-    return watched.answer(each(), settings)
+    return replace(watched.answer(each(), settings), warnings=said)
 
 
 def known_of(head: Recording, settings: RecognitionSettings = AS_PUBLISHED) -> "Known | Detected":
     """What the first frames of a recording tell, or why nothing can be said."""
-    readings, notes = head.readings(), []
+    readings, notes = head.readings(), list[str]()
     unloaded = np.flatnonzero(head.role == UNLOADED)
     resting = resting_readings(head, readings)
     if not resting.enough(head.scene):
         return Detected.unknown(head.name, "no frame has enough readings to compare with")
-    if not len(unloaded):
-        notes.append("no frame is marked as unloaded: the first one is taken for it")
     noise, error = None, 0.0
     if readings.sigma is None:
         if len(head.time) < 3:

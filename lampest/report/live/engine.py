@@ -10,13 +10,16 @@ from threading import Event
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lampest.estimate.estimator import Estimator
-from lampest.estimate.model_check import ModelCheck, model_check
 from lampest.estimate.outliers import without_outliers
+from lampest.estimate.warnings import warnings_of
 from lampest.files.errors import InputError
+from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.recording.readings import Readings
+from lampest.recording.recording import MEASURED, UNLOADED, Recording
 from lampest.report.detect.answer import Detected
 from lampest.report.live.handover import Beside, Errand, Newest
 from lampest.report.live.message import POINTS, UNKNOWN, Picture, Point, View, acknowledged, with_detected
@@ -185,22 +188,30 @@ class Engine:
             self._show(deviation=found.force.deviation, deviation_of=found.number)
 
     def _check(self, scene: Scene, unloaded: tuple[Scan, ...], *loaded: Scan) -> None:
-        """Show whether the frames contradict the scene's circuit."""
-        scans, count = (*unloaded, *loaded), len(unloaded)
+        """Show what speaks against the frames."""
+        scans = (*unloaded, *loaded)
         known = [scan.sigma for scan in scans if scan.sigma is not None]
         sigma = np.stack(known) if len(known) == len(scans) else None
-        recorded, frames = np.stack([scan.recorded for scan in scans]), np.arange(len(scans))
-        check = partial(model_check, scene, recorded, sigma, frames[:count], frames[count:])
+        role = np.array([UNLOADED] * len(unloaded) + [MEASURED] * len(loaded), dtype=np.uint8)
+        check = partial(_warnings, scene, np.stack([scan.recorded for scan in scans]), sigma, role)
         if self._beside is None or self._beside.gone:
             self._take_check(check())
         else:
             self._beside.ask("check", Errand(check, self._take_check))
 
-    def _take_check(self, found: "ModelCheck | Exception") -> None:
+    def _take_check(self, found: "tuple[str, ...] | Exception") -> None:
         if isinstance(found, Exception):
             self._found.put(found)
         else:
-            self._show(model="" if found.mark == "yes" else found.sentence)
+            self._show(model="\n".join(found))
+
+
+def _warnings(scene: Scene, recorded: Array, sigma: Array | None, role: NDArray[np.uint8]) -> tuple[str, ...]:
+    """What speaks against frames (frames, rows, columns), or why they are none."""
+    try:
+        return warnings_of(Recording(scene, recorded, np.arange(float(len(role))), role, sigma))
+    except InputError as error:
+        return (str(error),)
 
 
 def solved_scan(state: PanelState, scan: Scan, number: int, skipped: int) -> tuple[PanelState, Picture]:

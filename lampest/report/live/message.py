@@ -90,12 +90,12 @@ class View:
 
     source, method : where frames come from, and what reconstructs them. state : of the port or recording, a sentence.
     frames, lost, skipped : that arrived, were lost on the way here, and were not reconstructed.
-    model, zero : what is wrong with the scene's circuit or its noise; when zero was taken anew last and why. Sentences,
-    or empty. deviation, deviation_of : standard deviation of the total force, newton, and the newest frame of which it
-    is known. recording : state of one that the page may begin and end, and whether it runs; None: without a port.
-    detected : the answer of `lampest detect` after the newest frame that was watched; None: nothing watches. alarm :
-    the last sentence on what nobody has acknowledged, or ''. acknowledged : since when attachments are there that
-    somebody has, s.
+    model, zero : what speaks against the scene or its frames, a line each; when zero was taken anew last and why, a
+    sentence; or empty. deviation, deviation_of : standard deviation of the total force, newton, and the newest frame of
+    which it is known. recording : state of one that the page may begin and end, and whether it runs; None: without a
+    port. detected : the answer of `lampest detect` after the newest frame that was watched; None: nothing watches.
+    alarm : the last sentence on what nobody has acknowledged, or ''. acknowledged : since when attachments are there
+    that somebody has, s.
     """
 
     source: str

@@ -1,0 +1,95 @@
+"""What speaks against a recording, one plain line each: frames and units, noise, the circuit."""
+
+from typing import get_args, get_type_hints
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lampest.estimate.model_check import ModelCheck, recording_check
+from lampest.estimate.noise import NoiseSeen, frame_noise_seen
+from lampest.estimate.rivals import changes_beyond_noise
+from lampest.recording.readings import Readings
+from lampest.recording.recording import MEASURED, UNLOADED, Recording
+
+STEPS = 16  # of the converter: a median reading that close to a rail is known to 6 % at best
+SEVERAL = 5  # readings: a finger moves as many
+QUIET, LOUD = 0.1, 10.0  # of the specified noise: no converter is specified so badly, units are
+
+
+@np.errstate(all="ignore")
+def warnings_of(
+    recording: Recording, noise: NoiseSeen | None = None, check: ModelCheck | None = None
+) -> tuple[str, ...]:
+    """All of a recording, the plainest first. Raises InputError as `Readings.of`.
+
+    noise, check : where they are known; else of single frames, and of the circuit.
+    """
+    noise, check = noise or frame_noise_seen(recording), check or recording_check(recording)
+    readings = recording.readings()
+    less = "" if check.better else _less_load(recording, readings)
+    plain = (_roles(recording.role), _unit(recording), _scatter(recording, noise), less)
+    circuit = check.sentence if check.mark in ("no", "not checked") else ""
+    return tuple(filter(None, (*plain, circuit, *noise.warnings)))
+
+
+def unsolved(solved: NDArray[np.bool_], status: tuple[str, ...]) -> str:
+    """How many frames are not solved, and why the first is not; ''."""
+    failed = int(np.sum(~solved))
+    if not failed:
+        return ""
+    count = "no frame is" if failed == len(solved) else f"{failed} of {len(solved)} frames are not"
+    return f"{count} solved: {status[int(np.argmin(solved))]}"
+
+
+def _roles(role: NDArray[np.uint8]) -> str:
+    unloaded = int((role == UNLOADED).sum())
+    if unloaded == 0:
+        return "no frame is unloaded (role 0), so changes and pressures are against the first measured frame"
+    return "only one frame is unloaded, so that nothing shows the noise: record five or more" if unloaded == 1 else ""
+
+
+def _unit(recording: Recording) -> str:
+    circuit, readout = recording.scene.circuit, recording.scene.readout
+    if readout is None or recording.sigma is not None:
+        return ""
+    volt = float(np.nanmedian(circuit.volt_from_recorded(recording.recorded)))
+    steps = min(volt, readout.supply_volt - volt) / readout.lsb_volt
+    if steps >= STEPS:
+        return ""
+    return (
+        f"the median reading, {np.nanmedian(recording.recorded):.3g} {circuit.unit}, is {max(steps, 0.0):.2g} "
+        f"steps of the converter from a rail: are readings in {circuit.unit}, and is the scene's readout right?"
+    )
+
+
+def _scatter(recording: Recording, noise: NoiseSeen) -> str:
+    """Noise that no converter of the scene's kind has."""
+    readout = recording.scene.readout
+    if readout is None or not readout.noise_told or QUIET <= noise.factor <= LOUD or np.isnan(noise.factor):
+        return ""
+    return (
+        f"unloaded frames scatter {noise.factor:.2g} times as much as the scene's converter does: are units, "
+        "readout.noise_lsb and readout.readings right, and is no frame a copy?"
+    )
+
+
+def _less_load(recording: Recording, readings: Readings) -> str:
+    """Where readings show less load than the unloaded frames alone: a load on these, or a circuit read in reverse."""
+    circuit, unloaded, measured = (
+        recording.scene.circuit,
+        *(np.flatnonzero(recording.role == role) for role in (UNLOADED, MEASURED)),
+    )
+    change = changes_beyond_noise(recording.scene, readings, unloaded, measured)
+    if (change > 0).any(axis=0).sum() < SEVERAL or (change < 0).any():
+        return ""
+    words = [
+        f", or is it readout.{name}: {word}"
+        for name in ("polarity", "measured_across")
+        if hasattr(circuit, name)
+        for word in get_args(get_type_hints(type(circuit))[name])
+        if word != getattr(circuit, name)
+    ]
+    return (
+        "readings only ever show less load than the unloaded frames: did something lie on the panel then"
+        f"{''.join(words)}?"
+    )
