@@ -1,10 +1,13 @@
 """Frames of many streams at once: what a batch can solve goes into one, and every other stream solves by itself."""
 
-from collections.abc import Iterator, Sequence
+import os
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import reduce
+from functools import lru_cache, reduce
 from time import perf_counter
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,22 +28,24 @@ from lampest.solvers.multistart import BROKEN, SAME, several_minima
 from lampest.solvers.panel_batch import PanelBatch
 from lampest.solvers.solution import OPEN_FRACTION, VERIFIED, Settings, Solution, Status
 
+FEWEST = 20  # panels of a thread: with fewer, threads cost more than they save
 Pushed = tuple[Stream | None, Step | None]
+W = TypeVar("W")
 
 
-def pushed_together(streams: Sequence[Stream | None], readings: Sequence[Readings], kept: Kept) -> list[Pushed]:
+def pushed_together(streams: Sequence[Stream | None], readings: Readings, kept: Kept) -> list[Pushed]:
     """Every stream after its frame, and how that was solved; None stays None.
 
-    kept : what solves of earlier frames left, of every stream by its number; renewed in place.
+    readings : (streams, rows, columns), of each one's frame. kept : what solves of earlier frames left, of every stream
+    by its number; renewed in place.
     """
     pushed: list[Pushed] = [(None, None)] * len(streams)
-    for together in _batches(streams, readings):
-        with suppress(*BROKEN), np.errstate(all="ignore"):
-            for number, one in zip(together.numbers, together.pushed(kept), strict=True):
-                pushed[number] = one
-    for number, (stream, frame) in enumerate(zip(streams, readings, strict=True)):
+    for together, found in _at_once(lambda block: block.pushed(kept), _batches(streams, readings)):
+        for number, one in zip(together.numbers.tolist(), found, strict=True):
+            pushed[number] = one
+    for number, stream in enumerate(streams):
         if stream is not None and pushed[number][1] is None:
-            pushed[number] = stream.push(frame)
+            pushed[number] = stream.push(readings[number])
     return pushed
 
 
@@ -50,51 +55,76 @@ def rested_together(streams: Sequence[Stream | None]) -> list[Stream | None]:
     kept = Kept.nothing(len(streams), there[0].resting.value.size)
     steps: list[Step | None] = [None] * len(streams)
     resting = [there[0].resting if stream is None else stream.resting for stream in streams]
-    for together in _batches(streams, resting):
-        with suppress(*BROKEN), np.errstate(all="ignore"):
-            for number, one in zip(together.numbers, together.steps(kept), strict=True):
-                steps[number] = one
+    for together, found in _at_once(
+        lambda block: block.steps(kept), _batches(streams, resting[0].together(*resting[1:]))
+    ):
+        for number, one in zip(together.numbers.tolist(), found, strict=True):
+            steps[number] = one
     return [stream and stream.with_rest(step) for stream, step in zip(streams, steps, strict=True)]
 
 
-def _batches(streams: Sequence[Stream | None], readings: Sequence[Readings]) -> "Iterator[Together]":
+def _batches(streams: Sequence[Stream | None], readings: Readings) -> "Iterator[Together]":
     """Streams that can be solved together, those of one kind of cost and one history in one batch."""
-    groups: dict[tuple[object, ...], dict[int, Estimator]] = {}
-    for number, (stream, frame) in enumerate(zip(streams, readings, strict=True)):
-        estimator = None if stream is None else _in_batches(stream, frame)
-        if stream is not None and estimator is not None:
-            terms = tuple(replace(term, weight=1.0) for term in estimator.terms)
-            faults = stream.scene.faults
-            kind = terms, estimator.solver, estimator.bounds, faults, stream.first, stream.rested, frame.partial
-            groups.setdefault(kind, {})[number] = estimator
+    groups: dict[tuple[object, ...], dict[int, Stream]] = {}
+    partial = ((readings.side != 0) | (readings.seen < 1)).any(axis=(1, 2)).tolist()
+    for number, stream in enumerate(streams):
+        if stream is not None and _in_batches(stream, readings, number, partial[number]):
+            estimator = _unweighted(stream.estimator, stream.rested)
+            kind = id(estimator), stream.scene.faults, stream.first, stream.rested, partial[number]
+            groups.setdefault(kind, {})[number] = stream
     for group in groups.values():
-        some = [stream for number in group if (stream := streams[number]) is not None]
-        with suppress(*BROKEN), np.errstate(all="ignore"):
-            found = Together.of(np.array(list(group)), some, list(group.values()), [readings[n] for n in group])
-            if found is not None:
-                yield found
+        blocks = max(1, min(len(os.sched_getaffinity(0)), len(group) // FEWEST))
+        for place, numbers in enumerate(np.array_split(list(group), blocks)):
+            with suppress(*BROKEN), np.errstate(all="ignore"):
+                found = Together.of(numbers, [group[number] for number in numbers.tolist()], readings[numbers], place)
+                if found is not None:
+                    yield found
 
 
-def _in_batches(stream: Stream, frame: Readings) -> Estimator | None:
-    """What a batch may minimise in a stream's frame, or in the baseline that it lacks: weights are numbers; or None."""
-    estimator, method, plain = stream.estimator, stream.estimator.method, not frame.partial
+def _at_once(
+    work: "Callable[[Together], list[W]]", blocks: "Iterable[Together]"
+) -> "Iterator[tuple[Together, list[W]]]":
+    """(block, what was found of each of its streams), blocks in threads beside each other; nothing where one fails."""
+
+    def safely(block: Together) -> list[W]:
+        with np.errstate(all="ignore"), suppress(*BROKEN):
+            return work(block)
+        return []
+
+    known = list(blocks)
+    if len(known) < 2:
+        found = [safely(block) for block in known]
+    else:
+        with ThreadPoolExecutor(len(known)) as pool:
+            found = list(pool.map(safely, known))
+    yield from ((block, one) for block, one in zip(known, found, strict=True) if one)
+
+
+def _in_batches(stream: Stream, readings: Readings, number: int, partial: bool) -> bool:
+    """Whether a batch may minimise a stream's frame, or the baseline that it lacks: weights are numbers."""
+    estimator, method = stream.estimator, stream.estimator.method
     if not isinstance(method, OptimalMethod) or method.kind not in ("reduced", "auto") or estimator.weighs_previous:
-        return None
+        return False
     if not isinstance(stream.scene.circuit, TwoPointReadout) or stream.scene.wiring is not None:
-        return None
+        return False
     if estimator.solver.time_limit_s is not None or estimator.solver.starts is not None:
-        return None
-    if not plain and (stream.track is not None or not bool(frame.enough(stream.scene))):
-        return None
+        return False
+    if partial and (stream.track is not None or not bool(readings[number].enough(stream.scene))):
+        return False
     if not stream.rested:
         alone = stream.baseline is None and not estimator.joint_start
-        absolute = replace(estimator, terms=estimator.absolute_terms)
-        return absolute if alone and not absolute.automatic else None
-    if estimator.automatic:
-        if stream.weights is None or estimator.auto_weight.per == "frame" or stream.due(frame):
-            return None
-        return estimator.with_weights(stream.weights)
-    return estimator
+        return alone and all(term.weight != "auto" for term in estimator.absolute_terms)
+    if not estimator.automatic:
+        return True
+    return not (stream.weights is None or estimator.auto_weight.per == "frame" or stream.due(readings[number]))
+
+
+@lru_cache(maxsize=256)
+def _unweighted(estimator: Estimator, rested: bool) -> Estimator:
+    """With weights of one; before the baseline, the terms that it has. The same object for equal ones."""
+    terms = estimator.terms if rested else estimator.absolute_terms
+    unit = replace(estimator, terms=tuple(replace(term, weight=1.0) for term in terms))
+    return unit if unit == estimator else _unweighted(unit, True)
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,26 +138,23 @@ class Together:
 
     @classmethod
     def of(
-        cls,
-        numbers: NDArray[np.intp],
-        streams: Sequence[Stream],
-        estimators: Sequence[Estimator],
-        frames: Sequence[Readings],
+        cls, numbers: NDArray[np.intp], streams: Sequence[Stream], frames: Readings, place: int
     ) -> "Together | None":
-        """estimators : with numbers for weights. None where batches cannot serve the cost."""
-        first, estimator, (one, *others) = streams[0], estimators[0], frames
+        """frames : (streams, rows, columns). place : as `PanelBatch`. None where batches cannot serve the cost."""
+        first = streams[0]
+        estimator = _unweighted(first.estimator, first.rested)
         behind = Background(first.scene, first.period)
         if estimator.relative:
             resting = np.stack([stream.baseline_resistance for stream in streams])
             known = (stream.previous for stream in streams)
             before = [base if one is None else one for one, base in zip(known, resting, strict=True)]
             behind = replace(behind, previous=np.stack(before), baseline=resting)
-        data = estimator.data(one.together(*others), behind)
+        data = estimator.data(frames, behind)
         cost = estimator.cost(first.scene, 1, data.partial)
         if not PanelBatch.serves(cost, data):
             return None
-        weights = np.array([[term.weight for term in each.terms] for each in estimators], dtype=float)
-        return cls(numbers, streams, PanelBatch(cost.unweighted, weights, data), estimator.solver)
+        weights = np.array([_weights(stream) for stream in streams], dtype=float)
+        return cls(numbers, streams, PanelBatch(cost, weights, data, place), estimator.solver)
 
     def pushed(self, kept: Kept) -> list[Pushed]:
         """Every stream after its frame; (None, None) where the batch found no verified minimum."""
@@ -136,15 +163,18 @@ class Together:
     def steps(self, kept: Kept) -> list[Step | None]:
         """How every frame was solved, without error bars; None as above."""
         begin, found = perf_counter(), list[Ended]()
-        for start in self._starts(kept):
+        for start in self._starts(kept, found):
             found.append(solve(self.batch, start, kept, self.numbers, self.settings))
         solutions = self._solutions(reduce(_lower, found), len(found))
         seconds = (perf_counter() - begin) / len(self.numbers)
         pairs = zip(solutions, self.batch.weights.tolist(), strict=True)
         return [None if found is None else Step(found, seconds, tuple(weights)) for found, weights in pairs]
 
-    def _starts(self, kept: Kept) -> Iterator[Array]:
-        """As `lampest.solvers.multistart.starts`: one of a frame that follows another, else up to three."""
+    def _starts(self, kept: Kept, found: Sequence[Ended]) -> Iterator[Array]:
+        """As `lampest.solvers.multistart.starts`: one of a frame that follows another, else up to three.
+
+        found : where those before ended.
+        """
         cost, uniform = self.batch.cost, self.batch.data.uniform_start
         rested = self.streams[0].rested
         if rested:
@@ -156,7 +186,8 @@ class Together:
         if several_minima(cost, self.batch.data):
             reads = [float(term.reads_measurement) for term in cost.terms]
             data_alone = replace(self.batch, weights=self.batch.weights * reads)
-            yield solve(data_alone, uniform, kept, self.numbers, self.settings).points.network.cell_resistance
+            near = found[0].points.network.cell_resistance
+            yield solve(data_alone, near, kept, self.numbers, self.settings).points.network.cell_resistance
 
     def _solutions(self, ended: Ended, starts: int) -> list[Solution | None]:
         """The checked solutions of all panels; None where one is not verified."""
@@ -167,18 +198,22 @@ class Together:
         lower, upper = self.batch.log_bounds
         held = np.asarray((~points.free & (lower < upper)).any(axis=1))
         found: list[Solution | None] = [None] * len(cells)
+        objective, residual, iterations = (
+            values.tolist() for values in (points.objective, points.residual, ended.iterations)
+        )
+        costs = points.costs
         for number in np.flatnonzero(verified).tolist():
             one = slice(number, number + 1)
             solution = Solution(
                 cells[one],
                 reading[one],
-                points.costs[number],
-                float(points.objective[number]),
-                float(points.residual[number]),
+                costs[number],
+                objective[number],
+                residual[number],
                 at_lower[one],
                 open_cell[one],
                 Status.OPTIMUM,
-                int(ended.iterations[number]),
+                iterations[number],
                 starts=starts,
             )
             if held[number] or self.streams[number].track is not None:
@@ -217,7 +252,15 @@ class Together:
                 step, deviation = replace(step, bars=bars, bars_seconds=perf_counter() - begin), track.deviation
         found = solution.cell_resistance[0]
         after = replace(stream, previous=found, previous_deviation=deviation, track=track, first=False)
-        return after, step.bare()
+        return after, step if solution.at is None else step.bare()
+
+
+def _weights(stream: Stream) -> tuple[float, ...]:
+    """Of the terms that a batch minimises."""
+    estimator = stream.estimator
+    if stream.rested and estimator.automatic and stream.weights is not None:
+        return stream.weights
+    return tuple(float(term.weight) for term in (estimator.terms if stream.rested else estimator.absolute_terms))
 
 
 def _lower(one: Ended, other: Ended) -> Ended:

@@ -72,7 +72,7 @@ class ModulesStream(Stream):
         """As `Stream.push`: modules of which too little was read stay as they were, and are NaN in the image."""
         layout = self._layout
         kept = self.prepared or Kept.nothing(layout.count, layout.each.rows * layout.each.columns)
-        found = pushed_together(self.modules, [readings.of_module(layout, n) for n in range(layout.count)], kept)
+        found = pushed_together(self.modules, readings.of_every_module(layout), kept)
         modules, steps = tuple(stream for stream, _ in found), [step for _, step in found]
         after = replace(self, modules=modules, prepared=kept, first=False)
         return after if self.rested else after._rested(), image_step(layout, steps)

@@ -153,15 +153,23 @@ class Readings:
         values = layout.split(recorded).copy()
         values[..., list(scene.dead_modules), :, :] = np.nan
         noise = None if sigma is None else np.broadcast_to(layout.split(sigma), values.shape)
-        parts: dict[int, Readings] = {}
+        maps, known = [np.empty_like(values) for _ in range(4)], True
         for own, numbers in scene.alike:
             some = cls.of(own, values[..., numbers, :, :], None if noise is None else noise[..., numbers, :, :])
-            parts |= {number: some[..., place, :, :] for place, number in enumerate(numbers)}
-        return cls.of_parts(layout, [parts[number] for number in range(layout.count)])
+            for whole, part in zip(maps, (some.value, some.side, some.seen, some.sigma), strict=True):
+                whole[..., numbers, :, :] = np.nan if part is None else part
+            known &= some.sigma is not None
+        value, side, seen, deviation = map(layout.joined, maps)
+        return cls(value, deviation if known else None, side, seen)
 
     def of_module(self, layout: Modules, number: int) -> "Readings":
         """Those of one module of the image."""
         return self[(..., *layout.cells(number))]
+
+    def of_every_module(self, layout: Modules) -> "Readings":
+        """(…, modules, rows, columns) those of all modules of the image."""
+        sigma = None if self.sigma is None else layout.split(self.sigma)
+        return Readings(layout.split(self.value), sigma, layout.split(self.side), layout.split(self.seen))
 
     @classmethod
     def of_parts(cls, layout: Modules, parts: Sequence["Readings"]) -> "Readings":

@@ -1,10 +1,12 @@
-"""Projected Newton (`lampest.solvers.projected_newton`) for many panels at once, over a leading axis.
+"""Projected quasi-Newton steps for many panels at once, over a leading axis: L-BFGS about an inverse Hessian that is
+kept from frame to frame.
 
-What has converged leaves the batch. A panel that gets stuck, or whose ∇²φ is not positive definite, is handed back
-unsolved: the solver for single panels takes it.
+Where frames differ little, M⁻¹ ∇φ is nearly Newton's step, and every further step costs one gradient and one product
+with M⁻¹. What has converged leaves the batch. A panel that gets stuck, or whose ∇²φ is not positive definite, is handed
+back unsolved: the solver for single panels takes it.
+Source: Nocedal & Wright, Numerical Optimization, 2006, algorithm 7.4.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,12 +17,13 @@ from lampest.solvers.bounds import MILLIONTH, STILL
 from lampest.solvers.certificate import SHARE, clear_of_rounding
 from lampest.solvers.panel_batch import Mask, Numbers, PanelBatch, Points
 from lampest.solvers.preconditioners import Cholesky, matrix_between
-from lampest.solvers.projected_newton import ACCEPTED, FARTHEST, MOST_TRIES, MOVED, NEAR, SHORTER, WORN
+from lampest.solvers.projected_newton import ACCEPTED, FARTHEST, MOST_TRIES, MOVED, NEAR, SHORTER
 from lampest.solvers.solution import Settings
 
-MOST_STEPS = 25  # of a panel in a batch; the solver for single panels goes on from there
-MOST_PRODUCTS = 12  # of one direction
+MOST_STEPS = 40  # of a panel in a batch; the solver for single panels goes on from there
+PAIRS = 4  # of steps and changes of the gradient that correct M
 CERTIFIED = 0.1  # of log r: ∇²φ changes by as much, and its definiteness is shown again beyond
+SHORTEST = 1 - 1e-3  # of a relative change of a conductance: the step that FARTHEST cuts off
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,6 +56,16 @@ class Kept:
         """(of some panels) whether ∇²φ was positive definite so near that it still is."""
         near = self.distance(panels, points.position) <= CERTIFIED
         return near & self.positive[panels] & ~(points.free & ~self.free[panels]).any(axis=1)
+
+    def newton(self, panels: Numbers, gradient: Array) -> Array:
+        """M⁻¹ g (of some panels, cells)."""
+        if panels[-1] - panels[0] == len(panels) - 1:
+            together = self.inverse[panels[0] : panels[-1] + 1]
+            return np.asarray((together @ gradient[..., None])[..., 0])
+        found = np.empty_like(gradient)
+        for row, panel in enumerate(panels.tolist()):  # without a copy of their matrices
+            np.matmul(self.inverse[panel], gradient[row], out=found[row])
+        return found
 
     def renew(self, panels: Numbers, points: Points) -> None:
         """Make M of some panels anew at their points, in place: there are 80 kB of each 10 × 10 panel."""
@@ -100,7 +113,7 @@ def solve(batch: PanelBatch, start: Array, kept: Kept, numbers: Numbers, setting
     whole = Points.at(batch, np.clip(np.log(start).reshape(lower.shape), lower, upper))
     ends, here = whole.position.copy(), whole
     solved, iterations = np.zeros(len(start), dtype=bool), np.zeros(len(start), dtype=np.int64)
-    panels = np.arange(len(start))
+    panels, secants = np.arange(len(start)), Secants()
     for _ in range(min(MOST_STEPS, settings.max_iterations)):
         if not len(panels):
             break
@@ -109,29 +122,29 @@ def solve(batch: PanelBatch, start: Array, kept: Kept, numbers: Numbers, setting
             doubtful = near & ~kept.shows_minimum(numbers[panels], here)
             if doubtful.any():
                 kept.renew(numbers[panels[doubtful]], here.some(np.flatnonzero(doubtful)))
-            close, step = _settled(here, kept.inverse[numbers[panels]])
+            close, step = _settled(here, kept.newton(numbers[panels], np.where(here.free, here.gradient, 0.0)))
             settled = near & kept.positive[numbers[panels]] & close
             solved[panels[settled]] = True
             stuck = near & ~kept.positive[numbers[panels]]
             staying = ~(settled | stuck)
             if not staying.all():
                 ends[panels] = here.position - np.where(settled[:, None], step, 0.0)
-                here, panels = here.some(np.flatnonzero(staying)), panels[staying]
+                here, panels, secants = here.some(np.flatnonzero(staying)), panels[staying], secants.some(staying)
         if not len(panels):
             break
-        here, moved = _advanced(here, kept, numbers[panels])
+        here, secants, moved = _advanced(here, secants, kept, numbers[panels])
         iterations[panels] += 1
         if not moved.all():
             ends[panels] = here.position
-            here, panels = here.some(np.flatnonzero(moved)), panels[moved]
+            here, panels, secants = here.some(np.flatnonzero(moved)), panels[moved], secants.some(moved)
     ends[panels] = here.position
     return Ended(Points.at(batch, np.clip(ends, lower, upper)), solved, iterations)
 
 
-def _settled(here: Points, inverse: Array) -> tuple[Mask, Array]:
-    """As `Certificate.settled`, with M in the place of ∇²φ, and the step that M would take."""
+def _settled(here: Points, step: Array) -> tuple[Mask, Array]:
+    """As `Certificate.settled`, with M in the place of ∇²φ, and the step M⁻¹ ∇φ."""
     gradient = np.where(here.free, here.gradient, 0.0)
-    step = np.where(here.free, _times(inverse, gradient), 0.0)
+    step = np.where(here.free, step, 0.0)
     small: Mask = np.abs(step).max(axis=1) <= MILLIONTH
     if not here.batch.data.noise_known:
         return small, step
@@ -144,106 +157,74 @@ def _settled(here: Points, inverse: Array) -> tuple[Mask, Array]:
     return small | near, step
 
 
-def _times(matrices: Array, vectors: Array) -> Array:
-    return np.asarray((matrices @ vectors[..., None])[..., 0])
+@dataclass(frozen=True, eq=False)
+class Secants:
+    """s, y and 1/sᵀy of the newest steps, the newest last: (panels, cells) each, and (panels); 0 where none counts."""
+
+    pairs: tuple[tuple[Array, Array, Array], ...] = ()
+
+    def some(self, chosen: Mask) -> "Secants":
+        """Those of some panels."""
+        return Secants(tuple((step[chosen], change[chosen], size[chosen]) for step, change, size in self.pairs))
+
+    def without(self, forgotten: Mask) -> "Secants":
+        """Those of some panels count no longer."""
+        return Secants(tuple((s, y, np.where(forgotten, 0.0, size)) for s, y, size in self.pairs))
+
+    def after(self, before: Points, here: Points) -> "Secants":
+        """With one step more; cells that are not free at both ends do not count."""
+        both = before.free & here.free
+        step = np.where(both, here.position - before.position, 0.0)
+        change = np.where(both, here.gradient - before.gradient, 0.0)
+        along = (step * change).sum(axis=1)
+        size = np.where(along > 0, 1 / np.where(along > 0, along, 1.0), 0.0)
+        return Secants((*self.pairs, (step, change, size))[-PAIRS:])
+
+    def direction(self, here: Points, kept: Kept, panels: Numbers) -> Array:
+        """−H ∇φ over the free cells by the two-loop recursion, H = M⁻¹ with its corrections."""
+        slope, shares = np.where(here.free, here.gradient, 0.0), list[Array]()
+        for step, change, size in reversed(self.pairs):
+            shares.append(size * (step * slope).sum(axis=1))
+            slope = slope - shares[-1][:, None] * change
+        found = kept.newton(panels, slope)
+        for (step, change, size), share in zip(self.pairs, reversed(shares), strict=True):
+            found += (share - size * (change * found).sum(axis=1))[:, None] * step
+        return np.where(here.free, -found, 0.0)
 
 
-def _advanced(here: Points, kept: Kept, panels: Numbers) -> tuple[Points, Mask]:
-    """The points after one step each, and which of them found one that lowers the cost."""
+def _advanced(here: Points, secants: Secants, kept: Kept, panels: Numbers) -> tuple[Points, Secants, Mask]:
+    """The points after one step each, and which of them found one that lowers the cost.
+
+    Steps are relative changes of conductances, g ← g·(1 − s), in which readings are closest to quadratic.
+    """
     old = kept.worn[panels] | (kept.distance(panels, here.position) > MOVED)
     if old.any():
         kept.renew(panels[old], here.some(np.flatnonzero(old)))
-    step, predicted, products = _direction(here, kept.inverse[panels])
-    kept.worn[panels[products > WORN[True]]] = True
+        secants = secants.without(old)
+    step, (lower, upper) = secants.direction(here, kept, panels), here.batch.log_bounds
     position, moved = here.position.copy(), np.zeros(len(panels), dtype=bool)
     trying, length = np.arange(len(panels)), 1.0
-    lower, upper = here.batch.log_bounds
+    low, high = np.maximum(lower, here.position - FARTHEST), np.minimum(upper, here.position + FARTHEST)
     for attempt in range(MOST_TRIES):
-        target = here.position[trying] - np.log1p(-length * step[trying])
+        target = here.position[trying] - np.log1p(-np.minimum(length * step[trying], SHORTEST))
+        target = np.clip(target, low[trying], high[trying])
         some = here if len(trying) == len(panels) else here.some(trying)
-        trial = Points.at(some.batch, np.clip(target, lower[trying], upper[trying]))
+        trial = Points.at(some.batch, target)
         gain = some.objective - trial.objective
-        expected = predicted[trying] * (length * (2 - length))
+        expected = -(some.gradient * (target - some.position)).sum(axis=1)
         invisible = STILL * np.abs(some.objective)
         lowered = np.where(
-            expected > invisible,
-            gain >= ACCEPTED * expected,
+            np.abs(expected) > invisible,
+            gain >= ACCEPTED * np.abs(expected),
             (np.abs(gain) <= invisible) & (trial.residual <= some.residual / 2),
         )
         if attempt == 0 and lowered.all():
-            return trial, np.ones(len(panels), dtype=bool)
+            return trial, secants.after(here, trial), lowered
+        kept.worn[panels[trying[~lowered]]] = True
         moved[trying[lowered]] = True
         position[trying[lowered]] = trial.position[lowered]
         trying, length = trying[~lowered], SHORTER * length
         if not len(trying):
             break
-    return Points.at(here.batch, position), moved
-
-
-def _direction(here: Points, inverse: Array) -> tuple[Array, Array, NDArray[np.int64]]:
-    """(step in relative changes of conductance, predicted decrease, products) of every panel, within the bounds."""
-    lower, upper = (bound - here.position for bound in here.batch.log_bounds)
-    low, high = -np.expm1(-np.maximum(lower, -FARTHEST)), -np.expm1(-np.minimum(upper, FARTHEST))
-    accuracy = np.minimum(0.1, np.sqrt(here.residual))
-    step, moving, slope = np.zeros_like(here.gradient), here.free, here.gradient.copy()
-    exact, left = np.ones((len(step), 1)), np.arange(len(step))
-    predicted, count = np.zeros_like(accuracy), np.zeros(len(step), dtype=np.int64)
-    for stop in range(MOST_TRIES):
-        some = here if len(left) == len(step) else here.some(left)
-        given = inverse[left], moving[left], slope[left], accuracy[left]
-        found = conjugate_gradients(some.product, exact[left], *given)
-        if found.negative.any():
-            exact[left[found.negative]] = 0.0
-            found = conjugate_gradients(some.product, exact[left], *given)
-        count[left] = np.maximum(count[left], found.products)
-        step[left] = np.where(moving[left], found.step, step[left])
-        if not stop:
-            predicted = found.decrease
-        beyond = moving & ((step < low) | (step > high))
-        left = np.flatnonzero(beyond.any(axis=1))
-        if not len(left):
-            break
-        step, moving = np.clip(step, low, high), moving & ~beyond
-        some = here if len(left) == len(step) else here.some(left)
-        slope[left] = here.gradient[left] + some.product(np.where(moving[left], 0.0, step[left]), exact[left])
-        whole = some.product(step[left], exact[left])
-        predicted[left] = -(step[left] * (here.gradient[left] + whole / 2)).sum(axis=1)
-    return np.clip(step, low, high), predicted, count
-
-
-@dataclass(frozen=True, eq=False)
-class Directions:
-    """step, decrease, negative, products : as `SubproblemStep`, of every panel."""
-
-    step: Array
-    decrease: Array
-    negative: Mask
-    products: NDArray[np.int64]
-
-
-def conjugate_gradients(
-    product: Callable[[Array, Array], Array], exact: Array, inverse: Array, moving: Mask, slope: Array, accuracy: Array
-) -> Directions:
-    """argmin gᵀs + ½ sᵀHs over the moving cells of every panel; see `lampest.panel.trust_region.steihaug`."""
-    residual = np.where(moving, slope, 0.0)
-    scaled = np.where(moving, _times(inverse, residual), 0.0)
-    search, strength = -scaled, (residual * scaled).sum(axis=1)
-    goal, step = accuracy**2 * strength, np.zeros_like(residual)
-    negative, count = np.zeros(len(step), dtype=bool), np.zeros(len(step), dtype=np.int64)
-    for _ in range(MOST_PRODUCTS):
-        going = (strength > goal) & ~negative
-        if not going.any():
-            break
-        image = np.where(moving, product(search, exact), 0.0)
-        curvature = (search * image).sum(axis=1)
-        negative |= going & ~(curvature > 0)
-        going &= ~negative
-        count[going] += 1
-        length = np.where(going, strength / np.where(going, curvature, 1.0), 0.0)[:, None]
-        step, residual = step + length * search, residual + length * image
-        scaled = np.where(moving, _times(inverse, residual), 0.0)
-        before, strength = strength, np.where(going, (residual * scaled).sum(axis=1), strength)
-        ratio = np.where(going, strength / np.where(going, before, 1.0), 0.0)[:, None]
-        search = np.where(going[:, None], ratio * search - scaled, search)
-    decrease = -0.5 * (step * (np.where(moving, slope, 0.0) + residual)).sum(axis=1)
-    return Directions(step, decrease, negative, count)
+    after = Points.at(here.batch, position)
+    return after, secants.after(here, after), moved

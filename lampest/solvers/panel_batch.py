@@ -12,7 +12,7 @@ from lampest.panel.compiled import Compiled
 from lampest.panel.network import SecondOrder
 from lampest.panel.panel import Array
 from lampest.panel.readouts import TwoPointReadout
-from lampest.panel.readouts.floating import FloatingNetwork
+from lampest.panel.readouts.floating import FloatingNetwork, grounding
 
 BLOCK = 8  # panels by which compiled functions grow: fewer sizes to compile
 Numbers = NDArray[np.intp]
@@ -21,11 +21,15 @@ Mask = NDArray[np.bool_]
 
 @dataclass(frozen=True, eq=False)
 class PanelBatch:
-    """cost : of each panel, whose weights stand here: (panels, terms). data : its first axis counts panels."""
+    """cost : of each panel, whose weights stand here: (panels, terms). data : its first axis counts panels.
+
+    place : of batches that are solved at the same time each has another: compiled functions keep their arguments.
+    """
 
     cost: Cost
     weights: Array
     data: Data
+    place: int = 0
 
     @staticmethod
     def serves(cost: Cost, data: Data) -> bool:
@@ -39,11 +43,24 @@ class PanelBatch:
         """Some of the panels."""
         given = replace(self.data.given, **{name: value[panels] for name, value in self.data.given.named()})
         data = replace(self.data, given=given, lower=self.data.lower[panels], upper=self.data.upper[panels])
-        return PanelBatch(self.cost, self.weights[panels], data)
+        found = PanelBatch(self.cost, self.weights[panels], data, self.place)
+        found.__dict__["ties"] = self.ties[panels]
+        return found
+
+    @cached_property
+    def ties(self) -> Array:
+        """As `Data.ties`."""
+        return self.data.ties if self.data.parts is not None else grounding(self.data.measured)
+
+    def padded(self, values: Array) -> Array:
+        """(panels, …) with the last one repeated until there are as many as a compiled function takes."""
+        count = len(self.weights)
+        missing = -count % BLOCK
+        return np.concatenate([values, np.repeat(values[-1:], missing, axis=0)]) if missing else values
 
     @cached_property
     def named(self) -> dict[str, Array]:
-        """What compiled functions are given, (panels, size) each."""
+        """What compiled functions are given, padded, (panels, size) each."""
         count = len(self.weights)
         known = dict(self.data.given.named())
         absent = {
@@ -52,7 +69,8 @@ class PanelBatch:
             if name not in known
         }
         flat = {name: np.reshape(value, (count, -1)) for name, value in known.items()}
-        return absent | flat | {"weights": self.weights, "dual": np.zeros((count, 0))}
+        every = absent | flat | {"weights": self.weights, "dual": np.zeros((count, 0))}
+        return {name: self.padded(values) for name, values in every.items()}
 
     @cached_property
     def log_bounds(self) -> tuple[Array, Array]:
@@ -62,7 +80,7 @@ class PanelBatch:
 
 
 @lru_cache(maxsize=256)
-def _mapped(function: Compiled, panels: int) -> Compiled:
+def _mapped(function: Compiled, panels: int, place: int) -> Compiled:
     return Compiled(function.function.map(panels))
 
 
@@ -78,7 +96,7 @@ class Points:
     def at(cls, batch: PanelBatch, position: Array) -> "Points":
         """Solve the networks. Raises numpy.linalg.LinAlgError where a line is not connected."""
         cells = np.exp(position).reshape(batch.data.measured.shape)
-        return cls(batch, position, FloatingNetwork.solve(1 / cells, batch.data.ties))
+        return cls(batch, position, FloatingNetwork.solve(1 / cells, batch.ties))
 
     def some(self, panels: Numbers) -> "Points":
         """Those of some panels, with what is known of them."""
@@ -104,11 +122,10 @@ class Points:
     def called(self, function: Compiled) -> Array:
         """A function of the cost at every point, (panels, nonzeros)."""
         count = len(self.position)
-        size = -(-count // BLOCK) * BLOCK
-        given = dict(self.batch.named)
-        given["cell_resistance"], given["reading"] = self._flat(self.network.cell_resistance), self._flat(self.reading)
-        padded = np.minimum(np.arange(size), count - 1)
-        values = _mapped(function, size)(*(given[name][padded] for name in function.names))
+        here = {"cell_resistance": self.network.cell_resistance, "reading": self.reading}
+        given = self.batch.named | {name: self.batch.padded(self._flat(maps)) for name, maps in here.items()}
+        size = len(given["reading"])
+        values = _mapped(function, size, self.batch.place)(*(given[name] for name in function.names))
         return values.reshape(size, -1)[:count]
 
     @cached_property
@@ -208,5 +225,5 @@ class Points:
             row = np.repeat(rows, np.diff(np.append(first, len(column))))
             found[:, row, column] += values
         cells = np.arange(self.position.shape[1])
-        found[:, cells, cells] += 2 * self.direct - self.gradient
+        found[:, cells, cells] += 2 * self.direct
         return found

@@ -5,7 +5,9 @@ import pytest
 
 from lampest import CellResistance, Estimator, Gradient, Misfit, Readings, RelativeChange, Scene, Term, TwoPointReadout
 from lampest.cost.given import Background
+from lampest.panel.network import inverse_of
 from lampest.panel.panel import Panel
+from lampest.panel.readouts.floating import grounding
 from lampest.panel.readouts.star_mesh import two_point_resistance
 from lampest.solvers.batch import Kept, solve
 from lampest.solvers.multistart import best_solution
@@ -59,6 +61,19 @@ def test_each_panel_ends_where_the_solver_for_one_ends(terms: tuple[Term, ...], 
         np.testing.assert_allclose(found.points.network.cell_resistance[number], alone.cell_resistance[0], rtol=1e-5)
     again = solve(batch, found.points.network.cell_resistance, kept, np.arange(PANELS), Settings())
     assert again.solved[found.solved].all() and again.iterations[found.solved].max() == 0
+
+
+def test_networks_solved_together_are_those_solved_alone() -> None:
+    random = np.random.default_rng(3)
+    for shape in ((5, 4, 7), (5, 7, 4), (5, 1, 3)):
+        conductance = np.exp(random.uniform(-9, 0, shape))
+        ties = grounding(1 / conductance)
+        together = inverse_of(conductance, ties)
+        for one, tie, alone in zip(conductance, ties, together, strict=True):
+            np.testing.assert_allclose(alone, inverse_of(one, tie), rtol=1e-10)
+    conductance[2, 0, 1] = 0.0
+    with pytest.raises(np.linalg.LinAlgError):
+        inverse_of(conductance, ties)
 
 
 def test_a_panel_that_readings_leave_open_is_handed_back_and_costs_no_other() -> None:

@@ -127,6 +127,17 @@ def test_a_module_that_drops_out_is_missing_alone_and_comes_back() -> None:
     np.testing.assert_allclose(parted.cell_resistance[3], whole.cell_resistance[3], rtol=1e-5)
 
 
+def test_modules_in_threads_beside_each_other_give_the_same_bytes(monkeypatch: pytest.MonkeyPatch) -> None:
+    recording = simulated(scene_of(SCENE + FAULTS))
+    terms = [lampest.Misfit(), lampest.CellResistance(weight=1e-7)]
+    found = []
+    for cores in (1, 3):
+        monkeypatch.setattr("lampest.estimate.batch.FEWEST", 1)
+        monkeypatch.setattr("os.sched_getaffinity", lambda process, cores=cores: set(range(cores)))
+        found.append(lampest.reconstruct(recording, terms, formulation="reduced").cell_resistance.tobytes())
+    assert found[0] == found[1]
+
+
 @pytest.mark.slow
 def test_a_long_recording_is_solved_by_parts_and_goes_on_where_it_ended(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -27,15 +27,17 @@ DECREASE = 1e-4  # Armijo's share, as in Nocedal & Wright, Numerical Optimizatio
 def grounding(two_point_resistance: Array, parts: Numbers | None = None) -> Array:
     """Tie to ground: the line with the largest Σ 1/R gets a conductance of that size, all others none.
 
-    (rows, columns) ohm → (rows + columns) siemens. parts : (lines) of which each has its ground; None: all are one. A
-    tie at a single line carries no current: potential differences are those of the paper's equation (5).
+    (…, rows, columns) ohm → (…, rows + columns) siemens; of one panel where there are parts. parts : (lines) of which
+    each has its ground; None: all are one. A tie at a single line carries no current: potential differences are those
+    of the paper's equation (5).
     """
     total = line_sums(1 / two_point_resistance)
     tie = np.zeros_like(total)
     if parts is None:
-        grounds = [int(np.argmax(total))]
-    else:
-        grounds = [int(np.argmax(np.where(parts == part, total, -1.0))) for part in np.unique(parts)]
+        ground = total.argmax(axis=-1)[..., None]
+        np.put_along_axis(tie, ground, np.take_along_axis(total, ground, axis=-1), axis=-1)
+        return tie
+    grounds = [int(np.argmax(np.where(parts == part, total, -1.0))) for part in np.unique(parts)]
     tie[grounds] = total[grounds]
     return tie
 
