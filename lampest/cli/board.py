@@ -27,7 +27,8 @@ from lampest.files.errors import InputError
 if TYPE_CHECKING:
     from lampest.recording.board.record import Progress, Recorded
 
-Port = Annotated[str | None, option("--port", "Such as /dev/ttyACM0, or a URL; else the Arduino.")]
+PORT = "Such as /dev/ttyACM0, or a URL; else the Arduino. Of modules one for each, in their order."
+Port = Annotated[list[str] | None, option("--port", PORT)]
 SceneFile = Annotated[Path | None, option("--scene", "YAML file of the scene; else what the board says.")]
 Count = Annotated[int | None, option("--count", "End after so many frames, such as 600.", min=1)]
 OldCount = Annotated[int | None, option("--frames", "Old name of --count, such as 600.", min=1, hidden=True)]
@@ -195,7 +196,7 @@ def live(
         raise InputError("--recording: --port, --scene, --period and --out are for a board")
     if assign and config is None:
         raise InputError("--set: overrides entries of a run's file; name one with --config")
-    source: LiveBoard | Replay = LiveBoard(port, scene_of(scene, None), baseline, period, out)
+    source: LiveBoard | Replay = LiveBoard(tuple(port or ()), scene_of(scene, None), baseline, period, out)
     if recording is not None:
         source = Replay(recording, speed, baseline)
     with ending_signals():  # a board gets its command to stop, however live ends
@@ -222,6 +223,10 @@ def report_recorded(done: "Recorded") -> None:
     if done.clock_jumps:
         jumps = "1 jump" if done.clock_jumps == 1 else f"{done.clock_jumps} jumps"
         warn(f"{jumps} of the board's clock; events mark where, and time goes on by the period")
+    if done.parted:
+        warn(
+            f"{done.parted} of the {done.frames} frames lack a module; events mark which was gone, and when it was back"
+        )
     if done.silent:
         warn(f"no frame came in the last {done.silent:.1f} s")
     if done.scene.circuit.unit == "ohm" and not done.scene.series_resistance_ohm:

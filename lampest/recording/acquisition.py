@@ -34,6 +34,7 @@ FRAME_FIELDS = (
 FRAME_CHECKSUM, EVENT_CHECKSUM = "acquisition/crc32", "acquisition/event_crc32"
 EVENT_PATHS = ("acquisition/event_time", "acquisition/event_label")
 SUMS = "raw/sums"
+NO_SUM = 0xFFFF  # in the place of a sum that no board has sent: one of 64 readings of 10 bit is 65,472 at most
 AT_ONCE = 1000  # frames that are looked at together
 
 
@@ -153,7 +154,8 @@ def damaged_frames(file: h5py.File, scene: Scene, group: str) -> tuple[int, NDAr
         recorded, sums = columns[0], columns[paths.index(SUMS)]
         if sums.shape != recorded.shape or recorded.ndim != 3:
             raise InputError(f"{file.filename}: /entry/raw/sums has another shape than the frames")
-        differs = np.any(_recorded(file, scene, sums) != recorded, axis=(1, 2))
+        expected = _recorded(file, scene, sums)
+        differs = np.any((expected != recorded) & ~(np.isnan(expected) & np.isnan(recorded)), axis=(1, 2))
         if checked:
             differs |= checksums(columns) != stored_rows(file, (FRAME_CHECKSUM,), part)[0]
         # Zero is what HDF5 returns for what was never written; a board's codes stand for the middle of their interval.
@@ -195,4 +197,16 @@ def _recorded(file: h5py.File, scene: Scene, sums: NDArray[Any]) -> Array:
     readings = int(hdf5.read_number(file, "/entry/raw", "readings"))
     if scene.readout is None or readings < 1:
         raise InputError(f"{file.filename}: has no readout, and was never recorded from a board")
-    return scene.readout.recorded_from_sums(sums, readings)
+    return recorded_of_sums(scene, sums, readings)
+
+
+def recorded_of_sums(scene: Scene, sums: NDArray[Any], readings: int) -> Array:
+    """What the readout, or that of each module, makes of sums (…, rows, columns) of codes; NaN of what is NO_SUM."""
+    layout = scene.panel.modules
+    parts = sums[..., None, :, :] if layout is None else layout.split(sums)
+    found = np.full(parts.shape, np.nan)
+    for own, numbers in ((scene, (0,)),) if layout is None else scene.alike:
+        assert own.readout is not None
+        found[..., numbers, :, :] = own.readout.recorded_from_sums(parts[..., numbers, :, :], readings)
+    found[parts == NO_SUM] = np.nan
+    return found[..., 0, :, :] if layout is None else layout.joined(found)

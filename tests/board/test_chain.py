@@ -59,7 +59,7 @@ def test_live_and_the_file_agree_on_a_panel_with_a_dead_row(tmp_path: Path) -> N
         pictures = live_pictures(
             estimator,
             1,
-            lambda engine: recorded_from_board(engine, board.port, LiveBoard(None, broken, 1, None, out), 4),
+            lambda engine: recorded_from_board(engine, LiveBoard((board.port,), broken, 1, None, out), 4),
         )
     found = reconstruct(Recording.load(out), estimator)
     assert [picture.status for picture in pictures] == ["optimum verified"] * 3

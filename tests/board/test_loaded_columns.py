@@ -98,7 +98,7 @@ def test_live_and_the_file_agree(tmp_path: Path) -> None:
         pictures = live_pictures(
             estimator,
             1,
-            lambda engine: recorded_from_board(engine, board.port, LiveBoard(None, known, 1, None, out), 4),
+            lambda engine: recorded_from_board(engine, LiveBoard((board.port,), known, 1, None, out), 4),
         )
     found = reconstruct(Recording.load(out), estimator)
     assert [picture.status for picture in pictures] == ["optimum verified"] * 3

@@ -3,7 +3,7 @@
 import contextlib
 import dataclasses
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -16,9 +16,9 @@ from lampest.files.whole import check_output, folder_beside, is_locked, own
 from lampest.panel.scene import Scene
 from lampest.recording.acquisition import damaged_frames, whole_events
 from lampest.recording.board.journal import Journal, is_finished
-from lampest.recording.board.port import only_port
 from lampest.recording.board.protocol import MOST_CODE
-from lampest.recording.board.stream import Sample, Samples, agreed_and_recorded, board_samples
+from lampest.recording.board.several import samples_of
+from lampest.recording.board.stream import Sample, Samples, agreed_and_recorded
 from lampest.recording.calibration.repeats import FEWEST_REPEATS, noise_of_variance
 from lampest.recording.recording import MEASURED, UNLOADED, Recording, head_of
 from lampest.recording.stored import StoredRecording, opened, save_parts
@@ -30,14 +30,15 @@ CLOCK_JUMP = "clock jump"  # label of the event
 class FrameCount:
     """Frames in the file, frames known to be missing, restarts of the board and jumps of its clock.
 
-    behind : frames that the port held at the end. until : s on the recording's time axis, when the last frame's period
-    ended.
+    parted : frames without a module that is read. behind : frames that the port held at the end. until : s on the
+    recording's time axis, when the last frame's period ended.
     """
 
     frames: int = 0
     lost: int = 0
     restarts: int = 0
     clock_jumps: int = 0
+    parted: int = 0
     behind: int = 0
     until: float = 0.0
 
@@ -48,6 +49,7 @@ class FrameCount:
             lost=self.lost + sample.lost,
             restarts=sample.session,
             clock_jumps=self.clock_jumps + sample.clock_jump,
+            parted=self.parted + (sample.missing > 0),
             behind=self.behind + behind,
             until=sample.time + sample.hello.period_us * 1e-6,
         )
@@ -80,7 +82,7 @@ class Progress:
 
 
 def record(
-    port_url: str | None,
+    ports: str | Sequence[str] | None,
     out: Path,
     *,
     frames: int | None = None,
@@ -95,7 +97,8 @@ def record(
 
     Parameters
     ----------
-    port_url : port name or pyserial URL; None for the only port that looks like an Arduino. out : must not exist.
+    ports : port name or pyserial URL, or of a panel of modules those of all boards in the order of the modules; None
+    for the only port that looks like an Arduino. out : must not exist.
     frames, seconds : when to end; by default at Ctrl-C.
     scene : what the board must fit, and is set to; by default what the board says.
     baseline : the first so many frames are unloaded.
@@ -110,12 +113,12 @@ def record(
     check_output(out)
     if out.exists():
         raise InputError(f"{out}: exists already; a recording is never written over")
-    port_url = port_url or only_port()
+    urls = (ports,) if isinstance(ports, str) else tuple(ports or ())
     count, states = FrameCount(), [""]
     with ending_signals(lambda: count.frames > 0 and not states[-1]) as asked:
         try:
             with contextlib.ExitStack() as stack:
-                batches = board_samples(port_url, scene, period, states.append, lambda: bool(asked()))
+                batches = samples_of(urls, scene, period, states.append, lambda: bool(asked()))
                 stack.enter_context(contextlib.closing(batches))
                 wanted = _wanted(batches, frames, seconds, period or 1.0)
                 for count, sample in _written(wanted, out, scene, baseline, stack, keys, asked):
@@ -175,8 +178,8 @@ def appended(journal: Journal, batch: tuple[Sample, ...], scene: Scene | None, u
     recorded = np.stack([agreed_and_recorded(sample, scene)[1] for sample in batch])
     journal.append(batch, recorded, [UNLOADED if number < unloaded else MEASURED for number in range(len(batch))])
     for sample in batch:
-        if sample.clock_jump:
-            journal.mark(sample.time, CLOCK_JUMP)
+        for event in (*sample.events, *([CLOCK_JUMP] if sample.clock_jump else ())):
+            journal.mark(sample.time, event)
 
 
 def _wanted(batches: Samples, frames: int | None, seconds: float | None, period: float) -> Samples:
@@ -249,7 +252,7 @@ def finished(path: Path, journal: Path | None = None) -> tuple[Scene, int, float
 def _with_sigma(recording: Recording, noise: float | None) -> Recording:
     """With σ of every reading, from the noise that repeats showed where they did."""
     readout = recording.scene.readout
-    if readout is None:
+    if readout is None or recording.scene.panel.modules is not None:  # whose modules have their own
         return recording
     seen = readout if noise is None else dataclasses.replace(readout, noise_lsb=noise)
     return dataclasses.replace(recording, sigma=seen.sigma(recording.recorded))

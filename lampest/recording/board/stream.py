@@ -11,6 +11,7 @@ from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import LoadedColumnsReadout, TwoPointReadout
 from lampest.panel.readouts.lines import as_tuple
 from lampest.panel.scene import Scene
+from lampest.recording.acquisition import recorded_of_sums
 from lampest.recording.board.port import Board, NoBoardError
 from lampest.recording.board.protocol import Frame, Garbage, Hello, Message
 
@@ -82,6 +83,7 @@ class Sample:
     lost : frames missing before this one.
     session : number of restarts and reconnections before it, and of times the board's numbers began anew.
     clock_jump : whether the board's clock jumped before it; time goes on by the period then.
+    missing : of an image of modules, how many that are read are not in it. events : what is marked at its time.
     """
 
     frame: Frame
@@ -91,6 +93,8 @@ class Sample:
     lost: int
     session: int
     clock_jump: bool = False
+    missing: int = 0
+    events: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -229,9 +233,9 @@ def agreed_and_recorded(sample: Sample, scene: Scene | None) -> tuple[Scene, Arr
 
     Raises InputError as `scene_of`.
     """
-    agreed = scene_of(sample.hello, scene)
-    assert agreed.readout is not None
-    return agreed, agreed.readout.recorded_from_sums(sample.frame.sums, sample.frame.readings)
+    several = scene is not None and scene.panel.modules is not None  # whose boards agreed one by one
+    agreed = scene if several and scene else scene_of(sample.hello, scene)
+    return agreed, recorded_of_sums(agreed, sample.frame.sums, sample.frame.readings)
 
 
 def board_samples(

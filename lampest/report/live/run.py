@@ -3,7 +3,7 @@
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
 from threading import Event
@@ -20,7 +20,8 @@ from lampest.panel.scene import Scene
 from lampest.recording.board.port import only_port
 from lampest.recording.board.record import Progress, Recorded, record
 from lampest.recording.board.recorder import Recorder
-from lampest.recording.board.stream import Sample, agreed_and_recorded, board_samples
+from lampest.recording.board.several import samples_of
+from lampest.recording.board.stream import Sample, agreed_and_recorded
 from lampest.recording.recording import UNLOADED, Recording
 from lampest.report.live.engine import Engine, FrameSource
 from lampest.report.live.publish import publish_at
@@ -44,11 +45,12 @@ METHODS = {name: Estimator((Misfit(), *terms), "reduced", tare=Tare()) for name,
 class LiveBoard:
     """Live from a board.
 
-    port : its port or a pyserial URL; None for the only one that looks like an Arduino. scene : what it must fit.
+    ports : its port or a pyserial URL, of a panel of modules those of all boards; none: the only one that looks like an
+    Arduino. scene : what it must fit.
     baseline : the first so many frames are unloaded. period : s between frames. out : a recording to make as well.
     """
 
-    port: str | None = None
+    ports: tuple[str, ...] = ()
     scene: Scene | None = None
     baseline: int = 3
     period: float | None = None
@@ -92,7 +94,9 @@ def live(
     """
     name, estimator = chosen(method, config, settings)
     recording = Recording.load(source.path) if isinstance(source, Replay) else None
-    port = source.port or only_port() if isinstance(source, LiveBoard) else ""
+    if isinstance(source, LiveBoard) and not source.ports:
+        source = replace(source, ports=(only_port(),))
+    port = ", ".join(source.ports) if isinstance(source, LiveBoard) else ""
     ways = [publish_at(where, token) for where in publish]
     with (
         Engine(port if recording is None else recording.name, name, estimator, source.baseline, True) as engine,
@@ -108,9 +112,9 @@ def live(
                 assert recording is not None
                 from_recording(engine, recording, source.speed, frames)
             elif recorder is not None:
-                from_board(engine, port, source, frames, recorder.take)
+                from_board(engine, source, frames, recorder.take)
             else:
-                done = recorded_from_board(engine, port, source, frames)
+                done = recorded_from_board(engine, source, frames)
             engine.finish()
         except InputError as error:
             engine.say(f"stopped: {error}")
@@ -153,24 +157,22 @@ def chosen(name: str | None, config: Path | None, settings: tuple[str, ...] = ()
     return name, METHODS[name] if config is None else resolve(document, run, name)
 
 
-def from_board(
-    engine: Engine, url: str, board: LiveBoard, frames: int | None, on_sample: Callable[[Sample], None]
-) -> None:
+def from_board(engine: Engine, board: LiveBoard, frames: int | None, on_sample: Callable[[Sample], None]) -> None:
     """Every frame of a board, until `frames` have come or for ever; on_sample : given each of them, too.
 
     Raises InputError as `lampest.recording.board.stream.stream`.
     """
-    engine.say(f"waiting for the board at {url}")
-    with closing(board_samples(url, board.scene, board.period, engine.say)) as samples:
+    engine.say(f"waiting for the board at {', '.join(board.ports)}")
+    with closing(samples_of(board.ports, board.scene, board.period, engine.say)) as samples:
         for sample in islice((sample for batch in samples for sample in batch), frames):
             take_sample(engine, sample, board.scene)
             on_sample(sample)
 
 
-def recorded_from_board(engine: Engine, url: str, board: LiveBoard, frames: int | None) -> Recorded:
+def recorded_from_board(engine: Engine, board: LiveBoard, frames: int | None) -> Recorded:
     """The same while every frame goes into the recording `board.out` first. Raises InputError as `record`."""
     assert board.out is not None
-    engine.say(f"waiting for the board at {url}")
+    engine.say(f"waiting for the board at {', '.join(board.ports)}")
 
     def on_progress(progress: Progress) -> None:
         if progress.sample is not None:
@@ -178,8 +180,15 @@ def recorded_from_board(engine: Engine, url: str, board: LiveBoard, frames: int 
         elif progress.state:
             engine.say(progress.state)
 
-    scene, baseline, period = board.scene, board.baseline, board.period
-    return record(url, board.out, frames=frames, scene=scene, baseline=baseline, period=period, on_progress=on_progress)
+    return record(
+        board.ports,
+        board.out,
+        frames=frames,
+        scene=board.scene,
+        baseline=board.baseline,
+        period=board.period,
+        on_progress=on_progress,
+    )
 
 
 def take_sample(engine: Engine, sample: Sample, scene: Scene | None) -> None:
