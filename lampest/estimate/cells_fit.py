@@ -308,7 +308,7 @@ class JointFit:
         left = wanted - self._common @ _solved(self._common, wanted)
         precision = SumOfSquares(left[:, -1], left[:, :-1], SPREAD).normal
         change = self.position[1] - self.position[0] - self._factor
-        return _selected(precision @ change - left[:, :-1].T @ left[:, -1], precision)
+        return selected(precision @ change - left[:, :-1].T @ left[:, -1], precision)[1]
 
     @property
     def _factor(self) -> float:
@@ -349,17 +349,23 @@ def moved_score(resting: CellsFit, frame: CellsFit) -> tuple[float, NDArray[np.b
     return min(found, key=lambda one: one[0])
 
 
-def _selected(slope: Array, precision: Array) -> NDArray[np.bool_]:
-    """Cells that must have moved, of changes d with −2 log density dᵀ·precision·d − 2 slope·d."""
+def selected(slope: Array, precision: Array, briefly: bool = False) -> tuple[float, NDArray[np.bool_]]:
+    """(what is lost, cells that must have moved) of changes d with −2 log density dᵀ·precision·d − 2 slope·d.
+
+    briefly : cells are added one after the other; else none stays that is not needed, from both ends.
+    """
+    gained, added = _swept(slope, precision, 1)
+    if briefly:
+        return PRICE * int(added.sum()) - gained, added
     found = []
-    for begun in (_swept(slope, precision, 1)[1], np.ones(len(slope), dtype=bool)):
+    for begun in (added, np.ones(len(slope), dtype=bool)):
         free, moved = np.flatnonzero(begun), np.zeros(len(slope), dtype=bool)
         covariance = np.linalg.inv(precision[np.ix_(free, free)])
         change = covariance @ slope[free]
         lost, tied = _swept(change, covariance, -1)
         moved[free[~tied]] = True
         found.append((PRICE * int(moved.sum()) + lost - float(slope[free] @ change), moved))
-    return min(found, key=lambda one: one[0])[1]
+    return min(found, key=lambda one: one[0])
 
 
 def _swept(vector: Array, matrix: Array, sign: int) -> tuple[float, NDArray[np.bool_]]:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.estimate.cells_fit import LEVEL, PRICE, CellsFit, JointFit, fitted, moved_score
+from lampest.estimate.nuisances import Besides, besides_the_circuit
 from lampest.estimate.outliers import without_outliers
 from lampest.estimate.rivals import Question, Rival, changes_beyond_noise, nearly_gaussian, rivals_of, standing_frames
 from lampest.estimate.scatter import LEAST_FACTOR
@@ -37,7 +38,8 @@ class ModelCheck:
 
     explains : whether nothing speaks against the specified circuit; None: not checked, because the noise is unknown or
     no fit was found. better : the circuit that explains the readings better, as a scene would name it; ''.
-    noise : by how much the unloaded frames scatter beyond the specified noise; 1 where not noticeably.
+    noise : by how much the unloaded frames scatter beyond the specified noise; 1 where not noticeably. together : how
+    all cells changed alike, in words; ''.
 
     >>> lampest.ModelCheck(True, "the circuit explains its readings").mark
     'yes'
@@ -47,6 +49,7 @@ class ModelCheck:
     sentence: str
     better: str = ""
     noise: float = 1.0
+    together: str = ""
 
     @property
     def mark(self) -> str:
@@ -155,7 +158,12 @@ def _checked(
         return ModelCheck(None, "the circuit was not checked: no fit of its cells was found", noise=noise)
     compared = readings[np.concatenate([question.resting, question.standing])]
     whole = float(compared.missing(scene).mean()) <= MOST_MISSING
-    better, reason = better_rival([specified, *rivals], question, None if fault else found) if whole else ("", "")
+    better, reason = "", ""
+    if whole:
+        better, reason, count = better_rival([specified, *rivals], question, None if fault else found)
+        besides = _besides(found, question, used, measured)
+        if besides.name and (besides.fits_noise if fault else True) and (not better or besides.count < count):
+            better, reason = besides.name, besides.reason
     if not whole:
         sentence = f"{fault or EXPLAINED}; other circuits were not tried, too many readings are missing"
     elif fault:
@@ -164,7 +172,22 @@ def _checked(
         sentence = f"{better} explains the readings better: {reason}" if better else EXPLAINED
     if noise > 1:
         sentence += f"; the unloaded frames scatter by {noise:.2g} times the specified noise, which is allowed for"
-    return ModelCheck(not fault and not better, sentence, better, noise)
+    return ModelCheck(not fault and not better, sentence, better, noise, besides.together if whole else "")
+
+
+def _besides(found: "Explanation | None", question: Question, used: Readings, measured: NDArray[np.intp]) -> Besides:
+    """What is there beside the circuit, in the frames that changed most and in the last one."""
+    if found is None or not found.comparable:
+        return Besides()
+    frames = [(question.loaded, found.fits[1])]
+    last = measured[-1:] if measured[-1] not in question.standing else measured[:0]
+    if len(last):
+        readings = used[int(last[0])]
+        assert readings.sigma is not None
+        widened = replace(readings, sigma=question.widening * readings.sigma)
+        fit = fitted(question.specified.scene, widened, found.fits[0].cells, patient=True)
+        frames += [] if fit is None else [(replace(question, standing=last).loaded, fit)]
+    return besides_the_circuit(question.specified.scene, found.fits[0], frames)
 
 
 def noise_factor(resting: Readings) -> float:
@@ -279,32 +302,33 @@ class Explanation:
         return 2 * int(self.moving.sum()) < self.moving.size
 
 
-def better_rival(rivals: list[Rival], question: Question, specified: Explanation | None) -> tuple[str, str]:
-    """The rival that explains the readings where the scene's circuit does not, or by MARGIN better, and how that shows.
+def better_rival(rivals: list[Rival], question: Question, specified: Explanation | None) -> tuple[str, str, int]:
+    """The rival that explains the readings where the scene's circuit does not, or by MARGIN better, how that shows,
+    and how many cells have moved then.
 
-    ('', '') without one. rivals : the scene's circuit first. specified : what that explains; None where it does not. No
-    rival is one under which most cells have moved, for nothing then shows which have not, or as many as under the
+    ('', '', 0) without one. rivals : the scene's circuit first. specified : what that explains; None where it does not.
+    No rival is one under which most cells have moved, for nothing then shows which have not, or as many as under the
     scene's circuit.
     """
     if specified is None:
         tried = (with_some_in_series(rivals[0], question), *(explanation_of(rival, question) for rival in rivals[1:]))
         found = [one for one in tried if one is not None and one.sparse and _lawful(one.rival, question)]
-        return min(((one.score, one.rival.name) for one in found), default=(0.0, ""))[1], ""
+        return min(((one.score, one.rival.name) for one in found), default=(0.0, ""))[1], "", 0
     if not specified.comparable:
-        return "", ""
+        return "", "", 0
     given = specified.joint(question, specified.moving)
     if given.beyond_noise < MARGIN:
-        return "", ""
+        return "", "", 0
     best = min(_others(given, specified, rivals[1:], question), key=lambda fit: fit.beyond_noise, default=None)
     if best is None or not _beaten(given, best):
-        return "", ""
+        return "", "", 0
     # What moved under the rival may have moved under the specified circuit.
     again = specified.joint(question, best.moved)
     moved = min(given.count, again.count)
     if not _beaten(again, best) or best.count >= moved:
-        return "", ""
+        return "", "", 0
     counts = f"{best.count} cells have moved then, and {moved} as specified"
-    return best.rival.name, f"between the unloaded panel and {question.loaded} {counts}"
+    return best.rival.name, f"between the unloaded panel and {question.loaded} {counts}", best.count
 
 
 def _beaten(specified: JointFit, best: JointFit) -> bool:

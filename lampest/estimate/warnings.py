@@ -12,6 +12,8 @@ from lampest.recording.readings import Readings
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
 
 STEPS = 16  # of the converter: a median reading that close to a rail is known to 6 % at best
+TOLERATED, NEAR = 3.0, 8.0  # σ of voltages that count as the same; as many such widths without others beside
+FAR = 6.0  # such widths: how far a loaded channel has moved
 SEVERAL = 5  # readings: a finger moves as many
 QUIET, LOUD = 0.1, 10.0  # of the specified noise: no converter is specified so badly, units are
 
@@ -29,7 +31,7 @@ def warnings_of(
     less = "" if check.better else _less_load(recording, readings)
     plain = (_roles(recording.role), _unit(recording), _scatter(recording, noise), less)
     circuit = check.sentence if check.mark in ("no", "not checked") else ""
-    return tuple(filter(None, (*plain, circuit, *noise.warnings)))
+    return tuple(filter(None, (*plain, _piled(recording), circuit, check.together, *noise.warnings)))
 
 
 def unsolved(solved: NDArray[np.bool_], status: tuple[str, ...]) -> str:
@@ -71,6 +73,31 @@ def _scatter(recording: Recording, noise: NoiseSeen) -> str:
         f"unloaded frames scatter {noise.factor:.2g} times as much as the scene's converter does: are units, "
         "readout.noise_lsb and readout.readings right, and is no frame a copy?"
     )
+
+
+def _piled(recording: Recording) -> str:
+    """Moved channels whose largest or least voltages are all the same, with none near by: a stage before the converter
+    saturates.
+    """
+    scene, readings = recording.scene, recording.readings()
+    unloaded, measured = (np.flatnonzero(recording.role == role) for role in (UNLOADED, MEASURED))
+    if scene.readout is None or not len(unloaded) or not len(measured):
+        return ""
+    inside = (readings.side == 0) & (readings.seen > 0)
+    volt = np.where(inside, scene.circuit.volt_from_recorded(recording.recorded), np.nan)
+    resting, width = np.nanmean(volt[unloaded], axis=0), TOLERATED * scene.readout.sigma_volt()
+    for extreme, sign in ((np.nanmax, 1.0), (np.nanmin, -1.0)):
+        away = sign * (extreme(volt[measured], axis=0) - resting)
+        end = extreme(volt[measured])
+        below = np.where(away > FAR * width, np.abs(extreme(volt[measured], axis=0) - end), np.inf)
+        piled, near = below <= width, (below > width) & (below <= NEAR * width)
+        lines = min(int(piled.any(axis=axis).sum()) for axis in (0, 1))
+        if lines > 1 and piled.sum() >= SEVERAL and piled.sum() > near.sum():
+            return (
+                f"{piled.sum()} loaded channels end at the same {end:.3g} volt, and readings beyond it are lost: does "
+                "a stage before the converter saturate there?"
+            )
+    return ""
 
 
 def _less_load(recording: Recording, readings: Readings) -> str:
