@@ -88,7 +88,7 @@ def nuisances(shape: tuple[int, int]) -> Iterator[Nuisance]:
 
 
 @dataclass(frozen=True, eq=False)
-class Explained:
+class Evidence:
     """score : −2 log evidence up to a constant. moved : (cells). size, sd : θ in units of its prior.
 
     fits_noise : whether cells give the readings of both within their noise.
@@ -112,7 +112,7 @@ class Explained:
 
 
 @dataclass(frozen=True, eq=False)
-class Pair:
+class FittedPair:
     """The unloaded panel and a frame. given : their readings. fits : of these, or of what an effect leaves of them."""
 
     scene: Scene
@@ -140,7 +140,7 @@ class Pair:
         circuit, wiring = self.scene.circuit, self.scene.wiring
         return tuple(circuit.network(fit.cells, circuit.ties(fit.readings.value), wiring) for fit in self.fits)
 
-    def explained(self, nuisance: Nuisance | None = None, briefly: bool = False) -> Explained:
+    def explained(self, nuisance: Nuisance | None = None, briefly: bool = False) -> Evidence:
         """With a factor that all cells share, and with an effect or without; briefly : cells are only added."""
         own = np.full((len(self.change), 1), TOGETHER)
         if nuisance is not None:
@@ -151,13 +151,13 @@ class Pair:
         lost, moved = selected(precision @ self.change, precision, briefly)
         score = float(self.change @ precision @ self.change) + lost + float(np.linalg.slogdet(inner)[1])
         if briefly or moved.all():
-            return Explained(score, moved, np.nan, np.nan, False)
+            return Evidence(score, moved, np.nan, np.nan, False)
         still = ~moved
         within = np.linalg.solve(self.covariance[np.ix_(still, still)], own[still])
         left = np.linalg.inv(np.eye(own.shape[1]) + own[still].T @ within)
         theta = left @ within.T @ self.change[still]
         fits_noise = min(fit.tail for fit in self.fits) >= LEVEL
-        return Explained(score, moved, float(theta[-1]), float(np.sqrt(left[-1, -1])), fits_noise)
+        return Evidence(score, moved, float(theta[-1]), float(np.sqrt(left[-1, -1])), fits_noise)
 
     def column(self, nuisance: Nuisance) -> Array:
         """a (cells) of an effect, where it is."""
@@ -168,7 +168,7 @@ class Pair:
             parts.append(np.linalg.solve(fit.normal, fit.jacobian.T @ read))
         return np.asarray(parts[1] if nuisance.since else parts[1] - parts[0])
 
-    def without(self, nuisance: Nuisance) -> "Pair | None":
+    def without(self, nuisance: Nuisance) -> "FittedPair | None":
         """The pair once an effect is taken off the readings; None where no cells give the rest."""
         found = []
         for number, (fit, network, given) in enumerate(zip(self.fits, self.networks, self.given, strict=True)):
@@ -184,7 +184,7 @@ class Pair:
 @dataclass(frozen=True)
 class Besides:
     """What is there beside the circuit. name : of the effect, or ''. count, plain : cells that have moved with it, and
-    without. fits_noise : see `Explained`. frames : in words. together : how all cells changed, in words, or ''.
+    without. fits_noise : see `Evidence`. frames : in words. together : how all cells changed, in words, or ''.
     """
 
     name: str = ""
@@ -210,7 +210,7 @@ def besides_the_circuit(scene: Scene, resting: CellsFit, frames: Sequence[tuple[
     """
     found, together, most = Besides(), "", MARGIN
     for name, frame in frames:
-        pair = Pair(scene, (resting.readings, frame.readings), (resting, frame))
+        pair = FittedPair(scene, (resting.readings, frame.readings), (resting, frame))
         plain = pair.explained()
         together = _together(plain) or together
         effects = list(nuisances(frame.cells.shape))
@@ -227,7 +227,7 @@ def besides_the_circuit(scene: Scene, resting: CellsFit, frames: Sequence[tuple[
     return replace(found, together="" if found.name else together)
 
 
-def _together(plain: Explained) -> str:
+def _together(plain: Evidence) -> str:
     """How all cells that no load touches changed, in words; '' where that may be chance, or a load's rim."""
     change, sd = TOGETHER * plain.size, TOGETHER * plain.sd
     if not plain.sparse or not abs(change) > max(NOTICED, SURE * sd):
@@ -238,7 +238,7 @@ def _together(plain: Explained) -> str:
     )
 
 
-def _refined(pair: Pair, nuisance: Nuisance) -> tuple[Nuisance, Explained] | None:
+def _refined(pair: FittedPair, nuisance: Nuisance) -> tuple[Nuisance, Evidence] | None:
     """The effect with its size, by the network; None where no cells give the rest."""
     for _ in range(STEPS):
         found = pair.explained(nuisance)
