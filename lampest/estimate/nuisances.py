@@ -24,6 +24,7 @@ TOGETHER = 0.05  # prior of log r: by so much all cells may change with temperat
 LEAK_OHM, CONTACT_OHM = 10e3, 100.0  # priors: water between lines, a contact that loosens
 MARGIN = 36.0  # −2 log probability that an effect must gain: e^18 to one, as another circuit
 STEPS, SETTLED = 6, 0.1  # of θ, by the network itself, and the standard deviations at which they end
+MOST_BOUNDS = 0.02  # of the readings: cells behind bounds have no linear theory
 NOTICED, SURE = 0.01, 5.0  # of log r, and standard deviations: a common change that is said
 MOST_TRIED = 3  # effects that are tried by the network: those that linear theory finds best
 
@@ -210,6 +211,8 @@ def besides_the_circuit(scene: Scene, resting: CellsFit, frames: Sequence[tuple[
     """
     found, together, most = Besides(), "", MARGIN
     for name, frame in frames:
+        if max(float(fit.readings.bounds.mean()) for fit in (resting, frame)) > MOST_BOUNDS:
+            continue
         pair = FittedPair(scene, (resting.readings, frame.readings), (resting, frame))
         plain = pair.explained()
         together = _together(plain) or together

@@ -84,18 +84,18 @@ def _piled(recording: Recording) -> str:
     if scene.readout is None or not len(unloaded) or not len(measured):
         return ""
     inside = (readings.side == 0) & (readings.seen > 0)
-    volt = np.where(inside, scene.circuit.volt_from_recorded(recording.recorded), np.nan)
-    resting, width = np.nanmean(volt[unloaded], axis=0), TOLERATED * scene.readout.sigma_volt()
-    for extreme, sign in ((np.nanmax, 1.0), (np.nanmin, -1.0)):
-        away = sign * (extreme(volt[measured], axis=0) - resting)
-        end = extreme(volt[measured])
-        below = np.where(away > FAR * width, np.abs(extreme(volt[measured], axis=0) - end), np.inf)
+    recorded, width = scene.circuit.volt_from_recorded(recording.recorded), TOLERATED * scene.readout.sigma_volt()
+    for sign in (1.0, -1.0):
+        volt = np.where(inside, sign * recorded, -np.inf)
+        most, resting = volt[measured].max(axis=0), volt[unloaded].max(axis=0)
+        end = most.max()
+        below = np.where(most - resting > FAR * width, end - most, np.inf)
         piled, near = below <= width, (below > width) & (below <= NEAR * width)
         lines = min(int(piled.any(axis=axis).sum()) for axis in (0, 1))
         if lines > 1 and piled.sum() >= SEVERAL and piled.sum() > near.sum():
             return (
-                f"{piled.sum()} loaded channels end at the same {end:.3g} volt, and readings beyond it are lost: does "
-                "a stage before the converter saturate there?"
+                f"{piled.sum()} loaded channels end at the same {sign * end:.3g} volt, and readings beyond it are lost: "
+                "does a stage before the converter saturate there?"
             )
     return ""
 
