@@ -32,7 +32,9 @@ HINT = 0.5  # the same, from which on bars allow for what may be chance: where n
 LARGER = 4.0  # the same, of a larger one, once something of the kind is there: two standard deviations
 AGAIN = 3  # times that cells are chosen by the size that they give
 LINEAR = 0.15  # of log r: so large an error moves cells by more than one per cent beside the straight line
+LOADED = 3 * LINEAR  # of log r: so far a load moves a cell, and no error that is small enough for linear theory
 CLEARLY = 4.0  # σ of a change that noise does not make
+SMOOTH, REACH = 0.3, 1.5  # of log r, and in cells: a skirt that a load has around it, or a load that covers many cells
 TOGETHER = 0.05  # of log r, by which all cells may change with temperature
 
 Chosen = NDArray[np.bool_]
@@ -58,7 +60,8 @@ def errors_left_possible(
     if len(others) < len(fits):
         return None
     moves = Moves.between(base, others)
-    size, still = _own_error(moves, resting.value.shape)
+    rough = replace(moves, noise=moves.noise + smooth_loads(resting.value.shape, len(others)))
+    size, still = _own_error(rough, resting.value.shape)
     apart = _apart_from_moved(still, resting.value.shape)
     sure, linear = size > 0, LINEAR / moves.reach
     if sure:
@@ -66,7 +69,7 @@ def errors_left_possible(
         if size > linear or alone.contradicts(size) > LARGER:
             return Possible(_with_reading_error(sizes, max(alone.size, min(size, linear))), None)
     else:  # an error that still cells make likelier than none, though that may be chance
-        hint, gained = _size_of(moves, apart)
+        hint, gained = _size_of(rough, apart)
         size = hint if gained > HINT and hint <= linear else 0.0
     assumed = _with_reading_error(sizes, size)
     if still.mean() < FEWEST:
@@ -152,6 +155,13 @@ class Moves:
         return np.asarray(self.noise + self.a @ self.a.T + size**2 * self.own @ self.own.T)
 
 
+def smooth_loads(shape: tuple[int, ...], frames: int) -> Array:
+    """(n, n) covariance of changes of log r that a load's skirt makes: smooth from cell to cell, free in every frame."""
+    row, column = (index.ravel() for index in np.indices(shape))
+    square = (row[:, None] - row) ** 2 + (column[:, None] - column) ** 2
+    return np.kron(np.eye(frames), SMOOTH**2 * np.exp(-square / (2 * REACH**2)))
+
+
 def _own_error(moves: Moves, shape: tuple[int, ...]) -> tuple[float, Chosen]:
     """(e, which cells stand still): 0 unless it gains with cells chosen anew for each size, and with the last ones."""
     coarse = ERRORS[2::2]
@@ -210,7 +220,7 @@ def still_cells(change: Array, covariance: Array) -> tuple[float, Chosen]:
     where nothing is better than before.
     """
     away = np.abs(change - np.median(change))
-    still = away <= np.median(away)
+    still = (away <= np.median(away)) & (np.abs(change) < LOADED)
     best: tuple[float, Chosen] = (np.inf, still)
     while still.any():
         within = np.linalg.inv(covariance[np.ix_(still, still)])
@@ -223,7 +233,7 @@ def still_cells(change: Array, covariance: Array) -> tuple[float, Chosen]:
         miss, variance = change - across @ pull, np.diag(covariance) - np.einsum("ij,ij->i", across @ within, across)
         miss[still], variance[still] = pull / np.diag(within), 1 / np.diag(within)
         variance = np.maximum(variance, 1e-300)
-        still = miss**2 / variance + np.log(variance) < MOVED + change**2
+        still = (miss**2 / variance + np.log(variance) < MOVED + change**2) & (np.abs(change) < LOADED)
     return best
 
 
