@@ -156,7 +156,7 @@ class Moves:
 
 
 def smooth_loads(shape: tuple[int, ...], frames: int) -> Array:
-    """(n, n) covariance of changes of log r that a load's skirt makes: smooth from cell to cell, free in every frame."""
+    """(n, n) covariance of changes of log r of a load's skirt: smooth from cell to cell, free in every frame."""
     row, column = (index.ravel() for index in np.indices(shape))
     square = (row[:, None] - row) ** 2 + (column[:, None] - column) ** 2
     return np.kron(np.eye(frames), SMOOTH**2 * np.exp(-square / (2 * REACH**2)))
@@ -216,8 +216,8 @@ def _possible(moves: Moves, size: float, still: Chosen) -> Array:
 def still_cells(change: Array, covariance: Array) -> tuple[float, Chosen]:
     """(−2 log likelihood, which stand still): each cell where it is likelier, given those that stand still.
 
-    A cell that moved has a change of variance 1, and costs MOVED. It begins with the half that changed least, and ends
-    where nothing is better than before.
+    A cell that moved has a change of variance 1, and costs MOVED; one beyond LOADED has. It begins with the half that
+    changed least, and ends where nothing is better than before.
     """
     away = np.abs(change - np.median(change))
     still = (away <= np.median(away)) & (np.abs(change) < LOADED)

@@ -94,8 +94,8 @@ def _piled(recording: Recording) -> str:
         lines = min(int(piled.any(axis=axis).sum()) for axis in (0, 1))
         if lines > 1 and piled.sum() >= SEVERAL and piled.sum() > near.sum():
             return (
-                f"{piled.sum()} loaded channels end at the same {sign * end:.3g} volt, and readings beyond it are lost: does "
-                "a stage before the converter saturate there?"
+                f"{piled.sum()} loaded channels end at the same {sign * end:.3g} volt, and what lies beyond is lost: "
+                "does a stage before the converter saturate there?"
             )
     return ""
 
