@@ -76,11 +76,16 @@ class ModelErrors:
         Offsets are those of rows and columns (of two-point resistances), of the reference, and where there are such
         errors, of each reading. measured : (rows, columns) readings, without what stands in series.
         """
-        rows, columns = measured.shape
+        layout = scene.panel.modules
+        rows, columns = measured.shape if layout is None else (layout.each.rows, layout.each.columns)
         total = measured + scene.series_ohm if scene.circuit.unit == "ohm" else measured
         by_row = np.kron(np.eye(rows), np.ones((columns, 1)))
         by_column = np.kron(np.ones((rows, 1)), np.eye(columns))
-        channels = [self.channel_ohm * np.hstack([by_row, by_column])] if scene.circuit.unit == "ohm" else []
+        by_line = np.hstack([by_row, by_column])
+        if layout is not None:  # every module has lines of its own
+            blocks = np.kron(np.eye(layout.count), by_line).reshape(layout.count, rows, columns, -1)
+            by_line = layout.joined(np.moveaxis(blocks, -1, 0)).reshape(blocks.shape[-1], -1).T
+        channels = [self.channel_ohm * by_line] if scene.circuit.unit == "ohm" else []
         own = [np.diag(self.reading_error * total.ravel())] if self.reading_error else []
         return np.hstack([*channels, self.reference * total.reshape(-1, 1), *own])
 

@@ -7,7 +7,7 @@ before the load came, and goes only by a step back to that. A bare panel at rest
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Protocol
+from typing import Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -157,7 +157,7 @@ class Watch:
     attachments: tuple[Attachment, ...] = ()
 
     @classmethod
-    def begin(cls, panelled: Panelled, measured: Array, sigma: Array, unloaded: Array, time: float) -> "Watch":
+    def begin(cls, panelled: Panelled, measured: Array, sigma: Array, unloaded: Array, time: float) -> Self:
         """Against unloaded readings (rows, columns).
 
         measured : their mean. sigma : of one frame. unloaded : (frames, rows, columns) those that are values, NaN else.

@@ -14,6 +14,7 @@ from lampest.files import hdf5
 from lampest.files.errors import InputError
 from lampest.files.process import told_reason
 from lampest.loads.pressure import water_pressure
+from lampest.loads.recognition.image import ImageWatch, most_cells
 from lampest.loads.recognition.settings import ModelErrors, RecognitionSettings
 from lampest.loads.recognition.watch import Panelled, Watch
 from lampest.loads.tare import OF_DIFFERENCES
@@ -57,16 +58,20 @@ class Known:
     noise: FrameNoise | None
     notes: tuple[str, ...]
 
-    def watch(self, settings: RecognitionSettings) -> Watch:
+    def watch(self, settings: RecognitionSettings) -> Watch | ImageWatch:
         """Before the first frame. Raises ValueError where the panel cannot be watched."""
-        if self.scene.panel.cells is not None or self.scene.panel.modules is not None:
-            raise ValueError("loads are recognised on full panels of one network only")
-        if self.scene.panel.crossings > MOST_CELLS:
-            raise ValueError(f"loads are recognised on panels of up to {MOST_CELLS} cells")
+        panel, layout = self.scene.panel, self.scene.panel.modules
+        if panel.cells is not None:
+            raise ValueError("loads are recognised on panels without gaps only")
+        if (panel.crossings if layout is None else most_cells(layout)) > MOST_CELLS:
+            what = "panels" if layout is None else "windows of 2 × 2 modules"
+            raise ValueError(f"loads are recognised on {what} of up to {MOST_CELLS} cells")
         depth, errors = settings.top_row_depth_mm, ModelErrors().of_scene(self.scene, self.reading_error)
-        water = water_pressure(self.scene.panel, self.scene.water if depth is None else Water(depth))
-        panelled = Panelled(self.scene, settings.patch_of(self.scene.panel), water, errors, self.noise)
-        return Watch.begin(panelled, self.resting, self.sigma, self.unloaded, self.begin)
+        water = water_pressure(panel, self.scene.water if depth is None else Water(depth))
+        known = self.resting, self.sigma, self.unloaded, self.begin
+        if layout is not None:
+            return ImageWatch.begin(self.scene, settings.patch_of(panel), water, errors, *known)
+        return Watch.begin(Panelled(self.scene, settings.patch_of(panel), water, errors, self.noise), *known)
 
     def answer(self, frames: Frames, settings: RecognitionSettings) -> Detected:
         """After all frames."""
@@ -83,7 +88,7 @@ class Known:
             return Detected.unknown(self.name, "one frame shows no change; three are needed")
         return self.detected(watch, float(1 / np.median(np.diff(times))), np.array([times, loudness]))
 
-    def detected(self, watch: Watch, rate: float, course: Array | None = None) -> Detected:
+    def detected(self, watch: Watch | ImageWatch, rate: float, course: Array | None = None) -> Detected:
         """What the frames so far show, at so many frames a second; course : as `Detected` has it."""
         found, response = watch.attachments, self.scene.response
         if response is None:

@@ -9,6 +9,7 @@ import numpy as np
 
 from lampest.files.errors import InputError
 from lampest.files.process import told_reason
+from lampest.loads.recognition.image import ImageWatch
 from lampest.loads.recognition.watch import Watch
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
@@ -60,7 +61,7 @@ class Watched:
     name: str
     why: str = WAITING
     known: Known | None = None
-    watch: Watch | None = None
+    watch: Watch | ImageWatch | None = None
     times: tuple[float, ...] = ()
     missing: int = 0
     zero: tuple[Scan, ...] = ()

@@ -1,0 +1,57 @@
+"""Loads on a panel of modules: one over a seam is one event, with its place and diameter in the whole image."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lampest import Faults, OralDisc, Panel, Rod, Scene, Simulation, TwoPointReadout, simulate
+from lampest.loads.recognition.image import Window
+from lampest.loads.recognition.settings import ModelErrors
+from lampest.panel.panel import EachModule, Modules
+from lampest.report.detect.detection import detect_recording
+
+READOUT = TwoPointReadout(reference_ohm=1000, adc_bits=12, readings=20, noise_lsb=0.7)
+SCENE = Scene(Panel(modules=Modules(2, 3, EachModule(6, 7), 4.0)), READOUT, 140.0)
+
+
+@pytest.mark.slow
+def test_loads_over_seams_are_one_event_each(tmp_path: Path) -> None:
+    """Columns of modules begin at 0, 74 and 148 mm, rows at 0 and 64."""
+    scene = replace(SCENE, faults=Faults(dead_modules=((1, 2),)))
+    mouth = OralDisc(centre_mm=(70, 60), diameter_mm=38, rim_width_mm=6, pressure_kpa=-10, rim_kpa=20)
+    rod = Rod(centre_mm=(180, 25), diameter_mm=30, mass_g=500)
+    taken = simulate(Simulation(schema=1, seed=4, scene=scene, frames=14, frame_period_s=0.25, loads=(mouth, rod)))
+    taken.save(tmp_path / "mat.h5")
+    found = detect_recording(tmp_path / "mat.h5")
+    assert found.answer == "sucks" and len(found.attachments) == 2, found.why
+    over, pressed = sorted(found.attachments, key=lambda one: one.place)
+    assert over.distance((70, 60)) < 3 and over.sucks > 0.9 and abs(over.size - 38) < 6
+    assert pressed.distance((180, 25)) < 5 and pressed.sucks < 0.1
+    assert found.change is not None and found.change.shape == scene.panel.shape
+
+
+@pytest.mark.slow
+def test_a_bare_panel_of_modules_shows_nothing(tmp_path: Path) -> None:
+    simulate(Simulation(schema=1, seed=5, scene=SCENE, frames=60, frame_period_s=0.25)).save(tmp_path / "mat.h5")
+    found = detect_recording(tmp_path / "mat.h5")
+    assert found.answer == "nothing" and not found.attachments
+
+
+def test_a_window_is_the_network_of_its_modules() -> None:
+    """By differences: cells of other modules change nothing, and lines are each module's own."""
+    own = next(window for window in Window.all_of(SCENE) if window.x_mm > 0)
+    assert (own.cells[1].start, own.x_mm, own.y_mm) == (7, 74.0, 0.0) and len(Window.all_of(SCENE)) == 2
+    cells = np.exp(np.random.default_rng(1).uniform(6, 7, own.scene.panel.shape))
+    circuit = own.scene.circuit
+    slopes = circuit.network(cells, circuit.ties(cells), None).sensitivity(np.array([3, 100]))
+    for column, cell in enumerate((3, 100)):
+        moved = cells.copy()
+        moved.flat[cell] *= np.exp(1e-5)
+        ends = [circuit.network(one, circuit.ties(one), None).reading() for one in (cells, moved)]
+        np.testing.assert_allclose(slopes[:, column], ((ends[1] - ends[0]) / 1e-5).ravel(), rtol=1e-3, atol=1e-3)
+    offsets = ModelErrors().offsets(cells, own.scene) != 0
+    lines = offsets[:, : 4 * 13].reshape(*cells.shape, -1)
+    assert lines.sum(axis=2).max() == 2 and (lines[0, 0] & lines[0, 8]).sum() == 0 == (lines[0, 0] & lines[7, 0]).sum()
+    assert (lines[0, 0] & lines[0, 6]).sum() == 1 == (lines[0, 0] & lines[5, 0]).sum()
