@@ -15,7 +15,18 @@ from lampest.files.typed import Validated
 from lampest.panel.panel import Array, beyond_any_panel
 from lampest.panel.scene import Scene, scene_text
 from lampest.recording.recording import coordinates
-from lampest.runs.columns import COLUMNS, FIGURES, FRAME, FRAMES, MAPS, MEASURED, TIME, Column, all_columns
+from lampest.runs.columns import (
+    COLUMNS,
+    FIGURES,
+    FRAME,
+    FRAMES,
+    MAPS,
+    MEASURED,
+    TIME,
+    Column,
+    all_columns,
+    flag_attributes,
+)
 
 if TYPE_CHECKING:
     from pandas import DataFrame as DataFrame
@@ -38,8 +49,6 @@ SENTENCES = {
 class CaseResult(Validated):
     """One case: a recording's measured frames as one estimator understands them.
 
-    Parameters
-    ----------
     recording, estimator : the recording's stem and the estimator's name, printable ASCII without '/'.
     case_id, case_yaml : hash and YAML text of the resolved case. versions : library → version.
     scene : the recording's, as the estimator was told it.
@@ -233,14 +242,10 @@ class CaseResult(Validated):
 
     def _by_module(self, maps: Any) -> Any:
         """(frames, rows, columns) as (frames · modules, rows, columns) of each; listed cells in one row."""
-        layout, panel = self.scene.panel.modules, self.scene.panel
+        panel, maps = self.scene.panel, np.asarray(maps)
         if panel.cells is not None:
-            return np.asarray(maps)[:, panel.present][:, None]
-        return (
-            maps
-            if layout is None
-            else layout.split(np.asarray(maps)).reshape(-1, layout.each.rows, layout.each.columns)
-        )
+            return maps[:, panel.present][:, None]
+        return maps if panel.modules is None else panel.modules.split(maps).reshape(-1, *panel.modules.each.shape)
 
     @property
     def _solved_modules(self) -> NDArray[np.bool_]:
@@ -294,29 +299,72 @@ def check_name(name: str, what: str) -> None:
         )
 
 
-def dataset_of(case: CaseResult, columns: Sequence[Column]) -> Dataset:
-    """Every column and figure of a case over time, row and column, with units and long names as in results files.
+@dataclass(frozen=True, eq=False)
+class Series:
+    """One thing that a case holds, as labelled arrays, tables and exports have it.
 
-    Coordinates: time (s) and frame, row and column with y and x (mm). A cost, a weight or a number of a disc goes by
-    its folder and its name: cost_misfit. Raises InputError where xarray is not installed.
+    axes : time, row, column. values : an array over them, or texts. flags : what each value means where values are no
+    amounts. shared : True for what was measured.
+    """
+
+    name: str
+    axes: tuple[str, ...]
+    values: Any
+    units: str
+    long_name: str
+    flags: tuple[tuple[int, str], ...] = ()
+    shared: bool = False
+    dtype: type[Any] = np.float64
+
+    @property
+    def stored(self) -> Any:
+        """The values with 0 and 1 for truth values."""
+        return np.asarray(self.values, np.uint8) if self.dtype is bool else self.values
+
+    @property
+    def meaning(self) -> str:
+        """The long name, with what each value of a flag means."""
+        flags = "; ".join(f"{value}: {word.replace('_', ' ')}" for value, word in self.flags)
+        return f"{self.long_name} ({flags})" if flags else self.long_name
+
+    @property
+    def attributes(self) -> dict[str, Any]:
+        """Units, long name and flags."""
+        return {"units": self.units, "long_name": self.long_name} | flag_attributes(self.flags, self.dtype)
+
+
+def series_of(case: CaseResult, columns: Sequence[Column]) -> dict[str, Series]:
+    """Every column and figure that the case holds, by name, in its readout's unit; a cost is called cost_misfit."""
+    held: dict[str, Series] = {}
+    for column in (column.of(case.scene.circuit) for column in columns):
+        if (values := case.shown(column)) is not None:
+            told = column.units, column.long_name, column.flags, column.shared, column.dtype
+            held[column.label] = Series(column.label, column.axes, values, *told)
+    for folder in FIGURES:
+        for figure, values in getattr(case, folder.name).items():
+            name = f"{folder.folder}_{figure}"
+            held[name] = Series(name, FRAMES, np.asarray(values), folder.units(figure), folder.long_name(figure))
+    return held
+
+
+def places_of(case: CaseResult) -> dict[str, Series]:
+    """row and column, y and x in mm."""
+    return {name: Series(name, (axis,), *rest) for name, (axis, *rest) in coordinates(case.scene.panel).items()}
+
+
+def dataset_of(case: CaseResult, columns: Sequence[Column]) -> Dataset:
+    """Everything of a case over time, row and column, with units and long names as in results files.
+
+    Coordinates: time (s) and frame, row and column with y and x (mm). Raises InputError where xarray is not installed.
     """
     with extra("xarray"):
         from xarray import Dataset
-    variables: dict[str, Any] = {
-        column.label: (column.axes, np.asarray(values), column.attributes)
-        for column, values in _held(case, columns)
-        if column not in (TIME, FRAME)
-    }
-    for folder in FIGURES:
-        for name, values in getattr(case, folder.name).items():
-            told = {"units": folder.units(name), "long_name": folder.long_name(name)}
-            variables[f"{folder.folder}_{name}"] = FRAMES, values, told
-    axes: dict[str, Any] = {
-        column.name: (FRAMES, case.column(column.name), column.attributes) for column in (TIME, FRAME)
-    }
-    for name, (axis, values, units, long_name) in coordinates(case.scene.panel).items():
-        axes[name] = (axis, values, {"units": units, "long_name": long_name})
-    return Dataset(variables, axes, about(case))
+    held = series_of(case, columns)
+    axes = {name: held.pop(name) for name in (TIME.name, FRAME.name)} | places_of(case)
+    parts = [
+        {name: (one.axes, np.asarray(one.values), one.attributes) for name, one in p.items()} for p in (held, axes)
+    ]
+    return Dataset(*parts, about(case))
 
 
 def table_of(case: CaseResult, columns: Sequence[Column]) -> DataFrame:
@@ -327,23 +375,13 @@ def table_of(case: CaseResult, columns: Sequence[Column]) -> DataFrame:
     with extra("tables"):
         from pandas import DataFrame  # takes 0.3 s
 
-    held = dict(_held(case, columns))
     sizes = dict(zip(MAPS, case.measured.shape, strict=True))
-    lines = {name: _lines(values, (axis,), sizes) for name, (axis, values, *_) in coordinates(case.scene.panel).items()}
-    first = {column.name: _lines(held.pop(column), FRAMES, sizes) for column in (TIME, FRAME)} | lines
-    table = DataFrame(first | {column.label: _lines(values, column.axes, sizes) for column, values in held.items()})
-    table.attrs = about(case) | {
-        "units": {column.name: column.units for column in (TIME, FRAME)}
-        | {"y": "mm", "x": "mm"}
-        | {column.label: column.units for column in held}
-    }
+    known, named = series_of(case, columns), {column.of(case.scene.circuit).label for column in columns}
+    held = {name: known.pop(name) for name in (TIME.name, FRAME.name)} | places_of(case)
+    held |= {name: one for name, one in known.items() if name in named}
+    table = DataFrame({name: _lines(one.values, one.axes, sizes) for name, one in held.items()})
+    table.attrs = about(case) | {"units": {n: one.units for n, one in held.items() if n not in ("row", "column")}}
     return table
-
-
-def _held(case: CaseResult, columns: Sequence[Column]) -> list[tuple[Column, Any]]:
-    """The columns that the case holds, in its readout's unit, with their values."""
-    fitting = (column.of(case.scene.circuit) for column in columns)
-    return [(column, values) for column in fitting if (values := case.shown(column)) is not None]
 
 
 def _lines(values: Any, axes: tuple[str, ...], sizes: Mapping[str, int]) -> NDArray[Any]:

@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.files.errors import InputError, extra
-from lampest.report.export.export import Export, series_of
-from lampest.runs.case import CaseResult, about
+from lampest.report.export.export import Export
+from lampest.runs.case import CaseResult, about, places_of, series_of
+from lampest.runs.columns import all_columns
 
 
 class MatlabExport(Export):
@@ -37,18 +38,17 @@ class MatlabExport(Export):
 
 
 def _struct(case: CaseResult) -> dict[str, Any]:
-    held = series_of(case)
-    x, y = case.scene.panel.centres_mm()
+    held, places = series_of(case, all_columns()), places_of(case)
     flags = {}
-    for one in held:
+    for one in held.values():
         if one.flags:
             numbers, words = zip(*one.flags, strict=True)
             flags[one.name] = {"values": np.array(numbers), "meanings": _cells(words)}
-    values = {one.name: _cells(one.values) if one.is_text else one.values for one in held}
-    units = {one.name: one.units for one in held} | {"x": "mm", "y": "mm"}
-    places = {"row": np.arange(len(y)), "column": np.arange(len(x)), "x": x, "y": y}
-    names = {one.name: one.long_name for one in held}
-    return about(case) | values | places | {"units": units, "long_name": names, "flags": flags}
+    values = {name: _cells(one.values) if one.dtype is str else one.stored for name, one in held.items()}
+    units = {name: one.units for name, one in (held | places).items() if name not in ("row", "column")}
+    names = {name: one.long_name for name, one in held.items()}
+    where = {name: one.values for name, one in places.items()}
+    return about(case) | values | where | {"units": units, "long_name": names, "flags": flags}
 
 
 def _cells(things: Sequence[Any]) -> NDArray[Any]:

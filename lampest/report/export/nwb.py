@@ -11,9 +11,9 @@ import numpy as np
 
 from lampest.files.errors import InputError, extra
 from lampest.panel.scene import Scene
-from lampest.report.export.export import Export, series_of
-from lampest.runs.case import CaseResult, about
-from lampest.runs.columns import CELLS, TIME
+from lampest.report.export.export import Export
+from lampest.runs.case import CaseResult, about, series_of
+from lampest.runs.columns import CELLS, TIME, all_columns
 
 
 class NwbExport(Export):
@@ -104,18 +104,19 @@ def _elements(case: CaseResult, shared: bool) -> Iterator[Any]:
     from hdmf.common import DynamicTable, VectorData
     from pynwb import TimeSeries
 
-    held = [one for one in series_of(case) if one.shared == shared and one.name != TIME.name]
+    every = series_of(case, all_columns()).values()
+    held = [one for one in every if one.shared == shared and one.name != TIME.name]
     for one in held:
-        if not one.is_text and one.axes != CELLS:
+        if one.dtype is not str and one.axes != CELLS:
             known = {"unit": one.units, "description": one.meaning}
-            yield TimeSeries(name=one.name, data=one.values, timestamps=case.time, **known)
+            yield TimeSeries(name=one.name, data=one.stored, timestamps=case.time, **known)
     rows, lines = np.indices(case.scene.panel.shape)
     x, y = case.scene.panel.centres_mm()
     cells = [("row", "row line", rows), ("column", "column line", lines)]
     places = [("y_mm", "position of the row, mm", y[rows]), ("x_mm", "position of the column, mm", x[lines])]
     time = [("time", "time of the frame, s", case.time)]
     for name, words, first, wanted in (
-        ("frames", "what frames say in words", time, [one for one in held if one.is_text]),
+        ("frames", "what frames say in words", time, [one for one in held if one.dtype is str]),
         ("cells", "what has no time", [*cells, *places], [one for one in held if one.axes == CELLS]),
     ):
         columns = [*first, *((one.name, f"{one.meaning}, {one.units}", one.values) for one in wanted)]

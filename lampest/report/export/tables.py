@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 
 from lampest.files.errors import extra
-from lampest.report.export.export import Export, Series, series_of
-from lampest.runs.case import CaseResult, about
-from lampest.runs.columns import CELLS, FRAMES, all_columns
+from lampest.report.export.export import Export
+from lampest.runs.case import CaseResult, Series, about, places_of, series_of
+from lampest.runs.columns import FRAMES, all_columns
 
 if TYPE_CHECKING:
     from lampest.runs.case import DataFrame
@@ -18,14 +18,7 @@ if TYPE_CHECKING:
 # numpy's whole numbers → those of pandas that may be missing.
 WHOLE = {"int8": "Int8", "uint8": "UInt8", "int64": "Int64", "bool": "boolean"}
 CSV_KINDS = {"f": "double", "i": "integer", "u": "integer", "b": "boolean"}  # of XML Schema, by numpy's letter
-LINES = (
-    Series("recording", FRAMES, None, "1", "name of the recording"),
-    Series("estimator", FRAMES, None, "1", "name of the estimator"),
-    Series("row", CELLS[:1], None, "1", "row line"),
-    Series("column", CELLS[1:], None, "1", "column line"),
-    Series("y", CELLS[:1], None, "mm", "position of the row"),
-    Series("x", CELLS[1:], None, "mm", "position of the column"),
-)
+NAMES = {"recording": "name of the recording", "estimator": "name of the estimator"}
 
 
 class CsvExport(Export):
@@ -96,7 +89,8 @@ def long_table(cases: Sequence[CaseResult]) -> tuple["DataFrame", Mapping[str, S
     tables: list[DataFrame] = []
     meanings: dict[str, Series] = {}
     for case in cases:
-        known = {one.name: one for one in (*LINES, *series_of(case))}
+        known = {name: Series(name, FRAMES, None, "1", words) for name, words in NAMES.items()}
+        known |= places_of(case) | series_of(case, all_columns())
         kinds = {one.label: np.dtype(one.dtype).name for one in all_columns()}
         table = case.to_dataframe()
         table.attrs = {}
