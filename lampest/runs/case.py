@@ -15,18 +15,8 @@ from lampest.files.typed import Validated
 from lampest.panel.panel import Array, beyond_any_panel
 from lampest.panel.scene import Scene, scene_text
 from lampest.recording.recording import coordinates
-from lampest.runs.columns import (
-    COLUMNS,
-    FIGURES,
-    FRAME,
-    FRAMES,
-    MAPS,
-    MEASURED,
-    TIME,
-    Column,
-    all_columns,
-    flag_attributes,
-)
+from lampest.runs.columns import COLUMNS, FIGURES, FRAME, FRAMES, MAPS, MEASURED, TIME, Column, all_columns
+from lampest.runs.columns.column import flag_attributes
 
 if TYPE_CHECKING:
     from pandas import DataFrame as DataFrame
@@ -245,7 +235,7 @@ class CaseResult(Validated):
         panel, maps = self.scene.panel, np.asarray(maps)
         if panel.cells is not None:
             return maps[:, panel.present][:, None]
-        return maps if panel.modules is None else panel.modules.split(maps).reshape(-1, *panel.modules.each.shape)
+        return maps if panel.modules is None else panel.modules.split(maps).reshape(-1, *panel.networks[0].shape)
 
     @property
     def _solved_modules(self) -> NDArray[np.bool_]:
@@ -349,7 +339,8 @@ def series_of(case: CaseResult, columns: Sequence[Column]) -> dict[str, Series]:
 
 def places_of(case: CaseResult) -> dict[str, Series]:
     """row and column, y and x in mm."""
-    return {name: Series(name, (axis,), *rest) for name, (axis, *rest) in coordinates(case.scene.panel).items()}
+    places = coordinates(case.scene.panel).items()
+    return {name: Series(name, (axis,), values, units, words) for name, (axis, values, units, words) in places}
 
 
 def dataset_of(case: CaseResult, columns: Sequence[Column]) -> Dataset:

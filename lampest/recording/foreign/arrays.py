@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from lampest.files import hdf5
 from lampest.files.errors import InputError
-from lampest.recording.foreign.frames import MOST_BYTES, Clock, Frames, Place, check_count, clock_of_numbers
+from lampest.recording.foreign.frames import MOST_BYTES, Clock, Frames, check_count, clock_of_numbers
 from lampest.recording.foreign.words import role_of
 
 ArraysByName = dict[str, NDArray[Any]]
@@ -194,16 +194,16 @@ def frames_of_arrays(path: Path, shape: tuple[int, int], variable: str | None) -
         raise InputError(f"{where}: is {_by(array.shape)}, which {ways}{hint}")
     check_count(where, array.size)
     layout, *others = fits[name]
-    values = array.astype(float)
-    values = (values.transpose(2, 0, 1) if layout == STACKED else values).reshape(-1, *shape)
+    every: NDArray[np.intp] = np.arange(array.size).reshape(array.shape)
+    number = (every.transpose(2, 0, 1) if layout == STACKED else every).reshape(-1, *shape)
     note = f"{f'array {name} ' if name else ''}read as {layout}{f' ({others[0]} would fit, too)' if others else ''}"
-    return Frames(
-        values,
-        _timing(path, arrays, name, len(values)),
-        (note,),
-        _place(where, layout, layouts is MATLAB_LAYOUTS, shape),
-        (name,),
-    )
+    timing, of_matlab = _timing(path, arrays, name, len(number)), layouts is MATLAB_LAYOUTS
+
+    def named(at: int) -> str:
+        index = ", ".join(str(part + of_matlab) for part in np.unravel_index(max(at, 0), array.shape))
+        return f"{where}({index})" if of_matlab else f"{where}[{index}]"
+
+    return Frames(array.ravel(), number, named, timing, (note,), (name,))
 
 
 def _chosen(
@@ -250,14 +250,3 @@ def _timing(path: Path, arrays: ArraysByName, chosen: str, frames: int) -> Calla
 
 def _by(size: Sequence[int]) -> str:
     return " × ".join(str(part) for part in size) or "one value"
-
-
-def _place(where: str, layout: str, from_one: bool, shape: tuple[int, int]) -> Place:
-    """A value's indices in the file's order."""
-
-    def place(frame: int, row: int, column: int) -> str:
-        index = {"frame": frame, "row": row, "column": column, "cell": row * shape[1] + column}
-        listed = ", ".join(str(index[axis] + from_one) for axis in AXES[layout])
-        return f"{where}({listed})" if from_one else f"{where}[{listed}]"
-
-    return place

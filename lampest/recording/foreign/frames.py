@@ -59,20 +59,35 @@ class Clock:
 
 @dataclass(frozen=True, eq=False)
 class Frames:
-    """Values of a file, and what it says of them.
+    """Which numbers of a file are the readings of which cells, and what else it says.
 
-    values : (frames, rows, columns) in the file's unit; NaN where a reading is missing, infinite where it says so.
+    numbers : all that the file holds, in any unit and order; NaN where one is missing, infinite where it says so.
+    number : (frames, rows, columns) index into them; -1: the file has none for the cell.
+    named : index → where in the file; -1 → the file.
     timing : tells when the frames were taken, or raises InputError; None where the file has no times.
-    notes : sentences on how it was understood.
-    place : how the file names the place of a value: frame, row, column → text.
-    words : names of columns or arrays in which the unit may stand.
+    notes : sentences on how it was understood. words : names of columns or arrays in which the unit may stand.
     """
 
-    values: Array
+    numbers: Array
+    number: NDArray[np.intp]
+    named: Callable[[int], str]
     timing: Callable[[], Clock] | None
     notes: tuple[str, ...]
-    place: Place
     words: tuple[str, ...] = ()
+
+    @property
+    def values(self) -> Array:
+        """(frames, rows, columns) in the file's unit."""
+        return np.where(self.number >= 0, self.numbers.astype(float)[self.number], np.nan)
+
+    def place(self, frame: int, row: int, column: int) -> str:
+        """Where in the file a reading stands."""
+        number = int(self.number[frame, row, column])
+        return self.named(number) if number >= 0 else f"{self.named(-1)}: row {row}, column {column} of frame {frame}"
+
+    def arranged(self, number: NDArray[np.intp], note: str) -> "Frames":
+        """The same numbers as those of other cells, and a sentence on that."""
+        return replace(self, number=number, notes=(*self.notes, note))
 
 
 def check_count(where: object, values: int) -> None:

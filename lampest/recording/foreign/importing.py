@@ -73,22 +73,24 @@ def import_file(
     panel = _panel(rows, columns, scene)
     check_unit(unit, scene, path)
     frames = _frames(path, panel, transpose, variable, layout)
-    count = len(frames.values)
+    values = np.where(~panel.present & ~(frames.values > 0), np.nan, frames.values)
+    count = len(values)
     if not 0 <= baseline_frames <= count:
         raise InputError(f"{path}: {baseline_frames} baseline frames asked for, but the file holds {count} frames")
     clock = _clock(frames, period)
-    blank = np.isnan(frames.values) & panel.present
+    blank = np.isnan(values) & panel.present
     if missing == "refuse" and np.any(blank):
         frame, row, column = (int(part) for part in np.argwhere(blank)[0])
         raise InputError(f"{frames.place(frame, row, column)}: the reading of row {row}, column {column} is missing")
-    kind, reason = understood_unit(frames.values, unit, units_of(frames.words) if unit is None else (), scene, path)
+    kind, reason = understood_unit(values, unit, units_of(frames.words) if unit is None else (), scene, path)
     assumed = _assumed(scene or Scene(panel), scene is not None)
     scene = scene or Scene(panel)
-    recorded = recorded_values(frames.values, kind, scene, frames.place)
+    recorded = recorded_values(values, kind, scene, frames.place)
     role = np.where(np.arange(count) < baseline_frames, UNLOADED, MEASURED).astype(np.uint8)
     kept, gaps = _without_missing(np.isnan(recorded) & panel.present, missing, path)
-    values = recorded[kept], clock.seconds[kept], role[kept]
-    recording = Recording(scene, *values, name=path.stem, start_time=clock.start)
+    recording = Recording(
+        scene, recorded[kept], clock.seconds[kept], role[kept], name=path.stem, start_time=clock.start
+    )
     notes = (*frames.notes, reason, clock.sentence, assumed, gaps, *_summary(recording))
     return recording, tuple(map(printable, filter(None, notes)))
 
@@ -142,11 +144,8 @@ def _frames(path: Path, panel: Panel, transpose: bool, variable: str | None, lay
                 return _listed(_read_frames(path, (1, len(panel.cells)), variable, layout), panel)
         raise
     if transpose:
-        file_place, notes = frames.place, (*frames.notes, "transposed: the file's rows are the panel's columns")
-        values, place = frames.values.transpose(0, 2, 1), lambda frame, row, column: file_place(frame, column, row)
-        frames = dataclasses.replace(frames, values=values, place=place, notes=notes)
-    nothing = ~panel.present & ~(frames.values > 0)
-    return dataclasses.replace(frames, values=np.where(nothing, np.nan, frames.values))
+        return frames.arranged(frames.number.swapaxes(1, 2), "transposed: the file's rows are the panel's columns")
+    return frames
 
 
 def _read_frames(path: Path, shape: tuple[int, int], variable: str | None, layout: str | None) -> Frames:
@@ -194,20 +193,14 @@ def _of_sheets(path: Path, shape: tuple[int, int], wanted: str | None, layout: s
 
 def _listed(frames: Frames, panel: Panel) -> Frames:
     """From values (frames, 1, cells) in the order of a panel's list."""
-    number = {cell[:2]: count for count, cell in enumerate(panel.cells or ())}
-    values = np.full((len(frames.values), *panel.shape), np.nan)
-    for cell, count in number.items():
-        values[:, *cell] = frames.values[:, 0, count]
-
-    def place(frame: int, row: int, column: int) -> str:
-        return frames.place(frame, 0, number.get((row, column), 0))
-
-    notes = (*frames.notes, f"{len(number)} values are the cells in the order of the scene's list")
-    return dataclasses.replace(frames, values=values, place=place, notes=notes)
+    cells = [cell[:2] for cell in panel.cells or ()]
+    number = np.full((len(frames.number), *panel.shape), -1)
+    number[:, *np.transpose(cells)] = frames.number[:, 0]
+    return frames.arranged(number, f"{len(cells)} values are the cells in the order of the scene's list")
 
 
 def _clock(frames: Frames, period: float | None) -> Clock:
-    number = np.arange(len(frames.values), dtype=float)
+    number = np.arange(len(frames.number), dtype=float)
     if period is not None:
         if not 0 < period < float("inf"):
             raise InputError("the period must be positive and finite")

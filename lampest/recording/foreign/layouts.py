@@ -96,19 +96,13 @@ def _frames_in_lines(table: ForeignTable, shape: Shape, named: tuple[Cells, str]
         named = {field: divmod(number, shape[1]) for number, field in enumerate(rest)}, "cells row by row"
     cells_of, sentence = named
     table.checked(sorted(cells_of))
-    values = np.full((len(table.numbers), *shape), np.nan)
-    for field, (row, column) in cells_of.items():
-        values[:, row, column] = table.numbers[:, field]
+    number = np.full((len(table.lines), *shape), -1)
+    for field, cell in cells_of.items():
+        number[:, *cell] = np.arange(len(number)) * table.width + field
     unused = [names[field] for field in range(table.width) if field not in cells_of and field not in times]
     left = f"; left out: {', '.join(name or 'a column without a name' for name in unused[:5])}" if unused else ""
-    fields = {cell: field for field, cell in cells_of.items()}
-
-    def place(frame: int, row: int, column: int) -> str:
-        return table.place(frame, fields.get((row, column), min(cells_of)))
-
-    notes = (*table.notes, f"one frame a line, {sentence}{left}")
-    words = tuple(names[field] for field in sorted(cells_of)) if table.names else ()
-    return Frames(values, table.timing(times, range(len(values))), notes, place, words)
+    note = f"one frame a line, {sentence}{left}"
+    return table.frames(number, table.timing(times, range(len(number))), note, sorted(cells_of))
 
 
 # A value a line.
@@ -161,26 +155,18 @@ def _frames_of_single_values(table: ForeignTable, shape: Shape, order: dict[str,
     count = int(frames.max()) + 1
     check_count(table.rows.source, count * shape[0] * shape[1])
     where = np.full((count, *shape), -1)
-    for number, cell in enumerate(zip(frames.tolist(), rows.tolist(), columns.tolist(), strict=True)):
+    for line, cell in enumerate(zip(frames.tolist(), rows.tolist(), columns.tolist(), strict=True)):
         if where[cell] >= 0:
             hint = "" if how else "; several frames need a field with the frame's number"
             earlier = table.called(int(where[cell]))
-            raise InputError(f"{table.place(number, None)}: the same cell as in {earlier}{hint}")
-        where[cell] = number
-    values = np.where(where >= 0, table.numbers[np.maximum(where, 0), order["value"]], np.nan)
+            raise InputError(f"{table.place(line, None)}: the same cell as in {earlier}{hint}")
+        where[cell] = line
     begins = np.unique(frames, return_index=True)[1].tolist()
     times = [order[role] for role in ("date", "time") if role in order]
     said = ", ".join(sorted(order, key=order.__getitem__))
-    notes = (*table.notes, f"one value a line as {said}; indices count from {first}{how}")
-
-    def place(frame: int, row: int, column: int) -> str:
-        line = int(where[frame, row, column])
-        if line < 0:
-            return f"{table.rows.source}: row {row + first}, column {column + first} of frame {frame}"
-        return table.place(line, order["value"])
-
-    words = (table.names[order["value"]],) if table.names else ()
-    return Frames(values, table.timing(times, begins), notes, place, words)
+    number = np.where(where >= 0, where * table.width + order["value"], -1)
+    note = f"one value a line as {said}; indices count from {first}{how}"
+    return table.frames(number, table.timing(times, begins), note, [order["value"]])
 
 
 def _cells_of_lines(
@@ -253,22 +239,14 @@ def _frames_in_blocks(table: ForeignTable, shape: Shape) -> Frames:
     table.checked(list(range(extra, table.width)))
     blocks, left_out, title = _blocks(table, shape[0]) if labels is None else _labelled_blocks(table, labels)
     where = np.full((len(blocks), shape[0]), -1)
-    for number, (_, lines) in enumerate(blocks):
-        where[number, np.arange(len(lines)) if labels is None else labels[lines]] = lines
-    values = table.numbers[:, extra:][np.maximum(where, 0)][:, :, columns]
-    values[where < 0] = np.nan
+    for frame, (_, lines) in enumerate(blocks):
+        where[frame, np.arange(len(lines)) if labels is None else labels[lines]] = lines
+    number = np.where(where[..., None] >= 0, where[..., None] * table.width + extra + np.array(columns), -1)
     begins = [begin for begin, _ in blocks]
     timing = table.timing(times, begins) or table.title_timing(begins, title)
     named = "rows from top to bottom" if labels is None else "rows by their names"
-    notes = (*table.notes, f"one row a line, {shape[0]} lines a frame; {named}, {order}{left_out}{titles}")
-
-    def place(frame: int, row: int, column: int) -> str:
-        line = int(where[frame, row])
-        if line < 0:
-            return f"{table.rows.source}: row {row} of frame {frame}"
-        return table.place(line, extra + columns[column])
-
-    return Frames(values, timing, notes, place, (table.names or ("",))[:1] if extra else ())
+    note = f"one row a line, {shape[0]} lines a frame; {named}, {order}{left_out}{titles}"
+    return table.frames(number, timing, note, range(min(extra, 1)))
 
 
 def _before_the_row(table: ForeignTable, extra: int, rows: int) -> tuple[NDArray[np.int64] | None, list[int]]:

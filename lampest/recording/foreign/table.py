@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from lampest.files.errors import InputError
 from lampest.panel.panel import Array
-from lampest.recording.foreign.frames import UNIT_OF_WORD, Clock, clock_of, is_stamp
+from lampest.recording.foreign.frames import UNIT_OF_WORD, Clock, Frames, clock_of, is_stamp
 from lampest.recording.foreign.words import UNITS_OF_WORD, Numerals, line_of, role_of
 
 # 'Frame 3, t = 1250 ms', 'time: 2025-01-31 12:00:01', 'millis=123'
@@ -147,6 +147,17 @@ class ForeignTable:
             names=tuple(self.names[field] for field in np.flatnonzero(filled)),
             notes=(*self.notes, f"empty columns left out: {empty}"),
         )
+
+    def frames(
+        self, number: NDArray[np.intp], timing: Callable[[], Clock] | None, note: str, words: Sequence[int]
+    ) -> Frames:
+        """Frames of which each reading is number line · width + field; words : fields whose names may say the unit."""
+        names = tuple((self.names or ("",) * self.width)[field] for field in words)
+
+        def named(at: int) -> str:
+            return self.rows.source if at < 0 else self.place(*divmod(at, self.width))
+
+        return Frames(self.numbers.ravel(), number, named, timing, (*self.notes, note), names)
 
     def checked(self, columns: Sequence[int]) -> None:
         """Raise InputError with its place where a field of these columns is neither a number nor a missing reading."""
