@@ -13,14 +13,13 @@ from lampest.report.page.batch import Batch, Subject, read_batch, without_copies
 from lampest.report.page.compared import Advice, Comparison, advise, compared, doubts
 from lampest.report.page.measures import DRAWS, Measures, disagreements, measures
 from lampest.report.page.tables import batch_table, failures, pair_table, recording_table, standing_table, unit_table
-from lampest.report.page.template import SHARED, Illustration, filled
+from lampest.report.page.template import filled
 from lampest.report.plots.style import verbatim
 from lampest.report.strongest import strongest_index
 from lampest.report.words import counted, digits, listed
 from lampest.runs.executors import each_of
 
-MOST_WHOLE, MOST_DRAWN = 6, 6  # recordings with all figures, estimators in them
-MOST_UNITS = 200  # whose figures are listed one by one
+MOST = 6  # recordings with all figures, and estimators in them
 WISHED = {
     "sigma": "the noise of the readings",
     "cell_resistance_lower": "error bars",
@@ -56,34 +55,31 @@ def report(batch: Batch, on_recording: Callable[[int, int], None] = lambda done,
     if advice.estimator is not None:
         taken = [own[advice.estimator] for own in found.values() if advice.estimator in own]
         advice = replace(advice, warnings=(*advice.warnings, *doubts(advice.estimator, taken)))
-    whole, shown, first = shown_whole(batch, comparison, advice), list[Illustration](), list[str]()
-    if comparison is not None:
-        first = [row.estimator for row in comparison.standings]
-        with verbatim():
-            shown = pictures.standings(comparison)
-    drawn = [*dict.fromkeys((*first, *batch.estimators))][:MOST_DRAWN]
+    whole = shown_whole(batch, comparison, advice)
+    first = [row.estimator for row in comparison.standings] if comparison else []
+    drawn = [*dict.fromkeys((*first, *batch.estimators))][:MOST]
     tasks = [
         (subject, number, found[subject.name], drawn, subject.name in whole)
         for number, subject in enumerate(batch.subjects, 1)
     ]
     sections = each_of(_section, tasks, on_recording)
-    few = comparison is not None and len(comparison.scores.units) <= MOST_UNITS
+    with verbatim():
+        shown = pictures.standings(comparison) if comparison else []
     return filled(
-        SHARED,
+        "lampest.report.page",
         batch=batch,
         advice=advice,
         missing=missing(batch),
         comparison=comparison,
         standings=comparison and standing_table(comparison),
         pairs=comparison and pair_table(comparison),
-        units=comparison and few and unit_table(comparison),
+        units=comparison and len(comparison.scores.units) <= 200 and unit_table(comparison),
         pictures_of_comparison=shown,
         together=batch_table(replace(batch, subjects=tuple(own)), found) if len(own) > 1 else None,
         whole=[part for part in sections if part["name"] in whole],
         others=[part for part in sections if part["name"] not in whole],
         shown=_shown(comparison, advice),
-        most_whole=MOST_WHOLE,
-        most_drawn=MOST_DRAWN,
+        most=MOST,
         origins={case.estimator: case for subject in batch.subjects[::-1] for case in subject.cases[::-1]},
         draws=DRAWS,
         counted=counted,
@@ -135,8 +131,8 @@ def _shown(comparison: Comparison | None, advice: Advice) -> str | None:
 def shown_whole(batch: Batch, comparison: Comparison | None, advice: Advice) -> frozenset[str]:
     """The recordings that get all figures: everyone of a few; else the two best, middle and worst by the criterion."""
     names, estimator = [subject.name for subject in batch.subjects], _shown(comparison, advice)
-    if len(names) <= MOST_WHOLE or comparison is None or estimator is None:
-        return frozenset(names[:MOST_WHOLE])
+    if len(names) <= MOST or comparison is None or estimator is None:
+        return frozenset(names[:MOST])
     scores = comparison.scores
     order = np.argsort(scores.values[:, scores.estimators.index(estimator)], kind="stable")
     middle = len(order) // 2
@@ -152,4 +148,4 @@ def missing(batch: Batch) -> str:
         lacking = sum(value is None or (isinstance(value, dict) and not value) for value in known)
         if lacking:
             parts.append(name + ("" if lacking == len(cases) else f" (in {lacking} of {len(cases)} cases)"))
-    return listed(parts) if parts else ""
+    return listed(parts)

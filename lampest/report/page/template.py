@@ -12,7 +12,6 @@ from lampest.panel.panel import Array
 from lampest.report.page.measures import Interval
 from lampest.report.words import digits
 
-SHARED = "lampest.report.page"
 NONE = "–"
 HARD = "\N{NO-BREAK SPACE}"
 
@@ -31,7 +30,7 @@ def filled(package: str, **values: Any) -> str:
     """`page.html` of a package as HTML; it may take `parts.html`, the look and the tables of all pages."""
 
     def source(name: str) -> str:
-        home = SHARED if name == "parts.html" else package
+        home = "lampest.report.page" if name == "parts.html" else package
         return files(home).joinpath(name).read_text(encoding="utf-8")
 
     environment = Environment(
@@ -66,15 +65,17 @@ def weights_text(cases: Sequence[Mapping[str, Array]]) -> str:
     for weights in cases:
         for term, values in weights.items():
             found.setdefault(term, []).append(values)
-    penalties = [(term.replace("_", " "), np.concatenate(found[term])) for term in found if term != "misfit"]
-    parts = [f"{term} λ = {_weight(values[np.isfinite(values)])}" for term, values in penalties]
+    parts = [
+        f"{term.replace('_', ' ')} λ = {_weight(np.concatenate(found[term]))}" for term in found if term != "misfit"
+    ]
     return ", ".join(parts) or ("no penalty" if found else "")
 
 
 def _weight(values: Array) -> str:
-    if values.size == 0:
+    known = values[np.isfinite(values)]
+    if not known.size:
         return NONE
-    low, middle, high = (f"{value:.3g}" for value in (values.min(), np.median(values), values.max()))
+    low, middle, high = (f"{value:.3g}" for value in (known.min(), np.median(known), known.max()))
     return middle if low == high else f"{middle} ({low} to {high})"
 
 

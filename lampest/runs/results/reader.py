@@ -16,8 +16,8 @@ from lampest.files import hdf5
 from lampest.files.document import parse_document, validated
 from lampest.files.errors import InputError, meant
 from lampest.files.typed import typed
-from lampest.panel.panel import Array, Panel
-from lampest.panel.scene import Scene, Water
+from lampest.panel.panel import Array
+from lampest.panel.scene import Scene
 from lampest.posterior.frame_noise import FrameNoise
 from lampest.runs.case import REQUIRED, SENTENCES, SHARED, CaseResult, StoredCase
 from lampest.runs.columns import FIGURES, FRAME, MAPS, MEASURED, Column, all_columns
@@ -158,7 +158,7 @@ def _in_order(file: h5py.File, path: str) -> list[str]:
 
 def _read_recording(file: h5py.File, name: str, table: Sequence[Column], part: slice) -> list[CaseResult]:
     base = f"/entry/{name}/{SHARED}"
-    scene = _stored_scene(file, base, f"{base}/{MEASURED.path}")
+    scene = _stored_scene(file, base)
     table = [column.of(scene.circuit) for column in table]
     path = f"{base}/{MEASURED.of(scene.circuit).path}"
     hdf5.read_array(file, path, len(MAPS), part=slice(0))  # whether it is what it claims; nothing is read
@@ -243,25 +243,11 @@ def _read_published(file: h5py.File) -> dict[str, PublishedFigures]:
         raise InputError(f"{file.filename}: /entry@published is not figures by estimator and {names}") from error
 
 
-def _stored_scene(file: h5py.File, base: str, measured: str) -> Scene:
+def _stored_scene(file: h5py.File, base: str) -> Scene:
     """The scene of a recording's group. Raises InputError where it is damaged or impossible."""
-    if not hdf5.has(file, f"{base}/scene"):
-        return _from_attributes(file, base, hdf5.read_array(file, measured, 3).shape[1:])
     document = parse_document(hdf5.read_text(file, f"{base}/scene"), f"{file.filename}:{base}/scene")
     scene: Scene = validated(document, Scene)
     return scene
-
-
-def _from_attributes(file: h5py.File, base: str, shape: tuple[int, int]) -> Scene:
-    """What files without a scene say of it."""
-    pitch, series = (hdf5.read_number(file, base, name) for name in ("pitch_mm", "series_resistance_ohm"))
-    water = "top_row_depth_mm" in hdf5.attribute_names(file, base)
-    depth = hdf5.read_number(file, base, "top_row_depth_mm") if water else None
-    try:
-        panel = Panel(*shape, pitch)
-        return Scene(panel, series_resistance_ohm=series, water=None if depth is None else Water(depth))
-    except ValueError as error:
-        raise InputError(f"{file.filename}: {base}: {error}") from error
 
 
 def arrays_of(noise: FrameNoise | None) -> dict[str, Array]:

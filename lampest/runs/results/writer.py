@@ -1,7 +1,7 @@
 """Cases → a results file, whole or not at all."""
 
 import json
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -13,19 +13,13 @@ from lampest.files import hdf5
 from lampest.files.errors import InputError
 from lampest.files.parts import join_parts
 from lampest.files.typed import Configuration, check_not_negative, typed
-from lampest.panel.scene import Scene, SeriesPerLine, scene_text
+from lampest.panel.scene import Scene, scene_text
 from lampest.recording.recording import coordinates
 from lampest.runs.case import SENTENCES, SHARED, CaseResult, StoredCase
 from lampest.runs.columns import FIGURES, FRAME, FRAMES, MAPS, MEASURED, TIME, Column, Figures, all_columns
 
 FORMAT = "results/1"
 POSITIONS = "y x"  # by this the CF conventions, and so xarray, know them for coordinates
-# Attribute of a recording's group → a number of its scene, which stands beside them as YAML text.
-ATTRIBUTES: dict[str, Callable[[Scene], float | None]] = {
-    "pitch_mm": lambda scene: scene.panel.pitch_mm,
-    "series_resistance_ohm": lambda scene: _one_series(scene),
-    "top_row_depth_mm": lambda scene: None if scene.water is None else scene.water.top_row_depth_mm,
-}
 
 
 @dataclass(frozen=True)
@@ -126,16 +120,16 @@ def _copy_recording(group: h5py.Group, order: int, cases: list[StoredCase]) -> N
 
 def _check_together(cases: list[CaseResult], table: Sequence[Column]) -> None:
     """Cases of one recording must have been given the same."""
-    first, scene, seen = cases[0], _fullest(case.scene for case in cases), set()
+    first, seen, numbers = cases[0], set(), _numbers(cases[0].scene)
     for case in cases:
         if case.estimator in seen:
             raise InputError(f"two cases are called {case.recording} × {case.estimator}")
         seen.add(case.estimator)
         for name, ours, theirs in (
-            *((name, number(case.scene), number(first.scene)) for name, number in ATTRIBUTES.items()),
             *((each.name, case.column(each.name), first.column(each.name)) for each in table if each.shared),
+            *((name, _numbers(case.scene).get(name), number) for name, number in numbers.items()),
             ("start_time", case.start_time or first.start_time, first.start_time or case.start_time),
-            ("scene", _fullest((case.scene, scene)), scene),
+            ("scene", case.scene, first.scene),
         ):
             if (ours is None) != (theirs is None) or (ours is not None and not _same(ours, theirs)):
                 raise InputError(
@@ -152,11 +146,12 @@ def _same(ours: Any, theirs: Any) -> bool:
 
 def _write_recording(group: h5py.Group, order: int, cases: list[CaseResult], table: Sequence[Column]) -> None:
     hdf5.set_attributes(group, NX_class="NXsubentry", default=cases[0].estimator, order=order)
-    scene = _fullest(case.scene for case in cases)
+    scene = cases[0].scene
     start_time = next((case.start_time for case in cases if case.start_time), "")
     table = [column.of(scene.circuit) for column in table]
     given = _group_of_data(group, SHARED, MEASURED.of(scene.circuit).path)
-    _write_scene(given, scene)
+    hdf5.set_attributes(given, **_numbers(scene))
+    hdf5.write_dataset(given, "scene", hdf5.ascii_array(scene_text(scene)), "1", "what was measured, YAML")
     if start_time:
         hdf5.write_dataset(
             given, "start_time", hdf5.ascii_array(start_time), "1", "date and time at 0 s of the time axis, ISO 8601"
@@ -175,26 +170,11 @@ def _write_recording(group: h5py.Group, order: int, cases: list[CaseResult], tab
         _write_datasets(estimate, case, own, FIGURES)
 
 
-def _write_scene(group: h5py.Group, scene: Scene) -> None:
-    """Write the scene and its attributes into a recording's group."""
-    numbers = {name: number(scene) for name, number in ATTRIBUTES.items()}
-    hdf5.set_attributes(group, **{name: float(number) for name, number in numbers.items() if number is not None})
-    hdf5.write_dataset(group, "scene", hdf5.ascii_array(scene_text(scene)), "1", "what was measured, YAML")
-
-
-def _fullest(scenes: Iterable[Scene]) -> Scene:
-    """The first that says more than the attributes of a file without a scene do; else the first."""
-    candidates = tuple(scenes)
-    bare = [
-        Scene(scene.panel, series_resistance_ohm=_one_series(scene) or 0.0, water=scene.water) for scene in candidates
-    ]
-    return next((scene for scene, left in zip(candidates, bare, strict=True) if scene != left), candidates[0])
-
-
-def _one_series(scene: Scene) -> float | None:
-    """The series resistance where one number says it."""
-    series = scene.series_resistance_ohm
-    return None if isinstance(series, SeriesPerLine) else series
+def _numbers(scene: Scene) -> dict[str, float]:
+    """Attributes of a recording's group: numbers of its scene, which stands beside them as YAML text."""
+    series, depth = scene.series_resistance_ohm, None if scene.water is None else scene.water.top_row_depth_mm
+    numbers = {"pitch_mm": scene.panel.pitch_mm, "series_resistance_ohm": series, "top_row_depth_mm": depth}
+    return {name: float(number) for name, number in numbers.items() if isinstance(number, int | float)}
 
 
 def _group_of_data(parent: h5py.Group, name: str, signal: str) -> h5py.Group:
