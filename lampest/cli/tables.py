@@ -13,7 +13,6 @@ from lampest.files.errors import printable
 if TYPE_CHECKING:
     from lampest.report.compare import Table
 
-NAME_WIDTH = 12  # below that a name is not cut into lines
 TOGETHER = re.compile(r" (?=[±/…] )|(?<= [±/…]) ")  # blanks within a figure: '2.3 ± 1.4'
 
 
@@ -66,7 +65,7 @@ def _layout(headers: Sequence[str], rows: Sequence[Sequence[str]], room: int) ->
     words = [_longest_word(header) for header in headers]
     whole = [max(word, *map(_longest, column)) for word, column in zip(words, columns, strict=True)]
     least = [max(word, *map(_longest_word, column)) for word, column in zip(words, columns, strict=True)]
-    names = [min(least[0], max(words[0], NAME_WIDTH)), *least[1:]]
+    names = [min(least[0], max(words[0], 12)), *least[1:]]  # below, a name is not cut into lines
     full = [max(len(header), held) for header, held in zip(headers, whole, strict=True)]
     for gap, steps in ((2, (whole, least)), (1, (whole, least, names))):
         widths = full

@@ -22,7 +22,6 @@ DIGEST = "sha256"  # attribute: of values that stand outside of the metadata and
 FILTER_FAILED = "filter returned failure during read"  # of HDF5
 # Superblock of version 3: signature, version, two sizes, flags, base, extension, end of the file, root, checksum.
 SUPERBLOCK = struct.Struct("<8sBBBBQQQQI")
-BEING_WRITTEN = 4
 
 
 @contextmanager
@@ -104,7 +103,7 @@ def is_left_open(path: Path) -> bool:
         head = stream.read(SUPERBLOCK.size)
     return (
         len(head) == SUPERBLOCK.size
-        and bool(head[11] & BEING_WRITTEN)
+        and bool(head[11] & 4)  # being written
         and head[-4:] == struct.pack("<I", lookup3(head))
     )
 

@@ -28,11 +28,7 @@ from lampest.files.whole import check_room, is_locked, note_read, whole_file
 FORMAT = ("v110", "v110")  # HDF5 1.10 of 2016: the oldest with checksums of all metadata
 MOST_VALUES = 100_000_000
 MOST_TEXT_BYTES = 5_000_000
-MOST_FILL_BYTES = 64_000_000  # what a dataset may claim without holding it
-MOST_PLAIN = 64  # values that are not worth compression
 MOST_ATTRIBUTE_BYTES = 4_000  # larger ones may stand where HDF5 has no checksum
-MOST_COMPACT_BYTES = 60_000  # beside its metadata; HDF5's limit is 64 KiB
-BEST_COMPRESSION = 1100  # deflate's limit is 1032
 PACKED = {"compression": "gzip", "shuffle": True, "fletcher32": True}
 ALL = slice(None)
 OPEN_FOR_WRITING = ("already open for", "truncated file")
@@ -141,7 +137,7 @@ def write_dataset(
     further : attributes, such as what flags mean.
     """
     data = np.asarray(data)
-    if data.shape and data.size > MOST_PLAIN:
+    if data.shape and data.size > 64:  # fewer are not worth compression
         dataset: Any = group.create_dataset(name, data=data, **PACKED)
     else:
         dataset = write_plain(group, name, data)
@@ -163,7 +159,7 @@ def write_plain(group: h5py.Group, name: str, data: NDArray[Any]) -> h5py.Datase
     properties, links = h5py.h5p.create(h5py.h5p.DATASET_CREATE), h5py.h5p.create(h5py.h5p.LINK_CREATE)
     links.set_create_intermediate_group(True)
     properties.set_obj_track_times(False)  # which would make the same cases other bytes
-    compact = data.nbytes <= MOST_COMPACT_BYTES
+    compact = data.nbytes <= 60_000  # beside its metadata; HDF5 has a limit of 64 KiB
     if compact:
         properties.set_layout(h5py.h5d.COMPACT)
     kind, space = _kind_and_space(data)
@@ -241,7 +237,8 @@ def read_array(
         if size > MOST_VALUES:
             raise InputError(f"{file.filename}: {path} claims {size} values; more than {MOST_VALUES} are not read")
         stored, claimed = dataset.id.get_storage_size(), dataset.size * dataset.dtype.itemsize  # a part is of a whole
-        if claimed > max(MOST_FILL_BYTES, BEST_COMPRESSION * stored):
+        # Bytes that nothing holds; and deflate packs to a 1032nd at best.
+        if claimed > max(64_000_000, 1100 * stored):
             raise InputError(f"{file.filename}: {path} claims {claimed} bytes, but holds only {stored}")
         values = dataset[part]
         if part == ALL:

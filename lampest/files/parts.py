@@ -11,7 +11,6 @@ import numpy as np
 from lampest.files import hdf5
 
 TIME = "time"  # the axis along which parts follow each other
-CHUNK_VALUES = 100_000
 OF_AXES = ("DIMENSION_LIST", "REFERENCE_LIST", "CLASS", "NAME")  # by which HDF5 ties axes to datasets
 
 
@@ -68,7 +67,7 @@ def join_parts(parts: Sequence[Path], target: h5py.Group, group: str) -> None:
     for path, plan in joined.items():
         shape = (_lengths(plans)[_parent(path)], *plan.shape[1:])
         # A chunk that holds more than a part's frames is unpacked and packed again for every one of them.
-        length = max(1, min(CHUNK_VALUES // int(np.prod(shape[1:], initial=1)), plan.shape[0] // len(parts)))
+        length = max(1, min(100_000 // int(np.prod(shape[1:], initial=1)), plan.shape[0] // len(parts)))
         nothing = np.nan if plan.dtype.kind == "f" else None
         target.create_dataset(path, shape, plan.dtype, chunks=(length, *shape[1:]), fillvalue=nothing, **hdf5.PACKED)
     for part, begin in zip(parts, begins, strict=True):

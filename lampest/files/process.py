@@ -17,7 +17,6 @@ from lampest.files.errors import InputError
 
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")  # small matrices
 ALLOWED = "LAMPEST_MEMORY"  # the environment variable by which a user says how much may be taken, such as 8GB
-SHARE = 0.9  # of what is free: the rest is for what was not counted
 PREFIXES = " KMGT"  # each 1,024 times the one before
 SIZE = re.compile(r"(\d+(?:\.\d+)?)\s*([KMGT]?)(?:i?B)?", re.IGNORECASE)
 # What nohup has set to be ignored stays ignored; whoever sends the first two by hand means it.
@@ -52,7 +51,8 @@ def memory_limit() -> float:
         if size is None or not float(size[1]):
             raise InputError(f"{ALLOWED}: {said!r} is no size such as 8GB")
         return float(size[1]) * 1024.0 ** PREFIXES.index(size[2].upper() or " ")
-    return SHARE * min(float(psutil.virtual_memory().available), _left_in_container(), _left_of_addresses())
+    # The rest is for what was not counted.
+    return 0.9 * min(float(psutil.virtual_memory().available), _left_in_container(), _left_of_addresses())
 
 
 def in_bytes(size: float) -> str:

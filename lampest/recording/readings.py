@@ -14,7 +14,6 @@ from lampest.panel.memory import without_memory
 from lampest.panel.panel import Array, Modules, beyond_any_panel
 from lampest.panel.scene import Scene
 
-LEAST_SPREAD = 1e-3  # of log y: below that a frame is a simulation without noise
 VALUE, AT_LEAST, AT_MOST = 0.0, 1.0, -1.0
 NEAR = 3.0  # σ: a resistance so near to zero is only small; a bound so near to the mean of values is their noise
 
@@ -50,7 +49,8 @@ class StandIn:
         alone = np.take_along_axis(_polished(left)[0], diagonal[None], axis=0)[0]
         stray = np.abs(alone - self.logarithm)[known]
         size = max(np.sqrt(np.mean(stray**2)), np.quantile(stray, 0.95, method="higher") / 1.96)
-        return np.asarray(np.maximum(np.sqrt(size**2 + self._expected[1]), LEAST_SPREAD))
+        # Below, a frame is a simulation without noise.
+        return np.asarray(np.maximum(np.sqrt(size**2 + self._expected[1]), 1e-3))
 
     @cached_property
     def _expected(self) -> tuple[Array, Array]:

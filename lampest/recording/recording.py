@@ -26,7 +26,6 @@ from lampest.recording.readings import Readings, check_sigma
 FORMAT = "recording/1"
 UNLOADED, MEASURED = ROLES = 0, 1
 TRUTHS = ("/entry/truth/cell_resistance", "/entry/truth/pressure")
-WORK = 6  # copies of the readings at work beside what a file holds: 49 bytes a reading were counted at 100,000,000
 FOREIGN = (".csv", ".txt", ".log", ".tsv", ".xlsx", ".xlsm", ".npy", ".npz", ".mat")  # what `import_file` reads
 STILL = 0.01  # relative change of readings beyond which a load may have come or gone: far above drift
 LATEST_S = 1e13  # of clocks that count milliseconds since 1970, with room
@@ -289,7 +288,7 @@ def _check_held(file: h5py.File, signal: str, *others: str) -> None:
     shape = hdf5.shape_of(file, signal)
     held = sum(prod(hdf5.shape_of(file, path)) for path in others if hdf5.has(file, path))
     what = f"{file.filename}: {shape[0]} frames of {prod(shape[1:])} cells at once"
-    check_memory(8.0 * (WORK * prod(shape) + held), what)
+    check_memory(8.0 * (6 * prod(shape) + held), what)  # copies at work: 49 bytes a reading were counted at 100,000,000
 
 
 def coordinates(panel: Panel) -> dict[str, tuple[str, NDArray[Any], str, str]]:

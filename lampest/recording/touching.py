@@ -7,8 +7,6 @@ from scipy.sparse.csgraph import connected_components
 from lampest.panel.panel import Array, Panel
 from lampest.recording.readings import Readings
 
-BY_CHANCE = 4.0  # standard deviations of the mean of squares by which lines that touch may seem to differ
-APART = 25.0  # mean square of the difference in σ from which the panel's other lines count as unlike each other
 FEWEST = 4  # readings of two lines
 
 
@@ -17,10 +15,12 @@ def touching_rows(readings: Readings) -> tuple[tuple[int, ...], ...]:
     if readings.sigma is None:
         return ()
     unlike, count = _differences(readings)
-    alike = (unlike <= 1 + BY_CHANCE * np.sqrt(2 / np.maximum(count, 1))) & (count >= FEWEST)
+    # Standard deviations of the mean of squares.
+    alike = (unlike <= 1 + 4 * np.sqrt(2 / np.maximum(count, 1))) & (count >= FEWEST)
     others = np.where(alike | (count < FEWEST), np.nan, unlike)
     with np.errstate(invalid="ignore"):
-        distinct = np.array([np.nanmedian(row) if np.any(row > 0) else 0.0 for row in others]) > APART
+        # Mean square difference in σ from which other lines count as unlike.
+        distinct = np.array([np.nanmedian(row) if np.any(row > 0) else 0.0 for row in others]) > 25
     groups, group = connected_components(alike & distinct & distinct[:, None], directed=False)
     members = (np.flatnonzero(group == number) for number in range(groups))
     return tuple(tuple(rows.tolist()) for rows in members if len(rows) > 1)

@@ -18,7 +18,6 @@ from lampest.runs.results import CaseResult, PublishedFigures, Results, StepFigu
 Steps = Literal["all", "initial", "following"]
 T = TypeVar("T")
 LEAST = 1e-3  # percent or ms: less is rounding
-MOST_BLOCKS = 6  # recordings that are shown one by one; more are summed up
 STEPS = {"all": "", "initial": " first", "following": " later"}
 NOTES = {  # what a header that begins so means
     "solved": "solved: frames that converged to a local minimum, verified outside the solver; of several starts the "
@@ -195,7 +194,7 @@ def screen_blocks(rows: Sequence[Row], each: bool = False, published: bool = Fal
     published : with the figures that a run's file quotes.
     """
     groups = _grouped(rows, lambda row: (row.source, row.recording))
-    if len(groups) > MOST_BLOCKS and not each:
+    if len(groups) > 6 and not each:
         more = "--each shows every one, --csv FILE and --report PAGE hold all"
         title = f"{len(groups)} recordings, medians over them ({more})"
         return [_table(title, _grouped(rows, lambda row: (row.estimator, row.steps)), OVER_ALL)]

@@ -27,7 +27,6 @@ from lampest.runs.results import FORMAT, CaseResult, Results, read_each, read_re
 MOST_ROWS = 48  # of a map
 FALLS, RISES, UNKNOWN = " ░▒▓█", " .+*#", "?"
 LEAST_PERCENT = 1.0  # of full shade: what readings change by from noise alone stays white
-WIDTH = 100  # signs, where no terminal says how many it has
 READINGS = ("/entry/two_point/resistance", "/entry/readings/volt")
 SEALED = "as written: {bytes} bytes in {datasets} datasets agree with their checksums"
 UNSEALED = "readable, but without checksums: an older version or another program wrote it, or it was never closed"
@@ -352,7 +351,7 @@ def shaded_map(change: Array) -> list[str]:
 
 
 def _room() -> int:
-    return max(shutil.get_terminal_size((WIDTH, 24)).columns, 20)
+    return max(shutil.get_terminal_size((100, 24)).columns, 20)  # where no terminal says how many signs it has
 
 
 def _cropped(values: Array, rows: int, columns: int) -> list[str]:

@@ -9,8 +9,6 @@ from lampest.panel.panel import Array
 from lampest.recording.recording import UNLOADED, Recording
 from lampest.runs.case import CaseResult
 
-STRONG = 0.9  # of the largest change: a load settles after it has set in
-
 
 def percent_change(resistance: Array, baseline: Array) -> Array:
     """100·(R/R₀ − 1), any shape, in percent."""
@@ -32,7 +30,7 @@ def furthest(value: Array, resting: Array) -> int:
     change = likely_change(value, resting)
     known = np.isfinite(change)
     square = np.where(known, change**2, 0.0).sum(axis=(1, 2)) / np.maximum(known.sum(axis=(1, 2)), 1)
-    return int(np.flatnonzero(square >= STRONG**2 * square.max())[-1])
+    return int(np.flatnonzero(square >= 0.9**2 * square.max())[-1])
 
 
 def likely_change(value: Array, resting: Array) -> Array:

@@ -46,8 +46,6 @@ from lampest.studies.timing import TimedFrames, Timing, clocked, inverse_time, p
 
 OURS: dict[str, MethodName] = {"reduced": "reduced", "nodal": "nodal"}
 SOLVERS = (*OURS, "scipy_exact", "scipy_difference", "scipy_lbfgsb")
-LONG_S = 1.0  # solves of a frame that take so long together are not repeated: disturbances are small beside them
-STARTED_S = 3.0  # what a fresh process takes to begin
 
 
 def loads(number: int, shape: Shape) -> tuple[tuple[AnyShape, ...], Course]:
@@ -327,7 +325,7 @@ def run_bench(bench: BenchFile, on_step: Callable[[int, int, str], None] = lambd
         measured = not part.recording and part.shape in {(side, side) for side in bench.memory}
         for one in found if measured else ():
             about = one.shape, one.method, one.solver
-            if STARTED_S + float(np.sum(one.times()[:2])) > end - perf_counter():
+            if 3.0 + float(np.sum(one.times()[:2])) > end - perf_counter():  # s that a fresh process takes to begin
                 missed.append(LeftOut(one.shape, one.method, f"memory of {one.solver}"))
             else:
                 peaks[about] = peak_memory(solve_two_frames, (bench, *about))
@@ -360,7 +358,7 @@ def _timings(bench: BenchFile, recording: Recording, part: BenchPart, end: float
             solved += [one.solution for one in solves if one.solution.solved]
             first += [] if turn else [solves]
             inverses.append(inverse_time(matrix))
-            if sum(one.wall for one in solves) > LONG_S:
+            if sum(one.wall for one in solves) > 1.0:  # disturbances are small beside so many s
                 break
         kept = {name: one.solution.kept for name, one in zip(names, solves, strict=True)}
         sizes.append(float(np.sum(fresh().measured ** 2)))

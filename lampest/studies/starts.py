@@ -17,7 +17,6 @@ from lampest.solvers.solution import Status
 from lampest.studies.study import Cases, Study, of_cases, screen_table
 
 SAME = 1e-6  # of the cost and of a cell's share of it: objectives that differ by less are one
-FARTHEST = 60.0  # random starts reach up to so many times the reading
 
 
 @dataclass(frozen=True)
@@ -76,7 +75,7 @@ def _objectives(
     solver = named_method("reduced").solver(cost, recording.scene, estimator.solver, 1.0)
     found = []
     for _ in range(count):
-        start: Array = data.apparent_resistance * np.exp(generator.uniform(0, np.log(FARTHEST), data.measured.shape))
+        start: Array = data.apparent_resistance * np.exp(generator.uniform(0, np.log(60), data.measured.shape))
         solution = solved_from(solver, evaluated(cost, data, start))
         if solution.solved:
             found.append(solution.objective)

@@ -15,7 +15,6 @@ from lampest.studies import study
 from lampest.studies.timing import NO_GAP
 from lampest.studies.tradeoff import Measured, Plan, read_plan, run_tradeoff
 
-REACHED = 1e-6  # the gap of a frame that has reached the optimum
 COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00")
 Group = Sequence[Measured]
 
@@ -59,7 +58,7 @@ FIGURES: study.Figures = {
     "changed_error": _median("changed_error"),  # the same of cells that have changed
     "gap": lambda own: float(np.median(_over("gap", own))),
     "worst_gap": lambda own: float(np.max(_over("gap", own))),
-    "reached": lambda own: float(np.mean(_over("gap", own) <= REACHED)),  # share of the frames
+    "reached": lambda own: float(np.mean(_over("gap", own) <= 1e-6)),  # share of the frames
     "frames": lambda own: len(_over("gap", own)),
     "failed": lambda own: int(np.sum(~_over("solved", own))),
     "memory_mb": lambda own: own[0].memory_mb,  # peak of a fresh process, libraries included

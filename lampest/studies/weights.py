@@ -30,9 +30,7 @@ from lampest.recording.recording import Recording
 from lampest.runs.config import Case
 from lampest.solvers.multistart import BROKEN, best_solution, convex, evaluated
 
-POINTS = 33  # of the even grid
 FARTHEST = 1e4  # it reaches at most so many times beyond what the rules choose
-STANDING = 0.05  # of the greatest speed along the L-curve; slower, its curvature means nothing
 
 
 @dataclass(frozen=True, eq=False)
@@ -292,7 +290,7 @@ def grid(subject: WeightSubject, marks: list[float], at: Array) -> list[float]:
         model = LinearModel(evaluated(subject.with_weight(marks[0]), subject.data, at), np.zeros(0))
         least, largest = np.exp(Spectrum.of(model).extent)
         low, high = max(least, low), min(largest, high)
-    even = np.geomspace(min(low, *marks), max(high, *marks), POINTS)
+    even = np.geomspace(min(low, *marks), max(high, *marks), 33)
     return [float(weight) for weight in even]
 
 
@@ -376,7 +374,7 @@ def l_curve(points: tuple[CurvePoint, ...]) -> float | None:
     weight, across, up = np.log([(point.weight, point.misfit, point.penalty) for point in points]).T
     right, rise = np.gradient(across, weight), np.gradient(up, weight)
     speed = np.hypot(right, rise)
-    moving = speed > STANDING * speed.max()
+    moving = speed > 0.05 * speed.max()  # slower, the curvature means nothing
     curvature = right * np.gradient(rise, weight) - rise * np.gradient(right, weight)
     curvature = np.where(moving, curvature / np.maximum(speed, 1e-300) ** 3, 0.0)[1:-1]
     return float(points[1 + int(np.argmax(curvature))].weight) if curvature.max() > 0 else None

@@ -32,10 +32,7 @@ from lampest.recording.recording import Recording
 
 DIGITS, MEMORY_DIGITS = 3, 5  # of an ohm, below what any contact repeats to; of a fraction: a hundredth of a code
 SURE = 5.0  # σ by which one of 32 lines is off by chance once in 50,000 calibrations
-BY_CHANCE = 1e-7  # of good calibrations that may be refused for what is left over
-OPEN_SHARE = 0.1  # of the supply: a converter that remembers 3 % of the channel before, and hum, stay below
 # σ of a number that the readings tell: a part of itself, or of a channel less than channels differ by, or these.
-MOST_SIGMA_SHARE = 0.3
 ENOUGH = {MEMORY.name: 0.01} | {wire.name: 0.5 for wire in WIRE} | {"diode.drop_volt": 0.2}
 LIKELY = {True: "channels of a CD74HC4067 have 40 to 160 ohm", False: "resistors of 5 % differ by less"}
 SPOKEN = {MEMORY.name: "converter memory", "diode.drop_volt": "diode drop"} | dict(
@@ -187,7 +184,7 @@ def _check_fit(fit: CircuitFit) -> None:
         raise InputError(f"{trials[0].name}: no calibration: {many}; join lines by more known resistors")
     # σ itself is known from as many repeats only: χ² over its freedom follows Fisher's distribution.
     freedom, repeated = max(fit.freedom, 1), sum(trial.readings.freedom for trial in trials)
-    if fisher.sf(fit.chi_square / freedom, freedom, repeated) < BY_CHANCE:
+    if fisher.sf(fit.chi_square / freedom, freedom, repeated) < 1e-7:  # of good calibrations may be refused
         off = np.abs(fit.rest) / fit.sigma
         index, circuit = int(off.argmax()), fit.problem.circuit.readout
         name, row, column = list(fit.problem.places())[index]
@@ -205,7 +202,7 @@ def _check_open_lines(fit: CircuitFit, trial: Trial) -> None:
     circuit, reads = fit.problem.circuit, trial.readings.volt
     gives = circuit.volt(fit.unknowns, trial.cells)
     off = np.where(trial.used | ~np.isfinite(reads), 0.0, np.abs(reads - gives)) / circuit.readout.supply_volt
-    if off.max() > OPEN_SHARE:
+    if off.max() > 0.1:  # of the supply: hum, and a memory of 3 %, stay below
         row, column = (int(part) for part in np.unravel_index(off.argmax(), off.shape))
         read = float(circuit.readout.recorded_from_volt(reads[row, column]))
         raise InputError(
@@ -219,7 +216,7 @@ def _check_number(fit: CircuitFit, found: Found) -> None:
     number, channels = found.number, len(found.lines)
     where = f"{fit.problem.trials[0].name}: no calibration: "
     enough = ENOUGH.get(number.name, WORST_OHM - TYPICAL_OHM if number.channel else 0.0)
-    if found.sigma > max(enough, MOST_SIGMA_SHARE * found.value):
+    if found.sigma > max(enough, 0.3 * found.value):
         raise InputError(
             f"{where}the readings do not tell {number.name} ({found.value:.4g} ± {found.sigma:.2g} {number.unit}); "
             f"known resistors of different values, on more lines, do"

@@ -27,7 +27,6 @@ MEMORY = LineNumber("converter_memory", (), in_scene=True, unit="1")
 WIRE = tuple(LineNumber(f"lines.{line}_ohm_per_cell", (), in_scene=True) for line in ("row", "column"))
 TYPICAL = {MEMORY: 0.03} | dict.fromkeys(WIRE, 1.0)
 STEP = 1e-5  # of an unknown, or of the logarithm of a resistor, for differences
-NONLINEAR_LSB = 0.5  # σ of a converter's own error; ATmega2560: integral non-linearity 0.5 LSB, its data sheet
 
 
 @dataclass(frozen=True, eq=False)
@@ -220,7 +219,8 @@ def fit(problem: Problem) -> CircuitFit:
         # Good calibrations end after some 5 evaluations from the scene's numbers, 10 from those ten times too large.
         found = LevenbergMarquardt(25, settled).minimum(squares, unknowns, (circuit.least, np.inf))
         unknowns = found.position
-    rest, whole = problem.measured - problem.expected(unknowns), problem.covariance(unknowns, NONLINEAR_LSB)
+    # The converter's own error: ATmega2560, integral non-linearity 0.5 LSB, its data sheet.
+    rest, whole = problem.measured - problem.expected(unknowns), problem.covariance(unknowns, 0.5)
     left = solve_triangular(np.linalg.cholesky(whole), rest, lower=True)
     values, commons = int(problem.within(unknowns).sum()), len(circuit.numbers)
     chi_square = float(left @ left + unknowns[commons:] @ unknowns[commons:])

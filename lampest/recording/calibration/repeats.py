@@ -21,7 +21,6 @@ FEWEST_REPEATS = 50  # they tell a noise to a tenth
 ENDLESS = 65535  # readings: what is then left of σ does not average out
 BELIEF = 4.0  # the scene's noise counts as much as so many repeats: few frames with equal codes do not mean no noise
 FEWEST_FRAMES = 5  # from which on a wild reading, or one that drifts, can be told
-WILD, MOST_WILD = 7.0, 0.02  # robust σ of a reading that is left out; share of such: spikes are some in ten thousand
 CHANGE = "change from frame to frame, which fixed resistors do not"
 
 
@@ -114,8 +113,8 @@ def _kept(recording: Recording, readout: Readout, volt: Array, other: int) -> ND
         robust = 1.4826 * np.nanmedian(np.abs(deviation), axis=(0, 1 + other))
     # Codes come in steps, and where noise is smaller the median deviation is zero.
     least = np.maximum(sigma_code(readout, readout.assumed_noise), 1 / readout.readings)
-    wild = np.abs(deviation) > WILD * np.expand_dims(np.maximum(np.nan_to_num(robust), least), other)
-    if wild.sum() > MOST_WILD * wild.size + 2:
+    wild = np.abs(deviation) > 7.0 * np.expand_dims(np.maximum(np.nan_to_num(robust), least), other)  # robust σ
+    if wild.sum() > 0.02 * wild.size + 2:  # spikes are some in ten thousand
         raise InputError(f"{recording.name}: no calibration: {100 * wild.mean():.0f} % of its readings {CHANGE}")
     return kept & ~wild
 

@@ -15,7 +15,6 @@ from lampest.recording.foreign.words import cell_of, line_of, role_of, side_of
 
 Cells = dict[int, tuple[int, int]]
 Shape = tuple[int, int]
-MOST_SEPARATORS = 8  # kinds of lines that are tried as titles; those between frames are the most frequent
 
 
 def frames_of(table: ForeignTable, shape: Shape) -> Frames:
@@ -332,7 +331,7 @@ def _grouped(table: ForeignTable, rows: int) -> tuple[list[list[int]], str | Non
         return sum(len(group) // rows for group in groups if len(group) % rows == 0 or len(groups) == 1)
 
     options: list[tuple[list[list[int]], str | None]] = [(split(apart), None)]
-    for kind, _ in often.most_common(MOST_SEPARATORS):
+    for kind, _ in often.most_common(8):  # titles are among the most frequent
         options.append((split([line for line in apart if kind in kinds[line]]), kind))
     best, alone = max(options, key=lambda option: whole(option[0])), split([])
     if rows > 1 and (len(best[0]) == len(kinds) or 2 * len(best[0]) < whole(alone)):

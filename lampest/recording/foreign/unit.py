@@ -13,11 +13,6 @@ from lampest.recording.foreign.frames import Place, refuse_where
 FACTORS = {"ohm": 1.0, "kohm": 1e3, "volt": 1.0, "mV": 1e-3, "code": 1.0}
 UNITS = tuple(FACTORS)
 RESISTANCES = ("ohm", "kohm")
-# Without a readout: a median below 1 ohm is less than a multiplexer's channel, one of 10 and more stays ohm.
-LEAST_OHM, MOST_KOHM = 1.0, 10.0
-END = 0.01  # of the supply: resistances whose voltage is nearer to an end of it are hardly measured by their divider
-DISTINCT = 10  # values that lie on a converter's steps by chance less than once in a thousand times
-VISIBLE = 4.0  # steps are so many times as wide as the rounding of the values where they can be seen
 
 
 def check_unit(unit: str | None, scene: Scene | None, source: object) -> None:
@@ -68,8 +63,8 @@ def _fitting(finite: Array, allowed: Sequence[str], readout: Readout | None) -> 
     """Those of the allowed units in which finite values (any number) make sense, and why."""
     middle = float(np.median(finite))
     if readout is None:
-        fits = {"ohm": middle >= LEAST_OHM, "kohm": middle < MOST_KOHM}
-        reason = f"without a readout they are kohm below {LEAST_OHM:g}, ohm from {MOST_KOHM:g} on"
+        fits = {"ohm": middle >= 1, "kohm": middle < 10}  # a multiplexer's channel has more than an ohm
+        reason = "without a readout they are kohm below 1, ohm from 10 on"
         return [unit for unit in RESISTANCES if fits[unit] and unit in allowed], reason
     top, supply = 2**readout.adc_bits - 1, readout.supply_volt
     slack = max(_rounding(finite), 1e-9) * readout.readings
@@ -79,7 +74,7 @@ def _fitting(finite: Array, allowed: Sequence[str], readout: Readout | None) -> 
     fits = {"code": code, "volt": finite.max() <= supply, "mV": supply < finite.max() <= 1000 * supply and not whole}
     for unit in RESISTANCES:
         share = float(readout.volt_from_recorded(np.array(middle * FACTORS[unit]))) / supply
-        fits[unit] = END <= share <= 1 - END
+        fits[unit] = 0.01 <= share <= 1 - 0.01  # of the supply: nearer to its ends a divider hardly measures
     units = [unit for unit in UNITS if unit in allowed and fits[unit]]
     if len(units) > 1 and readout.unit == "ohm":
         return _by_steps(finite, units, readout)
@@ -114,7 +109,8 @@ def _on_steps(finite: Array, unit: str, readout: Readout) -> bool | None:
         ends = [readout.lsb_volt * end for end in ends]
     low, volt, high = ends
     half = np.abs(high - low) / 2
-    if len(values) < DISTINCT or np.median(half) * VISIBLE > readout.lsb_volt / readout.readings:
+    # As many lie on steps by chance once in a thousand times.
+    if len(values) < 10 or np.median(half) * 4 > readout.lsb_volt / readout.readings:
         return None
     for steps in (2.0**readout.adc_bits, 2.0**readout.adc_bits - 1):  # many programs take the latter
         scale = steps / readout.supply_volt * readout.readings

@@ -21,7 +21,6 @@ from lampest.files.whole import check_room
 from lampest.recording.simulation.measure import random_stream
 from lampest.recording.simulation.simulation import Simulation, simulate
 
-STORED_BYTES, LEAST_BYTES = 32, 100_000  # of a value with its truth and sums, and of a recording, at most
 FIELD = re.compile(r"\{(\w+)(?::0([1-9])d)?\}")
 
 
@@ -40,7 +39,8 @@ def run(
     """
     planned = read_simulations(path, settings)
     targets = _targets(path, out, planned)
-    needed = sum(STORED_BYTES * simulation.values + LEAST_BYTES for _, simulation in planned)
+    # Of a value with its truth and sums, and of a file, at most, in bytes.
+    needed = sum(32 * simulation.values + 100_000 for _, simulation in planned)
     check_memory(needed, f"{path}: all recordings of the sweep at once")
     check_room(targets[0], needed)
     recordings, done = [], count(1)

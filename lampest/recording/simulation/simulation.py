@@ -21,7 +21,6 @@ from lampest.recording.simulation.measure import OPEN_OHM, SHORT_OHM, Unmodelled
 from lampest.recording.simulation.pressure import Course, pressure_on_cells, remembered_ratio, travelled
 
 MOST_VALUES = 20_000_000
-COPIES = 10  # of all values, at the worst: pressures, cells, their factors, readings, sums
 
 
 @dataclass(frozen=True)
@@ -133,7 +132,8 @@ def simulate(simulation: Simulation, name: str = "simulated", on_frame: Callable
     (5, 2, 3)
     """
     frames, passes = simulation.all_frames, sum(simulation.scene.panel.networks[0].shape)
-    copies = COPIES + (passes if simulation.unmodelled.load_speed_mm_s else 0)
+    # Pressures, cells, their factors, readings, sums.
+    copies = 10 + (passes if simulation.unmodelled.load_speed_mm_s else 0)
     check_memory(8.0 * copies * simulation.values, f"{frames} frames of {simulation.scene.panel.crossings} cells")
     time = np.arange(frames) * simulation.frame_period_s
     loaded_time = time - time[simulation.baseline_frames]

@@ -12,8 +12,6 @@ from lampest.files.errors import InputError
 from lampest.report.words import listed
 from lampest.runs.results import CaseResult, read_results
 
-LEAST_SOLVED = 0.95  # of the frames, by an estimator that is compared
-
 
 @dataclass(frozen=True, eq=False)
 class Subject:
@@ -137,7 +135,7 @@ def matched(subjects: Sequence[Subject]) -> Matched:
         left_out.append(f"{len(subjects) - len(common)} of {len(subjects)} recordings lack some of the estimators")
     for name in tuple(names) if common else ():
         solved = np.concatenate([case.solved for subject in common for case in subject.cases if case.estimator == name])
-        if np.mean(solved) < LEAST_SOLVED:
+        if np.mean(solved) < 0.95:
             names.remove(name)
             left_out.append(f"{name} failed in {int(np.sum(~solved))} of {len(solved)} frames")
     kept = []

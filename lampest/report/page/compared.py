@@ -26,8 +26,6 @@ from lampest.runs.case import CaseResult
 
 FEW = 5  # units: intervals over fewer are uncertain themselves
 MOST_NAMED = 4  # estimators that a sentence names
-FASTER = 1.1  # times of two estimators are the same below this ratio
-PRACTICAL = 0.05  # of the smallest criterion: nobody sees a difference below a twentieth in a map or in a force
 
 
 @dataclass(frozen=True)
@@ -231,9 +229,10 @@ def advise(batch: Batch, comparison: Comparison | None) -> Advice:
         headline = "These results do not tell which estimator is nearest to the cells."
         return Advice(None, headline, _undecided(comparison), warnings)
     best = comparison.standings[0]
-    alike = [row for row in comparison.standings if row.mean.value <= (1 + PRACTICAL) * best.mean.value]
+    # Nobody sees less in a map or a force.
+    alike = [row for row in comparison.standings if row.mean.value <= (1 + 0.05) * best.mean.value]
     taken = min(alike, key=lambda row: comparison.milliseconds(row.estimator))
-    if comparison.milliseconds(best.estimator) < FASTER * comparison.milliseconds(taken.estimator):
+    if comparison.milliseconds(best.estimator) < 1.1 * comparison.milliseconds(taken.estimator):  # nobody notices less
         taken = best
     weights = weights_text([case.weights for case in comparison.match.cases(taken.estimator)])
     named = f"{taken.estimator}{f' ({weights})' if weights else ''}"

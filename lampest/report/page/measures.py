@@ -12,7 +12,6 @@ from lampest.panel.panel import Array
 from lampest.report.compare import data_error, relative_error
 from lampest.runs.case import CaseResult
 
-MAD = 1.4826  # of a normal distribution, from median absolute deviation to standard deviation
 DRAWS = 2000  # of which the 2.5th percentile is known to 0.06 standard deviations
 BINS = 400  # of a median's distribution
 Picks = NDArray[np.intp]
@@ -141,7 +140,7 @@ def _of_solved(case: CaseResult, generator: np.random.Generator) -> dict[str, fl
     residual = weighted_residual(case)
     if residual is not None:
         known["misfit"] = _mean(residual[good] ** 2)
-        known["spread"] = MAD * float(np.nanmedian(np.abs(residual[good])))
+        known["spread"] = 1.4826 * float(np.nanmedian(np.abs(residual[good])))  # 1/Φ⁻¹(3/4): from median deviation to σ
     lower, upper = case.cell_resistance_lower, case.cell_resistance_upper
     if lower is not None and upper is not None:
         widths = (100 * (upper - lower) / case.cell_resistance)[good]

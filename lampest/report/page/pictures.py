@@ -19,7 +19,6 @@ from lampest.report.strongest import percent_change
 from lampest.report.words import digits
 from lampest.runs.case import CaseResult
 
-MOST_SHARP = 1500  # cells of a picture that is drawn as lines
 MOST_PAIRS = 9  # that disagree and are shown
 
 UNCERTAIN = "How uncertain each cell is: one posterior standard deviation, logarithmic colours."
@@ -122,7 +121,7 @@ def _maps(
     if not tiles:
         return []
     panel, drawn = cases[0].scene.panel, [tile.values for tile in tiles if tile.values is not None]
-    kind: Literal["svg", "png"] = "svg" if panel.crossings * len(tiles) <= MOST_SHARP else "png"
+    kind: Literal["svg", "png"] = "svg" if panel.crossings * len(tiles) <= 1500 else "png"
     return [Illustration(data_uri(maps_figure(tiles, panel, scale(drawn)), kind), f"Maps of {of_what}", caption)]
 
 

@@ -29,9 +29,6 @@ from lampest.report.plots.style import (
 from lampest.report.strongest import percent_change
 from lampest.runs.case import CaseResult
 
-DEVIATIONS = (-3000, -100, -3, 0, 3, 100, 3000)
-CHANGES = (-50, 100, -90, 900, -80, 400, -99, 9900, -95, 1900, 200, -98, 20, -20, 10, -10, 5, -5, 2, -2)  # percent
-
 
 def _grid(titles: Sequence[str], across: int, tall: float, room: float) -> tuple[Figure, Any, Iterator[Axes]]:
     """A half figure, its grid, and its axes in order; numbers of columns below the lowest, what is left over hidden."""
@@ -113,7 +110,7 @@ def _change_ticks(axis: Axis, low: float, high: float) -> None:
     """Round changes in percent at their r/r₀, none too close to the next, zero always."""
     apart = log10(high / low) / 6
     ticks = [1.0]
-    for change in CHANGES:
+    for change in (-50, 100, -90, 900, -80, 400, -99, 9900, -95, 1900, 200, -98, 20, -20, 10, -10, 5, -5, 2, -2):
         ratio = 1 + change / 100
         if low <= ratio <= high and all(abs(log10(ratio / tick)) > apart for tick in ticks):
             ticks.append(ratio)
@@ -133,7 +130,7 @@ def histogram_figure(residuals: Sequence[tuple[str, Array]]) -> Figure:
     normal = 100 * np.diff([NormalDist().cdf(edge) for edge in edges])
     for (_, values), axes in zip(residuals, every, strict=False):
         axes.set_xscale("asinh")
-        _fixed_ticks(axes.xaxis, [tick for tick in DEVIATIONS if abs(tick) < edges[-1]])
+        _fixed_ticks(axes.xaxis, [tick for tick in (-3000, -100, -3, 0, 3, 100, 3000) if abs(tick) < edges[-1]])
         if values.size == 0:
             _not_solved(axes)
         else:

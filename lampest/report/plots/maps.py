@@ -32,7 +32,6 @@ SIGNED, PRESSING = "RdBu_r", "RdBu"  # what presses is blue: it lowers resistanc
 Extend = Literal["both", "min", "max", "neither"]
 ACROSS_LABEL, DOWN_LABEL = "x [mm]", "y [mm]"
 NO_NUMBER = "0.88"  # grey
-NEAR = 1.5  # pitches: the diagonal of a square and its rounding; between cells farther apart nothing was measured
 ABREAST = 3  # maps half a page wide
 
 
@@ -248,7 +247,8 @@ class MapPainter:
             return
         mesh = Triangulation(*places.T)
         sides = places[mesh.triangles] - places[np.roll(mesh.triangles, 1, axis=1)]
-        far = np.hypot(*sides.T).T.max(axis=1) > NEAR * self.panel.pitch_mm
+        # The diagonal of a square and its rounding; between cells farther apart nothing was measured.
+        far = np.hypot(*sides.T).T.max(axis=1) > 1.5 * self.panel.pitch_mm
         mesh.set_mask(far)
         if not far.all():
             axes.tricontourf(mesh, self._cut(values), **self._bands() | {"extend": "both"})

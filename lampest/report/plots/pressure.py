@@ -21,7 +21,6 @@ from lampest.report.plots.style import BLUE, SMALL_POINT, TEXT_POINT, new_figure
 from lampest.runs.case import CaseResult
 
 # All in kPa, the same for all frames and recordings.
-STEPS, TICKS = (0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 40.0), (-40.0, -10.0, -2.0, -0.5, 1.0, 5.0, 20.0)
 WIDTH_TICKS = (0.1, 1.0, 10.0, 100.0)
 SHOWN = (-32.0, 132.0)
 
@@ -52,7 +51,8 @@ class PressurePlot(Plot):
         marked = saturated != 0
         figure = new_figure(3.2)
         left, middle, right = figure.subplots(1, 3, width_ratios=(1, 1, 1.05))
-        signed = stepped_scale(STEPS, "pressure [kPa]: suction − contact +", TICKS, PRESSING)
+        steps, ticks = (0.5, 1, 2, 5, 10, 20, 40), (-40, -10, -2, -0.5, 1, 5, 20)
+        signed = stepped_scale(steps, "pressure [kPa]: suction − contact +", ticks, PRESSING)
         _map(left, case, Tile("(a) pressure of the load", pressure, "", marked, "saturated"), signed)
         left.set_ylabel(DOWN_LABEL, fontsize=TEXT_POINT)
         least, most = WIDTH_TICKS[0], WIDTH_TICKS[-1]

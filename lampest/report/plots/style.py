@@ -18,7 +18,6 @@ from lampest.runs.executors import each_of
 
 WIDTH_INCH, HALF_INCH, TALLEST_INCH = 7.2, 3.6, 9.0  # of a page of a journal
 TEXT_POINT, SMALL_POINT = 8, 6.5
-DOTS_PER_INCH = 200  # sharp on screens, small as files
 BLUE, ORANGE = "#0072B2", "#D55E00"
 SUFFIXES = (".png", ".svg", ".pdf")
 PICTURES = f"pictures are written as {', '.join(SUFFIXES[:-1])} or {SUFFIXES[-1]}"
@@ -90,7 +89,7 @@ def _drawn(figure: Figure, kind: str) -> bytes:
     stream = BytesIO()
     dated = {"png": ("Software",), "svg": ("Date", "Creator"), "pdf": ("CreationDate",)}[kind]
     with rc_context({"svg.hashsalt": "lampest", "svg.fonttype": "path"}):
-        figure.savefig(stream, format=kind, dpi=DOTS_PER_INCH, metadata=dict.fromkeys(dated))
+        figure.savefig(stream, format=kind, dpi=200, metadata=dict.fromkeys(dated))
     return stream.getvalue()
 
 

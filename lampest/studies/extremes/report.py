@@ -20,7 +20,6 @@ from lampest.studies import study
 from lampest.studies.extremes.run import COLUMNS, REFUSED, Solve, run_atlas
 from lampest.studies.extremes.scenes import CASES, GRID, AtlasFile
 
-MILD_DECADES, MILD_NOISE = 6.0, 0.01  # up to which every solve shall end verified
 COLOURS = "YlGnBu"
 CELL_INCH = 0.165  # the side of a square
 PLAIN = str.maketrans({"⁶": "^6", "×": "x", "Ω": "ohm"})  # HDF5 text is ASCII
@@ -113,8 +112,8 @@ def atlas_table(solves: Sequence[Solve]) -> Table:
 def mild(solve: Solve) -> bool:
     """Whether a verified optimum is promised: noise up to 1 %, and a contrast up to 10⁶ or a single fault."""
     case = CASES[solve.sample.case]
-    contrast = case.contrasted and solve.sample.decades <= MILD_DECADES
-    return (contrast or case.single_fault) and solve.sample.noise <= MILD_NOISE
+    contrast = case.contrasted and solve.sample.decades <= 6
+    return (contrast or case.single_fault) and solve.sample.noise <= 0.01
 
 
 def atlas_remarks(solves: Sequence[Solve]) -> list[str]:

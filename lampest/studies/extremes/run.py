@@ -28,7 +28,6 @@ from lampest.studies.study import OnStep, of_tasks
 
 NAN = float("nan")
 CRASHED, REFUSED = "crashed: ", "refused: "
-DOUBTFUL = 10 * VERIFIED  # of a residual by differences
 
 
 @dataclass(frozen=True)
@@ -57,7 +56,7 @@ class Solve:
     @property
     def doubtful(self) -> bool:
         """An estimate that the second test of optimality does not confirm."""
-        return self.solved and self.audited > DOUBTFUL
+        return self.solved and self.audited > 10 * VERIFIED  # of a residual by differences
 
     @property
     def verified(self) -> bool:

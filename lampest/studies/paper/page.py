@@ -18,8 +18,6 @@ from lampest.studies.paper import figures
 from lampest.studies.paper.sides import Published, Side, all_sides, published_numbers
 from lampest.studies.study import Reported, comma_separated
 
-WITHIN = 0.25  # of the published number: what counts as reproduced
-
 
 def write_paper(numbers: Path | None, folder: Path, jobs: int | None, on_case: Callable[[int, int], None]) -> Reported:
     """Solve, draw and write all of it into a folder; what was solved there before is taken from it.
@@ -86,7 +84,7 @@ class PublishedNumber:
 
     def reproduced(self, number: int) -> bool:
         """Whether ours lies within a quarter of the published number."""
-        return abs(self.ours[number] - self.published) <= WITHIN * abs(self.published)
+        return abs(self.ours[number] - self.published) <= 0.25 * abs(self.published)
 
 
 def built_in(published: Published, sides: int) -> list[PublishedNumber]:
