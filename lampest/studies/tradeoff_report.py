@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from lampest.files import hdf5
 from lampest.report.compare import Table
-from lampest.report.plots.style import SMALL_POINT, TEXT_POINT, new_figure
+from lampest.report.plots.style import SMALL_POINT, TEXT_POINT, dressed, new_figure
 from lampest.studies import study
 from lampest.studies.timing import NO_GAP
 from lampest.studies.tradeoff import Measured, Plan, read_plan, run_tradeoff
@@ -152,10 +152,7 @@ def tradeoff_figure(rows: Sequence[study.Row]) -> Figure:
 def _draw(axes: Axes, rows: Sequence[study.Row], methods: Sequence[str], rungs: Sequence[str], gap: bool) -> None:
     axes.set_xscale("log")
     axes.set_yscale("log")
-    axes.tick_params(labelsize=SMALL_POINT, which="both")
-    axes.grid(True, which="major", color="0.9", linewidth=0.5)
-    axes.set_axisbelow(True)
-    axes.set_ylabel("objective gap" if gap else "median error of changed cells [%]", fontsize=TEXT_POINT)
+    dressed(axes, "", "objective gap" if gap else "median error of changed cells [%]")
     places = {(row.method, row.formulation): place for row in rows if (place := _place(row, gap)) is not None}
     for number, method in enumerate(methods[1:]):
         points = [place for (own, _), place in places.items() if own == method]

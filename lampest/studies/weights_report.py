@@ -13,7 +13,7 @@ from matplotlib.ticker import LogFormatterSciNotation, LogLocator, NullLocator
 
 from lampest.files import hdf5
 from lampest.recording.recording import Recording
-from lampest.report.plots.style import SMALL_POINT, TEXT_POINT, new_figure
+from lampest.report.plots.style import SMALL_POINT, TEXT_POINT, dressed, new_figure
 from lampest.runs.config import Case, Run, read_run
 from lampest.studies import study
 from lampest.studies.weights import Tuned, WeightSubject, tune, why_not
@@ -44,9 +44,6 @@ def weights_figure(one: Tuned) -> Figure:
     figure = new_figure(7.4)
     panels = figure.subplots(3, 2)
     for axes, (title, draw), letter in zip(panels.flat, PANELS, "abcdef", strict=True):
-        axes.tick_params(labelsize=SMALL_POINT, which="both")
-        axes.grid(True, which="major", color="0.92", lw=0.5)
-        axes.set_axisbelow(True)
         axes.set_title(f"({letter}) {title}", fontsize=TEXT_POINT, loc="left")
         draw(axes, one)
     title = f"{one.subject.recording}, frame {one.subject.frame}: {one.subject.name}"
@@ -74,8 +71,7 @@ def _over_weight(axes: Axes, one: Tuned, label: str) -> Any:
     axes.set_xlim(weights[0] / 1.6, weights[-1] * 1.6)
     axes.xaxis.set_major_locator(LogLocator(numticks=9))
     axes.xaxis.set_minor_locator(NullLocator())
-    axes.set_xlabel(f"weight λ of {one.subject.kind} [{_shown(one.subject.weight_unit)}]", fontsize=TEXT_POINT)
-    axes.set_ylabel(label, fontsize=TEXT_POINT)
+    dressed(axes, f"weight λ of {one.subject.kind} [{_shown(one.subject.weight_unit)}]", label)
     for choice in one.choices:
         if choice.weight is not None:
             look, wide = LOOKS[choice.rule], 1.6 if choice.in_use else 0.9
@@ -150,8 +146,7 @@ def _error(axes: Axes, one: Tuned) -> None:
 
 def _l_curve(axes: Axes, one: Tuned) -> None:
     misfit, penalty = _labels(one)
-    axes.set_xlabel(misfit, fontsize=TEXT_POINT)
-    axes.set_ylabel(penalty, fontsize=TEXT_POINT)
+    dressed(axes, misfit, penalty)
     axes.plot(one.curves.values("misfit"), one.curves.values("penalty"), **LINE)
     for choice in one.choices:
         point = None if choice.weight is None else one.curves.at(choice.weight)

@@ -11,7 +11,8 @@ import pytest
 from fuzz.batches import COMMAND, Batch, batch, content, finished, session, until, without_progress, write_recording
 
 from lampest.recording.recording import Recording
-from lampest.runs.results import read_kept, read_results
+from lampest.runs.batch import read_kept
+from lampest.runs.results import read_results
 
 LONG = pytest.mark.soak
 HERE = ["unshare", "--map-root-user", "--mount", "sh", "-c"]

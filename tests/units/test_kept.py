@@ -13,9 +13,9 @@ import pytest
 from support import invented_case
 
 from lampest.files.errors import InputError
+from lampest.runs.batch import MOST_PACKED, read_kept, write_kept
 from lampest.runs.case import CaseResult
-from lampest.runs.results import read_kept, read_results, stored_cases, write_kept, write_results
-from lampest.runs.results.kept import MOST_PACKED
+from lampest.runs.results import read_results, stored_cases, write_results
 
 Command = Callable[..., SimpleNamespace]
 

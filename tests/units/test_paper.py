@@ -5,8 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from lampest.runs.config import read_run
-from lampest.studies.paper.figures import covered
-from lampest.studies.paper.page import PublishedNumber, counts
+from lampest.studies.paper.page import PublishedNumber, counts, covered
 from lampest.studies.paper.sides import published_numbers
 
 CONFIGS = Path(__file__).parents[2] / "configs"

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterator, Sequence
 from math import ceil, floor, log10
 from statistics import NormalDist
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -18,7 +18,7 @@ from lampest.report.plots.style import (
     HALF_INCH,
     ORANGE,
     SMALL_POINT,
-    TEXT_POINT,
+    dressed,
     labelled,
     new_figure,
     plain_number,
@@ -166,14 +166,6 @@ def _plain_ticks(axis: Axis, low: float, high: float) -> None:
     _fixed_ticks(axis, ticks)
 
 
-def _label(axes: Axes, across: Literal["x", "y"], label: str) -> None:
-    """Thin lines across an axis, and what it says."""
-    axes.set(**{f"{across}label": label})
-    getattr(axes, f"{across}axis").label.set_fontsize(TEXT_POINT)
-    axes.grid(True, axis=across, color="0.92", lw=0.5)
-    axes.set_axisbelow(True)
-
-
 def paired_figure(names: Sequence[str], values: Array, label: str) -> Figure:
     """values (units, estimators): a dot for each unit, lines join those of one unit, a bar marks the mean."""
     figure = new_figure(2.6, HALF_INCH)
@@ -191,8 +183,7 @@ def paired_figure(names: Sequence[str], values: Array, label: str) -> Figure:
     axes.set_xlim(-0.5, len(names) - 0.5)
     slant: dict[str, Any] = {"rotation": 35, "ha": "right"} if sum(map(len, names)) > 40 else {}
     axes.set_xticks(place, [short_title(name) for name in names], **slant)
-    axes.tick_params(labelsize=SMALL_POINT, which="both")
-    _label(axes, "y", label)
+    dressed(axes, "", label, "y")
     return figure
 
 
@@ -222,9 +213,8 @@ def _forest(axes: Axes, lines: Lines, label: str, reference: float) -> None:
         axes.plot(value, place, "o", mec=BLUE, mfc="white" if covered else BLUE, ms=4.5, mew=1.1)
     axes.set_yticks(range(len(lines)), [short_title(name, 30) for name, *_ in lines])
     axes.set_ylim(len(lines) - 0.4, -0.6)
-    axes.tick_params(labelsize=SMALL_POINT)
     if reference:
         _plain_ticks(axes.xaxis, *axes.get_xlim())
     else:
         axes.xaxis.set_major_locator(MaxNLocator(6))
-    _label(axes, "x", label)
+    dressed(axes, label, "", "x")

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from matplotlib import rc_context
+from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
@@ -38,6 +39,15 @@ def labelled(figure: Figure, x: str, y: str, title: str = "") -> Figure:
     if title:
         figure.suptitle(title, fontsize=TEXT_POINT + 1)
     return figure
+
+
+def dressed(axes: Axes, x: str, y: str, grid: Literal["both", "x", "y"] = "both") -> None:
+    """Labels of both axes where there are any, the size of all texts, and thin lines behind what is drawn."""
+    axes.set_xlabel(x or axes.get_xlabel(), fontsize=TEXT_POINT)
+    axes.set_ylabel(y or axes.get_ylabel(), fontsize=TEXT_POINT)
+    axes.tick_params(labelsize=SMALL_POINT, which="both")
+    axes.grid(True, which="major", axis=grid, color="0.92", lw=0.5)
+    axes.set_axisbelow(True)
 
 
 def save(figure: Figure, path: str | Path) -> None:

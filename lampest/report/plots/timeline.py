@@ -14,7 +14,7 @@ from matplotlib.ticker import FuncFormatter
 
 from lampest.report.detect.answer import CUP, LAMPREY, PRESSES, SUCKS, Detected, answer_of
 from lampest.report.plots.maps import ACROSS_LABEL, DOWN_LABEL, MapPainter, Tile, stepped_scale
-from lampest.report.plots.style import SMALL_POINT, TEXT_POINT, new_figure, plain_number, write_all
+from lampest.report.plots.style import SMALL_POINT, TEXT_POINT, dressed, new_figure, plain_number, write_all
 
 # Those of Okabe and Ito, apart for the colour-blind.
 COLOURS = {LAMPREY: "#D55E00", SUCKS: "#E69F00", CUP: "#56B4E9", PRESSES: "0.6"}
@@ -57,11 +57,7 @@ def _course(axes: Axes, answer: Detected) -> None:
         mark.set_path_effects([withStroke(linewidth=2, foreground="white")])
     axes.set_xlim(time[0], time[-1])
     axes.yaxis.set_major_formatter(FuncFormatter(plain_number))
-    axes.set_xlabel("time [s]", fontsize=TEXT_POINT)
-    axes.set_ylabel("readings differ from rest\n[standard deviations]", fontsize=TEXT_POINT)
-    axes.tick_params(labelsize=SMALL_POINT)
-    axes.grid(True, color="0.9", linewidth=0.5)
-    axes.set_axisbelow(True)
+    dressed(axes, "time [s]", "readings differ from rest\n[standard deviations]")
 
 
 def _map(figure: Any, answer: Detected) -> None:

@@ -1,7 +1,6 @@
 """Results files: what estimators made of recordings, case by case; their one reader and writer."""
 
 from lampest.runs.case import CaseResult, StoredCase, check_name
-from lampest.runs.results.kept import read_kept, write_kept
 from lampest.runs.results.reader import Results, read_each, read_results, stored_cases
 from lampest.runs.results.writer import FORMAT, PublishedFigures, StepFigures, join_case, write_results
 
@@ -15,9 +14,7 @@ __all__ = [
     "check_name",
     "join_case",
     "read_each",
-    "read_kept",
     "read_results",
     "stored_cases",
-    "write_kept",
     "write_results",
 ]

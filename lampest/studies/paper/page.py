@@ -1,22 +1,48 @@
-"""`lampest study paper`: the paper's figures and table beside ours as one HTML file, with pictures and numbers.csv."""
+"""`lampest study paper`: the paper's figures and table beside ours as one HTML file, with pictures and numbers.csv.
 
-from collections.abc import Callable, Sequence
+In the figures published numbers stand as marks or in words beside what our scenes give.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from lampest.files.whole import write_whole
-from lampest.loads.response import relative_change_from_pressure
+from lampest.loads.response import ratio_from_pressure, relative_change_from_pressure
 from lampest.panel.film import Film
+from lampest.panel.panel import Array, Panel
 from lampest.recording.datasets import folder as shipped_folder
 from lampest.report.compare import Table
 from lampest.report.page.template import filled
-from lampest.report.plots.style import data_uri, plain_number, save, verbatim
+from lampest.report.plots.maps import ACROSS_LABEL, DOWN_LABEL, MapPainter, Tile, banded_scale
+from lampest.report.plots.style import (
+    BLUE,
+    ORANGE,
+    SMALL_POINT,
+    change_text,
+    data_uri,
+    dressed,
+    labelled,
+    new_figure,
+    plain_number,
+    save,
+    verbatim,
+)
 from lampest.report.words import digits
-from lampest.studies.paper import figures
-from lampest.studies.paper.sides import Published, Side, all_sides, published_numbers
+from lampest.studies.paper.sides import MEASURED, Published, Side, all_sides, published_numbers
 from lampest.studies.study import Reported, comma_separated
+
+CHANGE = "relative change of resistance [%]"
+# Of some steps: quantity, unit, the field of the published row, and of what was seen.
+STEPS = (
+    (("data error", "%", "error_percent", "error"), ("its standard deviation", "%", "error_sd_percent", "error_sd")),
+    (("time", "s", "time_s", "time"),),
+)
+COLOURS = ("#222222", "#0072B2", "#E69F00", "#009E73")
 
 
 def write_paper(numbers: Path | None, folder: Path, jobs: int | None, on_case: Callable[[int, int], None]) -> Reported:
@@ -35,37 +61,33 @@ def write_page(folder: Path, sides: Sequence[Side], published: Published) -> tup
     Raises InputError where the folder cannot be written.
     """
     names = tuple(side.name for side in sides)
-    numbers = [*map_ranges(sides, published), *covered_cells(sides, published), *data_errors(sides, published)]
-    times, own = step_times(sides, published), built_in(published, len(sides))
+    numbers = list(published_beside(sides, published))
 
-    def rows(figure: str) -> list[PublishedNumber]:
-        return [row for row in (*numbers, *own) if row.figure.startswith(figure)]
+    def rows(figure: str, times: bool = False) -> list[PublishedNumber]:
+        return [row for row in numbers if row.figure.startswith(figure) and row.quantity.endswith(": time") == times]
 
     with verbatim():
-        drawn = {"fig1e": figures.response_figure(published), "fig2": figures.bending_figure(published)}
+        drawn = {"fig1e": response_figure(published), "fig2": bending_figure(published)}
         for side in sides:
             if side.word != "solver":  # its scenes are those of the paper's panel
-                drawn[f"fig6_{side.word}"] = figures.loads_figure(side, published)
-            drawn[f"fig8_{side.word}"] = figures.methods_figure(side, published)
-            drawn[f"fig9_{side.word}"] = figures.mouths_figure(side, published)
+                drawn[f"fig6_{side.word}"] = loads_figure(side, published)
+            drawn[f"fig8_{side.word}"] = methods_figure(side, published)
+            drawn[f"fig9_{side.word}"] = mouths_figure(side, published)
         pictures = {folder / f"{word}.png": figure for word, figure in drawn.items()}
         for file, figure in pictures.items():
             save(figure, file)
         uris = {word: data_uri(figure, "png") for word, figure in drawn.items()}
     checked = [row for row in numbers if row.figure.startswith("Fig. 8") or row.quantity.endswith("data error")]
+    set_beside = ("Fig. 8", "Fig. 9", "Table I")
     sheets = {figure: sheet(rows(figure), ("lampest",)) for figure in ("Fig. 1", "Fig. 2")}
-    sheets |= {figure: sheet(rows(figure), names) for figure in ("Fig. 8", "Fig. 9", "Table I")}
-    counted = {figure: counts(rows(figure), names) for figure in ("Fig. 8", "Fig. 9", "Table I")}
+    sheets |= {figure: sheet(rows(figure), names) for figure in set_beside}
+    sheets["times"] = sheet(rows("Table I", times=True), names)
+    counted = {figure: counts(rows(figure), names) for figure in set_beside} | {"all": counts(checked, names)}
     text = filled(
-        "lampest.studies.paper",
-        names=names,
-        places=published.places,
-        uris=uris,
-        sheets=sheets | {"times": sheet(times, names)},
-        counts=counted | {"all": counts(checked, names)},
+        "lampest.studies.paper", names=names, places=published.places, uris=uris, sheets=sheets, counts=counted
     )
     lines: list[list[object]] = [["figure", "quantity", "unit", "published", *names]]
-    lines += [[row.figure, row.quantity, row.unit, row.published, *row.ours] for row in (*numbers, *times, *own)]
+    lines += [[row.figure, row.quantity, row.unit, row.published, *row.ours] for row in numbers]
     texts = {folder / "paper.html": text, folder / "numbers.csv": comma_separated(lines)}
     for file, content in texts.items():
         write_whole(file, content)
@@ -87,75 +109,47 @@ class PublishedNumber:
         return abs(self.ours[number] - self.published) <= 0.25 * abs(self.published)
 
 
-def built_in(published: Published, sides: int) -> list[PublishedNumber]:
-    """Figures 1-e and 2: what lampest's response was made from, read back; the same on every side."""
-    found = [
-        ("Fig. 1-e", f"ΔR/R₀ at {plain_number(one.kpa)} kPa", "%", one.percent, 100 * _change(one.kpa))
-        for one in published.changes
-    ]
+def published_beside(sides: Sequence[Side], published: Published) -> Iterator[PublishedNumber]:
+    """Every number: ranges of maps, cells that mouths cover, data errors, times, and lampest's response read back.
+
+    Times are those of another program on another machine; the response is the same on every side.
+    """
+
+    def row(place: str, name: str, unit: str, number: float, *ours: Any) -> PublishedNumber:
+        each = ours if len(ours) == len(sides) else ours * len(sides)
+        return PublishedNumber(place, name, unit, float(number), tuple(map(float, each)))
+
+    for one in published.ranges:
+        place, changes = f"Fig. 8-{one.letter}", [side.change(one.method) for side in sides]
+        yield row(place, f"{one.method}, smallest change", "%", one.low, *map(np.nanmin, changes))
+        yield row(place, f"{one.method}, largest change", "%", one.high, *map(np.nanmax, changes))
+    for at, mouth in enumerate(published.mouths):
+        seen = [covered(side.change(published.mouth_method, at)) for side in sides]
+        for axis, ours in zip(("rows", "columns"), zip(*seen, strict=True), strict=True):
+            name = f"mouth of {mouth.diameter_mm:g} mm, {axis} covered"
+            yield row(f"Fig. 9-{mouth.letter}", name, "cells", mouth.cells, *ours)
+    for kinds in STEPS:
+        for step in published.errors:
+            taken = [side.steps(step.method, step.steps) for side in sides]
+            for what, unit, theirs, our in kinds:
+                name = f"{step.method}, {step.steps} steps: {what}"
+                yield row("Table I", name, unit, getattr(step, theirs), *(getattr(one, our) for one in taken))
+    for point in published.changes:
+        name = f"ΔR/R₀ at {plain_number(point.kpa)} kPa"
+        yield row("Fig. 1-e", name, "%", point.percent, 100 * _change(point.kpa))
     for part in published.slopes:
         slope = (_change(part.to_kpa) - _change(part.from_kpa)) / (part.to_kpa - part.from_kpa)
         name = f"sensitivity from {part.from_kpa:g} to {part.to_kpa:g} kPa"
-        found.append(("Fig. 1-e, inset", name, "1/kPa", part.per_kpa, slope))
-    flat = published.bent_cells[0].ohm
+        yield row("Fig. 1-e, inset", name, "1/kPa", part.per_kpa, slope)
     for cell in published.bent_cells:
-        film, at = Film(curvature_per_m=cell.curvature_per_m), f"at {cell.curvature_per_m:g} 1/m"
-        found.append(("Fig. 2-a", f"unloaded resistance {at}", "ohm", cell.ohm, flat * film.lowering))
-        change = 100 * ((1 + _change(40.0)) ** film.answer - 1)
-        found.append(("Fig. 2-d", f"ΔR/R₀ at 40 kPa, {at}", "%", cell.percent, change))
-    return [
-        PublishedNumber(place, name, unit, number, (float(ours),) * sides) for place, name, unit, number, ours in found
-    ]
+        film, where = Film(curvature_per_m=cell.curvature_per_m), f"at {cell.curvature_per_m:g} 1/m"
+        unloaded, change = published.bent_cells[0].ohm * film.lowering, (1 + _change(40.0)) ** film.answer - 1
+        yield row("Fig. 2-a", f"unloaded resistance {where}", "ohm", cell.ohm, unloaded)
+        yield row("Fig. 2-d", f"ΔR/R₀ at 40 kPa, {where}", "%", cell.percent, 100 * change)
 
 
 def _change(kpa: float) -> float:
     return float(relative_change_from_pressure(kpa))
-
-
-def map_ranges(sides: Sequence[Side], published: Published) -> list[PublishedNumber]:
-    """Figure 8: the smallest and the largest change of every map."""
-    rows = []
-    for one in published.ranges:
-        changes = [side.change(one.method) for side in sides]
-        for name, value, end in (("smallest", one.low, np.nanmin), ("largest", one.high, np.nanmax)):
-            ours = tuple(float(end(change)) for change in changes)
-            rows.append(PublishedNumber(f"Fig. 8-{one.letter}", f"{one.method}, {name} change", "%", value, ours))
-    return rows
-
-
-def covered_cells(sides: Sequence[Side], published: Published) -> list[PublishedNumber]:
-    """Figure 9: how many rows and columns a mouth covers."""
-    rows = []
-    for number, mouth in enumerate(published.mouths):
-        seen = [figures.covered(side.change(published.mouth_method, number)) for side in sides]
-        for name, place in (("rows", 0), ("columns", 1)):
-            quantity = f"mouth of {mouth.diameter_mm:g} mm, {name} covered"
-            ours = tuple(float(one[place]) for one in seen)
-            rows.append(PublishedNumber(f"Fig. 9-{mouth.letter}", quantity, "cells", float(mouth.cells), ours))
-    return rows
-
-
-def data_errors(sides: Sequence[Side], published: Published) -> list[PublishedNumber]:
-    """Table I: data errors, mean and standard deviation over the readings of all steps."""
-    rows = []
-    for row in published.errors:
-        seen = [side.steps(row.method, row.steps) for side in sides]
-        name = f"{row.method}, {row.steps} steps"
-        means, deviations = tuple(one.error for one in seen), tuple(one.error_sd for one in seen)
-        rows.append(PublishedNumber("Table I", f"{name}: data error", "%", row.error_percent, means))
-        rows.append(
-            PublishedNumber("Table I", f"{name}: its standard deviation", "%", row.error_sd_percent, deviations)
-        )
-    return rows
-
-
-def step_times(sides: Sequence[Side], published: Published) -> list[PublishedNumber]:
-    """Table I: time of a step. Ours is another program on another machine."""
-    rows = []
-    for row in published.errors:
-        ours = tuple(side.steps(row.method, row.steps).time for side in sides)
-        rows.append(PublishedNumber("Table I", f"{row.method}, {row.steps} steps: time", "s", row.time_s, ours))
-    return rows
 
 
 def sheet(rows: Sequence[PublishedNumber], names: Sequence[str]) -> Table:
@@ -174,3 +168,119 @@ def counts(rows: Sequence[PublishedNumber], names: Sequence[str]) -> str:
         f"{sum(row.reproduced(number) for row in rows)} of {len(rows)} ({name})" for number, name in enumerate(names)
     ]
     return f"within a quarter of the published number: {', '.join(parts)}."
+
+
+def response_figure(published: Published) -> Figure:
+    """Figure 1-e with its inset: the curve that lampest uses through the published numbers."""
+    figure = new_figure(3.2)
+    axes = figure.subplots()
+    pressures = np.linspace(-10.0, 235.0, 981)
+    axes.plot(pressures, 100 * relative_change_from_pressure(pressures), color=BLUE, lw=1.2, label="lampest")
+    points = [(point.kpa, point.percent) for point in published.changes]
+    axes.plot(*zip(*points, strict=True), "o", color=ORANGE, ms=4.5, label="published")
+    dressed(axes, "pressure [kPa]", "relative change of resistance ΔR/R₀ [%]")
+    axes.legend(fontsize=SMALL_POINT, frameon=False, loc="upper left", bbox_to_anchor=(0.12, 1.0))
+    inset = axes.inset_axes((0.42, 0.38, 0.55, 0.52))
+    fine = np.linspace(0, 60, 601)
+    slope = np.gradient(relative_change_from_pressure(fine), fine)
+    inset.plot(fine, slope, color=BLUE, lw=1.1)
+    for part in published.slopes:
+        inset.plot(
+            [part.from_kpa, part.to_kpa], [part.per_kpa] * 2, color=ORANGE, lw=3, alpha=0.6, solid_capstyle="butt"
+        )
+    dressed(inset, "pressure [kPa]", "sensitivity S [1/kPa]")
+    return figure
+
+
+def bending_figure(published: Published) -> Figure:
+    """Figure 2-a and 2-d: unloaded resistance over curvature, and the answer of bent cells up to 40 kPa."""
+    figure = new_figure(2.9)
+    left, right = figure.subplots(1, 2)
+    curvature = np.linspace(0, published.bent_cells[-1].curvature_per_m, 120)
+    unloaded = published.bent_cells[0].ohm * np.array([Film(curvature_per_m=float(one)).lowering for one in curvature])
+    left.plot(curvature, unloaded, color=BLUE, lw=1.2, label="lampest")
+    points = [(cell.curvature_per_m, cell.ohm) for cell in published.bent_cells]
+    left.plot(*zip(*points, strict=True), "o", color=ORANGE, ms=4.5, label="published")
+    left.set_yscale("log")
+    left.set_yticks([300, 500, 1000, 2000, 3000], ["300", "500", "1000", "2000", "3000"])
+    left.minorticks_off()
+    left.legend(fontsize=SMALL_POINT, frameon=False)
+    dressed(left, "curvature [1/m]", "unloaded resistance R₀ [ohm]")
+    pressures = np.linspace(0.0, 40.0, 161)
+    for cell, colour in zip(published.bent_cells, COLOURS, strict=True):
+        answer = Film(curvature_per_m=cell.curvature_per_m).answer
+        change = 100 * (ratio_from_pressure(pressures) ** answer - 1)
+        name = "flat" if cell.radius_mm is None else f"radius {cell.radius_mm:g} mm"
+        right.plot(pressures, change, color=colour, lw=1.1, label=name)
+        right.plot(40, cell.percent, "o", color=colour, ms=4.5, clip_on=False)
+    right.legend(fontsize=SMALL_POINT, frameon=False, title="dots: published", title_fontsize=SMALL_POINT)
+    dressed(right, "pressure [kPa]", CHANGE)
+    return figure
+
+
+def loads_figure(side: Side, published: Published) -> Figure:
+    """Figure 6: what was measured of six loads, in the frame in which the film feels what is named."""
+    tiles = []
+    for load in published.loads:
+        seen = side.loads[load.letter]
+        note = f"measured {_span(seen.change)}\nfilm feels {_plain(seen.felt[0])} … {_plain(seen.felt[1])} kPa"
+        tiles.append(Tile(f"({load.letter}) {_wrapped(load.condition)}", seen.change, note))
+    return maps_figure_of(tiles, side.panel, side.name)
+
+
+def methods_figure(side: Side, published: Published) -> Figure:
+    """Figure 8: six maps of one frame; the published range stands below ours."""
+    tiles = []
+    for one in published.ranges:
+        change = side.change(one.method)
+        note = f"ours {_span(change)}\npaper {_plain(one.low)} … {_plain(one.high)} %"
+        tiles.append(
+            Tile(f"({one.letter}) {'measured two-point' if one.method == MEASURED else one.method}", change, note)
+        )
+    return maps_figure_of(tiles, side.panel, side.name)
+
+
+def mouths_figure(side: Side, published: Published) -> Figure:
+    """Figure 9: a large and a small mouth by one method."""
+    tiles = []
+    for number, mouth in enumerate(published.mouths):
+        change = side.change(published.mouth_method, number)
+        rows, columns = covered(change)
+        note = f"ours {rows} × {columns} cells, paper {mouth.cells} × {mouth.cells}"
+        tiles.append(
+            Tile(f"({mouth.letter}) mouth of {mouth.diameter_mm:g} mm, {published.mouth_method}", change, note)
+        )
+    return maps_figure_of(tiles, side.panel, side.name, 2)
+
+
+def covered(change: Array) -> tuple[int, int]:
+    """Rows and columns that hold a cell which fell by more than half as much as the one that fell most."""
+    fallen = change < 0.5 * np.nanmin(change)
+    return int(np.sum(fallen.any(axis=1))), int(np.sum(fallen.any(axis=0)))
+
+
+def maps_figure_of(tiles: Sequence[Tile], panel: Panel, title: str, across: int = 3) -> Figure:
+    """Contoured maps on one scale of ±100 %."""
+    down = -(-len(tiles) // across)
+    figure = new_figure(down * (5.9 / across * panel.rows / panel.columns + 0.62) + 0.6)
+    grid = figure.subplots(down, across, squeeze=False, sharex=True, sharey=True)
+    largest = max((float(np.nanmax(tile.values)) for tile in tiles if tile.values is not None), default=0.0)
+    scale = banded_scale([np.array([-100.0, 100.0, max(largest, 100.0)])], CHANGE)  # with an arrow for what leaves it
+    painter = MapPainter(panel, scale, contoured=True)
+    painter.draw_all(grid, tiles)
+    painter.bar(figure, grid, "right", aspect=figure.get_figheight() / 0.16)
+    return labelled(figure, ACROSS_LABEL, DOWN_LABEL, title)
+
+
+def _span(change: Array) -> str:
+    return f"{_plain(float(np.nanmin(change)))} … {_plain(float(np.nanmax(change)))} %"
+
+
+def _plain(value: float) -> str:
+    return change_text(value, 100.0)
+
+
+def _wrapped(text: str) -> str:
+    """In two lines where it is long."""
+    middle = text.find(" ", len(text) // 2)
+    return text if len(text) < 24 or middle < 0 else f"{text[:middle]}\n{text[middle + 1 :]}"
