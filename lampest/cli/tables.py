@@ -63,7 +63,8 @@ def _layout(headers: Sequence[str], rows: Sequence[Sequence[str]], room: int) ->
     """
     columns = [[cells[number] for cells in rows] for number in range(len(headers))]
     words = [_longest_word(header) for header in headers]
-    whole = [max(word, *map(_longest, column)) for word, column in zip(words, columns, strict=True)]
+    lines = [[line for text in column for line in text.split("\n")] for column in columns]
+    whole = [max(word, *map(len, column)) for word, column in zip(words, lines, strict=True)]
     least = [max(word, *map(_longest_word, column)) for word, column in zip(words, columns, strict=True)]
     names = [min(least[0], max(words[0], 12)), *least[1:]]  # below, a name is not cut into lines
     full = [max(len(header), held) for header, held in zip(headers, whole, strict=True)]
@@ -82,10 +83,6 @@ def _narrowed(widths: Sequence[int], floors: Sequence[int], room: int) -> list[i
     while sum(widths) > room and (spare := [at for at, width in enumerate(widths) if width > floors[at]]):
         widths[max(spare, key=lambda at: widths[at])] -= 1
     return widths
-
-
-def _longest(text: str) -> int:
-    return max(map(len, text.split("\n")))
 
 
 def _longest_word(text: str) -> int:

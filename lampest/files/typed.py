@@ -185,6 +185,15 @@ def installed(group: str, kind: type[Kind]) -> tuple[Kind, ...]:
     return tuple(objects)
 
 
+def of_kind(kind: str, what: str, known: Sequence[Kind]) -> Kind:
+    """The one object whose `kind` that is; what : 'plot'. Raises InputError where there is none or two."""
+    kinds = [str(getattr(one, "kind", "")) for one in known]
+    if kinds.count(kind) != 1:
+        there = f"there are two {what}s" if kind in kinds else f"there is no {what}"
+        raise InputError(f"{there} '{kind}'; there are {', '.join(dict.fromkeys(kinds))}")
+    return known[kinds.index(kind)]
+
+
 @dataclass(frozen=True)
 class ByKind:
     """Marks Annotated[A | B, ByKind()]: validation picks the member whose `kind: Literal[...]` the input names.

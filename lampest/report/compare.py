@@ -2,7 +2,7 @@
 
 import csv
 import io
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, TypeVar
@@ -52,6 +52,11 @@ class Spread:
     sd: float | None
     median: float
     percentile_95: float
+
+    @property
+    def median_and_worst(self) -> str:
+        """'5.10 / 16.7'."""
+        return f"{digits(self.median)} / {digits(self.percentile_95)}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,10 +181,14 @@ def model_notes(rows: Sequence[Row]) -> list[str]:
 
 def csv_text(rows: Sequence[Row]) -> str:
     """All figures of the rows as CSV with units in the headers, full precision, empty where there is none."""
+    headers: list[object] = [header for header, _ in CSV_COLUMNS]
+    return comma_separated([headers, *([figure(row) for _, figure in CSV_COLUMNS] for row in rows)])
+
+
+def comma_separated(rows: Iterable[Iterable[object]]) -> str:
+    """Rows of values as CSV, nothing for None."""
     stream = io.StringIO()
-    writer = csv.writer(stream, lineterminator="\n")
-    writer.writerow([header for header, _ in CSV_COLUMNS])
-    writer.writerows([figure(row) for _, figure in CSV_COLUMNS] for row in rows)
+    csv.writer(stream, lineterminator="\n").writerows(rows)
     return stream.getvalue()
 
 
@@ -243,10 +252,6 @@ def _plus_minus(values: Spread | None, factor: float = 1.0) -> str:
     return digits(mean, 2) + ("" if values.sd is None else f" ± {digits(factor * values.sd, 2, like=mean)}")
 
 
-def _median_and_worst(values: Spread | None) -> str:
-    return "" if values is None else f"{digits(values.median)} / {digits(values.percentile_95)}"
-
-
 def _published(mean: float | None, sd: float | None) -> str:
     return "" if mean is None else f"{mean:g}" + ("" if sd is None else f" ± {sd:g}")
 
@@ -270,7 +275,7 @@ COLUMNS: tuple[tuple[str, Callable[[Row], str]], ...] = (
     ("solved", lambda row: _solved([row])),
     ("time [ms]", lambda row: _plus_minus(row.solve_time, 1000)),
     ("data error [%]", lambda row: _plus_minus(row.data_error)),
-    ("cell error [%]", lambda row: _median_and_worst(row.cell_error)),
+    ("cell error [%]", lambda row: row.cell_error.median_and_worst if row.cell_error else ""),
 )
 PUBLISHED: tuple[tuple[str, Callable[[Row], str]], ...] = (
     ("published time [s]", lambda row: _published(row.published.time_s, row.published.time_sd_s)),

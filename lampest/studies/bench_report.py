@@ -159,14 +159,6 @@ def short(value: float) -> str:
     return f"{value:,.0f}" if value >= 100 else f"{value:.3g}" if value >= 10 else f"{value:.2g}"
 
 
-def _ratio(row: study.Row) -> str:
-    return "" if row.ratio is None or row.solver == "reduced" else short(row.ratio)
-
-
-def _quartiles(row: study.Row) -> str:
-    return f"{short(row.ms_quartile_1)}–{short(row.ms_quartile_3)}" if row.count > 1 else ""
-
-
 def _gap(row: study.Row) -> str:
     return "" if row.gap is None else f"{row.gap:.0e}" if row.gap > NO_GAP else f"< {NO_GAP:.0e}"
 
@@ -177,8 +169,8 @@ SCREEN: dict[str, Callable[[study.Row], str]] = {
     "method": lambda row: row.method,
     "frames": lambda row: row.frames,
     "ms": lambda row: short(row.ms),
-    "ratio": _ratio,
-    "quartiles": _quartiles,
+    "ratio": lambda row: "" if row.ratio is None or row.solver == "reduced" else short(row.ratio),
+    "quartiles": lambda row: f"{short(row.ms_quartile_1)}–{short(row.ms_quartile_3)}" if row.count > 1 else "",
     "inverses": lambda row: short(row.inverses),
     "steps": lambda row: short(row.iterations),
     "gap": _gap,

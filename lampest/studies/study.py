@@ -1,13 +1,10 @@
 """What every study is: settings from YAML → measurements → rows as CSV, samples as HDF5, figures, tables."""
 
-import csv
 import importlib.util
-import io
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import version
-from math import isnan
 from operator import attrgetter
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
@@ -20,7 +17,7 @@ from lampest.files.document import read_document, validated
 from lampest.files.errors import InputError
 from lampest.files.whole import write_whole
 from lampest.recording.datasets import folder as shipped_folder
-from lampest.report.compare import Table
+from lampest.report.compare import Table, comma_separated
 from lampest.report.plots.style import save
 from lampest.runs.config import Case, Run
 from lampest.runs.executors import Executor, local
@@ -207,21 +204,9 @@ def text_of(value: float | None, form: str = ".3g") -> str:
 def csv_of(names: Iterable[str], rows: Sequence[Any]) -> str:
     """Rows as CSV, a column for each name; six digits, empty where there is no number."""
     names = list(names)
-    return comma_separated([names, *([csv_value(getattr(row, name)) for name in names] for row in rows)])
-
-
-def comma_separated(rows: Sequence[Sequence[Any]]) -> str:
-    """Rows of values as CSV."""
-    stream = io.StringIO()
-    csv.writer(stream, lineterminator="\n").writerows(rows)
-    return stream.getvalue()
-
-
-def csv_value(value: Any) -> Any:
-    """A value for CSV: six digits of a number, nothing for None and NaN."""
-    if value is None or (isinstance(value, float) and isnan(value)):
-        return ""
-    return f"{value:.6g}" if isinstance(value, float) else value
+    table = ([getattr(row, name) for name in names] for row in rows)
+    texts = ([text_of(one, ".6g") if isinstance(one, float) else one for one in line] for line in table)
+    return comma_separated([names, *texts])
 
 
 def write_columns(

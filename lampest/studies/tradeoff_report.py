@@ -91,11 +91,6 @@ def method_rows(found: Group) -> list[study.Row]:
     return [row for own in study.grouped(found, lambda one: one.method).values() for row in summary_rows(own)]
 
 
-def all_rows(found: Group) -> list[study.Row]:
-    """Summaries, then methods, then each rung with each method on each recording."""
-    return [*summary_rows(found), *method_rows(found), *study.rows_of(([one] for one in found), FIGURES)]
-
-
 def front(points: Sequence[tuple[float, float]]) -> list[int]:
     """Indices of the points that no other beats in both coordinates, smaller being better, by the first one."""
     best, kept = float("inf"), []
@@ -220,7 +215,8 @@ STUDY: study.Study[Plan, Group] = study.Study(
     read_plan,
     run_tradeoff,
     FIGURES,
-    all_rows,
+    # Summaries, then methods, then each rung with each method on each recording.
+    lambda found: [*summary_rows(found), *method_rows(found), *study.rows_of(([one] for one in found), FIGURES)],
     lambda found: [("", tradeoff_table(found))],
     "tradeoff/1",
     _write_samples,

@@ -31,11 +31,6 @@ PENALTY = "#56738C"  # the colour of its axis
 LINE: dict[str, Any] = {"color": "black", "lw": 1.3, "zorder": 2.5}
 
 
-def file_name(one: Tuned) -> str:
-    """<recording>_<estimator> as part of a file's name."""
-    return re.sub(r"[^\w.@=,+-]", "_", f"{one.subject.recording}_{one.subject.name}")
-
-
 def weights_figure(one: Tuned) -> Figure:
     """Five panels over log λ, and the L-curve; a line, or a sign, for the choice of every rule.
 
@@ -277,6 +272,9 @@ STUDY: study.Study[Run, study.Cases[Tuned]] = study.Study(
     lambda found: [("", study.screen_table(weight_rows(found), SCREEN))],
     "tune/1",
     _write_curves,
-    lambda found: {f"tune_{file_name(one)}": weights_figure(one) for one in found.found},
+    lambda found: {
+        re.sub(r"[^\w.@=,+-]", "_", f"tune_{one.subject.recording}_{one.subject.name}"): weights_figure(one)
+        for one in found.found
+    },
     left_out=lambda found: found.left_out,
 )

@@ -11,7 +11,7 @@ from datetime import datetime
 from pathlib import Path
 
 from lampest.files.errors import InputError
-from lampest.files.typed import installed, typed
+from lampest.files.typed import installed, of_kind, typed
 from lampest.files.whole import refuse_inputs, sparing, whole_file
 from lampest.report.export.arrays import MatlabExport, ZarrExport
 from lampest.report.export.export import Export
@@ -27,13 +27,10 @@ EXPORTS: tuple[Export, ...] = (CsvExport(), ParquetExport(), MatlabExport(), Zar
 def export_of(kind: str) -> Export:
     """The format of that kind, of lampest or of an installed package. Raises InputError where there is none or two."""
     exports: tuple[Export, ...] = (*EXPORTS, *installed("lampest.exports", Export))
-    named = [export for export in exports if export.kind == kind]
-    if len(named) != 1:
-        kinds = ", ".join(dict.fromkeys(export.kind for export in exports))
-        raise InputError(
-            f"--to: there {'is no format' if not named else 'are two formats'} '{kind}'; there are {kinds}"
-        )
-    return named[0]
+    try:
+        return of_kind(kind, "format", exports)
+    except InputError as error:
+        raise InputError(f"--to: {error}") from error
 
 
 @typed

@@ -59,7 +59,8 @@ def certainty(cases: Sequence[CaseResult], place: int) -> list[Illustration]:
     )
     caption = f"The row with the strongest change; {about}. Logarithmic in the ratio of resistances."
     scale = partial(percent_scale, label="posterior standard deviation [% of the cell]")
-    deviations = _tiles(cases, place, _percent_errors)
+    known = [case for case in cases if case.cell_resistance_errors is not None]
+    deviations = _tiles(known, place, lambda case: 100 * case.column("cell_resistance_errors") / case.cell_resistance)
     resolutions = _tiles(cases, place, lambda case: case.resolution)
     return [
         *_maps(cases, deviations, scale, "the standard deviation", UNCERTAIN),
@@ -68,28 +69,22 @@ def certainty(cases: Sequence[CaseResult], place: int) -> list[Illustration]:
     ]
 
 
-def _percent_errors(case: CaseResult) -> Array | None:
-    errors = case.cell_resistance_errors
-    return None if errors is None else 100 * errors / case.cell_resistance
-
-
 def misfits(cases: Sequence[CaseResult], place: int) -> list[Illustration]:
     """Maps of one frame and histograms of all, in units of the noise; where that is unknown, maps in percent."""
     residuals = [weighted_residual(case) for case in cases]
     known = [own for own in residuals if own is not None]
     if len(known) < len(cases):
         scale = partial(signed_scale, label="(model − measured)/measured [%]", least=0.1)
-        return _maps(cases, _tiles(cases, place, _percent_residual), scale, "the residuals", UNEXPLAINED)
+        percent = _tiles(
+            cases, place, lambda case: np.where(case.valued, percent_change(case.reading_model, case.measured), np.nan)
+        )
+        return _maps(cases, percent, scale, "the residuals", UNEXPLAINED)
     scale = partial(signed_scale, label="(model − measured)/σ", least=3.0)
     values = [(case.estimator, own[np.isfinite(own)]) for case, own in zip(cases, known, strict=True)]
     return [
         *_maps(cases, _tiles(cases, place, weighted_residual), scale, "the residuals", UNEXPLAINED),
         Illustration(data_uri(histogram_figure(values)), "Histograms of the residuals", DISTRIBUTED),
     ]
-
-
-def _percent_residual(case: CaseResult) -> Array:
-    return np.where(case.valued, percent_change(case.reading_model, case.measured), np.nan)
 
 
 def differences(cases: Sequence[CaseResult], place: int, found: Sequence[Disagreement]) -> list[Illustration]:

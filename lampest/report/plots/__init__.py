@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 
 from lampest.files import hdf5
 from lampest.files.errors import InputError, in_words
-from lampest.files.typed import installed, typed
+from lampest.files.typed import installed, of_kind, typed
 from lampest.recording.stored import StoredRecording, opened, too_long
 from lampest.report.plots.contours import CertaintyPlot, ContourPlot, ResistancePlot
 from lampest.report.plots.maps import Tile, banded_scale, maps_figure
@@ -32,11 +32,7 @@ MOST_TOGETHER = 20  # estimators that one picture shows
 def plot_of(kind: str) -> Plot:
     """The plot of that kind, of lampest or of an installed package. Raises InputError where there is none or two."""
     plots: tuple[Plot, ...] = (*PLOTS, *installed("lampest.plots", Plot))
-    named = [plot for plot in plots if plot.kind == kind]
-    if len(named) != 1:
-        kinds = ", ".join(dict.fromkeys(plot.kind for plot in plots))
-        raise InputError(f"there {'is no plot' if not named else 'are two plots'} '{kind}'; there are {kinds}")
-    return named[0]
+    return of_kind(kind, "plot", plots)
 
 
 @typed

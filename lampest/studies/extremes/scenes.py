@@ -152,15 +152,6 @@ def _contrasted(pattern: Callable[[Array, Array, AtlasSample, Generator], Array]
     return Extreme(make, contrasted=True)
 
 
-def _two_clusters(row: Array, column: Array, sample: AtlasSample, rng: Generator) -> Array:
-    """One block of good conductors beside three of bad ones."""
-    return sample.decades * ((row < sample.rows // 2) | (column < sample.columns // 2))
-
-
-def _log_uniform(row: Array, column: Array, sample: AtlasSample, rng: Generator) -> Array:
-    return rng.uniform(-sample.decades / 2, sample.decades / 2, sample.shape)
-
-
 def _milliohm_to_gigaohm(cells: Array, sample: AtlasSample, rng: Generator) -> Made:
     levels = np.logspace(-3, 9, cells[0].size)
     return Made(cells / USUAL_OHM * rng.permutation(levels).reshape(sample.shape))
@@ -190,8 +181,9 @@ def _at_series(cells: Array, sample: AtlasSample, rng: Generator) -> Made:
 
 
 CASES: dict[str, Extreme] = {
-    GRID: _contrasted(_log_uniform),
-    "two clusters": _contrasted(_two_clusters),
+    GRID: _contrasted(lambda _, __, at, rng: rng.uniform(-at.decades / 2, at.decades / 2, at.shape)),
+    # One block of good conductors beside three of bad ones.
+    "two clusters": _contrasted(lambda j, k, at, rng: at.decades * ((j < at.rows // 2) | (k < at.columns // 2))),
     "checkerboard": _contrasted(lambda row, column, sample, rng: sample.decades * ((row + column) % 2)),
     "open cell": _times(OPEN, _cell),
     "open row": _times(OPEN, _row),

@@ -16,7 +16,7 @@ from lampest.loads.response import ratio_from_pressure, relative_change_from_pre
 from lampest.panel.film import Film
 from lampest.panel.panel import Array, Panel
 from lampest.recording.datasets import folder as shipped_folder
-from lampest.report.compare import Table
+from lampest.report.compare import Table, comma_separated
 from lampest.report.page.template import filled
 from lampest.report.plots.maps import ACROSS_LABEL, DOWN_LABEL, MapPainter, Tile, banded_scale
 from lampest.report.plots.style import (
@@ -34,7 +34,7 @@ from lampest.report.plots.style import (
 )
 from lampest.report.words import digits
 from lampest.studies.paper.sides import MEASURED, Published, Side, all_sides, published_numbers
-from lampest.studies.study import Reported, comma_separated
+from lampest.studies.study import Reported
 
 CHANGE = "relative change of resistance [%]"
 # Of some steps: quantity, unit, the field of the published row, and of what was seen.
