@@ -235,8 +235,7 @@ class PublishedResponse(Response):
         logarithm = SUCTION_RATE * np.minimum(pressure, 0.0)
         logarithm = logarithm + saturating * np.clip(pressure - 28.0, 0.0, 12.0)
         logarithm = logarithm + saturated * np.maximum(pressure - 40.0, 0.0)
-        small = np.clip(logarithm, -600.0, 600.0)  # beyond, the exponential leaves double precision
-        return np.asarray(np.log(linear * np.exp(small)) + (logarithm - small))
+        return np.asarray(np.log(linear) + logarithm)
 
     @property
     def _rates(self) -> Array:

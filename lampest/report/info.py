@@ -12,6 +12,7 @@ from lampest.estimate.noise import frame_noise_seen
 from lampest.estimate.warnings import warnings_of
 from lampest.files import hdf5
 from lampest.files.errors import InputError
+from lampest.loads.recognition.breathing import too_slow
 from lampest.panel.film import Film
 from lampest.panel.panel import Array
 from lampest.panel.readouts.lines import lines_text
@@ -67,12 +68,16 @@ def _long_lines(recording: StoredRecording) -> list[str]:
     parts = ((part.role, part.time) for part in map(recording.part, blocks))
     role, time = (np.concatenate(values) for values in zip(*parts, strict=True))
     part = f"too long to be held at once; of frames {blocks[0][0]} to {blocks[0][-1]}:"
-    return [_frames_line(role, time), part, *_recording_lines(recording.part(blocks[0]))]
+    return [*_frames_lines(role, time), part, *_recording_lines(recording.part(blocks[0]))]
 
 
-def _frames_line(role: NDArray[np.uint8], time: Array) -> str:
+def _frames_lines(role: NDArray[np.uint8], time: Array) -> list[str]:
+    """How many frames, when, and whether there are too few a second to see breathing."""
     unloaded, measured = int(np.sum(role == UNLOADED)), int(np.sum(role == MEASURED))
-    return f"frames    {len(role)}: {unloaded} unloaded, {measured} measured; {time.min():g} to {time.max():g} s"
+    frames = f"frames    {len(role)}: {unloaded} unloaded, {measured} measured; {time.min():g} to {time.max():g} s"
+    step = float(np.median(np.diff(time))) if len(time) > 1 else 0.0
+    slow = too_slow(1 / step) if step > 0 else ""
+    return [frames, *([f"{'':9} {slow}"] if slow else [])]
 
 
 def _recording_lines(recording: Recording) -> list[str]:
@@ -85,7 +90,7 @@ def _recording_lines(recording: Recording) -> list[str]:
     }
     held = ", ".join(name for name, values in extras.items() if values is not None)
     return [
-        _frames_line(recording.role, recording.time),
+        *_frames_lines(recording.role, recording.time),
         *([] if recording.start_time is None else [f"start     {recording.start_time} at 0 s"]),
         *_scene_lines(recording.scene),
         *_noise_lines(recording),

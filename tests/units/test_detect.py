@@ -34,6 +34,7 @@ from lampest.report.detect.answer import (
     write_detections,
 )
 from lampest.report.detect.detection import detect_recording, detect_results
+from lampest.report.info import describe
 from lampest.report.plots.timeline import plot_timelines
 from lampest.runs.results import CaseResult, Results, write_results
 
@@ -85,7 +86,7 @@ def test_the_sentence_says_what_where_since_when_and_how_strong() -> None:
 @pytest.mark.parametrize(
     ("change", "rate", "answer", "why"),
     [
-        ({}, 1.0, SUCKS, "1 frames a second do not show breathing, four do"),
+        ({}, 1.0, SUCKS, "1 frames a second do not show breathing, at least four do"),
         ({"breathing": -4.0}, 4.0, CUP, ""),
         ({"breathing": 1.0}, 4.0, SUCKS, "whether it breathes is not clear (P = 0.73)"),
         ({"breathing": -4.0, "shaken": True}, 4.0, SUCKS, "it moves at a breathing rate, but not by its suction"),
@@ -175,6 +176,14 @@ def test_other_readouts_are_watched_too(tmp_path: Path) -> None:
     recorded(scene=scene, frames=8).save(tmp_path / "loaded.h5")
     answer = detect_recording(tmp_path / "loaded.h5")
     assert answer.answer == SUCKS and answer.attachments[0].place == pytest.approx((48, 36), abs=2)
+
+
+@pytest.mark.parametrize(("period_s", "said"), [(1.0, True), (0.5, True), (0.25, False), (0.1, False)])
+def test_too_few_frames_a_second_are_advised_against(tmp_path: Path, period_s: float, said: bool) -> None:
+    path = tmp_path / "still.h5"
+    recorded(frames=3, frame_period_s=period_s, loads=()).save(path)
+    assert any("do not show breathing" in line for line in describe(path)) == said
+    assert any("do not show breathing" in note for note in detect_recording(path).notes) == said
 
 
 def test_one_frame_shows_no_change(tmp_path: Path) -> None:

@@ -23,6 +23,11 @@ WINDOW_S, LEAST_S = 8.0, 4.5  # over which a rhythm is steady; and the least tha
 MOVES = {"suction": 0.1, "push": 0.1, "supply": 0.01, "x": 1.0, "y": 1.0, "tilt_x": 0.1, "tilt_y": 0.1}
 
 
+def too_slow(rate: float) -> str:
+    """Why so many frames a second show no breathing; '' where they do."""
+    return "" if rate >= LEAST_RATE else f"{rate:.3g} frames a second do not show breathing, at least four do"
+
+
 @dataclass(frozen=True)
 class Breath:
     """odds : ln of P(breathes)/P(does not) from one window. hertz, depth : with standard deviations.

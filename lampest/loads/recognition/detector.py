@@ -1,7 +1,8 @@
 """What stands on a panel in one frame: every candidate fitted from wherever the change looks like something.
 
-Between patches lie many minima: fits begin wherever a template matches, with coarse errors and then sharper ones. In
-the end all are weighed by the errors about what the best explains; where none fits, more loads at once are tried.
+Between patches lie many minima: fits begin wherever a template matches, with coarse errors, then those about the cells
+that the readings show. In the end all are weighed by the errors about what the best explains; where none fits, more
+loads at once are tried.
 """
 
 from collections.abc import Iterable, Sequence
@@ -14,16 +15,14 @@ from lampest.loads.recognition.candidates import FIELD, LOADS, UNIFORM, Several
 from lampest.loads.recognition.evidence import Verdict, judged, prior_cost
 from lampest.loads.recognition.field import field_fit
 from lampest.loads.recognition.fit import COARSE_STEPS, UNLIKELY, Fit, Fitting, along_diameter
-from lampest.loads.recognition.observation import FARTHEST, SUSPICIOUS, Observation, Whitening, outliers
+from lampest.loads.recognition.observation import FARTHEST, SUSPICIOUS, Explained, Observation, Whitening, outliers
 from lampest.loads.recognition.search import DiscSearch, unit
 from lampest.loads.shapes.disc import Disc
 from lampest.loads.shapes.shape import Candidate
 from lampest.panel.panel import Array, Panel
 
-COARSE, FINER = 0.2, 0.03  # standard deviations of cells at rest in ln r: while a load is looked for, and then
-# Of a fit with the errors, or without the outliers, that the one before left: how often, and from which difference of
-# ln r/r0 on.
-ROUNDS, FAR = 3, 1.0
+COARSE = 0.2  # standard deviation of cells at rest in ln r while a load is looked for
+ROUNDS = 4  # of fits with the errors about the one before, and without its outliers, at most
 LEVELS = (0.5, 1.2, 2.5)  # times the response's standard deviation: from a film as published to a bent, uneven one
 MOST_AT_ONCE = 3  # loads
 
@@ -50,12 +49,14 @@ class Detector:
         stands_out = unit(rest @ self.search.readings(frame)).T @ errors
         if errors @ errors < SUSPICIOUS * errors.size and stands_out.max() < FARTHEST:
             return self._judged(calm, self._uniform(calm))
-        field, found = field_fit(frame), list[Verdict]()
+        (field, without), found = field_fit(frame), list[Verdict]()
         if before is not None and before.loads:
-            found.append(self._settled(frame, before.loads, field))
+            found.append(self._settled(frame, before.loads, field, without))
         if not found or self._doubtful(found[0]):
             discs = self.search.starts(frame, rest)
-            found.append(self._settled(frame, [self._coarse(load, frame, discs) for load in self.loads], field))
+            found.append(
+                self._settled(frame, [self._coarse(load, frame, discs) for load in self.loads], field, without)
+            )
         single, discs = found[-1], list[Disc]()
         while self._doubtful(found[-1]) and len(discs) < MOST_AT_ONCE:
             beside = self.search.beside(field.change, discs)
@@ -64,16 +65,17 @@ class Detector:
             discs.append(beside)
             if len(discs) > 1:
                 fits = self._together(frame, discs)
-                found.append(self._settled(frame, (*fits, *single.loads[:1]), field))
+                found.append(self._settled(frame, (*fits, *single.loads[:1]), field, without))
                 discs = discs_of(fits[0])
         return self._spread(frame, max(found, key=lambda one: one.evidence))
 
     def fitted(self, candidate: Candidate, frame: Observation, start: Fit | None) -> Fit:
         """One candidate fitted whether or not anything else would do; from everywhere, unless a start fits."""
-        fit = None if start is None else self._without_outliers(frame, start)
+        fit = None if start is None else self._whole(frame, start, start.explained, frame)
         if fit is None or fit.chi2 > SUSPICIOUS * frame.measured.size:
             discs = self.search.starts(frame, Whitening.at_rest(frame))
-            other = self._without_outliers(frame, self._coarse(candidate, frame, discs))
+            field, calm = field_fit(frame)
+            other = self._whole(frame, self._coarse(candidate, frame, discs), field.explained, calm)
             fit = other if fit is None or other.chi2 < fit.chi2 else fit
         return fit
 
@@ -81,24 +83,33 @@ class Detector:
         """Of one candidate to one frame."""
         return Fitting(self.panel, self.patch_mm, candidate, frame, whitening)
 
-    def _without_outliers(self, frame: Observation, fit: Fit) -> Fit:
-        for _ in range(ROUNDS):
-            fit = self._weighed(frame, fit, frame.baseline.model_errors.response)
-            far = fit.outliers(frame)
-            if len(far) == 0:
-                break
-            frame = frame.without(far)
-        return fit
+    def _whole(self, frame: Observation, fit: Fit, explained: Explained, calm: Observation) -> Fit:
+        """A single fit, sharpened, with the whole width of its posterior."""
+        scatter = frame.baseline.model_errors.response
+        calm, (fit,) = self._sharpened(frame, [fit], explained, calm, scatter)
+        whitening = Whitening.of(calm, fit.explained, scatter)
+        return self.fitting(fit.candidate, calm, whitening).best(fit.parameters)
 
-    def _weighed(self, frame: Observation, fit: Fit, scatter: float, rough: bool = False) -> Fit:
-        """The fit from a start, with the errors about what it explains, until these stay."""
-        for _ in range(ROUNDS):
-            before = fit.change
-            fitting = self.fitting(fit.candidate, frame, Whitening.of(frame, fit.explained, scatter))
-            fit = fitting.best(fit.parameters, rough=rough)
-            if np.abs(fit.change - before).max() < FAR:
-                break
-        return fit
+    def _sharpened(
+        self, frame: Observation, fits: Sequence[Fit], explained: Explained, calm: Observation, scatter: float
+    ) -> tuple[Observation, list[Fit]]:
+        """(the frame without outliers, all fits to it) with the errors about what is explained, then the best explains.
+
+        Errors that all fits share follow none of them. calm : the frame to begin with. From the second round on
+        outliers are sought every time among all readings, so that none stays out which a better fit explains.
+        """
+        dropped: list[int] | None = None
+        for number in range(ROUNDS):
+            whitening = Whitening.of(calm, explained, scatter)
+            fits = [self.fitting(fit.candidate, calm, whitening).best(fit.parameters, rough=True) for fit in fits]
+            best = best_of(fits)
+            explained = best.explained
+            if number:
+                far = best.outliers(frame)
+                if far.tolist() == dropped:
+                    break
+                calm, dropped = frame.without(far), far.tolist()
+        return calm, list(fits)
 
     def _coarse(self, load: Candidate, frame: Observation, discs: Sequence[Disc]) -> Fit:
         """The best fit of a load from any disc, with the errors of a panel at rest."""
@@ -109,18 +120,11 @@ class Detector:
             fits.append(fitting.best(load.start(disc), COARSE_STEPS, most, rough=True))
         return best_of(fits)
 
-    def _settled(self, frame: Observation, fits: Sequence[Fit], field: Fit) -> Verdict:
-        """The verdict on all candidates from coarse fits, compared step by step more sharply and without outliers."""
+    def _settled(self, frame: Observation, fits: Sequence[Fit], field: Fit, calm: Observation) -> Verdict:
+        """The verdict on all candidates from coarse fits; field, calm : of `field_fit`."""
         scatter = LEVELS[-1] * frame.baseline.model_errors.response
-        for blurred in (frame.blurred(FINER), frame):
-            fits = [self._weighed(blurred, fit, scatter, rough=True) for fit in fits]
-        for _ in range(ROUNDS):
-            far = best_of(fits).outliers(frame)
-            if len(far) == 0:
-                break
-            frame = frame.without(far)
-            fits = [self._weighed(frame, fit, scatter, rough=True) for fit in fits]
-        return self._judged(frame, (*self._uniform(frame), *self._weighed_alike(frame, fits), field))
+        calm, fits = self._sharpened(frame, fits, field.explained, calm, scatter)
+        return self._judged(calm, (*self._uniform(calm), *self._weighed_alike(calm, fits), field))
 
     def _weighed_alike(self, frame: Observation, fits: Sequence[Fit]) -> list[Fit]:
         """All fits weighed by what the best of them explains, from where they are or where that is.

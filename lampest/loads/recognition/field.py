@@ -23,13 +23,13 @@ from lampest.panel.panel import Array
 SD = np.array([0.005, 0.08, 0.4, 1.6])  # of ln r/r0 where nothing is, at half a kPa, a few kPa, tens; assumptions
 
 
-def field_fit(frame: Observation) -> Fit:
-    """The most probable field, without outliers, and its evidence."""
+def field_fit(frame: Observation) -> tuple[Fit, Observation]:
+    """(the most probable field with its evidence, the frame without the outliers that it shows)."""
     fit, found = _of_two_maps(frame)
     if fit.chi2 < SUSPICIOUS * frame.measured.size:
-        return fit
+        return fit, frame
     calm = frame.without(outliers(Whitening(found.root), found.apart))
-    return max(fit, _of_two_maps(calm)[0], key=lambda one: one.evidence)
+    return max((fit, frame), (_of_two_maps(calm)[0], calm), key=lambda pair: pair[0].evidence)
 
 
 def _of_two_maps(frame: Observation) -> tuple[Fit, MostProbable]:
@@ -49,7 +49,8 @@ def _with_states(frame: Observation, start: Array) -> tuple[Fit, MostProbable]:
     """The most probable field with the states that ln r/r0 (rows, columns) shows, from there."""
     of_cells = states(start)
     found = frame.cells(start, prior(frame, SD[of_cells].ravel()))
-    change, whitening, nothing = found.state.reshape(start.shape), Whitening(found.root), np.zeros_like(start)
+    change, whitening = found.state.reshape(start.shape), Whitening(found.root)
+    edges = np.hypot(*np.gradient(change, frame.baseline.scene.panel.pitch_mm))
     errors, left = whitening @ found.apart, frame.residual(change)
     cost = float(errors @ errors) / 2
     misfit = Whitening(np.linalg.cholesky(frame.covariance(change))) @ left
@@ -57,7 +58,7 @@ def _with_states(frame: Observation, start: Array) -> tuple[Fit, MostProbable]:
         candidate=FIELD,
         parameters=np.zeros(0),
         covariance=np.zeros((0, 0)),
-        explained=Explained(change, nothing, nothing),
+        explained=Explained(change, edges, np.zeros_like(change)),
         residual=left,
         slopes=np.zeros((change.size, 0)),
         chi2=float(misfit @ misfit),

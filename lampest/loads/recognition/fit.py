@@ -58,10 +58,12 @@ class Fit:
         return self.explained.change
 
     def outliers(self, frame: Observation) -> NDArray[np.intp]:
-        """Numbers of the readings that contradict it; none where its χ² is not suspicious."""
-        if self.chi2 <= SUSPICIOUS * frame.measured.size:
+        """Numbers of the frame's readings that contradict it; none where its χ² is not suspicious."""
+        whitening = Whitening.of(frame, self.explained, self.scatter)
+        errors = whitening @ self.residual
+        if errors @ errors <= SUSPICIOUS * len(errors):
             return np.zeros(0, dtype=np.intp)
-        return outliers(Whitening.of(frame, self.explained, self.scatter), self.residual)
+        return outliers(whitening, self.residual)
 
     def with_errors(self, frame: Observation) -> tuple[Observation, Whitening]:
         """(the frame without its outliers, the frame's errors about what it explains)."""

@@ -9,7 +9,7 @@ import numpy as np
 
 from lampest.files import hdf5
 from lampest.loads.recognition.attachment import Attachment, Pair
-from lampest.loads.recognition.breathing import LEAST_RATE, LEAST_S
+from lampest.loads.recognition.breathing import LEAST_S, too_slow
 from lampest.panel.panel import Array, Panel
 from lampest.report.compare import Table
 
@@ -183,10 +183,10 @@ def answer_of(one: Attachment, rate: float) -> tuple[str, float, str]:
         return PRESSES, 1 - one.sucks, ""
     if one.sucks * one.breathes >= SURE:
         return LAMPREY, one.sucks * one.breathes, ""
-    why = ""
-    if rate < LEAST_RATE:
-        why = f"{rate:.3g} frames a second do not show breathing, four do"
-    elif one.shaken:
+    why = too_slow(rate)
+    if why:
+        return SUCKS, one.sucks, why
+    if one.shaken:
         why = "it moves at a breathing rate, but not by its suction alone: shaken, or in waves"
     elif one.breathing_hz is None:
         why = f"breathing shows after {LEAST_S:g} s at the earliest"
@@ -201,7 +201,7 @@ def alarming(detected: Detected) -> list[float]:
     """Since when attachments are there that are lampreys, or suck while frames are too few to know more, s."""
     rate = detected.frames_per_second or 0.0
     called = ((one, answer_of(one, rate)[0]) for one in detected.attachments)
-    return [one.since_s for one, name in called if name == LAMPREY or (name == SUCKS and rate < LEAST_RATE)]
+    return [one.since_s for one, name in called if name == LAMPREY or (name == SUCKS and too_slow(rate))]
 
 
 def _round(number: float) -> float:

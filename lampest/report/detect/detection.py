@@ -14,6 +14,7 @@ from lampest.files import hdf5
 from lampest.files.errors import InputError
 from lampest.files.process import told_reason
 from lampest.loads.pressure import water_pressure
+from lampest.loads.recognition.breathing import too_slow
 from lampest.loads.recognition.image import ImageWatch, most_cells
 from lampest.loads.recognition.settings import ModelErrors, RecognitionSettings
 from lampest.loads.recognition.watch import Panelled, Watch
@@ -93,7 +94,7 @@ class Known:
         found, response = watch.attachments, self.scene.response
         if response is None:
             found = tuple(replace(one, suction_kpa=None) for one in found)
-        notes = (*self.notes, BY, *(() if response else (NO_RESPONSE,)))
+        notes = (*self.notes, BY, *(() if response else (NO_RESPONSE,)), *filter(None, (too_slow(rate),)))
         return Detected.of(self.name, found, rate, notes, course, watch.change, self.scene.panel)
 
     def values(self, readings: Readings) -> tuple[Array, Array]:
