@@ -47,6 +47,9 @@ SETTLED, DRIFT = 0.005, 0.01
 OWN, ALIKE = 0.05, 0.2
 # The other explanation, that something still presses: as likely beforehand, and ln r/r0 anywhere within so much.
 RANGE = 4.0
+# Of the largest ln r/r0 of a cell, what stays once the load is gone and does not fade: such shares are compared, with a
+# prior of this mean; and the mean creep beyond which what stays is no creep.
+RESIDUES, RESIDUE, MOST_LIKELY = np.array([0.0, 0.005, 0.01, 0.02, 0.03, 0.045, 0.06, 0.09, 0.12, 0.18, 0.25]), 0.02, 0.2
 INDEPENDENT = 3.0  # frames; errors of a cell stay from frame to frame, and all its frames count as so many
 SOONEST = 1e-3  # s between frames whose times do not increase
 MOST_ANSWER = 6.0  # of ln r/r0: beyond are open cells
@@ -197,6 +200,7 @@ class FilmKnown:
     """What is known of a film's strengths.
 
     hysteresis, creep : strengths of a cell. film : as the scene has it. sentence : where they come from, or ''.
+    residue : of the largest ln r/r0 of a cell, the root mean square of what stays after the load and does not fade.
     cells : (rows, columns) the creep of each cell and its deviation, estimated from a recording; else None.
     """
 
@@ -205,6 +209,7 @@ class FilmKnown:
     creep: Strength
     sentence: str = ""
     cells: tuple[Array, Array] | None = None
+    residue: float = RESIDUE
 
     @classmethod
     def specified(cls, film: Film) -> "FilmKnown":
@@ -227,24 +232,34 @@ class FilmKnown:
     def estimated(self, change: Array, sd: Array, time: Array) -> "FilmKnown":
         """With the creep that the recording shows; unchanged where the scene specifies it.
 
-        Where a load is gone, a cell still shows c Σ s_j. P(c) ∝ P(c) beforehand · Π [½ N(u; 0, σ) + ½/RANGE] over
-        frames and cells, u what is left of ln r/r_rest without the memory. Where cells differ, each has its own
-        posterior about that of all. Where nothing was released, the prior stays.
+        Where a load is gone, a cell still shows c Σ s_j and a constant share ρ of its largest answer. P(c, ρ) ∝ P(c)
+        P(ρ) beforehand · Π [½ N(u; 0, σ) + ½/RANGE] over frames and cells, u what is left of ln r/r_rest without both.
+        Where cells differ, each has its own posterior about that of all. Where nothing was released, the prior stays;
+        where what stays is more than any film creeps, there is no creep, and the sentence says so.
 
         change, sd : (frames, rows, columns) ln(r/r_rest) and its standard deviation; NaN where a frame failed.
         time : (frames) s.
         """
         if self.film.creep_per_decade != "auto":
             return self
-        usual = self.film.told_creep
-        each = _likelihood(self.film.answer, change, sd, time, ALIKE)
-        mean, shared = (float(number) for number in _moments(each.sum(axis=(1, 2)) - CREEPS / usual.mean))
+        usual, data = self.film.told_creep, (self.film.answer, change, sd, time)
+        each = [_likelihood(*data, ALIKE, share).sum(axis=(1, 2)) for share in RESIDUES]
+        logarithm = np.stack(each) - RESIDUES[:, None] / RESIDUE - CREEPS / usual.mean
+        mean, shared = (float(number) for number in _moments(np.logaddexp.reduce(logarithm, axis=0)))
+        volume = np.logaddexp.reduce(logarithm + np.log(np.gradient(CREEPS)), axis=1) + np.log(np.gradient(RESIDUES))
+        weight = np.exp(volume - volume.max())
+        residue = float(np.sqrt(weight @ RESIDUES**2 / weight.sum()))
+        if mean > MOST_LIKELY:
+            said = "creep not estimated: what stays after loads does not fade as creep does"
+            return replace(self, creep=Strength(0.0, 0.0), residue=RESIDUES[-1], sentence=said)
         spread = float(np.hypot(shared, mean * self.film.cell_spread))
-        found = replace(self, creep=Strength(mean, spread))
+        found = replace(self, creep=Strength(mean, spread), residue=residue)
         if spread > shared:
-            own = _likelihood(self.film.answer, change, sd, time, OWN)
+            own = _likelihood(*data, OWN, float(weight @ RESIDUES / weight.sum()))
             found = replace(found, cells=_moments(own - 0.5 * ((CREEPS[:, None, None] - mean) / spread) ** 2))
-        return replace(found, sentence=found._said("assumed" if shared > 0.8 * usual.sd else "from the recording"))
+        from_recording = shared <= 0.8 * usual.sd
+        said = f"estimated from the recording, and {100 * residue:.1f} % of a load may stay after it"
+        return replace(found, sentence=found._said(said if from_recording else "assumed"))
 
     def _said(self, creep_from: str) -> str:
         parts = []
@@ -265,11 +280,12 @@ def _moments(logarithm: Array) -> tuple[Array, Array]:
     return mean, np.sqrt(np.maximum(np.tensordot(CREEPS**2, weight, 1) - mean**2, 0.0))
 
 
-def _likelihood(gain: float, change: Array, sd: Array, time: Array, own: float) -> Array:
+def _likelihood(gain: float, change: Array, sd: Array, time: Array, own: float, residue: float) -> Array:
     """ln P(frames of a cell | c) for every c of CREEPS, up to what all share, (strengths, rows, columns).
 
-    own : relative standard deviation of a cell's predicted memory.
+    own : relative standard deviation of a cell's predicted memory. residue : share of its largest answer that stays.
     """
+    peak = np.zeros(change.shape[1:])
     shape, last = (len(CREEPS), *change.shape[1:]), float(time[0])
     creep = Creep.at_rest(np.broadcast_to(CREEPS[:, None, None], shape))
     total, resting = np.zeros(shape), np.zeros(shape)
@@ -281,7 +297,9 @@ def _likelihood(gain: float, change: Array, sd: Array, time: Array, own: float) 
         answer = np.where(known, np.clip(-frame / gain, -MOST_ANSWER, MOST_ANSWER), fading)
         drift = np.hypot(SETTLED, DRIFT * (now - time[0]) / 60)
         spread = np.sqrt((np.where(known, error, 0.0) / gain) ** 2 + drift**2 + (own * fading) ** 2)
-        rest = np.exp(-0.5 * ((answer - fading) / spread) ** 2) / (np.sqrt(2 * np.pi) * spread)
+        left = answer - fading - residue * peak
+        peak = np.fmax(peak, np.where(known, np.clip(-frame / gain, 0.0, MOST_ANSWER), 0.0))
+        rest = np.exp(-0.5 * (left / spread) ** 2) / (np.sqrt(2 * np.pi) * spread)
         total += np.where(known, np.log((rest + 1 / RANGE) / 2), 0.0)
         resting += np.where(known, rest / (rest + 1 / RANGE), 0.0)
         creep, last = creep.after(creep.at_once(answer, seconds), seconds), float(now)
@@ -295,18 +313,22 @@ class FilmTrack:
 
     films : the mean film, then one with each of its strengths by a standard deviation more; (rows, columns) each.
     zeros : (films, rows, columns) ln(r/r_rest) that counts as none beside the memory: a tare.
-    time : s, of the last frame that was observed; None before the first.
+    time : s, of the last frame that was observed; None before the first. residue : as `FilmKnown` has it; peak : (rows,
+    columns) the largest |ln(r/r_rest)| so far.
     """
 
     films: tuple[FilmMemory, ...]
     zeros: Array
+    residue: float
+    peak: Array
     time: float | None = None
 
     @classmethod
     def begin(cls, known: FilmKnown, water: Array, response: Response = PUBLISHED) -> "FilmTrack":
         """At rest in water, (rows, columns) kPa."""
         films = known.memories(water, response)
-        return cls(films, np.zeros((len(films), *water.shape)))
+        residue = known.residue if known.film.remembers else 0.0
+        return cls(films, np.zeros((len(films), *water.shape)), residue, np.zeros(water.shape))
 
     def seconds(self, time: float) -> float:
         """Since the last frame; a second before the first."""
@@ -321,7 +343,12 @@ class FilmTrack:
         if not np.isfinite(change).any():
             return self
         seconds, pairs = self.seconds(time), zip(self.films, self.zeros, strict=True)
-        return replace(self, films=tuple(film.observed(change - zero, seconds) for film, zero in pairs), time=time)
+        films = tuple(film.observed(change - zero, seconds) for film, zero in pairs)
+        return replace(self, films=films, time=time, peak=np.fmax(self.peak, np.abs(change)))
+
+    def kept(self, change: Array) -> Array:
+        """Standard deviation of `change` (…, rows, columns) for what a load has left that was larger than it."""
+        return np.asarray(self.residue * np.maximum(self.peak - np.abs(change), 0.0))
 
     def tared(self, change: Array, time: float) -> "FilmTrack":
         """As if nothing pressed in a frame with this ln(r/r_rest): what the memory does not explain is the new zero."""

@@ -51,7 +51,7 @@ def pressure_of(
 
     The interval's ends are those of x, mapped like x itself: f is monotone. Three errors are added in quadrature:
     that of the estimate (each side its own), |T − T_b|·σ_α, and the response's, `response_sd`·|x|. Where the scene
-    names a film, its memory of earlier frames is taken off; see `PressureTrack`.
+    names a film, its memory of earlier frames is taken off; what it may keep is one more error. See `PressureTrack`.
 
     ratio : (frames, rows, columns) r/r_baseline; NaN where a frame failed.
     lower, upper : ends of its 95 % interval; 0 and infinity where that is open, `ratio` itself at a bound.
@@ -145,13 +145,13 @@ class PressureTrack:
 
     def _beside(self, ratio: Array, lower: Array, upper: Array, time: float) -> tuple[Array, Array]:
         """Half the 95 % interval of the change, below and above it."""
-        scene, answer = self.scene, self._change(ratio)
+        scene, answer, kept = self.scene, self._change(ratio), np.zeros(())
         if self.film is not None:
-            answer = -self.film.at_once(answer, time)
+            kept, answer = self.film.kept(answer), -self.film.at_once(answer, time)
         warmth = scene.temperature
         warming_sd = 0.0 if warmth is None else abs(warmth.difference_kelvin) * warmth.coefficient_sd_per_kelvin
         bent = 0.0 if scene.film is None else scene.film.answer_sd
-        shared = NORMAL_95 * np.hypot(np.hypot(response_sd(scene, answer), bent) * answer, warming_sd)
+        shared = np.hypot(np.hypot(response_sd(scene, answer), bent) * answer, np.hypot(warming_sd, kept)) * NORMAL_95
         with np.errstate(divide="ignore"):
             return np.hypot(np.log(ratio) - np.log(lower), shared), np.hypot(np.log(upper) - np.log(ratio), shared)
 

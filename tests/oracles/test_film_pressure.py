@@ -12,7 +12,7 @@ from lampest.estimate.estimates import Estimates
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.sequence import reconstruct
 from lampest.files.hdf5 import existing_file, read_attribute
-from lampest.loads.film import FilmKnown
+from lampest.loads.film import Creep, FilmKnown
 from lampest.loads.pressure import Pressure, pressure_of
 from lampest.loads.shapes import Rod
 from lampest.panel.film import OPEN_CREEP, Film
@@ -159,3 +159,40 @@ def test_a_film_without_memory_leaves_bars_as_wide_as_none(film: Film) -> None:
     )
     np.testing.assert_allclose(with_film.upper - with_film.lower, plain.upper - plain.lower, rtol=0.01)
     np.testing.assert_allclose(with_film.errors, plain.errors, rtol=0.01)
+
+
+@pytest.mark.parametrize(("creep", "residue"), [(0.0, 0.04), (0.05, 0.0), (0.05, 0.04)])
+def test_what_stays_and_does_not_fade_is_no_creep(creep: float, residue: float) -> None:
+    """A minute under loads and a minute after them, in ln(r/r0)."""
+    rng = np.random.default_rng(1)
+    load, film, frames = rng.uniform(0.5, 2, (4, 4)), Creep.at_rest(np.full((4, 4), creep)), []
+    for frame in range(120):
+        now = load * (frame < 60)
+        frames.append(film.answer(now, 1.0) + residue * load * (frame >= 60) + 0.01 * rng.standard_normal((4, 4)))
+        film = film.after(now, 1.0)
+    told = FilmKnown.specified(Film(creep_per_decade="auto"))
+    known = told.estimated(-np.array(frames), np.full((120, 4, 4), 0.01), np.arange(120.0))
+    assert known.creep.mean == pytest.approx(creep, abs=0.02) and "estimated from the recording" in known.sentence
+    assert known.residue == pytest.approx(residue, abs=0.015)
+
+
+def test_what_no_film_does_is_not_taken_for_creep() -> None:
+    """Half of a load stays."""
+    frames = np.full((60, 3, 3), -1.0)
+    frames[30:] = -0.5
+    frames += 0.01 * np.random.default_rng(1).standard_normal(frames.shape)
+    told = FilmKnown.specified(Film(creep_per_decade="auto"))
+    known = told.estimated(frames, np.full(frames.shape, 0.01), np.arange(60.0))
+    assert known.creep == (0.0, 0.0) and known.sentence.startswith("creep not estimated")
+
+
+def test_bars_after_a_release_know_what_the_film_may_keep() -> None:
+    """Two per cent of the largest answer are left; at that answer itself bars are as wide as without a film."""
+    ratio = np.full((2, 4, 4), 0.3)
+    ratio[1] = 0.3**0.02
+    plain, kept = (
+        pressure_of(ratio, 0.999 * ratio, 1.001 * ratio, Scene(Panel(4, 4), systematic="none", film=film))
+        for film in (None, Film(creep_per_decade=1e-4))
+    )
+    assert plain.lower[1].min() > 0 > kept.lower[1].max()
+    np.testing.assert_allclose((kept.upper - kept.lower)[0], (plain.upper - plain.lower)[0], rtol=0.02)
