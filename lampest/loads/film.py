@@ -49,7 +49,8 @@ OWN, ALIKE = 0.05, 0.2
 RANGE = 4.0
 # Of the largest ln r/r0 of a cell, what stays once the load is gone and does not fade: such shares are compared, with a
 # prior of this mean; and the mean creep beyond which what stays is no creep.
-RESIDUES, RESIDUE, MOST_LIKELY = np.array([0.0, 0.005, 0.01, 0.02, 0.03, 0.045, 0.06, 0.09, 0.12, 0.18, 0.25]), 0.02, 0.2
+RESIDUES = np.array([0.0, 0.005, 0.01, 0.02, 0.03, 0.045, 0.06, 0.09, 0.12, 0.18, 0.25])
+RESIDUE, MOST_LIKELY = 0.02, 0.2
 INDEPENDENT = 3.0  # frames; errors of a cell stay from frame to frame, and all its frames count as so many
 SOONEST = 1e-3  # s between frames whose times do not increase
 MOST_ANSWER = 6.0  # of ln r/r0: beyond are open cells
