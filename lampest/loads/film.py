@@ -252,7 +252,7 @@ class FilmKnown:
         residue = float(np.sqrt(weight @ RESIDUES**2 / weight.sum()))
         if mean > MOST_LIKELY:
             said = "creep not estimated: what stays after loads does not fade as creep does"
-            return replace(self, creep=Strength(0.0, 0.0), residue=RESIDUES[-1], sentence=said)
+            return replace(self, creep=Strength(0.0, 0.0), residue=float(RESIDUES[-1]), sentence=said)
         spread = float(np.hypot(shared, mean * self.film.cell_spread))
         found = replace(self, creep=Strength(mean, spread), residue=residue)
         if spread > shared:
