@@ -145,9 +145,10 @@ class PressureTrack:
 
     def _beside(self, ratio: Array, lower: Array, upper: Array, time: float) -> tuple[Array, Array]:
         """Half the 95 % interval of the change, below and above it."""
-        scene, answer, kept = self.scene, self._change(ratio), np.zeros(())
+        scene, answer = self.scene, self._change(ratio)
+        kept = np.zeros(answer.shape) if self.film is None else self.film.kept(answer)
         if self.film is not None:
-            kept, answer = self.film.kept(answer), -self.film.at_once(answer, time)
+            answer = -self.film.at_once(answer, time)
         warmth = scene.temperature
         warming_sd = 0.0 if warmth is None else abs(warmth.difference_kelvin) * warmth.coefficient_sd_per_kelvin
         bent = 0.0 if scene.film is None else scene.film.answer_sd
