@@ -25,9 +25,9 @@ class Attachment:
 
     sucks : probability. since_s, until_s : s; until None: it is there. x_mm and so on : (value, standard deviation),
     None where it is not known. cells : how many it touches; conductance_s : what these conduct more than at rest.
-    breathing, before : ln of the odds that it breathes, and those without the last window.
-    shaken : whether it moves at a breathing rate, but not its suction. sucks_s, moved_s : when it began to suck, None:
-    it does not; when it moved.
+    breathing, before : ln of the odds that it oscillates as breathing does, and those without the last window.
+    suction : probability that this is its suction, from the last window that shows it. sucks_s, moved_s : when it began
+    to suck, None: it does not; when it moved.
     """
 
     sucks: float
@@ -44,14 +44,19 @@ class Attachment:
     before: float = 0.0
     breathing_hz: Pair | None = None
     breathing_depth: Pair | None = None
-    shaken: bool = False
+    suction: float = 1.0
     sucks_s: float | None = None
     moved_s: tuple[float, ...] = ()
 
     @property
     def breathes(self) -> float:
         """Probability that its suction changes as breathing does, given that it sucks; 1/2 where nothing was seen."""
-        return 1 / (1 + exp(-self.breathing))
+        return self.suction / (1 + exp(-self.breathing))
+
+    @property
+    def shaken(self) -> bool:
+        """Whether it moves at a breathing rate, but probably not by its suction."""
+        return self.breathing > 0 and self.suction < 0.5
 
     @property
     def here(self) -> bool:
@@ -77,15 +82,17 @@ class Attachment:
         far = CLEAR * max(1.0, hypot(self.x_mm[1], self.y_mm[1], later.x_mm[1], later.y_mm[1]))
         moved = (*self.moved_s, later.since_s) if self.distance(later.place) > far else self.moved_s
         began = later.since_s if self.sucks_s is None and later.sucks > 0.5 else self.sucks_s
-        kept = ("since_s", "breathing", "before", "breathing_hz", "breathing_depth", "shaken")
+        kept = ("since_s", "breathing", "before", "breathing_hz", "breathing_depth", "suction")
         return replace(later, sucks_s=began, moved_s=moved, **{name: getattr(self, name) for name in kept})
 
     def breathed(self, seen: Breath, full: bool) -> "Attachment":
         """After a window; full : whether its odds stay. A mouth breathes in OFTEN of all windows."""
         odds = float(np.clip(self.before + np.logaddexp(log(1 - OFTEN), log(OFTEN) + seen.odds), PAUSED, SURE))
-        here = replace(self, breathing=odds, before=odds if full else self.before, shaken=seen.shaken)
+        here = replace(self, breathing=odds, before=odds if full else self.before)
         clear = seen.odds > 0 or self.breathing_hz is None
-        return replace(here, breathing_hz=seen.hertz, breathing_depth=seen.depth) if clear else here
+        return (
+            replace(here, breathing_hz=seen.hertz, breathing_depth=seen.depth, suction=seen.suction) if clear else here
+        )
 
 
 def attachment_of(frame: Observation, verdict: Verdict, number: int, since: float) -> Attachment:

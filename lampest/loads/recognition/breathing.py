@@ -7,7 +7,7 @@ taken off. Equations are in docs/theory/recognition.md.
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import log_expit, logsumexp
+from scipy.special import logsumexp
 
 from lampest.loads.recognition.evidence import RARER
 from lampest.loads.recognition.fit import Fit
@@ -30,15 +30,15 @@ def too_slow(rate: float) -> str:
 
 @dataclass(frozen=True)
 class Breath:
-    """odds : ln of P(breathes)/P(does not) from one window. hertz, depth : with standard deviations.
+    """odds : ln of P(oscillates)/P(does not) from one window. hertz, depth : with standard deviations.
 
-    shaken : whether something else moves at a breathing rate, and more than suction does.
+    suction : probability that it is the suction that does, and not something else that moves at a breathing rate.
     """
 
     odds: float
+    suction: float
     hertz: tuple[float, float]
     depth: tuple[float, float]
-    shaken: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,36 +95,31 @@ def breath(times: Array, changes: Array, patterns: Patterns, water: Array) -> Br
         return None
     at = (times - times[0]) / lasted
     trend = np.linalg.qr(np.column_stack([np.ones_like(at), at, at**2, np.log1p(10 * at)]))[0]
-    own, rim, scale = patterns.own, patterns.rim, MOVES["suction"]
-    basis, kept = np.column_stack([own, patterns.moves, patterns.others]), 1 + patterns.moves.shape[1]
-    together = np.linalg.solve(basis.T @ basis + np.eye(basis.shape[1]), basis.T @ changes.T).T[:, :kept]
-    series = np.column_stack([scale * _calm(together[:, 0]), together[:, 1:], water])
-    weights = np.array([own @ own / scale**2, *(patterns.moves**2).sum(axis=0), 0.0])
+    basis = np.column_stack([patterns.own, patterns.others])
+    together = np.linalg.solve(basis.T @ basis + np.eye(basis.shape[1]), basis.T @ changes.T)[0]
+    series = np.column_stack([MOVES["suction"] * _calm(together), water])
     series = series - trend @ (trend.T @ series)
     hertz = np.arange(RATES_HZ[0], min(RATES_HZ[1], rate / 2) + 1e-9, 0.25 / lasted)
     waves = np.exp(2j * np.pi * hertz[:, None] * times)
     waves = np.stack([waves.real, waves.imag], axis=2)
     axes, sizes, _ = np.linalg.svd(waves - trend @ (trend.T @ waves), full_matrices=False)
-    found, gain = np.swapaxes(axes, 1, 2) @ series, sizes**2
+    axes, gain = np.swapaxes(axes, 1, 2), sizes**2
+    found = axes @ series
     power, amplitude, total = (found**2).sum(axis=1), found[:, :, 0], float(series[:, 0] @ series[:, 0])
-    moved = weights * power
-    free = (moved[:, 0] >= moved[:, 1:-1].max(axis=1)) & (power[:, 0] >= power[:, -1])  # suction follows waves at most
-    rather = _rather(own, rim, basis[:, 1:], np.swapaxes(axes, 1, 2) @ (changes - trend @ (trend.T @ changes)))
     freedom = len(times) - trend.shape[1]
     breathing, steady = (_evidence(total, amplitude, gain, sd, freedom) for sd in (BREATH, STEADY))
-    own, other = (np.where(free, log_expit(sign * (rather + RARER)), none) for sign, none in ((1, -np.inf), (-1, 0.0)))
-    still = float(logsumexp(steady))
-    odds = float(logsumexp(breathing + own) - np.logaddexp(still, logsumexp(breathing + other)))
-    best = int(np.argmax(np.where(free, power[:, 0], 0.0) if free.any() else power[:, 0]))
+    best = int(np.argmax(power[:, 0]))
+    suction = _suction(patterns, axes @ (changes - trend @ (trend.T @ changes)), best)
+    suction = suction if power[best, 0] >= power[best, 1] else 0.0  # it follows waves at most
     noise = max(total - power[best, 0], 1e-12) / max(freedom - 2, 1)
     size = float(np.mean(gain[best]))
     depth = np.sqrt(max(power[best, 0] / size, 1e-12))
     spread = np.sqrt(6 * noise / (size * 2)) / (np.pi * lasted * depth)  # Rife and Boorstyn, IEEE Trans. IT-20, 1974
     return Breath(
-        odds,
+        float(logsumexp(breathing) - logsumexp(steady)),
+        suction,
         (float(hertz[best]), float(np.hypot(spread, 0.25 / lasted / 12**0.5))),
         (float(depth), float(np.sqrt(noise / size))),
-        float(logsumexp(breathing + other)) - still > RARER and odds < 0.0,
     )
 
 
@@ -138,21 +133,29 @@ def _evidence(total: float, amplitude: Array, gain: Array, sd: float, freedom: i
     return np.asarray(logsumexp(fits + volume, axis=0))
 
 
-def _rather(own: Array, rim: Array, others: Array, moving: Array) -> Array:
-    """ln of the ratio of likelihoods at each rate (rates): of suction that moves with the rim, and of the rim alone.
+def _suction(patterns: Patterns, moving: Array, at: int) -> float:
+    """How probable it is that suction oscillates with its rim, not the rim alone nor the load's place or tilt.
 
-    moving : (rates, 2, readings). What neither pattern explains, beside the others, has one unknown scale; as many
-    readings count as the pattern reaches.
+    moving : (rates, 2, readings). at : the rate in question. Each is one pattern, or a span of patterns, beside
+    `others`. Rims are compared by what they leave unexplained at that rate, where errors have one unknown scale.
+    Places are, at any rate, by what they explain above the median of all rates, because the square of a movement
+    oscillates twice as fast. As many readings count as suction reaches.
     """
-    apart = np.linalg.qr(others)[0]
+    apart = np.linalg.qr(patterns.others)[0]
+
+    def along(columns: Array) -> Array:
+        """(rates) of the square of what moves, the part in their span."""
+        span = np.linalg.qr(columns - apart @ (apart.T @ columns))[0]
+        return np.asarray(((moving @ span) ** 2).sum(axis=(1, 2)))
+
     moving = moving - moving @ apart @ apart.T
-    left = []
-    for pattern in (own, rim):
-        alone = pattern - apart @ (apart.T @ pattern)
-        along = moving @ alone / np.linalg.norm(alone)
-        left.append((moving**2).sum(axis=(1, 2)) - (along**2).sum(axis=1))
-    reaches = (own @ own) ** 2 / (own**4).sum()
-    return np.asarray(reaches / 2 * np.log(left[1] / left[0]))
+    whole = float((moving[at] ** 2).sum())
+    own, rim, moves = (along(one) for one in (patterns.own[:, None], patterns.rim[:, None], patterns.moves))
+    left = max(whole - rim[at], 1e-12) / max(whole - own[at], 1e-12)
+    above = max(own[at] - np.median(own), 1e-12) / max(float(np.max(moves) - np.median(moves)), 1e-12)
+    reaches = (patterns.own @ patterns.own) ** 2 / (patterns.own**4).sum()
+    odds = RARER + np.log(2) + reaches / 2 * np.log([left, above])  # both together are as rare
+    return float(1 / (1 + np.exp(-odds).sum()))
 
 
 def _water(changes: Array, frame: Observation, fit: Fit, pressure: Array) -> Array:
