@@ -22,8 +22,9 @@ from lampest.recording.recording import MEASURED, UNLOADED, Recording
 from lampest.solvers.multistart import BROKEN
 
 EXPLAINED = "the circuit explains its readings"
+LAWFUL = "no readings break a law of the circuit"
 MOST_MODULES = 3  # of which the circuit is checked
-MOST_MISSING = 0.1  # of the readings: with a fifth missing, nothing shows which cells must have moved
+MOST_MISSING = 0.1  # of the readings: with a fifth missing or bounds, nothing shows which cells must have moved
 NEARLY_ALL = 0.98  # of the largest resistance in series: with all of it nothing is left for the panel
 GRID = 5  # resistances in series that are tried; what lies between is found by steps
 # −2 log probability by which another circuit must beat the scene's: e^18 to one. The best of eight kinds, with any
@@ -90,7 +91,7 @@ def model_check(
         return ModelCheck(None, "the circuit was not checked: the noise of the readings is unknown")
     try:
         with np.errstate(all="ignore"):
-            outliers, _ = without_outliers(readings, np.isin(np.arange(len(recorded)), unloaded))
+            outliers, _ = without_outliers(scene.circuit, readings, np.isin(np.arange(len(recorded)), unloaded))
             named, count = np.arange(len(recorded)) if number is None else number, int(outliers.sum())
             check = _checked(scene, np.where(outliers, np.nan, recorded), sigma, unloaded, measured, named)
             said = f"; {count} outlier{'s' if count > 1 else ''} of one frame left out" if count else ""
@@ -151,13 +152,18 @@ def _checked(
         frame = strongest_frame(readings.plain_values, readings[resting].mean().value, standing)
         standing = standing_frames(used, frame, standing, noise)
     question = Question(specified, resting, standing, noise, named)
-    found = Explanation.of(specified, question, patient=True)
-    fault = ("" if found is None else _unexplained(found, question)) or broken_law(scene, used, noise, named)
-    fault = fault or _below_series(scene, recorded, readings, named)
-    if found is None and not fault:
-        return ModelCheck(None, "the circuit was not checked: no fit of its cells was found", noise=noise)
     compared = readings[np.concatenate([question.resting, question.standing])]
-    whole = float(compared.missing(scene).mean()) <= MOST_MISSING
+    bounded = float((compared.bounds & scene.asked).sum() / max((compared.seen > 0)[:, scene.asked].sum(), 1))
+    found = None if bounded > MOST_MISSING else Explanation.of(specified, question, patient=True)
+    fault = ("" if found is None else _unexplained(found, question)) or broken_law(scene, used, noise, named)
+    below = _below_series(scene, recorded, readings, named)
+    fault = fault or below
+    if found is None and not fault:
+        if bounded > MOST_MISSING:
+            return ModelCheck(True, f"{LAWFUL}; {100 * bounded:.0f} % of them are bounds, and no cells were fitted")
+        return ModelCheck(None, "the circuit was not checked: no fit of its cells was found", noise=noise)
+    read = float(compared.missing(scene).mean()) <= MOST_MISSING
+    whole = read and (bounded <= MOST_MISSING or bool(below))
     better, reason = "", ""
     if whole:
         better, reason, count = better_rival([specified, *rivals], question, None if fault else found)
@@ -165,7 +171,7 @@ def _checked(
         if besides.name and (besides.fits_noise if fault else True) and (not better or besides.count < count):
             better, reason = besides.name, besides.reason
     if not whole:
-        sentence = f"{fault or EXPLAINED}; other circuits were not tried, too many readings are missing"
+        sentence = f"{fault or EXPLAINED}; other circuits were not tried, too many readings are missing or bounds"
     elif fault:
         sentence = f"{fault}; {better} does" if better else f"{fault}; no other circuit that was tried gives them"
     else:

@@ -138,11 +138,13 @@ def frame_noise_seen(recording: Recording) -> NoiseSeen:
     if recording.scene.panel.modules is not None:
         return _of_modules(recording, recording.scene.panel.modules, frame_noise_seen)
     readings, resting = recording.readings(), recording.role == UNLOADED
-    outliers, cleaned = without_outliers(readings, resting)
+    outliers, cleaned = without_outliers(recording.scene.circuit, readings, resting)
     unloaded = int(resting.sum())
     counted = outliers[resting] if unloaded >= LEAST_FRAMES and readings.sigma is not None else outliers
     rate = float(counted.mean())
-    plain = NoiseSeen(outliers, rate, _lines(_outliers_in_words(outliers, rate)), cleaned)
+    impossible = outliers & (cleaned.seen == 0) & ~resting[:, None, None]
+    said = _lines(_impossible_in_words(impossible), _outliers_in_words(outliers & ~impossible, rate))
+    plain = NoiseSeen(outliers, rate, said, cleaned)
     parts = unloaded_scatter(recording, cleaned[resting]) if unloaded > 1 and readings.sigma is not None else None
     if parts is None:
         return plain
@@ -291,6 +293,13 @@ def _shared_in_words(gain: float, together: float, apart: float) -> str:
         f"the readings of a scanned line vary together by {apart:.2g} LSB" if apart else "",
     ]
     return f"{', '.join(filter(None, said))}, which error bars allow for" if any(said) else ""
+
+
+def _impossible_in_words(outliers: NDArray[np.bool_]) -> str:
+    """How many measured readings no cells allow; ''."""
+    count = int(outliers.sum())
+    many = "reading is" if count == 1 else "readings are"
+    return f"{count} {many} larger than any cells allow beside the others, and left out" if count else ""
 
 
 def _outliers_in_words(outliers: NDArray[np.bool_], rate: float) -> str:

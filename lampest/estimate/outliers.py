@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.panel.panel import Array
+from lampest.panel.readouts import Readout
 from lampest.panel.scene import Scene
-from lampest.posterior.interval import largest_normal
+from lampest.posterior.interval import largest_normal, largest_of
 from lampest.recording.readings import Readings
 
 FAR = 6.0  # σ beyond the neighbours: of the 2,400 readings of a usual recording noise does it once in 200,000
@@ -66,12 +67,46 @@ class Outliers:
         return cls(outlying, middle, np.hypot(spread, np.nan_to_num(apart)))
 
 
-def without_outliers(readings: Readings, unloaded: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], Readings]:
+def lawless(circuit: Readout, readings: Readings) -> NDArray[np.bool_]:
+    """Single readings of a frame that are larger than any cells allow beside the others, (frames, rows, columns).
+
+    A contact that failed for one reading is such an outlier, however long it lasts. A frame with more than SHARE of
+    them has another circuit, and no outliers of this kind.
+    """
+    found = np.zeros(readings.value.shape, dtype=bool)
+    if readings.sigma is None:
+        return found
+    sigma, most = readings.sigma_of_values, int(SHARE * readings.value[0].size)
+    assert sigma is not None
+    frames = np.arange(len(found))
+    for _ in range(most + 1):
+        tests = [test for test in circuit.free_tests(readings.value[frames], sigma[frames]) if test.single is not None]
+        broken = np.zeros(len(frames), dtype=bool)
+        for test in tests:
+            assert test.single is not None
+            broken |= (here := largest_of(test.excess, test.count * len(found)) < FALSE)
+            place = test.single.reshape(len(frames), -1).argmax(axis=1)
+            found.reshape(len(found), -1)[frames[here], place[here]] = True
+        frames = frames[broken]
+        if not len(frames):
+            break
+        sigma = np.where(found, np.inf, sigma)
+    found[frames] = False
+    return found
+
+
+def without_outliers(
+    circuit: Readout, readings: Readings, unloaded: NDArray[np.bool_]
+) -> tuple[NDArray[np.bool_], Readings]:
     """(outliers (frames, rows, columns), the readings without them): unloaded ones are left out, others replaced.
 
     unloaded : (frames); these and the measured ones are compared apart, because between them a load comes. Bounds are
-    no outliers.
+    no outliers. What no cells allow is left out whenever it was read.
     """
+    if (impossible := lawless(circuit, readings)).any():
+        rest = replace(readings, seen=np.where(impossible, 0.0, readings.seen))
+        outlying, found = without_outliers(circuit, rest, unloaded)
+        return outlying | impossible, found
     value = readings.plain_values
     sigma = np.ones(value.shape) if readings.sigma is None else readings.sigma
     outlying, instead, spread = np.zeros(value.shape, dtype=bool), value.copy(), np.zeros(value.shape)
@@ -115,6 +150,11 @@ class FramesBefore:
 
         resting : unloaded readings, of which baseline is the estimate, ohm, or NaN; all (rows, columns).
         """
+        impossible = lawless(scene.circuit, readings.alone())[0]
+        if impossible.any():
+            rest = replace(readings, seen=np.where(impossible, 0.0, readings.seen))
+            found, others = self.without_outliers(rest, scene, resting, baseline)
+            return found, others + int(impossible.sum())
         if len(self.frames) < LEAST_FRAMES or readings.sigma is None or np.isnan(baseline).any():
             return readings, 0
         value = np.stack([frame.plain_values for frame in self.frames])

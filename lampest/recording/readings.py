@@ -145,7 +145,9 @@ class Readings:
                 network = np.where(small, np.maximum(network, 0) + NEAR * noise, network)
         network, seen = _numbered(network, seen)
         side = np.where(seen > 0, side, VALUE)
-        return cls(_standing_in(network, side, seen), None if noise is None else _filled(noise, seen), side, seen)
+        network = np.where((seen > 0) | scene.panel.present, network, _filled(network, seen))
+        stood = _standing_in(network, side, np.where(scene.panel.present, seen, 1.0), seen)
+        return cls(stood, None if noise is None else _filled(noise, seen), side, seen)
 
     @classmethod
     def _of_modules(cls, scene: Scene, layout: Modules, recorded: Array, sigma: Array | None) -> "Readings":
@@ -376,11 +378,12 @@ def _averaged(value: Array, sigma: Array | None, counted: NDArray[np.bool_]) -> 
     return mean, np.sqrt(np.where(counted, sigma**2, 0.0).sum(axis=0)) / count + blank
 
 
-def _standing_in(value: Array, side: Array, seen: Array) -> Array:
-    """Each frame with what stands in where nothing is seen; bounds say nothing of other readings."""
-    if np.all(seen):
+def _standing_in(value: Array, side: Array, whole: Array, seen: Array | None = None) -> Array:
+    """Each frame with what stands in where it is not whole (0); bounds and what is not seen say nothing of others."""
+    if np.all(whole):
         return value
-    frames = [part.reshape(-1, *value.shape[-2:]) for part in (value, (seen > 0) & (side == VALUE), seen > 0)]
+    known = ((whole if seen is None else seen) > 0) & (side == VALUE)
+    frames = [part.reshape(-1, *value.shape[-2:]) for part in (value, known, whole > 0)]
     filled = [
         frame if whole.all() else np.where(whole, frame, StandIn.of(frame, plain).value)
         for frame, plain, whole in zip(*frames, strict=True)

@@ -51,12 +51,14 @@ class FreeTest:
     """An inequality that readings of a circuit keep whatever its cells are.
 
     law : in words. excess : by how many σ the readings of every frame break it, at worst (frames). count : how many
-    inequalities of a frame the worst was taken from.
+    inequalities of a frame the worst was taken from. single : by how many σ each reading is too large beside the others
+    (frames, rows, columns), where the inequality bounds one reading; else None.
     """
 
     law: str
     excess: Array
     count: int
+    single: Array | None = None
 
 
 @dataclass(frozen=True, kw_only=True)

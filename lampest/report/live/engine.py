@@ -120,7 +120,7 @@ class Engine:
         except InputError as error:
             raise InputError(f"the unloaded panel is no baseline: {error}; check the scene's readout") from error
         every = first.together(*others)
-        resting = without_outliers(every, np.ones(len(every.value), dtype=bool))[1].mean()
+        resting = without_outliers(source.scene.circuit, every, np.ones(len(every.value), dtype=bool))[1].mean()
         self._show(panel=source.scene.panel, state=source.state, frames=len(unloaded))
         self._watch(Unloaded(source.scene, tuple(unloaded)))
         self._solving = self._pool.submit(self._solve, source, resting, tuple(unloaded))
