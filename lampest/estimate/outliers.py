@@ -105,8 +105,8 @@ def without_outliers(
     """
     if (impossible := lawless(circuit, readings)).any():
         rest = replace(readings, seen=np.where(impossible, 0.0, readings.seen))
-        outlying, found = without_outliers(circuit, rest, unloaded)
-        return outlying | impossible, found
+        others, left = without_outliers(circuit, rest, unloaded)
+        return others | impossible, left
     value = readings.plain_values
     sigma = np.ones(value.shape) if readings.sigma is None else readings.sigma
     outlying, instead, spread = np.zeros(value.shape, dtype=bool), value.copy(), np.zeros(value.shape)

@@ -178,12 +178,12 @@ def response_sd(scene: Scene, answer: Array) -> Array:
 
 
 def water_pressure(panel: Panel, water: Water | None) -> Array:
-    """p_w = ρ g (depth + j·pitch) of row j, (rows, columns) kPa; zero without water."""
+    """p_w = ρ g (depth + y) of cells at y, j·pitch in row j; (rows, columns) kPa, zero without water."""
     if water is None:
         return np.zeros(panel.shape)
-    depth = water.top_row_depth_mm + panel.centres_mm()[1]
+    depth = water.top_row_depth_mm + panel.places_mm[1]
     kpa_per_mm = 1e-6 * 1000 * GRAVITY
-    return np.repeat(kpa_per_mm * depth[:, None], panel.columns, axis=1)
+    return np.asarray(np.nan_to_num(kpa_per_mm * depth))
 
 
 def _check(ratio: Array, lower: Array, upper: Array, panel: Panel) -> None:

@@ -38,8 +38,8 @@ class SecondOrder(Protocol):
     def products(self, step: Array) -> tuple[Array, Array]:
         """(J·p, H·p) of a step p in u; all (rows, columns)."""
 
-    def matrix(self) -> Array:
-        """H, (cells, cells)."""
+    def matrix(self, cells: Numbers | None = None) -> Array:
+        """H, (cells, cells); between some cells, given by their numbers."""
 
     def adjoint(self) -> Array:
         """Jᵀ·w, (rows, columns), from what H needs anyway."""

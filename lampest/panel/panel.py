@@ -166,10 +166,10 @@ class Panel(Configuration):
         return x * self.pitch_mm + x // each.columns * seam, y * self.pitch_mm + y // each.rows * seam
 
     @property
-    def extent_mm(self) -> tuple[float, float]:
-        """Width and height, millimetre: half a pitch beyond the outermost cells."""
-        x, y = self.centres_mm()
-        return float(x[-1]) + self.pitch_mm, float(y[-1]) + self.pitch_mm
+    def extents_mm(self) -> tuple[tuple[float, float], tuple[float, float]]:
+        """The least and the largest x of all cells' centres, and y, millimetre."""
+        x, y = ((float(np.nanmin(one)), float(np.nanmax(one))) for one in self.places_mm)
+        return x, y
 
     @property
     def networks(self) -> tuple["Panel", ...]:

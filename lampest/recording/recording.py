@@ -241,11 +241,11 @@ class Recording(Validated):
         group = entry.create_group(name)
         hdf5.set_attributes(group, NX_class="NXdata", signal=signal, axes=["time", "row", "column"])
         hdf5.write_scale(group, "time", self.time, "s", "time of the frame")
-        for name, (axis, values, units, long_name) in coordinates(self.scene.panel).items():
-            if name == axis:
+        for name, (axes, values, units, long_name) in coordinates(self.scene.panel).items():
+            if (name,) == axes:
                 hdf5.write_scale(group, name, values, units, long_name)
             else:
-                hdf5.write_dataset(group, name, values, units, long_name, (axis,))
+                hdf5.write_dataset(group, name, values, units, long_name, axes)
         return group
 
     @cached_property
@@ -291,14 +291,23 @@ def _check_held(file: h5py.File, signal: str, *others: str) -> None:
     check_memory(8.0 * (6 * prod(shape) + held), what)  # copies at work: 49 bytes a reading were counted at 100,000,000
 
 
-def coordinates(panel: Panel) -> dict[str, tuple[str, NDArray[Any], str, str]]:
-    """row, column, y and x → (axis, values, unit, long name), as files and labelled arrays have them."""
-    (rows, columns), (x, y) = panel.shape, panel.centres_mm()
-    return {
-        "row": ("row", np.arange(rows), "1", "row line"),
-        "column": ("column", np.arange(columns), "1", "column line"),
-        "y": ("row", y, "mm", "position of the row"),
-        "x": ("column", x, "mm", "position of the column"),
+def coordinates(panel: Panel) -> dict[str, tuple[tuple[str, ...], NDArray[Any], str, str]]:
+    """row, column, y and x → (axes, values, unit, long name), as files and labelled arrays have them.
+
+    y goes by the row and x by the column; both by the cell where cells are listed, NaN where there is none.
+    """
+    rows, columns = panel.shape
+    found = {
+        "row": (("row",), np.arange(rows), "1", "row line"),
+        "column": (("column",), np.arange(columns), "1", "column line"),
+    }
+    if panel.cells is not None:
+        places = zip("xy", panel.places_mm, strict=True)
+        return found | {name: (("row", "column"), at, "mm", "position of the cell") for name, at in places}
+    x, y = panel.centres_mm()
+    return found | {
+        "y": (("row",), y, "mm", "position of the row"),
+        "x": (("column",), x, "mm", "position of the column"),
     }
 
 

@@ -14,7 +14,7 @@ from lampest.files import hdf5
 from lampest.files.errors import InputError
 from lampest.loads.recognition.breathing import too_slow
 from lampest.panel.film import Film
-from lampest.panel.panel import Array
+from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts.lines import lines_text
 from lampest.panel.response import Response
 from lampest.panel.scene import Faults, Scene
@@ -132,10 +132,18 @@ def _noise_lines(recording: Recording) -> list[str]:
     return lines
 
 
+def _listed(panel: Panel) -> str:
+    """Of a panel whose cells are listed, how many there are and over what they lie."""
+    if panel.cells is None:
+        return ""
+    wide, tall = (most - least for least, most in panel.extents_mm)
+    return f", {len(panel.cells)} cells at places of their own over {wide:g} × {tall:g} mm"
+
+
 def _scene_lines(scene: Scene) -> list[str]:
     panel, wire, off, heat, faults = scene.panel, scene.lines, scene.told_systematic, scene.temperature, scene.faults
     texts: list[tuple[str, object]] = [
-        ("panel", f"{panel.rows} rows × {panel.columns} columns, pitch {panel.pitch_mm:g} mm"),
+        ("panel", f"{panel.rows} rows × {panel.columns} columns{_listed(panel)}, pitch {panel.pitch_mm:g} mm"),
         ("readout", "unknown, resistances alone" if scene.readout is None else scene.readout.description()),
         ("assumed", scene.assumed and f"{scene.assumed_text}: the scene does not say"),
         ("series", scene.circuit.unit == "ohm" and scene.series_text),

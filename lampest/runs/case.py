@@ -224,7 +224,7 @@ class CaseResult(Validated):
         for column, held in filled.items():
             if column.name in PHYSICAL and np.any(out := beyond_any_panel(held)):
                 raise InputError(f"{self._path(column)} holds {np.asarray(held)[out][0]:.6g}, which no panel has")
-            tested = self._by_module(held) if column.axes == MAPS else held
+            tested = self._by_module(held) if column.axes[-2:] == MAPS[-2:] else held
             solved = self._solved_modules if column.axes == MAPS else self.solved
             for fault in (check(tested, solved) for check in column.checks):
                 if fault is not None:
@@ -234,8 +234,8 @@ class CaseResult(Validated):
         """(frames, rows, columns) as (frames · modules, rows, columns) of each; listed cells in one row."""
         panel, maps = self.scene.panel, np.asarray(maps)
         if panel.cells is not None:
-            return maps[:, panel.present][:, None]
-        return maps if panel.modules is None else panel.modules.split(maps).reshape(-1, *panel.networks[0].shape)
+            return maps[..., panel.present][..., None, :]
+        return maps if panel.modules is None or maps.ndim < len(MAPS) else panel.modules.split(maps).reshape(-1, *panel.networks[0].shape)
 
     @property
     def _solved_modules(self) -> NDArray[np.bool_]:
@@ -340,7 +340,7 @@ def series_of(case: CaseResult, columns: Sequence[Column]) -> dict[str, Series]:
 def places_of(case: CaseResult) -> dict[str, Series]:
     """row and column, y and x in mm."""
     places = coordinates(case.scene.panel).items()
-    return {name: Series(name, (axis,), values, units, words) for name, (axis, values, units, words) in places}
+    return {name: Series(name, along, values, units, words) for name, (along, values, units, words) in places}
 
 
 def dataset_of(case: CaseResult, columns: Sequence[Column]) -> Dataset:

@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 from lampest.panel.panel import Array
 from lampest.solvers.bounds import MILLIONTH, STILL
 from lampest.solvers.certificate import SHARE, clear_of_rounding
+from lampest.solvers.hessian import matrix_between
 from lampest.solvers.panel_batch import Mask, Numbers, PanelBatch, Points
-from lampest.solvers.preconditioners import Cholesky, matrix_between
+from lampest.solvers.preconditioners import Cholesky
 from lampest.solvers.projected_newton import ACCEPTED, FARTHEST, MOST_TRIES, MOVED, NEAR, SHORTER
 from lampest.solvers.solution import Settings
 

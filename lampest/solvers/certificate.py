@@ -21,7 +21,7 @@ from lampest.solvers.bounds import MILLIONTH, free_cells, lower_along, within_bo
 from lampest.solvers.hessian import DENSE_STIFF_CELLS, Hessian
 from lampest.solvers.kinks import AT_ZERO, Kinks, Unsmoothed, at_kink
 from lampest.solvers.orthogonal import Squares
-from lampest.solvers.preconditioners import Cholesky, Numbers, Preconditioner, TwoLevel, matrix_between
+from lampest.solvers.preconditioners import Cholesky, Numbers, Preconditioner, TwoLevel
 
 SHARE = 1e-3  # of a cell's posterior deviation: what a verified estimate may still move by where the noise is known
 NOTHING = 1e-10  # of the cost's scale: four digits below what a verified cost may be off by
@@ -158,7 +158,7 @@ def at_kinks(hessian: Hessian, free: Numbers, kinks: Kinks) -> Certificate:
     infinite. An apparent descent may be the last bits of heavy rows.
     """
     along = kinks.along
-    whole = hessian.matrix[np.ix_(free, free)]
+    whole = hessian.between(free)
     matrix, slope = kinks.reduced(whole, hessian.gradient[free])
     usual = np.einsum("ij,i,ij->j", along, _usual_curvature(hessian)[free], along)
     definiteness, part, left, lowest = newton_step(matrix, slope, ROUNDING * usual)
@@ -186,7 +186,7 @@ def _confirmed(
 
 def _by_factorisation(hessian: Hessian, free: Numbers) -> Certificate:
     """By Cholesky; where that fails, by eigenvectors."""
-    matrix, slope = matrix_between(hessian.matrix, free), hessian.gradient[free]
+    matrix, slope = hessian.between(free), hessian.gradient[free]
     least = ROUNDING * _usual_curvature(hessian)[free]
     factor = None
     if np.all(matrix.diagonal() > least):
@@ -220,7 +220,7 @@ def _by_squares(hessian: Hessian, free: Numbers) -> Certificate | None:
     """From residuals' first derivatives, which have twice the digits; None where those do not suffice or φ falls."""
     if len(free) > DENSE_STIFF_CELLS:
         return None
-    found = Squares.of(hessian, free).newton(hessian.matrix[np.ix_(free, free)])
+    found = Squares.of(hessian, free).newton(hessian.between(free))
     if found is None or not found[0] > max(found[1], SURE):
         return None
     return Certificate.of(hessian, Definiteness.POSITIVE, free, *found[2:])

@@ -15,7 +15,7 @@ from scipy import linalg, sparse
 
 from lampest.cost.cost import Entries
 from lampest.cost.problem import Evaluation, Part, residuals
-from lampest.panel.network import SecondOrder
+from lampest.panel.network import Numbers, SecondOrder
 from lampest.panel.panel import Array
 from lampest.panel.trust_region import DENSE_CELLS
 from lampest.solvers.smoothing import Smoothing
@@ -104,7 +104,14 @@ class Hessian:
         return self.diagonal_of_terms[self.at.cell_resistance.size :]
 
     def product(self, step: Array) -> Array:
-        """∇²φ·p; costs 8 products of (rows, columns) with (columns, lines) matrices and no memory of cells²."""
+        """∇²φ·p; costs 8 products of (rows, columns) with (columns, lines) matrices and no memory of cells².
+
+        By the matrix over the cells that can move, once there is one.
+        """
+        if "_of_movable" in self.__dict__:
+            whole = np.zeros(step.size)
+            whole[self._movable] = self._of_movable @ step[self._movable]
+            return whole
         cells = self.at.cell_resistance
         pairs = zip(self._second_orders, step.reshape(cells.shape), strict=True)
         changes, seconds = zip(*(order.products(frame) for order, frame in pairs), strict=True)
@@ -164,12 +171,50 @@ class Hessian:
         return matrix
 
     @cached_property
-    def gauss_newton_matrix(self) -> Array:
-        """JᵀWJ + PᵀKP, dense."""
+    def _movable(self) -> Numbers:
+        """The numbers of the cells that can move; all, unless a single frame's matrix over fewer of them is smaller."""
+        data, entries = self.at.data, self._entries[0]
+        free = np.flatnonzero(data.lower < data.upper)
+        alone = len(self.at.networks) == 1 and entries.at_model is not None and not entries.crossed
+        return free if alone else np.arange(data.lower.size)
+
+    @cached_property
+    def _of_movable(self) -> Array:
+        """∇²φ between the cells that can move, of a single frame; readings without weight are left out."""
+        entries, values = self._entries
+        cells, movable = self.at.cell_resistance.ravel(), self._movable
+        place = np.full(len(cells), -1)
+        place[movable] = np.arange(len(movable))
+        row, column = entries.at_cells
+        own = (place[row] >= 0) & (place[column] >= 0)
+        matrix = self._second_orders[0].matrix(movable)
+        moved = values[entries.cells] * cells[row] * cells[column]
+        matrix[place[row[own]], place[column[own]]] += moved[own]
+        matrix += self._square(movable, values[entries.model], entries.at_model)
+        matrix.flat[:: len(matrix) + 1] += (self.direct - self.through)[movable]
+        return matrix
+
+    def _square(self, cells: Numbers, weight: Array, readings: Numbers | None = None) -> Array:
+        """JᵀWJ of a single frame between some cells, over the readings (None: all) that have a weight."""
+        counted = np.flatnonzero(weight)
+        read = counted if readings is None else readings[counted]
+        return weighted_square(self.at.networks[0].sensitivity(cells, read), weight[counted])
+
+    def between(self, chosen: Numbers) -> Array:
+        """∇²φ between some unknowns (numbers), dense."""
+        if len(self._movable) == self.at.cell_resistance.size:
+            return matrix_between(self.matrix, chosen)
+        return matrix_between(self._of_movable, np.searchsorted(self._movable, chosen))
+
+    def gauss_newton_between(self, chosen: Numbers) -> Array:
+        """JᵀWJ + PᵀKP between some unknowns (numbers), dense."""
+        penalties = self.penalty_matrix[chosen][:, chosen].toarray()
+        if len(self.at.networks) == 1:
+            return np.asarray(self._square(chosen, self.reading_weight.ravel()) + penalties)
         weights = self.reading_weight.reshape(len(self.at.networks), -1)
         pairs = zip(self.at.networks, weights, strict=True)
         blocks = [weighted_square(network.sensitivity(), weight) for network, weight in pairs]
-        return np.asarray(block_diagonal(blocks) + self.penalty_matrix.toarray())
+        return np.asarray(matrix_between(block_diagonal(blocks), chosen) + penalties)
 
     def _add_terms(self, matrix: Array, jacobians: Sequence[Array]) -> None:
         cells = self.at.cell_resistance.ravel()
@@ -227,9 +272,14 @@ def block_diagonal(blocks: Sequence[Array]) -> Array:
     return blocks[0] if len(blocks) == 1 else np.asarray(linalg.block_diag(*blocks))
 
 
+def matrix_between(matrix: Array, chosen: Numbers) -> Array:
+    """The part of a matrix between some unknowns; itself where these are all."""
+    return matrix if len(chosen) == len(matrix) else matrix[np.ix_(chosen, chosen)]
+
+
 def weighted_square(matrix: Array, weight: Array) -> Array:
     """AᵀWA; a product of a matrix with its own transpose costs half."""
-    if weight.min() < 0:
+    if weight.min(initial=0.0) < 0:
         return (matrix * weight[:, None]).T @ matrix
     scaled = matrix * np.sqrt(weight)[:, None]
     square: Array = scaled.T @ scaled

@@ -246,18 +246,13 @@ def preconditioner(hessian: Hessian, free: Free) -> Preconditioner:
     if not hessian.dense:
         return TwoLevel.of(hessian)
     cells, chosen = hessian.at.cell_resistance, np.flatnonzero(free)
-    found = Cholesky.of(cells, chosen, matrix_between(hessian.matrix, chosen))
+    found = Cholesky.of(cells, chosen, hessian.between(chosen))
     if found is None:
-        matrix = hessian.gauss_newton_matrix[np.ix_(chosen, chosen)]
+        matrix = hessian.gauss_newton_between(chosen)
         matrix.flat[:: len(matrix) + 1] = floored(np.diag(matrix))
         tried = (Cholesky.of(cells, chosen, matrix, shift) for shift in SHIFTS)
         found = next((one for one in tried if one is not None), None)
     return TwoLevel.of(hessian) if found is None else found
-
-
-def matrix_between(matrix: Array, chosen: Numbers) -> Array:
-    """The part of a matrix between some unknowns; itself where these are all."""
-    return matrix if len(chosen) == len(matrix) else matrix[np.ix_(chosen, chosen)]
 
 
 def floored(diagonal: Array) -> Array:

@@ -7,10 +7,21 @@ import numpy as np
 import pytest
 
 import lampest
+from lampest.cost.given import Background
+from lampest.estimate.model_check import recording_check
+from lampest.estimate.noise import noise_seen
+from lampest.estimate.outliers import lawless
 from lampest.estimate.sequence import first_stream
+from lampest.loads.response import PUBLISHED
 from lampest.panel.panel import Panel
 from lampest.panel.readouts.star_mesh import exact_two_point_resistance
 from lampest.panel.scene import Scene
+from lampest.recording.simulation import Cells, Simulation
+from lampest.report.detect.detection import detect_recording
+from lampest.report.detect.pressed import pressed_of
+from lampest.solvers.hessian import Hessian
+from lampest.solvers.multistart import evaluated
+from lampest.solvers.smoothing import Smoothing
 from tests.outlines import OUTLINES
 
 READOUT = lampest.TwoPointReadout(adc_bits=16, readings=100, noise_lsb=0.5)
@@ -167,3 +178,74 @@ def test_results_and_pictures_of_an_outline(outline: str, tmp_path: Path) -> Non
     assert np.array_equal(np.isfinite(result.cell_resistance[0]), panel.present)
     for kind in ("contours", "resistance"):
         found.plot(kind).savefig(tmp_path / f"{kind}.png")
+
+
+@pytest.mark.slow
+def test_a_load_is_simulated_recognised_and_weighed_at_its_place(tmp_path: Path) -> None:
+    """On a finger of the hand: simulated, found and pressed there, not where lines cross on a full rectangle."""
+    panel = OUTLINES["hand"](np.random.default_rng(1))
+    rod, cells = lampest.Rod(centre_mm=(20.0, 46.0), diameter_mm=16, mass_g=200), Cells(3000, 0.1, 6)
+    scene = Scene(panel, lampest.TwoPointReadout(adc_bits=12, readings=20, noise_lsb=0.5), response=PUBLISHED)
+    recording = lampest.simulate(
+        Simulation(1, 2, scene, cells=cells, baseline_frames=4, frames=6, loads=(rod,), frame_period_s=0.3)
+    )
+    assert recording.truth_cell_resistance is not None and recording.truth_pressure is not None
+    assert np.array_equal(np.isfinite(recording.truth_cell_resistance[0]), panel.present)
+    x, y = panel.places_mm
+    under = recording.truth_pressure[-1] > 0
+    assert under.any() and np.all(np.hypot(x - 20, y - 46)[under] < 8 + 6)
+    found = lampest.reconstruct(recording, terms=[lampest.Misfit(weighting="noise"), lampest.LogGradient(weight=1e-3)])
+    truth = recording.truth_cell_resistance[recording.role == 1]
+    np.testing.assert_allclose(found.cell_resistance[:, panel.present], truth[:, panel.present], rtol=0.02)
+    pressed = pressed_of(found.result())
+    assert pressed is not None and np.hypot(pressed.values[-1, 0] - 20, pressed.values[-1, 1] - 46) < 3
+    recording.save(tmp_path / "hand.h5")
+    answer = detect_recording(tmp_path / "hand.h5")
+    assert answer.attachments and np.hypot(answer.attachments[0].x_mm[0] - 20, answer.attachments[0].y_mm[0] - 46) < 6
+    assert found.result().to_xarray()["x"].dims == ("row", "column")
+
+
+@pytest.mark.parametrize("outline", ["hand", "foot"])
+def test_a_matrix_between_cells_that_can_move_is_that_of_all(outline: str) -> None:
+    """Absent crossings and readings without weight are left out of it, and nothing else."""
+    panel, cells = drawn(outline, 9)
+    readings = np.where(panel.present, exact_two_point_resistance(cells), np.nan)
+    row, column = np.argwhere(panel.present)[5]
+    readings[row, column] = np.inf
+    estimator = lampest.Estimator((lampest.Misfit(weighting="noise"), lampest.LogGradient(weight=3.0)))
+    scene = Scene(panel, READOUT)
+    data = estimator.data(lampest.Readings.of(scene, readings).alone(), Background(scene))
+    at = evaluated(estimator.cost(scene, 1, data.partial), data, 1.3 * data.uniform_start)
+    hessian = Hessian(at, Smoothing.start(at))
+    chosen = np.flatnonzero(panel.present)[1:]
+    np.testing.assert_allclose(hessian.between(chosen), hessian.matrix[np.ix_(chosen, chosen)], rtol=1e-9, atol=1e-9)
+    step = np.where(panel.present, np.random.default_rng(1).standard_normal(panel.shape), 0.0).ravel()
+    plain = Hessian(at, Smoothing.start(at)).product(step)
+    np.testing.assert_allclose(hessian.product(step)[chosen], plain[chosen], rtol=1e-9, atol=1e-9 * np.abs(plain).max())
+
+
+def test_a_reading_that_no_cells_allow_is_left_out() -> None:
+    """One contact fails in every frame: the reading goes, the circuit is not blamed, and the cells stay right."""
+    panel, cells = Panel(6, 6), 500 * np.exp(0.3 * np.random.default_rng(3).standard_normal((6, 6)))
+    exact = np.stack([exact_two_point_resistance(cells)] * 4)
+    spoilt = exact.copy()
+    spoilt[:, 2, 3] *= 4
+    role, scene = np.array([0, 1, 1, 1], dtype=np.uint8), Scene(panel, READOUT)
+    recording = lampest.Recording(scene, spoilt, np.arange(4.0), role)
+    seen = noise_seen(recording)
+    assert np.array_equal(np.argwhere(seen.outliers), [[frame, 2, 3] for frame in range(4)])
+    assert "larger than any cells allow" in seen.sentence
+    assert recording_check(recording).mark == "yes"
+    wrong = exact.copy()
+    wrong[:, 2:4, 1:5] *= 4
+    assert not lawless(scene.circuit, lampest.Readings.of(scene, wrong)).any()
+    assert recording_check(lampest.Recording(scene, wrong, np.arange(4.0), role)).mark == "no"
+
+
+def test_a_frame_of_bounds_is_checked_by_the_laws_alone() -> None:
+    panel, cells = drawn("foot", 11)
+    readings = np.where(panel.present, exact_two_point_resistance(cells), np.nan)
+    recorded = np.stack([np.where(readings > np.nanmedian(readings), np.inf, readings)] * 3)
+    recording = lampest.Recording(Scene(panel, READOUT), recorded, np.arange(3.0), np.array([0, 1, 1], dtype=np.uint8))
+    check = recording_check(recording)
+    assert check.mark == "yes" and "no cells were fitted" in check.sentence

@@ -224,7 +224,7 @@ def test_the_field_has_the_evidence_of_its_gaussian() -> None:
     slope = frame.slope(fit.change)
     spread = frame.covariance(fit.change) + slope @ prior(frame, np.full(cells, SD[0])) @ slope.T
     expected = multivariate_normal(np.zeros(cells), spread, allow_singular=False).logpdf(frame.residual())
-    constant = cells * np.log(2 * np.pi) / 2 - paid(states(np.zeros(PANEL.shape)))
+    constant = cells * np.log(2 * np.pi) / 2 - paid(PANEL, states(PANEL, np.zeros(PANEL.shape)))
     assert fit.evidence == pytest.approx(expected + constant, abs=0.5)
 
 

@@ -119,12 +119,12 @@ def _touched(frame: Observation, change: Array, disc: Disc | None) -> Attachment
     panel = frame.baseline.scene.panel
     cells = frame.cells(change, np.eye(change.size))
     found, sd = (part.reshape(change.shape) for part in (cells.state, np.sqrt(np.diag(cells.covariance))))
-    x, y = np.meshgrid(*panel.centres_mm())
+    x, y = panel.places_mm
     moved = np.abs(found) > CLEAR * np.hypot(sd, frame.baseline.model_errors.resting_sd(frame.seconds))
     if disc is not None:
         moved &= np.hypot(x - disc.x_mm, y - disc.y_mm) < (disc.diameter_mm + panel.pitch_mm) / 2
     weight = np.abs(found) * (moved if moved.any() else 1.0)
-    at = [(float((weight * line).sum() / weight.sum()), panel.pitch_mm / 2) for line in (x, y)]
+    at = [(float(np.nansum(weight * line) / weight.sum()), panel.pitch_mm / 2) for line in (x, y)]
     resting = np.exp(-frame.baseline.logarithm)
     more, error = resting * np.expm1(-found), resting * np.exp(-found) * sd
     count, square = int(moved.sum()), panel.pitch_mm**2

@@ -108,8 +108,8 @@ def _hidden(panel: Panel, change: Array, disc: Disc | None, response: Response, 
     """1 where suction raises no cell under the disc (on the panel), or none by much of what it would alone; else 0."""
     under = np.ones(change.shape, dtype=bool)
     if disc is not None and not whole:
-        across, down = panel.centres_mm()
-        under = np.hypot(across - disc.x_mm, down[:, None] - disc.y_mm) < (disc.diameter_mm + panel.pitch_mm) / 2
+        across, down = panel.places_mm
+        under = np.hypot(across - disc.x_mm, down - disc.y_mm) < (disc.diameter_mm + panel.pitch_mm) / 2
     rise = float(change[under].max(initial=0.0))
     missing = exp(-((rise / SHOWN) ** 2))
     if disc is not None:

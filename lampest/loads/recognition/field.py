@@ -18,7 +18,7 @@ from lampest.loads.recognition.observation import (
     outliers,
 )
 from lampest.loads.recognition.search import cell_map
-from lampest.panel.panel import Array
+from lampest.panel.panel import Array, Panel
 
 SD = np.array([0.005, 0.08, 0.4, 1.6])  # of ln r/r0 where nothing is, at half a kPa, a few kPa, tens; assumptions
 
@@ -47,7 +47,8 @@ def prior(frame: Observation, sd: Array) -> Array:
 
 def _with_states(frame: Observation, start: Array) -> tuple[Fit, MostProbable]:
     """The most probable field with the states that ln r/r0 (rows, columns) shows, from there."""
-    of_cells = states(start)
+    panel = frame.baseline.scene.panel
+    of_cells = states(panel, start)
     found = frame.cells(start, prior(frame, SD[of_cells].ravel()))
     change, whitening = found.state.reshape(start.shape), Whitening(found.root)
     edges = np.hypot(*np.gradient(change, frame.baseline.scene.panel.pitch_mm))
@@ -64,22 +65,27 @@ def _with_states(frame: Observation, start: Array) -> tuple[Fit, MostProbable]:
         chi2=float(misfit @ misfit),
         cost=cost,
         volume=whitening.volume,
-        evidence=-cost - whitening.volume - paid(of_cells),
+        evidence=-cost - whitening.volume - paid(panel, of_cells),
         scatter=0.0,
         steps=0,
     )
     return fit, found
 
 
-def states(change: Array) -> NDArray[np.intp]:
+def states(panel: Panel, change: Array) -> NDArray[np.intp]:
     """0 to 3 for quiet to strongly changed cells: by their own change and that of their neighbours."""
-    square = np.pad(change**2, 1, mode="edge")
-    beside = square[:-2, 1:-1] + square[2:, 1:-1] + square[1:-1, :-2] + square[1:-1, 2:]
+    square, (first, second, _) = change.ravel() ** 2, panel.neighbours
+    beside, sides = np.zeros(square.size), np.zeros(square.size)
+    for here, there in ((first, second), (second, first)):
+        beside += np.bincount(here, square[there], square.size)
+        sides += np.bincount(here, minlength=square.size)
+    beside += np.maximum(4 - sides, 0) * square  # a cell at the border stands for what it has not beside it
     limits = np.sqrt(SD[1:] * SD[:-1])
-    return np.asarray(np.digitize(np.sqrt(0.6 * square[1:-1, 1:-1] + 0.1 * beside), limits))
+    return np.asarray(np.digitize(np.sqrt(0.6 * square + 0.1 * beside), limits)).reshape(change.shape)
 
 
-def paid(of_cells: NDArray[np.intp]) -> float:
+def paid(panel: Panel, of_cells: NDArray[np.intp]) -> float:
     """−ln P of the states: 1 for a pair of unlike neighbours, an assumption, and what makes the sum of all P one."""
-    unlike = np.count_nonzero(np.diff(of_cells, axis=0)) + np.count_nonzero(np.diff(of_cells, axis=1))
-    return float(unlike + np.log1p(3 * np.exp(-4)) * of_cells.size)
+    first, second, _ = panel.neighbours
+    unlike = np.count_nonzero(of_cells.flat[first] != of_cells.flat[second])
+    return float(unlike + np.log1p(3 * np.exp(-4)) * panel.present.sum())

@@ -24,6 +24,7 @@ from lampest.panel.scene import Scene
 # Of ln r: the longest Gauss-Newton step; and the most a load may change, beyond which a cell is open or shorted to all
 # readings, and a network soon has no inverse.
 LONGEST, MOST_CHANGED = 1.5, 12.0
+ABSENT = float(np.log(1e9))  # of a typical cell: what a crossing without one adds to ln r
 FARTHEST, OUTLIERS = 5.0, 0.03  # σ, which normal numbers pass once in 10⁶; the part of the readings that may do so
 SUSPICIOUS = 1.4  # χ² per reading beyond which outliers, or another position, are looked for: 3 σ of 100 readings
 DROPPED = 1e3  # so many times its σ, or its reading, is the σ of one that does not count
@@ -101,6 +102,9 @@ class Baseline:
         mean, prior = np.zeros(cells + offsets), np.eye(cells + offsets)
         mean[:cells] = np.log(np.median(circuit.uniform_start(measured)))
         prior[:cells, :cells] = 9.0 + model_errors.cell_spread**2 * np.eye(cells)  # their mean is open: σ = 3
+        absent = np.flatnonzero(~scene.panel.present)
+        mean[absent] += ABSENT
+        prior[absent] = prior[:, absent] = 0.0
         shared = 0.0 if common is None else common @ common.T
         noise = sigma.ravel() ** 2
 
@@ -136,10 +140,12 @@ class Baseline:
 
     @cached_property
     def near(self) -> Array:
-        """exp(−½ (distance/near_pitches)²) between all cells, (cells, cells)."""
-        places = np.argwhere(np.ones(self.logarithm.shape, dtype=bool))
-        square = ((places[:, None] - places) ** 2).sum(axis=2)
-        return np.asarray(np.exp(-square / (2 * self.model_errors.near_pitches**2)))
+        """exp(−½ (distance/near_pitches)²) between all cells, (cells, cells); a crossing without one is near none."""
+        panel = self.scene.panel
+        x, y = panel.places_mm.reshape(2, -1) / panel.pitch_mm
+        square = (x[:, None] - x) ** 2 + (y[:, None] - y) ** 2
+        square[np.diag_indices(len(square))] = 0.0
+        return np.asarray(np.nan_to_num(np.exp(-square / (2 * self.model_errors.near_pitches**2))))
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.loads.recognition.observation import Observation, Whitening
-from lampest.loads.shapes.disc import Disc, oval_pressure
+from lampest.loads.shapes.disc import Disc, pressure_at_places
 from lampest.loads.shapes.shape import Template
 from lampest.panel.panel import Array, Panel
 
@@ -33,14 +33,20 @@ class DiscSearch:
     def over(cls, panel: Panel, patch_mm: float, templates: tuple[Template, ...]) -> "DiscSearch":
         """All templates laid over a panel."""
         discs, patterns = [], []
-        across, down = panel.centres_mm()
+        x, y = panel.places_mm[:, panel.present]
+        apart = np.round([x - x[:, None], y - y[:, None]], 6).reshape(2, -1)  # from every cell to every other
+        ways, way = np.unique(apart, axis=1, return_inverse=True)
         for template in templates:
             size = (template.outer_mm, template.inner_mm)
             pressures = HOLLOW_KPA if template.inner_mm else FULL_KPA
             for shift in (0.0, panel.pitch_mm / 2):
-                patterns.append(_everywhere(panel, patch_mm, template, shift))
-                discs += [Disc(x + shift, y + shift, *size, *pressures, 0.0, 0.0) for y in down for x in across]
-        return cls(panel, templates, tuple(discs), unit(np.concatenate(patterns).reshape(-1, panel.crossings).T))
+                numbers = (template.outer_mm, template.inner_mm, template.inside, -1.0, 0.0, 0.0)
+                pattern, _ = pressure_at_places(ways, patch_mm, Disc(shift, shift, *numbers))
+                patterns.append(pattern[way.ravel()].reshape(len(x), -1))
+                discs += [Disc(*at, *size, *pressures, 0.0, 0.0) for at in zip(x + shift, y + shift, strict=True)]
+        changes = np.zeros((panel.crossings, len(discs)))
+        changes[panel.present.ravel()] = np.concatenate(patterns).T
+        return cls(panel, templates, tuple(discs), unit(changes))
 
     @cached_property
     def faint(self) -> NDArray[np.bool_]:
@@ -74,9 +80,9 @@ class DiscSearch:
     def beside(self, change: Array, discs: Sequence[Disc]) -> Disc | None:
         """Where one more load may stand on a map of ln r/r0 (rows, columns), clear of those discs; None: nowhere."""
         left = np.tanh(change)
-        across, down = self.panel.centres_mm()
+        across, down = self.panel.places_mm
         for disc in discs:
-            distance = np.hypot(across - disc.x_mm, down[:, None] - disc.y_mm)
+            distance = np.hypot(across - disc.x_mm, down - disc.y_mm)
             left[distance < (disc.diameter_mm + self.panel.pitch_mm) / 2] = 0.0
         score = self.changes.T @ left.ravel()
         return self.discs[int(np.argmax(score))] if score.max() > 0 else None
@@ -91,13 +97,3 @@ def cell_map(frame: Observation) -> Array:
 def unit(columns: Array) -> Array:
     """Columns over their length."""
     return np.asarray(columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300))
-
-
-def _everywhere(panel: Panel, patch_mm: float, template: Template, shift: float) -> Array:
-    """ln r/r0 (cells, rows, columns) of a template about every cell's centre and `shift`: cut from a large one."""
-    across, down = panel.centres_mm()
-    large = Panel(2 * panel.rows - 1, 2 * panel.columns - 1, panel.pitch_mm)
-    numbers = (template.outer_mm, template.inner_mm, template.inside, -1.0, 0.0, 0.0)
-    pattern, _ = oval_pressure(large, patch_mm, Disc(across[-1] + shift, down[-1] + shift, *numbers))
-    windows = np.lib.stride_tricks.sliding_window_view(pattern, panel.shape)[::-1, ::-1]
-    return windows.reshape(-1, *panel.shape)

@@ -13,28 +13,27 @@ from lampest.loads.pressure import GRAVITY
 from lampest.panel.panel import Array, Panel
 
 
-def patch_means(across: Array, down: Array, disc: Array, form: Array, patch: float, soft: float, points: int) -> Array:
-    """(13, rows, columns): mean pressure on every patch and its slopes by the numbers of `disc` and `form`.
+def patch_means(places: Array, disc: Array, form: Array, patch: float, soft: float, points: int) -> Array:
+    """(13, …): mean pressure on every patch and its slopes by the numbers of `disc` and `form`.
 
-    across, down : mm, the centres of the patches. disc, form : their numbers, (8) and (4). patch : mm, edge of the
-    patches, with `points` points along either. soft : mm, half the width of an edge. Patches out of reach hold zero.
+    places : (2, …) mm, x and y of the patches' centres, NaN where there is none. disc, form : their numbers, (8) and
+    (4). patch : mm, edge of the patches, with `points` points along either. soft : mm, half the width of an edge.
+    Patches out of reach hold zero.
     """
     reach = disc[2] / 2 * (1 + abs(form[0]) + abs(form[1])) + patch / 2 + soft
-    columns, rows = (np.flatnonzero(np.abs(places - disc[n]) < reach) for n, places in ((0, across), (1, down)))
-    means = np.zeros((13, len(down), len(across)))
-    if not (len(columns) and len(rows)):
+    means = np.zeros((13, *places.shape[1:]))
+    near = (np.abs(places[0] - disc[0]) < reach) & (np.abs(places[1] - disc[1]) < reach)
+    if not near.any():
         return means
     offset = ((np.arange(points) + 0.5) / points - 0.5) * patch
-    x = (across[columns, None] - disc[0] + offset).ravel()[None]
-    y = (down[rows, None] - disc[1] + offset).ravel()[:, None]
-    values = _at_points(x, y, disc, form, soft)
-    shape = (13, len(rows), points, len(columns), points)
-    means[:, rows[:, None], columns] = np.broadcast_to(values, (13, y.size, x.size)).reshape(shape).mean(axis=(2, 4))
+    x = (places[0, near] - disc[0])[:, None, None] + offset
+    y = (places[1, near] - disc[1])[:, None, None] + offset[:, None]
+    means[:, near] = _at_points(x, y, disc, form, soft).mean(axis=(2, 3))
     return means
 
 
 def _at_points(x: Array, y: Array, disc: Array, form: Array, soft: float) -> Array:
-    """(13, y, x) pressure and its slopes at points x (1, n) and y (n, 1), mm from the centre."""
+    """(13, …) pressure and its slopes at points x and y, mm from the centre, to be broadcast together."""
     outer, inner, suction, press = disc[2] / 2, disc[3] / 2, disc[4], disc[5]
     along, stretched, lobe_along, lobe_across = form
     u, v = x - along * x - stretched * y, y - stretched * x + along * y
@@ -152,7 +151,11 @@ EVEN = Unevenness(0.0, 0.0, 0.0, 0.0)
 
 def oval_pressure(panel: Panel, patch_mm: float, disc: Disc, form: Unevenness = EVEN) -> tuple[Array, Array]:
     """Mean pressure on every patch, (rows, columns) kPa, and its slopes by the numbers of both (12, rows, columns)."""
-    across, down = panel.centres_mm()
+    return pressure_at_places(panel.places_mm, patch_mm, disc, form)
+
+
+def pressure_at_places(places: Array, patch_mm: float, disc: Disc, form: Unevenness = EVEN) -> tuple[Array, Array]:
+    """The same of patches at any places (2, …) mm: (…) and (12, …)."""
     numbers = np.array(disc, dtype=float), np.array(form, dtype=float)
-    means = patch_means(across, down, *numbers, patch_mm, SOFT * patch_mm, POINTS)
+    means = patch_means(places, *numbers, patch_mm, SOFT * patch_mm, POINTS)
     return means[0], means[1:]

@@ -96,9 +96,10 @@ class Candidate(ABC):
 
 def centre_priors(panel: Panel) -> dict[str, Prior]:
     """x and y in mm: mean and standard deviation of a centre that is uniform over the panel; half a pitch a step."""
-    extents = dict(zip("xy", panel.extent_mm, strict=True))
-    pitch = panel.pitch_mm
-    return {name: Prior((extent - pitch) / 2, extent / 12**0.5, pitch / 2) for name, extent in extents.items()}
+    pitch, extents = panel.pitch_mm, zip("xy", panel.extents_mm, strict=True)
+    return {
+        name: Prior((least + most) / 2, (most - least + pitch) / 12**0.5, pitch / 2) for name, (least, most) in extents
+    }
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -110,7 +111,7 @@ class Shape(Validated):
 
     Parameters
     ----------
-    centre_mm : (x, y) of the centre; column k lies at x = k·pitch, row j at y = j·pitch.
+    centre_mm : (x, y) of the centre; cells lie at their places, of a full rectangle at x = k·pitch and y = j·pitch.
     tilt : relative change of the contact pressure from the centre to its reach, 0 to 1; the mean stays where the
         contact is symmetrical about the centre.
     tilt_direction_deg : where the contact is strongest; 0 towards higher columns, 90 towards higher rows.
@@ -159,13 +160,12 @@ class Shape(Validated):
         From POINTS² points in every patch.
         """
         offset = ((np.arange(POINTS) + 0.5) / POINTS - 0.5) * patch_mm
-        columns, rows = panel.centres_mm()
-        across = (columns[:, None] + offset).ravel() - self.centre_mm[0]
-        down = (rows[:, None] + offset).ravel() - self.centre_mm[1]
-        x, y = np.meshgrid(across, down)
+        across, down = np.where(panel.present, panel.places_mm, 0.0)[:, :, None, :, None]
+        blocks = (panel.rows, POINTS, panel.columns, POINTS)
+        x = np.broadcast_to(across + offset - self.centre_mm[0], blocks)
+        y = np.broadcast_to(down + offset[:, None, None] - self.centre_mm[1], blocks)
         contact, suction = self.pressure_at(x, y)
         direction = np.radians(self.tilt_direction_deg)
         tilting = 1 + self.tilt * (x * np.cos(direction) + y * np.sin(direction)) / self.reach_mm
-        blocks = (panel.rows, POINTS, panel.columns, POINTS)
-        contact, suction = (part.reshape(blocks).mean(axis=(1, 3)) for part in (contact * tilting, suction))
+        contact, suction = (panel.present * part.mean(axis=(1, 3)) for part in (contact * tilting, suction))
         return contact, suction

@@ -86,14 +86,16 @@ class FloatingNetwork(Network):
             response: Array = transfer * transfer
             response *= conductance[..., None, :]
             return response
-        columns = self.conductance.shape[1]
-        lines = self._impedance[:, cells // columns] - self._impedance[:, self.rows + cells % columns]
-        if readings is None:
-            across = (lines[: self.rows, None] - lines[None, self.rows :]).reshape(conductance.size, len(cells))
-        else:
-            across = lines[readings // columns] - lines[self.rows + readings % columns]
-        chosen: Array = across**2 * conductance[cells]
+        every = np.arange(conductance.size) if readings is None else readings
+        chosen: Array = self.between(self._impedance, cells, every) ** 2 * conductance[cells]
         return chosen
+
+    def between(self, matrix: Array, cells: Numbers, readings: Numbers | None = None) -> Array:
+        """b_iᵀ K b_c of readings i (None: the cells) and cells c, given by their numbers; K (lines, lines)."""
+        columns = self.conductance.shape[1]
+        lines = matrix[:, cells // columns] - matrix[:, self.rows + cells % columns]
+        read = cells if readings is None else readings
+        return np.asarray(lines[read // columns] - lines[self.rows + read % columns])
 
     def own_response(self) -> Array:
         """R²·g: D_ii = R_i."""
@@ -136,11 +138,16 @@ class FloatingSecondOrder:
         """g·bᵀ K b."""
         return self.network._across(self.twice) / self.network.cell_resistance
 
-    def matrix(self) -> Array:
+    def matrix(self, cells: Numbers | None = None) -> Array:
         """2 g (D ∘ BᵀKB) g."""
-        conductance = self.network.conductance.reshape(*self.network.conductance.shape[:-2], -1)
-        matrix: Array = self.network.transfer * (2 * conductance[..., None])
-        matrix *= self.network._between_cells(self.twice)
+        network = self.network
+        conductance = network.conductance.reshape(*network.conductance.shape[:-2], -1)
+        if cells is not None:
+            first, second = (network.between(matrix, cells) for matrix in (network._impedance, self.twice))
+            some: Array = first * (2 * conductance[cells][:, None]) * second * conductance[cells]
+            return some
+        matrix: Array = network.transfer * (2 * conductance[..., None])
+        matrix *= network._between_cells(self.twice)
         matrix *= conductance[..., None, :]
         return matrix
 

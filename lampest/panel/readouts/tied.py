@@ -149,13 +149,14 @@ class TiedSecondOrder:
             pt * row + qt * column + tt * mutual,
         )
 
-    def matrix(self) -> Array:
+    def matrix(self, cells: Numbers | None = None) -> Array:
         """2 g (BᵀZB ∘ BᵀKB) g, and what the curvature of h adds."""
         network = self.network
         conductance = network.conductance.ravel()
         matrix = 2 * network._between_cells(network._impedance) * network._between_cells(self._twice)
         matrix *= conductance[:, None] * conductance
-        return self.with_curvature(matrix)
+        whole = self.with_curvature(matrix)
+        return whole if cells is None else whole[np.ix_(cells, cells)]
 
     def with_curvature(self, matrix: Array) -> Array:
         """A matrix (cells, cells) with Σ_i w_i (∂(p, q, t)_i)ᵀ h″_i ∂(p, q, t)_i added to it in its place."""

@@ -12,7 +12,7 @@ from typing import Literal
 import numpy as np
 
 from lampest.files.typed import Configuration
-from lampest.panel.network import Block, Network, ReadCircuit, SecondOrder
+from lampest.panel.network import Block, Network, Numbers, ReadCircuit, SecondOrder
 from lampest.panel.panel import Array
 from lampest.panel.readouts.lines import RELAXED, PerLine, check_lines, per_line
 from lampest.panel.readouts.tied import TiedNetwork, TiedSecondOrder
@@ -327,12 +327,13 @@ class WiredSecondOrder(TiedSecondOrder):
         """g·diag(Dᵀ W D)."""
         return self.network.conductance * self.network.drawn(self.loading)
 
-    def matrix(self) -> Array:
+    def matrix(self, cells: Numbers | None = None) -> Array:
         """2 g (X ∘ Dᵀ W D) g, and what the curvature of h adds."""
         conductance, across = self.network.conductance.ravel(), self.network.potential_differences
         matrix = 2 * self.network.driven_through(np.eye(len(conductance))) * (across.T @ self.loading @ across)
         matrix *= conductance[:, None] * conductance
-        return self.with_curvature(matrix)
+        whole = self.with_curvature(matrix)
+        return whole if cells is None else whole[np.ix_(cells, cells)]
 
 
 def contact_responses(networks: Sequence[Network]) -> Array:

@@ -121,7 +121,8 @@ def measured(
     if unmodelled.wire_ohm_per_cell:
         scene = replace(scene, lines=_with_wire(scene, unmodelled.wire_ohm_per_cell))
     channels = _channel_errors(scene, unmodelled, seed)
-    total, *passes = [actual.simulated(part, scene, *channels) for part in scanned or [cells]]
+    real = [np.where(scene.panel.present, part, np.inf) for part in scanned or [cells]]
+    total, *passes = [actual.simulated(part, scene, *channels) for part in real]
     if passes:  # each line was read in its own
         axis = 2 if actual.by_columns else 1
         each = [part.take(line, axis) for line, part in enumerate([total, *passes])]

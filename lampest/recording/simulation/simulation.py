@@ -141,14 +141,14 @@ def simulate(simulation: Simulation, name: str = "simulated", on_frame: Callable
     scene, unmodelled = simulation.scene, simulation.unmodelled
     scanned = _scanned_cells(simulation, time) if unmodelled.load_speed_mm_s else ()
     recorded, sums = measured(scene, cells, unmodelled, simulation.seed, simulation.frame_period_s, scanned, on_frame)
-    raw = raw_sums(scene.readout, sums)
+    raw, present = raw_sums(scene.readout, sums), scene.panel.present
     return Recording(
         scene=scene,
         recorded=recorded,
         time=time,
         role=np.where(loaded_time < 0, UNLOADED, MEASURED).astype(np.uint8),
-        truth_cell_resistance=cells,
-        truth_pressure=pressure_at(simulation, loaded_time),
+        truth_cell_resistance=np.where(present, cells, np.nan),
+        truth_pressure=np.where(present, pressure_at(simulation, loaded_time), np.nan),
         raw_sums=raw,
         raw_readings=None if raw is None or scene.readout is None else scene.readout.readings,
         name=name,

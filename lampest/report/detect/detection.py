@@ -62,8 +62,6 @@ class Known:
     def watch(self, settings: RecognitionSettings) -> Watch | ImageWatch:
         """Before the first frame. Raises ValueError where the panel cannot be watched."""
         panel, layout = self.scene.panel, self.scene.panel.modules
-        if panel.cells is not None:
-            raise ValueError("loads are recognised on panels without gaps only")
         if (panel.crossings if layout is None else most_cells(layout)) > MOST_CELLS:
             what = "panels" if layout is None else "windows of 2 × 2 modules"
             raise ValueError(f"loads are recognised on {what} of up to {MOST_CELLS} cells")

@@ -11,12 +11,13 @@ from numpy.typing import NDArray
 
 from lampest.files.whole import write_whole
 from lampest.loads.force import KPA_MM2, determined, pressing_cells
-from lampest.panel.panel import Array
+from lampest.panel.panel import Array, Panel
 from lampest.report.compare import Table
 from lampest.runs.case import CaseResult
 from lampest.runs.results import Results
 
 FILE = "pressed.csv"
+SIDES = 4  # of a cell: with fewer neighbours touched, it lies on the outline
 WITHIN = 1 / 12  # variance of where in a cell, or of how much of it, in cells: uniform
 HEADERS = ("centre x [mm]", "centre y [mm]", "area [mm²]", "peak [kPa]", "force [N]")
 
@@ -54,7 +55,7 @@ def pressed_of(case: CaseResult) -> PressedCells | None:
     ratio, deviation = 1 + case.relative_change / 100, case.relative_change_errors / 100
     touched = pressing_cells(case.scene, ratio, deviation, case.pressure)
     frames = zip(*determined(case.scene, case.pressure, case.pressure_errors), touched, strict=True)
-    both = [_frame(*maps, case.scene.panel.pitch_mm) for maps in frames]
+    both = [_frame(*maps, case.scene.panel) for maps in frames]
     beyond = np.zeros(touched.shape) if case.saturated is None else case.saturated
     values, errors = (np.array([pair[part] for pair in both]) for part in (0, 1))
     counts = np.sum(touched & (beyond != 0), axis=(1, 2))
@@ -66,18 +67,19 @@ def pressed(results: Results) -> tuple[PressedCells, ...]:
     return tuple(one for case in results.cases if (one := pressed_of(case)) is not None)
 
 
-def _frame(pressure: Array, errors: Array, touched: NDArray[np.bool_], pitch: float) -> tuple[Array, Array]:
+def _frame(pressure: Array, errors: Array, touched: NDArray[np.bool_], panel: Panel) -> tuple[Array, Array]:
     """(values, errors) of one frame, each (5), of its touched cells."""
     if not touched.any():
         return np.full(5, np.nan), np.full(5, np.nan)
-    rows, columns = np.nonzero(touched)
+    pitch = panel.pitch_mm
     p, sd, cell = pressure[touched], errors[touched], pitch**2
-    around = np.pad(touched, 1)
-    inside = around[:-2, 1:-1] & around[2:, 1:-1] & around[1:-1, :-2] & around[1:-1, 2:]
-    outline = int(np.sum(touched & ~inside))
+    first, second, _ = panel.neighbours
+    both = touched.flat[first] & touched.flat[second]
+    beside = np.bincount(np.concatenate([first[both], second[both]]), minlength=touched.size)
+    outline = int(np.sum(touched.ravel() & (beside < SIDES)))
     force = p.sum()
     values, variances = [], []
-    for at in (pitch * columns, pitch * rows):
+    for at in panel.places_mm[:, touched]:
         centre = float(p @ at / force)
         values.append(centre)
         variances.append(np.sum(((at - centre) * sd / force) ** 2) + pitch**2 * WITHIN * np.sum((p / force) ** 2))

@@ -111,9 +111,9 @@ def _elements(case: CaseResult, shared: bool) -> Iterator[Any]:
             known = {"unit": one.units, "description": one.meaning}
             yield TimeSeries(name=one.name, data=one.stored, timestamps=case.time, **known)
     rows, lines = np.indices(case.scene.panel.shape)
-    x, y = case.scene.panel.centres_mm()
+    x, y = case.scene.panel.places_mm
     cells = [("row", "row line", rows), ("column", "column line", lines)]
-    places = [("y_mm", "position of the row, mm", y[rows]), ("x_mm", "position of the column, mm", x[lines])]
+    places = [("y_mm", "position of the cell, mm", y), ("x_mm", "position of the cell, mm", x)]
     time = [("time", "time of the frame, s", case.time)]
     for name, words, first, wanted in (
         ("frames", "what frames say in words", time, [one for one in held if one.dtype is str]),

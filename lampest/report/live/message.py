@@ -187,11 +187,11 @@ class Message:
     def channels(self) -> list[Channel]:
         """What the numbers of `row` are."""
         head = [Channel("sequence", "1"), Channel("force", "newton"), Channel("verdict", "1"), Channel("solved", "1")]
-        metre = self.panel.pitch_mm / 1000
+        places, present = self.panel.places_mm / 1000, self.panel.present
         cells = [
-            Channel(f"{name}_{row}_{column}", MAP_UNITS[name], (column * metre, row * metre))
+            Channel(f"{name}_{row}_{column}", MAP_UNITS[name], (x, y) if present[row, column] else None)
             for name in self.maps
-            for row, column in np.ndindex(self.panel.shape)
+            for (row, column), x, y in zip(np.ndindex(self.panel.shape), *places.reshape(2, -1).tolist(), strict=True)
         ]
         answer = [Channel(name, unit) for name, unit in ANSWER.items()]
         return [*head, *cells, Channel("force_sd", "newton"), *answer]
@@ -268,15 +268,15 @@ def _centre(message: Message) -> list[float] | None:
     if picture.pressure is None or "pressing" not in picture.verdict:
         return None
     pressing = np.maximum(np.nan_to_num(picture.pressure), 0.0)
-    x, y = message.panel.centres_mm()
-    total = pressing.sum()
-    return [round(float(at), 1) for at in (pressing.sum(axis=0) @ x / total, pressing.sum(axis=1) @ y / total)]
+    return [round(float(np.nansum(pressing * at) / pressing.sum()), 1) for at in message.panel.places_mm]
 
 
 def _panel(panel: Panel) -> dict[str, Any]:
     about: dict[str, Any] = {"rows": panel.rows, "columns": panel.columns, "pitch_mm": panel.pitch_mm}
     if panel.modules is not None:
         about |= {"modules": [panel.modules.each.rows, panel.modules.each.columns], "seam_mm": panel.modules.seam_mm}
+    if panel.cells is not None:
+        about |= {name: _numbers(at, 3) for name, at in zip(("x_mm", "y_mm"), panel.places_mm, strict=True)}
     return about
 
 

@@ -19,6 +19,7 @@ from lampest.report.plots.maps import (
     Tile,
     banded_scale,
     percent_scale,
+    proportion,
     resistance_scale,
     resolution_scale,
     signed_scale,
@@ -110,7 +111,7 @@ def _maps_across(maps: int, panel: Panel) -> int:
 
 def _height(across: int, down: int, panel: Panel) -> float:
     """Inches that `down` maps of the panel's proportions, edge to edge of their centres, and their titles need."""
-    tall, wide = (max(lines - 1.0, 1.0) for lines in panel.shape)
+    wide, tall = (max(most - least, panel.pitch_mm) for least, most in panel.extents_mm)
     return down * (_width(across) * tall / wide + 0.4) + 0.8
 
 
@@ -139,7 +140,7 @@ class CertaintyPlot(Plot):
         index, first = shown_index(cases, self.frame), cases[0]
         rows = _rows(cases, index)
         width = (WIDTH_INCH - 1.2) / max(len(cases), 3)
-        tall = width * first.scene.panel.rows / first.scene.panel.columns
+        tall = width * proportion(first.scene.panel)
         figure = new_figure(min(len(rows) * (tall + 0.25) + 0.8, TALLEST_INCH))
         grid = figure.subplots(len(rows), len(cases), squeeze=False, sharex=True, sharey=True)
         for number, (scale, maps) in enumerate(rows):
@@ -194,9 +195,9 @@ class ResistancePlot(Plot):
             tiles.append(Tile("truth", first.truth[index]))
         scale = resistance_scale([tile.values for tile in tiles if tile.values is not None], "resistance [ohm]")
         painter = MapPainter(panel, scale)
-        wide, tall = (float(np.nanmax(one) - np.nanmin(one)) + panel.pitch_mm for one in panel.places_mm)
-        width = min((WIDTH_INCH - 1.2) / len(tiles), (TALLEST_INCH - 1.2) * wide / tall)
-        figure = new_figure(width * tall / wide + 1.2)
+        tall = proportion(panel)
+        width = min((WIDTH_INCH - 1.2) / len(tiles), (TALLEST_INCH - 1.2) / tall)
+        figure = new_figure(width * tall + 1.2)
         grid = figure.subplots(1, len(tiles), squeeze=False, sharex=True, sharey=True)
         painter.draw_all(grid, tiles)
         painter.bar(figure, grid, "right")

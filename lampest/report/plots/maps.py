@@ -32,6 +32,7 @@ SIGNED, PRESSING = "RdBu_r", "RdBu"  # what presses is blue: it lowers resistanc
 Extend = Literal["both", "min", "max", "neither"]
 ACROSS_LABEL, DOWN_LABEL = "x [mm]", "y [mm]"
 NO_NUMBER = "0.88"  # grey
+OUTLINE = 0.93  # pitches from a cell's centre to the outline's corner, however it is turned: 1.3/√2
 ABREAST = 3  # maps half a page wide
 
 
@@ -210,7 +211,7 @@ class MapPainter:
         """The panel's extent, to the cells' edges."""
         places = self.panel.places_mm
         (left, top), (right, bottom) = np.nanmin(places, axis=(1, 2)), np.nanmax(places, axis=(1, 2))
-        beyond = self.panel.pitch_mm / 2
+        beyond = self.panel.pitch_mm * (0.5 if self.panel.cells is None else OUTLINE)
         axes.set_facecolor(NO_NUMBER if self.panel.cells is None else "white")
         axes.set_aspect("equal")
         axes.set_xlim(left - beyond, right + beyond)
@@ -254,6 +255,12 @@ class MapPainter:
             axes.tricontourf(mesh, self._cut(values), **self._bands() | {"extend": "both"})
 
 
+def proportion(panel: Panel) -> float:
+    """Height over width of all cells."""
+    wide, tall = (most - least + panel.pitch_mm for least, most in panel.extents_mm)
+    return tall / wide
+
+
 def _squares(panel: Panel, places: Array) -> Array:
     """(cells, 4, 2) corners in millimetre: each square along the way to the cell's nearest neighbour."""
     first, second, distance = panel.neighbours
@@ -280,7 +287,7 @@ def maps_figure(tiles: Sequence[Tile], panel: Panel, scale: Scale) -> Figure:
     """Maps cell by cell, three abreast, on one scale; half a page wide."""
     across = min(ABREAST, len(tiles))
     down = ceil(len(tiles) / across)
-    tall = ((HALF_INCH - 0.45) / across - 0.12) * panel.rows / panel.columns
+    tall = ((HALF_INCH - 0.45) / across - 0.12) * proportion(panel)
     figure = new_figure(max(1.4, min(down * (tall + 0.36) + 0.85, 7.0)), HALF_INCH)
     grid = figure.subplots(down, across, squeeze=False, sharex=True, sharey=True)
     painter = MapPainter(panel, scale, point=SMALL_POINT + 0.5)

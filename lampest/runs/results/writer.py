@@ -189,12 +189,12 @@ def _write_datasets(
     """Axes, positions, columns and figures of a case in a group, and then which of them lie along which axes."""
     hdf5.write_scale(group, TIME.path, np.asarray(case.time, dtype=float), TIME.units, TIME.long_name)
     axes: dict[str, tuple[str, ...]] = {}
-    for name, (axis, values, units, long_name) in coordinates(case.scene.panel).items():
-        if name == axis:
+    for name, (along, values, units, long_name) in coordinates(case.scene.panel).items():
+        if (name,) == along:
             hdf5.write_scale(group, name, values, units, long_name)
         else:
             hdf5.write_dataset(group, name, values, units, long_name)
-            axes[name] = (axis,)
+            axes[name] = along
     for column in columns:
         if (held := case.column(column.name)) is not None:
             seen: dict[str, Any] = {"coordinates": POSITIONS} if column.axes != FRAMES else {}
