@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 
 from lampest.cost.given import Background
 from lampest.estimate.estimator import Estimator
+from lampest.estimate.noise import noise_seen
+from lampest.estimate.outliers import lawless
 from lampest.estimate.sequence import first_stream
 from lampest.files.errors import InputError
 from lampest.panel.panel import Array, Panel
@@ -31,6 +33,7 @@ class Withheld:
     """One frame, one draw, one weight. error, interpolated : rms over the withheld readings, in LSB or percent.
 
     readings : how many were withheld. factor : of the estimator's weights; weights : these, of the penalties.
+    hidden : median of a cell's resistance over what its own reading shows, of the readings that were used.
     """
 
     recording: str
@@ -43,6 +46,7 @@ class Withheld:
     error: float
     interpolated: float
     unit: str
+    hidden: float
 
 
 def visible(scene: Scene, recorded: Array) -> Array:
@@ -67,31 +71,52 @@ def interpolated(panel: Panel, values: Array, known: NDArray[np.bool_]) -> Array
     return filled.reshape(panel.shape)
 
 
-def predictions(recording: Recording, case: Case, share: float, draws: int, seed: int) -> Iterator[Withheld]:
-    """Every frame, draw and weight of a case. share : of a frame's readings that are values, at least one."""
+@dataclass(frozen=True, eq=False)
+class Draw:
+    """One frame of which some readings are withheld. held : (rows, columns); blank : those and what no cells allow.
+    sigma : the file's, or None."""
+
+    frame: int
+    held: NDArray[np.bool_]
+    blank: NDArray[np.bool_]
+    sigma: Array | None
+
+
+def draws_of(recording: Recording, share: float, draws: int, seed: int) -> Iterator[Draw]:
+    """Evenly spaced frames, each drawn several times. share : of a frame's readings that are values, at least one."""
     scene, readings = recording.scene, recording.readings()
-    estimator = first_stream(recording, readings, case.estimator).estimator
     frames = recording.measured_frames()
     frames = frames[readings.enough(scene)[frames]]
+    impossible = lawless(scene.circuit, readings)
     rng = np.random.default_rng(seed)
     for frame in frames[np.unique(np.linspace(0, len(frames) - 1, MOST_FRAMES).round().astype(int))]:
-        recorded, plain = recording.recorded[frame], readings[frame].plain & scene.panel.present
+        plain = readings[frame].plain & scene.panel.present & ~impossible[frame]
+        known = recording.sigma
+        sigma = None if known is None else np.broadcast_to(known, recording.recorded.shape)[frame]
         for _ in range(draws):
             held = np.zeros(plain.shape, dtype=bool)
             chosen = rng.choice(np.flatnonzero(plain), max(1, round(share * plain.sum())), replace=False)
             held.flat[chosen] = True
-            sigma = (
-                None if recording.sigma is None else np.broadcast_to(recording.sigma, recording.recorded.shape)[frame]
-            )
-            rest = Readings.of(scene, np.where(held, np.nan, recorded), sigma)
-            shown = visible(scene, np.where(np.isnan(recorded), 1.0, recorded))
-            without = interpolated(scene.panel, shown, (rest.seen > 0) & scene.panel.present)
-            for factor, weights, cells in _estimates(estimator, scene, rest):
-                model = scene.circuit.to_recorded(scene.circuit.exact_reading(cells, scene.wiring), scene)
-                missed, without_model = (_rms((one - shown)[held]) for one in (visible(scene, model), without))
-                unit, solved = "percent" if scene.readout is None else "LSB", bool(np.isfinite(cells).all())
-                names, count = (recording.name, case.name), int(held.sum())
-                yield Withheld(*names, int(frame), factor, weights, solved, count, missed, without_model, unit)
+            yield Draw(int(frame), held, held | impossible[frame], sigma)
+
+
+def predictions(recording: Recording, case: Case, share: float, draws: int, seed: int) -> Iterator[Withheld]:
+    """Every frame, draw and weight of a case; readings that no cells allow are neither predicted nor used."""
+    scene = recording.scene
+    estimator = first_stream(recording, noise_seen(recording).readings, case.estimator).estimator
+    for draw in draws_of(recording, share, draws, seed):
+        recorded, held = recording.recorded[draw.frame], draw.held
+        rest = Readings.of(scene, np.where(draw.blank, np.nan, recorded), draw.sigma)
+        shown = visible(scene, np.where(np.isnan(recorded), 1.0, recorded))
+        without = interpolated(scene.panel, shown, (rest.seen > 0) & scene.panel.present)
+        for factor, weights, cells in _estimates(estimator, scene, rest):
+            model = scene.circuit.to_recorded(scene.circuit.exact_reading(cells, scene.wiring), scene)
+            missed, without_model = (_rms((one - shown)[held]) for one in (visible(scene, model), without))
+            unit, solved = "percent" if scene.readout is None else "LSB", bool(np.isfinite(cells).all())
+            apparent = scene.circuit.apparent_resistance(rest.value)
+            hidden = float(np.median((cells / apparent)[rest.plain & scene.panel.present]))
+            names, count = (recording.name, case.name), int(held.sum())
+            yield Withheld(*names, draw.frame, factor, weights, solved, count, missed, without_model, unit, hidden)
 
 
 def _rms(values: Array) -> float:
@@ -111,6 +136,13 @@ def _estimates(
         of_penalties = zip(weights, estimator.terms, strict=True)
         cells = found.cell_resistance[0] if found.solved else np.full(scene.panel.shape, np.nan)
         yield factor, tuple(weight for weight, term in of_penalties if not term.reads_measurement), cells
+
+
+def predicted_cells(estimator: Estimator, scene: Scene, readings: Readings) -> Array:
+    """Cells (rows, columns) ohm of one frame, with the estimator's own weights; NaN where the solve failed."""
+    data = estimator.data(readings.alone(), Background(scene))
+    found = best_solution(ProjectedNewton(estimator.cost(scene, 1, data.partial), estimator.solver), data, None)
+    return np.asarray(found.cell_resistance[0])
 
 
 def unpredictable(estimator: Estimator, scene: Scene) -> str | None:
@@ -162,6 +194,7 @@ FIGURES: study.Figures = {  # of all frames and draws of a case at one weight
     "median_rms": lambda ones: _median(ones, ratio=False),
     "unit": lambda ones: ones[0].unit,
     "over_interpolation": lambda ones: _median(ones, ratio=True),
+    "cell_over_reading": lambda ones: float(np.median([one.hidden for one in ones if one.solved] or [np.nan])),
 }
 SCREEN = {
     "recording": lambda row: row.recording,
@@ -173,6 +206,7 @@ SCREEN = {
     "solved": lambda row: study.text_of(100 * row.solved, ".0f") + " %",
     "missed by": lambda row: f"{study.text_of(row.median_rms, '.1f')} {row.unit}",
     "over interpolation": lambda row: study.text_of(row.over_interpolation, ".2f"),
+    "cell over reading": lambda row: study.text_of(row.cell_over_reading, ".1f"),
 }
 
 
