@@ -54,12 +54,15 @@ def _unit(recording: Recording) -> str:
     circuit, readout = recording.scene.circuit, recording.scene.readout
     if readout is None or recording.sigma is not None:
         return ""
-    volt = float(np.nanmedian(circuit.volt_from_recorded(recording.recorded)))
+    recorded = recording.recorded
+    if readout.floor_code is not None:  # codes that were not recorded say nothing of the unit
+        recorded = np.where(recording.readings().plain, recorded, np.nan)
+    volt = float(np.nanmedian(circuit.volt_from_recorded(recorded)))
     steps = min(volt, readout.supply_volt - volt) / readout.lsb_volt
     if steps >= STEPS:
         return ""
     return (
-        f"the median reading, {np.nanmedian(recording.recorded):.3g} {circuit.unit}, is {max(steps, 0.0):.2g} "
+        f"the median reading, {np.nanmedian(recorded):.3g} {circuit.unit}, is {max(steps, 0.0):.2g} "
         f"steps of the converter from a rail: are readings in {circuit.unit}, and is the scene's readout right?"
     )
 

@@ -235,7 +235,9 @@ class CaseResult(Validated):
         panel, maps = self.scene.panel, np.asarray(maps)
         if panel.cells is not None:
             return maps[..., panel.present][..., None, :]
-        return maps if panel.modules is None or maps.ndim < len(MAPS) else panel.modules.split(maps).reshape(-1, *panel.networks[0].shape)
+        if panel.modules is None or maps.ndim < len(MAPS):
+            return maps
+        return panel.modules.split(maps).reshape(-1, *panel.networks[0].shape)
 
     @property
     def _solved_modules(self) -> NDArray[np.bool_]:
