@@ -143,8 +143,8 @@ def frame_noise_seen(recording: Recording) -> NoiseSeen:
     counted = outliers[resting] if unloaded >= LEAST_FRAMES and readings.sigma is not None else outliers
     rate = float(counted.mean())
     impossible = outliers & (cleaned.seen == 0) & ~resting[:, None, None]
-    said = _lines(_impossible_in_words(impossible), _outliers_in_words(outliers & ~impossible, rate))
-    plain = NoiseSeen(outliers, rate, said, cleaned)
+    spoken = _lines(_impossible_in_words(impossible), _outliers_in_words(outliers & ~impossible, rate))
+    plain = NoiseSeen(outliers, rate, spoken, cleaned)
     parts = unloaded_scatter(recording, cleaned[resting]) if unloaded > 1 and readings.sigma is not None else None
     if parts is None:
         return plain
