@@ -5,7 +5,8 @@ time: touch, suction, breathing with a phase that wanders, leaks, hands that tre
 keep a part of their answer. Only the panel's two-point resistances are the package's.
 
     python -m tests.studies.attachments --scenes 10 --seed 7 --rates 4 --out seen.csv
-    python -m tests.studies.attachments --read seen.csv other.csv
+    python -m tests.studies.attachments --read seen.csv other.csv --figure roc.png
+    python -m tests.studies.attachments --attached 3600 --rates 1 --side 6 --kinds "still mouth" cup rod
 """
 
 import argparse
@@ -30,10 +31,11 @@ from tests.studies.mouth_scenes import GRID, MAKERS, MOUTHS, Film, film
 from tests.studies.mouth_scenes import Scene as Made
 
 UNLOADED, TOUCH_S, ATTACHED_S, BARE_S = 5, 2.0, 14.0, 4.0
+SWAY, SWAY_S = 0.03, 7200.0  # of the temperature: of all cells, a tenth of it different from cell to cell
 CREEP = ((1.0, 0.02), (10.0, 0.02), (100.0, 0.02))  # s, and the part of the answer that comes so late
 KEPT, FADES_S = 0.12, 60.0  # part of its largest answer that a film keeps, and for how long
-SHAKEN = "shaken cup"
-KINDS = (*MAKERS, SHAKEN)
+SHAKEN, STILL = "shaken cup", "still mouth"
+KINDS = (*MAKERS, SHAKEN, STILL)
 
 
 @dataclass(frozen=True)
@@ -66,10 +68,10 @@ class Seen:
     cpu: float
 
 
-def courses(rng: np.random.Generator, kind: str, time: Array) -> tuple[Array, float, float]:
+def courses(rng: np.random.Generator, kind: str, time: Array, attached_s: float) -> tuple[Array, float, float]:
     """((frames, 2) factors of contact and suction, breathing depth, rate)."""
     since = time - TOUCH_S
-    on = (since >= 0) & (since < ATTACHED_S)
+    on = (since >= 0) & (since < attached_s)
     press, suck = np.clip(since / 0.4, 0, 1) * on, np.clip((since - 0.3) / 1.2, 0, 1) * on
     depth, hertz, step = rng.uniform(0.03, 0.15), rng.uniform(0.6, 2.0), np.diff(time, prepend=time[0])
     phase = 2 * np.pi * (hertz * time + np.cumsum(0.03 * np.sqrt(step) * rng.standard_normal(len(time))))
@@ -77,8 +79,10 @@ def courses(rng: np.random.Generator, kind: str, time: Array) -> tuple[Array, fl
     if kind in MOUTHS:
         breath = 1 + depth * np.sin(phase)
         return np.stack([press * (0.2 + 0.8 * suck) * breath, suck * breath], axis=1), depth, hertz
-    leak = np.exp(-np.maximum(since, 0) * rng.uniform(0, 0.01)) * (1 + 0.004 * _wandering(rng, step))
-    return np.stack([press * (leak if "cup" in kind else tremble), suck * leak], axis=1), 0.0, hertz
+    leak = np.exp(-np.clip(since, 0, ATTACHED_S) * rng.uniform(0, 0.01) * ("cup" in kind)) * (
+        1 + 0.004 * _wandering(rng, step)
+    )
+    return np.stack([press * (leak if "cup" in kind or kind == STILL else tremble), suck * leak], axis=1), 0.0, hertz
 
 
 def _wandering(rng: np.random.Generator, step: Array) -> Array:
@@ -122,7 +126,8 @@ def recorded(rng: np.random.Generator, resistance: Array, time: Array) -> Array:
     """Two-point resistances, 140 ohm in series included, from a divider of 1 kohm, 10 bit, 20 readings, with ripple."""
     rows, columns = resistance.shape[1:]
     drift = rng.standard_normal((rows, columns)) * 0.005 + rng.standard_normal() * 0.02
-    total = two_point_resistance(resistance * np.exp(drift * np.log10(1 + time)[:, None, None])) + 140.0
+    sway = SWAY * (1 + 0.1 * rng.standard_normal((rows, columns))) * np.sin(2 * np.pi * time / SWAY_S)[:, None, None]
+    total = two_point_resistance(resistance * np.exp(drift * np.log10(1 + time)[:, None, None] + sway)) + 140.0
     channels = 3.0 * rng.standard_normal(rows + columns)
     total = total + channels[:rows, None] + channels[rows:]
     reference = 1000 * (1 + rng.uniform(-0.01, 0.01))
@@ -135,14 +140,19 @@ def recorded(rng: np.random.Generator, resistance: Array, time: Array) -> Array:
     return np.asarray(1000 * (1023 - mean) / mean)
 
 
-def recording(kind: str, rate: float, seed: int, side: int = 10) -> tuple[Recording, Made, float, float]:
+def recording(
+    kind: str, rate: float, seed: int, side: int = 10, attached_s: float = ATTACHED_S
+) -> tuple[Recording, Made, float, float]:
     """(the recording, what stood there, breathing depth and rate)."""
     rng = np.random.default_rng([seed, side, KINDS.index(kind)])
     panel = Panel(side, side)
-    made, layer = MAKERS["cup" if kind == SHAKEN else kind](rng, panel), film(rng, rng.choice(["real", "other"]))
-    frames = round((TOUCH_S + ATTACHED_S + BARE_S) * rate)
+    made, layer = (
+        MAKERS[{SHAKEN: "cup", STILL: "mouth"}.get(kind, kind)](rng, panel),
+        film(rng, rng.choice(["real", "other"])),
+    )
+    frames = round((TOUCH_S + attached_s + max(BARE_S, 10 / rate)) * rate)
     time = np.concatenate([(np.arange(UNLOADED) - UNLOADED) / rate, np.arange(frames) / rate])
-    course, depth, hertz = courses(rng, kind, time)
+    course, depth, hertz = courses(rng, kind, time, attached_s)
     shake = rng.uniform(0.3, 1.5) * np.sin(2 * np.pi * hertz * time) * (kind == SHAKEN)
     resistance = cells(rng, panel, made, layer, course, time - time[0], shake)
     scene = Scene(panel, TwoPointReadout(noise_lsb=0.7), 140.0, response=PublishedResponse())
@@ -155,9 +165,9 @@ def recording(kind: str, rate: float, seed: int, side: int = 10) -> tuple[Record
     )
 
 
-def seen(kind: str, rate: float, seed: int) -> Seen:
+def seen(kind: str, rate: float, seed: int, side: int = 10, attached_s: float = ATTACHED_S) -> Seen:
     """One recording, and how `lampest detect` answers it at three times."""
-    whole, made, depth, hertz = recording(kind, rate, seed)
+    whole, made, depth, hertz = recording(kind, rate, seed, side, attached_s)
     touch = float(whole.time[UNLOADED]) + TOUCH_S
     begin = process_time()
     watched = known_of(whole)
@@ -187,7 +197,7 @@ def seen(kind: str, rate: float, seed: int) -> Seen:
         best.sucks if best else 0.0,
         best.breathes if best else 0.5,
         first.since_s - touch if first else np.nan,
-        first.until_s - touch - ATTACHED_S if first and first.until_s is not None else np.nan,
+        first.until_s - touch - attached_s if first and first.until_s is not None else np.nan,
         sum(one.until_s is None or one.until_s - one.since_s > 3 for one in full.attachments),
         made.diameters_mm[0] if len(made.diameters_mm) == 1 else np.nan,
         size,
@@ -266,6 +276,41 @@ def report(everything: Sequence[Seen]) -> None:
     print(f"median {np.median([one.cpu for one in everything]):.2f} s of processor time a recording")
 
 
+def plot(everything: Sequence[Seen], path: Path) -> None:
+    """ROC curves of both questions, at four frames a second and more, and how often what is called lamprey is one."""
+    from matplotlib import pyplot
+
+    fast = [one for one in everything if one.rate > 3.8]
+    sucking = np.array([any(word in one.kind for word in ("mouth", "cup")) for one in fast])
+    mouths = np.array([one.kind in MOUTHS for one in fast])
+    early, called = np.array([one.early for one in fast]), np.array([one.sucks * one.breathes for one in fast])
+    figure, (left, right) = pyplot.subplots(1, 2, figsize=(9, 4), layout="constrained")
+    for name, score, true in (("sucks, after 5 s", early, sucking), ("lamprey, after 10 s", called, mouths)):
+        levels = np.unique(np.append(score, [-1.0, 2.0]))[::-1]
+        rates = [[np.mean(score[which] >= level) for level in levels] for which in (~true, true)]
+        area = area_under_curve(score[true], score[~true])
+        left.plot(
+            *(100 * np.array(rates)),
+            drawstyle="steps-post",
+            label=f"{name}: AUC {area:.3f}, {true.sum()} of {len(true)}",
+        )
+    left.set(xlabel="false alarms [%]", ylabel="recall [%]", xlim=(-2, 102), ylim=(-2, 102))
+    left.legend(loc="lower right", frameon=False)
+    for low, high in ((0, 0.1), (0.1, 0.5), (0.5, 0.9), (0.9, 1.01)):
+        of = (called >= low) & (called < high)
+        if of.any():
+            share, error = (
+                mouths[of].mean(),
+                np.sqrt((mouths[of].mean() * (1 - mouths[of].mean()) + 0.25 / of.sum()) / of.sum()),
+            )
+            right.errorbar(100 * called[of].mean(), 100 * share, 100 * error, fmt="o", color="C1")
+            right.annotate(f"{of.sum()}", (100 * called[of].mean(), 100 * share), (6, 6), textcoords="offset points")
+    right.plot([0, 100], [0, 100], color="0.7", zorder=0)
+    right.set(xlabel="P(lamprey) after 10 s [%]", ylabel="are mouths [%]", xlim=(-5, 108), ylim=(-5, 112))
+    figure.savefig(path, dpi=120)
+    pyplot.close(figure)
+
+
 def _middle(values: Sequence[float] | Array) -> str:
     numbers = np.asarray(values, dtype=float)
     return f"{np.nanmedian(numbers):.2f}" if np.isfinite(numbers).any() else "–"
@@ -284,12 +329,17 @@ if __name__ == "__main__":
     parser.add_argument("--kinds", nargs="+", default=list(KINDS), choices=list(KINDS))
     parser.add_argument("--out", type=Path, help="a table, to which recordings are appended")
     parser.add_argument("--read", type=Path, nargs="+", help="such tables, to report instead of new scenes")
+    parser.add_argument("--side", type=int, default=10, help="of the panel, cells")
+    parser.add_argument("--attached", type=float, default=ATTACHED_S, help="s")
+    parser.add_argument("--figure", type=Path, help="ROC curves and calibration, such as roc.png")
     given = parser.parse_args()
     found = [one for path in given.read or () for one in read(path)]
     for number in range(0 if given.read else given.scenes):
         for rate in given.rates:
             for kind in given.kinds:
-                found.append(seen(kind, rate, 1000 * given.seed + number))
+                found.append(seen(kind, rate, 1000 * given.seed + number, given.side, given.attached))
                 if given.out is not None:
                     write(given.out, found[-1])
     report(found)
+    if given.figure is not None:
+        plot(found, given.figure)

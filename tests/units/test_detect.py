@@ -13,7 +13,7 @@ import pytest
 from support import invented_case
 
 from lampest.files.errors import InputError
-from lampest.loads.recognition.attachment import Attachment
+from lampest.loads.recognition.attachment import Attachment, continued_by
 from lampest.loads.recognition.settings import ModelErrors, RecognitionSettings
 from lampest.loads.shapes import OralDisc
 from lampest.panel.panel import Panel
@@ -104,7 +104,22 @@ def test_the_most_alarming_attachment_is_the_answer() -> None:
     rod = dataclasses.replace(SEEN, sucks=0.0, suction_kpa=None)
     assert Detected.of("two", (BREATHES, rod), 4.0).answer == LAMPREY
     assert Detected.of("two", (rod,), 4.0).sentence.startswith("something presses, there since 6.0 s, 35 ± 2 mm")
-    assert Detected.of("none", (), 4.0).sentence == "nothing"
+    nothing = Detected.of("none", (), 4.0)
+    assert nothing.sentence == "nothing" and nothing.probability < 1, "a load may be too weak for a step"
+
+
+def test_a_part_that_a_later_look_does_not_see_has_not_left() -> None:
+    """Nothing leaves without a step: what was seen since the step alone was a part of another load."""
+    fin, part = SEEN, dataclasses.replace(SEEN, x_mm=(80.0, 0.6))
+    old = dataclasses.replace(part, since_s=2.0)
+    for before, again, kept in (((fin, part), True, (None,)), ((fin, old), True, (None, None))):
+        assert tuple(one.until_s for one in continued_by(before, [fin], 6.0, again)) == kept
+    assert [one.until_s for one in continued_by((fin, part), [fin], 9.0)] == [None, 9.0]
+
+
+def test_a_probability_that_rounds_to_one_is_none() -> None:
+    sure = dataclasses.replace(BREATHES, sucks=1.0, breathing=9.0)
+    assert Detected.of("mouth", (sure,), 4.0).sentence.endswith("(P > 0.99)")
 
 
 def test_events_say_when_it_touched_sucked_moved_and_left() -> None:

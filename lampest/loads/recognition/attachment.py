@@ -133,8 +133,14 @@ def _touched(frame: Observation, change: Array, disc: Disc | None) -> Attachment
     return Attachment(0.0, 0.0, at[0], at[1], cells=count, area_mm2=area, conductance_s=conductance)
 
 
-def continued_by(before: Sequence[Attachment], found: Sequence[Attachment], time: float) -> tuple[Attachment, ...]:
-    """All attachments once loads were recognised since a time: those nearest by are continued, the others have left."""
+def continued_by(
+    before: Sequence[Attachment], found: Sequence[Attachment], time: float, again: bool = False
+) -> tuple[Attachment, ...]:
+    """All attachments once loads were recognised since a step at that time; those nearest by are continued.
+
+    The others have left with the step. again : not the first time since then: nothing leaves without a step, so they
+    stay, and what was seen since the step alone was a part of another.
+    """
     attachments, left = list(before), [number for number, one in enumerate(before) if one.here]
     for load in found:
         near = min(left, key=lambda number: attachments[number].distance(load.place), default=None)
@@ -143,6 +149,8 @@ def continued_by(before: Sequence[Attachment], found: Sequence[Attachment], time
             left.remove(near)
         else:
             attachments.append(load)
+    if again:
+        return tuple(one for number, one in enumerate(attachments) if number not in left or one.since_s < time)
     for number in left:
         attachments[number] = replace(attachments[number], until_s=time)
     return tuple(attachments)

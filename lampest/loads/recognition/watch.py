@@ -255,7 +255,7 @@ class Watch:
         found = [attachment_of(frame, verdict, number, self.begun) for number in range(len(verdict.best.loads))]
         size = self.test.sizes(self.mean - self.rest)
         here = replace(self, seen=frame, verdict=verdict, known=True, next_s=again, left=size, left_s=time, size=size)
-        return replace(here, attachments=continued_by(self.attachments, found, self.begun))
+        return replace(here, attachments=continued_by(self.attachments, found, self.begun, self.known))
 
     def _breathed(self, time: float) -> "Watch":
         """With what the window shows of breathing; judged anew until it is full, and then window after window."""

@@ -22,6 +22,7 @@ LAMPREY, SUCKS, CUP, PRESSES, NOTHING, CANNOT_SAY = ANSWERS = (
     "nothing",
     "cannot say",
 )
+BARE = 0.99  # probability that a panel is bare on which nothing stepped: weak loads make no step; an assumption
 SURE = 0.9  # from which on an attachment is called lamprey, or suction cup
 IN_WORDS = {
     SUCKS: "something sucks (lamprey or cup)",
@@ -92,7 +93,7 @@ class Detected:
     ) -> "Detected":
         """The most alarming of all attachments, of these the last one; rate : frames a second."""
         if not attachments:
-            return cls(recording, NOTHING, 1.0, "", rate, notes, (), course, change, panel)
+            return cls(recording, NOTHING, BARE, "", rate, notes, (), course, change, panel)
         order = [ANSWERS.index(answer_of(one, rate)[0]) for one in attachments]
         chosen = attachments[max(number for number, rank in enumerate(order) if rank == min(order))]
         answer, probability, why = answer_of(chosen, rate)
@@ -130,7 +131,8 @@ class Detected:
             said += [f"breathing {one.breathing_hz[0]:.1f} Hz, {_shown(depth, '%')}"]
         more = sum(other.here for other in self.attachments) - one.here
         said += [f"and {more} more"] if more else []
-        text = ", ".join(part for part in said if part) + f" (P = {self.probability:.2f})"
+        odds = f"P = {self.probability:.2f}" if self.probability < 0.995 else "P > 0.99"
+        text = ", ".join(part for part in said if part) + f" ({odds})"
         return text + (f": {self.why}" if self.why else "")
 
     @property
