@@ -33,13 +33,19 @@ class SubproblemStep:
 
 
 def steihaug(
-    product: Linear, precondition: Linear, gradient: Array, accuracy: float, radius: float = inf
+    product: Linear,
+    precondition: Linear,
+    gradient: Array,
+    accuracy: float,
+    radius: float = inf,
+    admits: Callable[[Array], bool] | None = None,
 ) -> SubproblemStep:
     """argmin gᵀs + ½ sᵀHs over ‖s‖_M ≤ radius; exact to `accuracy` where conjugate gradients end inside.
 
     product : H·p. precondition : M⁻¹·p, symmetric and positive definite. gradient : g.
     accuracy : ‖Hs + g‖ relative to ‖g‖, in the norm of M⁻¹, at which the iteration ends.
     radius : may be infinite. A direction of negative curvature is followed to the radius or to LONGEST.
+    admits : whether a step may be taken; the iteration ends before the first but one that may not. None: any may.
     """
     step, residual = np.zeros_like(gradient), gradient
     scaled = precondition(residual)
@@ -64,7 +70,10 @@ def steihaug(
             ended = np.sqrt(inner + 2 * length * mixed + length * length * outer)
             step, residual = step + length * search, residual + length * image
             return SubproblemStep(step, float(ended), -0.5 * float(step @ (gradient + residual)), negative, count)
-        step, inner = step + length * search, further
+        longer = step + length * search
+        if admits is not None and count > 1 and not admits(longer):
+            break
+        step, inner = longer, further
         residual = residual + length * image
         scaled = precondition(residual)
         before, strength = strength, float(residual @ scaled)

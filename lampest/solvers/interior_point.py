@@ -21,8 +21,9 @@ from lampest.solvers.preconditioners import TwoLevel
 from lampest.solvers.smoothing import Smoothing
 
 ROOM = 0.05  # of the median conductance: how far from its bounds a cell begins, or a fiftieth of what lies between them
-CENTRED = 0.2  # of the mean force times room: μ of the next step; twice that after a step cut short by a tenth
+CENTRED = 0.2  # of μ: the next one, after a step of which bounds left at least half
 BOUNDARY = 0.99  # of the way to the next bound
+SHORTEST = 0.03  # of a step: conjugate gradients end before bounds leave less of it (directions of nearly no curvature)
 MOST_STEPS = 90
 DECREASE, HALVINGS = 1e-4, 12  # as in Nocedal & Wright, section 3.1
 # Of the cost's scale, its gradient: frames in sequence begin at 0.05, what is solved again at its tolerance.
@@ -60,12 +61,13 @@ def crowds_bounds(start: Evaluation) -> bool:
 class _Barrier:
     """at : the cost. below, above : z, w, the forces that the bounds of g exert, (rows, columns) cost/siemens.
 
-    length : of the last step, as far as bounds let it.
+    mean : μ, the mean force times room that the next step aims at. length : of the last step, as far as bounds let it.
     """
 
     at: Evaluation
     below: Array
     above: Array
+    mean: float
     length: float = 1.0
 
     @classmethod
@@ -75,10 +77,10 @@ class _Barrier:
         conductance = 1 / start.cell_resistance[0]
         room = np.minimum(ROOM * float(np.median(conductance)), (high - low) / 50)
         at = start.elsewhere(1 / np.clip(conductance, low + room, high - room)[None])
-        bare = cls(at, np.zeros_like(low), np.zeros_like(low))
+        bare = cls(at, np.zeros_like(low), np.zeros_like(low), 0.0)
         mean = 0.1 * float(np.mean((np.abs(bare.gradient) * np.minimum(*bare.rooms))[bare.moving]))
         under, over = bare.rooms
-        return cls(at, _over(mean, under), _over(mean, over))
+        return cls(at, _over(mean, under), _over(mean, over), mean)
 
     @cached_property
     def conductance(self) -> Array:
@@ -119,7 +121,7 @@ class _Barrier:
 
     def moved(self) -> "_Barrier | None":
         """After one step; None where no step leads lower."""
-        mean = CENTRED * (1 if self.length > 0.9 else 2) * self.added / (2 * max(int(np.sum(self.moving)), 1))
+        mean = self.mean * (CENTRED if self.length > 0.5 else 1.0)
         push = np.where(self.moving, -self.gradient + _over(mean, self.rooms[0]) - _over(mean, self.rooms[1]), 0.0)
         step = self._step(push)
         length = min(_reach(self.rooms[0], step), _reach(self.rooms[1], -step))
@@ -143,10 +145,15 @@ class _Barrier:
         slope = -(push * self.conductance).ravel()[chosen]
         # Steps grow exact as the bounds' part fades: residuals of cells there hide those of others.
         accuracy = ACCURACY * min(1.0, self.added / self.at.objective) ** 0.25
-        found = steihaug(restricted(exact, chosen, push.size), precondition, slope, accuracy)
+        rooms = [(room / self.conductance).ravel()[chosen] for room in self.rooms]
+
+        def admits(step: Array) -> bool:
+            return min(_reach(rooms[0], step), _reach(rooms[1], -step)) >= SHORTEST
+
+        found = steihaug(restricted(exact, chosen, push.size), precondition, slope, accuracy, admits=admits)
         if found.negative:
             squares: Linear = lambda step: hessian.gauss_newton_product(step) + stiff * step  # noqa: E731
-            found = steihaug(restricted(squares, chosen, push.size), precondition, slope, accuracy)
+            found = steihaug(restricted(squares, chosen, push.size), precondition, slope, accuracy, admits=admits)
         whole[chosen] = found.step
         return whole.reshape(push.shape) * self.conductance
 
@@ -161,7 +168,7 @@ class _Barrier:
         below = _over(mean - self.below * step, self.rooms[0]) - self.below
         above = _over(mean + self.above * step, self.rooms[1]) - self.above
         length = min(_reach(self.below, below), _reach(self.above, above))
-        return _Barrier(found, self.below + length * below, self.above + length * above, min(length, ahead))
+        return _Barrier(found, self.below + length * below, self.above + length * above, mean, min(length, ahead))
 
     def put_at_bounds(self) -> Evaluation:
         """The cost with cells at the bound whose barrier curves more than the readings do."""
