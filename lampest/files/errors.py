@@ -5,8 +5,6 @@ from contextlib import contextmanager
 from difflib import get_close_matches
 from typing import Any
 
-LONGEST_START, LONGEST_END = 500, 200
-
 
 class InputError(ValueError):
     """What the user gave is wrong; the message is one clear sentence. Commands end with exit code 2.
@@ -20,8 +18,8 @@ class InputError(ValueError):
 
     def __init__(self, sentence: str) -> None:
         sentence = printable(sentence)
-        if len(sentence) > LONGEST_START + LONGEST_END:
-            sentence = f"{sentence[:LONGEST_START]} ... {sentence[-LONGEST_END:]}"
+        if len(sentence) > 700:
+            sentence = f"{sentence[:500]} ... {sentence[-200:]}"
         super().__init__(sentence)
 
 

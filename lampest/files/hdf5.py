@@ -28,7 +28,6 @@ from lampest.files.whole import check_room, is_locked, note_read, whole_file
 FORMAT = ("v110", "v110")  # HDF5 1.10 of 2016: the oldest with checksums of all metadata
 MOST_VALUES = 100_000_000
 MOST_TEXT_BYTES = 5_000_000
-MOST_ATTRIBUTE_BYTES = 4_000  # larger ones may stand where HDF5 has no checksum
 PACKED = {"compression": "gzip", "shuffle": True, "fletcher32": True}
 ALL = slice(None)
 OPEN_FOR_WRITING = ("already open for", "truncated file")
@@ -116,12 +115,12 @@ def ascii_array(values: Any) -> Any:
 def set_attributes(node: Any, **attributes: Any) -> None:
     """Attributes with text as fixed-length ASCII; the same ones make the same bytes, which `attrs` does not.
 
-    Of one beyond MOST_ATTRIBUTE_BYTES the SHA-256 stands beside it, as `<name>_sha256`.
+    Of one beyond 4,000 bytes the SHA-256 stands beside it, as `<name>_sha256`.
     """
     place = node.id
     for name, value in attributes.items():
         data, key = np.asarray(ascii_array(value) if isinstance(value, str | list) else value), name.encode("utf-8")
-        if data.nbytes > MOST_ATTRIBUTE_BYTES:
+        if data.nbytes > 4_000:  # larger ones may stand where HDF5 has no checksum
             set_attributes(node, **{f"{name}_{DIGEST}": digest_of(data)})
         if h5py.h5a.exists(place, key):
             h5py.h5a.delete(place, key)

@@ -11,8 +11,6 @@ from typing import Any, Generic, TypeVar
 from lampest.files.document import UNKNOWN, Document, place_in
 from lampest.files.errors import InputError
 
-MOST_CASES = 10_000
-
 Kind = TypeVar("Kind")
 
 
@@ -41,8 +39,8 @@ def expanded(document: Document) -> list[tuple[dict[str, Any], Document]]:
             raise document.error(("sweep", path), "must be a list of at least one value")
         if path.split(".")[0] == "sweep":
             raise document.error(("sweep", path), "a sweep cannot vary itself")
-    if math.prod(len(values) for values in sweep.values()) > MOST_CASES:
-        raise document.error(("sweep",), f"more than {MOST_CASES} combinations")
+    if math.prod(len(values) for values in sweep.values()) > 10_000:
+        raise document.error(("sweep",), "more than 10000 combinations")
     rest = {key: item for key, item in document.content.items() if key != "sweep"}
     base = dataclasses.replace(document, content=rest)
     combinations = (dict(zip(sweep, values, strict=True)) for values in itertools.product(*sweep.values()))

@@ -28,7 +28,6 @@ UNLOADED, MEASURED = ROLES = 0, 1
 TRUTHS = ("/entry/truth/cell_resistance", "/entry/truth/pressure")
 FOREIGN = (".csv", ".txt", ".log", ".tsv", ".xlsx", ".xlsm", ".npy", ".npz", ".mat")  # what `import_file` reads
 STILL = 0.01  # relative change of readings beyond which a load may have come or gone: far above drift
-LATEST_S = 1e13  # of clocks that count milliseconds since 1970, with room
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -88,8 +87,8 @@ class Recording(Validated):
         except InputError as error:
             raise InputError(f"{where}{error}") from error
         object.__setattr__(self, "recorded", as_panels_have(self.recorded))  # no value refuses a recording
-        if np.any(np.abs(self.time) > LATEST_S):
-            raise InputError(f"{where}time goes beyond {LATEST_S:g} s")
+        if np.any(np.abs(self.time) > 1e13):  # clocks count milliseconds since 1970, with room
+            raise InputError(f"{where}time goes beyond 1e+13 s")
         if self.time.shape != (frames,) or not np.all(np.isfinite(self.time)):
             raise InputError(f"{where}time must hold one finite time for each frame")
         if np.any(np.diff(self.time) < 0):

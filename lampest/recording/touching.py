@@ -7,8 +7,6 @@ from scipy.sparse.csgraph import connected_components
 from lampest.panel.panel import Array, Panel
 from lampest.recording.readings import Readings
 
-FEWEST = 4  # readings of two lines
-
 
 def touching_rows(readings: Readings) -> tuple[tuple[int, ...], ...]:
     """Groups of rows that are read alike in all frames (frames, rows, columns); none where the noise is unknown."""
@@ -16,8 +14,8 @@ def touching_rows(readings: Readings) -> tuple[tuple[int, ...], ...]:
         return ()
     unlike, count = _differences(readings)
     # Standard deviations of the mean of squares.
-    alike = (unlike <= 1 + 4 * np.sqrt(2 / np.maximum(count, 1))) & (count >= FEWEST)
-    others = np.where(alike | (count < FEWEST), np.nan, unlike)
+    alike = (unlike <= 1 + 4 * np.sqrt(2 / np.maximum(count, 1))) & (count >= 4)  # readings of two lines
+    others = np.where(alike | (count < 4), np.nan, unlike)
     with np.errstate(invalid="ignore"):
         # Mean square difference in σ from which other lines count as unlike.
         distinct = np.array([np.nanmedian(row) if np.any(row > 0) else 0.0 for row in others]) > 25

@@ -27,7 +27,6 @@ from lampest.runs.results import FORMAT, CaseResult, Results, read_each, read_re
 
 MOST_ROWS = 48  # of a map
 FALLS, RISES, UNKNOWN = " ░▒▓█", " .+*#", "?"
-LEAST_PERCENT = 1.0  # of full shade: what readings change by from noise alone stays white
 READINGS = ("/entry/two_point/resistance", "/entry/readings/volt")
 SEALED = "as written: {bytes} bytes in {datasets} datasets agree with their checksums"
 UNSEALED = "readable, but without checksums: an older version or another program wrote it, or it was never closed"
@@ -340,7 +339,7 @@ def shaded_map(change: Array) -> list[str]:
     wide = 2 if 2 * columns + label <= _room() else 1
     fitting = min(columns, (_room() - label) // wide)
     known = np.where(np.isfinite(change), change, 0.0)
-    most = [max(float(np.max(sign * known)), LEAST_PERCENT) for sign in (-1, 1)]
+    most = [max(float(np.max(sign * known)), 1.0) for sign in (-1, 1)]  # changes from noise alone stay white
     steps = [
         np.clip(np.rint(4 * part / end), 0, 4).astype(int) for part, end in zip((-known, known), most, strict=True)
     ]
@@ -353,7 +352,7 @@ def shaded_map(change: Array) -> list[str]:
     keys = [
         f"{name} {' '.join(f'{sign} {end * part / 4:.3g} %' for part, sign in enumerate(shades) if part)}"
         for name, shades, end, sign in (("falls by", FALLS, most[0], -1), ("rises by", RISES, most[1], 1))
-        if np.max(sign * known) >= LEAST_PERCENT / 8
+        if np.max(sign * known) >= 0.125
     ]
     keys += [f"{UNKNOWN} no value"] if not np.all(np.isfinite(change)) else []
     return [

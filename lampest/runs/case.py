@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from xarray import Dataset as Dataset
 
 SHARED = "recording"  # the group beside the estimators that holds what they were given
-LONGEST_NAME = 200  # characters
 # Attribute of a case's group in a file → what a case calls this sentence; not there where it is empty.
 SENTENCES = {
     "model_check": "model_sentence",
@@ -284,9 +283,9 @@ REQUIRED = frozenset(name for name, default in TYPED.items() if default is MISSI
 def check_name(name: str, what: str) -> None:
     """Raise InputError unless `name` can name a group: printable ASCII without '/', not '.' or '..', trimmed."""
     fit = name.isascii() and name.isprintable() and "/" not in name and name == name.strip()
-    if not fit or name in ("", ".", "..") or len(name) > LONGEST_NAME:
+    if not fit or name in ("", ".", "..") or len(name) > 200:
         raise InputError(
-            f"{name[:LONGEST_NAME]!r} cannot name a {what}: 1 to {LONGEST_NAME} printable ASCII characters without '/' "
+            f"{name[:200]!r} cannot name a {what}: 1 to 200 printable ASCII characters without '/' "
             "or blanks at the ends are needed, other than '.' and '..'"
         )
 

@@ -16,8 +16,6 @@ from lampest.solvers.multistart import evaluated, solved_from
 from lampest.solvers.solution import Status
 from lampest.studies.study import Cases, Study, of_cases, screen_table
 
-SAME = 1e-6  # of the cost and of a cell's share of it: objectives that differ by less are one
-
 
 @dataclass(frozen=True)
 class Tally:
@@ -60,8 +58,8 @@ def tally(case: Case, random_starts: int, seed: int) -> Tally:
         excess.append((found - least) / (least + own))
         ordered = np.sort(np.array([found, *others]) / (least + own))
         ordered = ordered[np.isfinite(ordered)]
-        minima.append(int(1 + np.sum(np.diff(ordered) > SAME)) if len(ordered) else 0)
-    at_best = sum(value <= SAME for value in excess)
+        minima.append(int(1 + np.sum(np.diff(ordered) > 1e-6)) if len(ordered) else 0)
+    at_best = sum(value <= 1e-6 for value in excess)
     worst, most = max(excess, default=0.0), max(minima, default=0)
     tried = random_starts * len(excess)
     return Tally(case.recording, case.name, len(excess), at_best, worst, most, ended, tried)

@@ -30,8 +30,6 @@ from lampest.recording.recording import Recording
 from lampest.runs.config import Case
 from lampest.solvers.multistart import BROKEN, best_solution, convex, evaluated
 
-FARTHEST = 1e4  # it reaches at most so many times beyond what the rules choose
-
 
 @dataclass(frozen=True, eq=False)
 class WeightSubject:
@@ -285,7 +283,7 @@ def trace(subject: WeightSubject, marks: list[float], first: Array) -> Curves:
 
 def grid(subject: WeightSubject, marks: list[float], at: Array) -> list[float]:
     """Even in log λ: over all weights that make a difference, where they are within four decades of the marks."""
-    low, high = min(marks) / FARTHEST, max(marks) * FARTHEST
+    low, high = min(marks) / 1e4, max(marks) * 1e4
     with suppress(*BROKEN):  # where bounds decide every cell, nothing says which weights matter
         model = LinearModel(evaluated(subject.with_weight(marks[0]), subject.data, at), np.zeros(0))
         least, largest = np.exp(Spectrum.of(model).extent)

@@ -28,7 +28,6 @@ WORDS = {
 }
 UNIT_OF_WORD = {word: unit for unit, words in WORDS.items() for word in words.split()}
 EPOCH = 1e9  # s since 1970 begin there, in 2001; a board's own clock would have run for thirty years
-LONG_STEP = 10.0  # s between frames: panels are read more often, so that larger steps are of a smaller unit
 TIME = r"\d{1,2}:\d{2}(?::\d{2}(?:[.,:]\d+)?)?"
 TIME_OF_DAY = re.compile(TIME)
 STAMPS = {
@@ -135,7 +134,8 @@ def clock_of_numbers(values: Array, name: str, where: Where) -> Clock:
     whole, again = bool(np.all(values == np.round(values))), np.cumsum(steps < -counter / 2)
     unit = unit_of_time(name)
     if unit is None and again[-1] and whole and np.max(values) < counter:  # a nameless board's counter
-        unit = "ms" if np.median(steps[1:]) < LONG_STEP / SECONDS["ms"] else "us"
+        # Panels are read more often than every 10 s, so that larger steps are of a smaller unit.
+        unit = "ms" if np.median(steps[1:]) < 10 / SECONDS["ms"] else "us"
     largest = float(np.max(values)) * SECONDS[unit or "s"]
     if unit is None and largest >= EPOCH:  # 1.7e9 s, 1.7e12 ms, 1.7e15 us since 1970
         unit = ("s", "ms", "us", "ns")[min(int(np.log10(largest / EPOCH) // 3), 3)]
@@ -153,7 +153,7 @@ def clock_of_numbers(values: Array, name: str, where: Where) -> Clock:
         return Clock(seconds, None, f"{unit}; the counter began again {often}" if again[-1] else unit)
     step = float(np.median(np.diff(seconds))) if len(seconds) > 1 else 0.0
     doubt = f", so that frames are {step:g} s apart; if these are ms, call the column time_ms"
-    return Clock(seconds, None, f"s, assumed{doubt if step >= LONG_STEP and whole else ''}")
+    return Clock(seconds, None, f"s, assumed{doubt if step >= 10 and whole else ''}")
 
 
 def unit_of_time(name: str) -> str | None:

@@ -20,8 +20,6 @@ from lampest.recording.recording import MEASURED, UNLOADED, Recording
 from lampest.recording.simulation.measure import OPEN_OHM, SHORT_OHM, Unmodelled, measured, random_stream, raw_sums
 from lampest.recording.simulation.pressure import Course, pressure_on_cells, remembered_ratio, travelled
 
-MOST_VALUES = 20_000_000
-
 
 @dataclass(frozen=True)
 class Cells(Configuration):
@@ -88,8 +86,8 @@ class Simulation(Configuration):
         if self.baseline_frames < 0 or self.frames < 1:
             raise ValueError("a recording needs at least one measured frame")
         check_range("frame_period_s", self.frame_period_s, 1e-9, 1e8, " s")
-        if self.values > MOST_VALUES:
-            raise ValueError(f"more than {MOST_VALUES} values in one recording")
+        if self.values > 20_000_000:
+            raise ValueError("more than 20000000 values in one recording")
         if self.course.start_s <= -self.frame_period_s:
             raise ValueError(
                 "course.start_s must lie after the last unloaded frame, one frame_period_s before the first"

@@ -24,9 +24,6 @@ from lampest.report.page.template import between, signed, weights_text
 from lampest.report.words import counted, digits, listed
 from lampest.runs.case import CaseResult
 
-FEW = 5  # units: intervals over fewer are uncertain themselves
-MOST_NAMED = 4  # estimators that a sentence names
-
 
 @dataclass(frozen=True)
 class Pair:
@@ -246,8 +243,8 @@ def advise(batch: Batch, comparison: Comparison | None) -> Advice:
 
 def _some(texts: list[str], more: str) -> str:
     """The first few in a list, and how many more there are."""
-    left = len(texts) - MOST_NAMED
-    return listed(texts[:MOST_NAMED] + ([f"{left} {more}"] if left > 0 else []))
+    left = len(texts) - 4
+    return listed(texts[:4] + ([f"{left} {more}"] if left > 0 else []))
 
 
 def doubts(estimator: str, found: Sequence[Measures]) -> tuple[str, ...]:
@@ -306,9 +303,9 @@ def _few(comparison: Comparison) -> Iterator[str]:
     units, over_frames = len(comparison.scores.values), comparison.scores.over_frames
     if over_frames:
         yield "One recording only: intervals are over its frames and say nothing of another animal or day."
-    if units < FEW:
+    if units < 5:
         noun = counted(units, "frame" if over_frames else "recording")
-        yield f"{noun} only: intervals over fewer than {FEW} are rough, mostly too short."
+        yield f"{noun} only: intervals over fewer than 5 are rough, mostly too short."
 
 
 def _left_out(match: Matched) -> tuple[str, ...]:

@@ -13,7 +13,6 @@ from lampest.report.compare import data_error, relative_error
 from lampest.runs.case import CaseResult
 
 DRAWS = 2000  # of which the 2.5th percentile is known to 0.06 standard deviations
-BINS = 400  # of a median's distribution
 Picks = NDArray[np.intp]
 
 
@@ -73,9 +72,10 @@ def median_interval(values: Array, drawn: Picks) -> Interval:
 
     Draws are counted in bins that each hold 1/400 of the values, so that thousands of frames stay quick.
     """
-    edges = np.quantile(values, np.linspace(0, 1, BINS + 1))
-    bins = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, BINS - 1)
-    counts = np.stack([np.bincount(row, minlength=BINS) for row in bins]).astype(float)
+    most = 400  # bins
+    edges = np.quantile(values, np.linspace(0, 1, most + 1))
+    bins = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, most - 1)
+    counts = np.stack([np.bincount(row, minlength=most) for row in bins]).astype(float)
     often = np.stack([np.bincount(row, minlength=len(values)) for row in drawn]).astype(float)
     share = np.cumsum(often @ counts, axis=1) / values.shape[1] / drawn.shape[1]
     place = np.argmax(share >= 0.5, axis=1)

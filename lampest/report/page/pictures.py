@@ -19,8 +19,6 @@ from lampest.report.strongest import percent_change
 from lampest.report.words import digits
 from lampest.runs.case import CaseResult
 
-MOST_PAIRS = 9  # that disagree and are shown
-
 UNCERTAIN = "How uncertain each cell is: one posterior standard deviation, logarithmic colours."
 RESOLVED = (
     "Diagonal of the averaging kernel: how much of a cell's own change its estimate follows. Where it is 0 the penalty "
@@ -89,12 +87,13 @@ def misfits(cases: Sequence[CaseResult], place: int) -> list[Illustration]:
 
 def differences(cases: Sequence[CaseResult], place: int, found: Sequence[Disagreement]) -> list[Illustration]:
     """Maps of the pairs that disagree most, those first."""
+    shown = found[:9]
     tiles = []
-    for pair in found[:MOST_PAIRS]:
+    for pair in shown:
         known = not np.all(np.isnan(pair.difference[place]))
         values = np.where(pair.significant[place], pair.difference[place], np.nan) if known else None
         tiles.append(Tile(f"{pair.first} − {pair.second}", values, f"{digits(pair.share, 2)} %"))
-    most = f" The {MOST_PAIRS} of {len(found)} pairs that differ most." if len(found) > MOST_PAIRS else ""
+    most = f" The {len(shown)} of {len(found)} pairs that differ most." if len(found) > len(shown) else ""
     scale = partial(signed_scale, label="difference of relative change [percentage points]", least=1.0, most=100.0)
     return _maps(cases, tiles, scale, "significant differences", DIFFERENT + most)
 

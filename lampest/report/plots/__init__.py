@@ -26,7 +26,6 @@ from lampest.runs.results import FORMAT, CaseResult, Results, read_results, stor
 
 __all__ = ["PLOTS", "CertaintyPlot", "ContourPlot", "Plot", "PressurePlot", "picture", "plot_of", "plot_results"]
 PLOTS: tuple[Plot, ...] = (ContourPlot(), CertaintyPlot(), PressurePlot(), ResistancePlot())
-MOST_TOGETHER = 20  # estimators that one picture shows
 
 
 def plot_of(kind: str) -> Plot:
@@ -153,12 +152,13 @@ def _lacks(plot: Plot) -> str:
 
 def _pictures(results: Results, plot: Plot) -> Iterator[tuple[str, tuple[CaseResult, ...]]]:
     """(name, cases) of every picture; more estimators than one picture holds go on several."""
+    most = 20  # estimators on one
     for recording in results.recordings():
         cases = plot.drawable(results.of(recording))
         if plot.apart:
             yield from ((f"{recording}_{case.estimator}", (case,)) for case in cases)
-        elif len(cases) > MOST_TOGETHER:
-            for page, first in enumerate(range(0, len(cases), MOST_TOGETHER), 1):
-                yield f"{recording}_{page}", cases[first : first + MOST_TOGETHER]
+        elif len(cases) > most:
+            for page, first in enumerate(range(0, len(cases), most), 1):
+                yield f"{recording}_{page}", cases[first : first + most]
         elif cases:
             yield recording, cases

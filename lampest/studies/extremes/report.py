@@ -21,7 +21,6 @@ from lampest.studies.extremes.run import COLUMNS, REFUSED, Solve, run_atlas
 from lampest.studies.extremes.scenes import CASES, GRID, AtlasFile
 
 COLOURS = "YlGnBu"
-CELL_INCH = 0.165  # the side of a square
 PLAIN = str.maketrans({"⁶": "^6", "×": "x", "Ω": "ohm"})  # HDF5 text is ASCII
 
 
@@ -149,13 +148,14 @@ def extremes_figure(found: Sequence[Solve]) -> Figure:
     A number is how many solves have no verified optimum; orange where any of them gives no reason or a wrong estimate.
     White: not tried.
     """
+    side = 0.165  # of a square, inch
     grid = [solve for solve in found if solve.sample.case == GRID]
     cases = [solve for solve in found if solve.sample.case != GRID]
     methods = list(dict.fromkeys(solve.method for solve in found if solve.method))
     panels = list(study.grouped(grid, _panel))
     noises = sorted({solve.sample.noise for solve in grid})
     names = list(study.grouped(cases, _case))
-    high = [len(panels) * (len(noises) * CELL_INCH + 0.32), len(names) * CELL_INCH + 0.2]
+    high = [len(panels) * (len(noises) * side + 0.32), len(names) * side + 0.2]
     figure = new_figure(sum(high) + 1.3)
     halves: Any = figure.subfigures(2, 1, height_ratios=[max(part, 0.1) for part in high], hspace=0.02)
     above, below = halves
