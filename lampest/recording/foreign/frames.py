@@ -77,7 +77,9 @@ class Frames:
     @property
     def values(self) -> Array:
         """(frames, rows, columns) in the file's unit."""
-        return np.where(self.number >= 0, self.numbers.astype(float)[self.number], np.nan)
+        values = np.asarray(self.numbers[self.number], dtype=float)
+        values[self.number < 0] = np.nan
+        return values
 
     def place(self, frame: int, row: int, column: int) -> str:
         """Where in the file a reading stands."""

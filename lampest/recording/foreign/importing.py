@@ -73,7 +73,8 @@ def import_file(
     panel = _panel(rows, columns, scene)
     check_unit(unit, scene, path)
     frames = _frames(path, panel, transpose, variable, layout)
-    values = np.where(~panel.present & ~(frames.values > 0), np.nan, frames.values)
+    values = frames.values
+    values[~panel.present & ~(values > 0)] = np.nan
     count = len(values)
     if not 0 <= baseline_frames <= count:
         raise InputError(f"{path}: {baseline_frames} baseline frames asked for, but the file holds {count} frames")
