@@ -144,22 +144,40 @@ def undamaged_frames(file: h5py.File, scene: Scene, group: str) -> slice:
 def damaged_frames(file: h5py.File, scene: Scene, group: str) -> tuple[int, NDArray[np.intp]]:
     """(frames written, numbers of the damaged ones) of an unfinished file."""
     paths = frame_paths(group.removeprefix("/entry/"), scene.circuit.signal)
-    right = _right(file, paths, FRAME_CHECKSUM)
-    return len(right), np.flatnonzero(~right)
+    written = min(hdf5.length_of(file, f"/entry/{path}") for path in paths)
+    checked = hdf5.has(file, f"/entry/{FRAME_CHECKSUM}")
+    frames = hdf5.length_of(file, f"/entry/{FRAME_CHECKSUM}") if checked else written
+    wrong: list[NDArray[np.intp]] = []
+    for begin in range(0, min(frames, written), AT_ONCE):
+        part = slice(begin, min(begin + AT_ONCE, frames, written))
+        columns = stored_rows(file, paths, part)
+        recorded, sums = columns[0], columns[paths.index(SUMS)]
+        if sums.shape != recorded.shape or recorded.ndim != 3:
+            raise InputError(f"{file.filename}: /entry/raw/sums has another shape than the frames")
+        expected = _recorded(file, scene, sums)
+        differs = np.any((expected != recorded) & ~(np.isnan(expected) & np.isnan(recorded)), axis=(1, 2))
+        if checked:
+            differs |= checksums(columns) != stored_rows(file, (FRAME_CHECKSUM,), part)[0]
+        # Zero is what HDF5 returns for what was never written; a board's codes stand for the middle of their interval.
+        elif len(unwritten := np.flatnonzero(np.any(recorded == 0, axis=(1, 2)))):
+            frames = begin + int(unwritten[0])
+            wrong.append(begin + np.flatnonzero(differs[: unwritten[0]]))
+            break
+        wrong.append(begin + np.flatnonzero(differs))
+    return frames, np.concatenate([*wrong, np.arange(written, frames)])
 
 
 def whole_events(file: h5py.File) -> NDArray[np.bool_]:
-    """Which events are what was written."""
-    return _right(file, EVENT_PATHS, EVENT_CHECKSUM)
-
-
-def _right(file: h5py.File, paths: Sequence[str], checksum: str) -> NDArray[np.bool_]:
-    """(rows) whether each agrees with its checksum; none of a row that was not written whole does."""
-    right = np.zeros(hdf5.length_of(file, f"/entry/{checksum}"), dtype=np.bool_)
-    written = min(len(right), *(hdf5.length_of(file, f"/entry/{path}") for path in paths))
-    for begin in range(0, written, AT_ONCE):
-        part = slice(begin, min(begin + AT_ONCE, written))
-        right[part] = checksums(stored_rows(file, paths, part)) == stored_rows(file, (checksum,), part)[0]
+    """Which events are what was written; all, where there are no checksums."""
+    events = min(
+        hdf5.length_of(file, f"/entry/{path}") if hdf5.has(file, f"/entry/{path}") else 0 for path in EVENT_PATHS
+    )
+    if not hdf5.has(file, f"/entry/{EVENT_CHECKSUM}"):
+        return np.ones(events, dtype=np.bool_)
+    count = hdf5.length_of(file, f"/entry/{EVENT_CHECKSUM}")
+    right = np.zeros(count, dtype=np.bool_)
+    part = slice(min(events, count))
+    right[part] = checksums(stored_rows(file, EVENT_PATHS, part)) == stored_rows(file, (EVENT_CHECKSUM,), part)[0]
     return right
 
 
@@ -173,6 +191,13 @@ def _rows(file: h5py.File, path: str, part: slice) -> NDArray[Any]:
         texts = hdf5.read_texts(file, path, part=part)
         return np.array([text.encode() for text in texts], dtype=f"S{LABEL_BYTES}")
     return np.asarray(hdf5.read_array(file, path, (1, 3), part=part))
+
+
+def _recorded(file: h5py.File, scene: Scene, sums: NDArray[Any]) -> Array:
+    readings = int(hdf5.read_number(file, "/entry/raw", "readings"))
+    if scene.readout is None or readings < 1:
+        raise InputError(f"{file.filename}: has no readout, and was never recorded from a board")
+    return recorded_of_sums(scene, sums, readings)
 
 
 def recorded_of_sums(scene: Scene, sums: NDArray[Any], readings: int) -> Array:

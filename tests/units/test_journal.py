@@ -24,6 +24,12 @@ def killed(tmp_path: Path) -> Path:
     return unclosed_recording(tmp_path / "killed.h5", SCENE, FRAMES, unloaded=3)
 
 
+def without_checksums(path: Path) -> None:
+    """The same as older versions left it."""
+    with h5py.File(path, "r+") as file:
+        del file["entry/acquisition/crc32"], file["entry/acquisition/event_crc32"]
+
+
 def flip(path: Path, place: str, row: int) -> None:
     """Turn a low bit of a row of a dataset."""
     with h5py.File(path.with_name("growing.h5")) as file:
@@ -62,12 +68,19 @@ def test_a_damaged_event_is_dropped(killed: Path) -> None:
     assert found is not None and found.event_label == ("leave",) and found.event_time.tolist() == [0.5]
 
 
-def test_a_journal_without_checksums_is_refused(killed: Path) -> None:
-    with h5py.File(killed.with_name("growing.h5"), "r+") as file:
-        del file["entry/acquisition/crc32"]
-    killed.write_bytes(killed.with_name("growing.h5").read_bytes())
-    with pytest.raises(lampest.InputError, match="/entry/acquisition/crc32 is missing"):
-        Recording.load(killed)
+def test_journals_of_older_versions_are_read_and_their_sums_compared(killed: Path) -> None:
+    meant, whole = Recording.load(killed), killed.read_bytes()
+    without_checksums(killed.with_name("growing.h5"))
+    old = killed.with_name("growing.h5").read_bytes()
+    killed.write_bytes(old)
+    np.testing.assert_array_equal(Recording.load(killed).recorded, meant.recorded)
+    for place in ("two_point/resistance", "raw/sums"):
+        killed.write_bytes(old)
+        flip(killed, place, 5)
+        with pytest.raises(lampest.InputError, match="frame 5"):
+            Recording.load(killed)
+        assert repair(killed) == (FRAMES - 1, 1)
+    assert whole != old
 
 
 def test_all_damaged_is_refused_and_stays(killed: Path) -> None:
