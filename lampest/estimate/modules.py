@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.estimate.batch import pushed_together, rested_together
+from lampest.estimate.coupled import CoupledStream, coupled_scene, without_bars
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.noise import MOST_NAMED, NoiseSeen
 from lampest.estimate.state import SequenceState, Step
@@ -31,6 +32,8 @@ def begin_stream(
     layout = scene.panel.modules
     if layout is None:
         return Stream.begin(estimator, scene, period, resting, noise)
+    if layout.coupled:
+        return CoupledStream.begin(without_bars(estimator), coupled_scene(scene), period, resting)
 
     def unrested(number: int, told: NoiseSeen | None) -> Stream:
         return Stream.unrested(estimator, scene.of_modules[number], period, resting.of_module(layout, number), told)

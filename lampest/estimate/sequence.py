@@ -1,13 +1,14 @@
 """A recording's frames in order: absolute methods one by one, relative methods from a joint first pair on."""
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lampest.cost.given import Background
 from lampest.cost.problem import Data
+from lampest.estimate.coupled import CoupledStream, coupled_scene, without_bars
 from lampest.estimate.estimates import Estimates
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.modules import ModulesStream
@@ -83,16 +84,25 @@ def first_stream(
     """
     layout = recording.scene.panel.modules
     if layout is None:
-        return _unrested_stream(recording, readings, estimator, noise, period).with_rest()
+        return _unrested_stream(Stream, recording, readings, estimator, noise, period).with_rest()
+    if layout.coupled:
+        image = replace(recording, scene=coupled_scene(recording.scene))
+        return _unrested_stream(CoupledStream, image, readings, without_bars(estimator), None, period).with_rest()
 
     def unrested(number: int, told: NoiseSeen | None) -> Stream:
-        return _unrested_stream(recording.modules[number], readings.of_module(layout, number), estimator, told, period)
+        own = recording.modules[number], readings.of_module(layout, number)
+        return _unrested_stream(Stream, *own, estimator, told, period)
 
     return ModulesStream.begun(recording.scene, noise, unrested)
 
 
 def _unrested_stream(
-    recording: Recording, readings: Readings, estimator: Estimator, noise: NoiseSeen | None, period: float | None
+    kind: type[Stream],
+    recording: Recording,
+    readings: Readings,
+    estimator: Estimator,
+    noise: NoiseSeen | None,
+    period: float | None,
 ) -> Stream:
     """The stream of one network before its baseline, with the weights that data choose."""
     resting, scene = resting_readings(recording, readings), recording.scene
@@ -102,7 +112,7 @@ def _unrested_stream(
             beside = frames_beside(recording, readings, frame)
             estimator = with_weights_of_a_recording(estimator, scene, resting, readings[frame], readings[beside])
     period = frame_period(recording) if period is None else period
-    return Stream.unrested(estimator, scene, period, resting, noise)
+    return kind.unrested(estimator, scene, period, resting, noise)
 
 
 def resting_readings(recording: Recording, readings: Readings) -> Readings:

@@ -30,7 +30,8 @@ class EachModule(Configuration):
 class Modules(Configuration):
     """rows · columns modules, each as `each` says; module (j, k) has the number j·columns + k.
 
-    seam_mm : what lies between neighbouring cells of two modules beside the pitch, in millimetre.
+    seam_mm : what lies between neighbouring cells of two modules beside the pitch, in millimetre. coupled : whether
+    terms that compare neighbours go over the seams; the image is one problem then.
 
     Raises ValueError where a number is out of range.
     """
@@ -39,6 +40,7 @@ class Modules(Configuration):
     columns: int
     each: EachModule
     seam_mm: float = 0.0
+    coupled: bool = False
 
     def __post_init__(self) -> None:
         if min(self.rows, self.columns, self.each.rows, self.each.columns) < 1:
