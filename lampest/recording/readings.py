@@ -20,13 +20,13 @@ NEAR = 3.0  # σ: a resistance so near to zero is only small; a bound so near to
 
 @dataclass(frozen=True, eq=False)
 class StandIn:
-    """Of one frame (rows, columns): what the readings that are known let expect of the others."""
+    """Of one frame (rows, columns), or of several: what the readings that are known let expect of the others."""
 
     logarithm: Array
 
     @classmethod
     def of(cls, value: Array, known: NDArray[np.bool_]) -> "StandIn":
-        """value : (rows, columns) of which the known readings count."""
+        """value : (…, rows, columns) of which the known readings count."""
         return cls(np.where(known, np.log(np.where(known, value, 1.0)), np.nan))
 
     @property
@@ -383,12 +383,10 @@ def _standing_in(value: Array, side: Array, whole: Array, seen: Array | None = N
     if np.all(whole):
         return value
     known = ((whole if seen is None else seen) > 0) & (side == VALUE)
-    frames = [part.reshape(-1, *value.shape[-2:]) for part in (value, known, whole > 0)]
-    filled = [
-        frame if whole.all() else np.where(whole, frame, StandIn.of(frame, plain).value)
-        for frame, plain, whole in zip(*frames, strict=True)
-    ]
-    return np.stack(filled).reshape(value.shape)
+    filled, plain, there = (part.reshape(-1, *value.shape[-2:]) for part in (value.copy(), known, whole > 0))
+    odd = ~there.all(axis=(1, 2))
+    filled[odd] = np.where(there[odd], filled[odd], StandIn.of(filled[odd], plain[odd]).value)
+    return filled.reshape(value.shape)
 
 
 def _filled(values: Array, seen: Array) -> Array:

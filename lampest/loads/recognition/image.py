@@ -28,7 +28,7 @@ def most_cells(layout: Modules) -> int:
 
 
 @dataclass(frozen=True, eq=False)
-class BlockNetwork:
+class WindowNetwork:
     """The solved networks of an image's modules: what recognition asks of one network."""
 
     layout: Modules
@@ -67,11 +67,11 @@ class ImageCircuit:
         """Every module has its own."""
         return np.zeros(0)
 
-    def network(self, cells: Array, ties: Array, wiring: None) -> BlockNetwork:
+    def network(self, cells: Array, ties: Array, wiring: None) -> WindowNetwork:
         """Of all modules."""
         parts = zip(self.scenes, self.layout.split(cells), strict=True)
         solved = (own.circuit.network(part, own.circuit.ties(part), own.wiring) for own, part in parts)
-        return BlockNetwork(self.layout, tuple(solved))
+        return WindowNetwork(self.layout, tuple(solved))
 
     def _joined(self, part: Callable[[Scene, Array], Array], image: Array) -> Array:
         pairs = zip(self.scenes, self.layout.split(image), strict=True)
