@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from math import inf
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,7 @@ from lampest.loads.recognition.attachment import Attachment
 from lampest.loads.recognition.settings import ModelErrors
 from lampest.loads.recognition.watch import FIRST_S, Panelled, Watch
 from lampest.panel.panel import Array, Modules, Panel
+from lampest.panel.response import Response
 from lampest.panel.scene import Scene
 
 ASIDE = 2  # modules on a side of a window
@@ -78,16 +79,14 @@ class ImageCircuit:
         return np.asarray(self.layout.joined(np.stack([part(*pair) for pair in pairs])))
 
 
-@dataclass(frozen=True)
-class WindowScene(Scene):
-    """Neighbouring modules as a panel with one circuit; scenes : of each."""
+@dataclass(frozen=True, eq=False)
+class WindowScene:
+    """Neighbouring modules as a scene of one circuit, as far as recognition asks; scenes : of each."""
 
-    scenes: tuple[Scene, ...] = ()
-
-    @property
-    def of_modules(self) -> tuple[Scene, ...]:
-        """See above."""
-        return self.scenes
+    panel: Panel
+    response: Response | None
+    scenes: tuple[Scene, ...]
+    wiring: None = None
 
     @property
     def circuit(self) -> Any:
@@ -128,10 +127,8 @@ class Window:
                 continue
             own = WindowScene(
                 Panel(modules=replace(layout, rows=high, columns=wide)),
-                scene.readout,
-                systematic=scene.systematic,
-                response=scene.response and scene.response.of_cells(cells),
-                scenes=tuple(scene.of_modules[number] for number in numbers),
+                scene.response and scene.response.of_cells(cells),
+                tuple(scene.of_modules[number] for number in numbers),
             )
             found.append(cls(own, cells, float(across[cells[1].start]), float(down[cells[0].start])))
         return tuple(found)
@@ -193,7 +190,7 @@ class ImageWatch:
         read, middles = np.isfinite(sigma), np.stack([window.middle for window in windows])
         for window in windows:
             own = window.cells
-            panelled = Panelled(window.scene, patch_mm, water[own], errors)
+            panelled = Panelled(cast(Scene, window.scene), patch_mm, water[own], errors)
             if watches:
                 panelled.__dict__["detector"] = watches[0].panelled.detector  # it knows the windows' panel alone
             rest = np.where(read[own], measured[own], np.median(measured[own][read[own]]))
