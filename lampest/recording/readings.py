@@ -383,7 +383,8 @@ def _standing_in(value: Array, side: Array, whole: Array, seen: Array | None = N
     if np.all(whole):
         return value
     known = ((whole if seen is None else seen) > 0) & (side == VALUE)
-    filled, plain, there = (part.reshape(-1, *value.shape[-2:]) for part in (value.copy(), known, whole > 0))
+    shape = (-1, *value.shape[-2:])
+    filled, plain, there = value.copy().reshape(shape), known.reshape(shape), (whole > 0).reshape(shape)
     odd = ~there.all(axis=(1, 2))
     filled[odd] = np.where(there[odd], filled[odd], StandIn.of(filled[odd], plain[odd]).value)
     return filled.reshape(value.shape)

@@ -125,6 +125,7 @@ class BlockSecondOrder:
         """Jᵀ·w."""
         return np.asarray(self.network.layout.joined(self.inner.adjoint()))
 
-    def matrix(self) -> Array:
-        """H, zero between modules."""
-        return self.network.scattered(self.inner.matrix())
+    def matrix(self, cells: Numbers | None = None) -> Array:
+        """H, zero between modules; between some cells if these are given by their numbers."""
+        whole = self.network.scattered(self.inner.matrix())
+        return whole if cells is None else whole[np.ix_(cells, cells)]
