@@ -94,7 +94,7 @@ class Cost:
     @cached_property
     def slope(self) -> Array:
         """The weight of every residual that enters through a dual."""
-        return self.weights[self.functions.rough_terms]
+        return self.weights[self.functions.nonsmooth_terms]
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,16 +132,17 @@ class CostFunctions:
     """Functions of what `Symbols.inputs` names, of the terms' weights and of the duals.
 
     first : the costs of each term, the same at readings of zero, and the gradient by (cells; readings) of Σ smooth +
-    Σ weight·z·x, in one call. hessian : of the same. rough, rough_jacobian : residuals x that enter through duals, of
-    `rough_terms`. split : residuals that an interior-point method splits, in blocks of `split_blocks` (loss, rows).
+    Σ weight·z·x, in one call. hessian : of the same. nonsmooth, nonsmooth_jacobian : residuals x that enter through
+    duals, of `nonsmooth_terms`. split : residuals that an interior-point method splits, in blocks of `split_blocks`
+    (loss, rows).
     """
 
     first: Compiled
     hessian: Compiled
-    rough: Compiled
-    rough_jacobian: Compiled
+    nonsmooth: Compiled
+    nonsmooth_jacobian: Compiled
     split: Compiled
-    rough_terms: NDArray[np.intp]
+    nonsmooth_terms: NDArray[np.intp]
     split_blocks: tuple[tuple[Loss, int], ...]
 
     @cached_property
@@ -158,10 +159,10 @@ class CostFunctions:
         for part in parts:
             costs[part.term] += part.cost
         through_duals = [part for part in parts if not part.smooth]
-        rough, slope = stacked(through_duals)
-        dual = casadi.SX.sym("dual", rough.shape[0])
+        nonsmooth, slope = stacked(through_duals)
+        dual = casadi.SX.sym("dual", nonsmooth.shape[0])
         smooth = sum((part.cost for part in parts if part.smooth), casadi.SX(0))
-        lagrangian = smooth + casadi.dot(slope * dual, rough)
+        lagrangian = smooth + casadi.dot(slope * dual, nonsmooth)
         unknown = symbols.unknown
         gradient = casadi.gradient(lagrangian, unknown)
         split = [group for group in program_groups(parts) if group[0].loss.enters != "whole"]
@@ -170,8 +171,8 @@ class CostFunctions:
         outputs = {
             "first": casadi.densify(casadi.vertcat(by_term, blank, gradient)),
             "hessian": casadi.jacobian(gradient, unknown, {"symmetric": True}),
-            "rough": casadi.densify(rough),
-            "rough_jacobian": casadi.jacobian(rough, unknown),
+            "nonsmooth": casadi.densify(nonsmooth),
+            "nonsmooth_jacobian": casadi.jacobian(nonsmooth, unknown),
             "split": casadi.densify(stacked([part for group in split for part in group])[0]),
         }
         compiled = {
@@ -179,7 +180,7 @@ class CostFunctions:
         }
         return cls(
             **compiled,
-            rough_terms=np.array(
+            nonsmooth_terms=np.array(
                 [part.term for part in through_duals for _ in range(part.residual.shape[0])], dtype=np.intp
             ),
             split_blocks=tuple((group[0].loss, sum(part.rows for part in group)) for group in split),

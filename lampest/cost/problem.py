@@ -196,22 +196,22 @@ class Evaluation:
         return (float(blank.sum()) / self.cell_resistance.size + self.objective) or 1.0
 
     @cached_property
-    def rough(self) -> Array:
+    def nonsmooth(self) -> Array:
         """Residuals x with an absolute loss."""
-        return self.call(self.cost.functions.rough, self._no_dual) if len(self.cost.slope) else np.zeros(0)
+        return self.call(self.cost.functions.nonsmooth, self._no_dual) if len(self.cost.slope) else np.zeros(0)
 
     @cached_property
-    def rough_reach(self) -> Array:
+    def nonsmooth_reach(self) -> Array:
         """Σ |∂x/∂r|·r + Σ |∂x/∂y|·|y| of those residuals: what they would be off by were every digit wrong."""
-        rows, columns = self.cost.functions.rough_jacobian.pattern
-        slopes = self.call(self.cost.functions.rough_jacobian, self._no_dual)
+        rows, columns = self.cost.functions.nonsmooth_jacobian.pattern
+        slopes = self.call(self.cost.functions.nonsmooth_jacobian, self._no_dual)
         at = np.concatenate([self.cell_resistance.ravel(), self.reading.ravel()])
-        return np.asarray(np.bincount(rows, np.abs(slopes * at[columns]), len(self.rough)), dtype=float)
+        return np.asarray(np.bincount(rows, np.abs(slopes * at[columns]), len(self.nonsmooth)), dtype=float)
 
     @property
     def last_bits(self) -> Array:
         """What residuals with an absolute loss that are zero may hold."""
-        return ROUNDING * self.rough_reach
+        return ROUNDING * self.nonsmooth_reach
 
     @property
     def rounding(self) -> float:
@@ -220,7 +220,7 @@ class Evaluation:
 
     def dual_gap(self, dual: Array) -> float:
         """Σ weight·(|x| − z·x) of the absolute losses: zero where z is a subgradient; rounding of x counts for none."""
-        left = np.abs(self.rough) - dual * self.rough - self.last_bits
+        left = np.abs(self.nonsmooth) - dual * self.nonsmooth - self.last_bits
         return float(np.sum(self.cost.slope * np.maximum(left, 0.0)))
 
     def kkt_residual(self, dual: Array, log_gradient: Array | None = None) -> float:

@@ -23,11 +23,11 @@ MET = 1e-6  # of a residual, after a step to its kink; of those that depend on h
 
 def unsmoothed_minimum(at: Evaluation, dual: Array) -> tuple[Evaluation, Array, Certificate] | None:
     """(point, duals, certificate) of the minimum near a point with smoothed duals; None where steps end at none."""
-    if not len(at.rough) or at.cell_resistance.size > DENSE_STIFF_CELLS:
+    if not len(at.nonsmooth) or at.cell_resistance.size > DENSE_STIFF_CELLS:
         return None
     begun, active = at, at_kink(at, dual)
     for _ in range(MOST_ROUNDS):
-        dual = np.where(active, np.clip(dual, -1, 1), np.sign(at.rough))
+        dual = np.where(active, np.clip(dual, -1, 1), np.sign(at.nonsmooth))
         hessian = Hessian(at, Unsmoothed(0.0, dual))
         free = np.flatnonzero(free_cells(at, hessian.gradient))
         kinks = Kinks.of(hessian, active, free)
@@ -56,8 +56,8 @@ def _corrected(
     left = hessian.gradient[free] + (hessian.matrix @ step)[free]
     dual = kinks.balanced(before, left, at.cost.slope)
     both = [at.cell_resistance.ravel() * step, hessian.forward(step).ravel()]
-    residual = at.rough + hessian.smoothing.jacobian(at) @ np.concatenate(both)
-    stays = np.abs(residual) <= np.maximum(MET * np.abs(at.rough), AT_ZERO * at.rough_reach)
+    residual = at.nonsmooth + hessian.smoothing.jacobian(at) @ np.concatenate(both)
+    stays = np.abs(residual) <= np.maximum(MET * np.abs(at.nonsmooth), AT_ZERO * at.nonsmooth_reach)
     crossed = ~active & (residual * before < 0)
     dual = np.where(active & ~stays, np.sign(residual), dual)
     return dual, (active & stays & ~_released(at, active, dual)) | crossed

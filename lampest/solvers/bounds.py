@@ -44,9 +44,9 @@ def lower_along(at: Evaluation, along: Array) -> Evaluation | None:
 
 def _certain_cost(at: Evaluation) -> float:
     """φ without the last bits of residuals with an absolute loss."""
-    if not len(at.rough):
+    if not len(at.nonsmooth):
         return at.objective
-    return at.objective - float(np.sum(at.cost.slope * np.minimum(np.abs(at.rough), at.last_bits)))
+    return at.objective - float(np.sum(at.cost.slope * np.minimum(np.abs(at.nonsmooth), at.last_bits)))
 
 
 def moved_by(at: Evaluation, step: Array) -> Evaluation | None:

@@ -46,7 +46,7 @@ class Hessian:
 
     @cached_property
     def _partials(self) -> tuple[Array, Array]:
-        return self.at.partials(self.smoothing.slope(self.at.rough))
+        return self.at.partials(self.smoothing.slope(self.at.nonsmooth))
 
     @cached_property
     def direct(self) -> Array:
@@ -85,7 +85,7 @@ class Hessian:
         matrix = sparse.csr_array((self._smooth_terms, *functions.hessian.by_columns), shape=(size, size))
         if len(self.at.cost.slope):
             jacobian = self.smoothing.jacobian(self.at)
-            weight = self.at.cost.slope * self.smoothing.stiffness(self.at.rough)
+            weight = self.at.cost.slope * self.smoothing.stiffness(self.at.nonsmooth)
             matrix = matrix + jacobian.T @ (sparse.diags_array(weight) @ jacobian)
         return sparse.csr_array(matrix)
 
@@ -146,7 +146,7 @@ class Hessian:
     def only_data(self) -> bool:
         """Whether a single frame's readings alone enter the second derivatives."""
         cells, functions = self.at.cell_resistance, self.at.cost.functions
-        absolute = functions.rough_jacobian.pattern[1] < cells.size
+        absolute = functions.nonsmooth_jacobian.pattern[1] < cells.size
         return len(cells) == 1 and not (len(functions.entries.cells) or absolute.any())
 
     @property
@@ -258,7 +258,7 @@ def slopes_of(hessian: Hessian, part: Part, value: Array) -> tuple[Array, Array]
         if not rows.any():
             continue
         if term.loss.enters == "dual":
-            own = replace(smoothing, dual=smoothing.dual[cost.functions.rough_terms == number])
+            own = replace(smoothing, dual=smoothing.dual[cost.functions.nonsmooth_terms == number])
             slope[rows] = cost.weights[number] * own.slope(value[rows])
             stiffness[rows] = cost.weights[number] * own.stiffness(value[rows])
         elif not term.loss.squared:

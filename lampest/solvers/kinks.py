@@ -68,7 +68,7 @@ class Kinks:
         chosen = _independent(unit, hessian.at.cost.slope[rows])
         turn, upper = linalg.qr(unit[chosen].T, check_finite=False)
         rank = len(chosen)
-        missing = (hessian.at.rough[rows] / length)[chosen]
+        missing = (hessian.at.nonsmooth[rows] / length)[chosen]
         back = -turn[:, :rank] @ linalg.solve_triangular(upper[:rank], missing, trans="T")
         return cls(rows, length, turn[:, :rank], turn[:, rank:], turn[:, :rank].T @ unit.T, back)
 
@@ -130,4 +130,4 @@ def derivatives(hessian: Hessian, rows: NDArray[np.intp]) -> Array:
 
 def at_kink(at: Evaluation, dual: Array) -> NDArray[np.bool_]:
     """(rows) which residuals stand at their kink: their duals lie within ±1, or but a hair parts them from 0."""
-    return np.asarray((np.abs(dual) < 1 - INSIDE) | (np.abs(at.rough) <= AT_ZERO * at.rough_reach))
+    return np.asarray((np.abs(dual) < 1 - INSIDE) | (np.abs(at.nonsmooth) <= AT_ZERO * at.nonsmooth_reach))

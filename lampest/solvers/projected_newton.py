@@ -117,9 +117,9 @@ class Iterate:
     @cached_property
     def gap(self) -> float:
         """What the smoothing of absolute losses may still cost, relative to the cost's scale."""
-        if not len(self.at.rough):
+        if not len(self.at.nonsmooth):
             return 0.0
-        return self.at.dual_gap(self.hessian.smoothing.slope(self.at.rough)) / self.at.cost_scale
+        return self.at.dual_gap(self.hessian.smoothing.slope(self.at.nonsmooth)) / self.at.cost_scale
 
     def sharp(self, tolerance: float) -> bool:
         """Whether the smoothing costs no more than a share of the cost, and is not mere rounding."""
@@ -155,7 +155,7 @@ class Iterate:
     def outcome(self, status: Status, iterations: int) -> Outcome:
         """What the caller gets, after the certificate's own step where that comes from a factor and certifies."""
         found, cells = self.__dict__.get("certificate"), self.at.cell_resistance
-        dual = self.hessian.smoothing.slope(self.at.rough)
+        dual = self.hessian.smoothing.slope(self.at.nonsmooth)
         factored = found is not None and found.factor is not None and found.settled and not len(dual)
         if found is not None and factored and MILLIONTH / 1000 < float(np.abs(found.step).max()) <= NEAR:
             cells = np.exp(self.at.position + found.step.reshape(cells.shape))
@@ -163,7 +163,7 @@ class Iterate:
 
     def unsmoothed(self, iterations: int) -> Outcome | None:
         """The minimum nearby without any smoothing; None where there are no absolute losses, or none is found."""
-        found = unsmoothed_minimum(self.at, self.hessian.smoothing.slope(self.at.rough))
+        found = unsmoothed_minimum(self.at, self.hessian.smoothing.slope(self.at.nonsmooth))
         if found is None:
             return None
         at, dual, certified = found
@@ -177,7 +177,7 @@ class Iterate:
     def expects(self, trial: "Iterate") -> float:
         """How long the step after one to `trial` will be, of log r; infinite where losses are smoothed."""
         moved = float(np.abs(trial.at.position - self.at.position).max())
-        return inf if len(self.at.rough) else moved * trial.residual / (self.residual or 1.0)
+        return inf if len(self.at.nonsmooth) else moved * trial.residual / (self.residual or 1.0)
 
     def accepts(self, trial: "Iterate | None", predicted: float) -> float:
         """The ratio of actual to predicted decrease; where rounding hides it, 1 or −1: did the gradient halve?"""
@@ -210,7 +210,7 @@ def advanced(point: Iterate) -> Iterate | None:
     Every iteration begins with the whole step: readings at a rail curve the cost on one side alone.
     """
     hessian, cells = point.hessian, point.at.cell_resistance
-    if point.expected <= NEAR**2 and not len(point.at.rough):
+    if point.expected <= NEAR**2 and not len(point.at.nonsmooth):
         _ = point.certificate
     free, kept = free_cells(point.at, hessian.gradient), point.newest
     if kept is None or kept.distance(cells) > MOVED:

@@ -35,23 +35,23 @@ class Smoothing:
 
     def objective(self, at: Evaluation) -> float:
         """φ with √(x² + β²) − β in place of |x|: less a constant, so that no digit goes to heavy rows at zero."""
-        if not len(at.rough):
+        if not len(at.nonsmooth):
             return at.objective
-        squares = at.rough**2
+        squares = at.nonsmooth**2
         smoothed = squares / (np.sqrt(squares + self.width**2) + self.width)
-        return float(np.delete(at.costs, np.unique(at.cost.functions.rough_terms)).sum() + at.cost.slope @ smoothed)
+        return float(np.delete(at.costs, np.unique(at.cost.functions.nonsmooth_terms)).sum() + at.cost.slope @ smoothed)
 
     def jacobian(self, at: Evaluation) -> sparse.csr_array:
         """∂x/∂(r; y), sparse."""
-        function = at.cost.functions.rough_jacobian
-        shape = (len(at.rough), 2 * at.cell_resistance.size)
+        function = at.cost.functions.nonsmooth_jacobian
+        shape = (len(at.nonsmooth), 2 * at.cell_resistance.size)
         return sparse.csr_array((at.call(function, self.dual), function.pattern), shape=shape)
 
     @classmethod
     def start(cls, at: Evaluation) -> "Smoothing":
         """A tenth of the largest residual wide, duals to match."""
-        width = 0.1 * float(np.abs(at.rough).max(initial=0)) or 1.0
-        return cls(width, at.rough / np.sqrt(at.rough**2 + width**2))
+        width = 0.1 * float(np.abs(at.nonsmooth).max(initial=0)) or 1.0
+        return cls(width, at.nonsmooth / np.sqrt(at.nonsmooth**2 + width**2))
 
     def moved(self, before: Evaluation, after: Evaluation) -> "Smoothing":
         """The duals after a step, by the linear part of their equation, held to |z| ≤ 1."""
@@ -62,5 +62,5 @@ class Smoothing:
             after.reading - before.reading,
         ]
         change = self.jacobian(before) @ np.concatenate([move.ravel() for move in moves])
-        dual = self.slope(before.rough) + self.stiffness(before.rough) * change
+        dual = self.slope(before.nonsmooth) + self.stiffness(before.nonsmooth) * change
         return Smoothing(self.width, np.clip(dual, -1, 1))

@@ -238,7 +238,7 @@ def _sharp(at: Evaluation, outcome: Outcome) -> Hessian:
     """With kinks of absolute losses as they are; on panels that are too large for that, but for a hair."""
     if at.cell_resistance.size <= DENSE_STIFF_CELLS:
         return Hessian(at, Unsmoothed(0.0, within_one(outcome.dual)))
-    return Hessian(at, Smoothing(SHARP * (float(np.abs(at.rough).max(initial=0.0)) or 1.0), outcome.dual))
+    return Hessian(at, Smoothing(SHARP * (float(np.abs(at.nonsmooth).max(initial=0.0)) or 1.0), outcome.dual))
 
 
 def _cause(at: Evaluation, gradient: Array, outcome: Outcome, fault: Status) -> Status:

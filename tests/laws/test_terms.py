@@ -113,7 +113,7 @@ def test_first_derivative(term: type[Term], words: dict[str, Any], loss: Loss, f
     cost = Cost(PANEL, (term(weight=0.7, loss=loss, **words),), frames)
     data, cells = example(frames)
     here = Evaluation.at(cost, data, cells)
-    gradient = here.log_gradient(np.sign(here.rough))
+    gradient = here.log_gradient(np.sign(here.nonsmooth))
     rng, step = np.random.default_rng(1), 1e-5
     for _ in range(4):
         direction = rng.standard_normal(cells.shape)
@@ -123,7 +123,7 @@ def test_first_derivative(term: type[Term], words: dict[str, Any], loss: Loss, f
         # An absolute loss is no parabola, but the step is far smaller than the distance to any corner.
         assert slope == pytest.approx(np.sum(gradient * direction), abs=1e-7 * size + 1e-9 * here.objective)
     if loss.kind == "absolute":
-        assert np.min(np.abs(here.rough)) > 1e-3 * np.max(np.abs(here.rough))
+        assert np.min(np.abs(here.nonsmooth)) > 1e-3 * np.max(np.abs(here.nonsmooth))
 
 
 @pytest.mark.parametrize("frames", [1, 2])
@@ -169,7 +169,7 @@ def test_second_derivative_without_potentials(term: type[Term], words: dict[str,
 
     def curvature(where: Array) -> Hessian:
         at = Evaluation.at(cost, data, where)
-        return Hessian(at, Smoothing(width, Smoothing(width, np.zeros(len(at.rough))).slope(at.rough)))
+        return Hessian(at, Smoothing(width, Smoothing(width, np.zeros(len(at.nonsmooth))).slope(at.nonsmooth)))
 
     here = curvature(cells)
     matrix = here.matrix
@@ -192,7 +192,9 @@ def test_zero_weight_is_absence(term: type[Term], words: dict[str, Any], loss: L
     without = Evaluation.at(Cost(PANEL, (other,)), data, cells)
     assert with_it.objective == without.objective
     assert with_it.costs[1] == 0
-    assert_allclose(with_it.log_gradient(np.zeros(len(with_it.rough))), without.log_gradient(np.zeros(0)), rtol=1e-14)
+    assert_allclose(
+        with_it.log_gradient(np.zeros(len(with_it.nonsmooth))), without.log_gradient(np.zeros(0)), rtol=1e-14
+    )
 
 
 @pytest.mark.parametrize("loss", LOSSES, ids=lambda loss: loss.kind)

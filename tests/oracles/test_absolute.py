@@ -93,8 +93,8 @@ def test_a_step_brings_rows_to_their_kink_and_balances_the_rest() -> None:
     data = estimator.data(Readings(measured, 0.01 * measured, 0 * cells, 0 * cells + 1), Background(scene))
     cost = estimator.cost(scene, 1, data.partial)
     at = Evaluation.at(cost, data, cells)
-    curvature = Hessian(at, Unsmoothed(0.0, np.zeros(len(at.rough))))
-    everything, free = np.ones(len(at.rough), dtype=bool), np.arange(12)
+    curvature = Hessian(at, Unsmoothed(0.0, np.zeros(len(at.nonsmooth))))
+    everything, free = np.ones(len(at.nonsmooth), dtype=bool), np.arange(12)
     kinks = Kinks.of(curvature, everything, free)
     assert kinks.along.shape == (12, 1)  # all cells alike
     step = at_kinks(curvature, free, kinks).step
