@@ -16,7 +16,6 @@ from lampest.panel.readouts.wiring import Contacts, Lines
 from lampest.panel.scene import Scene
 from lampest.panel.systematic import SINES
 
-AT_ONCE = 64  # readings
 SHORT_OHM, OPEN_OHM = 1e-3, 1e12  # a strip of copper tape, and the insulation between two lines
 
 
@@ -193,8 +192,8 @@ def sums_of_codes(
     sums = np.empty(total.shape, dtype=np.int64)
     for frame, volt in enumerate(readout.volt_from_recorded(total)):
         sums[frame] = 0
-        for first in range(0, readout.readings, AT_ONCE):
-            shape = (min(AT_ONCE, readout.readings - first), *volt.shape)
+        for first in range(0, readout.readings, 64):  # at once
+            shape = (min(64, readout.readings - first), *volt.shape)
             codes = readout.code_from_volt(volt + sigma * noise.standard_normal(shape))
             if unmodelled.outlier_probability > 0:
                 hit = outliers.random(shape) < unmodelled.outlier_probability

@@ -17,8 +17,6 @@ from lampest.panel.scene import Water
 from lampest.recording.simulation.measure import random_stream
 
 TRAVEL_MM = 20.0  # two cells of the usual panel: a load that starts in the middle stays on it
-# Moments within a frame's period at which a film that remembers feels the load, and frames that are looked at together.
-MOMENTS, AT_ONCE = 8, 64
 
 
 @dataclass(frozen=True)
@@ -127,14 +125,16 @@ def remembered_ratio(
     pressure : moments (n) s → (n, rows, columns) kPa of load and water. water : (rows, columns) kPa, since ever. time :
     (frames) s, `period` apart.
     """
+    # Moments within a frame's period at which the film feels the load, and frames that are looked at together.
+    moments, at_once = 8, 64
     memory = _true_memory(film, seed, water, response)
     rest = memory.gain * response.logarithm(water)
-    step, parts = period / MOMENTS, []
-    for first in range(0, len(time), AT_ONCE):
-        moments = time[first : first + AT_ONCE, None] - step * np.arange(MOMENTS)[::-1]
-        for number, loaded in enumerate(pressure(moments.ravel()) - water, 1):
+    step, parts = period / moments, []
+    for first in range(0, len(time), at_once):
+        felt = time[first : first + at_once, None] - step * np.arange(moments)[::-1]
+        for number, loaded in enumerate(pressure(felt.ravel()) - water, 1):
             memory, change = memory.answered(loaded, step)
-            if number % MOMENTS == 0:
+            if number % moments == 0:
                 parts.append(np.exp(rest + change))
     return np.stack(parts)
 

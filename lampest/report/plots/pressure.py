@@ -21,7 +21,6 @@ from lampest.report.plots.style import BLUE, SMALL_POINT, TEXT_POINT, new_figure
 from lampest.runs.case import CaseResult
 
 # All in kPa, the same for all frames and recordings.
-WIDTH_TICKS = (0.1, 1.0, 10.0, 100.0)
 SHOWN = (-32.0, 132.0)
 
 
@@ -55,10 +54,10 @@ class PressurePlot(Plot):
         signed = stepped_scale(steps, "pressure [kPa]: suction − contact +", ticks, PRESSING)
         _map(left, case, Tile("(a) pressure of the load", pressure, "", marked, "saturated"), signed)
         left.set_ylabel(DOWN_LABEL, fontsize=TEXT_POINT)
-        least, most = WIDTH_TICKS[0], WIDTH_TICKS[-1]
+        least, most = 0.1, 100.0
         half = np.clip((upper - lower) / 2, least / 2, 2 * most)  # none and infinite: beyond the scale, not missing
         colours = colormaps["YlGnBu"]
-        widths = Scale(LogNorm(least, most), colours, "half the 95 % interval [kPa]", "both", WIDTH_TICKS)
+        widths = Scale(LogNorm(least, most), colours, "half the 95 % interval [kPa]", "both", (0.1, 1.0, 10.0, 100.0))
         _map(middle, case, Tile("(b) uncertainty", half, "", marked, "saturated"), widths)
         if case.scene.response is not None:  # results of an older version may have pressures without
             _curve(right, case.scene.response)

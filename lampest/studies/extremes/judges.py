@@ -11,8 +11,6 @@ from lampest.files.errors import extra
 from lampest.panel.panel import Array
 from lampest.panel.readouts.star_mesh import exact_two_point_resistance
 
-MOST_STEPS, FINE = 500, 1e-13  # of the convex estimate: steps, and the relative error of a reading
-
 
 def correct_digits(found: Array, certified: Array) -> float:
     """LRE = −log10(|found − certified|/|certified|), the least of all entries, between 0 and 15.
@@ -64,12 +62,13 @@ def convex_estimate(measured: Array) -> Array | None:
     Source: Nesterov & Nemirovskii, Interior-Point Polynomial Algorithms in Convex Programming, 1994.
     """
     rows, columns = measured.shape
+    fine = 1e-13  # relative error of a reading
     across = np.kron(np.eye(rows), np.ones(columns)), np.kron(np.ones(rows), np.eye(columns))
     incidence = np.concatenate([across[0], -across[1]])[1:]
     scale = float(np.exp(np.mean(np.log(measured))))
     goal = measured.ravel() / scale
     conductance = (rows + columns - 1) / (rows * columns) / goal
-    for _ in range(MOST_STEPS):
+    for _ in range(500):
         try:
             drop = incidence.T @ cho_solve(cho_factor((incidence * conductance) @ incidence.T), incidence)
             slope = goal - np.diag(drop)
@@ -78,10 +77,10 @@ def convex_estimate(measured: Array) -> Array | None:
         except LinAlgError:
             return None
         decrement = float(np.sqrt(max(-slope @ step, 0.0)))
-        if np.max(np.abs(slope / goal)) < FINE or decrement < FINE:
+        if np.max(np.abs(slope / goal)) < fine or decrement < fine:
             break
         conductance = conductance + step / (1 + decrement if decrement > 0.25 else 1)
-    if np.any(conductance <= 0) or np.max(np.abs(slope / goal)) > 1e3 * FINE:
+    if np.any(conductance <= 0) or np.max(np.abs(slope / goal)) > 1e3 * fine:
         return None
     return np.asarray(scale / conductance).reshape(rows, columns)
 
