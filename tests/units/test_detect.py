@@ -89,7 +89,12 @@ def test_the_sentence_says_what_where_since_when_and_how_strong() -> None:
         ({}, 1.0, SUCKS, "1 frames a second do not show breathing, at least four do"),
         ({"breathing": -4.0}, 4.0, CUP, ""),
         ({"breathing": 1.0}, 4.0, SUCKS, "whether it breathes is not clear (P = 0.73)"),
-        ({"breathing": 4.0, "suction": 0.02}, 4.0, SUCKS, "it moves at a breathing rate, but not by its suction"),
+        (
+            {"breathing": 4.0, "suction": 0.02},
+            4.0,
+            SUCKS,
+            "it moves at a breathing rate, but probably not by its suction",
+        ),
         ({"breathing": 0.0, "breathing_hz": None}, 4.0, SUCKS, "breathing shows after 4.5 s at the earliest"),
         ({"sucks": 0.02}, 4.0, PRESSES, ""),
     ],

@@ -19,8 +19,8 @@ LEAST_RATE = 3.8  # frames a second: those of four whose clock is slow; they sho
 # A: the amplitude of mouths is 5.4 % of their suction in the mean, of cups that leak 0.6 % (docs/studies/mouths.md)
 BREATH, STEADY = 0.045, 0.005
 WINDOW_S, LEAST_S = 8.0, 4.5  # over which a rhythm is steady; and the least that shows one
-# Standard deviations of what may move with time: suction, rim and supply, relative; mm; tilts. Assumptions.
-MOVES = {"suction": 0.1, "push": 0.1, "supply": 0.01, "x": 1.0, "y": 1.0, "tilt_x": 0.1, "tilt_y": 0.1}
+# Standard deviations of what may move with time: suction, rim and supply, relative; water, kPa; mm; tilts. Assumptions.
+MOVES = {"suction": 0.1, "push": 0.1, "supply": 0.01, "water": 0.2, "x": 1.0, "y": 1.0, "tilt_x": 0.1, "tilt_y": 0.1}
 
 
 def too_slow(rate: float) -> str:
@@ -73,21 +73,22 @@ def breaths(
             suction, rim, *moves = moved.values()
             discs.append(disc)
             patterns.append([suction + rim, rim, *moves])
-    water, found = _water(changes, frame, fit, pressure), []
+    slope = frame.slope(fit.change) @ frame.change(pressure)[1].ravel() / model
+    found, shared = [], [MOVES["supply"] * whitening.sum(axis=1), MOVES["water"] * (whitening @ slope)]
     for number, (disc, (own, rim, *moves)) in enumerate(zip(discs, patterns, strict=True)):
-        others = [MOVES["supply"] * whitening.sum(axis=1)]
+        others = shared.copy()
         for other, (beside, _, *moving) in enumerate(patterns):
             others += [] if other == number else [beside, *moving]
         seen = Patterns(own, rim, np.array(moves).T, np.array(others).T)
-        heard = breath(times, changes @ whitening.T, seen, water / abs(disc.suction_kpa))
+        heard = breath(times, changes @ whitening.T, seen)
         found += [] if heard is None else [((disc.x_mm, disc.y_mm), heard)]
     return found
 
 
-def breath(times: Array, changes: Array, patterns: Patterns, water: Array) -> Breath | None:
+def breath(times: Array, changes: Array, patterns: Patterns) -> Breath | None:
     """What a window shows; None where it is too short.
 
-    times : (frames) s. changes : (frames, readings) of unit variance. water : (frames) its pressure over the suction.
+    times : (frames) s. changes : (frames, readings) of unit variance.
     """
     lasted = times[-1] - times[0]
     rate = (len(times) - 1) / max(lasted, 1e-9)
@@ -97,23 +98,22 @@ def breath(times: Array, changes: Array, patterns: Patterns, water: Array) -> Br
     trend = np.linalg.qr(np.column_stack([np.ones_like(at), at, at**2, np.log1p(10 * at)]))[0]
     basis = np.column_stack([patterns.own, patterns.others])
     together = np.linalg.solve(basis.T @ basis + np.eye(basis.shape[1]), basis.T @ changes.T)[0]
-    series = np.column_stack([MOVES["suction"] * _calm(together), water])
+    series = MOVES["suction"] * _calm(together)
     series = series - trend @ (trend.T @ series)
     hertz = np.arange(RATES_HZ[0], min(RATES_HZ[1], rate / 2) + 1e-9, 0.25 / lasted)
     waves = np.exp(2j * np.pi * hertz[:, None] * times)
     waves = np.stack([waves.real, waves.imag], axis=2)
     axes, sizes, _ = np.linalg.svd(waves - trend @ (trend.T @ waves), full_matrices=False)
     axes, gain = np.swapaxes(axes, 1, 2), sizes**2
-    found = axes @ series
-    power, amplitude, total = (found**2).sum(axis=1), found[:, :, 0], float(series[:, 0] @ series[:, 0])
+    amplitude, total = axes @ series, float(series @ series)
+    power = (amplitude**2).sum(axis=1)
     freedom = len(times) - trend.shape[1]
     breathing, steady = (_evidence(total, amplitude, gain, sd, freedom) for sd in (BREATH, STEADY))
-    best = int(np.argmax(power[:, 0]))
+    best = int(np.argmax(power))
     suction = _suction(patterns, axes @ (changes - trend @ (trend.T @ changes)), best)
-    suction = suction if power[best, 0] >= power[best, 1] else 0.0  # it follows waves at most
-    noise = max(total - power[best, 0], 1e-12) / max(freedom - 2, 1)
+    noise = max(total - power[best], 1e-12) / max(freedom - 2, 1)
     size = float(np.mean(gain[best]))
-    depth = np.sqrt(max(power[best, 0] / size, 1e-12))
+    depth = np.sqrt(max(power[best] / size, 1e-12))
     spread = np.sqrt(6 * noise / (size * 2)) / (np.pi * lasted * depth)  # Rife and Boorstyn, IEEE Trans. IT-20, 1974
     return Breath(
         float(logsumexp(breathing) - logsumexp(steady)),
@@ -156,14 +156,6 @@ def _suction(patterns: Patterns, moving: Array, at: int) -> float:
     reaches = (patterns.own @ patterns.own) ** 2 / (patterns.own**4).sum()
     odds = RARER + np.log(2) + reaches / 2 * np.log([left, above])  # both together are as rare
     return float(1 / (1 + np.exp(-odds).sum()))
-
-
-def _water(changes: Array, frame: Observation, fit: Fit, pressure: Array) -> Array:
-    """(frames) kPa by which the water's pressure has changed, from lines without a load; 0 where there is none."""
-    loaded = pressure != 0
-    free = ~(loaded.any(axis=0) | loaded.any(axis=1)[:, None]).ravel()
-    slope = frame.slope(fit.change) @ frame.change(pressure)[1].ravel() / frame.measured.ravel()
-    return np.asarray(changes[:, free] @ slope[free] / max(float(slope[free] @ slope[free]), 1e-300))
 
 
 def _calm(series: Array) -> Array:

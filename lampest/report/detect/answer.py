@@ -189,7 +189,7 @@ def answer_of(one: Attachment, rate: float) -> tuple[str, float, str]:
     if why:
         return SUCKS, one.sucks, why
     if one.shaken:
-        why = "it moves at a breathing rate, but not by its suction alone: shaken, or in waves"
+        why = "it moves at a breathing rate, but probably not by its suction: it may be shaken"
     elif one.breathing_hz is None:
         why = f"breathing shows after {LEAST_S:g} s at the earliest"
     elif one.sucks * (1 - one.breathes) >= SURE:
