@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.estimate.cells_fit import CREEP, LEVEL, PRICE, CellsFit, fitted, selected
+from lampest.panel.leaks import leak_effect, neighbours
 from lampest.panel.network import Network
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
@@ -23,7 +24,8 @@ from lampest.recording.readings import Readings
 TOGETHER = 0.05  # prior of log r: by so much all cells may change with temperature
 LEAK_OHM, CONTACT_OHM = 10e3, 100.0  # priors: water between lines, a contact that loosens
 MARGIN = 36.0  # −2 log probability that an effect must gain: e^18 to one, as another circuit
-STEPS, SETTLED = 6, 0.1  # of θ, by the network itself, and the standard deviations at which they end
+HALVES = 0.5 ** np.arange(5)  # of a step that may be too long
+STEPS, SETTLED = 8, 0.1  # of θ, by the network itself, and the standard deviations at which they end
 MOST_BOUNDS = 0.02  # of the readings: cells behind bounds have no linear theory
 NOTICED, SURE = 0.01, 5.0  # of log r, and standard deviations: a common change that is said
 MOST_TRIED = 3  # effects that are tried by the network: those that linear theory finds best
@@ -54,13 +56,7 @@ class Nuisance:
             more = size * np.isin(np.arange(rows + columns), self.lines)
             simulated = circuit.simulated(network.cell_resistance, scene, more[:rows], more[rows:])
             return np.asarray(circuit.from_recorded(simulated, scene) - network.reading())
-        across = np.eye(rows + columns)[:, list(self.lines)] - np.eye(rows + columns)[:, [n + 1 for n in self.lines]]
-        towards = network.potentials() @ across
-        core = np.linalg.inv(np.eye(len(self.lines)) + size * across.T @ towards)
-        wet = network.potentials() - size * towards @ core @ towards.T
-        diagonal = np.diag(wet)
-        reading = circuit.reading(diagonal[:rows, None], diagonal[None, rows:], wet[:rows, rows:])
-        return np.asarray(reading - network.reading())
+        return leak_effect(circuit, network, self.lines, size)
 
     def column(self, scene: Scene, network: Network) -> Array:
         """U of θ in units of its prior, (readings): a secant."""
@@ -81,9 +77,9 @@ class Nuisance:
 def nuisances(shape: tuple[int, int]) -> Iterator[Nuisance]:
     """All that are tried on a panel."""
     rows, columns = shape
-    pairs = [line for line in range(rows + columns - 1) if line != rows - 1]
+    pairs = neighbours(rows, columns)
     for since in (True, False):
-        yield Nuisance("leak", tuple(pairs), since)
+        yield Nuisance("leak", pairs, since)
         yield from (Nuisance("leak", (line,), since) for line in pairs)
         yield from (Nuisance("contact", (line,), since) for line in range(rows + columns))
 
@@ -247,16 +243,24 @@ def _refined(pair: FittedPair, nuisance: Nuisance) -> tuple[Nuisance, Evidence] 
         found = pair.explained(nuisance)
         if np.isnan(found.size):
             return None
-        step = found.size * nuisance.prior
-        size = nuisance.size + step
-        nuisance = replace(nuisance, size=max(size, 0.0) if nuisance.kind == "leak" else size)
-        after = pair.without(nuisance)
-        if after is None:
+        tried = _stepped(pair, nuisance, found.size * nuisance.prior)
+        if tried is None:
             return None
-        pair = after
+        pair, nuisance = tried
         if abs(found.size) < SETTLED * max(found.sd, SETTLED):
             break
     if nuisance.size == 0:
         return None
     found = pair.explained()
     return nuisance, replace(found, score=found.score + PRICE + (nuisance.size / nuisance.prior) ** 2)
+
+
+def _stepped(pair: FittedPair, nuisance: Nuisance, step: float) -> tuple[FittedPair, Nuisance] | None:
+    """The pair and its effect a step of θ further, halved until cells give the rest; None where they never do."""
+    for part in HALVES * step:
+        size = nuisance.size + float(part)
+        there = replace(nuisance, size=max(size, 0.0) if nuisance.kind == "leak" else size)
+        after = pair.without(there)
+        if after is not None and np.all(np.isfinite(after.change)):
+            return after, there
+    return None

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.files.typed import Configuration, check_not_negative
+from lampest.panel.leaks import leak_effect, neighbours
 from lampest.panel.memory import in_panel_order, with_memory
 from lampest.panel.panel import Array, Modules
 from lampest.panel.readouts import Readout
@@ -29,6 +30,10 @@ class Unmodelled(Configuration):
     channel_spread_ohm : standard deviation of the on-resistance of a multiplexer's channels, one for each line.
     reference_tolerance : the reference resistor is off by up to this fraction, drawn uniformly.
     drift_per_minute : standard deviation of the rate at which the logarithm of a cell's resistance drifts, per minute.
+    common_drift_per_minute : the rate of all cells alike, beside that.
+    leak_ohm : resistance between each line and the next one. contact_ohm : so much more in series with one row, which
+        is drawn. begins_s : when these two begin, after the first frame.
+    saturation : the share of the supply beyond which a stage before the converter passes no voltage.
     outlier_probability : chance that one reading is a random code instead of a conversion.
     noise_factor : the noise of one reading is so many times what the scene says.
     supply_ripple_lsb, supply_ripple_hz : amplitude and frequency of a sine on what the converter sees, its phase drawn
@@ -64,11 +69,18 @@ class Unmodelled(Configuration):
     reading_error: float | None = None
     response_loss: float | None = None
     response_spread: float | None = None
+    common_drift_per_minute: float | None = None
+    leak_ohm: float | None = None
+    contact_ohm: float | None = None
+    begins_s: float = 0.0
+    saturation: float | None = None
 
     def __post_init__(self) -> None:
         check_not_negative(self, *(field.name for field in fields(self)))
         if self.reference_tolerance >= 1:
             raise ValueError("reference_tolerance must be below 1")
+        if self.leak_ohm == 0:
+            raise ValueError("leak_ohm must be positive")
         if self.outlier_probability > 1:
             raise ValueError("outlier_probability must not exceed 1")
         if self.response_loss is not None and self.response_loss >= 1:
@@ -77,12 +89,19 @@ class Unmodelled(Configuration):
     @property
     def disturbs(self) -> bool:
         """Whether anything is added to what the converter sees."""
-        return bool(self.supply_ripple_lsb or self.gain_spread or self.inl_lsb)
+        return bool(self.supply_ripple_lsb or self.gain_spread or self.inl_lsb or self.saturation)
 
     @property
     def needs_converter(self) -> tuple[str, ...]:
         """Effects that are present and act on a converter."""
-        names = ("reference_tolerance", "outlier_probability", "supply_ripple_lsb", "gain_spread", "inl_lsb")
+        names = (
+            "reference_tolerance",
+            "outlier_probability",
+            "supply_ripple_lsb",
+            "gain_spread",
+            "inl_lsb",
+            "saturation",
+        )
         noisier = () if self.noise_factor is None else ("noise_factor",)
         return (*(name for name in names if getattr(self, name)), *noisier)
 
@@ -119,9 +138,17 @@ def measured(
         scene = replace(scene, contacts=true_contacts(scene, seed))
     if unmodelled.wire_ohm_per_cell:
         scene = replace(scene, lines=_with_wire(scene, unmodelled.wire_ohm_per_cell))
-    channels = _channel_errors(scene, unmodelled, seed)
-    real = [np.where(scene.panel.present, part, np.inf) for part in scanned or [cells]]
-    total, *passes = [actual.simulated(part, scene, *channels) for part in real]
+    begin = int(np.ceil(unmodelled.begins_s / period_s))
+
+    def read(part: Array) -> Array:
+        there = np.where(scene.panel.present, part, np.inf)
+        whole = actual.simulated(there, scene, *_channel_errors(scene, unmodelled, seed, late=False))
+        if unmodelled.contact_ohm:
+            channels = _channel_errors(scene, unmodelled, seed, late=True)
+            whole[begin:] = actual.simulated(there, scene, *channels)[begin:]
+        return _with_leak(actual, scene, there, whole, unmodelled.leak_ohm, begin)
+
+    total, *passes = [read(part) for part in scanned or [cells]]
     if passes:  # each line was read in its own
         axis = 2 if actual.by_columns else 1
         each = [part.take(line, axis) for line, part in enumerate([total, *passes])]
@@ -175,10 +202,28 @@ def true_contacts(scene: Scene, seed: int) -> Contacts:
     return Contacts.of(ohm, np.zeros(len(ohm)), shape[0])
 
 
-def _channel_errors(scene: Scene, unmodelled: Unmodelled, seed: int) -> tuple[Array, Array]:
-    """δ_j of rows and δ_k of columns, ohm, beyond the scene; what it is silent about stands on the driven side."""
+def _with_leak(
+    circuit: Readout, scene: Scene, cells: Array, recorded: Array, leak_ohm: float | None, begin: int
+) -> Array:
+    """The recorded readings (frames, rows, columns) with a leak between neighbouring lines from a frame on."""
+    if leak_ohm is None:
+        return recorded
+    reading, lines = circuit.from_recorded(recorded, scene), neighbours(*scene.panel.shape)
+    for frame in range(begin, len(cells)):
+        network = circuit.network(cells[frame], circuit.ties(reading[frame]), scene.wiring)
+        reading[frame] += leak_effect(circuit, network, lines, 1 / leak_ohm)
+    return circuit.to_recorded(reading, scene)
+
+
+def _channel_errors(scene: Scene, unmodelled: Unmodelled, seed: int, late: bool) -> tuple[Array, Array]:
+    """δ_j of rows and δ_k of columns, ohm, beyond the scene; what it is silent about stands on the driven side.
+
+    late : with what a contact has more once it has.
+    """
     rows, columns = scene.panel.shape
     channel = unmodelled.channel_spread_ohm * random_stream(seed, "channels").standard_normal(rows + columns)
+    if late and unmodelled.contact_ohm:
+        channel[int(random_stream(seed, "contact").integers(rows))] += unmodelled.contact_ohm
     driven, sensed = of_side(scene.circuit.noisy_side, channel[:rows], channel[rows:])
     return of_side(scene.circuit.noisy_side, unmodelled.series_resistance_ohm + driven, sensed)
 
@@ -211,7 +256,10 @@ def raw_sums(readout: Readout | None, sums: NDArray[np.int64] | None) -> NDArray
 
 
 def _disturbed(readout: Readout, volt: Array, unmodelled: Unmodelled, seed: int, period_s: float) -> Array:
-    """V·(1 + gain) + ripple + INL(V), (frames, rows, columns) volt at the converter; period_s : between frames."""
+    """V·(1 + gain) + ripple + INL(V), and no more than a stage passes, (frames, rows, columns) volt at the converter.
+
+    period_s : between frames.
+    """
     if unmodelled.gain_spread:
         gain = unmodelled.gain_spread * random_stream(seed, "gain").standard_normal(len(volt))
         volt = volt * (1 + gain[:, None, None])
@@ -231,6 +279,8 @@ def _disturbed(readout: Readout, volt: Array, unmodelled: Unmodelled, seed: int,
 
         largest = np.abs(sines(np.linspace(0, 1, 1001))).max()
         volt = volt + unmodelled.inl_lsb * readout.lsb_volt * (sines(volt / readout.supply_volt) / largest)
+    if unmodelled.saturation:
+        volt = np.minimum(volt, unmodelled.saturation * readout.supply_volt)
     return volt
 
 

@@ -170,7 +170,8 @@ def pressure_at(simulation: Simulation, time: Array, later_s: float = 0.0) -> Ar
 def cells_under(simulation: Simulation, time: Array, later_s: float = 0.0) -> Array:
     """r = r0·e^drift·f(p)·e^(α(T − T_b)), (frames, rows, columns) ohm; later_s : as `pressure_at` has it.
 
-    r0 is log-normal, and each cell drifts at its own rate. Raises ValueError where a cell leaves its range.
+    r0 is log-normal, and each cell drifts at its own rate, beside one that all share. Raises ValueError where a cell
+    leaves its range.
     """
     scene, unmodelled = simulation.scene, simulation.unmodelled
 
@@ -182,7 +183,8 @@ def cells_under(simulation: Simulation, time: Array, later_s: float = 0.0) -> Ar
         if unmodelled.response_loss or unmodelled.response_spread:
             loss, spread = unmodelled.response_loss or 0.0, unmodelled.response_spread or 0.0
             ratio = ratio ** ((1 - loss) * np.exp(spread * normal("response")))
-        drift = np.exp(unmodelled.drift_per_minute / 60 * normal("drift") * time[:, None, None])
+        rate = unmodelled.drift_per_minute * normal("drift") + (unmodelled.common_drift_per_minute or 0.0)
+        drift = np.exp(rate / 60 * time[:, None, None])
         unloaded = simulation.cells.resistance_ohm * np.exp(simulation.cells.spread * normal("cells"))
         cells: Array = unloaded * drift * ratio
         if scene.temperature is not None:
