@@ -11,9 +11,11 @@ from numpy.typing import NDArray
 from lampest.estimate.estimates import Estimates
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.methods import AnyMethod, MethodName
+from lampest.estimate.outliers import TO_SIGMA
 from lampest.estimate.sequence import reconstruct
 from lampest.files.errors import InputError
 from lampest.files.typed import Configuration, check_range
+from lampest.loads.pressure import NORMAL_95
 from lampest.panel.panel import Array
 from lampest.recording.readings import Readings
 from lampest.recording.recording import UNLOADED, Recording
@@ -25,12 +27,13 @@ from lampest.studies.methods import StudyMethod
 
 LEAST, MOST, NEVER_BELOW = 90.0, 98.0, 80.0  # percent of 95 % intervals that shall cover the truth
 NAN = float("nan")
+LATE_S = 8.0  # when effects come that come during a recording
 
 
 def usual_effects() -> dict[str, Unmodelled]:
     """What electronics, films and animals do that no scene states, most at two strengths; first of all nothing."""
     return {
-        "as told": Unmodelled(),
+        "as specified": Unmodelled(),
         "noise 2": Unmodelled(noise_factor=2),
         **{f"ripple {lsb:g} LSB": Unmodelled(supply_ripple_lsb=lsb) for lsb in (0.5, 2)},
         **{f"outliers 1e-{digit}": Unmodelled(outlier_probability=10.0**-digit) for digit in (4, 3, 2)},
@@ -42,6 +45,12 @@ def usual_effects() -> dict[str, Unmodelled]:
         **{f"static {percent} %": Unmodelled(reading_error=percent / 100) for percent in (1, 10)},
         "film bent": Unmodelled(response_loss=0.2),
         "film uneven": Unmodelled(response_spread=0.2),
+        "reference 5 %": Unmodelled(reference_tolerance=0.05),
+        "leak 10 kohm": Unmodelled(leak_ohm=10e3),
+        **{f"leak {kohm} kohm, late": Unmodelled(leak_ohm=kohm * 1e3, begins_s=LATE_S) for kohm in (10, 50)},
+        "contact 200 ohm, late": Unmodelled(contact_ohm=200, begins_s=LATE_S),
+        "all creep 2 %": Unmodelled(common_drift_per_minute=0.12),
+        "saturation 0.6": Unmodelled(saturation=0.6),
     }
 
 
@@ -104,7 +113,7 @@ class AuditTask:
 class Audited:
     """One recording with one estimator; `COLUMNS` say what each field is.
 
-    cells, change, pressure : how many have an interval, and of how many (`_held`) the truth lies in it.
+    cells, change, pressure : how many have an interval, and of how many (`_covered`) the truth lies in it.
     """
 
     effect: str
@@ -112,34 +121,40 @@ class Audited:
     estimator: str
     failed: str = ""
     cells: int = 0
-    cells_held: int = 0
+    cells_covered: int = 0
     change: int = 0
-    change_held: int = 0
+    change_covered: int = 0
     pressure: int = 0
-    pressure_held: int = 0
+    pressure_covered: int = 0
+    alone: int = 0
+    alone_covered: int = 0
     chi_square: float = NAN
     width: float = NAN
-    told: str = ""
+    sentence: str = ""
     own: float = NAN
     common: float = NAN
+    ratio: float = NAN
 
 
 COLUMNS = (
-    ("effect", "1", "what the estimator is not told"),
+    ("effect", "1", "what the scene does not name"),
     ("seed", "1", "seed of the recording"),
     ("estimator", "1", "name of the estimator"),
     ("failed", "1", "why there is nothing to count, or empty"),
     ("cells", "1", "intervals of cells"),
-    ("cells_held", "1", "intervals of cells that hold the truth"),
+    ("cells_covered", "1", "intervals of cells that cover the truth"),
     ("change", "1", "intervals of changes"),
-    ("change_held", "1", "intervals of changes that hold the truth"),
+    ("change_covered", "1", "intervals of changes that cover the truth"),
     ("pressure", "1", "intervals of the pressure of loaded cells"),
-    ("pressure_held", "1", "intervals of pressure that hold the truth"),
+    ("pressure_covered", "1", "intervals of pressure that cover the truth"),
+    ("alone", "1", "cells with an own part of their standard deviation"),
+    ("alone_covered", "1", "cells whose error beside the median of their frame lies within 1.96 of it"),
     ("chi_square", "1", "chi square of unloaded repeats per degree of freedom"),
     ("width", "1", "median standard deviation of the logarithm of a cell"),
-    ("told", "1", "sentence that the results carry, or empty"),
+    ("sentence", "1", "what the results warn of, or empty"),
     ("own", "1", "median standard deviation of the logarithm of a cell, its own part"),
     ("common", "1", "the same, the part that cells share"),
+    ("ratio", "1", "own part over the robust actual error beside the median of the frame"),
 )
 
 
@@ -185,8 +200,33 @@ def _counted(task: AuditTask, name: str, recording: Recording, found: Estimates)
     width = NAN if errors is None else float(np.nanmedian(errors / found.cell_resistance))
     parts = [NAN if part is None else float(np.nanmedian(part)) for part in (found.sigma_own, found.sigma_common)]
     failed = "" if cells[0] else "no error bars"
+    counted, covered, ratio = _beside_median(found, truth[found.frame])
     said, scatter = "; ".join(found.checks), repeats_chi_square(recording)
-    return Audited(task.effect, task.seed, name, failed, *cells, *changes, *pressures, scatter, width, said, *parts)
+    counts, (own, common) = (*cells, *changes, *pressures), parts
+    return Audited(
+        *(task.effect, task.seed, name, failed),
+        *counts,
+        alone=counted,
+        alone_covered=covered,
+        chi_square=scatter,
+        width=width,
+        sentence=said,
+        own=own,
+        common=common,
+        ratio=ratio,
+    )
+
+
+def _beside_median(found: Estimates, truth: Array) -> tuple[int, int, float]:
+    """(cells, how many lie within 1.96 σ_own of the median error of their frame, σ_own over the robust error)."""
+    own = found.sigma_own
+    if own is None:
+        return 0, 0, NAN
+    error = np.log(found.cell_resistance / truth)
+    error = np.abs(error - np.nanmedian(error, axis=(1, 2), keepdims=True))
+    there = np.isfinite(own) & np.isfinite(error)
+    size = TO_SIGMA * float(np.median(error[there])) if there.any() else NAN
+    return int(there.sum()), int((error[there] <= NORMAL_95 * own[there]).sum()), float(np.median(own[there])) / size
 
 
 def covered_truths(
@@ -220,25 +260,25 @@ def _good(own: Sequence[Audited]) -> list[Audited]:
 
 
 def _silent(own: Sequence[Audited]) -> list[Audited]:
-    return [one for one in _good(own) if not one.told]
+    return [one for one in _good(own) if not one.sentence]
 
 
 def _usual_sentence(own: Sequence[Audited]) -> str:
     """The most frequent one that results carry, whatever its numbers."""
-    kinds = study.grouped(own, lambda one: "".join(letter for letter in one.told if not letter.isdigit()))
+    kinds = study.grouped(own, lambda one: "".join(letter for letter in one.sentence if not letter.isdigit()))
     said = [alike for kind, alike in kinds.items() if kind]
-    return max(said, key=len)[0].told if said else ""
+    return max(said, key=len)[0].sentence if said else ""
 
 
 def _share(own: Sequence[Audited], what: str) -> float:
     """Percent of all intervals that cover the truth; NaN where there is none."""
     counted = sum(getattr(one, what) for one in own)
-    return 100 * sum(getattr(one, f"{what}_held") for one in own) / counted if counted else NAN
+    return 100 * sum(getattr(one, f"{what}_covered") for one in own) / counted if counted else NAN
 
 
 def _spread(own: Sequence[Audited], what: str) -> float:
     """Standard error of that percentage, from the recordings', percent; NaN of fewer than two."""
-    shares = [100 * getattr(one, f"{what}_held") / getattr(one, what) for one in own if getattr(one, what)]
+    shares = [100 * getattr(one, f"{what}_covered") / getattr(one, what) for one in own if getattr(one, what)]
     return float(np.std(shares, ddof=1) / np.sqrt(len(shares))) if len(shares) > 1 else NAN
 
 
@@ -254,10 +294,10 @@ def _verdict(own: Sequence[Audited]) -> str:
     shares = [_share(_silent(own), what) for what in ("cells", "change", "pressure")]
     known = [share for share in shares if not np.isnan(share)]
     if not known:
-        return "told"
+        return "reported"
     if min(known) < LEAST:
-        return "LIES" if min(known) < NEVER_BELOW else "short"
-    return "wide" if np.fmax(shares[0], shares[1]) > MOST else "held"
+        return "uncovered" if min(known) < NEVER_BELOW else "short"
+    return "wide" if np.fmax(shares[0], shares[1]) > MOST else "covered"
 
 
 FIGURES: study.Figures = {
@@ -277,7 +317,9 @@ FIGURES: study.Figures = {
     "width": lambda own: _median(_good(own), "width"),
     "own": lambda own: _median(_good(own), "own"),  # parts of the width: each cell's, and what cells share
     "common": lambda own: _median(_good(own), "common"),
-    "told": lambda own: len(_good(own)) - len(_silent(own)),  # how many carry a sentence
+    "alone": lambda own: _share(_good(own), "alone"),  # percent of cells within their own part
+    "ratio": lambda own: _median(_good(own), "ratio"),  # own part over the actual error
+    "reported": lambda own: len(_good(own)) - len(_silent(own)),  # how many carry a sentence
     "verdict": _verdict,
     "sentence": lambda own: _usual_sentence(_good(own)),
 }
@@ -293,8 +335,9 @@ SCREEN: dict[str, Callable[[study.Row], str]] = {
     "cells [%]": lambda row: _with_spread(row.cells, row.cells_sd),
     "change [%]": lambda row: _with_spread(row.change, row.change_sd),
     "press. [%]": lambda row: study.text_of(row.pressure, ".1f"),
-    "chi2": lambda row: study.text_of(row.chi_square),
-    "told": lambda row: f"{row.told}/{row.recordings - row.failed}",
+    "own [%]": lambda row: study.text_of(row.alone, ".1f"),
+    "ratio": lambda row: study.text_of(row.ratio, ".2f"),
+    "reported": lambda row: f"{row.reported}/{row.recordings - row.failed}",
     "verdict": lambda row: row.verdict,
 }
 
@@ -302,13 +345,14 @@ SCREEN: dict[str, Callable[[study.Row], str]] = {
 def audit_remarks(found: Sequence[Audited]) -> list[str]:
     """What the columns mean, where the promise is broken, and the sentences that results carry."""
     rows = audit_rows(found)
-    broken = [f"{row.effect} × {row.estimator}" for row in rows if row.verdict in ("short", "LIES")]
+    broken = [f"{row.effect} × {row.estimator}" for row in rows if row.verdict in ("short", "uncovered")]
     kept = f"{len(rows) - len(broken)} of {len(rows)} rows keep the promise"
     lines = [
-        "cells, change, press.: how many 95 % intervals hold the truth, ± their standard deviation over recordings;",
-        "press. of loaded cells. chi2: of unloaded repeats per reading. told: results that carry a sentence.",
-        f"promise, of results without a sentence: {LEAST:g} to {MOST:g} % (held; more is wide), never below "
-        f"{NEVER_BELOW:g} % (LIES).",
+        "cells, change, press.: how many 95 % intervals cover the truth, ± their standard deviation over recordings;",
+        "press. of loaded cells. own: cells whose error beside their frame's median lies within the own part; ratio:",
+        "own part over that error. reported: results that carry a sentence.",
+        f"promise, of results without a sentence: {LEAST:g} to {MOST:g} % (covered; more is wide), never below "
+        f"{NEVER_BELOW:g} % (uncovered).",
         kept + (f"; not: {', '.join(broken)}" if broken else ""),
     ]
     said = {row.effect: row.sentence for row in rows if row.sentence}
@@ -319,7 +363,7 @@ def audit_remarks(found: Sequence[Audited]) -> list[str]:
 
 def _write_recordings(entry: Any, found: Sequence[Audited]) -> None:
     axis = ("case", "recording with an estimator, in order")
-    study.write_sequence(entry, "recordings", "cells_held", axis, found, COLUMNS)
+    study.write_sequence(entry, "recordings", "cells_covered", axis, found, COLUMNS)
 
 
 STUDY: study.Study[AuditFile, Sequence[Audited]] = study.Study(

@@ -50,14 +50,14 @@ def test_table_csv_and_samples_say_the_same(tmp_path: Path) -> None:
     assert max(len(line.rstrip()) for line in table.splitlines()) <= 100
     with (tmp_path / "out" / "audit.csv").open() as stream:
         nothing, noisy = csv.DictReader(stream)
-    assert (nothing["effect"], nothing["verdict"]) in (("nothing", "held"), ("nothing", "wide"))
-    assert (noisy["told"], noisy["verdict"]) == ("3", "told")
+    assert (nothing["effect"], nothing["verdict"]) in (("nothing", "covered"), ("nothing", "wide"))
+    assert (noisy["reported"], noisy["verdict"]) == ("3", "reported")
     assert float(noisy["chi_square"]) > 5 > 2 > float(nothing["chi_square"])
     assert float(noisy["cells"]) > 80
     assert "times as much as the scene says" in done.stdout
     with h5py.File(tmp_path / "out" / "audit.h5") as file:
         group = file["entry/recordings"]
-        held, cells = group["cells_held"][3:].sum(), group["cells"][3:].sum()
+        held, cells = group["cells_covered"][3:].sum(), group["cells"][3:].sum()
         assert cells == 3 * 2 * 30
         assert 100 * held / cells == pytest.approx(float(noisy["cells"]), rel=1e-4)
         assert all("units" in group[name].attrs for name in group)

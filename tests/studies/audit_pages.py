@@ -1,13 +1,11 @@
-"""The CSV files of audits → the table of docs/studies/audit.md, between <!-- audit --> and <!-- /audit -->.
+"""The CSV file of an audit → the table of docs/studies/audit.md, between <!-- audit --> and <!-- /audit -->.
 
-Run it with: python -m tests.studies.audit_pages results/audit [results/again …]
-Effects and χ² are those of the first; of the others estimators are shown with `again`, where they have the effect.
+Run it with: python -m tests.studies.audit_pages results/audit
 """
 
 import argparse
 import csv
 import re
-from collections.abc import Sequence
 from pathlib import Path
 
 PAGE = Path(__file__).parents[2] / "docs" / "studies" / "audit.md"
@@ -24,21 +22,24 @@ def rows_of(folder: Path) -> dict[str, dict[str, dict[str, str]]]:
     return found
 
 
-def table(runs: Sequence[dict[str, dict[str, dict[str, str]]]]) -> str:
-    """Percent of intervals of cells / changes / pressures that hold the truth, for each estimator; χ²; told."""
-    columns = [(number, name) for number, run in enumerate(runs) for name in next(iter(run.values()))]
-    heads = [f"{name}, again" if number else name for number, name in columns]
-    lines = [["not told", *heads, "χ²", "told"], ["---"] * (len(heads) + 3)]
-    for effect, own in runs[0].items():
-        first = next(iter(own.values()))
-        cells = [shares(runs[number].get(effect, {}).get(name)) for number, name in columns]
-        lines.append([effect, *cells, f"{float(first['chi_square']):.3g}", f"{first['told']} of {first['recordings']}"])
+def table(run: dict[str, dict[str, dict[str, str]]]) -> str:
+    """Percent of intervals of cells / changes / pressures that cover the truth, for each estimator; own part; reports.
+
+    Of the own part: percent of cells within it × its size over the actual error.
+    """
+    names = list(next(iter(run.values())))
+    lines = [["not specified", *names, *(f"own part, {name}" for name in names), "reported"]]
+    lines.append(["---"] * len(lines[0]))
+    for effect, own in run.items():
+        first, rows = next(iter(own.values())), [own[name] for name in names]
+        alone = [f"{float(row['alone']):.0f} × {float(row['ratio']):.2f}" for row in rows]
+        lines.append([effect, *map(shares, rows), *alone, f"{first['reported']} of {first['recordings']}"])
     return "".join(f"| {' | '.join(line)} |\n" for line in lines)
 
 
-def shares(row: dict[str, str] | None) -> str:
-    """'97 / 95 / 100', or nothing."""
-    return "" if row is None else " / ".join(f"{float(row[name]):.0f}" for name in SHARES)
+def shares(row: dict[str, str]) -> str:
+    """'97 / 95 / 100'."""
+    return " / ".join(f"{float(row[name]):.0f}" for name in SHARES)
 
 
 def with_table(text: str, new: str) -> str:
@@ -48,6 +49,6 @@ def with_table(text: str, new: str) -> str:
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("folders", type=Path, nargs="+")
-    found = table([rows_of(folder) for folder in parser.parse_args().folders])
+    parser.add_argument("folder", type=Path)
+    found = table(rows_of(parser.parse_args().folder))
     PAGE.write_text(with_table(PAGE.read_text(encoding="utf-8"), found), encoding="utf-8")
