@@ -193,7 +193,7 @@ class JointFit:
 
     def with_series(self, most: float) -> "JointFit":
         """The same with the resistance in series that explains best, up to `most` ohm, begun at what the scene says."""
-        rival = self.rival.with_series(self.rival.scene.told_in_series)
+        rival = self.rival.with_series(self.rival.scene.specified_in_series)
         cells = tuple(np.exp(one).reshape(self.pair[0].value.shape) for one in self.position)
         return JointFit.of(rival, self.question, cells, self.moved, most)
 

@@ -367,7 +367,7 @@ def with_some_in_series(rival: Rival, question: Question) -> Explanation | None:
     """Of a rival with the resistance in series that explains best of a few; None where it has none."""
     most = 0.0 if rival.in_series is not None else most_in_series(rival, question)
     found: list[Explanation] = []
-    for ohm in np.linspace(0, most, GRID)[int(rival.scene.told_in_series == 0) :] if most else ():
+    for ohm in np.linspace(0, most, GRID)[int(rival.scene.specified_in_series == 0) :] if most else ():
         one = Explanation.of(rival.with_series(float(ohm)), question, found[-1] if found else None)
         found += [] if one is None else [one]
     return min(found, key=lambda one: one.score, default=None)

@@ -63,7 +63,7 @@ class Rival:
     @property
     def ohm(self) -> float:
         """The resistance in series, as it is tried, or as the scene has it."""
-        return self.scene.told_in_series if self.in_series is None else self.in_series
+        return self.scene.specified_in_series if self.in_series is None else self.in_series
 
     def with_series(self, ohm: float) -> "Rival":
         """The same with a resistance in series."""

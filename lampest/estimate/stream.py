@@ -74,7 +74,7 @@ class Stream(SequenceState):
         _check_frame(resting, scene)
         hidden, frame = (None, None) if noise is None else (noise.hidden, noise.frame)
         track = Track(Shared.of(scene, None, hidden), noise=frame) if estimator.barred(resting) else None
-        sizes = scene.told_systematic if hidden is None else hidden.sizes
+        sizes = scene.specified_systematic if hidden is None else hidden.sizes
         own = 0.0 if sizes is None else sizes.reading_error or 0.0
         return cls(estimator, scene, period, resting, track=track, reading_error=own, frame_noise=frame)
 

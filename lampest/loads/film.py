@@ -215,7 +215,7 @@ class FilmKnown:
     @classmethod
     def specified(cls, film: Film) -> "FilmKnown":
         """As the scene specifies; what it leaves open as is usual."""
-        found = cls(film, film.told_hysteresis, film.told_creep)
+        found = cls(film, film.hysteresis_strength, film.creep_strength)
         return replace(found, sentence=found._said("assumed"))
 
     def memories(self, water: Array, response: Response = PUBLISHED) -> tuple[FilmMemory, ...]:
@@ -243,7 +243,7 @@ class FilmKnown:
         """
         if self.film.creep_per_decade != "auto":
             return self
-        usual, data = self.film.told_creep, (self.film.answer, change, sd, time)
+        usual, data = self.film.creep_strength, (self.film.answer, change, sd, time)
         each = [_likelihood(*data, ALIKE, share).sum(axis=(1, 2)) for share in RESIDUES]
         logarithm = np.stack(each) - RESIDUES[:, None] / RESIDUE - CREEPS / usual.mean
         mean, shared = (float(number) for number in _moments(np.logaddexp.reduce(logarithm, axis=0)))

@@ -69,16 +69,16 @@ class Film(Configuration):
         return bool(self.hysteresis or self.creep_per_decade)
 
     @property
-    def told_hysteresis(self) -> Strength:
-        """As told, or what is usual where it is open."""
-        return self._told(self.hysteresis, OPEN_HYSTERESIS)
+    def hysteresis_strength(self) -> Strength:
+        """As specified, or what is usual where it is open."""
+        return self._strength(self.hysteresis, OPEN_HYSTERESIS)
 
     @property
-    def told_creep(self) -> Strength:
-        """As told, or what is usual where it is open; a fraction for each decade."""
-        return self._told(self.creep_per_decade, OPEN_CREEP)
+    def creep_strength(self) -> Strength:
+        """As specified, or what is usual where it is open; a fraction for each decade."""
+        return self._strength(self.creep_per_decade, OPEN_CREEP)
 
-    def _told(self, value: float | Literal["auto"], usual: tuple[float, float]) -> Strength:
+    def _strength(self, value: float | Literal["auto"], usual: tuple[float, float]) -> Strength:
         if value == "auto":
             return Strength(usual[0], hypot(usual[1], usual[0] * self.cell_spread))
         return Strength(value, value * hypot(self.deviation, self.cell_spread))

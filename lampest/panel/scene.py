@@ -262,7 +262,7 @@ class Scene(Configuration):
         return replace(self, readout=replace(self.circuit, **changes)) if name else self  # type: ignore[arg-type]
 
     @property
-    def told_in_series(self) -> float:
+    def specified_in_series(self) -> float:
         """What the scene says of it, ohm; the mean where lines differ."""
         name = self.circuit.series_name
         if self.circuit.in_series:
@@ -270,7 +270,7 @@ class Scene(Configuration):
         return float(np.mean(as_tuple(getattr(self.circuit, name)))) if name else 0.0
 
     @property
-    def told_systematic(self) -> Systematic | None:
+    def specified_systematic(self) -> Systematic | None:
         """What the scene itself says of such errors; None where it says nothing, or that there are none."""
         return None if self.systematic == "none" else self.systematic
 

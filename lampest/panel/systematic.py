@@ -46,8 +46,8 @@ def usual(scene: Scene) -> Systematic | None:
 
     Kinds without a resistance in series, or of which what they sense is no voltage of lines, have no such error.
     """
-    if scene.told_systematic is not None:
-        return scene.told_systematic
+    if scene.specified_systematic is not None:
+        return scene.specified_systematic
     if scene.readout is None or scene.systematic == "none":
         return None
     return USUAL if scene.circuit.series_name else replace(USUAL, series_ohm=None)

@@ -24,6 +24,8 @@ NOTES = {  # what a header that begins so means
     "lowest one (lampest info has their number). Approximate formulations count as solved when they end",
     "data error [%]": "data error: |model − measured| / measured, mean ± standard deviation over all readings",
     "cell error [%]": "cell error: |estimate − truth| / truth of the cells, median / 95th percentile",
+    "± own": "± own / all: standard deviations, medians over the cells: of each cell's own error / of what all cells "
+    "share",
     "first": "first, later: the first frame, solved jointly with the baseline as the paper does, and the frames "
     "after it",
     "published": "published: of another recording, on another computer, as the run's file quotes it; figures of this "
@@ -270,12 +272,25 @@ def _range(spreads: Sequence[Spread | None]) -> str:
     return f"{digits(min(values))} … {digits(max(values))}" if values else ""
 
 
+def _median_of(part: Array | None) -> float | None:
+    """Median of the finite ones, percent; None without any."""
+    known = np.zeros(0) if part is None else part[np.isfinite(part)]
+    return 100 * float(np.median(known)) if len(known) else None
+
+
+def _parts(case: CaseResult) -> str:
+    """'0.8 / 3.1'; nothing without error bars."""
+    parts = [_median_of(part) for part in (case.sigma_own, case.sigma_common)]
+    return " / ".join(digits(part) for part in parts if part is not None)
+
+
 COLUMNS: tuple[tuple[str, Callable[[Row], str]], ...] = (
     ("estimator", lambda row: row.label),
     ("solved", lambda row: _solved([row])),
     ("time [ms]", lambda row: _plus_minus(row.solve_time, 1000)),
     ("data error [%]", lambda row: _plus_minus(row.data_error)),
     ("cell error [%]", lambda row: row.cell_error.median_and_worst if row.cell_error else ""),
+    ("± own / all [%]", lambda row: _parts(row.case)),
 )
 PUBLISHED: tuple[tuple[str, Callable[[Row], str]], ...] = (
     ("published time [s]", lambda row: _published(row.published.time_s, row.published.time_sd_s)),
@@ -303,6 +318,8 @@ CSV_COLUMNS: tuple[tuple[str, Callable[[Row], object]], ...] = (
     ("cell error median [%]", lambda row: row.cell_error and row.cell_error.median),
     ("cell error mean [%]", lambda row: row.cell_error and row.cell_error.mean),
     ("cell error 95th percentile [%]", lambda row: row.cell_error and row.cell_error.percentile_95),
+    ("own standard deviation median [%]", lambda row: _median_of(row.case.sigma_own)),
+    ("common standard deviation median [%]", lambda row: _median_of(row.case.sigma_common)),
     ("open cells", lambda row: row.open_cells),
     ("worst KKT residual", lambda row: row.worst_kkt_residual),
     ("published time [s]", lambda row: row.published.time_s),

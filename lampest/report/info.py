@@ -140,7 +140,8 @@ def _listed(panel: Panel) -> str:
 
 
 def _scene_lines(scene: Scene) -> list[str]:
-    panel, wire, off, heat, faults = scene.panel, scene.lines, scene.told_systematic, scene.temperature, scene.faults
+    panel, wire, heat, faults = scene.panel, scene.lines, scene.temperature, scene.faults
+    off = scene.specified_systematic
     texts: list[tuple[str, object]] = [
         ("panel", f"{panel.rows} rows × {panel.columns} columns{_listed(panel)}, pitch {panel.pitch_mm:g} mm"),
         ("readout", "unknown, resistances alone" if scene.readout is None else scene.readout.description()),

@@ -72,8 +72,8 @@ def test_a_circuit_bounds_what_stands_in_series_with_it(circuit: Readout) -> Non
     scene = Scene(lampest.Panel(*SHAPE, 10.0), circuit, series_resistance_ohm=200.0 if circuit.in_series else 0.0)
     recorded = circuit.to_recorded(circuit.exact_reading(CELLS), scene)[None]
     bare = scene.with_series(0.0)
-    assert bare.told_in_series == 0
-    told = scene.told_in_series
+    assert bare.specified_in_series == 0
+    told = scene.specified_in_series
     assert told in (200.0, 300.0, 3000.0)
     assert bare.circuit.most_in_series(bare.circuit.from_recorded(recorded, bare), 1e-4 * recorded) >= told
 

@@ -120,3 +120,32 @@ def test_a_travelling_load_is_elsewhere_when_later_lines_are_read() -> None:
 def test_effects_of_a_converter_need_one(effect: str) -> None:
     with pytest.raises(ValueError, match=f"{effect} need a readout"):
         Simulation(1, 5, Scene(Panel(4, 4)), unmodelled=Unmodelled(**{effect: 1.0}))
+
+
+def test_a_leak_joins_every_line_with_the_next_from_its_time_on() -> None:
+    plain, wet = recorded(), recorded(leak_ohm=5e3, begins_s=8.0)
+    assert np.array_equal(wet.recorded[:8], plain.recorded[:8])
+    truth, matrix = wet.truth_cell_resistance, np.zeros((20, 20))
+    assert truth is not None
+    matrix[:10, 10:] = -1 / truth[9]
+    matrix[[*range(9), *range(10, 19)], [*range(1, 10), *range(11, 20)]] = -1 / 5e3
+    matrix += matrix.T
+    inverse = np.linalg.pinv(matrix - np.diag(matrix.sum(axis=1)))
+    own = np.diag(inverse)
+    expected = own[:10, None] + own[None, 10:] - 2 * inverse[:10, 10:]
+    np.testing.assert_allclose(wet.recorded[9], expected, rtol=1e-4)
+
+
+def test_a_contact_adds_to_one_row_from_its_time_on() -> None:
+    more = recorded(contact_ohm=200.0, begins_s=8.0).recorded - recorded().recorded
+    assert not more[:8].any()
+    (row,) = np.flatnonzero(more[8:].any(axis=(0, 2)))
+    assert more[8:, row] == pytest.approx(200, rel=1e-3)
+
+
+def test_a_stage_saturates_and_all_cells_drift_alike() -> None:
+    assert volt(recorded(saturation=0.6)).max() == pytest.approx(3.0, abs=1e-5)
+    truth = [one.truth_cell_resistance for one in (recorded(), recorded(common_drift_per_minute=0.6))]
+    assert truth[0] is not None and truth[1] is not None
+    drift = np.log(truth[1] / truth[0])
+    assert drift == pytest.approx(np.broadcast_to(0.01 * np.arange(12)[:, None, None], drift.shape))

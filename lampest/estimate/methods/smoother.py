@@ -135,7 +135,7 @@ class SmootherMethod(Method):
         data, start = _begun(state, resting, readings, cells, on_frame)
         costs = [state.estimator.cost(state.scene, 1, one.partial) for one in data]
         # What a scene does not name is no unknown: usual errors of a circuit are too many for a few frames to tell.
-        told = state.scene if state.scene.told_systematic else replace(state.scene, systematic="none")
+        told = state.scene if state.scene.specified_systematic else replace(state.scene, systematic="none")
         frames = JointData.alone(costs, data, Shared.of(told), start)
         with delayed_interrupt(), suppress(*BROKEN), np.errstate(all="ignore"):
             settings = state.estimator.solver

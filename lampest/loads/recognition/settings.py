@@ -57,7 +57,7 @@ class ModelErrors:
         errors = replace(self, reading_error=reading_error)
         if scene.systematic is None:
             return errors
-        named = scene.told_systematic or Systematic()
+        named = scene.specified_systematic or Systematic()
         reference = named.reference_tolerance / np.sqrt(3)  # of a uniform distribution of that half width
         return replace(errors, channel_ohm=named.channel_spread_ohm, reference=reference)
 
