@@ -1,0 +1,99 @@
+"""Processor time of a frame of many modules: python -m tests.studies.square_metre [MODULES ...] [--frames 8]"""
+
+import argparse
+import time
+from dataclasses import dataclass
+
+import numpy as np
+
+import lampest
+from lampest.estimate.sequence import first_stream
+from lampest.estimate.stream import Stream
+from lampest.panel.panel import EachModule, Modules
+
+METHODS: dict[str, tuple[lampest.Term, ...]] = {
+    "plain": (),
+    "cell_resistance": (lampest.CellResistance(weight="auto"),),
+    "gradient": (lampest.Gradient(weight=1e-6),),
+}
+
+
+@dataclass(frozen=True)
+class Took:
+    """Processor time, ms: of what comes before the first frame, of that, and the median of later ones; and statuses."""
+
+    before: float
+    first: float
+    later: float
+    statuses: tuple[str, ...]
+
+    def __str__(self) -> str:
+        bad = [status for status in self.statuses if not status.startswith("optimum")]
+        return f"{self.before:7.0f} {self.first:7.0f} {self.later:7.1f} ms {bad[0] if bad else ''}"
+
+
+def recording_of(modules: int, frames: int) -> lampest.Recording:
+    """A mouth for every ten modules of 10 × 10 cells, as nearly square as it goes; 0: one panel of 100 × 100."""
+    rows = max(n for n in range(1, max(modules, 1) + 1) if modules % n == 0 and n * n <= max(modules, 1))
+    layout = Modules(rows, max(modules, 1) // rows, EachModule(10, 10))
+    panel = lampest.Panel(modules=layout) if modules else lampest.Panel(100, 100)
+    readout = lampest.TwoPointReadout(reference_ohm=1000, adc_bits=12, readings=20, noise_lsb=0.7)
+    random, ((_, wide), (_, high)) = np.random.default_rng(3), panel.extents_mm
+    mouths = tuple(
+        lampest.OralDisc(
+            centre_mm=(random.uniform(20, wide - 20), random.uniform(20, high - 20)),
+            diameter_mm=35,
+            rim_width_mm=6,
+            pressure_kpa=-8,
+            rim_kpa=20,
+        )
+        for _ in range(max(1, panel.crossings // 1000))
+    )
+    scene = lampest.Scene(panel, readout, 140.0)
+    return lampest.simulate(
+        lampest.Simulation(schema=1, seed=3, scene=scene, frames=frames, frame_period_s=0.02, loads=mouths)
+    )
+
+
+def took(recording: lampest.Recording, terms: tuple[lampest.Term, ...], bars: bool, alone: bool = False) -> Took:
+    """Of one method; alone : every module by the solver for single panels."""
+    estimator = lampest.Estimator((lampest.Misfit(), *terms), "reduced", error_bars=bars)
+    readings, begin = recording.readings(), time.process_time()
+    stream = first_stream(recording, readings, estimator)
+    layout, before, spent, statuses = recording.scene.panel.modules, time.process_time() - begin, [], []
+    parts = [part for part in stream.parts if isinstance(part, Stream)] if alone else []
+    for frame in recording.measured_frames():
+        begin = time.process_time()
+        if alone and layout is not None:
+            steps = [part.push(readings[frame].of_module(layout, number)) for number, part in enumerate(parts)]
+            parts = [part for part, _ in steps]
+            statuses += [step.status for _, step in steps]
+        else:
+            stream, step = stream.push(lampest.Readings.of(recording.scene, recording.recorded[frame]))
+            statuses.append(step.status)
+        spent.append(1e3 * (time.process_time() - begin))
+    return Took(1e3 * before, spent[0], float(np.median(spent[2:])), tuple(statuses))
+
+
+def main() -> None:
+    """Print a line for every number of modules and method."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("modules", nargs="*", type=int, default=[1, 10, 50, 100])
+    parser.add_argument("--frames", type=int, default=8)
+    given = parser.parse_args()
+    print(f"{'':32}  before   first   later frames")
+    for modules in given.modules:
+        recording = recording_of(modules, given.frames)
+        for name, terms in METHODS.items():
+            print(f"{modules:4} modules {name:20}{took(recording, terms, False)}", flush=True)
+        if modules:
+            print(f"{modules:4} modules {'plain, error bars':20}{took(recording, (), True)}", flush=True)
+    if 0 in given.modules:
+        return
+    four = recording_of(4, given.frames)
+    for name, terms in METHODS.items():
+        print(f"   4 apart   {name:20}{took(four, terms, False, alone=True)}", flush=True)
+
+
+if __name__ == "__main__":
+    main()
