@@ -9,7 +9,6 @@ import typer
 
 from lampest.cli.screen import Assign, Folder, option, progress, say, warn
 from lampest.cli.tables import print_table
-from lampest.files.errors import InputError
 
 if TYPE_CHECKING:
     from lampest.studies.study import Reported, Study
@@ -59,23 +58,16 @@ def weights(
     ] = None,
     draws: Annotated[int, option("--draws", "How often readings are drawn to be withheld.", min=1)] = 5,
     seed: Annotated[int, option("--seed", "Of the draws: the same seed, the same draws.")] = 0,
-    learn: Annotated[
-        bool, option("--learn", "With --withhold: what it says of offset, curve, series resistance and noise.")
-    ] = False,
     assign: Assign = None,
 ) -> None:
     """Draw what weight: auto does: evidence, misfit, penalty and true error over λ, with every rule's choice.
 
     With --withhold, for recordings whose truth nobody knows: how well weights predict readings that are withheld.
     """
-    from lampest.studies.learned import learned_study
     from lampest.studies.weights_report import STUDY
     from lampest.studies.withheld import withheld_study
 
-    if learn and withhold is None:
-        raise InputError("--learn needs --withhold, such as --withhold 0.1")
-    withheld = (learned_study if learn else withheld_study)(withhold, draws, seed) if withhold is not None else None
-    _run(STUDY if withheld is None else withheld, config, out, assign)
+    _run(STUDY if withhold is None else withheld_study(withhold, draws, seed), config, out, assign)
 
 
 def starts(

@@ -93,10 +93,13 @@ class Spectrum:
         return fit + volume - self.rank * float(np.log(weight / self.scale))
 
     def press(self, weight: float) -> float:
-        """Σ (e_i/(1 − h_i))²: every reading predicted from all others; needs no noise."""
+        """(Σ |e_i/(1 − h_i)|)²: every reading predicted from all others; needs no noise.
+
+        Sizes, not squares: a few readings that no weight explains do not decide.
+        """
         residual = self.residual + self.directions @ self.change(weight)
         leverage = self.directions**2 @ (1 / (1 + weight * self.stiffness))
-        return float(np.sum((residual / np.maximum(1 - leverage, 1e-12)) ** 2))
+        return float(np.sum(np.abs(residual / np.maximum(1 - leverage, 1e-12))) ** 2)
 
     def risk(self, weight: float) -> float:
         """An estimate of Σ (log r̂ − log r)²: the noise that is left, and the square of what the penalty pulls away.

@@ -138,13 +138,6 @@ def _estimates(
         yield factor, tuple(weight for weight, term in of_penalties if not term.reads_measurement), cells
 
 
-def predicted_cells(estimator: Estimator, scene: Scene, readings: Readings) -> Array:
-    """Cells (rows, columns) ohm of one frame, with the estimator's own weights; NaN where the solve failed."""
-    data = estimator.data(readings.alone(), Background(scene))
-    found = best_solution(ProjectedNewton(estimator.cost(scene, 1, data.partial), estimator.solver), data, None)
-    return np.asarray(found.cell_resistance[0])
-
-
 def unpredictable(estimator: Estimator, scene: Scene) -> str | None:
     """Why readings of an estimator cannot be predicted; None where they can."""
     if estimator.relative:

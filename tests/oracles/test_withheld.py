@@ -1,0 +1,46 @@
+"""Withheld readings are predicted better than by interpolation."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+import lampest
+from lampest.panel.panel import Panel
+from lampest.panel.readouts import TwoPointReadout
+from lampest.panel.scene import Scene
+from lampest.runs.config import read_run
+from lampest.studies.withheld import predictions
+
+READOUT = TwoPointReadout(adc_bits=12, readings=1, noise_lsb=1.0, reference_ohm=500.0)
+RUN = """schema: 1
+recordings: [mine.h5]
+estimators:
+  smooth: {terms: {misfit: {weighting: noise}, log_gradient: {weight: 30.0}}, formulation: reduced}
+"""
+
+
+def recorded(folder: Path) -> lampest.Recording:
+    """Smooth loads that go over a panel."""
+    panel, rng = Panel(7, 7, 8.0), np.random.default_rng(4)
+    x, y = panel.places_mm
+    at = np.linspace(10, 40, 6)
+    cells = np.stack([2000 * np.exp(-2.5 * np.exp(-((x - here) ** 2 + (y - 24) ** 2) / 400)) for here in at])
+    codes = READOUT.volt_from_recorded(READOUT.exact_reading(cells)) / READOUT.lsb_volt
+    codes = np.round(codes + rng.standard_normal(codes.shape))
+    role, time = np.ones(len(at), dtype=np.uint8), np.arange(len(at), dtype=float)
+    recording = lampest.Recording(
+        Scene(panel, READOUT), READOUT.recorded_from_volt(codes * READOUT.lsb_volt), time, role
+    )
+    recording.save(folder / "mine.h5")
+    (folder / "run.yaml").write_text(RUN)
+    return replace(recording, name="mine")
+
+
+def test_withheld_readings_are_predicted_better_than_by_interpolation(tmp_path: Path) -> None:
+    recording = recorded(tmp_path)
+    (case,) = read_run(tmp_path / "run.yaml").cases
+    found = [one for one in predictions(recording, case, 0.1, 1, 0) if one.factor == 1]
+    assert len(found) == 6 and all(one.solved and one.readings == 5 for one in found)
+    assert np.median([one.error / one.interpolated for one in found]) < 0.5
+    assert np.median([one.hidden for one in found]) > 2
