@@ -145,7 +145,7 @@ class CurvePoint:
     misfit : ρ/s², which is as large as the number of data where they are missed by their noise; ρ without a known σ.
     penalty : η.
     evidence : −2·log of the Laplace evidence, up to a constant. risk : the estimate of Σ (log r̂ − log r)² over the
-        cells that no bound holds, unknown where that is less than half of them. Both need σ. press : Σ (e/(1 − h))².
+        cells that no bound holds, unknown where that is less than half of them. Both need σ. press : (Σ |e/(1 − h)|)².
     error : root of the mean of (log r̂ − log r)² over the frame's cells.
     open_cells : cells of the frame at their upper bound. bound_cells : at any bound, of all frames of the solve.
     cells : r̂ (frames, rows, columns) ohm, or None.

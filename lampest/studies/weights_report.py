@@ -237,7 +237,7 @@ def _write_one(group: Any, one: Tuned) -> None:
         ("penalty", penalty, "sum of squared penalties"),
         ("evidence", "1", "-2 log of the Laplace evidence, up to a constant"),
         ("risk", "1", "estimate of the sum of squared errors of log resistance"),
-        ("press", square, "sum of squared errors of readings predicted from all others"),
+        ("press", square, "square of the summed sizes of the errors of readings predicted from all others"),
         ("error", "1", "true root-mean-square error of log resistance over the frame"),
         ("open_cells", "1", "cells of the frame at their upper bound"),
         ("bound_cells", "1", "cells at a bound, of all frames of the solve"),
