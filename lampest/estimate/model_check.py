@@ -1,6 +1,7 @@
 """Whether the circuit that a scene specifies can have made the readings, and which other explains them better."""
 
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from warnings import catch_warnings, simplefilter
@@ -167,7 +168,9 @@ def _checked(
     better, reason = "", ""
     if whole:
         better, reason, count = better_rival([specified, *rivals], question, None if fault else found)
-        besides = _besides(found, question, used, measured)
+        besides = Besides()
+        with suppress(*BROKEN):  # of a circuit far from the right one
+            besides = _besides(found, question, used, measured)
         if besides.name and (besides.fits_noise if fault else True) and (not better or besides.count < count):
             better, reason = besides.name, besides.reason
     if not whole:
