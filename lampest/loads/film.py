@@ -76,18 +76,29 @@ class Plays:
         weight = np.concatenate([slopes[-1:], -np.diff(slopes, axis=0) * below])
         return cls(weight, 1 / below, np.zeros_like(below))
 
+    @property
+    def linear(self) -> bool:
+        """Whether there is no hysteresis: p_e is p then, which most films are taken for."""
+        return not self.weight[1:].any()
+
     def after(self, pressure: Array) -> "Plays":
         """The plays once the pressure (...) kPa has come, monotonously."""
+        if self.linear:
+            return self
         far = self.reach * pressure
         return replace(self, held=np.clip(self.held, np.minimum(pressure, far), np.maximum(pressure, far)))
 
     def effective(self, pressure: Array) -> Array:
         """p_e (...) kPa were the pressure the next."""
+        if self.linear:
+            return np.asarray(self.weight[0] * pressure)
         held = self.after(pressure).held
         return np.asarray(self.weight[0] * pressure + (self.weight[1:] * held).sum(axis=0))
 
     def pressure(self, effective: Array) -> Array:
         """p (...) kPa of the next p_e: the inverse of `effective`. NaN stays."""
+        if self.linear:
+            return np.asarray(effective / self.weight[0])
         corners = np.sort(np.concatenate([self.held, self.held / self.reach, np.zeros_like(self.held[:1])]), axis=0)
         each = replace(self, weight=self.weight[:, None], reach=self.reach[:, None], held=self.held[:, None])
         reached = each.effective(corners)
