@@ -19,8 +19,8 @@ LEAST_RATE = 3.8  # frames a second: those of four whose clock is slow; they sho
 # A: the amplitude of mouths is 5.4 % of their suction in the mean, of cups that leak 0.6 % (docs/studies/mouths.md)
 BREATH, STEADY = 0.045, 0.005
 WINDOW_S, LEAST_S = 8.0, 4.5  # over which a rhythm is steady; and the least that shows one
-# Standard deviations of what may move with time: suction, rim and supply, relative; water, kPa; mm; tilts. Assumptions.
-MOVES = {"suction": 0.1, "push": 0.1, "supply": 0.01, "water": 0.2, "x": 1.0, "y": 1.0, "tilt_x": 0.1, "tilt_y": 0.1}
+# Standard deviations of what may move with time: suction, rim and supply, relative; mm; tilts. Assumptions.
+MOVES = {"suction": 0.1, "push": 0.1, "supply": 0.01, "x": 1.0, "y": 1.0, "tilt_x": 0.1, "tilt_y": 0.1}
 
 
 def too_slow(rate: float) -> str:
@@ -73,10 +73,9 @@ def breaths(
             suction, rim, *moves = moved.values()
             discs.append(disc)
             patterns.append([suction + rim, rim, *moves])
-    slope = frame.slope(fit.change) @ frame.change(pressure)[1].ravel() / model
-    found, shared = [], [MOVES["supply"] * whitening.sum(axis=1), MOVES["water"] * (whitening @ slope)]
+    changes, found = changes - _of_water(changes, frame, fit, pressure), []
     for number, (disc, (own, rim, *moves)) in enumerate(zip(discs, patterns, strict=True)):
-        others = shared.copy()
+        others = [MOVES["supply"] * whitening.sum(axis=1)]
         for other, (beside, _, *moving) in enumerate(patterns):
             others += [] if other == number else [beside, *moving]
         seen = Patterns(own, rim, np.array(moves).T, np.array(others).T)
@@ -156,6 +155,14 @@ def _suction(patterns: Patterns, moving: Array, at: int) -> float:
     reaches = (patterns.own @ patterns.own) ** 2 / (patterns.own**4).sum()
     odds = RARER + np.log(2) + reaches / 2 * np.log([left, above])  # both together are as rare
     return float(1 / (1 + np.exp(-odds).sum()))
+
+
+def _of_water(changes: Array, frame: Observation, fit: Fit, pressure: Array) -> Array:
+    """(frames, readings) of ln y: what the water's pressure does, as lines without a load show it; 0 without such."""
+    loaded = pressure != 0
+    free = ~(loaded.any(axis=0) | loaded.any(axis=1)[:, None]).ravel()
+    slope = frame.slope(fit.change) @ frame.change(pressure)[1].ravel() / frame.measured.ravel()
+    return np.outer(changes[:, free] @ slope[free] / max(float(slope[free] @ slope[free]), 1e-300), slope)
 
 
 def _calm(series: Array) -> Array:
