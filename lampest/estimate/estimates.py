@@ -360,7 +360,7 @@ class Estimates:
 
     @cached_property
     def _load(self) -> Pressure | None:
-        """None without error bars: without them nobody can say what the response tells."""
+        """None without error bars: without them the response's uncertainty is unknown."""
         if self._bars is None:
             return None
         ratio, lower, upper = self._ratio, self._bars.ratio_lower, self._bars.ratio_upper

@@ -35,8 +35,8 @@ def begin_stream(
     if layout.coupled:
         return CoupledStream.begin(without_bars(estimator), coupled_scene(scene), period, resting)
 
-    def unrested(number: int, told: NoiseSeen | None) -> Stream:
-        return Stream.unrested(estimator, scene.of_modules[number], period, resting.of_module(layout, number), told)
+    def unrested(number: int, noise: NoiseSeen | None) -> Stream:
+        return Stream.unrested(estimator, scene.of_modules[number], period, resting.of_module(layout, number), noise)
 
     return ModulesStream.begun(scene, noise, unrested)
 
@@ -56,7 +56,7 @@ class ModulesStream(Stream):
         assert layout is not None
         noises = (None,) * layout.count if noise is None else noise.of_modules
         modules = rested_together(
-            [None if n in scene.dead_modules else unrested(n, told) for n, told in enumerate(noises)]
+            [None if n in scene.dead_modules else unrested(n, noise) for n, noise in enumerate(noises)]
         )
         first = next(stream for stream in modules if stream is not None)
         blank = replace(first.resting, side=np.zeros_like(first.resting.side), seen=np.zeros_like(first.resting.seen))

@@ -234,8 +234,8 @@ def weighed(readings: Readings, scene: Scene, stand_ins: NDArray[np.bool_]) -> R
     if not readings.partial:
         return readings
     missing = readings.missing(scene) & stand_ins[:, None, None]
-    told = readings.bounds if readings.sigma is not None else np.zeros(readings.seen.shape, dtype=bool)
-    if not np.any(missing | told):
+    bounded = readings.bounds if readings.sigma is not None else np.zeros(readings.seen.shape, dtype=bool)
+    if not np.any(missing | bounded):
         return readings
     noise = readings.value * UNKNOWN_NOISE if readings.sigma is None else readings.sigma
     own, usual = noise.copy(), np.ones((len(noise), 1, 1))
@@ -245,6 +245,8 @@ def weighed(readings: Readings, scene: Scene, stand_ins: NDArray[np.bool_]) -> R
         if missing[frame].any():
             spread = StandIn.of(readings.value[frame], plain).spread
             own[frame] = np.where(missing[frame], readings.value[frame] * spread, own[frame])
-    share = np.where(missing, np.minimum(usual / own, MOST_WEIGHT), np.where(told, np.minimum(usual / own, 1.0), 1.0))
-    sigma = None if readings.sigma is None else np.where(missing | told, own * share, readings.sigma)
+    share = np.where(
+        missing, np.minimum(usual / own, MOST_WEIGHT), np.where(bounded, np.minimum(usual / own, 1.0), 1.0)
+    )
+    sigma = None if readings.sigma is None else np.where(missing | bounded, own * share, readings.sigma)
     return replace(readings, sigma=sigma, seen=np.where(missing, share, readings.seen * share))

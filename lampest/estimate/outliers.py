@@ -28,7 +28,7 @@ LEAST_FRAMES = 3  # that tell which of them is the odd one
 BLOCK = 2 * NEAREST  # frames whose errors are compared with those of as many before and after
 FALSE = 0.01  # recordings without outliers in which chance makes one
 
-# (what neighbours in time let expect, how far off that may be by their scatter, and by noise as a multiple of its σ).
+# (what neighbours in time let expect, its uncertainty by their scatter, and by noise as a multiple of its σ).
 Expected = tuple[Array, Array, Array]
 Predictor = Callable[[Array, NDArray[np.intp]], Expected]  # of neighbours, and by how many frames each is off
 

@@ -78,7 +78,7 @@ def first_stream(
     noise: NoiseSeen | None = None,
     period: float | None = None,
 ) -> "Stream":
-    """The stream before a recording's first measured frame; see `resting_readings`. noise : what frames told of it.
+    """The stream before a recording's first measured frame; see `resting_readings`. noise : learned from frames.
 
     period : s between frames; None: the recording's.
     """
@@ -89,9 +89,9 @@ def first_stream(
         image = replace(recording, scene=coupled_scene(recording.scene))
         return _unrested_stream(CoupledStream, image, readings, without_bars(estimator), None, period).with_rest()
 
-    def unrested(number: int, told: NoiseSeen | None) -> Stream:
+    def unrested(number: int, noise: NoiseSeen | None) -> Stream:
         own = recording.modules[number], readings.of_module(layout, number)
-        return _unrested_stream(Stream, *own, estimator, told, period)
+        return _unrested_stream(Stream, *own, estimator, noise, period)
 
     return ModulesStream.begun(recording.scene, noise, unrested)
 

@@ -60,8 +60,8 @@ def errors_left_possible(
     if len(others) < len(fits):
         return None
     moves = Moves.between(base, others)
-    rough = replace(moves, noise=moves.noise + smooth_loads(resting.value.shape, len(others)))
-    size, still = _own_error(rough, resting.value.shape)
+    smoothed = replace(moves, noise=moves.noise + smooth_loads(resting.value.shape, len(others)))
+    size, still = _own_error(smoothed, resting.value.shape)
     apart = _apart_from_moved(still, resting.value.shape)
     sure, linear = size > 0, LINEAR / moves.reach
     if sure:
@@ -69,7 +69,7 @@ def errors_left_possible(
         if size > linear or alone.contradicts(size) > LARGER:
             return Possible(_with_reading_error(sizes, max(alone.size, min(size, linear))), None)
     else:  # an error that still cells make likelier than none, though that may be chance
-        hint, gained = _size_of(rough, apart)
+        hint, gained = _size_of(smoothed, apart)
         size = hint if gained > HINT and hint <= linear else 0.0
     assumed = _with_reading_error(sizes, size)
     if still.mean() < FEWEST:

@@ -55,7 +55,7 @@ class Stream(SequenceState):
     def begin(
         cls, estimator: Estimator, scene: Scene, period: float, resting: Readings, noise: NoiseSeen | None = None
     ) -> "Stream":
-        """Before the first frame; an absolute method solves its baseline now. noise : what frames told of it.
+        """Before the first frame; an absolute method solves its baseline now. noise : learned from frames.
 
         Raises InputError as `unrested`.
         """

@@ -62,16 +62,16 @@ class Temperature(Configuration):
 
 @dataclass(frozen=True)
 class Systematic(Configuration):
-    """How far off all readings may be together; widens error bars and changes no estimate.
+    """Errors that all readings may share; widens error bars and changes no estimate.
 
     Parameters
     ----------
     reference_tolerance : the reference resistor, or all loads or feedback resistors together, are off by up to this
         fraction.
     channel_spread_ohm : standard deviation of the resistance of each line's channel, in ohm.
-    series_ohm : of what stands in series with all driven lines alike, beside what the scene tells, in ohm.
+    series_ohm : of what stands in series with all driven lines alike, beside what the scene names, in ohm.
     inl_lsb : of the converter's curve about a straight line, a smooth one, in least significant bits.
-    wire_ohm_per_cell : of the wire of rows and columns from cell to cell, beside what the scene tells, in ohm.
+    wire_ohm_per_cell : of the wire of rows and columns from cell to cell, beside what the scene names, in ohm.
     reading_error : of the logarithm of a factor on each reading, the same in all frames.
     response_sd : of a factor on each cell's answer to pressure, in the logarithm of its resistance (bent film, patches
         that differ); widens pressures alone.

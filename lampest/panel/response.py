@@ -51,7 +51,7 @@ class Response(Configuration):
                 raise ValueError(f"{name} must be {'positive' if least == 0 else 'zero or positive'}, and finite")
 
     def check(self, shape: tuple[int, int]) -> None:
-        """Raise ValueError unless what is told of cells is as large as the panel."""
+        """Raise ValueError unless tables of cells are as large as the panel."""
         for name in ("gain", "gain_sd"):
             table = getattr(self, name)
             if table is not None and (len(table), len(table[0])) != shape:
@@ -59,8 +59,10 @@ class Response(Configuration):
 
     def of_cells(self, cells: tuple[slice, slice]) -> Self:
         """The same of some cells of the panel."""
-        told = {name: table for name in ("gain", "gain_sd") if (table := getattr(self, name)) is not None}
-        return replace(self, **{name: tuple(row[cells[1]] for row in table[cells[0]]) for name, table in told.items()})
+        tables = {name: table for name in ("gain", "gain_sd") if (table := getattr(self, name)) is not None}
+        return replace(
+            self, **{name: tuple(row[cells[1]] for row in table[cells[0]]) for name, table in tables.items()}
+        )
 
     @property
     def gains(self) -> Array:
@@ -82,7 +84,7 @@ class Response(Configuration):
     @property
     @abstractmethod
     def told_kpa(self) -> tuple[float, float]:
-        """Between which pressures it tells anything."""
+        """The pressures between which it is defined."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -76,7 +76,7 @@ class Scene(Configuration):
     faults : what is known to be broken, or None.
     water : how deep the panel stands under water; None: in air, or not known.
     temperature : of the film, and what it does to its resistance; None: the same throughout, or not known.
-    systematic : how far off all readings may be together; 'none': not at all; None: not said, then as electronics of
+    systematic : errors that all readings may share; 'none': not at all; None: not said, then as electronics of
         the readout's kind usually are, see `lampest.panel.systematic`.
     lines : the resistance of rows and columns themselves; None: none.
     converter_memory : the fraction of the channel converted before that is left in a reading, in volt at the converter;
@@ -86,7 +86,7 @@ class Scene(Configuration):
     response : the film's own curve and its cells' gains, see `lampest.panel.response`; None: there are no
         pressures.
     assumed : entries that its file left open, such as readout.readings: their values are lampest's.
-    subject, experiment : who was measured and for what; None: not told. No estimate depends on them.
+    subject, experiment : who was measured and for what; None: not specified. No estimate depends on them.
     modules : of a panel of modules, what single ones have of their own; all else is the same in all of them.
 
     Raises ValueError where a number is out of range.

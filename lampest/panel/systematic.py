@@ -33,7 +33,7 @@ class Possible:
     """What is known of hidden errors. sizes : of each. root : (n, n) lower triangular, of the covariance of z in the
     order of columns; None: of the sizes alone.
 
-    sure : whether each reading's own error is told, or there beyond chance.
+    sure : whether each reading's own error is specified, or found beyond chance.
     """
 
     sizes: Systematic
@@ -107,7 +107,7 @@ class Shared:
         """None where there is no such error.
 
         Contacts are known as the scene says unless a root is given; hidden errors as the scene says, or as usual where
-        it says nothing, unless a recording has told more.
+        it is open, unless a recording has determined it.
         """
         if contact_root is None and scene.contacts is not None:
             contact_root = np.diag(scene.contacts.deviation(scene.panel.shape))
@@ -116,13 +116,13 @@ class Shared:
             return None
         return cls(sizes, scene, contact_root, None if hidden is None else hidden.root)
 
-    def beyond(self, told: "Shared | None") -> "Shared | None":
+    def beyond(self, other: "Shared | None") -> "Shared | None":
         """The errors that remain where a method has unknowns for the specified ones; None where none do."""
         if self.systematic is None:
             return None
-        if told is None or told.systematic is None:
+        if other is None or other.systematic is None:
             return replace(self, contact_root=None)
-        own, known = (one.reading_error or 0.0 for one in (self.systematic, told.systematic))
+        own, known = (one.reading_error or 0.0 for one in (self.systematic, other.systematic))
         if own <= known:
             return None
         return Shared(Systematic(reading_error=float(np.sqrt(own**2 - known**2))), self.scene)

@@ -66,8 +66,8 @@ class Chain:
 
     def doubting(self, share: float, prior: Array) -> "Chain":
         """The same where only a share of what frames tell of the border is believed; prior : (n), its own precision."""
-        told = self._border_precision - np.diag(prior)
-        return replace(self, corner=self.corner - (1 - share) * told)
+        learned = self._border_precision - np.diag(prior)
+        return replace(self, corner=self.corner - (1 - share) * learned)
 
     def solve(self, right: Array, border: Array) -> tuple[Array, Array]:
         """H⁻¹ x of (frames, cells) and (n)."""

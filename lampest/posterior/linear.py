@@ -211,7 +211,7 @@ def curved_rows(cost: Cost, term: NDArray[np.intp]) -> Iterator[tuple[int, Loss,
 def least_widening(model: LinearModel) -> Array:
     """C of every penalty row, at least: the largest of 1 and ω x̂²/s²; see `lampest.posterior.dense`.
 
-    On a cell that was not read x̂ is no evidence: its rows are as far off as 95 % of its term's others are.
+    On a cell that was not read x̂ is no evidence: its rows are taken to deviate as much as 95 % of its term's others.
     """
     squares = model.penalty_squares
     widened = np.maximum(1.0, squares)

@@ -40,17 +40,17 @@ class CaseResult(Validated):
 
     recording, estimator : the recording's stem and the estimator's name, printable ASCII without '/'.
     case_id, case_yaml : hash and YAML text of the resolved case. versions : library → version.
-    scene : the recording's, as the estimator was told it.
+    scene : the recording's, as given to the estimator.
     costs, weights, disc, contacts, misfit : name → (frames), see `lampest.runs.columns.FIGURES`; with `_errors` behind
         a name its standard deviation.
     baseline_status, baseline_solve_time : how the baseline's solve ended, and its time in s (NaN: not solved apart).
     joint_start : whether the first frame was solved together with the baseline.
     model_mark, model_sentence : whether the circuit explains the recording ('yes', 'no', 'noise', 'not checked'; empty
         where an older file does not say), and the sentence that says so.
-    noise_sentence, noise_learned, film_sentence : what frames say against the scene's noise; what they told of it; what
-        the scene leaves open of the film; ''.
+    noise_sentence, noise_learned, film_sentence : what frames say against the scene's noise, what was learned from
+        them, what the scene leaves open of the film; ''.
     warnings : what speaks against the case, lines of a text.
-    reading_error : standard deviation of the logarithm of a factor on each reading, as still cells told it; 0: none.
+    reading_error : standard deviation of the logarithm of a factor on each reading, learned from still cells; 0: none.
     frame_noise : what the readings of a frame share by chance; empty: nothing.
     start_time : date and time at 0 s, ISO 8601, with its zone where that is known; '' where it is not.
     the other arrays : as the columns of their names say; None where nobody asked. NaN where a frame failed.
@@ -147,7 +147,7 @@ class CaseResult(Validated):
 
     @property
     def local_optima(self) -> tuple[int, int, int] | None:
-        """How many frames end at a local optimum, and from how few and how many starts; None where that is not told."""
+        """How many frames end at a local optimum, and from how few and how many starts; None where unknown."""
         optima = np.array([status.startswith(("optimum", "an optimum,")) for status in self.status])
         if self.starts is None or not optima.any():
             return None
@@ -329,8 +329,8 @@ def series_of(case: CaseResult, columns: Sequence[Column]) -> dict[str, Series]:
     held: dict[str, Series] = {}
     for column in (column.of(case.scene.circuit) for column in columns):
         if (values := case.shown(column)) is not None:
-            told = column.units, column.long_name, column.flags, column.shared, column.dtype
-            held[column.label] = Series(column.label, column.axes, values, *told)
+            about = column.units, column.long_name, column.flags, column.shared, column.dtype
+            held[column.label] = Series(column.label, column.axes, values, *about)
     for folder in FIGURES:
         for figure, values in getattr(case, folder.name).items():
             name = f"{folder.folder}_{figure}"
@@ -384,9 +384,9 @@ def _lines(values: Any, axes: tuple[str, ...], sizes: Mapping[str, int]) -> NDAr
 
 def about(case: CaseResult) -> dict[str, Any]:
     """What is no column: names, the resolved case and the scene as YAML, sentences; texts all."""
-    told = {"start_time": case.start_time, "baseline_status": case.baseline_status}
-    told |= {name: getattr(case, field) for name, field in SENTENCES.items() if name != "model_explains"}
+    sentences = {"start_time": case.start_time, "baseline_status": case.baseline_status}
+    sentences |= {name: getattr(case, field) for name, field in SENTENCES.items() if name != "model_explains"}
     names = {"recording": case.recording, "estimator": case.estimator, "case_id": case.case_id}
     texts = {"case": case.case_yaml, "scene": scene_text(case.scene)}
     versions = {f"{library}_version": text for library, text in sorted(case.versions.items())}
-    return names | texts | {name: text for name, text in told.items() if text} | versions
+    return names | texts | {name: text for name, text in sentences.items() if text} | versions

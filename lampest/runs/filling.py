@@ -33,8 +33,8 @@ def named_result(estimates: Estimates, name: str | None, columns: Sequence[Colum
     recording, estimator = estimates.recording, estimates.estimator
     name = " + ".join(map(term_kind, estimator.terms)) if name is None else name
     readings = hashlib.sha256(recording.recorded.tobytes()).hexdigest()
-    told = {"recording": recording.name, "readings_sha256": readings, "estimator": name}
-    resolved = to_yaml(told | plain_content(recording.scene) | plain_content(estimator))
+    content = {"recording": recording.name, "readings_sha256": readings, "estimator": name}
+    resolved = to_yaml(content | plain_content(recording.scene) | plain_content(estimator))
     case_id = hashlib.sha256(resolved.encode()).hexdigest()[:24]
     return _filled(estimates, columns, recording.name, name, resolved, case_id)
 

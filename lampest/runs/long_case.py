@@ -109,8 +109,8 @@ def read_carried(path: Path) -> CarriedOver:
 
 
 @contextmanager
-def watched(cases: Sequence[tuple[Case, Path]], told: Callable[[str], None]) -> Iterator[None]:
-    """Within it `told` hears once a second how far the long ones of these cases are, from a thread of its own.
+def watched(cases: Sequence[tuple[Case, Path]], on_progress: Callable[[str], None]) -> Iterator[None]:
+    """Within it `on_progress` hears once a second how far the long ones of these cases are, from a thread of its own.
 
     cases : each with the file that its result will be. Without a long one nothing is watched, and no thread begins.
     """
@@ -130,7 +130,7 @@ def watched(cases: Sequence[tuple[Case, Path]], told: Callable[[str], None]) -> 
                 if files.folder.is_dir() and not files.folder.with_suffix(".h5").exists()
             ]
             if sentences:
-                told("; ".join(sentences))
+                on_progress("; ".join(sentences))
 
     thread = threading.Thread(target=watch, daemon=True)
     thread.start()

@@ -38,7 +38,7 @@ class Definiteness(Enum):
     """Of ∇²φ over the free cells."""
 
     POSITIVE = "a strict minimum"
-    UNDETERMINED = "no digit of double precision tells whether the cost rises"
+    UNDETERMINED = "double precision does not show whether the cost rises"
     INDEFINITE = "the cost falls"
 
 

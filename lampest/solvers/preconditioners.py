@@ -22,7 +22,7 @@ from lampest.panel.panel import Array
 from lampest.panel.trust_region import Linear, restricted
 from lampest.solvers.hessian import Hessian
 
-LEAST = 1e-12  # of the largest entry of a diagonal: double precision tells no smaller one from zero
+LEAST = 1e-12  # of the largest entry of a diagonal: double precision does not distinguish a smaller one from zero
 SHIFTS = (1e-10, 1e-6, 1e-3)  # of a unit diagonal: where rounding makes Gauss–Newton's matrix indefinite
 WEAK = 1e-3  # of the largest weight: readings beyond a loss's corner, which still tie a line together
 Numbers = NDArray[np.intp]

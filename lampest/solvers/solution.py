@@ -174,7 +174,7 @@ class Solution:
 
     @property
     def optimum(self) -> bool:
-        """Whether it is an optimum over the cells, as far as double precision tells."""
+        """Whether it is an optimum over the cells, to double precision."""
         return self.status in OPTIMA
 
 

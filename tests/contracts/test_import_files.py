@@ -435,7 +435,7 @@ def test_volt_and_ohm_that_both_fit(tmp_path: Path) -> None:
         imported(tmp_path / "m.csv", "\n".join(wide(VOLTS.round(2))), scene=DIVIDER)
     told, notes = imported(tmp_path / "m.csv", "\n".join(wide(VOLTS.round(2))), scene=DIVIDER, unit="volt")
     np.testing.assert_allclose(told.recorded, 1000 * (5 / VOLTS - 1), rtol=0.1)
-    assert said(notes, "unit volt, as told")
+    assert said(notes, "unit volt, as specified")
 
 
 @pytest.mark.parametrize(
@@ -760,7 +760,7 @@ def test_the_command_ends_with_a_map(tmp_path: Path) -> None:
         "m.h5",
     ]
     assert said(said_lines, "series resistance 0 ohm and pitch 8 mm, by the scene")
-    assert said(said_lines, "time: a frame every 0.5 s, as told")
+    assert said(said_lines, "time: a frame every 0.5 s, as specified")
     recording = Recording.load(tmp_path / "m.h5")
     assert recording.scene.panel == Panel(3, 5, 8.0) and recording.time[1] == 0.5
 

@@ -25,7 +25,7 @@ NOT_PLAIN = re.compile(
     re.IGNORECASE,
 )
 NAMES = "fro,numer,tung,wakin"  # people, journals, and "to and fro"
-MOST_WORDS = 30  # a sentence of a page; the aim of a writer is 25
+MOST_WORDS = 25  # of a sentence of a page
 
 
 def paragraphs(page: str) -> Iterator[str]:

@@ -40,14 +40,14 @@ from lampest.solvers.multistart import BROKEN
 from lampest.solvers.solution import OPEN_FRACTION, VERIFIED, Settings, Solution, Solver, Status, blank
 
 STILL = 1e-3  # of a standard deviation: what one more step may move a cell by
-MOST_PARTS = 5  # of the unloaded frames: a wrong reading among three is told apart, and more cost time
+MOST_PARTS = 5  # of the unloaded frames: enough to identify a wrong reading; more cost time
 
 
 WIDE = 3.0  # q at the start over the noise: as large jumps as three deviations
 MOST_ROUNDS = 40  # 15 to 40 were needed on simulated lampreys
 SETTLED = 0.3  # of a standard deviation, by which a round may still move a cell
 FROZEN = 12  # rounds after which U stays, so that Φ is one function
-LEAP = 1.0  # of log r: how far jumps lead; what no reading tells strays no farther
+JUMP_SD = 1.0  # of log r: prior standard deviation of jumps and of cells that no reading determines
 FAST, SLOW = 0.6, 0.8  # from one walk to the next; slowly where the ties make a step's variance, which then must follow
 TIED = 0.5  # of q²: the median of squared steps of still cells from where on that is so
 FOLLOWED = 1.5  # the same, where ties have followed the walk
@@ -135,8 +135,8 @@ class SmootherMethod(Method):
         data, start = _begun(state, resting, readings, cells, on_frame)
         costs = [state.estimator.cost(state.scene, 1, one.partial) for one in data]
         # What a scene does not name is no unknown: usual errors of a circuit are too many for a few frames to tell.
-        told = state.scene if state.scene.specified_systematic else replace(state.scene, systematic="none")
-        frames = JointData.alone(costs, data, Shared.of(told), start)
+        scene = state.scene if state.scene.specified_systematic else replace(state.scene, systematic="none")
+        frames = JointData.alone(costs, data, Shared.of(scene), start)
         with delayed_interrupt(), suppress(*BROKEN), np.errstate(all="ignore"):
             settings = state.estimator.solver
             until = monotonic() + len(data) * (settings.time_limit_s or inf)
@@ -215,7 +215,7 @@ def _barred(state: S, track: Track, joint: Joint, steps: list[Step]) -> tuple[S,
 class Walk:
     """What steps x between the frames cost; deviation : q, of log r. most : κ, so many q a jump costs at most.
 
-        n k Σ_i log(1 + a_i) + Σ x²/LEAP²,   a_i the mean over the n steps of cell i of κ² S/(κ² + S),   S = K x²/q²
+        n k Σ_i log(1 + a_i) + Σ x²/JUMP_SD²,   a_i the mean over the n steps of cell i of κ² S/(κ² + S),   S = K x²/q²
 
     K averages with the steps before and after. What a step costs grows like x²/q² at first, and hardly beyond κ²: a
     jump costs the same however far it leads. What a cell costs grows like the logarithm of that: of one whose steps are
@@ -230,12 +230,12 @@ class Walk:
     def cost(self, squares: Array) -> float:
         """Of the expected squares of all steps, (frames − 1, cells)."""
         jumps = len(squares) * self._scale * np.sum(np.log1p(self.unrest(squares)))
-        return float(jumps + np.sum(squares) / LEAP**2)
+        return float(jumps + np.sum(squares) / JUMP_SD**2)
 
     def stiffness(self, squares: Array) -> Array:
         """∂cost/∂squares, (frames − 1, cells): the λ of Σ λ x² that has the cost's slope here, and nowhere less."""
         slope = averaged(1 / (1 + self._size(squares) / self.most**2) ** 2) / self.deviation**2
-        return np.asarray(self._scale * slope / (1 + self.unrest(squares)) + LEAP**-2)
+        return np.asarray(self._scale * slope / (1 + self.unrest(squares)) + JUMP_SD**-2)
 
     def unrest(self, squares: Array) -> Array:
         """a, (cells)."""
@@ -309,7 +309,7 @@ class _Round:
         joint = Joint(frames, start, np.zeros(steps), np.zeros((steps, start.shape[1])))
         ignorance = IGNORANCE * np.eye(start.shape[1])
         inverses = [positive_inverse(rows.T @ rows + ignorance) for rows in joint.sensitivities]
-        variance = np.minimum([np.diag(inverse) for inverse in inverses], LEAP**2)
+        variance = np.minimum([np.diag(inverse) for inverse in inverses], JUMP_SD**2)
         noise = float(np.sqrt(np.median(variance)))
         wide = replace(walk, deviation=WIDE * noise)
         frames = frames.sharing(joint.at)

@@ -101,7 +101,7 @@ class Detector:
         dropped: list[int] | None = None
         for number in range(ROUNDS):
             whitening = Whitening.of(calm, explained, scatter)
-            fits = [self.fitting(fit.candidate, calm, whitening).best(fit.parameters, rough=True) for fit in fits]
+            fits = [self.fitting(fit.candidate, calm, whitening).best(fit.parameters, quick=True) for fit in fits]
             best = best_of(fits)
             explained = best.explained
             if number:
@@ -117,7 +117,7 @@ class Detector:
         fits: list[Fit] = []
         for disc in discs:
             most = min((fit.cost for fit in fits), default=np.inf) + UNLIKELY
-            fits.append(fitting.best(load.start(disc), COARSE_STEPS, most, rough=True))
+            fits.append(fitting.best(load.start(disc), COARSE_STEPS, most, quick=True))
         return best_of(fits)
 
     def _settled(self, frame: Observation, fits: Sequence[Fit], field: Fit, calm: Observation) -> Verdict:
@@ -133,7 +133,7 @@ class Detector:
         """
         best, response = best_of(fits), frame.baseline.model_errors.response
         errors = [Whitening.of(frame, best.explained, level * response) for level in LEVELS]
-        levels = [self.fitting(best.candidate, frame, one).best(best.parameters, rough=True) for one in errors]
+        levels = [self.fitting(best.candidate, frame, one).best(best.parameters, quick=True) for one in errors]
         suits = max(levels, key=lambda fit: fit.evidence)
         whitening = errors[levels.index(suits)]
         return [
@@ -150,7 +150,7 @@ class Detector:
 
         def fitted(loads: Sequence[tuple[Candidate, Array]]) -> Fit:
             parts, own = zip(*sorted(loads, key=lambda load: not load[0].sucks), strict=True)
-            return self.fitting(Several.of(parts), frame, whitening).best(np.concatenate(own), COARSE_STEPS, rough=True)
+            return self.fitting(Several.of(parts), frame, whitening).best(np.concatenate(own), COARSE_STEPS, quick=True)
 
         def likely(fit: Fit) -> float:
             return fit.evidence - prior_cost(self.panel, fit)

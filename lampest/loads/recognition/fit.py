@@ -131,10 +131,10 @@ class Fitting:
         """Which of φ are coordinates of a centre, (parameters)."""
         return np.array([name.split(".")[-1] in ("x", "y") for name in self.candidate.priors(self.panel)], dtype=bool)
 
-    def best(self, start: Array, steps: int = STEPS, most: float = np.inf, rough: bool = False) -> Fit:
-        """The most probable φ that `descended` finds. rough : its widths are those of the curvature."""
+    def best(self, start: Array, steps: int = STEPS, most: float = np.inf, quick: bool = False) -> Fit:
+        """The most probable φ that `descended` finds. quick : its widths are those of the curvature."""
         here, count = self.descended(start, steps, most)
-        widths, spread = self._widths(here, rough)
+        widths, spread = self._widths(here, quick)
         misfit = here.residual[: here.left.size]
         return Fit(
             self.candidate,
@@ -178,7 +178,7 @@ class Fitting:
         ends = [self.frame.change(end)[0] for end in (pressure + shift, pressure - shift, *sizes)]
         return Explained(here.change, np.abs(ends[0] - ends[1]) / 2, (ends[3] - ends[2]) / (1.1 - 0.9))
 
-    def _widths(self, here: Linearisation, rough: bool) -> tuple[Array, Array]:
+    def _widths(self, here: Linearisation, quick: bool) -> tuple[Array, Array]:
         """(standard deviations along the axes of the posterior over those of the prior, the root of its covariance).
 
         Where a rim runs between patches, slopes are 0 and would give the width of the prior. There the cost one such
@@ -187,7 +187,7 @@ class Fitting:
         sd = self._prior[1]
         stiffness, axes = np.linalg.eigh(here.normal * np.outer(sd, sd))
         widths, axes = 1 / np.sqrt(np.maximum(stiffness, 1.0)), sd[:, None] * axes
-        for axis in np.flatnonzero(widths > (np.inf if rough else LOOSE)):
+        for axis in np.flatnonzero(widths > (np.inf if quick else LOOSE)):
             step = widths[axis] * axes[:, axis]
             rises = [self.cost(here.parameters + sign * step) - here.cost for sign in (1, -1)]
             widths[axis] *= np.mean(1 / np.sqrt(np.maximum(1.0, 2 * np.array(rises))))

@@ -33,7 +33,7 @@ TILT = {"tilt_x": Prior(0, 0.25, step=0.3), "tilt_y": Prior(0, 0.25, step=0.3)}
 UNEVEN = (0.05, 0.05, 0.17, 0.17)
 # An assumption: what is made stands as round as a lathe leaves it, within 8 %, and presses within ±16 % along its rim.
 MADE = (0.02, 0.02, 0.08, 0.08)
-# An assumption: films are cut to a millimetre and rims are rounded, so that both edges of a disc may seem that far off.
+# An assumption: films are cut to a millimetre and rims are rounded, so both edges of a disc may seem displaced.
 EDGE_MM, SOFT_EDGE_MM = 0.7, 1.1  # of what is made, and of a soft rim in more lobes than are fitted
 # Where the search begins with what sucks: mm, and a suction that shows as clearly as the rim.
 SUCKING = (Template(45.0, 32.0, 1.0), Template(34.0, 22.0, 1.0), Template(24.0, 12.0, 1.0))

@@ -45,7 +45,7 @@ class Recorder:
         self._finishing: list[Thread] = []
 
     def ask(self, name: str) -> None:
-        """Begin a recording of that name, or, where one runs, end it; '' for a name that tells the time.
+        """Begin a recording of that name, or, where one runs, end it; '' for the time as its name.
 
         From any thread; it takes effect with the next sample. Raises InputError where it is no name.
         """

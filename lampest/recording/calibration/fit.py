@@ -114,7 +114,7 @@ class Circuit:
                     channels[side] = common / len(number.sides) + ohm
             else:
                 each = common + sum(off.values())
-                # ln(1 + exp R) is R from some ohm on, never below zero, and always tells which way to go.
+                # ln(1 + exp R) is R from some ohm on, never below zero, and always has a slope.
                 volts = self.readout.lsb_volt, self.readout.supply_volt
                 limits = volts if number.unit == "volt" else (SHORT_OHM, MOST_OHM)
                 each = np.clip(np.logaddexp(0, each) if off else each, *limits)

@@ -45,7 +45,7 @@ Where = Callable[[int], str]
 
 @dataclass(frozen=True, eq=False)
 class Clock:
-    """Times of frames in s; date and time of the first one, ISO 8601, where the file tells it; a sentence on both."""
+    """Times of frames in s; date and time of the first one, ISO 8601, where the file names it; a sentence on both."""
 
     seconds: Array
     start: str | None
@@ -63,7 +63,7 @@ class Frames:
     numbers : all that the file holds, in any unit and order; NaN where one is missing, infinite where it says so.
     number : (frames, rows, columns) index into them; -1: the file has none for the cell.
     named : index → where in the file; -1 → the file.
-    timing : tells when the frames were taken, or raises InputError; None where the file has no times.
+    timing : when the frames were taken, or raises InputError; None where the file has no times.
     notes : sentences on how it was understood. words : names of columns or arrays in which the unit may stand.
     """
 

@@ -206,7 +206,7 @@ def _clock(frames: Frames, period: float | None) -> Clock:
         if not 0 < period < float("inf"):
             raise InputError("the period must be positive and finite")
         unused = "; those of the file are not used" if frames.timing is not None else ""
-        return Clock(number * period, None, f"time: a frame every {period:g} s, as told{unused}")
+        return Clock(number * period, None, f"time: a frame every {period:g} s, as specified{unused}")
     if frames.timing is None:
         return Clock(number, None, "no time in the file: one frame a second is assumed; --period says otherwise")
     return frames.timing()

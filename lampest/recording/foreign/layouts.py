@@ -20,7 +20,7 @@ Shape = tuple[int, int]
 def frames_of(table: ForeignTable, shape: Shape) -> Frames:
     """The frames (frames, rows, columns) of a table by its header, and by how many fields its lines have.
 
-    Raises InputError where neither tells, or something does not fit.
+    Raises InputError where neither determines it, or something does not fit.
     """
     cells, names = shape[0] * shape[1], table.names
     order = _single_values(table, shape)

@@ -22,7 +22,7 @@ def check_unit(unit: str | None, scene: Scene | None, source: object) -> None:
     if unit not in UNITS:
         raise InputError(f"the unit '{unit}' is unknown; there are {', '.join(UNITS)}")
     if unit not in RESISTANCES and (scene is None or scene.readout is None):
-        raise InputError(f"{source}: {unit} values need a scene with a readout, which tells how they become ohm")
+        raise InputError(f"{source}: {unit} values need a scene with a readout, which says how they become ohm")
     if scene is not None and scene.circuit.unit != "ohm" and unit in RESISTANCES:
         raise InputError(f"{source}: the scene's readout gives {scene.circuit.unit}; say unit volt, mV or code")
 
@@ -36,7 +36,7 @@ def understood_unit(
     Raises InputError where no unit fits, or two do.
     """
     if given is not None:
-        return given, f"unit {given}, as told"
+        return given, f"unit {given}, as specified"
     if len(said) == 1:
         check_unit(said[0], scene, source)
         return said[0], f"unit {said[0]}, as the header says"

@@ -41,7 +41,7 @@ def each_of(
 ) -> list[Any]:
     """What a function makes of every thing, in their order; the first exception that a call raised is raised here.
 
-    function : one that a process can import. on_done : told how many of how many are done.
+    function : one that a process can import. on_done : called with how many of how many are done.
     here : in this process however many there are, because another could not import what the things are of.
     """
     executor: Executor = Processes() if len(things) > FEW and not here else Serial()

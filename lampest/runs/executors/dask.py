@@ -176,7 +176,7 @@ def dask_setup(worker: Any) -> None:
 
 @contextmanager
 def _silence() -> Iterator[None]:
-    """Dask tells of a scheduler that is gone in dozens of lines of its own; a user reads one sentence."""
+    """Dask reports a lost scheduler in dozens of lines of its own; a user reads one sentence."""
     noisy = ("distributed", "tornado", "asyncio")
     names = [*noisy, *(name for name in logging.root.manager.loggerDict if name.partition(".")[0] in noisy)]
     before = {name: logging.getLogger(name).level for name in names}

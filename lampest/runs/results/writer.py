@@ -159,13 +159,18 @@ def _write_recording(group: h5py.Group, order: int, cases: list[CaseResult], tab
     _write_datasets(given, cases[0], [column for column in table if column.shared and column != TIME])
     for number, case in enumerate(cases):
         estimate = _group_of_data(group, case.estimator, "cell_resistance")
-        told: dict[str, Any] = {"order": number, "case_id": case.case_id, "case": case.case_yaml}
-        told |= {f"{library}_version": text for library, text in sorted(case.versions.items())}
-        told |= {"baseline_status": case.baseline_status, "baseline_solve_time_s": float(case.baseline_solve_time)}
-        told |= {"joint_start": np.uint8(case.joint_start)}
-        told |= {name: text for name, field in SENTENCES.items() if (text := getattr(case, field))}
-        told |= {"reading_error": float(case.reading_error)} if case.reading_error else {}
-        hdf5.set_attributes(estimate, **told, **{f"frame_{name}": noise for name, noise in case.frame_noise.items()})
+        attributes: dict[str, Any] = {"order": number, "case_id": case.case_id, "case": case.case_yaml}
+        attributes |= {f"{library}_version": text for library, text in sorted(case.versions.items())}
+        attributes |= {
+            "baseline_status": case.baseline_status,
+            "baseline_solve_time_s": float(case.baseline_solve_time),
+        }
+        attributes |= {"joint_start": np.uint8(case.joint_start)}
+        attributes |= {name: text for name, field in SENTENCES.items() if (text := getattr(case, field))}
+        attributes |= {"reading_error": float(case.reading_error)} if case.reading_error else {}
+        hdf5.set_attributes(
+            estimate, **attributes, **{f"frame_{name}": noise for name, noise in case.frame_noise.items()}
+        )
         own = [*(column for column in table if not column.shared), FRAME]
         _write_datasets(estimate, case, own, FIGURES)
 

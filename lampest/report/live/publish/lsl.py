@@ -51,10 +51,10 @@ class LslPublish(Publish):
                 _describe(info.desc(), message)
                 texts = pylsl.StreamInfo(name, "Markers", 1, pylsl.IRREGULAR_RATE, "string", name)
                 outlets.extend(pylsl.StreamOutlet(one) for one in (info, texts))
-            frame, *told = message.signature
+            frame, *values = message.signature
             if frame != sent[0]:
                 outlets[0].push_sample(row, pylsl.local_clock() - (time.time() - message.picture.arrived))
-            if tuple(told) != sent[1:]:
+            if tuple(values) != sent[1:]:
                 view = message.view
                 text = {"detection": view.detected and view.detected.content(), "alarm": view.alarm}
                 outlets[1].push_sample([json.dumps(text, **COMPACT)])

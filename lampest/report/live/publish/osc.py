@@ -58,12 +58,12 @@ class OscPublish(Publish):
             ("alarm", "s", [message.view.alarm]),
         ]
         if detected is not None:
-            told = json.dumps(detected.content(), **COMPACT)
+            content = json.dumps(detected.content(), **COMPACT)
             parts += [
                 ("answer", "s", [detected.answer]),
                 ("probability", "f", [detected.probability]),
                 ("sentence", "s", [detected.sentence]),
-                ("detection", "s", [told]),
+                ("detection", "s", [content]),
             ]
         for name, kind, values in parts:
             built = OscMessageBuilder(f"/{self.prefix}/{name}")
