@@ -111,7 +111,7 @@ OLD = {  # word of the release before → new name
 FLAGS = {"list": "listed", "repair": "repair"}  # of new names → parameters
 UNGUARDED = (results.terms, results.schema)  # they read and write no files
 GROUPS = {
-    "show": "List what a run's file may hold: terms, or its JSON schema.",
+    "show": "List what a run file may contain: cost terms, or its JSON schema.",
     "study": "Measure lampest itself: solvers, formulations, extremes, error bars, weights, starts, the paper.",
 }
 

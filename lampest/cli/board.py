@@ -27,31 +27,31 @@ from lampest.files.errors import InputError
 if TYPE_CHECKING:
     from lampest.recording.board.record import Progress, Recorded
 
-PORT = "Such as /dev/ttyACM0, or a URL; else the Arduino. Of modules one for each, in their order."
+PORT = "Serial port such as /dev/ttyACM0, or a URL. Default: the Arduino. Repeat it for each module, in order."
 Port = Annotated[list[str] | None, option("--port", PORT)]
-SceneFile = Annotated[Path | None, option("--scene", "YAML file of the scene; else what the board says.")]
-Count = Annotated[int | None, option("--count", "End after so many frames, such as 600.", min=1)]
+SceneFile = Annotated[Path | None, option("--scene", "YAML file of the scene. Default: the board's settings.")]
+Count = Annotated[int | None, option("--count", "Stop after this number of frames, such as 600.", min=1)]
 OldCount = Annotated[int | None, option("--frames", "Old name of --count, such as 600.", min=1, hidden=True)]
-TOKEN = "What whoever opens the page must bring; elsewhere than 127.0.0.1 one is made up."
+TOKEN = "Access token of the page; outside 127.0.0.1 one is generated."
 Token = Annotated[str | None, option("--token", TOKEN, envvar="LAMPEST_TOKEN")]
-PUBLISH = "lsl, osc, mqtt or websocket, with an address or without: mqtt://localhost:1883/lampest. Repeatable."
+PUBLISH = "lsl, osc, mqtt or websocket, with an optional address: mqtt://localhost:1883/lampest. Repeatable."
 Publish = Annotated[list[str] | None, option("--publish", PUBLISH, metavar="WHERE")]
-Period = Annotated[float | None, option("--period", "Seconds between frames, such as 0.1; else 1.")]
+Period = Annotated[float | None, option("--period", "Seconds between frames, such as 0.1. Default: 1.")]
 
 
 def record(
-    out: Annotated[Path | None, written("--out", "The recording that is written; must not exist.")] = None,
+    out: Annotated[Path | None, written("--out", "New recording file.")] = None,
     port: Port = None,
     count: Count = None,
-    seconds: Annotated[float | None, option("--seconds", "End after so many seconds, such as 60.")] = None,
+    seconds: Annotated[float | None, option("--seconds", "Stop after this number of seconds, such as 60.")] = None,
     scene: SceneFile = None,
     assign: AssignToScene = None,
-    baseline: Annotated[int, option("--baseline", "So many first frames are unloaded, such as 3.", min=0)] = 0,
+    baseline: Annotated[int, option("--baseline", "Number of unloaded frames at the beginning, such as 3.", min=0)] = 0,
     period: Period = None,
-    listed: Annotated[bool, option("--list", "List the serial ports, likely ones first, and end.")] = False,
+    listed: Annotated[bool, option("--list", "List the serial ports, likely ones first, and exit.")] = False,
     frames: OldCount = None,
 ) -> None:
-    """Record a board until the frames have come, the time is over, or Ctrl-C; a key that is pressed marks an event."""
+    """Record a board until the count or the time is reached, or Ctrl-C; any key marks an event."""
     if listed:
         from lampest.recording.board.port import ports
 
@@ -62,7 +62,7 @@ def record(
             say("there is no serial port", to=sys.stderr)
         return
     if out is None:
-        raise InputError("--out: name the recording that is written")
+        raise InputError("--out: name the new recording")
     from lampest.recording.board.port import pressed_keys
     from lampest.recording.board.record import record as record_board
 
@@ -100,17 +100,17 @@ def calibrate(
     ],
     known: Annotated[
         list[str] | None,
-        option("--known", "Resistors in place of the cells: ohm, or a .csv or .npy table of them; one for each file."),
+        option("--known", "Resistors in place of the cells, in ohm, or a .csv or .npy table; one for each file."),
     ] = None,
     loads: Annotated[
-        Path | None, option("--loads", "YAML or CSV of known weights or pressures: finds the film's response instead.")
+        Path | None, option("--loads", "YAML or CSV of known weights or pressures, to calibrate the film's response.")
     ] = None,
     tolerance: Annotated[
-        float, option("--tolerance", "By which fraction resistors or loads may be off: 0.01 for those of 1 %.")
+        float, option("--tolerance", "Relative tolerance of resistors or loads: 0.01 for 1 %.")
     ] = 0.01,
-    out: Annotated[Path | None, written("--out", "The scene that is written; else it is printed.")] = None,
+    out: Annotated[Path | None, written("--out", "Scene file to write. Default: print it.")] = None,
 ) -> None:
-    """Find the electronics from known resistors, or the film's response from known loads, and write them into a scene.
+    """Calibrate the electronics with known resistors, or the film with known loads, and write a scene.
 
     Every number comes with its uncertainty.
     """
@@ -167,17 +167,17 @@ def _scene_out(text: str, summary: str, out: Path | None) -> None:
 def live(
     port: Port = None,
     recording: Annotated[Path | None, option("--recording", "A recording to replay instead.")] = None,
-    estimator: Annotated[str | None, option("--estimator", "smooth by default; with --config its first.")] = None,
+    estimator: Annotated[str | None, option("--estimator", "Default: smooth, or the first of --config.")] = None,
     config: Annotated[Path | None, option("--config", "A run's YAML file with estimators.")] = None,
     assign: Assign = None,
-    speed: Annotated[float, option("--speed", "So many times as fast as the recording, such as 10.")] = 1.0,
+    speed: Annotated[float, option("--speed", "Speed of the replay relative to the recording, such as 10.")] = 1.0,
     http: Annotated[
-        str, option("--http", "HOST:PORT of the page; only this computer sees 127.0.0.1.")
+        str, option("--http", "HOST:PORT of the page; 127.0.0.1 is visible on this computer only.")
     ] = "127.0.0.1:8137",
     token: Token = None,
     count: Count = None,
     baseline: Annotated[
-        int, option("--baseline", "The first so many are unloaded, unless a recording says which.", min=1)
+        int, option("--baseline", "Number of unloaded frames at the beginning, unless the recording marks them.", min=1)
     ] = 3,
     scene: SceneFile = None,
     period: Period = None,
@@ -185,7 +185,7 @@ def live(
     publish: Publish = None,
     frames: OldCount = None,
 ) -> None:
-    """Reconstruct each frame as it comes and show it in the browser."""
+    """Reconstruct frames as they arrive and show them in the browser."""
     from lampest.files.process import ending_signals
     from lampest.report.live.run import LiveBoard, Replay
     from lampest.report.live.run import live as run_live

@@ -23,15 +23,15 @@ from lampest.cli.screen import (
 
 def init(
     folder: Annotated[
-        Path, typer.Argument(metavar="DIR", help="Made where it is not there; nothing is replaced.")
+        Path, typer.Argument(metavar="DIR", help="Folder, created if missing; existing files are kept.")
     ] = Path(),
     readout: Annotated[
-        str, option("--readout", "Yours: two_mux, pull_ups, grounded or amplifiers.", metavar="CIRCUIT")
+        str, option("--readout", "Your circuit: two_mux, pull_ups, grounded or amplifiers.", metavar="CIRCUIT")
     ] = "two_mux",
-    rows: Annotated[int, option("--rows", "Of your panel, such as 16.", min=1)] = 10,
-    columns: Annotated[int, option("--columns", "Of your panel, such as 16.", min=1)] = 10,
+    rows: Annotated[int, option("--rows", "Rows of your panel, such as 16.", min=1)] = 10,
+    columns: Annotated[int, option("--columns", "Columns of your panel, such as 16.", min=1)] = 10,
 ) -> None:
-    """Write files to begin with for your circuit: a scene, a run, a simulated recording and how it was made."""
+    """Write starter files for your circuit: a scene, a run, a simulated recording and its simulation."""
     from lampest.runs.starter import RECORDING, RUN, SCENE, circuit_called, write_starter
 
     circuit = circuit_called(readout)
@@ -51,14 +51,14 @@ def init(
 
 def run(
     config: Annotated[Path, typer.Argument(help="The run's YAML file.")],
-    out: Annotated[Path | None, written("--out", "Folder of the results; results/<config> by default.")] = None,
+    out: Annotated[Path | None, written("--out", "Results folder. Default: results/<config>.")] = None,
     assign: Assign = None,
     jobs: Annotated[
-        int | None, option("--jobs", "Processes, such as 2; else the file's executor, or all cores.", min=1)
+        int | None, option("--jobs", "Processes, such as 2. Default: the file's executor, or all cores.", min=1)
     ] = None,
-    fresh: Annotated[bool, option("--fresh", "Solve again what is done.")] = False,
+    fresh: Annotated[bool, option("--fresh", "Solve finished cases again.")] = False,
 ) -> None:
-    """Reconstruct recordings with every estimator of a run's file; cases that are done are skipped."""
+    """Reconstruct recordings with every estimator of a run file; finished cases are skipped."""
     from lampest.report.words import counted
     from lampest.runs.batch import run_batch
     from lampest.runs.config import read_run
@@ -91,7 +91,7 @@ def simulate(
     out: Annotated[Path | None, written("--out", "The recording, or a folder where the file sweeps.")] = None,
     assign: Assign = None,
 ) -> None:
-    """Make recordings with their truth from a scene."""
+    """Simulate recordings with known truth from a scene."""
     from lampest.recording.simulation import run as run_simulation
 
     with progress("frames") as on_frame:
@@ -102,28 +102,28 @@ def simulate(
 
 def import_(
     file: Annotated[Path, typer.Argument(help="CSV or other text, .xlsx, .npy, .npz or .mat.")],
-    out: Annotated[Path, written("--out", "The recording that is written.")],
-    rows: Annotated[int | None, option("--rows", "Of the panel, such as 10; else the scene's.", min=1)] = None,
-    columns: Annotated[int | None, option("--columns", "Of the panel, such as 10; else the scene's.", min=1)] = None,
+    out: Annotated[Path, written("--out", "New recording file.")],
+    rows: Annotated[int | None, option("--rows", "Rows of the panel, such as 10. Default: the scene's.", min=1)] = None,
+    columns: Annotated[
+        int | None, option("--columns", "Columns of the panel, such as 10. Default: the scene's.", min=1)
+    ] = None,
     scene: Annotated[Path | None, option("--scene", "The scene's YAML file; lampest init writes one.")] = None,
     assign: AssignToScene = None,
-    unit: Annotated[
-        str | None, option("--unit", "ohm, kohm, volt, mV or code; else what the header or the values leave.")
-    ] = None,
+    unit: Annotated[str | None, option("--unit", "ohm, kohm, volt, mV or code. Default: by header or values.")] = None,
     period: Annotated[
-        float | None, option("--period", "Seconds between frames, such as 0.1; else the file's times.")
+        float | None, option("--period", "Seconds between frames, such as 0.1. Default: the file's times.")
     ] = None,
     missing: Annotated[str, option("--missing", "Missing readings: mark (NaN), skip-frame or refuse.")] = "mark",
-    baseline: Annotated[int, option("--baseline", "So many first frames are unloaded, such as 3.", min=0)] = 0,
+    baseline: Annotated[int, option("--baseline", "Number of unloaded frames at the beginning, such as 3.", min=0)] = 0,
     transpose: Annotated[bool, option("--transpose", "Rows and columns of the file are swapped.")] = False,
     variable: Annotated[
         str | None, option("--variable", "The variable of a .mat or .npz file, the sheet of an .xlsx file.")
     ] = None,
     layout: Annotated[
-        str | None, option("--layout", "What a table's columns are, such as time,row,column,value.")
+        str | None, option("--layout", "Names of a table's columns, such as time,row,column,value.")
     ] = None,
 ) -> None:
-    """Turn measurements of another program into a recording, and say how they were understood."""
+    """Convert measurements of another program to a recording, and report how they were interpreted."""
     from lampest.recording.foreign.importing import import_file
     from lampest.report.info import understood_lines
 
@@ -141,10 +141,10 @@ def import_(
 
 def tare(
     file: Annotated[Path, typer.Argument(help="A recording.")],
-    frames: Annotated[str, option("--frames", "FIRST:END of frames without a load: 40:50 is 40 to 49.")],
-    out: Annotated[Path, written("--out", "The recording that is written.")],
+    frames: Annotated[str, option("--frames", "Unloaded frames as FIRST:END: 40:50 is 40 to 49.")],
+    out: Annotated[Path, written("--out", "New recording file.")],
 ) -> None:
-    """Make other frames the unloaded ones; all others count as measured, and no reading changes."""
+    """Choose new baseline frames; all other frames become measured ones, and no reading changes."""
     from lampest.recording.recording import STILL, Recording, frames_named, tared
 
     recording = Recording.load(file)

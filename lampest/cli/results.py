@@ -17,9 +17,7 @@ if TYPE_CHECKING:
     from lampest.report.detect.answer import Detected
     from lampest.report.detect.pressed import PressedCells
 
-FramesNamed = Annotated[
-    str | None, option("--frames", "Some of the recordings' frames: 40:50 is 40 to 49.", metavar="FIRST:END")
-]
+FramesNamed = Annotated[str | None, option("--frames", "Range of frames: 40:50 is 40 to 49.", metavar="FIRST:END")]
 
 
 def _frames(text: str | None) -> range | None:
@@ -31,15 +29,15 @@ def _frames(text: str | None) -> range | None:
 
 def compare(
     results: Annotated[list[Path], typer.Argument(help="Results files.")],
-    csv: Annotated[Path | None, written("--csv", "Write the table to this file too.")] = None,
+    csv: Annotated[Path | None, written("--csv", "Also write the table to this file.")] = None,
     report: Annotated[
         Path | None, written("--report", "Write a page with figures, intervals and a recommendation.")
     ] = None,
-    each: Annotated[bool, option("--each", "A block for each recording, however many there are.")] = False,
+    each: Annotated[bool, option("--each", "Print one block per recording, for any number of recordings.")] = False,
     frames: FramesNamed = None,
-    published: Annotated[bool, option("--published", "Figures that the run's file quotes, too.")] = False,
+    published: Annotated[bool, option("--published", "Also print published figures that the run file quotes.")] = False,
 ) -> None:
-    """Table over methods and recordings: frames solved, time, data error, and cell error where the truth is known."""
+    """Compare methods over recordings: frames solved, time, data error, and cell error where the truth is known."""
     from lampest.report.compare import compare_files, legend, model_notes, screen_blocks, write_csv
 
     with progress("recordings") as on_recording:
@@ -59,26 +57,26 @@ def compare(
 
 def plot(
     results: Annotated[Path, typer.Argument(help="A results file.")],
-    out: Annotated[Path | None, written("--out", "Folder of the pictures, or one picture such as x.svg.")] = None,
+    out: Annotated[Path | None, written("--out", "Output folder, or one picture such as x.svg.")] = None,
     show: Annotated[
         str,
-        option("--show", "Such as contours, certainty or pressure; any other word names all kinds.", metavar="KIND"),
+        option("--show", "Such as contours, certainty or pressure; any other word lists all kinds.", metavar="KIND"),
     ] = "contours",
     frame: Annotated[
-        int | None, option("--frame", "Index into the recording, such as 12; else a strong one.", min=0)
+        int | None, option("--frame", "Frame index, such as 12. Default: a frame of strong change.", min=0)
     ] = None,
     recording: Annotated[
-        list[str] | None, option("--recording", "One that is drawn, such as mine; else all. Repeatable.")
+        list[str] | None, option("--recording", "Recording to plot, such as mine. Default: all. Repeatable.")
     ] = None,
     estimator: Annotated[
-        list[str] | None, option("--estimator", "One that is drawn, such as LSM; else all. Repeatable.")
+        list[str] | None, option("--estimator", "Estimator to plot, such as LSM. Default: all. Repeatable.")
     ] = None,
     form: Annotated[
-        str | None, option("--format", "Of the pictures; png unless --out says else.", metavar="png|svg|pdf")
+        str | None, option("--format", "Image format. Default: png, or that of --out.", metavar="png|svg|pdf")
     ] = None,
     frames: FramesNamed = None,
 ) -> None:
-    """Mapping contours of every recording, side by side; or error bars, or pressures."""
+    """Plot contours of every recording side by side, or error bars, or pressures."""
     from lampest.report.plots import plot_results
 
     with progress("pictures") as on_picture:
@@ -100,14 +98,14 @@ def plot(
 def export(
     results: Annotated[Path, typer.Argument(help="A results file.")],
     to: Annotated[str, option("--to", "csv, parquet, mat, zarr or nwb.", metavar="FORMAT")],
-    out: Annotated[Path | None, written("--out", "The file that is written; else beside the results.")] = None,
-    recording: Annotated[str | None, option("--recording", "This recording alone; nwb holds no more than one.")] = None,
+    out: Annotated[Path | None, written("--out", "Output file. Default: beside the results.")] = None,
+    recording: Annotated[str | None, option("--recording", "Export this recording only; nwb takes one.")] = None,
     start: Annotated[
-        str | None, option("--start", "When it began, where it does not say: 2026-05-04T09:30:00+02:00; nwb asks.")
+        str | None, option("--start", "Start time for nwb if the file has none: 2026-05-04T09:30:00+02:00.")
     ] = None,
     frames: FramesNamed = None,
 ) -> None:
-    """Write results for other programs: pandas and R, MATLAB and Octave, xarray, NWB; units and meanings included."""
+    """Export results to pandas and R, MATLAB and Octave, xarray or NWB, with units and descriptions."""
     from lampest.report.export import export_results
 
     for file in export_results(results, to, out, recording, start, _frames(frames)):
@@ -116,24 +114,27 @@ def export(
 
 def detect(
     file: Annotated[Path, typer.Argument(help="A recording or a results file.")],
-    out: Annotated[Path | None, written("--out", "Folder of the output; else beside the file.")] = None,
+    out: Annotated[Path | None, written("--out", "Output folder. Default: beside the file.")] = None,
     as_json: Annotated[bool, option("--json", "Print the answers as JSON, and write no files.")] = False,
     everything: Annotated[
-        bool, option("--all", "Also notes, and of results the frame of the largest force, any load.")
+        bool, option("--all", "Also print notes and, for results, the frame of the largest force.")
     ] = False,
-    patch: Annotated[float | None, option("--patch", "Edge of a film in mm, such as 6; else 0.6 pitches.")] = None,
+    patch: Annotated[
+        float | None, option("--patch", "Edge length of a cell's film in mm, such as 6. Default: 0.6 of the pitch.")
+    ] = None,
     depth: Annotated[
-        float | None, option("--depth", "Depth of row 0 under water in mm, such as 50; else the scene's.")
+        float | None, option("--depth", "Depth of row 0 under water in mm, such as 50. Default: the scene's.")
     ] = None,
     noise: Annotated[
-        float | None, option("--noise", "Noise of a reading in percent, such as 0.5, where none is known.")
+        float | None, option("--noise", "Noise of a reading in percent, such as 0.5, if the scene names none.")
     ] = None,
     estimator: Annotated[
-        str | None, option("--estimator", "Whose estimates say force and area, such as LSM; else the first.")
+        str | None,
+        option("--estimator", "Estimator whose force and area are printed, such as LSM. Default: the first."),
     ] = None,
     frames: FramesNamed = None,
 ) -> None:
-    """Say whether a lamprey is attached, since when, where and how strong: one sentence a recording, then its events.
+    """Detect lampreys: whether one is attached, since when, where, how large. One sentence per recording, then events.
 
     Writes detections.h5 and a timeline of each recording; of results with pressures also pressed.csv with every frame.
     """
@@ -214,7 +215,7 @@ def info(
         Path | None, written("--picture", "Draw the strongest frame into this .png, .svg or .pdf.")
     ] = None,
 ) -> None:
-    """Say what a file holds and draw the frame with the strongest change as a small map."""
+    """Describe a file and draw the frame with the strongest change as a small map."""
     from lampest.report.info import describe
 
     with progress("reading"):
@@ -229,9 +230,9 @@ def info(
 
 def check(
     files: Annotated[list[Path], mended("FILE...", "Recordings or results.")],
-    repair: Annotated[bool, option("--repair", "Make clean recordings of what a crash left.")] = False,
+    repair: Annotated[bool, option("--repair", "Recover recordings after a crash.")] = False,
 ) -> None:
-    """Read all of each file and hold it against its checksums; the first damaged dataset of a file is named."""
+    """Verify the checksums of files and name the first damaged dataset of each."""
     from lampest.report.info import checked_sentence
 
     damaged = 0

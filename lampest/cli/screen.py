@@ -53,7 +53,7 @@ OVERRIDE = "Override an entry of the file: formulation=reduced. Repeatable."
 Assign = Annotated[list[str] | None, option("--set", OVERRIDE, metavar="PATH=VALUE")]
 OVERRIDE_SCENE = "Override an entry of --scene: readout.adc_bits=12. Repeatable."
 AssignToScene = Annotated[list[str] | None, option("--set", OVERRIDE_SCENE, metavar="PATH=VALUE")]
-Folder = Annotated[Path | None, written("--out", "Folder of the output; results/<config> by default.")]
+Folder = Annotated[Path | None, written("--out", "Output folder. Default: results/<config>.")]
 
 
 def scene_of(path: Path | None, assigned: list[str] | None) -> "Scene | None":

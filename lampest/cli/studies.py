@@ -21,20 +21,20 @@ STUDIES = {
         """Compare solvers over panel sizes: time, accuracy, memory, growth; reduced, nodal, scipy's.
 
         Writes bench.csv (a row for every panel, method, solver and first, joint or later frames), growth.csv,
-        bench.md and bench.h5 with every sample. What the file's limits or its budget leave out is named.
+        bench.md and bench.h5 with every sample. Cases beyond the file's limits or budget are named.
         """,
     ),
     "tradeoff": (
         "lampest.studies.tradeoff_report",
-        "Measure what every rung of the ladder of formulations costs in time and in accuracy; table, HDF5 and figure.",
+        "Measure accuracy against speed of all formulations; table, HDF5 and figure.",
     ),
     "extremes": (
         "lampest.studies.extremes.report",
-        "Solve scenes at the edge of what can be measured and say how each ended; table, HDF5 and heat map.",
+        "Solve scenes at the limits of measurement and report how each ended; table, HDF5 and heat map.",
     ),
     "audit": (
         "lampest.studies.audit",
-        "Count how often error bars cover the truth where electronics, films or animals do what no scene states.",
+        "Measure the coverage of error bars under effects that the scene does not name.",
     ),
 }
 
@@ -54,15 +54,15 @@ def weights(
     config: Config = None,
     out: Folder = None,
     withhold: Annotated[
-        float | None, option("--withhold", "Predict this share of the readings from all others, such as 0.1.")
+        float | None, option("--withhold", "Fraction of the readings to withhold and predict, such as 0.1.")
     ] = None,
-    draws: Annotated[int, option("--draws", "How often readings are drawn to be withheld.", min=1)] = 5,
-    seed: Annotated[int, option("--seed", "Of the draws: the same seed, the same draws.")] = 0,
+    draws: Annotated[int, option("--draws", "Number of random draws of withheld readings.", min=1)] = 5,
+    seed: Annotated[int, option("--seed", "Random seed of the draws.")] = 0,
     assign: Assign = None,
 ) -> None:
-    """Draw what weight: auto does: evidence, misfit, penalty and true error over λ, with every rule's choice.
+    """Plot weight selection: evidence, misfit, penalty and true error over λ, with every rule's choice.
 
-    With --withhold, for recordings whose truth nobody knows: how well weights predict readings that are withheld.
+    With --withhold, for recordings without a known truth: cross-validation by withheld readings.
     """
     from lampest.studies.weights_report import STUDY
     from lampest.studies.withheld import withheld_study
@@ -73,11 +73,11 @@ def weights(
 def starts(
     config: Annotated[Path | None, typer.Argument(metavar="[CONFIG]", help="A run's YAML file; else table1's.")] = None,
     out: Folder = None,
-    random: Annotated[int, option("--random", "Random starts for every frame.", min=1)] = 20,
-    seed: Annotated[int, option("--seed", "Of the random starts: the same seed, the same starts.")] = 0,
+    random: Annotated[int, option("--random", "Number of random starts per frame.", min=1)] = 20,
+    seed: Annotated[int, option("--seed", "Random seed of the starts.")] = 0,
     assign: Assign = None,
 ) -> None:
-    """Say how often every case of a run reaches the best objective known from random starts; writes starts.csv."""
+    """Multi-start test: how often a case of a run reaches the lowest objective of random starts; writes starts.csv."""
     from lampest.studies.starts import starts_study
 
     _run(starts_study(random, seed), config, out, assign)
@@ -93,12 +93,12 @@ def paper(
     config: Annotated[
         Path | None, typer.Argument(metavar="[CONFIG]", help="Published numbers; else lampest's.")
     ] = None,
-    out: Annotated[Path, option("--out", "Folder of the output.")] = Path("results/paper"),
-    jobs: Annotated[int | None, option("--jobs", "Processes here; else all cores.", min=1)] = None,
+    out: Annotated[Path, option("--out", "Output folder.")] = Path("results/paper"),
+    jobs: Annotated[int | None, option("--jobs", "Number of processes. Default: all cores.", min=1)] = None,
 ) -> None:
-    """Draw the paper's figures and its table from shipped recordings, each beside the published numbers.
+    """Reproduce the paper's figures and table from shipped recordings, beside the published numbers.
 
-    Writes paper.html with everything in it, numbers.csv and every picture as PNG.
+    Writes paper.html, numbers.csv and every figure as PNG.
     """
     from lampest.studies.paper.page import write_paper
 

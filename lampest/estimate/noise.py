@@ -78,12 +78,12 @@ class NoiseSeen:
         """What the frames showed, contradiction or not, in one line; '' where the noise is unknown."""
         if np.isnan(self.factor):
             return ""
-        taken = "taken as assumed" if self.used == 1 else f"taken {self.used:.3g} times"
+        taken = "not rescaled" if self.used == 1 else f"rescaled by {self.used:.3g}"
         shared = ((100 * self.gain, "% gain"), (self.together, "LSB along a scan"), (self.apart, "LSB of a line"))
         frames = ", ".join(f"{size:.2g} {name}" for size, name in shared if size)
         return "; ".join(
             _lines(
-                f"sigma {self.factor:.3g} +- {self.factor_error:.1g} times as assumed and {taken}",
+                f"noise {self.factor:.3g} +- {self.factor_error:.1g} times as specified, {taken}",
                 f"frames share {frames or 'nothing'}",
                 f"{int(self.outliers.sum())} of {self.outliers.size} readings are outliers",
                 "" if self.hidden is None else _sizes_in_words(self.hidden),
@@ -316,7 +316,8 @@ def _outliers_in_words(outliers: NDArray[np.bool_], rate: float) -> str:
 def _sizes_in_words(hidden: Possible) -> str:
     """How large hidden errors are taken to be."""
     sizes = hidden.sizes
-    own = f"each reading off by {100 * sizes.reading_error:.2g} %" if sizes.reading_error else "no reading's own error"
+    bias = sizes.reading_error
+    own = f"each reading off by {100 * bias:.2g} %" if bias else "no per-reading bias found"
     parts, row = [], 0
     for name, unit, size, count in (
         ("series", "ohm", sizes.series_ohm, 1),

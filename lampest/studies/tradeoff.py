@@ -1,8 +1,9 @@
-"""Time against accuracy: every rung of the ladder of formulations goes through every recording in turn, A B C A B C.
+"""Accuracy against speed: all formulations solve every recording in turn, A B C A B C.
 
-Time and cell error are those of the rung's own sequence. Objectives of relative methods depend on the previous
+Time and cell error are those of the formulation's own sequence. Objectives of relative methods depend on the previous
 estimate, so each estimate is judged by the same cost: with the previous frame of the reference, `reduced`, and against
-the best that any rung found for it. A joint first pair is judged by its second frame, given the reference's baseline.
+the best that any formulation found for it. A joint first pair is judged by its second frame, given the
+reference's baseline.
 """
 
 from collections.abc import Iterator

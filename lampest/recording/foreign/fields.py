@@ -41,7 +41,7 @@ class _Line(NamedTuple):
 def rows_of_text(path: Path) -> Rows:
     """The lines of a text file that hold anything, in fields; comments, too.
 
-    Fields are apart by the sign that gives most numbers. Raises InputError with the line where the file is no text,
+    Fields are separated by the sign that gives most numbers. Raises InputError with the line where the file is no text,
     a line is too long, or a quotation mark is not closed.
     """
     text, notes = _decoded(path)
@@ -64,7 +64,7 @@ def rows_of_text(path: Path) -> Rows:
         np.array([line.blank for line in lines], dtype=bool),
         [line.stamp for line in lines],
         lambda number, field: f"{path}:{number}" + ("" if field is None else f":{field + 1}"),
-        (f"fields apart by {DELIMITERS[delimiter]}", *notes),
+        (f"fields separated by {DELIMITERS[delimiter]}", *notes),
     )
 
 

@@ -208,8 +208,8 @@ class ForeignTable:
 def table_of_rows(rows: Rows, layout: str | None = None) -> ForeignTable:
     """The lines with readings, the header before them, and sentences on what was left out.
 
-    layout : the columns' names, apart by commas, in place of the file's own. Raises InputError where there are none, a
-    line has more fields than the others, or the layout another number.
+    layout : the columns' names, separated by commas, in place of the file's own. Raises InputError where there are
+    none, a line has more fields than the others, or the layout another number.
     """
     if rows.fields.size == 0 or np.all(rows.comment):
         raise InputError(f"{rows.source}: holds no values")
