@@ -15,10 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.estimate.cells_fit import CREEP, LEVEL, PRICE, CellsFit, fitted, selected
+from lampest.panel.conditions import Systematic
 from lampest.panel.leaks import leak_effect, neighbours
 from lampest.panel.network import Network
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
+from lampest.panel.systematic import usual
 from lampest.recording.readings import Readings
 
 TOGETHER = 0.05  # prior of log r: by so much all cells may change with temperature
@@ -62,6 +64,12 @@ class Nuisance:
         """U of θ in units of its prior, (readings): a secant."""
         step = 1e-3 * self.prior
         return self.effect(scene, network, step).ravel() * (self.prior / step)
+
+    def within(self, sizes: Systematic | None) -> bool:
+        """Whether it is a constant resistance that error bars allow for: 3 σ of channels, or that of all in series."""
+        if sizes is None or self.kind != "contact" or self.since:
+            return False
+        return abs(self.size) <= max(3 * sizes.channel_spread_ohm, sizes.series_ohm or 0.0)
 
     def named(self, rows: int) -> str:
         """In words, with its size."""
@@ -206,6 +214,7 @@ def besides_the_circuit(scene: Scene, resting: CellsFit, frames: Sequence[tuple[
     Effects are tried by linear theory, the best ones by the network.
     """
     found, together, most = Besides(), "", MARGIN
+    half_a_line = min(resting.cells.shape) / 2  # of cells: what explains fewer may be a wrong reading
     for name, frame in frames:
         if max(float(fit.readings.bounds.mean()) for fit in (resting, frame)) > MOST_BOUNDS:
             continue
@@ -216,9 +225,12 @@ def besides_the_circuit(scene: Scene, resting: CellsFit, frames: Sequence[tuple[
         scores = np.array([pair.explained(one, briefly=True).score for one in effects])
         for number in np.argsort(scores)[:MOST_TRIED]:
             refined = _refined(pair, effects[number])
-            if refined is None or not refined[1].sparse or refined[1].count >= plain.count:
+            if refined is None:
                 continue
             nuisance, after = refined
+            explained = plain.count - after.count
+            if not after.sparse or explained < half_a_line or nuisance.within(usual(scene)):
+                continue
             if plain.score - after.score > most:
                 most = plain.score - after.score
                 words = nuisance.named(scene.panel.rows)

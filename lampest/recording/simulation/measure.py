@@ -32,7 +32,7 @@ class Unmodelled(Configuration):
     drift_per_minute : standard deviation of the rate at which the logarithm of a cell's resistance drifts, per minute.
     common_drift_per_minute : the rate of all cells alike, beside that.
     leak_ohm : resistance between each line and the next one. contact_ohm : so much more in series with one row, which
-        is drawn. begins_s : when these two begin, after the first frame.
+        is drawn. begins_s : when these two begin, after the first frame; None: with it.
     saturation : the share of the supply beyond which a stage before the converter passes no voltage.
     outlier_probability : chance that one reading is a random code instead of a conversion.
     noise_factor : the noise of one reading is so many times what the scene says.
@@ -72,7 +72,7 @@ class Unmodelled(Configuration):
     common_drift_per_minute: float | None = None
     leak_ohm: float | None = None
     contact_ohm: float | None = None
-    begins_s: float = 0.0
+    begins_s: float | None = None
     saturation: float | None = None
 
     def __post_init__(self) -> None:
@@ -138,7 +138,7 @@ def measured(
         scene = replace(scene, contacts=true_contacts(scene, seed))
     if unmodelled.wire_ohm_per_cell:
         scene = replace(scene, lines=_with_wire(scene, unmodelled.wire_ohm_per_cell))
-    begin = int(np.ceil(unmodelled.begins_s / period_s))
+    begin = int(np.ceil((unmodelled.begins_s or 0.0) / period_s))
 
     def read(part: Array) -> Array:
         there = np.where(scene.panel.present, part, np.inf)
