@@ -83,7 +83,7 @@ class NoiseSeen:
         frames = ", ".join(f"{size:.2g} {name}" for size, name in shared if size)
         return "; ".join(
             _lines(
-                f"noise {self.factor:.3g} +- {self.factor_error:.1g} times as specified, {taken}",
+                f"scatter {self.factor:.3g} +- {self.factor_error:.1g} times as specified, {taken}",
                 f"frames share {frames or 'nothing'}",
                 f"{int(self.outliers.sum())} of {self.outliers.size} readings are outliers",
                 "" if self.hidden is None else _sizes_in_words(self.hidden),

@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.estimate.cells_fit import CREEP, LEVEL, PRICE, CellsFit, fitted, selected
-from lampest.panel.conditions import Systematic
 from lampest.panel.leaks import leak_effect, neighbours
 from lampest.panel.network import Network
 from lampest.panel.panel import Array
@@ -25,6 +24,7 @@ from lampest.recording.readings import Readings
 
 TOGETHER = 0.05  # prior of log r: by so much all cells may change with temperature
 LEAK_OHM, CONTACT_OHM = 10e3, 100.0  # priors: water between lines, a contact that loosens
+CHANNEL_OHM = 3.0  # standard deviation of a multiplexer's channels (CD74HC4067, data sheet: any two differ by 10 ohm)
 MARGIN = 36.0  # −2 log probability that an effect must gain: e^18 to one, as another circuit
 HALVES = 0.5 ** np.arange(5)  # of a step that may be too long
 STEPS, SETTLED = 8, 0.1  # of θ, by the network itself, and the standard deviations at which they end
@@ -64,12 +64,6 @@ class Nuisance:
         """U of θ in units of its prior, (readings): a secant."""
         step = 1e-3 * self.prior
         return self.effect(scene, network, step).ravel() * (self.prior / step)
-
-    def within(self, sizes: Systematic | None) -> bool:
-        """Whether it is a constant resistance that error bars allow for: 3 σ of channels, or that of all in series."""
-        if sizes is None or self.kind != "contact" or self.since:
-            return False
-        return abs(self.size) <= max(3 * sizes.channel_spread_ohm, sizes.series_ohm or 0.0)
 
     def named(self, rows: int) -> str:
         """In words, with its size."""
@@ -118,11 +112,25 @@ class Evidence:
 
 @dataclass(frozen=True, eq=False)
 class FittedPair:
-    """The unloaded panel and a frame. given : their readings. fits : of these, or of what an effect leaves of them."""
+    """The unloaded panel and a frame. given : their readings. fits : of these, or of what an effect leaves of them.
+
+    channels : (cells, lines) a of each line's channel, of one standard deviation.
+    """
 
     scene: Scene
     given: tuple[Readings, Readings]
     fits: tuple[CellsFit, CellsFit]
+    channels: Array
+
+    @classmethod
+    def of(cls, scene: Scene, resting: CellsFit, frame: CellsFit) -> "FittedPair":
+        """With channels that differ as specified, or as those of one multiplexer do."""
+        bare = cls(scene, (resting.readings, frame.readings), (resting, frame), np.zeros((frame.cells.size, 0)))
+        sizes = usual(scene)
+        spread = (CHANNEL_OHM if sizes is None else sizes.channel_spread_ohm or CHANNEL_OHM) / CONTACT_OHM
+        lines = range(sum(frame.cells.shape))
+        columns = [spread * bare.column(Nuisance("contact", (line,), since=False)) for line in lines]
+        return replace(bare, channels=np.stack(columns, axis=1))
 
     @cached_property
     def change(self) -> Array:
@@ -132,7 +140,8 @@ class FittedPair:
     @cached_property
     def covariance(self) -> Array:
         """Of d where no load is, (cells, cells)."""
-        return np.asarray(sum(np.linalg.inv(fit.normal) for fit in self.fits) + CREEP**2 * np.eye(len(self.change)))
+        noise = sum(np.linalg.inv(fit.normal) for fit in self.fits) + CREEP**2 * np.eye(len(self.change))
+        return np.asarray(noise + self.channels @ self.channels.T)
 
     @cached_property
     def precision(self) -> Array:
@@ -218,7 +227,7 @@ def besides_the_circuit(scene: Scene, resting: CellsFit, frames: Sequence[tuple[
     for name, frame in frames:
         if max(float(fit.readings.bounds.mean()) for fit in (resting, frame)) > MOST_BOUNDS:
             continue
-        pair = FittedPair(scene, (resting.readings, frame.readings), (resting, frame))
+        pair = FittedPair.of(scene, resting, frame)
         plain = pair.explained()
         together = _together(plain) or together
         effects = list(nuisances(frame.cells.shape))
@@ -229,7 +238,7 @@ def besides_the_circuit(scene: Scene, resting: CellsFit, frames: Sequence[tuple[
                 continue
             nuisance, after = refined
             explained = plain.count - after.count
-            if not after.sparse or explained < half_a_line or nuisance.within(usual(scene)):
+            if not after.sparse or explained < half_a_line:
                 continue
             if plain.score - after.score > most:
                 most = plain.score - after.score
