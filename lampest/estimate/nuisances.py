@@ -223,7 +223,6 @@ def besides_the_circuit(scene: Scene, resting: CellsFit, frames: Sequence[tuple[
     Effects are tried by linear theory, the best ones by the network.
     """
     found, together, most = Besides(), "", MARGIN
-    half_a_line = min(resting.cells.shape) / 2  # of cells: what explains fewer may be a wrong reading
     for name, frame in frames:
         if max(float(fit.readings.bounds.mean()) for fit in (resting, frame)) > MOST_BOUNDS:
             continue
@@ -237,8 +236,7 @@ def besides_the_circuit(scene: Scene, resting: CellsFit, frames: Sequence[tuple[
             if refined is None:
                 continue
             nuisance, after = refined
-            explained = plain.count - after.count
-            if not after.sparse or explained < half_a_line:
+            if not after.sparse or after.count >= plain.count:
                 continue
             if plain.score - after.score > most:
                 most = plain.score - after.score
