@@ -94,7 +94,7 @@ def paper(
         Path | None, typer.Argument(metavar="[CONFIG]", help="Published numbers; else lampest's.")
     ] = None,
     out: Annotated[Path, option("--out", "Output folder.")] = Path("results/paper"),
-    jobs: Annotated[int | None, option("--jobs", "Number of processes. Default: all cores.", min=1)] = None,
+    jobs: Annotated[int | None, option("--jobs", "Number of processes, such as 2. Default: all cores.", min=1)] = None,
 ) -> None:
     """Reproduce the paper's figures and table from shipped recordings, beside the published numbers.
 

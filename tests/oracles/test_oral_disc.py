@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from lampest.cost.terms import Gradient, Misfit
 from lampest.estimate.estimator import Estimator
@@ -90,10 +91,15 @@ def test_cells_depart_from_the_disc_as_readings_say() -> None:
     loaded, resting = truth[recording.measured_frames()][-1], truth[0]
     step = reconstruct(recording, DISC).steps[-1]
     assert step.disc is not None
-    changed = np.abs(np.log(loaded / resting)) > 0.5
-    of_disc = step.disc.fit.change - np.log(loaded / resting)
-    of_cells = np.log(step.disc.cell_resistance / loaded)
-    assert np.sqrt(np.mean(of_cells[changed] ** 2)) < 0.5 * np.sqrt(np.mean(of_disc[changed] ** 2))
+    change = np.log(loaded / resting)
+    of_disc, of_cells = step.disc.fit.change - change, np.log(step.disc.cell_resistance / loaded)
+
+    def rms(error: NDArray[np.float64], where: NDArray[np.bool_]) -> float:
+        return float(np.sqrt(np.mean(error[where] ** 2)))
+
+    rim = change < -0.5  # readings determine these; a cell that is sucked open they do not
+    assert rms(of_cells, rim) < 0.25 * rms(of_disc, rim)
+    assert rms(of_cells, np.abs(change) > 0.5) < rms(of_disc, np.abs(change) > 0.5)
 
 
 def test_it_needs_the_noise_and_nothing_to_penalise() -> None:
