@@ -9,7 +9,17 @@ from warnings import catch_warnings, simplefilter
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.estimate.cells_fit import LEVEL, PRICE, CellsFit, JointFit, fitted, moved_score
+from lampest.estimate.cells_fit import (
+    LEVEL,
+    MARGIN,
+    MOST_ASKED,
+    PRICE,
+    CellsFit,
+    JointFit,
+    fitted,
+    mostly_still,
+    moved_score,
+)
 from lampest.estimate.nuisances import Besides, besides_the_circuit
 from lampest.estimate.outliers import without_outliers
 from lampest.estimate.rivals import Question, Rival, changes_beyond_noise, nearly_gaussian, rivals_of, standing_frames
@@ -28,10 +38,6 @@ MOST_MODULES = 3  # of which the circuit is checked
 MOST_MISSING = 0.1  # of the readings: with a fifth missing or bounds, nothing shows which cells must have moved
 NEARLY_ALL = 0.98  # of the largest resistance in series: with all of it nothing is left for the panel
 GRID = 5  # resistances in series that are tried; what lies between is found by steps
-# −2 log probability by which another circuit must beat the scene's: e^18 to one. The best of eight kinds, with any
-# resistance in series, beat a right one by 32, 25 and 19 in three of some 430 recordings, else by 15 or less.
-MARGIN = 36.0
-MOST_ASKED = 3  # rivals: those that linear theory finds best
 
 
 @dataclass(frozen=True)
@@ -308,7 +314,7 @@ class Explanation:
     @property
     def sparse(self) -> bool:
         """Whether it leaves more than half of the cells where they were."""
-        return 2 * int(self.moving.sum()) < self.moving.size
+        return mostly_still(self.moving)
 
 
 def better_rival(rivals: list[Rival], question: Question, specified: Explanation | None) -> tuple[str, str, int]:
@@ -358,7 +364,7 @@ def _others(given: JointFit, specified: Explanation, rivals: list[Rival], questi
             fits = [fit] * (one is not specified) + ([fit.with_series(most)] if most else [])
         except (InputError, *BROKEN):
             continue
-        yield from (fit for fit in fits if fit.sparse and np.isfinite(fit.score))
+        yield from (fit for fit in fits if mostly_still(fit.moved) and np.isfinite(fit.score))
 
 
 def explanation_of(rival: Rival, question: Question) -> Explanation | None:

@@ -14,7 +14,18 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.estimate.cells_fit import CREEP, LEVEL, PRICE, CellsFit, fitted, selected
+from lampest.estimate.cells_fit import (
+    CREEP,
+    LEVEL,
+    MARGIN,
+    MOST_ASKED,
+    PRICE,
+    TOGETHER,
+    CellsFit,
+    fitted,
+    mostly_still,
+    selected,
+)
 from lampest.panel.leaks import leak_effect, neighbours
 from lampest.panel.network import Network
 from lampest.panel.panel import Array
@@ -22,15 +33,11 @@ from lampest.panel.scene import Scene
 from lampest.panel.systematic import usual
 from lampest.recording.readings import Readings
 
-TOGETHER = 0.05  # prior of log r: by so much all cells may change with temperature
 LEAK_OHM, CONTACT_OHM = 10e3, 100.0  # priors: water between lines, a contact that loosens
 CHANNEL_OHM = 3.0  # standard deviation of a multiplexer's channels (CD74HC4067, data sheet: any two differ by 10 ohm)
-MARGIN = 36.0  # −2 log probability that an effect must gain: e^18 to one, as another circuit
-HALVES = 0.5 ** np.arange(5)  # of a step that may be too long
 STEPS, SETTLED = 8, 0.1  # of θ, by the network itself, and the standard deviations at which they end
 MOST_BOUNDS = 0.02  # of the readings: cells behind bounds have no linear theory
 NOTICED, SURE = 0.01, 5.0  # of log r, and standard deviations: a common change that is said
-MOST_TRIED = 3  # effects that are tried by the network: those that linear theory finds best
 
 
 @dataclass(frozen=True)
@@ -103,11 +110,6 @@ class Evidence:
     def count(self) -> int:
         """How many cells have moved."""
         return int(self.moved.sum())
-
-    @property
-    def sparse(self) -> bool:
-        """Whether more than half of the cells are where they were."""
-        return 2 * self.count < self.moved.size
 
 
 @dataclass(frozen=True, eq=False)
@@ -231,12 +233,12 @@ def besides_the_circuit(scene: Scene, resting: CellsFit, frames: Sequence[tuple[
         together = _together(plain) or together
         effects = list(nuisances(frame.cells.shape))
         scores = np.array([pair.explained(one, briefly=True).score for one in effects])
-        for number in np.argsort(scores)[:MOST_TRIED]:
+        for number in np.argsort(scores)[:MOST_ASKED]:
             refined = _refined(pair, effects[number])
             if refined is None:
                 continue
             nuisance, after = refined
-            if not after.sparse or after.count >= plain.count:
+            if not mostly_still(after.moved) or after.count >= plain.count:
                 continue
             if plain.score - after.score > most:
                 most = plain.score - after.score
@@ -248,7 +250,7 @@ def besides_the_circuit(scene: Scene, resting: CellsFit, frames: Sequence[tuple[
 def _together(plain: Evidence) -> str:
     """How all cells that no load touches changed, in words; '' where that may be chance, or a load's rim."""
     change, sd = TOGETHER * plain.size, TOGETHER * plain.sd
-    if not plain.sparse or not abs(change) > max(NOTICED, SURE * sd):
+    if not mostly_still(plain.moved) or not abs(change) > max(NOTICED, SURE * sd):
         return ""
     return (
         f"cells that nobody touched changed together by {100 * change:+.2g} +- {100 * sd:.1g} %: creep, temperature or "
@@ -276,7 +278,7 @@ def _refined(pair: FittedPair, nuisance: Nuisance) -> tuple[Nuisance, Evidence] 
 
 def _stepped(pair: FittedPair, nuisance: Nuisance, step: float) -> tuple[FittedPair, Nuisance] | None:
     """The pair and its effect a step of θ further, halved until cells give the rest; None where they never do."""
-    for part in HALVES * step:
+    for part in step * 0.5 ** np.arange(5):
         size = nuisance.size + float(part)
         there = replace(nuisance, size=max(size, 0.0) if nuisance.kind == "leak" else size)
         after = pair.without(there)

@@ -111,7 +111,7 @@ def variants(kind: type[Any], specified: Readout) -> Iterator[Any]:
 
 
 def circuit_name(circuit: Readout, specified: Readout) -> str:
-    """What differs where one word does, with what users call that; else the kind with its words."""
+    """The one word in which a circuit differs, with its usual name; else the kind with its words."""
     words = {name: getattr(circuit, name) for name in WORDS if hasattr(circuit, name)}
     differ = [name for name, word in words.items() if getattr(specified, name, None) != word]
     if len(differ) == 1 and differ[0] in CALLED:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from lampest.cost.given import Background
 from lampest.cost.problem import Data
-from lampest.estimate.cells_fit import CREEP, FIT, LEVEL, MOST_CELLS, CellsFit, cells_alone, fitted
+from lampest.estimate.cells_fit import CREEP, FIT, LEVEL, MOST_CELLS, TOGETHER, CellsFit, cells_alone, fitted
 from lampest.panel.least_squares import SumOfSquares
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene, Systematic
@@ -35,7 +35,6 @@ LINEAR = 0.15  # of log r: so large an error moves cells by more than one per ce
 LOADED = 3 * LINEAR  # of log r: so far a load moves a cell, and no error that is small enough for linear theory
 CLEARLY = 4.0  # σ of a change that noise does not make
 SMOOTH, REACH = 0.3, 1.5  # of log r, and in cells: a skirt that a load has around it, or a load that covers many cells
-TOGETHER = 0.05  # of log r, by which all cells may change with temperature
 
 Chosen = NDArray[np.bool_]
 

@@ -151,8 +151,10 @@ class PressureTrack:
             answer = -self.film.at_once(answer, time)
         warmth = scene.temperature
         warming_sd = 0.0 if warmth is None else abs(warmth.difference_kelvin) * warmth.coefficient_sd_per_kelvin
-        bent = 0.0 if scene.film is None else scene.film.answer_sd
-        shared = np.hypot(np.hypot(response_sd(scene, answer), bent) * answer, np.hypot(warming_sd, kept)) * NORMAL_95
+        curve_sd = 0.0 if scene.film is None else scene.film.answer_sd
+        shared = (
+            np.hypot(np.hypot(response_sd(scene, answer), curve_sd) * answer, np.hypot(warming_sd, kept)) * NORMAL_95
+        )
         with np.errstate(divide="ignore"):
             return np.hypot(np.log(ratio) - np.log(lower), shared), np.hypot(np.log(upper) - np.log(ratio), shared)
 

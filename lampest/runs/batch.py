@@ -1,4 +1,4 @@
-"""Runs cases: skips what is done, isolates what fails, keeps what is finished.
+"""Runs cases: finished ones are skipped, failures isolated, results kept as they come.
 
 A finished case is kept until results.h5 is written: two datasets, in a millisecond, or a results file of its own where
 they would hold more than MOST_PACKED bytes.

@@ -3,6 +3,7 @@
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from math import nan
 from typing import Any, Literal
 
 import numpy as np
@@ -26,7 +27,6 @@ from lampest.studies import study
 from lampest.studies.methods import StudyMethod
 
 LEAST, MOST, NEVER_BELOW = 90.0, 98.0, 80.0  # percent of 95 % intervals that shall cover the truth
-NAN = float("nan")
 LATE_S = 8.0  # when effects come that come during a recording
 
 
@@ -128,12 +128,12 @@ class Audited:
     pressure_covered: int = 0
     alone: int = 0
     alone_covered: int = 0
-    chi_square: float = NAN
-    width: float = NAN
+    chi_square: float = nan
+    width: float = nan
     sentence: str = ""
-    own: float = NAN
-    common: float = NAN
-    ratio: float = NAN
+    own: float = nan
+    common: float = nan
+    ratio: float = nan
 
 
 COLUMNS = (
@@ -197,8 +197,8 @@ def _counted(task: AuditTask, name: str, recording: Recording, found: Estimates)
     # A cell counts as loaded from 0.5 kPa on: below, a film's answer is smaller than its creep.
     pressures = covered_truths(found.pressure_lower, load, found.pressure_upper, np.abs(load) > 0.5)
     errors = found.cell_resistance_errors
-    width = NAN if errors is None else float(np.nanmedian(errors / found.cell_resistance))
-    parts = [NAN if part is None else float(np.nanmedian(part)) for part in (found.sigma_own, found.sigma_common)]
+    width = nan if errors is None else float(np.nanmedian(errors / found.cell_resistance))
+    parts = [nan if part is None else float(np.nanmedian(part)) for part in (found.sigma_own, found.sigma_common)]
     failed = "" if cells[0] else "no error bars"
     counted, covered, ratio = _beside_median(found, truth[found.frame])
     said, scatter = "; ".join(found.checks), repeats_chi_square(recording)
@@ -221,11 +221,11 @@ def _beside_median(found: Estimates, truth: Array) -> tuple[int, int, float]:
     """(cells, how many lie within 1.96 σ_own of the median error of their frame, σ_own over the robust error)."""
     own = found.sigma_own
     if own is None:
-        return 0, 0, NAN
+        return 0, 0, nan
     error = np.log(found.cell_resistance / truth)
     error = np.abs(error - np.nanmedian(error, axis=(1, 2), keepdims=True))
     there = np.isfinite(own) & np.isfinite(error)
-    size = TO_SIGMA * float(np.median(error[there])) if there.any() else NAN
+    size = TO_SIGMA * float(np.median(error[there])) if there.any() else nan
     return int(there.sum()), int((error[there] <= NORMAL_95 * own[there]).sum()), float(np.median(own[there])) / size
 
 
@@ -244,7 +244,7 @@ def repeats_chi_square(recording: Recording) -> float:
     """χ² of the unloaded frames about their mean, per degree of freedom, with the scene's noise."""
     resting = Readings.of(recording.scene, recording.recorded, recording.sigma)[recording.role == UNLOADED]
     if resting.sigma is None:
-        return NAN
+        return nan
     plain = resting.plain.all(axis=0)
     about = ((resting.value - resting.value.mean(axis=0)) / resting.sigma)[:, plain]
     return float((about**2).sum() / ((len(about) - 1) * max(int(plain.sum()), 1)))
@@ -273,17 +273,17 @@ def _usual_sentence(own: Sequence[Audited]) -> str:
 def _share(own: Sequence[Audited], what: str) -> float:
     """Percent of all intervals that cover the truth; NaN where there is none."""
     counted = sum(getattr(one, what) for one in own)
-    return 100 * sum(getattr(one, f"{what}_covered") for one in own) / counted if counted else NAN
+    return 100 * sum(getattr(one, f"{what}_covered") for one in own) / counted if counted else nan
 
 
 def _spread(own: Sequence[Audited], what: str) -> float:
     """Standard error of that percentage, from the recordings', percent; NaN of fewer than two."""
     shares = [100 * getattr(one, f"{what}_covered") / getattr(one, what) for one in own if getattr(one, what)]
-    return float(np.std(shares, ddof=1) / np.sqrt(len(shares))) if len(shares) > 1 else NAN
+    return float(np.std(shares, ddof=1) / np.sqrt(len(shares))) if len(shares) > 1 else nan
 
 
 def _median(own: Sequence[Audited], what: str) -> float:
-    return float(np.median([getattr(one, what) for one in own])) if own else NAN
+    return float(np.median([getattr(one, what) for one in own])) if own else nan
 
 
 def _verdict(own: Sequence[Audited]) -> str:

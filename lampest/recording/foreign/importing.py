@@ -80,9 +80,8 @@ def import_file(
         raise InputError(f"{path}: {baseline_frames} baseline frames asked for, but the file holds {count} frames")
     clock = _clock(frames, period)
     blank = np.isnan(values) & panel.present
-    if missing == "refuse" and np.any(blank):
-        frame, row, column = (int(part) for part in np.argwhere(blank)[0])
-        raise InputError(f"{frames.place(frame, row, column)}: the reading of row {row}, column {column} is missing")
+    if missing == "refuse":
+        _refuse_missing(frames, blank)
     kind, reason = understood_unit(values, unit, units_of(frames.words) if unit is None else (), scene, path)
     assumed = _assumed(scene or Scene(panel), scene is not None)
     scene = scene or Scene(panel)
@@ -210,6 +209,11 @@ def _clock(frames: Frames, period: float | None) -> Clock:
     if frames.timing is None:
         return Clock(number, None, "no time in the file: one frame a second is assumed; --period says otherwise")
     return frames.timing()
+
+
+def _refuse_missing(frames: Frames, blank: NDArray[np.bool_]) -> None:
+    for frame, row, column in np.argwhere(blank)[:1].tolist():
+        raise InputError(f"{frames.place(frame, row, column)}: the reading of row {row}, column {column} is missing")
 
 
 def _without_missing(blank: NDArray[np.bool_], missing: str, path: Path) -> tuple[NDArray[np.intp], str]:

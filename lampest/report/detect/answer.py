@@ -63,8 +63,8 @@ class Detected:
     """What one recording is answered with.
 
     answer : one of ANSWERS. probability : of it. why : why nothing more can be said, a sentence, or ''.
-    notes : what was assumed or computed. warnings : what speaks against the recording, a line each. attachments : loads
-    in the order in which they came. course : (2, frames) s and by how many standard deviations the readings stand out.
+    notes : assumptions and inputs. warnings : what speaks against the recording, a line each. attachments : loads in
+    the order in which they came. course : (2, frames) s and by how many standard deviations the readings stand out.
     change : (rows, columns) ln r/r0 when something was recognised last, or None. panel : its cells.
     """
 

@@ -49,7 +49,7 @@ class Engine:
 
     One thread solves, because a CasADi solver must not be shared between threads. beside : whether weights, searches
     for lower minima, error bars and the check of the circuit are left to another process, else every frame waits; and
-    whether one more process says what is attached.
+    whether one more process recognises loads.
     """
 
     def __init__(self, name: str, method: str, estimator: Estimator, baseline: int, beside: bool = False) -> None:

@@ -305,7 +305,7 @@ def _few(comparison: Comparison) -> Iterator[str]:
         yield "One recording only: intervals are over its frames and say nothing of another animal or day."
     if units < 5:
         noun = counted(units, "frame" if over_frames else "recording")
-        yield f"{noun} only: intervals over fewer than 5 are rough, mostly too short."
+        yield f"{noun} only: intervals over fewer than 5 are unreliable, mostly too short."
 
 
 def _left_out(match: Matched) -> tuple[str, ...]:

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from math import nan
 
 import numpy as np
 
@@ -26,7 +27,6 @@ from lampest.studies.extremes.judges import (
 from lampest.studies.extremes.scenes import AtlasFile, AtlasSample, AtlasTask, Made, recording_of
 from lampest.studies.study import OnStep, of_tasks
 
-NAN = float("nan")
 CRASHED, REFUSED = "crashed: ", "refused: "
 
 
@@ -46,12 +46,12 @@ class Solve:
     solved: bool
     status: str
     iterations: int
-    residual: float = NAN
-    audited: float = NAN
-    excess: float = NAN
-    forward_digits: float = NAN
-    model_digits: float = NAN
-    estimate_digits: float = NAN
+    residual: float = nan
+    audited: float = nan
+    excess: float = nan
+    forward_digits: float = nan
+    model_digits: float = nan
+    estimate_digits: float = nan
 
     @property
     def doubtful(self) -> bool:
@@ -194,7 +194,7 @@ def _judged(task: AtlasTask, method: str, part: _Part, scene: Made, recording: R
     audit = cells[0].size <= task.atlas.audit_cells
     return replace(
         solve,
-        audited=exact_residual(cost, data, cells) if audit else NAN,
+        audited=exact_residual(cost, data, cells) if audit else nan,
         excess=(exact_cost(cost, data, cells) - exact_cost(cost, data, truth)) / exact_scale(cost, data, cells),
         model_digits=correct_digits(solution.reading, exact_two_point_resistance(cells)),
         estimate_digits=_against_convex(estimator, data, cells),
@@ -204,8 +204,8 @@ def _judged(task: AtlasTask, method: str, part: _Part, scene: Made, recording: R
 def _against_convex(estimator: Estimator, data: Data, cells: Array) -> float:
     """LRE against the convex solution where that is the answer: no penalties, no marks, no bound in the way."""
     if not all(term.reads_measurement for term in estimator.terms) or data.partial:
-        return NAN
+        return nan
     certified = convex_estimate(data.measured[0])
     if certified is None or np.any(certified < data.lower[0]) or np.any(certified > data.upper[0]):
-        return NAN
+        return nan
     return correct_digits(cells[0], certified)

@@ -4,6 +4,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from importlib.resources import files
+from math import nan
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, cast
 
@@ -24,7 +25,6 @@ from lampest.runs.results import Results, read_results
 from lampest.studies.study import published_code
 
 MEASURED = "measured"
-NAN = float("nan")
 FASTEST = "formulation=reduced"  # finds the optima that a file's formulation finds, sooner
 OnCase = Callable[[int, int], None]
 FILE = "published.yaml"
@@ -134,9 +134,9 @@ class LoadSeen:
 class StepsSeen(NamedTuple):
     """Of some steps: mean and standard deviation of the data error in percent, mean time in s; NaN: none."""
 
-    error: float = NAN
-    error_sd: float = NAN
-    time: float = NAN
+    error: float = nan
+    error_sd: float = nan
+    time: float = nan
 
 
 @dataclass(frozen=True, eq=False)
@@ -220,8 +220,8 @@ def _optima(
     def taken(method: str, steps: Steps) -> StepsSeen:
         for row in compare(results):
             if (row.recording, row.estimator, row.steps) == (mouths[0].name, method, steps) and row.data_error:
-                time = NAN if row.solve_time is None else row.solve_time.mean
-                return StepsSeen(row.data_error.mean, row.data_error.sd or NAN, time)
+                time = nan if row.solve_time is None else row.solve_time.mean
+                return StepsSeen(row.data_error.mean, row.data_error.sd or nan, time)
         return StepsSeen()
 
     return estimated, taken
@@ -246,7 +246,7 @@ def _left_by_solver(
         error = spread(found.data_error[parts[steps]])
         # Table I: LSM's 16.45 ± 0.40 s are its limit of 10,000 evaluations and one derivative.
         time = 16.45 / 10_100 * float(found.evaluations[parts[steps]].mean())
-        return StepsSeen(time=time) if error is None else StepsSeen(error.mean, error.sd or NAN, time)
+        return StepsSeen(time=time) if error is None else StepsSeen(error.mean, error.sd or nan, time)
 
     return lambda method, number: left(method, number).change, taken
 
