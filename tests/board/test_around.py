@@ -75,6 +75,7 @@ def test_without_a_terminal_no_key_is_pressed(monkeypatch: pytest.MonkeyPatch) -
         assert keys() == ""
 
 
+@pytest.mark.slow
 def test_a_board_behind_a_network_socket(tmp_path: Path) -> None:
     """socket://host:port, as serial-to-network bridges offer it."""
     with (

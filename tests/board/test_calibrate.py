@@ -62,6 +62,7 @@ def test_channels_that_differ_are_found_and_written(tmp_path: Path) -> None:
     np.testing.assert_allclose(calibrated_scene(found).series_ohm, rows[:, None] + columns, atol=1)
 
 
+@pytest.mark.slow
 def test_three_resistors_on_the_loaded_board_make_the_scene_that_records_the_panel(tmp_path: Path) -> None:
     """Channels of 100 ohm and loads of 9.8 kΩ that nobody knew: calibrated by the commands, cells come back."""
     rng = np.random.default_rng(4)

@@ -31,6 +31,7 @@ def median_cell_error(recording: Recording, truth: Array) -> float:
     return float(np.median(np.abs(found.cell_resistance / truth[found.frame] - 1)))
 
 
+@pytest.mark.slow
 def test_cells_come_back_as_well_as_from_the_same_scene_simulated_in_python(tmp_path: Path) -> None:
     """The paper's lamprey scene, 10 × 10, 20 readings, two multiplexers of 70 ohm that the scene knows."""
     shipped = Recording.load(SHIPPED)
@@ -48,6 +49,7 @@ def test_cells_come_back_as_well_as_from_the_same_scene_simulated_in_python(tmp_
     assert error == pytest.approx(median_cell_error(simulated, truth), rel=0.1)
 
 
+@pytest.mark.slow
 def test_live_and_the_file_agree_on_a_panel_with_a_dead_row(tmp_path: Path) -> None:
     """One unloaded frame: without repeats the file's σ is the readout's, as it is for live."""
     truth = np.repeat(some_cells(np.random.default_rng(8), 1), 4, axis=0)

@@ -43,6 +43,7 @@ def test_from_the_board_to_the_cells(tmp_path: Path) -> None:
     assert "frames    24: 3 unloaded, 21 measured" in lampest("info", out)[0]
 
 
+@pytest.mark.slow
 def test_shorted_lines_calibrate_the_scene_that_records_next(tmp_path: Path) -> None:
     shorted, scene = tmp_path / "shorted.h5", tmp_path / "scene.yaml"
     with bench(tmp_path, np.full((1, 10, 10), 1e-3)) as board:

@@ -159,6 +159,7 @@ CUT = (
 )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("width", [1400, 390])
 def test_every_word_fits_a_wide_and_a_narrow_screen(width: int, tmp_path: Path) -> None:
     with live(tmp_path, "--recording", LAMPREY, "--speed", 50) as (window, _):

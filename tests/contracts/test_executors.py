@@ -18,6 +18,7 @@ from lampest import read_results
 Command = Callable[..., SimpleNamespace]
 
 
+@pytest.mark.slow
 def test_a_running_cluster_is_used_by_its_address(disk: SimpleNamespace, lampest: Command) -> None:
     import distributed
 

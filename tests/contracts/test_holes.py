@@ -59,6 +59,7 @@ def batch(tmp_path: Path) -> Path:
     return tmp_path
 
 
+@pytest.mark.slow
 def test_a_batch_costs_what_cannot_be_read_and_no_more(batch: Path, lampest: Command) -> None:
     out = batch / "out"
     ended = lampest("run", batch / "run.yaml", "--out", out, "--jobs", "1")

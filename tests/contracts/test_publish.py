@@ -198,6 +198,7 @@ def test_a_websocket_is_for_this_computer(lampest: Run, headers: dict[str, str],
     assert handshake(lampest, "127.0.0.1", (), headers, path) == status
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("headers", "path", "status"),
     [
@@ -234,6 +235,7 @@ def handshake(lampest: Run, host: str, words: tuple[str, ...], headers: dict[str
     return int(answers[0])
 
 
+@pytest.mark.slow
 def test_osc_carries_the_frame(lampest: Run) -> None:
     from pythonosc.osc_bundle import OscBundle
 

@@ -121,6 +121,7 @@ def test_worker_that_is_killed_costs_nothing_but_time(tmp_path: Path) -> None:
     assert f"{made.cases} cases solved, 0 were done before, 0 failed" in printed
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("jobs", [pytest.param(1, marks=LONG), 2])
 def test_ctrl_c_at_a_terminal(tmp_path: Path, jobs: int) -> None:
     """It reaches the command and all its workers; what is finished is kept and collected, and nothing stays running."""

@@ -53,6 +53,7 @@ def test_good_files_are_taken(good: Corpus, folder: Path, kind: str) -> None:
         assert receive(Mutant(kind, content), folder) == FINE
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", SUFFIXES)
 def test_nearly_good_files(good: Corpus, folder: Path, kind: str) -> None:
     outcomes = Counter(receive(good.mutant(number, kind), folder) for number in range(40))
@@ -76,6 +77,7 @@ def test_any_tree_as_a_run(good: Corpus, folder: Path, tree: Any) -> None:
     assert {receive(mutant, folder) for mutant in (run, simulation)} <= {FINE, REFUSED}
 
 
+@pytest.mark.slow
 @given(st.binary(max_size=200) | st.text(max_size=200).map(lambda text: text.encode("utf-8", "surrogatepass")))
 @FEW
 def test_any_bytes_as_any_file(good: Corpus, folder: Path, content: bytes) -> None:
@@ -203,6 +205,7 @@ def test_links_within_a_file_are_followed(good: Corpus, tmp_path: Path) -> None:
     assert len(read_results(path).cases) == 2
 
 
+@pytest.mark.slow
 def test_command_of_the_long_version() -> None:
     command = [sys.executable, "-m", "tests.fuzz", "--inputs", "42"]
     ended = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=120)

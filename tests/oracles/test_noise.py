@@ -311,6 +311,7 @@ def test_a_reading_that_comes_and_goes_is_swept_by_its_steps() -> None:
     assert not passing(scene, readings, np.arange(3))[1].any()
 
 
+@pytest.mark.slow
 def test_a_penalty_does_not_know_cells_whose_readings_are_off() -> None:
     """Its weight is chosen for what repeats show; its bars allow for what they do not show."""
     gradient = Estimator((Misfit(), Gradient(weight="auto")), "reduced", error_bars=True)

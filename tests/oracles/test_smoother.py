@@ -231,6 +231,7 @@ def test_a_gain_of_each_frame_widens_its_bars() -> None:
     assert np.median(told.cell_resistance_errors) > 1.5 * np.median(silent.cell_resistance_errors)
 
 
+@pytest.mark.slow
 def test_frames_as_they_come_are_estimated_with_those_before() -> None:
     made = panel(4)
     readings = made.readings()

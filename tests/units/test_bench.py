@@ -85,6 +85,7 @@ def test_all_solvers_agree_where_they_say_they_solved(tiny: Bench) -> None:
     assert tiny.inverse_s((3, 3)) > 0 and tiny.left_out == ()
 
 
+@pytest.mark.slow
 def test_rows_are_ratios_of_medians(tiny: Bench) -> None:
     found = {(row.rows, row.columns, row.method, row.solver, row.frames != "later"): row for row in bench_rows(tiny)}
     assert len(found) == 2 * 6 * (5 + 2)

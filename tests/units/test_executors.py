@@ -104,6 +104,7 @@ def test_workers_have_one_thread_and_the_environment_is_as_before(
     }
 
 
+@pytest.mark.slow
 def test_nobody_waits_for_a_call_that_is_no_longer_wanted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """As at Ctrl-C: what ends soon is waited for, what does not is ended."""
     monkeypatch.setattr("lampest.runs.executors.processes.PATIENCE_SECONDS", 3.0)

@@ -609,6 +609,7 @@ def drifting(film: Film | None = None, drift: float = 0.01) -> Recording:
     return simulate(Simulation(1, 3, scene, frames=100, loads=(ROD,), course=course, film=film, unmodelled=unmodelled))
 
 
+@pytest.mark.slow
 def test_live_pressure_forgets_what_the_film_remembers() -> None:
     film = Film(0.2, 0.08)
     told, silent = drifting(film, 0.0), dataclasses.replace(drifting(film, 0.0), scene=drifting(None, 0.0).scene)
@@ -648,6 +649,7 @@ def settle(engine: Engine) -> None:
         time.sleep(0.005)
 
 
+@pytest.mark.slow
 def test_zero_is_taken_anew_when_it_is_asked_for() -> None:
     recording = drifting()
     with Engine("test", "test", LSM, 3) as engine:

@@ -67,6 +67,7 @@ def test_ours_and_theirs_stand_side_by_side_on_the_same_mats(solves: list[MatSol
     np.testing.assert_allclose(noisy, noisy[0], rtol=0.3)
 
 
+@pytest.mark.slow
 def test_table_has_a_line_for_every_solver(solves: list[MatSolve]) -> None:
     lines = table(solves).splitlines()
     assert len(lines) == 2 + len(SIDES) * 2 * 6

@@ -115,6 +115,7 @@ def test_every_shape(shape: tuple[int, int, int]) -> None:
     assert all(method in page.text for method in METHODS[:2])
 
 
+@pytest.mark.slow
 def test_frames_without_a_baseline_to_compare_with_are_shown() -> None:
     """A frame is solved, and its change is NaN, because the unloaded panel was not."""
     case = invented_case("LSR-CR", truth=False)
@@ -163,6 +164,7 @@ def test_copies_of_a_recording_are_no_further_recordings() -> None:
     assert page.split(together)[1].split("All figures")[0][:400] == before.split(together)[1][:400]
 
 
+@pytest.mark.slow
 def test_the_page_says_what_verified_means_and_how_many_starts_there_were() -> None:
     sought = invented_case(status=("optimum verified",) * 3, starts=np.array([1, 7, 3]))
     rough = invented_case("naive", status=("approximate, as the formulation asks",) * 3)

@@ -113,6 +113,7 @@ def test_a_websocket_that_never_reads_holds_up_neither_frames_nor_others_nor_the
         assert read_all(asleep) < FRAMES * len(message(1).text()) / 2, "what it did not take is not kept for it"
 
 
+@pytest.mark.slow
 def test_a_websocket_that_never_reads_loses_its_place(monkeypatch: pytest.MonkeyPatch) -> None:
     from websockets.exceptions import InvalidStatus
     from websockets.sync.client import connect
@@ -161,6 +162,7 @@ def test_a_broker_that_never_reads_holds_up_neither_frames_nor_the_end() -> None
             assert read_all(taken[0]) < FRAMES * len(message(1).text()) / 2, "nothing is kept for it"
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(MOSQUITTO is None, reason="there is no mosquitto here: apt-get install mosquitto")
 def test_after_a_pause_of_the_broker_messages_are_lost_rather_than_late(tmp_path: Path) -> None:
     """Of 60 messages in a pause of two seconds those of the first 0.2 s come late; later ones come at once."""

@@ -33,6 +33,7 @@ def test_every_rung_is_measured_with_every_method_on_every_recording(found: tupl
         assert one.solved.all()
 
 
+@pytest.mark.slow
 def test_gap_is_judged_by_one_cost_and_is_zero_for_the_best(found: tuple[Measured, ...]) -> None:
     least = {}
     for one in found:
@@ -64,6 +65,7 @@ def test_fastest_rung_is_on_the_front(found: tuple[Measured, ...]) -> None:
     assert min(rows, key=lambda row: row.frame_ms).formulation in on_front(rows)
 
 
+@pytest.mark.slow
 def test_shipped_file_is_valid() -> None:
     plan = read_plan(Path(__file__).parents[2] / "configs" / "tradeoff.yaml")
     assert {label(formulation) for formulation in plan.settings.ladder} >= set(RUNGS)

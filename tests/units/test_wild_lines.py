@@ -94,6 +94,7 @@ def falls_silent(hello: Hello) -> Sent:
         yield 0.01, wire(hello, number)
 
 
+@pytest.mark.slow
 def test_silence_at_the_end_is_reported(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with wild_board(falls_silent) as board:
         done = record(board.port, tmp_path / "out.h5", seconds=1.0, period=0.01)
@@ -109,6 +110,7 @@ def test_frames_are_found_in_a_flood(tmp_path: Path) -> None:
     assert (done.frames, done.lost, done.restarts) == (50, 0, 0)
 
 
+@pytest.mark.slow
 def test_the_flood_of_a_live_line_ends_too(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(stream, "UNFIT_SECONDS", 0.5)
     with wild_board(garbage) as board, pytest.raises(InputError, match="nothing fit"):
