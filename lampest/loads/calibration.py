@@ -48,8 +48,13 @@ class Loaded:
     water: Array
     base: Response = PUBLISHED
 
+    def falls(self, aside: float = 0.0) -> Array:
+        """a of every load, (loads, cells, pieces), of pressures that are off by so many standard deviations."""
+        on_film = self.pressure + self.water + aside * self.pressure_sd
+        return _falls(on_film, self.base) - _falls(self.water, self.base)
 
-def falls(pressure: Array, base: Response) -> Array:
+
+def _falls(pressure: Array, base: Response) -> Array:
     """How much of −ln f_base(p) lies in each piece, (..., pieces); signed as the pressure."""
     fallen = -base.logarithm(pressure)[..., None]
     ends = np.concatenate([[-np.inf], -base.logarithm(ENDS), [np.inf]])
@@ -59,10 +64,7 @@ def falls(pressure: Array, base: Response) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Fitted:
-    """ln κ (cells), ψ (pieces), the covariance of both together, spread and scatter.
-
-    touched : (cells) whether any load was felt.
-    """
+    """ln κ (cells), ψ (pieces), the covariance of both, spread and scatter; touched : (cells) that felt a load."""
 
     gains: Array
     pieces: Array
@@ -85,7 +87,7 @@ class Fitted:
 
     def curve(self, pressure: Array, base: Response = PUBLISHED) -> tuple[Array, Array]:
         """ln f and its relative standard deviation at pressures (n) kPa but 0."""
-        parts = falls(pressure, base) * np.exp(self.pieces)
+        parts = _falls(pressure, base) * np.exp(self.pieces)
         total = parts.sum(axis=1)
         slopes = np.hstack([np.zeros((len(pressure), len(self.gains))), parts / total[:, None]]) + self._mean
         sd = np.sqrt(np.einsum("ij,jk,ik->i", slopes, self.covariance, slopes))
@@ -93,20 +95,17 @@ class Fitted:
 
 
 def fit_loads(loaded: Loaded) -> Fitted:
-    """argmin of the sum of squares at the spread and scatter of the largest evidence.
-
-    Where nothing was felt, touched is all False.
-    """
+    """The least sum of squares at the spread and scatter of the largest evidence; nothing touched, none felt."""
     felt = np.isfinite(loaded.change) & np.isfinite(loaded.sd) & ((loaded.pressure != 0) | (loaded.pressure_sd > 0))
-    on_film, sd, base = loaded.pressure + loaded.water, loaded.pressure_sd, loaded.base
-    here = (falls(on_film, base) - falls(loaded.water, base))[felt]
-    place = (falls(on_film + sd, base) - falls(on_film - sd, base))[felt] / 2
-    problem = _Answers(loaded.change[felt], np.maximum(loaded.sd[felt], LEAST_SD), np.nonzero(felt)[1], here, place)
+    place = (loaded.falls(1.0) - loaded.falls(-1.0))[felt] / 2
+    answers = _Answers(
+        loaded.change[felt], np.maximum(loaded.sd[felt], LEAST_SD), np.nonzero(felt)[1], loaded.falls()[felt], place
+    )
     cells = loaded.change.shape[1]
     found = Fitted(np.zeros(cells), np.zeros(len(ENDS) + 1), np.zeros((0, 0)), *BEGIN, felt.any(axis=0))
     for _ in range(ROUNDS):
-        found = problem.supposed(problem.solved(found))
-    return problem.solved(found)
+        found = answers.with_evidence(answers.with_least_squares(found))
+    return answers.with_least_squares(found)
 
 
 def answers_by_others(loaded: Loaded) -> Array:
@@ -114,18 +113,14 @@ def answers_by_others(loaded: Loaded) -> Array:
 
     NaN where they touched none.
     """
-    found = np.full(len(loaded.change), np.nan)
-    for number in range(len(found)):
-        others = np.arange(len(found)) != number
-        known = replace(
-            loaded, **{name: getattr(loaded, name)[others] for name in ("change", "sd", "pressure", "pressure_sd")}
-        )
-        fitted, on_film = fit_loads(known), loaded.pressure[number] + loaded.water
-        fallen = falls(on_film, loaded.base) - falls(loaded.water, loaded.base)
-        expected = -(fallen * np.exp(fitted.gains[:, None] + fitted.pieces)).sum(axis=1)
-        cells = fitted.touched & (loaded.pressure[number] != 0) & (loaded.change[number] * expected > 0)
+    found, falls = np.full(len(loaded.change), np.nan), loaded.falls()
+    for number, change in enumerate(loaded.change):
+        each = ("change", "sd", "pressure", "pressure_sd")
+        fitted = fit_loads(replace(loaded, **{name: np.delete(getattr(loaded, name), number, 0) for name in each}))
+        expected = -(falls[number] * np.exp(fitted.gains[:, None] + fitted.pieces)).sum(axis=1)
+        cells = fitted.touched & (loaded.pressure[number] != 0) & (change * expected > 0)
         if cells.any():
-            found[number] = float(np.median(np.log(loaded.change[number][cells] / expected[cells])))
+            found[number] = float(np.median(np.log(change[cells] / expected[cells])))
     return found
 
 
@@ -142,35 +137,33 @@ class _Answers:
     falls: Array
     open_falls: Array
 
-    def parts(self, found: Fitted, falls: Array) -> Array:
+    def _parts(self, found: Fitted, falls: Array) -> Array:
         """Summands of x by pieces, (n, pieces): also the slopes of x by ψ."""
         return np.asarray(-falls * np.exp(found.gains[self.cell, None] + found.pieces))
 
-    def variance(self, found: Fitted) -> tuple[Array, Array]:
-        """(n) of the estimate and of the load's place; and x², of which the scatter is a multiple."""
-        known = self.sd**2 + self.parts(found, self.open_falls).sum(axis=1) ** 2
-        return known, self.parts(found, self.falls).sum(axis=1) ** 2
+    def _expected(self, found: Fitted) -> tuple[Array, Array]:
+        """(n) x, of whose square the scatter is a multiple, and the variance of the estimate and the load's place."""
+        place = self._parts(found, self.open_falls).sum(axis=1)
+        return self._parts(found, self.falls).sum(axis=1), self.sd**2 + place**2
 
-    def solved(self, found: Fitted) -> Fitted:
+    def with_least_squares(self, found: Fitted) -> Fitted:
         """The least squares at spread, scatter and weights of what was found before."""
         cells, pieces = len(found.gains), len(found.pieces)
-        known, square = self.variance(found)
-        weight = 1 / np.sqrt(known + found.scatter**2 * square)
-        walk = np.diff(np.eye(pieces), axis=0) / WALK
+        answer, known = self._expected(found)
+        weight = 1 / np.sqrt(known + found.scatter**2 * answer**2)
         level = (np.arange(pieces) == np.searchsorted(ENDS, 0.0) + 1)[None]
         prior = np.zeros((cells + pieces, cells + pieces))
         prior[:cells, :cells] = np.eye(cells) / found.spread
-        prior[cells:, cells:] = np.vstack([walk, level])
-        rows = np.arange(len(self.cell))
+        prior[cells:, cells:] = np.vstack([np.diff(np.eye(pieces), axis=0) / WALK, level])
 
         def split(state: Array) -> Fitted:
             return replace(found, gains=state[:cells], pieces=state[cells:])
 
         def model(state: Array) -> SumOfSquares:
-            parts = self.parts(split(state), self.falls)
+            parts = self._parts(split(state), self.falls)
             answer = parts.sum(axis=1)
-            own = np.zeros((len(rows), cells))
-            own[rows, self.cell] = weight * answer
+            own = np.zeros((len(answer), cells))
+            own[np.arange(len(answer)), self.cell] = weight * answer
             residual = np.concatenate([weight * (answer - self.change), prior @ state])
             return SumOfSquares(residual, np.vstack([np.hstack([own, weight[:, None] * parts]), prior]))
 
@@ -178,16 +171,15 @@ class _Answers:
         ended = least_squares.minimum(model, np.concatenate([found.gains, found.pieces]))
         return replace(split(ended.position), covariance=np.linalg.inv(ended.at.normal))
 
-    def supposed(self, found: Fitted) -> Fitted:
+    def with_evidence(self, found: Fitted) -> Fitted:
         """With spread and scatter of the largest evidence, cell by cell: residuals are N(0, V + spread² x xᵀ)."""
-        known, square = self.variance(found)
-        answer = self.parts(found, self.falls).sum(axis=1)
+        answer, known = self._expected(found)
         left = self.change - answer + answer * found.gains[self.cell]
         cells = len(found.gains)
 
         def cost(logarithms: Array) -> float:
             spread, scatter = np.exp(np.clip(logarithms, *np.log(RANGE)))
-            variance = known + scatter**2 * square
+            variance = known + scatter**2 * answer**2
             most = np.bincount(self.cell, answer**2 / variance, cells)
             shared = np.bincount(self.cell, answer * left / variance, cells)
             volume = np.log(variance).sum() + np.log1p(spread**2 * most).sum()
@@ -210,12 +202,11 @@ def response_of(fitted: Fitted, base: Response, shape: tuple[int, int], toleranc
     loaded = pressure != 0
     logarithm[loaded], sd[loaded] = fitted.curve(pressure[loaded], base)
     sd[~loaded] = np.interp(0.0, pressure[loaded], sd[loaded])
-    sd = np.hypot(sd, tolerance / np.sqrt(3))
     gain, gain_sd = fitted.gain()
     return TableResponse(
         pressure_kpa=_significant(pressure),
         resistance_ohm=_significant(UNLOADED_OHM * np.exp(logarithm)),
-        sd=_significant(sd, 3),
+        sd=_significant(np.hypot(sd, tolerance / np.sqrt(3)), 3),
         gain=_table(gain, shape),
         gain_sd=_table(gain_sd, shape),
     )
@@ -229,7 +220,6 @@ def _rising(most: float) -> Array:
 
 
 def _significant(values: Array, digits: int = 6) -> tuple[float, ...]:
-    """To so many significant digits."""
     return tuple(float(f"{value:.{digits}g}") for value in values)
 
 

@@ -76,31 +76,23 @@ class Plays:
         weight = np.concatenate([slopes[-1:], -np.diff(slopes, axis=0) * below])
         return cls(weight, 1 / below, np.zeros_like(below))
 
-    @property
-    def linear(self) -> bool:
-        """Whether there is no hysteresis: p_e is p then, which most films are taken for."""
-        return not self.weight[1:].any()
-
     def after(self, pressure: Array) -> "Plays":
         """The plays once the pressure (...) kPa has come, monotonously."""
-        if self.linear:
-            return self
         far = self.reach * pressure
         return replace(self, held=np.clip(self.held, np.minimum(pressure, far), np.maximum(pressure, far)))
 
     def effective(self, pressure: Array) -> Array:
         """p_e (...) kPa were the pressure the next."""
-        if self.linear:
-            return np.asarray(self.weight[0] * pressure)
-        held = self.after(pressure).held
-        return np.asarray(self.weight[0] * pressure + (self.weight[1:] * held).sum(axis=0))
+        return np.asarray(self.weight[0] * pressure + (self.weight[1:] * self.after(pressure).held).sum(axis=0))
 
     def pressure(self, effective: Array) -> Array:
-        """p (...) kPa of the next p_e: the inverse of `effective`. NaN stays."""
-        if self.linear:
+        """p (...) kPa of the next p_e: the inverse of `effective`. ±∞ and NaN stay."""
+        if not self.weight[1:].any():  # no hysteresis, which most films are taken for
             return np.asarray(effective / self.weight[0])
         corners = np.sort(np.concatenate([self.held, self.held / self.reach, np.zeros_like(self.held[:1])]), axis=0)
-        each = replace(self, weight=self.weight[:, None], reach=self.reach[:, None], held=self.held[:, None])
+        # Beyond all corners every play rests on the line p itself.
+        corners = np.concatenate([corners[:1] - 1, corners, corners[-1:] + 1])
+        each = Plays(self.weight[:, None], self.reach[:, None], self.held[:, None])
         reached = each.effective(corners)
         below = np.clip((reached <= effective).sum(axis=0) - 1, 0, len(corners) - 2)
         start, end, low, high = (
@@ -108,11 +100,7 @@ class Plays:
             for values in (corners, reached)
             for step in (0, 1)
         )
-        slope = np.where(high > low, (end - start) / np.where(high > low, high - low, 1.0), 1.0)
-        inside = start + (effective - low) * slope
-        # Beyond all corners every play rests on the line p itself.
-        under, over = corners[0] + effective - reached[0], corners[-1] + effective - reached[-1]
-        return np.asarray(np.where(effective < reached[0], under, np.where(effective > reached[-1], over, inside)))
+        return np.asarray(start + (effective - low) * np.where(high > low, (end - start) / (high - low), 1.0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,10 +135,7 @@ class Creep:
 
 @dataclass(frozen=True, eq=False)
 class FilmMemory:
-    """A film before its next frame.
-
-    plays, creep : where they stand. gain : β. water : p_w, kPa. All (...) cells, or to be broadcast to them.
-    """
+    """A film before its next frame: where plays and creep stand, β and p_w in kPa; all (...) cells."""
 
     plays: Plays
     creep: Creep
@@ -162,7 +147,7 @@ class FilmMemory:
     def at_rest(
         cls, hysteresis: Array, creep_per_decade: Array, gain: Array, water: Array, response: Response = PUBLISHED
     ) -> "FilmMemory":
-        """Before the first load, long in the water; all of one shape."""
+        """Before the first load, long in the water."""
         return cls(Plays.at_rest(hysteresis), Creep.at_rest(creep_per_decade), gain, water, response)
 
     def answered(self, pressure: Array, seconds: float) -> tuple["FilmMemory", Array]:
@@ -172,10 +157,7 @@ class FilmMemory:
         return replace(self, plays=self.plays.after(pressure), creep=self.creep.after(at_once, seconds)), -answer
 
     def pressure(self, change: Array, seconds: float) -> Array:
-        """p (...) kPa of a load under which ln(r/r_rest) is `change` at the end of such an interval; ±∞ and NaN stay.
-
-        Never below an empty space.
-        """
+        """p (...) kPa, at least an empty space, with ln(r/r_rest) = `change` after such an interval; ±∞, NaN stay."""
         return self.plays.pressure(self._effective(change, seconds))
 
     def observed(self, change: Array, seconds: float) -> "FilmMemory":
@@ -229,28 +211,22 @@ class FilmKnown:
         found = cls(film, film.hysteresis_strength, film.creep_strength)
         return replace(found, sentence=found._said("assumed"))
 
-    def memories(self, water: Array, response: Response = PUBLISHED) -> tuple[FilmMemory, ...]:
-        """Films at rest in p_w (rows, columns) kPa: the mean one, then one with each strength by its deviation more."""
-        gap = np.full(water.shape, self.hysteresis.mean)
-        gain = np.broadcast_to(self.film.answer * response.gains, water.shape)
-        creep, creep_sd = self.cells or (np.full(water.shape, strength) for strength in self.creep)
-        pairs = [(gap, creep)]
-        if self.hysteresis.sd:
-            pairs.append((gap + self.hysteresis.sd, creep))
-        if self.creep.sd:
-            pairs.append((gap, creep + creep_sd))
-        return tuple(FilmMemory.at_rest(*pair, gain, water, response) for pair in pairs)
+    def at_rest(self, water: Array, response: Response) -> FilmMemory:
+        """(films, rows, columns) at rest in p_w: the mean film, then one with each strength by its deviation more."""
+        creep, creep_sd = self.cells or self.creep
+        more = [(0, 0), *([(1, 0)] if self.hysteresis.sd else []), *([(0, 1)] if self.creep.sd else [])]
+        gap = np.stack([np.full(water.shape, self.hysteresis.mean + one * self.hysteresis.sd) for one, _ in more])
+        strength = np.stack([np.broadcast_to(creep + one * creep_sd, water.shape) for _, one in more])
+        gain = np.broadcast_to(self.film.answer * response.gains, gap.shape)
+        return FilmMemory.at_rest(gap, strength, gain, water, response)
 
     def estimated(self, change: Array, sd: Array, time: Array) -> "FilmKnown":
         """With the creep that the recording shows; unchanged where the scene specifies it.
 
         Where a load is gone, a cell still shows c Σ s_j and a constant share ρ of its largest answer. P(c, ρ) ∝ P(c)
         P(ρ) beforehand · Π [½ N(u; 0, σ) + ½/RANGE] over frames and cells, u what is left of ln r/r_rest without both.
-        Where cells differ, each has its own posterior about that of all. Where nothing was released, the prior stays;
-        where what stays is more than any film creeps, there is no creep, and the sentence says so.
-
-        change, sd : (frames, rows, columns) ln(r/r_rest) and its standard deviation; NaN where a frame failed.
-        time : (frames) s.
+        Where cells differ, each has its own posterior about that of all. Where what stays is more than any film creeps,
+        there is no creep. change, sd : (frames, rows, columns) ln(r/r_rest), NaN where a frame failed. time : s.
         """
         if self.film.creep_per_decade != "auto":
             return self
@@ -260,18 +236,18 @@ class FilmKnown:
         mean, shared = (float(number) for number in _moments(np.logaddexp.reduce(logarithm, axis=0)))
         volume = np.logaddexp.reduce(logarithm + np.log(np.gradient(CREEPS)), axis=1) + np.log(np.gradient(RESIDUES))
         weight = np.exp(volume - volume.max())
-        residue = float(np.sqrt(weight @ RESIDUES**2 / weight.sum()))
+        weight /= weight.sum()
+        residue = float(np.sqrt(weight @ RESIDUES**2))
         if mean > MOST_LIKELY:
             said = "creep not estimated: what stays after loads does not fade as creep does"
             return replace(self, creep=Strength(0.0, 0.0), residue=float(RESIDUES[-1]), sentence=said)
         spread = float(np.hypot(shared, mean * self.film.cell_spread))
         found = replace(self, creep=Strength(mean, spread), residue=residue)
         if spread > shared:
-            own = _likelihood(*data, OWN, float(weight @ RESIDUES / weight.sum()))
+            own = _likelihood(*data, OWN, float(weight @ RESIDUES))
             found = replace(found, cells=_moments(own - 0.5 * ((CREEPS[:, None, None] - mean) / spread) ** 2))
-        from_recording = shared <= 0.8 * usual.sd
         said = f"estimated from the recording, and {100 * residue:.1f} % of a load may stay after it"
-        return replace(found, sentence=found._said(said if from_recording else "assumed"))
+        return replace(found, sentence=found._said(said if shared <= 0.8 * usual.sd else "assumed"))
 
     def _said(self, creep_from: str) -> str:
         parts = []
@@ -315,63 +291,4 @@ def _likelihood(gain: float, change: Array, sd: Array, time: Array, own: float, 
         total += np.where(known, np.log((rest + 1 / RANGE) / 2), 0.0)
         resting += np.where(known, rest / (rest + 1 / RANGE), 0.0)
         creep, last = creep.after(creep.at_once(answer, seconds), seconds), float(now)
-    weight = INDEPENDENT / np.maximum(resting.max(axis=0), INDEPENDENT)
-    return np.asarray(total * weight)
-
-
-@dataclass(frozen=True, eq=False)
-class FilmTrack:
-    """Where a film stands after a frame.
-
-    films : the mean film, then one with each of its strengths by a standard deviation more; (rows, columns) each.
-    zeros : (films, rows, columns) ln(r/r_rest) that counts as none beside the memory: a tare.
-    time : s, of the last frame that was observed; None before the first. residue : as `FilmKnown` has it; peak : (rows,
-    columns) the largest |ln(r/r_rest)| so far.
-    """
-
-    films: tuple[FilmMemory, ...]
-    zeros: Array
-    residue: float
-    peak: Array
-    time: float | None = None
-
-    @classmethod
-    def begin(cls, known: FilmKnown, water: Array, response: Response = PUBLISHED) -> "FilmTrack":
-        """At rest in water, (rows, columns) kPa."""
-        films = known.memories(water, response)
-        residue = known.residue if known.film.remembers else 0.0
-        return cls(films, np.zeros((len(films), *water.shape)), residue, np.zeros(water.shape))
-
-    def seconds(self, time: float) -> float:
-        """Since the last frame; a second before the first."""
-        return 1.0 if self.time is None else max(time - self.time, SOONEST)
-
-    def memory(self, time: float) -> Array:
-        """ln(r/r_rest) (rows, columns) that is left of loads if nothing came since the last frame; without the zero."""
-        return self.films[0].fading(self.seconds(time))
-
-    def observed(self, change: Array, time: float) -> "FilmTrack":
-        """After a frame with ln(r/r_rest) = `change` (rows, columns); where that is NaN, the film stands still."""
-        if not np.isfinite(change).any():
-            return self
-        seconds, pairs = self.seconds(time), zip(self.films, self.zeros, strict=True)
-        films = tuple(film.observed(change - zero, seconds) for film, zero in pairs)
-        return replace(self, films=films, time=time, peak=np.fmax(self.peak, np.abs(change)))
-
-    def kept(self, change: Array) -> Array:
-        """Standard deviation of `change` (…, rows, columns) for what a load has left that was larger than it."""
-        return np.asarray(self.residue * np.maximum(self.peak - np.abs(change), 0.0))
-
-    def tared(self, change: Array, time: float) -> "FilmTrack":
-        """As if nothing pressed in a frame with this ln(r/r_rest): what the memory does not explain is the new zero."""
-        fading = np.stack([film.fading(self.seconds(time)) for film in self.films])
-        return replace(self, zeros=np.where(np.isfinite(change), change - fading, self.zeros))
-
-    def pressures(self, change: Array, time: float) -> Array:
-        """(films, rows, columns) kPa under which each film shows ln(r/r_rest) = `change`, (…, rows, columns)."""
-        seconds, pairs = self.seconds(time), zip(self.films, self.zeros, strict=True)
-        return np.stack([film.pressure(change - zero, seconds) for film, zero in pairs])
-
-    def at_once(self, change: Array, time: float) -> Array:
-        """−ln(r/r_rest) without the memory, (rows, columns), of the mean film."""
-        return self.films[0].at_once(change - self.zeros[0], self.seconds(time))
+    return np.asarray(total * (INDEPENDENT / np.maximum(resting.max(axis=0), INDEPENDENT)))

@@ -14,10 +14,7 @@ KPA_MM2 = 1e-3  # of one kPa on a square millimetre, newton
 
 
 class Force(NamedTuple):
-    """F and its standard deviation, newton, NaN where unknown; and how many of its cells are saturated.
-
-    With a saturated cell F is a lower bound: the cell counts with no more than the response determines.
-    """
+    """F and its standard deviation, newton, NaN where unknown; with saturated cells, so many, F is a lower bound."""
 
     newton: float
     deviation: float
@@ -31,9 +28,7 @@ def pressing_cells(scene: Scene, ratio: Array, deviation: Array | None, pressure
     """
     fallen = 1 - np.nan_to_num(ratio, nan=1.0)
     least = np.zeros(1) if deviation is None else CLEAR * np.nan_to_num(deviation, nan=np.inf, posinf=np.inf)
-    pressed = (fallen > least) & (np.nan_to_num(pressure) > 0)
-    pressed &= ~scene.broken
-    return np.asarray(pressed)
+    return np.asarray((fallen > least) & (np.nan_to_num(pressure) > 0) & ~scene.broken)
 
 
 def determined(scene: Scene, pressure: Array, errors: Array) -> tuple[Array, Array]:
@@ -51,10 +46,7 @@ def total_force(
     saturated: NDArray[np.bool_],
     errors: Array | None,
 ) -> Force:
-    """F of one frame, all (rows, columns). pressed : as `pressing_cells`. errors : kPa; None: not known.
-
-    Errors of cells are taken to be independent.
-    """
+    """F of one frame, all (rows, columns). pressed : as `pressing_cells`. errors : kPa, independent, or None."""
     area = scene.panel.pitch_mm**2 * KPA_MM2
     kpa, sd = determined(scene, pressure, np.full(pressure.shape, np.nan) if errors is None else errors)
     deviation = np.nan if errors is None else float(area * np.sqrt(np.sum(sd[pressed] ** 2)))

@@ -6,19 +6,18 @@ import re
 from dataclasses import dataclass
 from math import pi
 from pathlib import Path
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal, cast
 
 import numpy as np
 
 from lampest.files.document import parse_document, read_document, validated
 from lampest.files.errors import InputError
+from lampest.files.typed import check_not_negative, check_positive_fields
 from lampest.files.whole import note_read
 from lampest.loads.pressure import GRAVITY
 from lampest.loads.shapes import Block, Rod
 from lampest.loads.shapes.shape import Shape
 from lampest.panel.panel import Array, Panel
-
-MOST_LINES = 20_000  # of a file: more is no list of loads
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,7 +32,7 @@ class KnownLoad:
     diameter_mm, or length_mm and width_mm with angle_deg : its foot. x_mm, y_mm : the foot's centre. A pressure without
         foot lies on the whole panel.
 
-    Raises ValueError where a number is out of range.
+    Raises ValueError where a number is out of range, or the numbers do not make one load.
     """
 
     __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
@@ -52,15 +51,9 @@ class KnownLoad:
     def __post_init__(self) -> None:
         if not 0 <= self.frames[0] <= self.frames[1]:
             raise ValueError("frames must be the first and the last of the load, counted from 0")
-        for name in ("mass_g", "force_newton", "diameter_mm", "length_mm", "width_mm"):
-            value = getattr(self, name)
-            if value is not None and not 0 < value < 1e6:
-                raise ValueError(f"{name} must be positive, and below 1e6")
+        check_positive_fields(self, "mass_g", "force_newton", "diameter_mm", "length_mm", "width_mm")
         if self.pressure_kpa is not None and not 1e-6 < abs(self.pressure_kpa) < 1e4:
             raise ValueError("pressure_kpa must not be 0, and below 1e4")
-
-    def check(self) -> None:
-        """Raise ValueError unless these numbers make one load."""
         if sum(one is not None for one in (self.mass_g, self.force_newton, self.pressure_kpa)) != 1:
             raise ValueError("a load needs one of mass_g, force_newton and pressure_kpa")
         given = (self.diameter_mm is not None, self.length_mm is not None, self.width_mm is not None)
@@ -97,7 +90,7 @@ class KnownLoads:
     patch_mm : edge of a cell's film; None: 0.6 of the pitch. place_mm : standard deviation of where a foot stood, along
         x and along y.
 
-    Raises ValueError where there is no load, of one something is missing or named twice, or a number is out of range.
+    Raises ValueError where there is no load, or a number is out of range.
     """
 
     __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
@@ -109,15 +102,8 @@ class KnownLoads:
     def __post_init__(self) -> None:
         if not self.loads:
             raise ValueError("loads: name one at least")
-        for number, load in enumerate(self.loads, 1):
-            try:
-                load.check()
-            except ValueError as error:
-                raise ValueError(f"load {number}: {error}") from error
-        if self.patch_mm is not None and not 0 < self.patch_mm < 1e6:
-            raise ValueError("patch_mm must be positive")
-        if not 0 <= self.place_mm < 1e6:
-            raise ValueError("place_mm must be zero or positive")
+        check_positive_fields(self, "patch_mm")
+        check_not_negative(self, "place_mm")
 
 
 def read_known_loads(path: Path) -> KnownLoads:
@@ -125,15 +111,12 @@ def read_known_loads(path: Path) -> KnownLoads:
 
     Raises InputError with the line where it is neither.
     """
-    loads: KnownLoads
     if path.suffix.lower() != ".csv":
-        loads = validated(read_document(path), KnownLoads)
-        return loads
+        return cast(KnownLoads, validated(read_document(path), KnownLoads))
     try:
-        loads = validated(parse_document(_as_yaml(path), str(path)), KnownLoads)
+        return cast(KnownLoads, validated(parse_document(_as_yaml(path), str(path)), KnownLoads))
     except InputError as error:  # the column is that of the YAML
         raise InputError(re.sub(rf"^({re.escape(str(path))}:\d+):\d+", r"\1", str(error))) from error
-    return loads
 
 
 def _as_yaml(path: Path) -> str:
@@ -141,31 +124,25 @@ def _as_yaml(path: Path) -> str:
     try:
         lines = path.read_text(encoding="utf-8-sig").splitlines()
         note_read(path)
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror}") from error
-    except UnicodeDecodeError as error:
-        raise InputError(f"{path}: not a text in UTF-8") from error
-    if len(lines) > MOST_LINES:
-        raise InputError(f"{path}: more than {MOST_LINES} lines")
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: cannot be read as text ({' '.join(str(error).split())})") from error
     names, *rows = [[cell.strip() for cell in row] for row in csv.reader(lines)] or [[]]
     text = ["{schema: 1, loads: ["]
     for number, row in enumerate(rows, 2):
-        cells = {name: cell for name, cell in zip(names, row, strict=False) if cell}
-        if not cells:
-            text.append("")
-            continue
-        if "first" not in cells or "last" not in cells or len(row) > len(names):
+        cells = {name: _scalar(cell) for name, cell in zip(names, row, strict=False) if cell}
+        if cells and not (cells.keys() >= {"first", "last"} and len(row) <= len(names)):
             raise InputError(
                 f"{path}:{number}: each load needs a frame in the columns first and last, and no more cells"
             )
-        frames = f"frames: [{_scalar(cells.pop('first'))}, {_scalar(cells.pop('last'))}]"
-        text.append("{" + ", ".join([frames, *(f"{json.dumps(key)}: {_scalar(cells[key])}" for key in cells)]) + "},")
+        text.append(json.dumps({"frames": [cells.pop("first"), cells.pop("last")]} | cells) + "," if cells else "")
     return "\n".join([*text, "]}"])
 
 
-def _scalar(cell: str) -> str:
-    try:
-        float(cell)
-    except ValueError:
-        return json.dumps(cell)
+def _scalar(cell: str) -> float | str:
+    """The number that a cell holds, or its text."""
+    for kind in (int, float):
+        try:
+            return kind(cell)
+        except ValueError:
+            continue
     return cell

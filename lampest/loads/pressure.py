@@ -1,12 +1,11 @@
 """Pressure of a load on every cell, from the cell's resistance over its unloaded one; and the water's pressure."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.loads.film import FilmKnown, FilmTrack
+from lampest.loads.film import SOONEST, FilmKnown, FilmMemory
 from lampest.loads.response import PUBLISHED, RESPONSE_SD, VACUUM_KPA
 from lampest.loads.tare import Tare, TareWatch
 from lampest.panel.film import Film
@@ -22,12 +21,10 @@ NORMAL_95 = 1.959964  # half the 95 % interval of a normal distribution, in stan
 class Pressure:
     """What presses on the cells or sucks at them, without the pressure of the water.
 
-    pressure : (frames, rows, columns) kPa; NaN where the estimate is.
-    lower, upper : ends of the 95 % interval, kPa. `lower` is never below an empty space; `upper` may be infinite.
-    errors : half the 68 % interval, kPa: one standard deviation where the response is linear.
-    saturated : 1 where the response leaves the pressure open: the interval reaches beyond `told_kpa` of the response,
-        water included; of the published one −10 and 40 kPa. Without any error of the estimate this begins at 31 kPa.
-    tared : (frames) why zero was taken anew after a frame; '' where it was not.
+    pressure : (frames, rows, columns) kPa; NaN where the estimate is. lower, upper : ends of the 95 % interval, kPa:
+        `lower` is never below an empty space, `upper` may be infinite. errors : half the 68 % interval, kPa.
+    saturated : 1 where the response leaves the pressure open: the interval, water included, reaches beyond `told_kpa`
+        of the response. tared : (frames) why zero was taken anew after a frame; '' where it was not.
     """
 
     pressure: Array
@@ -51,54 +48,68 @@ def pressure_of(
 
     The interval's ends are those of x, mapped like x itself: f is monotone. Three errors are added in quadrature:
     that of the estimate (each side its own), |T − T_b|·σ_α, and the response's, `response_sd`·|x|. Where the scene
-    names a film, its memory of earlier frames is taken off; what it may keep is one more error. See `PressureTrack`.
+    names a film, its memory of earlier frames is taken off; what it may keep is one more error.
 
-    ratio : (frames, rows, columns) r/r_baseline; NaN where a frame failed.
-    lower, upper : ends of its 95 % interval; 0 and infinity where that is open, `ratio` itself at a bound.
-    scene : panel, and water and temperature where it names them; the water stood there in the unloaded frames too.
-    time : (frames) s; a second apart where it is None. known : of the film; None: as the scene has it.
-    tare : when zero is taken anew; None: never.
+    ratio : (frames, rows, columns) r/r_baseline; NaN where a frame failed. lower, upper : ends of its 95 % interval; 0
+    and infinity where that is open, `ratio` itself at a bound. time : (frames) s; None: a second apart. known : of the
+    film; None: as the scene has it. tare : when zero is taken anew; None: never.
 
     Raises ValueError where shapes disagree, a ratio is not positive and finite, or lies outside its interval.
     """
-    _check(ratio, lower, upper, scene.panel)
+    if ratio.shape[1:] != scene.panel.shape or not ratio.shape == lower.shape == upper.shape:
+        raise ValueError("ratio, lower and upper must all be frames × rows × columns of the scene's panel")
+    usable = np.isfinite(ratio) & (ratio > 0) & (lower >= 0) & (lower <= ratio) & (upper >= ratio)
+    if not np.all(usable | (np.isnan(ratio) & np.isnan(lower) & np.isnan(upper))):
+        raise ValueError("a resistance over its unloaded value must be positive, finite and within its interval")
     track = PressureTrack.begin(scene, known, tare)
-    if track.film is None:
+    if not track.remembers:
         return track.pressure(ratio, lower, upper, 0.0)
-    seconds, frames, tared = np.arange(len(ratio)) if time is None else time, [], []
-    for frame in zip(ratio, lower, upper, map(float, seconds), strict=True):
-        frames.append(track.pressure(*frame))
-        track = track.after(frame[0], frame[3])
+    frames, tared = list[Pressure](), list[str]()
+    for number, at in enumerate(np.arange(float(len(ratio))) if time is None else time):
+        frames.append(track.pressure(ratio[number], lower[number], upper[number], float(at)))
+        track = track.after(ratio[number], float(at))
         tared.append(track.tared)
-    maps = [part.name for part in fields(Pressure) if part.name != "tared"]
-    together = {name: np.stack([getattr(frame, name) for frame in frames]) for name in maps}
-    return Pressure(**together, tared=tuple(tared))
+    maps = ("pressure", "lower", "upper", "errors", "saturated")
+    return Pressure(**{name: np.stack([getattr(frame, name) for frame in frames]) for name in maps}, tared=tuple(tared))
 
 
 @dataclass(frozen=True, eq=False)
 class PressureTrack:
-    """Pressures of frames as they come; with a film, where that stands after the last one.
+    """Pressures of frames as they come, and where the film stands after the last one.
 
-    scene : as `pressure_of` has it. film : its memory and its zero; None where there is neither. watch : whether
-    something touches the panel; None where zero stays. tared : why zero was taken anew after the last frame, or ''.
+    films : the mean film, then one with each of its strengths by a standard deviation more, (films, rows, columns).
+    zeros : (films, rows, columns) ln(r/r_rest) that counts as none beside the memory: a tare. peak : (rows, columns)
+    the largest |ln(r/r_rest)| so far, of which a share `residue` may stay. time : s, of the last frame, None before it.
+    watch : whether something touches the panel; None where zero stays. tared : why zero was taken anew, or ''.
     """
 
     scene: Scene
-    film: FilmTrack | None
+    films: FilmMemory
+    zeros: Array
+    peak: Array
+    residue: float
+    time: float | None = None
     watch: TareWatch | None = None
     tared: str = ""
 
     @classmethod
     def begin(cls, scene: Scene, known: FilmKnown | None = None, tare: Tare | None = None) -> "PressureTrack":
-        """Before the first frame. known : of the film; None: as the scene has it. tare : when zero is taken anew."""
-        if scene.film is None and tare is None:
-            return cls(scene, None)
-        known = known or FilmKnown.specified(scene.film or Film())
-        film = FilmTrack.begin(known, water_pressure(scene.panel, scene.water), scene.response or PUBLISHED)
-        return cls(scene, film, None if tare is None else TareWatch(tare))
+        """Before the first frame; known, tare : as `pressure_of` has them."""
+        known, water = known or FilmKnown.specified(scene.film or Film()), water_pressure(scene.panel, scene.water)
+        films, residue = (
+            known.at_rest(water, scene.response or PUBLISHED),
+            known.residue if known.film.remembers else 0.0,
+        )
+        watch = None if tare is None else TareWatch(tare)
+        return cls(scene, films, np.zeros(films.gain.shape), np.zeros(water.shape), residue, watch=watch)
+
+    @property
+    def remembers(self) -> bool:
+        """Whether a frame's pressure depends on those before."""
+        return self.scene.film is not None or self.watch is not None
 
     def pressure(self, ratio: Array, lower: Array, upper: Array, time: float) -> Pressure:
-        """p (rows, columns) kPa of the next frame at a time in s; of several (frames, …) where there is no film.
+        """p (rows, columns) kPa of the next frame at a time in s; of several (frames, …) where nothing remembers.
 
         What the film's strengths leave open is one more error: what p moves by if each is by its deviation more.
         """
@@ -117,26 +128,34 @@ class PressureTrack:
         return Pressure(here, least, most, errors, saturated.astype(np.uint8))
 
     def after(self, ratio: Array, time: float) -> "PressureTrack":
-        """Once a frame with r/r_baseline (rows, columns) has come at a time in s."""
-        if self.film is None:
+        """Once a frame with r/r_baseline (rows, columns) has come at a time in s; where it is NaN, the film stands."""
+        if not self.remembers:
             return self
-        change, memory = self._change(ratio), self.film.memory(time)
-        film = self.film.observed(change, time)
+        change, seconds, track = self._change(ratio), self._seconds(time), self
+        if np.isfinite(change).any():
+            films, peak = self.films.observed(change - self.zeros, seconds), np.fmax(self.peak, np.abs(change))
+            track = replace(self, films=films, time=time, peak=peak)
         if self.watch is None:
-            return replace(self, film=film)
-        zero = self.film.zeros[0]
+            return track
+        memory, zero = self.films.fading(seconds)[0], self.zeros[0]
         watch, moved, tared = self.watch.after(change - (memory + zero), memory, time)
         if moved is not None:
-            film = film.tared(moved + (film.memory(time) + zero), time)
-        return replace(self, film=film, watch=watch, tared=tared)
+            track = track._zeroed(moved + (track.films.fading(track._seconds(time))[0] + zero), time)
+        return replace(track, watch=watch, tared=tared)
 
     def rebased(self, time: float) -> "PressureTrack":
         """Against another baseline from a time in s on: the panel as it is then, with nothing on it."""
-        if self.film is None:
-            return self
         watch = None if self.watch is None else TareWatch(self.watch.tare, time)
-        nothing = np.zeros(self.scene.panel.shape)
-        return replace(self, film=self.film.tared(nothing, time), watch=watch)
+        return replace(self._zeroed(np.zeros(self.scene.panel.shape), time), watch=watch)
+
+    def _zeroed(self, change: Array, time: float) -> "PressureTrack":
+        """As if nothing pressed in a frame with this change: what the memory does not explain is the new zero."""
+        zeros = change - self.films.fading(self._seconds(time))
+        return replace(self, zeros=np.where(np.isfinite(change), zeros, self.zeros))
+
+    def _seconds(self, time: float) -> float:
+        """Since the last frame; a second before the first."""
+        return 1.0 if self.time is None else max(time - self.time, SOONEST)
 
     def _change(self, ratio: Array) -> Array:
         """ln(r/r_baseline) without what warmth does."""
@@ -145,26 +164,20 @@ class PressureTrack:
 
     def _beside(self, ratio: Array, lower: Array, upper: Array, time: float) -> tuple[Array, Array]:
         """Half the 95 % interval of the change, below and above it."""
-        scene, answer = self.scene, self._change(ratio)
-        kept = np.zeros(answer.shape) if self.film is None else self.film.kept(answer)
-        if self.film is not None:
-            answer = -self.film.at_once(answer, time)
-        warmth = scene.temperature
-        warming_sd = 0.0 if warmth is None else abs(warmth.difference_kelvin) * warmth.coefficient_sd_per_kelvin
+        scene, change, warming_sd = self.scene, self._change(ratio), 0.0
+        answer = -self.films.at_once(change[..., None, :, :] - self.zeros, self._seconds(time))[..., 0, :, :]
+        kept = self.residue * np.maximum(self.peak - np.abs(change), 0.0)
+        if (warmth := scene.temperature) is not None:
+            warming_sd = abs(warmth.difference_kelvin) * warmth.coefficient_sd_per_kelvin
         curve_sd = 0.0 if scene.film is None else scene.film.answer_sd
-        shared = (
-            np.hypot(np.hypot(response_sd(scene, answer), curve_sd) * answer, np.hypot(warming_sd, kept)) * NORMAL_95
-        )
+        film_sd = np.hypot(response_sd(scene, answer), curve_sd) * answer
+        shared = np.hypot(film_sd, np.hypot(warming_sd, kept)) * NORMAL_95
         with np.errstate(divide="ignore"):
             return np.hypot(np.log(ratio) - np.log(lower), shared), np.hypot(np.log(upper) - np.log(ratio), shared)
 
-    def _pressures(self, change: Array, time: float) -> Sequence[Array]:
-        """Pressures of the load under which each film shows such changes."""
-        if self.film is not None:
-            return list(self.film.pressures(change, time))
-        water, response = water_pressure(self.scene.panel, self.scene.water), self.scene.response or PUBLISHED
-        on_film = response.pressure(response.logarithm(water) + change / response.gains)
-        return [np.maximum(on_film, VACUUM_KPA) - water]
+    def _pressures(self, change: Array, time: float) -> Array:
+        """(films, …) pressures of the load under which each film shows such changes."""
+        return np.moveaxis(self.films.pressure(change[..., None, :, :] - self.zeros, self._seconds(time)), -3, 0)
 
 
 def response_sd(scene: Scene, answer: Array) -> Array:
@@ -173,9 +186,8 @@ def response_sd(scene: Scene, answer: Array) -> Array:
     The scene's `response_sd`, RESPONSE_SD where it names none, or the gains' own; and that of the scene's curve.
     """
     response, named = scene.response or PUBLISHED, usual(scene)
-    scatter = np.array(RESPONSE_SD if named is None or named.response_sd is None else named.response_sd)
-    if response.gain_sd is not None:
-        scatter = np.array(response.gain_sd)
+    own = RESPONSE_SD if named is None or named.response_sd is None else named.response_sd
+    scatter = np.array(own if response.gain_sd is None else response.gain_sd)
     return np.asarray(np.hypot(scatter, response.curve_sd(response.pressure(answer / response.gains))))
 
 
@@ -183,14 +195,5 @@ def water_pressure(panel: Panel, water: Water | None) -> Array:
     """p_w = ρ g (depth + y) of cells at y, j·pitch in row j; (rows, columns) kPa, zero without water."""
     if water is None:
         return np.zeros(panel.shape)
-    depth = water.top_row_depth_mm + panel.places_mm[1]
     kpa_per_mm = 1e-6 * 1000 * GRAVITY
-    return np.asarray(np.nan_to_num(kpa_per_mm * depth))
-
-
-def _check(ratio: Array, lower: Array, upper: Array, panel: Panel) -> None:
-    if ratio.shape[1:] != panel.shape or not ratio.shape == lower.shape == upper.shape:
-        raise ValueError("ratio, lower and upper must all be frames × rows × columns of the scene's panel")
-    number = np.isfinite(ratio) & (ratio > 0) & (lower >= 0) & (lower <= ratio) & (upper >= ratio)
-    if not np.all(number | (np.isnan(ratio) & np.isnan(lower) & np.isnan(upper))):
-        raise ValueError("a resistance over its unloaded value must be positive, finite and within its interval")
+    return np.asarray(np.nan_to_num(kpa_per_mm * (water.top_row_depth_mm + panel.places_mm[1])))

@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from lampest.files.typed import Validated
+from lampest.files.typed import Validated, check_range
 from lampest.loads.film import SETTLED
 from lampest.panel.panel import Array
 
@@ -44,18 +44,16 @@ class Tare(Validated):
     drift_per_minute: float = 0.02
 
     def __post_init__(self) -> None:
-        if not 0 <= self.drift_per_minute <= 1:
-            raise ValueError("drift_per_minute must lie between 0 and 1")
-        if not 5 <= self.frames <= 100_000:
-            raise ValueError("frames must lie between 5 and 100000")
+        check_range("drift_per_minute", self.drift_per_minute, 0, 1)
+        check_range("frames", self.frames, 5, 100_000)
 
 
 @dataclass(frozen=True, eq=False)
 class TareWatch:
     """The frames since the last one that was not at rest.
 
-    tare : when. zeroed : s, of the last zero; None before the first frame. frames : at most as many as `tare` asks for:
-    (rows, columns) ln r/r_zero without the film's memory, (rows, columns) that memory, and s.
+    zeroed : s, of the last zero; None before the first frame. frames : at most as many as `tare` asks for: (rows,
+    columns) ln r/r_zero without the film's memory, (rows, columns) that memory, and s.
     """
 
     tare: Tare
@@ -72,22 +70,18 @@ class TareWatch:
             return TareWatch(self.tare, zeroed), None, ""
         watch = TareWatch(self.tare, zeroed, (*self.frames, (left, memory, time))[-count:])
         _, first_memory, first_time = watch.frames[0]
-        steady = np.abs(first_memory - memory).max() < FADES
-        mean = watch._zero(memory, (time - zeroed) / 60) if len(watch.frames) == count and steady else None
+        steady = len(watch.frames) == count and np.abs(first_memory - memory).max() < FADES
+        mean = watch._zero(memory, (time - zeroed) / 60) if steady else None
         if mean is None:
             return watch, None, ""
-        most = 100 * np.expm1(np.nanmax(np.abs(mean)))
         said = (
             f"nothing touched the panel for {count} frames ({time - first_time:.3g} s): no cell was off by more than "
-            f"{most:.2g} %, as drift and the film's memory allow"
+            f"{100 * np.expm1(np.nanmax(np.abs(mean))):.2g} %, as drift and the film's memory allow"
         )
         return TareWatch(self.tare, time), mean, said
 
     def _zero(self, memory: Array, minutes: float) -> Array | None:
-        """The mean of the first half; None where something stands out in any frame, or it is not worth a new zero.
-
-        minutes : since the last zero.
-        """
+        """The mean of the first half; None where something stands out in any frame, or it is not worth a new zero."""
         frames = np.stack([left for left, _, _ in self.frames])
         known = np.isfinite(frames).all(axis=0)
         noise = OF_DIFFERENCES * np.median(np.abs(np.diff(frames[:, known], axis=0)), axis=0)
@@ -97,12 +91,12 @@ class TareWatch:
         each, all_in_all = frames[:, known] / np.hypot(noise, moved), mean[known] / np.hypot(2 * error, moved)
         quiet = np.abs(each).max() < FAR and (each**2).mean(axis=1).max() < TOGETHER
         worth = np.mean(mean[known] ** 2) >= WORTH**2 * np.mean(error**2)
-        if not (quiet and worth and np.abs(all_in_all).max() < FAR_MEAN) or stands_out(frames.mean(axis=0)):
+        if not (quiet and worth and np.abs(all_in_all).max() < FAR_MEAN) or _stands_out(frames.mean(axis=0)):
             return None
         return np.where(known, mean, np.nan)
 
 
-def stands_out(change: Array) -> bool:
+def _stands_out(change: Array) -> bool:
     """Whether ln r/r0 (rows, columns) may be under a load, in a cell or in four neighbours; unknown cells are not."""
     cells = np.pad(np.nan_to_num(change), 1)
     four = (cells[:-1, :-1] + cells[1:, :-1] + cells[:-1, 1:] + cells[1:, 1:]) / 4

@@ -81,7 +81,7 @@ def test_yaml_says_the_same_as_csv_and_without_out_the_scene_is_printed(
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("rod_1,4,6,10,,30,360", "load 1: a foot needs x_mm and y_mm"),
+        ("rod_1,4,6,10,,30,360", "loads.csv:2: loads.0: a foot needs x_mm and y_mm"),
         ("rod_1,4,6,10,10,30,heavy", "loads.csv:2: loads.0.mass_g: Input should be a valid number"),
         ("rod_1,4,,10,10,30,360", "loads.csv:2: each load needs a frame in the columns first and last"),
         ("rod_1,4,9,10,10,30,360", "rod_1: there is no frame 9, its frames are 0 to 6"),

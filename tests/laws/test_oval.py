@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from lampest.loads.shapes.disc import Disc, Unevenness, oval_pressure
+from lampest.loads.shapes.disc import Disc, Unevenness, pressure_at_places
 from lampest.panel.panel import Array, Panel
 
 PANEL = Panel(7, 5, 10.0)
@@ -39,7 +39,7 @@ def sampled(disc: Disc, form: Unevenness, patch_mm: float) -> Array:
 @pytest.mark.parametrize("seed", range(6))
 def test_values_are_those_of_fine_sampling(seed: int) -> None:
     disc, form = drawn(seed)
-    pressure, _ = oval_pressure(PANEL, 6.0, disc, form)
+    pressure, _ = pressure_at_places(PANEL.places_mm, 6.0, disc, form)
     expected = sampled(disc, form, 6.0)
     assert np.abs(pressure - expected).max() < 0.04 * (disc.rim_kpa - disc.suction_kpa)
 
@@ -47,11 +47,14 @@ def test_values_are_those_of_fine_sampling(seed: int) -> None:
 @pytest.mark.parametrize("seed", range(6))
 def test_slopes_are_differences(seed: int) -> None:
     disc, form = drawn(100 + seed)
-    slopes, step = oval_pressure(PANEL, 6.0, disc, form)[1], 1e-6
+    slopes, step = pressure_at_places(PANEL.places_mm, 6.0, disc, form)[1], 1e-6
     for slope, apart in zip(slopes, np.eye(12) * step, strict=True):
         up, down = (
-            oval_pressure(
-                PANEL, 6.0, Disc(*(np.array(disc) + sign * apart[:8])), Unevenness(*(np.array(form) + sign * apart[8:]))
+            pressure_at_places(
+                PANEL.places_mm,
+                6.0,
+                Disc(*(np.array(disc) + sign * apart[:8])),
+                Unevenness(*(np.array(form) + sign * apart[8:])),
             )[0]
             for sign in (1, -1)
         )
@@ -60,10 +63,10 @@ def test_slopes_are_differences(seed: int) -> None:
 
 def test_patches_without_gaps_hold_the_whole_force() -> None:
     for diameter in (20.0, 33.0, 39.9):
-        pressure, _ = oval_pressure(PANEL, 10.0, Disc(18.3, 31.7, diameter, 0.0, 0.0, 3.0, 0.0, 0.0))
+        pressure, _ = pressure_at_places(PANEL.places_mm, 10.0, Disc(18.3, 31.7, diameter, 0.0, 0.0, 3.0, 0.0, 0.0))
         assert pressure.sum() * 100 == pytest.approx(3 * np.pi * diameter**2 / 4, rel=0.01)
 
 
 def test_a_disc_beside_the_panel_presses_on_nothing() -> None:
-    pressure, slopes = oval_pressure(PANEL, 6.0, Disc(-40.0, 10.0, 20.0, 10.0, -5.0, 9.0, 0.1, 0.0))
+    pressure, slopes = pressure_at_places(PANEL.places_mm, 6.0, Disc(-40.0, 10.0, 20.0, 10.0, -5.0, 9.0, 0.1, 0.0))
     assert not pressure.any() and not slopes.any()

@@ -14,7 +14,7 @@ from laws.recognised import verdict_on
 from lampest.loads.recognition.candidates import LOADS
 from lampest.loads.shapes import Rod, Shape
 from lampest.loads.shapes.disc import Disc, contact_of_weight
-from lampest.loads.shapes.round import RoundCandidate
+from lampest.loads.shapes.kinds import RoundCandidate
 from lampest.loads.shapes.shape import Candidate, Prior, Template, centre_priors
 from lampest.panel.panel import Array, Panel
 from lampest.panel.scene import Scene

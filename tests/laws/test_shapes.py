@@ -7,7 +7,6 @@ import dataclasses
 import inspect
 import json
 import re
-from math import exp
 
 import numpy as np
 import pytest
@@ -18,8 +17,8 @@ from lampest.loads.recognition.candidates import KINDS, LOADS
 from lampest.loads.recognition.fit import Fitting
 from lampest.loads.recognition.observation import FARTHEST, Whitening
 from lampest.loads.shapes import OralDisc, Rod, Shape, shape_types
-from lampest.loads.shapes.disc import bearing_kpa, log_bearing, oval_pressure
-from lampest.loads.shapes.round import RoundCandidate
+from lampest.loads.shapes.disc import pressure_at_places
+from lampest.loads.shapes.kinds import RoundCandidate
 from lampest.loads.shapes.shape import POINTS, Candidate
 from lampest.panel.panel import Panel
 from lampest.panel.scene import Scene
@@ -115,15 +114,13 @@ def test_any_numbers_that_a_fit_may_try_make_readings(candidate: Candidate) -> N
 def test_what_recognition_fits_is_what_simulation_makes(kind: type[Shape]) -> None:
     load = dataclasses.replace(load_of(kind), centre_mm=(43.0, 47.5), tilt=0.3, tilt_direction_deg=70.0)
     disc = load.disc()
-    sampled, (smooth, _) = np.sum(load.mean_pressure(PANEL, 6.0), axis=0), oval_pressure(PANEL, 6.0, disc)
+    sampled, (smooth, _) = (
+        np.sum(load.mean_pressure(PANEL, 6.0), axis=0),
+        pressure_at_places(PANEL.places_mm, 6.0, disc),
+    )
     assert np.abs(sampled - smooth).max() < max(disc.rim_kpa, -disc.suction_kpa) / (2 * POINTS)
     fitted, _ = kind.candidate.pressure(PANEL, 6.0, kind.candidate.start(disc))
     assert np.abs(fitted - smooth).max() < 0.05 * max(disc.rim_kpa, -disc.suction_kpa)
-
-
-def test_a_suction_is_borne_alike_in_both() -> None:
-    for suction, inner, outer in ((-10.0, 27.0, 35.0), (-3.0, 12.0, 40.0), (-25.0, 30.0, 31.0)):
-        assert exp(log_bearing(suction, inner / outer)) == pytest.approx(bearing_kpa(suction, inner, outer), rel=1e-12)
 
 
 def test_labels_and_kinds_are_their_own() -> None:

@@ -15,8 +15,8 @@ from lampest.loads.recognition.observation import Baseline, Observation, Whiteni
 from lampest.loads.recognition.oral_disc import fit_oral_disc
 from lampest.loads.recognition.settings import ModelErrors
 from lampest.loads.shapes import Block, OralDisc, Ring, Rod, SuctionCup
-from lampest.loads.shapes.disc import Disc, oval_pressure
-from lampest.loads.shapes.round import RoundCandidate
+from lampest.loads.shapes.disc import Disc, pressure_at_places
+from lampest.loads.shapes.kinds import RoundCandidate
 from lampest.loads.shapes.shape import Candidate
 from lampest.panel.panel import Panel
 from lampest.panel.readouts import TwoPointReadout
@@ -86,7 +86,7 @@ def test_pressure_slopes_are_differences(kind: Candidate) -> None:
 
 def test_pressure_is_that_of_the_simulation_but_for_its_sampling() -> None:
     sampled = np.sum(MOUTH.mean_pressure(PANEL, 6.0), axis=0)
-    smooth, _ = oval_pressure(PANEL, 6.0, Disc(*CENTRE, 34.0, 23.0, -11.0, 85.0, 0.2, 0.0))
+    smooth, _ = pressure_at_places(PANEL.places_mm, 6.0, Disc(*CENTRE, 34.0, 23.0, -11.0, 85.0, 0.2, 0.0))
     assert np.abs(sampled - smooth).max() < 0.04 * 85
 
 

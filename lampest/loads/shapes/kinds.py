@@ -1,28 +1,171 @@
-"""The shapes that simulation knows, and how recognition fits the round ones."""
+"""The shapes that simulation knows, and how recognition fits the round ones: by the disc that they are."""
 
+from abc import abstractmethod
+from collections.abc import Mapping
 from dataclasses import dataclass
-from math import cos, hypot, log, radians, sin, sqrt
+from functools import cached_property
+from math import cos, exp, hypot, inf, log, radians, sin, sqrt
 from typing import ClassVar, Literal
 
 import numpy as np
 
-from lampest.loads.shapes.disc import Disc, annular_pressure, annulus_mm2, contact_of_weight
-from lampest.loads.shapes.round import (
-    DIAMETER,
-    MADE,
-    RIM_WIDTH_MM,
-    SOFT_EDGE_MM,
-    SUCKING,
-    SUCTION,
-    TILT,
-    WIDTH,
-    RoundCandidate,
-    RoundShape,
+from lampest.files.typed import check_range
+from lampest.loads.response import VACUUM_KPA
+from lampest.loads.shapes.disc import (
+    EVEN,
+    Disc,
+    Unevenness,
+    annulus_mm2,
+    bearing_kpa,
+    contact_of_weight,
+    pressure_at_places,
 )
-from lampest.loads.shapes.shape import Prior, Shape, Template
-from lampest.panel.panel import Array
+from lampest.loads.shapes.shape import Candidate, Prior, Shape, Template, centre_priors
+from lampest.panel.panel import Array, Panel
 
-MOST_ELONGATED, MOST_LOBES = 10.0, 100  # of a mouth: beyond, a file has a slip of the pen
+CLOSED = 0.05  # d_i/d where the rim would leave no inside
+RIM_WIDTH_MM = 5.5  # an assumption: mouths have 4 to 7 mm, the paper's suction cup 4
+# Assumptions: 95 % of diameters within 15 and 60 mm, of tilts below a half.
+DIAMETER = Prior(log(30), 0.35, step=0.2)
+TILT = {"tilt_x": Prior(0, 0.25, step=0.3), "tilt_y": Prior(0, 0.25, step=0.3)}
+# Assumptions: 95 % have axes within a ratio of 1.22, and press within ±34 % along themselves; what is made stands as
+# round as a lathe leaves it, within 8 %, and presses within ±16 % along its rim.
+UNEVEN, MADE = (0.05, 0.05, 0.17, 0.17), (0.02, 0.02, 0.08, 0.08)
+# An assumption: films are cut to a millimetre and rims are rounded, so both edges of a disc may seem displaced.
+EDGE_MM, SOFT_EDGE_MM = 0.7, 1.1  # of what is made, and of a soft rim in more lobes than are fitted
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class RoundCandidate(Candidate):
+    """A disc described by φ: x, y and tilts themselves, other numbers by their logarithms.
+
+    numbers : priors of what stands beside the centre, in order. diameter, tilt_x, tilt_y; width of the rim, or the disc
+        is full; suction, or there is none; rim, the pressure under it, or push, by which that is above p_bear.
+    uneven : standard deviations of the numbers of `Unevenness`, which come last. edge_mm : by which both edges may seem
+        to lie beside their places.
+    """
+
+    numbers: Mapping[str, Prior]
+    uneven: tuple[float, ...] = UNEVEN
+    edge_mm: float = EDGE_MM
+
+    @cached_property
+    def _places(self) -> Mapping[str, int]:
+        """Where in φ every parameter stands."""
+        return {name: number for number, name in enumerate(("x", "y", *self.numbers, *Unevenness._fields))}
+
+    def priors(self, panel: Panel) -> Mapping[str, Prior]:
+        """Those of the centre, of all other numbers, and of its unevenness."""
+        uneven = zip(Unevenness._fields, self.uneven, strict=True)
+        return {**centre_priors(panel), **self.numbers, **{name: Prior(0, sd, step=0.1) for name, sd in uneven}}
+
+    def pressure(self, panel: Panel, patch_mm: float, parameters: Array) -> tuple[Array, Array]:
+        """That of the disc which φ describes, stretched and in lobes where it may be."""
+        disc, by_parameter = self.disc_with_slopes(parameters)
+        form = slice(len(self._places) - len(EVEN), None)
+        pressure, by_number = pressure_at_places(panel.places_mm, patch_mm, disc, Unevenness(*parameters[form]))
+        slopes = (by_parameter.T @ by_number[:8].reshape(8, -1)).reshape(-1, *panel.shape)
+        slopes[form] = by_number[8:]
+        return pressure, slopes
+
+    def disc(self, parameters: Array) -> Disc:
+        """The disc of φ."""
+        return self.disc_with_slopes(parameters)[0]
+
+    def disc_with_slopes(self, parameters: Array) -> tuple[Disc, Array]:
+        """The disc of φ, and its derivatives (8, parameters)."""
+        place, at = self._places, parameters.tolist()
+        slopes = np.zeros((8, len(at)))
+        for number, name in ((0, "x"), (1, "y"), (6, "tilt_x"), (7, "tilt_y")):
+            slopes[number, place[name]] = 1.0
+        diameter, share, suction = exp(at[place["diameter"]]), 0.0, 0.0
+        slopes[2, place["diameter"]] = diameter
+        if "width" in place:  # ι = d_i/d is 1 − 2w/d, but never quite zero
+            solid = 2 * exp(at[place["width"]]) / diameter
+            root = hypot(1 - solid, CLOSED)
+            share, slope = (1 - solid + root) / 2, -solid * (1 + (1 - solid) / root) / 2
+            slopes[3, place["diameter"]], slopes[3, place["width"]] = diameter * (share - slope), diameter * slope
+        if "suction" in place:
+            suction = slopes[4, place["suction"]] = -exp(at[place["suction"]])
+        if "push" in place:
+            bearing, push = bearing_kpa(suction, share, 1.0), exp(at[place["push"]])
+            rim, by_width = bearing + push, bearing * (2 / (share * (1 - share * share))) * slope
+            slopes[5, place["push"]], slopes[5, place["suction"]] = push, bearing
+            slopes[5, place["width"]], slopes[5, place["diameter"]] = by_width, -by_width
+        else:
+            rim = slopes[5, place["rim"]] = exp(at[place["rim"]])
+        tilt = at[place["tilt_x"]], at[place["tilt_y"]]
+        return Disc(at[0], at[1], diameter, share * diameter, suction, rim, *tilt), slopes
+
+    def start(self, disc: Disc) -> Array:
+        """φ of a disc as far as this kind has it; what the disc has none of is small, or as before the measurement.
+
+        A full one presses with the same force.
+        """
+        width, bearing, mean = RIM_WIDTH_MM, 0.0, disc.rim_kpa
+        if disc.inner_mm:
+            hole = (disc.inner_mm / disc.diameter_mm) ** 2
+            mean = disc.rim_kpa * (1 - hole) + disc.suction_kpa * hole
+            width = (disc.diameter_mm - disc.inner_mm) / 2
+            bearing = bearing_kpa(disc.suction_kpa, disc.inner_mm, disc.diameter_mm)
+        values = {
+            "diameter": log(disc.diameter_mm),
+            "width": log(max(min(width, 0.4 * disc.diameter_mm), 0.5)),
+            "suction": log(max(-disc.suction_kpa, 1.0)),
+            "rim": log(max(disc.rim_kpa if "width" in self.numbers else mean, 0.1)),
+            "push": log(max(disc.rim_kpa - bearing, 0.5)),
+            "tilt_x": disc.tilt_x,
+            "tilt_y": disc.tilt_y,
+        }
+        others = (values.get(name, prior.mean) for name, prior in self.numbers.items())
+        return np.array([disc.x_mm, disc.y_mm, *others, *EVEN])
+
+    def like(self, other: Candidate, parameters: Array) -> Array | None:
+        """That of the disc, as uneven where the other is round, too."""
+        begin = super().like(other, parameters)
+        if begin is not None and isinstance(other, RoundCandidate):
+            begin[-len(EVEN) :] = parameters[-len(EVEN) :]
+        return begin
+
+    def blind(self, parameters: Array) -> Array:
+        """That of the diameter: edge_mm/d in its logarithm."""
+        unseen, place = np.zeros(len(parameters)), self._places["diameter"]
+        unseen[place] = self.edge_mm / exp(parameters[place])
+        return unseen
+
+    def report(self, parameters: Array) -> dict[str, tuple[float, Array]]:
+        """Centre and diameter, and the suction of what sucks."""
+        disc, slopes = self.disc_with_slopes(parameters)
+        names = ("x_mm", "y_mm", "diameter_mm", *(("suction_kpa",) if self.sucks else ()))
+        return {name: (getattr(disc, name), slopes[Disc._fields.index(name)]) for name in names}
+
+
+@dataclass(frozen=True, kw_only=True)
+class RoundShape(Shape):
+    """A shape that is a disc: its pressure follows from `disc`."""
+
+    @abstractmethod
+    def disc(self) -> Disc:
+        """The disc. Raises ValueError where the shape's numbers make none."""
+
+    @property
+    def reach_mm(self) -> float:
+        """Its outer radius."""
+        return self.disc().diameter_mm / 2
+
+    def pressure_at(self, x: Array, y: Array) -> tuple[Array, Array]:
+        """Suction inside, and the pressure of the rim."""
+        return self.disc().pressure_at(x, y)
+
+    def pressing(self, inner_mm: float, outer_mm: float, rim_kpa: float, suction_kpa: float | None = None) -> Disc:
+        """The disc with these numbers, its centre and tilt. Raises ValueError where a pressure is out of range."""
+        if suction_kpa is not None and not VACUUM_KPA < suction_kpa < 0:
+            raise ValueError("pressure_kpa is a suction: it must be negative, and above -101 kPa, an empty space")
+        if not 0 <= rim_kpa < inf:
+            raise ValueError("the contact pressure must be zero or positive, and finite")
+        direction = radians(self.tilt_direction_deg)
+        tilt = (self.tilt * cos(direction), self.tilt * sin(direction))
+        return Disc(*self.centre_mm, outer_mm, inner_mm, suction_kpa or 0.0, rim_kpa, *tilt)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,8 +196,7 @@ class Rod(RoundShape):
 
     def disc(self) -> Disc:
         """A full one."""
-        weight = contact_of_weight(self.mass_g, annulus_mm2(0, self.diameter_mm))
-        return self.pressing(0.0, self.diameter_mm, weight)
+        return self.pressing(0.0, self.diameter_mm, contact_of_weight(self.mass_g, annulus_mm2(0, self.diameter_mm)))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,7 +217,7 @@ class Ring(RoundShape):
         label="ring",
         templates=(Template(22.0, 11.0, faint=True), Template(42.0, 32.0), Template(32.0, 21.0)),
         # An assumption: 95 % of rings press with 4 to 220 kPa.
-        numbers={"diameter": DIAMETER, "width": WIDTH, "rim": Prior(log(30), 1.0)} | TILT,
+        numbers={"diameter": DIAMETER, "width": Prior(log(RIM_WIDTH_MM), 0.45), "rim": Prior(log(30), 1.0)} | TILT,
         uneven=MADE,
     )
     positive: ClassVar[tuple[str, ...]] = ("inner_diameter_mm", "outer_diameter_mm", "mass_g")
@@ -116,7 +258,8 @@ class SuctionCup(RoundShape):
 
     def disc(self) -> Disc:
         """One whose rim bears the suction."""
-        return self.sucking(self.inner_diameter_mm, self.outer_diameter_mm, self.pressure_kpa)
+        inner, outer = self.inner_diameter_mm, self.outer_diameter_mm
+        return self.pressing(inner, outer, bearing_kpa(self.pressure_kpa, inner, outer), self.pressure_kpa)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -147,13 +290,14 @@ class OralDisc(RoundShape):
     candidate: ClassVar[RoundCandidate] = RoundCandidate(
         label="lamprey or cup",
         sucks=True,
-        templates=SUCKING,
+        # A suction that shows as clearly as the rim.
+        templates=(Template(45.0, 32.0, 1.0), Template(34.0, 22.0, 1.0), Template(24.0, 12.0, 1.0)),
         # Assumptions: 95 % of rims are 3 to 10 mm wide and press with 0.02 to 110 kPa more than their suction needs:
-        # nearly nothing under a soft mouth, 80 kPa where bending under rim and teeth is taken in.
+        # nearly nothing under a soft mouth, 80 kPa where bending under rim and teeth is taken in. Suctions: 1.8 to 35.
         numbers={
             "diameter": DIAMETER,
             "width": Prior(log(RIM_WIDTH_MM), 0.3),
-            "suction": SUCTION,
+            "suction": Prior(log(8), 0.75),
             "push": Prior(log(1.5), 2.2),
         }
         | TILT,
@@ -182,7 +326,7 @@ class OralDisc(RoundShape):
         round_one = self.disc()
         turn, stretch = radians(self.elongation_deg), sqrt(self.elongation)
         along, across = (x * cos(turn) + y * sin(turn)) / stretch, (y * cos(turn) - x * sin(turn)) * stretch
-        contact, suction = annular_pressure(round_one, along, across)
+        contact, suction = round_one.pressure_at(along, across)
         around = np.arctan2(across, along) + turn - radians(self.unevenness_deg)
         return contact * (1 + self.unevenness * np.cos(self.lobes * around)), suction
 
@@ -190,18 +334,15 @@ class OralDisc(RoundShape):
         """The round one of the same area whose rim presses evenly, as hard in the mean."""
         if not 0 < 2 * self.rim_width_mm < self.diameter_mm:
             raise ValueError("rim_width_mm must be positive and below half the diameter")
-        if (
-            not 1 <= self.elongation <= MOST_ELONGATED
-            or not 0 <= self.unevenness <= 1
-            or not 1 <= self.lobes <= MOST_LOBES
-        ):
-            raise ValueError(
-                "elongation must lie between 1 and 10, lobes between 1 and 100, unevenness between 0 and 1"
-            )
+        check_range("elongation", self.elongation, 1, 10)
+        check_range("unevenness", self.unevenness, 0, 1)
+        check_range("lobes", self.lobes, 1, 100)
         if self.extra_rim_kpa < 0 or (self.extra_rim_kpa and self.rim_kpa is not None):
             raise ValueError("extra_rim_kpa must be zero or positive, and stands where rim_kpa does not")
         inner = self.diameter_mm - 2 * self.rim_width_mm
-        return self.sucking(inner, self.diameter_mm, self.pressure_kpa, self.rim_kpa, self.extra_rim_kpa)
+        bearing = bearing_kpa(self.pressure_kpa, inner, self.diameter_mm) + self.extra_rim_kpa
+        rim = bearing if self.rim_kpa is None else self.rim_kpa
+        return self.pressing(inner, self.diameter_mm, rim, self.pressure_kpa)
 
 
 @dataclass(frozen=True, kw_only=True)

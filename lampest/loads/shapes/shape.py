@@ -4,12 +4,11 @@ import dataclasses
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
-from math import isfinite
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from lampest.files.typed import Validated
+from lampest.files.typed import Validated, check_positive_fields, check_range
 from lampest.loads.shapes.disc import Disc
 from lampest.panel.panel import Array, Panel
 
@@ -41,10 +40,7 @@ class Template(NamedTuple):
 class Candidate(ABC):
     """What recognition may take a load for: parameters φ without bounds, their priors and the pressure they mean.
 
-    Parameters
-    ----------
-    label : what tables, files and pictures call it.
-    sucks : whether it is attached, and not only touching.
+    label : what tables, files and pictures call it. sucks : whether it is attached, and not only touching.
     templates : what the search lays over the panel because of it, for all kinds to begin at.
     """
 
@@ -130,17 +126,15 @@ class Shape(Validated):
     tilt_direction_deg: float = 0.0
 
     def __post_init__(self) -> None:
+        check_positive_fields(self, *self.positive)
         for field in dataclasses.fields(self):
             value = getattr(self, field.name)
-            for part in value if isinstance(value, tuple) else (value,):
-                if isinstance(part, float | int) and not isfinite(part):
-                    raise ValueError(f"{field.name} must be finite")
-            if field.name in self.positive and value <= 0:
-                raise ValueError(f"{field.name} must be positive")
-        if not 0 <= self.tilt <= 1:
-            raise ValueError("tilt must lie between 0 and 1")
+            if isinstance(value, float | tuple) and not np.isfinite(value).all():
+                raise ValueError(f"{field.name} must be finite")
+        check_range("tilt", self.tilt, 0, 1)
         # Numbers that make no pressure together are refused now, and not where the shape is used.
-        self.pressure_at(np.zeros(1), np.zeros(1))
+        if not np.isfinite(self.pressure_at(np.zeros(1), np.zeros(1))).all():
+            raise ValueError("the contact pressure must be finite")
 
     @property
     @abstractmethod
@@ -155,10 +149,7 @@ class Shape(Validated):
         """
 
     def mean_pressure(self, panel: Panel, patch_mm: float) -> tuple[Array, Array]:
-        """Mean contact pressure and mean suction over square patches of edge `patch_mm`, both (rows, columns) kPa.
-
-        From POINTS² points in every patch.
-        """
+        """Mean contact pressure and mean suction over square patches of edge `patch_mm`, both (rows, columns) kPa."""
         offset = ((np.arange(POINTS) + 0.5) / POINTS - 0.5) * patch_mm
         across, down = np.where(panel.present, panel.places_mm, 0.0)[:, :, None, :, None]
         blocks = (panel.rows, POINTS, panel.columns, POINTS)
