@@ -40,11 +40,16 @@ def laplacian(conductance: Array) -> Array:
 
 def injected(conductance: Array, potentials: Array) -> Array:
     """L·V = current_balance of arrays, rows above columns: potentials (…, lines, patterns) → currents likewise."""
-    rows = conductance.shape[-2]
-    currents: Array = line_sums(conductance)[..., None] * potentials
-    currents[..., :rows, :] -= conductance @ potentials[..., rows:, :]
-    currents[..., rows:, :] -= conductance.swapaxes(-1, -2) @ potentials[..., :rows, :]
-    return currents
+    return bipartite(line_sums(conductance), -conductance, potentials)
+
+
+def bipartite(diagonal: Array, between: Array, values: Array) -> Array:
+    """[[diag d, A], [Aᵀ, diag d]]·V: d (…, lines), A (…, rows, columns), V (…, lines, patterns)."""
+    rows = between.shape[-2]
+    product: Array = diagonal[..., None] * values
+    product[..., :rows, :] += between @ values[..., rows:, :]
+    product[..., rows:, :] += between.swapaxes(-1, -2) @ values[..., :rows, :]
+    return product
 
 
 def line_sums(values: Array) -> Array:

@@ -1,48 +1,35 @@
 """A solved network of cells: the only owner of the impedance Z = (L(g) + diag(t))⁻¹ of a panel's lines.
 
-A readout ties lines to ground (t, siemens) and reads a function of a few entries of Z. Derivatives are in u = log r:
-with D = Z·B, B the ±1 incidence vectors of the cells, ∂Z_ab/∂u_c = g_c D_ac D_bc.
+A readout ties lines to ground (t, siemens) and reads y = h(p, q, t) of p = Z_jj, q = Z_kk, t = Z_jk. All derivatives
+follow from these two. They are in u = log r: with D = Z·B, B the ±1 incidence vectors of the cells, ∂Z_ab/∂u_c =
+g_c D_ac D_bc. With weights w of the readings, W = [[diag Σ_k w h_p, ½ w h_t], [·, diag Σ_j w h_q]] makes d(Σ w y) =
+tr(W dZ).
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Hashable
+from collections.abc import Callable, Hashable
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.panel.kirchhoff import laplacian, line_sums
+from lampest.panel.kirchhoff import bipartite, injected, laplacian, line_sums
 from lampest.panel.panel import Array
 
 Block = tuple[slice, slice]
 Numbers = NDArray[np.intp]
+Entries = tuple[Array, Array, Array]  # of (p, q, t), to be broadcast to (…, rows, columns)
+Loading = tuple[Array, Array]  # W's diagonal (…, lines) and its block between rows and columns
 
 
 class ReadCircuit(Hashable, Protocol):
     """What a network asks of the readout that it is read by; see `lampest.panel.readouts.readout.Readout`."""
 
-    def ties(self, measured: Array) -> Array:
-        """t (lines) siemens: what ties every line to ground, for readings (rows, columns)."""
+    def ties(self, measured: Array) -> Array: ...
 
-    def reading(self, row: Any, column: Any, mutual: Any) -> Any:
-        """y = h(Z_jj, Z_kk, Z_jk), element by element; numpy arrays and CasADi alike."""
-
-    def network(self, cell_resistance: Array, ties: Array) -> "Network":
-        """The solved network of cells (rows, columns) ohm, without wire."""
-
-
-class SecondOrder(Protocol):
-    """H = diag(g)·Σ_i w_i ∂²y_i/∂g²·diag(g) for given weights w; Σ_i w_i ∂²y_i/∂u² = H − diag(Jᵀw)."""
-
-    def products(self, step: Array) -> tuple[Array, Array]:
-        """(J·p, H·p) of a step p in u; all (rows, columns)."""
-
-    def matrix(self, cells: Numbers | None = None) -> Array:
-        """H, (cells, cells); between some cells, given by their numbers."""
-
-    def adjoint(self) -> Array:
-        """Jᵀ·w, (rows, columns), from what H needs anyway."""
+    def reading(self, row: Any, column: Any, mutual: Any) -> Any: ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,29 +61,90 @@ class Network(ABC):
         """Number of row lines."""
         return int(self.conductance.shape[-2])
 
+    @property
+    def flat_conductance(self) -> Array:
+        """g (…, cells)."""
+        return self.conductance.reshape(*self.conductance.shape[:-2], -1)
+
     @abstractmethod
+    def read(self, entries: Entries) -> Array:
+        """h(p, q, t), (rows, columns)."""
+
+    @property
+    @abstractmethod
+    def slopes(self) -> Entries:
+        """(h_p, h_q, h_t)."""
+
+    @property
+    def curvatures(self) -> dict[str, Array]:
+        """The second derivatives of h that are not zero: 'pp', 'pq', …, each (rows, columns)."""
+        return {}
+
     def reading(self) -> Array:
         """y (rows, columns): what is read between every row and every column."""
+        return self.read(self.entries(self._impedance))
 
-    @abstractmethod
+    def read_change(self, change: Entries) -> Array:
+        """h_p·dp + h_q·dq + h_t·dt, (rows, columns)."""
+        row, column, mutual = (slope * part for slope, part in zip(self.slopes, change, strict=True))
+        return np.asarray(row + column + mutual)
+
     def forward(self, step: Array) -> Array:
         """J·p = ∂y/∂u·p for a step p of u = log r, (rows, columns); (rows + columns)³ operations."""
+        return self.read_change(self.changes(step))
 
-    @abstractmethod
+    def changes(self, step: Array) -> Entries:
+        """Of dZ = Z L_{g·p} Z."""
+        return self.entries_of_product(self._impedance, injected(self.conductance * step, self._impedance))
+
     def adjoint(self, weights: Array) -> Array:
-        """Jᵀ·w for weights w of the readings, (rows, columns); (rows + columns)³ operations."""
+        """Jᵀ·w = g·bᵀ(Z W Z)b for weights w of the readings, (rows, columns); (rows + columns)³ operations."""
+        return np.asarray(self.conductance * self.drawn(self.loading(weights)))
 
-    @abstractmethod
+    def loading(self, weights: Array) -> Loading:
+        """W of weights (rows, columns) of the readings."""
+        return loading_of(*(weights * slope for slope in self.slopes))
+
+    def drawn(self, loading: Loading) -> Array:
+        """bᵀ(Z W Z)b of every cell, (rows, columns)."""
+        return across(self.entries_of_product(self._impedance, bipartite(*loading, self._impedance)))
+
+    @cached_property
+    def potential_differences(self) -> Array:
+        """D = Z·B (lines, cells) ohm: across every cell for a unit current into every line."""
+        differences = self._impedance[:, : self.rows, None] - self._impedance[:, None, self.rows :]
+        return differences.reshape(len(differences), -1)
+
+    def entry_responses(self, cells: Numbers | None = None) -> Entries:
+        """g_c·(D_jc², D_kc², D_jc·D_kc): (rows, cells), (columns, cells), (rows, columns, cells) for some cells."""
+        chosen = slice(None) if cells is None else cells
+        row, column = np.split(self.potential_differences[:, chosen], [self.rows])
+        conductance = self.flat_conductance[chosen]
+        return row**2 * conductance, column**2 * conductance, row[:, None] * (column * conductance)
+
     def sensitivity(self, cells: Numbers | None = None, readings: Numbers | None = None) -> Array:
         """J (readings, cells); for some cells, or some readings of these, given by their numbers."""
+        row, column, mutual = self.entry_responses(cells)
+        of_row, of_column, of_mutual = (slope[:, :, None] for slope in self.slopes)
+        response = of_mutual * mutual
+        response += of_row * row[:, None]
+        response += of_column * column[None]
+        whole: Array = response.reshape(self.conductance.size, row.shape[1])
+        return whole if readings is None else whole[readings]
 
-    @abstractmethod
     def own_response(self) -> Array:
         """The diagonal of J, (rows, columns): what a cell does to its own reading."""
+        row, column = self._own_differences()
+        return np.asarray(self.conductance * self.read_change((row**2, column**2, row * column)))
 
-    @abstractmethod
-    def second_order(self, weights: Array) -> SecondOrder:
+    def _own_differences(self) -> tuple[Array, Array]:
+        """(D_jc, D_kc) of every cell c at its own row j and column k, (rows, columns)."""
+        row, column, mutual = self.entries(self._impedance)
+        return row - mutual, mutual - column
+
+    def second_order(self, weights: Array) -> "SecondOrder":
         """Second derivatives of Σ w·y, for weights w of the readings (rows, columns)."""
+        return SecondOrder(self, weights)
 
     def normal_by_lines(self, weight: Array) -> NormalByLines:
         """What approximates JᵀWJ for weights w ≥ 0 of the readings (rows, columns): J's diagonal, and what lines add,
@@ -113,7 +161,8 @@ class Network(ABC):
         """Σ_l |L_ll Z_ll| over the lines: how many times the rounding of L can reappear in any reading, as an error ε_l
         of L_ll moves bᵀZb by ε_l·v_l², v = Z·b, and v_l² ≤ Z_ll·bᵀZb. Infinite or NaN where the inverse is spoilt.
         """
-        return float(np.sum(np.abs(line_sums(self.conductance) * np.diag(self._impedance))))
+        own = self._impedance.diagonal(axis1=-2, axis2=-1)
+        return float(np.abs(line_sums(self.conductance) * own).sum(axis=-1).max())
 
     def changed(self, block: Block, conductance: Array) -> Self:
         """The network with other conductances in a block: Z − Z_S (1 + ΔL Z_SS)⁻¹ ΔL Z_Sᵀ, S the lines of the block."""
@@ -126,34 +175,127 @@ class Network(ABC):
         impedance = self._impedance - towards @ core @ towards.T
         return replace(self, cell_resistance=cells, conductance=whole, _impedance=impedance)
 
-    def lines_of(self, block: Block) -> NDArray[np.intp]:
+    def lines_of(self, block: Block) -> Numbers:
         """The numbers of a block's lines, rows first."""
         rows, columns = self.conductance.shape
         return np.concatenate([np.arange(rows)[block[0]], rows + np.arange(columns)[block[1]]])
 
-    def _differences(self, left: Array, right: Array, symmetric: bool) -> Array:
-        """b_iᵀ ½(P + Pᵀ) b_i of P = left·right for all cells i; only the diagonal and the blocks between rows and
-        columns are multiplied out, one where P is symmetric.
-        """
+    def entries(self, matrix: Array) -> Entries:
+        """(K_jj, K_kk, K_jk) of K (…, lines, lines)."""
+        diagonal, rows = matrix.diagonal(axis1=-2, axis2=-1), self.rows
+        return diagonal[..., :rows, None], diagonal[..., None, rows:], matrix[..., :rows, rows:]
+
+    def entries_of_product(self, left: Array, right: Array, symmetric: bool = True) -> Entries:
+        """Those of ½(P + Pᵀ), P = left·right; nothing else is multiplied out, and less where P is symmetric."""
         rows = self.rows
         diagonal = np.einsum("...ij,...ji->...i", left, right)
-        across = left[..., :rows, :] @ right[..., rows:]
-        across = 2 * across if symmetric else across + (left[..., rows:, :] @ right[..., :rows]).swapaxes(-1, -2)
-        differences: Array = diagonal[..., :rows, None] + diagonal[..., None, rows:] - across
-        return differences
+        mutual = left[..., :rows, :] @ right[..., rows:]
+        if not symmetric:
+            mutual = (mutual + (left[..., rows:, :] @ right[..., :rows]).swapaxes(-1, -2)) / 2
+        return diagonal[..., :rows, None], diagonal[..., None, rows:], mutual
 
-    def _across(self, matrix: Array) -> Array:
-        """bᵀ K b of every cell's own b, (rows, columns); K (lines, lines), symmetric."""
-        diagonal, rows = matrix.diagonal(axis1=-2, axis2=-1), self.rows
-        across: Array = diagonal[..., :rows, None] + diagonal[..., None, rows:] - 2 * matrix[..., :rows, rows:]
-        return across
+    @cached_property
+    def transfer(self) -> Array:
+        """BᵀZB (…, cells, cells) ohm."""
+        return self.between(self._impedance)
 
-    def _between_cells(self, matrix: Array) -> Array:
-        """Bᵀ K B (…, cells, cells), B = the incidence vectors of all cells; K (…, lines, lines)."""
+    def transfer_between(self, cells: Numbers | None) -> Array:
+        """∂D_ac/∂g_d = −D_ad X_dc: X = BᵀZB between some cells, given by their numbers."""
+        return self.transfer if cells is None else self.between(self._impedance, cells)
+
+    def between(self, matrix: Array, cells: Numbers | None = None, readings: Numbers | None = None) -> Array:
+        """b_iᵀ K b_c of readings i (None: the cells) and cells c (None: all); K (…, lines, lines)."""
         *several, rows, columns = self.conductance.shape
-        at_cells = matrix[..., :rows, None] - matrix[..., None, rows:]
-        between = at_cells[..., :rows, None, :, :] - at_cells[..., None, rows:, :, :]
-        return between.reshape(*several, rows * columns, rows * columns)
+        if cells is None:
+            at_cells = matrix[..., :rows, None] - matrix[..., None, rows:]
+            every = at_cells[..., :rows, None, :, :] - at_cells[..., None, rows:, :, :]
+            return every.reshape(*several, rows * columns, rows * columns)
+        lines = matrix[:, cells // columns] - matrix[:, rows + cells % columns]
+        read = cells if readings is None else readings
+        return np.asarray(lines[read // columns] - lines[rows + read % columns])
+
+
+@dataclass(frozen=True, eq=False)
+class SecondOrder:
+    """H = diag(g)·Σ_i w_i ∂²y_i/∂g²·diag(g) for given weights w; Σ_i w_i ∂²y_i/∂u² = H − diag(Jᵀw)."""
+
+    network: Network
+    weights: Array
+
+    @cached_property
+    def loading(self) -> Loading:
+        """W."""
+        return self.network.loading(self.weights)
+
+    @cached_property
+    def _twice(self) -> Array:
+        """K = Z W Z (lines, lines)."""
+        impedance = self.network._impedance
+        return impedance @ bipartite(*self.loading, impedance)
+
+    def adjoint(self) -> Array:
+        """Jᵀ·w = g·bᵀ K b, (rows, columns), from what H needs anyway."""
+        return np.asarray(self.network.conductance * across(self.network.entries(self._twice)))
+
+    def products(self, step: Array) -> tuple[Array, Array]:
+        """(J·p, H·p = g·(2 bᵀ K L_{g·p} Z b + bᵀ Z W' Z b)), W' from what the step p does to the slopes of h."""
+        network = self.network
+        currents = injected(network.conductance * step, network._impedance)
+        change = network.entries_of_product(network._impedance, currents)
+        second = 2 * across(network.entries_of_product(self._twice, currents, symmetric=False))
+        if network.curvatures:
+            second = second + network.drawn(self.loading_change(change))
+        return network.read_change(change), network.conductance * second
+
+    def loading_change(self, change: Entries) -> Loading:
+        """W': what a change of Z does to W through the slopes of h."""
+        moved, by_entry = {name: np.zeros(self.weights.shape) for name in "pqt"}, dict(zip("pqt", change, strict=True))
+        for name, curvature in self.network.curvatures.items():
+            weighted = self.weights * curvature
+            moved[name[0]] += weighted * by_entry[name[1]]
+            if name[0] != name[1]:
+                moved[name[1]] += weighted * by_entry[name[0]]
+        return loading_of(*moved.values())
+
+    def matrix(self, cells: Numbers | None = None) -> Array:
+        """H = 2 g (X ∘ BᵀKB) g, and what the curvature of h adds, (cells, cells); between some cells, by number."""
+        conductance = self.network.flat_conductance
+        conductance = conductance if cells is None else conductance[cells]
+        matrix: Array = self.network.transfer_between(cells) * (2 * conductance[..., None])
+        matrix *= self._twice_between(cells)
+        matrix *= conductance[..., None, :]
+        return self._with_curvature(matrix, cells) if self.network.curvatures else matrix
+
+    def _twice_between(self, cells: Numbers | None) -> Array:
+        return self.network.between(self._twice, cells)
+
+    def _with_curvature(self, matrix: Array, cells: Numbers | None) -> Array:
+        """A matrix over cells with Σ_i w_i (∂(p, q, t)_i)ᵀ h″_i ∂(p, q, t)_i added to it in its place."""
+        row, column, mutual = self.network.entry_responses(cells)
+        flat = mutual.reshape(-1, len(matrix))
+        halves: dict[str, Callable[[Array], Array]] = {  # A of every pair of entries, whose share is A + Aᵀ
+            "pp": lambda by: row.T @ (by.sum(axis=1)[:, None] * row) / 2,
+            "qq": lambda by: column.T @ (by.sum(axis=0)[:, None] * column) / 2,
+            "tt": lambda by: flat.T @ (by.reshape(-1, 1) * flat) / 2,
+            "pq": lambda by: row.T @ (by @ column),
+            "pt": lambda by: row.T @ np.einsum("jk,jkc->jc", by, mutual),
+            "qt": lambda by: column.T @ np.einsum("jk,jkc->kc", by, mutual),
+        }
+        for name, curvature in self.network.curvatures.items():
+            part = halves[name](self.weights * curvature)
+            matrix += part + part.T
+        return matrix
+
+
+def across(entries: Entries) -> Array:
+    """bᵀ K b of every cell's own b, (…, rows, columns)."""
+    row, column, mutual = entries
+    return np.asarray(row + column - 2 * mutual)
+
+
+def loading_of(row: Array, column: Array, mutual: Array) -> Loading:
+    """W from weights of Z_jj, Z_kk and Z_jk, each (…, rows, columns)."""
+    return np.concatenate([row.sum(axis=-1), column.sum(axis=-2)], axis=-1), mutual / 2
 
 
 def inverse_of(conductance: Array, ties: Array) -> Array:
@@ -186,8 +328,8 @@ def _inverses(conductance: Array, ties: Array) -> Array:
     inverse = np.empty((*conductance.shape[:-2], rows + columns, rows + columns))
     within = inverse[..., rows:, rows:]
     within[...] = np.moveaxis(left, (0, 1), (-2, -1))
-    across = shares @ within
-    inverse[..., :rows, rows:], inverse[..., rows:, :rows] = across, across.swapaxes(-1, -2)
-    inverse[..., :rows, :rows] = across @ shares.swapaxes(-1, -2)
+    between = shares @ within
+    inverse[..., :rows, rows:], inverse[..., rows:, :rows] = between, between.swapaxes(-1, -2)
+    inverse[..., :rows, :rows] = between @ shares.swapaxes(-1, -2)
     np.einsum("...ii->...i", inverse[..., :rows, :rows])[...] += 1 / of_rows
     return inverse

@@ -79,7 +79,7 @@ class RegionSolver:
         resting, data = self.baseline.networks[0], self.baseline.data
         if all(term.reads_measurement for term in self.baseline.cost.terms):
             return resting
-        cells = data.readout.exact_start(data.measured[0], data.upper[0])
+        cells = data.readout.start(data.measured[0], data.upper[0])
         return data.network(0, np.clip(cells, data.lower[0], data.upper[0]))
 
     def _outliers(

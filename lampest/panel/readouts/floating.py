@@ -5,14 +5,13 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import lapack
 
-from lampest.panel.kirchhoff import injected, line_sums
-from lampest.panel.network import Block, Network, NormalByLines, Numbers, SecondOrder, inverse_of
+from lampest.panel.kirchhoff import line_sums
+from lampest.panel.network import Entries, Loading, Network, NormalByLines, Numbers, across, inverse_of
 from lampest.panel.panel import Array
 from lampest.panel.trust_region import DENSE_CELLS, steihaug
 
@@ -49,7 +48,7 @@ def uniform_factor(rows: int, columns: int) -> float:
 
 @dataclass(frozen=True, eq=False)
 class FloatingNetwork(Network):
-    """The readings are two-point resistances in ohm."""
+    """The readings are two-point resistances in ohm; many networks at once have leading axes."""
 
     @classmethod
     def solve(cls, conductance: Array, tie: Array) -> "FloatingNetwork":
@@ -57,99 +56,41 @@ class FloatingNetwork(Network):
         with np.errstate(divide="ignore"):
             return cls(1 / conductance, conductance, inverse_of(conductance, tie))
 
-    def reading(self) -> Array:
+    def read(self, entries: Entries) -> Array:
         """R_jk = Z_jj + Z_kk − 2 Z_jk."""
-        return self._across(self._impedance)
+        return across(entries)
 
-    def conductance_product(self, weights: Array) -> Array:
-        """(∂R/∂g)·w = −bᵀ Z L_w Z b = (∂R/∂g)ᵀ·w, (rows, columns), in (rows + columns)³ operations."""
-        return -self._differences(self._impedance, injected(weights, self._impedance), symmetric=True)
+    @property
+    def slopes(self) -> Entries:
+        """1, 1 and −2."""
+        return np.ones((1, 1)), np.ones((1, 1)), np.full((1, 1), -2.0)
 
-    def forward(self, step: Array) -> Array:
-        """−(∂R/∂g)·(g·p)."""
-        return -self.conductance_product(step / self.cell_resistance)
+    def read_change(self, change: Entries) -> Array:
+        """The same: R is linear."""
+        return across(change)
 
-    def adjoint(self, weights: Array) -> Array:
-        """−g·(∂R/∂g)ᵀ·w."""
-        return -self.conductance_product(weights) / self.cell_resistance
-
-    @cached_property
-    def transfer(self) -> Array:
-        """D = BᵀZB (cells, cells) ohm."""
-        return self._between_cells(self._impedance)
+    def loading(self, weights: Array) -> Loading:
+        """W = L_w."""
+        return line_sums(weights), -weights
 
     def sensitivity(self, cells: Numbers | None = None, readings: Numbers | None = None) -> Array:
         """D∘D·diag(g)."""
-        conductance = self.conductance.reshape(*self.conductance.shape[:-2], -1)
         if cells is None:
             transfer = self.transfer if readings is None else self.transfer[readings]
             response: Array = transfer * transfer
-            response *= conductance[..., None, :]
+            response *= self.flat_conductance[..., None, :]
             return response
-        every = np.arange(conductance.size) if readings is None else readings
-        chosen: Array = self.between(self._impedance, cells, every) ** 2 * conductance[cells]
+        every = np.arange(self.conductance.size) if readings is None else readings
+        chosen: Array = self.between(self._impedance, cells, every) ** 2 * self.conductance.ravel()[cells]
         return chosen
-
-    def between(self, matrix: Array, cells: Numbers, readings: Numbers | None = None) -> Array:
-        """b_iᵀ K b_c of readings i (None: the cells) and cells c, given by their numbers; K (lines, lines)."""
-        columns = self.conductance.shape[1]
-        lines = matrix[:, cells // columns] - matrix[:, self.rows + cells % columns]
-        read = cells if readings is None else readings
-        return np.asarray(lines[read // columns] - lines[self.rows + read % columns])
 
     def own_response(self) -> Array:
         """R²·g: D_ii = R_i."""
         return self.reading() ** 2 / self.cell_resistance
 
-    def second_order(self, weights: Array) -> SecondOrder:
-        """With Z L_w Z."""
-        return FloatingSecondOrder(self, self._impedance @ injected(weights, self._impedance))
-
     def normal_by_lines(self, weight: Array) -> NormalByLines:
         """Diagonal, rows and columns; see `square_by_lines`."""
         return square_by_lines(self.conductance, self.reading(), weight)
-
-    def log_determinant(self) -> float:
-        """log det Z."""
-        return float(np.linalg.slogdet(self._impedance)[1])
-
-    def within(self, block: Block) -> "FloatingNetwork":
-        """What a block's lines show of the network between themselves; the cells of the block alone can be changed."""
-        lines = self.lines_of(block)
-        impedance = self._impedance[np.ix_(lines, lines)]
-        return FloatingNetwork(self.cell_resistance[block], self.conductance[block], impedance)
-
-
-@dataclass(frozen=True, eq=False)
-class FloatingSecondOrder:
-    """H at a network, with K = Z L_w Z (lines, lines)."""
-
-    network: FloatingNetwork
-    twice: Array
-
-    def products(self, step: Array) -> tuple[Array, Array]:
-        """(J·p, 2 g·bᵀ K L_{g·p} Z b)."""
-        network = self.network
-        currents = injected(step / network.cell_resistance, network._impedance)
-        change = network._differences(network._impedance, currents, symmetric=True)
-        return change, 2 * network._differences(self.twice, currents, symmetric=False) / network.cell_resistance
-
-    def adjoint(self) -> Array:
-        """g·bᵀ K b."""
-        return self.network._across(self.twice) / self.network.cell_resistance
-
-    def matrix(self, cells: Numbers | None = None) -> Array:
-        """2 g (D ∘ BᵀKB) g."""
-        network = self.network
-        conductance = network.conductance.reshape(*network.conductance.shape[:-2], -1)
-        if cells is not None:
-            first, second = (network.between(matrix, cells) for matrix in (network._impedance, self.twice))
-            some: Array = first * (2 * conductance[cells][:, None]) * second * conductance[cells]
-            return some
-        matrix: Array = network.transfer * (2 * conductance[..., None])
-        matrix *= network._between_cells(self.twice)
-        matrix *= conductance[..., None, :]
-        return matrix
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,9 +136,10 @@ def square_by_lines(conductance: Array, two_point_resistance: Array, weight: Arr
 
 def _parts(conductance: Array, two_point_resistance: Array) -> tuple[Array, Array]:
     """(d, K): the diagonal (rows, columns) of the stencil, and 1/A², 1/B² of the lines."""
-    across, along = conductance.sum(axis=1) ** -2.0, conductance.sum(axis=0) ** -2.0
+    of_rows, of_columns = conductance.sum(axis=1) ** -2.0, conductance.sum(axis=0) ** -2.0
     square = two_point_resistance**2
-    return np.maximum(square - across[:, None] - along, LEAST_SHARE * square), np.concatenate([across, along])
+    diagonal = np.maximum(square - of_rows[:, None] - of_columns, LEAST_SHARE * square)
+    return diagonal, np.concatenate([of_rows, of_columns])
 
 
 def _between_lines(values: Array) -> Array:
@@ -209,9 +151,6 @@ def _between_lines(values: Array) -> Array:
     return matrix
 
 
-Evaluated = tuple[float, FloatingNetwork]  # the convex function and the network at some conductances
-
-
 def convex_start(measured: Array, upper: Array, near: Array | None = None) -> Array:
     """Cell resistance (rows, columns) ohm from R_m (rows, columns) ohm by damped, projected Newton steps.
 
@@ -220,68 +159,30 @@ def convex_start(measured: Array, upper: Array, near: Array | None = None) -> Ar
     squares seeks; else it is a start, not an estimate. Source: Foster's theorem and the concavity of log det (Boyd &
     Vandenberghe, Convex Optimization, 2004, section 3.1.5).
     """
-    tie = grounding(measured)
-    first = measured / uniform_factor(*measured.shape) if near is None else near
+    tie, least = grounding(measured), 1 / upper
 
-    def at(conductance: Array) -> Evaluated:
+    def at(conductance: Array) -> tuple[float, FloatingNetwork]:
         network = FloatingNetwork.solve(conductance, tie)
-        return float(np.sum(measured * conductance) + network.log_determinant()), network
+        return float(np.sum(measured * conductance) + np.linalg.slogdet(network.potentials())[1]), network
 
-    least: Array = 1 / upper
-    start: Array = 1 / _least_cost(at, measured, np.maximum(1 / first, least), least, np.ones(least.shape, dtype=bool))
-    return start
-
-
-def fitted_block(
-    network: FloatingNetwork, block: Block, measured: Array, least: Array, chosen: NDArray[np.bool_]
-) -> FloatingNetwork:
-    """The network with the block's cells such that they reproduce its chosen readings, as far as bounds allow.
-
-    The same convex function over the block alone: measured, least : (rows, columns) of the block, ohm and siemens;
-    chosen : the readings that count. Of one cell it is least where 1/R_m = 1/R + δg: δg stands beside all others.
-    """
-    inside = network.within(block)
-    if measured.size == 1:
-        added = np.where(chosen, 1 / measured - 1 / inside.reading(), 0.0)
-        return network.changed(block, np.maximum(inside.conductance + added, least))
-    everything, rest = (slice(None), slice(None)), inside.log_determinant()
-
-    def at(conductance: Array) -> Evaluated:
-        there = inside.changed(everything, conductance)
-        return float(np.sum(measured * conductance)) + there.log_determinant() - rest, there
-
-    return network.changed(block, _least_cost(at, measured, inside.conductance, least, chosen, rounding=1e-14))
-
-
-def _least_cost(
-    at: Callable[[Array], Evaluated],
-    measured: Array,
-    conductance: Array,
-    least: Array,
-    chosen: NDArray[np.bool_],
-    rounding: float = 0.0,
-) -> Array:
-    """Conductances (rows, columns) that minimise the convex function over the chosen cells, from those given.
-
-    rounding : by how much of the function's size a step may raise it.
-    """
+    first = measured / uniform_factor(*measured.shape) if near is None else near
+    conductance = np.maximum(1 / first, least)
     value, network = at(conductance)
     for _ in range(MOST_ITERATIONS):
         gradient = measured - network.reading()
-        free = chosen & ((conductance > least * (1 + 1e-12)) | (gradient < 0))
+        free = (conductance > least * (1 + 1e-12)) | (gradient < 0)
         if np.max(np.abs(gradient[free] / measured[free]), initial=0) < REPRODUCED:
             break
         step = _step(network, gradient, free)
         for length in LENGTHS:
             trial = np.maximum(conductance + length * step, np.maximum(least, conductance / 10))
             trial_value, trial_network = at(trial)
-            expected = DECREASE * float(np.sum(gradient * (trial - conductance)))
-            if trial_value <= value + expected + rounding * abs(value):
+            if trial_value <= value + DECREASE * float(np.sum(gradient * (trial - conductance))):
                 break
         else:
             break
         conductance, value, network = trial, trial_value, trial_network
-    return conductance
+    return np.asarray(1 / conductance)
 
 
 def _step(network: FloatingNetwork, gradient: Array, free: NDArray[np.bool_]) -> Array:
@@ -301,7 +202,7 @@ def _step(network: FloatingNetwork, gradient: Array, free: NDArray[np.bool_]) ->
         return linear(whole)[free]
 
     step[free] = steihaug(
-        lambda search: -over_panel(network.conductance_product, search),
+        lambda search: over_panel(lambda whole: network.forward(whole * network.cell_resistance), search),
         lambda residual: over_panel(stencil.solve, residual),
         gradient[free],
         0.05,

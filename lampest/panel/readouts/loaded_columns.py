@@ -1,4 +1,4 @@
-"""Loaded columns: one line is driven through a resistor, the other driven lines float, every sensed line has a load."""
+"""Loaded columns: one line is driven, all sensed lines are loaded, all other driven lines float."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -9,20 +9,8 @@ import numpy as np
 
 from lampest.files.typed import Configuration, check_ranges
 from lampest.panel.panel import Array
-from lampest.panel.readouts.driven import END, DrivenReadout, alternated
-from lampest.panel.readouts.lines import (
-    RELAXED,
-    LineNumber,
-    PerLine,
-    Side,
-    along,
-    lines_text,
-    of_side,
-    opposite,
-    parallel,
-    per_line,
-)
-from lampest.panel.readouts.readout import LEAST_SHARE, FreeTest
+from lampest.panel.readouts.driven import DrivenReadout
+from lampest.panel.readouts.lines import RELAXED, LineNumber, PerLine, Side, lines_text, opposite, parallel, per_line
 
 
 @dataclass(frozen=True)
@@ -108,6 +96,7 @@ class LoadedColumnsReadout(DrivenReadout):
     """
 
     of_sensed: ClassVar[tuple[str, ...]] = ("load_ohm",)
+    idle_floats: ClassVar[bool] = True
     kind: Literal["loaded_columns"] = "loaded_columns"
     driven: Side = "rows"
     polarity: Literal["up", "down"] = "up"
@@ -122,95 +111,42 @@ class LoadedColumnsReadout(DrivenReadout):
         return (
             f"loaded {opposite(self.driven)}, {self.driven} driven {self.polarity} one after the other, "
             f"{self.supply_volt:g} V, load {lines_text(self.load_ohm)}, drive {lines_text(self.drive_ohm)}"
-            f"{diode}{self._input_text}, {self.converter_description()}"
+            f"{diode}{self._end_text}"
         )
 
-    def _circuit(self, shape: tuple[int, ...]) -> tuple[Array, Array]:
-        """(Rd, Rs with the converter parallel to it), each to be broadcast to (rows, columns)."""
-        driven, sensed = of_side(self.driven, *shape)
-        load = parallel(per_line("load_ohm", self.load_ohm, sensed), self.input_ohm)
-        return along(self.driven, per_line("drive_ohm", self.drive_ohm, driven)), along(opposite(self.driven), load)
+    def _sensed(self, lines: int) -> tuple[Array, Array]:
+        """(Rs with the converter parallel to it, 1)."""
+        return parallel(per_line("load_ohm", self.load_ohm, lines), self.input_ohm), np.ones(lines)
 
-    def ties(self, measured: Array) -> Array:
-        """1/Rs at the sensed lines, none at the driven ones."""
-        drive, load = (part.ravel() for part in self._circuit(measured.shape))
-        return np.concatenate(of_side(self.driven, np.zeros(len(drive)), 1 / load))
+    def _supply(self, resistance: Any) -> Any:
+        """What the diode leaves to Rd + Z_ii."""
+        return self.supply_volt if self.diode is None else self.diode.left(self.supply_volt, resistance)
 
-    def reading(self, row: Any, column: Any, mutual: Any) -> Any:
-        """V = U·Z_ij/(Rd_i + Z_ii)."""
-        driven, _ = of_side(self.driven, row, column)
-        drive = along(self.driven, per_line("drive_ohm", self.drive_ohm, of_side(self.driven, *mutual.shape)[0]))
-        resistance = driven + np.broadcast_to(drive, mutual.shape)
-        supply = self.supply_volt if self.diode is None else self.diode.left(self.supply_volt, resistance)
-        return supply * mutual / resistance
+    def _lost(self, current: Array) -> Array:
+        """V_d."""
+        return super()._lost(current) if self.diode is None else self.diode.drop(current)
 
-    def _driven_volt(self, current: Array, drive: Array) -> Array:
-        """Vcc − Rd I − V_d(I): where a driven line stands while it takes a current, any shape."""
-        volt = self.supply_volt - drive * current
-        return volt if self.diode is None else volt - self.diode.drop(current)
-
-    def apparent_resistance(self, measured: Array) -> Array:
-        """Rs·(Vcc − V_d)/V − Rs − Rd: what the naive divider makes of a reading."""
-        share = np.clip(measured / self.supply_volt, END, 1 - END)
-        drive, load = self._circuit(measured.shape[-2:])
-        lost = 0.0 if self.diode is None else self.diode.drop(share * self.supply_volt / load) / self.supply_volt
-        return np.asarray(np.maximum(load * ((1 - lost) / share - 1) - drive, LEAST_SHARE * load))
-
-    def start(self, measured: Array, upper: Array, near: Array | None = None) -> Array:
-        """Cells that satisfy Kirchhoff's law at the voltages that were read: potentials and cells in turn.
-
-        While line i is driven, sensed line j stands at v_ij, which is read, and the driven one at a potential that
-        follows from its current I_i = Σ_j v_ij/Rs_j. Only the floating lines' potentials w_r are unknown: w_r Σ_j g_rj
-        = Σ_j g_rj v_ij. Given those, Σ_r g_rj (w_r − v_ij) = v_ij/Rs_j is linear in the cells of one sensed line.
+    def _driven_potentials(self, conductance: Array, volt: Array, drive: Array, load: Array) -> Array:
+        """The driven line's follows from its current, Σ_j v_ij/Rs_j, and floating ones carry none: u_p Σ_j g_pj = Σ_j
+        g_pj v_ij.
         """
-        volt = np.clip(measured, END * self.supply_volt, (1 - END) * self.supply_volt)
-        drive, load = (np.broadcast_to(part, measured.shape) for part in self._circuit(measured.shape))
-        begin = None if near is None else 1 / near
-        if self.driven == "columns":
-            volt, load, drive = volt.T, load.T, drive.T
-            begin = None if begin is None else begin.T
-        current: Array = volt / load
-        driven = np.maximum(self._driven_volt(current.sum(axis=1), drive[:, 0]), volt.max(axis=1) * (1 + 1e-6))
-
-        def next_round(conductance: Array) -> Array:
-            floating = (volt @ conductance.T) / conductance.sum(axis=1)  # (pattern, line)
-            floating[np.diag_indices(len(driven))] = driven
-            system = floating[None] - volt.T[:, :, None]  # (sensed, pattern, line)
-            return np.asarray(np.linalg.solve(system, current.T[:, :, None])[:, :, 0].T)
-
-        conductance = alternated(current / (driven[:, None] - volt), begin, next_round)
-        return np.asarray(np.minimum(1 / (conductance.T if self.driven == "columns" else conductance), upper))
+        potentials = (volt @ conductance.T) / conductance.sum(axis=1)
+        driven = self._driven_volt((volt / load).sum(axis=1), drive)
+        np.fill_diagonal(potentials, np.maximum(driven, volt.max(axis=1) * (1 + 1e-6)))
+        return np.asarray(potentials[None])
 
     def least_cells(self, measured: Array, sigma: Array | None) -> Array:
         """r_ij ≥ u_i/I_i − Rs_j with the driven line's current I_i = Σ_j V_ij/Rs_j and potential u_i = Vcc − Rd_i I_i
         − V_d.
         Every sensed line takes at least what flows through its own cell, and I_i is all of it. RELAXED by the noise.
         """
-        drive, load = self._circuit(measured.shape[-2:])
+        drive, load, _ = self._circuit(measured.shape[-2:])
         sensed = self._along_sensed
         noise = np.zeros_like(measured) if sigma is None else np.where(np.isfinite(sigma), sigma, measured)
         current = (measured / load).sum(axis=sensed, keepdims=True)
         current = current + RELAXED * np.sqrt(((noise / load) ** 2).sum(axis=sensed, keepdims=True))
         least = np.maximum(self._driven_volt(current, drive), 0) / current - load
         return np.asarray(np.maximum(least, super().least_cells(measured, sigma)))
-
-    def free_tests(self, measured: Array, sigma: Array) -> tuple[FreeTest, ...]:
-        """max_j V_ij ≤ Vcc − Rd_i I_i, I_i = Σ_j V_ij/Rs_j: no sensed line stands above the one that is driven."""
-        drive, load = self._circuit(measured.shape[-2:])
-        value, noise = np.where(np.isfinite(sigma), (measured, sigma), 0.0)
-        sensed = self._along_sensed
-        driven = self._driven_volt((value / load).sum(axis=sensed, keepdims=True), drive)
-        spread = np.sqrt(noise**2 + drive**2 * ((noise / load) ** 2).sum(axis=sensed, keepdims=True))
-        excess = (value - driven) / np.where(noise > 0, spread, np.inf)
-        law = f"no sensed line stands above the driven one behind its {lines_text(self.drive_ohm)}"
-        return (FreeTest(law, excess.max(axis=(-2, -1)), measured[0].size),)
-
-    def most_in_series(self, measured: Array, sigma: Array) -> float:
-        """Rd ≤ min_i (Vcc − max_j V_ij)/I_i."""
-        value, sensed = np.where(np.isfinite(sigma), measured, 0.0), self._along_sensed
-        current = (value / self._circuit(measured.shape[-2:])[1]).sum(axis=sensed)
-        left = self._driven_volt(current, np.zeros(1)) - value.max(axis=sensed)
-        return float(np.min(left / np.maximum(current, 1e-300)))
 
     def line_numbers(self) -> tuple[LineNumber, ...]:
         """Those of driven lines, and the drop of a diode that is there."""

@@ -141,10 +141,6 @@ class Readout(Converter, ABC):
         """Cells (rows, columns) ohm to begin a search at, from readings, upper bounds, an earlier estimate or None."""
         return self.uniform_start(measured) if near is None else near
 
-    def exact_start(self, measured: Array, upper: Array) -> Array:
-        """Cells (rows, columns) ohm that reproduce the readings as nearly as the kind can without a search."""
-        return self.start(measured, upper)
-
     def uniform_start(self, measured: Array) -> Array:
         """Cells (…, rows, columns) ohm as if all were alike, as far as the kind knows better than apparent ones."""
         return self.apparent_resistance(measured)

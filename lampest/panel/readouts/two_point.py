@@ -7,9 +7,9 @@ from typing import Any, ClassVar, Literal, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.panel.network import Block, Network, inverse_of
+from lampest.panel.network import Network, inverse_of
 from lampest.panel.panel import Array
-from lampest.panel.readouts.floating import FloatingNetwork, convex_start, fitted_block, grounding, uniform_factor
+from lampest.panel.readouts.floating import FloatingNetwork, convex_start, grounding, uniform_factor
 from lampest.panel.readouts.lines import LineNumber, check_resistors
 from lampest.panel.readouts.readout import SHORT_SHARE, FreeTest, Readout, Surroundings
 from lampest.panel.readouts.star_mesh import two_point_resistance
@@ -101,10 +101,6 @@ class TwoPointReadout(Readout):
         """Cells that reproduce attainable readings exactly; see `convex_start`."""
         return convex_start(measured, upper, near)
 
-    def exact_start(self, measured: Array, upper: Array) -> Array:
-        """The same to a millionth of every reading."""
-        return convex_start(measured, upper)
-
     def least_cells(self, measured: Array, sigma: Array | None) -> Array:
         """r ≥ R: parallel paths only lower a reading; paper, equation (12)."""
         return measured.copy()
@@ -128,14 +124,6 @@ class TwoPointReadout(Readout):
             return 1.0
         first = int(np.argmin(steps[half - 1 :] - steps[: len(steps) - half + 1]))
         return float(np.exp(steps[first : first + half].mean()))
-
-    def fitted_block(
-        self, network: Network, block: Block, measured: Array, least: Array, chosen: NDArray[np.bool_]
-    ) -> Network:
-        """Of floating lines by a convex function; see `lampest.panel.readouts.floating`."""
-        if isinstance(network, FloatingNetwork):
-            return fitted_block(network, block, measured, least, chosen)
-        return super().fitted_block(network, block, measured, least, chosen)
 
     def free_tests(self, measured: Array, sigma: Array) -> tuple[FreeTest, ...]:
         """R_jk ≤ R_jq + R_pq + R_pk; see `four_point_excess`."""

@@ -12,10 +12,11 @@ from typing import Literal
 import numpy as np
 
 from lampest.files.typed import Configuration
-from lampest.panel.network import Block, Network, Numbers, ReadCircuit, SecondOrder
+from lampest.panel.kirchhoff import bipartite
+from lampest.panel.network import Block, Entries, Loading, Network, Numbers, ReadCircuit, SecondOrder
 from lampest.panel.panel import Array
 from lampest.panel.readouts.lines import RELAXED, PerLine, check_lines, per_line
-from lampest.panel.readouts.tied import TiedNetwork, TiedSecondOrder
+from lampest.panel.readouts.tied import TiedNetwork
 
 
 @dataclass(frozen=True)
@@ -257,38 +258,34 @@ class WiredNetwork(TiedNetwork):
         """D = (r C Z)ᵀ (lines, cells) ohm."""
         return np.asarray((self.cell_resistance.reshape(-1, 1) * (self.currents @ self._impedance)).T)
 
-    def changes(self, step: Array) -> Array:
-        """dZ = D·diag(g·p)·Dᵀ (lines, lines) ohm."""
-        across = self.potential_differences
-        return np.asarray((across * (self.conductance * step).ravel()) @ across.T)
+    def changes(self, step: Array) -> Entries:
+        """Of dZ = D·diag(g·p)·Dᵀ."""
+        differences = self.potential_differences
+        return self.entries((differences * (self.conductance * step).ravel()) @ differences.T)
 
-    def forward(self, step: Array) -> Array:
-        """What dZ does to the readings."""
-        return self.read_change(self.changes(step))
-
-    def adjoint(self, weights: Array) -> Array:
-        """g·diag(Dᵀ W D)."""
-        return self.conductance * self.drawn(self.loading(weights))
-
-    def drawn(self, loading: Array) -> Array:
-        """diag(Dᵀ W D) (rows, columns) of W (lines, lines)."""
-        across = self.potential_differences
-        return np.asarray(np.sum(across * (loading @ across), axis=0).reshape(self.conductance.shape))
+    def drawn(self, loading: Loading) -> Array:
+        """diag(Dᵀ W D)."""
+        differences = self.potential_differences
+        drawn = np.sum(differences * bipartite(*loading, differences), axis=0)
+        return np.asarray(drawn.reshape(self.conductance.shape))
 
     def _own_differences(self) -> tuple[Array, Array]:
-        """(D_jc, D_kc) of every cell c at its own row j and column k."""
         rows, columns = self.conductance.shape
         row, column = np.indices((rows, columns))
-        across = self.potential_differences.reshape(-1, rows, columns)
-        return across[row, row, column], across[rows + column, row, column]
+        differences = self.potential_differences.reshape(-1, rows, columns)
+        return differences[row, row, column], differences[rows + column, row, column]
 
     def driven_through(self, sources: Array) -> Array:
         """X·s (cells, patterns) volt of currents s (cells, patterns) that are driven through cells."""
-        shape = self.conductance.shape
         resistance = self.cell_resistance.reshape(-1, 1)
         pushed = resistance * sources
-        drawn = self.ladder.solve(pushed.reshape(*shape, -1)).reshape(pushed.shape)
+        drawn = self.ladder.solve(pushed.reshape(*self.conductance.shape, -1)).reshape(pushed.shape)
         return np.asarray(pushed - resistance * drawn + self.potential_differences.T @ (self.currents.T @ pushed))
+
+    def transfer_between(self, cells: Numbers | None) -> Array:
+        """X, which wire makes another matrix than BᵀZB."""
+        whole = self.driven_through(np.eye(self.conductance.size))
+        return whole if cells is None else whole[np.ix_(cells, cells)]
 
     def contact_response(self) -> Array:
         """∂y/∂c of the lines' contacts c, (rows, columns, lines): ∂Z_ab/∂c_l = X_la X_lb with X = 1 − diag(t) Z.
@@ -296,7 +293,7 @@ class WiredNetwork(TiedNetwork):
         X_la is the current that enters line l while a unit current enters terminal a.
         """
         entering = np.eye(len(self.ties)) - self.ties[:, None] * self._impedance
-        return np.stack([self.read_change(np.outer(line, line)) for line in entering], axis=-1)
+        return np.stack([self.read_change(self.entries(np.outer(line, line))) for line in entering], axis=-1)
 
     def second_order(self, weights: Array) -> SecondOrder:
         """Through D twice, and through the curvature of h."""
@@ -310,30 +307,26 @@ class WiredNetwork(TiedNetwork):
 
 
 @dataclass(frozen=True, eq=False)
-class WiredSecondOrder(TiedSecondOrder):
+class WiredSecondOrder(SecondOrder):
     """H of weights at a network with wire."""
 
     network: WiredNetwork
 
-    def products(self, step: Array) -> tuple[Array, Array]:
-        """(J·p, g·(2 diag(Dᵀ W dD) + diag(Dᵀ W' D))), dDᵀ = X·(g·p·Dᵀ), W' from what p does to the slopes of h."""
-        network = self.network
-        across, change = network.potential_differences, network.changes(step)
-        moved = network.driven_through((across * (network.conductance * step).ravel()).T).T
-        twice = 2 * np.sum(moved * (self.loading @ across), axis=0).reshape(step.shape)
-        return network.read_change(change), network.conductance * (twice + network.drawn(self.loading_change(change)))
-
     def adjoint(self) -> Array:
         """g·diag(Dᵀ W D)."""
-        return self.network.conductance * self.network.drawn(self.loading)
+        return np.asarray(self.network.conductance * self.network.drawn(self.loading))
 
-    def matrix(self, cells: Numbers | None = None) -> Array:
-        """2 g (X ∘ Dᵀ W D) g, and what the curvature of h adds."""
-        conductance, across = self.network.conductance.ravel(), self.network.potential_differences
-        matrix = 2 * self.network.driven_through(np.eye(len(conductance))) * (across.T @ self.loading @ across)
-        matrix *= conductance[:, None] * conductance
-        whole = self.with_curvature(matrix)
-        return whole if cells is None else whole[np.ix_(cells, cells)]
+    def products(self, step: Array) -> tuple[Array, Array]:
+        """(J·p, g·(2 diag(Dᵀ W dD) + diag(Dᵀ W' D))), dDᵀ = X·(g·p·Dᵀ), W' from what p does to the slopes of h."""
+        network, change = self.network, self.network.changes(step)
+        differences = network.potential_differences
+        moved = network.driven_through((differences * (network.conductance * step).ravel()).T).T
+        twice = 2 * np.sum(moved * bipartite(*self.loading, differences), axis=0).reshape(step.shape)
+        return network.read_change(change), network.conductance * (twice + network.drawn(self.loading_change(change)))
+
+    def _twice_between(self, cells: Numbers | None) -> Array:
+        chosen = self.network.potential_differences[:, slice(None) if cells is None else cells]
+        return np.asarray(chosen.T @ bipartite(*self.loading, chosen))
 
 
 def contact_responses(networks: Sequence[Network]) -> Array:
