@@ -1,4 +1,4 @@
-"""Arrays of .npy, .npz and .mat files as frames: which of them holds the panel, and in which order of axes."""
+"""What a foreign file is turned into, and the arrays of .npy, .npz and .mat files as such frames."""
 
 import struct
 import warnings
@@ -6,6 +6,7 @@ import zipfile
 import zlib
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass, replace
 from math import prod
 from pathlib import Path
 from typing import Any
@@ -16,52 +17,83 @@ from numpy.typing import NDArray
 
 from lampest.files import hdf5
 from lampest.files.errors import InputError
-from lampest.recording.foreign.frames import MOST_BYTES, Clock, Frames, check_count, clock_of_numbers
-from lampest.recording.foreign.words import role_of
+from lampest.panel.panel import Array
+from lampest.recording.foreign.words import Clock, clock_of_numbers, role_of
 
-ArraysByName = dict[str, NDArray[Any]]
-MATRIX, COMPRESSED = 14, 15
+MOST_BYTES = 500_000_000  # of a file, of what it unpacks to, and of its values in memory
+COMPRESSED, MATRIX = 15, 14  # data elements of a .mat file
 NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
-FLAT, STACKED = "(frames, rows·columns), row by row", "(rows, columns, frames)"
-AXES = {
-    "(rows, columns)": ("row", "column"),
-    STACKED: ("row", "column", "frame"),
-    "(frames, rows, columns)": ("frame", "row", "column"),
-    FLAT: ("frame", "cell"),
-}
-NUMPY_LAYOUTS = ("(rows, columns)", "(frames, rows, columns)", FLAT, STACKED)
-MATLAB_LAYOUTS = ("(rows, columns)", STACKED, "(frames, rows, columns)")  # as MATLAB stacks matrices
+ONE, STACKED, FRAMES = "(rows, columns)", "(rows, columns, frames)", "(frames, rows, columns)"
+FLAT = "(frames, rows·columns), row by row"
+
+Arrays = dict[str, NDArray[Any]]
+Shape = tuple[int, int]
+Index = NDArray[np.intp]
+Timing = Callable[[], Clock] | None
 
 
-def check_archive(path: Path, kind: str) -> None:
+@dataclass(frozen=True, eq=False)
+class Frames:
+    """Which numbers of a file are the readings of which cells, and what else it says.
+
+    numbers : all that the file holds, in any unit and order; NaN where one is missing, infinite where it says so.
+    number : (frames, rows, columns) index into them; -1: the file has none for the cell.
+    named : index → where in the file; -1 → the file.
+    timing : when the frames were taken, or raises InputError; None where the file has no times.
+    notes : sentences on how it was understood. words : names of columns or arrays in which the unit may stand.
+    """
+
+    numbers: Array
+    number: Index
+    named: Callable[[int], str]
+    timing: Timing
+    notes: tuple[str, ...]
+    words: tuple[str, ...]
+
+    @property
+    def values(self) -> Array:
+        """(frames, rows, columns) in the file's unit."""
+        return np.where(self.number < 0, np.nan, self.numbers[self.number])
+
+    def place(self, frame: int, row: int, column: int) -> str:
+        """Where in the file a reading stands."""
+        number = int(self.number[frame, row, column])
+        return self.named(number) if number >= 0 else f"{self.named(-1)}: row {row}, column {column} of frame {frame}"
+
+    def arranged(self, number: Index, note: str) -> "Frames":
+        """The same numbers as those of other cells, and a sentence on that."""
+        return replace(self, number=number, notes=(*self.notes, note))
+
+
+def check_count(where: object, values: int) -> None:
+    """Raise InputError where a file claims more values than are imported."""
+    if 8 * values > MOST_BYTES:
+        raise InputError(f"{where}: {values} values, more than {MOST_BYTES // 8} are not imported")
+
+
+def check_archive(path: Path) -> None:
     """Raise InputError where a file is no zip archive, or its parts claim more bytes than are imported."""
-    try:
-        with zipfile.ZipFile(path) as archive:
-            parts = archive.infolist()
-    except (zipfile.BadZipFile, ValueError, NotImplementedError, EOFError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: no readable {kind} file ({' '.join(str(error).split())})") from error
-    claimed = sum(part.file_size for part in parts)
+    with reading(path), zipfile.ZipFile(path) as archive:
+        claimed = sum(part.file_size for part in archive.infolist())
     if claimed > MOST_BYTES:
         raise InputError(f"{path}: unpacks to {claimed} bytes, more than {MOST_BYTES} are not imported")
-    if any(part.flag_bits & 1 for part in parts):
-        raise InputError(f"{path}: is locked with a password")
 
 
 @contextmanager
-def _reading(path: Path) -> Iterator[None]:
+def reading(path: Path) -> Iterator[None]:
+    """Around a parser: of a damaged file it may raise whatever it meets, which becomes one InputError."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             yield
     except (OSError, MemoryError, InputError):
         raise
-    except Exception as error:  # parsers of damaged files raise whatever they meet
+    except Exception as error:
         said = " ".join(str(error).split()) or type(error).__name__
         raise InputError(f"{path}: no readable {path.suffix.lower()} file ({said})") from error
 
 
-def _of_npy(path: Path) -> ArraysByName:
-    """The one array under the name ''."""
+def _of_npy(path: Path) -> Arrays:
     array = np.load(path, mmap_mode="r", allow_pickle=False)
     if not isinstance(array, np.ndarray) or array.dtype.kind not in "iuf":
         raise InputError(f"{path}: holds no plain array of real numbers")
@@ -69,8 +101,8 @@ def _of_npy(path: Path) -> ArraysByName:
     return {"": np.array(array)}
 
 
-def _of_npz(path: Path) -> ArraysByName:
-    check_archive(path, ".npz")
+def _of_npz(path: Path) -> Arrays:
+    check_archive(path)
     arrays = {}
     with zipfile.ZipFile(path) as archive:
         for name in (name for name in archive.namelist() if name.endswith(".npy")):
@@ -83,8 +115,8 @@ def _of_npz(path: Path) -> ArraysByName:
     return arrays
 
 
-def _of_mat(path: Path) -> ArraysByName:
-    """Arrays in MATLAB's shape, in the file's order; texts, structures, cells and complex arrays are left out."""
+def _of_mat(path: Path) -> Arrays:
+    """Arrays in MATLAB's shape, in the file's order."""
     # Source: MATLAB, MAT-File Format, 2020. Damaged files end SciPy's reader in a segmentation fault.
     data = path.read_bytes()
     if data.startswith((b"MATLAB 7.3", b"\x89HDF")):
@@ -92,68 +124,45 @@ def _of_mat(path: Path) -> ArraysByName:
     order = {b"IM": "<", b"MI": ">"}.get(data[126:128])
     if order is None:
         raise InputError(f"{path}: no readable .mat file (save it with the option -v7)")
-    arrays, rest = {}, MOST_BYTES
-    for kind, body in _elements(memoryview(data)[128:], order):
+    arrays, at = {}, 128
+    while at + 8 <= len(data):
+        kind, body, at = _element(memoryview(data), at, order)
         if kind == COMPRESSED:
-            _check_claim(path, body, order, rest)
-            unpacker = zlib.decompressobj()
-            unpacked = unpacker.decompress(body, max(rest, 1))
-            if not unpacker.eof:
-                raise ValueError("a compressed element is cut, or too large")
-            rest -= len(unpacked)
-            kind, body = next(_elements(memoryview(unpacked), order), (0, body))
+            head = np.frombuffer(zlib.decompressobj().decompress(body, 64), dtype=order + "u4").tolist()
+            check_count(path, prod(head[8 : 8 + head[7] // 4]))  # dimensions come behind eight words
+            kind, body, _ = _element(memoryview(zlib.decompressobj().decompress(body, MOST_BYTES)), 0, order)
         name, array = _matrix(body, order) if kind == MATRIX else ("", None)
         if array is not None:
             arrays[name] = array
     return arrays
 
 
-def _elements(view: memoryview, order: str, cut: bool = False) -> Iterator[tuple[int, memoryview]]:
-    """Kind and content of data elements that follow one another; cut : whether the last one may end early."""
-    at = 0
-    while at + 8 <= len(view):
-        kind, size = struct.unpack_from(order + "II", view, at)
-        start, after = at + 8, at + 8 + size + (0 if kind == COMPRESSED else -size % 8)
-        if kind >> 16:  # a small one holds both in eight bytes
-            kind, size, start, after = kind & 0xFFFF, kind >> 16, at + 4, at + 8
-        if (start + size > len(view) and not cut) or (after == at + 8 and size > 4):
-            raise ValueError("an element reaches beyond its end")
-        yield kind, view[start : start + size]
-        at = after
-
-
-def _check_claim(path: Path, body: memoryview, order: str, most: int) -> None:
-    """Raise InputError where a compressed matrix claims more than is imported: its beginning says so, unpacked."""
-    begin = zlib.decompressobj().decompress(body, 4096)
-    if len(begin) < 8:
-        return
-    kind, size = struct.unpack_from(order + "II", begin)
-    if size > most:
-        raise InputError(f"{path}: unpacks to {size} bytes or more, and {most} are imported")
-    parts = [part for _, part in _elements(memoryview(begin)[8:], order, cut=True)] if kind == MATRIX else []
-    if len(parts) > 1:
-        check_count(path, prod(np.frombuffer(parts[1][: len(parts[1]) // 4 * 4], dtype=order + "i4").tolist()))
+def _element(view: memoryview, at: int, order: str) -> tuple[int, memoryview, int]:
+    """Kind and content of the data element that begins there, and where the next one does."""
+    kind, size = struct.unpack_from(order + "II", view, at)
+    begin, after = at + 8, at + 8 + size + (0 if kind == COMPRESSED else -size % 8)
+    if kind >> 16:  # a small one holds both in eight bytes
+        kind, size, begin, after = kind & 0xFFFF, kind >> 16, at + 4, at + 8
+    if begin + size > len(view):
+        raise ValueError("an element reaches beyond its end")
+    return kind, view[begin : begin + size], after
 
 
 def _matrix(body: memoryview, order: str) -> tuple[str, NDArray[Any] | None]:
-    """A matrix element's name and values: flags, dimensions, name and real part stand one after another."""
-    parts = [part for part, _ in zip(_elements(body, order), range(4), strict=False)]
-    if len(parts) < 4 or len(parts[0][1]) != 8:
+    """A matrix element's name and values; None of texts, structures, cells and complex values."""
+    _, flags, at = _element(body, 0, order)
+    _, size, at = _element(body, at, order)
+    _, name, at = _element(body, at, order)
+    (word,) = struct.unpack_from(order + "I", flags)
+    if not 6 <= word & 0xFF <= 15 or word & 0x800:  # double to uint64; complex
         return "", None
-    (flags,) = struct.unpack_from(order + "I", parts[0][1])
-    if not 6 <= flags & 0xFF <= 15 or flags & 0x800:  # double to uint64; complex
-        return "", None
-    size = np.frombuffer(parts[1][1], dtype=order + "i4").tolist()
-    kind, values = parts[3]
-    if kind not in NUMBERS:
-        raise ValueError(f"values of the unknown kind {kind}")
-    array = np.frombuffer(values, dtype=order + NUMBERS[kind])
-    if len(size) < 2 or min(size) < 0 or prod(size) != array.size:
-        raise ValueError(f"an array of {' × '.join(map(str, size)) or 'no'} values holds {array.size}")
-    return bytes(parts[2][1]).decode("ascii", "replace"), array.reshape(size, order="F")
+    kind, values, _ = _element(body, at, order)
+    shape = np.frombuffer(size, dtype=order + "u4").tolist()
+    array = np.frombuffer(values, dtype=order + NUMBERS[kind]).reshape(shape, order="F")
+    return bytes(name).decode("ascii", "replace"), array
 
 
-def _of_level_7(path: Path) -> ArraysByName:
+def _of_level_7(path: Path) -> Arrays:
     """HDF5 has MATLAB's axes in reverse."""
     arrays = {}
     try:
@@ -169,23 +178,20 @@ def _of_level_7(path: Path) -> ArraysByName:
     return arrays
 
 
-# Suffix → how its arrays are read, and the orders of axes that are tried.
-ARRAYS: dict[str, tuple[Callable[[Path], ArraysByName], Sequence[str]]] = {
-    ".npy": (_of_npy, NUMPY_LAYOUTS),
-    ".npz": (_of_npz, NUMPY_LAYOUTS),
-    ".mat": (_of_mat, MATLAB_LAYOUTS),
-}
+READERS = {".npy": _of_npy, ".npz": _of_npz, ".mat": _of_mat}  # what is no array of real numbers is left out
 
 
-def frames_of_arrays(path: Path, shape: tuple[int, int], variable: str | None) -> Frames:
+def frames_of_arrays(path: Path, shape: Shape, variable: str | None) -> Frames:
     """Frames (frames, rows, columns) of the one array that fits, or of the variable, in the first order that does.
 
-    Raises InputError where the file is damaged, or none or several fit.
+    Raises InputError where the file is damaged, claims too much, or none or several fit.
     """
-    read, layouts = ARRAYS[path.suffix.lower()]
-    with _reading(path):
-        arrays = read(path)
-    fits = {name: [layout for layout in layouts if _fits(array.shape, layout, shape)] for name, array in arrays.items()}
+    with reading(path):
+        arrays = READERS[path.suffix.lower()](path)
+    matlab = path.suffix.lower() == ".mat"
+    sizes = {ONE: shape, FRAMES: (None, *shape), FLAT: (None, shape[0] * shape[1]), STACKED: (*shape, None)}
+    layouts = (ONE, STACKED, FRAMES) if matlab else tuple(sizes)
+    fits = {name: [way for way in layouts if _fits(array.shape, sizes[way])] for name, array in arrays.items()}
     name = _chosen(path, arrays, fits, shape, variable)
     array, where = arrays[name], f"{path}: {name}" if name else str(path)
     if not fits[name]:
@@ -194,30 +200,28 @@ def frames_of_arrays(path: Path, shape: tuple[int, int], variable: str | None) -
         raise InputError(f"{where}: is {_by(array.shape)}, which {ways}{hint}")
     check_count(where, array.size)
     layout, *others = fits[name]
-    every: NDArray[np.intp] = np.arange(array.size).reshape(array.shape)
+    every: Index = np.arange(array.size).reshape(array.shape)
     number = (every.transpose(2, 0, 1) if layout == STACKED else every).reshape(-1, *shape)
     note = f"{f'array {name} ' if name else ''}read as {layout}{f' ({others[0]} would fit, too)' if others else ''}"
-    timing, of_matlab = _timing(path, arrays, name, len(number)), layouts is MATLAB_LAYOUTS
 
     def named(at: int) -> str:
-        index = ", ".join(str(part + of_matlab) for part in np.unravel_index(max(at, 0), array.shape))
-        return f"{where}({index})" if of_matlab else f"{where}[{index}]"
+        index = ", ".join(str(part + matlab) for part in np.unravel_index(max(at, 0), array.shape))
+        return f"{where}({index})" if matlab else f"{where}[{index}]"
 
-    return Frames(array.ravel(), number, named, timing, (note,), (name,))
+    def clock() -> Clock:
+        values = np.asarray(arrays[times[0]], dtype=float).ravel()
+        read = clock_of_numbers(values, times[0], lambda frame: f"{path}: {times[0]}[{frame}]")
+        return read.said(f"array {times[0]} in ")
+
+    times = [time for time in arrays if role_of(time) == "time" and arrays[time].size == len(number) and time != name]
+    return Frames(array.ravel(), number, named, clock if len(times) == 1 else None, (note,), (name,))
 
 
-def _chosen(
-    path: Path,
-    arrays: ArraysByName,
-    fits: dict[str, list[str]],
-    shape: tuple[int, int],
-    variable: str | None,
-) -> str:
+def _chosen(path: Path, arrays: Arrays, fits: dict[str, list[str]], shape: Shape, variable: str | None) -> str:
+    """The array that is asked for, or the one that fits."""
     if variable is not None and variable not in arrays:
         raise InputError(f"{path}: no numeric array '{variable}'; there are {', '.join(arrays) or 'none'}")
-    if variable is not None or list(arrays) == [""]:
-        return variable or ""
-    chosen = [name for name in arrays if fits[name]]
+    chosen = [name for name in arrays if fits[name] or name == ""] if variable is None else [variable]
     if len(chosen) > 1:
         raise InputError(f"{path}: {', '.join(chosen)} would all fit; say which with --variable")
     if not chosen:
@@ -226,27 +230,11 @@ def _chosen(
     return chosen[0]
 
 
-def _fits(size: tuple[int, ...], layout: str, shape: tuple[int, int]) -> bool:
-    sizes = {"row": shape[0], "column": shape[1], "cell": shape[0] * shape[1]}
-    axes = AXES[layout]
-    return len(size) == len(axes) and all(
-        has == sizes.get(axis, has or 1) for has, axis in zip(size, axes, strict=True)
+def _fits(size: Sequence[int], wanted: Sequence[int | None]) -> bool:
+    return len(size) == len(wanted) and all(
+        has == want or (want is None and has > 0) for has, want in zip(size, wanted, strict=True)
     )
 
 
-def _timing(path: Path, arrays: ArraysByName, chosen: str, frames: int) -> Callable[[], Clock] | None:
-    """The one array that is called like a time and has one value for each frame."""
-    times = [name for name in arrays if name != chosen and role_of(name) == "time" and arrays[name].size == frames]
-    if len(times) != 1:
-        return None
-
-    def clock() -> Clock:
-        values = np.asarray(arrays[times[0]], dtype=float).ravel()
-        read = clock_of_numbers(values, times[0], lambda frame: f"{path}: {times[0]}[{frame}]")
-        return read.said(f"array {times[0]} in ")
-
-    return clock
-
-
 def _by(size: Sequence[int]) -> str:
-    return " × ".join(str(part) for part in size) or "one value"
+    return " × ".join(map(str, size)) or "one value"

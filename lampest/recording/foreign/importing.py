@@ -15,13 +15,11 @@ from lampest.files.typed import typed
 from lampest.files.whole import note_read
 from lampest.panel.panel import Panel
 from lampest.panel.scene import Scene
-from lampest.recording.foreign.arrays import ARRAYS, frames_of_arrays
-from lampest.recording.foreign.fields import rows_of_text, sheets_of
-from lampest.recording.foreign.frames import MOST_BYTES, Clock, Frames
+from lampest.recording.foreign.arrays import MOST_BYTES, READERS, Frames, Shape, frames_of_arrays
 from lampest.recording.foreign.layouts import frames_of
-from lampest.recording.foreign.table import table_of_rows
+from lampest.recording.foreign.table import lines_of_sheets, lines_of_text, readings_table
 from lampest.recording.foreign.unit import check_unit, recorded_values, understood_unit
-from lampest.recording.foreign.words import units_of
+from lampest.recording.foreign.words import Clock, units_of
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
 
 NOT_READ = {".xls": "save it as .xlsx", ".ods": "save it as .xlsx or .csv", ".xlsb": "save it as .xlsx"}
@@ -79,10 +77,13 @@ def import_file(
     if not 0 <= baseline_frames <= count:
         raise InputError(f"{path}: {baseline_frames} baseline frames asked for, but the file holds {count} frames")
     clock = _clock(frames, period)
-    blank = np.isnan(values) & panel.present
     if missing == "refuse":
-        _refuse_missing(frames, blank)
-    kind, reason = understood_unit(values, unit, units_of(frames.words) if unit is None else (), scene, path)
+        for frame, row, column in np.argwhere(np.isnan(values) & panel.present)[:1].tolist():
+            place = frames.place(frame, row, column)
+            raise InputError(f"{place}: the reading of row {row}, column {column} is missing")
+    kind, reason = unit, f"unit {unit}, as specified"
+    if kind is None:
+        kind, reason = understood_unit(values, units_of(frames.words), scene, path)
     assumed = _assumed(scene or Scene(panel), scene is not None)
     scene = scene or Scene(panel)
     recorded = recorded_values(values, kind, scene, frames.place)
@@ -139,16 +140,21 @@ def _frames(path: Path, panel: Panel, transpose: bool, variable: str | None, lay
     try:
         frames = _read_frames(path, panel.shape[::-1] if transpose else panel.shape, variable, layout)
     except InputError:
-        if panel.cells is not None and not transpose:
+        cells = [cell[:2] for cell in panel.cells or ()]
+        if cells and not transpose:
             with suppress(InputError):
-                return _listed(_read_frames(path, (1, len(panel.cells)), variable, layout), panel)
+                frames = _read_frames(path, (1, len(cells)), variable, layout)
+                number = np.full((len(frames.number), *panel.shape), -1)
+                number[:, *np.transpose(cells)] = frames.number[:, 0]
+                note = f"{len(cells)} values are the cells in the order of the scene's list"
+                return frames.arranged(number, note)
         raise
     if transpose:
         return frames.arranged(frames.number.swapaxes(1, 2), "transposed: the file's rows are the panel's columns")
     return frames
 
 
-def _read_frames(path: Path, shape: tuple[int, int], variable: str | None, layout: str | None) -> Frames:
+def _read_frames(path: Path, shape: Shape, variable: str | None, layout: str | None) -> Frames:
     """The frames of a file by its suffix. Raises InputError where it cannot be read, is too large, or does not fit."""
     kind = path.suffix.lower()
     try:
@@ -162,41 +168,33 @@ def _read_frames(path: Path, shape: tuple[int, int], variable: str | None, layou
             raise InputError(f"{path}: {kind} files are not read; {NOT_READ[kind]}")
         if variable is not None and kind not in NAMED:
             raise InputError(f"{path}: holds nothing by name; --variable is for {', '.join(NAMED)}")
-        if layout is not None and kind in ARRAYS:
+        if layout is not None and kind in READERS:
             raise InputError(f"{path}: holds arrays; --layout is for tables")
+        if kind in READERS:
+            return frames_of_arrays(path, shape, variable)
         if kind in SHEETS:
             return _of_sheets(path, shape, variable, layout)
-        if kind in ARRAYS:
-            return frames_of_arrays(path, shape, variable)
-        return frames_of(table_of_rows(rows_of_text(path), layout), shape)
+        return frames_of(readings_table(lines_of_text(path), layout), shape)
     except OSError as error:
         raise InputError(f"{path}: {error.strerror or error}") from error
     except MemoryError as error:
         raise InputError(f"{path}: claims more data than the memory holds") from error
 
 
-def _of_sheets(path: Path, shape: tuple[int, int], wanted: str | None, layout: str | None) -> Frames:
+def _of_sheets(path: Path, shape: Shape, wanted: str | None, layout: str | None) -> Frames:
     """The one sheet that fits; where none does, what is wrong with the first."""
     fitting: dict[str, Frames] = {}
-    wrong: list[InputError] = []
-    for name, rows in sheets_of(path, wanted, min(2, shape[1])).items():
+    wrong = [InputError(f"{path}: holds no values")]
+    for title, lines in lines_of_sheets(path, wanted, min(2, shape[1])).items():
         try:
-            fitting[name] = frames_of(table_of_rows(rows, layout), shape)
+            fitting[title] = frames_of(readings_table(lines, layout), shape)
         except InputError as error:
             wrong.append(error)
     if len(fitting) > 1:
         raise InputError(f"{path}: the sheets {', '.join(fitting)} would all fit; say which with --variable")
     if not fitting:
-        raise wrong[0] if wrong else InputError(f"{path}: holds no values")
+        raise wrong[min(1, len(wrong) - 1)]
     return next(iter(fitting.values()))
-
-
-def _listed(frames: Frames, panel: Panel) -> Frames:
-    """From values (frames, 1, cells) in the order of a panel's list."""
-    cells = [cell[:2] for cell in panel.cells or ()]
-    number = np.full((len(frames.number), *panel.shape), -1)
-    number[:, *np.transpose(cells)] = frames.number[:, 0]
-    return frames.arranged(number, f"{len(cells)} values are the cells in the order of the scene's list")
 
 
 def _clock(frames: Frames, period: float | None) -> Clock:
@@ -211,25 +209,19 @@ def _clock(frames: Frames, period: float | None) -> Clock:
     return frames.timing()
 
 
-def _refuse_missing(frames: Frames, blank: NDArray[np.bool_]) -> None:
-    for frame, row, column in np.argwhere(blank)[:1].tolist():
-        raise InputError(f"{frames.place(frame, row, column)}: the reading of row {row}, column {column} is missing")
-
-
-def _without_missing(blank: NDArray[np.bool_], missing: str, path: Path) -> tuple[NDArray[np.intp], str]:
-    """Which frames are kept, and a sentence on missing readings. Raises InputError where none would be left."""
-    gaps = blank.any(axis=(1, 2))
-    every = np.arange(len(blank))
+def _without_missing(blank: NDArray[np.bool_], missing: str, path: Path) -> tuple[NDArray[np.bool_], str]:
+    """(frames) which are kept, and a sentence on missing readings. Raises InputError where none would be left."""
+    gaps = np.asarray(blank.any(axis=(1, 2)))
     if not np.any(gaps):
-        return every, "no reading is missing"
+        return ~gaps, "no reading is missing"
     if np.all(blank):
         raise InputError(f"{path}: all readings are missing")
     said = f"{_counted(int(blank.sum()), 'reading')} missing, in {int(gaps.sum())} of {_counted(len(blank), 'frame')}"
     if missing == "mark":
-        return every, f"{said}: NaN in the recording"
+        return np.ones_like(gaps), f"{said}: NaN in the recording"
     if np.all(gaps):
         raise InputError(f"{path}: {said}, so that no frame would be left; --missing mark keeps them")
-    return every[~gaps], f"{said}: these frames are left out"
+    return ~gaps, f"{said}: these frames are left out"
 
 
 def _assumed(scene: Scene, given: bool) -> str:

@@ -1,21 +1,35 @@
-"""The lines of a file that hold readings, what their columns are called, what is left out and why."""
+"""Texts and sheets as lines of fields, and those lines and columns of them that hold readings."""
 
+import csv
+import datetime
 import re
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import closing
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.files.errors import InputError
+from lampest.files.errors import InputError, extra
 from lampest.panel.panel import Array
-from lampest.recording.foreign.frames import UNIT_OF_WORD, Clock, Frames, clock_of, is_stamp
-from lampest.recording.foreign.words import UNITS_OF_WORD, Numerals, line_of, role_of
+from lampest.recording.foreign.arrays import Frames, Index, Shape, Timing, check_archive, check_count, reading
+from lampest.recording.foreign.words import Numerals, clock_of, is_stamp, line_of, role_of
 
+MOST_FIELDS = 10_000_000  # 50 bytes each in memory
+SAMPLED = 50_000  # characters or fields of a file's beginning that decide how it is written
+SAMPLED_LINES = 1000
+DELIMITERS = {";": "semicolon", "\t": "tab", ",": "comma", " ": "blank"}
+COMMENT = re.compile(r"#(?!N/?A|DIV/0!|NUM!|VALUE!|REF!)|%|//", re.IGNORECASE)  # not where Excel has no number
+# '12:34:56.789 -> ' of the Arduino IDE, '12:34:56.789 > ' of PlatformIO, '[2025-01-31 12:34:56.789] ' of others
+DATE, TIME = r"(?:\d{4}-\d{2}-\d{2}[ T]|\d{1,2}\.\d{1,2}\.\d{4} )?", r"\d{1,2}:\d{2}:\d{2}(?:[.,:]\d+)?"
+STAMPED = re.compile(rf"\s*\[?({DATE}{TIME})\s*(?:\]|->|>|\|)\s*")
+LISTED = re.compile(r"[\[{(]+\s*[-+.\d]")  # '[512, 511],' of Python and JSON, '{512, 511},' of C
+BRACKETS = str.maketrans("[]{}()", "      ")
 # 'Frame 3, t = 1250 ms', 'time: 2025-01-31 12:00:01', 'millis=123'
 TITLE_TIME = re.compile(
     r"(?:\b(?P<word>t|time|timestamp|millis|ms|zeit)\s*[:=]\s*)(?P<value>\d[\d.,]*)\s*(?P<unit>ms|us|s)?(?![\d:/-])"
@@ -23,82 +37,205 @@ TITLE_TIME = re.compile(
     re.IGNORECASE,
 )
 NUMBER = re.compile(r"\d+(?:[.,:]\d+)*")
-SAMPLED = 50_000  # signs or fields of a file's beginning that decide how it is written
+
+
+class FieldLine(NamedTuple):
+    """A line that holds anything: its number in the file, its fields, a terminal's time before it or ''."""
+
+    number: int
+    texts: Sequence[str]
+    stamp: str = ""
 
 
 @dataclass(frozen=True, eq=False)
-class Rows:
-    """Lines of a file, cut into fields.
+class FieldLines:
+    """The lines of a text or of a sheet that hold anything; comments, too.
 
-    fields : (lines, fields) texts, '' where a line ends earlier. counts : (lines) how many each has.
-    numbers : (lines) as the file counts them. word : what it calls one, 'line' or 'row'. comment : (lines) whether it
-    is one. blank : (lines) whether an empty one stands before. stamps : (lines) a terminal's time before it, or ''.
-    at : a line's number, a field or None → where in the file.
+    fields : (lines, width) texts, '' where a line ends earlier. counts : (lines) fields of each. numbers : (lines) as
+    the file counts them. stamps : a terminal's times. comment, blank : (lines) whether it is a comment, whether an
+    empty line stands before. word : 'line' or 'row'. at : a line's number and a field or None → where in the file.
     """
 
     source: str
-    fields: NDArray[Any]
-    counts: NDArray[np.intp]
-    numbers: Sequence[int]
     word: str
-    comment: NDArray[np.bool_]
-    blank: NDArray[np.bool_]
-    stamps: Sequence[str]
     at: Callable[[int, int | None], str]
     notes: tuple[str, ...]
+    fields: NDArray[Any]
+    counts: Index
+    numbers: Sequence[int]
+    stamps: Sequence[str]
+    comment: NDArray[np.bool_]
+    blank: NDArray[np.bool_]
 
     def called(self, line: int) -> str:
         """'line 3'."""
         return f"{self.word} {self.numbers[line]}"
 
 
-def kind_of(text: str) -> str:
-    """A line without its numbers: titles of all frames are alike."""
-    return NUMBER.sub("#", text)
+def _lines(
+    source: str, word: str, at: Callable[[int, int | None], str], notes: Iterable[str], found: Iterable[FieldLine]
+) -> FieldLines:
+    """The lines as a table. Raises InputError where it is larger than what is imported."""
+    read, total, width = list[FieldLine](), 0, 0
+    for line in found:
+        read.append(line)
+        total, width = total + len(line.texts), max(width, len(line.texts))
+        if max(total, len(read) * width // 2) > MOST_FIELDS:
+            raise InputError(f"{at(line.number, None)}: more than {MOST_FIELDS} fields are not imported")
+    fields = np.full((len(read), width), "", dtype=object)
+    for number, line in enumerate(read):
+        fields[number, : len(line.texts)] = line.texts
+    counts = np.array([len(line.texts) for line in read], dtype=np.intp)
+    numbers = [line.number for line in read]
+    comment = np.array([COMMENT.match(line.texts[0]) is not None for line in read], dtype=bool)
+    blank = np.diff(np.array([0, *numbers])) > 1
+    return FieldLines(
+        source, word, at, tuple(notes), fields, counts, numbers, [line.stamp for line in read], comment, blank
+    )
 
 
-class Passed(NamedTuple):
-    """A line that holds no readings: its text, and 'line 3'; both empty for a blank one."""
+def lines_of_text(path: Path) -> FieldLines:
+    """The lines of a text file, whose fields are separated by the sign that gives most numbers.
 
-    text: str
-    called: str
+    Raises InputError with the line where the file is no text, is too large, or a quotation mark is not closed.
+    """
+    text, notes = _decoded(path)
+    read: list[tuple[int, str, str]] = []
+    for number, line in enumerate(re.split(r"\r\n|\r|\n", text), 1):
+        if len(line) > 1_000_000:
+            raise InputError(f"{path}:{number}: longer than 1000000 characters, which no table is")
+        stamped = STAMPED.match(line)
+        rest = line[stamped.end() :] if stamped else line.strip(" ")
+        rest = rest.translate(BRACKETS) if LISTED.match(rest) else rest
+        if rest.strip().strip(" \t;,"):
+            read.append((number, rest, stamped[1] if stamped else ""))
+    delimiter = _delimiter([rest for _, rest, _ in read if not COMMENT.match(rest)])
+    notes.insert(0, f"fields separated by {DELIMITERS[delimiter]}")
+    notes += ["a terminal's time before the lines"] if any(stamp for _, _, stamp in read) else []
+    lines = _lines(
+        str(path),
+        "line",
+        lambda number, field: f"{path}:{number}" + ("" if field is None else f":{field + 1}"),
+        notes,
+        (FieldLine(number, _split(path, number, rest, delimiter), stamp) for number, rest, stamp in read),
+    )
+    if len(read) > 1 and not text.endswith(("\r", "\n")) and lines.counts[-1] < np.median(lines.counts):
+        lines.fields[-1, lines.counts[-1] - 1] = ""  # the file ends within a line
+        note = f"the last number of line {lines.numbers[-1]} is cut off and missing"
+        return replace(lines, notes=(*lines.notes, note))
+    return lines
+
+
+def _decoded(path: Path) -> tuple[str, list[str]]:
+    """The text in UTF-8, or in UTF-16 by its mark or its zero bytes; a sentence on the latter."""
+    data = path.read_bytes()
+    count = max(data.count(b"\n"), data.count(b"\r"))
+    if count > MOST_FIELDS:
+        raise InputError(f"{path}: {count} lines, more than {MOST_FIELDS} are not imported")
+    marks = {b"\xff\xfe": "utf-16-le", b"\xfe\xff": "utf-16-be"}
+    encoding = marks.get(data[:2]) or ("utf-16-le" if data[1:2] == b"\0" else "utf-16-be" if data[:1] == b"\0" else "")
+    data = data[: len(data) // 2 * 2] if encoding else data
+    try:
+        text = data.decode(encoding or "utf-8").removeprefix("\ufeff")
+    except UnicodeDecodeError as error:
+        line = data.count(b"\n", 0, error.start) + 1
+        raise InputError(
+            f"{path}:{line}: no text table (byte {error.start} is not {error.encoding}; save it in UTF-8)"
+        ) from error
+    if "\0" in text:
+        raise InputError(f"{path}: no text table (it holds zero bytes)")
+    return text, ["UTF-16"] if encoding else []
+
+
+def _delimiter(lines: Sequence[str]) -> str:
+    """The sign that leaves most fields that are numbers, in the first lines; the earlier in the list of equal ones."""
+    sample = "\n".join(lines[:SAMPLED_LINES])[:SAMPLED].split("\n")
+
+    def numbers(sign: str) -> tuple[int, bool]:
+        fields = [field.strip(' "') for line in sample for field in line.split(None if sign == " " else sign)]
+        numerals = Numerals.of(fields)
+        read = sum(field != "" and numerals.number(field) is not None for field in fields)
+        return read, any(sign in line for line in sample)
+
+    return max(DELIMITERS, key=numbers)
+
+
+def _split(path: Path, number: int, line: str, delimiter: str) -> list[str]:
+    if delimiter == " ":
+        return line.split()
+    if '"' not in line:
+        return [text.strip() for text in line.split(delimiter)]
+    try:
+        (fields,) = csv.reader([line], delimiter=delimiter, skipinitialspace=True, strict=True)
+    except csv.Error as error:
+        raise InputError(f"{path}:{number}: a quotation mark that is not closed, or within a field") from error
+    return [text.strip() for text in fields]
+
+
+def lines_of_sheets(path: Path, wanted: str | None, least: int) -> dict[str, FieldLines]:
+    """Name → lines of every sheet that holds anything, or of the wanted one, in the file's order.
+
+    Read row by row, because a few bytes may claim 10¹⁰ cells. least : fields that a line of any table must have.
+    Raises InputError where the file is no readable .xlsx, has no such sheet, or a sheet is too large.
+    """
+    check_archive(path)
+    with extra("tables"):
+        import openpyxl  # takes 0.2 s
+    with reading(path), closing(openpyxl.load_workbook(path, read_only=True, data_only=True)) as book:
+        sheets = {str(sheet.title): sheet for sheet in book.worksheets}
+        if wanted is not None and wanted not in sheets:
+            raise InputError(f"{path}: no sheet '{wanted}'; there are {', '.join(sheets) or 'none'}")
+        found: dict[str, FieldLines] = {}
+        for title in sheets if wanted is None else [wanted]:
+
+            def at(number: int, field: int | None, title: str = title) -> str:
+                letters = "" if field is None else openpyxl.utils.get_column_letter(field + 1)
+                return f"{path}: {title}!{letters}{number}"
+
+            rows = _rows_of_sheet(sheets[title], least)
+            found[title] = _lines(f"{path}: sheet {title}", "row", at, [f"sheet {title}"], rows)
+    return {title: lines for title, lines in found.items() if lines.numbers}
+
+
+def _rows_of_sheet(sheet: Any, least: int) -> Iterator[FieldLine]:
+    """The rows that hold anything; what comes after the last value of a row counts for nothing."""
+    sheet.reset_dimensions()  # what a file says of its size may be wrong
+    count = width = 0
+    for number, row in enumerate(sheet.iter_rows(values_only=True), 1):
+        texts = [_text_of_cell(value) for value in row]
+        while texts and not texts[-1]:
+            texts.pop()
+        if texts:
+            count, width = count + 1, max(width, len(texts))
+            yield FieldLine(number, texts)
+        if count == SAMPLED_LINES and width < least:
+            return  # no table: what follows is not waited for
+
+
+def _text_of_cell(value: Any) -> str:
+    """A cell as a text file would have it; all digits of a number."""
+    if isinstance(value, datetime.timedelta):
+        value = value.total_seconds()
+    return "" if value is None else str(value).strip().removesuffix(".0" if isinstance(value, float) else "")
 
 
 @dataclass(frozen=True, eq=False)
-class ForeignTable:
-    """Lines and columns of a file's rows that hold readings.
+class ReadingsTable:
+    """Those lines and columns of a file that hold readings.
 
-    read : numbers (NaN for none) of all fields of the rows, whether a reading is said to be missing, and whether a text
-    is neither. names : of the columns, or None.
+    lines : of the file. columns : its fields. fields : (lines, columns) texts. values : their numbers, NaN for none.
+    words : whether a text is neither a number nor a missing reading. names : of the columns, '' without a header.
     """
 
-    rows: Rows
-    lines: NDArray[np.intp]
-    columns: NDArray[np.intp]
-    read: tuple[Array, NDArray[np.bool_], NDArray[np.bool_]]
+    source: FieldLines
+    lines: Index
+    columns: Index
+    fields: NDArray[Any]
+    values: Array
+    words: NDArray[np.bool_]
     numerals: Numerals
-    names: tuple[str, ...] | None
+    names: tuple[str, ...]
     notes: tuple[str, ...]
-
-    @cached_property
-    def fields(self) -> NDArray[Any]:
-        """(lines, width) texts."""
-        return np.asarray(self.rows.fields[np.ix_(self.lines, self.columns)])
-
-    @cached_property
-    def numbers(self) -> Array:
-        """(lines, width) of texts, NaN for none."""
-        return np.asarray(self.read[0][np.ix_(self.lines, self.columns)])
-
-    @cached_property
-    def words(self) -> NDArray[np.bool_]:
-        """(lines, width) whether a text is neither a number nor a missing reading."""
-        return np.asarray(self.read[2][np.ix_(self.lines, self.columns)])
-
-    @property
-    def counts(self) -> NDArray[np.intp]:
-        """(lines) fields that each has."""
-        return np.minimum(self.rows.counts[self.lines], self.width)
 
     @property
     def width(self) -> int:
@@ -106,205 +243,154 @@ class ForeignTable:
         return len(self.columns)
 
     @cached_property
-    def before(self) -> tuple[tuple[Passed, ...], ...]:
-        """(lines) what stands between the line and the one before."""
+    def before(self) -> list[dict[str, str]]:
+        """(lines) text → 'line 3' of what stands between each and the one before; both empty for a blank one."""
         found = []
         for last, line in pairwise([-1, *self.lines.tolist()]):
-            passed: list[Passed] = []
-            for other in range(last + 1, line + 1):
-                passed += [Passed("", "")] if self.rows.blank[other] else []
-                if other < line:
-                    passed.append(Passed(" ".join(self.rows.fields[other]).strip(), self.rows.called(other)))
-            found.append(tuple(passed))
-        return tuple(found)
+            passed = {"": ""} if self.source.blank[last + 1 : line + 1].any() else {}
+            others = range(last + 1, line)
+            found.append(passed | {" ".join(self.source.fields[at]).strip(): self.source.called(at) for at in others})
+        return found
 
     @cached_property
-    def kinds_before(self) -> list[set[str]]:
-        """(lines) the kinds of what stands between each and the one before."""
-        return [{kind_of(passed.text) for passed in before} for before in self.before]
+    def kinds(self) -> list[set[str]]:
+        """(lines) the kinds of what stands between each and the one before: titles without their numbers are alike."""
+        return [set(map(kind_of, passed)) for passed in self.before]
 
     def place(self, line: int, field: int | None) -> str:
         """Where in the file."""
-        return self.rows.at(self.rows.numbers[self.lines[line]], None if field is None else int(self.columns[field]))
+        number = self.source.numbers[self.lines[line]]
+        return self.source.at(number, None if field is None else int(self.columns[field]))
 
-    def called(self, line: int) -> str:
-        """'line 3'."""
-        return self.rows.called(int(self.lines[line]))
+    def only(self, lines: Any = slice(None), columns: Any = slice(None)) -> "ReadingsTable":
+        """The table with some of its lines and columns; other lines are what stands before the next one."""
+        parts = {name: getattr(self, name)[lines][:, columns] for name in ("fields", "values", "words")}
+        names = tuple(np.array(self.names, dtype=object)[columns])
+        return replace(self, lines=self.lines[lines], columns=self.columns[columns], names=names, **parts)
 
-    def only(self, lines: NDArray[np.bool_]) -> "ForeignTable":
-        """The table with some of its lines; the others are what stands before the next one."""
-        return replace(self, lines=self.lines[lines])
-
-    def without_empty(self) -> "ForeignTable":
-        """The table without columns that have a name and nothing in any line, such as LabVIEW's comments."""
-        filled = np.any(self.fields != "", axis=0)
-        if self.names is None or filled.all():
-            return self
-        empty = ", ".join(self.names[field] or "a column without a name" for field in np.flatnonzero(~filled))
-        return replace(
-            self,
-            columns=self.columns[filled],
-            names=tuple(self.names[field] for field in np.flatnonzero(filled)),
-            notes=(*self.notes, f"empty columns left out: {empty}"),
-        )
-
-    def frames(
-        self, number: NDArray[np.intp], timing: Callable[[], Clock] | None, note: str, words: Sequence[int]
-    ) -> Frames:
-        """Frames of which each reading is number line · width + field; words : fields whose names may say the unit."""
-        names = tuple((self.names or ("",) * self.width)[field] for field in words)
+    def frames(self, at: Sequence[Any], fields: Sequence[int], shape: Shape, timing: Timing, note: str) -> Frames:
+        """Frames of which these fields are readings; at : frame, row and column of each, to broadcast to (lines,
+        fields), those in frame -1 left out."""
+        index = np.arange(len(self.lines))[:, None] * self.width + np.array(fields)
+        frame, row, column = (np.broadcast_to(part, index.shape) for part in at)
+        check_count(self.source.source, (int(frame.max()) + 1) * shape[0] * shape[1])
+        number = np.full((int(frame.max()) + 1, *shape), -1)
+        kept = frame >= 0
+        number[frame[kept], row[kept], column[kept]] = index[kept]
+        names = tuple(self.names[field] for field in fields)
 
         def named(at: int) -> str:
-            return self.rows.source if at < 0 else self.place(*divmod(at, self.width))
+            return self.source.source if at < 0 else self.place(*divmod(at, self.width))
 
-        return Frames(self.numbers.ravel(), number, named, timing, (*self.notes, note), names)
+        return Frames(self.values.ravel(), number, named, timing, (*self.notes, note), names)
 
     def checked(self, columns: Sequence[int]) -> None:
         """Raise InputError with its place where a field of these columns is neither a number nor a missing reading."""
-        chosen = self.words[:, columns]
-        if np.any(chosen):
-            line, number = (int(part) for part in np.argwhere(chosen)[0])
+        for line, number in np.argwhere(self.words[:, columns])[:1]:
             shown, field = self.fields[line, columns[number]][:40], columns[number]
             raise InputError(f"{self.place(line, field)}: {shown!r} is no number (field {field + 1} of the line)")
 
-    def timing(self, columns: Sequence[int], lines: Sequence[int]) -> Callable[[], Clock] | None:
+    def timing(self, columns: Sequence[int], lines: Sequence[int]) -> Timing:
         """Times of frames from columns (a date and a time of day may be two), in these lines, else from stamps."""
-        if columns:
-            return lambda: self._clock(columns, lines)
-        if all(self._stamps(lines)):
-            return lambda: clock_of(
-                self._stamps(lines), "", lambda number: self.place(lines[number], None), self.numerals
-            ).said("the terminal's, ")
-        return None
-
-    def title_timing(self, begins: Sequence[int], title: str | None) -> Callable[[], Clock] | None:
-        """Times in the lines before blocks, where they stand before each of them; title : the kind of these lines."""
-        before = [[passed.text for passed in self.before[line]] for line in begins]
-        own = [" ".join(text for text in texts if title in (None, kind_of(text))) for texts in before]
-        searches = [TITLE_TIME.search(text or " ".join(texts)) for text, texts in zip(own, before, strict=True)]
-        matches = [match for match in searches if match is not None]
-        if len(matches) != len(begins):
-            return None
-        texts = [match["stamp"] or match["value"].rstrip(".,") for match in matches]
-        word, unit = matches[0]["word"] or "", matches[0]["unit"]
-        name = f"{word} [{unit}]" if unit else word
-        return lambda: clock_of(texts, name, lambda number: self.place(begins[number], None), self.numerals).said(
-            "before each block in "
-        )
-
-    def _stamps(self, lines: Sequence[int]) -> list[str]:
-        return [self.rows.stamps[self.lines[line]] for line in lines]
-
-    def _clock(self, columns: Sequence[int], lines: Sequence[int]) -> Clock:
-        names = self.names or ("",) * self.width
-        dates = [column for column in columns if role_of(names[column]) == "date"]
+        if not columns:
+            stamps = [self.source.stamps[self.lines[line]] for line in lines]
+            return self._timing(stamps, "", lines, None, "the terminal's, ") if all(stamps) else None
+        dates = [column for column in columns if role_of(self.names[column]) == "date"]
         chosen = [*dates[:1], *[column for column in columns if column not in dates][:1]]
-        texts = [" ".join(self.fields[line, column] for column in chosen) for line in lines]
-        name = names[chosen[-1]]
-        clock = clock_of(texts, name, lambda number: self.place(lines[number], chosen[-1]), self.numerals)
-        return clock.said(f"column {name!r} in " if name else "first field in ")
+        texts, name = [" ".join(self.fields[line, chosen]) for line in lines], self.names[chosen[-1]]
+        return self._timing(texts, name, lines, chosen[-1], f"column {name!r} in " if name else "first field in ")
+
+    def title_timing(self, begins: Sequence[int], title: str | None) -> Timing:
+        """Times in the lines before blocks, where they stand before each of them; title : the kind of these lines."""
+        before = [self.before[line] for line in begins]
+        own = [" ".join(text for text in passed if title in (None, kind_of(text))) for passed in before]
+        matches = [TITLE_TIME.search(text or " ".join(passed)) for text, passed in zip(own, before, strict=True)]
+        texts = [match["stamp"] or match["value"].rstrip(".,") for match in matches if match]
+        if len(texts) < len(begins) or not matches[0]:
+            return None
+        name = matches[0]["unit"] or matches[0]["word"] or ""
+        return self._timing(texts, name, begins, None, "before each block in ")
+
+    def _timing(self, texts: Sequence[str], name: str, lines: Sequence[int], field: int | None, said: str) -> Timing:
+        return lambda: clock_of(texts, name, lambda at: self.place(lines[at], field), self.numerals).said(said)
 
 
-def table_of_rows(rows: Rows, layout: str | None = None) -> ForeignTable:
+def kind_of(text: str) -> str:
+    """A line without its numbers: titles of all frames are alike."""
+    return NUMBER.sub("#", text)
+
+
+def readings_table(source: FieldLines, layout: str | None = None) -> ReadingsTable:
     """The lines with readings, the header before them, and sentences on what was left out.
 
     layout : the columns' names, separated by commas, in place of the file's own. Raises InputError where there are
     none, a line has more fields than the others, or the layout another number.
     """
-    if rows.fields.size == 0 or np.all(rows.comment):
-        raise InputError(f"{rows.source}: holds no values")
-    numerals = Numerals.of([text for text in rows.fields[~rows.comment].ravel()[:SAMPLED] if text])
-    read = _, missing, words = numerals.numbers(rows.fields)
-    data = _data_lines(rows, missing, words)
-    if not np.any(data):
-        raise InputError(f"{rows.source}: holds a header but no values")
-    often = Counter(rows.counts[data].tolist())
-    usual = max(often, key=lambda count: (often[count], count))
+    fields, counts, comment = source.fields, source.counts, source.comment
+    if fields.size == 0 or np.all(comment):
+        raise InputError(f"{source.source}: holds no values")
+    numerals = Numerals.of([text for text in fields[~comment].ravel()[:SAMPLED] if text])
+    numbers = [numerals.number(text) for text in fields.flat]
+    values = np.array(numbers, dtype=float).reshape(fields.shape)
+    words = np.array([number is None for number in numbers], dtype=bool).reshape(fields.shape)
+    data = _data_lines(source, values, words)
+    often = Counter(counts[data].tolist())
+    usual = max(often, key=lambda count: (often[count], count), default=0)
     width = usual
-    while width > 1 and np.all(rows.fields[data & (rows.counts == usual), width - 1] == ""):
+    while width > 1 and np.all(fields[data & (counts == usual), width - 1] == ""):
         width -= 1
-    header = _header_lines(rows, data, ~missing & ~words, width)
-    if header:
-        width = max(width, min(usual, 1 + int(np.flatnonzero(rows.fields[header[0]] != "")[-1])))
+    header = _header_line(fields, data, ~np.isnan(values), width)
+    if header is not None:
+        width = max(width, min(usual, 1 + int(np.flatnonzero(fields[header] != "")[-1])))
+        other = np.any(fields != fields[header], axis=1)  # it is repeated where a board began anew
+        data &= other
     else:
-        data[: int(np.argmax(data & (rows.counts == usual)))] = False  # a terminal opened in the middle of a line
-    other = np.ones(len(data), dtype=bool)  # than the header, which is repeated where a board began anew
-    for line in header:
-        other &= np.any(rows.fields != rows.fields[line], axis=1)
-    data &= other
+        data[: int(np.argmax(data & (counts == usual)))] = False  # a terminal opened in the middle of a line
+        other = np.ones(len(data), dtype=bool)
     if not np.any(data):
-        raise InputError(f"{rows.source}: holds a header but no values")
-    if np.any(long := data & np.any(rows.fields[:, width:] != "", axis=1)):
+        raise InputError(f"{source.source}: holds a header but no values")
+    long = data & np.any(fields[:, width:] != "", axis=1)
+    if np.any(long):
         line, plain = int(np.argmax(long)), int(np.argmax(data & ~long))
-        said = f"{rows.counts[line]} fields, where {rows.called(plain)} has {width}"
-        raise InputError(f"{rows.at(rows.numbers[line], None)}: {said}")
-    notes = [", ".join((*rows.notes, *(["decimal commas"] if numerals.comma else [])))]
-    if header:
-        notes.append(f"{' and '.join(map(rows.called, header))} taken as header")
-    notes += _left_out(rows, np.flatnonzero(~data & other & ~rows.comment & np.any(rows.fields != "", axis=1)))
-    names = _names(rows, header, width)
+        said = f"{counts[line]} fields, where {source.called(plain)} has {width}"
+        raise InputError(f"{source.at(source.numbers[line], None)}: {said}")
+    notes = [", ".join((*source.notes, *(["decimal commas"] if numerals.comma else [])))]
+    notes += [] if header is None else [f"{source.called(header)} taken as header"]
+    left = np.flatnonzero(~data & other & ~comment & np.any(fields != "", axis=1))
+    if len(left):
+        shown = " ".join(fields[left[0]]).strip()[:40]
+        more = f" and {len(left) - 1} other{'s' if len(left) > 2 else ''}" if len(left) > 1 else ""
+        notes.append(f"left out: {source.called(left[0])} ({shown!r}){more}, no readings or cut off")
+    names = [""] * width if header is None else [text.lstrip("#% ") for text in fields[header, :width]]
     if layout is not None:
-        names = tuple(name.strip() for name in layout.split(","))
+        names = [name.strip() for name in layout.split(",")]
         if len(names) != width:
-            raise InputError(f"{rows.source}: {width} columns, but --layout names {len(names)}")
-    return ForeignTable(rows, np.flatnonzero(data), np.arange(width), read, numerals, names, tuple(filter(None, notes)))
+            raise InputError(f"{source.source}: {width} columns, but --layout names {len(names)}")
+    every = np.arange(len(data)), np.arange(fields.shape[1]), fields, values, words
+    table = ReadingsTable(source, *every, numerals, ("",) * fields.shape[1], tuple(notes)).only(data, slice(width))
+    return replace(table, names=tuple(names))
 
 
-def _data_lines(rows: Rows, missing: NDArray[np.bool_], words: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _data_lines(source: FieldLines, values: Array, words: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Lines that hold a number or a word for a missing one, and fewer other words than these."""
-    filled = rows.fields != ""
-    unread = rows.fields[words]
-    known = {text: is_stamp(text) or line_of(text) is not None for text in set(unread)}
-    others = words.copy()
-    others[words] = [not known[text] for text in unread]
-    strange, most = others.sum(axis=1), filled.sum(axis=1)
-    few: NDArray[np.bool_] = ((strange <= 1) & (2 * strange < most)) | (4 * strange < most)
-    few &= (rows.counts > 1) | ~missing[:, 0] | (rows.counts.max() == 1)  # a line of dashes alone
-    return np.asarray(few & ~rows.comment & (filled & ~words).any(axis=1))
+    fields, filled = source.fields, source.fields != ""
+    strange = {text for text in set(fields[words].tolist()) if not is_stamp(text) and line_of(text) is None}
+    others, most = np.zeros(len(fields), dtype=int), filled.sum(axis=1)
+    np.add.at(others, np.nonzero(words)[0], [text in strange for text in fields[words]])
+    few = ((others <= 1) & (2 * others < most)) | (4 * others < most)
+    few &= (source.counts > 1) | ~np.isnan(values[:, 0]) | words[:, 0] | (source.counts.max() == 1)  # dashes alone
+    return np.asarray(few & ~source.comment & (filled & ~words).any(axis=1))
 
 
-def _header_lines(rows: Rows, data: NDArray[np.bool_], plain: NDArray[np.bool_], width: int) -> list[int]:
-    """The line before the first data where it names as many fields, and one of units below it; column numbers."""
-    first = int(np.argmax(data))
-    if _counts_up(rows.fields[first, : rows.counts[first]]):
-        return [first]
-    above = []
-    for line in range(max(0, first - 2), first):
-        names = np.flatnonzero(rows.fields[line] != "")
-        if width > 1 and len(names) >= width - 1 and names[-1] >= width - 1 and not np.any(plain[line]):
-            above.append(line)
-    if len(above) == 2 and _are_units(rows.fields[above[1]]):
-        return above
-    return above[-1:] if above and above[-1] == first - 1 else []
-
-
-def _counts_up(fields: NDArray[Any]) -> bool:
-    """Whether a word or nothing is followed by 0, 1, 2 ... or 1, 2, 3 ...: column numbers."""
-    numbers = [text for text in fields[1:] if text]
-    if len(numbers) < 2 or fields[0][:1].isdigit() or fields[0][:1] in ("-", "+", "."):
-        return False
-    return any(numbers == [str(first + number) for number in range(len(numbers))] for first in (0, 1))
-
-
-def _are_units(fields: NDArray[Any]) -> bool:
-    texts = [text.strip("[](){} ").lower() for text in fields if text]
-    return bool(texts) and all(text in UNITS_OF_WORD or text in UNIT_OF_WORD or text in ("v", "-") for text in texts)
-
-
-def _names(rows: Rows, header: list[int], width: int) -> tuple[str, ...] | None:
-    """The columns' names, with the units of a second line in brackets."""
-    if not header:
+def _header_line(fields: NDArray[Any], data: NDArray[np.bool_], numeric: NDArray[np.bool_], width: int) -> int | None:
+    """The first data where it counts columns; the line before where it names as many fields."""
+    if not np.any(data):
         return None
-    first = tuple(text.lstrip("#% ") for text in rows.fields[header[0], :width])
-    if len(header) == 1:
+    first = int(np.argmax(data))
+    begin, numbers = fields[first][0], [text for text in fields[first][1:] if text]
+    counted = [list(map(str, range(start, start + len(numbers)))) for start in (0, 1)]
+    if len(numbers) > 1 and numbers in counted and not begin[:1].isdigit() and begin[:1] not in ("-", "+", "."):
         return first
-    units = (text.strip("[](){} ") for text in rows.fields[header[1], :width])
-    return tuple(f"{name} [{unit}]" if unit and unit != "-" else name for name, unit in zip(first, units, strict=True))
-
-
-def _left_out(rows: Rows, lines: NDArray[np.intp]) -> list[str]:
-    if len(lines) == 0:
-        return []
-    shown = " ".join(rows.fields[lines[0]]).strip()[:40]
-    more = f" and {len(lines) - 1} other{'s' if len(lines) > 2 else ''}" if len(lines) > 1 else ""
-    return [f"left out: {rows.called(int(lines[0]))} ({shown!r}){more}, no readings or cut off"]
+    names: list[int] = np.flatnonzero(fields[first - 1] != "").tolist() if first else []
+    whole = width > 1 and len(names) >= width - 1 and names[-1] >= width - 1
+    return first - 1 if whole and not np.any(numeric[first - 1]) else None

@@ -1,83 +1,80 @@
 """What unit foreign numbers are in: as given, as their header says, or as their values and the scene leave no other."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lampest.files.errors import InputError
 from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout
 from lampest.panel.scene import Scene
-from lampest.recording.foreign.frames import Place, refuse_where
 
 FACTORS = {"ohm": 1.0, "kohm": 1e3, "volt": 1.0, "mV": 1e-3, "code": 1.0}
-UNITS = tuple(FACTORS)
 RESISTANCES = ("ohm", "kohm")
 
 
 def check_unit(unit: str | None, scene: Scene | None, source: object) -> None:
     """Raise InputError where a unit is unknown, or the scene does not say how it becomes what a recording holds."""
-    if unit is None:
-        return
-    if unit not in UNITS:
-        raise InputError(f"the unit '{unit}' is unknown; there are {', '.join(UNITS)}")
-    if unit not in RESISTANCES and (scene is None or scene.readout is None):
+    if unit is not None and unit not in FACTORS:
+        raise InputError(f"the unit '{unit}' is unknown; there are {', '.join(FACTORS)}")
+    if unit is not None and unit not in RESISTANCES and (scene is None or scene.readout is None):
         raise InputError(f"{source}: {unit} values need a scene with a readout, which says how they become ohm")
-    if scene is not None and scene.circuit.unit != "ohm" and unit in RESISTANCES:
+    if unit in RESISTANCES and scene is not None and scene.circuit.unit != "ohm":
         raise InputError(f"{source}: the scene's readout gives {scene.circuit.unit}; say unit volt, mV or code")
 
 
-def understood_unit(
-    values: Array, given: str | None, said: Sequence[str], scene: Scene | None, source: object
-) -> tuple[str, str]:
+def understood_unit(values: Array, said: Sequence[str], scene: Scene | None, source: object) -> tuple[str, str]:
     """The unit of values (any shape, NaN where missing), and a sentence on why.
 
-    given : by the user and checked, or None. said : what the header leaves, nothing where it does not speak of a unit.
-    Raises InputError where no unit fits, or two do.
+    said : what the header leaves, nothing where it does not speak of a unit. Raises InputError where no unit fits, or
+    two do.
     """
-    if given is not None:
-        return given, f"unit {given}, as specified"
-    if len(said) == 1:
+    readout = None if scene is None else scene.readout
+    possible = RESISTANCES if readout is None else tuple(FACTORS) if readout.unit == "ohm" else ("volt", "mV", "code")
+    allowed = [unit for unit in possible if not said or unit in said]
+    if len(said) == 1 or not allowed:
         check_unit(said[0], scene, source)
         return said[0], f"unit {said[0]}, as the header says"
-    readout = None if scene is None else scene.readout
-    possible = RESISTANCES if readout is None else UNITS if readout.unit == "ohm" else ("volt", "mV", "code")
-    allowed = [unit for unit in possible if not said or unit in said]
-    if not allowed:
-        check_unit(said[0], scene, source)
     finite = values[np.isfinite(values)]
     if finite.size == 0:
         return allowed[0], f"unit {allowed[0]}, assumed: no reading says otherwise"
     span = f"values from {finite.min():.6g} to {finite.max():.6g}"
     fitting, reason = _fitting(finite, allowed, readout)
-    if len(fitting) == 1:
-        sure = fitting[0] == "ohm" and readout is None
-        return fitting[0], f"unit {fitting[0]}, {'assumed' if sure else 'guessed'}: {span} ({reason})"
-    if fitting:
+    if not fitting:
+        raise InputError(f"{source}: {span} fit none of {', '.join(allowed)} in this scene; --unit says what they are")
+    if len(fitting) > 1:
         ways = " or ".join(f"--unit {unit}" for unit in fitting)
         raise InputError(f"{source}: {span} may be {' or '.join(fitting)}; say which with {ways}")
-    raise InputError(f"{source}: {span} fit none of {', '.join(allowed)} in this scene; --unit says what they are")
+    how = "assumed" if fitting[0] == "ohm" and readout is None else "guessed"
+    return fitting[0], f"unit {fitting[0]}, {how}: {span} ({reason})"
 
 
 def _fitting(finite: Array, allowed: Sequence[str], readout: Readout | None) -> tuple[list[str], str]:
-    """Those of the allowed units in which finite values (any number) make sense, and why."""
+    """The allowed units that values may be in so that their median makes sense, and why."""
     middle = float(np.median(finite))
     if readout is None:
         fits = {"ohm": middle >= 1, "kohm": middle < 10}  # a multiplexer's channel has more than an ohm
-        reason = "without a readout they are kohm below 1, ohm from 10 on"
-        return [unit for unit in RESISTANCES if fits[unit] and unit in allowed], reason
+        return [unit for unit in allowed if fits[unit]], "without a readout they are kohm below 1, ohm from 10 on"
     top, supply = 2**readout.adc_bits - 1, readout.supply_volt
-    slack = max(_rounding(finite), 1e-9) * readout.readings
-    sums = finite * readout.readings
+    sums, slack = finite * readout.readings, max(_rounding(finite), 1e-9) * readout.readings
     code = bool(finite.max() <= top and np.all(np.abs(sums - np.round(sums)) <= slack))
     whole = code and bool(np.all(finite == np.round(finite)))  # a converter's own numbers come before rounded mV
     fits = {"code": code, "volt": finite.max() <= supply, "mV": supply < finite.max() <= 1000 * supply and not whole}
     for unit in RESISTANCES:
         share = float(readout.volt_from_recorded(np.array(middle * FACTORS[unit]))) / supply
         fits[unit] = 0.01 <= share <= 1 - 0.01  # of the supply: nearer to its ends a divider hardly measures
-    units = [unit for unit in UNITS if unit in allowed and fits[unit]]
+    units = [unit for unit in allowed if fits[unit]]
     if len(units) > 1 and readout.unit == "ohm":
-        return _by_steps(finite, units, readout)
+        seen = {unit: _on_steps(finite, unit, readout) for unit in units}
+        stepped = [unit for unit in units if seen[unit] is True]
+        if len(stepped) == 1:
+            return stepped, "as such they lie on the converter's steps"
+        rest = [unit for unit in units if unit in RESISTANCES or seen[unit] is not False]  # they may be filtered
+        return (
+            rest,
+            f"as {' or '.join(unit for unit in units if unit not in rest)} they would miss the converter's steps",
+        )
     least, largest = readout.rails()
     if not units and "ohm" in allowed and least <= middle <= largest:
         return ["ohm"], "no other unit is within the converter's rails"
@@ -87,16 +84,6 @@ def _fitting(finite: Array, allowed: Sequence[str], readout: Readout | None) -> 
         "mV": f"within the supply of {1000 * supply:g} mV",
     }
     return units, reasons.get(units[0], "the divider can tell such resistances") if units else ""
-
-
-def _by_steps(finite: Array, units: Sequence[str], readout: Readout) -> tuple[list[str], str]:
-    """Codes, voltages and resistances by the converter's steps, where values are written finely enough."""
-    seen = {unit: _on_steps(finite, unit, readout) for unit in units}
-    stepped = [unit for unit in units if seen[unit] is True]
-    if len(stepped) == 1:
-        return stepped, "as such they lie on the converter's steps"
-    rest = [unit for unit in units if unit in RESISTANCES or seen[unit] is not False]  # resistances may be filtered
-    return rest, f"as {' or '.join(unit for unit in units if unit not in rest)} they would miss the converter's steps"
 
 
 def _on_steps(finite: Array, unit: str, readout: Readout) -> bool | None:
@@ -128,23 +115,27 @@ def _rounding(values: Array) -> float:
     return 0.5 * 10.0 ** -next(digits, 9)
 
 
-def recorded_values(values: Array, unit: str, scene: Scene, place: Place) -> Array:
+def recorded_values(values: Array, unit: str, scene: Scene, place: Callable[[int, int, int], str]) -> Array:
     """Values in their unit → what a recording of this readout holds, (frames, rows, columns); NaN stays NaN.
 
     A code or a voltage at a rail, an infinite resistance and one of zero stay what they are: bounds. Raises InputError
-    where a value is impossible.
+    with the place (frame, row, column) of a value that is impossible.
     """
     scaled, readout = values * FACTORS[unit], scene.readout
+
+    def refuse(bad: NDArray[np.bool_], why: str) -> None:
+        for frame, row, column in np.argwhere(bad)[:1].tolist():
+            raise InputError(f"{place(frame, row, column)}: {values[frame, row, column]:.6g} {why}")
+
     if unit in RESISTANCES or readout is None:
-        refuse_where(values < 0, values, place, "must be a positive resistance in ohm")
+        refuse(values < 0, "must be a positive resistance in ohm")
         return scaled
     plain = np.where(np.isinf(values), np.nan, values)
     if unit == "code":
-        outside = (plain < 0) | (plain > 2**readout.adc_bits - 1)
-        refuse_where(outside, values, place, f"is no code of a {readout.adc_bits}-bit converter")
+        refuse((plain < 0) | (plain > 2**readout.adc_bits - 1), f"is no code of a {readout.adc_bits}-bit converter")
         floored = plain <= (readout.floor_code or -1)
         return readout.recorded_from_volt(np.where(floored, 0.0, readout.volt_from_code(plain)))
-    outside = (plain < 0) | (scaled > readout.supply_volt)
     supply = f"{readout.supply_volt / FACTORS[unit]:g} {'V' if unit == 'volt' else unit}"
-    refuse_where(outside & np.isfinite(values), values, place, f"lies outside 0 to {supply}, the readout's supply")
+    outside = (plain < 0) | (np.isfinite(values) & (scaled > readout.supply_volt))
+    refuse(outside, f"lies outside 0 to {supply}, the readout's supply")
     return readout.recorded_from_volt(np.where(np.isnan(plain), np.nan, scaled))

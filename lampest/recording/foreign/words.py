@@ -1,12 +1,13 @@
-"""What words in a foreign file mean: roles of columns, cells, lines, units, and numbers however they are written."""
+"""What words, numbers and times in a foreign file mean, however they are written."""
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from datetime import UTC, datetime
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lampest.files.errors import InputError
 from lampest.panel.panel import Array
@@ -19,11 +20,10 @@ ROLES = {
     "wert widerstand spannung",
     "frame": "frame frames scan step sample frame_id frame_nr frame_no scan_nr nr messung bild",
     "date": "date datum day tag",
-    "time": "time times t timestamp timestamps time_stamp "
-    "datetime date_time zeit uhrzeit zeitstempel elapsed clock millis micros ms us "
-    "µs s sec second seconds unix epoch device_ms",
+    "time": "time times t timestamp timestamps time_stamp datetime date_time zeit uhrzeit zeitstempel elapsed clock "
+    "millis micros ms us µs s sec second seconds unix epoch",
 }
-WORD_ROLE = {word: role for role, words in ROLES.items() for word in words.split()}
+ROLE_OF_WORD = {word: role for role, words in ROLES.items() for word in words.split()}
 # Units by the words for them; a quantity's name leaves two.
 UNIT_WORDS = {
     ("ohm",): "ohm ohms ω",
@@ -35,90 +35,93 @@ UNIT_WORDS = {
     ("volt", "mV"): "voltage voltages spannung",
 }
 UNITS_OF_WORD = {word: units for units, words in UNIT_WORDS.items() for word in words.split()}
-BRACKETED = re.compile(r"[\[(<{]\s*([^\[\](){}<>]*?)\s*[\])>}]\s*$")
-ROW = r"(?:r|rows?|zeile|z|y)"
-COLUMN = r"(?:c|cols?|columns?|spalte|s|x)"
-GAP = r"[\s_\-.,;:/|=\[\]()]*"
-BETWEEN = r"[\s_\-.,;:/|x\[\]()]+"
+SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0}
+TIME_WORDS = {
+    "s": "s sec secs second seconds sekunde sekunden",
+    "ms": "ms milli millis millisecond milliseconds msec",
+    "us": "us µs μs micro micros microsecond microseconds usec",
+    "ns": "ns nanosecond nanoseconds",
+    "min": "min minute minutes",
+    "h": "h hour hours",
+}
+TIME_UNIT_OF_WORD = {word: unit for unit, words in TIME_WORDS.items() for word in words.split()}
+PARTED = re.compile(r"(.*?)(\s*[\[(<{]\s*|\s+in\s+|\s*/\s*|[\s_]+)([^\W\d_]+)\s*[\])>}]?")
+ELECTRIC = re.compile(r".*(ohms?|[ωΩΩ]|volts?)|.?v", re.IGNORECASE)
+ROW, COLUMN = r"(?:r|rows?|zeile|z|y)", r"(?:c|cols?|columns?|spalte|s|x)"
+GAP, BETWEEN = r"[_,;/|=\[\]()]*", r"[_,;/|x\[\]()]+"
 ROW_FIRST = re.compile(rf"(?:[a-z]+{GAP})??{ROW}{GAP}(\d+){GAP}{COLUMN}{GAP}(\d+){GAP}")
 COLUMN_FIRST = re.compile(rf"(?:[a-z]+{GAP})??{COLUMN}{GAP}(\d+){GAP}{ROW}{GAP}(\d+){GAP}")
 TWO_NUMBERS = re.compile(rf"(?:[a-z]+{GAP}|{GAP})(\d+){BETWEEN}(\d+){GAP}")
 ONE_NUMBER = re.compile(rf"([^\W\d]*){GAP}(\d+){GAP}")
 
-LONGEST = 100  # signs of a name or a number that are looked at: patterns would take long over more
+LONGEST = 100  # characters of a name or a number that are looked at: patterns would take long over more
 # What programs write where they have no number: NumPy, R, MATLAB, JSON, Arduino's Print (ovf), multimeters (OL),
 # Microsoft's C library (1.#QNAN) and Excel (#DIV/0!).
 MISSING = (
-    "nan -nan +nan na n/a null none nil ovf -ovf ol o.l o.l. overload overflow over err error missing ? ?? . "
-    "-inf -infinity nan(ind) -nan(ind) 1.#ind -1.#ind 1.#qnan #n/a #na #div/0! #num! #value! #ref!"
+    "nan -nan +nan na n/a null none nil ovf -ovf ol o.l o.l. overload overflow over err error missing ? ?? . -inf "
+    "-infinity nan(ind) -nan(ind) 1.#ind -1.#ind 1.#qnan #n/a #na #div/0! #num! #value! #ref!"
 )
 MISSING_WORDS = frozenset(MISSING.split())
 INFINITE_WORDS = frozenset(("inf", "+inf", "infinity", "+infinity", "∞", "1.#inf"))
-POINT = re.compile(r"[+-]?(\d+\.?\d*|\.\d+|\d{1,3}(,\d{3})+(\.\d*)?)([eE][+-]?\d+)?", re.ASCII)
-COMMA = re.compile(r"[+-]?(\d+(,\d+)?|,\d+|\d{1,3}(\.\d{3})+(,\d+)?)([eE][+-]?\d+)?", re.ASCII)
+NUMBER = r"[+-]?(\d+({0}\d*)?|{0}\d+|\d{{1,3}}({1}\d{{3}})+({0}\d*)?)([eE][+-]?\d+)?"
+POINT, COMMA = (re.compile(NUMBER.format(*signs), re.ASCII) for signs in ((r"\.", ","), (",", r"\.")))
+
+EPOCH = 1e9  # s since 1970 begin there, in 2001; a board's own clock would have run for thirty years
+COUNTER = 2.0**32  # where millis() and micros() of an Arduino begin again
+STAMP = re.compile(
+    r"(?=\d)(?:(\d{1,4})([-/.])(\d{1,2})\2(\d{1,4})(?=[T ,]|$))?[T ,]*"
+    r"(?:(\d{1,2}):(\d{2})(?::(\d{2})(?:[.,:](\d+))?)?\s*([AP]M\b)?)?\s*(Z|UTC|[+-]\d{2}:?\d{2})?",
+    re.IGNORECASE,
+)
+# Order of a date's parts → what stands between them.
+DATES = {"year-month-day": "-/.", "day.month.year": ".", "day/month/year": "/-", "month/day/year": "/-"}
+
+Where = Callable[[int], str]
 
 
-class CellName(NamedTuple):
-    """Row and column that a name holds, as they are written."""
+def parted(name: str) -> tuple[str, str]:
+    """A name in small letters, its words joined by underscores, and the unit at its end as written or ''."""
+    text, unit = name[:LONGEST].strip(), ""
+    match = PARTED.fullmatch(text)
+    if match and (match[2].strip(" _")[:1] in ("[", "(", "<", "{") or _is_unit(match[3])):
+        text, unit = match[1], match[3]
+    return re.sub(r"[\s_\-.:]+", "_", text.strip("#% ").lower()).strip("_"), unit
 
-    row: int
-    column: int
+
+def _is_unit(word: str) -> bool:
+    return word.lower() in UNITS_OF_WORD | TIME_UNIT_OF_WORD or ELECTRIC.fullmatch(word) is not None
 
 
 def role_of(name: str) -> str | None:
     """'row', 'column', 'cell', 'value', 'frame', 'date' or 'time'; None for any other name. Units are left aside."""
-    plain = _plain(name)
-    if plain in WORD_ROLE:
-        return WORD_ROLE[plain]
-    first, last = plain.split("_")[0], plain.split("_")[-1]
-    if WORD_ROLE.get(first) == "time" and plain.count("_") == 1:
-        return "time"
-    return WORD_ROLE.get(first) if last in UNITS_OF_WORD or first in ("resistance", "voltage", "ohm") else None
+    plain, unit = parted(name)
+    return ROLE_OF_WORD.get(plain) or ("time" if unit.lower() in TIME_UNIT_OF_WORD else None)
 
 
-def cell_of(name: str) -> CellName | None:
-    """The cell in r0c0, R1C1, 'row 0 col 3', c3_r0, Z1S1, cell_0_3, (0, 3), [0][3]; None in any other name."""
-    text = _without_unit(name[:LONGEST]).strip().lower()
+def cell_of(name: str) -> tuple[int, int] | None:
+    """(row, column) as written in r0c0, R1C1, 'row 0 col 3', c3_r0, Z1S1, cell_0_3, (0, 3), [0][3]; None in others."""
+    plain, _ = parted(name)
     for pattern in (ROW_FIRST, COLUMN_FIRST, TWO_NUMBERS):
-        match = pattern.fullmatch(text)
+        match = pattern.fullmatch(plain)
         if match and len(match[1]) + len(match[2]) < 12:
             first, second = int(match[1]), int(match[2])
-            return CellName(second, first) if pattern is COLUMN_FIRST else CellName(first, second)
+            return (second, first) if pattern is COLUMN_FIRST else (first, second)
     return None
 
 
 def line_of(name: str) -> tuple[str, int] | None:
     """Word and number of R3, 'row 3', 3, col_3: ('r', 3); None in any other name."""
-    match = ONE_NUMBER.fullmatch(_without_unit(name[:LONGEST]).strip().lower())
-    return (match[1], int(match[2])) if match and len(match[2]) < 10 else None
+    match = ONE_NUMBER.fullmatch(parted(name)[0])
+    return (match[1].strip("_"), int(match[2])) if match and len(match[2]) < 10 else None
 
 
-def side_of(word: str) -> str | None:
-    """'row' or 'column' for the word before a line's number, None where it does not say."""
-    if re.fullmatch(ROW, word):
-        return "row"
-    return "column" if re.fullmatch(COLUMN, word) else None
-
-
-def bracketed(name: str) -> str:
-    """What stands in brackets at the end of a name, or after its last slash or ' in ': a unit."""
-    match = BRACKETED.search(name)
-    if match and not match[1].isdigit():
-        return match[1]
-    for mark in (" in ", "/"):
-        _, found, last = name.rpartition(mark)
-        if found:
-            return "" if mark == "/" and last.strip().isdigit() else last.strip()
-    return ""
-
-
-def units_of(words: Sequence[str]) -> tuple[str, ...]:
-    """Units that the names of columns or arrays leave; none where they say nothing.
+def units_of(names: Sequence[str]) -> tuple[str, ...]:
+    """Electrical units that the names of columns or arrays leave; none where they say nothing.
 
     Raises InputError where they name a unit that is not imported, or contradict each other.
     """
     said: tuple[str, ...] = ()
-    for units in filter(None, map(_units_of_one, words)):
+    for units in filter(None, map(_units_of_one, names)):
         if said and not set(said) & set(units):
             raise InputError(f"the headers name both {said[0]} and {units[0]}; --unit says which it is")
         said = units if not said or len(units) < len(said) else said
@@ -126,37 +129,14 @@ def units_of(words: Sequence[str]) -> tuple[str, ...]:
 
 
 def _units_of_one(name: str) -> tuple[str, ...]:
-    """Of the bracket, else of the whole name, else of a word of it."""
-    unit, plain = _folded(bracketed(name)), _plain(name)
-    if unit == "v":
+    """Of the unit, else of the whole name, else of its first or last word."""
+    plain, unit = parted(name)
+    if unit in ("v", "V"):
         return ("volt",)
-    electric = unit.endswith(("ohm", "ohms", "ω", "volt", "volts")) or (unit.endswith("v") and len(unit) == 2)
-    if unit not in UNITS_OF_WORD and electric:
-        raise InputError(
-            f"the header's unit '{bracketed(name)}' is none of ohm, kohm, volt, mV and code; --unit overrides"
-        )
-    parts = [part for part in (plain.split("_")[0], plain.split("_")[-1]) if len(part) > 1]  # r_0_c_1 is a cell
-    words = (unit, *map(_folded, (plain, *parts)))
-    return next((UNITS_OF_WORD[word] for word in words if word in UNITS_OF_WORD), ())
-
-
-def _folded(text: str) -> str:
-    return text.strip().lower().replace("Ω", "ω")
-
-
-def _without_unit(name: str) -> str:
-    unit = bracketed(name)
-    if not unit or _folded(unit) not in UNITS_OF_WORD | {"v": ()}:
-        return name
-    return name[: name.rindex(unit)].rstrip(" [(<{/").removesuffix(" in")
-
-
-def _plain(name: str) -> str:
-    """A name in small letters without its unit, its words joined by one underscore."""
-    unit = bracketed(name)
-    text = name[: name.rindex(unit)] if unit else name
-    text = re.sub(r"\bin\s*$", "", text.strip(" [(<{/#%"))
-    return re.sub(r"[\s_\-.:]+", "_", text.strip().lower()).strip("_")
+    if unit.lower() not in UNITS_OF_WORD and ELECTRIC.fullmatch(unit):
+        raise InputError(f"the header's unit {unit!r} is none of ohm, kohm, volt, mV and code; --unit overrides")
+    ends = [word for word in (plain.split("_")[0], plain.split("_")[-1]) if len(word) > 1]  # r_0_c_1 is a cell
+    return next((UNITS_OF_WORD[word] for word in (unit.lower(), plain, *ends) if word in UNITS_OF_WORD), ())
 
 
 @dataclass(frozen=True)
@@ -168,46 +148,120 @@ class Numerals:
     @classmethod
     def of(cls, fields: Sequence[str]) -> "Numerals":
         """The way that reads more of these fields; where both read the same, a comma that stands alone is decimal."""
-        numbers = [field for field in fields if _written(COMMA, field) or _written(POINT, field)]
-        commas = sum(_written(COMMA, field) - _written(POINT, field) for field in numbers)
-        text = "".join(numbers)
-        return cls(commas > 0 or (commas == 0 and "," in text and "." not in text))
+        read = [[field for field in fields if pattern.fullmatch(field)] for pattern in (COMMA, POINT)]
+        text = "".join(read[0])
+        return cls(len(read[0]) > len(read[1]) or (len(read[0]) == len(read[1]) and "," in text and "." not in text))
 
-    def is_number(self, field: str) -> bool:
-        """Whether a text is a number, a word for infinity, one for a missing reading, or nothing."""
-        value, missing = self._read(field.strip().lower())
-        return missing or not np.isnan(value)
-
-    def numbers(self, fields: NDArray[Any]) -> tuple[Array, NDArray[np.bool_], NDArray[np.bool_]]:
-        """Numbers of texts (any shape), NaN for none; where a reading is said to be missing; where neither."""
-        texts = fields.ravel()
-        values = np.fromiter(map(self._plain, texts), dtype=float, count=len(texts))
-        missing, words = np.zeros(len(texts), dtype=bool), np.zeros(len(texts), dtype=bool)
-        for number in np.flatnonzero(np.isnan(values) | np.isneginf(values)):
-            values[number], missing[number] = self._read(texts[number].lower())
-            words[number] = np.isnan(values[number]) and not missing[number]
-        return values.reshape(fields.shape), missing.reshape(fields.shape), words.reshape(fields.shape)
-
-    def _plain(self, text: str) -> float:
-        """The number of most texts, quickly; NaN of those that `_read` has to look at."""
-        if len(text) > LONGEST or "_" in text or not text.isascii() or (self.comma and "." in text):
-            return np.nan
-        try:
-            return float(text.replace(",", ".") if self.comma else text)
-        except ValueError:
-            return np.nan
-
-    def _read(self, word: str) -> tuple[float, bool]:
-        """The number of one text, NaN for none; whether it stands for a missing one."""
+    def number(self, text: str) -> float | None:
+        """The number that a text stands for, NaN where it says that one is missing, None for any other word."""
+        if len(text) <= LONGEST and (COMMA if self.comma else POINT).fullmatch(text):
+            return float(text.replace(".", "").replace(",", ".") if self.comma else text.replace(",", ""))
+        word = text.lower()
         if word in MISSING_WORDS or not word.strip("-"):
-            return np.nan, True
-        if word in INFINITE_WORDS:
-            return np.inf, False
-        if not _written(COMMA if self.comma else POINT, word):
-            return np.nan, False
-        decimal, thousands = (",", ".") if self.comma else (".", ",")
-        return float(word.replace(thousands, "").replace(decimal, ".")), False
+            return np.nan
+        return np.inf if word in INFINITE_WORDS else None
 
 
-def _written(pattern: re.Pattern[str], field: str) -> bool:
-    return len(field) <= LONGEST and pattern.fullmatch(field) is not None
+class Clock(NamedTuple):
+    """Times of frames in s; date and time of the first one, ISO 8601, where the file names it; a sentence on both."""
+
+    seconds: Array
+    start: str | None
+    sentence: str
+
+    def said(self, where: str) -> "Clock":
+        """The same with where the times stand in the file."""
+        return self._replace(sentence=f"time: {where}{self.sentence}")
+
+
+def is_stamp(text: str) -> bool:
+    """Whether a text is a date, a time of day, or both."""
+    return STAMP.fullmatch(text.strip()) is not None
+
+
+def clock_of(texts: Sequence[str], name: str, where: Where, numerals: Numerals) -> Clock:
+    """Times of frames from the texts of a column or of stamps before lines; `where` names the place of each.
+
+    Raises InputError where one is no time, where dates can be read in two ways, and where times do not grow.
+    """
+    numbers = [numerals.number(text) for text in texts]
+    if None not in numbers:
+        return clock_of_numbers(np.array(numbers, dtype=float), name, where)
+    dated = any(match[1] for match in map(STAMP.fullmatch, map(str.strip, texts)) if match)
+    ways: dict[str, list[str]] = {}
+    for way in DATES if dated else ("time of day",):
+        with suppress(ValueError):  # of a text that is no date in this order
+            ways[way] = [_iso(text, way) for text in texts]
+    if not ways:
+        wrong = next((number for number, text in enumerate(texts) if not is_stamp(text)), 0)
+        raise InputError(f"{where(wrong)}: {texts[wrong][:40]!r} is no time")
+    if len(set(map(tuple, ways.values()))) > 1:
+        raise InputError(f"{where(0)}: {texts[0][:40]!r} may be {' or '.join(ways)}; write year-month-day")
+    way, stamps = next(iter(ways.items()))
+    times = list(map(datetime.fromisoformat, stamps))
+    zoned = [time if time.tzinfo else time.replace(tzinfo=UTC) for time in times]
+    seconds = np.array([(time - zoned[0]).total_seconds() for time in zoned])
+    if dated:
+        zone = "" if times[0].tzinfo else ", no zone in the file"
+        return Clock(_growing(seconds, where), stamps[0], f"{way}, s from the first, which is {stamps[0]}{zone}")
+    day = 24 * SECONDS["h"]
+    seconds += day * np.cumsum(np.diff(seconds, prepend=0.0) < -day / 2)
+    sentence = f"time of day, s from the first; it began at {texts[0]}, the date is not in the file"
+    return Clock(_growing(seconds, where), None, sentence)
+
+
+def _iso(text: str, way: str) -> str:
+    """A stamp in ISO 8601 by the order of its date's parts. Raises ValueError where it is none in this order."""
+    match = STAMP.fullmatch(text.strip())
+    if match is None or (match[2] or "none") not in DATES.get(way, "none"):
+        raise ValueError
+    parts = dict(zip(re.split("[-./]", way), match.group(1, 3, 4), strict=False)) if match[1] else {"year": "2000"}
+    if len(parts["year"]) != 4:
+        raise ValueError
+    hours, half = int(match[5] or 0), (match[9] or "").upper()
+    hours = hours % 12 + 12 * (half == "PM") if half else hours
+    time = f"{hours:02d}:{match[6] or '00'}:{match[7] or '00'}{f'.{match[8]}' if match[8] else ''}"
+    zone = (match[10] or "").upper().replace("UTC", "Z")
+    made = f"{parts['year']}-{parts.get('month', '1'):0>2}-{parts.get('day', '1'):0>2}T{time}{zone}"
+    datetime.fromisoformat(made)
+    return made
+
+
+def clock_of_numbers(values: Array, name: str, where: Where) -> Clock:
+    """Times of numbers in the unit that the column's name says, or in s. Raises InputError where they do not grow."""
+    _growing(np.where(np.isfinite(values), np.arange(len(values)), np.nan), where)
+    steps, whole = np.diff(values, prepend=values[0]), bool(np.all(values == np.round(values)))
+    again = np.cumsum(steps < -COUNTER / 2)
+    plain, said = parted(name)
+    unit = TIME_UNIT_OF_WORD.get(said.lower()) or TIME_UNIT_OF_WORD.get(plain)
+    if unit is None and again[-1] and whole and np.max(values) < COUNTER:  # a nameless board's counter
+        # Panels are read more often than every 10 s, so that larger steps are of a smaller unit.
+        unit = "ms" if np.median(steps[1:]) < 10 / SECONDS["ms"] else "us"
+    largest = float(np.max(values)) * SECONDS[unit or "s"]
+    if unit is None and largest >= EPOCH:  # 1.7e9 s, 1.7e12 ms, 1.7e15 us since 1970
+        unit = ("s", "ms", "us", "ns")[min(int(np.log10(largest / EPOCH) // 3), 3)]
+        largest *= SECONDS[unit]
+    scale = SECONDS[unit or "s"]
+    if largest >= EPOCH:
+        try:
+            first = datetime.fromtimestamp(float(values[0]) * scale, UTC).isoformat().replace("+00:00", "Z")
+        except (ValueError, OverflowError, OSError) as error:
+            raise InputError(f"{where(0)}: {values[0] * scale:.6g} s since 1970 is no date") from error
+        seconds = _growing((values - values[0]) * scale, where)
+        return Clock(seconds, first, f"{unit or 's'} since 1970, s from the first, which is {first}")
+    wrapped = again if unit in ("ms", "us") else 0 * again
+    seconds = _growing((values + COUNTER * wrapped) * scale, where)
+    if unit is not None:
+        often = "once" if wrapped[-1] == 1 else f"{int(wrapped[-1])} times"
+        return Clock(seconds, None, f"{unit}; the counter began again {often}" if wrapped[-1] else unit)
+    step = float(np.median(np.diff(seconds))) if len(seconds) > 1 else 0.0
+    doubt = f", so that frames are {step:g} s apart; if these are ms, call the column time_ms"
+    return Clock(seconds, None, f"s, assumed{doubt if step >= 10 and whole else ''}")
+
+
+def _growing(seconds: Array, where: Where) -> Array:
+    """The same times. Raises InputError with the place of the first that is not finite, or not after the one before."""
+    bad = ~np.isfinite(seconds) | (np.diff(seconds, prepend=-np.inf) <= 0)
+    if np.any(bad):
+        raise InputError(f"{where(int(np.argmax(bad)))}: times must be finite and grow; --period sets them instead")
+    return seconds
