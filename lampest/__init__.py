@@ -43,15 +43,15 @@ if TYPE_CHECKING:
     from lampest.estimate.estimator import AutoWeight as AutoWeight
     from lampest.estimate.estimator import Bounds as Bounds
     from lampest.estimate.estimator import Estimator as Estimator
-    from lampest.estimate.methods import LinearisedMethod as LinearisedMethod
-    from lampest.estimate.methods import Method as Method
     from lampest.estimate.methods import MethodName
-    from lampest.estimate.methods import OptimalMethod as OptimalMethod
-    from lampest.estimate.methods import OralDiscMethod as OralDiscMethod
-    from lampest.estimate.methods import RegionMethod as RegionMethod
-    from lampest.estimate.methods import SmootherMethod as SmootherMethod
-    from lampest.estimate.methods import TruncatedMethod as TruncatedMethod
-    from lampest.estimate.methods import UncorrectedMethod as UncorrectedMethod
+    from lampest.estimate.methods.approximate import LinearisedMethod as LinearisedMethod
+    from lampest.estimate.methods.approximate import RegionMethod as RegionMethod
+    from lampest.estimate.methods.approximate import TruncatedMethod as TruncatedMethod
+    from lampest.estimate.methods.approximate import UncorrectedMethod as UncorrectedMethod
+    from lampest.estimate.methods.method import Method as Method
+    from lampest.estimate.methods.method import OptimalMethod as OptimalMethod
+    from lampest.estimate.methods.oral_disc import OralDiscMethod as OralDiscMethod
+    from lampest.estimate.methods.smoother import SmootherMethod as SmootherMethod
     from lampest.estimate.model_check import ModelCheck as ModelCheck
     from lampest.estimate.state import Step as Step
     from lampest.estimate.stream import Stream as Stream

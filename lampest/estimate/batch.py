@@ -1,7 +1,7 @@
 """Frames of many streams at once: what a batch can solve goes into one, and every other stream solves by itself."""
 
 import os
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from lampest.cost.given import Background
 from lampest.cost.problem import Evaluation
 from lampest.estimate.estimator import Estimator
-from lampest.estimate.methods import OptimalMethod
+from lampest.estimate.methods.method import OptimalMethod
 from lampest.estimate.state import NO_DUAL, Step
 from lampest.estimate.stream import Stream
 from lampest.panel.panel import Array
@@ -29,38 +29,47 @@ from lampest.solvers.panel_batch import PanelBatch
 from lampest.solvers.solution import OPEN_FRACTION, VERIFIED, Settings, Solution, Status
 
 FEWEST = 20  # panels of a thread: with fewer, threads cost more than they save
-Pushed = tuple[Stream | None, Step | None]
 W = TypeVar("W")
 
 
-def pushed_together(streams: Sequence[Stream | None], readings: Readings, kept: Kept) -> list[Pushed]:
+def pushed_together(
+    streams: Sequence[Stream | None], readings: Readings, kept: Kept
+) -> list[tuple[Stream | None, Step | None]]:
     """Every stream after its frame, and how that was solved; None stays None.
 
     readings : (streams, rows, columns), of each one's frame. kept : what solves of earlier frames left, of every stream
     by its number; renewed in place.
     """
-    pushed: list[Pushed] = [(None, None)] * len(streams)
-    for together, found in _at_once(lambda block: block.pushed(kept), _batches(streams, readings)):
-        for number, one in zip(together.numbers.tolist(), found, strict=True):
-            pushed[number] = one
-    for number, stream in enumerate(streams):
-        if stream is not None and pushed[number][1] is None:
-            pushed[number] = stream.push(readings[number])
-    return pushed
+    found = _solved_together(streams, readings, kept, _after)
+    others = {n: one.push(readings[n]) for n, one in enumerate(streams) if one is not None and n not in found}
+    return [(found | others).get(number, (None, None)) for number in range(len(streams))]
 
 
 def rested_together(streams: Sequence[Stream | None]) -> list[Stream | None]:
     """Every stream with its baseline; None stays None."""
-    there = [stream for stream in streams if stream is not None]
-    kept = Kept.nothing(len(streams), there[0].resting.value.size)
-    steps: list[Step | None] = [None] * len(streams)
-    resting = [there[0].resting if stream is None else stream.resting for stream in streams]
-    for together, found in _at_once(
-        lambda block: block.steps(kept), _batches(streams, resting[0].together(*resting[1:]))
-    ):
-        for number, one in zip(together.numbers.tolist(), found, strict=True):
-            steps[number] = one
-    return [stream and stream.with_rest(step) for stream, step in zip(streams, steps, strict=True)]
+    there = next(stream for stream in streams if stream is not None)
+    resting = [there.resting if stream is None else stream.resting for stream in streams]
+    kept = Kept.nothing(len(streams), there.resting.value.size)
+    found = _solved_together(streams, resting[0].together(*resting[1:]), kept, lambda stream, step: step)
+    return [stream and stream.with_rest(found.get(number)) for number, stream in enumerate(streams)]
+
+
+def _solved_together(
+    streams: Sequence[Stream | None], readings: Readings, kept: Kept, after: Callable[[Stream, Step], W]
+) -> dict[int, W]:
+    """Number → what `after` makes of the streams that batches solve, blocks in threads beside each other."""
+
+    def solved(block: Together) -> dict[int, W]:
+        with np.errstate(all="ignore"), suppress(*BROKEN):
+            every = zip(block.numbers.tolist(), block.streams, block.steps(kept), strict=True)
+            return {number: after(stream, step) for number, stream, step in every if step is not None}
+        return {}
+
+    blocks = list(_batches(streams, readings))
+    if len(blocks) < 2:
+        return solved(blocks[0]) if blocks else {}
+    with ThreadPoolExecutor(len(blocks)) as pool:
+        return {number: one for found in pool.map(solved, blocks) for number, one in found.items()}
 
 
 def _batches(streams: Sequence[Stream | None], readings: Readings) -> "Iterator[Together]":
@@ -79,25 +88,6 @@ def _batches(streams: Sequence[Stream | None], readings: Readings) -> "Iterator[
                 found = Together.of(numbers, [group[number] for number in numbers.tolist()], readings[numbers], place)
                 if found is not None:
                     yield found
-
-
-def _at_once(
-    work: "Callable[[Together], list[W]]", blocks: "Iterable[Together]"
-) -> "Iterator[tuple[Together, list[W]]]":
-    """(block, what was found of each of its streams), blocks in threads beside each other; nothing where one fails."""
-
-    def safely(block: Together) -> list[W]:
-        with np.errstate(all="ignore"), suppress(*BROKEN):
-            return work(block)
-        return []
-
-    known = list(blocks)
-    if len(known) < 2:
-        found = [safely(block) for block in known]
-    else:
-        with ThreadPoolExecutor(len(known)) as pool:
-            found = list(pool.map(safely, known))
-    yield from ((block, one) for block, one in zip(known, found, strict=True) if one)
 
 
 def _in_batches(stream: Stream, readings: Readings, number: int, partial: bool) -> bool:
@@ -146,9 +136,7 @@ class Together:
         behind = Background(first.scene, first.period)
         if estimator.relative:
             resting = np.stack([stream.baseline_resistance for stream in streams])
-            known = (stream.previous for stream in streams)
-            before = [base if one is None else one for one, base in zip(known, resting, strict=True)]
-            behind = replace(behind, previous=np.stack(before), baseline=resting)
+            behind = replace(behind, previous=_previous(streams), baseline=resting)
         data = estimator.data(frames, behind)
         cost = estimator.cost(first.scene, 1, data.partial)
         if not PanelBatch.serves(cost, data):
@@ -156,12 +144,8 @@ class Together:
         weights = np.array([_weights(stream) for stream in streams], dtype=float)
         return cls(numbers, streams, PanelBatch(cost, weights, data, place), estimator.solver)
 
-    def pushed(self, kept: Kept) -> list[Pushed]:
-        """Every stream after its frame; (None, None) where the batch found no verified minimum."""
-        return [self._after(number, step) for number, step in enumerate(self.steps(kept))]
-
     def steps(self, kept: Kept) -> list[Step | None]:
-        """How every frame was solved, without error bars; None as above."""
+        """How every frame was solved, without error bars; None where the batch found no verified minimum."""
         begin, found = perf_counter(), list[Ended]()
         for start in self._starts(kept, found):
             found.append(solve(self.batch, start, kept, self.numbers, self.settings))
@@ -171,19 +155,14 @@ class Together:
         return [None if found is None else Step(found, seconds, tuple(weights)) for found, weights in pairs]
 
     def _starts(self, kept: Kept, found: Sequence[Ended]) -> Iterator[Array]:
-        """As `lampest.solvers.multistart.starts`: one of a frame that follows another, else up to three.
-
-        found : where those before ended.
-        """
-        cost, uniform = self.batch.cost, self.batch.data.uniform_start
-        rested = self.streams[0].rested
-        if rested:
-            pairs = ((stream.previous, stream.baseline_resistance) for stream in self.streams)
-            yield np.stack([resting if previous is None else previous for previous, resting in pairs])
-        if rested and not (self.streams[0].first and several_minima(cost, self.batch.data)):
-            return
-        yield uniform
-        if several_minima(cost, self.batch.data):
+        """As `lampest.solvers.multistart.starts`; found : where those before ended."""
+        cost, several = self.batch.cost, several_minima(self.batch.cost, self.batch.data)
+        if self.streams[0].rested:
+            yield _previous(self.streams)
+            if not (self.streams[0].first and several):
+                return
+        yield self.batch.data.uniform_start
+        if several:
             reads = [float(term.reads_measurement) for term in cost.terms]
             data_alone = replace(self.batch, weights=self.batch.weights * reads)
             near = found[0].points.network.cell_resistance
@@ -192,29 +171,17 @@ class Together:
     def _solutions(self, ended: Ended, starts: int) -> list[Solution | None]:
         """The checked solutions of all panels; None where one is not verified."""
         points, data = ended.points, self.batch.data
-        cells, reading = points.network.cell_resistance, points.reading
+        cells, reading, costs = points.network.cell_resistance, points.reading, points.costs
         at_lower, open_cell = cells <= data.lower / OPEN_FRACTION, cells >= data.upper * OPEN_FRACTION
-        verified = ended.solved & (points.residual <= VERIFIED)
         lower, upper = self.batch.log_bounds
         held = np.asarray((~points.free & (lower < upper)).any(axis=1))
         found: list[Solution | None] = [None] * len(cells)
-        objective, residual, iterations = (
-            values.tolist() for values in (points.objective, points.residual, ended.iterations)
-        )
-        costs = points.costs
-        for number in np.flatnonzero(verified).tolist():
+        for number in np.flatnonzero(ended.solved & (points.residual <= VERIFIED)).tolist():
             one = slice(number, number + 1)
+            figures = float(points.objective[number]), float(points.residual[number])
+            bounds, iterations = (at_lower[one], open_cell[one]), int(ended.iterations[number])
             solution = Solution(
-                cells[one],
-                reading[one],
-                costs[number],
-                objective[number],
-                residual[number],
-                at_lower[one],
-                open_cell[one],
-                Status.OPTIMUM,
-                iterations[number],
-                starts=starts,
+                cells[one], reading[one], costs[number], *figures, *bounds, Status.OPTIMUM, iterations, starts=starts
             )
             if held[number] or self.streams[number].track is not None:
                 at = self._evaluation(ended, number)
@@ -227,32 +194,31 @@ class Together:
     def _evaluation(self, ended: Ended, number: int) -> Evaluation:
         """Of one panel, with the network that was solved."""
         one = ended.points.some(np.array([number]))
-        network = one.network
-        alone = replace(
-            network,
-            cell_resistance=network.cell_resistance[0],
-            conductance=network.conductance[0],
-            _impedance=network._impedance[0],
-        )
+        names = ("cell_resistance", "conductance", "_impedance")
+        alone = replace(one.network, **{name: getattr(one.network, name)[0] for name in names})
         pairs = zip(self.batch.cost.terms, self.batch.weights[number], strict=True)
         terms = tuple(replace(term, weight=float(weight)) for term, weight in pairs)
-        cost = replace(self.batch.cost, terms=terms)
-        return Evaluation(cost, one.batch.data, network.cell_resistance, ended.points.reading[number][None], (alone,))
+        cost, reading = replace(self.batch.cost, terms=terms), ended.points.reading[number][None]
+        return Evaluation(cost, one.batch.data, one.network.cell_resistance, reading, (alone,))
 
-    def _after(self, number: int, step: Step | None) -> Pushed:
-        """A stream after its frame, with error bars where it has them."""
-        if step is None:
-            return None, None
-        stream, solution, deviation = self.streams[number], step.solution, None
-        track = stream.track
-        if track is not None and solution.at is not None:
-            begin = perf_counter()
-            with suppress(*BROKEN):
-                track, bars = track.advanced(LinearModel(solution.at, NO_DUAL))
-                step, deviation = replace(step, bars=bars, bars_seconds=perf_counter() - begin), track.deviation
-        found = solution.cell_resistance[0]
-        after = replace(stream, previous=found, previous_deviation=deviation, track=track, first=False)
-        return after, step if solution.at is None else step.bare()
+
+def _previous(streams: Sequence[Stream]) -> Array:
+    """(streams, rows, columns) the cells before their frames."""
+    pairs = ((stream.previous, stream.baseline_resistance) for stream in streams)
+    return np.stack([resting if previous is None else previous for previous, resting in pairs])
+
+
+def _after(stream: Stream, step: Step) -> tuple[Stream | None, Step | None]:
+    """A stream after its frame, with error bars where it has them."""
+    solution, track, deviation = step.solution, stream.track, None
+    if track is not None and solution.at is not None:
+        begin = perf_counter()
+        with suppress(*BROKEN):
+            track, bars = track.advanced(LinearModel(solution.at, NO_DUAL))
+            step, deviation = replace(step, bars=bars, bars_seconds=perf_counter() - begin), track.deviation
+    found = solution.cell_resistance[0]
+    after = replace(stream, previous=found, previous_deviation=deviation, track=track, first=False)
+    return after, step if solution.at is None else step.bare()
 
 
 def _weights(stream: Stream) -> tuple[float, ...]:

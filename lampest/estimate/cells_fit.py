@@ -6,6 +6,7 @@ cone g ≥ 0 it is χ² with as many degrees of freedom as cells stand at the co
 touches stand still. The cells that must have moved for the rest to stand still are counted, each at the same price.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
 
@@ -40,14 +41,8 @@ SPREAD = 0.01  # 1/variance of log r: a cell that no reading sees may be anythin
 # 400 such exceeds 12 in one case of five.
 PRICE = 12.0
 TOGETHER = 0.05  # of log r: by so much all cells may change with temperature
-# −2 log probability by which another circuit, or an effect beside it, must beat the scene's: e^18 to one. The best of
-# eight kinds, with any resistance in series, beat a right one by 32, 25 and 19 in three of some 430 recordings, else by
-# 15 or less.
-MARGIN = 36.0
-MOST_ASKED = 3  # rivals or effects: those that linear theory finds best
 CREEP = 3e-3  # of log r, by which films creep on their own in seconds
-JOINT = replace(FIT, evaluations=60, settled=0.05, share=0.0)
-UNIT, SECANT = 0.1, 1e-4  # of the largest resistance in series: what a step of log r by 1 is to it, and differences
+UNIT = 0.1  # of the largest resistance in series: what a step of log r by 1 is to it
 
 
 @cache
@@ -71,38 +66,6 @@ class CellsFit(SumOfSquares):
     readings: Readings
     cells: Array
     ridge: float = SPREAD
-
-    @classmethod
-    def of(cls, scene: Scene, readings: Readings, near: Array | None, patient: bool) -> "CellsFit | None":
-        """argmin Σ ((f(r) − y)/σ)² over r > 0; see `fitted`."""
-        alone = cells_alone()
-        data = alone.data(readings.alone(), Background(scene))
-        data = replace(data, lower=EDGE * data.lower)
-        found = cls.near(data, readings, convex(data, None)[0] if near is None else near)
-        if found.chi_square <= EXACT:
-            return found
-        if not patient and found.chi_square > HOPELESS * readings.value.size:
-            return None
-        solver = (alone if patient else replace(alone, solver=BRIEF)).problem(scene, 1, float("inf"), data.partial)
-        solution = (
-            best_solution(solver, data, None)
-            if patient
-            else solved_from(solver, evaluated(solver.cost, data, found.cells[None]))
-        )
-        return cls.at(data, readings, solution.at.networks[0]) if solution.solved and solution.at is not None else None
-
-    @classmethod
-    def near(cls, data: Data, readings: Readings, start: Array) -> "CellsFit":
-        """The least squares that the loop reaches from cells; on panels too large for it, the start itself."""
-        bounds = (data.log_bounds[0].ravel(), data.log_bounds[1].ravel())
-        position = np.clip(np.log(start).ravel(), *bounds)
-
-        def model(position: Array) -> CellsFit:
-            return cls.at(data, readings, data.network(0, np.exp(position).reshape(start.shape)))
-
-        if start.size > MOST_CELLS:
-            return model(position)
-        return FIT.minimum(model, position, bounds, ended=lambda fit, _: fit.chi_square <= EXACT).at
 
     @classmethod
     def at(cls, data: Data, readings: Readings, network: Network) -> "CellsFit":
@@ -133,25 +96,44 @@ class CellsFit(SumOfSquares):
         """P(χ² of so many degrees is as large)."""
         return float(chi_square_tail(self.chi_square, self.degrees))
 
-    def worst_line(self) -> str:
-        """'row 3 holds 62 % of it': the line with most of the misfit."""
-        squares = self.residual.reshape(self.cells.shape) ** 2
-        rows, columns = squares.sum(axis=1), squares.sum(axis=0)
-        name, lines = ("row", rows) if rows.max() >= columns.max() else ("column", columns)
-        return f"{name} {int(np.argmax(lines))} holds {100 * lines.max() / squares.sum():.0f} % of it"
-
 
 def fitted(scene: Scene, readings: Readings, near: Array | None = None, patient: bool = False) -> CellsFit | None:
-    """The fit of one frame; None where it is not reached, or arithmetic breaks down.
+    """argmin Σ ((f(r) − y)/σ)² of one frame over r > 0; None where it is not reached, or arithmetic breaks down.
 
     near : cells (rows, columns) ohm to begin at; None: the readout's start. patient : every start is tried, else a few
     iterations must do.
     """
     try:
         with np.errstate(all="ignore"):
-            return CellsFit.of(scene, readings, near, patient)
+            data = cells_alone().data(readings.alone(), Background(scene))
+            data = replace(data, lower=EDGE * data.lower)
+            found = _fitted_near(data, readings, convex(data, None)[0] if near is None else near)
+            if found.chi_square <= EXACT:
+                return found
+            if not patient and found.chi_square > HOPELESS * readings.value.size:
+                return None
+            alone = cells_alone() if patient else replace(cells_alone(), solver=BRIEF)
+            solver = alone.problem(scene, 1, float("inf"), data.partial)
+            begun = None if patient else evaluated(solver.cost, data, found.cells[None])
+            solution = best_solution(solver, data, None) if begun is None else solved_from(solver, begun)
+            if solution.solved and solution.at is not None:
+                return CellsFit.at(data, readings, solution.at.networks[0])
     except BROKEN:
-        return None
+        pass
+    return None
+
+
+def _fitted_near(data: Data, readings: Readings, start: Array) -> CellsFit:
+    """The least squares that the loop reaches from cells; on panels too large for it, the start itself."""
+    bounds = (data.log_bounds[0].ravel(), data.log_bounds[1].ravel())
+    position = np.clip(np.log(start).ravel(), *bounds)
+
+    def model(position: Array) -> CellsFit:
+        return CellsFit.at(data, readings, data.network(0, np.exp(position).reshape(start.shape)))
+
+    if start.size > MOST_CELLS:
+        return model(position)
+    return FIT.minimum(model, position, bounds, ended=lambda fit, _: fit.chi_square <= EXACT).at
 
 
 def _residual(network: Network, readings: Readings) -> tuple[Array, Array]:
@@ -172,9 +154,9 @@ def _followed(normal: Array) -> float:
 class JointFit:
     """argmin χ² of an unloaded panel and a frame while only some cells have moved, beside a factor common to all.
 
-    rival : the circuit. question : what it is to explain. most : the largest resistance in series, ohm, where that is
-    free; else 0. pair : the readings of both frames. position : log r of each (2, cells). moved : (cells). series :
-    d residual/d(resistance in series over UNIT of the largest one), where the fit began.
+    Unknowns are log r of the unloaded cells, that of the factor, the resistance in series in UNIT of `most` (the
+    largest one, ohm; 0: as it is), and what moved cells changed beside the factor. pair : the readings of both frames.
+    position : log r of each (2, cells). moved : (cells). series : d residual/d(the third), where the fit began.
     """
 
     rival: Rival
@@ -183,18 +165,19 @@ class JointFit:
     pair: tuple[Readings, ...]
     position: Array
     moved: NDArray[np.bool_]
-    series: Array | None = None
+    series: Array
 
     @classmethod
     def of(
-        cls, rival: Rival, question: Question, cells: tuple[Array, ...], moved: NDArray[np.bool_], most: float = 0.0
+        cls, rival: Rival, question: Question, cells: Sequence[Array], moved: NDArray[np.bool_], most: float = 0.0
     ) -> "JointFit":
         """The circuit's best explanation of both frames; moved cells are chosen anew until the score no longer falls.
 
-        cells : where to begin, (rows, columns) ohm of both frames. moved : the cells that moved, to begin with.
+        cells, moved : where to begin, (rows, columns) ohm of both frames, and which of them moved.
         """
-        position, pair = np.log([one.ravel() for one in cells]), question.readings(rival)
-        best = cls(rival, question, most, pair, position, moved.ravel()).tied()
+        position = np.log([one.ravel() for one in cells])
+        begun = cls(rival, question, most, question.readings(rival), position, moved.ravel(), np.zeros(0))
+        best = begun.tied()
         while not np.array_equal(moved := best.chosen_anew(), best.moved):
             found = replace(best, moved=moved).tied()
             if not found.score < best.score:
@@ -205,8 +188,8 @@ class JointFit:
     def with_series(self, most: float) -> "JointFit":
         """The same with the resistance in series that explains best, up to `most` ohm, begun at what the scene says."""
         rival = self.rival.with_series(self.rival.scene.specified_in_series)
-        cells = tuple(np.exp(one).reshape(self.pair[0].value.shape) for one in self.position)
-        return JointFit.of(rival, self.question, cells, self.moved, most)
+        cells = np.exp(self.position).reshape(2, *self.pair[0].value.shape)
+        return JointFit.of(rival, self.question, list(cells), self.moved, most)
 
     def tied(self) -> "JointFit":
         """The least χ² while all but the moved cells keep what they were, beside a common factor.
@@ -214,119 +197,99 @@ class JointFit:
         It begins where linear theory says that to tie them costs least: the gap is closed by a step of both frames.
         """
         here, place = replace(self, series=self._secant()), len(self.moved) + 1
-        change = self.position[1] - self.position[0]
-        gap = np.where(self.moved, 0.0, change - self._factor)
+        gap = np.where(self.moved, 0.0, self._change)
         step = _solved(here.squares.jacobian, here.slopes[1] @ gap - here.residual)
         step *= min(1.0, FIT.longest / max(float(np.abs(step).max()), 1e-300))
         begun = replace(here, position=np.stack([self.position[0], self.position[1] - gap])).stepped(step)
         low, high = np.full((2, len(step)), [[-np.inf], [np.inf]])
         if self.most:
-            at = begun.rival.ohm / (UNIT * self.most)
-            low[place], high[place] = -at, 1 / UNIT - at
-        found = JOINT.minimum(lambda step: begun.stepped(step).squares, np.zeros(len(step)), (low, high))
+            low[place] = -begun.rival.ohm / (UNIT * self.most)
+            high[place] = 1 / UNIT + low[place]
+        loop = replace(FIT, evaluations=60, settled=0.05, share=0.0)
+        found = loop.minimum(lambda step: begun.stepped(step).squares, np.zeros(len(step)), (low, high))
         return begun.stepped(found.position)
 
     def stepped(self, step: Array) -> "JointFit":
-        """The fit a step of its unknowns further; see `squares`."""
+        """The fit a step of its unknowns further."""
         size = len(self.moved)
         position = self.position + step[:size]
         position[1] += step[size]
-        position[1, self.moved] += step[size + 1 + bool(self.most) :]
-        if not self.most:
-            return replace(self, position=position)
-        ohm = self.rival.ohm + UNIT * self.most * float(step[size + 1])
-        return replace(self._with_ohm(float(np.clip(ohm, 0.0, self.most))), position=position)
+        position[1, self.moved] += step[size + 2 :]
+        here = self._with_ohm(self.rival.ohm + UNIT * self.most * float(step[size + 1])) if self.most else self
+        return replace(here, position=position)
 
     def _with_ohm(self, ohm: float) -> "JointFit":
-        rival = self.rival.with_series(ohm)
+        rival = self.rival.with_series(min(max(ohm, 0.0), self.most))
         return replace(self, rival=rival, pair=self.question.readings(rival))
 
-    def _secant(self) -> Array | None:
+    def _secant(self) -> Array:
         if not self.most:
-            return None
-        step = SECANT * self.most * (1 if self.rival.ohm < self.most / 2 else -1)
+            return np.zeros_like(self.residual)
+        step = 1e-4 * self.most * (1 if self.rival.ohm < self.most / 2 else -1)
         return (self._with_ohm(self.rival.ohm + step).residual - self.residual) * (UNIT * self.most / step)
 
     @cached_property
-    def _networks(self) -> list[Network]:
+    def _solved_networks(self) -> list[tuple[Network, Readings]]:
         scene, shape = self.rival.scene, self.pair[0].value.shape
-        pairs = zip(self.pair, np.exp(self.position), strict=True)
-        return [
-            scene.circuit.network(cells.reshape(shape), scene.circuit.ties(readings.value), scene.wiring)
-            for readings, cells in pairs
-        ]
+        pairs = zip(self.pair, np.exp(self.position).reshape(2, *shape), strict=True)
+        return [(scene.circuit.network(cells, scene.circuit.ties(y.value), scene.wiring), y) for y, cells in pairs]
 
     @cached_property
     def residual(self) -> Array:
         """(y − y_measured)/σ of both frames, (2·cells)."""
-        pairs = zip(self._networks, self.pair, strict=True)
-        return np.concatenate([_residual(*one)[0].ravel() for one in pairs])
+        return np.concatenate([_residual(*one)[0].ravel() for one in self._solved_networks])
 
     @cached_property
     def slopes(self) -> tuple[Array, Array]:
         """Derivatives of the residual by log r of the unloaded panel, and of the frame; each (2·cells, cells)."""
-        pairs = zip(self._networks, self.pair, strict=True)
-        resting, frame = (one[0].sensitivity() * _residual(*one)[1].reshape(-1, 1) for one in pairs)
+        resting, frame = (one[0].sensitivity() * _residual(*one)[1].reshape(-1, 1) for one in self._solved_networks)
         none = np.zeros_like(resting)
         return np.concatenate([resting, none]), np.concatenate([none, frame])
 
     @cached_property
     def squares(self) -> SumOfSquares:
-        """Over what is common, and what the moved cells changed beside it."""
-        jacobian = np.column_stack([self._common, self.slopes[1][:, self.moved]])
-        return SumOfSquares(self.residual, jacobian, SPREAD)
-
-    @property
-    def chi_square(self) -> float:
-        """Σ residual²."""
-        return 2 * self.squares.cost
-
-    @property
-    def count(self) -> int:
-        """How many cells have moved."""
-        return int(self.moved.sum())
-
-    @property
-    def score(self) -> float:
-        """χ², and what moved cells, readings taken for bounds and another resistance in series cost."""
-        bounds = sum(int(readings.bounds.sum()) for readings in self.pair)
-        return self.chi_square + PRICE * (self.count + bounds + (self.rival.in_series is not None))
+        """Over all unknowns."""
+        return SumOfSquares(self.residual, np.column_stack([self._common, self.slopes[1][:, self.moved]]), SPREAD)
 
     @cached_property
-    def expected(self) -> float:
-        """χ² of mere noise; at least 1. Cells at the edge of r > 0 follow none of it."""
-        followed = _followed(self.squares.normal)
-        return max(float(sum(readings.plain.sum() for readings in self.pair)) - followed, 1.0)
+    def _common(self) -> Array:
+        """d residual/d(all unknowns but the last)."""
+        resting, frame = self.slopes
+        return np.column_stack([resting + frame, frame.sum(axis=1), self.series])
 
     @property
-    def beyond_noise(self) -> float:
-        """The score without what noise alone would leave."""
-        return self.score - self.expected
-
-    @property
-    def excess(self) -> float:
-        """χ² over that of mere noise, at least 1: by how much films that creep exceed the noise, for one."""
-        return max(self.chi_square / self.expected, 1.0)
+    def _change(self) -> Array:
+        """Of log r, less what all cells that did not move changed by."""
+        change = self.position[1] - self.position[0]
+        return np.asarray(change - np.median(change if self.moved.all() else change[~self.moved]))
 
     def chosen_anew(self) -> NDArray[np.bool_]:
         """Which cells must have moved (cells), by linear theory about this fit: all changes free, and priced."""
         wanted = np.column_stack([self.slopes[1], self.residual])
         left = wanted - self._common @ _solved(self._common, wanted)
         precision = SumOfSquares(left[:, -1], left[:, :-1], SPREAD).normal
-        change = self.position[1] - self.position[0] - self._factor
-        return selected(precision @ change - left[:, :-1].T @ left[:, -1], precision)[1]
+        return selected(precision @ self._change - left[:, :-1].T @ left[:, -1], precision)[1]
 
     @property
-    def _factor(self) -> float:
-        """log of what all cells that did not move changed by."""
-        change = self.position[1] - self.position[0]
-        return float(np.median(change if self.moved.all() else change[~self.moved]))
+    def score(self) -> float:
+        """χ², and what moved cells, readings taken for bounds and another resistance in series cost."""
+        counted = self.moved.sum() + sum(readings.bounds.sum() for readings in self.pair)
+        return float(2 * self.squares.cost + PRICE * (int(counted) + (self.rival.in_series is not None)))
 
     @cached_property
-    def _common(self) -> Array:
-        """d residual/d(log r of both frames, the factor, the resistance in series where that is free)."""
-        resting, frame = self.slopes
-        return np.column_stack([resting + frame, frame.sum(axis=1), *([] if self.series is None else [self.series])])
+    def _expected(self) -> float:
+        """χ² of mere noise; at least 1. Cells at the edge of r > 0 follow none of it."""
+        return max(float(sum(readings.plain.sum() for readings in self.pair)) - _followed(self.squares.normal), 1.0)
+
+    @property
+    def beyond_noise(self) -> float:
+        """The score without what noise alone would leave."""
+        return self.score - self._expected
+
+    @property
+    def excess(self) -> float:
+        """χ² over that of mere noise, at least 1: by how much films that creep exceed the noise, for one."""
+        return max(2 * self.squares.cost / self._expected, 1.0)
 
 
 def _solved(matrix: Array, wanted: Array) -> Array:
@@ -348,9 +311,8 @@ def moved_score(resting: CellsFit, frame: CellsFit) -> tuple[float, NDArray[np.b
     for creep in (0.0, CREEP):
         covariance = together + creep**2 * np.eye(len(change))
         precision = np.linalg.inv(covariance)
-        gained, moved = _swept(precision @ change, precision, 1)
-        chi_square = float(change @ precision @ change) - gained
-        score = chi_square + PRICE * int(moved.sum()) + float(np.linalg.slogdet(covariance)[1]) + least
+        lost, moved = selected(precision @ change, precision, briefly=True)
+        score = float(change @ precision @ change) + lost + float(np.linalg.slogdet(covariance)[1]) + least
         found.append((score, moved.reshape(resting.cells.shape)))
     return min(found, key=lambda one: one[0])
 

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,45 +31,50 @@ AT_RAILS = {  # what stands for the solver's own sentence where readings are at 
 }
 
 
-@dataclass(frozen=True, eq=False)
-class ErrorBars:
-    """(frames, rows, columns) as the properties of `Estimates` with these names; ratio_lower, ratio_upper : of r/r0."""
+def error_bars(cells: Array, baseline: Array, steps: tuple[Step, ...]) -> dict[str, Array]:
+    """Name → (frames, rows, columns), as the properties of `Estimates`; ratio_lower, ratio_upper : of r/r0.
 
-    cell_resistance_errors: Array
-    cell_resistance_lower: Array
-    cell_resistance_upper: Array
-    relative_change_errors: Array
-    ratio_lower: Array
-    ratio_upper: Array
-    resolution: Array
-    data_share: Array
-    sigma_own: Array
-    sigma_common: Array
+    σ_r = r·σ(log r), and r·exp(−below) to r·exp(above); infinite, or 0 of shares, where a frame has no bars.
+    """
+    ratio = cells / baseline
 
-    @classmethod
-    def of(cls, cells: Array, baseline: Array, steps: tuple[Step, ...]) -> "ErrorBars":
-        """σ_r = r·σ(log r), and r·exp(−below) to r·exp(above); infinite, or 0 of shares, where a frame has no bars."""
-        ratio = cells / baseline
+    def frames(name: str, change: bool = False, unbarred: float = np.inf) -> Array:
+        parts = [step.bars and (step.bars.change if change else step.bars.frame) for step in steps]
+        blank = np.full(baseline.shape, unbarred)
+        stacked = np.stack([blank if part is None else getattr(part, name) for part in parts])
+        return np.where(np.isnan(cells), np.nan, stacked)
 
-        def frames(name: str, change: bool = False, unbarred: float = np.inf) -> Array:
-            parts = [step.bars and (step.bars.change if change else step.bars.frame) for step in steps]
-            blank = np.full(baseline.shape, unbarred)
-            stacked = np.stack([blank if part is None else getattr(part, name) for part in parts])
-            return np.where(np.isnan(cells), np.nan, stacked)
+    with np.errstate(over="ignore"):  # a cell of which nothing is known reaches to infinity
+        lower, upper = ratio * np.exp(-frames("below", change=True)), ratio * np.exp(frames("above", change=True))
+        return {
+            "cell_resistance_errors": cells * frames("deviation"),
+            "cell_resistance_lower": cells * np.exp(-frames("below")),
+            "cell_resistance_upper": cells * np.exp(frames("above")),
+            "relative_change_errors": 100 * ratio * frames("deviation", change=True),
+            "relative_change_lower": 100 * (lower - 1),
+            "relative_change_upper": 100 * (upper - 1),
+            "ratio_lower": lower,
+            "ratio_upper": upper,
+            "resolution": frames("resolution", unbarred=0.0),
+            "data_share": frames("data_share", unbarred=0.0),
+            "sigma_own": frames("own"),
+            "sigma_common": frames("common"),
+        }
 
-        with np.errstate(over="ignore"):  # a cell of which nothing is known reaches to infinity
-            return cls(
-                cells * frames("deviation"),
-                cells * np.exp(-frames("below")),
-                cells * np.exp(frames("above")),
-                100 * ratio * frames("deviation", change=True),
-                ratio * np.exp(-frames("below", change=True)),
-                ratio * np.exp(frames("above", change=True)),
-                frames("resolution", unbarred=0.0),
-                frames("data_share", unbarred=0.0),
-                frames("own"),
-                frames("common"),
-            )
+
+class Barred(property):
+    """A property (frames, rows, columns) that estimates with error bars alone have; else None."""
+
+    def __init__(self, part: str, about: str) -> None:
+        super().__init__(lambda found: (getattr(found, part) or {}).get(self._name), doc=about)
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        self._name = name
+
+    if TYPE_CHECKING:
+
+        def __get__(self, found: Any, owner: type | None = None) -> Array | None:  # type: ignore[override]
+            """Of the estimates."""
 
 
 def frame_misfit(model: Array, measured: Array, sigma: Array, resolution: Array | None) -> dict[str, Array]:
@@ -215,55 +221,20 @@ class Estimates:
         """(frames, rows, columns) where a cell stands at its lower bound."""
         return np.stack([step.solution.at_lower[-1] for step in self.steps])
 
-    @property
-    def cell_resistance_errors(self) -> Array | None:
-        """Standard deviation of r, (frames, rows, columns) ohm; infinite where a cell may be open."""
-        return None if self._bars is None else self._bars.cell_resistance_errors
-
-    @property
-    def cell_resistance_lower(self) -> Array | None:
-        """Lower end of the 95 % interval of r, (frames, rows, columns) ohm."""
-        return None if self._bars is None else self._bars.cell_resistance_lower
-
-    @property
-    def cell_resistance_upper(self) -> Array | None:
-        """Upper end of the 95 % interval of r, (frames, rows, columns) ohm; infinite where a cell may be open."""
-        return None if self._bars is None else self._bars.cell_resistance_upper
-
-    @property
-    def relative_change_errors(self) -> Array | None:
-        """Standard deviation of the relative change, (frames, rows, columns) percent."""
-        return None if self._bars is None else self._bars.relative_change_errors
-
-    @property
-    def relative_change_lower(self) -> Array | None:
-        """Lower end of the 95 % interval of the relative change, (frames, rows, columns) percent."""
-        return None if self._bars is None else 100 * (self._bars.ratio_lower - 1)
-
-    @property
-    def relative_change_upper(self) -> Array | None:
-        """Upper end of the 95 % interval of the relative change, (frames, rows, columns) percent."""
-        return None if self._bars is None else 100 * (self._bars.ratio_upper - 1)
-
-    @property
-    def resolution(self) -> Array | None:
-        """Diagonal of the averaging kernel, (frames, rows, columns): 1 where readings decide a cell, 0 elsewhere."""
-        return None if self._bars is None else self._bars.resolution
-
-    @property
-    def data_share(self) -> Array | None:
-        """Row sums of the averaging kernel, (frames, rows, columns): share of an estimate that comes from the data."""
-        return None if self._bars is None else self._bars.data_share
-
-    @property
-    def sigma_own(self) -> Array | None:
-        """Standard deviation of log r, (frames, rows, columns): of each cell's own error."""
-        return None if self._bars is None else self._bars.sigma_own
-
-    @property
-    def sigma_common(self) -> Array | None:
-        """Standard deviation of log r, (frames, rows, columns): of what all cells share, or those of a line."""
-        return None if self._bars is None else self._bars.sigma_common
+    cell_resistance_errors = Barred("_bars", "Standard deviation of r, ohm; infinite where a cell may be open.")
+    cell_resistance_lower = Barred("_bars", "Lower end of the 95 % interval of r, ohm.")
+    cell_resistance_upper = Barred("_bars", "Upper end of the 95 % interval of r, ohm; infinite where it may be open.")
+    relative_change_errors = Barred("_bars", "Standard deviation of the relative change, percent.")
+    relative_change_lower = Barred("_bars", "Lower end of the 95 % interval of the relative change, percent.")
+    relative_change_upper = Barred("_bars", "Upper end of the 95 % interval of the relative change, percent.")
+    resolution = Barred("_bars", "Diagonal of the averaging kernel: 1 where readings decide a cell, 0 elsewhere.")
+    data_share = Barred("_bars", "Row sums of the averaging kernel: share of an estimate that comes from the data.")
+    sigma_own = Barred("_bars", "Standard deviation of log r: of each cell's own error.")
+    sigma_common = Barred("_bars", "Standard deviation of log r: of what all cells share, or those of a line.")
+    pressure = Barred("_pressed", "Pressure of the load, kPa, suction negative; of films with a response in the scene.")
+    pressure_errors = Barred("_pressed", "Standard deviation of the pressure, kPa.")
+    pressure_lower = Barred("_pressed", "Lower end of the 95 % interval of the pressure, kPa.")
+    pressure_upper = Barred("_pressed", "Upper end of the 95 % interval of the pressure, kPa.")
 
     @property
     def error_bar_time(self) -> Array | None:
@@ -277,32 +248,10 @@ class Estimates:
         return None if bars is None else self.baseline_resistance * bars.deviation
 
     @property
-    def pressure(self) -> Array | None:
-        """Pressure of the load on every cell, (frames, rows, columns) kPa; suction is negative.
-
-        None without error bars, and where the scene names no response of its film.
-        """
-        return None if self._pressed is None else self._pressed.pressure
-
-    @property
-    def pressure_errors(self) -> Array | None:
-        """Standard deviation of the pressure, (frames, rows, columns) kPa."""
-        return None if self._pressed is None else self._pressed.errors
-
-    @property
-    def pressure_lower(self) -> Array | None:
-        """Lower end of the 95 % interval of the pressure, (frames, rows, columns) kPa."""
-        return None if self._pressed is None else self._pressed.lower
-
-    @property
-    def pressure_upper(self) -> Array | None:
-        """Upper end of the 95 % interval of the pressure, (frames, rows, columns) kPa."""
-        return None if self._pressed is None else self._pressed.upper
-
-    @property
     def saturated(self) -> NDArray[np.bool_] | None:
         """(frames, rows, columns) where the response does not tell the pressure."""
-        return None if self._pressed is None else self._pressed.saturated.astype(bool)
+        known = None if self._pressed is None else self._load
+        return None if known is None else known.saturated.astype(bool)
 
     @property
     def tared(self) -> tuple[str, ...] | None:
@@ -348,27 +297,28 @@ class Estimates:
         return frame_misfit(model, self.measured, self.sigma, self.resolution)
 
     @cached_property
-    def _bars(self) -> ErrorBars | None:
+    def _bars(self) -> dict[str, Array] | None:
         """None unless an estimate has error bars, and the baseline too; of a part, unless others may have some."""
         if self.baseline_bars is None or not (self.asked or any(step.bars for step in self.steps)):
             return None
-        return ErrorBars.of(self.cell_resistance, self.baseline_resistance, self.steps)
+        return error_bars(self.cell_resistance, self.baseline_resistance, self.steps)
 
     @property
-    def _pressed(self) -> Pressure | None:
-        return None if self.recording.scene.response is None else self._load
+    def _pressed(self) -> dict[str, Array] | None:
+        load = None if self.recording.scene.response is None else self._load
+        if load is None:
+            return None
+        ends = {"pressure_lower": load.lower, "pressure_upper": load.upper}
+        return {"pressure": load.pressure, "pressure_errors": load.errors, **ends}
 
     @cached_property
     def _load(self) -> Pressure | None:
         """None without error bars: without them the response's uncertainty is unknown."""
         if self._bars is None:
             return None
-        ratio, lower, upper = self._ratio, self._bars.ratio_lower, self._bars.ratio_upper
-        return pressure_of(ratio, lower, upper, self.recording.scene, self.time, self.film, self.estimator.tare)
-
-    @property
-    def _ratio(self) -> Array:
-        return self.cell_resistance / self.baseline_resistance
+        interval = self._bars["ratio_lower"], self._bars["ratio_upper"]
+        ratio = self.cell_resistance / self.baseline_resistance
+        return pressure_of(ratio, *interval, self.recording.scene, self.time, self.film, self.estimator.tare)
 
 
 def log_change(found: Estimates) -> tuple[Array, Array] | None:
@@ -377,6 +327,6 @@ def log_change(found: Estimates) -> tuple[Array, Array] | None:
         return None
     warmth = found.recording.scene.temperature
     with np.errstate(divide="ignore"):
-        width = np.log(found._bars.ratio_upper) - np.log(found._bars.ratio_lower)
-    change = np.log(found._ratio) - (0.0 if warmth is None else warmth.logarithm)
-    return change, width / (2 * NORMAL_95)
+        width = np.log(found._bars["ratio_upper"]) - np.log(found._bars["ratio_lower"])
+    change = np.log(found.cell_resistance / found.baseline_resistance)
+    return change - (0.0 if warmth is None else warmth.logarithm), width / (2 * NORMAL_95)

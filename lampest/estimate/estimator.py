@@ -5,7 +5,8 @@ from functools import cached_property
 from typing import Literal
 
 from lampest.cost.terms import Term
-from lampest.estimate.methods import Method, MethodName, named_method
+from lampest.estimate.methods import MethodName, named_method
+from lampest.estimate.methods.method import Method
 from lampest.estimate.objective import AutoWeight as AutoWeight
 from lampest.estimate.objective import Bounds as Bounds
 from lampest.estimate.objective import Objective, checked_terms

@@ -9,23 +9,13 @@ from warnings import catch_warnings, simplefilter
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.estimate.cells_fit import (
-    LEVEL,
-    MARGIN,
-    MOST_ASKED,
-    PRICE,
-    CellsFit,
-    JointFit,
-    fitted,
-    mostly_still,
-    moved_score,
-)
-from lampest.estimate.nuisances import Besides, besides_the_circuit
+from lampest.estimate.cells_fit import LEVEL, PRICE, CellsFit, JointFit, fitted, mostly_still, moved_score
+from lampest.estimate.nuisances import MARGIN, MOST_ASKED, Better, besides_the_circuit
 from lampest.estimate.outliers import without_outliers
-from lampest.estimate.rivals import Question, Rival, changes_beyond_noise, nearly_gaussian, rivals_of, standing_frames
+from lampest.estimate.rivals import Question, Rival, changes_beyond_noise, rivals_of, standing_frames
 from lampest.estimate.scatter import LEAST_FACTOR
 from lampest.files.errors import InputError
-from lampest.panel.panel import Array, Modules
+from lampest.panel.panel import Modules
 from lampest.panel.scene import Scene
 from lampest.posterior.interval import chi_square_tail, largest_of
 from lampest.recording.readings import Readings, strongest_frame
@@ -33,8 +23,7 @@ from lampest.recording.recording import MEASURED, UNLOADED, Recording
 from lampest.solvers.multistart import BROKEN
 
 EXPLAINED = "the circuit explains its readings"
-LAWFUL = "no readings break a law of the circuit"
-MOST_MODULES = 3  # of which the circuit is checked
+MOST_MODULES = 3  # of which the circuit is checked: one after the other takes its time
 MOST_MISSING = 0.1  # of the readings: with a fifth missing or bounds, nothing shows which cells must have moved
 NEARLY_ALL = 0.98  # of the largest resistance in series: with all of it nothing is left for the panel
 GRID = 5  # resistances in series that are tried; what lies between is found by steps
@@ -69,65 +58,40 @@ class ModelCheck:
 
 @lru_cache(maxsize=1)  # several estimators of one recording come one after the other
 def recording_check(recording: Recording) -> ModelCheck:
-    """The check of a recording's circuit, which all its estimates share. Raises InputError as `Readings.of`."""
-    unloaded, measured = (np.flatnonzero(recording.role == role) for role in (UNLOADED, MEASURED))
-    return model_check(recording.scene, recording.recorded, recording.sigma, unloaded, measured, recording.number)
-
-
-def model_check(
-    scene: Scene,
-    recorded: Array,
-    sigma: Array | None,
-    unloaded: NDArray[np.intp],
-    measured: NDArray[np.intp],
-    number: NDArray[np.intp] | None = None,
-) -> ModelCheck:
-    """The check of frames (frames, rows, columns) as the scene's readout recorded them.
+    """The check of a recording's circuit, which all its estimates share. Raises InputError as `Readings.of`.
 
     The unloaded panel's mean and the frame that differs most from it are explained by cells alone, every frame is
-    held against the circuit's inequalities, and other circuits are tried on the same two. Raises InputError as
-    `Readings.of`.
-
-    unloaded, measured : which of the frames; without an unloaded one the first frame stands in. number : (frames) by
-    which sentences name them; None: as they come.
+    held against the circuit's inequalities, and other circuits are tried on the same two. Without an unloaded frame
+    the first one stands in.
     """
+    scene = recording.scene
     if scene.panel.modules is not None:
-        return _of_modules(scene, scene.panel.modules, recorded, sigma, unloaded, measured, number)
-    readings = Readings.of(scene, recorded, sigma)
+        return _of_modules(recording, scene.panel.modules)
+    readings = recording.readings()
     if readings.sigma is None:
         return ModelCheck(None, "the circuit was not checked: the noise of the readings is unknown")
     try:
         with np.errstate(all="ignore"):
-            outliers, _ = without_outliers(scene.circuit, readings, np.isin(np.arange(len(recorded)), unloaded))
-            named, count = np.arange(len(recorded)) if number is None else number, int(outliers.sum())
-            check = _checked(scene, np.where(outliers, np.nan, recorded), sigma, unloaded, measured, named)
-            said = f"; {count} outlier{'s' if count > 1 else ''} of one frame left out" if count else ""
-            return replace(check, sentence=check.sentence + said)
+            outliers, _ = without_outliers(scene.circuit, readings, recording.role == UNLOADED)
+            specified = Rival(scene, np.where(outliers, np.nan, recording.recorded), recording.sigma)
+            check, count = _checked(specified, recording), int(outliers.sum())
     except BROKEN:
         return ModelCheck(None, "the circuit was not checked: arithmetic broke down over its readings")
+    said = f"; {count} outlier{'s' if count > 1 else ''} of one frame left out" if count else ""
+    return replace(check, sentence=check.sentence + said)
 
 
-def _of_modules(
-    scene: Scene,
-    layout: Modules,
-    recorded: Array,
-    sigma: Array | None,
-    unloaded: NDArray[np.intp],
-    measured: NDArray[np.intp],
-    number: NDArray[np.intp] | None,
-) -> ModelCheck:
-    """Of the modules whose readings move most, MOST_MODULES of them: one circuit after the other takes its time."""
-    values = layout.split(Readings.of(scene, recorded, sigma).plain_values)
+def _of_modules(recording: Recording, layout: Modules) -> ModelCheck:
+    """Of those modules whose readings move most."""
+    values, resting = layout.split(recording.readings().plain_values), recording.role == UNLOADED
+    if not resting.any():
+        resting[0] = True
     with catch_warnings(), np.errstate(all="ignore"):
         simplefilter("ignore")  # of a module without readings
-        resting = np.nanmean(values[unloaded if len(unloaded) else [0]], axis=0)
-        moved = np.nan_to_num(np.nanmean(np.abs(np.log(values[measured] / resting)), axis=(2, 3))).max(0, initial=0.0)
-    living = [one for one in np.argsort(moved)[::-1].tolist() if one not in scene.dead_modules]
-    found = dict[int, ModelCheck]()
-    for one in sorted(living[:MOST_MODULES]):
-        inside = (..., *layout.cells(one))
-        known = None if sigma is None else sigma[inside]
-        found[one] = model_check(scene.of_modules[one], recorded[inside], known, unloaded, measured, number)
+        change = np.abs(np.log(values[recording.role == MEASURED] / np.nanmean(values[resting], axis=0)))
+        moved = np.nan_to_num(np.nanmean(change, axis=(2, 3))).max(0, initial=0.0)
+    living = [one for one in np.argsort(moved)[::-1].tolist() if one not in recording.scene.dead_modules]
+    found = {one: recording_check.__wrapped__(recording.modules[one]) for one in sorted(living[:MOST_MODULES])}
     explains = [check.explains for check in found.values()]
     verdict = False if False in explains else True if True in explains else None
     said = {one: check for one, check in found.items() if check.explains is verdict}
@@ -138,65 +102,58 @@ def _of_modules(
     return ModelCheck(verdict, sentence, better, max(check.noise for check in found.values()))
 
 
-def _checked(
-    scene: Scene,
-    recorded: Array,
-    sigma: Array | None,
-    unloaded: NDArray[np.intp],
-    measured: NDArray[np.intp],
-    named: NDArray[np.intp],
-) -> ModelCheck:
+def _checked(specified: Rival, recording: Recording) -> ModelCheck:
     """The check of readings whose noise is known, outliers left out."""
-    readings = Readings.of(scene, recorded, sigma)
-    resting = unloaded if len(unloaded) else np.array([0])
-    standing = np.setdiff1d(measured, resting)
-    change = changes_beyond_noise(scene, readings, unloaded, measured)
-    less_load = bool(change.max(initial=0.0) > -change.min(initial=0.0))
-    specified, *rivals = rivals_of(scene, recorded, sigma, less_load)
-    used = replace(readings, seen=readings.seen * nearly_gaussian(specified, 1))
+    scene, role, readings = specified.scene, recording.role, specified.readings()
+    named = np.arange(len(role)) if recording.number is None else recording.number
+    resting = np.flatnonzero(role == UNLOADED) if np.any(role == UNLOADED) else np.array([0])
+    standing = np.setdiff1d(np.flatnonzero(role == MEASURED), resting)
+    used = replace(readings, seen=readings.seen * specified.nearly_gaussian(1))
     noise = noise_factor(used[resting])
     if len(standing):
         frame = strongest_frame(readings.plain_values, readings[resting].mean().value, standing)
         standing = standing_frames(used, frame, standing, noise)
     question = Question(specified, resting, standing, noise, named)
-    compared = readings[np.concatenate([question.resting, question.standing])]
+    compared = readings[np.concatenate([resting, standing])]
     bounded = float((compared.bounds & scene.asked).sum() / max((compared.seen > 0)[:, scene.asked].sum(), 1))
-    found = None if bounded > MOST_MISSING else Explanation.of(specified, question, patient=True)
-    fault = ("" if found is None else _unexplained(found, question)) or broken_law(scene, used, noise, named)
-    below = _below_series(scene, recorded, readings, named)
-    fault = fault or below
+    few_bounds = bounded <= MOST_MISSING
+    found = Explanation.of(specified, question, patient=True) if few_bounds else None
+    below = _below_series(scene, specified, readings, named)
+    fault = ("" if found is None else _unexplained(found, question)) or broken_law(scene, used, noise, named) or below
     if found is None and not fault:
-        if bounded > MOST_MISSING:
-            return ModelCheck(True, f"{LAWFUL}; {100 * bounded:.0f} % of them are bounds, and no cells were fitted")
+        if not few_bounds:
+            lawful = f"no readings break a law of the circuit; {100 * bounded:.0f} % of them are bounds"
+            return ModelCheck(True, f"{lawful}, and no cells were fitted")
         return ModelCheck(None, "the circuit was not checked: no fit of its cells was found", noise=noise)
-    read = float(compared.missing(scene).mean()) <= MOST_MISSING
-    whole = read and (bounded <= MOST_MISSING or bool(below))
-    better, reason = "", ""
+    best, together = Better(), ""
+    whole = float(compared.missing(scene).mean()) <= MOST_MISSING and (few_bounds or bool(below))
     if whole:
-        better, reason, count = better_rival([specified, *rivals], question, None if fault else found)
-        besides = Besides()
+        change = changes_beyond_noise(scene, readings, role)
+        rivals = list(rivals_of(specified, bool(change.max(initial=0.0) > -change.min(initial=0.0))))
+        best = better_rival(rivals, question, None if fault else found)
         with suppress(*BROKEN):  # of a circuit far from the right one
-            besides = _besides(found, question, used, measured)
-        if besides.name and (besides.fits_noise if fault else True) and (not better or besides.count < count):
-            better, reason = besides.name, besides.reason
+            effect, together = _besides(found, question, used, np.flatnonzero(role == MEASURED)[-1:])
+            if effect.name and (effect.fits_noise or not fault) and (not best.name or effect.count < best.count):
+                best = effect
     if not whole:
         sentence = f"{fault or EXPLAINED}; other circuits were not tried, too many readings are missing or bounds"
     elif fault:
-        sentence = f"{fault}; {better} does" if better else f"{fault}; no other circuit that was tried gives them"
+        sentence = f"{fault}; {best.name} does" if best.name else f"{fault}; no other circuit that was tried gives them"
     else:
-        sentence = f"{better} explains the readings better: {reason}" if better else EXPLAINED
+        sentence = f"{best.name} explains the readings better: {best.reason}" if best.name else EXPLAINED
     if noise > 1:
         sentence += f"; the unloaded frames scatter by {noise:.2g} times the specified noise, which is allowed for"
-    return ModelCheck(not fault and not better, sentence, better, noise, besides.together if whole else "")
+    return ModelCheck(not fault and not best.name, sentence, best.name, noise, together)
 
 
-def _besides(found: "Explanation | None", question: Question, used: Readings, measured: NDArray[np.intp]) -> Besides:
-    """What is there beside the circuit, in the frames that changed most and in the last one."""
+def _besides(
+    found: "Explanation | None", question: Question, used: Readings, last: NDArray[np.intp]
+) -> tuple[Better, str]:
+    """What is there beside the circuit, in the frames that changed most and in the last one (its number)."""
     if found is None or not found.comparable:
-        return Besides()
+        return Better(), ""
     frames = [(question.loaded, found.fits[1])]
-    last = measured[-1:] if measured[-1] not in question.standing else measured[:0]
-    if len(last):
+    if last[0] not in question.standing:
         readings = used[int(last[0])]
         assert readings.sigma is not None
         widened = replace(readings, sigma=question.widening * readings.sigma)
@@ -207,12 +164,11 @@ def _besides(found: "Explanation | None", question: Question, used: Readings, me
 
 def noise_factor(resting: Readings) -> float:
     """√(χ²/degrees) of unloaded frames (frames, rows, columns) about their mean; 1 where that is no noted excess."""
-    plain = np.all((resting.side == 0) & (resting.seen > 0), axis=0)
+    plain = np.all(resting.plain, axis=0)
     degrees = (len(resting.value) - 1) * int(plain.sum())
     if degrees == 0 or resting.sigma is None:
         return 1.0
-    about = ((resting.value - resting.value.mean(axis=0)) / resting.sigma)[:, plain]
-    chi_square = float(np.sum(about**2))
+    chi_square = float(np.sum(((resting.value - resting.value.mean(axis=0)) / resting.sigma)[:, plain] ** 2))
     factor = float(np.sqrt(chi_square / degrees))
     return factor if factor >= LEAST_FACTOR and chi_square_tail(chi_square, degrees) < LEVEL else 1.0
 
@@ -223,19 +179,21 @@ def _unexplained(found: "Explanation", question: Question) -> str:
     fit, what = found.fits[worst], question.loaded if worst else "the unloaded panel"
     if fit.tail >= LEVEL:
         return ""
+    squares = fit.residual.reshape(fit.cells.shape) ** 2
+    rows, columns = squares.sum(axis=1), squares.sum(axis=0)
+    name, lines = ("row", rows) if rows.max() >= columns.max() else ("column", columns)
     return (
         f"no cells give the readings of {what}: chi square is {fit.chi_square:.3g} where some {fit.degrees:.3g} would "
-        f"be noise, {fit.worst_line()}"
+        f"be noise, {name} {np.argmax(lines)} holds {100 * lines.max() / squares.sum():.0f} % of it"
     )
 
 
-def _below_series(scene: Scene, recorded: Array, readings: Readings, named: NDArray[np.intp]) -> str:
+def _below_series(scene: Scene, specified: Rival, readings: Readings, named: NDArray[np.intp]) -> str:
     """The reading that lies below the series resistance by more than its noise, in words; '' where none does."""
     if scene.circuit.unit != "ohm" or readings.sigma is None:
         return ""
-    left = scene.circuit.from_recorded(recorded, scene)
-    known = (readings.seen > 0) & np.isfinite(left)
-    excess = np.where(known, -left / readings.sigma, -np.inf)
+    left = scene.circuit.from_recorded(specified.recorded, scene)
+    excess = np.where((readings.seen > 0) & np.isfinite(left), -left / readings.sigma, -np.inf)
     if largest_of(excess.max(), excess.size) >= LEVEL:
         return ""
     frame, row, column = (int(part) for part in np.unravel_index(np.argmax(excess), excess.shape))
@@ -243,19 +201,18 @@ def _below_series(scene: Scene, recorded: Array, readings: Readings, named: NDAr
     return f"the reading of row {row}, column {column} in frame {named[frame]} lies {short} its noise"
 
 
-def broken_law(scene: Scene, readings: Readings, noise: float, named: NDArray[np.intp] | None = None) -> str:
+def broken_law(scene: Scene, readings: Readings, noise: float, named: NDArray[np.intp]) -> str:
     """The inequality of the circuit that readings break by more than their noise, in words; '' where none.
 
-    noise : factor on every σ. named : (frames) the numbers by which the words name them; None: as they come.
+    noise : factor on every σ. named : (frames) the numbers by which the words name them.
     """
     sigma = readings.sigma_of_values
     assert sigma is not None
     for test in scene.circuit.free_tests(readings.value, noise * sigma):
         frame = int(np.argmax(test.excess))
         if largest_of(test.excess[frame], test.count * len(test.excess)) < LEVEL:
-            number = frame if named is None else named[frame]
             beyond = f"{test.excess[frame]:.3g} times its noise"
-            return f"readings of frame {number} break a law of the circuit by {beyond}: {test.law}"
+            return f"readings of frame {named[frame]} break a law of the circuit by {beyond}: {test.law}"
     return ""
 
 
@@ -294,56 +251,43 @@ class Explanation:
             score, moving = moved_score(*fits)
         except (InputError, *BROKEN):
             return None
-        bounds = sum(int(np.sum((fit.readings.side != 0) & (fit.readings.seen > 0))) for fit in fits)
+        bounds = sum(int(fit.readings.bounds.sum()) for fit in fits)
         return replace(alone, score=score + PRICE * bounds, moving=moving)
 
     def joint(self, question: Question, moving: NDArray[np.bool_]) -> JointFit:
         """Both frames explained by the network itself, as if these cells had moved to begin with."""
-        return JointFit.of(self.rival, question, tuple(fit.cells for fit in self.fits), moving)
+        return JointFit.of(self.rival, question, [fit.cells for fit in self.fits], moving)
 
     @property
     def comparable(self) -> bool:
         """Whether there are two frames, of a panel small enough, to tell circuits apart by."""
         return len(self.fits) == 2 and self.fits[0].small
 
-    @property
-    def holds(self) -> bool:
-        """Whether the circuit explains both."""
-        return min(fit.tail for fit in self.fits) >= LEVEL
 
-    @property
-    def sparse(self) -> bool:
-        """Whether it leaves more than half of the cells where they were."""
-        return mostly_still(self.moving)
+def better_rival(rivals: list[Rival], question: Question, specified: Explanation | None) -> Better:
+    """The rival that explains the readings where the scene's circuit does not, or by MARGIN better.
 
-
-def better_rival(rivals: list[Rival], question: Question, specified: Explanation | None) -> tuple[str, str, int]:
-    """The rival that explains the readings where the scene's circuit does not, or by MARGIN better, how that shows,
-    and how many cells have moved then.
-
-    ('', '', 0) without one. rivals : the scene's circuit first. specified : what that explains; None where it does not.
-    No rival is one under which most cells have moved, for nothing then shows which have not, or as many as under the
-    scene's circuit.
+    rivals : the scene's circuit first. specified : what that explains; None where it does not. No rival is one under
+    which most cells have moved, for nothing then shows which have not, or as many as under the scene's circuit.
     """
     if specified is None:
-        tried = (with_some_in_series(rivals[0], question), *(explanation_of(rival, question) for rival in rivals[1:]))
-        found = [one for one in tried if one is not None and one.sparse and _lawful(one.rival, question)]
-        return min(((one.score, one.rival.name) for one in found), default=(0.0, ""))[1], "", 0
+        tried = (with_some_in_series(rivals[0], question), *(_explanation(rival, question) for rival in rivals[1:]))
+        found = [one for one in tried if one is not None and mostly_still(one.moving) and _lawful(one.rival, question)]
+        return Better(min(((one.score, one.rival.name) for one in found), default=(0.0, ""))[1])
     if not specified.comparable:
-        return "", "", 0
+        return Better()
     given = specified.joint(question, specified.moving)
     if given.beyond_noise < MARGIN:
-        return "", "", 0
+        return Better()
     best = min(_others(given, specified, rivals[1:], question), key=lambda fit: fit.beyond_noise, default=None)
     if best is None or not _beaten(given, best):
-        return "", "", 0
+        return Better()
     # What moved under the rival may have moved under the specified circuit.
     again = specified.joint(question, best.moved)
-    moved = min(given.count, again.count)
-    if not _beaten(again, best) or best.count >= moved:
-        return "", "", 0
-    counts = f"{best.count} cells have moved then, and {moved} as specified"
-    return best.rival.name, f"between the unloaded panel and {question.loaded} {counts}", best.count
+    count, plain = int(best.moved.sum()), int(min(given.moved.sum(), again.moved.sum()))
+    if not _beaten(again, best) or count >= plain:
+        return Better()
+    return Better(best.rival.name, question.loaded, count, plain)
 
 
 def _beaten(specified: JointFit, best: JointFit) -> bool:
@@ -353,7 +297,7 @@ def _beaten(specified: JointFit, best: JointFit) -> bool:
 
 def _others(given: JointFit, specified: Explanation, rivals: list[Rival], question: Question) -> Iterator[JointFit]:
     """The specified circuit and its likeliest rivals, as linear theory has it, explained by the networks themselves."""
-    plain = (explanation_of(rival, question) for rival in rivals)
+    plain = (_explanation(rival, question) for rival in rivals)
     better = (one for one in plain if one is not None and one.score < specified.score)
     likely = sorted(better, key=lambda one: one.score)[:MOST_ASKED]
     begun = (with_some_in_series(one.rival, question) for one in likely)
@@ -367,7 +311,7 @@ def _others(given: JointFit, specified: Explanation, rivals: list[Rival], questi
         yield from (fit for fit in fits if mostly_still(fit.moved) and np.isfinite(fit.score))
 
 
-def explanation_of(rival: Rival, question: Question) -> Explanation | None:
+def _explanation(rival: Rival, question: Question) -> Explanation | None:
     """Of a rival as it is; where it explains nothing, with the resistance in series that explains best of a few."""
     return Explanation.of(rival, question) or with_some_in_series(rival, question)
 
@@ -398,6 +342,6 @@ def most_in_series(rival: Rival, question: Question) -> float:
 
 def _lawful(rival: Rival, question: Question) -> bool:
     """Whether every frame keeps the inequalities of a circuit that is to take the specified one's place."""
-    readings = Readings.of(rival.scene, rival.recorded, rival.sigma)
-    used = replace(readings, seen=readings.seen * nearly_gaussian(question.specified, 1))
-    return not broken_law(rival.scene, used, question.widening)
+    readings = rival.readings()
+    used = replace(readings, seen=readings.seen * question.specified.nearly_gaussian(1))
+    return not broken_law(rival.scene, used, question.widening, np.arange(len(used.value)))

@@ -1,4 +1,7 @@
-"""A panel of modules frame by frame: every module by a stream of its own, their steps as one step of the image."""
+"""A panel of modules frame by frame: every module by a stream of its own, their steps as one step of the image.
+
+Where the scene asks for terms that go over the seams, the image is one problem whose network falls into modules.
+"""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
@@ -8,12 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.estimate.batch import pushed_together, rested_together
-from lampest.estimate.coupled import CoupledStream, coupled_scene, without_bars
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.noise import MOST_NAMED, NoiseSeen
 from lampest.estimate.state import SequenceState, Step
 from lampest.estimate.stream import Stream
-from lampest.panel.panel import Array, Modules
+from lampest.files.errors import InputError
+from lampest.panel.faults import Faults
+from lampest.panel.panel import Array, Modules, Panel
+from lampest.panel.readouts import TwoPointReadout
+from lampest.panel.readouts.blocks import ModulesReadout
 from lampest.panel.scene import Scene
 from lampest.posterior.certainty import Certainty
 from lampest.posterior.track import Bars, Change, Track
@@ -23,22 +29,92 @@ from lampest.solvers.solution import OPTIMA, Status
 
 WORST = (*OPTIMA, Status.APPROXIMATE, Status.FITTED)  # of what counts as an estimate, the last is the weakest
 C = TypeVar("C", Certainty, Change)
+Own = Callable[[Scene, int | None], tuple[Estimator, Readings]]  # of a network: its module's number, or None
 
 
 def begin_stream(
-    estimator: Estimator, scene: Scene, period: float, resting: Readings, noise: NoiseSeen | None = None
+    estimator: Estimator,
+    scene: Scene,
+    period: float,
+    resting: Readings,
+    noise: NoiseSeen | None = None,
+    own: Own | None = None,
 ) -> Stream:
-    """The stream of a scene, of modules or not; see `Stream.begin`."""
+    """The stream of a scene, of modules or not; see `Stream.begin`. own : the estimator and the resting readings of
+    each network; None: those of the whole. Raises InputError as `Stream.begin`, and as `_coupled_scene`."""
     layout = scene.panel.modules
+
+    def of_network(scene: Scene, number: int | None) -> tuple[Estimator, Readings]:
+        if own is not None:
+            return own(scene, number)
+        return estimator, resting if layout is None or number is None else resting.of_module(layout, number)
+
     if layout is None:
-        return Stream.begin(estimator, scene, period, resting, noise)
+        alone, unloaded = of_network(scene, None)
+        return Stream.begin(alone, scene, period, unloaded, noise)
     if layout.coupled:
-        return CoupledStream.begin(without_bars(estimator), coupled_scene(scene), period, resting)
+        image = _coupled_scene(scene, estimator)
+        alone, unloaded = of_network(image, None)
+        return CoupledStream.begin(replace(alone, error_bars=False), image, period, unloaded)
+    streams: list[Stream | None] = []
+    for number, seen in enumerate((None,) * layout.count if noise is None else noise.of_modules):
+        module, dead = scene.of_modules[number], number in scene.dead_modules
+        alone, unloaded = (estimator, resting) if dead else of_network(module, number)
+        streams.append(None if dead else Stream.unrested(alone, module, period, unloaded, seen))
+    modules = rested_together(streams)
+    first = next(stream for stream in modules if stream is not None)
+    blank = replace(first.resting, side=np.zeros_like(first.resting.side), seen=np.zeros_like(first.resting.seen))
+    whole = Readings.of_parts(layout, [blank if stream is None else stream.resting for stream in modules])
+    return ModulesStream(first.estimator, scene, period, whole, modules=tuple(modules)).rested_whole()
 
-    def unrested(number: int, noise: NoiseSeen | None) -> Stream:
-        return Stream.unrested(estimator, scene.of_modules[number], period, resting.of_module(layout, number), noise)
 
-    return ModulesStream.begun(scene, noise, unrested)
+def _coupled_scene(scene: Scene, estimator: Estimator) -> Scene:
+    """The image as one panel whose network falls into modules; neighbours over a seam are so much farther apart.
+
+    Raises InputError where a module is wired, or has no two-point readout, and where error bars are asked for.
+    """
+    layout = scene.panel.modules
+    assert layout is not None
+    if estimator.error_bars is True or estimator.weighs_previous:
+        raise InputError("error_bars: estimates with terms over the seams of modules (panel.modules.coupled) have none")
+    for number, own in enumerate(scene.of_modules):
+        if not isinstance(own.circuit, TwoPointReadout) or own.wiring is not None:
+            where = list(layout.place(number))
+            raise InputError(f"panel.modules.coupled: module {where} is wired, or its readout is not two_point")
+    places, (x, y) = None, scene.panel.places_mm
+    if layout.seam_mm:
+        places = tuple((j, k, float(x[j, k]), float(y[j, k])) for j, k in np.ndindex(scene.panel.shape))
+    known = scene.open_cells, scene.shorted_cells & ~scene.open_cells  # a dead module is both
+    broken = [tuple((int(j), int(k)) for j, k in np.argwhere(cells)) for cells in known]
+    faults = Faults(open=broken[0], shorted=broken[1]) if any(broken) else None
+    return Scene(Panel(*scene.panel.shape, scene.panel.pitch_mm, places), ModulesReadout(layout=layout), faults=faults)
+
+
+@dataclass(frozen=True, eq=False)
+class CoupledStream(Stream):
+    """Of a coupled image. A module of which nothing was read is NaN, whatever terms say of it."""
+
+    @property
+    def baseline_resistance(self) -> Array:
+        """(rows, columns) ohm; NaN where the baseline is not solved, and of modules that were not read."""
+        return np.where(self._unread(self.resting), np.nan, super().baseline_resistance)
+
+    def push(self, readings: Readings) -> tuple[Stream, Step]:
+        """As `Stream.push`."""
+        stream, step = super().push(readings)
+        unread, found = self._unread(readings), step.solution
+        if not (unread.any() and found.solved):
+            return stream, step
+        cells, reading = (np.where(unread, np.nan, part) for part in (found.cell_resistance, found.reading))
+        return stream, replace(step, solution=replace(found, cell_resistance=cells, reading=reading))
+
+    def _unread(self, readings: Readings) -> NDArray[np.bool_]:
+        """(rows, columns) of modules without any value."""
+        assert isinstance(self.scene.readout, ModulesReadout)
+        layout = self.scene.readout.layout
+        parts = layout.split(readings.plain)
+        unread = np.logical_not(parts.any(axis=(-2, -1), keepdims=True))
+        return np.asarray(layout.joined(np.broadcast_to(unread, parts.shape)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,38 +123,19 @@ class ModulesStream(Stream):
 
     modules: tuple[Stream | None, ...] = ()
 
-    @classmethod
-    def begun(
-        cls, scene: Scene, noise: NoiseSeen | None, unrested: Callable[[int, NoiseSeen | None], Stream]
-    ) -> "ModulesStream":
-        """Before the first frame. unrested : number and noise of a living module → its stream before its baseline."""
-        layout = scene.panel.modules
-        assert layout is not None
-        noises = (None,) * layout.count if noise is None else noise.of_modules
-        modules = rested_together(
-            [None if n in scene.dead_modules else unrested(n, noise) for n, noise in enumerate(noises)]
-        )
-        first = next(stream for stream in modules if stream is not None)
-        blank = replace(first.resting, side=np.zeros_like(first.resting.side), seen=np.zeros_like(first.resting.seen))
-        resting = Readings.of_parts(layout, [blank if stream is None else stream.resting for stream in modules])
-        return cls(first.estimator, scene, first.period, resting, modules=tuple(modules))._rested()
-
     def tared(self, resting: Readings) -> "ModulesStream":
         """As `Stream.tared`, of every module."""
-        modules = [
-            stream and stream.tared(resting.of_module(self._layout, number))
-            for number, stream in enumerate(self.modules)
-        ]
-        return replace(self, resting=resting, modules=tuple(modules), track=None, baseline=None)._rested()
+        every = enumerate(self.modules)
+        modules = tuple(one and one.tared(resting.of_module(self._layout, number)) for number, one in every)
+        return replace(self, resting=resting, modules=modules, track=None, baseline=None).rested_whole()
 
     def push(self, readings: Readings) -> tuple["ModulesStream", Step]:
-        """As `Stream.push`: modules of which too little was read stay as they were, and are NaN in the image."""
+        """As `Stream.push`; modules of which too little was read stay as they were, and are NaN in the image."""
         layout = self._layout
         kept = self.prepared or Kept.nothing(layout.count, layout.each.rows * layout.each.columns)
-        found = pushed_together(self.modules, readings.of_every_module(layout), kept)
-        modules, steps = tuple(stream for stream, _ in found), [step for _, step in found]
+        modules, steps = zip(*pushed_together(self.modules, readings.of_every_module(layout), kept), strict=True)
         after = replace(self, modules=modules, prepared=kept, first=False)
-        return after if self.rested else after._rested(), image_step(layout, steps)
+        return after if self.rested else after.rested_whole(), image_step(layout, steps)
 
     def sequence(
         self, resting: Readings, readings: Readings, on_frame: Callable[[], None]
@@ -87,18 +144,15 @@ class ModulesStream(Stream):
         if not self.estimator.method.together:
             return super().sequence(resting, readings, on_frame)
         layout, frames = self._layout, len(readings.value)
-        modules, columns = list[Stream | None](), list[list[Step | None]]()
+        modules, columns = list[Stream | None](), list[Sequence[Step | None]]()
         for number, one in enumerate(self.modules):
-            every: tuple[Stream | None, list[Step | None]] = None, [None] * frames
-            if one is not None:
-                inside = resting.of_module(layout, number), readings.of_module(layout, number)
-                after, solved = one.sequence(*inside, lambda: None)
-                every = after, list(solved)
-            modules.append(every[0])
-            columns.append(every[1])
+            inside = resting.of_module(layout, number), readings.of_module(layout, number)
+            after, solved = (None, [None] * frames) if one is None else one.sequence(*inside, lambda: None)
+            modules.append(after)
+            columns.append(solved)
         for _ in range(frames):
             on_frame()
-        whole = replace(self, modules=tuple(modules), first=False)._rested()
+        whole = replace(self, modules=tuple(modules), first=False).rested_whole()
         return whole, [image_step(layout, steps) for steps in zip(*columns, strict=True)]
 
     def due(self, readings: Readings) -> bool:
@@ -108,15 +162,15 @@ class ModulesStream(Stream):
     @property
     def baseline_resistance(self) -> Array:
         """(rows, columns) ohm; NaN where the baseline of a module is not solved, or the module is dead."""
-        return self._maps(lambda stream: stream.baseline_resistance)
+        parts = [None if stream is None else stream.baseline_resistance for stream in self.modules]
+        return _joined_maps(self._layout, parts, np.nan)
 
     def restarted(self, first: Stream) -> "ModulesStream":
         """As `Stream.restarted`, of every module."""
         assert isinstance(first, ModulesStream)
         pairs = zip(self.modules, first.modules, strict=True)
-        return replace(
-            self, modules=tuple(one and other and one.restarted(other) for one, other in pairs), prepared=None
-        )
+        modules = tuple(one and other and one.restarted(other) for one, other in pairs)
+        return replace(self, modules=modules, prepared=None)
 
     @property
     def parts(self) -> tuple[SequenceState | None, ...]:
@@ -125,9 +179,18 @@ class ModulesStream(Stream):
 
     def with_parts(self, parts: tuple[SequenceState | None, ...]) -> "ModulesStream":
         """The stream with other modules."""
-        return replace(
-            self, modules=tuple(part for part in parts if part is None or isinstance(part, Stream)), first=False
-        )
+        modules = tuple(part for part in parts if part is None or isinstance(part, Stream))
+        return replace(self, modules=modules, first=False)
+
+    def rested_whole(self) -> "ModulesStream":
+        """With the baselines of the modules as one, once all that can be are solved."""
+        steps = [None if stream is None else stream.baseline for stream in self.modules]
+        if all(step is None for step in steps):
+            return self
+        known = [None if one is None or one.track is None else one.track.baseline for one in self.modules]
+        baseline = _joined(self._layout, Certainty, known)
+        track = None if baseline is None else Track(baseline=baseline)
+        return replace(self, baseline=image_step(self._layout, steps), track=track)
 
     @property
     def _layout(self) -> Modules:
@@ -135,49 +198,22 @@ class ModulesStream(Stream):
         assert layout is not None
         return layout
 
-    def _maps(self, part: Callable[[Stream], Array], missing: float = np.nan) -> Array:
-        return joined_maps(self._layout, [None if stream is None else part(stream) for stream in self.modules], missing)
 
-    def _rested(self) -> "ModulesStream":
-        """With the baselines of the modules as one, once all that can be are solved."""
-        steps = [None if stream is None else stream.baseline for stream in self.modules]
-        if all(step is None for step in steps):
-            return self
-        known = [None if one is None or one.track is None else one.track.baseline for one in self.modules]
-        barred = any(one is not None for one in known)
-        track = Track(baseline=_joined(self._layout, Certainty, known)) if barred else None
-        return replace(self, baseline=image_step(self._layout, steps), track=track)
-
-
-def joined_maps(layout: Modules, parts: Sequence[NDArray[Any] | None], missing: float) -> NDArray[Any]:
+def _joined_maps(layout: Modules, parts: Sequence[NDArray[Any] | None], missing: float) -> NDArray[Any]:
     """Maps (…, rows, columns) of all modules as one of the image, with a number for those that have none."""
     first = next(part for part in parts if part is not None)
     blank = np.full(first.shape, missing, dtype=first.dtype)
     return np.asarray(layout.joined(np.stack([blank if part is None else part for part in parts], axis=-3)))
 
 
-def _joined(layout: Modules, kind: type[C], parts: Sequence[C | None]) -> C:
-    """Certainty, or that of changes, of all modules' cells: nothing is known of those without error bars."""
-    unknown = ("deviation", "below", "above")
-    return kind(
-        *(
-            joined_maps(
-                layout,
-                [None if part is None else getattr(part, each.name) for part in parts],
-                np.inf if each.name in unknown else 0.0,
-            )
-            for each in fields(kind)
-        )
-    )
-
-
-def _joined_bars(layout: Modules, parts: Sequence[Bars | None]) -> Bars | None:
-    """Of all modules; None where none has any."""
+def _joined(layout: Modules, kind: type[C], parts: Sequence[C | None]) -> C | None:
+    """Of all modules' cells, with nothing known of those without error bars; None where none has any."""
     if all(part is None for part in parts):
         return None
-    changes = [None if part is None else part.change for part in parts]
-    change = None if all(one is None for one in changes) else _joined(layout, Change, changes)
-    return Bars(_joined(layout, Certainty, [None if part is None else part.frame for part in parts]), change)
+    unknown = ("deviation", "below", "above")
+    names = [field.name for field in fields(kind)]
+    maps = {name: [None if part is None else getattr(part, name) for part in parts] for name in names}
+    return kind(**{n: _joined_maps(layout, one, np.inf if n in unknown else 0.0) for n, one in maps.items()})
 
 
 def image_step(layout: Modules, steps: Sequence[Step | None]) -> Step:
@@ -186,34 +222,25 @@ def image_step(layout: Modules, steps: Sequence[Step | None]) -> Step:
     solved = [step for step in there if step.solution.solved]
     counted, first = solved or there[:1], there[0].solution
     status = max((step.solution.status for step in solved), key=WORST.index, default=first.status)
-
-    def maps(name: str, missing: float) -> NDArray[Any]:
-        return joined_maps(layout, [None if s is None else getattr(s.solution, name)[-1:] for s in steps], missing)
-
-    def largest(name: str) -> Any:
-        return max(getattr(step.solution, name) for step in counted)
-
-    solution = replace(
-        first,
-        cell_resistance=maps("cell_resistance", np.nan),
-        reading=maps("reading", np.nan),
-        open_cell=maps("open_cell", False),
-        at_lower=maps("at_lower", False),
-        costs=np.sum([step.solution.costs for step in counted], axis=0),
-        objective=float(sum(step.solution.objective for step in counted)),
-        kkt_residual=largest("kkt_residual"),
-        iterations=largest("iterations"),
-        starts=largest("starts"),
-        status=status,
-        at=None,
-        dual=None,
-        kept=None,
-    )
+    missing = {"cell_resistance": np.nan, "reading": np.nan, "open_cell": False, "at_lower": False}
+    parts: dict[str, Any] = {"at": None, "dual": None, "kept": None}
+    parts |= {
+        name: _joined_maps(layout, [None if s is None else getattr(s.solution, name)[-1:] for s in steps], nothing)
+        for name, nothing in missing.items()
+    }
+    for name in ("kkt_residual", "iterations", "starts"):
+        parts[name] = max(getattr(step.solution, name) for step in counted)
+    costs = np.sum([step.solution.costs for step in counted], axis=0)
+    objective = float(sum(step.solution.objective for step in counted))
+    solution = replace(first, costs=costs, objective=objective, status=status, **parts)
+    bars = [None if step is None else step.bars for step in steps]
+    frame = _joined(layout, Certainty, [None if one is None else one.frame for one in bars])
+    change = _joined(layout, Change, [None if one is None else one.change for one in bars])
     return Step(
         solution,
         sum(step.seconds for step in there),
         tuple(float(np.mean(weights)) for weights in zip(*(step.weights for step in counted), strict=True)),
-        _joined_bars(layout, [None if step is None else step.bars for step in steps]),
+        None if frame is None else Bars(frame, change),
         sum(step.bars_seconds for step in there),
         sentence=_sentence(layout, steps, status),
     )
@@ -225,7 +252,7 @@ def _sentence(layout: Modules, steps: Sequence[Step | None], status: Status) -> 
     for number, step in enumerate(steps):
         if step is None or not step.solution.solved:
             why.setdefault("dead" if step is None else step.status, []).append(number)
-    if all(step is None or not step.solution.solved for step in steps):
+    if sum(map(len, why.values())) == len(steps):
         return status.value
     said = [status.value]
     for reason, numbers in why.items():

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from lampest.estimate.cells_fit import LEVEL, fitted
 from lampest.estimate.outliers import LEAST_FRAMES, SHARE, without_outliers
-from lampest.estimate.scatter import LEAST_FACTOR, Scatter, unloaded_scatter
+from lampest.estimate.scatter import LEAST_FACTOR, unloaded_scatter
 from lampest.estimate.still_cells import errors_left_possible
 from lampest.panel.memory import in_panel_order
 from lampest.panel.panel import Array, Modules
@@ -81,14 +81,30 @@ class NoiseSeen:
         taken = "not rescaled" if self.used == 1 else f"rescaled by {self.used:.3g}"
         shared = ((100 * self.gain, "% gain"), (self.together, "LSB along a scan"), (self.apart, "LSB of a line"))
         frames = ", ".join(f"{size:.2g} {name}" for size, name in shared if size)
-        return "; ".join(
-            _lines(
-                f"scatter {self.factor:.3g} +- {self.factor_error:.1g} times as specified, {taken}",
-                f"frames share {frames or 'nothing'}",
-                f"{int(self.outliers.sum())} of {self.outliers.size} readings are outliers",
-                "" if self.hidden is None else _sizes_in_words(self.hidden),
-            )
+        said = (
+            f"scatter {self.factor:.3g} +- {self.factor_error:.1g} times as specified, {taken}",
+            f"frames share {frames or 'nothing'}",
+            f"{int(self.outliers.sum())} of {self.outliers.size} readings are outliers",
+            "" if self.hidden is None else _sizes_in_words(self.hidden),
         )
+        return "; ".join(filter(None, said))
+
+    def warned(self, *said: str) -> "NoiseSeen":
+        """With more warnings, of which some may be ''."""
+        return replace(self, warnings=(*self.warnings, *filter(None, said)))
+
+    def with_motion(self, scene: Scene, share: float, measured: NDArray[np.intp]) -> "NoiseSeen":
+        """With wider σ where readings were taken while loads moved."""
+        sigma = self.readings.sigma
+        if not share or sigma is None:
+            return self
+        moved = share * swept(scene, self.readings, measured)
+        count = int(np.sum(np.sqrt(np.mean((moved / sigma) ** 2, axis=(1, 2))) > 1))
+        said = (
+            f"motion within a scan: as if a scan took {share:.2g} of the time between frames, in {count} frames; "
+            "error bars allow for it as far as their neighbours show"
+        )
+        return replace(self, readings=replace(self.readings, sigma=np.hypot(sigma, moved)), share=share).warned(said)
 
 
 @lru_cache(maxsize=1)  # several estimators of one recording come one after the other
@@ -102,7 +118,7 @@ def noise_seen(recording: Recording) -> NoiseSeen:
         return seen
     with suppress(*BROKEN), np.errstate(all="ignore"):
         resting = seen.readings[unloaded].mean()
-        still = _with_motion(scene, seen, scan_share(scene, resting, seen.readings, measured), measured)
+        still = seen.with_motion(scene, scan_share(scene, resting, seen.readings, measured), measured)
         strongest = strongest_frame(still.readings.plain_values, resting.value, measured)
         chosen = np.unique([strongest, measured[0] if strongest != measured[0] else measured[-1]])
         hidden = errors_left_possible(scene, sizes, resting, still.readings[chosen], seen.frame)
@@ -111,8 +127,7 @@ def noise_seen(recording: Recording) -> NoiseSeen:
             f"cells that nobody touched seem to move as if each reading were off by {100 * own:.2g} %, the same in all "
             "frames, which error bars allow for"
         )
-        more = own > (sizes.reading_error or 0.0)
-        return replace(still, hidden=hidden, warnings=(*still.warnings, *([said] if more else [])))
+        return replace(still, hidden=hidden).warned(said if own > (sizes.reading_error or 0.0) else "")
     return seen
 
 
@@ -129,7 +144,7 @@ def noise_seen_in_part(recording: Recording, known: NoiseSeen | None) -> Reading
     seen = frame_noise_seen(recording)
     if known is not None:
         with suppress(*BROKEN), np.errstate(all="ignore"):
-            seen = _with_motion(recording.scene, seen, known.share, np.flatnonzero(recording.role == MEASURED))
+            seen = seen.with_motion(recording.scene, known.share, np.flatnonzero(recording.role == MEASURED))
     return seen.readings
 
 
@@ -138,22 +153,29 @@ def frame_noise_seen(recording: Recording) -> NoiseSeen:
     if recording.scene.panel.modules is not None:
         return _of_modules(recording, recording.scene.panel.modules, frame_noise_seen)
     readings, resting = recording.readings(), recording.role == UNLOADED
+    readout, unloaded = recording.scene.readout, int(resting.sum())
     outliers, cleaned = without_outliers(recording.scene.circuit, readings, resting)
-    unloaded = int(resting.sum())
     counted = outliers[resting] if unloaded >= LEAST_FRAMES and readings.sigma is not None else outliers
-    rate = float(counted.mean())
     impossible = outliers & (cleaned.seen == 0) & ~resting[:, None, None]
-    spoken = _lines(_impossible_in_words(impossible), _outliers_in_words(outliers & ~impossible, rate))
-    plain = NoiseSeen(outliers, rate, spoken, cleaned)
-    parts = unloaded_scatter(recording, cleaned[resting]) if unloaded > 1 and readings.sigma is not None else None
-    if parts is None:
+    plain = NoiseSeen(outliers, float(counted.mean()), (), cleaned)
+    plain = plain.warned(_impossible_in_words(int(impossible.sum())), _outliers_in_words(plain, outliers & ~impossible))
+    parts = unloaded_scatter(recording, cleaned[resting]) if unloaded > 1 and cleaned.sigma is not None else None
+    if parts is None or cleaned.sigma is None:
         return plain
-    error = parts.own / np.sqrt(2 * parts.own_freedom)
-    readout, frame, sizes = recording.scene.readout, None, (0.0, 0.0)
+    used, said = 1.0, ""
     specified = readout is None or recording.sigma is not None or readout.noise_told
-    open_from = FEWEST_OPEN if readout is not None and readout.noise_lsb is None else 2
-    from_frames = readout is not None and not specified and unloaded >= open_from
-    used = _shown_factor(readout, parts.own) if readout is not None and from_frames else _used_factor(parts)
+    if readout is not None and not specified and unloaded >= (FEWEST_OPEN if readout.noise_lsb is None else 2):
+        used = _shown_factor(readout, parts.own)
+    # Noise that is larger than specified beyond chance, and by more than changes any verdict.
+    elif parts.own >= LEAST_FACTOR and chi_square_tail(parts.own**2 * parts.own_freedom, parts.own_freedom) < LEVEL:
+        used = parts.own
+    error = parts.own / np.sqrt(2 * parts.own_freedom)
+    if used == parts.own != 1:
+        said = (
+            f"unloaded frames scatter {parts.own:.2g} +- {error:.1g} times as much as the scene says, "
+            "and error bars are wider by that"
+        )
+    frame, sizes = None, (0.0, 0.0)
     if readout is not None:
         volt = float(np.mean(readout.sigma_volt()))
         roots = parts.together * volt, parts.apart * volt
@@ -161,15 +183,10 @@ def frame_noise_seen(recording: Recording) -> NoiseSeen:
         sizes = together, apart
         if parts.gain or parts.together.size or parts.apart.size:
             frame = FrameNoise(recording.scene, unloaded, parts.gain, *roots)
-    contradicted = (
-        f"unloaded frames scatter {parts.own:.2g} +- {error:.1g} times as much as the scene says, "
-        "and error bars are wider by that"
-    )
-    if used != 1 and cleaned.sigma is not None:
-        cleaned = replace(cleaned, sigma=used * cleaned.sigma)
-    said = "" if used == 1 or from_frames else contradicted
-    said_of_all = (*plain.warnings, *_lines(said, _shared_in_words(parts.gain, *sizes)))
-    return NoiseSeen(outliers, rate, said_of_all, cleaned, parts.own, error, used, frame, parts.gain, *sizes)
+    scaled = cleaned if used == 1 else replace(cleaned, sigma=used * cleaned.sigma)
+    shared = (plain.outliers, plain.outlier_rate, plain.warnings, scaled)
+    seen = NoiseSeen(*shared, parts.own, error, used, frame, parts.gain, *sizes)
+    return seen.warned(said, _shared_in_words(parts.gain, *sizes))
 
 
 def _of_modules(recording: Recording, layout: Modules, seen: Callable[[Recording], NoiseSeen]) -> NoiseSeen:
@@ -182,13 +199,9 @@ def _of_modules(recording: Recording, layout: Modules, seen: Callable[[Recording
     outliers = np.stack([nothing if one is None else one.outliers for one in every], axis=-3)
     said = [f"module {list(layout.place(n))}: {one.sentence}" for n, one in enumerate(every) if one and one.warnings]
     more = f"and {len(said) - MOST_NAMED} modules more" if len(said) > MOST_NAMED else ""
-    return NoiseSeen(
-        layout.joined(outliers),
-        float(np.mean([one.outlier_rate for one in every if one is not None])),
-        _lines(*said[:MOST_NAMED], more),
-        Readings.of_parts(layout, readings),
-        of_modules=tuple(every),
-    )
+    rate = float(np.mean([one.outlier_rate for one in every if one is not None]))
+    whole = NoiseSeen(layout.joined(outliers), rate, (), Readings.of_parts(layout, readings), of_modules=tuple(every))
+    return whole.warned(*said[:MOST_NAMED], more)
 
 
 def _shown_factor(readout: Readout, factor: float) -> float:
@@ -197,12 +210,6 @@ def _shown_factor(readout: Readout, factor: float) -> float:
     lasting = np.mean(sigma_code(readout, readout.assumed_noise, ENDLESS))
     shown = noise_of_variance(readout, factor**2 * float(assumed**2 - lasting**2))
     return float(sigma_code(readout, shown) / assumed)
-
-
-def _used_factor(parts: Scatter) -> float:
-    """The factor, where noise is larger than specified beyond chance and by more than changes any verdict; else 1."""
-    tail = chi_square_tail(parts.own**2 * parts.own_freedom, parts.own_freedom)
-    return parts.own if parts.own >= LEAST_FACTOR and tail < LEVEL else 1.0
 
 
 def passing(scene: Scene, readings: Readings, measured: NDArray[np.intp]) -> Array:
@@ -270,23 +277,7 @@ def scan_share(scene: Scene, resting: Readings, readings: Readings, measured: ND
     return float(np.median(tails) < LEVEL)  # the whole period, or nothing
 
 
-def _with_motion(scene: Scene, seen: NoiseSeen, share: float, measured: NDArray[np.intp]) -> NoiseSeen:
-    """With wider σ where readings were taken while loads moved."""
-    sigma = seen.readings.sigma
-    if not share or sigma is None:
-        return seen
-    moved = share * swept(scene, seen.readings, measured)
-    count = int(np.sum(np.sqrt(np.mean((moved / sigma) ** 2, axis=(1, 2))) > 1))
-    said = (
-        f"motion within a scan: as if a scan took {share:.2g} of the time between frames, in {count} frames; "
-        "error bars allow for it as far as their neighbours show"
-    )
-    wider = replace(seen.readings, sigma=np.hypot(sigma, moved))
-    return replace(seen, readings=wider, share=share, warnings=(*seen.warnings, said))
-
-
 def _shared_in_words(gain: float, together: float, apart: float) -> str:
-    """What the readings of a frame share."""
     said = [
         f"the gain of a frame varies by {100 * gain:.2g} %" if gain else "",
         f"the lines of a scan vary together by {together:.2g} LSB" if together else "",
@@ -295,30 +286,28 @@ def _shared_in_words(gain: float, together: float, apart: float) -> str:
     return f"{', '.join(filter(None, said))}, which error bars allow for" if any(said) else ""
 
 
-def _impossible_in_words(outliers: NDArray[np.bool_]) -> str:
-    """How many measured readings no cells allow; ''."""
-    count = int(outliers.sum())
+def _impossible_in_words(count: int) -> str:
     many = "reading is" if count == 1 else "readings are"
     return f"{count} {many} larger than any cells allow beside the others, and left out" if count else ""
 
 
-def _outliers_in_words(outliers: NDArray[np.bool_], rate: float) -> str:
+def _outliers_in_words(seen: NoiseSeen, outliers: NDArray[np.bool_]) -> str:
     """How many readings are outliers, and what became of them; ''."""
     count = int(outliers.sum())
     if count == 0:
         return ""
     text = f"{count} of {outliers.size} readings are outliers of one frame, replaced by their neighbours in time"
-    if rate <= SHARE:  # else neighbours in time are outliers, too, and replace them badly
+    if seen.outlier_rate <= SHARE:  # else neighbours in time are outliers, too, and replace them badly
         return text
-    return f"{text}; at {100 * rate:.2g} % there are more that nobody sees, and error bars do not cover them"
+    rate = f"{100 * seen.outlier_rate:.2g} %"
+    return f"{text}; at {rate} there are more that nobody sees, and error bars do not cover them"
 
 
 def _sizes_in_words(hidden: Possible) -> str:
     """How large hidden errors are taken to be."""
-    sizes = hidden.sizes
+    sizes, parts, row = hidden.sizes, [], 0
     bias = sizes.reading_error
     own = f"each reading off by {100 * bias:.2g} %" if bias else "no per-reading bias found"
-    parts, row = [], 0
     for name, unit, size, count in (
         ("series", "ohm", sizes.series_ohm, 1),
         ("curve", "LSB", sizes.inl_lsb, SINES),
@@ -329,8 +318,3 @@ def _sizes_in_words(hidden: Possible) -> str:
             parts.append(f"{name} {size * left:.2g} {unit}")
             row += count
     return f"{own}; left possible, as standard deviations: {', '.join(parts) or 'nothing else'}"
-
-
-def _lines(*said: str) -> tuple[str, ...]:
-    """Those that say something."""
-    return tuple(filter(None, said))

@@ -16,7 +16,7 @@ from lampest.panel.scene import Scene
 from lampest.posterior.interval import largest_normal, largest_of
 from lampest.recording.readings import Readings
 
-FAR = 6.0  # σ beyond the neighbours: of the 2,400 readings of a usual recording noise does it once in 200,000
+FAR = 6.0  # σ: of the 2,400 readings of a usual recording noise goes there once in 200,000; loads go beyond
 STEADIER = 3.0  # times as far as the neighbours scatter: a load on its way is no outlier
 NEAREST = 4  # frames in time that are compared: one of them may have an outlier, too
 # Times as far as half of its row or half of its column. A load on one cell moves these by 0.22 of its own reading where
@@ -25,7 +25,6 @@ ALONE = 6.0
 SHARE = 0.05  # of a frame's readings may be outliers, and twice what unloaded frames show: beyond, it was touched
 TO_SIGMA = 1.4826  # a normal distribution's σ over its median absolute deviation
 LEAST_FRAMES = 3  # that tell which of them is the odd one
-BLOCK = 2 * NEAREST  # frames whose errors are compared with those of as many before and after
 FALSE = 0.01  # recordings without outliers in which chance makes one
 
 # (what neighbours in time let expect, its uncertainty by their scatter, and by noise as a multiple of its σ).
@@ -73,17 +72,15 @@ def lawless(circuit: Readout, readings: Readings) -> NDArray[np.bool_]:
     A contact that failed for one reading is such an outlier, however long it lasts. A frame with more than SHARE of
     them has another circuit, and no outliers of this kind.
     """
-    found = np.zeros(readings.value.shape, dtype=bool)
-    if readings.sigma is None:
+    found, sigma = np.zeros(readings.value.shape, dtype=bool), readings.sigma_of_values
+    if sigma is None:
         return found
-    sigma, most = readings.sigma_of_values, int(SHARE * readings.value[0].size)
-    assert sigma is not None
     frames = np.arange(len(found))
-    for _ in range(most + 1):
-        tests = [test for test in circuit.free_tests(readings.value[frames], sigma[frames]) if test.single is not None]
+    for _ in range(int(SHARE * readings.value[0].size) + 1):
         broken = np.zeros(len(frames), dtype=bool)
-        for test in tests:
-            assert test.single is not None
+        for test in circuit.free_tests(readings.value[frames], sigma[frames]):
+            if test.single is None:
+                continue
             broken |= (here := largest_of(test.excess, test.count * len(found)) < FALSE)
             place = test.single.reshape(len(frames), -1).argmax(axis=1)
             found.reshape(len(found), -1)[frames[here], place[here]] = True
@@ -104,14 +101,14 @@ def without_outliers(
     no outliers. What no cells allow is left out whenever it was read.
     """
     if (impossible := lawless(circuit, readings)).any():
-        rest = replace(readings, seen=np.where(impossible, 0.0, readings.seen))
-        others, left = without_outliers(circuit, rest, unloaded)
+        readings = replace(readings, seen=np.where(impossible, 0.0, readings.seen))
+        others, left = without_outliers(circuit, readings, unloaded)
         return others | impossible, left
     value = readings.plain_values
     sigma = np.ones(value.shape) if readings.sigma is None else readings.sigma
     outlying, instead, spread = np.zeros(value.shape, dtype=bool), value.copy(), np.zeros(value.shape)
     # σ may be wrong, and frames may differ together: what most readings do from frame to frame is noise.
-    seen = [pair_scale(value[chosen], sigma[chosen]) for chosen in (unloaded, ~unloaded)]
+    seen = [_pair_scale(value[chosen], sigma[chosen]) for chosen in (unloaded, ~unloaded)]
     scale = sigma * np.fmax(seen[0] if unloaded.sum() >= LEAST_FRAMES else seen[1], float(readings.sigma is not None))
     most = 1.0
     for chosen in (unloaded, ~unloaded):
@@ -124,9 +121,14 @@ def without_outliers(
     if not outlying.any():
         return outlying, readings
     moving = outlying & ~unloaded[:, None, None]
-    wider = None if readings.sigma is None else np.where(moving, np.hypot(readings.sigma, spread), readings.sigma)
-    plain, seen_ones = np.where(moving, instead, readings.value), np.where(outlying & ~moving, 0.0, readings.seen)
-    return outlying, replace(readings, value=plain, sigma=wider, seen=seen_ones)
+    left = replace(readings, seen=np.where(outlying & ~moving, 0.0, readings.seen))
+    return outlying, _replaced(left, moving, instead, spread)
+
+
+def _replaced(readings: Readings, outlying: NDArray[np.bool_], instead: Array, spread: Array) -> Readings:
+    value, sigma = np.where(outlying, instead, readings.value), readings.sigma
+    wider = None if sigma is None else np.where(outlying, np.hypot(sigma, spread), sigma)
+    return replace(readings, value=value, sigma=wider)
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,7 +160,7 @@ class FramesBefore:
         if len(self.frames) < LEAST_FRAMES or readings.sigma is None or np.isnan(baseline).any():
             return readings, 0
         value = np.stack([frame.plain_values for frame in self.frames])
-        scale = readings.sigma * np.fmax(pair_scale(value, np.broadcast_to(readings.sigma, value.shape)), 1.0)
+        scale = readings.sigma * np.fmax(_pair_scale(value, np.broadcast_to(readings.sigma, value.shape)), 1.0)
         middle, spread, _ = _by_median(value, np.zeros(0, dtype=int))
         expected = middle[None], spread[None], np.ones((1, *middle.shape))
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -171,9 +173,7 @@ class FramesBefore:
             step[*place] = 1.0
             moved = np.abs(network.forward(step)) / scale
             outlying[*place] = ALONE * _beside(moved[None])[0][*place] > moved[*place]
-        calm = np.where(outlying, middle, readings.value)
-        sigma = np.where(outlying, np.hypot(readings.sigma, spread), readings.sigma)
-        return replace(readings, value=calm, sigma=sigma), int(outlying.sum())
+        return _replaced(readings, outlying, middle, spread), int(outlying.sum())
 
 
 def _from_window(value: Array, first: NDArray[np.intp], place: NDArray[np.intp], predict: Predictor) -> Expected:
@@ -186,17 +186,17 @@ def _from_window(value: Array, first: NDArray[np.intp], place: NDArray[np.intp],
 
 def _usual(value: Array, expected: Array, first: NDArray[np.intp], predict: Predictor) -> NDArray[np.bool_]:
     """Whether a reading is no farther from what is expected than chance takes it, by its errors in other windows."""
-    frames = len(value)
+    frames, block = len(value), 2 * NEAREST  # errors are compared with those of a block before and one after
     if frames - NEAREST - 1 < NEAREST:
         return np.zeros(value.shape, dtype=bool)
     place, usual = np.arange(frames) - first, np.zeros(value.shape)
     middle, away = place == NEAREST // 2, np.nan_to_num(np.abs(value - expected))
-    for begin in range(0, frames, BLOCK):
-        around = slice(max(begin - BLOCK, 0), begin + 2 * BLOCK)
-        usual[begin : begin + BLOCK] = median(away[around][middle[around]])
+    for begin in range(0, frames, block):
+        around = slice(max(begin - block, 0), begin + 2 * block)
+        usual[begin : begin + block] = median(away[around][middle[around]])
     begins = np.arange(frames - NEAREST)
     for frame in np.flatnonzero(~middle):
-        near = begins[np.argsort(np.abs(begins - first[frame]), kind="stable")[: 3 * BLOCK]]
+        near = begins[np.argsort(np.abs(begins - first[frame]), kind="stable")[: 3 * block]]
         there, _, _ = _from_window(value, near, np.full(len(near), place[frame]), predict)
         usual[frame] = median(np.abs(value[near + place[frame]] - there))
     usual = TO_SIGMA * np.nan_to_num(usual)
@@ -244,7 +244,7 @@ def median(values: Array) -> Array:
     return np.asarray((picked[0] + picked[1]) / 2)
 
 
-def pair_scale(value: Array, sigma: Array) -> float:
+def _pair_scale(value: Array, sigma: Array) -> float:
     """Noise over its σ, from the median size of differences between successive frames; NaN without any.
 
     value, sigma : (frames, rows, columns). σ follows the reading: a reading over its own σ hardly varies.

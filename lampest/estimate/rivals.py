@@ -13,6 +13,7 @@ from typing import Any, Literal, get_args, get_origin, get_type_hints
 import numpy as np
 from numpy.typing import NDArray
 
+from lampest.estimate.outliers import FAR
 from lampest.files.errors import InputError
 from lampest.files.typed import members_of
 from lampest.panel.panel import Array
@@ -20,6 +21,7 @@ from lampest.panel.readouts import AnyReadout, Readout
 from lampest.panel.scene import Scene
 from lampest.posterior.interval import chi_square_tail
 from lampest.recording.readings import Readings
+from lampest.recording.recording import MEASURED, UNLOADED
 
 RESISTORS = ("reference_ohm", "load_ohm", "feedback_ohm")  # what kinds call the resistor that a converter reads across
 CHANNELS = ("drive_ohm", "sense_ohm", "input_ohm")
@@ -29,27 +31,25 @@ CALLED = {
     "polarity": "polarity reversed",
     "measured_across": "read across the other resistor",
 }
-CONVERTER = tuple(field.name for field in fields(Readout))
-LARGEST_NOISE = 0.05  # of a resistance: beyond, what a divider makes of Gaussian volts is no longer nearly Gaussian
-LARGEST_SHIFT = 0.1  # σ of a mean by which the same curvature may shift it
-FAR = 6.0  # σ by which a load changes readings at least
-MOVED = 0.01  # of a reading: the same
+# Of a resistance: beyond, what a divider makes of Gaussian volts is no longer nearly Gaussian. σ of a mean by which the
+# same curvature may shift it.
+LARGEST_NOISE, LARGEST_SHIFT = 0.05, 0.1
+MOVED = 0.01  # of a reading, or of log r: by so much loads and common errors change it at least
 ALIKE = 0.01  # tail of χ² of the difference of two frames, above which they are taken for the same
 
 
 @dataclass(frozen=True, eq=False)
 class Rival:
-    """scene : with another circuit. recorded : what that would have recorded of the same codes. kind : in words.
+    """scene : with the circuit. recorded : what that would have recorded of the same codes.
 
-    sigma : of these, where the recording has its own; None: the readout's. own : whether it is the specified circuit.
+    sigma : of these, where the recording has its own; None: the readout's. kind : in words, '' of the specified one.
     in_series : the resistance that is tried in series, ohm; None: what the scene says.
     """
 
     scene: Scene
     recorded: Array
     sigma: Array | None
-    kind: str
-    own: bool = False
+    kind: str = ""
     in_series: float | None = None
 
     @property
@@ -57,8 +57,8 @@ class Rival:
         """The circuit, as a scene would name it."""
         if self.in_series is None:
             return self.kind
-        known = f"{self.scene.circuit.series_name} near {float(f'{self.in_series:.2g}'):g}"
-        return known if self.own else f"{self.kind}, {known}"
+        series = f"{self.scene.circuit.series_name} near {float(f'{self.in_series:.2g}'):g}"
+        return f"{self.kind}, {series}" if self.kind else series
 
     @property
     def ohm(self) -> float:
@@ -69,48 +69,65 @@ class Rival:
         """The same with a resistance in series."""
         return replace(self, scene=self.scene.with_series(float(ohm)), in_series=float(ohm))
 
+    def readings(self, frames: NDArray[np.intp] | slice = slice(None)) -> Readings:
+        """Raises InputError where values are none of the circuit."""
+        sigma = self.sigma if self.sigma is None or self.sigma.ndim == 2 else self.sigma[frames]
+        return Readings.of(self.scene, self.recorded[frames], sigma)
 
-def rivals_of(scene: Scene, recorded: Array, sigma: Array | None, reversed_too: bool = False) -> Iterator[Rival]:
+    def nearly_gaussian(self, frames: int) -> Array:
+        """1 where a recorded value's noise is nearly Gaussian, else 0: (all frames, rows, columns).
+
+        frames : whose mean is to be taken. Volts are as Gaussian as the converter's noise; what a divider's equation
+        makes of them is while noise is small.
+        """
+        sigma = self.readings().sigma
+        if self.scene.circuit.unit != "ohm" or sigma is None:
+            return np.ones(self.recorded.shape)
+        most = min(LARGEST_NOISE, LARGEST_SHIFT / np.sqrt(frames))
+        return np.where(sigma <= most * self.recorded, 1.0, 0.0)
+
+
+def rivals_of(specified: Rival, reversed_too: bool = False) -> Iterator[Rival]:
     """The specified circuit itself, for other resistances in series, then those of every kind that can be had.
 
-    recorded : (frames, rows, columns) as the scene's readout gives it. reversed_too : those as well under which the
-    readings show less load where the specified circuit shows more.
+    reversed_too : those as well under which the readings show less load where the specified circuit shows more.
     """
-    yield Rival(scene, recorded, sigma, "", own=True)
-    specified = scene.readout
-    if specified is None:
+    yield specified
+    scene, readout = specified.scene, specified.scene.readout
+    if readout is None:
         return
-    volt = specified.volt_from_recorded(recorded)
-    apparent = _logarithm(specified, scene, recorded)
+    volt = readout.volt_from_recorded(specified.recorded)
+    apparent = _logarithm(readout, scene, specified.recorded)
     for kind in members_of(AnyReadout):
-        for circuit in variants(kind, specified):
+        for circuit in _variants(kind, readout):
             values = circuit.recorded_from_volt(volt)
             sense = _sense(apparent, _logarithm(circuit, scene, values))
-            if circuit == specified or not (sense > 0 or (reversed_too and sense < 0)):
+            if circuit == readout or not (sense > 0 or (reversed_too and sense < 0)):
                 continue
             try:
                 other = replace(scene, readout=circuit, series_resistance_ohm=0.0, systematic=None)
             except ValueError:  # of what the scene specifies besides, the kind has no model
                 continue
-            own_sigma = sigma if circuit.unit == specified.unit else None
-            yield Rival(other, values, own_sigma, circuit_name(circuit, specified))
+            yield Rival(
+                other, values, specified.sigma if circuit.unit == readout.unit else None, _kind(circuit, readout)
+            )
 
 
-def variants(kind: type[Any], specified: Readout) -> Iterator[Any]:
+def _variants(kind: type[Any], specified: Readout) -> Iterator[Any]:
     """A kind with the specified readout's converter, resistor and all else that both have, in every choice of words."""
     names, hints = {field.name for field in fields(kind)}, get_type_hints(kind)
-    resistor = next((getattr(specified, name) for name in RESISTORS if hasattr(specified, name)), None)
-    shared = {name: getattr(specified, name) for name in CONVERTER}
-    shared |= {name: getattr(specified, name) for name in CHANNELS if name in names and hasattr(specified, name)}
-    for name in RESISTORS:
-        if name in names and resistor is not None:
-            shared[name] = float(np.mean(resistor)) if hints[name] is float else resistor
+    common = [field.name for field in fields(Readout)]
+    common += [name for name in CHANNELS if name in names and hasattr(specified, name)]
+    shared = {name: getattr(specified, name) for name in common}
+    known = [getattr(specified, name) for name in RESISTORS if hasattr(specified, name)]
+    for name in names.intersection(RESISTORS) if known else ():
+        shared[name] = float(np.mean(known[0])) if hints[name] is float else known[0]
     words = {name: get_args(hints[name]) for name in names - {"kind"} if get_origin(hints[name]) is Literal}
     for chosen in product(*words.values()):
         yield kind(**shared, **dict(zip(words, chosen, strict=True)))
 
 
-def circuit_name(circuit: Readout, specified: Readout) -> str:
+def _kind(circuit: Readout, specified: Readout) -> str:
     """The one word in which a circuit differs, with its usual name; else the kind with its words."""
     words = {name: getattr(circuit, name) for name in WORDS if hasattr(circuit, name)}
     differ = [name for name, word in words.items() if getattr(specified, name, None) != word]
@@ -139,16 +156,15 @@ def _sense(first: Array, second: Array) -> float:
 
 
 @np.errstate(all="ignore")
-def changes_beyond_noise(
-    scene: Scene, readings: Readings, unloaded: NDArray[np.intp], measured: NDArray[np.intp]
-) -> Array:
-    """ln of apparent resistances over the unloaded ones (frames, rows, columns); 0 where noise may make it."""
-    if not len(unloaded) or not len(measured) or readings.sigma is None:
+def changes_beyond_noise(scene: Scene, readings: Readings, role: NDArray[np.uint8]) -> Array:
+    """ln of apparent resistances over the unloaded ones (measured frames, rows, columns); 0 where noise may make it."""
+    unloaded, measured = role == UNLOADED, role == MEASURED
+    if not unloaded.any() or not measured.any() or readings.sigma is None:
         return np.zeros((0, *scene.panel.shape))
     resting, values = readings[unloaded].mean().value, readings[measured].plain_values
     change = np.log(scene.circuit.apparent_resistance(values) / scene.circuit.apparent_resistance(resting))
-    far = (np.abs(values - resting) > FAR * readings.sigma[measured]) & (np.abs(change) > MOVED)
-    return np.where(far, change, 0.0)
+    beyond = (np.abs(values - resting) > FAR * readings.sigma[measured]) & (np.abs(change) > MOVED)
+    return np.where(beyond, change, 0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,39 +189,18 @@ class Question:
         return f"frame {first}" if first == last else f"frames {first} to {last}"
 
     def readings(self, rival: Rival) -> tuple[Readings, ...]:
-        """The mean of the unloaded frames, and of the standing ones.
-
-        Raises InputError where values are none of the circuit.
-        """
-        chosen, count = self._chosen, len(self.resting)
-        sigma = rival.sigma if rival.sigma is None or rival.sigma.ndim == 2 else rival.sigma[chosen]
-        read = Readings.of(rival.scene, rival.recorded[chosen], sigma)
+        """The mean of the unloaded frames, and of the standing ones. Raises InputError as `Rival.readings`."""
+        chosen, count = np.concatenate([self.resting, self.standing]), len(self.resting)
+        read = rival.readings(chosen)
         assert read.sigma is not None
-        read = replace(read, sigma=self.widening * read.sigma, seen=read.seen * self._usable)
+        read = replace(read, sigma=self.widening * read.sigma, seen=read.seen * self._usable[chosen])
         resting = read[:count].mean()
         return (resting,) if len(self.standing) == 0 else (resting, read[count:].mean())
 
     @cached_property
     def _usable(self) -> Array:
-        """Readings that are asked for of every circuit alike; see `nearly_gaussian`."""
-        return nearly_gaussian(self.specified, max(len(self.resting), len(self.standing)))[self._chosen]
-
-    @property
-    def _chosen(self) -> NDArray[np.intp]:
-        return np.concatenate([self.resting, self.standing])
-
-
-def nearly_gaussian(specified: Rival, frames: int) -> Array:
-    """1 where a recorded value's noise is nearly Gaussian, else 0: (all frames, rows, columns).
-
-    frames : whose mean is to be taken. Volts are as Gaussian as the converter's noise; what a divider's equation makes
-    of them is while noise is small.
-    """
-    sigma = Readings.of(specified.scene, specified.recorded, specified.sigma).sigma
-    if specified.scene.circuit.unit != "ohm" or sigma is None:
-        return np.ones(specified.recorded.shape)
-    most = min(LARGEST_NOISE, LARGEST_SHIFT / np.sqrt(frames))
-    return np.where(sigma <= most * specified.recorded, 1.0, 0.0)
+        """Readings that are asked for of every circuit alike."""
+        return self.specified.nearly_gaussian(max(len(self.resting), len(self.standing)))
 
 
 def standing_frames(readings: Readings, frame: int, others: NDArray[np.intp], noise: float) -> NDArray[np.intp]:
@@ -217,7 +212,6 @@ def standing_frames(readings: Readings, frame: int, others: NDArray[np.intp], no
     plain = readings.plain & readings.plain[frame]
     spread = noise * np.hypot(readings.sigma, readings.sigma[frame])
     square = np.where(plain, (readings.value - readings.value[frame]) / spread, 0.0) ** 2
-    degrees = plain.sum(axis=(1, 2))
-    alike = chi_square_tail(square.sum(axis=(1, 2)), np.maximum(degrees, 1)) >= ALIKE
+    alike = chi_square_tail(square.sum(axis=(1, 2)), np.maximum(plain.sum(axis=(1, 2)), 1)) >= ALIKE
     kept: NDArray[np.intp] = others[alike[others] | (others == frame)]
     return kept

@@ -43,8 +43,7 @@ def unloaded_scatter(recording: Recording, resting: Readings) -> Scatter | None:
     Without a converter there is nothing that a frame's readings could share but what they are themselves.
     """
     assert resting.sigma is not None
-    circuit, scene = recording.scene.circuit, recording.scene
-    value = resting.plain_values
+    circuit, scene, value = recording.scene.circuit, recording.scene, resting.plain_values
     count = np.sum(~np.isnan(value), axis=0)
     if not (count > 1).any():
         return None
@@ -82,65 +81,43 @@ def scatter(deviation: Array, loudness: Array, repeats: int) -> Scatter:
     # A frame's channels that say nothing leave gaps, which are counted out as a share of all.
     share = float(known.mean())
     inner = np.where(known, rest - common[:, None, :], 0.0).reshape(-1, channels)
-    noise, apart = patterns(inner, max(repeats * (lines - 1) * share, 1.0))
+    noise, apart = _patterns(inner, max(repeats * (lines - 1) * share, 1.0))
     line = noise + float((apart**2).sum()) / channels
-    together = _common_patterns(common, line / (lines * share), repeats)
-    everything = line + float((together**2).sum()) / channels * lines
-    gain = _excess(slope, everything / size, repeats)
+    together, variance = np.zeros((channels, 0)), line / (lines * share)
+    few = max(repeats, 3) / (max(repeats, 3) - 2)
+    if _beyond_noise((common**2).sum() / max(variance, 1e-300), repeats * channels):
+        sizes, direction = np.linalg.eigh(common.T @ common / repeats)
+        kept = sizes > variance
+        together = np.asarray(direction[:, kept] * np.sqrt((sizes[kept] - variance) * few))
+    own = (line + float((together**2).sum()) / channels * lines) / size
+    gain = 0.0
+    if _beyond_noise((slope**2 / np.maximum(own, 1e-300)).sum(), repeats):
+        gain = float(np.sqrt(max((slope**2).sum() / repeats - own.mean(), 0.0) * few))
     degrees = repeats * (lines - 1) * (channels - apart.shape[1]) * share
     return Scatter(float(np.sqrt(noise)), max(int(degrees), 1), gain, together, apart)
 
 
-def patterns(rows: Array, freedom: float) -> tuple[float, Array]:
+def _beyond_noise(squares: float, degrees: int) -> bool:
+    return degrees > 0 and bool(chi_square_tail(squares, degrees) < LEVEL)
+
+
+def _patterns(rows: Array, freedom: float) -> tuple[float, Array]:
     """(variance of noise, root (channels, n) of the covariance beyond it) of rows (samples, channels).
 
-    One direction after the other is taken off while it is stronger than the mean of all others lets noise be, see
-    `noise_edge`.
+    One direction after the other is taken off while it is stronger than the mean of all others lets noise be:
+    (√n + √p)²/n and FARTHEST times its width; source: Johnstone, Annals of Statistics 29(2), 2001.
     """
     channels = rows.shape[1]
     size, direction = np.linalg.eigh(rows.T @ rows / freedom)
-    strong = 0
-    for strong in range(channels if freedom >= ENOUGH * channels else 0):
-        others = size[: channels - strong - 1]
-        if not len(others) or size[channels - strong - 1] <= noise_edge(freedom, channels) * others.mean():
-            break
-    kept = channels - strong
-    noise = float(size[:kept].mean())
-    excess = np.maximum(size[kept:] - noise, 0.0)
-    return noise, np.asarray(direction[:, kept:] * np.sqrt(excess))
-
-
-def noise_edge(freedom: float, channels: int) -> float:
-    """What the largest eigenvalue of a sample covariance of noise stays below, as a multiple of the mean of the others.
-
-    (√n + √p)²/n and FARTHEST times its width; source: Johnstone, Annals of Statistics 29(2), 2001.
-    """
     first, second = np.sqrt(freedom), np.sqrt(channels)
     width = (first + second) * (1 / first + 1 / second) ** (1 / 3)
     unsure = 1 + UNSURE * np.sqrt(2 / (freedom * max(channels - 1, 1)))
-    return float(unsure * ((first + second) ** 2 + FARTHEST * width) / freedom)
-
-
-def _common_patterns(rows: Array, variance: float, freedom: int) -> Array:
-    """A root (channels, n) of the covariance of frames' patterns (frames, channels) beyond noise."""
-    channels = rows.shape[1]
-    squares = (rows**2).sum() / max(variance, 1e-300)
-    if freedom < 1 or chi_square_tail(squares, freedom * channels) >= LEVEL:
-        return np.zeros((channels, 0))
-    size, direction = np.linalg.eigh(rows.T @ rows / freedom)
-    excess = np.maximum(size - variance, 0.0)
-    kept = excess > 0
-    return np.asarray(direction[:, kept] * np.sqrt(excess[kept] * few(freedom)))
-
-
-def _excess(values: Array, variance: Array, freedom: int) -> float:
-    """Standard deviation of the values beyond noise of that variance; 0 where noise alone may give them."""
-    if freedom < 1 or chi_square_tail((values**2 / np.maximum(variance, 1e-300)).sum(), freedom) >= LEVEL:
-        return 0.0
-    size = (values**2).sum() / freedom - variance.mean()
-    return float(np.sqrt(max(size, 0.0) * few(freedom)))
-
-
-def few(freedom: int) -> float:
-    """ν/(ν − 2), ν at least 3: how much larger than it seems a variance from so few repeats must be taken."""
-    return max(freedom, 3) / (max(freedom, 3) - 2)
+    edge = unsure * ((first + second) ** 2 + FARTHEST * width) / freedom
+    strong = 0
+    for strong in range(channels if freedom >= ENOUGH * channels else 0):
+        others = size[: channels - strong - 1]
+        if not len(others) or size[channels - strong - 1] <= edge * others.mean():
+            break
+    kept = channels - strong
+    noise = float(size[:kept].mean())
+    return noise, np.asarray(direction[:, kept:] * np.sqrt(np.maximum(size[kept:] - noise, 0.0)))

@@ -8,10 +8,9 @@ from numpy.typing import NDArray
 
 from lampest.cost.given import Background
 from lampest.cost.problem import Data
-from lampest.estimate.coupled import CoupledStream, coupled_scene, without_bars
 from lampest.estimate.estimates import Estimates
 from lampest.estimate.estimator import Estimator
-from lampest.estimate.modules import ModulesStream
+from lampest.estimate.modules import begin_stream
 from lampest.estimate.noise import NoiseSeen, noise_seen, noise_seen_in_part
 from lampest.estimate.outliers import NEAREST
 from lampest.estimate.state import CarriedOver, Step
@@ -39,11 +38,10 @@ def reconstruct(recording: Recording, estimator: Estimator, on_frame: Callable[[
         raise InputError(f"recording must be a Recording, such as Recording.load('mine.h5'), not {in_words(recording)}")
     recording.scene.panel.check_memory()
     noise = noise_seen(recording)
-    readings = noise.readings
-    stream = first_stream(recording, readings, estimator, noise)
-    frames = recording.measured_frames()
-    stream, steps = stream.sequence(readings[recording.role == UNLOADED], readings[frames], on_frame)
-    return _estimates(stream, recording, frames, readings[frames], steps)
+    stream, frames = first_stream(recording, noise.readings, estimator, noise), recording.measured_frames()
+    readings, resting = noise.readings[frames], noise.readings[recording.role == UNLOADED]
+    stream, steps = stream.sequence(resting, readings, on_frame)
+    return _estimates(stream, recording, frames, readings, steps)
 
 
 def _estimates(
@@ -54,14 +52,13 @@ def _estimates(
     steps: list[Step],
     asked: Recording | None = None,
 ) -> Estimates:
-    baseline = stream.baseline_resistance
     return Estimates(
         recording,
         stream.estimator,
         frames,
         readings,
         stream.resting,
-        np.where(recording.scene.panel.present, baseline, np.nan),
+        np.where(recording.scene.panel.present, stream.baseline_resistance, np.nan),
         stream.baseline or steps[0],
         None if stream.track is None else stream.track.baseline,
         tuple(steps),
@@ -77,42 +74,28 @@ def first_stream(
     estimator: Estimator,
     noise: NoiseSeen | None = None,
     period: float | None = None,
-) -> "Stream":
+) -> Stream:
     """The stream before a recording's first measured frame; see `resting_readings`. noise : learned from frames.
 
-    period : s between frames; None: the recording's.
+    period : s between frames; None: the recording's. Weights that are open are chosen from each network's own data.
     """
     layout = recording.scene.panel.modules
-    if layout is None:
-        return _unrested_stream(Stream, recording, readings, estimator, noise, period).with_rest()
-    if layout.coupled:
-        image = replace(recording, scene=coupled_scene(recording.scene))
-        return _unrested_stream(CoupledStream, image, readings, without_bars(estimator), None, period).with_rest()
 
-    def unrested(number: int, noise: NoiseSeen | None) -> Stream:
-        own = recording.modules[number], readings.of_module(layout, number)
-        return _unrested_stream(Stream, *own, estimator, noise, period)
+    def own(scene: Scene, number: int | None) -> tuple[Estimator, Readings]:
+        if layout is None or number is None:
+            part, read = replace(recording, scene=scene), readings
+        else:
+            part, read = recording.modules[number], readings.of_module(layout, number)
+        resting, chosen = resting_readings(part, read), estimator.automatic and estimator.auto_weight.per == "recording"
+        frame = deciding_frame(part, read, resting) if chosen else None
+        if frame is None:
+            return estimator, resting
+        beside = [deciding_data(estimator, scene, resting, read[one]) for one in frames_beside(part, read, frame)]
+        data = deciding_data(estimator, scene, resting, read[frame])
+        return with_chosen_weights(estimator, scene, data, None, read.sigma is not None, beside), resting
 
-    return ModulesStream.begun(recording.scene, noise, unrested)
-
-
-def _unrested_stream(
-    kind: type[Stream],
-    recording: Recording,
-    readings: Readings,
-    estimator: Estimator,
-    noise: NoiseSeen | None,
-    period: float | None,
-) -> Stream:
-    """The stream of one network before its baseline, with the weights that data choose."""
-    resting, scene = resting_readings(recording, readings), recording.scene
-    if estimator.automatic and estimator.auto_weight.per == "recording":
-        frame = deciding_frame(recording, readings, resting)
-        if frame is not None:
-            beside = frames_beside(recording, readings, frame)
-            estimator = with_weights_of_a_recording(estimator, scene, resting, readings[frame], readings[beside])
     period = frame_period(recording) if period is None else period
-    return kind.unrested(estimator, scene, period, resting, noise)
+    return begin_stream(estimator, recording.scene, period, readings[0], noise, own)
 
 
 def resting_readings(recording: Recording, readings: Readings) -> Readings:
@@ -127,9 +110,7 @@ def deciding_frame(recording: Recording, readings: Readings, resting: Readings) 
     """Of the measured frames of which enough was read the one that differs most from rest; None where there is none."""
     frames = recording.measured_frames()
     frames = frames[readings.enough(recording.scene)[frames]]
-    if not len(frames):
-        return None
-    return strongest_frame(readings.plain_values, resting.value, frames)
+    return strongest_frame(readings.plain_values, resting.value, frames) if len(frames) else None
 
 
 def frames_beside(recording: Recording, readings: Readings, frame: int) -> NDArray[np.intp]:
@@ -143,15 +124,6 @@ def frames_beside(recording: Recording, readings: Readings, frame: int) -> NDArr
     alike = frames[one_sided[frames]] if one_sided[frame] else frames[:0]
     spread = np.linspace(0, len(alike) - 1, MOST_BESIDE if len(alike) else 0)
     return np.asarray(alike[np.unique(spread.round().astype(int))])
-
-
-def with_weights_of_a_recording(
-    estimator: Estimator, scene: Scene, resting: Readings, frame: Readings, others: Readings
-) -> Estimator:
-    """The estimator with the weights that suit a frame and others; with the baseline where terms compare with that."""
-    data = deciding_data(estimator, scene, resting, frame)
-    beside = [deciding_data(estimator, scene, resting, others[number]) for number in range(len(others.value))]
-    return with_chosen_weights(estimator, scene, data, None, frame.sigma is not None, beside)
 
 
 def deciding_data(estimator: Estimator, scene: Scene, resting: Readings, frame: Readings) -> Data:
@@ -191,50 +163,44 @@ class Parts:
     def of(cls, stored: StoredRecording, estimator: Estimator, asked: tuple[Recording, Recording]) -> "Parts":
         """asked : of `asked_frames`. Raises InputError where the estimator needs all frames at once, or as `Stream`."""
         check_by_parts(estimator, stored)
-        lead, whole = asked
-        noise = noise_seen(whole)
-        period = frame_period(stored.part(stored.blocks()[0]))
-        return cls(stored, lead, whole, noise, first_stream(whole, noise.readings, estimator, noise, period))
+        noise, period = noise_seen(asked[1]), frame_period(stored.part(stored.blocks()[0]))
+        return cls(stored, *asked, noise, first_stream(asked[1], noise.readings, estimator, noise, period))
 
     def estimates(self, done: Callable[[int], CarriedOver | None]) -> Iterator[tuple[int, Estimates, CarriedOver]]:
         """(number, what became of its frames, what the next one needs) of every part of which none is `done`.
 
         done : number → what its last frame left, where its estimates are kept.
         """
-        stream, begun = self.stream, self.stream
+        stream = begun = self.stream
         for number, frames in enumerate(self.stored.blocks()):
             kept = done(number)
+            taken = self._taken(frames) if kept is None or not begun.rested else None
             if kept is not None:
-                begun = self._with_baseline(begun, frames)
+                begun = begun if taken is None else self._with_baseline(begun, taken[1])
                 stream = kept.onto(begun)
-                continue
-            part = measured_part(self.stored, frames, NEAREST)
-            if part is None:
-                continue
-            recording, readings, inside = self._taken(frames, part)
-            stream, steps = stream.sequence(self.noise.readings[:0], readings, lambda: None)
-            yield number, _estimates(stream, recording, inside, readings, steps, self.asked), CarriedOver.of(stream)
-            begun = stream.restarted(self.stream)
-            stream = CarriedOver.of(stream).onto(begun)
+            elif taken is not None:
+                recording, readings, inside = taken
+                stream, steps = stream.sequence(self.noise.readings[:0], readings, lambda: None)
+                yield number, _estimates(stream, recording, inside, readings, steps, self.asked), CarriedOver.of(stream)
+                begun = stream.restarted(self.stream)
+                stream = CarriedOver.of(stream).onto(begun)
 
-    def _taken(self, frames: range, part: Recording) -> tuple[Recording, Readings, NDArray[np.intp]]:
-        """The part with the lead, the readings of its own measured frames, and which these are."""
+    def _taken(self, frames: range) -> tuple[Recording, Readings, NDArray[np.intp]] | None:
+        """A part with the lead, the readings of its own measured frames, and which these are; None without any."""
+        part = measured_part(self.stored, frames, NEAREST)
+        if part is None:
+            return None
         recording = of_parts((self.lead, part))
         inside = _own_frames(recording, frames)
         return recording, noise_seen_in_part(recording, self.noise)[inside], inside
 
-    def _with_baseline(self, begun: Stream, frames: range) -> Stream:
+    def _with_baseline(self, begun: Stream, readings: Readings) -> Stream:
         """A stream whose baseline is solved together with a frame once it has come to that frame."""
-        if not begun.estimator.joint_start or begun.rested:
-            return begun
-        part = measured_part(self.stored, frames, NEAREST)
-        assert part is not None
-        _, readings, _ = self._taken(frames, part)
-        for frame in range(len(readings.value)):
+        for frame in range(len(readings.value) if begun.estimator.joint_start else 0):
             begun, _ = begun.push(readings[frame])
             if begun.rested:
-                break
-        return begun.restarted(self.stream)
+                return begun.restarted(self.stream)
+        return begun
 
 
 def check_by_parts(estimator: Estimator, stored: StoredRecording) -> None:
@@ -261,8 +227,7 @@ def asked_frames(stored: StoredRecording) -> tuple[Recording, Recording]:
     lead = first_unloaded(stored, min(LEAD, stored.length))
     if lead is None:
         lead = only_frames(opening := stored.part(range(min(OPENING, stored.frames))), opening.role == MEASURED)
-    readings = lead.readings()
-    resting = resting_readings(lead, readings)
+    resting = resting_readings(lead, lead.readings())
     best: tuple[float, int] = (-1.0, -1)
     for frames in stored.blocks():
         part = measured_part(stored, frames, NEAREST)

@@ -20,8 +20,6 @@ from lampest.recording.readings import Readings
 from lampest.solvers.solution import Solution, Status, blank
 
 NO_DUAL = np.zeros(0)  # of a cost without absolute losses
-ANSWERS, BEYOND = ("answer", "answer_of_baseline"), ("bend_below", "bend_above")
-MEMORIES = {"dense": DenseMemory, "sampled": SampledMemory}
 UNKNOWN = 10.0  # standard deviation of log r0 where nothing is known of it
 
 
@@ -66,10 +64,8 @@ class Step:
 
     def surroundings(self) -> LinearModel | None:
         """What error bars follow from: a verified optimum; None of anything else."""
-        solution = self.solution
-        if not solution.optimum or solution.at is None or solution.dual is None:
-            return None
-        return LinearModel(solution.at, solution.dual)
+        at, dual = self.solution.at, self.solution.dual
+        return None if not self.solution.optimum or at is None or dual is None else LinearModel(at, dual)
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,14 +113,6 @@ class SequenceState:
         """Whether the baseline is solved."""
         return self.baseline is not None and self.baseline.solution.solved
 
-    def known_deviation(self) -> Array | None:
-        """Of log r0, for terms that read it; an open cell, and one without error bars, is not known at all."""
-        if not self.estimator.weighs_previous:
-            return None
-        if self.previous is None or self.previous_deviation is None:
-            return np.full(self.scene.panel.shape, UNKNOWN)
-        return np.fmin(self.previous_deviation, UNKNOWN)
-
     def with_baseline(self, baseline: Step) -> Self:
         """The state after a solved baseline."""
         return replace(self, baseline=baseline, previous=baseline.estimate(0))
@@ -170,43 +158,43 @@ class CarriedOver:
             found |= {_of_module(number) + name: values for name, values in carried.items()}
         if not state.parts:
             found = {"previous": state.previous, "previous_deviation": state.previous_deviation}
-        if not state.parts and (track := state.track) is not None:
-            found["deviation"] = track.deviation
-            for pair, names in ((track.answers, ANSWERS), (track.beyond, BEYOND)):
-                found |= dict(zip(names, pair or (), strict=False))
-            for kind, memory in MEMORIES.items():
-                if isinstance(track.memory, memory):
-                    found |= {f"{kind}_{name}": value for name, value in vars(track.memory).items()}
+            if (track := state.track) is not None:
+                found["deviation"] = track.deviation
+                for name in ("answers", "beyond"):
+                    found |= {f"{name}_{number}": values for number, values in enumerate(getattr(track, name) or ())}
+                if (memory := track.memory) is not None:
+                    kind = "dense" if isinstance(memory, DenseMemory) else "sampled"
+                    found |= {f"{kind}_{name}": value for name, value in vars(memory).items()}
         known = {name: value for name, value in found.items() if value is not None}
         return cls({name: np.atleast_1d(np.asarray(value, float)) for name, value in known.items()})
 
     def onto(self, begun: S) -> S:
         """The state after those frames; begun : with its baseline, and with what its method prepares at first."""
         if begun.parts:
+            parts = enumerate(begun.parts)
             return begun.with_parts(
-                tuple(part and self._under(_of_module(number)).onto(part) for number, part in enumerate(begun.parts))
+                tuple(part and CarriedOver(self._under(_of_module(number))).onto(part) for number, part in parts)
             )
         track = begun.track and replace(
             begun.track,
             deviation=self.arrays.get("deviation"),
             memory=self._memory(),
-            answers=self._pair(ANSWERS),
-            beyond=self._pair(BEYOND),
+            answers=self._pair("answers"),
+            beyond=self._pair("beyond"),
         )
         previous, deviation = self.arrays.get("previous"), self.arrays.get("previous_deviation")
         return replace(begun, previous=previous, previous_deviation=deviation, track=track, first=False)
 
-    def _under(self, prefix: str) -> "CarriedOver":
-        found = {name: values for name, values in self.arrays.items() if name.startswith(prefix)}
-        return CarriedOver({name.removeprefix(prefix): values for name, values in found.items()})
+    def _under(self, prefix: str) -> dict[str, Array]:
+        return {name[len(prefix) :]: values for name, values in self.arrays.items() if name.startswith(prefix)}
 
-    def _pair(self, names: tuple[str, str]) -> tuple[Array, Array] | None:
-        return (self.arrays[names[0]], self.arrays[names[1]]) if names[0] in self.arrays else None
+    def _pair(self, name: str) -> tuple[Array, Array] | None:
+        return (self.arrays[f"{name}_0"], self.arrays[f"{name}_1"]) if f"{name}_0" in self.arrays else None
 
     def _memory(self) -> DenseMemory | SampledMemory | None:
-        dense, sampled = (self._under(f"{kind}_").arrays for kind in MEMORIES)
-        if dense:
+        if dense := self._under("dense_"):
             return DenseMemory(**dense)
+        sampled = self._under("sampled_")
         return SampledMemory(sampled["last"], sampled["baseline"], int(sampled["drawn"][0])) if sampled else None
 
 

@@ -30,66 +30,64 @@ FEWEST = 0.3  # of the cells must stand still: else a load covers the panel
 SURE = 6.6  # −2 log likelihood gained by chosen cells: χ² with one degree of freedom, once in a hundred
 HINT = 0.5  # the same, from which on bars allow for what may be chance: where nothing is, one in four is so large
 LARGER = 4.0  # the same, of a larger one, once something of the kind is there: two standard deviations
-AGAIN = 3  # times that cells are chosen by the size that they give
 LINEAR = 0.15  # of log r: so large an error moves cells by more than one per cent beside the straight line
 LOADED = 3 * LINEAR  # of log r: so far a load moves a cell, and no error that is small enough for linear theory
 CLEARLY = 4.0  # σ of a change that noise does not make
 SMOOTH, REACH = 0.3, 1.5  # of log r, and in cells: a skirt that a load has around it, or a load that covers many cells
+EACH = Systematic(reading_error=1.0)
 
 Chosen = NDArray[np.bool_]
 
 
 def errors_left_possible(
-    scene: Scene, sizes: Systematic | None, resting: Readings, frames: Readings, noise: FrameNoise | None
+    scene: Scene, sizes: Systematic, resting: Readings, frames: Readings, noise: FrameNoise | None
 ) -> Possible | None:
-    """What the still cells leave possible of shared errors; None where there are none, or cells cannot say.
+    """What the still cells leave possible of shared errors; None where cells cannot say.
 
     resting (rows, columns), frames (frames, rows, columns) : with σ as it is to be taken.
     """
-    if sizes is None or resting.sigma is None or resting.value.size > MOST_CELLS or not len(frames.value):
+
+    def at_least(size: float) -> Systematic:
+        return replace(sizes, reading_error=max(sizes.reading_error or 0.0, size) or None)
+
+    if resting.sigma is None or resting.value.size > MOST_CELLS:
         return None
     fit = fitted(scene, resting, patient=True)
     if fit is None or fit.tail < LEVEL:
-        return Possible(_with_reading_error(sizes, UnloadedPanel.of(scene, resting).size), None)
+        return Possible(at_least(UnloadedPanel.of(scene, resting).size), None)
     base = FrameFit.of(scene, resting, None, sizes, noise)
-    if base is None:
+    others = [] if base is None else [FrameFit.of(scene, one, base.fit.cells, sizes, noise) for one in _each(frames)]
+    found = [one for one in others if one is not None]
+    if base is None or len(found) < len(others):
         return None
-    fits = [FrameFit.of(scene, frames[number], base.fit.cells, sizes, noise) for number in range(len(frames.value))]
-    others = [one for one in fits if one is not None]
-    if len(others) < len(fits):
-        return None
-    moves = Moves.between(base, others)
-    smoothed = replace(moves, noise=moves.noise + smooth_loads(resting.value.shape, len(others)))
-    size, still = _own_error(smoothed, resting.value.shape)
-    apart = _apart_from_moved(still, resting.value.shape)
-    sure, linear = size > 0, LINEAR / moves.reach
+    moves, shape = Moves.between(base, found), resting.value.shape
+    smoothed = replace(moves, noise=moves.noise + _smooth_loads(shape, len(found)))
+    size, still = _own_error(smoothed, shape)
+    apart, sure, linear = _apart_from_moved(still, shape), size > 0, LINEAR / moves.reach
     if sure:
         alone = UnloadedPanel.of(scene, resting)
         if size > linear or alone.contradicts(size) > LARGER:
-            return Possible(_with_reading_error(sizes, max(alone.size, min(size, linear))), None)
+            return Possible(at_least(max(alone.size, min(size, linear))), None)
     else:  # an error that still cells make likelier than none, though that may be chance
         hint, gained = _size_of(smoothed, apart)
         size = hint if gained > HINT and hint <= linear else 0.0
-    assumed = _with_reading_error(sizes, size)
-    if still.mean() < FEWEST:
-        return Possible(assumed, None, sure)
-    return Possible(assumed, _possible(moves, assumed.reading_error or 0.0, apart), sure)
+    assumed = at_least(size)
+    root = None if still.mean() < FEWEST else _possible(moves, assumed.reading_error or 0.0, apart)
+    return Possible(assumed, root, sure)
 
 
-def _with_reading_error(sizes: Systematic, size: float) -> Systematic:
-    """The sizes with an error of each reading that is at least so large."""
-    return replace(sizes, reading_error=max(sizes.reading_error or 0.0, size) or None)
+def _each(frames: Readings) -> list[Readings]:
+    return [frames[number] for number in range(len(frames.value))]
 
 
 @dataclass(frozen=True, eq=False)
 class FrameFit:
-    """One frame's fit, gain (cells, readings), covariance of its error, and what shared errors do to its log cells.
+    """One frame's fit, covariance of its error, and what shared errors do to its log cells.
 
     hidden, own, known : (cells, n) of what `hidden_columns` has, of each reading's own, and of channels and reference.
     """
 
     fit: CellsFit
-    gain: Array
     error: Array
     hidden: Array
     own: Array
@@ -111,13 +109,12 @@ class FrameFit:
             drawn = gain @ noise.columns(at.readings.value[None], near is None)
             error = error + drawn @ drawn.T
         here = at.cells, at.readings.value
-        channels = (sizes.reference_tolerance / np.sqrt(3), sizes.channel_spread_ohm)
         columns = (
             hidden_columns(*here, scene, replace(sizes, reading_error=None)),
-            hidden_columns(*here, scene, Systematic(reading_error=1.0)),
-            scene.circuit.shared_errors(*here, scene, *channels),
+            hidden_columns(*here, scene, EACH),
+            scene.circuit.shared_errors(*here, scene, sizes.reference_tolerance / np.sqrt(3), sizes.channel_spread_ohm),
         )
-        return cls(fit, gain, error, *(gain @ one.reshape(len(one), gain.shape[1]).T for one in columns))
+        return cls(fit, error, *(gain @ one.reshape(len(one), gain.shape[1]).T for one in columns))
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,7 +151,7 @@ class Moves:
         return np.asarray(self.noise + self.a @ self.a.T + size**2 * self.own @ self.own.T)
 
 
-def smooth_loads(shape: tuple[int, ...], frames: int) -> Array:
+def _smooth_loads(shape: tuple[int, ...], frames: int) -> Array:
     """(n, n) covariance of changes of log r of a load's skirt: smooth from cell to cell, free in every frame."""
     row, column = (index.ravel() for index in np.indices(shape))
     square = (row[:, None] - row) ** 2 + (column[:, None] - column) ** 2
@@ -163,15 +160,12 @@ def smooth_loads(shape: tuple[int, ...], frames: int) -> Array:
 
 def _own_error(moves: Moves, shape: tuple[int, ...]) -> tuple[float, Chosen]:
     """(e, which cells stand still): 0 unless it gains with cells chosen anew for each size, and with the last ones."""
-    coarse = ERRORS[2::2]
-    costs = {
-        size: still_cells(moves.change, moves.covariance(size))
-        for size in (0.0, *coarse[coarse * moves.reach <= LINEAR])
-    }
+    sizes = (0.0, *(size for size in ERRORS[2::2] if size * moves.reach <= LINEAR))
+    costs = {size: _still_cells(moves.change, moves.covariance(size)) for size in sizes}
     size = min(costs, key=lambda size: costs[size][0])
     if costs[size][0] <= costs[0.0][0] - GAIN:
-        for _ in range(AGAIN):
-            _, still = still_cells(moves.change, moves.covariance(min(size, LINEAR / moves.reach)))
+        for _ in range(3):
+            _, still = _still_cells(moves.change, moves.covariance(min(size, LINEAR / moves.reach)))
             size, gained = _size_of(moves, _apart_from_moved(still, shape))
         if gained > SURE:
             return size, still
@@ -212,7 +206,7 @@ def _possible(moves: Moves, size: float, still: Chosen) -> Array:
     return np.asarray(np.linalg.qr((vectors * np.sqrt(np.maximum(values, 0.0))).T)[1].T)
 
 
-def still_cells(change: Array, covariance: Array) -> tuple[float, Chosen]:
+def _still_cells(change: Array, covariance: Array) -> tuple[float, Chosen]:
     """(−2 log likelihood, which stand still): each cell where it is likelier, given those that stand still.
 
     A cell that moved has a change of variance 1, and costs MOVED; one beyond LOADED has. It begins with the half that
@@ -239,8 +233,7 @@ def still_cells(change: Array, covariance: Array) -> tuple[float, Chosen]:
 def _apart_from_moved(still: Chosen, shape: tuple[int, ...]) -> Chosen:
     """The still cells of all frames, flat, without those that touch one that moved: a load does not end at a cell."""
     moved = np.pad(~still.reshape(-1, *shape), ((0, 0), (1, 1), (1, 1)))
-    touched = sliding_window_view(moved, (3, 3), axis=(1, 2)).any(axis=(-2, -1))
-    apart = still & ~touched.ravel()
+    apart = still & ~sliding_window_view(moved, (3, 3), axis=(1, 2)).any(axis=(-2, -1)).ravel()
     return apart if apart.mean() >= FEWEST else still
 
 
@@ -271,14 +264,12 @@ class UnloadedPanel:
         """Of the mean of the unloaded frames (rows, columns), with its σ. Raises what arithmetic does."""
         assert resting.sigma is not None
         data = cells_alone().data(resting.alone(), Background(scene))
-        columns = hidden_columns(resting.value, resting.value, scene, Systematic(reading_error=1.0))
-        share = np.abs(columns).sum(axis=0)
-        plain = (resting.seen > 0) & (resting.side == 0)
+        share = np.abs(hidden_columns(resting.value, resting.value, scene, EACH)).sum(axis=0)
         costs = np.empty((len(ERRORS), len(SCATTERS)))
         for column, spread in enumerate(SCATTERS):
             cells = np.log(data.uniform_start[0])
             for row in reversed(range(len(ERRORS))):
-                deviation = np.where(plain, np.hypot(resting.sigma, ERRORS[row] * share), np.inf)
+                deviation = np.where(resting.plain, np.hypot(resting.sigma, ERRORS[row] * share), np.inf)
                 cells, costs[row, column] = _most_probable(data, resting.value, deviation, spread, cells)
         together = -2 * np.logaddexp.reduce(-costs / 2, axis=1)
         return cls(together - together.min())

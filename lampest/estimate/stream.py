@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Self
 
 from lampest.cost.problem import Data
 from lampest.estimate.estimator import Estimator
@@ -54,7 +55,7 @@ class Stream(SequenceState):
     @classmethod
     def begin(
         cls, estimator: Estimator, scene: Scene, period: float, resting: Readings, noise: NoiseSeen | None = None
-    ) -> "Stream":
+    ) -> Self:
         """Before the first frame; an absolute method solves its baseline now. noise : learned from frames.
 
         Raises InputError as `unrested`.
@@ -64,7 +65,7 @@ class Stream(SequenceState):
     @classmethod
     def unrested(
         cls, estimator: Estimator, scene: Scene, period: float, resting: Readings, noise: NoiseSeen | None = None
-    ) -> "Stream":
+    ) -> Self:
         """Before its baseline.
 
         Raises InputError where the noise is needed and unknown, bounds leave no room, the formulation cannot serve the
@@ -78,7 +79,7 @@ class Stream(SequenceState):
         own = 0.0 if sizes is None else sizes.reading_error or 0.0
         return cls(estimator, scene, period, resting, track=track, reading_error=own, frame_noise=frame)
 
-    def tared(self, resting: Readings) -> "Stream":
+    def tared(self, resting: Readings) -> Self:
         """The stream against another unloaded panel from here on; frames before are forgotten, but for their weights.
 
         resting : the mean of frames in which nothing touched the panel. Raises InputError as `begin`.
@@ -89,38 +90,35 @@ class Stream(SequenceState):
             self, resting=resting, track=track, baseline=None, previous=None, previous_deviation=None, prepared=None
         ).with_rest()
 
-    def with_rest(self, solved: Step | None = None) -> "Stream":
+    def with_rest(self, solved: Step | None = None) -> Self:
         """With its baseline, where that is solved alone; solved : that, where it is there already."""
         if not self.resting.enough(self.scene):
             return replace(self, baseline=self.unsolved(Status.UNRESTED))
         return self if self.estimator.joint_start else self.estimator.method.begin(self, solved)
 
-    def restarted(self, first: "Stream") -> "Stream":
+    def restarted(self, first: "Stream") -> Self:
         """The stream with nothing kept for speed alone but what it began with."""
         return replace(self, prepared=first.prepared)
 
     def push(self, readings: Readings) -> tuple["Stream", Step]:
         """Solve one frame's readings (rows, columns); a failed one leaves the stream as it was.
 
-        So does one of which too little was read (see `Readings.enough`). Raises InputError as `begin`.
+        So does one of which too little was read (see `Readings.enough`). Weights are chosen anew by frames that differ
+        from rest by a tenth more than any before them. Raises InputError as `begin`.
         """
         _check_frame(readings, self.scene)
+        method, terms = self.estimator.method, self.estimator.terms
         if not readings.enough(self.scene):
             return self, self.unsolved(Status.UNREAD)
-        if self.estimator.method.compares(self.estimator.terms) and not self.resting.enough(self.scene):
+        if method.compares(terms) and not self.resting.enough(self.scene):
             return self, self.unsolved(Status.UNRESTED)
-        return self._pushed_with_weights(readings) if self._chooses else self.estimator.method.push(self, readings)
-
-    def _pushed_with_weights(self, readings: Readings) -> tuple["Stream", Step]:
-        """As `push`, weights chosen anew by frames that differ from rest by a tenth more than any before them."""
-        if self.weights is not None and (self.hasty or not self.due(readings)):
-            stream = replace(self, estimator=self.estimator.with_weights(self.weights))
-            stream, step = self.estimator.method.push(stream, readings)
+        if self._chooses and self.weights is not None and (self.hasty or not self.due(readings)):
+            stream, step = method.push(replace(self, estimator=self.estimator.with_weights(self.weights)), readings)
             return replace(stream, estimator=self.estimator), step
-        stream, step = self.estimator.method.push(self, readings)
-        if not step.solution.solved:
-            return stream, step
-        return replace(stream, weights=step.weights, weighed_at=self._change(readings)), step
+        stream, step = method.push(self, readings)
+        if self._chooses and step.solution.solved:
+            stream = replace(stream, weights=step.weights, weighed_at=self._change(readings))
+        return stream, step
 
     def due(self, readings: Readings) -> bool:
         """Whether weights that the data of the strongest frame choose are to be chosen anew by a frame."""
@@ -143,7 +141,8 @@ class Stream(SequenceState):
         """
         if self.estimator.method.together:
             return self.estimator.method.sequence(self, resting, readings, on_frame)
-        stream, steps = self, []
+        stream: Stream = self
+        steps = []
         for frame in range(len(readings.value)):
             stream, step = stream.push(readings[frame])
             steps.append(step)

@@ -7,13 +7,13 @@ from numpy.typing import NDArray
 
 from lampest.estimate.model_check import ModelCheck, recording_check
 from lampest.estimate.noise import NoiseSeen, frame_noise_seen
+from lampest.estimate.outliers import FAR
 from lampest.estimate.rivals import changes_beyond_noise
 from lampest.recording.readings import Readings
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
 
 STEPS = 16  # of the converter: a median reading that close to a rail is known to 6 % at best
 TOLERATED, NEAR = 3.0, 8.0  # σ of voltages that count as the same; as many such widths without others beside
-FAR = 6.0  # such widths: how far a loaded channel has moved
 SEVERAL = 5  # readings: a finger moves as many
 QUIET, LOUD = 0.1, 10.0  # of the specified noise: no converter is specified so badly, units are
 
@@ -29,9 +29,9 @@ def warnings_of(
     noise, check = noise or frame_noise_seen(recording), check or recording_check(recording)
     readings = recording.readings()
     less = "" if check.better else _less_load(recording, readings)
-    plain = (_roles(recording.role), _unit(recording), _scatter(recording, noise), less)
+    plain = (_roles(recording.role), _unit(recording, readings), _scatter(recording, noise), less)
     circuit = check.sentence if check.mark in ("no", "not checked") else ""
-    return tuple(filter(None, (*plain, _piled(recording), circuit, check.together, *noise.warnings)))
+    return tuple(filter(None, (*plain, _piled(recording, readings), circuit, check.together, *noise.warnings)))
 
 
 def unsolved(solved: NDArray[np.bool_], status: tuple[str, ...]) -> str:
@@ -50,13 +50,12 @@ def _roles(role: NDArray[np.uint8]) -> str:
     return "only one frame is unloaded, so that nothing shows the noise: record five or more" if unloaded == 1 else ""
 
 
-def _unit(recording: Recording) -> str:
-    circuit, readout = recording.scene.circuit, recording.scene.readout
+def _unit(recording: Recording, readings: Readings) -> str:
+    circuit, readout, recorded = recording.scene.circuit, recording.scene.readout, recording.recorded
     if readout is None or recording.sigma is not None:
         return ""
-    recorded = recording.recorded
     if readout.floor_code is not None:  # codes that were not recorded say nothing of the unit
-        recorded = np.where(recording.readings().plain, recorded, np.nan)
+        recorded = np.where(readings.plain, recorded, np.nan)
     volt = float(np.nanmedian(circuit.volt_from_recorded(recorded)))
     steps = min(volt, readout.supply_volt - volt) / readout.lsb_volt
     if steps >= STEPS:
@@ -78,18 +77,14 @@ def _scatter(recording: Recording, noise: NoiseSeen) -> str:
     )
 
 
-def _piled(recording: Recording) -> str:
-    """Moved channels whose largest or least voltages are all the same, with none near by: a stage before the converter
-    saturates.
-    """
-    scene, readings = recording.scene, recording.readings()
-    unloaded, measured = (np.flatnonzero(recording.role == role) for role in (UNLOADED, MEASURED))
-    if scene.readout is None or not len(unloaded) or not len(measured):
+def _piled(recording: Recording, readings: Readings) -> str:
+    """Moved channels that end at one voltage, with none near by: a stage before the converter saturates."""
+    scene, unloaded, measured = recording.scene, recording.role == UNLOADED, recording.role == MEASURED
+    if scene.readout is None or not unloaded.any() or not measured.any():
         return ""
-    inside = (readings.side == 0) & (readings.seen > 0)
     recorded, width = scene.circuit.volt_from_recorded(recording.recorded), TOLERATED * scene.readout.sigma_volt()
     for sign in (1.0, -1.0):
-        volt = np.where(inside, sign * recorded, -np.inf)
+        volt = np.where(readings.plain, sign * recorded, -np.inf)
         most, resting = volt[measured].max(axis=0), volt[unloaded].max(axis=0)
         end = most.max()
         below = np.where(most - resting > FAR * width, end - most, np.inf)
@@ -105,11 +100,7 @@ def _piled(recording: Recording) -> str:
 
 def _less_load(recording: Recording, readings: Readings) -> str:
     """Where readings show less load than the unloaded frames alone: a load on these, or a circuit read in reverse."""
-    circuit, unloaded, measured = (
-        recording.scene.circuit,
-        *(np.flatnonzero(recording.role == role) for role in (UNLOADED, MEASURED)),
-    )
-    change = changes_beyond_noise(recording.scene, readings, unloaded, measured)
+    circuit, change = recording.scene.circuit, changes_beyond_noise(recording.scene, readings, recording.role)
     if (change > 0).any(axis=0).sum() < SEVERAL or (change < 0).any():
         return ""
     words = [
@@ -119,7 +110,5 @@ def _less_load(recording: Recording, readings: Readings) -> str:
         for word in get_args(get_type_hints(type(circuit))[name])
         if word != getattr(circuit, name)
     ]
-    return (
-        "readings only ever show less load than the unloaded frames: did something lie on the panel then"
-        f"{''.join(words)}?"
-    )
+    said = "readings only ever show less load than the unloaded frames: did something lie on the panel then"
+    return f"{said}{''.join(words)}?"

@@ -18,8 +18,9 @@ from lampest.cost.cost import Cost
 from lampest.cost.problem import Data, Evaluation
 from lampest.estimate.estimates import Estimates
 from lampest.estimate.estimator import Estimator
-from lampest.estimate.methods import AnyMethod, Method, MethodName, named_method
+from lampest.estimate.methods import AnyMethod, MethodName, named_method
 from lampest.estimate.methods.approximate import TruncatedMethod
+from lampest.estimate.methods.method import Method
 from lampest.estimate.sequence import first_stream, reconstruct
 from lampest.files.document import read_document, validated
 from lampest.files.errors import InputError

@@ -16,9 +16,9 @@ import numpy as np
 
 import lampest
 from lampest import LoadedColumnsReadout, Recording, Scene, Simulation, TwoPointReadout
-from lampest.estimate.cells_fit import PRICE
+from lampest.estimate.cells_fit import LEVEL, PRICE
 from lampest.estimate.model_check import Explanation, ModelCheck, recording_check
-from lampest.estimate.rivals import Question, rivals_of
+from lampest.estimate.rivals import Question, Rival
 from lampest.recording.simulation.measure import measured
 
 SHOWN, SHOWN_FROM = ", where the data can show it", 100.0  # evidence; its noise is some ± 2 √evidence
@@ -156,11 +156,11 @@ def evidence(exact: Recording) -> float:
     unloaded, measured = np.flatnonzero(exact.role == 0), np.flatnonzero(exact.role == 1)
     change = np.log(cells[measured[0]] / cells[0])
     moved = np.abs(change - np.median(change)) > 0.01
-    question = Question(next(rivals_of(exact.scene, exact.recorded, exact.sigma)), unloaded, measured)
+    question = Question(Rival(exact.scene, exact.recorded, exact.sigma), unloaded, measured)
     found = Explanation.of(question.specified, question, patient=True)
     if 2 * moved.sum() >= moved.size:
         return 0.0
-    if found is None or not found.holds:
+    if found is None or min(fit.tail for fit in found.fits) < LEVEL:
         return float("inf")
     return min(found.joint(question, start).score for start in (found.moving, moved)) - PRICE * int(moved.sum())
 

@@ -21,7 +21,7 @@ from support import live_pictures
 from lampest import two_point_resistance
 from lampest.cost.terms import Arrival, Misfit
 from lampest.estimate.estimator import AutoWeight, Bounds, Estimator
-from lampest.estimate.model_check import model_check
+from lampest.estimate.model_check import recording_check
 from lampest.estimate.sequence import reconstruct
 from lampest.files.errors import InputError
 from lampest.loads.force import Force, pressing_cells, total_force
@@ -226,7 +226,8 @@ def test_a_wrong_reading_and_channels_that_differ_are_no_other_circuit() -> None
     """The first loaded frames of the shipped mouth: one reading is wrong, and its rim presses cells to 100 ohm."""
     mouth = Recording.load(LAMPREY.with_name("lamprey_35mm.h5"))
     frames = np.append(np.flatnonzero(mouth.role == UNLOADED), [4, 5, 6])
-    check = model_check(mouth.scene, mouth.recorded[frames], None, np.arange(3), np.arange(3, 6))
+    role = np.array([UNLOADED] * 3 + [MEASURED] * 3, dtype=np.uint8)
+    check = recording_check(Recording(mouth.scene, mouth.recorded[frames], np.arange(6.0), role))
     assert check.mark == "yes"
 
 

@@ -9,42 +9,10 @@ from lampest.estimate.methods.smoother import SmootherMethod
 from lampest.files.errors import InputError, in_words
 from lampest.files.typed import ByKind, members_by_kind
 
-__all__ = [
-    "AnyMethod",
-    "LinearisedMethod",
-    "Method",
-    "MethodName",
-    "OptimalMethod",
-    "OralDiscMethod",
-    "RegionMethod",
-    "SmootherMethod",
-    "TruncatedMethod",
-    "UncorrectedMethod",
-    "named_method",
-]
-AnyMethod = Annotated[
-    OptimalMethod
-    | UncorrectedMethod
-    | LinearisedMethod
-    | TruncatedMethod
-    | RegionMethod
-    | OralDiscMethod
-    | SmootherMethod,
-    ByKind("lampest.methods"),
-]
-MethodName = Literal[
-    "per_pixel",
-    "nodal",
-    "reduced",
-    "auto",
-    "naive",
-    "scaled",
-    "linearised",
-    "truncated",
-    "region",
-    "oral_disc",
-    "smoother",
-]
+LessWork = UncorrectedMethod | LinearisedMethod | TruncatedMethod | RegionMethod
+AnyMethod = Annotated[OptimalMethod | LessWork | OralDiscMethod | SmootherMethod, ByKind("lampest.methods")]
+Exact = Literal["per_pixel", "nodal", "reduced", "auto"]
+MethodName = Literal[Exact, "naive", "scaled", "linearised", "truncated", "region", "oral_disc", "smoother"]
 
 
 def named_method(method: "Method | str") -> Method:

@@ -3,11 +3,10 @@
 from abc import abstractmethod
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import Any, Literal, Protocol
+from typing import Any, Literal
 
 import numpy as np
 
-from lampest.cost.cost import Cost
 from lampest.cost.problem import Data, Evaluation
 from lampest.estimate.methods.method import Method, OptimalMethod
 from lampest.estimate.state import S, Step
@@ -19,13 +18,6 @@ from lampest.solvers.multistart import BROKEN, evaluated
 from lampest.solvers.projected_newton import ProjectedNewton
 from lampest.solvers.region import RegionSolver
 from lampest.solvers.solution import Outcome, Settings, Solution, Solver, Status, approximation
-
-
-class Anchor(Protocol):
-    """What is prepared from a baseline."""
-
-    def solve(self, cost: Cost, data: Data, previous: Array) -> Solution:
-        """The cells of a frame after the last one, (rows, columns) ohm; cost : the anchor's, as the data ask for it."""
 
 
 @dataclass(frozen=True)
@@ -46,7 +38,7 @@ class AnchoredMethod(Method):
         return replace(found, prepared=self.anchor(here, objective.solver))
 
     @abstractmethod
-    def anchor(self, baseline: Evaluation, settings: Settings) -> Anchor:
+    def anchor(self, baseline: Evaluation, settings: Settings) -> LinearisedSolver | RegionSolver:
         """What serves the recording; baseline : the cost at the solved baseline, given its readings."""
 
     def solution(self, solver: Solver, data: Data, previous: Array | None, prepared: Any) -> Solution:
@@ -68,7 +60,7 @@ class LinearisedMethod(AnchoredMethod):
 
     kind: Literal["linearised"] = "linearised"
 
-    def anchor(self, baseline: Evaluation, settings: Settings) -> Anchor:
+    def anchor(self, baseline: Evaluation, settings: Settings) -> LinearisedSolver:
         """The baseline's factor."""
         return LinearisedSolver(baseline)
 
@@ -97,7 +89,7 @@ class RegionMethod(AnchoredMethod):
             raise InputError("formulation: region needs a cell at every crossing of its panel; take reduced")
         return super().begin(state, solved)
 
-    def anchor(self, baseline: Evaluation, settings: Settings) -> Anchor:
+    def anchor(self, baseline: Evaluation, settings: Settings) -> RegionSolver:
         """The baseline's network."""
         return RegionSolver(baseline, self.significance, settings)
 

@@ -15,7 +15,7 @@ from lampest.cost.problem import Data
 from lampest.cost.terms import Term
 from lampest.estimate.contacts import with_contacts
 from lampest.estimate.objective import Objective
-from lampest.estimate.state import S, SequenceState, Step
+from lampest.estimate.state import UNKNOWN, S, SequenceState, Step
 from lampest.estimate.weights import with_chosen_weights
 from lampest.files.errors import InputError
 from lampest.files.process import delayed_interrupt, ended_where_hung
@@ -109,11 +109,14 @@ class Method(Validated):
         objective, behind = state.estimator, state.background
         if self.joint_start(objective) and not state.rested:
             return objective.data(state.resting.together(readings), behind), None
-        known = resting = None
+        known = resting = deviation = None
         if objective.relative:
             known = self.guess(state.scene.circuit, readings.value) if state.previous is None else state.previous
             resting = None if state.baseline is None else state.baseline.estimate(0)
-        behind = replace(behind, previous=known, baseline=resting, previous_deviation=state.known_deviation())
+        if objective.weighs_previous:  # an open cell, and one without error bars, is not known at all
+            found = None if state.previous is None else state.previous_deviation
+            deviation = np.fmin(np.full(state.scene.panel.shape, np.nan) if found is None else found, UNKNOWN)
+        behind = replace(behind, previous=known, baseline=resting, previous_deviation=deviation)
         data = objective.data(readings.alone(), behind)
         if objective.weighs_previous and known is not None:
             step = data.readout.common_step(data.measured[0], data.network(0, known).reading(), data.plain[0])
@@ -231,10 +234,7 @@ class OptimalMethod(Method):
     joint: bool = False
 
     def check_scene(self, scene: Scene) -> None:
-        """Raise InputError where the formulation cannot say what the readout reads, or the panel is wired.
-
-        Node voltages inside a wired panel would be unknowns, too.
-        """
+        """Of formulations with node voltages: those inside a wired panel would be unknowns, too."""
         if self.kind not in FORMULATIONS:
             return
         FORMULATIONS[self.kind].check(scene.circuit)
