@@ -31,7 +31,7 @@ AT_RAILS = {  # what stands for the solver's own sentence where readings are at 
 }
 
 
-def error_bars(cells: Array, baseline: Array, steps: tuple[Step, ...]) -> dict[str, Array]:
+def barred_maps(cells: Array, baseline: Array, steps: tuple[Step, ...]) -> dict[str, Array]:
     """Name → (frames, rows, columns), as the properties of `Estimates`; ratio_lower, ratio_upper : of r/r0.
 
     σ_r = r·σ(log r), and r·exp(−below) to r·exp(above); infinite, or 0 of shares, where a frame has no bars.
@@ -301,7 +301,7 @@ class Estimates:
         """None unless an estimate has error bars, and the baseline too; of a part, unless others may have some."""
         if self.baseline_bars is None or not (self.asked or any(step.bars for step in self.steps)):
             return None
-        return error_bars(self.cell_resistance, self.baseline_resistance, self.steps)
+        return barred_maps(self.cell_resistance, self.baseline_resistance, self.steps)
 
     @property
     def _pressed(self) -> dict[str, Array] | None:

@@ -161,11 +161,11 @@ def _smooth_loads(shape: tuple[int, ...], frames: int) -> Array:
 def _own_error(moves: Moves, shape: tuple[int, ...]) -> tuple[float, Chosen]:
     """(e, which cells stand still): 0 unless it gains with cells chosen anew for each size, and with the last ones."""
     sizes = (0.0, *(size for size in ERRORS[2::2] if size * moves.reach <= LINEAR))
-    costs = {size: _still_cells(moves.change, moves.covariance(size)) for size in sizes}
+    costs = {size: still_cells(moves.change, moves.covariance(size)) for size in sizes}
     size = min(costs, key=lambda size: costs[size][0])
     if costs[size][0] <= costs[0.0][0] - GAIN:
         for _ in range(3):
-            _, still = _still_cells(moves.change, moves.covariance(min(size, LINEAR / moves.reach)))
+            _, still = still_cells(moves.change, moves.covariance(min(size, LINEAR / moves.reach)))
             size, gained = _size_of(moves, _apart_from_moved(still, shape))
         if gained > SURE:
             return size, still
@@ -206,7 +206,7 @@ def _possible(moves: Moves, size: float, still: Chosen) -> Array:
     return np.asarray(np.linalg.qr((vectors * np.sqrt(np.maximum(values, 0.0))).T)[1].T)
 
 
-def _still_cells(change: Array, covariance: Array) -> tuple[float, Chosen]:
+def still_cells(change: Array, covariance: Array) -> tuple[float, Chosen]:
     """(−2 log likelihood, which stand still): each cell where it is likelier, given those that stand still.
 
     A cell that moved has a change of variance 1, and costs MOVED; one beyond LOADED has. It begins with the half that
