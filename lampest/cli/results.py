@@ -122,12 +122,6 @@ def detect(
     patch: Annotated[
         float | None, option("--patch", "Edge length of a cell's film in mm, such as 6. Default: 0.6 of the pitch.")
     ] = None,
-    depth: Annotated[
-        float | None, option("--depth", "Depth of row 0 under water in mm, such as 50. Default: the scene's.")
-    ] = None,
-    noise: Annotated[
-        float | None, option("--noise", "Noise of a reading in percent, such as 0.5, if the scene names none.")
-    ] = None,
     estimator: Annotated[
         str | None,
         option("--estimator", "Estimator whose force and area are printed, such as LSM. Default: the first."),
@@ -138,24 +132,21 @@ def detect(
 
     Writes detections.h5 and a timeline of each recording; of results with pressures also pressed.csv with every frame.
     """
-    from lampest.loads.recognition.settings import RecognitionSettings
     from lampest.report.detect.detection import detect_recording, detect_results, is_results
     from lampest.report.detect.pressed import pressed
     from lampest.runs.results import read_results
 
-    try:
-        settings = RecognitionSettings(patch, depth, noise)
-    except ValueError as error:
-        raise InputError(str(error)) from error
+    if patch is not None and not 0 < patch < float("inf"):
+        raise InputError("--patch must be positive and finite")
     results = read_results(file, frames=_frames(frames)) if is_results(file) else None
     if results is None and estimator is not None:
         raise InputError(f"{file}: --estimator: a recording has none; name a results file")
     loads: Sequence[PressedCells] = ()
     with progress("recordings") as on_case:
         if results is None:
-            answers = [detect_recording(file, settings, _frames(frames))]
+            answers = [detect_recording(file, patch, _frames(frames))]
         else:
-            answers = detect_results(results, settings, on_case)
+            answers = detect_results(results, patch, on_case)
             loads = pressed(results.named("estimator", (estimator or results.estimators()[0],)))
     if as_json:
         content = [one.content() for one in answers]

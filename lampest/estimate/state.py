@@ -8,7 +8,7 @@ import numpy as np
 
 from lampest.cost.given import Background
 from lampest.estimate.objective import Objective
-from lampest.loads.recognition.oral_disc import OralDiscFit
+from lampest.loads.recognition.detector import OralDiscFit
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.posterior.dense import DenseMemory

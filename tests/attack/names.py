@@ -61,7 +61,7 @@ def _attributes(rng: np.random.Generator, folder: Path, count: int) -> Iterator[
             ("info", "small.h5"),
             ("info", "only.h5"),
             ("compare", "results.h5", "--report", "r.html"),
-            ("detect", "results.h5", "--noise", "1"),
+            ("detect", "results.h5"),
         ):
             ended = called(*arguments, folder=made)
             plain = printable(ended.out) and printable(ended.err) and "Traceback" not in ended.err

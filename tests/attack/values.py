@@ -100,7 +100,7 @@ def _results(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str
             ("compare", "results.h5", "--report", "r.html"),
             ("plot", "results.h5"),
             ("plot", "results.h5", "--show", "profiles"),
-            ("detect", "results.h5", "--noise", "1"),
+            ("detect", "results.h5"),
         ):
             fault = sensible(called(*arguments, folder=place))
             where = "all" if whole else "some"

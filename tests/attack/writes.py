@@ -54,7 +54,7 @@ FOLDERS = (
     (("study", "weights", "own.yaml", "--out", "OUT"), "small.h5", "tune.h5"),
     (("study", "weights", "OUT/tune.csv", "--out", "OUT"), "weights.yaml"),
     (("study", "starts", "OUT/starts.csv", "--random", "1", "--out", "OUT"), "run.yaml"),
-    (("detect", "OUT/detections.h5", "--noise", "1", "--out", "OUT"), "results.h5"),
+    (("detect", "OUT/detections.h5", "--out", "OUT"), "results.h5"),
     (("plot", "OUT/contours_small.png", "--out", "OUT"), "results.h5"),
 )
 TWICE = (
@@ -107,7 +107,7 @@ def _over_inputs(rng: np.random.Generator, folder: Path, count: int) -> Iterator
             place = f"again{index}{Path(writer[1]).suffix}"
             (made / place).hardlink_to(made / writer[1])
         yield _untouched(made, (*writer, place), "what is read")
-    yield _untouched(made, ("detect", "detections.h5", "--noise", "1"), "what is read")
+    yield _untouched(made, ("detect", "detections.h5"), "what is read")
 
 
 def _own_inputs(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:

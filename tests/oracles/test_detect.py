@@ -8,11 +8,10 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from lampest.loads.recognition.candidates import AND, CANDIDATES, FLAT, Several
-from lampest.loads.recognition.detector import Detector, discs_of
+from lampest.loads.recognition.detector import Detector, discs_of, fit_oral_disc
 from lampest.loads.recognition.evidence import CANNOT_BE, Verdict, outline_cost
-from lampest.loads.recognition.field import SD, field_fit, paid, prior, states
+from lampest.loads.recognition.fit import SD, field_fit, paid, prior, states
 from lampest.loads.recognition.observation import Baseline, Observation, Whitening, outliers
-from lampest.loads.recognition.oral_disc import fit_oral_disc
 from lampest.loads.recognition.settings import ModelErrors
 from lampest.loads.shapes import Block, OralDisc, Ring, Rod, SuctionCup
 from lampest.loads.shapes.disc import Disc, pressure_at_places
@@ -222,7 +221,7 @@ def test_the_field_has_the_evidence_of_its_gaussian() -> None:
     frame, cells = frames_of(recorded(frames=1))[0], PANEL.rows * PANEL.columns
     fit, _ = field_fit(frame)
     slope = frame.slope(fit.change)
-    spread = frame.covariance(fit.change) + slope @ prior(frame, np.full(cells, SD[0])) @ slope.T
+    spread = frame.covariance(slope) + slope @ prior(frame, np.full(cells, SD[0])) @ slope.T
     expected = multivariate_normal(np.zeros(cells), spread, allow_singular=False).logpdf(frame.residual())
     constant = cells * np.log(2 * np.pi) / 2 - paid(PANEL, states(PANEL, np.zeros(PANEL.shape)))
     assert fit.evidence == pytest.approx(expected + constant, abs=0.5)

@@ -47,7 +47,7 @@ def watched(
     readings = recordings[0].readings()
     resting = readings[[0, 1, 2]].mean()
     assert readings.sigma is not None
-    panelled = Panelled(SCENE, 6.0, np.zeros(SCENE.panel.shape), ModelErrors())
+    panelled = Panelled(SCENE, Detector(SCENE.panel, 6.0), np.zeros(SCENE.panel.shape), ModelErrors())
     watch = Watch.begin(panelled, resting.value, readings.sigma[0], readings.value[:3], 0.0)
     rng, time = np.random.default_rng(3), 0.0
     wander = drift * (1 + 0.1 * rng.standard_normal(SCENE.panel.shape))

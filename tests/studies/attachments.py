@@ -26,7 +26,7 @@ from lampest.panel.response import PublishedResponse
 from lampest.panel.scene import Scene
 from lampest.recording.recording import Recording
 from lampest.report.detect.answer import Detected
-from lampest.report.detect.detection import AS_PUBLISHED, Known, known_of, measured_frames
+from lampest.report.detect.detection import Known, known_of, measured_frames
 from tests.studies.mouth_scenes import GRID, MAKERS, MOUTHS, Film, film
 from tests.studies.mouth_scenes import Scene as Made
 
@@ -172,7 +172,7 @@ def seen(kind: str, rate: float, seed: int, side: int = 10, attached_s: float = 
     begin = process_time()
     watched = known_of(whole)
     assert isinstance(watched, Known)
-    watch, moments = watched.watch(AS_PUBLISHED), []
+    watch, moments = watched.watch(), []
     for value, sigma, time in measured_frames(whole, watched, np.ones(len(whole.time), dtype=bool)):
         watch = watch.push(value, sigma, time)
         moments += [watch] if len(moments) < 2 and time >= touch + (5, 10)[len(moments)] else []

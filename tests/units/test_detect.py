@@ -14,7 +14,7 @@ from support import invented_case
 
 from lampest.files.errors import InputError
 from lampest.loads.recognition.attachment import Attachment, continued_by
-from lampest.loads.recognition.settings import ModelErrors, RecognitionSettings
+from lampest.loads.recognition.settings import ModelErrors
 from lampest.loads.shapes import OralDisc
 from lampest.panel.panel import Panel
 from lampest.panel.readouts import LoadedColumnsReadout, TwoPointReadout
@@ -219,10 +219,10 @@ def test_errors_are_those_that_the_scene_names() -> None:
     assert errors.reading_error == 0.03
 
 
-def test_settings_out_of_range_are_refused() -> None:
-    for wrong in ({"patch_mm": 0.0}, {"noise_percent": -1.0}, {"top_row_depth_mm": -5.0}):
-        with pytest.raises(ValueError, match="must"):
-            RecognitionSettings(**wrong)  # type: ignore[arg-type]
+@pytest.mark.parametrize("patch", ["0", "-6", "nan", "inf"])
+def test_an_edge_of_the_film_that_is_none_is_refused(tmp_path: Path, lampest: Command, patch: str) -> None:
+    said = lampest("detect", tmp_path / "any.h5", "--patch", patch)
+    assert said.code == 2 and "--patch must be positive and finite" in said.err
 
 
 def test_a_file_that_is_neither_is_refused(tmp_path: Path) -> None:

@@ -15,10 +15,9 @@ from lampest.estimate.state import S, SequenceState, Step
 from lampest.files.errors import InputError
 from lampest.files.process import delayed_interrupt
 from lampest.loads.pressure import water_pressure
-from lampest.loads.recognition.detector import Detector
+from lampest.loads.recognition.detector import Detector, OralDiscFit, fit_oral_disc
 from lampest.loads.recognition.observation import Baseline, Observation, counting
-from lampest.loads.recognition.oral_disc import OralDiscFit, fit_oral_disc
-from lampest.loads.recognition.settings import ModelErrors, RecognitionSettings
+from lampest.loads.recognition.settings import ModelErrors, patch_of
 from lampest.panel.panel import Array
 from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.scene import Scene
@@ -61,7 +60,7 @@ class OralDiscTracker:
         common = None if noise is None else noise.columns(readings.value[None], False)
         water = water_pressure(panel, state.scene.water)
         frame = Observation(readings.value, _sigma(readings), self.baseline, water, seconds, common=common)
-        detector = self.detector or Detector(panel, RecognitionSettings().patch_of(panel))
+        detector = self.detector or Detector(panel, patch_of(panel))
         found = fit_oral_disc(detector, frame, None if self.last is None else self.last.fit)
         return replace(self, frames=self.frames + 1, detector=detector, last=found), found
 

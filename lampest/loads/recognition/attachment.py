@@ -3,18 +3,21 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import exp, hypot, inf, log
+from typing import Any
 
 import numpy as np
 
 from lampest.loads.force import CLEAR
 from lampest.loads.recognition.breathing import Breath
+from lampest.loads.recognition.candidates import under
 from lampest.loads.recognition.evidence import Verdict
 from lampest.loads.recognition.observation import Observation
 from lampest.loads.shapes.disc import Disc
 from lampest.panel.panel import Array
 
-OFTEN = 0.9  # of its windows in which a mouth breathes; an assumption
-PAUSED, SURE = -5.0, 10.0  # of ln odds, what absence of breathing, and breathing, can bring together at most
+# Windows in which a mouth breathes; and of ln odds, what absence of breathing, and breathing, can bring together at
+# most. Assumptions.
+OFTEN, PAUSED, SURE = 0.9, -5.0, 10.0
 
 Pair = tuple[float, float]
 
@@ -54,11 +57,6 @@ class Attachment:
         return self.suction / (1 + exp(-self.breathing))
 
     @property
-    def shaken(self) -> bool:
-        """Whether it moves at a breathing rate, but probably not by its suction."""
-        return self.breathing > 0 and self.suction < 0.5
-
-    @property
     def here(self) -> bool:
         """Whether it is still there."""
         return self.until_s is None
@@ -72,6 +70,11 @@ class Attachment:
     def size(self) -> float:
         """Its diameter, mm; without one infinite: it may be anywhere."""
         return inf if self.diameter_mm is None else self.diameter_mm[0]
+
+    @property
+    def width(self) -> float:
+        """mm; of what has no diameter the edge of a square of its area."""
+        return self.size if self.diameter_mm or self.area_mm2 is None else self.area_mm2[0] ** 0.5
 
     def distance(self, place: tuple[float, float]) -> float:
         """To a place, mm."""
@@ -89,29 +92,26 @@ class Attachment:
         """After a window; full : whether its odds stay. A mouth breathes in OFTEN of all windows."""
         odds = float(np.clip(self.before + np.logaddexp(log(1 - OFTEN), log(OFTEN) + seen.odds), PAUSED, SURE))
         here = replace(self, breathing=odds, before=odds if full else self.before)
-        clear = seen.odds > 0 or self.breathing_hz is None
-        return (
-            replace(here, breathing_hz=seen.hertz, breathing_depth=seen.depth, suction=seen.suction) if clear else here
-        )
+        if seen.odds <= 0 and self.breathing_hz is not None:
+            return here
+        return replace(here, breathing_hz=seen.hertz, breathing_depth=seen.depth, suction=seen.suction)
 
 
-def attachment_of(frame: Observation, verdict: Verdict, number: int, since: float) -> Attachment:
-    """One load of the most probable candidate."""
-    best, panel = verdict.best, frame.baseline.scene.panel
-    (candidate, own), before = best.loads[number], sum(len(own) for _, own in best.loads[:number])
-    disc = candidate.disc(own)
-    touched = _touched(frame, best.change, disc)
-    if disc is None:
-        return replace(touched, sucks=verdict.sucks, since_s=since)
-    covariance = best.covariance[before : before + len(own), before : before + len(own)]
-    pairs = {
-        name: (value, float(np.sqrt(slopes @ covariance @ slopes)))
-        for name, (value, slopes) in candidate.report(own).items()
-    }
-    sucks, place = verdict.sucks_at(disc), {"x_mm": disc.x_mm, "y_mm": disc.y_mm}
-    x, y = (pairs.get(name, (at, panel.pitch_mm / 2)) for name, at in place.items())
-    here = replace(touched, sucks=sucks, since_s=since, sucks_s=since if sucks > 0.5 else None, x_mm=x, y_mm=y)
-    return replace(here, diameter_mm=pairs.get("diameter_mm"), suction_kpa=pairs.get("suction_kpa"))
+def attachments_of(frame: Observation, verdict: Verdict, since: float) -> list[Attachment]:
+    """All loads of the most probable candidate."""
+    best, found, first = verdict.best, list[Attachment](), 0
+    for candidate, own in best.loads:
+        disc, after = candidate.disc(own), first + len(own)
+        covariance, first = best.covariance[first:after, first:after], after
+        here = replace(_touched(frame, best.change, disc), sucks=verdict.sucks_at(disc), since_s=since)
+        if disc is not None:
+            apart = frame.baseline.scene.panel.pitch_mm / 2
+            pairs: dict[str, Any] = {"x_mm": (disc.x_mm, apart), "y_mm": (disc.y_mm, apart)}
+            for name, (value, slopes) in candidate.report(own).items():
+                pairs[name] = value, float(np.sqrt(slopes @ covariance @ slopes))
+            here = replace(here, sucks_s=since if here.sucks > 0.5 else None, **pairs)
+        found.append(here)
+    return found
 
 
 def _touched(frame: Observation, change: Array, disc: Disc | None) -> Attachment:
@@ -119,12 +119,11 @@ def _touched(frame: Observation, change: Array, disc: Disc | None) -> Attachment
     panel = frame.baseline.scene.panel
     cells = frame.cells(change, np.eye(change.size))
     found, sd = (part.reshape(change.shape) for part in (cells.state, np.sqrt(np.diag(cells.covariance))))
-    x, y = panel.places_mm
     moved = np.abs(found) > CLEAR * np.hypot(sd, frame.baseline.model_errors.resting_sd(frame.seconds))
     if disc is not None:
-        moved &= np.hypot(x - disc.x_mm, y - disc.y_mm) < (disc.diameter_mm + panel.pitch_mm) / 2
+        moved &= under(panel, disc)
     weight = np.abs(found) * (moved if moved.any() else 1.0)
-    at = [(float(np.nansum(weight * line) / weight.sum()), panel.pitch_mm / 2) for line in (x, y)]
+    at = [(float(np.nansum(weight * line) / weight.sum()), panel.pitch_mm / 2) for line in panel.places_mm]
     resting = np.exp(-frame.baseline.logarithm)
     more, error = resting * np.expm1(-found), resting * np.exp(-found) * sd
     count, square = int(moved.sum()), panel.pitch_mm**2

@@ -7,7 +7,7 @@ taken off. Equations are in docs/theory/recognition.md.
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import logsumexp
+from scipy.special import expit, logsumexp
 
 from lampest.loads.recognition.evidence import RARER
 from lampest.loads.recognition.fit import Fit
@@ -62,25 +62,26 @@ def breaths(
     times : (frames) s. logarithms : (frames, readings) ln y. frame, fit : what was recognised, and of what. whitening :
     (readings, readings). pressure : (rows, columns) kPa of the fit.
     """
-    model, panel = frame.measured.ravel(), frame.baseline.scene.panel
-    names = list(fit.candidate.priors(panel))
-    slopes = dict(zip(names, (whitening @ (fit.slopes / model[:, None])).T, strict=True))
-    changes, discs, patterns = logarithms - np.log(model), [], []
-    for number, (part, own) in enumerate(fit.loads):
-        before, disc = f"{number}." if len(fit.loads) > 1 else "", part.disc(own)
-        moved = {name: sd * slopes[before + name] for name, sd in MOVES.items() if before + name in slopes}
+    model = frame.measured.ravel()
+    slopes = iter((whitening @ (fit.slopes / model[:, None])).T)
+    centres, patterns = list[tuple[float, float]](), list[list[Array]]()
+    for part, own in fit.loads:
+        names = part.priors(frame.baseline.scene.panel)
+        by_name = dict(zip(names, slopes, strict=False))
+        disc, moved = part.disc(own), {name: sd * by_name[name] for name, sd in MOVES.items() if name in by_name}
         if disc is not None and "suction" in moved and "push" in moved:
             suction, rim, *moves = moved.values()
-            discs.append(disc)
+            centres.append((disc.x_mm, disc.y_mm))
             patterns.append([suction + rim, rim, *moves])
-    changes, found = changes - _of_water(changes, frame, fit, pressure), []
-    for number, (disc, (own, rim, *moves)) in enumerate(zip(discs, patterns, strict=True)):
+    changes, found = logarithms - np.log(model), []
+    changes = changes - _of_water(changes, frame, fit, pressure)
+    for number, (centre, (own, rim, *moves)) in enumerate(zip(centres, patterns, strict=True)):
         others = [MOVES["supply"] * whitening.sum(axis=1)]
-        for other, (beside, _, *moving) in enumerate(patterns):
-            others += [] if other == number else [beside, *moving]
+        for beside, _, *moving in (*patterns[:number], *patterns[number + 1 :]):
+            others += [beside, *moving]
         seen = Patterns(own, rim, np.array(moves).T, np.array(others).T)
         heard = breath(times, changes @ whitening.T, seen)
-        found += [] if heard is None else [((disc.x_mm, disc.y_mm), heard)]
+        found += [] if heard is None else [(centre, heard)]
     return found
 
 
@@ -106,17 +107,14 @@ def breath(times: Array, changes: Array, patterns: Patterns) -> Breath | None:
     axes, gain = np.swapaxes(axes, 1, 2), sizes**2
     amplitude, total = axes @ series, float(series @ series)
     power = (amplitude**2).sum(axis=1)
-    freedom = len(times) - trend.shape[1]
-    breathing, steady = (_evidence(total, amplitude, gain, sd, freedom) for sd in (BREATH, STEADY))
-    best = int(np.argmax(power))
-    suction = _suction(patterns, axes @ (changes - trend @ (trend.T @ changes)), best)
-    noise = max(total - power[best], 1e-12) / max(freedom - 2, 1)
-    size = float(np.mean(gain[best]))
+    freedom, best = len(times) - trend.shape[1], int(np.argmax(power))
+    breathing, steady = (logsumexp(_evidence(total, amplitude, gain, sd, freedom)) for sd in (BREATH, STEADY))
+    noise, size = max(total - power[best], 1e-12) / max(freedom - 2, 1), float(np.mean(gain[best]))
     depth = np.sqrt(max(power[best] / size, 1e-12))
     spread = np.sqrt(6 * noise / (size * 2)) / (np.pi * lasted * depth)  # Rife and Boorstyn, IEEE Trans. IT-20, 1974
     return Breath(
-        float(logsumexp(breathing) - logsumexp(steady)),
-        suction,
+        float(breathing - steady),
+        _suction(patterns, axes @ (changes - trend @ (trend.T @ changes)), best),
         (float(hertz[best]), float(np.hypot(spread, 0.25 / lasted / 12**0.5))),
         (float(depth), float(np.sqrt(noise / size))),
     )
@@ -135,26 +133,25 @@ def _evidence(total: float, amplitude: Array, gain: Array, sd: float, freedom: i
 def _suction(patterns: Patterns, moving: Array, at: int) -> float:
     """How probable it is that suction oscillates with its rim, not the rim alone nor the load's place or tilt.
 
-    moving : (rates, 2, readings). at : the rate in question. Each is one pattern, or a span of patterns, beside
-    `others`. Rims are compared by what they leave unexplained at that rate, where errors have one unknown scale.
-    Places are, at any rate, by what they explain above the median of all rates, because the square of a movement
-    oscillates twice as fast. As many readings count as suction reaches.
+    moving : (rates, 2, readings). at : the rate in question. Rims are compared by what they leave unexplained at that
+    rate, where errors have one unknown scale; places, at any rate, by what they explain above the median of all rates,
+    because the square of a movement oscillates twice as fast. As many readings count as suction reaches.
     """
     apart = np.linalg.qr(patterns.others)[0]
+    moving = moving - moving @ apart @ apart.T
 
     def along(columns: Array) -> Array:
-        """(rates) of the square of what moves, the part in their span."""
+        """(rates) of the square of what moves, the part in their span beside `others`."""
         span = np.linalg.qr(columns - apart @ (apart.T @ columns))[0]
         return np.asarray(((moving @ span) ** 2).sum(axis=(1, 2)))
 
-    moving = moving - moving @ apart @ apart.T
     whole = float((moving[at] ** 2).sum())
     own, rim, moves = (along(one) for one in (patterns.own[:, None], patterns.rim[:, None], patterns.moves))
     left = max(whole - rim[at], 1e-12) / max(whole - own[at], 1e-12)
     above = max(own[at] - np.median(own), 1e-12) / max(float(np.max(moves) - np.median(moves)), 1e-12)
     reaches = (patterns.own @ patterns.own) ** 2 / (patterns.own**4).sum()
     odds = RARER + np.log(2) + reaches / 2 * np.log([left, above])  # both together are as rare
-    return float(1 / (1 + np.exp(-odds).sum()))
+    return float(expit(-logsumexp(-odds)))
 
 
 def _of_water(changes: Array, frame: Observation, fit: Fit, pressure: Array) -> Array:

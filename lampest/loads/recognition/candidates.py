@@ -1,18 +1,21 @@
-"""What a frame may show: nothing, the same pressure everywhere, one of the shapes, or several of them at once."""
+"""What a frame may show: nothing, one pressure everywhere, a shape or several at once; and where their fits begin."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import accumulate
 
 import numpy as np
+from numpy.typing import NDArray
 
+from lampest.loads.recognition.observation import Observation, Whitening, unit
 from lampest.loads.shapes import shape_types
-from lampest.loads.shapes.disc import Disc
-from lampest.loads.shapes.shape import Candidate, Prior
+from lampest.loads.shapes.disc import Disc, pressure_at_places
+from lampest.loads.shapes.shape import Candidate, Prior, Template
 from lampest.panel.panel import Array, Panel
 
 AND = " and "
+FULL_KPA, HOLLOW_KPA = (0.0, 8.0), (-6.0, 30.0)  # inside and under the rim, where a fit begins
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -28,13 +31,13 @@ class Several(Candidate):
 
     def priors(self, panel: Panel) -> Mapping[str, Prior]:
         """Those of every part, its number before their names."""
-        return {
-            f"{number}.{name}": p for number, part in enumerate(self.parts) for name, p in part.priors(panel).items()
-        }
+        each = enumerate(part.priors(panel).items() for part in self.parts)
+        return {f"{number}.{name}": prior for number, priors in each for name, prior in priors}
 
     def loads(self, parameters: Array) -> list[tuple[Candidate, Array]]:
         """Every part with its own φ."""
-        return list(zip(self.parts, np.split(parameters, self._ends), strict=True))
+        lengths = [len(part.priors(Panel(2, 2))) for part in self.parts]  # the same on every panel
+        return list(zip(self.parts, np.split(parameters, list(accumulate(lengths))[:-1]), strict=True))
 
     def pressure(self, panel: Panel, patch_mm: float, parameters: Array) -> tuple[Array, Array]:
         """The sum, and the slopes of each by its own numbers."""
@@ -47,32 +50,24 @@ class Several(Candidate):
 
     def like(self, other: Candidate, parameters: Array) -> Array | None:
         """That of every part where there are as many."""
-        loads = other.loads(parameters)
-        if len(loads) != len(self.parts):
-            return None
-        begin = [part.like(one, own) for part, (one, own) in zip(self.parts, loads, strict=True)]
+        begin = [part.like(*load) for part, load in zip(self.parts, other.loads(parameters), strict=False)]
         found = [one for one in begin if one is not None]
-        return np.concatenate(found) if len(found) == len(begin) else None
+        return np.concatenate(found) if len(found) == len(self.parts) == len(other.loads(parameters)) else None
 
     def blind(self, parameters: Array) -> Array:
         """Those of the parts."""
         return np.concatenate([part.blind(own) for part, own in self.loads(parameters)])
 
-    @cached_property
-    def _ends(self) -> list[int]:
-        """Where the numbers of each part end but of the last; the same on every panel."""
-        return list(accumulate(len(part.priors(Panel(2, 2))) for part in self.parts))[:-1]
-
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Uniform(Candidate):
-    """p = φ on all cells, which is also what a drift of the whole panel looks like; none at all without a parameter."""
+    """p = φ on all cells, which is also what a drift of the whole panel looks like; none at all without a number."""
 
-    numbers: Mapping[str, Prior]
+    numbers: tuple[str, ...] = ()
 
     def priors(self, panel: Panel) -> Mapping[str, Prior]:
-        """That of the pressure in kPa, on any panel."""
-        return self.numbers
+        """5 kPa about nothing, on any panel: an assumption."""
+        return {name: Prior(0, 5) for name in self.numbers}
 
     def pressure(self, panel: Panel, patch_mm: float, parameters: Array) -> tuple[Array, Array]:
         """p = φ."""
@@ -84,10 +79,81 @@ class Uniform(Candidate):
         return np.zeros(len(self.numbers))
 
 
-NOTHING = Uniform(label="nothing", numbers={})
-FLAT = Uniform(label="flat load", numbers={"flat": Prior(0, 5)})
-UNIFORM: tuple[Candidate, ...] = (NOTHING, FLAT)
+NOTHING, FLAT = UNIFORM = Uniform(label="nothing"), Uniform(label="flat load", numbers=("flat",))
 LOADS: tuple[Candidate, ...] = tuple(shape.candidate for shape in shape_types() if shape.candidate is not None)
-CANDIDATES = UNIFORM + LOADS
-FIELD = Uniform(label="unlike any", numbers={})  # changes of any form, see `lampest.loads.recognition.field`
+CANDIDATES = (*UNIFORM, *LOADS)
+FIELD = Uniform(label="unlike any")  # changes of any form, see `lampest.loads.recognition.fit.field_fit`
 KINDS = (*(candidate.label for candidate in CANDIDATES), FIELD.label)
+
+
+def under(panel: Panel, disc: Disc) -> NDArray[np.bool_]:
+    """(rows, columns) which cells a disc reaches: it ends at most half a pitch before their centres."""
+    across, down = panel.places_mm
+    return np.asarray(np.hypot(across - disc.x_mm, down - disc.y_mm) < (disc.diameter_mm + panel.pitch_mm) / 2)
+
+
+@dataclass(frozen=True, eq=False)
+class DiscSearch:
+    """A matched filter: round templates about every cell's centre and between four of them.
+
+    discs : (discs) what a fit begins with where one of them matches, one template after the other. changes : (cells,
+    discs) ln r/r0 of unit length.
+    """
+
+    panel: Panel
+    templates: tuple[Template, ...]
+    discs: tuple[Disc, ...]
+    changes: Array
+
+    @classmethod
+    def over(cls, panel: Panel, patch_mm: float, templates: tuple[Template, ...]) -> "DiscSearch":
+        """All templates laid over a panel."""
+        discs, patterns = [], []
+        x, y = panel.places_mm[:, panel.present]
+        apart = np.round([x - x[:, None], y - y[:, None]], 6).reshape(2, -1)  # from every cell to every other
+        ways, way = np.unique(apart, axis=1, return_inverse=True)
+        for template in templates:
+            size = (template.outer_mm, template.inner_mm)
+            pressures = HOLLOW_KPA if template.inner_mm else FULL_KPA
+            for shift in (0.0, panel.pitch_mm / 2):
+                shifted = Disc(shift, shift, *size, template.inside, -1.0, 0.0, 0.0)
+                pattern, _ = pressure_at_places(ways, patch_mm, shifted)
+                patterns.append(pattern[way.ravel()].reshape(len(x), -1))
+                discs += [Disc(*at, *size, *pressures, 0.0, 0.0) for at in zip(x + shift, y + shift, strict=True)]
+        changes = np.zeros((panel.crossings, len(discs)))
+        changes[panel.present.ravel()] = np.concatenate(patterns).T
+        return cls(panel, templates, tuple(discs), unit(changes))
+
+    @cached_property
+    def faint(self) -> NDArray[np.bool_]:
+        """(discs) whether it is looked for in the errors of the readings, too."""
+        return np.repeat([template.faint for template in self.templates], len(self.discs) // len(self.templates))
+
+    @cached_property
+    def places(self) -> Array:
+        """(faint discs, 2) their centres, mm."""
+        return np.array([disc[:2] for disc in self.discs])[self.faint]
+
+    def readings(self, frame: Observation) -> Array:
+        """(cells, faint discs) ohm: what they add to the readings of a panel at rest."""
+        return np.asarray(frame.slope(np.zeros(self.panel.shape)) @ self.changes[:, self.faint])
+
+    def starts(self, frame: Observation, rest: Whitening) -> list[Disc]:
+        """Where each template fits a map of the cells best, then where it fits the errors of a panel at rest.
+
+        The map shows strong loads, whose errors are not in proportion; the errors show weak ones through noise.
+        """
+        size = len(self.discs) // len(self.templates)
+        on_map, errors = self.changes.T @ np.tanh(frame.map).ravel(), np.full(len(self.discs), -np.inf)
+        errors[self.faint] = unit(rest @ self.readings(frame)).T @ (rest @ frame.residual())
+        rows = sorted(enumerate(on_map.reshape(-1, size)), key=lambda row: -row[1].max())
+        rows += [row for row in enumerate(errors.reshape(-1, size)) if self.templates[row[0]].faint]
+        return [self.discs[number] for number in dict.fromkeys(at * size + int(np.argmax(row)) for at, row in rows)]
+
+    def beside(self, change: Array, discs: Sequence[Disc]) -> Disc | None:
+        """Where one more load may stand on a map of ln r/r0 (rows, columns), clear of those discs; None: nowhere."""
+        left = np.tanh(change)
+        for disc in discs:
+            left[under(self.panel, disc)] = 0.0
+        score = self.changes.T @ left.ravel()
+        return self.discs[int(np.argmax(score))] if score.max() > 0 else None

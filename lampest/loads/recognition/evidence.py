@@ -4,6 +4,7 @@ Beforehand all kinds are alike, but for further loads, suction that raises no ce
 rims that cancel suction between patches fit any outline, and of outlines there are many more than candidates.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from math import exp, hypot, log
@@ -11,11 +12,11 @@ from math import exp, hypot, log
 import numpy as np
 from scipy.special import softmax
 
-from lampest.loads.recognition.candidates import FIELD, UNIFORM
+from lampest.loads.recognition.candidates import FIELD, UNIFORM, under
 from lampest.loads.recognition.fit import Fit
 from lampest.loads.response import PUBLISHED
 from lampest.loads.shapes.disc import Disc
-from lampest.panel.panel import Array, Panel
+from lampest.panel.panel import Panel
 from lampest.panel.response import Response
 
 # Of ln P, assumptions: of every further load, or a rim that moves without its suction; and of what cannot be, hidden
@@ -24,7 +25,6 @@ RARER, CANNOT_BE = log(20), 60.0
 # ln r/r0 that a panel shows clearly, a suction of 1 kPa; and the part of what a cell under suction alone would
 # show. Mouths of 24 to 45 mm at a pitch of 10 mm show more than 0.7 in some cell, and nine in ten more than 0.9.
 SHOWN, SHARE = 0.2, 0.35
-OVERLAP = 0.3  # of the smaller one's diameter: less may be the error of both edges
 # By how much differences of evidence count: films and loads differ from their models in more ways than errors say.
 # Fitted by log-likelihood to scenes made without this package's simulation; see docs/studies/mouths.md.
 COUNTS = 0.5
@@ -43,6 +43,16 @@ class Verdict:
     shares: tuple[float, ...]
     goodness: float
     evidence: float
+
+    @classmethod
+    def of(cls, panel: Panel, fits: Sequence[Fit], readings: int, response: Response = PUBLISHED) -> "Verdict":
+        """Where no candidate fits, differences of evidence count less, by χ² per reading of the best one."""
+        before = np.array([prior_cost(panel, fit, response) for fit in fits])
+        evidence = np.array([fit.evidence for fit in fits])
+        goodness = fits[int(np.argmax(evidence - before))].chi2 / readings
+        counts = (COUNTS if len(fits) > len(UNIFORM) else 1.0) / max(1.0, goodness)
+        shares = softmax(counts * evidence - before)
+        return cls(tuple(fits), tuple(map(float, shares)), goodness, float(max(evidence - before)))
 
     @property
     def best(self) -> Fit:
@@ -77,20 +87,6 @@ class Verdict:
         return sum(share for fit, share in pairs if _sucks(fit, disc)) / max(1 - self.nothing, 1e-9)
 
 
-def judged(panel: Panel, fits: tuple[Fit, ...], readings: int, response: Response = PUBLISHED) -> Verdict:
-    """The verdict on one frame.
-
-    Where no candidate fits, differences of evidence count less, by χ² per reading of the best one. Candidates that were
-    not fitted, because nothing stands out, have no probability.
-    """
-    before = np.array([prior_cost(panel, fit, response) for fit in fits])
-    evidence = np.array([fit.evidence for fit in fits])
-    goodness = fits[int(np.argmax(evidence - before))].chi2 / readings
-    counts = (COUNTS if len(fits) > len(UNIFORM) else 1.0) / max(1.0, goodness)
-    shares = softmax(counts * evidence - before)
-    return Verdict(fits, tuple(map(float, shares)), goodness, float(max(evidence - before)))
-
-
 def prior_cost(panel: Panel, fit: Fit, response: Response = PUBLISHED) -> float:
     """−ln P of a fit before the measurement, up to what all share; response : the scene's own."""
     return RARER * (len(fit.loads) - 1) + outline_cost(panel, fit, response)
@@ -100,22 +96,13 @@ def outline_cost(panel: Panel, fit: Fit, response: Response = PUBLISHED) -> floa
     """By how much ln P falls of suction that raises no cell, and of loads that stand in each other."""
     loads = [(part, part.disc(own)) for part, own in fit.loads]
     cost = sum(_overlapping(*pair) for pair in combinations([disc for _, disc in loads if disc is not None], 2))
-    hidden = [_hidden(panel, fit.change, disc, response, len(loads) == 1) for part, disc in loads if part.sucks]
-    return CANNOT_BE * (cost + sum(hidden))
-
-
-def _hidden(panel: Panel, change: Array, disc: Disc | None, response: Response, whole: bool) -> float:
-    """1 where suction raises no cell under the disc (on the panel), or none by much of what it would alone; else 0."""
-    under = np.ones(change.shape, dtype=bool)
-    if disc is not None and not whole:
-        across, down = panel.places_mm
-        under = np.hypot(across - disc.x_mm, down - disc.y_mm) < (disc.diameter_mm + panel.pitch_mm) / 2
-    rise = float(change[under].max(initial=0.0))
-    missing = exp(-((rise / SHOWN) ** 2))
-    if disc is not None:
-        full = float(np.mean(response.gains * response.logarithm(disc.suction_kpa)))
-        missing = max(missing, exp(-((rise / max(full, 1e-9) / SHARE) ** 2)))
-    return missing
+    for part, disc in loads:
+        if part.sucks:
+            there = np.full(panel.shape, True) if disc is None or len(loads) == 1 else under(panel, disc)
+            full = 0.0 if disc is None else float(np.mean(response.gains * response.logarithm(disc.suction_kpa)))
+            rise = float(fit.change[there].max(initial=0.0))
+            cost += exp(-((rise / max(SHOWN, SHARE * full)) ** 2))
+    return CANNOT_BE * cost
 
 
 def _overlapping(one: Disc, other: Disc) -> float:
@@ -123,7 +110,7 @@ def _overlapping(one: Disc, other: Disc) -> float:
     apart = hypot(one.x_mm - other.x_mm, one.y_mm - other.y_mm)
     common = (one.diameter_mm + other.diameter_mm) / 2 - apart
     share = max(common, 0.0) / min(one.diameter_mm, other.diameter_mm)
-    return 1 - exp(-((share / OVERLAP) ** 2))
+    return 1 - exp(-((share / SHARE) ** 2))
 
 
 def _sucks(fit: Fit, disc: Disc | None) -> bool:

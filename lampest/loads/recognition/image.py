@@ -5,38 +5,35 @@ module: what is smaller than a module lies whole in at least one, and counts whe
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from math import inf
 from typing import Any, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lampest.loads.recognition.attachment import Attachment
-from lampest.loads.recognition.settings import ModelErrors
-from lampest.loads.recognition.watch import FIRST_S, Panelled, Watch
+from lampest.loads.recognition.detector import Detector
+from lampest.loads.recognition.watch import Panelled, Watch
 from lampest.panel.panel import Array, Modules, Panel
 from lampest.panel.response import Response
 from lampest.panel.scene import Scene
 
-ASIDE = 2  # modules on a side of a window
 
-
-def most_cells(layout: Modules) -> int:
-    """Of a window."""
-    return min(ASIDE, layout.rows) * min(ASIDE, layout.columns) * layout.each.rows * layout.each.columns
+def window_layout(layout: Modules) -> Modules:
+    """Of one window."""
+    return replace(layout, rows=min(2, layout.rows), columns=min(2, layout.columns))
 
 
 @dataclass(frozen=True, eq=False)
 class WindowNetwork:
-    """The solved networks of an image's modules: what recognition asks of one network."""
+    """The solved networks of a window's modules: what recognition asks of one network."""
 
     layout: Modules
     networks: tuple[Any, ...]
 
     def reading(self) -> Array:
-        """(rows, columns) of the image."""
+        """(rows, columns) of the window."""
         return np.asarray(self.layout.joined(np.stack([network.reading() for network in self.networks])))
 
     def sensitivity(self, cells: Any = None) -> Array:
@@ -48,17 +45,29 @@ class WindowNetwork:
         return whole if cells is None else whole[:, cells]
 
 
-@dataclass(frozen=True)
-class ImageCircuit:
-    """The circuits of an image's modules as one; scenes : of each."""
+@dataclass(frozen=True, eq=False)
+class WindowScene:
+    """Neighbouring modules as a scene and as its circuit, as far as recognition asks; scenes : of each module."""
 
-    layout: Modules
+    panel: Panel
+    response: Response | None
     scenes: tuple[Scene, ...]
+    wiring: None = None
+
+    @property
+    def circuit(self) -> "WindowScene":
+        """Of all modules."""
+        return self
 
     @property
     def unit(self) -> str:
         """ohm or volt."""
         return self.scenes[0].circuit.unit
+
+    @property
+    def series_ohm(self) -> Array:
+        """(rows, columns) ohm."""
+        return self._joined(lambda scene, part: scene.series_ohm + part, np.zeros(self.panel.shape))
 
     def uniform_start(self, measured: Array) -> Array:
         """As `Readout.uniform_start`, module by module."""
@@ -70,97 +79,52 @@ class ImageCircuit:
 
     def network(self, cells: Array, ties: Array, wiring: None) -> WindowNetwork:
         """Of all modules."""
-        parts = zip(self.scenes, self.layout.split(cells), strict=True)
+        parts = zip(self.scenes, self._layout.split(cells), strict=True)
         solved = (own.circuit.network(part, own.circuit.ties(part), own.wiring) for own, part in parts)
-        return WindowNetwork(self.layout, tuple(solved))
+        return WindowNetwork(self._layout, tuple(solved))
+
+    @property
+    def _layout(self) -> Modules:
+        assert self.panel.modules is not None
+        return self.panel.modules
 
     def _joined(self, part: Callable[[Scene, Array], Array], image: Array) -> Array:
-        pairs = zip(self.scenes, self.layout.split(image), strict=True)
-        return np.asarray(self.layout.joined(np.stack([part(*pair) for pair in pairs])))
-
-
-@dataclass(frozen=True, eq=False)
-class WindowScene:
-    """Neighbouring modules as a scene of one circuit, as far as recognition asks; scenes : of each."""
-
-    panel: Panel
-    response: Response | None
-    scenes: tuple[Scene, ...]
-    wiring: None = None
-
-    @property
-    def circuit(self) -> Any:
-        """Of all modules."""
-        assert self.panel.modules is not None
-        return ImageCircuit(self.panel.modules, self.scenes)
-
-    @property
-    def series_ohm(self) -> Array:
-        """(rows, columns) ohm."""
-        assert self.panel.modules is not None
-        each = self.panel.modules.each
-        parts = [np.broadcast_to(own.series_ohm, (each.rows, each.columns)) for own in self.scenes]
-        return np.asarray(self.panel.modules.joined(np.stack(parts)))
+        pairs = zip(self.scenes, self._layout.split(image), strict=True)
+        return np.asarray(self._layout.joined(np.stack([part(*pair) for pair in pairs])))
 
 
 @dataclass(frozen=True, eq=False)
 class Window:
-    """Where a window lies in the image. cells : of the image. x_mm, y_mm : of its first cell."""
+    """Where a window lies in the image. cells : of the image. x_mm, y_mm : of its first cell. middle : x, y in mm."""
 
     scene: WindowScene
     cells: tuple[slice, slice]
     x_mm: float
     y_mm: float
+    middle: Array
 
     @classmethod
     def all_of(cls, scene: Scene) -> "tuple[Window, ...]":
         """All windows of an image in which a module is read."""
-        layout, (across, down) = scene.panel.modules, scene.panel.centres_mm()
+        layout, found = scene.panel.modules, list[Window]()
         assert layout is not None
-        high, wide = min(ASIDE, layout.rows), min(ASIDE, layout.columns)
-        found = []
-        for row, column in np.ndindex(layout.rows - high + 1, layout.columns - wide + 1):
-            numbers = [(row + j) * layout.columns + column + k for j in range(high) for k in range(wide)]
-            first, last = layout.cells(numbers[0]), layout.cells(numbers[-1])
-            cells = slice(first[0].start, last[0].stop), slice(first[1].start, last[1].stop)
-            if set(numbers) <= set(scene.dead_modules):
-                continue
-            own = WindowScene(
-                Panel(modules=replace(layout, rows=high, columns=wide)),
-                scene.response and scene.response.of_cells(cells),
-                tuple(scene.of_modules[number] for number in numbers),
-            )
-            found.append(cls(own, cells, float(across[cells[1].start]), float(down[cells[0].start])))
+        part = window_layout(layout)
+        for row, column in np.ndindex(layout.rows - part.rows + 1, layout.columns - part.columns + 1):
+            numbers = [(row + j) * layout.columns + column + k for j, k in np.ndindex(part.rows, part.columns)]
+            (top, left), (bottom, right) = layout.cells(numbers[0]), layout.cells(numbers[-1])
+            cells = slice(top.start, bottom.stop), slice(left.start, right.stop)
+            if not set(numbers) <= set(scene.dead_modules):
+                response, scenes = scene.response, tuple(scene.of_modules[number] for number in numbers)
+                own = WindowScene(Panel(modules=part), response and response.of_cells(cells), scenes)
+                places = scene.panel.places_mm[:, *cells]
+                corner, middle = places[:, 0, 0], places.mean(axis=(1, 2))
+                found.append(cls(own, cells, float(corner[0]), float(corner[1]), middle))
         return tuple(found)
-
-    @property
-    def middle(self) -> Array:
-        """x, y in the image, mm."""
-        across, down = self.scene.panel.centres_mm()
-        return np.array([self.x_mm + across.mean(), self.y_mm + down.mean()])
 
     def placed(self, load: Attachment) -> Attachment:
         """A load of the window by its place in the image."""
         (x, x_sd), (y, y_sd) = load.x_mm, load.y_mm
         return replace(load, x_mm=(x + self.x_mm, x_sd), y_mm=(y + self.y_mm, y_sd))
-
-
-@dataclass(frozen=True, eq=False)
-class WindowWatch(Watch):
-    """As `Watch`; own : (discs) which lie no farther from this window's middle than from another's, by a pitch or so.
-
-    What begins elsewhere is recognised in the window in whose middle it stands.
-    """
-
-    own: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=bool))
-
-    def _recognised(self, time: float) -> Watch:
-        change = self.mean - self.rest
-        scores = self.test.scores(change)
-        peaks = (scores >= self.test.sizes(change)) & (scores >= self.test.least())
-        if not self.known and not (peaks & self.own).any():
-            return replace(self, next_s=time + max(time - self.begun, FIRST_S))
-        return super()._recognised(time)
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,33 +138,19 @@ class ImageWatch:
     attachments: tuple[Attachment, ...] = ()
 
     @classmethod
-    def begin(
-        cls,
-        scene: Scene,
-        patch_mm: float,
-        water: Array,
-        errors: ModelErrors,
-        measured: Array,
-        sigma: Array,
-        unloaded: Array,
-        time: float,
-    ) -> "ImageWatch":
-        """As `Watch.begin`, with what `Panelled` holds."""
-        windows, watches = Window.all_of(scene), list[Watch]()
+    def begin(cls, panelled: Panelled, measured: Array, sigma: Array, unloaded: Array, time: float) -> "ImageWatch":
+        """As `Watch.begin`. A load is recognised where it begins near a window's middle."""
+        windows, watches, pitch = Window.all_of(panelled.scene), list[Watch](), panelled.scene.panel.pitch_mm
         read, middles = np.isfinite(sigma), np.stack([window.middle for window in windows])
+        detector = Detector(windows[0].scene.panel, panelled.detector.patch_mm)
         for window in windows:
-            own = window.cells
-            panelled = Panelled(cast(Scene, window.scene), patch_mm, water[own], errors)
-            if watches:
-                panelled.__dict__["detector"] = watches[0].panelled.detector  # it knows the windows' panel alone
-            rest = np.where(read[own], measured[own], np.median(measured[own][read[own]]))
-            search = panelled.detector.search
-            places = search.places[search.faint] + (window.x_mm, window.y_mm)
-            far = np.linalg.norm(places - window.middle, axis=1) - scene.panel.pitch_mm
-            nearest = np.linalg.norm(places[:, None] - middles, axis=2).min(axis=1)
-            begun = WindowWatch.begin(panelled, rest, sigma[own], unloaded[(..., *own)], time)
-            watches.append(replace(begun, own=far <= nearest))
-        return cls(windows, tuple(watches), scene.panel.shape, time)
+            cells, places = window.cells, detector.search.places + np.array([window.x_mm, window.y_mm])
+            own = replace(panelled, scene=cast(Scene, window.scene), detector=detector, water=panelled.water[cells])
+            rest = np.where(read[cells], measured[cells], np.median(measured[cells][read[cells]]))
+            apart = np.linalg.norm(places[:, None] - middles, axis=2).min(axis=1) + pitch
+            begun = Watch.begin(own, rest, sigma[cells], unloaded[(..., *cells)], time)
+            watches.append(replace(begun, own=np.linalg.norm(places - window.middle, axis=1) <= apart))
+        return cls(windows, tuple(watches), panelled.scene.panel.shape, time)
 
     def push(self, measured: Array, sigma: Array, time: float) -> "ImageWatch":
         """As `Watch.push`."""
@@ -218,30 +168,31 @@ class ImageWatch:
     @cached_property
     def change(self) -> Array | None:
         """(rows, columns) ln r/r0 of what windows recognised last; 0 where nothing was; None: nowhere was anything."""
-        known = [
-            (own, watch) for own, watch in zip(self.windows, self.watches, strict=True) if watch.change is not None
-        ]
         whole = np.zeros(self.shape)
-        for window, watch in known:
-            here, change = whole[window.cells], np.asarray(watch.change)
-            whole[window.cells] = np.where(np.abs(change) > np.abs(here), change, here)
-        return whole if known else None
+        for window, watch in zip(self.windows, self.watches, strict=True):
+            if watch.change is not None:
+                here = whole[window.cells]
+                whole[window.cells] = np.where(np.abs(watch.change) > np.abs(here), watch.change, here)
+        return whole if whole.any() else None
 
     def _merged(self) -> tuple[Attachment, ...]:
         """Those of all windows: of two that are one, the one that stands nearer to its window's middle."""
-        pairs = zip(self.windows, self.watches, strict=True)
-        placed = [(own, own.placed(load)) for own, watch in pairs for load in watch.attachments]
-        every = [(load.distance((own.middle[0], own.middle[1])), load) for own, load in placed]
-        kept = [one for one in self.attachments if one.until_s is not None and one.until_s <= self.began]
-        for _, load in sorted(every, key=lambda pair: pair[0]):
-            if not any(_one(load, other) for other in kept):
-                kept.append(load)
-        return tuple(sorted(kept, key=lambda load: load.since_s))
+        every = [
+            (window, window.placed(load))
+            for window, watch in zip(self.windows, self.watches, strict=True)
+            for load in watch.attachments
+        ]
+        every.sort(key=lambda pair: pair[1].distance((pair[0].middle[0], pair[0].middle[1])))
+        ended = [one for one in self.attachments if one.until_s is not None and one.until_s <= self.began]
+        kept: list[tuple[Window, Attachment]] = []
+        for window, load in every:
+            if not any(window is not other and _one(load, seen) for other, seen in kept):
+                kept.append((window, load))
+        return tuple(sorted([*ended, *(load for _, load in kept)], key=lambda load: load.since_s))
 
 
 def _one(load: Attachment, other: Attachment) -> bool:
     """Whether two windows saw one load: at one time, and nearer than the larger of them is wide."""
-    together = load.since_s < (inf if other.until_s is None else other.until_s) and other.since_s < (
-        inf if load.until_s is None else load.until_s
-    )
-    return together and load.distance(other.place) < max(load.size, other.size)
+    ends = (inf if one.until_s is None else one.until_s for one in (other, load))
+    together = all(one.since_s < end for one, end in zip((load, other), ends, strict=True))
+    return together and load.distance(other.place) < max(load.width, other.width)

@@ -24,7 +24,8 @@ from lampest.panel.scene import Scene
 # Of ln r: the longest Gauss-Newton step; and the most a load may change, beyond which a cell is open or shorted to all
 # readings, and a network soon has no inverse.
 LONGEST, MOST_CHANGED = 1.5, 12.0
-ABSENT = float(np.log(1e9))  # of a typical cell: what a crossing without one adds to ln r
+# Of cells in ln r/r0 while a load is looked for, on a map of them, and at rest in coarse fits; assumptions.
+MAP_SD, COARSE_SD = 0.5, 0.2
 FARTHEST, OUTLIERS = 5.0, 0.03  # σ, which normal numbers pass once in 10⁶; the part of the readings that may do so
 SUSPICIOUS = 1.4  # χ² per reading beyond which outliers, or another position, are looked for: 3 σ of 100 readings
 DROPPED = 1e3  # so many times its σ, or its reading, is the σ of one that does not count
@@ -35,8 +36,12 @@ def counting(sigma: Array, measured: Array) -> Array:
     return np.where(np.isfinite(sigma) & (sigma > 0), sigma, DROPPED * measured)
 
 
-@dataclass(frozen=True, eq=False)
-class MostProbable:
+def unit(columns: Array) -> Array:
+    """Columns over their length."""
+    return np.asarray(columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300))
+
+
+class MostProbable(NamedTuple):
     """x that minimises ‖y − f(x)‖² in C + ‖x − mean‖² in P, with f linearised where the last step began.
 
     state : x (n). prior : P. across : P Aᵀ (n, readings). root : of A P Aᵀ + C, lower. apart : y − f(mean) (readings).
@@ -79,7 +84,7 @@ class Baseline:
     """ln r0 and the readings' offsets, Gaussian after the unloaded readings.
 
     logarithm : (rows, columns) mean of ln r0. offsets : those of `ModelErrors.offsets`, in standard deviations.
-    covariance : of both together, (cells + offsets)². model_errors : as assumed. scene : circuit, panel and response.
+    covariance : of both together, (cells + offsets)². scene : circuit, panel and response.
     """
 
     logarithm: Array
@@ -94,8 +99,8 @@ class Baseline:
     ) -> "Baseline":
         """argmin ‖(R0 − f(r0) − E δ)/σ‖² + ‖(ln r0 − mean)/spread‖² + ‖δ‖², outliers left out.
 
-        measured, sigma : (rows, columns) in the readout's unit. scene : what they were taken in. common : (cells, n), a
-        root of the covariance of what they share by chance; None: nothing.
+        measured, sigma : (rows, columns) in the readout's unit. common : (cells, n), a root of the covariance of what
+        they share by chance; None: nothing.
         """
         circuit, spread = scene.circuit, model_errors.offsets(measured, scene)
         cells, offsets = spread.shape
@@ -103,10 +108,9 @@ class Baseline:
         mean[:cells] = np.log(np.median(circuit.uniform_start(measured)))
         prior[:cells, :cells] = 9.0 + model_errors.cell_spread**2 * np.eye(cells)  # their mean is open: σ = 3
         absent = np.flatnonzero(~scene.panel.present)
-        mean[absent] += ABSENT
+        mean[absent] += MOST_CHANGED
         prior[absent] = prior[:, absent] = 0.0
-        shared = 0.0 if common is None else common @ common.T
-        noise = sigma.ravel() ** 2
+        shared, noise = 0.0 if common is None else common @ common.T, sigma.ravel() ** 2
 
         def model(state: Array) -> tuple[Array, Array, Array]:
             here = np.exp(state[:cells].reshape(measured.shape))
@@ -127,34 +131,36 @@ class Baseline:
 
     def network(self, change: Array | float = 0.0) -> Network:
         """The solved network of cells r0·e^change."""
-        cells = np.exp(self.logarithm + change)
-        circuit = self.scene.circuit
+        cells, circuit = np.exp(self.logarithm + change), self.scene.circuit
         return circuit.network(cells, circuit.ties(cells), self.scene.wiring)
-
-    @cached_property
-    def alike(self) -> Array:
-        """Correlation of the cells' departures from the response curve, (cells, cells): shared, near, and own."""
-        errors = self.model_errors
-        own = 1 - errors.common - errors.near
-        return np.asarray(errors.common + errors.near * self.near + own * np.eye(len(self.near)))
 
     @cached_property
     def near(self) -> Array:
         """exp(−½ (distance/near_pitches)²) between all cells, (cells, cells); a crossing without one is near none."""
-        panel = self.scene.panel
-        x, y = panel.places_mm.reshape(2, -1) / panel.pitch_mm
-        square = (x[:, None] - x) ** 2 + (y[:, None] - y) ** 2
-        square[np.diag_indices(len(square))] = 0.0
+        places = self.scene.panel.places_mm.reshape(2, -1) / self.scene.panel.pitch_mm
+        square = ((places[:, :, None] - places[:, None]) ** 2).sum(axis=0)
+        np.fill_diagonal(square, 0.0)
         return np.asarray(np.nan_to_num(np.exp(-square / (2 * self.model_errors.near_pitches**2))))
+
+    def film(self, explained: "Explained", scatter: float) -> Array:
+        """s² (x K xᵀ + w²) + b b ᵀ, (cells, cells) of ln r: how a film with a relative deviation of s departs from x.
+
+        K is the correlation of cells: shared, near and own; b what all share, of a bent film and of the patches' sizes.
+        """
+        errors, (change, edges, patches) = self.model_errors, (one.ravel() for one in explained)
+        alike = errors.common + errors.near * self.near + (1 - errors.common - errors.near) * np.eye(len(self.near))
+        shared = np.stack([errors.bent * change, errors.patch * patches])
+        uneven = alike * np.outer(change, change) + np.diag((errors.edge_mm * edges) ** 2)
+        return np.asarray(scatter**2 * uneven + shared.T @ shared)
 
 
 @dataclass(frozen=True, eq=False)
 class Observation:
     """A frame's readings and what they are compared with.
 
-    measured, sigma : (rows, columns) ohm. baseline : the unloaded panel. water : (rows, columns) kPa, that of the
-    unloaded frames too. seconds : since the baseline. common : (cells, n) ohm, a root of the covariance of what the
-    frame's readings share by chance, its gain and patterns along scanned lines; None: nothing.
+    measured, sigma : (rows, columns) ohm. water : (rows, columns) kPa, that of the unloaded frames too. seconds : since
+    the baseline. common : (cells, n) ohm, a root of the covariance of what the frame's readings share by chance, its
+    gain and patterns along scanned lines; None: nothing.
     """
 
     measured: Array
@@ -168,11 +174,6 @@ class Observation:
         """R − f(r0·e^change) − E δ, (cells)."""
         return np.asarray(self.target - self.baseline.network(change).reading().ravel())
 
-    def linearised(self, change: Array, chosen: NDArray[np.intp] | None = None) -> tuple[Array, Array]:
-        """The residual, and ∂f/∂ln r of some cells or all (cells, chosen)."""
-        network = self.baseline.network(change)
-        return self.target - network.reading().ravel(), network.sensitivity(chosen)
-
     def slope(self, change: Array) -> Array:
         """∂f/∂ln r at ln r/r0 = `change`, (cells, cells)."""
         return self.baseline.network(change).sensitivity()
@@ -184,27 +185,33 @@ class Observation:
         here, up, down = response.gains * (response.logarithm(near) - response.logarithm(self.water))
         return np.clip(here, -MOST_CHANGED, MOST_CHANGED), (up - down) / (2 * step) * (np.abs(here) < MOST_CHANGED)
 
-    def covariance(self, change: Array) -> Array:
-        """σ² + V Vᵀ + H C Hᵀ + J T Jᵀ at ln r/r0 = `change`, (cells, cells) ohm².
+    def covariance(self, slope: Array, cells: Array | float = 0.0) -> Array:
+        """σ² + V Vᵀ + H C Hᵀ + J T Jᵀ, (cells, cells) ohm², at the slope J (cells, cells).
 
-        Of each reading, of all in a frame, of the baseline, and of cells at rest.
+        Of each reading, of all in a frame, of the baseline, and of cells at rest; cells : added to T, of ln r.
         """
-        slope = self.slope(change)
-        resting = self.baseline.model_errors.resting_covariance(self.seconds, len(slope))
         both = np.hstack([slope, self.offsets])
+        resting = self.baseline.model_errors.resting_covariance(self.seconds, len(slope)) + cells
         total = both @ self.baseline.covariance @ both.T + slope @ resting @ slope.T
         if self.common is not None:
             total += self.common @ self.common.T
         return np.asarray(total + np.diag(self.sigma.ravel() ** 2))
 
-    def cells(self, start: Array, prior: Array, settled: float = LONGEST / 10) -> MostProbable:
+    def cells(self, start: Array, prior: Array) -> MostProbable:
         """The most probable ln r/r0 of all cells, Gaussian with mean zero and this covariance, from a start."""
 
         def model(change: Array) -> tuple[Array, Array, Array]:
-            shaped = change.reshape(self.measured.shape)
-            return *self.linearised(shaped), self.covariance(shaped)
+            network = self.baseline.network(change.reshape(self.measured.shape))
+            slope = network.sensitivity()
+            return self.target - network.reading().ravel(), slope, self.covariance(slope)
 
-        return most_probable(model, start.ravel(), np.zeros(start.size), prior, settled)
+        return most_probable(model, start.ravel(), np.zeros(start.size), prior, LONGEST / 10)
+
+    @cached_property
+    def map(self) -> Array:
+        """ln r/r0 of every cell, (rows, columns): of independent cells with a standard deviation of MAP_SD."""
+        nothing = np.zeros(self.measured.shape)
+        return self.cells(nothing, MAP_SD**2 * np.eye(nothing.size)).state.reshape(nothing.shape)
 
     @cached_property
     def target(self) -> Array:
@@ -218,14 +225,9 @@ class Observation:
 
     def without(self, dropped: NDArray[np.intp]) -> "Observation":
         """With some readings' σ so large that they no longer count."""
-        sigma = self.sigma.copy().ravel()
-        sigma[dropped] *= DROPPED
-        return replace(self, sigma=sigma.reshape(self.sigma.shape))
-
-    def blurred(self, settled: float) -> "Observation":
-        """With cells that have a standard deviation of `settled` at rest, in ln r."""
-        errors = replace(self.baseline.model_errors, settled=settled)
-        return replace(self, baseline=replace(self.baseline, model_errors=errors))
+        sigma = self.sigma.copy()
+        sigma.flat[dropped] *= DROPPED
+        return replace(self, sigma=sigma)
 
 
 class Explained(NamedTuple):
@@ -238,15 +240,6 @@ class Explained(NamedTuple):
     edges: Array
     patches: Array
 
-    def uneven(self, baseline: Baseline) -> Array:
-        """x K xᵀ + w², (cells, cells): how cells of a film with a relative deviation of 1 answer, K = `alike`."""
-        change, edge_mm = self.change.ravel(), baseline.model_errors.edge_mm
-        return np.asarray(baseline.alike * np.outer(change, change) + np.diag((edge_mm * self.edges.ravel()) ** 2))
-
-    def shared(self, errors: ModelErrors) -> Array:
-        """(2, cells) ln r of one standard deviation of what all cells share: a bent film, and patches' sizes."""
-        return np.stack([errors.bent * self.change.ravel(), errors.patch * self.patches.ravel()])
-
 
 @dataclass(frozen=True, eq=False)
 class Whitening:
@@ -257,20 +250,15 @@ class Whitening:
 
     @classmethod
     def of(cls, frame: Observation, explained: Explained, scatter: float) -> "Whitening":
-        """About what a load explains, for a film whose cells answer with a relative deviation of `scatter`.
-
-        Covariance S + scatter²·J (x K xᵀ + w²) Jᵀ, S that of the frame without a load and of what all cells share.
-        """
-        slope, baseline = frame.slope(explained.change), frame.baseline
-        shared = slope @ explained.shared(baseline.model_errors).T
-        film = slope @ explained.uneven(baseline) @ slope.T
-        total = frame.covariance(explained.change) + shared @ shared.T + scatter**2 * film
-        return cls(cholesky(total, lower=True, check_finite=False), scatter)
+        """About what a load explains, for a film whose cells answer with a relative deviation of `scatter`."""
+        slope = frame.slope(explained.change)
+        return cls(cholesky(frame.covariance(slope, frame.baseline.film(explained, scatter)), lower=True), scatter)
 
     @classmethod
-    def at_rest(cls, frame: Observation) -> "Whitening":
-        """For a frame of a panel that nothing touches."""
-        return cls(cholesky(frame.covariance(np.zeros(frame.measured.shape)), lower=True))
+    def at_rest(cls, frame: Observation, sd: float = 0.0) -> "Whitening":
+        """For a panel that nothing touches; sd : of each cell's ln r, beside what cells at rest have."""
+        slope = frame.slope(np.zeros(frame.measured.shape))
+        return cls(cholesky(frame.covariance(slope, sd**2 * np.eye(len(slope))), lower=True))
 
     @cached_property
     def volume(self) -> float:

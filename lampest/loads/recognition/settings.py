@@ -1,4 +1,4 @@
-"""What recognition assumes: errors beside the noise of the readings, and what a user may set."""
+"""What recognition assumes of errors beside the noise of the readings, and of the film."""
 
 from dataclasses import dataclass, replace
 from math import hypot, log10
@@ -7,14 +7,19 @@ import numpy as np
 
 from lampest.loads.response import RESPONSE_SD
 from lampest.panel.panel import Array, Panel
-from lampest.panel.scene import Scene, Systematic, Water
+from lampest.panel.scene import Scene, Systematic
 
 PATCH_SHARE = 0.6  # edge of a cell's film over the pitch, as on the panel of the paper: 6 mm at 10 mm
 
 
+def patch_of(panel: Panel, patch_mm: float | None = None) -> float:
+    """Edge of the film in mm, 6/10 of the pitch where nobody says; never more than the pitch."""
+    return min(PATCH_SHARE * panel.pitch_mm if patch_mm is None else patch_mm, panel.pitch_mm)
+
+
 @dataclass(frozen=True)
 class ModelErrors:
-    """Standard deviations of what is not measured: they widen error bars and temper verdicts.
+    """Standard deviations of what is not measured.
 
     Parameters
     ----------
@@ -50,10 +55,7 @@ class ModelErrors:
     reading_error: float = 0.0
 
     def of_scene(self, scene: Scene, reading_error: float) -> "ModelErrors":
-        """With what a scene specifies of errors; what it leaves open is assumed.
-
-        reading_error : of the logarithm of each reading, the same in all frames, as estimated from the frames.
-        """
+        """With the errors that a scene specifies, and with one of each reading as estimated from the frames."""
         errors = replace(self, reading_error=reading_error)
         if scene.systematic is None:
             return errors
@@ -73,48 +75,15 @@ class ModelErrors:
     def offsets(self, measured: Array, scene: Scene) -> Array:
         """E·sd (cells, offsets): what one standard deviation of every offset adds to the readings, in their unit.
 
-        Offsets are those of rows and columns (of two-point resistances), of the reference, and where there are such
-        errors, of each reading. measured : (rows, columns) readings, without what stands in series.
+        Offsets are those of rows and columns of every module (of two-point resistances), of the reference, and where
+        there are such errors, of each reading. measured : (rows, columns), without what stands in series.
         """
-        layout = scene.panel.modules
-        rows, columns = measured.shape if layout is None else (layout.each.rows, layout.each.columns)
-        total = measured + scene.series_ohm if scene.circuit.unit == "ohm" else measured
-        by_row = np.kron(np.eye(rows), np.ones((columns, 1)))
-        by_column = np.kron(np.ones((rows, 1)), np.eye(columns))
-        by_line = np.hstack([by_row, by_column])
-        if layout is not None:  # every module has lines of its own
-            blocks = np.kron(np.eye(layout.count), by_line).reshape(layout.count, rows, columns, -1)
-            by_line = layout.joined(np.moveaxis(blocks, -1, 0)).reshape(blocks.shape[-1], -1).T
-        channels = [self.channel_ohm * by_line] if scene.circuit.unit == "ohm" else []
-        own = [np.diag(self.reading_error * total.ravel())] if self.reading_error else []
-        return np.hstack([*channels, self.reference * total.reshape(-1, 1), *own])
-
-
-@dataclass(frozen=True)
-class RecognitionSettings:
-    """What a user may set beside a recording.
-
-    Parameters
-    ----------
-    patch_mm : edge of a cell's film in mm; None: 6/10 of the pitch.
-    top_row_depth_mm : depth of row 0 below the water's surface in mm, row by row deeper; None: as the results have it.
-    noise_percent : standard deviation of every reading in percent, where the results do not hold it; None: refuse.
-
-    Raises ValueError where a number is out of range.
-    """
-
-    patch_mm: float | None = None
-    top_row_depth_mm: float | None = None
-    noise_percent: float | None = None
-
-    def __post_init__(self) -> None:
-        for name in ("patch_mm", "noise_percent"):
-            value = getattr(self, name)
-            if value is not None and not 1e-9 <= value <= 1e6:
-                raise ValueError(f"{name} must be positive and finite, between 1e-09 and 1e+06")
-        if self.top_row_depth_mm is not None:
-            Water(self.top_row_depth_mm)
-
-    def patch_of(self, panel: Panel) -> float:
-        """Edge of the film in mm. Never more than the pitch."""
-        return min(self.patch_mm or PATCH_SHARE * panel.pitch_mm, panel.pitch_mm)
+        layout, (rows, columns) = scene.panel.modules, measured.shape
+        row, column = np.indices(measured.shape)
+        if layout is not None:
+            row, column = row + rows * (column // layout.each.columns), column + columns * (row // layout.each.rows)
+        in_ohm = scene.circuit.unit == "ohm"
+        total = (measured + scene.series_ohm if in_ohm else measured).reshape(-1, 1)
+        lines = [line.reshape(-1, 1) == np.unique(line) for line in (row, column)] if in_ohm else []
+        own = [np.diag(self.reading_error * total[:, 0])] if self.reading_error else []
+        return np.hstack([*(self.channel_ohm * line for line in lines), self.reference * total, *own])

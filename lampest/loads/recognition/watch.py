@@ -5,29 +5,25 @@ there between two steps is recognised after 1, 2, 4 … seconds, from the median
 before the load came, and goes only by a step back to that. A bare panel at rest follows the readings.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cholesky, solve_triangular
 
 from lampest.loads.force import CLEAR
-from lampest.loads.recognition.attachment import Attachment, attachment_of, continued_by
+from lampest.loads.recognition.attachment import Attachment, attachments_of, continued_by
 from lampest.loads.recognition.breathing import LEAST_S, WINDOW_S, breaths
+from lampest.loads.recognition.candidates import DiscSearch
 from lampest.loads.recognition.detector import Detector
 from lampest.loads.recognition.evidence import Verdict
-from lampest.loads.recognition.observation import Baseline, Observation, counting
-from lampest.loads.recognition.search import DiscSearch, cell_map, unit
+from lampest.loads.recognition.observation import Baseline, Observation, counting, unit
 from lampest.loads.recognition.settings import ModelErrors
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 
 STEP = 6.0  # standard deviations: with some 1000 patterns normal noise passes them once in 10⁶ frames
-FREE = 0.1  # σ of ln r and of ln y that all cells and all readings may share: temperature, waves, supply; an assumption
-
-
 NEAR = 3.0  # pitches about a disc in which a load's pattern counts for it
 FOLLOWS_S = 20.0  # in which the mean of frames follows them
 # Of what stands there, as patterns see it: a change beyond it is another load, or one that left. And of a load's
@@ -36,39 +32,29 @@ CHANGED, FILM_KEEPS = 0.5, 0.25
 FIRST_S, FRAMES = 1.0, 3  # after which something is recognised first, and at least; breathing is judged again
 
 
-class SharedNoise(Protocol):
-    """What the readings of a frame share by chance."""
-
-    def columns(self, measured: Array, baseline: bool) -> Array:
-        """V (frames · cells, n) of (frames, rows, columns): a root of their covariance."""
-
-
 @dataclass(frozen=True, eq=False)
 class Panelled:
-    """What stays while a panel is watched: scene, edge of the film in mm, water in kPa, errors, what frames share."""
+    """What stays while a panel is watched: scene, water in kPa, errors.
+
+    common : of (rows, columns), (cells, n) a root of the covariance of what readings share by chance; None: nothing.
+    """
 
     scene: Scene
-    patch_mm: float
+    detector: Detector
     water: Array
     errors: ModelErrors
-    noise: SharedNoise | None = None
-
-    @cached_property
-    def detector(self) -> Detector:
-        """Of its loads."""
-        return Detector(self.scene.panel, self.patch_mm)
+    common: Callable[[Array], Array] | None = None
 
     def frame(self, measured: Array, sigma: Array, baseline: Baseline, seconds: float) -> Observation:
         """A mean of frames, as sure as one: films err alike in all of them."""
-        return Observation(measured, sigma, baseline, self.water, seconds, common=self._common(measured))
+        common = None if self.common is None else self.common(measured)
+        return Observation(measured, sigma, baseline, self.water, seconds, common=common)
 
     def baseline(self, measured: Array, sigma: Array, frames: float) -> Baseline:
         """The panel at rest from the mean of so many frames."""
-        scale, common = frames**-0.5, self._common(measured)
-        return Baseline.of(measured, scale * sigma, self.scene, self.errors, None if common is None else scale * common)
-
-    def _common(self, measured: Array) -> Array | None:
-        return None if self.noise is None else self.noise.columns(measured[None], False)
+        scale = frames**-0.5
+        common = None if self.common is None else scale * self.common(measured)
+        return Baseline.of(measured, scale * sigma, self.scene, self.errors, common)
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,16 +77,14 @@ class StepTest:
         """About a panel at rest; frame : its readings with the noise of one frame. unloaded : (frames, cells) ln y."""
         value, cells = frame.measured.ravel(), frame.measured.size
         slope = frame.slope(np.zeros(frame.measured.shape)) / value[:, None]
-        covariance = (
-            np.diag((frame.sigma.ravel() / value) ** 2) + frame.baseline.model_errors.settled**2 * slope @ slope.T
-        )
-        shared = [FREE * slope.sum(axis=1, keepdims=True), FREE * np.ones((cells, 1))]
+        settled = frame.baseline.model_errors.settled**2 * slope @ slope.T
+        shared = [slope.sum(axis=1, keepdims=True), np.ones((cells, 1))]  # temperature, waves, supply
         shared += [] if frame.common is None else [frame.common / value[:, None]]
         columns = np.hstack(shared)
-        root = cholesky(covariance + columns @ columns.T, lower=True)
+        root = cholesky(np.diag((frame.sigma.ravel() / value) ** 2) + settled + columns @ columns.T, lower=True)
         whitening = solve_triangular(root, np.eye(cells), lower=True)
         patterns = unit(whitening @ (search.readings(frame) / value[:, None])).T @ whitening
-        x, y = search.places[search.faint].T / frame.baseline.scene.panel.pitch_mm
+        x, y = search.places.T / frame.baseline.scene.panel.pitch_mm
         near = np.hypot(x[:, None] - x, y[:, None] - y) < NEAR
         scores = (unloaded - np.log(value)) @ patterns.T
         spread = np.mean(scores**2) * len(scores) / (len(scores) - 1) if len(scores) > 1 else 1.0
@@ -119,10 +103,6 @@ class StepTest:
         """(discs) scores beyond which something has happened."""
         return np.asarray(STEP * np.sqrt(np.maximum(self.loud, max(1.0, float(self.loud.mean())))))
 
-    def heard(self, scores: Array, share: float) -> "StepTest":
-        """After a frame without a load, which counts by this share."""
-        return replace(self, loud=self.loud + share * (scores**2 - self.loud))
-
 
 @dataclass(frozen=True, eq=False)
 class Watch:
@@ -133,6 +113,7 @@ class Watch:
     FRAMES if that is more. size : (discs) scores of the load that is there. left, left_s : the same of the last load
     that was recognised, and when. seen, verdict : the median frame in which something was recognised since it came, and
     as what. known : whether that was since the last step. next_s, breath_s : when it will be again, and its breathing.
+    own : (discs) about which something has to begin that is recognised here; None: all.
     """
 
     panelled: Panelled
@@ -155,9 +136,10 @@ class Watch:
     next_s: float = np.inf
     breath_s: float = np.inf
     attachments: tuple[Attachment, ...] = ()
+    own: NDArray[np.bool_] | None = None
 
     @classmethod
-    def begin(cls, panelled: Panelled, measured: Array, sigma: Array, unloaded: Array, time: float) -> Self:
+    def begin(cls, panelled: Panelled, measured: Array, sigma: Array, unloaded: Array, time: float) -> "Watch":
         """Against unloaded readings (rows, columns).
 
         measured : their mean. sigma : of one frame. unloaded : (frames, rows, columns) those that are values, NaN else.
@@ -175,8 +157,13 @@ class Watch:
         logarithm = np.where(counts, np.log(np.where(counts, measured.ravel(), 1.0)), self.mean)
         shown = np.median([*self.recent, logarithm], axis=0)
         sigma = counting(sigma, np.exp(self.rest).reshape(sigma.shape))
-        here = replace(self, recent=(self.recent[-1], logarithm), sigma=sigma)
-        return here._stepped(shown, logarithm, time)._looked(time)
+        here = replace(self, recent=(self.recent[-1], logarithm), sigma=sigma)._stepped(shown, logarithm, time)
+        if not here.present:
+            return here
+        if not here.known and here._at_rest(time):
+            return here._gone(here.begun)
+        here = here._recognised(time) if time >= here.next_s and len(here.window) >= FRAMES else here
+        return here._breathed(time) if here.present and here.known and time >= here.breath_s else here
 
     @property
     def stands_out(self) -> float:
@@ -192,7 +179,8 @@ class Watch:
         """With a frame among those since the last step, or the first after one."""
         before = self.window[-1][0] if self.window else self.begun
         scores = self.test.scores(shown - self.mean)
-        if np.any(scores >= self.test.least() + CHANGED * (self.size if self.present else self._kept(time))):
+        fading = self.left / (1 + max(time - self.left_s, 0.0) / FOLLOWS_S)  # what the film may show of the last load
+        if np.any(scores >= self.test.least() + CHANGED * (self.size if self.present else fading)):
             here = replace(self, mean=shown, begun=before, window=((time, logarithm),), known=False)
             here = here if self.present else replace(here, present=True, seen=None)
             size = self.test.sizes(shown - self.rest)
@@ -204,21 +192,8 @@ class Watch:
         here = replace(self, mean=self.mean + follows * (shown - self.mean), window=window)
         if self.present:
             return here
-        rested = max(1 / follows, self.rested)
-        return replace(here, rest=here.mean, rest_s=time, rested=rested, test=self.test.heard(scores, share))
-
-    def _kept(self, time: float) -> Array | float:
-        """(discs) what the film may show of the last load."""
-        return self.left / (1 + max(time - self.left_s, 0.0) / FOLLOWS_S)
-
-    def _looked(self, time: float) -> "Watch":
-        """With what stands there, where it is time to look."""
-        if not self.present:
-            return self
-        if not self.known and self._at_rest(time):
-            return self._gone(self.begun)
-        here = self._recognised(time) if time >= self.next_s and len(self.window) >= FRAMES else self
-        return here._breathed(time) if here.present and here.known and time >= here.breath_s else here
+        test = replace(self.test, loud=self.test.loud + share * (scores**2 - self.test.loud))
+        return replace(here, rest=here.mean, rest_s=time, rested=max(1 / follows, self.rested), test=test)
 
     def _at_rest(self, time: float) -> bool:
         """Whether the readings are back to where they were before the load, up to what film and drift leave."""
@@ -228,7 +203,7 @@ class Watch:
             return True
         if self.change is None or not np.all(scores < least + CHANGED * self.left):
             return False
-        left, before = cell_map(self._frame(self.mean, time)).ravel(), self.change.ravel()
+        left, before = self._frame(self.mean, time).map.ravel(), self.change.ravel()
         return bool(left @ before < FILM_KEEPS * (before @ before))
 
     def _frame(self, logarithm: Array, time: float) -> Observation:
@@ -247,13 +222,17 @@ class Watch:
 
     def _recognised(self, time: float) -> "Watch":
         """With what stands there, by the frames of the window."""
+        again, change = time + max(time - self.begun, FIRST_S), self.mean - self.rest
+        size = self.test.sizes(change)
+        if not self.known and self.own is not None:
+            scores = self.test.scores(change)
+            if not np.any((scores >= size) & (scores >= self.test.least()) & self.own):
+                return replace(self, next_s=again)
         frame = self._frame(np.median([one for _, one in self.window], axis=0), time)
         verdict = self.panelled.detector.verdict(frame, self.verdict if self.seen else None)
-        again = time + max(time - self.begun, FIRST_S)
         if verdict.nothing > 0.5:
             return replace(self, next_s=again) if self.known else replace(self, seen=frame)._gone(self.begun)
-        found = [attachment_of(frame, verdict, number, self.begun) for number in range(len(verdict.best.loads))]
-        size = self.test.sizes(self.mean - self.rest)
+        found = attachments_of(frame, verdict, self.begun)
         here = replace(self, seen=frame, verdict=verdict, known=True, next_s=again, left=size, left_s=time, size=size)
         return replace(here, attachments=continued_by(self.attachments, found, self.begun, self.known))
 
@@ -262,7 +241,7 @@ class Watch:
         assert self.seen is not None and self.verdict is not None
         times, logarithms = np.array([time for time, _ in self.window]), np.array([one for _, one in self.window])
         best, panel = self.verdict.best, self.panelled.scene.panel
-        pressure, _ = best.candidate.pressure(panel, self.panelled.patch_mm, best.parameters)
+        pressure, _ = best.candidate.pressure(panel, self.panelled.detector.patch_mm, best.parameters)
         lasted = float(times[-1] - times[0])
         full = lasted > WINDOW_S - 1.5 * lasted / max(len(times) - 1, 1)
         attachments = list(self.attachments)

@@ -188,7 +188,7 @@ def answer_of(one: Attachment, rate: float) -> tuple[str, float, str]:
     why = too_slow(rate)
     if why:
         return SUCKS, one.sucks, why
-    if one.shaken:
+    if one.breathing > 0 and one.suction < 0.5:
         why = "it moves at a breathing rate, but probably not by its suction: it may be shaken"
     elif one.breathing_hz is None:
         why = f"breathing shows after {LEAST_S:g} s at the earliest"

@@ -15,12 +15,13 @@ from lampest.files.errors import InputError
 from lampest.files.process import told_reason
 from lampest.loads.pressure import water_pressure
 from lampest.loads.recognition.breathing import too_slow
-from lampest.loads.recognition.image import ImageWatch, most_cells
-from lampest.loads.recognition.settings import ModelErrors, RecognitionSettings
+from lampest.loads.recognition.detector import Detector
+from lampest.loads.recognition.image import ImageWatch, window_layout
+from lampest.loads.recognition.settings import ModelErrors, patch_of
 from lampest.loads.recognition.watch import Panelled, Watch
 from lampest.loads.tare import OF_DIFFERENCES
-from lampest.panel.panel import Array
-from lampest.panel.scene import Scene, Water
+from lampest.panel.panel import Array, Panel
+from lampest.panel.scene import Scene
 from lampest.posterior.frame_noise import FrameNoise
 from lampest.recording.readings import Readings, StandIn
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
@@ -31,7 +32,6 @@ from lampest.runs.executors import each_of
 from lampest.runs.results import Results
 from lampest.runs.results.reader import frame_noise_of
 
-AS_PUBLISHED = RecognitionSettings()
 RESULTS = "results/"  # how the format of such a file begins
 BY = "from the readings; cells by Gauss-Newton steps with a Gaussian prior"
 NO_RESPONSE = "the scene names no response: shapes are fitted with the published one, and no pressures are given"
@@ -46,7 +46,8 @@ class Known:
 
     resting, sigma : (rows, columns) the unloaded readings, and the noise of one frame. unloaded : (frames, rows,
     columns) those that they are the mean of, NaN where one is no value. begin : s, of the last one. reading_error : as
-    `NoiseSeen` has it. noise : what readings of a frame share, or None. notes : what was assumed.
+    `NoiseSeen` has it. noise : what readings of a frame share, or None. notes : what was assumed. patch_mm : edge of a
+    cell's film, None: not said.
     """
 
     name: str
@@ -58,34 +59,33 @@ class Known:
     reading_error: float
     noise: FrameNoise | None
     notes: tuple[str, ...]
+    patch_mm: float | None = None
 
-    def watch(self, settings: RecognitionSettings) -> Watch | ImageWatch:
+    def watch(self) -> Watch | ImageWatch:
         """Before the first frame. Raises ValueError where the panel cannot be watched."""
-        panel, layout = self.scene.panel, self.scene.panel.modules
-        if (panel.crossings if layout is None else most_cells(layout)) > MOST_CELLS:
+        panel, layout, noise = self.scene.panel, self.scene.panel.modules, self.noise
+        if (panel if layout is None else Panel(modules=window_layout(layout))).crossings > MOST_CELLS:
             what = "panels" if layout is None else "windows of 2 × 2 modules"
             raise ValueError(f"loads are recognised on {what} of up to {MOST_CELLS} cells")
-        depth, errors = settings.top_row_depth_mm, ModelErrors().of_scene(self.scene, self.reading_error)
-        water = water_pressure(panel, self.scene.water if depth is None else Water(depth))
-        known = self.resting, self.sigma, self.unloaded, self.begin
-        if layout is not None:
-            return ImageWatch.begin(self.scene, settings.patch_of(panel), water, errors, *known)
-        return Watch.begin(Panelled(self.scene, settings.patch_of(panel), water, errors, self.noise), *known)
+        common = None if noise is None or layout else lambda measured: noise.columns(measured[None], False)
+        water, errors = water_pressure(panel, self.scene.water), ModelErrors().of_scene(self.scene, self.reading_error)
+        panelled = Panelled(self.scene, Detector(panel, patch_of(panel, self.patch_mm)), water, errors, common)
+        kind: type[Watch] | type[ImageWatch] = ImageWatch if layout else Watch
+        return kind.begin(panelled, self.resting, self.sigma, self.unloaded, self.begin)
 
-    def answer(self, frames: Frames, settings: RecognitionSettings) -> Detected:
+    def answer(self, frames: Frames) -> Detected:
         """After all frames."""
+        course = list[tuple[float, float]]()
         try:
-            watch = self.watch(settings)
-            times, loudness = [], []
+            watch = self.watch()
             for value, sigma, time in frames:
                 watch = watch.push(value, sigma, time)
-                times.append(time)
-                loudness.append(watch.stands_out)
+                course.append((time, watch.stands_out))
         except (ArithmeticError, ValueError, np.linalg.LinAlgError) as error:
             return Detected.unknown(self.name, told_reason(error, self.name))
-        if len(times) < 2:
+        if len(course) < 2:
             return Detected.unknown(self.name, "one frame shows no change; three are needed")
-        return self.detected(watch, float(1 / np.median(np.diff(times))), np.array([times, loudness]))
+        return self.detected(watch, frame_rate([time for time, _ in course]), np.array(course).T)
 
     def detected(self, watch: Watch | ImageWatch, rate: float, course: Array | None = None) -> Detected:
         """What the frames so far show, at so many frames a second; course : as `Detected` has it."""
@@ -101,6 +101,11 @@ class Known:
         return readings.value, np.where(readings.plain, self.sigma if sigma is None else sigma, np.inf)
 
 
+def frame_rate(times: "list[float] | tuple[float, ...]") -> float:
+    """Frames a second by the median step of their times in s; 0 of a single one."""
+    return float(1 / np.median(np.diff(times))) if len(times) > 1 else 0.0
+
+
 def is_results(path: Path) -> bool:
     """Whether a file holds results. Raises InputError where it cannot be read."""
     with hdf5.existing_file(path) as file:
@@ -109,57 +114,51 @@ def is_results(path: Path) -> bool:
 
 
 def detect_results(
-    results: Results,
-    settings: RecognitionSettings = AS_PUBLISHED,
-    on_case: Callable[[int, int], None] = lambda done, total: None,
+    results: Results, patch_mm: float | None = None, on_case: Callable[[int, int], None] = lambda done, total: None
 ) -> list[Detected]:
     """For every recording what its readings show."""
-    tasks = [(results.of(name)[0], settings) for name in results.recordings()]
-    return list(each_of(_of_case, tasks, on_case))
+    return list(each_of(_of_case, [(results.of(name)[0], patch_mm) for name in results.recordings()], on_case))
 
 
-def _of_case(task: tuple[CaseResult, RecognitionSettings]) -> Detected:
-    case, settings = task
-    side = np.where(case.valued, case.measured, np.nan)
-    notes: tuple[str, ...] = ()
-    sigma, resting = case.sigma, case.sigma_baseline
-    if sigma is None or resting is None:
-        sigma, notes = _scattered(side, settings)
-        sigma = np.broadcast_to(sigma, side.shape)
+def _of_case(task: tuple[CaseResult, float | None]) -> Detected:
+    case, patch_mm = task
+    side, sigma, notes = np.where(case.valued, case.measured, np.nan), case.sigma, tuple[str, ...]()
+    if sigma is None or case.sigma_baseline is None:
+        one, notes = _scattered(side)
+        sigma, resting = np.broadcast_to(one, side.shape), None
+    else:
+        resting = case.sigma_baseline
     noise = frame_noise_of(case.frame_noise, case.scene)
-    unloaded = 1 if noise is None else noise.unloaded
-    own = sigma[0] if resting is None else resting * np.sqrt(unloaded)
+    own = sigma[0] if resting is None else resting * np.sqrt(1 if noise is None else noise.unloaded)
     rest = case.measured_baseline
     rest = np.where(np.isfinite(rest), rest, StandIn.of(rest, np.isfinite(rest)).value)
-    period = float(np.median(np.diff(case.time))) if len(case.time) > 1 else 0.0
-    known = rest, own, rest[None]
-    said = tuple(filter(None, case.warnings.split("\n")))
-    begin = float(case.time[0]) - period
-    watched = Known(case.recording, case.scene, *known, begin, case.reading_error, noise, notes)
+    begin = float(case.time[0] - (np.median(np.diff(case.time)) if len(case.time) > 1 else 0.0))
+    before = rest, own, rest[None], begin, case.reading_error, noise, notes, patch_mm
     values = zip(side, np.where(case.valued, sigma, np.inf), map(float, case.time), strict=True)
-    return replace(watched.answer(values, settings), warnings=said)
+    said = tuple(filter(None, case.warnings.split("\n")))
+    return replace(Known(case.recording, case.scene, *before).answer(values), warnings=said)
 
 
-def detect_recording(path: Path, settings: RecognitionSettings = AS_PUBLISHED, frames: range | None = None) -> Detected:
+def detect_recording(path: Path, patch_mm: float | None = None, frames: range | None = None) -> Detected:
     """What a recording shows, read part by part. Raises InputError where it cannot be read."""
     stored = StoredRecording.of(path)
-    head = _head(stored)
-    watched, said = known_of(head, settings), warnings_of(head)
+    part = stored.part(stored.blocks()[0])
+    measured = np.flatnonzero(part.role == MEASURED)[:HEAD]
+    if not len(measured):
+        raise InputError(f"{path}: no frame is measured (role 1)")
+    head = stored.part(range(int(measured[-1]) + 1))
+    watched, said = known_of(head, patch_mm), warnings_of(head)
     if isinstance(watched, Detected):
         return replace(watched, warnings=said)
     asked = range(stored.frames) if frames is None else frames
-
-    def each() -> Frames:
-        for block in stored.blocks():
-            part = stored.part(block)
-            yield from measured_frames(part, watched, np.isin(block, asked))
-
-    return replace(watched.answer(each(), settings), warnings=said)
+    blocks = stored.blocks()
+    each = (one for block in blocks for one in measured_frames(stored.part(block), watched, np.isin(block, asked)))
+    return replace(watched.answer(each), warnings=said)
 
 
-def known_of(head: Recording, settings: RecognitionSettings = AS_PUBLISHED) -> "Known | Detected":
-    """What the first frames of a recording tell, or why nothing can be said."""
-    readings, notes = head.readings(), list[str]()
+def known_of(head: Recording, patch_mm: float | None = None) -> "Known | Detected":
+    """What the first frames of a recording show, or why nothing can be said."""
+    readings, notes = head.readings(), tuple[str, ...]()
     unloaded = np.flatnonzero(head.role == UNLOADED)
     resting = resting_readings(head, readings)
     if not resting.enough(head.scene):
@@ -168,15 +167,14 @@ def known_of(head: Recording, settings: RecognitionSettings = AS_PUBLISHED) -> "
     if readings.sigma is None:
         if len(head.time) < 3:
             return Detected.unknown(head.name, "the noise is unknown, and too few frames show it")
-        sigma, said = _scattered(readings.plain_values, settings)
-        notes += said
+        sigma, notes = _scattered(readings.plain_values)
     else:
         seen = noise_seen(head)
         noise, error = seen.frame, seen.reading_error
         sigma = seen.used * np.min(np.where(readings.plain, readings.sigma, np.inf), axis=0)
     begin = float(head.time[unloaded[-1] if len(unloaded) else 0])
-    known = resting.value, sigma, readings.plain_values[unloaded], begin, error, noise, tuple(notes)
-    return Known(head.name, head.scene, *known)
+    before = resting.value, sigma, readings.plain_values[unloaded], begin, error, noise, notes, patch_mm
+    return Known(head.name, head.scene, *before)
 
 
 def measured_frames(part: Recording, watched: Known, asked: NDArray[np.bool_]) -> Frames:
@@ -186,22 +184,10 @@ def measured_frames(part: Recording, watched: Known, asked: NDArray[np.bool_]) -
         yield *watched.values(readings[number]), float(part.time[number])
 
 
-def _head(stored: StoredRecording) -> Recording:
-    """The frames up to the first HEAD measured ones, of the first part."""
-    part = stored.part(stored.blocks()[0])
-    measured = np.flatnonzero(part.role == MEASURED)
-    if not len(measured):
-        raise InputError(f"{stored.path}: no frame is measured (role 1)")
-    return stored.part(range(int(measured[:HEAD][-1]) + 1))
-
-
-def _scattered(value: Array, settings: RecognitionSettings) -> tuple[Array, tuple[str, ...]]:
+def _scattered(value: Array) -> tuple[Array, tuple[str, ...]]:
     """(σ (rows, columns) from differences of neighbouring frames, how it was found)."""
-    middle = np.nanmedian(value, axis=0)
-    if settings.noise_percent is not None:
-        return middle * settings.noise_percent / 100, ()
     with np.errstate(invalid="ignore"):
         relative = OF_DIFFERENCES * np.nanmedian(np.abs(np.diff(np.log(value), axis=0)), axis=0)
     size = float(np.nanmedian(relative))
     said = f"the noise is unknown: {100 * size:.2g} % a reading, from differences of neighbouring frames"
-    return middle * np.fmax(np.nan_to_num(relative), max(size, 1e-6)), (said,)
+    return np.nanmedian(value, axis=0) * np.fmax(np.nan_to_num(relative), max(size, 1e-6)), (said,)

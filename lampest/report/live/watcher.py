@@ -16,7 +16,7 @@ from lampest.panel.scene import Scene
 from lampest.recording.readings import Readings
 from lampest.recording.recording import UNLOADED, Recording
 from lampest.report.detect.answer import Detected
-from lampest.report.detect.detection import AS_PUBLISHED, HEAD, Known, known_of
+from lampest.report.detect.detection import HEAD, Known, frame_rate, known_of
 from lampest.report.live.handover import politely
 from lampest.runs.executors import Worker
 
@@ -82,8 +82,7 @@ class Watched:
         """The answer after the last frame."""
         if self.why or self.known is None or self.watch is None:
             return Detected.unknown(self.name, self.why)
-        steps = np.diff(self.times)
-        return self.known.detected(self.watch, float(1 / np.median(steps)) if len(steps) else 0.0)
+        return self.known.detected(self.watch, frame_rate(self.times))
 
     def _begun(self, scene: Scene, scans: tuple[Scan, ...]) -> "Watched":
         """Against unloaded frames; what was attached before has left."""
@@ -96,7 +95,7 @@ class Watched:
             return replace(self, why=known.why, known=None, watch=None, missing=0)
         before = () if self.watch is None else self.watch.attachments
         closed = tuple(replace(one, until_s=scans[0].time) if one.here else one for one in before)
-        watch = replace(known.watch(AS_PUBLISHED), attachments=closed)
+        watch = replace(known.watch(), attachments=closed)
         return Watched(self.name, "", known, watch, self.times)
 
     def _zeroed(self, scan: Scan) -> "Watched":
