@@ -220,7 +220,6 @@ class Absolute(Loss):
         return np.full_like(residual, weight / (8 * scale))
 
     def steady_pull(self, residual: Array) -> Array:
-        """0: the normal distribution stands for all of it."""
         return np.zeros_like(residual)
 
     def size(self, evidence: PenaltyEvidence) -> float:
@@ -252,7 +251,6 @@ class Student(Loss):
         _check_corner(self.corner)
 
     def cost(self, residual: Any) -> Any:
-        """The sum, symbolic or numeric."""
         return self.corner**2 * casadi.sum1(casadi.log1p((residual / self.corner) ** 2))
 
 

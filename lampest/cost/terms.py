@@ -11,7 +11,7 @@ import casadi
 from lampest.cost.given import Given
 from lampest.cost.losses import Absolute, AnyLoss, Huber, Squared
 from lampest.files.typed import ByKind, Validated, members_by_kind
-from lampest.panel.panel import Panel
+from lampest.panel.panel import Panel, difference_matrix
 
 Reference = Literal["baseline", "previous"]
 
@@ -55,9 +55,7 @@ class State(Given):
 @cache
 def gradient_operator(rows: int, columns: int) -> casadi.DM:
     """Sparse (2·cells, cells): the panel's finite differences for row-major columns."""
-    panel = Panel(rows, columns)
-    along_rows = casadi.sparsify(casadi.DM(panel.row_gradient()))
-    along_columns = casadi.sparsify(casadi.DM(panel.column_gradient()))
+    along_rows, along_columns = (casadi.sparsify(casadi.DM(difference_matrix(length))) for length in (rows, columns))
     return casadi.vertcat(
         casadi.kron(along_rows, casadi.DM.eye(columns)), casadi.kron(casadi.DM.eye(rows), along_columns)
     )
@@ -147,7 +145,6 @@ class CellResistance(Term):
     weight: Weight = "auto"
 
     def residual(self, state: State) -> Any:
-        """Cell resistance, (cells, 1)."""
         return state.cell_resistance
 
 
@@ -165,7 +162,6 @@ class RelativeChange(Term):
     weight: Weight = "auto"
 
     def residual(self, state: State) -> Any:
-        """Relative change against the previous frame, (cells, 1)."""
         return state.relative_change()
 
 
@@ -221,7 +217,6 @@ class TotalVariation(Term):
     kind: Literal["total_variation"] = "total_variation"
 
     def residual(self, state: State) -> Any:
-        """Logarithmic steps between neighbouring cells, (pairs, 1)."""
         return 100 * state.log_steps(state.cell_resistance)
 
 
@@ -238,7 +233,6 @@ class LogGradient(Term):
     kind: Literal["log_gradient"] = "log_gradient"
 
     def residual(self, state: State) -> Any:
-        """Differences of ln r between neighbouring cells, (pairs, 1)."""
         return state.log_steps(state.cell_resistance)
 
 
@@ -262,7 +256,6 @@ class LogRatio(Term):
     reference: Reference = "baseline"
 
     def residual(self, state: State) -> Any:
-        """Logarithmic change, (cells, 1)."""
         return 100 * casadi.log(state.ratio(self.reference))
 
 
@@ -319,7 +312,6 @@ class Arrival(Term):
             raise ValueError("walk_percent must be positive and finite")
 
     def residual(self, state: State) -> Any:
-        """Change in units of its standard deviation, (cells, 1)."""
         variance = state.previous_deviation**2 + (self.walk_percent / 100) ** 2
         return casadi.log(state.ratio("previous")) / casadi.sqrt(variance)
 

@@ -45,7 +45,7 @@ class Compiled:
 
     @cached_property
     def pattern(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """(rows, columns) of the nonzeros."""
+        """(rows, columns) of the nonzeros, column by column."""
         rows, columns = self.function.sparsity_out(0).get_triplet()
         return np.array(rows, dtype=np.intp), np.array(columns, dtype=np.intp)
 

@@ -28,8 +28,6 @@ class Temperature(Configuration):
 
     Exponential, because 1 + α (T − T_b) turns negative far from T_b; both agree within (α (T − T_b))²/2.
 
-    Parameters
-    ----------
     coefficient_per_kelvin : α. coefficient_sd_per_kelvin : its standard deviation.
     baseline_celsius, measured_celsius : T_b of the unloaded and T of the measured frames.
 
@@ -64,8 +62,6 @@ class Temperature(Configuration):
 class Systematic(Configuration):
     """Errors that all readings may share; widens error bars and changes no estimate.
 
-    Parameters
-    ----------
     reference_tolerance : the reference resistor, or all loads or feedback resistors together, are off by up to this
         fraction.
     channel_spread_ohm : standard deviation of the resistance of each line's channel, in ohm.
@@ -102,8 +98,6 @@ class Systematic(Configuration):
 class MeasuredSubject(Configuration):
     """Who touched the panel.
 
-    Parameters
-    ----------
     id : its name in the laboratory. species : its Latin name. length_mm : of the body. mass_g : of the body.
     note : what else there is to say.
 
@@ -127,8 +121,6 @@ class MeasuredSubject(Configuration):
 class Experiment(Configuration):
     """What it was measured for.
 
-    Parameters
-    ----------
     title : in a few words. experimenter : who did it. institution : where. water_temperature_celsius : of the water
         around the panel; what warmth does to the film is another key, `temperature`. note : what else there is to say.
 

@@ -13,8 +13,6 @@ from lampest.panel.panel import Modules, Panel
 class Faults(Configuration):
     """What is known to be broken, by (row, column) or line; it leaves the model.
 
-    Parameters
-    ----------
     open : cells that carry nothing. shorted : cells that join their lines; their readings say nothing.
     dead_rows, dead_columns : lines without contact: their readings say nothing, their cells carry nothing.
     dead_modules : modules by (row, column) that are not read at all: nothing is known of their cells.
@@ -43,7 +41,6 @@ class Faults(Configuration):
         return cells
 
     def shorted_cells(self, panel: Panel) -> NDArray[np.bool_]:
-        """(rows, columns) where a cell joins its lines."""
         return Faults(open=self.shorted).open_cells(panel)
 
     def blind(self, panel: Panel) -> NDArray[np.bool_]:
@@ -52,8 +49,7 @@ class Faults(Configuration):
 
     def joined(self, panel: Panel) -> tuple[tuple[int, ...], ...]:
         """Groups of lines that are one node, by the numbers of lines, rows first."""
-        columns = tuple(tuple(panel.rows + line for line in group) for group in self.joined_columns)
-        return self.joined_rows + columns
+        return (*self.joined_rows, *(tuple(panel.rows + line for line in group) for group in self.joined_columns))
 
     def check(self, panel: Panel) -> None:
         """Raise ValueError unless every fault lies on the panel, none is two things at once, and something is left."""
@@ -91,14 +87,13 @@ class Faults(Configuration):
     def of_module(self, layout: Modules, number: int, own: "Faults | None") -> "Faults | None":
         """Of one module, by its own rows and columns: what lies on it, and what only it has; None: nothing."""
         rows, columns = layout.cells(number)
-        inside = [
-            tuple(
-                (row - rows.start, column - columns.start)
-                for row, column in cells
-                if rows.start <= row < rows.stop and columns.start <= column < columns.stop
-            )
-            for cells in (self.open, self.shorted)
-        ]
         own = own or Faults()
-        merged = replace(own, open=(*own.open, *inside[0]), shorted=(*own.shorted, *inside[1]))
+
+        def inside(cells: tuple[tuple[int, int], ...]) -> list[tuple[int, int]]:
+            moved = ((row - rows.start, column - columns.start) for row, column in cells)
+            return [
+                place for place in moved if 0 <= place[0] < layout.each.rows and 0 <= place[1] < layout.each.columns
+            ]
+
+        merged = replace(own, open=(*own.open, *inside(self.open)), shorted=(*own.shorted, *inside(self.shorted)))
         return None if merged == Faults() else merged

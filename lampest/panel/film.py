@@ -33,8 +33,6 @@ class Strength(NamedTuple):
 class Film(Configuration):
     """What a film does beside its response curve. Numbers are those of all cells together.
 
-    Parameters
-    ----------
     hysteresis : the largest gap between loading and unloading of a full cycle, as the response curve reads both in
         kPa, over the cycle's largest pressure. 'auto': not known, 0.17 ± 0.07.
     creep_per_decade : by which fraction of itself ln(r/r0) grows for each decade of time under a load that stays, and
@@ -75,13 +73,12 @@ class Film(Configuration):
 
     @property
     def creep_strength(self) -> Strength:
-        """As specified, or what is usual where it is open; a fraction for each decade."""
+        """The same, a fraction for each decade."""
         return self._strength(self.creep_per_decade, OPEN_CREEP)
 
     def _strength(self, value: float | Literal["auto"], usual: tuple[float, float]) -> Strength:
-        if value == "auto":
-            return Strength(usual[0], hypot(usual[1], usual[0] * self.cell_spread))
-        return Strength(value, value * hypot(self.deviation, self.cell_spread))
+        mean, sd = usual if value == "auto" else (value, value * self.deviation)
+        return Strength(mean, hypot(sd, mean * self.cell_spread))
 
     @property
     def lowering(self) -> float:

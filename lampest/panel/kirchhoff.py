@@ -13,8 +13,6 @@ from lampest.panel.panel import MANY_LINES, Array, Panel
 def current_balance(conductance: Any, row_potential: Any, column_potential: Any) -> tuple[Any, Any]:
     """Net current out of every line: I_j = Σ_k g_jk (u_j − v_k) and I_k = Σ_j g_jk (v_k − u_j).
 
-    Parameters
-    ----------
     conductance : (rows, columns) siemens.
     row_potential, column_potential : (rows, patterns) and (columns, patterns) volt, one column for each pattern.
 

@@ -16,28 +16,9 @@ from numpy.typing import NDArray
 from lampest.panel.panel import Array
 
 
-class Linearised(Protocol):
-    """A sum of squares about one point."""
-
-    @property
-    def cost(self) -> float:
-        """½ |f|²."""
-
-    @property
-    def gradient(self) -> Array:
-        """Jᵀ f, (unknowns)."""
-
-    @property
-    def normal(self) -> Array:
-        """JᵀJ, (unknowns, unknowns)."""
-
-
-P = TypeVar("P", bound=Linearised)
-
-
 @dataclass(frozen=True, eq=False)
 class SumOfSquares:
-    """A sum of squares from its residual (n) and Jacobian (n, unknowns).
+    """A sum of squares about one point, from its residual f (n) and Jacobian J (n, unknowns).
 
     ridge : 1/variance of a step, added to the diagonal of JᵀJ: what no residual sees stays where it is.
     """
@@ -53,15 +34,31 @@ class SumOfSquares:
 
     @cached_property
     def gradient(self) -> Array:
-        """Jᵀ f."""
+        """Jᵀ f, (unknowns)."""
         return np.asarray(self.jacobian.T @ self.residual)
 
     @cached_property
     def normal(self) -> Array:
-        """JᵀJ + ridge."""
+        """JᵀJ + ridge, (unknowns, unknowns)."""
         normal = self.jacobian.T @ self.jacobian
         normal[np.diag_indices(len(normal))] += self.ridge
         return np.asarray(normal)
+
+
+class Linearised(Protocol):
+    """A sum of squares about one point, however it is made."""
+
+    @property
+    def cost(self) -> float: ...
+
+    @property
+    def gradient(self) -> Array: ...
+
+    @property
+    def normal(self) -> Array: ...
+
+
+P = TypeVar("P", bound=Linearised)
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,9 +76,9 @@ class LevenbergMarquardt:
     and grows tenfold after one that gains nothing.
 
     evaluations : of the model, at most. settled : a gain, made and predicted, of less than that ends the loop; so does
-    one of less than `share` of the cost.
-    damping : μ to begin with; 0: the first step is Gauss and Newton's. most_damping : μ that ends the loop.
-    longest : most that a step may change an unknown by, for all or for each; longer steps are shortened as a whole.
+    one of less than `share` of the cost. damping : μ to begin with; 0: the first step is Gauss and Newton's.
+    most_damping : μ that ends the loop. longest : most that a step may change an unknown by, for all or for each;
+    longer steps are shortened as a whole.
     """
 
     evaluations: int
@@ -111,8 +108,7 @@ class LevenbergMarquardt:
             free = ~(((position <= low) & (gradient > 0)) | ((position >= high) & (gradient < 0)))
             if not free.any():
                 break
-            step = self._step(here, free, damping)
-            moved = np.clip(position + step, low, high)
+            moved = np.clip(position + self._step(here, free, damping), low, high)
             step = moved - position
             there, count = model(moved), count + 1
             gain, predicted = here.cost - there.cost, -float(gradient @ step + step @ here.normal @ step / 2)
@@ -128,12 +124,9 @@ class LevenbergMarquardt:
 
     def _step(self, here: Linearised, free: NDArray[np.bool_], damping: float) -> Array:
         """The damped step (unknowns), within its longest."""
-        normal, gradient = (
-            (here.normal, here.gradient) if free.all() else (here.normal[free][:, free], here.gradient[free])
-        )
-        damped, own = normal.copy(), normal.diagonal()
+        damped = here.normal[free][:, free]
+        own = damped.diagonal().copy()
         damped[np.diag_indices(len(own))] += damping * np.where(own > 0, own, 1.0)
         step = np.zeros(len(free))
-        step[free] = -np.linalg.solve(damped, gradient)
-        size = np.abs(step)
-        return np.asarray(step * min(1.0, float(np.min(self.longest / np.maximum(size, 1e-300)))))
+        step[free] = -np.linalg.solve(damped, here.gradient[free])
+        return np.asarray(step * min(1.0, float(np.min(self.longest / np.maximum(np.abs(step), 1e-300)))))

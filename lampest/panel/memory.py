@@ -30,20 +30,25 @@ def without_memory(readout: Readout, fraction: float, recorded: Array, sigma: Ar
     recorded, sigma : of the same shape, in the readout's unit. Both voltages' noise is in U_n: (1 + m²)^½/(1 − m) times
     as much where they have the same. After a channel that says nothing (NaN), any voltage may be remembered.
     """
+
+    def before_it(values: Array) -> Array:
+        return in_panel_order(readout, np.roll(in_scan_order(readout, values), 1, axis=-1), values.shape)
+
+    def slope(volt: Array) -> Array:
+        """|∂recorded/∂V|, half a step of the converter within the supply where V is at its ends."""
+        step = 1e-3 * readout.lsb_volt
+        inside = np.clip(volt, readout.lsb_volt / 2, readout.supply_volt - readout.lsb_volt / 2)
+        ends = readout.recorded_from_volt(inside + step) - readout.recorded_from_volt(inside - step)
+        return np.abs(ends) / (2 * step)
+
     volt = readout.volt_from_recorded(recorded)
-    noise = sigma / _slope(readout, volt)
-    before, noise_before = before_it(readout, volt), before_it(readout, noise)
+    noise = sigma / slope(volt)
+    before, noise_before = before_it(volt), before_it(noise)
     unknown = ~np.isfinite(before)
     before = np.where(unknown, volt, before)
     noise_before = np.where(unknown, readout.supply_volt / np.sqrt(12), noise_before)
     freed = np.clip((volt - fraction * before) / (1 - fraction), 0.0, readout.supply_volt)
-    spread = np.hypot(noise, fraction * noise_before) / (1 - fraction)
-    return readout.recorded_from_volt(freed), spread * _slope(readout, freed)
-
-
-def before_it(readout: Readout, values: Array) -> Array:
-    """Of every channel, the value of the one that is converted before it."""
-    return in_panel_order(readout, np.roll(in_scan_order(readout, values), 1, axis=-1), values.shape)
+    return readout.recorded_from_volt(freed), np.hypot(noise, fraction * noise_before) / (1 - fraction) * slope(freed)
 
 
 def in_scan_order(readout: Readout, values: Array) -> Array:
@@ -57,11 +62,3 @@ def in_panel_order(readout: Readout, channels: Array, shape: tuple[int, ...]) ->
     if not readout.by_columns:
         return channels.reshape(shape)
     return channels.reshape(*shape[:-2], shape[-1], shape[-2]).swapaxes(-1, -2)
-
-
-def _slope(readout: Readout, volt: Array) -> Array:
-    """|∂recorded/∂V|, taken half a step of the converter within the supply where V is at its ends."""
-    step = 1e-3 * readout.lsb_volt
-    inside = np.clip(volt, readout.lsb_volt / 2, readout.supply_volt - readout.lsb_volt / 2)
-    ends = readout.recorded_from_volt(inside + step) - readout.recorded_from_volt(inside - step)
-    return np.abs(ends) / (2 * step)

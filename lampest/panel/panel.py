@@ -49,12 +49,11 @@ class Modules(Configuration):
 
     @property
     def count(self) -> int:
-        """How many modules there are."""
         return self.rows * self.columns
 
     @property
     def shape(self) -> tuple[int, int]:
-        """(rows, columns) of the whole image's cells."""
+        """(rows, columns) of the whole image."""
         return self.rows * self.each.rows, self.columns * self.each.columns
 
     def place(self, number: int) -> tuple[int, int]:
@@ -84,8 +83,6 @@ class Modules(Configuration):
 class Panel(Configuration):
     """A matrix of rows and columns; cell (j, k) joins row j and column k and has the number j·columns + k.
 
-    Parameters
-    ----------
     rows, columns : number of lines on either side, at least 1.
     pitch_mm : distance between neighbouring cells in millimetre; positions and pictures use it, equations do not.
     modules : the panels that this one is an image of, which say rows, columns and pitch; None: a panel of one network.
@@ -121,7 +118,6 @@ class Panel(Configuration):
             self._check_cells(self.cells)
 
     def _check_cells(self, cells: tuple[CellPlace, ...]) -> None:
-        crossings, places = {cell[:2] for cell in cells}, {cell[2:] for cell in cells}
         for row, column, x, y in cells:
             if not (0 <= row < self.rows and 0 <= column < self.columns):
                 raise ValueError(f"cells: there is no crossing [{row}, {column}]")
@@ -129,9 +125,9 @@ class Panel(Configuration):
                 raise ValueError(f"cells: [{row}, {column}] must lie within {MOST_PITCH_MM:g} mm of the origin")
         if not cells:
             raise ValueError("cells: a panel needs at least one cell")
-        if len(crossings) < len(cells):
+        if len({cell[:2] for cell in cells}) < len(cells):
             raise ValueError("cells: a crossing is listed twice")
-        if len(places) < len(cells):
+        if len({cell[2:] for cell in cells}) < len(cells):
             raise ValueError("cells: two cells lie at one place")
 
     @property
@@ -169,7 +165,7 @@ class Panel(Configuration):
 
     @property
     def extents_mm(self) -> tuple[tuple[float, float], tuple[float, float]]:
-        """The least and the largest x of all cells' centres, and y, millimetre."""
+        """The least and the largest x of all cells' centres, and y."""
         x, y = ((float(np.nanmin(one)), float(np.nanmax(one))) for one in self.places_mm)
         return x, y
 
@@ -211,14 +207,6 @@ class Panel(Configuration):
         distance = np.hypot(*(places[first] - places[second]).T) / self.pitch_mm
         return cells[first], cells[second], distance
 
-    def row_gradient(self) -> Array:
-        """D with (D x)_j = (x_{j+1} − x_{j−1})/2 inside and one-sided at the ends, (rows, rows), per unit cell."""
-        return difference_matrix(self.rows)
-
-    def column_gradient(self) -> Array:
-        """The same along a row, (columns, columns): the gradient of a matrix X is (D_row X, X D_columnᵀ)."""
-        return difference_matrix(self.columns)
-
 
 def circle_neighbours(places: Array, here: int) -> NDArray[np.intp]:
     """The cells after `here` that have none in the circle over the way from there; places (cells, 2).
@@ -241,8 +229,7 @@ def circle_neighbours(places: Array, here: int) -> NDArray[np.intp]:
 def beyond_any_panel(values: Array) -> NDArray[np.bool_]:
     """Where a number, neither zero, infinite nor missing, is so small or so large that its square has no digits."""
     size = np.abs(values)
-    beyond: NDArray[np.bool_] = np.isfinite(values) & (values != 0) & ((size < SMALLEST) | (size > LARGEST))
-    return beyond
+    return np.asarray(np.isfinite(values) & (values != 0) & ((size < SMALLEST) | (size > LARGEST)))
 
 
 def as_panels_have(values: Array) -> Array:
@@ -255,14 +242,7 @@ def as_panels_have(values: Array) -> Array:
 def difference_matrix(length: int) -> Array:
     """D (length, length): central differences inside, one-sided at the border, zero for a single point.
 
-    Source: MATLAB's `gradient` with unit spacing, which the paper's equations (19)-(24) use.
+    The gradient of a matrix X is (D X, X Dᵀ). Source: MATLAB's `gradient` with unit spacing, which the paper's
+    equations (19)-(24) use.
     """
-    difference = np.zeros((length, length))
-    if length == 1:
-        return difference
-    inner = np.arange(1, length - 1)
-    difference[inner, inner + 1] = 0.5
-    difference[inner, inner - 1] = -0.5
-    difference[0, :2] = -1.0, 1.0
-    difference[-1, -2:] = -1.0, 1.0
-    return difference
+    return np.zeros((1, 1)) if length == 1 else np.asarray(np.gradient(np.eye(length), axis=0))

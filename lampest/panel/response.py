@@ -29,8 +29,6 @@ TOLD_KPA = (-10.0, 40.0)
 class Response(Configuration):
     """What all kinds may say of single cells.
 
-    Parameters
-    ----------
     gain : (rows, columns) κ of each cell. gain_sd : their relative standard deviations; None: cells scatter as
         `systematic.response_sd` says, or as usual.
 
@@ -41,28 +39,28 @@ class Response(Configuration):
     gain_sd: Table | None = None
 
     def __post_init__(self) -> None:
-        for name, least in (("gain", 0.0), ("gain_sd", -1e-300)):
-            table: Table | None = getattr(self, name)
-            if table is None:
-                continue
+        for name, table in self._tables().items():
             if not table or len({len(row) for row in table}) > 1:
                 raise ValueError(f"{name} needs one number for each column in each row")
-            if not all(isfinite(number) and number > least for row in table for number in row):
-                raise ValueError(f"{name} must be {'positive' if least == 0 else 'zero or positive'}, and finite")
+            open_end = name == "gain"
+            if not all(
+                isfinite(number) and number >= 0 and (number or not open_end) for row in table for number in row
+            ):
+                raise ValueError(f"{name} must be {'positive' if open_end else 'zero or positive'}, and finite")
+
+    def _tables(self) -> dict[str, Table]:
+        return {name: table for name in ("gain", "gain_sd") if (table := getattr(self, name)) is not None}
 
     def check(self, shape: tuple[int, int]) -> None:
         """Raise ValueError unless tables of cells are as large as the panel."""
-        for name in ("gain", "gain_sd"):
-            table = getattr(self, name)
-            if table is not None and (len(table), len(table[0])) != shape:
+        for name, table in self._tables().items():
+            if (len(table), len(table[0])) != shape:
                 raise ValueError(f"response.{name} must have {shape[0]} rows of {shape[1]} numbers, as the panel")
 
     def of_cells(self, cells: tuple[slice, slice]) -> Self:
         """The same of some cells of the panel."""
-        tables = {name: table for name in ("gain", "gain_sd") if (table := getattr(self, name)) is not None}
-        return replace(
-            self, **{name: tuple(row[cells[1]] for row in table[cells[0]]) for name, table in tables.items()}
-        )
+        some = {name: tuple(row[cells[1]] for row in table[cells[0]]) for name, table in self._tables().items()}
+        return replace(self, **some)
 
     @property
     def gains(self) -> Array:
@@ -91,8 +89,6 @@ class Response(Configuration):
 class TableResponse(Response):
     """ln f by points: a monotone cubic (PCHIP) through ln r at them, straight on beyond the first and the last.
 
-    Parameters
-    ----------
     pressure_kpa : rising, from 0 or below to above 0. resistance_ohm : falling, of one cell or any other unit: only
         what it is over that at 0 kPa counts.
     sd : of each point, relative standard deviation of ln(r/r0), for all cells alike; None: the curve is exact.
@@ -125,23 +121,19 @@ class TableResponse(Response):
             raise ValueError("sd needs one number for each point, zero or positive")
 
     def logarithm(self, pressure: ArrayLike) -> Array:
-        """Between its points, and straight on beyond."""
         at, logarithm = self._points
         return _straight_on(pressure, at, logarithm)
 
     def pressure(self, logarithm: ArrayLike) -> Array:
-        """The same lines the other way."""
         at, fallen = self._points
         return _straight_on(-np.asarray(logarithm, dtype=float), -fallen, at)
 
     def curve_sd(self, pressure: ArrayLike) -> Array:
-        """Between its points; beyond them that of the last."""
-        sd = np.zeros(len(self.pressure_kpa)) if self.sd is None else np.array(self.sd)
+        sd = self.sd or np.zeros(len(self.pressure_kpa))
         return np.asarray(np.interp(np.asarray(pressure, dtype=float), self.pressure_kpa, sd))
 
     @property
     def told_kpa(self) -> tuple[float, float]:
-        """From the first point to the last."""
         return self.pressure_kpa[0], self.pressure_kpa[-1]
 
     @cached_property
@@ -158,8 +150,6 @@ class TableResponse(Response):
 class PowerResponse(Response):
     """ln f = −n ln(1 + p/p1): the conductance grows with a power of the pressure. Straight on for suction.
 
-    Parameters
-    ----------
     exponent : n; 1 where the conductance is linear in the force. scale_kpa : p1. sd : relative standard deviation of
         ln f, for all cells alike. from_kpa, to_kpa : between which pressures it was fitted.
 
@@ -199,12 +189,10 @@ class PowerResponse(Response):
             return np.asarray(self.scale_kpa * (np.expm1(np.maximum(fallen, 0.0)) + np.minimum(fallen, 0.0)))
 
     def curve_sd(self, pressure: ArrayLike) -> Array:
-        """The same everywhere."""
         return np.full(np.shape(pressure), self.sd)
 
     @property
     def told_kpa(self) -> tuple[float, float]:
-        """Where it was fitted."""
         return self.from_kpa, self.to_kpa
 
 
@@ -230,7 +218,6 @@ class PublishedResponse(Response):
     kind: Literal["published"] = "published"
 
     def logarithm(self, pressure: ArrayLike) -> Array:
-        """ln f(p)."""
         pressure = np.asarray(pressure, dtype=float)
         linear = np.interp(pressure, CURVE_KPA[:3], CURVE_RATIO[:3])
         saturating, saturated = self._rates
@@ -245,7 +232,6 @@ class PublishedResponse(Response):
         return np.asarray(np.log(CURVE_RATIO[3:] / CURVE_RATIO[2:-1]) / np.diff(CURVE_KPA[2:]))
 
     def pressure(self, logarithm: ArrayLike) -> Array:
-        """p of ln f(p)."""
         logarithm = np.asarray(logarithm, dtype=float)
         start, rates = np.log(CURVE_RATIO[2]), self._rates
         linear = np.interp(-np.exp(np.clip(logarithm, start, 0.0)), -CURVE_RATIO[:3], CURVE_KPA[:3])
@@ -255,12 +241,10 @@ class PublishedResponse(Response):
         return np.asarray(linear + suction + saturating / rates[0] + (below - saturating) / rates[1])
 
     def curve_sd(self, pressure: ArrayLike) -> Array:
-        """None is published; the scatter of single cells covers it."""
         return np.zeros(np.shape(pressure))
 
     @property
     def told_kpa(self) -> tuple[float, float]:
-        """TOLD_KPA."""
         return TOLD_KPA
 
 

@@ -67,8 +67,6 @@ class OwnOfModule(Configuration):
 class Scene(Configuration):
     """The panel, how it is read, and what stands between the two.
 
-    Parameters
-    ----------
     panel : rows, columns and pitch.
     readout : the electronics; None where only resistances are known, and then their σ is unknown too.
     series_resistance_ohm : resistance in series with every two-point resistance (two multiplexer channels) in ohm; a

@@ -26,15 +26,12 @@ class Unsmoothed(Smoothing):
     """Nothing rounded: slopes are the duals, and a kink has no curvature."""
 
     def slope(self, residual: Array) -> Array:
-        """z."""
         return self.dual
 
     def stiffness(self, residual: Array) -> Array:
-        """0."""
         return np.zeros_like(residual)
 
     def objective(self, at: Evaluation) -> float:
-        """φ itself."""
         return at.objective
 
 

@@ -82,7 +82,6 @@ class Cholesky(Preconditioner):
         return np.asarray(lapack.dpotrs(self.triangle, values / self.size)[0] / self.size)
 
     def over(self, free: Free, cell_resistance: Array) -> Linear:
-        """Cells that M does not know: by the diagonal."""
         chosen = np.flatnonzero(free)
         if np.array_equal(chosen, self.cells):
             return self.solve
@@ -131,7 +130,6 @@ class TwoLevel(Preconditioner):
         return cls(cells, sparse_inverse(local(hessian.own)))
 
     def over(self, free: Free, cell_resistance: Array) -> Linear:
-        """The part between the free cells."""
         chosen = np.flatnonzero(free)
         size, part = cell_resistance.ravel()[chosen], restricted(self._solved, chosen, free.size)
         return lambda values: np.asarray(part(values / size) / size)

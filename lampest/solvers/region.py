@@ -12,8 +12,10 @@ from scipy import ndimage
 
 from lampest.cost.cost import Cost
 from lampest.cost.problem import Data, Evaluation
+from lampest.panel.least_squares import LevenbergMarquardt, SumOfSquares
 from lampest.panel.network import Block, Network
 from lampest.panel.panel import Array
+from lampest.panel.readouts.floating import REPRODUCED
 from lampest.solvers.hessian import DENSE_STIFF_CELLS
 from lampest.solvers.multistart import best_solution, evaluated, solved_from
 from lampest.solvers.projected_newton import ProjectedNewton
@@ -23,6 +25,8 @@ DRIFT = 0.02
 SHARE = 0.2  # of the strongest change; what is weaker waits until that is explained
 MOST_GROWTHS, SWEEPS = 6, 2
 MAD = 1.4826  # standard deviation over median absolute deviation of a normal distribution
+# Of a block's cells: beyond 1.5 in log r a reading's slope no longer predicts it.
+FIT = LevenbergMarquardt(evaluations=30, settled=0.0, damping=1e-12, longest=1.5)
 UNSURE = 0.2  # of what a load would do, a median's standard deviation: beyond, noise hides whether there is one
 
 
@@ -64,7 +68,7 @@ class RegionSolver:
             blocks = found
             for block in blocks * (1 if len(blocks) == 1 else SWEEPS):
                 given = (data.measured[0][block], 1 / data.upper[0][block], (plain & ~outliers)[block])
-                network = data.readout.fitted_block(network, block, *given)
+                network = fitted_block(network, block, *given)
         measured = np.where(outliers, network.reading(), data.measured[0])[None]
         used = replace(data, given=replace(data.given, measured=measured))
         inside = covered_by(blocks, plain.shape)
@@ -126,6 +130,31 @@ def _apart(change: Array) -> Array:
     return np.asarray(np.abs(rest - np.nanmedian(rest, axis=0, keepdims=True)))
 
 
+def fitted_block(network: Network, block: Block, measured: Array, least: Array, chosen: NDArray[np.bool_]) -> Network:
+    """The network with a block's cells such that they reproduce its chosen readings, as far as bounds allow.
+
+    measured, least : (rows, columns) of the block: readings, and the least conductance in siemens.
+    """
+    whole = np.zeros(network.conductance.shape, dtype=bool)
+    whole[block] = chosen
+    cells, size = np.flatnonzero(whole), float(np.abs(measured).max())
+
+    def changed(logarithm: Array) -> Network:
+        conductance = network.conductance[block].copy()
+        conductance[chosen] = np.exp(-logarithm)
+        return network.changed(block, np.maximum(conductance, least))
+
+    def missed(logarithm: Array) -> SumOfSquares:
+        there = changed(logarithm)
+        return SumOfSquares((there.reading()[block] - measured)[chosen] / size, there.sensitivity(cells, cells) / size)
+
+    start, highest = (-np.log(part[chosen]) for part in (network.conductance[block], least))
+    found = FIT.minimum(
+        missed, start, (-np.inf, highest), lambda at, _: bool(np.abs(at.residual).max(initial=0.0) <= REPRODUCED)
+    )
+    return changed(found.position)
+
+
 def grown(cells: NDArray[np.bool_], blocks: tuple[Block, ...]) -> tuple[Block, ...]:
     """The rectangles round neighbouring cells with a margin of one, and round earlier blocks; none overlap."""
     touching = np.ones((3, 3))
@@ -161,7 +190,7 @@ def has_footprint(network: Network, data: Data, change: Array, noise: Array, pla
     row, column = place
     block = (slice(row, row + 1), slice(column, column + 1))
     given = (data.measured[0][block], 1 / data.upper[0][block], np.ones((1, 1), dtype=bool))
-    predicted = np.log(data.readout.fitted_block(network, block, *given).reading() / network.reading())
+    predicted = np.log(fitted_block(network, block, *given).reading() / network.reading())
     if abs(predicted[place]) < abs(change[place]) / 2:  # nearer to nothing than to all of what a load would do
         return False
     common = np.nanmedian(change)

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 
-from lampest.panel.panel import Array, Panel
+from lampest.panel.panel import Array, Panel, difference_matrix
 from lampest.panel.readouts.floating import FloatingNetwork, grounding
 
 TOLERANCE, EVALUATIONS, ITERATIONS = 1e-6, 100, 400  # MATLAB's defaults; evaluations for each unknown
@@ -226,8 +226,8 @@ def left_by_solver(
 def _operator(penalised: str, panel: Panel) -> Array | None:
     """What the penalty takes of a vector of cells."""
     if penalised == "gradient":
-        down = np.kron(panel.row_gradient(), np.eye(panel.columns))
-        return np.vstack([down, np.kron(np.eye(panel.rows), panel.column_gradient())])
+        down = np.kron(difference_matrix(panel.rows), np.eye(panel.columns))
+        return np.vstack([down, np.kron(np.eye(panel.rows), difference_matrix(panel.columns))])
     return np.eye(panel.crossings) if penalised else None
 
 

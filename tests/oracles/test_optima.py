@@ -21,7 +21,6 @@ from lampest.estimate.estimator import Bounds, Estimator
 from lampest.estimate.methods.method import OptimalMethod
 from lampest.estimate.sequence import reconstruct
 from lampest.panel.panel import Array, Panel
-from lampest.panel.readouts.two_point import resolution_limit
 from lampest.panel.scene import Scene
 from lampest.recording.recording import Recording
 from lampest.solvers.multistart import evaluated, solved_from
@@ -357,7 +356,7 @@ def test_cell_without_finite_optimum_ends_at_the_resolution(paper: SimpleNamespa
     recorded = recording(truth((5, 7), 1, 14, spread=0.8), 3e-2, seed=14)
     found = reconstruct(recorded, estimator("misfit", formulation=formulation)).steps[0].solution
     assert found.solved
-    upper = resolution_limit(recorded.resistance, recorded.sigma)
+    upper = recorded.resistance**2 / recorded.sigma
     assert np.sum(found.open_cell) == 3
     assert np.array_equal(found.open_cell, found.cell_resistance >= 0.99 * upper)
     assert_allclose(found.cell_resistance[found.open_cell], upper[found.open_cell], rtol=1e-6)

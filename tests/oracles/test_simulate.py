@@ -12,7 +12,6 @@ from lampest.loads.shapes import OralDisc, Ring, Rod, Shape, SuctionCup
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.readouts.floating import uniform_factor
-from lampest.panel.readouts.two_point import resolution_limit
 from lampest.panel.scene import Scene, Water
 from lampest.recording.recording import Recording
 from lampest.recording.simulation import Simulation, read_simulations, run, simulate
@@ -177,7 +176,7 @@ def test_lamprey_looks_like_the_papers(name: str, covered: tuple[int, int], cent
     assert (int(touched.any(axis=1).sum()), int(touched.any(axis=0).sum())) == covered
     assert cells[centre] > 100
     assert np.sum(cells < -85) >= 4
-    assert np.all(np.isfinite(resolution_limit(recording.resistance, recording.readings().sigma)))
+    assert np.all(np.isfinite(recording.resistance**2 / recording.readings().sigma))
 
 
 @pytest.mark.parametrize("name", SHIPPED)

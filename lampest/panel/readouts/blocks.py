@@ -27,15 +27,12 @@ class ModulesReadout(TwoPointReadout):
     layout: Modules = Modules(1, 1, EachModule(1, 1))
 
     def ties(self, measured: Array) -> Array:
-        """One line of every module, (modules, lines)."""
         return grounding(self.layout.split(measured))
 
     def ties_of_parts(self, measured: Array, parts: NDArray[np.intp] | None) -> Array:
-        """The same: modules are the parts."""
         return self.ties(measured)
 
     def network(self, cell_resistance: Array, ties: Array, wiring: Wiring | None = None) -> Network:
-        """Of all modules."""
         inner = FloatingNetwork.solve(1 / self.layout.split(cell_resistance), ties)
         return BlockNetwork(cell_resistance, 1 / cell_resistance, inner.potentials(), self.layout, inner)
 
@@ -58,7 +55,6 @@ class BlockNetwork(FloatingNetwork):
     inner: FloatingNetwork
 
     def reading(self) -> Array:
-        """Of the image."""
         return np.asarray(self.layout.joined(self.inner.reading()))
 
     def forward(self, step: Array) -> Array:
@@ -70,17 +66,14 @@ class BlockNetwork(FloatingNetwork):
         return np.asarray(self.layout.joined(self.inner.adjoint(self.layout.split(weights))))
 
     def sensitivity(self, cells: Numbers | None = None, readings: Numbers | None = None) -> Array:
-        """J, zero between modules."""
         whole = self.scattered(self.inner.sensitivity())
         whole = whole if readings is None else whole[readings]
         return whole if cells is None else whole[:, cells]
 
     def second_order(self, weights: Array) -> SecondOrder:
-        """Of all modules."""
         return BlockSecondOrder(self, weights)
 
     def normal_by_lines(self, weight: Array) -> NormalByLines:
-        """J's diagonal alone."""
         return Network.normal_by_lines(self, weight)
 
     def condition(self) -> float:
@@ -117,6 +110,5 @@ class BlockSecondOrder(SecondOrder):
         return np.asarray(self.network.layout.joined(self._inner.adjoint()))
 
     def matrix(self, cells: Numbers | None = None) -> Array:
-        """H, zero between modules."""
         whole = self.network.scattered(self._inner.matrix())
         return whole if cells is None else whole[np.ix_(cells, cells)]

@@ -18,8 +18,6 @@ USUAL_NOISE_LSB = 0.7  # (LSB) enough to dither: what the shipped boards show, a
 class Converter(Configuration):
     """Codes from 0 to 2^bits − 1 over voltages from 0 to the supply.
 
-    Parameters
-    ----------
     supply_volt : supply of the circuit and reference of the converter in volt.
     adc_bits : resolution of the converter.
     readings : conversions that are averaged for one cell.

@@ -49,6 +49,7 @@ class DrivenReadout(Readout):
 
     of_sensed: ClassVar[tuple[str, ...]]
     idle_floats: ClassVar[bool] = False
+    series_name: ClassVar[str] = "drive_ohm"
     driven: Side
     drive_ohm: PerLine
     sense_ohm: PerLine = 0.0
@@ -94,13 +95,15 @@ class DrivenReadout(Readout):
 
     @property
     def noisy_side(self) -> Side:
-        """The driven one."""
         return self.driven
 
     @property
     def mirrored(self) -> bool:
-        """Where loads lead to the supply."""
         return self.polarity == "down"
+
+    @property
+    def by_columns(self) -> bool:
+        return self.driven == "columns"
 
     @property
     def _along_sensed(self) -> int:

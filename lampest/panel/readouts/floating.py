@@ -62,11 +62,9 @@ class FloatingNetwork(Network):
 
     @property
     def slopes(self) -> Entries:
-        """1, 1 and −2."""
         return np.ones((1, 1)), np.ones((1, 1)), np.full((1, 1), -2.0)
 
     def read_change(self, change: Entries) -> Array:
-        """The same: R is linear."""
         return across(change)
 
     def loading(self, weights: Array) -> Loading:

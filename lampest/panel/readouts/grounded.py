@@ -22,8 +22,6 @@ class GroundedReadout(DrivenReadout):
     idle ones floating: ties 1/Rd_i and none, and k_j = 1 + Z_jj/(Rc_j + Rs_j) is what the load does to the line that
     is read.
 
-    Parameters
-    ----------
     driven : the lines that are driven, one after the other. sense : see above.
     polarity : 'up': the driven line is put to the supply, idle ones and loads lead to ground; 'down': the driven line
         is put to ground, idle ones and loads (internal pull-ups) to the supply; the converter then sees Vcc − V.
@@ -52,7 +50,6 @@ class GroundedReadout(DrivenReadout):
     input_ohm: float | None = None
 
     def description(self) -> str:
-        """The circuit and the converter."""
         sensed = opposite(self.driven)
         loads = f"all {sensed} loaded" if self.all_loaded else f"one of the {sensed} loaded, the others floating"
         channel = f", sense channels {lines_text(self.sense_ohm)}" if self.sense_ohm else ""
@@ -64,7 +61,6 @@ class GroundedReadout(DrivenReadout):
 
     @property
     def all_loaded(self) -> bool:
-        """sense: all."""
         return self.sense == "all"
 
     def _sensed(self, lines: int) -> tuple[Array, Array]:
@@ -82,8 +78,6 @@ class VirtualGroundReadout(DrivenReadout):
     while another one is read, at ground, through its channel Rc. The amplifier inverts: its output lies Rf·i_j below
     its reference. What is recorded is how far, a positive number, between 0 and the supply, which is its rail.
 
-    Parameters
-    ----------
     driven : the lines that are driven, one after the other.
     drive_ohm : Rd, output and channel of every driven line. sense_ohm : Rc, between every sensed line and the
         amplifier. feedback_ohm : Rf. Each a number or one for each line. Rd and Rc of zero are taken for a micro-ohm.
@@ -105,7 +99,6 @@ class VirtualGroundReadout(DrivenReadout):
     feedback_ohm: PerLine = 1000.0
 
     def description(self) -> str:
-        """The circuit and the converter."""
         return (
             f"virtual ground, {self.driven} driven while all other lines are grounded, {self.supply_volt:g} V, "
             f"drive {lines_text(self.drive_ohm)}, sense {lines_text(self.sense_ohm)}, "

@@ -17,8 +17,6 @@ from lampest.panel.readouts.lines import RELAXED, LineNumber, PerLine, Side, lin
 class Diode(Configuration):
     """V_d = s·ln(1 + I/I_s), I_s such that V_d is drop_volt at at_ampere; Shockley's law.
 
-    Parameters
-    ----------
     drop_volt : at the current at_ampere, as a data sheet says. slope_volt : s = n·kT/q, what an e-fold of current adds
         to the drop; 2.303 s is a decade's.
 
@@ -77,8 +75,6 @@ class LoadedColumnsReadout(DrivenReadout):
 
     Behind a diode it is V = U·Z_ij/(Rd_i + Z_ii), U what the diode leaves of Vcc; see `Diode.left`.
 
-    Parameters
-    ----------
     driven : the lines that are driven, one after the other.
     polarity : 'up': the driven line is put to the supply and loads lead to ground; 'down': the driven line is put to
         ground and loads lead to the supply (internal pull-ups), so that the converter sees Vcc − V.
@@ -106,7 +102,6 @@ class LoadedColumnsReadout(DrivenReadout):
     input_ohm: float | None = None
 
     def description(self) -> str:
-        """The circuit and the converter."""
         diode = "" if self.diode is None else f", {self.diode.description()}"
         return (
             f"loaded {opposite(self.driven)}, {self.driven} driven {self.polarity} one after the other, "
@@ -115,15 +110,12 @@ class LoadedColumnsReadout(DrivenReadout):
         )
 
     def _sensed(self, lines: int) -> tuple[Array, Array]:
-        """(Rs with the converter parallel to it, 1)."""
         return parallel(per_line("load_ohm", self.load_ohm, lines), self.input_ohm), np.ones(lines)
 
     def _supply(self, resistance: Any) -> Any:
-        """What the diode leaves to Rd + Z_ii."""
         return self.supply_volt if self.diode is None else self.diode.left(self.supply_volt, resistance)
 
     def _lost(self, current: Array) -> Array:
-        """V_d."""
         return super()._lost(current) if self.diode is None else self.diode.drop(current)
 
     def _driven_potentials(self, conductance: Array, volt: Array, drive: Array, load: Array) -> Array:
@@ -149,6 +141,5 @@ class LoadedColumnsReadout(DrivenReadout):
         return np.asarray(np.maximum(least, super().least_cells(measured, sigma)))
 
     def line_numbers(self) -> tuple[LineNumber, ...]:
-        """Those of driven lines, and the drop of a diode that is there."""
         diode = () if self.diode is None else (LineNumber("diode.drop_volt", (), unit="volt"),)
         return *super().line_numbers(), *diode

@@ -4,17 +4,15 @@ A kind of readout is one file: it states its ties and its reading. All else has 
 """
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, ClassVar, Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.panel.least_squares import LevenbergMarquardt, SumOfSquares
-from lampest.panel.network import Block, Network, inverse_of
+from lampest.panel.network import Network, inverse_of
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts.converter import Converter
-from lampest.panel.readouts.floating import REPRODUCED
 from lampest.panel.readouts.lines import LineNumber, of_side, per_line
 from lampest.panel.readouts.tied import TiedNetwork
 from lampest.panel.readouts.wiring import WiredNetwork, Wiring
@@ -23,27 +21,17 @@ LEAST_SHARE = 1e-3  # (of a load) what a reading at its end leaves of the appare
 SHORT_SHARE = 1e-6  # (of the apparent resistance) from here to a dead short readings move by a millionth
 
 
-@dataclass(frozen=True, eq=False)
-class FittedBlock(SumOfSquares):
-    """A block's misfit in units of its largest reading, and its network."""
-
-    network: Network = field(kw_only=True)
-
-
 class Surroundings(Protocol):
-    """What a readout reads of a scene."""
+    """What a readout reads of a scene; series_ohm : in series with every reading, broadcast to (rows, columns)."""
 
     @property
-    def panel(self) -> Panel:
-        """The panel's shape."""
+    def panel(self) -> Panel: ...
 
     @property
-    def series_ohm(self) -> Array:
-        """What the scene has in series with every reading, ohm; to be broadcast to (rows, columns)."""
+    def series_ohm(self) -> Array: ...
 
     @property
-    def wiring(self) -> Wiring | None:
-        """What lies between terminals and cells, or None."""
+    def wiring(self) -> Wiring | None: ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +57,9 @@ class Readout(Converter, ABC):
 
     unit : of a reading, 'ohm' or 'volt'. signal, signal_name : its dataset in files, and that in words. homogeneous :
     whether readings grow with all cells by one factor. unique : whether plain least squares without noise has one
-    minimum; else solvers search. in_series : whether the scene's series resistance adds to every reading.
+    minimum; else solvers search. in_series : whether the scene's series resistance adds to every reading. mirrored :
+    whether loads lead to the supply, so that the converter sees Vcc minus the network's reading. by_columns : whether a
+    scan goes column by column. series_name : what scenes call a resistance in series with the panel; '' without one.
 
     >>> issubclass(lampest.GroundedReadout, lampest.Readout)
     True
@@ -81,6 +71,15 @@ class Readout(Converter, ABC):
     homogeneous: ClassVar[bool] = False
     unique: ClassVar[bool] = False
     in_series: ClassVar[bool] = False
+    series_name: ClassVar[str] = ""
+
+    @property
+    def mirrored(self) -> bool:
+        return False
+
+    @property
+    def by_columns(self) -> bool:
+        return False
 
     def check(self, scene: Surroundings) -> None:
         """Raise ValueError where the scene says what the readout has no model of, or it does not fit the panel."""
@@ -90,11 +89,6 @@ class Readout(Converter, ABC):
                 "series_resistance_ohm belongs to readout.kind: two_point; with others a channel's resistance is part "
                 "of the readout's drive_ohm or sense_ohm"
             )
-
-    @property
-    def mirrored(self) -> bool:
-        """Whether loads lead to the supply, so that the converter sees Vcc minus the network's reading."""
-        return False
 
     @abstractmethod
     def description(self) -> str:
@@ -161,9 +155,8 @@ class Readout(Converter, ABC):
         if measured.ndim > 2:
             return np.stack([self.resolution(*both) for both in zip(measured, sigma, strict=True)])
         start = self.uniform_start(measured)
-        network = self.network(start, self.ties(measured))
-        limit = np.abs(network.own_response()) * start / sigma
-        return np.asarray(np.maximum(limit, 2 * start))
+        response = self.network(start, self.ties(measured)).own_response()
+        return np.asarray(np.maximum(np.abs(response) * start / sigma, 2 * start))
 
     def common_step(self, measured: Array, expected: Array, chosen: NDArray[np.bool_]) -> float:
         """The factor by which all cells seem to have grown together; 1 where readings do not show it.
@@ -172,38 +165,12 @@ class Readout(Converter, ABC):
         """
         return 1.0
 
-    def fitted_block(
-        self, network: Network, block: Block, measured: Array, least: Array, chosen: NDArray[np.bool_]
-    ) -> Network:
-        """The network with a block's cells such that they reproduce its chosen readings, as far as bounds allow.
-
-        measured, least : (rows, columns) of the block: readings, and the least conductance in siemens.
-        """
-        whole = np.zeros(network.conductance.shape, dtype=bool)
-        whole[block] = chosen
-        cells, size = np.flatnonzero(whole), float(np.abs(measured).max())
-
-        def fitted(logarithm: Array) -> FittedBlock:
-            conductance = network.conductance[block].copy()
-            conductance[chosen] = np.exp(-logarithm)
-            there = network.changed(block, np.maximum(conductance, least))
-            missed = (there.reading()[block] - measured)[chosen]
-            return FittedBlock(missed / size, there.sensitivity(cells, cells) / size, network=there)
-
-        start, highest = (-np.log(part[chosen]) for part in (network.conductance[block], least))
-        # Beyond 1.5 in log r a reading's slope no longer predicts it.
-        loop = LevenbergMarquardt(evaluations=30, settled=0.0, damping=1e-12, longest=1.5)
-        found = loop.minimum(
-            fitted, start, (-np.inf, highest), lambda at, _: bool(np.abs(at.residual).max(initial=0.0) <= REPRODUCED)
-        )
-        return found.at.network
-
     # What readings show of the circuit.
 
     def free_tests(self, measured: Array, sigma: Array) -> tuple[FreeTest, ...]:
-        """Inequalities that the circuit's readings (frames, rows, columns) keep whatever the cells are; σ likewise.
+        """Inequalities that the circuit's readings (frames, rows, columns) keep whatever the cells are.
 
-        σ is infinite where a reading is no value.
+        sigma : likewise, infinite where a reading is no value.
         """
         return ()
 
@@ -214,23 +181,20 @@ class Readout(Converter, ABC):
         """
         return 0.0
 
-    @property
-    def series_name(self) -> str:
-        """What scenes call that resistance; empty where the kind has none."""
-        if self.in_series:
-            return "series_resistance_ohm"
-        return "drive_ohm" if hasattr(self, "drive_ohm") else ""
-
     # Between what is recorded and what the network is read by.
-
-    @property
-    def by_columns(self) -> bool:
-        """Whether a scan goes column by column, as kinds do that drive columns."""
-        return bool(getattr(self, "driven", "rows") == "columns")
 
     def from_recorded(self, recorded: Array, scene: Surroundings) -> Array:
         """The network's reading of a recorded one, any shape ending in (rows, columns)."""
         return self.supply_volt - recorded if self.mirrored else recorded
+
+    def to_recorded(self, reading: Array, scene: Surroundings) -> Array:
+        """The recorded reading of a network's, any shape ending in (rows, columns)."""
+        return self.supply_volt - reading if self.mirrored else reading
+
+    @property
+    def direction(self) -> float:
+        """1 where a network's reading grows with the recorded one, -1 where it falls."""
+        return -1.0 if self.mirrored else 1.0
 
     def rails_reached(self, recorded: Array) -> str:
         """'the rail of 0.005 volt', or both, that recorded readings reach or pass; '' where none does."""
@@ -239,15 +203,6 @@ class Readout(Converter, ABC):
         reached = [f"{rail:.3g}" for rail, readings in beyond if np.any(readings)]
         plural = "s" * (len(reached) - 1)
         return f"the converter's rail{plural} of {' and '.join(reached)} {self.unit}" if reached else ""
-
-    @property
-    def direction(self) -> float:
-        """1 where a network's reading grows with the recorded one, -1 where it falls."""
-        return -1.0 if self.mirrored else 1.0
-
-    def to_recorded(self, reading: Array, scene: Surroundings) -> Array:
-        """The recorded reading of a network's, any shape ending in (rows, columns)."""
-        return self.supply_volt - reading if self.mirrored else reading
 
     def sigma_of_reading(self, recorded: Array, sigma: Array) -> Array:
         """σ of the network's readings from that of recorded ones, the same shape."""

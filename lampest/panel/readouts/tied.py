@@ -21,7 +21,6 @@ class TiedNetwork(Network):
     readout: ReadCircuit
 
     def read(self, entries: Entries) -> Array:
-        """By the readout's own arithmetic, without what only derivatives need."""
         return np.asarray(np.broadcast_to(self.readout.reading(*entries), self.conductance.shape))
 
     @cached_property
@@ -34,12 +33,10 @@ class TiedNetwork(Network):
 
     @property
     def slopes(self) -> Entries:
-        """Each (rows, columns)."""
         return self._derivatives["p"], self._derivatives["q"], self._derivatives["t"]
 
     @cached_property
     def curvatures(self) -> dict[str, Array]:
-        """As the equation has them at these entries."""
         return {name: self._derivatives[name] for name in CURVATURES if self._derivatives[name].any()}
 
 

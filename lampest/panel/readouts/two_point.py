@@ -22,8 +22,6 @@ AT_ONCE = 1 << 16  # sums of a chunk of rows, half a megabyte
 class TwoPointReadout(Readout):
     """R_jk = Z_jj + Z_kk − 2 Z_jk, all other lines floating; an ADC reads a divider with a reference resistor.
 
-    Parameters
-    ----------
     supply_volt : divider supply and ADC reference in volt.
     reference_ohm : reference resistor in ohm.
     measured_across : 'reference': R = (Vcc − V)/V · Rref; 'sensor': R = V/(Vcc − V) · Rref.
@@ -44,6 +42,7 @@ class TwoPointReadout(Readout):
     homogeneous: ClassVar[bool] = True
     unique: ClassVar[bool] = True
     in_series: ClassVar[bool] = True
+    series_name: ClassVar[str] = "series_resistance_ohm"
     kind: Literal["two_point"] = "two_point"
     reference_ohm: float = 1000.0
     measured_across: Literal["reference", "sensor"] = "reference"
@@ -56,7 +55,6 @@ class TwoPointReadout(Readout):
             check_resistors("input_ohm", self.input_ohm, most=inf)
 
     def description(self) -> str:
-        """The divider and the converter."""
         converter = "" if self.input_ohm is None else f", converter input {self.input_ohm:g} ohm"
         return (
             f"two-point, {self.supply_volt:g} V, reference {self.reference_ohm:g} ohm, measured across the "
@@ -64,11 +62,9 @@ class TwoPointReadout(Readout):
         )
 
     def ties(self, measured: Array) -> Array:
-        """One line, chosen by the readings; see `grounding`."""
         return grounding(measured)
 
     def ties_of_parts(self, measured: Array, parts: NDArray[np.intp] | None) -> Array:
-        """One line of every part."""
         return grounding(measured, parts)
 
     def reading(self, row: Any, column: Any, mutual: Any) -> Any:
@@ -89,13 +85,11 @@ class TwoPointReadout(Readout):
         return two_point_resistance(cell_resistance)
 
     def apparent_resistance(self, measured: Array) -> Array:
-        """R itself."""
         return measured
 
     def uniform_start(self, measured: Array) -> Array:
         """R·MN/(M + N − 1): right for equal cells."""
-        uniform: Array = measured / uniform_factor(*measured.shape[-2:])
-        return uniform
+        return np.asarray(measured / uniform_factor(*measured.shape[-2:]))
 
     def start(self, measured: Array, upper: Array, near: Array | None = None) -> Array:
         """Cells that reproduce attainable readings exactly; see `convex_start`."""
@@ -106,11 +100,8 @@ class TwoPointReadout(Readout):
         return measured.copy()
 
     def resolution(self, measured: Array, sigma: Array) -> Array:
-        """r_max = R²/σ: an open cell in place of one of r_max changes R by just its noise σ.
-
-        Never below twice the cell of a uniform panel.
-        """
-        return np.asarray(np.maximum(resolution_limit(measured, sigma), 2 * self.uniform_start(measured)))
+        """r_max = R²/σ: an open cell in its place changes R by the noise; at least twice a uniform panel's cell."""
+        return np.asarray(np.maximum(measured**2 / sigma, 2 * self.uniform_start(measured)))
 
     def common_step(self, measured: Array, expected: Array, chosen: NDArray[np.bool_]) -> float:
         """The mean of the shortest half of log R_m/R, so that a load on some lines does not count.
@@ -132,11 +123,9 @@ class TwoPointReadout(Readout):
         return (FreeTest(law, single.max(axis=(1, 2)), measured[0].size ** 2, single),)
 
     def most_in_series(self, measured: Array, sigma: Array) -> float:
-        """min R: what is left for the panel is positive."""
         return float(measured[np.isfinite(sigma)].min(initial=np.inf))
 
     def from_recorded(self, recorded: Array, scene: Surroundings) -> Array:
-        """R − R_series."""
         return np.asarray(self._between_lines(recorded) - scene.series_ohm)
 
     def to_recorded(self, reading: Array, scene: Surroundings) -> Array:
@@ -150,10 +139,7 @@ class TwoPointReadout(Readout):
         return np.asarray(total * (1 + self.reference_ohm / self.input_ohm))
 
     def _between_lines(self, recorded: Array) -> Array:
-        """What is between the divider's ends, without the converter: the inverse of what the divider shows.
-
-        Where a sensor seems no smaller than the converter's input nothing conducts but that.
-        """
+        """What is between the divider's ends without the converter; open where a sensor seems no less than that."""
         if self.input_ohm is None:
             return recorded
         if self.measured_across == "sensor":
@@ -183,18 +169,13 @@ class TwoPointReadout(Readout):
         return np.concatenate([((measured + scene.series_ohm) * reference)[None], lines])
 
     def off_by(self, fraction: float) -> Self:
-        """Rref·(1 + fraction)."""
         return replace(self, reference_ohm=self.reference_ohm * (1 + fraction))
 
     def line_numbers(self) -> tuple[LineNumber, ...]:
-        """The series resistance: a row's channel and a column's."""
         return (LineNumber("series_resistance_ohm", ("rows", "columns"), channel=True, in_scene=True),)
 
     def recorded_from_volt(self, volt: Array) -> Array:
-        """R = (Vcc − V)/V·Rref across the reference, R = V/(Vcc − V)·Rref across the sensor; any shape, volt → ohm.
-
-        0 V and Vcc give 0 or infinite ohm.
-        """
+        """R = (Vcc − V)/V·Rref across the reference, R = V/(Vcc − V)·Rref across the sensor: 0 or infinite at rails."""
         volt = np.asarray(volt, dtype=float)
         ends = self.supply_volt - volt, volt
         upper, lower = ends if self.measured_across == "reference" else ends[::-1]
@@ -208,17 +189,9 @@ class TwoPointReadout(Readout):
             return np.asarray(self.supply_volt / (1 + (ratio if self.measured_across == "reference" else 1 / ratio)))
 
     def sigma(self, recorded: Array) -> Array:
-        """σ_R = (R + Rref)²/Rref · σ_V/Vcc (delta method, either divider); any shape, ohm.
-
-        `recorded` is what the divider sees, series resistance included. Source: error propagation of equation (1).
-        """
+        """σ_R = (R + Rref)²/Rref · σ_V/Vcc (delta method), R with the series resistance; any shape, ohm."""
         total = np.asarray(recorded, dtype=float) + self.reference_ohm
         return np.asarray(total**2 * (self.sigma_volt() / (self.reference_ohm * self.supply_volt)))
-
-
-def resolution_limit(two_point_resistance: Array, sigma: Array) -> Array:
-    """r_max = R²/σ, any shape, ohm."""
-    return np.asarray(two_point_resistance) ** 2 / np.asarray(sigma)
 
 
 def four_point_excess(resistance: Array, sigma: Array) -> Array:

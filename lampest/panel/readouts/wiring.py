@@ -23,8 +23,6 @@ from lampest.panel.readouts.tied import TiedNetwork
 class Lines(Configuration):
     """Resistance of the lines themselves (conductive thread, ITO), in ohm for the way from one cell to the next.
 
-    Parameters
-    ----------
     row_ohm_per_cell, column_ohm_per_cell : of a row from column to column, and of a column from row to row; the way
         from the terminal to the first cell counts as one more. Zero: none.
     rows_enter : the side at which the rows' terminals are; at the left, column 0 is the nearest.
@@ -55,8 +53,6 @@ class Lines(Configuration):
 class ContactPrior(Configuration):
     """What is known beforehand of the contacts of one side's lines, in ohm: a number, or one for each line.
 
-    Parameters
-    ----------
     mean_ohm, sd_ohm : mean and standard deviation. sd_ohm 0: known.
 
     Raises ValueError where a number is out of range.
@@ -77,8 +73,6 @@ class ContactPrior(Configuration):
 class Contacts(Configuration):
     """Resistance between every line and its terminal, the same in all frames, as far as it is known.
 
-    Parameters
-    ----------
     rows, columns : of the lines of either side.
 
     >>> lampest.Contacts(rows=lampest.ContactPrior(5.0, 2.0)).rows.mean_ohm
@@ -296,7 +290,6 @@ class WiredNetwork(TiedNetwork):
         return np.stack([self.read_change(self.entries(np.outer(line, line))) for line in entering], axis=-1)
 
     def second_order(self, weights: Array) -> SecondOrder:
-        """Through D twice, and through the curvature of h."""
         return WiredSecondOrder(self, weights)
 
     def changed(self, block: Block, conductance: Array) -> "WiredNetwork":

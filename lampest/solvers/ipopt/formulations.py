@@ -68,7 +68,6 @@ class Nodal(Formulation):
     def network(
         self, readout: Readout, conductance: casadi.SX, tie: casadi.SX, scale: casadi.SX, prefix: str
     ) -> NetworkSymbols:
-        """A far line's own impedance closes its balance when it is driven."""
         far, driven = sorted(conductance.shape, reverse=True)
         swapped = conductance.shape[0] < conductance.shape[1]
         cells = conductance.T if swapped else conductance
@@ -167,7 +166,6 @@ class PerPixel(Formulation):
         )
 
     def potentials(self, readout: Readout, network: Network) -> Array:
-        """Z b for every pixel's current pattern b, one after the other."""
         rows, impedance = network.rows, network.potentials()
         pattern = impedance[:, :rows][:, :, None] - impedance[:, rows:][:, None, :]
         return pattern.reshape(len(impedance), -1).T.ravel()
