@@ -1,13 +1,12 @@
 """Where error bars cover the truth: effects that no scene states, on fresh recordings, by estimator."""
 
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from math import nan
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lampest.estimate.estimates import Estimates
 from lampest.estimate.estimator import Estimator
@@ -25,6 +24,7 @@ from lampest.recording.simulation.simulation import Simulation, simulate
 from lampest.runs.executors import AnyExecutor
 from lampest.studies import study
 from lampest.studies.methods import StudyMethod
+from lampest.studies.study import column
 
 LEAST, MOST, NEVER_BELOW = 90.0, 98.0, 80.0  # percent of 95 % intervals that shall cover the truth
 LATE_S = 8.0  # when effects come that come during a recording
@@ -111,51 +111,29 @@ class AuditTask:
 
 @dataclass(frozen=True)
 class Audited:
-    """One recording with one estimator; `COLUMNS` say what each field is.
+    """One recording with one estimator: how many intervals there are, and of how many (`_covered`) the truth lies in
+    them."""
 
-    cells, change, pressure : how many have an interval, and of how many (`_covered`) the truth lies in it.
-    """
-
-    effect: str
-    seed: int
-    estimator: str
-    failed: str = ""
-    cells: int = 0
-    cells_covered: int = 0
-    change: int = 0
-    change_covered: int = 0
-    pressure: int = 0
-    pressure_covered: int = 0
-    alone: int = 0
-    alone_covered: int = 0
-    chi_square: float = nan
-    width: float = nan
-    sentence: str = ""
-    own: float = nan
-    common: float = nan
-    ratio: float = nan
-
-
-COLUMNS = (
-    ("effect", "1", "what the scene does not name"),
-    ("seed", "1", "seed of the recording"),
-    ("estimator", "1", "name of the estimator"),
-    ("failed", "1", "why there is nothing to count, or empty"),
-    ("cells", "1", "intervals of cells"),
-    ("cells_covered", "1", "intervals of cells that cover the truth"),
-    ("change", "1", "intervals of changes"),
-    ("change_covered", "1", "intervals of changes that cover the truth"),
-    ("pressure", "1", "intervals of the pressure of loaded cells"),
-    ("pressure_covered", "1", "intervals of pressure that cover the truth"),
-    ("alone", "1", "cells with an own part of their standard deviation"),
-    ("alone_covered", "1", "cells whose error beside the median of their frame lies within 1.96 of it"),
-    ("chi_square", "1", "chi square of unloaded repeats per degree of freedom"),
-    ("width", "1", "median standard deviation of the logarithm of a cell"),
-    ("sentence", "1", "what the results warn of, or empty"),
-    ("own", "1", "median standard deviation of the logarithm of a cell, its own part"),
-    ("common", "1", "the same, the part that cells share"),
-    ("ratio", "1", "own part over the robust actual error beside the median of the frame"),
-)
+    effect: str = column("1", "what the scene does not name")
+    seed: int = column("1", "seed of the recording")
+    estimator: str = column("1", "name of the estimator")
+    failed: str = column("1", "why there is nothing to count, or empty", "")
+    cells: int = column("1", "intervals of cells", 0)
+    cells_covered: int = column("1", "intervals of cells that cover the truth", 0)
+    change: int = column("1", "intervals of changes", 0)
+    change_covered: int = column("1", "intervals of changes that cover the truth", 0)
+    pressure: int = column("1", "intervals of the pressure of loaded cells", 0)
+    pressure_covered: int = column("1", "intervals of pressure that cover the truth", 0)
+    alone: int = column("1", "cells with an own part of their standard deviation", 0)
+    alone_covered: int = column(
+        "1", "cells whose error beside the median of their frame lies within 1.96 of that part", 0
+    )
+    chi_square: float = column("1", "chi square of unloaded repeats per degree of freedom", nan)
+    width: float = column("1", "median standard deviation of the logarithm of a cell", nan)
+    sentence: str = column("1", "what the results warn of, or empty", "")
+    own: float = column("1", "median standard deviation of the logarithm of a cell, its own part", nan)
+    common: float = column("1", "the same, the part that cells share", nan)
+    ratio: float = column("1", "own part over the robust actual error beside the median of the frame", nan)
 
 
 def run_audit(audit: AuditFile, on_step: study.OnStep) -> tuple[Audited, ...]:
@@ -171,72 +149,62 @@ def run_audit(audit: AuditFile, on_step: study.OnStep) -> tuple[Audited, ...]:
 
 def audited(task: AuditTask) -> tuple[Audited, ...]:
     """All estimators on one recording."""
-    audit = task.audit
+    audit, about = task.audit, (task.effect, task.seed)
     try:
         recording = task.recording()
     except (InputError, ValueError) as error:
-        return tuple(Audited(task.effect, task.seed, name, str(error)) for name in audit.estimators)
+        return tuple(Audited(*about, name, str(error)) for name in audit.estimators)
     counted = []
     for name, method in audit.estimators.items():
         try:
             estimator = Estimator(method.parts, audit.formulation, error_bars=True)
-            counted.append(_counted(task, name, recording, reconstruct(recording, estimator)))
+            counts = _counts(recording, reconstruct(recording, estimator))
+            counted.append(Audited(*about, name, "" if counts["cells"] else "no error bars", **counts))
         except InputError as error:
-            counted.append(Audited(task.effect, task.seed, name, str(error)))
+            counted.append(Audited(*about, name, str(error)))
     return tuple(counted)
 
 
-def _counted(task: AuditTask, name: str, recording: Recording, found: Estimates) -> Audited:
-    truth, pressure = recording.truth_cell_resistance, recording.truth_pressure
-    assert truth is not None and pressure is not None
-    resting = np.exp(np.log(truth[recording.role == UNLOADED]).mean(axis=0))
-    change = 100 * (truth[found.frame] / resting - 1)
-    load = pressure[found.frame] - pressure[0]
-    cells = covered_truths(found.cell_resistance_lower, truth[found.frame], found.cell_resistance_upper)
-    changes = covered_truths(found.relative_change_lower, change, found.relative_change_upper)
+def _counts(recording: Recording, found: Estimates) -> dict[str, Any]:
+    """Everything of `Audited` that the estimates of a recording say."""
+    assert recording.truth_cell_resistance is not None and recording.truth_pressure is not None
+    resting = np.exp(np.log(recording.truth_cell_resistance[recording.role == UNLOADED]).mean(axis=0))
+    truth, load = (part[found.frame] for part in (recording.truth_cell_resistance, recording.truth_pressure))
+    load = load - recording.truth_pressure[0]
     # A cell counts as loaded from 0.5 kPa on: below, a film's answer is smaller than its creep.
-    pressures = covered_truths(found.pressure_lower, load, found.pressure_upper, np.abs(load) > 0.5)
-    errors = found.cell_resistance_errors
-    width = nan if errors is None else float(np.nanmedian(errors / found.cell_resistance))
-    parts = [nan if part is None else float(np.nanmedian(part)) for part in (found.sigma_own, found.sigma_common)]
-    failed = "" if cells[0] else "no error bars"
-    counted, covered, ratio = _beside_median(found, truth[found.frame])
-    said, scatter = "; ".join(found.checks), repeats_chi_square(recording)
-    counts, (own, common) = (*cells, *changes, *pressures), parts
-    return Audited(
-        *(task.effect, task.seed, name, failed),
-        *counts,
-        alone=counted,
-        alone_covered=covered,
-        chi_square=scatter,
-        width=width,
-        sentence=said,
-        own=own,
-        common=common,
-        ratio=ratio,
-    )
+    intervals = {
+        "cells": _covered(found.cell_resistance_lower, truth, found.cell_resistance_upper),
+        "change": _covered(found.relative_change_lower, 100 * (truth / resting - 1), found.relative_change_upper),
+        "pressure": _covered(found.pressure_lower, load, found.pressure_upper, np.abs(load) > 0.5),
+    }
+    counts: dict[str, Any] = {name: there for name, (there, _) in intervals.items()}
+    counts |= {f"{name}_covered": inside for name, (_, inside) in intervals.items()}
+    if found.cell_resistance_errors is not None:
+        counts["width"] = float(np.nanmedian(found.cell_resistance_errors / found.cell_resistance))
+    for name, part in (("own", found.sigma_own), ("common", found.sigma_common)):
+        counts[name] = nan if part is None else float(np.nanmedian(part))
+    sentence = "; ".join(found.checks)
+    return counts | _own_part(found, truth) | {"chi_square": repeats_chi_square(recording), "sentence": sentence}
 
 
-def _beside_median(found: Estimates, truth: Array) -> tuple[int, int, float]:
-    """(cells, how many lie within 1.96 σ_own of the median error of their frame, σ_own over the robust error)."""
+def _own_part(found: Estimates, truth: Array) -> dict[str, Any]:
+    """Cells within 1.96 σ_own of the median error of their frame, and σ_own over the robust error."""
     own = found.sigma_own
     if own is None:
-        return 0, 0, nan
+        return {}
     error = np.log(found.cell_resistance / truth)
     error = np.abs(error - np.nanmedian(error, axis=(1, 2), keepdims=True))
     there = np.isfinite(own) & np.isfinite(error)
     size = TO_SIGMA * float(np.median(error[there])) if there.any() else nan
-    return int(there.sum()), int((error[there] <= NORMAL_95 * own[there]).sum()), float(np.median(own[there])) / size
+    inside = int((error[there] <= NORMAL_95 * own[there]).sum())
+    return {"alone": int(there.sum()), "alone_covered": inside, "ratio": float(np.median(own[there])) / size}
 
 
-def covered_truths(
-    lower: Array | None, truth: Array, upper: Array | None, counted: NDArray[np.bool_] | None = None
-) -> tuple[int, int]:
+def _covered(lower: Array | None, truth: Array, upper: Array | None, counted: Any = True) -> tuple[int, int]:
     """(how many of the counted have an interval, how many of those cover the truth)."""
     if lower is None or upper is None:
         return 0, 0
-    there = ~np.isnan(lower) & ~np.isnan(upper)
-    there &= True if counted is None else counted
+    there = ~np.isnan(lower) & ~np.isnan(upper) & counted
     return int(there.sum()), int((there & (lower <= truth) & (truth <= upper)).sum())
 
 
@@ -248,19 +216,6 @@ def repeats_chi_square(recording: Recording) -> float:
     plain = resting.plain.all(axis=0)
     about = ((resting.value - resting.value.mean(axis=0)) / resting.sigma)[:, plain]
     return float((about**2).sum() / ((len(about) - 1) * max(int(plain.sum()), 1)))
-
-
-def audit_rows(found: Sequence[Audited]) -> list[study.Row]:
-    """Effects in their order, the estimators of each together, all seeds of both in one row."""
-    return study.rows_of(study.grouped(found, lambda one: (one.effect, one.estimator)).values(), FIGURES)
-
-
-def _good(own: Sequence[Audited]) -> list[Audited]:
-    return [one for one in own if not one.failed]
-
-
-def _silent(own: Sequence[Audited]) -> list[Audited]:
-    return [one for one in _good(own) if not one.sentence]
 
 
 def _usual_sentence(own: Sequence[Audited]) -> str:
@@ -282,16 +237,11 @@ def _spread(own: Sequence[Audited], what: str) -> float:
     return float(np.std(shares, ddof=1) / np.sqrt(len(shares))) if len(shares) > 1 else nan
 
 
-def _median(own: Sequence[Audited], what: str) -> float:
-    return float(np.median([getattr(one, what) for one in own])) if own else nan
-
-
-def _verdict(own: Sequence[Audited]) -> str:
+def _verdict(shares: Sequence[float]) -> str:
     """Whether recordings without a sentence keep the promise: 90 to 98 percent, and never below 80.
 
     Intervals of pressure may be wider: beyond what the response states they reach as far as it goes.
     """
-    shares = [_share(_silent(own), what) for what in ("cells", "change", "pressure")]
     known = [share for share in shares if not np.isnan(share)]
     if not known:
         return "reported"
@@ -300,45 +250,51 @@ def _verdict(own: Sequence[Audited]) -> str:
     return "wide" if np.fmax(shares[0], shares[1]) > MOST else "covered"
 
 
-FIGURES: study.Figures = {
-    "effect": lambda own: own[0].effect,
-    "estimator": lambda own: own[0].estimator,
-    "recordings": len,
-    "failed": lambda own: len(own) - len(_good(own)),  # of how many there is nothing to count
-    "cells": lambda own: _share(_good(own), "cells"),  # percent of intervals that cover the truth
-    "cells_sd": lambda own: _spread(_good(own), "cells"),
-    "change": lambda own: _share(_good(own), "change"),
-    "change_sd": lambda own: _spread(_good(own), "change"),
-    "pressure": lambda own: _share(_good(own), "pressure"),
-    "silent_cells": lambda own: _share(_silent(own), "cells"),  # of recordings whose results carry no sentence
-    "silent_change": lambda own: _share(_silent(own), "change"),
-    "silent_pressure": lambda own: _share(_silent(own), "pressure"),
-    "chi_square": lambda own: _median(_good(own), "chi_square"),
-    "width": lambda own: _median(_good(own), "width"),
-    "own": lambda own: _median(_good(own), "own"),  # parts of the width: each cell's, and what cells share
-    "common": lambda own: _median(_good(own), "common"),
-    "alone": lambda own: _share(_good(own), "alone"),  # percent of cells within their own part
-    "ratio": lambda own: _median(_good(own), "ratio"),  # own part over the actual error
-    "reported": lambda own: len(_good(own)) - len(_silent(own)),  # how many carry a sentence
-    "verdict": _verdict,
-    "sentence": lambda own: _usual_sentence(_good(own)),
-}
+def audit_rows(found: Sequence[Audited]) -> list[study.Row]:
+    """Effects in their order, the estimators of each together, all seeds of both in one row.
+
+    Coverages in percent, `silent_` those of recordings whose results carry no sentence; failed ones count nowhere.
+    """
+    return [_row(own) for own in study.grouped(found, lambda one: (one.effect, one.estimator)).values()]
 
 
-def _with_spread(share: float, spread: float) -> str:
-    return " ± ".join(filter(None, (study.text_of(share, ".1f"), study.text_of(spread, ".1f"))))
+def _row(own: Sequence[Audited]) -> study.Row:
+    good = [one for one in own if not one.failed]
+    silent = [one for one in good if not one.sentence]
+    coverage: dict[str, float] = {}
+    for what in ("cells", "change"):
+        coverage |= {what: _share(good, what), f"{what}_sd": _spread(good, what)}
+    coverage["pressure"] = _share(good, "pressure")
+    coverage |= {f"silent_{what}": _share(silent, what) for what in ("cells", "change", "pressure")}
+    medians = {
+        what: float(np.median([getattr(one, what) for one in good])) if good else nan
+        for what in ("chi_square", "width", "own", "common", "ratio")
+    }
+    return study.Row(
+        effect=own[0].effect,
+        estimator=own[0].estimator,
+        recordings=len(own),
+        failed=len(own) - len(good),
+        solved=len(good),
+        **coverage,
+        **medians,
+        alone=_share(good, "alone"),
+        reported=len(good) - len(silent),
+        verdict=_verdict([coverage[f"silent_{what}"] for what in ("cells", "change", "pressure")]),
+        sentence=_usual_sentence(good),
+    )
 
 
-SCREEN: dict[str, Callable[[study.Row], str]] = {
-    "effect": lambda row: row.effect,
-    "estimator": lambda row: row.estimator,
-    "cells [%]": lambda row: _with_spread(row.cells, row.cells_sd),
-    "change [%]": lambda row: _with_spread(row.change, row.change_sd),
-    "press. [%]": lambda row: study.text_of(row.pressure, ".1f"),
-    "own [%]": lambda row: study.text_of(row.alone, ".1f"),
-    "ratio": lambda row: study.text_of(row.ratio, ".2f"),
-    "reported": lambda row: f"{row.reported}/{row.recordings - row.failed}",
-    "verdict": lambda row: row.verdict,
+SCREEN: study.Screen = {
+    "effect": "{effect}",
+    "estimator": "{estimator}",
+    "cells [%]": "{cells:.1f} ± {cells_sd:.1f}",
+    "change [%]": "{change:.1f} ± {change_sd:.1f}",
+    "press. [%]": "{pressure:.1f}",
+    "own [%]": "{alone:.1f}",
+    "ratio": "{ratio:.2f}",
+    "reported": "{reported}/{solved}",
+    "verdict": "{verdict}",
 }
 
 
@@ -361,21 +317,15 @@ def audit_remarks(found: Sequence[Audited]) -> list[str]:
     return lines + [f"{count} × {failure}" for failure, count in failures.items()]
 
 
-def _write_recordings(entry: Any, found: Sequence[Audited]) -> None:
-    axis = ("case", "recording with an estimator, in order")
-    study.write_sequence(entry, "recordings", "cells_covered", axis, found, COLUMNS)
-
-
 STUDY: study.Study[AuditFile, Sequence[Audited]] = study.Study(
     "audit",
     "recordings",
     "audit.yaml",
     study.read_settings(AuditFile),
     run_audit,
-    FIGURES,
-    audit_rows,
-    lambda found: [("", study.screen_table(audit_rows(found), SCREEN))],
-    "audit/1",
-    _write_recordings,
+    rows=audit_rows,
+    tables=lambda found: [("", study.screen_table(audit_rows(found), SCREEN))],
+    form="audit/1",
+    records=lambda found: [study.RecordGroup("recordings", found, "cells_covered")],
     remarks=audit_remarks,
 )

@@ -1,6 +1,5 @@
 """`lampest study starts`: how often a sequence's own start reaches the best minimum that random starts find."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,7 +13,7 @@ from lampest.recording.recording import Recording
 from lampest.runs.config import Case, Run, read_run
 from lampest.solvers.multistart import evaluated, solved_from
 from lampest.solvers.solution import Status
-from lampest.studies.study import Cases, Study, of_cases, screen_table
+from lampest.studies.study import Cases, Screen, Study, of_cases, screen_table
 
 
 @dataclass(frozen=True)
@@ -81,26 +80,24 @@ def _objectives(
     return found, at.cost_scale - at.objective
 
 
-SCREEN: dict[str, Callable[[Tally], str]] = {
-    "recording": lambda one: one.recording,
-    "estimator": lambda one: one.estimator,
-    "frames at the best": lambda one: f"{one.best}/{one.frames}",
+SCREEN: Screen = {
+    "recording": "{recording}",
+    "estimator": "{estimator}",
+    "frames at the best": "{best}/{frames}",
     "worst excess [%]": lambda one: f"{100 * one.worst_excess:.2g}",
-    "most minima": lambda one: str(one.most_minima),
-    "random solved": lambda one: f"{one.random_solved}/{one.random}",
+    "most minima": "{most_minima}",
+    "random solved": "{random_solved}/{random}",
 }
 
 
 def starts_study(random: int, seed: int) -> Study[Run, Cases[Tally]]:
     """The study with so many random starts for every frame."""
-
     return Study(
         "starts",
         "cases",
         "table1.yaml",
         read_run,
         lambda run, on_step: of_cases(lambda case: [tally(case, random, seed)], run, on_step),
-        Tally.__dataclass_fields__,
-        lambda cases: cases.found,
-        lambda cases: [("", screen_table(cases.found, SCREEN))],
+        rows=lambda cases: cases.found,
+        tables=lambda cases: [("", screen_table(cases.found, SCREEN))],
     )

@@ -1,12 +1,12 @@
-"""What every study is: settings from YAML → measurements → rows as CSV, samples as HDF5, figures, tables."""
+"""What every study is: settings from YAML → records, one an experiment → HDF5, CSV, Markdown, figures, tables."""
 
 import importlib.util
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import MISSING, dataclass, field, fields
 from functools import cache
 from importlib.metadata import version
-from operator import attrgetter
 from pathlib import Path
+from string import Formatter
 from types import ModuleType, SimpleNamespace
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
@@ -19,6 +19,7 @@ from lampest.files.whole import write_whole
 from lampest.recording.datasets import folder as shipped_folder
 from lampest.report.compare import Table, comma_separated
 from lampest.report.plots.style import save
+from lampest.report.words import digits
 from lampest.runs.config import Case, Run
 from lampest.runs.executors import Executor, local
 
@@ -31,8 +32,48 @@ Kind = TypeVar("Kind")
 Task = TypeVar("Task")
 OnStep = Callable[..., None]
 Row = SimpleNamespace  # one line of a study's CSV file
-Figures = Mapping[str, Callable[[Any], Any]]  # column of the CSV file → its value for a group of samples
-Column = tuple[str, str, str] | tuple[str, str, str, str]  # name, unit, meaning; path where it is not the name
+Figures = Mapping[str, Callable[[Any], Any]]  # column of the CSV file → its value for a group of records
+Screen = Mapping[str, str | Callable[[Any], str]]  # title → template over a row's values, or the text of a row
+LIBRARIES = ("lampest", "casadi", "numpy", "scipy", "h5py")
+
+
+def column(unit: str, meaning: str, default: Any = MISSING) -> Any:
+    """A field of a record that becomes a dataset with that unit and meaning."""
+    return field(default=default, metadata={"unit": unit, "meaning": meaning})
+
+
+@dataclass(frozen=True)
+class RecordGroup:
+    """Records of one dataclass as a group of the HDF5 file, with a dataset for every field that is a `column`.
+
+    path : in /entry. signal : what a viewer draws. axis : the column along which it does; '': the records' number.
+    units : in place of those of the columns. attributes : of the group.
+    """
+
+    path: str
+    records: Sequence[Any]
+    signal: str
+    axis: str = ""
+    units: Mapping[str, str] = field(default_factory=dict)
+    attributes: Mapping[str, Any] = field(default_factory=dict)
+
+    def write(self, entry: Any) -> None:
+        """Truth values become 0 and 1, text ASCII, None NaN."""
+        group, axis = entry.create_group(self.path), self.axis or "record"
+        hdf5.set_attributes(group, NX_class="NXdata", signal=self.signal, axes=[axis], **self.attributes)
+        if not self.axis:
+            hdf5.write_scale(group, axis, np.arange(len(self.records)), "1", "number of the record")
+        columns = [one for one in fields(self.records[0]) if one.metadata]
+        for one in sorted(columns, key=lambda one: one.name != axis):  # the scale is there before others need it
+            values = np.array([getattr(record, one.name) for record in self.records])
+            if values.dtype.kind in "bO":
+                values = values.astype(np.uint8 if values.dtype.kind == "b" else float)
+            data = hdf5.ascii_array(values) if values.dtype.kind == "U" else values
+            unit, meaning = self.units.get(one.name, one.metadata["unit"]), one.metadata["meaning"]
+            if one.name == axis:
+                hdf5.write_scale(group, axis, data, unit, meaning)
+            else:
+                hdf5.write_dataset(group, one.name, data, unit, meaning, (axis,))
 
 
 @dataclass(frozen=True)
@@ -47,14 +88,13 @@ class Reported:
 
 @dataclass(frozen=True)
 class Study(Generic[Settings, Found]):
-    """A study as a declaration; files, tables and pictures follow from it.
+    """A study as a declaration; `run` makes files, tables and figures of it.
 
     name : of its files. counts : what the progress bar counts. config : the shipped file, where none is named.
     read : (file, overriding entries) → settings; raises InputError with line and column.
     measure : (settings, on_step) → what was found. All others take what was found:
-    columns, rows : of the CSV file. tables : with their titles. form, samples : format of the HDF5 file, and what
-    writes into its /entry; none without. figures : by name of the file. texts : of further files, by their names.
-    remarks, left_out : sentences.
+    rows : of the CSV file, at least one. tables : with their titles. form, records : of the HDF5 file; none without.
+    figures : by name of the file. texts : of further files, by their names. remarks, left_out : sentences.
     """
 
     name: str
@@ -62,11 +102,10 @@ class Study(Generic[Settings, Found]):
     config: str
     read: Callable[[Path, tuple[str, ...]], Settings]
     measure: Callable[[Settings, OnStep], Found]
-    columns: Iterable[str]
     rows: Callable[[Found], Sequence[Any]]
-    tables: Callable[[Found], Sequence[tuple[str, Table]]]
+    tables: Callable[[Found], Sequence[tuple[str, Table]]] = lambda found: ()
     form: str = ""
-    samples: Callable[[Any, Found], None] = lambda entry, found: None
+    records: Callable[[Found], Iterable[RecordGroup]] = lambda found: ()
     figures: "Callable[[Found], Mapping[str, Figure]]" = lambda found: {}
     texts: Callable[[Found], Mapping[str, str]] = lambda found: {}
     remarks: Callable[[Found], Sequence[str]] = lambda found: ()
@@ -78,12 +117,14 @@ class Study(Generic[Settings, Found]):
         Raises InputError where the file is at fault or the folder cannot be written.
         """
         file = config or shipped_folder() / "configs" / self.config
-        folder = out or Path("results") / file.stem
         found = self.measure(self.read(file, assigned), on_step)
-        return Reported(self.tables(found), self._write(found, folder), self.remarks(found), self.left_out(found))
+        tables, remarks = self.tables(found), self.remarks(found)
+        files = self._write(found, out or Path("results") / file.stem, page(self.name, tables, remarks))
+        return Reported(tables, files, remarks, self.left_out(found))
 
-    def _write(self, found: Found, folder: Path) -> list[Path]:
-        texts = {f"{self.name}.csv": csv_of(self.columns, self.rows(found))} | dict(self.texts(found))
+    def _write(self, found: Found, folder: Path, summary: str) -> list[Path]:
+        texts = {f"{self.name}.csv": csv_of(self.rows(found)), **self.texts(found)}
+        texts |= {f"{self.name}.md": summary} if summary else {}
         for name, text in texts.items():
             write_whole(folder / name, text)
         files = [folder / name for name in texts]
@@ -92,14 +133,28 @@ class Study(Generic[Settings, Found]):
             with hdf5.new_file(files[-1]) as file:
                 hdf5.set_attributes(file, NX_class="NXroot", default="entry", lampest_format=self.form)
                 entry = file.create_group("entry")
-                hdf5.set_attributes(entry, NX_class="NXentry")
-                libraries = ("lampest", "casadi", "numpy", "scipy", "h5py")
-                hdf5.set_attributes(entry, **{f"{library}_version": version(library) for library in libraries})
-                self.samples(entry, found)
+                groups = list(self.records(found))
+                hdf5.set_attributes(entry, NX_class="NXentry", default=groups[0].path)
+                hdf5.set_attributes(entry, **{f"{library}_version": version(library) for library in LIBRARIES})
+                for group in groups:
+                    group.write(entry)
         for name, figure in self.figures(found).items():
             files.append(folder / f"{name}.png")
             save(figure, files[-1])
         return files
+
+
+def page(name: str, tables: Sequence[tuple[str, Table]], remarks: Sequence[str]) -> str:
+    """Tables and remarks as sections of Markdown."""
+    sections = [f"## {title or name}\n\n{markdown(table)}" for title, table in tables]
+    sections += ["## remarks\n\n" + "".join(f"- {line}\n" for line in remarks)] if remarks else []
+    return "\n".join(sections)
+
+
+def markdown(table: Table) -> str:
+    """A table as GitHub's Markdown."""
+    lines = (table.headers, tuple("---" for _ in table.headers), *table.cells)
+    return "".join(f"| {' | '.join(cells)} |\n" for cells in lines)
 
 
 def read_settings(kind: type[Kind]) -> Callable[..., Kind]:
@@ -126,11 +181,10 @@ def of_tasks(
     executor = executor or local(None, len(tasks))
     executor.ready()
     found: dict[int, tuple[Found, ...]] = {}
-    numbers = {id(task): number for number, task in enumerate(tasks)}
     for task, result in executor.results(function, tasks):
-        found[numbers[id(task)]] = result if isinstance(result, tuple) else (lost(task, result),)
+        found[id(task)] = result if isinstance(result, tuple) else (lost(task, result),)
         on_step(len(found), len(tasks))
-    return tuple(one for number in range(len(tasks)) for one in found[number])
+    return tuple(one for task in tasks for one in found[id(task)])
 
 
 @cache
@@ -165,73 +219,60 @@ def of_cases(
     on_step is called with how many of how many are done. Raises InputError where there is nothing for the purpose.
     """
     found: list[Found] = []
-    left_out = []
+    left_out = {}
     for number, case in enumerate(run.cases, 1):
         found_here = function(case)
         if isinstance(found_here, str):
-            left_out.append((f"{case.recording}/{case.name}", found_here))
+            left_out[f"{case.recording}/{case.name}"] = found_here
         else:
             found += found_here
         on_step(number, len(run.cases))
     if not found:
-        raise InputError(f"nothing to {purpose}: {'; '.join(f'{name}: {why}' for name, why in left_out)}")
-    return Cases(found, [f"{name} left out: {why}" for name, why in left_out])
+        raise InputError(f"nothing to {purpose}: {'; '.join(f'{name}: {why}' for name, why in left_out.items())}")
+    return Cases(found, [f"{name} left out: {why}" for name, why in left_out.items()])
 
 
-def grouped(samples: Iterable[Any], key: Callable[[Any], Any]) -> dict[Any, list[Any]]:
-    """Samples by what the key says of them, in the order in which that first appears."""
+def grouped(records: Iterable[Any], key: Callable[[Any], Any]) -> dict[Any, list[Any]]:
+    """Records by what the key says of them, in the order in which that first appears."""
     found: dict[Any, list[Any]] = {}
-    for sample in samples:
-        found.setdefault(key(sample), []).append(sample)
+    for record in records:
+        found.setdefault(key(record), []).append(record)
     return found
 
 
 def rows_of(groups: Iterable[Any], figures: Figures) -> list[Row]:
-    """A row for each group of samples: all figures of it."""
+    """A row for each group of records: all figures of it."""
     return [Row(**{name: figure(own) for name, figure in figures.items()}) for own in groups]
 
 
-def screen_table(rows: Iterable[Any], columns: Mapping[str, Callable[[Any], str]]) -> Table:
-    """Rows for the screen, by title: the text of a row."""
-    return Table(tuple(columns), tuple(tuple(text(row) for text in columns.values()) for row in rows))
+def text_of(value: Any, form: str = "digits") -> str:
+    """A number as text, nothing for None and NaN; digits : three of them, with commas."""
+    if value is None or value != value:
+        return ""
+    return digits(value) if form == "digits" else format(value, form)
 
 
-def text_of(value: float | None, form: str = ".3g") -> str:
-    """A number as text; nothing for None and NaN."""
-    return "" if value is None or np.isnan(value) else f"{value:{form}}"
+class _Texts(Formatter):
+    """Templates over the values of a row."""
+
+    def format_field(self, value: Any, format_spec: str) -> str:
+        return text_of(value, format_spec)
 
 
-def csv_of(names: Iterable[str], rows: Sequence[Any]) -> str:
-    """Rows as CSV, a column for each name; six digits, empty where there is no number."""
-    names = list(names)
+def screen_table(rows: Iterable[Any], columns: Screen) -> Table:
+    """Rows for the screen; columns in which no row has anything are left out."""
+    rows, texts = list(rows), _Texts()
+    shown = {
+        title: [of(row) if callable(of) else texts.vformat(of, (), vars(row)).strip(" ±") for row in rows]
+        for title, of in columns.items()
+    }
+    shown = {title: cells for title, cells in shown.items() if any(cells)}
+    return Table(tuple(shown), tuple(zip(*shown.values(), strict=True)))
+
+
+def csv_of(rows: Sequence[Any], names: Iterable[str] = ()) -> str:
+    """Rows as CSV, a column for each name, by default those of the first row; six digits, empty without a number."""
+    names = list(names or vars(rows[0]))
     table = ([getattr(row, name) for name in names] for row in rows)
-    texts = ([text_of(one, ".6g") if isinstance(one, float) else one for one in line] for line in table)
-    return comma_separated([names, *texts])
-
-
-def write_columns(
-    group: Any, rows: Any, columns: Sequence[Column], scales: tuple[str, ...] = (), dtype: Any = None
-) -> None:
-    """A dataset for every column: one number or text of each row of a sequence, or an object's own array.
-
-    Truth values become 0 and 1, text ASCII, None NaN where dtype is float.
-    """
-    for name, units, meaning, *path in columns:
-        value = attrgetter(*(path or [name]))
-        values = np.asarray([value(row) for row in rows] if isinstance(rows, list | tuple) else value(rows), dtype)
-        if values.dtype == bool:
-            values = values.astype(np.uint8)
-        hdf5.write_dataset(
-            group, name, hdf5.ascii_array(values) if values.dtype.kind == "U" else values, units, meaning, scales
-        )
-
-
-def write_sequence(
-    entry: Any, name: str, signal: str, axis: tuple[str, str], rows: Sequence[Any], columns: Sequence[Column]
-) -> None:
-    """/entry/<name>: a dataset for every column, with a value for each row; axis : name and meaning."""
-    hdf5.set_attributes(entry, default=name)
-    group = entry.create_group(name)
-    hdf5.set_attributes(group, NX_class="NXdata", signal=signal, axes=[axis[0]])
-    hdf5.write_scale(group, axis[0], np.arange(len(rows)), "1", axis[1])
-    write_columns(group, rows, columns, (axis[0],))
+    lines = ([text_of(one, ".6g") if isinstance(one, float) else one for one in line] for line in table)
+    return comma_separated([names, *lines])

@@ -1,21 +1,22 @@
-"""What solves take: clocks, frames solved in sequence with what each ended at, the peak memory of a fresh process."""
+"""What solves take: the record of a timed frame, clocks, the peak memory of a fresh process."""
 
-import resource
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter, process_time
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
-from lampest.files import hdf5
+from lampest.estimate.state import Step
+from lampest.estimate.stream import Stream
 from lampest.panel.panel import Array
+from lampest.recording.readings import Readings
+from lampest.recording.recording import Recording
 from lampest.runs.executors import Processes
-from lampest.solvers.solution import STRICT, Solution
+from lampest.solvers.solution import STRICT
 from lampest.studies.methods import Shape
-from lampest.studies.study import write_columns
+from lampest.studies.study import column
 
 Result = TypeVar("Result")
 Task = TypeVar("Task")
@@ -23,89 +24,67 @@ NO_GAP = 1e-12  # less is rounding
 STATUS = Path("/proc/self/status")  # where Linux says how much a process holds
 
 
-@dataclass(frozen=True, eq=False)
-class TimedFrames:
-    """Frames of a recording, solved in sequence.
+@dataclass(frozen=True, kw_only=True)
+class TimedFrame:
+    """One frame of a recording, solved in sequence with one method by one solver or formulation."""
 
-    wall, cpu : (frames, repeats) s; NaN where a frame was not repeated. objective, gap, iterations, solved, status :
-    (frames), of the first repeat; gap : of the objective to the best that is known for it.
-    """
+    rows: int = column("1", "row lines")
+    columns: int = column("1", "column lines")
+    recording: str = column("1", "recording")
+    method: str = column("1", "method")
+    solver: str = column("1", "solver or formulation")
+    frame: int = column("1", "frame in sequence, 0: the first")
+    seconds: float = column("s", "time of the solve, wall or processor's, the least of all turns")
+    objective: float = column("1", "cost, the same function for all solvers of a frame")
+    gap: float = column("1", "objective above the best of all solvers, relative; NaN: there was no other")
+    iterations: int = column("1", "iterations of the solver")
+    solved: bool = column("1", "1: solved, 0: failed")
+    status: str = column("1", "how the solve ended")
+    memory_mb: float | None = column("10^6 byte", "peak of a fresh process, NaN: not measured", None)
 
-    wall: Array
-    cpu: Array
-    objective: Array
-    gap: Array
-    iterations: NDArray[np.int64]
-    solved: NDArray[np.bool_]
-    status: tuple[str, ...]
+    @property
+    def shape(self) -> Shape:
+        """(rows, columns)."""
+        return self.rows, self.columns
 
-    @staticmethod
-    def ends(solutions: list[Solution]) -> dict[str, Any]:
-        """The last three fields."""
-        return {
-            "iterations": np.array([solution.iterations for solution in solutions], dtype=np.int64),
-            "solved": np.array([solution.solved for solution in solutions]),
-            "status": tuple(solution.status.value for solution in solutions),
-        }
-
-    def write(self, group: Any, about: dict[str, str], frame: str, **attributes: Any) -> None:
-        """All of it as datasets of a group, with their scales; about : meanings by name, frame : that of the scale."""
-        hdf5.set_attributes(group, NX_class="NXdata", signal="wall_time", axes=["frame", "repeat"], **attributes)
-        frames, repeats = self.wall.shape
-        hdf5.write_scale(group, "frame", np.arange(frames), "1", frame)
-        hdf5.write_scale(group, "repeat", np.arange(repeats), "1", "turn of the alternation")
-        times = (("wall_time", "s", about["wall"], "wall"), ("cpu_time", "s", about["cpu"], "cpu"))
-        write_columns(group, self, times, ("frame", "repeat"))
-        ends = (
-            ("objective", "1", about["objective"]),
-            ("gap", "1", about["gap"]),
-            ("iterations", "1", "iterations of the solver"),
-            ("solved", "1", "1: solved, 0: failed"),
-            ("status", "1", "how the solve ended"),
-        )
-        write_columns(group, self, ends, ("frame",))
+    @property
+    def verified(self) -> bool:
+        """Whether the optimum was verified."""
+        return self.status in {strict.value for strict in STRICT}
 
 
-@dataclass(frozen=True, eq=False)
-class Timing(TimedFrames):
-    """One solver with one method on one recording of a panel; the first frame is a cold start and not repeated.
+class Pushed(NamedTuple):
+    """A frame pushed through a stream: the stream after it, how it was solved, seconds of the solve."""
 
-    recording : its number. inverse_s : seconds of a dense inverse of size rows + columns − 1 at that time.
-    pair : whether the first frame was solved jointly with the baseline.
-    gap : (φ − φ_best)/(φ_best + 1e-9·Σ R²) against the best that any solver found for the same data; NaN where there
-    was no other. The last part is the cost of missing every reading by 0.003 %: less is nothing.
-    """
+    stream: Stream
+    step: Step
+    seconds: float
 
-    shape: Shape
-    method: str
-    solver: str
-    recording: int
-    pair: bool
-    inverse_s: float
-
-    def times(self) -> Array:
-        """(frames) s: median of a frame's wall times; the processor's where something else disturbed it."""
-        return np.asarray(np.nanmedian(np.where(undisturbed(self.wall, self.cpu), self.wall, self.cpu), axis=1))
-
-    def clean(self) -> float:
-        """The share of undisturbed solves."""
-        return float(np.mean(undisturbed(self.wall, self.cpu)[np.isfinite(self.wall)]))
-
-    def verified(self) -> NDArray[np.bool_]:
-        """(frames) whether the optimum was verified."""
-        return np.array([status in {strict.value for strict in STRICT} for status in self.status])
+    @property
+    def objective(self) -> float:
+        """The cost where the solve ended; infinite where it failed."""
+        return self.step.solution.objective if self.step.solution.solved else np.inf
 
 
-def clocked(call: Callable[[], Result]) -> tuple[Result, float, float]:
-    """What a call returns, its wall time and the processor's, s."""
+def pushed(stream: Stream, readings: Readings) -> Pushed:
+    """Solve one frame's readings. Its seconds are the processor's where something else held the solve up."""
+    (after, step), seconds = clocked(lambda: stream.push(readings))
+    return Pushed(after, step, min(seconds, step.seconds))
+
+
+def outcome(recording: Recording, step: Step) -> dict[str, Any]:
+    """What the record of a frame takes from its recording and from how it was solved."""
+    rows, columns = recording.scene.panel.shape
+    ended = {name: getattr(step.solution, name) for name in ("iterations", "solved")}
+    return {"rows": rows, "columns": columns, "recording": recording.name, "status": step.status, **ended}
+
+
+def clocked(call: Callable[[], Result]) -> tuple[Result, float]:
+    """What a call returns, and its seconds: the processor's where something else held the call up."""
     wall, cpu = perf_counter(), process_time()
     result = call()
-    return result, perf_counter() - wall, process_time() - cpu
-
-
-def undisturbed(wall: Array, cpu: Array) -> NDArray[np.bool_]:
-    """Where a wall time exceeds the processor's by no more than 5 % and a tenth of a millisecond."""
-    return np.asarray(wall <= 1.05 * cpu + 1e-4)
+    wall, cpu = perf_counter() - wall, process_time() - cpu
+    return result, min(wall, cpu)
 
 
 def inverse_time(matrix: Array) -> float:
@@ -130,10 +109,8 @@ def peak_memory(work: Callable[[Task], object], task: Task) -> float:
 
 
 def _peak_after(task: tuple[Callable[[Task], object], Task]) -> float:
-    """The largest resident size of this process after some work; on Linux without what its parent had before."""
+    """The largest resident size of this process after some work, without what its parent had before."""
     work, argument = task
     work(argument)
-    if STATUS.is_file():
-        line = next(line for line in STATUS.read_text().splitlines() if line.startswith("VmHWM:"))
-        return float(line.split()[1]) * 1024 / 1e6
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / 1e6
+    line = next(line for line in STATUS.read_text().splitlines() if line.startswith("VmHWM:"))
+    return float(line.split()[1]) * 1024 / 1e6

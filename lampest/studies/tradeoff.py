@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from time import perf_counter, process_time
-from typing import Any, Literal, cast
+from typing import Any, Literal, NamedTuple, cast
 
 import numpy as np
 
@@ -48,8 +48,8 @@ from lampest.studies.methods import (
     paper_methods,
     shapes_of,
 )
-from lampest.studies.study import OnStep
-from lampest.studies.timing import TimedFrames, peak_memory
+from lampest.studies.study import OnStep, column
+from lampest.studies.timing import TimedFrame, outcome, peak_memory
 
 REFERENCE = "reduced"
 LADDER: tuple[MethodName | AnyMethod, ...] = (
@@ -115,17 +115,16 @@ class Simulated(Configuration):
         """Every combination, in order of size; frames measured frames after three unloaded ones."""
         for rows, columns in shapes_of(self.sizes):
             mouth = lamprey_mouth((10 * (columns // 2) - 6, 10 * (rows // 2) - 4), self.diameter_mm)
-            about: dict[str, Any] = {"frames": frames, "loads": (mouth,), "course": BREATHING}
+            known: dict[str, Any] = {"frames": frames, "loads": (mouth,), "course": BREATHING}
             for noise, readout in self.noise.items():
                 place = Scene(Panel(rows, columns), readout, SERIES_OHM)
                 for scene, unmodelled in self.scenes.items():
-                    simulation = Simulation(1, self.seed, place, unmodelled=unmodelled, **about)
+                    simulation = Simulation(1, self.seed, place, unmodelled=unmodelled, **known)
                     recording = simulate(simulation, f"{rows}x{columns}")
                     yield TradeoffSubject(replace(recording, name=f"{recording.name}_{scene}_{noise}"), scene, noise)
 
 
-@dataclass(frozen=True, eq=False)
-class TradeoffSubject:
+class TradeoffSubject(NamedTuple):
     """A recording that is measured; scene and noise are '-' for one from a file."""
 
     recording: Recording
@@ -209,12 +208,11 @@ class TradeoffFile(Configuration):
         return Estimator(chosen.parts, formulation, self.solver, chosen.bounds)
 
 
-@dataclass(frozen=True, eq=False)
-class Plan:
+class Plan(NamedTuple):
     """A trade-off's file with its recordings at hand, cut to their first frames."""
 
     settings: TradeoffFile
-    subjects: tuple[TradeoffSubject, ...]
+    subjects: list[TradeoffSubject]
 
 
 def label(formulation: Method) -> str:
@@ -236,7 +234,7 @@ def read_plan(path: Path, assigned: tuple[str, ...] = ()) -> Plan:
     for name in names:
         if names.count(name) > 1:
             raise InputError(f"{path}: two recordings are called {name}")
-    return Plan(settings, tuple(subjects))
+    return Plan(settings, subjects)
 
 
 def first_frames(recording: Recording, count: int) -> Recording:
@@ -249,47 +247,27 @@ def first_frames(recording: Recording, count: int) -> Recording:
     return replace(only_frames(replace(recording, number=np.arange(len(chosen))), chosen), number=None)
 
 
-@dataclass(frozen=True, eq=False)
-class Measured(TimedFrames):
-    """One rung with one method on one recording.
+@dataclass(frozen=True, kw_only=True)
+class TradeoffFrame(TimedFrame):
+    """One frame with one method on one rung.
 
-    Parameters
-    ----------
-    wall, cpu : of the solve, and of the processor from one frame to the next; the first frame of relative methods may
-        hold the baseline as well.
-    objective : as the module says. gap : (φ − φ_best)/(φ_best + what missing every reading by its noise costs): a gap
-        far below 1 cannot be seen in the readings.
-    subject, method, formulation : what was measured.
-    baseline_s : of the unloaded baseline alone; 0 where it is solved with the first frame.
-    cell_error, changed_error : (frames) median |r − truth|/truth over all cells, and over those whose truth has left
-        the unloaded one by more than 5 %; percent; NaN without a truth, or where nothing has changed.
-    memory_mb : peak of a fresh process with this rung on such a panel, libraries included; None: not measured.
+    objective : as the module says; NaN of a failed frame. gap : (φ − φ_best)/(φ_best + what missing every reading by
+    its noise costs): a gap far below 1 cannot be seen in the readings.
     """
 
-    subject: TradeoffSubject
-    method: str
-    formulation: str
-    baseline_s: float
-    cell_error: Array
-    changed_error: Array
-    memory_mb: float | None = None
-
-    @property
-    def shape(self) -> Shape:
-        """(rows, columns)."""
-        return self.subject.shape
-
-    def times(self) -> Array:
-        """(frames) s: the least of the repeats; the processor's time where something else disturbed it."""
-        return np.asarray(np.minimum(self.wall, self.cpu).min(axis=1))
+    scene: str = column("1", "effects outside the scene")
+    noise: str = column("1", "readout")
+    baseline_s: float = column("s", "time of the unloaded baseline; 0 where it is solved with the first frame")
+    cell_error: float = column("percent", "median error of the cells against the truth")
+    changed_error: float = column("percent", "the same of cells that the load has changed by more than 5 percent")
 
 
-def run_tradeoff(plan: Plan, on_step: OnStep = lambda done, total: None) -> tuple[Measured, ...]:
+def run_tradeoff(plan: Plan, on_step: OnStep = lambda done, total: None) -> list[TradeoffFrame]:
     """Measure everything. on_step is called with how many of how many parts are done."""
     settings = plan.settings
     fresh = list(_memory_tasks(plan))
     chosen = [(subject, method) for subject in plan.subjects for method in settings.methods(subject.shape)]
-    measured: list[Measured] = []
+    measured: list[TradeoffFrame] = []
     for done, (subject, method) in enumerate(chosen, 1):
         measured += _measure(settings, subject, method)
         on_step(done, len(chosen) + len(fresh))
@@ -297,7 +275,7 @@ def run_tradeoff(plan: Plan, on_step: OnStep = lambda done, total: None) -> tupl
     for done, (shape, name, task) in enumerate(fresh, len(chosen) + 1):
         memory[shape, name] = peak_memory(_passage, task)
         on_step(done, len(chosen) + len(fresh))
-    return tuple(replace(one, memory_mb=memory.get((one.shape, one.formulation))) for one in measured)
+    return [replace(one, memory_mb=memory.get((one.shape, one.solver))) for one in measured]
 
 
 def _passage(task: Task) -> Passage:
@@ -307,7 +285,7 @@ def _passage(task: Task) -> Passage:
     return found, np.diff(clock)
 
 
-def _measure(settings: TradeoffFile, subject: TradeoffSubject, method: str) -> Iterator[Measured]:
+def _measure(settings: TradeoffFile, subject: TradeoffSubject, method: str) -> Iterator[TradeoffFrame]:
     """All rungs with one method on one recording."""
     rungs = settings.rungs(subject.shape)
     runs: dict[str, list[Passage]] = {name: [] for name in rungs}
@@ -319,27 +297,30 @@ def _measure(settings: TradeoffFile, subject: TradeoffSubject, method: str) -> I
             runs[name].append(_passage((settings.estimator(method, formulation), subject.recording)))
     costs = list(_costs(runs[REFERENCE][0][0]))
     objective = {
-        name: np.array([_objective(*cost, cells) for cost, cells in zip(costs, run[0][0].cell_resistance, strict=True)])
+        name: [_objective(*cost, cells) for cost, cells in zip(costs, run[0][0].cell_resistance, strict=True)]
         for name, run in runs.items()
     }
-    least = np.nanmin(np.stack(list(objective.values())), axis=0)
-    noise = np.array([_noise_cost(*cost) for cost in costs])
+    least = np.nanmin(list(objective.values()), axis=0)
+    gaps = {name: (own - least) / (least + [_noise_cost(*cost) for cost in costs]) for name, own in objective.items()}
     for name, run in runs.items():
         first = run[0][0]
-        cell, changed = errors(first)
-        yield Measured(
-            subject=subject,
-            method=method,
-            formulation=name,
-            wall=np.stack([[step.seconds for step in found.steps] for found, _ in run], axis=1),
-            cpu=np.stack([cpu for _, cpu in run], axis=1),
-            baseline_s=0.0 if first.joint_start else min(found.baseline.seconds for found, _ in run),
-            cell_error=cell,
-            changed_error=changed,
-            objective=objective[name],
-            gap=(objective[name] - least) / (least + noise),
-            **TimedFrames.ends([step.solution for step in first.steps]),
-        )
+        seconds = np.min([np.minimum([step.seconds for step in found.steps], cpu) for found, cpu in run], axis=0)
+        baseline_s = 0.0 if first.joint_start else min(found.baseline.seconds for found, _ in run)
+        for number, (step, cell, changed) in enumerate(zip(first.steps, *errors(first), strict=True)):
+            yield TradeoffFrame(
+                **outcome(subject.recording, step),
+                method=method,
+                solver=name,
+                frame=number,
+                seconds=float(seconds[number]),
+                objective=objective[name][number],
+                gap=float(gaps[name][number]),
+                scene=subject.scene,
+                noise=subject.noise,
+                baseline_s=baseline_s,
+                cell_error=float(cell),
+                changed_error=float(changed),
+            )
 
 
 def errors(found: Estimates) -> tuple[Array, Array]:
@@ -351,7 +332,7 @@ def errors(found: Estimates) -> tuple[Array, Array]:
     unloaded = np.flatnonzero(recording.role == UNLOADED)
     resting = np.median(truth[unloaded], axis=0) if len(unloaded) else truth[0]
     error = relative_error(found.cell_resistance, truth[found.frame])
-    changed = np.abs(truth[found.frame] / resting - 1) > 0.05  # as `Measured.changed_error` says
+    changed = np.abs(truth[found.frame] / resting - 1) > 0.05  # as `TradeoffFrame.changed_error` says
     inside = [np.median(part[which]) if which.any() else np.nan for part, which in zip(error, changed, strict=True)]
     return np.median(error, axis=(1, 2)), np.array(inside)
 

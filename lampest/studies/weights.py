@@ -4,7 +4,7 @@ Sources: Morozov, Soviet Math. Dokl. 7, 1966 (discrepancy principle); Hansen & O
 (L-curve).
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
@@ -15,7 +15,7 @@ from scipy.special import erfcx
 
 from lampest.cost.cost import Cost
 from lampest.cost.problem import Data
-from lampest.cost.terms import Term, term_kind
+from lampest.cost.terms import Term
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.methods import named_method
 from lampest.estimate.sequence import deciding_data, deciding_frame, frames_beside, resting_readings
@@ -29,6 +29,7 @@ from lampest.posterior.track import MOST_DENSE
 from lampest.recording.recording import Recording
 from lampest.runs.config import Case
 from lampest.solvers.multistart import BROKEN, best_solution, convex, evaluated
+from lampest.studies.study import column
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,23 +103,13 @@ class WeightSubject:
         return int(np.sum(self.data.plain))
 
     @property
-    def kind(self) -> str:
-        """The word that names the penalty."""
-        return term_kind(self.cost.terms[self.penalty])
-
-    @property
-    def square_units(self) -> tuple[str, str]:
-        """The units of the misfit's residuals and of the penalty's, squared, in ASCII."""
+    def units(self) -> dict[str, str]:
+        """Of misfit and PRESS, of the penalty, squared, and of λ, which is their ratio; in ASCII."""
         term, penalty = self.cost.terms[1 - self.penalty], self.cost.terms[self.penalty]
         units = "1" if getattr(term, "weighting", "plain") == "noise" else term.unit, penalty.unit
         misfit, other = ("1" if unit == "1" else f"({unit})^2" if " " in unit else f"{unit}^2" for unit in units)
-        return misfit, other
-
-    @property
-    def weight_unit(self) -> str:
-        """The unit of λ: the misfit's, squared, over the penalty's, squared."""
-        misfit, penalty = self.square_units
-        return "1" if misfit == penalty else f"{misfit}/{penalty}"
+        ratio = "1" if misfit == other else f"{misfit}/{other}"
+        return {"misfit": "1" if self.noisy else misfit, "press": misfit, "penalty": other, "weight": ratio}
 
 
 def why_not(estimator: Estimator, readings: int) -> str | None:
@@ -139,28 +130,20 @@ def why_not(estimator: Estimator, readings: int) -> str | None:
 class CurvePoint:
     """What there is at one weight λ; NaN where it was not solved or is unknown.
 
-    Parameters
-    ----------
-    weight : λ. solved : 1, or 0 where there is no estimate.
-    misfit : ρ/s², which is as large as the number of data where they are missed by their noise; ρ without a known σ.
-    penalty : η.
-    evidence : −2·log of the Laplace evidence, up to a constant. risk : the estimate of Σ (log r̂ − log r)² over the
-        cells that no bound holds, unknown where that is less than half of them. Both need σ. press : (Σ |e/(1 − h)|)².
-    error : root of the mean of (log r̂ − log r)² over the frame's cells.
-    open_cells : cells of the frame at their upper bound. bound_cells : at any bound, of all frames of the solve.
-    cells : r̂ (frames, rows, columns) ohm, or None.
+    Evidence and risk need σ; risk is unknown, too, where bounds hold half of the cells. misfit : ρ/s² is as large as
+    the number of data where they are missed by their noise; ρ without a known σ. cells : (frames, rows, columns) ohm.
     """
 
-    weight: float
-    solved: int = 0
-    misfit: float = np.nan
-    penalty: float = np.nan
-    evidence: float = np.nan
-    risk: float = np.nan
-    press: float = np.nan
-    error: float = np.nan
-    open_cells: float = np.nan
-    bound_cells: float = np.nan
+    weight: float = column("1", "weight of the penalty")
+    solved: int = column("1", "1: solved, 0: failed", 0)
+    misfit: float = column("1", "sum of squared misfits, over the noise's mean square where that is known", np.nan)
+    penalty: float = column("1", "sum of squared penalties", np.nan)
+    evidence: float = column("1", "-2 log of the Laplace evidence, up to a constant", np.nan)
+    risk: float = column("1", "estimate of the sum of squared errors of log resistance, of cells not at bounds", np.nan)
+    press: float = column("1", "square of the summed sizes of the errors of readings predicted from all others", np.nan)
+    error: float = column("1", "true root-mean-square error of log resistance over the frame", np.nan)
+    open_cells: float = column("1", "cells of the frame at their upper bound", np.nan)
+    bound_cells: float = column("1", "cells at a bound, of all frames of the solve", np.nan)
     cells: Array | None = None
 
 
@@ -171,34 +154,28 @@ def solve_at(subject: WeightSubject, weight: float, start: Array | None) -> Curv
     if found.at is None or found.dual is None:
         return CurvePoint(weight)
     model = LinearModel(found.at, found.dual)
-    misfit = float(model.data_curvature @ model.residual**2) / (model.scale if subject.noisy else 1.0)
-    evidence = risk = press = np.nan
+    evidence = risk = press = error = np.nan
     with suppress(*BROKEN):  # where bounds decide every cell, these three are unknown
         spectrum = Spectrum.of(model)
         press = spectrum.press(weight)
         if subject.noisy:
             evidence = spectrum.evidence(weight) + bound_evidence(model)
             risk = spectrum.risk(weight) if 2 * len(model.free) >= found.cell_resistance.size else np.nan
+    if subject.truth is not None:
+        error = float(np.sqrt(np.nanmean((np.log(found.cell_resistance[-1]) - subject.truth) ** 2)))
     return CurvePoint(
         weight,
         1,
-        misfit,
+        float(model.data_curvature @ model.residual**2) / (model.scale if subject.noisy else 1.0),
         float(model.penalty @ model.penalty),
         evidence,
         risk,
         press,
-        true_error(subject, found.cell_resistance),
+        error,
         float(found.open_cell[-1].sum()),
         float(np.sum(model.at_lower | model.at_upper)),
         found.cell_resistance,
     )
-
-
-def true_error(subject: WeightSubject, cells: Array) -> float:
-    """√ mean (log r̂ − log r)² over the measured frame of (frames, rows, columns) ohm; NaN without a truth."""
-    if subject.truth is None:
-        return float("nan")
-    return float(np.sqrt(np.nanmean((np.log(cells[-1]) - subject.truth) ** 2)))
 
 
 def bound_evidence(model: LinearModel) -> float:
@@ -223,7 +200,7 @@ class Curves:
 
     subject: WeightSubject
     points: tuple[CurvePoint, ...]
-    even: tuple[float, ...]
+    even: tuple[float, ...] = ()
 
     def values(self, name: str) -> Array:
         """One of a point's figures, at all points."""
@@ -266,11 +243,17 @@ class Curves:
 
 
 def trace(subject: WeightSubject, marks: list[float], first: Array) -> Curves:
-    """Curves over the weights that matter, at most four decades beyond the marks, solved from the first mark outwards.
+    """Curves over 33 weights, even in log λ, solved from the first mark outwards: all weights that make a difference,
+    at most four decades beyond the marks.
 
     first : an estimate to start from (frames, rows, columns) ohm.
     """
-    weights = grid(subject, marks, first)
+    low, high = min(marks) / 1e4, max(marks) * 1e4
+    with suppress(*BROKEN):  # where bounds decide every cell, nothing says which weights matter
+        model = LinearModel(evaluated(subject.with_weight(marks[0]), subject.data, first), np.zeros(0))
+        least, largest = np.exp(Spectrum.of(model).extent)
+        low, high = max(least, low), min(largest, high)
+    weights = np.geomspace(min(low, *marks), max(high, *marks), 33).tolist()
     middle = int(np.argmin([abs(np.log(weight / marks[0])) for weight in weights]))
     points: dict[float, CurvePoint] = {}
     for side in (weights[middle:], weights[:middle][::-1]):
@@ -281,32 +264,16 @@ def trace(subject: WeightSubject, marks: list[float], first: Array) -> Curves:
     return Curves(subject, tuple(points[weight] for weight in weights), tuple(weights))
 
 
-def grid(subject: WeightSubject, marks: list[float], at: Array) -> list[float]:
-    """Even in log λ: over all weights that make a difference, where they are within four decades of the marks."""
-    low, high = min(marks) / 1e4, max(marks) * 1e4
-    with suppress(*BROKEN):  # where bounds decide every cell, nothing says which weights matter
-        model = LinearModel(evaluated(subject.with_weight(marks[0]), subject.data, at), np.zeros(0))
-        least, largest = np.exp(Spectrum.of(model).extent)
-        low, high = max(least, low), min(largest, high)
-    even = np.geomspace(min(low, *marks), max(high, *marks), 33)
-    return [float(weight) for weight in even]
-
-
 @dataclass(frozen=True)
 class Choice:
-    """One rule's weight; None where it has none.
+    """One rule's weight; None where it has none, as the others where it has no truth."""
 
-    solves : that it took, the estimate for its choice included; None for a rule that needs the whole curve.
-    error : true root-mean-square log error there, excess : over the best in hindsight; None without a truth.
-    in_use : whether the estimator goes by it.
-    """
-
-    rule: str
-    weight: float | None
-    solves: int | None
-    error: float | None
-    excess: float | None
-    in_use: bool
+    rule: str = column("1", "rule")
+    in_use: bool = column("1", "1: the estimator's")
+    weight: float | None = column("1", "the rule's weight, NaN where it has none")
+    solves: int | None = column("1", "solves that it took with the estimate, NaN where it needs the whole curve")
+    error: float | None = column("1", "true root-mean-square error of log resistance", None)
+    excess: float | None = column("1", "error over that of the best weight in hindsight", None)
 
 
 @dataclass(frozen=True, eq=False)
@@ -324,31 +291,26 @@ def tune(subject: WeightSubject) -> Tuned:
 
     Raises InputError where the estimator's rule needs the noise and it is unknown.
     """
-    first = convex(subject.data, None)
+    first, given = convex(subject.data, None), subject.given
     rules = [rule for rule in get_args(Rule) if subject.noisy or rule == "press"]
     tried = {rule: subject.search.tried(subject.penalty, rule, first) for rule in rules}
-    in_use = rule_in_use(subject.estimator, subject.noisy) if subject.given is None else "given"
-    marks = [path[-1] for path in tried.values()] + ([subject.given] if subject.given else [])
-    curves = trace(subject, marks, first)
+    in_use = rule_in_use(subject.estimator, subject.noisy) if given is None else "given"
+    curves = trace(subject, [path[-1] for path in tried.values()] + ([given] if given else []), first)
     weights: dict[str, tuple[float | None, int | None]] = {rule: (path[-1], len(path)) for rule, path in tried.items()}
     weights["Morozov"] = (morozov(curves) if subject.noisy else None, None)
     weights["L-curve"] = (l_curve(curves.on_grid()), None)
-    if subject.given:
-        weights["given"] = (subject.given, 1)
+    if given:
+        weights["given"] = (given, 1)
     curves = curves.extended(weight for weight, _ in weights.values() if weight is not None).finer()
     best = curves.best()
     if best is not None:
         weights["best"] = (best.weight, None)
-    choices = (_choice(curves, rule, *chosen, rule == in_use) for rule, chosen in weights.items())
+    choices = []
+    for rule, (weight, solves) in weights.items():
+        error = None if best is None or weight is None else curves.at(weight).error
+        known = (error, error / best.error) if best is not None and error is not None and np.isfinite(error) else ()
+        choices.append(Choice(rule, rule == in_use, weight, solves, *known))
     return Tuned(subject, curves, tuple(choices))
-
-
-def _choice(curves: Curves, rule: str, weight: float | None, solves: int | None, in_use: bool) -> Choice:
-    best = curves.best()
-    point = None if weight is None else curves.at(weight)
-    if best is None or point is None or not np.isfinite(point.error):
-        return Choice(rule, weight, solves, None, None, in_use)
-    return Choice(rule, weight, solves, point.error, point.error / best.error, in_use)
 
 
 def morozov(curves: Curves) -> float | None:
@@ -365,7 +327,7 @@ def morozov(curves: Curves) -> float | None:
     return None
 
 
-def l_curve(points: tuple[CurvePoint, ...]) -> float | None:
+def l_curve(points: Sequence[CurvePoint]) -> float | None:
     """λ of the greatest curvature of log η over log ρ, κ = (x′y″ − x″y′)/(x′² + y′²)^(3/2); None where κ ≤ 0."""
     if len(points) < 5 or min(min(point.misfit, point.penalty) for point in points) <= 0:
         return None

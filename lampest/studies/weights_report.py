@@ -1,7 +1,7 @@
 """`lampest study weights`: every case of a run that has one penalty, its rules' choices, the curves, a figure."""
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import LogFormatterSciNotation, LogLocator, NullLocator
 
-from lampest.files import hdf5
+from lampest.cost.terms import term_kind
 from lampest.recording.recording import Recording
 from lampest.report.plots.style import SMALL_POINT, TEXT_POINT, dressed, new_figure
 from lampest.runs.config import Case, Run, read_run
@@ -48,25 +48,24 @@ def weights_figure(one: Tuned) -> Figure:
     return figure
 
 
-def _shown(unit: str) -> str:
-    """A unit in print."""
-    return unit.replace("^2", "²").replace("ohm", "Ω").replace("percent", "%").replace("/", " / ")
+def _label(one: Tuned, what: str, name: str) -> str:
+    """A name with its unit in print."""
+    unit = one.subject.units.get(what, "1")
+    return f"{name} [{unit.replace('^2', '²').replace('ohm', 'Ω').replace('percent', '%').replace('/', ' / ')}]"
 
 
 def _labels(one: Tuned) -> tuple[str, str]:
-    """Of misfit and penalty."""
-    misfit, penalty = map(_shown, one.subject.square_units)
-    return f"misfit {'ρ/s² [1]' if one.subject.noisy else f'ρ [{misfit}]'}", f"penalty η [{penalty}]"
+    return _label(one, "misfit", f"misfit ρ{'/s²' if one.subject.noisy else ''}"), _label(one, "penalty", "penalty η")
 
 
 def _over_weight(axes: Axes, one: Tuned, label: str) -> Any:
     """The axis of λ with every choice; returns λ at all points."""
-    weights = one.curves.values("weight")
+    weights, subject = one.curves.values("weight"), one.subject
     axes.set_xscale("log")
     axes.set_xlim(weights[0] / 1.6, weights[-1] * 1.6)
     axes.xaxis.set_major_locator(LogLocator(numticks=9))
     axes.xaxis.set_minor_locator(NullLocator())
-    dressed(axes, f"weight λ of {one.subject.kind} [{_shown(one.subject.weight_unit)}]", label)
+    dressed(axes, _label(one, "weight", f"weight λ of {term_kind(subject.cost.terms[subject.penalty])}"), label)
     for choice in one.choices:
         if choice.weight is not None:
             look, wide = LOOKS[choice.rule], 1.6 if choice.in_use else 0.9
@@ -79,8 +78,7 @@ def _above_least(name: str, label: str) -> Callable[[Axes, Tuned], None]:
 
     def draw(axes: Axes, one: Tuned) -> None:
         values = one.curves.values(name)
-        unit = one.subject.square_units[0] if name == "press" else "1"
-        weights = _over_weight(axes, one, f"{label} [{_shown(unit)}]")
+        weights = _over_weight(axes, one, _label(one, name, f"{label} − least"))
         if not np.isfinite(values).any():
             _words_instead(axes, "needs the noise of the readings")
             return
@@ -165,9 +163,9 @@ def _logarithmic(*axes: Axis) -> None:
 
 
 PANELS: Sequence[tuple[str, Callable[[Axes, Tuned], None]]] = (
-    ("evidence", _above_least("evidence", "−2 log evidence − least")),
-    ("expected error, Σ(log r̂ − log r)²", _above_least("risk", "risk − least")),
-    ("prediction from all other readings", _above_least("press", "PRESS − least")),
+    ("evidence", _above_least("evidence", "−2 log evidence")),
+    ("expected error, Σ(log r̂ − log r)²", _above_least("risk", "risk")),
+    ("prediction from all other readings", _above_least("press", "PRESS")),
     ("misfit and penalty", _misfit),
     ("error of the estimate", _error),
     ("L-curve", _l_curve),
@@ -191,74 +189,47 @@ def tuned(case: Case) -> list[Tuned] | str:
     return [found] if any(point.solved for point in found.curves.points) else "it was solved for no weight"
 
 
-FIGURES: study.Figures = {  # of a case and one rule's choice
-    "recording": lambda both: both[0].recording,
-    "estimator": lambda both: both[0].name,
-    "frame": lambda both: both[0].frame,
-    "rule": lambda both: both[1].rule,
-    "in_use": lambda both: int(both[1].in_use),
-    "weight": lambda both: both[1].weight,
-    "weight_unit": lambda both: both[0].weight_unit,
-    "solves": lambda both: both[1].solves,
-    "rms_log_error": lambda both: both[1].error,
-    "over_best": lambda both: both[1].excess,
-}
-SCREEN: dict[str, Callable[[study.Row], str]] = {
-    "recording": lambda row: row.recording,
-    "estimator": lambda row: row.estimator,
-    "rule": lambda row: row.rule,
-    "in use": lambda row: "*" * row.in_use,
-    "λ": lambda row: study.text_of(row.weight) or "none",
-    "unit of λ": lambda row: row.weight_unit,
-    "solves": lambda row: study.text_of(row.solves, "d"),
-    "true error": lambda row: study.text_of(row.rms_log_error, ".4f"),
-    "over the best": lambda row: study.text_of(row.over_best, ".3f"),
-}
-
-
-def _write_curves(entry: Any, found: study.Cases[Tuned]) -> None:
-    """/entry/<recording>/<estimator>: everything over the weight; `choices` beside it."""
-    for one in found.found:
-        recording = entry.require_group(one.subject.recording)
-        hdf5.set_attributes(recording, NX_class="NXsubentry")
-        _write_one(recording.create_group(one.subject.name), one)
-
-
-def _write_one(group: Any, one: Tuned) -> None:
-    subject, points = one.subject, one.curves.points
-    signal = "evidence" if subject.noisy else "press"
-    hdf5.set_attributes(group, NX_class="NXdata", signal=signal, axes=["weight"], frame=subject.frame)
-    hdf5.set_attributes(group, readings=subject.count, noise_known=int(subject.noisy))
-    hdf5.write_scale(group, "weight", one.curves.values("weight"), subject.weight_unit, "weight of the penalty")
-    square, penalty = subject.square_units
-    unit = "1" if subject.noisy else square
-    curves = (
-        ("misfit", unit, "sum of squared misfits, over the noise's mean square where that is known"),
-        ("penalty", penalty, "sum of squared penalties"),
-        ("evidence", "1", "-2 log of the Laplace evidence, up to a constant"),
-        ("risk", "1", "estimate of the sum of squared errors of log resistance"),
-        ("press", square, "square of the summed sizes of the errors of readings predicted from all others"),
-        ("error", "1", "true root-mean-square error of log resistance over the frame"),
-        ("open_cells", "1", "cells of the frame at their upper bound"),
-        ("bound_cells", "1", "cells at a bound, of all frames of the solve"),
-        ("solved", "1", "1: solved, 0: failed"),
-    )
-    study.write_columns(group, points, curves, ("weight",), float)
-    choices = group.create_group("choices")
-    hdf5.set_attributes(choices, NX_class="NXcollection")
-    study.write_columns(choices, one.choices, (("rule", "1", "rule"), ("in_use", "1", "1: the estimator's")))
-    numbers = (
-        ("weight", subject.weight_unit, "the rule's weight, NaN where it has none"),
-        ("solves", "1", "solves that it took, NaN where it needs the whole curve"),
-        ("error", "1", "true root-mean-square error of log resistance"),
-        ("excess", "1", "error over that of the best weight in hindsight"),
-    )
-    study.write_columns(choices, one.choices, numbers, (), float)
-
-
 def weight_rows(found: study.Cases[Tuned]) -> list[study.Row]:
     """A row for every case and rule."""
-    return study.rows_of([(one.subject, choice) for one in found.found for choice in one.choices], FIGURES)
+    return [
+        study.Row(
+            recording=one.subject.recording,
+            estimator=one.subject.name,
+            frame=one.subject.frame,
+            rule=choice.rule,
+            in_use=int(choice.in_use),
+            weight=choice.weight,
+            weight_unit=one.subject.units["weight"],
+            solves=choice.solves,
+            rms_log_error=choice.error,
+            over_best=choice.excess,
+        )
+        for one in found.found
+        for choice in one.choices
+    ]
+
+
+SCREEN: study.Screen = {
+    "recording": "{recording}",
+    "estimator": "{estimator}",
+    "rule": "{rule}",
+    "in use": lambda row: "*" * row.in_use,
+    "λ": lambda row: study.text_of(row.weight, ".3g") or "none",
+    "unit of λ": "{weight_unit}",
+    "solves": "{solves:d}",
+    "true error": "{rms_log_error:.4f}",
+    "over the best": "{over_best:.3f}",
+}
+
+
+def _groups(found: study.Cases[Tuned]) -> Iterator[study.RecordGroup]:
+    """/entry/<recording>/<estimator>: everything over the weight; `choices` beside it."""
+    for one in found.found:
+        subject, path = one.subject, f"{one.subject.recording}/{one.subject.name}"
+        known = {"frame": subject.frame, "readings": subject.count, "noise_known": int(subject.noisy)}
+        signal = "evidence" if subject.noisy else "press"
+        yield study.RecordGroup(path, one.curves.points, signal, "weight", subject.units, known)
+        yield study.RecordGroup(f"{path}/choices", one.choices, "weight", units=subject.units)
 
 
 STUDY: study.Study[Run, study.Cases[Tuned]] = study.Study(
@@ -267,12 +238,11 @@ STUDY: study.Study[Run, study.Cases[Tuned]] = study.Study(
     "tune.yaml",
     read_run,
     lambda run, on_step: study.of_cases(tuned, run, on_step, "tune"),
-    FIGURES,
-    weight_rows,
-    lambda found: [("", study.screen_table(weight_rows(found), SCREEN))],
-    "tune/1",
-    _write_curves,
-    lambda found: {
+    rows=weight_rows,
+    tables=lambda found: [("", study.screen_table(weight_rows(found), SCREEN))],
+    form="tune/2",
+    records=_groups,
+    figures=lambda found: {
         re.sub(r"[^\w.@=,+-]", "_", f"tune_{one.subject.recording}_{one.subject.name}"): weights_figure(one)
         for one in found.found
     },

@@ -164,46 +164,48 @@ def withheld_study(share: float, draws: int = 5, seed: int = 0) -> study.Study[R
         "insole.yaml",
         read_run,
         lambda run, on_step: study.of_cases(predicted, run, on_step, "predict"),
-        FIGURES,
-        withheld_rows,
-        lambda found: [("", study.screen_table(withheld_rows(found), SCREEN))],
+        rows=withheld_rows,
+        tables=lambda found: [("", study.screen_table(withheld_rows(found), SCREEN))],
         left_out=lambda found: found.left_out,
     )
-
-
-def _median(ones: Sequence[Withheld], ratio: bool) -> float:
-    errors = [one.error / one.interpolated if ratio else one.error for one in ones if one.solved]
-    return float(np.median(errors)) if errors else float("nan")
-
-
-FIGURES: study.Figures = {  # of all frames and draws of a case at one weight
-    "recording": lambda ones: ones[0].recording,
-    "estimator": lambda ones: ones[0].estimator,
-    "weight": lambda ones: " ".join(f"{weight:.3g}" for weight in ones[0].weights),
-    "in_use": lambda ones: int(ones[0].factor == 1),
-    "frames": lambda ones: len({one.frame for one in ones}),
-    "withheld": lambda ones: sum(one.readings for one in ones),
-    "solved": lambda ones: sum(one.solved for one in ones) / len(ones),
-    "median_rms": lambda ones: _median(ones, ratio=False),
-    "unit": lambda ones: ones[0].unit,
-    "over_interpolation": lambda ones: _median(ones, ratio=True),
-    "cell_over_reading": lambda ones: float(np.median([one.hidden for one in ones if one.solved] or [np.nan])),
-}
-SCREEN = {
-    "recording": lambda row: row.recording,
-    "estimator": lambda row: row.estimator,
-    "weight": lambda row: row.weight,
-    "in use": lambda row: "*" * row.in_use,
-    "frames": lambda row: study.text_of(row.frames, "d"),
-    "withheld": lambda row: study.text_of(row.withheld, "d"),
-    "solved": lambda row: study.text_of(100 * row.solved, ".0f") + " %",
-    "missed by": lambda row: f"{study.text_of(row.median_rms, '.1f')} {row.unit}",
-    "over interpolation": lambda row: study.text_of(row.over_interpolation, ".2f"),
-    "cell over reading": lambda row: study.text_of(row.cell_over_reading, ".1f"),
-}
 
 
 def withheld_rows(cases: study.Cases[Withheld]) -> list[study.Row]:
     """A row for every case and weight: medians over frames and draws."""
     groups = study.grouped(cases.found, lambda one: (one.recording, one.estimator, one.factor))
-    return study.rows_of(groups.values(), FIGURES)
+    return [_row(ones) for ones in groups.values()]
+
+
+def _row(ones: Sequence[Withheld]) -> study.Row:
+    solved = [one for one in ones if one.solved]
+
+    def median(values: list[float]) -> float:
+        return float(np.median(values)) if values else float("nan")
+
+    return study.Row(
+        recording=ones[0].recording,
+        estimator=ones[0].estimator,
+        weight=" ".join(f"{weight:.3g}" for weight in ones[0].weights),
+        in_use=int(ones[0].factor == 1),
+        frames=len({one.frame for one in ones}),
+        withheld=sum(one.readings for one in ones),
+        solved=len(solved) / len(ones),
+        median_rms=median([one.error for one in solved]),
+        unit=ones[0].unit,
+        over_interpolation=median([one.error / one.interpolated for one in solved]),
+        cell_over_reading=median([one.hidden for one in solved]),
+    )
+
+
+SCREEN: study.Screen = {
+    "recording": "{recording}",
+    "estimator": "{estimator}",
+    "weight": "{weight}",
+    "in use": lambda row: "*" * row.in_use,
+    "frames": "{frames}",
+    "withheld": "{withheld}",
+    "solved": "{solved:.0%}",
+    "missed by": "{median_rms:.1f} {unit}",
+    "over interpolation": "{over_interpolation:.2f}",
+    "cell over reading": "{cell_over_reading:.1f}",
+}

@@ -28,13 +28,13 @@ def test_command_writes_table_samples_and_figure(
     assert all(float(row["memory_mb"]) > 10 for row in rows)
     assert (tmp_path / "out" / "tradeoff.png").read_bytes().startswith(b"\x89PNG")
     with h5py.File(tmp_path / "out" / "tradeoff.h5") as file:
-        group = file["entry/small/LSM/reduced"]
-        assert group.attrs["signal"] == b"wall_time"
+        group = file["entry/frames"]
+        assert group.attrs["signal"] == b"seconds"
         for name in group:
             assert group[name].attrs["units"], name
             assert group[name].attrs["long_name"], name
-        assert group["gap"].dims[0][0].name.endswith("/frame")
-        assert group["wall_time"].shape == (2, 1)
+        assert group["gap"].dims[0][0].name.endswith("/record")
+        assert list(group["solver"]) == [b"scaled"] * 2 + [b"reduced"] * 2
 
 
 @pytest.mark.parametrize(

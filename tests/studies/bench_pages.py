@@ -11,7 +11,7 @@ from pathlib import Path
 ROOT = Path(__file__).parents[2]
 PAGES = (ROOT / "README.md", *sorted((ROOT / "docs" / "studies").glob("*.md")))
 MARKED = re.compile(r"<!-- bench: (\w+) -->\n.*?<!-- /bench -->\n", re.DOTALL)
-SECTION = re.compile(r"^## (\w+):.*?\n\n(.*?)(?=^## |\Z)", re.DOTALL | re.MULTILINE)
+SECTION = re.compile(r"^## (\w+).*?\n\n(.*?)(?=^## |\Z)", re.DOTALL | re.MULTILINE)
 
 
 def sections(text: str) -> dict[str, str]:

@@ -12,10 +12,9 @@ from time import process_time
 
 import numpy as np
 
-from lampest.panel.panel import Array
-from lampest.solvers.multistart import best_solution
+from lampest.estimate.sequence import first_stream
 from lampest.solvers.solution import Solution
-from lampest.studies.bench import BenchFile, frame_data, solver_of
+from lampest.studies.bench import BenchFile
 from lampest.studies.methods import PAPER
 from lampest.studies.study import read_settings
 
@@ -39,24 +38,17 @@ def main() -> None:
 
 def _spent(bench: BenchFile, method: str, side: int, number: int) -> tuple[float, float]:
     """Seconds of the first frame and the median of later ones."""
-    recording, previous, times = bench.recording((side, side), number), None, []
-    for frame in range(FRAMES):
-        data = frame_data(bench, recording, method, frame, previous)()
-        solver = solver_of(bench, method, "reduced", data)
+    recording = bench.recording((side, side), number)
+    readings, times = recording.readings(), []
+    stream = first_stream(recording, readings, bench.estimator(method, "reduced", (1, 1)))  # a pair on any panel
+    for place, frame in enumerate(recording.measured_frames()[:FRAMES]):
         begun = process_time()
-        found = best_solution(solver, data, None if previous is None else previous[None])
+        stream, step = stream.push(readings[frame])
         times.append(process_time() - begun)
-        _print(f"{side} × {side}, {method}, frame {frame}", times[-1], found)
-        previous = _last(found)
+        _print(f"{side} × {side}, {method}, frame {place}", times[-1], step.solution)
+        if not step.solution.solved:
+            raise SystemExit(step.status)
     return times[0], float(np.median(times[1:]))
-
-
-def _last(found: Solution) -> Array:
-    """Its cells (rows, columns) ohm. Raises SystemExit where there are none to go on from."""
-    if not found.solved:
-        raise SystemExit(found.status.value)
-    cells: Array = found.cell_resistance[-1]
-    return cells
 
 
 def _print(name: str, seconds: float, found: Solution) -> None:

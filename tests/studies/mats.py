@@ -27,10 +27,9 @@ from lampest.panel.readouts.floating import FloatingNetwork, grounding
 from lampest.panel.scene import Scene
 from lampest.recording.readings import Readings
 from lampest.solvers.solution import Settings
-from lampest.studies.bench import other_solver, timed
-from lampest.studies.bench_report import markdown, short
-from lampest.studies.study import grouped, screen_table
-from lampest.studies.timing import clocked, inverse_time, undisturbed
+from lampest.studies.bench import ScipyMethod
+from lampest.studies.study import grouped, markdown, screen_table, text_of
+from lampest.studies.timing import clocked, inverse_time
 
 LEAST_S, MOST_S = 2e-5, 2e-2  # conductances of the published test
 OURS = ("reduced", "scipy_exact")
@@ -185,25 +184,23 @@ def _solves(truth: Array, measured: Array, settings: Settings) -> Iterator[tuple
     inverse_s = inverse_time(np.linalg.inv(np.eye(sum(measured.shape) - 1) + 0.1))
     for name in (*OURS, *PUBLISHED):
         if name in OURS:
-            answer, wall, cpu = _ours(name, measured, settings)
+            answer, seconds = _ours(name, measured, settings)
         else:
-            answer, wall, cpu = clocked(partial(PUBLISHED[name], measured))
-        seconds = wall if undisturbed(np.array(wall), np.array(cpu)) else cpu
+            answer, seconds = clocked(partial(PUBLISHED[name], measured))
         counted = None if name in OURS else answer.evaluations
         yield name, seconds, inverse_s, answer.iterations, counted, answer.converged, *_errors(answer, truth, measured)
 
 
-def _ours(name: str, measured: Array, settings: Settings) -> tuple[MatAnswer, float, float]:
+def _ours(name: str, measured: Array, settings: Settings) -> tuple[MatAnswer, float]:
     """Plain least squares without bounds, begun as always."""
-    estimator = Estimator((Misfit(),), "reduced", settings, Bounds("none", "none"))
+    method = "reduced" if name == "reduced" else ScipyMethod(kind=name)
+    estimator = Estimator((Misfit(),), method, settings, Bounds("none", "none"))
     scene = Scene(Panel(*measured.shape))
     data = estimator.data(Readings.of(scene, measured).alone(), Background(scene))
-    reduced = name == "reduced"
-    solver = estimator.problem(scene, 1, 1.0) if reduced else other_solver(name, estimator.cost(scene, 1), settings)
+    solver = estimator.problem(scene, 1, 1.0)
     solver.prepare()
-    solve = timed(name, solver, data, None)
-    solution = solve.solution
-    return MatAnswer(1 / solution.cell_resistance[-1], solution.iterations, 0, solution.solved), solve.wall, solve.cpu
+    solution, seconds = clocked(lambda: estimator.method.solution(solver, data, None, None))
+    return MatAnswer(1 / solution.cell_resistance[-1], solution.iterations, 0, solution.solved), seconds
 
 
 def _errors(answer: MatAnswer, truth: Array, measured: Array) -> tuple[float, float, float, int]:
@@ -214,12 +211,12 @@ def _errors(answer: MatAnswer, truth: Array, measured: Array) -> tuple[float, fl
     return float(reading.max()), float(np.median(cells)), float(cells.max()), int(np.sum(answer.conductance < 0))
 
 
-COLUMNS: dict[str, Callable[[list[MatSolve]], str]] = {
+COLUMNS: dict[str, Callable[[Any], str]] = {
     "mat": lambda own: f"{own[0].side} × {own[0].side}",
     "noise": lambda own: f"{own[0].noise_percent:g} %",
     "solver": lambda own: own[0].solver,
-    "ms": lambda own: short(np.median([1e3 * one.seconds for one in own])),
-    "networks": lambda own: "" if own[0].evaluations is None else short(np.median([one.evaluations for one in own])),
+    "ms": lambda own: text_of(np.median([1e3 * one.seconds for one in own])),
+    "networks": lambda own: "" if own[0].evaluations is None else text_of(np.median([one.evaluations for one in own])),
     "misfit %": lambda own: _percent(max(one.reading_error for one in own)),
     "cell %": lambda own: _percent(np.median([one.cell_error for one in own])),
     "worst %": lambda own: _percent(max(one.worst_cell_error for one in own)),

@@ -10,32 +10,22 @@ import pytest
 from lampest.cost.cost import Cost
 from lampest.cost.losses import Huber
 from lampest.cost.terms import Misfit
+from lampest.estimate.sequence import first_stream
 from lampest.files.errors import InputError
 from lampest.panel.panel import Panel
 from lampest.recording.recording import Recording
 from lampest.runs.config import Terms
 from lampest.solvers.multistart import evaluated
 from lampest.solvers.solution import Settings
-from lampest.studies.bench import (
-    SOLVERS,
-    Bench,
-    BenchFile,
-    BenchLimits,
-    BenchPart,
-    Timing,
-    frame_data,
-    resting_cells,
-    run_bench,
-)
-from lampest.studies.bench_report import bench_remarks, bench_rows, growth, page
+from lampest.studies.bench import SOLVERS, Bench, BenchFile, BenchFrame, BenchLimits, BenchPart, run_bench
+from lampest.studies.bench_report import STUDY, bench_remarks, bench_rows, growth, tables
 from lampest.studies.methods import SquaredMethod
-from lampest.studies.study import read_settings
+from lampest.studies.study import page, read_settings
 from tests.oracles.published_solvers import Trf, _Point
 from tests.studies.bench_pages import MARKED, PAGES, sections, with_tables
 
 ROOT = Path(__file__).parents[2]
 read_bench = read_settings(BenchFile)
-ANY = BenchFile(1, (3,))
 TINY = """\
 schema: 1
 sizes: [3, [2, 4]]
@@ -50,7 +40,11 @@ limits: {nodal: 3, scipy_exact: 4, scipy_difference: 3, scipy_lbfgsb: 3, joint: 
 def tiny(tmp_path_factory: pytest.TempPathFactory) -> Bench:
     path = tmp_path_factory.mktemp("bench") / "tiny.yaml"
     path.write_text(TINY)
-    return run_bench(read_bench(path))
+    return run_bench(read_bench(path), quiet)
+
+
+def quiet(*step: object) -> None:
+    """No progress."""
 
 
 def alone() -> BenchLimits:
@@ -58,51 +52,70 @@ def alone() -> BenchLimits:
     return replace(BenchLimits(), **dict.fromkeys(SOLVERS[1:], 0))
 
 
-def timing(side: int, wall: np.ndarray, method: str = "LSM", solver: str = "reduced", number: int = 0) -> Timing:
-    frames = len(wall)
-    one = np.ones(frames)
-    status = ("optimum verified",) * frames
-    return Timing(
-        wall, wall, one, 0 * one, one.astype(int), one > 0, status, (side, side), method, solver, number, False, 1e-6
-    )
+def timed(
+    side: int, seconds: list[float], method: str = "LSM", solver: str = "reduced", number: int = 0
+) -> list[BenchFrame]:
+    """Frames in sequence that took so many s."""
+    return [
+        BenchFrame(
+            rows=side,
+            columns=side,
+            recording=str(number),
+            method=method,
+            solver=solver,
+            frame=frame,
+            seconds=one,
+            objective=1.0,
+            gap=0.0,
+            iterations=1,
+            solved=True,
+            status="optimum verified",
+            kind="later" if frame else "first",
+            inverse_s=1e-6,
+        )
+        for frame, one in enumerate(seconds)
+    ]
 
 
 @pytest.mark.slow
 def test_all_solvers_agree_where_they_say_they_solved(tiny: Bench) -> None:
-    assert {(one.shape, one.solver, one.recording) for one in tiny.timings} == {
-        *(((3, 3), solver, number) for solver in SOLVERS for number in (0, 1)),
-        *(((2, 4), solver, number) for solver in ("reduced", "scipy_exact") for number in (0, 1)),
+    assert {(one.shape, one.solver, one.recording, one.frame) for one in tiny.frames} == {
+        *(((3, 3), solver, number, frame) for solver in SOLVERS for number in "01" for frame in range(3)),
+        *(
+            ((2, 4), name, number, frame)
+            for name in ("reduced", "scipy_exact")
+            for number in "01"
+            for frame in range(3)
+        ),
     }
-    for one in tiny.timings:
-        assert one.wall.shape == one.cpu.shape == (3, 2)
-        assert np.isnan(one.wall[0, 1]) and np.isfinite(one.wall[1:, 0]).all()
-        assert one.times().shape == (3,) and np.all(one.times() > 0)
-        assert np.all(one.gap >= 0)
-        assert one.pair == (one.method in ("LSR-dCR", "LSR-gdCR") and one.shape == (3, 3))
+    for one in tiny.frames:
+        assert one.seconds > 0 and one.inverse_s > 0 and one.gap >= 0
+        paired = one.method in ("LSR-dCR", "LSR-gdCR") and one.shape == (3, 3)
+        assert one.kind == ("later" if one.frame else "pair" if paired else "first")
         if one.solver in ("reduced", "nodal"):
-            assert one.solved.all() and np.all(one.gap[1:] < 1e-6), one
-        assert np.all(one.gap[one.verified()] < 1e-3), one
-    assert tiny.inverse_s((3, 3)) > 0 and tiny.left_out == ()
+            assert one.solved and (not one.frame or one.gap < 1e-6), one
+        assert not one.verified or one.gap < 1e-3, one
+    assert tiny.left_out == ()
 
 
 @pytest.mark.slow
 def test_rows_are_ratios_of_medians(tiny: Bench) -> None:
-    found = {(row.rows, row.columns, row.method, row.solver, row.frames != "later"): row for row in bench_rows(tiny)}
+    rows = bench_rows(tiny.frames)
+    found = {(row.rows, row.columns, row.method, row.solver, row.frames != "later"): row for row in rows}
     assert len(found) == 2 * 6 * (5 + 2)
     for (high, wide, method, _, first), row in found.items():
         reduced = found[high, wide, method, "reduced", first]
         assert row.ratio == pytest.approx(row.ms / reduced.ms)
-        assert row.inverses == pytest.approx(row.ms / 1e3 / tiny.inverse_s((high, wide)))
         assert row.count == (5 if method == "all" else 1) * (2 if first else 4)
         assert row.ms_quartile_1 <= row.ms <= row.ms_quartile_3
         assert row.verified <= row.solved <= row.count
     assert found[3, 3, "LSR-dCR", "reduced", True].frames == "pair"
     assert found[2, 4, "LSR-dCR", "reduced", True].frames == "first"
-    assert growth(tiny) == []
+    assert growth(rows) == []
 
 
 def test_a_solver_alone_is_given_no_gap() -> None:
-    found = bench_rows(run_bench(BenchFile(1, (3,), frames=1, repeats=1, limits=alone())))
+    found = bench_rows(run_bench(BenchFile(1, (3,), frames=1, repeats=1, limits=alone()), quiet).frames)
     assert {row.solver for row in found} == {"reduced"} and all(row.gap is None for row in found)
 
 
@@ -126,15 +139,15 @@ def test_growth_is_the_slope_of_the_logarithms() -> None:
     sides = (16, 32, 64, 100, 200)
     scatter = dict(zip(sides, (9.0, 1.1, 0.9, 1.0, 1.05), strict=True))
 
-    def wall(side: int, exponent: float) -> np.ndarray:
-        return np.array([[1e-6 * side**2.0], [scatter[side] * 1e-6 * side**exponent]])
+    def seconds(side: int, exponent: float) -> list[float]:
+        return [1e-6 * side**2.0, scatter[side] * 1e-6 * side**exponent]
 
-    timings = [timing(side, wall(side, 3.3)) for side in sides]
-    timings += [timing(side, wall(side, 1.3), "LSR-CR") for side in sides[:3]]
-    found = {(one.method, one.frames): one for one in growth(Bench(ANY, tuple(timings), {}))}
+    frames = [frame for side in sides for frame in timed(side, seconds(side, 3.3))]
+    frames += [frame for side in sides[:3] for frame in timed(side, seconds(side, 1.3), "LSR-CR")]
+    found = {(one.method, one.frames): one for one in growth(bench_rows(frames))}
     assert found["LSM", "first"].exponent == pytest.approx(2.0)
     assert found["LSM", "first"].standard_error == pytest.approx(0, abs=1e-6)
-    logarithms = [log(wall(side, 3.3)[1, 0]) for side in sides[1:]]
+    logarithms = [log(seconds(side, 3.3)[1]) for side in sides[1:]]
     design = np.column_stack([np.log(sides[1:]), np.ones(4)])
     expected, (rest,), *_ = np.linalg.lstsq(design, np.array(logarithms), rcond=None)
     covariance = rest / 2 * np.linalg.inv(design.T @ design)
@@ -142,33 +155,23 @@ def test_growth_is_the_slope_of_the_logarithms() -> None:
     assert found["LSM", "later"].standard_error == pytest.approx(np.sqrt(covariance[0, 0]))
     assert (found["LSM", "later"].panels, found["LSM", "later"].largest) == (4, 200)
     assert found["LSR-CR", "later"].standard_error is None
-    both = [found[name, "later"].exponent for name in ("all", "LSR-CR")]
-    slope = log(0.9 / 1.1) / log(2)
-    assert both == pytest.approx([2.3 + slope, 1.3 + slope])
+    assert found["LSR-CR", "later"].exponent == pytest.approx(1.3 + log(0.9 / 1.1) / log(2))
 
 
 def test_all_methods_are_told_together_only_where_none_was_left_out() -> None:
-    wall = np.ones((2, 1))
-    timings = [timing(8, wall), timing(8, wall[:1], "LSR-CR"), timing(16, wall), timing(32, wall, "LSR-CR")]
-    found = [(row.rows, row.method, row.frames) for row in bench_rows(Bench(ANY, tuple(timings), {}))]
+    frames = [*timed(8, [1, 1]), *timed(8, [1], "LSR-CR"), *timed(16, [1, 1]), *timed(32, [1, 1], "LSR-CR")]
+    found = [(row.rows, row.method, row.frames) for row in bench_rows(frames)]
     assert [about for about in found if about[1] == "all"] == [(8, "all", "first")]
     assert len(found) == 1 + 3 + 2 + 2
-
-
-def test_disturbed_solves_count_by_the_processors_time() -> None:
-    one = replace(timing(8, np.array([[1.0], [3.0]])), cpu=np.array([[0.98], [1.0]]))
-    np.testing.assert_allclose(one.times(), [1.0, 1.0])
-    assert one.clean() == 0.5
 
 
 def test_what_there_is_no_time_for_is_left_out_and_named() -> None:
     bench = BenchFile(1, (3, 40), recordings=2, frames=3, repeats=1, budget_s=1e-3, limits=alone())
     bench = replace(bench, memory=(3,))
-    found = run_bench(bench)
+    found = run_bench(bench, quiet)
     # The first task of every method knows nothing of its time: it is begun, and stops after its first frame.
-    assert {(one.shape, one.recording, len(one.wall)) for one in found.timings} == {((3, 3), 0, 1)}
-    assert found.memory_mb == {}
-    named = {(one.shape, one.what) for one in found.left_out}
+    assert {(one.shape, one.recording, one.frame, one.memory_mb) for one in found.frames} == {((3, 3), "0", 0, None)}
+    named = {(shape, what) for shape, _, what in found.left_out}
     assert {((3, 3), "recording 1 after 1 of 4 frames"), ((40, 40), "recording 1"), ((3, 3), "recording 2")} <= named
     assert ((3, 3), "memory of reduced") in named
     remarks = bench_remarks(found)
@@ -179,15 +182,15 @@ def test_what_there_is_no_time_for_is_left_out_and_named() -> None:
 def test_a_larger_panel_is_guessed_from_the_next_smaller_one() -> None:
     bench = BenchFile(1, (10, 20, 40), limits=replace(BenchLimits(), nodal=10))
     done = [
-        timing(10, np.array([[8.0], [1.0]])),
-        timing(20, np.array([[2.0, np.nan], [1.0, 0.5]])),
-        timing(20, np.array([[3.0, np.nan], [1.0, 0.5]]), number=1),
-        timing(20, np.array([[99.0], [99.0]]), method="LSR-CR"),
-        timing(10, np.array([[77.0], [1.0]]), solver="nodal"),
+        *timed(10, [8.0, 1.0]),
+        *timed(20, [2.0, 1.5]),
+        *timed(20, [3.0, 1.5], number=1),
+        *timed(20, [99.0, 99.0], method="LSR-CR"),
+        *timed(10, [77.0, 1.0], solver="nodal"),
     ]
     assert BenchPart(1, (20, 20), "LSM").expected_s(bench, done) == pytest.approx(4.0)
     assert BenchPart(0, (40, 40), "LSM").expected_s(bench, done) == pytest.approx(8 * 4.0)
-    assert BenchPart(0, (20, 20), "LSM").expected_s(bench, done[:1]) == pytest.approx(8 * 9.0)
+    assert BenchPart(0, (20, 20), "LSM").expected_s(bench, done[:2]) == pytest.approx(8 * 9.0)
     assert BenchPart(0, (10, 10), "LSM").expected_s(bench, done) == pytest.approx(9.0 + 78.0)
     assert BenchPart(0, (10, 10), "LSR-gCR").expected_s(bench, done) == 0
 
@@ -200,23 +203,24 @@ def test_progress_is_told_before_each_part() -> None:
     assert told[-1] == (9, 10, "3 × 3 LSR-gdCR, recording 2") and len(told) == 10
 
 
+def pages(bench: Bench) -> str:
+    return page(STUDY.name, tables(bench), bench_remarks(bench))
+
+
 def test_page_holds_a_section_for_every_table(tiny: Bench) -> None:
-    text = page(tiny)
-    assert [line.split(":")[0] for line in text.splitlines() if line.startswith("## ")] == [
-        "## solvers",
-        "## methods",
-        "## remarks",
-    ]
+    text = pages(tiny)
+    named = [line.split(":")[0] for line in text.splitlines() if line.startswith("## ")]
+    assert named == ["## solvers", "## methods", "## remarks"]
     for line in text.splitlines():
         assert line == "" or line[0] in "#|-"
 
 
 def test_pages_show_tables_that_the_bench_writes(tiny: Bench) -> None:
-    both = replace(tiny, timings=tuple(timing(side, np.ones((2, 1))) for side in (32, 64)))
-    tables = sections(page(both))
-    assert all(text.startswith("- " if name == "remarks" else "| ") for name, text in tables.items())
+    both = replace(tiny, frames=tuple(frame for side in (32, 64) for frame in timed(side, [1.0, 1.0])))
+    found = sections(pages(both))
+    assert all(text.startswith("- " if name == "remarks" else "| ") for name, text in found.items())
     marks = [mark for path in PAGES for mark in MARKED.findall(path.read_text(encoding="utf-8"))]
-    assert sorted(marks) == sorted(tables)
+    assert sorted(marks) == sorted(found)
     text = "before\n<!-- bench: growth -->\nold\n<!-- /bench -->\nafter <!-- bench: unknown -->\n<!-- /bench -->\n"
     assert with_tables(text, {"growth": "| new |\n"}) == text.replace("old", "\n| new |\n")
 
@@ -224,10 +228,11 @@ def test_pages_show_tables_that_the_bench_writes(tiny: Bench) -> None:
 @pytest.mark.parametrize("method", BenchFile(1, (3,)).estimators)
 @pytest.mark.parametrize("joint", [False, True], ids=["single", "joint"])
 def test_jacobian_is_that_of_the_residuals_and_they_are_the_cost(method: str, joint: bool) -> None:
-    bench = BenchFile(1, ((3, 4),))
+    bench = BenchFile(1, ((3, 4),), limits=BenchLimits(joint=4 if joint else 0))
     recording = bench.recording((3, 4))
-    previous = None if joint else resting_cells(bench, recording, method)
-    data = frame_data(bench, recording, method, 0, previous)()
+    readings = recording.readings()
+    stream = first_stream(recording, readings, bench.estimator(method, "reduced", (3, 4)))
+    data, _ = stream.given(readings[recording.measured_frames()[0]])
     cost = Cost(Panel(3, 4), bench.estimators[method].parts, len(data.measured))
     point = _Point(Trf(cost, Settings(), "exact"), data, 1.0)
     position = np.log(1.3 * data.measured).ravel()
@@ -256,7 +261,7 @@ def test_shipped_benchmarks_are_in_order(name: str) -> None:
 
 def test_unsolved_runs_are_told(tmp_path: Path) -> None:
     bench = BenchFile(1, (3,), frames=1, repeats=1, solver=Settings(max_iterations=1))
-    found = bench_rows(run_bench(bench))
+    found = bench_rows(run_bench(bench, quiet).frames)
     assert any(row.solved < row.count for row in found)
     with pytest.raises(InputError):
         read_bench(tmp_path / "missing.yaml")

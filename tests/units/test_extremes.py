@@ -20,7 +20,7 @@ from lampest.recording.readings import AT_LEAST, AT_MOST
 from lampest.recording.recording import Recording
 from lampest.solvers.multistart import best_solution, evaluated
 from lampest.solvers.solution import Settings, Status
-from lampest.studies.extremes.judges import convex_estimate, correct_digits, exact_residual, fifty_digits
+from lampest.studies.extremes.judges import correct_digits, exact_residual, fifty_digits
 from lampest.studies.extremes.report import atlas_remarks, atlas_rows, mild
 from lampest.studies.extremes.run import CRASHED, Solve, run_atlas
 from lampest.studies.extremes.scenes import CASES, AtlasFile, AtlasSample, Grid, recording_of
@@ -48,19 +48,17 @@ def tiny(tmp_path_factory: pytest.TempPathFactory) -> tuple[Solve, ...]:
 
 @pytest.mark.slow
 def test_every_solve_ends_verified_or_with_a_sentence(tiny: tuple[Solve, ...]) -> None:
-    assert {solve.sample.case for solve in tiny} == set(CASES)
+    assert {solve.case for solve in tiny} == set(CASES)
     assert {solve.formulation for solve in tiny} == {"reduced", "nodal"}
     sentences = {status.value for status in Status}
     for solve in tiny:
         assert solve.verified or (not solve.solved and solve.status in sentences), solve
         # A penalty of 10¹² multiplies the rounding of the gradient; there the step that is left decides.
-        assert not solve.solved or solve.residual <= 1e-6 or solve.sample.case == "weight 1e12"
+        assert not solve.solved or solve.residual <= 1e-6 or solve.case == "weight 1e12"
         assert solve.forward_digits > 9, solve
         if mild(solve):
             assert solve.verified, solve
-    for solve in (one for one in tiny if one.sample.case == "log-uniform" and one.method == "plain"):
-        assert solve.sample.noise or solve.estimate_digits > 2, solve
-        assert solve.excess < 1e-6
+        assert solve.case != "log-uniform" or solve.method != "plain" or solve.excess < 1e-6
 
 
 def test_baselines_are_judged_by_the_cost_that_they_minimise() -> None:
@@ -103,16 +101,6 @@ def test_forward_map_of_every_case_against_fifty_digits(case: str) -> None:
     assert correct_digits(two_point_resistance(scene.cells[1]), certified) > 9.9
     broken = ~np.isfinite(certified)
     assert not np.any(broken) or scene.faults is not None
-
-
-def test_convex_estimate_finds_the_cells_and_says_where_there_are_none() -> None:
-    cells = 3000 * np.exp(np.random.default_rng(1).standard_normal((4, 5)))
-    found = convex_estimate(two_point_resistance(cells))
-    assert found is not None
-    assert correct_digits(found, cells) > 9
-    impossible = np.ones((3, 3))
-    impossible[1, 1] = 10.0  # more than the way round through three others
-    assert convex_estimate(impossible) is None
 
 
 def test_audit_is_the_kkt_residual() -> None:

@@ -6,27 +6,31 @@ import numpy as np
 import pytest
 
 from lampest.cost.problem import Evaluation
+from lampest.estimate.sequence import first_stream
 from lampest.panel.panel import Array
 from lampest.solvers.hessian import Hessian
 from lampest.solvers.multistart import best_solution
 from lampest.solvers.preconditioners import Cholesky
-from lampest.studies.bench import BenchFile, first_estimate, frame_data, solver_of
+from lampest.studies.bench import BenchFile
 
 
 def counted(monkeypatch: pytest.MonkeyPatch, method: str, number: int) -> dict[str, int]:
     """How often the third frame of a recording evaluates the cost, multiplies by ∇²φ, and factors it."""
     bench = BenchFile(schema=1, sizes=(8,))
     recording = bench.recording((8, 8), number)
-    cells, kept = first_estimate(bench, recording, method), None
+    readings, estimator = recording.readings(), bench.estimator(method, "reduced", (8, 8))
+    stream = first_stream(recording, readings, estimator)
     counts: dict[str, int] = {}
-    for frame in range(3):
-        data = replace(frame_data(bench, recording, method, frame, cells)(), first=not frame)
-        solver = solver_of(bench, method, "reduced", data)
-        if frame == 2:
+    for place, frame in enumerate(recording.measured_frames()[:3]):
+        data, previous = stream.given(readings[frame])
+        solver = estimator.problem(stream.scene, len(data.measured), 1.0, data.partial)
+        solver.prepare()
+        if place == 2:
             watch(monkeypatch, counts)
-        solution = best_solution(solver, data, None if cells is None else cells[None], kept)
+        solution = best_solution(solver, data, previous, stream.prepared)
         assert solution.strict and solution.at is not None
-        cells, kept = solution.cell_resistance[-1], solution.kept if frame else None
+        prepared = estimator.method.kept(solution, None)
+        stream = replace(stream, previous=solution.cell_resistance[-1], prepared=prepared, first=False)
         again = Evaluation(solution.at.cost, data, *evaluated(solution.at))
         assert np.isclose(again.objective, solution.objective, rtol=1e-13, atol=0)
     return counts

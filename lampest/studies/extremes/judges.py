@@ -1,7 +1,6 @@
-"""Judges of an estimate that share no code with the solvers: 50 digits, another way to it, another test of it."""
+"""Judges of an estimate that share no code with the solvers: 50 digits, and another test of optimality."""
 
 import numpy as np
-from scipy.linalg import LinAlgError, cho_factor, cho_solve
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
@@ -52,37 +51,6 @@ def fifty_digits(cells: Array) -> Array:
             k = rows + column
             resistance[row, column] = float(inverse[row, row] + inverse[k, k] - 2 * inverse[row, k])
     return resistance
-
-
-def convex_estimate(measured: Array) -> Array | None:
-    """r = 1/g*, g* = argmin ⟨R_m, g⟩ − log det C(g): the cells (rows, columns) that reproduce readings exactly.
-
-    None where readings cannot be reproduced by positive cells, or double precision does not get there. Damped Newton on
-    a self-concordant function, so no line search; shares no code with the solvers.
-    Source: Nesterov & Nemirovskii, Interior-Point Polynomial Algorithms in Convex Programming, 1994.
-    """
-    rows, columns = measured.shape
-    fine = 1e-13  # relative error of a reading
-    across = np.kron(np.eye(rows), np.ones(columns)), np.kron(np.ones(rows), np.eye(columns))
-    incidence = np.concatenate([across[0], -across[1]])[1:]
-    scale = float(np.exp(np.mean(np.log(measured))))
-    goal = measured.ravel() / scale
-    conductance = (rows + columns - 1) / (rows * columns) / goal
-    for _ in range(500):
-        try:
-            drop = incidence.T @ cho_solve(cho_factor((incidence * conductance) @ incidence.T), incidence)
-            slope = goal - np.diag(drop)
-            size = 1 / np.diag(drop)  # makes the diagonal of the scaled Hessian one
-            step = -size * cho_solve(cho_factor(drop**2 * size[:, None] * size), size * slope)
-        except LinAlgError:
-            return None
-        decrement = float(np.sqrt(max(-slope @ step, 0.0)))
-        if np.max(np.abs(slope / goal)) < fine or decrement < fine:
-            break
-        conductance = conductance + step / (1 + decrement if decrement > 0.25 else 1)
-    if np.any(conductance <= 0) or np.max(np.abs(slope / goal)) > 1e3 * fine:
-        return None
-    return np.asarray(scale / conductance).reshape(rows, columns)
 
 
 def exact_cost(cost: Cost, data: Data, cells: Array, two_point: Array | None = None) -> float:

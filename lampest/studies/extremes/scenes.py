@@ -16,6 +16,7 @@ from lampest.recording.recording import Recording
 from lampest.runs.executors import AnyExecutor
 from lampest.solvers.solution import Settings
 from lampest.studies.methods import Shape, Sizes, SquaredMethod, paper_methods, shapes_of
+from lampest.studies.study import column
 
 GRID = "log-uniform"
 USUAL_OHM = 3000.0  # of a cell, before a case changes it
@@ -25,23 +26,17 @@ Generator = np.random.Generator
 
 @dataclass(frozen=True)
 class AtlasSample:
-    """One scene of the atlas.
+    """One scene of the atlas."""
 
-    Parameters
-    ----------
-    case : name in `CASES`. rows, columns : of the panel. decades : between the least and the largest sound cell.
-    noise : relative standard deviation of a reading. seed : of cells and noise.
-    """
-
-    case: str
-    rows: int
-    columns: int
-    decades: float
-    noise: float
-    seed: int
+    case: str = column("1", "name of the scene")
+    rows: int = column("1", "row lines")
+    columns: int = column("1", "column lines")
+    decades: float = column("1", "decades between the least and the largest sound cell")
+    noise: float = column("1", "relative standard deviation of a reading")
+    seed: int = column("1", "seed of cells and noise")
 
     @property
-    def shape(self) -> tuple[int, int]:
+    def shape(self) -> Shape:
         """(rows, columns)."""
         return self.rows, self.columns
 
@@ -51,7 +46,6 @@ class Made:
     """Cells (2, rows, columns) ohm, unloaded and loaded, with what the scene states of them.
 
     still : both frames are the same, noise included. weight : of all penalties in place of their own, or None.
-    scale : the estimate must be this times that from readings smaller by as much.
     """
 
     cells: Array
@@ -60,7 +54,6 @@ class Made:
     series_ohm: float = 0.0
     still: bool = False
     weight: float | None = None
-    scale: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -75,9 +68,6 @@ class Extreme:
     single_fault: bool = False
     contrasted: bool = False
     shapes: tuple[Shape, ...] = ()
-
-
-Where = Callable[[AtlasSample], Any]
 
 
 def made(sample: AtlasSample) -> Made:
@@ -118,27 +108,23 @@ def _converted(readout: TwoPointReadout, total: Array, rng: Generator) -> Array:
     return readout.recorded_from_volt(readout.volt_from_code(code.astype(float)))
 
 
-def _times(factor: float, where: Where, faults: Callable[[AtlasSample], Faults] | None = None) -> Extreme:
-    """Some of the cells times a factor; faults : what the scene states of them, or None."""
-
-    def make(cells: Array, sample: AtlasSample, rng: Generator) -> Made:
-        broken = np.zeros(sample.shape, dtype=bool)
-        broken[where(sample)] = True
-        return Made(np.where(broken, factor * cells, cells), faults and faults(sample))
-
-    return Extreme(make, single_fault=True)
-
-
 def _cell(sample: AtlasSample) -> tuple[int, int]:
     return sample.rows // 2, sample.columns // 3
 
 
-def _row(sample: AtlasSample) -> int:
-    return sample.rows // 2
+def _times(factor: float, part: str, known: bool = False) -> Extreme:
+    """A cell, row or column times a factor; known : the scene states it."""
 
+    def make(cells: Array, sample: AtlasSample, rng: Generator) -> Made:
+        row, column = _cell(sample)
+        place = {"cell": (row, column), "row": (row,), "column": (slice(None), column)}[part]
+        cells = cells.copy()
+        cells[(slice(None), *place)] *= factor
+        stated: dict[str, Any] = {"row": {"dead_rows": (row,)}, "column": {"dead_columns": (column,)}}
+        stated["cell"] = {"shorted" if factor == 0 else "open": ((row, column),)}
+        return Made(cells, Faults(**stated[part]) if known else None)
 
-def _column(sample: AtlasSample) -> tuple[slice, int]:
-    return slice(None), sample.columns // 3
+    return Extreme(make, single_fault=True)
 
 
 def _contrasted(pattern: Callable[[Array, Array, AtlasSample, Generator], Array]) -> Extreme:
@@ -157,18 +143,15 @@ def _milliohm_to_gigaohm(cells: Array, sample: AtlasSample, rng: Generator) -> M
     return Made(cells / USUAL_OHM * rng.permutation(levels).reshape(sample.shape))
 
 
-def _usual(shape: Shape) -> Extreme:
-    return Extreme(lambda cells, sample, rng: Made(cells), shapes=(shape,))
-
-
-def _weighted(weight: float) -> Extreme:
-    return Extreme(lambda cells, sample, rng: Made(cells, weight=weight))
+def _usual(*shapes: Shape, scale: float = 1.0, **stated: Any) -> Extreme:
+    """The usual cells, of some shapes alone where there are any, and what the scene states of them."""
+    return Extreme(lambda cells, sample, rng: Made(scale * cells, **stated), shapes=shapes)
 
 
 def _rails(cells: Array, sample: AtlasSample, rng: Generator) -> Made:
     """A row of readings beyond one end of the converter, a cell beyond the other."""
     cells = cells.copy()
-    cells[:, _row(sample)] *= 1e6
+    cells[:, sample.rows // 2] *= 1e6
     cells[:, 0, 0] *= 1e-6
     return Made(cells, readout=TwoPointReadout(readings=1))
 
@@ -185,27 +168,27 @@ CASES: dict[str, Extreme] = {
     # One block of good conductors beside three of bad ones.
     "two clusters": _contrasted(lambda j, k, at, rng: at.decades * ((j < at.rows // 2) | (k < at.columns // 2))),
     "checkerboard": _contrasted(lambda row, column, sample, rng: sample.decades * ((row + column) % 2)),
-    "open cell": _times(OPEN, _cell),
-    "open row": _times(OPEN, _row),
-    "open column": _times(OPEN, _column),
-    "shorted cell": _times(SHORT, _cell),
-    "shorted row": _times(SHORT, _row),
-    "open cell, known": _times(np.inf, _cell, lambda sample: Faults(open=(_cell(sample),))),
-    "dead row, known": _times(np.inf, _row, lambda sample: Faults(dead_rows=(_row(sample),))),
-    "dead column, known": _times(np.inf, _column, lambda sample: Faults(dead_columns=(sample.columns // 3,))),
-    "shorted cell, known": _times(0.0, _cell, lambda sample: Faults(shorted=(_cell(sample),))),
-    "1 mΩ to 1 GΩ": Extreme(_milliohm_to_gigaohm),
-    "1 × 1": _usual((1, 1)),
-    "1 × N": _usual((1, 9)),
-    "M × 1": _usual((9, 1)),
-    "2 × 64": _usual((2, 64)),
+    "open cell": _times(OPEN, "cell"),
+    "open row": _times(OPEN, "row"),
+    "open column": _times(OPEN, "column"),
+    "shorted cell": _times(SHORT, "cell"),
+    "shorted row": _times(SHORT, "row"),
+    "open cell, known": _times(np.inf, "cell", known=True),
+    "dead row, known": _times(np.inf, "row", known=True),
+    "dead column, known": _times(np.inf, "column", known=True),
+    "shorted cell, known": _times(0.0, "cell", known=True),
+    "1 mOhm to 1 GOhm": Extreme(_milliohm_to_gigaohm),
+    "1 x 1": _usual((1, 1)),
+    "1 x N": _usual((1, 9)),
+    "M x 1": _usual((9, 1)),
+    "2 x 64": _usual((2, 64)),
     "identical frames": Extreme(lambda cells, sample, rng: Made(np.stack([cells[0]] * 2), still=True)),
-    "weight 0": _weighted(0.0),
-    "weight 1e-12": _weighted(1e-12),
-    "weight 1e12": _weighted(1e12),
+    "weight 0": _usual(weight=0.0),
+    "weight 1e-12": _usual(weight=1e-12),
+    "weight 1e12": _usual(weight=1e12),
     "codes at both rails": Extreme(_rails),
     "at the series resistance": Extreme(_at_series, single_fault=True),
-    "all times 10⁶": Extreme(lambda cells, sample, rng: Made(1e6 * cells, scale=1e6)),
+    "all times 1e6": _usual(scale=1e6),
 }
 
 
