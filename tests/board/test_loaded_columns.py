@@ -129,7 +129,7 @@ def test_a_scene_of_the_other_circuit_is_refused_in_one_sentence(tmp_path: Path,
     [
         ({"driven": "columns"}, "readout.driven is columns, but the board says rows"),
         ({"polarity": "down"}, "readout.polarity is down, but the board says up"),
-        ({"supply_volt": 3.3}, "readout.supply_volt is 3.3, but the board says 5.0"),
+        ({"supply_volt": 3.3}, "readout.supply_volt is 3.3, but the board says 5 "),
         ({"load_ohm": 1000.0}, "readout.load_ohm is 1000, but the board says 10000"),
         ({"load_ohm": (10_000.0,) * 9 + (12_000.0,)}, "readout.load_ohm is 12000, but the board says 10000"),
     ],

@@ -151,8 +151,9 @@ def test_course_of_a_lamprey() -> None:
         start_s=1, approach_s=2, attachment_s=2, breathing_hz=0.5, breathing_depth=0.1, release_at_s=10, release_s=2
     )
     time = np.array([0.0, 1.0, 2.0, 3.0, 5.0, 6.5, 7.5, 11.0, 12.0])
-    np.testing.assert_allclose(course.contact(time), [0, 0, 0.5, 1, 1, 0.9, 1.1, 0.5, 0], atol=1e-12)
-    np.testing.assert_allclose(course.suction(time), [0, 0, 0, 0, 1, 0.9, 1.1, 0.5, 0], atol=1e-12)
+    contact, suction = course.contact_and_suction(time)
+    np.testing.assert_allclose(contact, [0, 0, 0.5, 1, 1, 0.9, 1.1, 0.5, 0], atol=1e-12)
+    np.testing.assert_allclose(suction, [0, 0, 0, 0, 1, 0.9, 1.1, 0.5, 0], atol=1e-12)
 
 
 def test_water_is_there_before_the_load_and_deeper_below() -> None:

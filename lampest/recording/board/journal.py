@@ -67,20 +67,10 @@ class Journal:
 
         Raises InputError where the disk is full.
         """
-        frames = [sample.frame for sample in samples]
-        values: tuple[Any, ...] = (
-            recorded,
-            [sample.time for sample in samples],
-            roles,
-            [frame.sums for frame in frames],
-            [sample.host_time for sample in samples],
-            [frame.device_ms for frame in frames],
-            [frame.sequence for frame in frames],
-            [frame.missed for frame in frames],
-            [sample.lost for sample in samples],
-            [sample.session for sample in samples],
-        )
-        self._push(frame_paths(self.group, self.signal), values, FRAME_CHECKSUM)
+        each = [vars(sample.frame) | vars(sample) for sample in samples]
+        names = ("time", "sums", *(name for name, *_ in FRAME_FIELDS))
+        times, sums, *acquired = ([one[name] for one in each] for name in names)
+        self._push(frame_paths(self.group, self.signal), (recorded, times, roles, sums, *acquired), FRAME_CHECKSUM)
 
     def mark(self, time: float, label: str) -> None:
         """Add an event at a time on the recording's axis."""

@@ -10,9 +10,8 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from itertools import count
-from typing import Any
+from typing import Any, NamedTuple
 
 import serial
 from serial.tools import list_ports
@@ -43,8 +42,7 @@ class NoBoardError(InputError):
     """The port is there or not, but no board answers at it."""
 
 
-@dataclass(frozen=True)
-class PortName:
+class PortName(NamedTuple):
     """A serial port of this computer: what to open, what the system calls it, and whether it looks like an Arduino."""
 
     url: str
@@ -54,9 +52,7 @@ class PortName:
 
 def ports() -> tuple[PortName, ...]:
     """All serial ports, those that look like an Arduino first."""
-    found = [
-        PortName(port.device, port.description or "", port.vid in ARDUINO_VENDORS) for port in list_ports.comports()
-    ]
+    found = (PortName(one.device, one.description or "", one.vid in ARDUINO_VENDORS) for one in list_ports.comports())
     return tuple(sorted(found, key=lambda port: (not port.likely, port.url)))
 
 
@@ -70,26 +66,20 @@ def only_port() -> str:
 
 
 class Board:
-    """An open port. What has arrived and not been read is its only state.
+    """An open port; its state is what has arrived and not been read, and how many bytes have arrived.
 
     Every method raises OSError where the board is unplugged.
     """
 
     def __init__(self, port: serial.SerialBase, url: str) -> None:
-        self._port = port
-        self._url = url
+        self._port, self._url = port, url
         self._receiver = Receiver()
         self._waiting: list[Message] = []  # to be read
         self._tags = count(1)
-        self._heard = 0
-
-    @property
-    def heard(self) -> int:
-        """How many bytes have arrived."""
-        return self._heard
+        self.heard = 0
 
     @classmethod
-    @contextlib.contextmanager
+    @contextmanager
     def open(cls, url: str) -> Iterator["Board"]:
         """Open a port by its name or a pyserial URL (socket://, rfc2217://, loop://) and reset the board behind it.
 
@@ -100,7 +90,14 @@ class Board:
         except (OSError, ValueError) as error:
             raise NoBoardError(f"{url}: cannot be opened ({' '.join(str(error).split())})") from error
         try:
-            _pulse_reset(port)
+            with contextlib.suppress(
+                OSError, ValueError
+            ):  # ports without DTR, which resets an Arduino, stay as they are
+                port.reset_input_buffer()
+                port.dtr = False
+                time.sleep(0.1)
+                port.reset_input_buffer()
+                port.dtr = True
             yield cls(port, url)
         finally:
             with contextlib.suppress(OSError):
@@ -131,7 +128,7 @@ class Board:
             if time.monotonic() > max(began + patient, asked + ANSWER_SECONDS):
                 self._port.write(command(Kind.STOP) + command(Kind.IDENTIFY))
                 asked = time.monotonic()
-        said = "though the line is not silent" if self._heard else "and nothing came"
+        said = "though the line is not silent" if self.heard else "and nothing came"
         raise NoBoardError(f"{self._url}: no lampest board answered within {HELLO_SECONDS:g} s, {said}")
 
     def order(self, kind: Kind, value: int = 0) -> None:
@@ -166,7 +163,7 @@ class Board:
 
     def _arrived(self) -> tuple[Message, ...]:
         data = self._port.read(self._port.in_waiting or 1)
-        self._heard += len(data)
+        self.heard += len(data)
         self._receiver, found = self._receiver.feed(data)
         for item in found:
             if isinstance(item, Foreign):
@@ -193,7 +190,7 @@ class Board:
             )
         self.order(Kind.SET_PERIOD, max(1_000_000, shortest) if period_us is None else period_us)
         settings = self.identify()
-        if (settings.rows, settings.columns, settings.readings) != (rows, columns, readings):
+        if settings.size != (rows, columns, readings):
             raise NoBoardError(f"{self._url}: the board restarted while it was being set")
         self.order(Kind.START)
         # HELLOs from before the start would look like a restart.
@@ -204,16 +201,6 @@ class Board:
         """Stop scanning, if the board still listens."""
         with contextlib.suppress(OSError, InputError):
             self.order(Kind.STOP)
-
-
-def _pulse_reset(port: serial.SerialBase) -> None:
-    """Pull DTR, which resets an Arduino; ports without that line stay as they are."""
-    with contextlib.suppress(OSError, ValueError):
-        port.reset_input_buffer()
-        port.dtr = False
-        time.sleep(0.1)
-        port.reset_input_buffer()
-        port.dtr = True
 
 
 @contextmanager
@@ -230,12 +217,13 @@ def pressed_keys() -> Iterator[Callable[[], str]]:
     except Exception:  # no POSIX terminal: then nothing can be marked
         yield lambda: ""
         return
+
+    def pressed() -> str:
+        there = select.select([descriptor], [], [], 0)[0]
+        return os.read(descriptor, 64).decode("ascii", "ignore") if there else ""
+
     try:
         tty.setcbreak(descriptor)
-        yield (
-            lambda: (
-                os.read(descriptor, 64).decode("ascii", "ignore") if select.select([descriptor], [], [], 0)[0] else ""
-            )
-        )
+        yield pressed
     finally:
         termios.tcsetattr(descriptor, termios.TCSADRAIN, before)

@@ -5,7 +5,7 @@ The same layouts and numbers stand in firmware/lampest_board/protocol.h; tests h
 
 import struct
 from binascii import crc_hqx
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import Enum, IntEnum
 from typing import Any, Literal
 
@@ -59,12 +59,8 @@ def message(body: bytes) -> bytes:
     return b"\0" + stuffed(body + struct.pack(">H", crc16(body))) + b"\0"
 
 
-def stuffed_length(length: int) -> int:
-    """The most bytes that a body of that length takes between its two zeros, CRC included."""
-    return length + 2 + (length + 2) // 254 + 1
-
-
-MOST_STUFFED = stuffed_length(_FRAME.size + 2 * MOST_ROWS * MOST_COLUMNS)
+MOST_BODY = _FRAME.size + 2 * MOST_ROWS * MOST_COLUMNS
+MOST_STUFFED = MOST_BODY + 2 + (MOST_BODY + 2) // 254 + 1  # bytes of the longest message between its zeros
 
 
 class Kind(IntEnum):
@@ -121,6 +117,11 @@ class Hello:
     running: bool
     wiring: Literal["two_point", "loaded_columns"] = "two_point"
     drive_milliohm: int = 0
+
+    @property
+    def size(self) -> tuple[int, int, int]:
+        """Rows, columns and readings."""
+        return self.rows, self.columns, self.readings
 
 
 @dataclass(frozen=True, eq=False)
@@ -181,21 +182,16 @@ def command(kind: Kind, tag: int = 0, value: int = 0) -> bytes:
 
 def hello_body(hello: Hello) -> bytes:
     """HELLO as the board packs it."""
-    fields = list(vars(hello).values())[:15]
+    *fields, wiring, drive = vars(hello).values()
     fields[6], fields[13] = hello.firmware[0] << 8 | hello.firmware[1], ACROSS.index(hello.measured_across)
-    body = _HELLO.pack(PROTOCOL_VERSION, Kind.HELLO, *fields)
-    if hello.wiring == "two_point":
-        return body
-    return body + _HELLO_WIRING.pack(WIRINGS.index(hello.wiring), hello.drive_milliohm)
+    more = b"" if wiring == "two_point" else _HELLO_WIRING.pack(WIRINGS.index(wiring), drive)
+    return _HELLO.pack(PROTOCOL_VERSION, Kind.HELLO, *fields) + more
 
 
 def frame_body(frame: Frame) -> bytes:
     """FRAME as the board packs it."""
-    rows, columns = frame.sums.shape
-    header = _FRAME.pack(
-        PROTOCOL_VERSION, Kind.FRAME, rows, columns, frame.readings, frame.sequence, frame.device_ms, frame.missed
-    )
-    return header + frame.sums.astype("<u2").tobytes()
+    fields = (*frame.sums.shape, frame.readings, frame.sequence, frame.device_ms, frame.missed)
+    return _FRAME.pack(PROTOCOL_VERSION, Kind.FRAME, *fields) + frame.sums.astype("<u2").tobytes()
 
 
 def answer_body(answer: Answer) -> bytes:
@@ -212,39 +208,34 @@ def _read_piece(piece: bytes) -> Message:
     body = content[:-2]
     if body[0] != PROTOCOL_VERSION:
         return Foreign(body[0])
-    readers = {Kind.HELLO: _read_hello, Kind.FRAME: _read_frame, Kind.ANSWER: _read_answer}
-    reader = readers.get(body[1])  # type: ignore[call-overload]
-    return (reader(body) if reader else None) or Garbage(len(piece))
+    try:
+        if body[1] == Kind.HELLO:
+            return _read_hello(body)
+        return _read_frame(body) if body[1] == Kind.FRAME else _read_answer(body)
+    except (struct.error, LookupError, ValueError):
+        return Garbage(len(piece))
 
 
-def _read_hello(body: bytes) -> Hello | None:
-    base, tail = body[: _HELLO.size], body[_HELLO.size :]
-    if len(base) != _HELLO.size or len(tail) not in (0, _HELLO_WIRING.size):
-        return None
-    fields: list[Any] = list(_HELLO.unpack(base)[2:])
-    wiring, drive = _HELLO_WIRING.unpack(tail) if tail else (0, 0)
-    if fields[13] >= len(ACROSS) or wiring >= len(WIRINGS):
-        return None
+def _read_hello(body: bytes) -> Hello:
+    fields: Any = list(_HELLO.unpack(body[: _HELLO.size]))[2:]
+    wiring, drive = _HELLO_WIRING.unpack(body[_HELLO.size :] or bytes(_HELLO_WIRING.size))
     fields[6], fields[13], fields[14] = divmod(fields[6], 256), ACROSS[fields[13]], bool(fields[14])
-    return replace(Hello(*fields), wiring=WIRINGS[wiring], drive_milliohm=drive)
+    fields += [WIRINGS[wiring], drive]
+    return Hello(*fields)
 
 
-def _read_frame(body: bytes) -> Frame | None:
-    if len(body) < _FRAME.size:
-        return None
+def _read_frame(body: bytes) -> Frame:
     _, _, rows, columns, readings, sequence, device_ms, missed = _FRAME.unpack_from(body)
-    sizes_fit = 1 <= rows <= MOST_ROWS and 1 <= columns <= MOST_COLUMNS and 1 <= readings <= MOST_READINGS
-    if not sizes_fit or len(body) != _FRAME.size + 2 * rows * columns:
-        return None
     sums = np.frombuffer(body, "<u2", offset=_FRAME.size).astype(np.uint16).reshape(rows, columns)
     # More than a CRC of 16 bits can promise: no converter gives such a sum.
-    if sums.max() > readings * MOST_CODE:
-        return None
+    possible = readings <= MOST_READINGS and sums.max() <= readings * MOST_CODE
+    if not (possible and rows <= MOST_ROWS and columns <= MOST_COLUMNS and readings):
+        raise ValueError("no board sends such a frame")
     return Frame(readings, sequence, device_ms, missed, sums)
 
 
-def _read_answer(body: bytes) -> Answer | None:
-    if len(body) != _ANSWER.size:
-        return None
-    _, _, kind, tag, result, value = _ANSWER.unpack(body)
-    return Answer(kind, tag, RESULT_CODES[result], value) if result < len(RESULT_CODES) else None
+def _read_answer(body: bytes) -> Answer:
+    _, what, kind, tag, result, value = _ANSWER.unpack(body)
+    if what != Kind.ANSWER:
+        raise ValueError("no message from a board")
+    return Answer(kind, tag, RESULT_CODES[result], value)

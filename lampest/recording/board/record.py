@@ -3,7 +3,7 @@
 import contextlib
 import dataclasses
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -51,7 +51,7 @@ class FrameCount:
             clock_jumps=self.clock_jumps + sample.clock_jump,
             parted=self.parted + (sample.missing > 0),
             behind=self.behind + behind,
-            until=sample.time + sample.hello.period_us * 1e-6,
+            until=sample.ends,
         )
 
 
@@ -59,9 +59,8 @@ class FrameCount:
 class Recorded(FrameCount):
     """What `record` did.
 
-    ended_by : the signal that ended it, such as SIGINT (Ctrl-C), or ''. noise_lsb : noise of one reading as the
-    baseline's repeats show it, or None where they do not suffice. scene : what board and user agreed on. silent : s at
-    the end of those asked for in which no frame came.
+    ended_by : the signal that ended it, such as SIGINT (Ctrl-C), or ''. noise_lsb : of one reading, as the baseline's
+    repeats show it, or None where they do not suffice. silent : s at the end of those asked for without any frame.
     """
 
     path: Path
@@ -95,16 +94,12 @@ def record(
 ) -> Recorded:
     """Frames from a board into the recording `out`: what the readout makes of sum/readings, ohm or volt.
 
-    Parameters
-    ----------
     ports : port name or pyserial URL, or of a panel of modules those of all boards in the order of the modules; None
-    for the only port that looks like an Arduino. out : must not exist.
-    frames, seconds : when to end; by default at Ctrl-C.
-    scene : what the board must fit, and is set to; by default what the board says.
-    baseline : the first so many frames are unloaded.
-    period : s between frames; by default 1 s, or the shortest possible where that is longer.
-    on_progress : called after every frame, and when the board comes or goes.
-    keys : gives the keys pressed since it was last called; each marks an event.
+    for the only port that looks like an Arduino. out : must not exist. frames, seconds : when to end; by default at
+    Ctrl-C. scene : what the board must fit, and is set to; by default what the board says. baseline : the first so many
+    frames are unloaded. period : s between frames; by default 1 s, or the shortest possible where that is longer.
+    on_progress : called after every frame, and when the board comes or goes. keys : gives the keys pressed since it was
+    last called; each marks an event.
 
     Ctrl-C, SIGTERM, SIGHUP and SIGQUIT end it as well, with all that the port has delivered by then. Raises InputError
     where the board does not answer or does not fit, `out` exists, no frame came, or nothing fits any more; what came
@@ -120,12 +115,17 @@ def record(
             with contextlib.ExitStack() as stack:
                 batches = samples_of(urls, scene, period, states.append, lambda: bool(asked()))
                 stack.enter_context(contextlib.closing(batches))
-                wanted = _wanted(batches, frames, seconds, period or 1.0)
-                for count, sample in _written(wanted, out, scene, baseline, stack, keys, asked):
-                    if sample is not None:
+                journal: Journal | None = None
+                for batch in _wanted(batches, frames, seconds, period or 1.0):
+                    if batch:
                         states[:] = [""]
-                    if sample is not None or states[-1]:
-                        on_progress(Progress(sample, count.frames, count.lost, states[-1]))
+                        journal = journal or stack.enter_context(journal_of(out, batch[0], scene))
+                        appended(journal, batch, scene, baseline - count.frames, keys)
+                    for sample in batch:
+                        count = count.after(sample, bool(asked()))
+                        on_progress(Progress(sample, count.frames, count.lost, ""))
+                    if not batch and states[-1]:
+                        on_progress(Progress(None, count.frames, count.lost, states[-1]))
         except KeyboardInterrupt:
             if not count.frames:
                 raise
@@ -143,42 +143,24 @@ def record(
         return Recorded(path=out, scene=made[0], ended_by=asked(), noise_lsb=made[2], silent=silent, **asdict(count))
 
 
-def _written(
-    batches: Samples,
-    out: Path,
-    scene: Scene | None,
-    baseline: int,
-    stack: contextlib.ExitStack,
-    keys: Callable[[], str],
-    asked: Callable[[], str],
-) -> Iterator[tuple[FrameCount, Sample | None]]:
-    """Write batches as they come: the count after each sample, with None after a batch without any."""
-    journal, count = None, FrameCount()
-    for batch in batches:
-        if not batch:
-            yield count, None
-            continue
-        journal = journal or stack.enter_context(journal_of(out, batch[0], scene))
-        appended(journal, batch, scene, baseline - count.frames)
-        for sample in batch:
-            for key in keys():
-                journal.mark(sample.time, key)
-            count = count.after(sample, bool(asked()))
-            yield count, sample
-
-
 def journal_of(out: Path, sample: Sample, scene: Scene | None) -> contextlib.AbstractContextManager[Journal]:
     """A file that grows, for samples like that one. Raises InputError as `Journal.create`."""
     agreed, _ = agreed_and_recorded(sample, scene)
     return Journal.create(out, agreed, sample.hello.readings)
 
 
-def appended(journal: Journal, batch: tuple[Sample, ...], scene: Scene | None, unloaded: int) -> None:
-    """Write samples of which the first so many are unloaded."""
+def appended(
+    journal: Journal,
+    batch: tuple[Sample, ...],
+    scene: Scene | None,
+    unloaded: int,
+    keys: Callable[[], str] = lambda: "",
+) -> None:
+    """Write samples of which the first so many are unloaded, and mark their events and the keys pressed."""
     recorded = np.stack([agreed_and_recorded(sample, scene)[1] for sample in batch])
     journal.append(batch, recorded, [UNLOADED if number < unloaded else MEASURED for number in range(len(batch))])
     for sample in batch:
-        for event in (*sample.events, *([CLOCK_JUMP] if sample.clock_jump else ())):
+        for event in (*sample.events, *([CLOCK_JUMP] if sample.clock_jump else ()), *keys()):
             journal.mark(sample.time, event)
 
 
@@ -193,8 +175,7 @@ def _wanted(batches: Samples, frames: int | None, seconds: float | None, period:
         batch = batch if frames is None else batch[: frames - count]
         if seconds is not None:
             began = began or time.monotonic()
-            ends = [sample.time + sample.hello.period_us * 1e-6 for sample in batch]
-            until = next((number for number, end in enumerate(ends, 1) if end > seconds - 1e-3), None)
+            until = next((number for number, one in enumerate(batch, 1) if one.ends > seconds - 1e-3), None)
             batch = batch[:until]
             ended = until is not None or time.monotonic() - began > 1.05 * seconds + period + 1
         count += len(batch)

@@ -5,7 +5,6 @@ import time
 from collections import deque
 from collections.abc import Callable
 from contextlib import ExitStack
-from dataclasses import dataclass
 from pathlib import Path
 from threading import Event, Thread
 
@@ -17,16 +16,6 @@ from lampest.recording.board.record import appended, finished, journal_of
 from lampest.recording.board.stream import Sample
 
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")  # no dot, no separator: a file of one folder, and no hidden one
-
-
-@dataclass(frozen=True)
-class Begun:
-    """A recording that grows: its file, and its frames so far; the first ones are unloaded."""
-
-    path: Path
-    journal: Journal
-    open: ExitStack
-    frames: int = 0
 
 
 class Recorder:
@@ -41,7 +30,8 @@ class Recorder:
         self._baseline, self._unloaded = baseline, deque[Sample](maxlen=baseline)
         self._asked: deque[str] = deque(maxlen=1)
         self._zeroed = Event()
-        self._begun: Begun | None = None
+        self._journal: Journal | None = None  # that grows
+        self._path, self._open, self._frames = folder, ExitStack(), 0  # of it
         self._finishing: list[Thread] = []
 
     def ask(self, name: str) -> None:
@@ -63,15 +53,15 @@ class Recorder:
             if self._zeroed.is_set():
                 self._zeroed.clear()
                 self._unloaded.clear()
-                if self._begun is not None:
-                    self._begun.journal.mark(sample.time, "zero")
+                if self._journal is not None:
+                    self._journal.mark(sample.time, "zero")
             if len(self._unloaded) < self._baseline:
                 self._unloaded.append(sample)
-            if self._begun is not None and self._asked:
+            if self._journal is not None and self._asked:
                 self._asked.clear()
                 self._end()
-            elif self._begun is not None:
-                self._grown((sample,), 0)
+            elif self._journal is not None:
+                self._grow(self._journal, (sample,), 0)
             elif self._asked and len(self._unloaded) == self._baseline:
                 self._begin(self._asked.popleft(), sample)
         except InputError as error:
@@ -79,44 +69,39 @@ class Recorder:
 
     def close(self) -> None:
         """End what runs; every file is closed then, whatever signals come."""
-        if self._begun is not None:
+        if self._journal is not None:
             self._end()
         with deaf():
             for thread in self._finishing:
                 thread.join()
 
     def _begin(self, name: str, sample: Sample) -> None:
-        path = self._folder / f"{name or time.strftime('live_%Y-%m-%d_%H-%M-%S')}.h5"
-        if path.exists():
-            raise InputError(f"{path}: exists already; a recording is never written over")
-        with ExitStack() as stack:
-            journal = stack.enter_context(journal_of(path, sample, self._scene))
-            self._begun = Begun(path, journal, stack.pop_all())
-        self._grown(tuple(self._unloaded), self._baseline)
+        self._path, self._frames = self._folder / f"{name or time.strftime('live_%Y-%m-%d_%H-%M-%S')}.h5", 0
+        if self._path.exists():
+            raise InputError(f"{self._path}: exists already; a recording is never written over")
+        self._journal = self._open.enter_context(journal_of(self._path, sample, self._scene))
+        self._grow(self._journal, tuple(self._unloaded), self._baseline)
         if sample is not self._unloaded[-1]:
-            self._grown((sample,), 0)
+            self._grow(self._journal, (sample,), 0)
 
-    def _grown(self, samples: tuple[Sample, ...], unloaded: int) -> None:
-        begun = self._begun
-        assert begun is not None
-        if samples:
-            appended(begun.journal, samples, self._scene, unloaded)
-        self._begun = Begun(begun.path, begun.journal, begun.open, begun.frames + len(samples))
-        self._say(f"recording {begun.path}: {self._begun.frames} frames", True)
+    def _grow(self, journal: Journal, samples: tuple[Sample, ...], unloaded: int) -> None:
+        appended(journal, samples, self._scene, unloaded)
+        self._frames += len(samples)
+        self._say(f"recording {self._path}: {self._frames} frames", True)
 
     def _end(self, trouble: str = "") -> None:
         """Close the journal here, and make a clean file of it beside: frames go on."""
-        begun, self._begun = self._begun, None
-        if begun is None:
+        if self._journal is None:
             self._say(f"not recorded: {trouble}", False)
             return
-        begun.open.close()
-        self._say(f"closing {begun.path}", False)
+        path, frames, self._journal = self._path, self._frames, None
+        self._open.close()
+        self._say(f"closing {path}", False)
 
         def finish() -> None:
             try:
-                finished(begun.path)
-                self._say(f"recorded {begun.frames} frames: {begun.path}" + (f"; {trouble}" if trouble else ""), False)
+                finished(path)
+                self._say(f"recorded {frames} frames: {path}" + (f"; {trouble}" if trouble else ""), False)
             except InputError as error:
                 self._say(f"{error}; lampest check --repair makes a clean file of it", False)
 

@@ -18,7 +18,6 @@ from lampest.files.errors import InputError
 from lampest.panel.scene import Scene
 from lampest.recording.acquisition import NO_SUM
 from lampest.recording.board.port import only_port
-from lampest.recording.board.protocol import Frame
 from lampest.recording.board.stream import Sample, Samples, board_samples
 
 CLOCKED = 50  # newest frames of which the least delayed one sets a board's clock
@@ -26,6 +25,7 @@ NEAR = 0.75  # periods by which a board's frame may be off a moment: half of one
 LATE_SECONDS = 0.3  # and 1.5 periods after a moment, a board that has sent nothing is missing
 POLL_SECONDS = 0.02
 Stamped = tuple[float, Sample]  # s on the host's clock, when the scan began
+Arrived = SimpleQueue[tuple[int, Sample | str | InputError | None]]  # by board
 
 
 def samples_of(
@@ -62,8 +62,7 @@ def samples_of(
 class Alignment:
     """Where boards stand: of each the frames that wait, oldest first, the one that was shown last, and recent delays.
 
-    moment : of the newest frame of the image, s on the host's clock; None before the first. missing : boards that were
-    not in it.
+    moment : of the image's newest frame, s on the host's clock; None before the first. missing : boards not in it.
     """
 
     waiting: tuple[tuple[Stamped, ...], ...]
@@ -142,71 +141,63 @@ def _together(
     ending: Callable[[], bool],
 ) -> Samples:
     """Frames of the whole image; numbers : of the modules that are read, one for each port."""
-    ended, arrived = Event(), SimpleQueue[tuple[int, Sample | str | InputError | None]]()
-
-    def listen(board: int) -> None:
-        def said(sentence: str) -> None:
-            arrived.put((board, sentence))
-
-        own = scene.of_modules[numbers[board]]
-        try:
-            with closing(board_samples(ports[board], own, period, said, ended.is_set)) as batches:
-                for sample in (sample for batch in batches for sample in batch):
-                    arrived.put((board, sample))
-        except InputError as error:
-            arrived.put((board, error))
-        arrived.put((board, None))
-
-    threads = [Thread(target=listen, args=(board,), daemon=True) for board in range(len(ports))]
+    layout = scene.panel.modules
+    assert layout is not None
+    here, count, began, ended, arrived = Alignment.of(len(ports)), 0, 0.0, Event(), Arrived()
+    names = [f"module {list(layout.place(number))} at {port}" for number, port in zip(numbers, ports, strict=True)]
+    states, listening = [""] * len(ports), set(range(len(ports)))
+    threads = [
+        Thread(
+            target=_listen, args=(board, port, scene.of_modules[numbers[board]], period, arrived, ended), daemon=True
+        )
+        for board, port in enumerate(ports)
+    ]
     for thread in threads:
         thread.start()
     try:
-        yield from _frames(ports, scene, numbers, arrived, ended, on_state, ending)
+        while listening or not arrived.empty():
+            if ending():
+                ended.set()
+            with suppress(Empty):
+                board, item = arrived.get(timeout=POLL_SECONDS)
+                if isinstance(item, Sample):
+                    here, states[board] = here.taking(board, item), ""
+                elif isinstance(item, InputError) and (here.moment is None or len(listening) == 1):
+                    raise item
+                elif item is None:
+                    listening.discard(board)
+                else:
+                    states[board] = str(item)
+            made = list[Sample]()
+            while (found := here.frame(time() if listening else np.inf)) is not None:
+                after, parts = found
+                began = began if count else after.moment or 0.0
+                made.append(_image(scene, numbers, parts, here, after, count, began))
+                here, count = after, count + 1
+            yield tuple(made)
+            said = "; ".join(f"{names[board]}: {states[board] or 'no frame came'}" for board in sorted(here.missing))
+            if made and said:
+                on_state(said)
+                yield ()
     finally:
         ended.set()
         for thread in threads:
             thread.join()
 
 
-def _frames(
-    ports: Sequence[str],
-    scene: Scene,
-    numbers: Sequence[int],
-    arrived: "SimpleQueue[tuple[int, Sample | str | InputError | None]]",
-    ended: Event,
-    on_state: Callable[[str], None],
-    ending: Callable[[], bool],
-) -> Samples:
-    layout, here, count, began = scene.panel.modules, Alignment.of(len(ports)), 0, 0.0
-    assert layout is not None
-    names = [f"module {list(layout.place(number))} at {port}" for number, port in zip(numbers, ports, strict=True)]
-    states, listening = [""] * len(ports), set(range(len(ports)))
-    while listening or not arrived.empty():
-        if ending():
-            ended.set()
-        with suppress(Empty):
-            board, item = arrived.get(timeout=POLL_SECONDS)
-            if isinstance(item, Sample):
-                here, states[board] = here.taking(board, item), ""
-            elif isinstance(item, InputError):
-                if here.moment is None or len(listening) == 1:
-                    raise item
-                states[board] = str(item)
-            elif item is None:
-                listening.discard(board)
-            else:
-                states[board] = item
-        made = list[Sample]()
-        while (found := here.frame(time() if listening else np.inf)) is not None:
-            after, parts = found
-            began = began if made or count else after.moment or 0.0
-            made.append(_image(scene, numbers, parts, here, after, count, began))
-            here, count = after, count + 1
-        yield tuple(made)
-        said = "; ".join(f"{names[board]}: {states[board] or 'no frame came'}" for board in sorted(here.missing))
-        if made and said:
-            on_state(said)
-            yield ()
+def _listen(board: int, port: str, own: Scene, period: float | None, arrived: Arrived, ended: Event) -> None:
+    """Hand on what a board sends: samples, what is said of it, the error that ended it, and None at the end."""
+
+    def said(sentence: str) -> None:
+        arrived.put((board, sentence))
+
+    try:
+        with closing(board_samples(port, own, period, said, ended.is_set)) as batches:
+            for sample in (sample for batch in batches for sample in batch):
+                arrived.put((board, sample))
+    except InputError as error:
+        arrived.put((board, error))
+    arrived.put((board, None))
 
 
 def _image(
@@ -228,9 +219,8 @@ def _image(
     fresh = [sample for board, sample in parts.items() if before.shown[board] != after.shown[board]]
     changed = {"gone": after.missing - before.missing, "back": before.missing - after.missing}
     rows, columns = layout.shape
-    missed = max(sample.frame.missed for sample in every)
     return Sample(
-        Frame(first.frame.readings, count, first.frame.device_ms, missed, layout.joined(sums)),
+        replace(first.frame, sequence=count, missed=max(one.frame.missed for one in every), sums=layout.joined(sums)),
         replace(first.hello, rows=rows, columns=columns),
         after.moment - began,
         max(sample.host_time for sample in every),

@@ -20,7 +20,6 @@ SHARED = {
     "two_point": ("supply_volt", "reference_ohm", "measured_across", "adc_bits"),
     "loaded_columns": ("driven", "polarity", "supply_volt", "adc_bits", "load_ohm"),
 }
-SET = ("rows", "columns", "readings")
 # A calibrated load differs from the one that is printed on it: 5 % of ordinary resistors, twice.
 LOAD_TOLERANCE = 0.1
 ROUND = 2**32  # numbers and the board's clock begin anew after so many
@@ -48,12 +47,14 @@ def scene_of(hello: Hello, scene: Scene | None) -> Scene:
             f"(firmware pins.h)"
         )
     for name in SHARED[hello.wiring]:
-        mine, theirs = getattr(ours, name), getattr(declared, name)
-        if name == "load_ohm":
-            far = [load for load in as_tuple(mine) if abs(load / theirs - 1) > LOAD_TOLERANCE]
-            mine, theirs = (f"{far[0]:g}", f"{theirs:g}") if far else ("", "")
-        if mine != theirs:
-            raise InputError(f"the scene's readout.{name} is {mine}, but the board says {theirs} (firmware pins.h)")
+        theirs, each = getattr(declared, name), as_tuple(getattr(ours, name))
+        within = LOAD_TOLERANCE * theirs if name == "load_ohm" else 0.0
+        for mine in each:
+            if mine != theirs and not (within and abs(mine - theirs) <= within):
+                said = [f"{one:g}" if isinstance(one, float) else one for one in (mine, theirs)]
+                raise InputError(
+                    f"the scene's readout.{name} is {said[0]}, but the board says {said[1]} (firmware pins.h)"
+                )
     for name, asked, most in (
         ("panel.rows", panel.rows, hello.most_rows),
         ("panel.columns", panel.columns, hello.most_columns),
@@ -79,8 +80,7 @@ class Sample:
     """A frame with its place in the recording.
 
     time : s since the first frame, by the board's clock; across a restart of the board by the host's.
-    host_time : s since 1970-01-01 UTC.
-    lost : frames missing before this one.
+    host_time : s since 1970-01-01 UTC. lost : frames missing before this one.
     session : number of restarts and reconnections before it, and of times the board's numbers began anew.
     clock_jump : whether the board's clock jumped before it; time goes on by the period then.
     missing : of an image of modules, how many that are read are not in it. events : what is marked at its time.
@@ -95,6 +95,14 @@ class Sample:
     clock_jump: bool = False
     missing: int = 0
     events: tuple[str, ...] = ()
+
+    @property
+    def ends(self) -> float:
+        """When its period ends, s."""
+        return self.time + self.hello.period_us * 1e-6
+
+
+Samples = Generator[tuple[Sample, ...], None, None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -193,41 +201,6 @@ def _elapsed_ms(before: Frame, frame: Frame) -> int:
     return (frame.device_ms - before.device_ms) % ROUND
 
 
-class UnfitError(InputError):
-    """The line talks and talks, but no frame that fits comes."""
-
-
-class Patience:
-    """Since when nothing has fitted, and what came instead; that is its only state.
-
-    A line that is silent, or a port that is gone, may be waited for; one that talks may not without end.
-    """
-
-    def __init__(self, url: str) -> None:
-        self._url, self._since, self._heard = url, time.monotonic(), Counter[str]()
-
-    def renew(self) -> None:
-        """A frame fitted, or nobody is there."""
-        self._since, self._heard = time.monotonic(), Counter()
-
-    def hear(self, item: Message, out_of_order: bool) -> None:
-        """Something came that is no frame that fits."""
-        kind = "pieces that are no message" if isinstance(item, Garbage) else "answers"
-        if isinstance(item, Frame):
-            kind = "frames out of order" if out_of_order else "frames of another size"
-        self._heard[kind] += 1
-
-    def check(self, period_us: int = 0) -> None:
-        """Raise UnfitError where the line has talked for 30 s and three periods, and nothing fitted."""
-        waited = time.monotonic() - self._since
-        if self._heard and waited > UNFIT_SECONDS + 3e-6 * period_us:
-            came = ", ".join(f"{number} {kind}" for kind, number in self._heard.most_common())
-            raise UnfitError(f"{self._url}: nothing fit for {waited:.0f} s, though the line is not silent ({came})")
-
-
-Samples = Generator[tuple[Sample, ...], None, None]
-
-
 def agreed_and_recorded(sample: Sample, scene: Scene | None) -> tuple[Scene, Array]:
     """The agreed scene, and (rows, columns) what its readout makes of the mean code: ohm or volt.
 
@@ -253,111 +226,118 @@ def board_samples(
     Raises InputError where no board answers at first, where it does not fit the scene, cannot be that fast, or the line
     talks without a frame that fits.
     """
-    last: Sample | None = None
-    session, patience = 0, Patience(url)
+    line = _Line(url, scene, period, ending)
     while not ending():
         heard = 0
         try:
             with Board.open(url) as board:
                 try:
-                    for samples in _one_connection(board, scene, period, last, session, patience, ending):
-                        if samples:
-                            last = samples[-1]
-                            scene = scene_of(last.hello, scene)
-                        yield samples
+                    yield from line.connection(board)
+                    return
                 finally:
                     heard = board.heard
         except OSError as error:
-            if last is None:
+            if line.last is None:
                 raise NoBoardError(f"{url}: the board went away ({' '.join(str(error).split())})") from error
             reason = "the board is gone; waiting for it"
         except NoBoardError:
-            if last is None:
+            if line.last is None:
                 raise
             reason = "the board does not answer; waiting for it"
-        else:
-            return
         if not heard:
-            patience.renew()
-        patience.check()
-        session = last.session + 1 if last else 0
+            line.renew()
+        line.check()
         on_state(reason)
         yield ()
         time.sleep(RETRY_SECONDS)
 
 
-def _one_connection(
-    board: Board,
-    scene: Scene | None,
-    period: float | None,
-    last: Sample | None,
-    session: int,
-    patience: Patience,
-    ending: Callable[[], bool],
-) -> Samples:
-    """Samples until the board is gone or the end is asked for; a board that restarts is set and started again."""
-    hello = board.hello()
-    try:
-        while True:
-            agreed = scene_of(hello, scene)
-            readings = agreed.readout.readings if agreed.readout else hello.readings
-            wanted = None if period is None else round(period * 1e6)
-            settings = board.start(agreed.panel.rows, agreed.panel.columns, readings, wanted)
-            for samples in _one_run(board, Scanning(settings, session, last), patience, ending):
-                last = samples[-1] if samples else last
-                yield samples
-            if ending():
-                return
-            yield ()
-            patience.check(settings.period_us)
-            hello = board.hello()
-            session = last.session + 1 if last else session + 1
-    finally:
-        board.stop()
+class _Line:
+    """What is asked of a board; its state is the newest sample, since when nothing has fitted, and what came instead.
 
+    A line that is silent, or a port that is gone, may be waited for; one that talks may not without end.
+    """
 
-def _one_run(board: Board, run: Scanning, patience: Patience, ending: Callable[[], bool]) -> Samples:
-    """Samples until the board says that it no longer scans, or the end is asked for."""
-    hello = run.hello
-    silent_after = max(SILENCE_SECONDS, 3e-6 * hello.period_us)
-    heard = time.monotonic()
-    while True:
-        asked = ending()
-        found = board.last_messages() if asked else board.messages()
-        run, samples, over = _taken(run, found, patience)
-        if samples:
-            heard = time.monotonic()
-        yield samples
-        if over or asked:
-            return
-        patience.check(hello.period_us)
-        if time.monotonic() - heard > silent_after:
-            came = board.heard
-            try:
-                now = board.identify()
-                patience.hear(now, False)
-                if not now.running or any(getattr(now, name) != getattr(hello, name) for name in SET):
+    def __init__(self, url: str, scene: Scene | None, period: float | None, ending: Callable[[], bool]) -> None:
+        self._url, self._scene, self._period, self._ending = url, scene, period, ending
+        self.last: Sample | None = None
+        self.renew()
+
+    def renew(self) -> None:
+        """A frame fitted, or nobody is there."""
+        self._since, self._unfit = time.monotonic(), Counter[str]()
+
+    def check(self, period_us: int = 0) -> None:
+        """Raise InputError where the line has talked for 30 s and three periods, and nothing fitted."""
+        waited = time.monotonic() - self._since
+        if self._unfit and waited > UNFIT_SECONDS + 3e-6 * period_us:
+            came = ", ".join(f"{number} {kind}" for kind, number in self._unfit.most_common())
+            raise InputError(f"{self._url}: nothing fit for {waited:.0f} s, though the line is not silent ({came})")
+
+    def connection(self, board: Board) -> Samples:
+        """Samples until the board is gone or the end is asked for; a board that restarts is set and started again."""
+        hello = board.hello()
+        try:
+            while True:
+                agreed = scene_of(hello, self._scene)
+                readings = agreed.readout.readings if agreed.readout else hello.readings
+                wanted = None if self._period is None else round(self._period * 1e6)
+                settings = board.start(agreed.panel.rows, agreed.panel.columns, readings, wanted)
+                for samples in self._run(board, settings):
+                    if samples:
+                        self.last, self._scene = samples[-1], agreed
+                    yield samples
+                if self._ending():
                     return
-                run = run.doubted()
-            except NoBoardError:
-                if board.heard == came:  # a noisy line is no reason to reset the board
-                    raise
-            heard = time.monotonic()
+                yield ()
+                self.check(settings.period_us)
+                hello = board.hello()
+        finally:
+            board.stop()
 
+    def _run(self, board: Board, hello: Hello) -> Samples:
+        """Samples until the board says that it no longer scans, or the end is asked for."""
+        run = Scanning(hello, 0 if self.last is None else self.last.session + 1, self.last)
+        silent_after = max(SILENCE_SECONDS, 3e-6 * hello.period_us)
+        heard = time.monotonic()
+        while True:
+            asked = self._ending()
+            run, samples, over = self._taken(run, board.last_messages() if asked else board.messages())
+            if samples:
+                heard = time.monotonic()
+            yield samples
+            if over or asked:
+                return
+            self.check(hello.period_us)
+            if time.monotonic() - heard > silent_after:
+                came = board.heard
+                try:
+                    now = board.identify()
+                    self._unfit["answers"] += 1
+                    if not now.running or now.size != hello.size:
+                        return
+                    run = run.doubted()
+                except NoBoardError:
+                    if board.heard == came:  # a noisy line is no reason to reset the board
+                        raise
+                heard = time.monotonic()
 
-def _taken(run: Scanning, found: Sequence[Message], patience: Patience) -> tuple[Scanning, tuple[Sample, ...], bool]:
-    """The run with all messages, the samples they make, and whether the board said that it no longer scans."""
-    samples: tuple[Sample, ...] = ()
-    size = run.hello.rows, run.hello.columns
-    for item in found:
-        if isinstance(item, Hello) and not item.running:
-            patience.hear(item, False)
-            return run, samples, True
-        fits = isinstance(item, Frame) and item.sums.shape == size and item.readings == run.hello.readings
-        run, more = run.taking(item) if isinstance(item, Frame) and fits else (run, ())
-        samples += more
-        if more:
-            patience.renew()
-        else:
-            patience.hear(item, fits)
-    return run, samples, False
+    def _taken(self, run: Scanning, found: Sequence[Message]) -> tuple[Scanning, tuple[Sample, ...], bool]:
+        """The run with all messages, the samples they make, and whether the board said that it no longer scans."""
+        samples: tuple[Sample, ...] = ()
+        for item in found:
+            more, instead = tuple[Sample, ...](), "answers"
+            if isinstance(item, Frame):
+                fits = (*item.sums.shape, item.readings) == run.hello.size
+                run, more = run.taking(item) if fits else (run, ())
+                instead = "frames out of order" if fits else "frames of another size"
+            elif isinstance(item, Garbage):
+                instead = "pieces that are no message"
+            samples += more
+            if more:
+                self.renew()
+            else:
+                self._unfit[instead] += 1
+            if isinstance(item, Hello) and not item.running:
+                return run, samples, True
+        return run, samples, False

@@ -2,10 +2,9 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import f as fisher
 
 from lampest.files.document import to_yaml
@@ -24,10 +23,11 @@ from lampest.recording.calibration.fit import (
     Circuit,
     CircuitFit,
     Problem,
+    Unknown,
     fit,
     with_numbers,
 )
-from lampest.recording.calibration.repeats import FEWEST_REPEATS, Trial, repeats
+from lampest.recording.calibration.repeats import BELIEF, FEWEST_REPEATS, Trial, repeats
 from lampest.recording.recording import Recording
 
 DIGITS, MEMORY_DIGITS = 3, 5  # of an ohm, below what any contact repeats to; of a fraction: a hundredth of a code
@@ -40,8 +40,7 @@ SPOKEN = {MEMORY.name: "converter memory", "diode.drop_volt": "diode drop"} | di
 )
 
 
-@dataclass(frozen=True, eq=False)
-class LineOffsets:
+class LineOffsets(NamedTuple):
     """Lines of one side: by how much each differs from their mean, and σ of that, ohm; NaN where not measured."""
 
     side: Side
@@ -67,10 +66,6 @@ class Found:
         """Whether lines differ by more than chance, and more than a scene is written to."""
         least = 10.0**-DIGITS
         return any(bool(np.any(np.abs(lines.off_ohm) > SURE * lines.sigma_ohm + least)) for lines in self.lines)
-
-    def on(self, lines: LineOffsets) -> Array:
-        """(lines) ohm of every line of a side, its share of the sum where readings have two; the mean where unknown."""
-        return np.asarray(self.value / len(self.lines) + np.nan_to_num(lines.off_ohm))
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,12 +107,9 @@ def calibrate(
 ) -> Calibration:
     """The circuit's numbers that explain known resistors best, by weighted least squares through its equations.
 
-    Parameters
-    ----------
-    recordings : of one panel and readout; the frames of each are repeats.
-    known : ohm, for each recording (rows, columns) or one number for all cells; 0 where row and column lines are
-        shorted together; inf or NaN where there is no resistor.
-    tolerance : by which fraction the known resistors and the reference may be off, evenly.
+    recordings : of one panel and readout; the frames of each are repeats. known : ohm, for each recording (rows,
+    columns) or one number for all cells; 0 where row and column lines are shorted together; inf or NaN where there is
+    no resistor. tolerance : by which fraction the known resistors and the reference may be off, evenly.
 
     Raises InputError where the scene's readout has no such numbers, the readings do not tell them, or are none of these
     resistors'.
@@ -129,11 +121,11 @@ def calibrate(
     if not scene.circuit.line_numbers():
         raise InputError(f"{name}: known resistors tell nothing of this readout ({scene.circuit.description()})")
     trials = tuple(_trial(one, ohm) for one, ohm in zip(recordings, known, strict=True))
-    fitted = fit(Problem(Circuit.of(scene), trials, tolerance))
+    fitted = fit(Problem(Circuit(scene), trials, tolerance))
     _check_fit(fitted)
-    found = tuple(_found(fitted, index) for index in range(len(fitted.problem.circuit.numbers)))
-    for one in found:
-        _check_number(fitted, one)
+    found = tuple(_found(fitted, unknown) for unknown in fitted.problem.circuit.unknowns)
+    for one, unknown in zip(found, fitted.problem.circuit.unknowns, strict=True):
+        _check_number(f"{name}: no calibration: ", one, unknown.specified)
     counts = np.array([trial.readings.seen for trial in trials])
     variance = np.average([trial.readings.noise_lsb**2 for trial in trials], axis=0, weights=counts + 1e-9)
     misfit = fitted.chi_square / max(fitted.freedom, 1)
@@ -150,71 +142,61 @@ def _trial(recording: Recording, known: Array | float) -> Trial:
     return Trial(recording.name, repeats(recording), ohm, recording.scene.converter_memory is not None)
 
 
-def _found(fit: CircuitFit, index: int) -> Found:
-    """The number of that index, with its covariance to first order in the unknowns."""
-    circuit, sides = fit.problem.circuit, []
-    number, spread = circuit.numbers[index], circuit.spread(fit.unknowns, index)
-    common, own = circuit.common(fit.unknowns, index)
-    value, slope = common, np.zeros(len(fit.unknowns))
-    slope[index] = own
-    for (at, side), part in circuit.lines.items():
-        if at == index:
-            off, slopes = spread * fit.unknowns[part], spread * np.eye(len(fit.unknowns))[part]
-            slopes[:, index] = 0.0 if number.channel else off * own / common
-            measured = np.any([trial.led(side) for trial in fit.problem.trials], axis=0)
-            value, slope = value + float(off[measured].mean()), slope + slopes[measured].mean(axis=0)
-            sides.append(_offsets(fit, side, off, slopes, measured))
-    return Found(number, value, float(np.sqrt(slope @ fit.covariance @ slope)), tuple(sides))
-
-
-def _offsets(fit: CircuitFit, side: Side, off: Array, slopes: Array, measured: NDArray[np.bool_]) -> LineOffsets:
-    centred = slopes - slopes[measured].mean(axis=0)
-    sigma = np.sqrt(np.maximum(np.einsum("li,ij,lj->l", centred, fit.covariance, centred), 0.0))
-    nothing = np.where(measured, 0.0, np.nan)
-    return LineOffsets(side, off - off[measured].mean() + nothing, sigma + nothing)
+def _found(fit: CircuitFit, one: Unknown) -> Found:
+    """A number, with its covariance to first order in the unknowns."""
+    spread, (common, own) = one.spread(fit.unknowns), one.common(fit.unknowns)
+    value, slope, sides = common, np.zeros(len(fit.unknowns)), []
+    slope[one.index] = own
+    for side, part in one.lines.items():
+        off, slopes = spread * fit.unknowns[part], spread * np.eye(len(fit.unknowns))[part]
+        slopes[:, one.index] = 0.0 if one.number.channel else off * own / common
+        measured = np.any([trial.led(side) for trial in fit.problem.trials], axis=0)
+        mean, mean_slope = off[measured].mean(), slopes[measured].mean(axis=0)
+        value, slope, centred = value + float(mean), slope + mean_slope, slopes - mean_slope
+        sigma = np.sqrt(np.maximum(np.einsum("li,ij,lj->l", centred, fit.covariance, centred), 0.0))
+        nothing = np.where(measured, 0.0, np.nan)
+        sides.append(LineOffsets(side, off - mean + nothing, sigma + nothing))
+    return Found(one.number, value, float(np.sqrt(slope @ fit.covariance @ slope)), tuple(sides))
 
 
 def _check_fit(fit: CircuitFit) -> None:
     """Raise InputError where the readings are not those of the known resistors behind any such circuit."""
-    trials = fit.problem.trials
+    trials, circuit = fit.problem.trials, fit.problem.circuit
+    readout = circuit.readout
+
+    def spoken(volt: float) -> str:
+        return f"{float(readout.recorded_from_volt(np.array(volt))):.4g} {readout.unit}"
+
     for trial in trials:
-        _check_open_lines(fit, trial)
+        reads = trial.readings.volt
+        elsewhere = ~trial.used & np.isfinite(reads)
+        off = np.where(elsewhere, np.abs(reads - circuit.volt(fit.unknowns, trial.cells)), 0.0) / readout.supply_volt
+        if off.max() > 0.1:  # of the supply: hum, and a memory of 3 %, stay below
+            row, column = (int(part) for part in np.unravel_index(off.argmax(), off.shape))
+            raise InputError(
+                f"{trial.name}: no calibration: row {row}, column {column} reads {spoken(reads[row, column])}, but no "
+                f"known resistor leads there; was the panel unplugged?"
+            )
     if fit.freedom < 0 or not fit.readings:
         many = "nothing was read across a known resistor" if not fit.readings else f"only {fit.readings} readings"
         raise InputError(f"{trials[0].name}: no calibration: {many}; join lines by more known resistors")
     # σ itself is known from as many repeats only: χ² over its freedom follows Fisher's distribution.
-    freedom, repeated = max(fit.freedom, 1), sum(trial.readings.freedom for trial in trials)
+    freedom, repeated = max(fit.freedom, 1), sum(BELIEF + trial.readings.seen.sum() for trial in trials)
     if fisher.sf(fit.chi_square / freedom, freedom, repeated) < 1e-7:  # of good calibrations may be refused
         off = np.abs(fit.rest) / fit.sigma
-        index, circuit = int(off.argmax()), fit.problem.circuit.readout
+        index = int(off.argmax())
         name, row, column = list(fit.problem.places())[index]
-        volts = fit.problem.measured[index], fit.problem.measured[index] - fit.rest[index]
-        reads, gives = (f"{float(circuit.recorded_from_volt(np.array(volt))):.4g} {circuit.unit}" for volt in volts)
+        measured = fit.problem.measured[index]
         raise InputError(
-            f"{name}: no calibration: row {row}, column {column} reads {reads}, but behind the circuit that fits best "
-            f"the known resistors give {gives}; noise and tolerances explain {100 * np.mean(off < 3):.0f} % of the "
-            "readings"
+            f"{name}: no calibration: row {row}, column {column} reads {spoken(measured)}, but behind the circuit that "
+            f"fits best the known resistors give {spoken(measured - fit.rest[index])}; noise and tolerances explain "
+            f"{100 * np.mean(off < 3):.0f} % of the readings"
         )
 
 
-def _check_open_lines(fit: CircuitFit, trial: Trial) -> None:
-    """Raise InputError where something is read on lines that no known resistor leads to."""
-    circuit, reads = fit.problem.circuit, trial.readings.volt
-    gives = circuit.volt(fit.unknowns, trial.cells)
-    off = np.where(trial.used | ~np.isfinite(reads), 0.0, np.abs(reads - gives)) / circuit.readout.supply_volt
-    if off.max() > 0.1:  # of the supply: hum, and a memory of 3 %, stay below
-        row, column = (int(part) for part in np.unravel_index(off.argmax(), off.shape))
-        read = float(circuit.readout.recorded_from_volt(reads[row, column]))
-        raise InputError(
-            f"{trial.name}: no calibration: row {row}, column {column} reads {read:.4g} {circuit.readout.unit}, but no "
-            f"known resistor leads there; was the panel unplugged?"
-        )
-
-
-def _check_number(fit: CircuitFit, found: Found) -> None:
+def _check_number(where: str, found: Found, specified: float) -> None:
     """Raise InputError where the readings do not tell a number, or it is none that such electronics have."""
     number, channels = found.number, len(found.lines)
-    where = f"{fit.problem.trials[0].name}: no calibration: "
     enough = ENOUGH.get(number.name, WORST_OHM - TYPICAL_OHM if number.channel else 0.0)
     if found.sigma > max(enough, 0.3 * found.value):
         raise InputError(
@@ -222,7 +204,6 @@ def _check_number(fit: CircuitFit, found: Found) -> None:
             f"known resistors of different values, on more lines, do"
         )
     # Equal cells look like a larger series resistance: channels have at most what the worst have, or as much above it.
-    specified = fit.problem.circuit.specified(number)
     most = max(channels * WORST_OHM, specified + channels * (WORST_OHM - TYPICAL_OHM))
     if number.in_scene and number.channel and found.value - SURE * found.sigma > most:
         raise InputError(
@@ -230,12 +211,12 @@ def _check_number(fit: CircuitFit, found: Found) -> None:
             f"channels have at worst; were the known resistors in place of the panel, and are their values right?"
         )
     most = max(WORST_OHM - BEST_OHM if number.channel else 0.0, 4 * RESISTOR_TOLERANCE * found.value)
-    for lines in found.lines:
-        high, low = int(np.nanargmax(lines.off_ohm)), int(np.nanargmin(lines.off_ohm))
-        apart = float(lines.off_ohm[high] - lines.off_ohm[low])
-        if apart - SURE * np.hypot(lines.sigma_ohm[high], lines.sigma_ohm[low]) > most:
+    for side, off, sigma in found.lines:
+        high, low = int(np.nanargmax(off)), int(np.nanargmin(off))
+        apart = float(off[high] - off[low])
+        if apart - SURE * np.hypot(sigma[high], sigma[low]) > most:
             raise InputError(
-                f"{where}{number.name} of {lines.side} {high} and {low} would differ by {apart:.4g} ohm, and at most "
+                f"{where}{number.name} of {side} {high} and {low} would differ by {apart:.4g} ohm, and at most "
                 f"{most:.4g} ohm is likely ({LIKELY[number.channel]})"
             )
 
@@ -244,29 +225,30 @@ def calibrated_scene(calibration: Calibration) -> Scene:
     """The scene with the numbers found, rounded to a milliohm; a list where lines differ."""
     scene = calibration.scene
     readout: Any = scene.readout
+
+    def rounded(value: float) -> float:
+        """Not below zero, where the noise of a small number can be."""
+        return round(max(float(value), 0.0), DIGITS)
+
     for found in calibration.found:
-        each = {lines.side: tuple(map(_rounded, found.on(lines))) for lines in found.lines}
-        if found.number in TYPICAL:
-            scene = with_numbers(scene, {found.number.name: round(found.value, MEMORY_DIGITS)})
-        elif found.number.in_scene:
-            series = SeriesPerLine(**each) if found.differ else _rounded(found.value)
-            scene = replace(scene, series_resistance_ohm=series)
+        number, value = found.number, rounded(found.value)
+        # Every line's share of the sum where readings have two; the mean where it was not measured.
+        share = found.value / max(len(found.lines), 1)
+        each = {side: tuple(map(rounded, share + np.nan_to_num(off))) for side, off, _ in found.lines}
+        if number in TYPICAL:
+            scene = with_numbers(scene, {number.name: round(found.value, MEMORY_DIGITS)})
+        elif number.in_scene:
+            scene = replace(scene, series_resistance_ohm=SeriesPerLine(**each) if found.differ else value)
         else:
-            value = next(iter(each.values())) if found.differ else _rounded(found.value)
-            readout = with_numbers(readout, {found.number.name: value})
+            readout = with_numbers(readout, {number.name: next(iter(each.values())) if found.differ else value})
     if calibration.noise is not None:
         readout = replace(readout, noise_lsb=calibration.noise)
     return replace(scene, readout=readout)
 
 
-def _rounded(value: float) -> float:
-    """Not below zero, where the noise of a small number can be."""
-    return round(max(float(value), 0.0), DIGITS)
-
-
 def calibrated_scene_text(calibration: Calibration) -> str:
     """The calibrated scene as YAML, with the uncertainties and the lines as comments."""
-    remarks = [remark for found in calibration.found for remark in _remarks(calibration, found)]
+    remarks = [remark for found in calibration.found for remark in _remarks(found, calibration.readings)]
     if calibration.noise is not None:
         remarks.append(f"noise_lsb: of one reading, from {calibration.repeats.sum():g} repeats")
     remarks.append(
@@ -286,16 +268,15 @@ def summary(calibration: Calibration) -> str:
     return f"{', '.join(each)} from {calibration.readings} readings"
 
 
-def _remarks(calibration: Calibration, found: Found) -> list[str]:
+def _remarks(found: Found, readings: int) -> list[str]:
     digits, unit = (MEMORY_DIGITS, "") if found.number == MEMORY else (DIGITS, f" {found.number.unit}")
     value = f"{found.value:.{digits}f} +- {found.sigma:.{digits}f}{unit}"
-    remarks = [f"{found.number.name}: {value} (one standard deviation), from {calibration.readings} readings"]
-    for lines in found.lines if found.differ else ():
-        each = ", ".join(
-            "not measured" if np.isnan(ohm) else f"{ohm:+.2f} +- {sigma:.2f}"
-            for ohm, sigma in zip(lines.off_ohm, lines.sigma_ohm, strict=True)
+    remarks = [f"{found.number.name}: {value} (one standard deviation), from {readings} readings"]
+    for side, off, sigma in found.lines if found.differ else ():
+        each = (
+            "not measured" if np.isnan(ohm) else f"{ohm:+.2f} +- {sd:.2f}" for ohm, sd in zip(off, sigma, strict=True)
         )
-        remarks.append(f"{lines.side} differ from the mean by {each} ohm")
+        remarks.append(f"{side} differ from the mean by {', '.join(each)} ohm")
     if found.differ and len(found.lines) > 1:
         remarks.append("what rows and columns have in common is shared evenly, because only their sums are read")
     return remarks

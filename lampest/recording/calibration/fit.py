@@ -30,88 +30,99 @@ STEP = 1e-5  # of an unknown, or of the logarithm of a resistor, for differences
 
 
 @dataclass(frozen=True, eq=False)
-class Circuit:
-    """The unknowns: for every number a common value, then for every line by how many spreads it is off.
+class Unknown:
+    """A number of the electronics: a common value at `index` of the unknowns, and for lines by how many spreads each is
+    off, at `lines`.
 
     A channel's resistance is TYPICAL_OHM·q + spread·e, a resistor's R·exp(q) + spread·e with R of the scene. e is as
     likely as a standard normal number, so that lines which nothing measures are taken for the mean of the others.
+    specified : what the scene says, the mean where it lists one for each line.
     """
 
-    scene: Scene
-    numbers: tuple[LineNumber, ...]
+    number: LineNumber
+    index: int
+    lines: dict[Side, slice]
+    specified: float
 
-    @classmethod
-    def of(cls, scene: Scene) -> "Circuit":
-        """All numbers that resistors tell: the readout's, and those of what else the scene names."""
+    @property
+    def scale(self) -> float | None:
+        """Of a value that is so many times q, and not negative; None: of one that is an exponential."""
+        return TYPICAL_OHM if self.number.channel else TYPICAL.get(self.number)
+
+    @property
+    def start(self) -> float:
+        """q of the scene's value, channels at least typical ones."""
+        least = len(self.number.sides) if self.number.channel else 1.0
+        return 0.0 if self.scale is None else max(self.specified / self.scale, least)
+
+    def common(self, unknowns: Array) -> tuple[float, float]:
+        """(c, ∂c/∂q) in the number's unit."""
+        at = float(unknowns[self.index])
+        if self.scale is not None:
+            return self.scale * at, self.scale
+        value = self.specified * float(np.exp(at))
+        return value, value
+
+    def spread(self, unknowns: Array) -> float:
+        """σ of lines, ohm: of channels a third of worst less typical, of resistors from their tolerance."""
+        if self.number.channel:
+            return (WORST_OHM - TYPICAL_OHM) / 3
+        return RESISTOR_TOLERANCE / 3**0.5 * self.common(unknowns)[0]
+
+
+@dataclass(frozen=True, eq=False)
+class Circuit:
+    """The scene's circuit as a function of its unknowns; of the scene itself only what is no unknown counts."""
+
+    scene: Scene
+
+    @cached_property
+    def unknowns(self) -> tuple[Unknown, ...]:
+        """All that resistors tell: the readout's numbers, and those of what else the scene names."""
+        scene, found = self.scene, list[Unknown]()
         memory = () if scene.converter_memory is None else (MEMORY,)
-        return cls(scene, scene.circuit.line_numbers() + memory + (WIRE if scene.lines is not None else ()))
+        numbers = scene.circuit.line_numbers() + memory + (WIRE if scene.lines is not None else ())
+        lengths, first = dict(zip(("rows", "columns"), scene.panel.shape, strict=True)), len(numbers)
+        for index, number in enumerate(numbers):
+            lines = dict[Side, slice]()
+            for side in number.sides:
+                lines[side] = slice(first, first + lengths[side])
+                first += lengths[side]
+            of: Any = scene if number.in_scene else scene.circuit
+            value = scene.series_ohm if number.in_scene and number.channel else attrgetter(number.name)(of)
+            found.append(Unknown(number, index, lines, float(np.mean(value))))
+        return tuple(found)
+
+    @cached_property
+    def start(self) -> Array:
+        """(unknowns) the scene's numbers; all lines alike."""
+        lines = sum(part.stop - part.start for one in self.unknowns for part in one.lines.values())
+        return np.array([one.start for one in self.unknowns] + [0.0] * lines)
+
+    @property
+    def least(self) -> Array:
+        """(unknowns) below which none can be: channels, memories and wires are not negative."""
+        least = np.full(len(self.start), -np.inf)
+        least[[one.index for one in self.unknowns if one.scale is not None]] = 0.0
+        return least
 
     @property
     def readout(self) -> Readout:
         """The scene's."""
         return self.scene.circuit
 
-    @cached_property
-    def lines(self) -> dict[tuple[int, Side], slice]:
-        """(number, side) → where in the unknowns the lines of that side stand."""
-        found: dict[tuple[int, Side], slice] = {}
-        first = len(self.numbers)
-        for index, number in enumerate(self.numbers):
-            for side in number.sides:
-                found[index, side] = slice(first, first + self._lengths[side])
-                first += self._lengths[side]
-        return found
-
-    @cached_property
-    def start(self) -> Array:
-        """(unknowns) the scene's numbers, channels at least typical ones; all lines alike."""
-        found = np.zeros(max(part.stop for part in self.lines.values()))
-        for index, number in enumerate(self.numbers):
-            if number.channel:
-                found[index] = max(self.specified(number) / TYPICAL_OHM, len(number.sides))
-            elif number in TYPICAL:
-                found[index] = max(self.specified(number) / TYPICAL[number], 1.0)
-        return found
-
-    @property
-    def least(self) -> Array:
-        """(unknowns) below which none can be: channels, memories and wires are not negative."""
-        signed = [not (number.channel or number in TYPICAL) for number in self.numbers]
-        return np.where(np.append(signed, [True] * (len(self.start) - len(signed))), -np.inf, 0.0)
-
-    def specified(self, number: LineNumber) -> float:
-        """What the scene says of a number, the mean where it lists one for each line."""
-        if number.in_scene and number.channel:
-            return float(np.mean(self.scene.series_ohm))
-        return float(np.mean(np.asarray(attrgetter(number.name)(self.scene if number.in_scene else self.readout))))
-
-    def common(self, unknowns: Array, number: int) -> tuple[float, float]:
-        """(c, ∂c/∂q) of a number, in its unit."""
-        one, at = self.numbers[number], float(unknowns[number])
-        if one.channel or one in TYPICAL:
-            scale = TYPICAL_OHM if one.channel else TYPICAL[one]
-            return scale * at, scale
-        value = self.specified(one) * float(np.exp(at))
-        return value, value
-
-    def spread(self, unknowns: Array, number: int) -> float:
-        """σ of lines, ohm: of channels a third of worst less typical, of resistors from their tolerance."""
-        if self.numbers[number].channel:
-            return (WORST_OHM - TYPICAL_OHM) / 3
-        return RESISTOR_TOLERANCE / 3**0.5 * self.common(unknowns, number)[0]
-
     def volt(self, unknowns: Array, cells: Array, reference_off: float = 0.0) -> Array:
         """(rows, columns) at the converter, for cells in ohm and a reference resistor that is off by a fraction."""
-        channels: dict[Side, Array] = {side: np.zeros(length) for side, length in self._lengths.items()}
+        rows, columns = self.scene.panel.shape
+        channels: dict[Side, Array] = {"rows": np.zeros(rows), "columns": np.zeros(columns)}
         fields, of_scene = dict[str, Any](), dict[str, float]()
-        for index, number in enumerate(self.numbers):
-            common, spread = self.common(unknowns, index)[0], self.spread(unknowns, index)
-            off = {side: spread * unknowns[part] for (at, side), part in self.lines.items() if at == index}
+        for one in self.unknowns:
+            number, common, spread = one.number, one.common(unknowns)[0], one.spread(unknowns)
+            off = {side: spread * unknowns[part] for side, part in one.lines.items()}
             if number in TYPICAL:
                 of_scene[number.name] = min(common, 0.9) if number == MEMORY else common
             elif number.in_scene:
-                for side, ohm in off.items():
-                    channels[side] = common / len(number.sides) + ohm
+                channels |= {side: common / len(off) + ohm for side, ohm in off.items()}
             else:
                 each = common + sum(off.values())
                 # ln(1 + exp R) is R from some ohm on, never below zero, and always has a slope.
@@ -127,15 +138,10 @@ class Circuit:
         volt = np.asarray(circuit.off_by(reference_off).volt_from_recorded(recorded))
         return with_memory(circuit, scene.converter_memory, volt) if scene.converter_memory else volt
 
-    @cached_property
-    def _lengths(self) -> dict[Side, int]:
-        rows, columns = self.scene.panel.shape
-        return {"rows": rows, "columns": columns}
 
-
-def with_numbers(part: Any, numbers: dict[str, Any]) -> Any:
-    """A readout, or a part of one, with other numbers by their names; dotted names are those of its parts."""
-    for name, value in numbers.items():
+def with_numbers(part: Any, values: dict[str, Any]) -> Any:
+    """A record with numbers of other values; 'a.b' is b of its part a."""
+    for name, value in values.items():
         first, _, rest = name.partition(".")
         part = replace(part, **{first: with_numbers(getattr(part, first), {rest: value}) if rest else value})
     return part
@@ -151,12 +157,9 @@ class Problem:
 
     @cached_property
     def measured(self) -> Array:
-        """(readings) V at the converter, within its rails."""
-        return np.concatenate([self._clipped(trial.readings.volt[trial.used]) for trial in self.trials])
-
-    def _clipped(self, volt: Array) -> Array:
-        """Beyond what noise leaves of the converter's range a reading is a bound: any more is as good."""
-        return np.clip(volt, *usable_range(self.circuit.readout))
+        """(readings) V at the converter, within its rails: beyond, a reading is a bound, and any more is as good."""
+        volt = np.concatenate([trial.readings.volt[trial.used] for trial in self.trials])
+        return np.asarray(np.clip(volt, *usable_range(self.circuit.readout)))
 
     def expected(self, unknowns: Array, resistor: tuple[float, int] | None = None, reference: float = 0.0) -> Array:
         """(readings) V, with one resistor larger by a factor exp(STEP), or the reference by 1 + reference."""
@@ -165,8 +168,8 @@ class Problem:
             cells = trial.cells.copy()
             if resistor in trial.resistors:
                 cells[trial.resistors[resistor]] *= np.exp(STEP)
-            found.append(self._clipped(self.circuit.volt(unknowns, cells, reference)[trial.used]))
-        return np.concatenate(found)
+            found.append(self.circuit.volt(unknowns, cells, reference)[trial.used])
+        return np.asarray(np.clip(np.concatenate(found), *usable_range(self.circuit.readout)))
 
     def covariance(self, unknowns: Array, own_lsb: float = 0.0) -> Array:
         """(readings, readings) V² of noise, quantisation, the converter's own error, resistors and the reference."""
@@ -179,8 +182,7 @@ class Problem:
 
     def within(self, unknowns: Array) -> NDArray[np.bool_]:
         """(readings) that are values: neither they nor what is expected of them lies at a rail."""
-        readout = self.circuit.readout
-        inside = [within_rails(readout, volt) for volt in (self.measured, self.expected(unknowns))]
+        inside = [within_rails(self.circuit.readout, volt) for volt in (self.measured, self.expected(unknowns))]
         return np.asarray(inside[0] | inside[1])
 
     def places(self) -> Iterator[tuple[str, int, int]]:
@@ -188,10 +190,21 @@ class Problem:
         for trial in self.trials:
             yield from ((trial.name, int(row), int(column)) for row, column in np.argwhere(trial.used))
 
+    def squares(self, root: Array, unknowns: Array) -> SumOfSquares:
+        """(y − V(θ))ᵀ C⁻¹ (y − V(θ)) + Σ e² about θ, slopes by forward differences; root : Cholesky factor of C."""
+
+        def residual(at: Array) -> Array:
+            left = solve_triangular(root, self.measured - self.expected(at), lower=True)
+            return np.concatenate([left, at[len(self.circuit.unknowns) :]])
+
+        here, steps = residual(unknowns), STEP * np.maximum(1.0, np.abs(unknowns))
+        slopes = [(residual(unknowns + step) - here) / step.sum() for step in np.diag(steps)]
+        return SumOfSquares(here, np.stack(slopes, axis=1))
+
 
 @dataclass(frozen=True, eq=False)
 class CircuitFit:
-    """The unknowns and their covariance, as `Circuit` has them.
+    """The unknowns and their covariance.
 
     chi_square, freedom : what is left, in units of its variance, converter's own error included; 1 each on average.
     rest : (readings) V left over; sigma : what of that is no surprise. readings : how many are values.
@@ -215,34 +228,17 @@ def fit(problem: Problem) -> CircuitFit:
     circuit, unknowns = problem.circuit, problem.circuit.start
     for settled in (1.0, 1e-4):  # of ½ χ²: the last one is off by a hundredth of σ
         root = np.linalg.cholesky(problem.covariance(unknowns))
-        squares = partial(_squares, problem, root)
         # Good calibrations end after some 5 evaluations from the scene's numbers, 10 from those ten times too large.
-        found = LevenbergMarquardt(25, settled).minimum(squares, unknowns, (circuit.least, np.inf))
+        least_squares = LevenbergMarquardt(25, settled)
+        found = least_squares.minimum(partial(problem.squares, root), unknowns, (circuit.least, np.inf))
         unknowns = found.position
     # The converter's own error: ATmega2560, integral non-linearity 0.5 LSB, its data sheet.
     rest, whole = problem.measured - problem.expected(unknowns), problem.covariance(unknowns, 0.5)
     left = solve_triangular(np.linalg.cholesky(whole), rest, lower=True)
-    values, commons = int(problem.within(unknowns).sum()), len(circuit.numbers)
+    values, commons = int(problem.within(unknowns).sum()), len(circuit.unknowns)
     chi_square = float(left @ left + unknowns[commons:] @ unknowns[commons:])
-    sigma = np.sqrt(np.diag(whole))
-    covariance = _inverse(found.at.jacobian)
-    return CircuitFit(problem, unknowns, covariance, chi_square, values - commons, rest, sigma, values)
-
-
-def _squares(problem: Problem, root: Array, unknowns: Array) -> SumOfSquares:
-    """(y − V(θ))ᵀ C⁻¹ (y − V(θ)) + Σ e² about θ, slopes by forward differences; root : Cholesky factor of C."""
-
-    def residual(at: Array) -> Array:
-        left = solve_triangular(root, problem.measured - problem.expected(at), lower=True)
-        return np.concatenate([left, at[len(problem.circuit.numbers) :]])
-
-    here, steps = residual(unknowns), STEP * np.maximum(1.0, np.abs(unknowns))
-    slopes = [(residual(unknowns + step) - here) / step.sum() for step in np.diag(steps)]
-    return SumOfSquares(here, np.stack(slopes, axis=1))
-
-
-def _inverse(jacobian: Array) -> Array:
-    """(JᵀJ)⁻¹, nearly without end along what J does not see."""
-    _, singular, right = np.linalg.svd(jacobian, full_matrices=False)
+    # (JᵀJ)⁻¹, nearly without end along what J does not see.
+    _, singular, right = np.linalg.svd(found.at.jacobian, full_matrices=False)
     inverse = right / np.maximum(singular, np.sqrt(np.finfo(float).eps) * singular[0])[:, None]
-    return np.asarray(inverse.T @ inverse)
+    sigma = np.sqrt(np.diag(whole))
+    return CircuitFit(problem, unknowns, inverse.T @ inverse, chi_square, values - commons, rest, sigma, values)

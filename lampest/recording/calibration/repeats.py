@@ -29,8 +29,8 @@ class Repeats:
     """Means over the frames of a recording.
 
     volt, sigma_volt : (rows, columns) at the converter; σ is that of the mean, what quantisation leaves included.
-    noise_lsb : (driven lines) of one reading, with the scene's as if it had been seen BELIEF times; freedom : number of
-    repeats behind it. seen : (driven lines) repeats of each.
+    noise_lsb : (driven lines) of one reading, with the scene's as if it had been seen BELIEF times. seen : (driven
+    lines) repeats of each.
     """
 
     volt: Array
@@ -38,17 +38,11 @@ class Repeats:
     noise_lsb: Array
     seen: Array
 
-    @property
-    def freedom(self) -> float:
-        """Of σ, all lines together."""
-        return float(BELIEF + self.seen.sum())
-
 
 def repeats(recording: Recording) -> Repeats:
     """Means, with the noise of each driven line from differences between frames.
 
-    Raises InputError where the scene names no readout, or readings change from frame to frame as those of resistors do
-    not.
+    Raises InputError where the scene names no readout, or readings change as those of resistors do not.
     """
     readout = recording.scene.readout
     if readout is None:
@@ -60,14 +54,19 @@ def repeats(recording: Recording) -> Repeats:
         mean = np.where(kept, volt, 0.0).sum(axis=0) / counts
     inside = within_rails(readout, mean)
     rest = np.where(kept & inside, (volt - mean) / readout.lsb_volt, 0.0)
-    _check_steady(recording, readout, rest)
+    # What stays from one frame to the next is no noise: von Neumann, Annals of Mathematical Statistics 12(4), 1941.
+    total, quick = ((part**2).sum() / max(len(rest) - 1, 1) for part in (rest, np.diff(rest, axis=0) / np.sqrt(2)))
+    lasting = np.sqrt(max(total - quick, 0.0) / mean.size) / 2.0**readout.adc_bits
+    if len(rest) >= FEWEST_FRAMES and quick < total / 2 and lasting > 1e-3:
+        raise InputError(
+            f"{recording.name}: no calibration: its readings drift by {100 * lasting:.2g} % of the supply, and {CHANGE}"
+        )
     squares, freedom = (rest**2).sum(axis=(0, 1 + other)), np.where(inside, counts - 1, 0).sum(axis=other)
-    declared = _averaging(readout, readout.assumed_noise)
-    variance = (BELIEF * declared + squares) / (BELIEF + freedom)
+    variance = (BELIEF * _averaging(readout, readout.assumed_noise) + squares) / (BELIEF + freedom)
     noise = np.array([noise_of_variance(readout, value) for value in variance])
-    lasting = np.array([float(sigma_code(readout, value, ENDLESS)) for value in noise])
-    total = np.expand_dims(variance, other) / np.maximum(counts, 1) + np.expand_dims(lasting, other) ** 2
-    return Repeats(mean, readout.lsb_volt * np.sqrt(total), noise, freedom)
+    left = np.array([float(sigma_code(readout, value, ENDLESS)) for value in noise])
+    mean_variance = np.expand_dims(variance, other) / np.maximum(counts, 1) + np.expand_dims(left, other) ** 2
+    return Repeats(mean, readout.lsb_volt * np.sqrt(mean_variance), noise, freedom)
 
 
 def usable_range(readout: Readout) -> tuple[float, float]:
@@ -84,8 +83,7 @@ def within_rails(readout: Readout, volt: Array) -> NDArray[np.bool_]:
 
 def sigma_code(readout: Readout, noise_lsb: PerLine, readings: int | None = None) -> Array:
     """σ of the mean code for another noise, and another number of readings, LSB."""
-    changed = replace(readout, noise_lsb=noise_lsb, readings=readings or readout.readings)
-    return np.asarray(changed.sigma_code())
+    return np.asarray(replace(readout, noise_lsb=noise_lsb, readings=readings or readout.readings).sigma_code())
 
 
 def _averaging(readout: Readout, noise_lsb: PerLine) -> Array:
@@ -119,26 +117,12 @@ def _kept(recording: Recording, readout: Readout, volt: Array, other: int) -> ND
     return kept & ~wild
 
 
-def _check_steady(recording: Recording, readout: Readout, rest: Array) -> None:
-    """Raise InputError where deviations (LSB) from the mean stay from one frame to the next, as noise does not."""
-    # Source: von Neumann, Annals of Mathematical Statistics 12(4), 1941.
-    if len(rest) < FEWEST_FRAMES:
-        return
-    total = float((rest**2).sum()) / (len(rest) - 1)
-    quick = float((np.diff(rest, axis=0) ** 2).sum()) / 2 / (len(rest) - 1)
-    lasting = np.sqrt(max(total - quick, 0.0) / rest[0].size) / 2.0**readout.adc_bits
-    if quick < total / 2 and lasting > 1e-3:
-        raise InputError(
-            f"{recording.name}: no calibration: its readings drift by {100 * lasting:.2g} % of the supply, and {CHANGE}"
-        )
-
-
 @dataclass(frozen=True, eq=False)
 class Trial:
     """One recording of known resistors: means of its readings, and what stood in place of the cells.
 
-    name : the recording's. known : (rows, columns) ohm, 0 shorted, NaN no resistor. everywhere : whether readings of
-    lines without a resistor count too, because something of the channel before may be in them.
+    known : (rows, columns) ohm, 0 shorted, NaN no resistor. everywhere : whether readings of lines without a resistor
+    count too, because something of the channel before may be in them.
     """
 
     name: str
@@ -163,12 +147,8 @@ class Trial:
 
     @cached_property
     def resistors(self) -> dict[tuple[float, int], tuple[int, int]]:
-        """Where each resistor stands, by its value and its number among those of that value.
-
-        Resistors of one name in two recordings are taken for one that was moved.
-        """
-        count: Counter[float] = Counter()
-        found = {}
+        """Where each resistor stands, by its value and its number among those of that value: the same one if moved."""
+        count, found = Counter[float](), {}
         for row, column in np.argwhere(self.known > 0).tolist():
             value = float(self.known[row, column])
             found[value, count[value]] = (row, column)
@@ -197,7 +177,6 @@ def known_resistors(text: str, panel: Panel) -> Array:
     except (OSError, ValueError, EOFError) as error:
         raise InputError(f"{path}: no table of resistances ({' '.join(str(error).split())})") from error
     if table.dtype.kind not in "iuf" or table.shape != panel.shape:
-        found = " × ".join(map(str, table.shape))
-        size = f"{panel.rows} × {panel.columns}"
+        size, found = (" × ".join(map(str, shape)) for shape in (panel.shape, table.shape))
         raise InputError(f"{path}: the panel has {size} cells, but the table holds {found} numbers")
     return np.asarray(table, dtype=float)

@@ -6,7 +6,6 @@ other drawn numbers do not change it. A recording keeps what was drawn, in /entr
 
 import dataclasses
 import re
-from collections import Counter
 from collections.abc import Callable
 from itertools import count
 from pathlib import Path
@@ -38,7 +37,7 @@ def run(
     on_frame : called with how many frames how many are done. Raises InputError.
     """
     planned = read_simulations(path, settings)
-    targets = _targets(path, out, planned)
+    targets = _targets(path, out, [name for name, _ in planned])
     # Of a value with its truth and sums, and of a file, at most, in bytes.
     needed = sum(32 * simulation.values + 100_000 for _, simulation in planned)
     check_memory(needed, f"{path}: all recordings of the sweep at once")
@@ -59,31 +58,29 @@ def run(
 def read_simulations(path: Path, settings: tuple[str, ...] = ()) -> list[tuple[str, Simulation]]:
     """Every combination of a file's sweep: (output path as the file names it, simulation).
 
-    settings : PATH=VALUE entries that override the file's.
-    Raises InputError with line and column.
+    settings : PATH=VALUE entries that override the file's. Raises InputError with line and column.
 
     >>> _ = Path("simulation.yaml").write_text("{schema: 1, seed: 1, scene: {panel: {rows: 2, columns: 3}}}")
     >>> len(lampest.read_simulations(Path("simulation.yaml")))
     1
     """
     document = read_document(path, settings)
-    found = []
-    planned = combinations(document, lambda varied: cast(Simulation, validated(drawn(varied), Simulation)))
+    found: dict[str, Simulation] = {}
+    planned = combinations(document, lambda varied: cast(Simulation, validated(_drawn(varied), Simulation)))
     for number, case in enumerate(planned, start=1):
         template = case.value.output or f"{path.stem}{'_{case:03d}' if len(planned) > 1 else ''}.h5"
         name = _filled(document, template, case.value.seed, number, case.assignments)
-        found.append((name, dataclasses.replace(case.value, output=name)))
-    for name, times in Counter(name for name, _ in found).items():
-        if times > 1:
+        if name in found:
             raise document.error(("output",), f"two recordings would be written to {name}; name the swept values in it")
-    return found
+        found[name] = dataclasses.replace(case.value, output=name)
+    return list(found.items())
 
 
-def drawn(document: Document) -> Document:
+def _drawn(document: Document) -> Document:
     """A copy in which every `{uniform: [low, high]}` is a number drawn from the seed. Raises InputError there."""
     content = document.content
     seed = content.get("seed") if isinstance(content, dict) else None
-    if not isinstance(seed, int) or isinstance(seed, bool) or seed < 0:
+    if type(seed) is not int or seed < 0:
         return document
 
     def walk(node: Any, place: tuple[int | str, ...]) -> Any:
@@ -97,8 +94,7 @@ def drawn(document: Document) -> Document:
         numbers = isinstance(bounds, list) and all(type(bound) in (int, float) for bound in bounds)
         if not numbers or len(bounds) != 2 or not -1e12 < bounds[0] <= bounds[1] < 1e12:
             raise document.error((*place, "uniform"), "must be a list of two numbers, the lower one first")
-        purpose = ".".join(str(part) for part in place)
-        return round(float(random_stream(seed, purpose).uniform(*bounds)), 6)
+        return round(float(random_stream(seed, ".".join(map(str, place))).uniform(*bounds)), 6)
 
     return dataclasses.replace(document, content=walk(content, ()))
 
@@ -119,18 +115,17 @@ def _filled(document: Document, template: str, seed: int, number: int, assignmen
     return name
 
 
-def _targets(path: Path, out: Path | None, planned: list[tuple[str, Simulation]]) -> list[Path]:
+def _targets(path: Path, out: Path | None, names: list[str]) -> list[Path]:
     """Where the recordings go. Raises InputError where `out` is a file for several, or a folder for one."""
     if out is None:
-        named = [path.parent / name for name, _ in planned]
-        return [target.parent.resolve() / target.name for target in named]
-    if len(planned) == 1:
+        return [(path.parent / name).parent.resolve() / Path(name).name for name in names]
+    if len(names) == 1:
         if out.is_dir():
             raise InputError(f"{out}: is a folder; name the file for the one recording of {path}")
         return [out]
     if out.is_file() or out.suffix == ".h5":
-        raise InputError(f"{out}: must be a folder, because {path} makes {len(planned)} recordings")
-    targets = [out / Path(name).name for name, _ in planned]
+        raise InputError(f"{out}: must be a folder, because {path} makes {len(names)} recordings")
+    targets = [out / Path(name).name for name in names]
     if len(set(targets)) < len(targets):
         raise InputError(f"{path}: output names differ only by their folders; they cannot all go into {out}")
     return targets

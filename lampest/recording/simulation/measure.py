@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.files.typed import Configuration, check_not_negative
+from lampest.files.typed import Configuration, check_not_negative, check_positive_fields, check_ranges
 from lampest.panel.leaks import leak_effect, neighbours
 from lampest.panel.memory import in_panel_order, with_memory
 from lampest.panel.panel import Array, Modules
@@ -37,8 +37,7 @@ class Unmodelled(Configuration):
     outlier_probability : chance that one reading is a random code instead of a conversion.
     noise_factor : the noise of one reading is so many times what the scene says.
     supply_ripple_lsb, supply_ripple_hz : amplitude and frequency of a sine on what the converter sees, its phase drawn
-        for every frame; a scan takes the whole frame period, channel by channel. Without a frequency one period is as
-        long as the scan of a line.
+        for every frame. Without a frequency one period is as long as the scan of a line.
     gain_spread : standard deviation of a frame's gain, drawn for every frame: all its voltages by one factor.
     load_speed_mm_s : loads travel along x by TRAVEL_MM to and fro at this speed, also while the lines are scanned one
         after the other; the truth is that of the middle of the scan.
@@ -77,19 +76,10 @@ class Unmodelled(Configuration):
 
     def __post_init__(self) -> None:
         check_not_negative(self, *(field.name for field in fields(self)))
-        if self.reference_tolerance >= 1:
-            raise ValueError("reference_tolerance must be below 1")
-        if self.leak_ohm == 0:
-            raise ValueError("leak_ohm must be positive")
-        if self.outlier_probability > 1:
-            raise ValueError("outlier_probability must not exceed 1")
-        if self.response_loss is not None and self.response_loss >= 1:
-            raise ValueError("response_loss must be below 1")
-
-    @property
-    def disturbs(self) -> bool:
-        """Whether anything is added to what the converter sees."""
-        return bool(self.supply_ripple_lsb or self.gain_spread or self.inl_lsb or self.saturation)
+        check_ranges(self, 0, 1, "reference_tolerance", "outlier_probability", "response_loss")
+        check_positive_fields(self, "leak_ohm")
+        if 1 in (self.reference_tolerance, self.response_loss):
+            raise ValueError("reference_tolerance and response_loss must be below 1")
 
     @property
     def needs_converter(self) -> tuple[str, ...]:
@@ -102,8 +92,8 @@ class Unmodelled(Configuration):
             "inl_lsb",
             "saturation",
         )
-        noisier = () if self.noise_factor is None else ("noise_factor",)
-        return (*(name for name in names if getattr(self, name)), *noisier)
+        present = tuple(name for name in names if getattr(self, name))
+        return present if self.noise_factor is None else (*present, "noise_factor")
 
 
 def random_stream(seed: int, purpose: str) -> np.random.Generator:
@@ -123,12 +113,11 @@ def measured(
     """(recorded readings, Σ code): what the readout's equation gives, and the sums of the converter's codes.
 
     Both (frames, rows, columns). Readings come from the mean code with the nominal reference; the codes from the true
-    one. Without a readout readings are exact and there are no sums.
+    one. Without a readout readings are exact and there are no sums. Raises ValueError where the spread of the channels
+    leaves a reading without positive resistance.
 
-    cells : (frames, rows, columns) ohm. period_s : between frames.
-    scanned : for loads that travel, the cells while each line is read, in order.
+    cells : (frames, rows, columns) ohm. scanned : for loads that travel, the cells while each line is read, in order.
     on_frame : called after each frame was converted.
-    Raises ValueError where the spread of the channels leaves a reading without positive resistance.
     """
     if scene.panel.modules is not None:
         return _of_modules(scene, scene.panel.modules, cells, unmodelled, seed, period_s, scanned, on_frame)
@@ -137,7 +126,9 @@ def measured(
     if scene.contacts is not None:
         scene = replace(scene, contacts=true_contacts(scene, seed))
     if unmodelled.wire_ohm_per_cell:
-        scene = replace(scene, lines=_with_wire(scene, unmodelled.wire_ohm_per_cell))
+        lines, more = scene.lines or Lines(), unmodelled.wire_ohm_per_cell
+        row, column = lines.row_ohm_per_cell + more, lines.column_ohm_per_cell + more
+        scene = replace(scene, lines=replace(lines, row_ohm_per_cell=row, column_ohm_per_cell=column))
     begin = int(np.ceil((unmodelled.begins_s or 0.0) / period_s))
 
     def read(part: Array) -> Array:
@@ -163,9 +154,10 @@ def measured(
     if scene.converter_memory is not None:
         volt = with_memory(actual, scene.converter_memory, actual.volt_from_recorded(total))
         total = actual.recorded_from_volt(volt)
-    if unmodelled.disturbs:
-        volt = _disturbed(actual, actual.volt_from_recorded(total), unmodelled, seed, period_s)
-        total = actual.recorded_from_volt(volt)
+    if unmodelled.supply_ripple_lsb or unmodelled.gain_spread or unmodelled.inl_lsb or unmodelled.saturation:
+        total = actual.recorded_from_volt(
+            _disturbed(actual, actual.volt_from_recorded(total), unmodelled, seed, period_s)
+        )
     sums = sums_of_codes(actual, total, unmodelled, seed, on_frame)
     return scene.readout.recorded_from_sums(sums, scene.readout.readings), sums
 
@@ -256,10 +248,7 @@ def raw_sums(readout: Readout | None, sums: NDArray[np.int64] | None) -> NDArray
 
 
 def _disturbed(readout: Readout, volt: Array, unmodelled: Unmodelled, seed: int, period_s: float) -> Array:
-    """V·(1 + gain) + ripple + INL(V), and no more than a stage passes, (frames, rows, columns) volt at the converter.
-
-    period_s : between frames.
-    """
+    """V·(1 + gain) + ripple + INL(V), and no more than a stage passes, (frames, rows, columns) V at the converter."""
     if unmodelled.gain_spread:
         gain = unmodelled.gain_spread * random_stream(seed, "gain").standard_normal(len(volt))
         volt = volt * (1 + gain[:, None, None])
@@ -282,10 +271,3 @@ def _disturbed(readout: Readout, volt: Array, unmodelled: Unmodelled, seed: int,
     if unmodelled.saturation:
         volt = np.minimum(volt, unmodelled.saturation * readout.supply_volt)
     return volt
-
-
-def _with_wire(scene: Scene, ohm_per_cell: float) -> Lines:
-    """The scene's lines with so much more from cell to cell."""
-    lines = scene.lines or Lines()
-    along_row, along_column = lines.row_ohm_per_cell + ohm_per_cell, lines.column_ohm_per_cell + ohm_per_cell
-    return replace(lines, row_ohm_per_cell=along_row, column_ohm_per_cell=along_column)

@@ -17,6 +17,7 @@ from lampest.panel.scene import Water
 from lampest.recording.simulation.measure import random_stream
 
 TRAVEL_MM = 20.0  # two cells of the usual panel: a load that starts in the middle stays on it
+MOMENTS, AT_ONCE = 8, 64  # within a frame's period at which the film feels the load, and frames looked at together
 
 
 @dataclass(frozen=True)
@@ -52,22 +53,17 @@ class Course(Configuration):
         if self.breathing_depth >= 1:
             raise ValueError("breathing_depth must be below 1")
 
-    def contact(self, time: Array) -> Array:
-        """Factor of the contact pressure, (frames) s → 1."""
-        return self._grown(time, 0.0, self.approach_s)
-
-    def suction(self, time: Array) -> Array:
-        """Factor of the suction, (frames) s → 1; it begins when the approach is over."""
-        return self._grown(time, self.approach_s, self.attachment_s)
-
-    def _grown(self, time: Array, after_s: float, length: float) -> Array:
+    def contact_and_suction(self, time: Array) -> tuple[Array, Array]:
+        """Factors of contact pressure and suction, (frames) s → 1; the suction begins when the approach is over."""
         touched = time - self.start_s
-        breathing = 1 + self.breathing_depth * np.sin(2 * np.pi * self.breathing_hz * touched)
-        grown = np.asarray(ramp(touched - after_s, length) * breathing)
-        return grown if self.release_at_s is None else grown * (1 - ramp(time - self.release_at_s, self.release_s))
+        factor = 1 + self.breathing_depth * np.sin(2 * np.pi * self.breathing_hz * touched)
+        if self.release_at_s is not None:
+            factor = factor * (1 - _ramp(time - self.release_at_s, self.release_s))
+        suction = _ramp(touched - self.approach_s, self.attachment_s)
+        return _ramp(touched, self.approach_s) * factor, suction * factor
 
 
-def ramp(time: Array, length: float) -> Array:
+def _ramp(time: Array, length: float) -> Array:
     """3x² − 2x³ with x = time/length held within 0 and 1; a step at 0 for no length."""
     if length == 0:
         return (time >= 0).astype(float)
@@ -82,33 +78,23 @@ def pressure_on_cells(
     course: Course,
     water: Water | None,
     time: Array,
-    along_mm: Array | None = None,
+    speed_mm_s: float = 0.0,
+    later_s: float = 0.0,
 ) -> Array:
-    """p(t) = contact(t)·p_contact + suction(t)·p_suction + p_water, (frames, rows, columns) kPa.
+    """p(t) = contact(t)·p_contact + suction(t)·p_suction + p_water, (frames, rows, columns) kPa; the mean over patches.
 
-    Parameters
-    ----------
-    patch_mm : edge of a cell's film; the pressure is the mean over it.
-    time : (frames) s after the first measured frame; the loads are absent in frames before it.
-    along_mm : (frames) how far along x the loads are from their places; None: at them.
+    patch_mm : edge of a cell's film. time : (frames) s after the first measured frame; loads are absent before it.
+    speed_mm_s : at which loads go TRAVEL_MM along x and back; later_s : and are elsewhere after the frame's middle.
     """
-
-    def resting(along: float) -> Array:
-        """(contact and suction, rows, columns) of loads that are fully there."""
-        there = [replace(load, centre_mm=(load.centre_mm[0] + along, load.centre_mm[1])) for load in loads]
-        each = [load.mean_pressure(panel, patch_mm) for load in (there if along else loads)]
-        return np.asarray(sum(map(np.array, each), np.zeros((2, *panel.shape))))
-
-    fully = resting(0.0)[None] if along_mm is None else np.stack([resting(float(mm)) for mm in along_mm])
-    courses = (time >= 0) * np.stack([course.contact(time), course.suction(time)])
-    moving = courses[0][:, None, None] * fully[:, 0] + courses[1][:, None, None] * fully[:, 1]
-    return np.asarray(moving + water_pressure(panel, water))
-
-
-def travelled(speed_mm_s: float, time: Array) -> Array:
-    """Where loads are that go TRAVEL_MM along x and back at one speed, (frames) mm from the middle of their way."""
-    way = np.mod(speed_mm_s * time + TRAVEL_MM / 2, 2 * TRAVEL_MM)
-    return np.asarray(np.minimum(way, 2 * TRAVEL_MM - way) - TRAVEL_MM / 2)
+    way = np.mod(speed_mm_s * (time + later_s) + TRAVEL_MM / 2, 2 * TRAVEL_MM)
+    along, frames = np.unique(np.minimum(way, 2 * TRAVEL_MM - way) - TRAVEL_MM / 2, return_inverse=True)
+    fully = np.zeros((len(along), 2, *panel.shape))  # contact and suction of loads that are fully there
+    for number, mm in enumerate(along.tolist()):
+        for load in loads:
+            moved = replace(load, centre_mm=(load.centre_mm[0] + mm, load.centre_mm[1])) if mm else load
+            fully[number] += moved.mean_pressure(panel, patch_mm)
+    contact, suction = ((time >= 0) * np.stack(course.contact_and_suction(time)))[:, :, None, None]
+    return np.asarray(contact * fully[frames, 0] + suction * fully[frames, 1] + water_pressure(panel, water))
 
 
 def remembered_ratio(
@@ -120,36 +106,27 @@ def remembered_ratio(
     period: float,
     response: Response,
 ) -> Array:
-    """r over that of a flat, unloaded film in air, (frames, rows, columns).
+    """r over that of a flat, unloaded film in air, (frames, rows, columns); the film is drawn as is known of it.
 
     pressure : moments (n) s → (n, rows, columns) kPa of load and water. water : (rows, columns) kPa, since ever. time :
     (frames) s, `period` apart.
     """
-    # Moments within a frame's period at which the film feels the load, and frames that are looked at together.
-    moments, at_once = 8, 64
-    memory = _true_memory(film, seed, water, response)
-    rest = memory.gain * response.logarithm(water)
-    step, parts = period / moments, []
-    for first in range(0, len(time), at_once):
-        felt = time[first : first + at_once, None] - step * np.arange(moments)[::-1]
-        for number, loaded in enumerate(pressure(felt.ravel()) - water, 1):
-            memory, change = memory.answered(loaded, step)
-            if number % moments == 0:
-                parts.append(np.exp(rest + change))
-    return np.stack(parts)
-
-
-def _true_memory(film: Film, seed: int, water: Array, response: Response) -> FilmMemory:
-    """A film at rest, drawn as is known of it: all cells together by its deviation, each by its spread."""
     strengths = []
     for name, value, most in (
         ("hysteresis", film.hysteresis, MOST_HYSTERESIS),
         ("creep", film.creep_per_decade, MOST_CREEP),
     ):
         assert value != "auto"
-        stream = random_stream(seed, f"film {name}")
+        stream = random_stream(seed, f"film {name}")  # all cells together by its deviation, each by its spread
         shared, own = stream.standard_normal(), stream.standard_normal(water.shape)
         strengths.append(np.minimum(value * np.exp(film.deviation * shared + film.cell_spread * own), most))
-    hysteresis, creep = strengths
     gain = np.broadcast_to(film.answer * response.gains, water.shape)
-    return FilmMemory.at_rest(hysteresis, creep, gain, water, response)
+    memory = FilmMemory.at_rest(strengths[0], strengths[1], gain, water, response)
+    rest, step, parts = gain * response.logarithm(water), period / MOMENTS, []
+    for first in range(0, len(time), AT_ONCE):
+        felt = time[first : first + AT_ONCE, None] - step * np.arange(MOMENTS)[::-1]
+        for number, loaded in enumerate(pressure(felt.ravel()) - water, 1):
+            memory, change = memory.answered(loaded, step)
+            if number % MOMENTS == 0:
+                parts.append(np.exp(rest + change))
+    return np.stack(parts)

@@ -18,7 +18,7 @@ from lampest.panel.response import AnyResponse
 from lampest.panel.scene import Scene, Water
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
 from lampest.recording.simulation.measure import OPEN_OHM, SHORT_OHM, Unmodelled, measured, random_stream, raw_sums
-from lampest.recording.simulation.pressure import Course, pressure_on_cells, remembered_ratio, travelled
+from lampest.recording.simulation.pressure import Course, pressure_on_cells, remembered_ratio
 
 
 @dataclass(frozen=True)
@@ -46,16 +46,12 @@ class Simulation(Configuration):
 
     Parameters
     ----------
-    schema : version of this format.
-    seed : every random number follows from it.
-    scene : what the estimator gets.
-    cells : the unloaded cells.
-    baseline_frames, frames : unloaded frames (role 0), then measured ones (role 1).
+    schema : version of this format. seed : every random number follows from it. scene : what the estimator gets.
+    cells : the unloaded cells. baseline_frames, frames : unloaded frames (role 0), then measured ones (role 1).
     frame_period_s : time between frames.
     loads, course : what touches the panel, and when; absent in the unloaded frames.
-    water : how deep the panel truly stands, where the scene does not tell or is wrong; None: as the scene says.
-    film : what the film truly does beside its response, where the scene does not tell or is wrong; likewise.
-    response : how the film truly answers to pressure, likewise.
+    water, film, response : how deep the panel truly stands, what the film truly does beside its response, and how it
+        answers to pressure, where the scene leaves that open or is wrong; None: as the scene says.
     unmodelled : effects that the scene does not name.
     output : where the recording goes, relative to the file that says so; see `lampest.recording.simulation.files`.
 
@@ -92,8 +88,7 @@ class Simulation(Configuration):
             raise ValueError(
                 "course.start_s must lie after the last unloaded frame, one frame_period_s before the first"
             )
-        electronic = self.unmodelled.needs_converter
-        if self.scene.readout is None and electronic:
+        if self.scene.readout is None and (electronic := self.unmodelled.needs_converter):
             raise ValueError(f"unmodelled: {', '.join(electronic)} need a readout in the scene")
         if self.scene.readout is None and self.scene.converter_memory is not None:
             raise ValueError("converter_memory needs a readout in the scene")
@@ -129,15 +124,18 @@ def simulate(simulation: Simulation, name: str = "simulated", on_frame: Callable
     >>> lampest.simulate(lampest.Simulation(schema=1, seed=1, scene=recording.scene, frames=2)).recorded.shape
     (5, 2, 3)
     """
-    frames, passes = simulation.all_frames, sum(simulation.scene.panel.networks[0].shape)
-    # Pressures, cells, their factors, readings, sums.
-    copies = 10 + (passes if simulation.unmodelled.load_speed_mm_s else 0)
-    check_memory(8.0 * copies * simulation.values, f"{frames} frames of {simulation.scene.panel.crossings} cells")
-    time = np.arange(frames) * simulation.frame_period_s
+    scene, unmodelled, frames = simulation.scene, simulation.unmodelled, simulation.all_frames
+    time, moves = np.arange(frames) * simulation.frame_period_s, bool(unmodelled.load_speed_mm_s)
+    each = scene.panel.networks[0]
+    # Pressures, cells, their factors, readings, sums; and cells while each line is read.
+    check_memory(
+        8.0 * (10 + moves * sum(each.shape)) * simulation.values, f"{frames} frames of {scene.panel.crossings} cells"
+    )
     loaded_time = time - time[simulation.baseline_frames]
     cells = cells_under(simulation, time)
-    scene, unmodelled = simulation.scene, simulation.unmodelled
-    scanned = _scanned_cells(simulation, time) if unmodelled.load_speed_mm_s else ()
+    lines = (each.columns if scene.circuit.by_columns else each.rows) if moves else 0
+    later = ((np.arange(lines) + 0.5) / max(lines, 1) - 0.5) * simulation.frame_period_s
+    scanned = [cells_under(simulation, time, float(part)) for part in later]
     recorded, sums = measured(scene, cells, unmodelled, simulation.seed, simulation.frame_period_s, scanned, on_frame)
     raw, present = raw_sums(scene.readout, sums), scene.panel.present
     return Recording(
@@ -159,12 +157,9 @@ def pressure_at(simulation: Simulation, time: Array, later_s: float = 0.0) -> Ar
 
     later_s : from the middle of the scan; loads that travel are elsewhere then, and press as much.
     """
-    water = simulation.water or simulation.scene.water
-    speed = simulation.unmodelled.load_speed_mm_s
-    along = travelled(speed, time + later_s) if speed else None
-    return pressure_on_cells(
-        simulation.scene.panel, simulation.cells.patch_mm, simulation.loads, simulation.course, water, time, along
-    )
+    panel, water = simulation.scene.panel, simulation.water or simulation.scene.water
+    speed, patch = simulation.unmodelled.load_speed_mm_s or 0.0, simulation.cells.patch_mm
+    return pressure_on_cells(panel, patch, simulation.loads, simulation.course, water, time, speed, later_s)
 
 
 def cells_under(simulation: Simulation, time: Array, later_s: float = 0.0) -> Array:
@@ -194,24 +189,15 @@ def cells_under(simulation: Simulation, time: Array, later_s: float = 0.0) -> Ar
     return cells
 
 
-def _scanned_cells(simulation: Simulation, time: Array) -> tuple[Array, ...]:
-    """The cells (frames, rows, columns) ohm while each scanned line is read, in the order of the lines."""
-    each = simulation.scene.panel.networks[0]
-    lines = each.columns if simulation.scene.circuit.by_columns else each.rows
-    later = ((np.arange(lines) + 0.5) / lines - 0.5) * simulation.frame_period_s
-    return tuple(cells_under(simulation, time, float(part)) for part in later)
-
-
 def _film_ratio(simulation: Simulation, time: Array, later_s: float) -> Array:
     """r over that of a film that is flat, in air and unloaded, (frames, rows, columns)."""
     scene, film, first = simulation.scene, simulation.true_film, time[simulation.baseline_frames]
     response = simulation.response or scene.response or PUBLISHED
+
+    def pressure(at: Array) -> Array:
+        return pressure_at(simulation, at - first, later_s)
+
     if film is None:
-        return np.asarray(
-            ratio_from_pressure(pressure_at(simulation, time - first, later_s), response) ** response.gains
-        )
+        return np.asarray(ratio_from_pressure(pressure(time), response) ** response.gains)
     water, period = water_pressure(scene.panel, simulation.water or scene.water), simulation.frame_period_s
-    ratio = remembered_ratio(
-        film, simulation.seed, lambda at: pressure_at(simulation, at - first, later_s), water, time, period, response
-    )
-    return film.lowering * ratio
+    return film.lowering * remembered_ratio(film, simulation.seed, pressure, water, time, period, response)
