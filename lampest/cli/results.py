@@ -22,9 +22,9 @@ FramesNamed = Annotated[str | None, option("--frames", "Range of frames: 40:50 i
 
 def _frames(text: str | None) -> range | None:
     """The frames that an option names; None: all. Raises InputError unless it names some."""
-    from lampest.recording.recording import frames_between
+    from lampest.recording.recording import frames_named
 
-    return None if text is None else frames_between(text)
+    return None if text is None else frames_named(text)
 
 
 def compare(

@@ -133,7 +133,7 @@ class ModulesStream(Stream):
         """As `Stream.push`; modules of which too little was read stay as they were, and are NaN in the image."""
         layout = self._layout
         kept = self.prepared or Kept.nothing(layout.count, layout.each.rows * layout.each.columns)
-        modules, steps = zip(*pushed_together(self.modules, readings.of_every_module(layout), kept), strict=True)
+        modules, steps = zip(*pushed_together(self.modules, readings.each(layout.split), kept), strict=True)
         after = replace(self, modules=modules, prepared=kept, first=False)
         return after if self.rested else after.rested_whole(), image_step(layout, steps)
 

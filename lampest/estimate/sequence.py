@@ -19,7 +19,7 @@ from lampest.estimate.weights import with_chosen_weights
 from lampest.files.errors import InputError, in_words
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
-from lampest.recording.readings import Readings, changes, strongest_frame
+from lampest.recording.readings import Readings, mean_change, strongest_frame
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
 from lampest.recording.stored import StoredRecording, first_unloaded, measured_part, of_parts, only_frames
 
@@ -235,7 +235,9 @@ def asked_frames(stored: StoredRecording) -> tuple[Recording, Recording]:
             continue
         recording = of_parts((lead, part))
         taken, own = noise_seen_in_part(recording, None), _own_frames(recording, frames)
-        size: Array = np.where(taken.enough(stored.scene)[own], changes(taken.plain_values[own], resting.value), -1.0)
+        size: Array = np.where(
+            taken.enough(stored.scene)[own], mean_change(taken.plain_values[own], resting.value), -1.0
+        )
         at = int(np.argmax(size))
         assert recording.number is not None
         best = max(best, (float(size[at]), int(recording.number[own[at]])))

@@ -130,7 +130,7 @@ class Stream(SequenceState):
 
     def _change(self, readings: Readings) -> float:
         """How far a frame is from rest."""
-        return mean_change(readings.plain_values, self.resting.value)
+        return float(mean_change(readings.plain_values, self.resting.value))
 
     def sequence(
         self, resting: Readings, readings: Readings, on_frame: Callable[[], None]

@@ -1,6 +1,6 @@
 """What a board adds to a recording's frames: clocks, numbers, gaps, events, and checksums until the file is closed.
 
-A recorder appends rows, and after them the checksum of each: one that is there vouches for all of its row.
+A recorder appends rows, and after them the checksum of each.
 """
 
 from collections.abc import Sequence
@@ -42,16 +42,10 @@ AT_ONCE = 1000  # frames that are looked at together
 class Acquisition(Validated):
     """Where each frame came from.
 
-    Parameters
-    ----------
     host_time : (frames) s since 1970-01-01 UTC, when the frame arrived.
     device_ms : (frames) ms, the board's clock at the start of the scan; begins again after a reset.
-    sequence : (frames) number of the frame since the board was started.
-    missed : (frames) scans that the board could not begin in time.
-    lost : (frames) frames that are missing before this one; the gaps.
-    session : (frames) grows by one where the board was unplugged or restarted.
-    event_time : (events) s on the recording's time axis.
-    event_label : (events) texts of at most 16 ASCII characters.
+    sequence, missed, lost, session : (frames) as `FRAME_FIELDS` says.
+    event_time, event_label : (events) s on the recording's time axis; texts of at most 16 ASCII characters.
 
     Raises InputError where the lengths disagree.
     """
@@ -84,10 +78,7 @@ class Acquisition(Validated):
             hdf5.write_dataset(group, "event_label", labels, "1", "what was marked")
 
     def start(self, first: float) -> str | None:
-        """Date and time at 0 s by the host's clock, ISO 8601 in UTC; None where it has none.
-
-        first : of the first frame on the time axis, s.
-        """
+        """Date and time at 0 s by the host's clock, ISO 8601 in UTC, or None; first : time of the first frame, s."""
         seconds = float(self.host_time[0]) - first
         try:
             return datetime.fromtimestamp(seconds, UTC).isoformat(timespec="milliseconds") if seconds > 0 else None
@@ -144,6 +135,9 @@ def undamaged_frames(file: h5py.File, scene: Scene, group: str) -> slice:
 def damaged_frames(file: h5py.File, scene: Scene, group: str) -> tuple[int, NDArray[np.intp]]:
     """(frames written, numbers of the damaged ones) of an unfinished file."""
     paths = frame_paths(group.removeprefix("/entry/"), scene.circuit.signal)
+    readings = int(hdf5.read_number(file, "/entry/raw", "readings"))
+    if scene.readout is None or readings < 1:
+        raise InputError(f"{file.filename}: has no readout, and was never recorded from a board")
     written = min(hdf5.length_of(file, f"/entry/{path}") for path in paths)
     checked = hdf5.has(file, f"/entry/{FRAME_CHECKSUM}")
     frames = hdf5.length_of(file, f"/entry/{FRAME_CHECKSUM}") if checked else written
@@ -154,7 +148,7 @@ def damaged_frames(file: h5py.File, scene: Scene, group: str) -> tuple[int, NDAr
         recorded, sums = columns[0], columns[paths.index(SUMS)]
         if sums.shape != recorded.shape or recorded.ndim != 3:
             raise InputError(f"{file.filename}: /entry/raw/sums has another shape than the frames")
-        expected = _recorded(file, scene, sums)
+        expected = recorded_of_sums(scene, sums, readings)
         differs = np.any((expected != recorded) & ~(np.isnan(expected) & np.isnan(recorded)), axis=(1, 2))
         if checked:
             differs |= checksums(columns) != stored_rows(file, (FRAME_CHECKSUM,), part)[0]
@@ -169,9 +163,8 @@ def damaged_frames(file: h5py.File, scene: Scene, group: str) -> tuple[int, NDAr
 
 def whole_events(file: h5py.File) -> NDArray[np.bool_]:
     """Which events are what was written; all, where there are no checksums."""
-    events = min(
-        hdf5.length_of(file, f"/entry/{path}") if hdf5.has(file, f"/entry/{path}") else 0 for path in EVENT_PATHS
-    )
+    paths = [f"/entry/{path}" for path in EVENT_PATHS]
+    events = min(hdf5.length_of(file, path) if hdf5.has(file, path) else 0 for path in paths)
     if not hdf5.has(file, f"/entry/{EVENT_CHECKSUM}"):
         return np.ones(events, dtype=np.bool_)
     count = hdf5.length_of(file, f"/entry/{EVENT_CHECKSUM}")
@@ -183,21 +176,14 @@ def whole_events(file: h5py.File) -> NDArray[np.bool_]:
 
 def stored_rows(file: h5py.File, paths: Sequence[str], part: slice) -> list[NDArray[Any]]:
     """Some rows of datasets below /entry, as they stand in the file. Raises InputError where one cannot be read."""
-    return [_rows(file, f"/entry/{path}", part) for path in paths]
 
-
-def _rows(file: h5py.File, path: str, part: slice) -> NDArray[Any]:
-    if path.endswith("label"):
+    def rows(path: str) -> NDArray[Any]:
+        if not path.endswith("label"):
+            return np.asarray(hdf5.read_array(file, path, (1, 3), part=part))
         texts = hdf5.read_texts(file, path, part=part)
         return np.array([text.encode() for text in texts], dtype=f"S{LABEL_BYTES}")
-    return np.asarray(hdf5.read_array(file, path, (1, 3), part=part))
 
-
-def _recorded(file: h5py.File, scene: Scene, sums: NDArray[Any]) -> Array:
-    readings = int(hdf5.read_number(file, "/entry/raw", "readings"))
-    if scene.readout is None or readings < 1:
-        raise InputError(f"{file.filename}: has no readout, and was never recorded from a board")
-    return recorded_of_sums(scene, sums, readings)
+    return [rows(f"/entry/{path}") for path in paths]
 
 
 def recorded_of_sums(scene: Scene, sums: NDArray[Any], readings: int) -> Array:

@@ -1,6 +1,4 @@
-"""Recordings and files that travel with lampest: examples to try it on, the runs and scenes that made them.
-
-In a checkout they are the folders `configs/` and `data/`; a wheel carries the same two in `lampest/shipped/`.
+"""Recordings and files that travel with lampest: in a checkout `configs/` and `data/`, in a wheel `lampest/shipped/`.
 
 >>> lampest.datasets.names()[-2:]
 ('ring', 'rod')
@@ -26,12 +24,10 @@ def names() -> tuple[str, ...]:
 
 
 def load(name: str) -> Recording:
-    """A shipped recording: simulated, with its scene and its truth.
+    """A shipped recording: simulated, with its scene and its truth. Raises InputError where there is none of that name.
 
     >>> lampest.datasets.load("lamprey_35mm").resistance.shape  # frames, rows, columns; ohm
     (24, 10, 10)
-
-    Raises InputError where there is none of that name.
     """
     if name not in names():
         raise InputError(f"there is no recording {name!r} in lampest; there are {', '.join(names())}")

@@ -1,4 +1,4 @@
-"""What recorded values say to an estimator: numbers, bounds, or nothing. All values, of a file or not, come in here."""
+"""What recorded values, of a file or not, say to an estimator: numbers, bounds, or nothing."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -20,7 +20,7 @@ NEAR = 3.0  # σ: a resistance so near to zero is only small; a bound so near to
 
 @dataclass(frozen=True, eq=False)
 class StandIn:
-    """Of one frame (rows, columns), or of several: what the readings that are known let expect of the others."""
+    """What the known readings of a frame (…, rows, columns) let expect of the others; NaN where unknown."""
 
     logarithm: Array
 
@@ -31,12 +31,12 @@ class StandIn:
 
     @property
     def value(self) -> Array:
-        """exp(m + a_j + b_k), (rows, columns); 1 throughout where nothing is known."""
-        return np.exp(self._expected[0])
+        """exp(m + a_j + b_k); 1 throughout where nothing is known."""
+        return np.exp(_polished(self.logarithm)[0])
 
-    @cached_property
+    @property
     def spread(self) -> Array:
-        """(rows, columns) standard deviation of the value's logarithm; 1 throughout where nothing is known.
+        """(rows, columns) of one frame: standard deviation of the value's logarithm; 1 where nothing is known.
 
         Cross-validated, one diagonal left out after the other: the rms, or more where that does not cover 95 % of them.
         A line without any known reading has the variance of the others' effects on top.
@@ -50,31 +50,25 @@ class StandIn:
         stray = np.abs(alone - self.logarithm)[known]
         size = max(np.sqrt(np.mean(stray**2)), np.quantile(stray, 0.95, method="higher") / 1.96)
         # Below, a frame is a simulation without noise.
-        return np.asarray(np.maximum(np.sqrt(size**2 + self._expected[1]), 1e-3))
-
-    @cached_property
-    def _expected(self) -> tuple[Array, Array]:
-        return _polished(self.logarithm)
+        return np.asarray(np.maximum(np.sqrt(size**2 + _polished(self.logarithm)[1]), 1e-3))
 
 
 def _polished(rest: Array) -> tuple[Array, Array]:
     """Median polish of log y: (m + a_j + b_k, variance of effects of unknown lines), any shape + (rows, columns)."""
     # Source: Tukey, Exploratory Data Analysis, 1977, chapter 11.
-    unknown = np.isnan(rest)
-    level = _median(rest, (-2, -1))
-    rest = rest - level
+    unknown, expected, between = np.isnan(rest), _median(rest, (-2, -1)), np.zeros(rest.shape)
+    rest = rest - expected
     effects = {axis: np.zeros_like(_median(rest, axis)) for axis in (-1, -2)}
     for _ in range(6):  # panels of 3 × 3 to 64 × 64 with holes change by less than their spread after two
         for axis in effects:
             step = _median(rest, axis)
             effects[axis], rest = effects[axis] + step, rest - step
-    expected, between = level, np.zeros(rest.shape)
-    for axis, other in ((-1, -2), (-2, -1)):
-        known = ~unknown.all(axis=axis, keepdims=True)
+    for axis, effect in effects.items():
+        known, other = ~unknown.all(axis=axis, keepdims=True), -3 - axis
         count = np.maximum(known.sum(axis=other, keepdims=True), 1)
-        mean = np.where(known, effects[axis], 0.0).sum(axis=other, keepdims=True) / count
-        square = np.where(known, (effects[axis] - mean) ** 2, 0.0).sum(axis=other, keepdims=True) / count
-        expected = expected + np.where(known, effects[axis], mean)
+        mean = np.where(known, effect, 0.0).sum(axis=other, keepdims=True) / count
+        square = np.where(known, (effect - mean) ** 2, 0.0).sum(axis=other, keepdims=True) / count
+        expected = expected + np.where(known, effect, mean)
         between = between + np.where(known, 0.0, square)
     return expected, between
 
@@ -89,8 +83,8 @@ def _median(values: Array, axis: int | tuple[int, int]) -> Array:
 class Readings:
     """Readings of the network alone, any leading shape + (rows, columns), in the readout's unit (ohm or volt).
 
-    value : positive; where nothing is seen, what its row and column let expect stands in (see `StandIn`), 1 in a frame
-    that shows nothing. sigma : the same unit, or None; where nothing is seen the frame's geometric mean.
+    value : positive; where nothing is seen, what its row and column let expect (`StandIn`).
+    sigma : the same unit, or None; where nothing is seen the frame's geometric mean.
     side : 0 a value, 1 the truth is at least this, -1 at most. seen : 1, or 0 where it is missing.
 
     >>> lampest.Readings.of(recording.scene, recording.recorded).value.shape
@@ -110,12 +104,8 @@ class Readings:
         beyond a rail of the converter, infinity, and a resistance that is below three σ once the series resistance is
         off. Bounds without a number are the largest or smallest value of their frame.
 
-        Parameters
-        ----------
-        scene : what was measured, and how.
         recorded : what the readout's equation gives: ohm of two-point readouts, series resistance included; else volt.
         sigma : same shape or (rows, columns), same unit, or None: then the readout's.
-
         Raises InputError where shapes disagree, or a σ is zero or negative.
         """
         if not isinstance(scene, Scene):
@@ -129,7 +119,12 @@ class Readings:
             return plain
         within, side = _within_rails(scene, recorded)
         if scene.converter_memory is not None:
-            within, sigma, side = _without_memory(scene, scene.converter_memory, within, sigma, side)
+            if scene.readout is None:
+                raise InputError("converter_memory needs a readout in the scene, of whose voltages it is a fraction")
+            known = scene.readout.sigma(within) if sigma is None else np.broadcast_to(sigma, within.shape)
+            freed, sigma = without_memory(scene.readout, scene.converter_memory, within, known)
+            within, beyond = _within_rails(scene, freed)
+            side = np.where(side == VALUE, beyond, side)
         noise = _noise(scene, within, sigma)
         network, side = scene.circuit.from_recorded(within, scene), side * scene.circuit.direction
         seen = np.where(np.isnan(recorded), 0.0, 1.0)
@@ -138,7 +133,10 @@ class Readings:
         if not scene.whole:
             seen[..., scene.blind] = 0.0
         if scene.circuit.unit == "ohm":
-            least = np.zeros_like(network) if noise is None else NEAR * _least_noise(scene, noise)
+            least = np.zeros_like(network) if noise is None else NEAR * noise
+            if noise is not None and scene.readout is not None:  # where nothing but the series resistance is read
+                series = scene.readout.sigma(np.broadcast_to(scene.series_ohm, scene.panel.shape))
+                least = NEAR * np.minimum(noise, series)
             small = (network <= least) & (side != AT_LEAST)
             side = np.where(small, AT_MOST, side)
             if noise is not None:
@@ -164,25 +162,28 @@ class Readings:
         value, side, seen, deviation = map(layout.joined, maps)
         return cls(value, deviation if known else None, side, seen)
 
+    def each(self, change: Callable[[Array], Array]) -> "Readings":
+        """The readings with all four arrays changed alike, such as `layout.split`."""
+        sigma = None if self.sigma is None else change(self.sigma)
+        return Readings(change(self.value), sigma, change(self.side), change(self.seen))
+
     def of_module(self, layout: Modules, number: int) -> "Readings":
         """Those of one module of the image."""
         return self[(..., *layout.cells(number))]
 
-    def of_every_module(self, layout: Modules) -> "Readings":
-        """(…, modules, rows, columns) those of all modules of the image."""
-        sigma = None if self.sigma is None else layout.split(self.sigma)
-        return Readings(layout.split(self.value), sigma, layout.split(self.side), layout.split(self.seen))
-
     @classmethod
     def of_parts(cls, layout: Modules, parts: Sequence["Readings"]) -> "Readings":
         """The readings of the whole image from those of its modules, in the order of their numbers."""
-        return cls._stacked(parts, lambda arrays: layout.joined(np.stack(arrays, axis=-3)))
+        return parts[0].together(*parts[1:], axis=-3).each(layout.joined)
 
-    @classmethod
-    def _stacked(cls, parts: Sequence["Readings"], stack: Callable[[list[Array]], Array]) -> "Readings":
+    def together(self, *others: "Readings", axis: int = 0) -> "Readings":
+        """Frames (rows, columns) as (frames, rows, columns); σ is unknown where one of theirs is."""
+        parts = (self, *others)
+        value, side, seen = (
+            np.stack([getattr(part, name) for part in parts], axis) for name in ("value", "side", "seen")
+        )
         known = [part.sigma for part in parts if part.sigma is not None]
-        value, side, seen = (stack([getattr(part, name) for part in parts]) for name in ("value", "side", "seen"))
-        return cls(value, stack(known) if len(known) == len(parts) else None, side, seen)
+        return Readings(value, np.stack(known, axis) if len(known) == len(parts) else None, side, seen)
 
     @classmethod
     def _plain(cls, scene: Scene, recorded: Array) -> "Readings | None":
@@ -202,8 +203,7 @@ class Readings:
 
     def __getitem__(self, frames: Any) -> "Readings":
         """The readings of some frames."""
-        sigma = None if self.sigma is None else self.sigma[frames]
-        return Readings(self.value[frames], sigma, self.side[frames], self.seen[frames])
+        return self.each(lambda part: part[frames])
 
     @property
     def plain(self) -> NDArray[np.bool_]:
@@ -230,11 +230,8 @@ class Readings:
         return np.where(self.seen > 0, self.value, np.nan)
 
     def enough(self, scene: Scene) -> NDArray[np.bool_]:
-        """Whether a frame can be estimated, of the leading shape: half of its readings are values, or M + N − 1 are.
-
-        So many numbers describe a panel whose lines alone differ. Crossings without a cell, and readings that the
-        scene's faults make blind, do not count.
-        """
+        """Whether a frame can be estimated, of the leading shape: half of the scene's asked readings are values, or
+        M + N − 1 are, which describe a panel whose lines alone differ."""
         if not self.partial:
             return np.ones(self.value.shape[:-2], dtype=bool)
         asked = scene.asked
@@ -253,10 +250,10 @@ class Readings:
         return None if self.sigma is None else np.where(self.plain, self.sigma, np.inf)
 
     def mean(self) -> "Readings":
-        """The mean over frames (frames, rows, columns), cell by cell over those that say something.
+        """The mean over frames (frames, rows, columns), cell by cell over values.
 
-        It is that of the values, unless bounds outnumber them or lie within NEAR σ of their mean: then the mean of all
-        is a bound. Bounds of both sides alone count as missing.
+        Where bounds outnumber these or lie within NEAR σ of their mean, the mean of all is a bound. Bounds of both
+        sides alone count as missing.
         """
         value, bound = self.plain, self.bounds
         of_values, deviation = _averaged(self.value, self.sigma, value)
@@ -272,34 +269,23 @@ class Readings:
             return Readings(mean, None, side, seen)
         return Readings(mean, _filled(np.where(among, deviation_of_all, deviation), seen), side, seen)
 
-    def together(self, *others: "Readings") -> "Readings":
-        """Frames (rows, columns) as (frames, rows, columns); σ is unknown where one of theirs is."""
-        return self._stacked((self, *others), np.stack)
-
     def alone(self) -> "Readings":
         """One frame (rows, columns) as (1, rows, columns)."""
         return self[None]
 
 
-def mean_change(value: Array, resting: Array) -> float:
-    """mean |log y/y₀| of one frame, both (rows, columns) of the network; NaN does not count."""
+def mean_change(value: Array, resting: Array) -> Array:
+    """mean |log y/y₀| of each frame (…, rows, columns), resting (rows, columns) of the network; NaN does not count."""
     with np.errstate(divide="ignore", invalid="ignore"):
         change = np.abs(np.log(value / resting))
     known = np.isfinite(change)
-    return float(np.sum(change[known]) / max(np.sum(known), 1))
-
-
-def changes(value: Array, resting: Array) -> Array:
-    """The same of many frames (frames, rows, columns), (frames)."""
-    return np.array([mean_change(frame, resting) for frame in value])
+    whole = np.where(known, change, 0.0).sum(axis=(-2, -1))
+    return np.asarray(whole / np.maximum(known.sum(axis=(-2, -1)), 1))
 
 
 def strongest_frame(value: Array, resting: Array, frames: NDArray[np.intp]) -> int:
-    """argmax of mean |log y/y₀| over those of the frames: where readings differ most from the unloaded ones.
-
-    value (frames, rows, columns) and resting (rows, columns) of the network; NaN does not count.
-    """
-    change = changes(value[frames], resting)
+    """argmax of mean |log y/y₀| over those of the frames: where readings differ most from the unloaded ones."""
+    change = mean_change(value[frames], resting)
     return int(frames[np.flatnonzero(change == change.max())[-1]])
 
 
@@ -338,25 +324,6 @@ def _within_rails(scene: Scene, recorded: Array) -> tuple[Array, Array]:
     return np.clip(recorded, least, largest), side
 
 
-def _without_memory(
-    scene: Scene, fraction: float, within: Array, sigma: Array | None, side: Array
-) -> tuple[Array, Array, Array]:
-    """(recorded values, their σ, side) as if the converter remembered nothing; a bound stays one."""
-    if scene.readout is None:
-        raise InputError("converter_memory needs a readout in the scene, of whose voltages it is a fraction")
-    known = scene.readout.sigma(within) if sigma is None else np.broadcast_to(sigma, within.shape)
-    freed, noise = without_memory(scene.readout, fraction, within, known)
-    freed, beyond = _within_rails(scene, freed)
-    return freed, noise, np.where(side == VALUE, beyond, side)
-
-
-def _least_noise(scene: Scene, sigma: Array) -> Array:
-    """The noise where nothing but the series resistance is read; that of a large resistance says no such thing."""
-    if scene.readout is None:
-        return sigma
-    return np.minimum(sigma, scene.readout.sigma(np.broadcast_to(scene.series_ohm, scene.panel.shape)))
-
-
 def _numbered(network: Array, seen: Array) -> tuple[Array, Array]:
     """Bounds without a number get the largest and the smallest value of their frame; where it has none, seen is 0."""
     known = (seen > 0) & np.isfinite(network) & (network > 0)
@@ -370,12 +337,10 @@ def _numbered(network: Array, seen: Array) -> tuple[Array, Array]:
 
 def _averaged(value: Array, sigma: Array | None, counted: NDArray[np.bool_]) -> tuple[Array, Array | None]:
     """The mean over the counted frames and its σ, (rows, columns); 1 where no frame counts."""
-    count = np.maximum(counted.sum(axis=0), 1)
-    blank = ~counted.any(axis=0)
+    count, blank = np.maximum(counted.sum(axis=0), 1), ~counted.any(axis=0)
     mean = np.where(counted, value, 0.0).sum(axis=0) / count + blank
-    if sigma is None:
-        return mean, None
-    return mean, np.sqrt(np.where(counted, sigma**2, 0.0).sum(axis=0)) / count + blank
+    noise = None if sigma is None else np.sqrt(np.where(counted, sigma**2, 0.0).sum(axis=0)) / count + blank
+    return mean, noise
 
 
 def _standing_in(value: Array, side: Array, whole: Array, seen: Array | None = None) -> Array:

@@ -37,21 +37,20 @@ class Recording(Validated):
     Parameters
     ----------
     scene : panel, readout and series resistance as the estimator gets them.
-    recorded : (frames, rows, columns) what the readout's equation gives: ohm of two-point readouts, series resistance
-        included; else volt at the converter.
+    recorded : (frames, rows, columns) ohm of two-point readouts, series resistance included; else volt at the
+        converter. Missing: NaN. For bounds see `Readings.of`.
     time : (frames) s.
     role : (frames) 0 unloaded baseline, 1 measured.
     sigma : (frames, rows, columns) or (rows, columns), the same unit, or None: then the readout's.
     truth_cell_resistance, truth_pressure : (frames, rows, columns) ohm and kPa, or None.
     raw_sums, raw_readings : (frames, rows, columns) sums of that many ADC codes, or None.
     name : what results call it (the file's stem).
-    simulation : for simulated ones, all that made them, as YAML text, or None.
-    acquisition : for those from a board, its clocks, gaps and events, or None.
-    start_time : date and time at 0 s, ISO 8601, with its zone where that is known; None where it is not.
+    simulation : of simulated ones, all that made them, as YAML text, or None.
+    acquisition : of those from a board, its clocks, gaps and events, or None.
+    start_time : date and time at 0 s, ISO 8601, with its zone where that is known, or None.
     number : (frames) which of a longer recording's frames these are; None: all there are.
 
-    A missing reading is NaN; one at a rail, infinite, zero or below the series resistance stays as it is and
-    counts as a bound (see `Readings.of`). Raises InputError where shapes disagree, or a σ is zero or negative.
+    Raises InputError where shapes disagree, times decrease, or a σ is zero or negative.
 
     >>> recording
     Recording(mine: 4 frames (2 unloaded) of 2 × 3 cells, 0 to 3 s)
@@ -105,10 +104,8 @@ class Recording(Validated):
     def __repr__(self) -> str:
         """In one line: '24 frames (3 unloaded) of 10 × 10 cells'."""
         unloaded, (rows, columns) = int(np.sum(self.role == UNLOADED)), self.scene.panel.shape
-        span = f"{self.time.min():g} to {self.time.max():g} s"
-        return (
-            f"Recording({self.name}: {len(self.role)} frames ({unloaded} unloaded) of {rows} × {columns} cells, {span})"
-        )
+        frames, span = f"{len(self.role)} frames ({unloaded} unloaded)", f"{self.time.min():g} to {self.time.max():g} s"
+        return f"Recording({self.name}: {frames} of {rows} × {columns} cells, {span})"
 
     def _check_unit(self) -> None:
         """Raise InputError where kohm were meant: all readings are below the resistance in series, without raw sums."""
@@ -141,7 +138,7 @@ class Recording(Validated):
 
     @classmethod
     def load(cls, path: str | Path, part: slice = hdf5.ALL) -> "Recording":
-        """Read a recording file, finished or not; of a finished one also some frames that follow each other.
+        """A recording file, finished or not; of a finished one also some frames that follow each other.
 
         Raises InputError with the dataset's path where it is wrong.
         """
@@ -222,8 +219,7 @@ class Recording(Validated):
         words = "0 unloaded baseline, 1 measured"
         hdf5.write_dataset(group, "role", role, "1", words, ("time",), **flags, flag_meanings="unloaded measured")
         if self.truth_cell_resistance is not None:
-            truth = self._frames_group(entry, "truth", "cell_resistance")
-            cells = self.truth_cell_resistance
+            truth, cells = self._frames_group(entry, "truth", "cell_resistance"), self.truth_cell_resistance
             hdf5.write_dataset(truth, "cell_resistance", cells, "ohm", "true cell resistance", axes)
             if self.truth_pressure is not None:
                 hdf5.write_dataset(truth, "pressure", self.truth_pressure, "kPa", "true pressure on the cells", axes)
@@ -295,19 +291,14 @@ def coordinates(panel: Panel) -> dict[str, tuple[tuple[str, ...], NDArray[Any], 
 
     y goes by the row and x by the column; both by the cell where cells are listed, NaN where there is none.
     """
-    rows, columns = panel.shape
-    found = {
-        "row": (("row",), np.arange(rows), "1", "row line"),
-        "column": (("column",), np.arange(columns), "1", "column line"),
-    }
+    lines = zip(("row", "column"), map(np.arange, panel.shape), strict=True)
+    found = {line: ((line,), number, "1", f"{line} line") for line, number in lines}
     if panel.cells is not None:
         places = zip("xy", panel.places_mm, strict=True)
         return found | {name: (("row", "column"), at, "mm", "position of the cell") for name, at in places}
     x, y = panel.centres_mm()
-    return found | {
-        "y": (("row",), y, "mm", "position of the row"),
-        "x": (("column",), x, "mm", "position of the column"),
-    }
+    axes = (("y", "row", y), ("x", "column", x))
+    return found | {name: ((line,), at, "mm", f"position of the {line}") for name, line, at in axes}
 
 
 def group_of(circuit: Readout) -> str:
@@ -315,36 +306,25 @@ def group_of(circuit: Readout) -> str:
     return "two_point" if circuit.unit == "ohm" else "readings"
 
 
-def frames_named(text: str, frames: int) -> range:
+def frames_named(text: str, frames: int | None = None) -> range:
     """'40:50' → frames 40 to 49 as Python counts, from 0 on; either side may be left out.
 
-    Raises InputError unless these are frames of a recording with so many.
-    """
-    named = frames_between(text, frames)
-    first, end = named.start, named.stop
-    if not first < end <= frames:
-        raise InputError(f"--frames {text}: the recording has frames 0 to {frames - 1}, and some must be named")
-    return range(first, end)
-
-
-def frames_between(text: str, most: int = sys.maxsize) -> range:
-    """The same of a recording of unknown length; most : where no end is named.
-
-    Raises InputError unless the text names frames.
+    Raises InputError unless the text names frames, of a recording with so many where that is known.
     """
     match = re.fullmatch(r"\s*(\d{0,9})\s*:\s*(\d{0,9})\s*", text)
     if match is None:
         raise InputError(f"--frames must be FIRST:END such as 40:50, which is 40 to 49, not {text!r}")
-    return range(int(match[1] or 0), int(match[2] or most))
+    named = range(int(match[1] or 0), int(match[2] or frames or sys.maxsize))
+    if frames is not None and not named.start < named.stop <= frames:
+        raise InputError(f"--frames {text}: the recording has frames 0 to {frames - 1}, and some must be named")
+    return named
 
 
 def tared(recording: Recording, frames: range) -> tuple[Recording, float]:
     """(the recording whose unloaded frames are these and no others, how much its readings change within them).
 
-    All other frames are measured ones, those that were unloaded before, too; no reading changes. The change is the
-    largest over the cells, relative, from the first half of the frames to the second; 0 for a single frame.
-
-    Raises InputError where no frame would be left to measure.
+    The change is the largest over the cells, relative, from the first half of the frames to the second; 0 for a single
+    frame. Raises InputError where no frame would be left to measure.
     """
     if len(frames) == len(recording.role):
         raise InputError(f"{recording.name}: where all frames are unloaded, none is left to measure")

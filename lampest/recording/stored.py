@@ -22,7 +22,7 @@ BLOCK = 500_000  # readings of a part, where a recording has more
 
 @dataclass(frozen=True, eq=False)
 class StoredRecording:
-    """path : of its file, finished or not. frames : how many it holds. start_time : as `Recording` has it."""
+    """path : of its file, finished or not. frames : how many. length : of a part. start_time : as of `Recording`."""
 
     path: Path
     scene: Scene
@@ -66,25 +66,22 @@ class StoredRecording:
 
 def only_frames(recording: Recording, frames: NDArray[np.bool_]) -> Recording:
     """Some frames of a part (frames); what a board adds, and raw sums, are left out."""
-    each: dict[str, Any] = {name: getattr(recording, name)[frames] for name in _of_each_frame(recording)}
-    return replace(recording, **each, raw_sums=None, raw_readings=None, acquisition=None)
+    return _each_frame((recording,), frames)
 
 
 def of_parts(parts: Sequence[Recording]) -> Recording:
-    """Parts of one recording in the order of its frames, each frame once."""
+    """Parts of one recording in the order of its frames, each frame once; the same is left out."""
     numbers = np.concatenate([part.number for part in parts if part.number is not None])
-    _, order = np.unique(numbers, return_index=True)
-    each: dict[str, Any] = {
-        name: np.concatenate([getattr(part, name) for part in parts])[order] for name in _of_each_frame(parts[0])
-    }
-    return replace(parts[0], **each)
+    return _each_frame(parts, np.unique(numbers, return_index=True)[1])
 
 
-def _of_each_frame(recording: Recording) -> list[str]:
-    """The fields that hold something for each frame, but for raw sums."""
+def _each_frame(parts: Sequence[Recording], chosen: NDArray[Any]) -> Recording:
+    first = parts[0]
     names = ["recorded", "time", "role", "number", "truth_cell_resistance", "truth_pressure"]
-    names += ["sigma"] if recording.sigma is not None and recording.sigma.ndim == 3 else []
-    return [name for name in names if getattr(recording, name) is not None]
+    names += ["sigma"] if first.sigma is not None and first.sigma.ndim == 3 else []
+    held = [name for name in names if getattr(first, name) is not None]
+    each: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts])[chosen] for name in held}
+    return replace(first, **each, raw_sums=None, raw_readings=None, acquisition=None)
 
 
 def first_unloaded(stored: StoredRecording, most: int) -> Recording | None:
