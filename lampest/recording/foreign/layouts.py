@@ -93,7 +93,6 @@ def _frames_in_lines(table: ReadingsTable, shape: Shape, named: tuple[Cells, str
             times = [0]  # one field more than cells; where a header leaves it without a name it is a counter
         named = dict(zip(rest, np.ndindex(shape), strict=True)), "cells row by row"
     fields = sorted(named[0])
-    table.checked(fields)
     rows, columns = np.transpose([named[0][field] for field in fields])
     unused = [names[field] for field in range(table.width) if field not in fields and field not in times]
     left = f"; left out: {', '.join(name or 'a column without a name' for name in unused[:5])}" if unused else ""
@@ -135,15 +134,12 @@ def _indices(table: ReadingsTable, field: int) -> Index:
     """The same as whole numbers. Raises InputError where one is none."""
     values = _line_numbers(table, field)
     bad = ~np.isfinite(values) | (values != np.round(values)) | (np.abs(values) > np.iinfo(np.int32).max)
-    if np.any(bad):
-        at = int(np.argmax(bad))
-        raise InputError(f"{table.place(at, field)}: {table.fields[at, field][:40] or 'nothing'} is no index")
+    table.refuse(bad, field, "{0} is no index")
     return values.astype(np.intp)
 
 
 def _frames_of_single_values(table: ReadingsTable, shape: Shape, order: dict[str, int]) -> Frames:
     """Frames from lines that hold row, column and value, and the frame's number or time; others are missing."""
-    table.checked([order["value"]])
     rows, columns, first = _cells_of_lines(table, order, shape)
     cells = rows * shape[1] + columns
     frames, how = _frame_numbers(table, cells, order)
@@ -176,11 +172,8 @@ def _cells_of_lines(table: ReadingsTable, order: dict[str, int], shape: Shape) -
         rows, columns = _indices(table, order["row"]), _indices(table, order["column"])
     first = int(min(rows.min(), columns.min()) > 0)
     for name, values, size in (("row", rows, shape[0]), ("column", columns, shape[1])):
-        bad = (values < first) | (values >= first + size)
-        if np.any(bad):
-            at = int(np.argmax(bad))
-            place = table.place(at, order.get(name, order.get("cell")))
-            raise InputError(f"{place}: {name} {values[at]} is beyond the panel's {first} to {first + size - 1}")
+        name, bad = name if name in order else "cell", (values < first) | (values >= first + size)
+        table.refuse(bad, order[name], f"{name} {{0}} is beyond the panel's {first} to {first + size - 1}")
     return rows - first, columns - first, first
 
 
@@ -218,7 +211,6 @@ def _frames_in_blocks(table: ReadingsTable, shape: Shape) -> Frames:
     labels, times = _before_the_row(table, extra, shape[0])
     columns, order = _column_order(table, extra, shape[1])
     fields = list(range(extra, table.width))
-    table.checked(fields)
     title, left_out = None, ""
     if labels is None:
         frame, row, begins, left_out, title = _blocks(table, shape[0])
@@ -248,11 +240,9 @@ def _before_the_row(table: ReadingsTable, extra: int, rows: int) -> tuple[Index 
         return None, [labelled[-1]]
     first = 0 if numbers.min() == 0 else 1
     bad = (numbers < 0) | (numbers - first >= rows)
-    if np.any(bad):
-        at = int(np.argmax(bad))
-        raise InputError(f"{table.place(at, labelled[-1])}: {texts[at][:40]!r} is none of the panel's {rows} rows")
-    if any(re.fullmatch(COLUMN, word) for word, _ in lines):
-        raise InputError(f"{table.place(0, labelled[-1])}: {texts[0]!r} names a column; --transpose swaps the two")
+    table.refuse(bad, labelled[-1], f"{{0!r}} is none of the panel's {rows} rows")
+    columns = np.array([re.fullmatch(COLUMN, word) is not None for word, _ in lines])
+    table.refuse(columns, labelled[-1], "{0!r} names a column; --transpose swaps the two")
     return numbers - first, times
 
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from lampest.files.errors import InputError, extra
 from lampest.panel.panel import Array
 from lampest.recording.foreign.arrays import Frames, Index, Shape, Timing, check_archive, check_count, reading
-from lampest.recording.foreign.words import Numerals, clock_of, is_stamp, line_of, role_of
+from lampest.recording.foreign.words import clock_of, has_decimal_comma, is_stamp, line_of, number_of, role_of
 
 MOST_FIELDS = 10_000_000  # 50 bytes each in memory
 SAMPLED = 50_000  # characters or fields of a file's beginning that decide how it is written
@@ -100,7 +100,7 @@ def lines_of_text(path: Path) -> FieldLines:
     Raises InputError with the line where the file is no text, is too large, or a quotation mark is not closed.
     """
     text, notes = _decoded(path)
-    read: list[tuple[int, str, str]] = []
+    read: list[FieldLine] = []
     for number, line in enumerate(re.split(r"\r\n|\r|\n", text), 1):
         if len(line) > 1_000_000:
             raise InputError(f"{path}:{number}: longer than 1000000 characters, which no table is")
@@ -108,17 +108,16 @@ def lines_of_text(path: Path) -> FieldLines:
         rest = line[stamped.end() :] if stamped else line.strip(" ")
         rest = rest.translate(BRACKETS) if LISTED.match(rest) else rest
         if rest.strip().strip(" \t;,"):
-            read.append((number, rest, stamped[1] if stamped else ""))
-    delimiter = _delimiter([rest for _, rest, _ in read if not COMMENT.match(rest)])
+            read.append(FieldLine(number, [rest], stamped[1] if stamped else ""))
+    delimiter = _delimiter([line.texts[0] for line in read if not COMMENT.match(line.texts[0])])
     notes.insert(0, f"fields separated by {DELIMITERS[delimiter]}")
-    notes += ["a terminal's time before the lines"] if any(stamp for _, _, stamp in read) else []
-    lines = _lines(
-        str(path),
-        "line",
-        lambda number, field: f"{path}:{number}" + ("" if field is None else f":{field + 1}"),
-        notes,
-        (FieldLine(number, _split(path, number, rest, delimiter), stamp) for number, rest, stamp in read),
-    )
+    notes += ["a terminal's time before the lines"] if any(line.stamp for line in read) else []
+
+    def at(number: int, field: int | None) -> str:
+        return f"{path}:{number}" + ("" if field is None else f":{field + 1}")
+
+    split = (line._replace(texts=_split(at(line.number, None), line.texts[0], delimiter)) for line in read)
+    lines = _lines(str(path), "line", at, notes, split)
     if len(read) > 1 and not text.endswith(("\r", "\n")) and lines.counts[-1] < np.median(lines.counts):
         lines.fields[-1, lines.counts[-1] - 1] = ""  # the file ends within a line
         note = f"the last number of line {lines.numbers[-1]} is cut off and missing"
@@ -153,14 +152,14 @@ def _delimiter(lines: Sequence[str]) -> str:
 
     def numbers(sign: str) -> tuple[int, bool]:
         fields = [field.strip(' "') for line in sample for field in line.split(None if sign == " " else sign)]
-        numerals = Numerals.of(fields)
-        read = sum(field != "" and numerals.number(field) is not None for field in fields)
+        comma = has_decimal_comma(fields)
+        read = sum(field != "" and number_of(field, comma) is not None for field in fields)
         return read, any(sign in line for line in sample)
 
     return max(DELIMITERS, key=numbers)
 
 
-def _split(path: Path, number: int, line: str, delimiter: str) -> list[str]:
+def _split(place: str, line: str, delimiter: str) -> list[str]:
     if delimiter == " ":
         return line.split()
     if '"' not in line:
@@ -168,7 +167,7 @@ def _split(path: Path, number: int, line: str, delimiter: str) -> list[str]:
     try:
         (fields,) = csv.reader([line], delimiter=delimiter, skipinitialspace=True, strict=True)
     except csv.Error as error:
-        raise InputError(f"{path}:{number}: a quotation mark that is not closed, or within a field") from error
+        raise InputError(f"{place}: a quotation mark that is not closed, or within a field") from error
     return [text.strip() for text in fields]
 
 
@@ -224,7 +223,8 @@ class ReadingsTable:
     """Those lines and columns of a file that hold readings.
 
     lines : of the file. columns : its fields. fields : (lines, columns) texts. values : their numbers, NaN for none.
-    words : whether a text is neither a number nor a missing reading. names : of the columns, '' without a header.
+    words : whether a text is neither a number nor a missing reading. comma : whether numbers have a decimal comma.
+    names : of the columns, '' without a header.
     """
 
     source: FieldLines
@@ -233,7 +233,7 @@ class ReadingsTable:
     fields: NDArray[Any]
     values: Array
     words: NDArray[np.bool_]
-    numerals: Numerals
+    comma: bool
     names: tuple[str, ...]
     notes: tuple[str, ...]
 
@@ -269,8 +269,12 @@ class ReadingsTable:
         return replace(self, lines=self.lines[lines], columns=self.columns[columns], names=names, **parts)
 
     def frames(self, at: Sequence[Any], fields: Sequence[int], shape: Shape, timing: Timing, note: str) -> Frames:
-        """Frames of which these fields are readings; at : frame, row and column of each, to broadcast to (lines,
-        fields), those in frame -1 left out."""
+        """Frames of which these fields are readings, those in frame -1 left out. Raises InputError where one is a word.
+
+        at : frame, row and column of each, to broadcast to (lines, fields).
+        """
+        for field in fields:
+            self.refuse(self.words[:, field], field, f"{{0!r}} is no number (field {field + 1} of the line)")
         index = np.arange(len(self.lines))[:, None] * self.width + np.array(fields)
         frame, row, column = (np.broadcast_to(part, index.shape) for part in at)
         check_count(self.source.source, (int(frame.max()) + 1) * shape[0] * shape[1])
@@ -284,11 +288,10 @@ class ReadingsTable:
 
         return Frames(self.values.ravel(), number, named, timing, (*self.notes, note), names)
 
-    def checked(self, columns: Sequence[int]) -> None:
-        """Raise InputError with its place where a field of these columns is neither a number nor a missing reading."""
-        for line, number in np.argwhere(self.words[:, columns])[:1]:
-            shown, field = self.fields[line, columns[number]][:40], columns[number]
-            raise InputError(f"{self.place(line, field)}: {shown!r} is no number (field {field + 1} of the line)")
+    def refuse(self, bad: NDArray[np.bool_], field: int, why: str) -> None:
+        """Raise InputError with the place of the first bad line, and `why` with the field's text in its braces."""
+        for line in np.flatnonzero(bad)[:1].tolist():
+            raise InputError(f"{self.place(line, field)}: {why.format(self.fields[line, field][:40] or 'nothing')}")
 
     def timing(self, columns: Sequence[int], lines: Sequence[int]) -> Timing:
         """Times of frames from columns (a date and a time of day may be two), in these lines, else from stamps."""
@@ -312,7 +315,7 @@ class ReadingsTable:
         return self._timing(texts, name, begins, None, "before each block in ")
 
     def _timing(self, texts: Sequence[str], name: str, lines: Sequence[int], field: int | None, said: str) -> Timing:
-        return lambda: clock_of(texts, name, lambda at: self.place(lines[at], field), self.numerals).said(said)
+        return lambda: clock_of(texts, name, lambda at: self.place(lines[at], field), self.comma).said(said)
 
 
 def kind_of(text: str) -> str:
@@ -329,8 +332,8 @@ def readings_table(source: FieldLines, layout: str | None = None) -> ReadingsTab
     fields, counts, comment = source.fields, source.counts, source.comment
     if fields.size == 0 or np.all(comment):
         raise InputError(f"{source.source}: holds no values")
-    numerals = Numerals.of([text for text in fields[~comment].ravel()[:SAMPLED] if text])
-    numbers = [numerals.number(text) for text in fields.flat]
+    comma = has_decimal_comma([text for text in fields[~comment].ravel()[:SAMPLED] if text])
+    numbers = [number_of(text, comma) for text in fields.flat]
     values = np.array(numbers, dtype=float).reshape(fields.shape)
     words = np.array([number is None for number in numbers], dtype=bool).reshape(fields.shape)
     data = _data_lines(source, values, words)
@@ -354,7 +357,7 @@ def readings_table(source: FieldLines, layout: str | None = None) -> ReadingsTab
         line, plain = int(np.argmax(long)), int(np.argmax(data & ~long))
         said = f"{counts[line]} fields, where {source.called(plain)} has {width}"
         raise InputError(f"{source.at(source.numbers[line], None)}: {said}")
-    notes = [", ".join((*source.notes, *(["decimal commas"] if numerals.comma else [])))]
+    notes = [", ".join((*source.notes, *(["decimal commas"] if comma else [])))]
     notes += [] if header is None else [f"{source.called(header)} taken as header"]
     left = np.flatnonzero(~data & other & ~comment & np.any(fields != "", axis=1))
     if len(left):
@@ -367,7 +370,7 @@ def readings_table(source: FieldLines, layout: str | None = None) -> ReadingsTab
         if len(names) != width:
             raise InputError(f"{source.source}: {width} columns, but --layout names {len(names)}")
     every = np.arange(len(data)), np.arange(fields.shape[1]), fields, values, words
-    table = ReadingsTable(source, *every, numerals, ("",) * fields.shape[1], tuple(notes)).only(data, slice(width))
+    table = ReadingsTable(source, *every, comma, ("",) * fields.shape[1], tuple(notes)).only(data, slice(width))
     return replace(table, names=tuple(names))
 
 

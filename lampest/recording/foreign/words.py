@@ -3,7 +3,6 @@
 import re
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import NamedTuple
 
@@ -45,6 +44,7 @@ TIME_WORDS = {
     "h": "h hour hours",
 }
 TIME_UNIT_OF_WORD = {word: unit for unit, words in TIME_WORDS.items() for word in words.split()}
+UNITS, BRACKETS = UNITS_OF_WORD | TIME_UNIT_OF_WORD, ("[", "(", "<", "{")
 PARTED = re.compile(r"(.*?)(\s*[\[(<{]\s*|\s+in\s+|\s*/\s*|[\s_]+)([^\W\d_]+)\s*[\])>}]?")
 ELECTRIC = re.compile(r".*(ohms?|[ωΩΩ]|volts?)|.?v", re.IGNORECASE)
 ROW, COLUMN = r"(?:r|rows?|zeile|z|y)", r"(?:c|cols?|columns?|spalte|s|x)"
@@ -83,13 +83,9 @@ def parted(name: str) -> tuple[str, str]:
     """A name in small letters, its words joined by underscores, and the unit at its end as written or ''."""
     text, unit = name[:LONGEST].strip(), ""
     match = PARTED.fullmatch(text)
-    if match and (match[2].strip(" _")[:1] in ("[", "(", "<", "{") or _is_unit(match[3])):
+    if match and (match[2].strip(" _") in BRACKETS or match[3].lower() in UNITS or ELECTRIC.fullmatch(match[3])):
         text, unit = match[1], match[3]
     return re.sub(r"[\s_\-.:]+", "_", text.strip("#% ").lower()).strip("_"), unit
-
-
-def _is_unit(word: str) -> bool:
-    return word.lower() in UNITS_OF_WORD | TIME_UNIT_OF_WORD or ELECTRIC.fullmatch(word) is not None
 
 
 def role_of(name: str) -> str | None:
@@ -139,27 +135,24 @@ def _units_of_one(name: str) -> tuple[str, ...]:
     return next((UNITS_OF_WORD[word] for word in (unit.lower(), plain, *ends) if word in UNITS_OF_WORD), ())
 
 
-@dataclass(frozen=True)
-class Numerals:
-    """How a file writes numbers: with a decimal comma or a point; the other sign may set thousands apart."""
+def has_decimal_comma(fields: Sequence[str]) -> bool:
+    """Whether that reads more of these fields than a point; where both read the same, whether a comma stands alone."""
+    comma, point = ([field for field in fields if pattern.fullmatch(field)] for pattern in (COMMA, POINT))
+    text = "".join(comma)
+    return len(comma) > len(point) or (len(comma) == len(point) and "," in text and "." not in text)
 
-    comma: bool
 
-    @classmethod
-    def of(cls, fields: Sequence[str]) -> "Numerals":
-        """The way that reads more of these fields; where both read the same, a comma that stands alone is decimal."""
-        read = [[field for field in fields if pattern.fullmatch(field)] for pattern in (COMMA, POINT)]
-        text = "".join(read[0])
-        return cls(len(read[0]) > len(read[1]) or (len(read[0]) == len(read[1]) and "," in text and "." not in text))
+def number_of(text: str, comma: bool) -> float | None:
+    """The number that a text stands for, NaN where it says that one is missing, None for any other word.
 
-    def number(self, text: str) -> float | None:
-        """The number that a text stands for, NaN where it says that one is missing, None for any other word."""
-        if len(text) <= LONGEST and (COMMA if self.comma else POINT).fullmatch(text):
-            return float(text.replace(".", "").replace(",", ".") if self.comma else text.replace(",", ""))
-        word = text.lower()
-        if word in MISSING_WORDS or not word.strip("-"):
-            return np.nan
-        return np.inf if word in INFINITE_WORDS else None
+    comma : whether it is decimal; the other sign may set thousands apart.
+    """
+    if len(text) <= LONGEST and (COMMA if comma else POINT).fullmatch(text):
+        return float(text.replace(".", "").replace(",", ".") if comma else text.replace(",", ""))
+    word = text.lower()
+    if word in MISSING_WORDS or not word.strip("-"):
+        return np.nan
+    return np.inf if word in INFINITE_WORDS else None
 
 
 class Clock(NamedTuple):
@@ -179,12 +172,12 @@ def is_stamp(text: str) -> bool:
     return STAMP.fullmatch(text.strip()) is not None
 
 
-def clock_of(texts: Sequence[str], name: str, where: Where, numerals: Numerals) -> Clock:
+def clock_of(texts: Sequence[str], name: str, where: Where, comma: bool) -> Clock:
     """Times of frames from the texts of a column or of stamps before lines; `where` names the place of each.
 
     Raises InputError where one is no time, where dates can be read in two ways, and where times do not grow.
     """
-    numbers = [numerals.number(text) for text in texts]
+    numbers = [number_of(text, comma) for text in texts]
     if None not in numbers:
         return clock_of_numbers(np.array(numbers, dtype=float), name, where)
     dated = any(match[1] for match in map(STAMP.fullmatch, map(str.strip, texts)) if match)
