@@ -100,11 +100,9 @@ def paper(
 
     Writes paper.html, numbers.csv and every figure as PNG.
     """
-    from lampest.studies.paper.page import write_paper
+    from lampest.studies.paper.page import paper_study
 
-    with progress("cases") as on_case:
-        reported = write_paper(config, out, jobs, on_case)
-    print_reported(reported)
+    _run(paper_study(out, jobs), config, out, None)
 
 
 def print_reported(reported: "Reported") -> None:

@@ -4,7 +4,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from math import nan
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -23,7 +23,7 @@ from lampest.recording.simulation.measure import Unmodelled, random_stream
 from lampest.recording.simulation.simulation import Simulation, simulate
 from lampest.runs.executors import AnyExecutor
 from lampest.studies import study
-from lampest.studies.methods import StudyMethod
+from lampest.studies.common import StudyMethod
 from lampest.studies.study import column
 
 LEAST, MOST, NEVER_BELOW = 90.0, 98.0, 80.0  # percent of 95 % intervals that shall cover the truth
@@ -88,8 +88,7 @@ class AuditFile(Configuration):
             replace(self.simulation, unmodelled=effect)
 
 
-@dataclass(frozen=True)
-class AuditTask:
+class AuditTask(NamedTuple):
     """One recording that all estimators are given."""
 
     audit: AuditFile
@@ -102,8 +101,8 @@ class AuditTask:
         reach = stated.scene.panel.pitch_mm / 2
         loads = []
         for load in stated.loads:
-            along, down = place.uniform(-reach, reach, 2)
-            loads.append(replace(load, centre_mm=(load.centre_mm[0] + float(along), load.centre_mm[1] + float(down))))
+            x_mm, y_mm = np.add(load.centre_mm, place.uniform(-reach, reach, 2)).tolist()
+            loads.append(replace(load, centre_mm=(x_mm, y_mm)))
         effect = self.audit.effects[self.effect]
         simulation = replace(stated, seed=self.seed, loads=tuple(loads), unmodelled=effect)
         return simulate(simulation, f"{self.effect}_{self.seed}")
@@ -140,37 +139,32 @@ def run_audit(audit: AuditFile, on_step: study.OnStep) -> tuple[Audited, ...]:
     """Measure everything, in the order of effects and seeds."""
     seeds = range(audit.simulation.seed, audit.simulation.seed + audit.seeds)
     tasks = [AuditTask(audit, effect, seed) for effect in audit.effects for seed in seeds]
+    return study.of_tasks(audited, tasks, audit.executor, lambda task, error: _failed(task, "", error), on_step)
 
-    def lost(task: AuditTask, error: object) -> Audited:
-        return Audited(task.effect, task.seed, "", " ".join(str(error).split()))
 
-    return study.of_tasks(audited, tasks, audit.executor, lost, on_step)
+def _failed(task: AuditTask, estimator: str, error: object) -> Audited:
+    return Audited(task.effect, task.seed, estimator, " ".join(str(error).split()))
 
 
 def audited(task: AuditTask) -> tuple[Audited, ...]:
     """All estimators on one recording."""
-    audit, about = task.audit, (task.effect, task.seed)
+    estimators = task.audit.estimators
     try:
         recording = task.recording()
     except (InputError, ValueError) as error:
-        return tuple(Audited(*about, name, str(error)) for name in audit.estimators)
-    counted = []
-    for name, method in audit.estimators.items():
-        try:
-            estimator = Estimator(method.parts, audit.formulation, error_bars=True)
-            counts = _counts(recording, reconstruct(recording, estimator))
-            counted.append(Audited(*about, name, "" if counts["cells"] else "no error bars", **counts))
-        except InputError as error:
-            counted.append(Audited(*about, name, str(error)))
-    return tuple(counted)
+        return tuple(_failed(task, name, error) for name in estimators)
+    return tuple(_counted(task, name, method, recording) for name, method in estimators.items())
 
 
-def _counts(recording: Recording, found: Estimates) -> dict[str, Any]:
-    """Everything of `Audited` that the estimates of a recording say."""
+def _counted(task: AuditTask, name: str, method: StudyMethod, recording: Recording) -> Audited:
+    try:
+        found = reconstruct(recording, Estimator(method.parts, task.audit.formulation, error_bars=True))
+    except InputError as error:
+        return _failed(task, name, error)
     assert recording.truth_cell_resistance is not None and recording.truth_pressure is not None
     resting = np.exp(np.log(recording.truth_cell_resistance[recording.role == UNLOADED]).mean(axis=0))
-    truth, load = (part[found.frame] for part in (recording.truth_cell_resistance, recording.truth_pressure))
-    load = load - recording.truth_pressure[0]
+    truth = recording.truth_cell_resistance[found.frame]
+    load = recording.truth_pressure[found.frame] - recording.truth_pressure[0]
     # A cell counts as loaded from 0.5 kPa on: below, a film's answer is smaller than its creep.
     intervals = {
         "cells": _covered(found.cell_resistance_lower, truth, found.cell_resistance_upper),
@@ -181,10 +175,11 @@ def _counts(recording: Recording, found: Estimates) -> dict[str, Any]:
     counts |= {f"{name}_covered": inside for name, (_, inside) in intervals.items()}
     if found.cell_resistance_errors is not None:
         counts["width"] = float(np.nanmedian(found.cell_resistance_errors / found.cell_resistance))
-    for name, part in (("own", found.sigma_own), ("common", found.sigma_common)):
-        counts[name] = nan if part is None else float(np.nanmedian(part))
-    sentence = "; ".join(found.checks)
-    return counts | _own_part(found, truth) | {"chi_square": repeats_chi_square(recording), "sentence": sentence}
+    for part, sigma in (("own", found.sigma_own), ("common", found.sigma_common)):
+        counts[part] = nan if sigma is None else float(np.nanmedian(sigma))
+    counts |= _own_part(found, truth) | {"chi_square": repeats_chi_square(recording)}
+    failed = "" if counts["cells"] else "no error bars"
+    return Audited(task.effect, task.seed, name, failed, sentence="; ".join(found.checks), **counts)
 
 
 def _own_part(found: Estimates, truth: Array) -> dict[str, Any]:
@@ -324,7 +319,7 @@ STUDY: study.Study[AuditFile, Sequence[Audited]] = study.Study(
     study.read_settings(AuditFile),
     run_audit,
     rows=audit_rows,
-    tables=lambda found: [("", study.screen_table(audit_rows(found), SCREEN))],
+    screen=SCREEN,
     form="audit/1",
     records=lambda found: [study.RecordGroup("recordings", found, "cells_covered")],
     remarks=audit_remarks,

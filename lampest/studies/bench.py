@@ -26,18 +26,7 @@ from lampest.recording.simulation.pressure import Course
 from lampest.recording.simulation.simulation import Simulation, simulate
 from lampest.solvers.multistart import evaluable, starts
 from lampest.solvers.solution import Settings, Solution, Solver, check
-from lampest.studies.methods import (
-    BREATHING,
-    LARGEST_SIDE,
-    SERIES_OHM,
-    Shape,
-    Sizes,
-    SquaredMethod,
-    check_sides,
-    lamprey_mouth,
-    paper_methods,
-    shapes_of,
-)
+from lampest.studies import common
 from lampest.studies.study import OnStep, column, grouped, published_code
 from lampest.studies.timing import TimedFrame, inverse_time, outcome, peak_memory, pushed
 
@@ -46,7 +35,7 @@ SOLVERS = (*OURS, "scipy_exact", "scipy_difference", "scipy_lbfgsb")
 PROCESS_S = 3.0  # that a fresh process takes to begin
 
 
-def loads(number: int, shape: Shape) -> tuple[tuple[AnyShape, ...], Course]:
+def loads(number: int, shape: common.Shape) -> tuple[tuple[AnyShape, ...], Course]:
     """What touches the panel in recording `number`, and when; recordings 0, 1, 2 differ, then they come again.
 
     0 : a mouth over a third of the shorter side, sucking ever harder, breathing. 1 : three rods that stand. 2 : a mouth
@@ -59,10 +48,10 @@ def loads(number: int, shape: Shape) -> tuple[tuple[AnyShape, ...], Course]:
         Rod(kind="rod", centre_mm=(right * width, down * height), diameter_mm=40, mass_g=mass)
         for right, down, mass in places
     )
-    third = lamprey_mouth((0.49 * width, 0.51 * height), 0.35 * pitch * min(shape))
-    growing = replace(BREATHING, start_s=-0.4, approach_s=2)
-    beside = (lamprey_mouth((0.6 * width, 0.55 * height)), rods[0])
-    return (((third,), BREATHING), (rods, Course()), (beside, growing))[number % 3]
+    third = common.lamprey_mouth((0.49 * width, 0.51 * height), 0.35 * pitch * min(shape))
+    growing = replace(common.BREATHING, start_s=-0.4, approach_s=2)
+    beside = (common.lamprey_mouth((0.6 * width, 0.55 * height)), rods[0])
+    return (((third,), common.BREATHING), (rods, Course()), (beside, growing))[number % 3]
 
 
 @dataclass(frozen=True)
@@ -100,7 +89,7 @@ class BenchLimits(Configuration):
     that was solved alone.
     """
 
-    reduced: int = LARGEST_SIDE
+    reduced: int = common.LARGEST_SIDE
     nodal: int = 16
     scipy_exact: int = 16
     scipy_difference: int = 10
@@ -129,8 +118,10 @@ class BenchFile(Configuration):
     """
 
     schema: Literal[1]
-    sizes: Sizes
-    estimators: dict[str, SquaredMethod] = field(default_factory=lambda: paper_methods(SquaredMethod))
+    sizes: common.Sizes
+    estimators: dict[str, common.SquaredMethod] = field(
+        default_factory=lambda: common.paper_methods(common.SquaredMethod)
+    )
     recordings: int = 1
     frames: int = 4
     repeats: int = 3
@@ -146,8 +137,8 @@ class BenchFile(Configuration):
     def __post_init__(self) -> None:
         if not self.sizes or not self.estimators:
             raise ValueError("sizes and estimators must hold at least one")
-        check_sides(self.shapes, 2, LARGEST_SIDE)
-        check_range("a panel's side", self.memory, 2, LARGEST_SIDE)
+        common.check_sides(self.shapes, 2, common.LARGEST_SIDE)
+        check_range("a panel's side", self.memory, 2, common.LARGEST_SIDE)
         for rows, columns in self.shapes:
             if not self.solvers((rows, columns)):
                 raise ValueError(f"limits leave no solver for {rows} × {columns}")
@@ -155,26 +146,26 @@ class BenchFile(Configuration):
         check_ranges(self, 1e-3, 30 * 86400, "budget_s")
 
     @property
-    def shapes(self) -> tuple[Shape, ...]:
+    def shapes(self) -> tuple[common.Shape, ...]:
         """(rows, columns) of every panel."""
-        return shapes_of(self.sizes)
+        return common.shapes_of(self.sizes)
 
-    def solvers(self, shape: Shape) -> tuple[str, ...]:
+    def solvers(self, shape: common.Shape) -> tuple[str, ...]:
         """The names of the solvers that run on a panel."""
         wired = self.lines is not None and self.lines.resist
         known = (name for name in SOLVERS if not (wired and name == "nodal"))
         return tuple(name for name in known if max(shape) <= getattr(self.limits, name))
 
-    def estimator(self, method: str, solver: str, shape: Shape) -> Estimator:
+    def estimator(self, method: str, solver: str, shape: common.Shape) -> Estimator:
         """A method with a solver, for a panel: a large one's baseline is solved alone."""
         known: dict[str, Any] = {"kind": solver, "joint": max(shape) <= self.limits.joint}
         formulation = OptimalMethod(**known) if solver in OURS else ScipyMethod(**known)
         return Estimator(self.estimators[method].parts, formulation, self.solver, error_bars=False)
 
-    def recording(self, shape: Shape, number: int = 0) -> Recording:
+    def recording(self, shape: common.Shape, number: int = 0) -> Recording:
         """One of the recordings of a panel, its loads those of `loads`; 3 unloaded frames."""
         touching, course = loads(number, shape)
-        scene = Scene(Panel(*shape), self.readout, SERIES_OHM, lines=self.lines)
+        scene = Scene(Panel(*shape), self.readout, common.SERIES_OHM, lines=self.lines)
         known: dict[str, Any] = {"frames": self.frames + 1, "loads": touching, "unmodelled": self.unmodelled}
         simulation = Simulation(1, self.seed + number, scene, course=course, **known)
         return simulate(simulation, str(number))
@@ -191,7 +182,7 @@ class BenchFrame(TimedFrame):
     inverse_s: float = column("s", "a dense inverse of size rows + columns - 1 at that time")
 
 
-def solve_two_frames(task: tuple[BenchFile, Shape, str, str]) -> None:
+def solve_two_frames(task: tuple[BenchFile, common.Shape, str, str]) -> None:
     """A first frame and the next, for the memory that they take."""
     bench, shape, method, solver = task
     recording = bench.recording(shape)
@@ -205,7 +196,7 @@ class BenchPart(NamedTuple):
     """A method on one recording of a panel."""
 
     recording: int
-    shape: Shape
+    shape: common.Shape
     method: str
 
     def expected_s(self, bench: BenchFile, done: Sequence[BenchFrame]) -> float:
@@ -224,7 +215,7 @@ class Bench:
 
     settings: BenchFile
     frames: tuple[BenchFrame, ...]
-    left_out: tuple[tuple[Shape, str, str], ...] = ()
+    left_out: tuple[tuple[common.Shape, str, str], ...] = ()
 
 
 def run_bench(bench: BenchFile, on_step: OnStep) -> Bench:
@@ -239,7 +230,7 @@ def run_bench(bench: BenchFile, on_step: OnStep) -> Bench:
         BenchPart(number, shape, name) for number in numbers for shape in bench.shapes for name in bench.estimators
     ]
     found: list[BenchFrame] = []
-    missed: list[tuple[Shape, str, str]] = []
+    missed: list[tuple[common.Shape, str, str]] = []
     simulated = lru_cache(maxsize=1)(bench.recording)
     for number, part in enumerate(parts):
         shape, method, name = part.shape, part.method, f"recording {part.recording + 1}"

@@ -93,7 +93,8 @@ class Study(Generic[Settings, Found]):
     name : of its files. counts : what the progress bar counts. config : the shipped file, where none is named.
     read : (file, overriding entries) → settings; raises InputError with line and column.
     measure : (settings, on_step) → what was found. All others take what was found:
-    rows : of the CSV file, at least one. tables : with their titles. form, records : of the HDF5 file; none without.
+    rows : of the CSV file, at least one; screen : their table. tables : further ones, with their titles.
+    form, records : of the HDF5 file; none without.
     figures : by name of the file. texts : of further files, by their names. remarks, left_out : sentences.
     """
 
@@ -103,6 +104,7 @@ class Study(Generic[Settings, Found]):
     read: Callable[[Path, tuple[str, ...]], Settings]
     measure: Callable[[Settings, OnStep], Found]
     rows: Callable[[Found], Sequence[Any]]
+    screen: Screen = field(default_factory=dict)
     tables: Callable[[Found], Sequence[tuple[str, Table]]] = lambda found: ()
     form: str = ""
     records: Callable[[Found], Iterable[RecordGroup]] = lambda found: ()
@@ -118,13 +120,14 @@ class Study(Generic[Settings, Found]):
         """
         file = config or shipped_folder() / "configs" / self.config
         found = self.measure(self.read(file, assigned), on_step)
-        tables, remarks = self.tables(found), self.remarks(found)
-        files = self._write(found, out or Path("results") / file.stem, page(self.name, tables, remarks))
-        return Reported(tables, files, remarks, self.left_out(found))
+        rows, remarks, folder = self.rows(found), self.remarks(found), out or Path("results") / file.stem
+        tables = [("", screen_table(rows, self.screen))] if self.screen else []
+        tables += self.tables(found)
+        texts = {f"{self.name}.csv": csv_of(rows), **self.texts(found)}
+        texts |= {f"{self.name}.md": page(self.name, tables, remarks)} if tables else {}
+        return Reported(tables, self._write(found, folder, texts), remarks, self.left_out(found))
 
-    def _write(self, found: Found, folder: Path, summary: str) -> list[Path]:
-        texts = {f"{self.name}.csv": csv_of(self.rows(found)), **self.texts(found)}
-        texts |= {f"{self.name}.md": summary} if summary else {}
+    def _write(self, found: Found, folder: Path, texts: Mapping[str, str]) -> list[Path]:
         for name, text in texts.items():
             write_whole(folder / name, text)
         files = [folder / name for name in texts]
@@ -271,8 +274,7 @@ def screen_table(rows: Iterable[Any], columns: Screen) -> Table:
 
 
 def csv_of(rows: Sequence[Any], names: Iterable[str] = ()) -> str:
-    """Rows as CSV, a column for each name, by default those of the first row; six digits, empty without a number."""
+    """Rows as CSV, a column for each name, by default those of the first row; empty where there is no number."""
     names = list(names or vars(rows[0]))
     table = ([getattr(row, name) for name in names] for row in rows)
-    lines = ([text_of(one, ".6g") if isinstance(one, float) else one for one in line] for line in table)
-    return comma_separated([names, *lines])
+    return comma_separated([names, *([None if one != one else one for one in line] for line in table)])

@@ -15,7 +15,7 @@ from lampest.recording.readings import Readings
 from lampest.recording.recording import Recording
 from lampest.runs.executors import Processes
 from lampest.solvers.solution import STRICT
-from lampest.studies.methods import Shape
+from lampest.studies.common import Shape
 from lampest.studies.study import column
 
 Result = TypeVar("Result")

@@ -36,18 +36,7 @@ from lampest.report.compare import relative_error
 from lampest.runs.case import check_name
 from lampest.runs.config import recording_paths
 from lampest.solvers.solution import Settings
-from lampest.studies.methods import (
-    BREATHING,
-    LARGEST_SIDE,
-    SERIES_OHM,
-    BoundedMethod,
-    Shape,
-    Sizes,
-    check_sides,
-    lamprey_mouth,
-    paper_methods,
-    shapes_of,
-)
+from lampest.studies import common
 from lampest.studies.study import OnStep, column
 from lampest.studies.timing import TimedFrame, outcome, peak_memory
 
@@ -73,11 +62,11 @@ class TradeoffLimits(Configuration):
     joint : no rung, but the methods that compare frames; on larger panels their joint first pair takes minutes.
     """
 
-    naive: int = LARGEST_SIDE
-    scaled: int = LARGEST_SIDE
-    linearised: int = LARGEST_SIDE
-    truncated: int = LARGEST_SIDE
-    region: int = LARGEST_SIDE
+    naive: int = common.LARGEST_SIDE
+    scaled: int = common.LARGEST_SIDE
+    linearised: int = common.LARGEST_SIDE
+    truncated: int = common.LARGEST_SIDE
+    region: int = common.LARGEST_SIDE
     nodal: int = 16
     per_pixel: int = 10
     joint: int = 16
@@ -96,7 +85,7 @@ class Simulated(Configuration):
     Raises ValueError where a number is out of range.
     """
 
-    sizes: Sizes
+    sizes: common.Sizes
     noise: dict[str, TwoPointReadout] = field(default_factory=lambda: {"10bit": TwoPointReadout()})
     scenes: dict[str, Unmodelled] = field(default_factory=lambda: {"clean": Unmodelled()})
     diameter_mm: float = 35.0
@@ -105,7 +94,7 @@ class Simulated(Configuration):
     def __post_init__(self) -> None:
         if not self.sizes or not self.noise or not self.scenes:
             raise ValueError("sizes, noise and scenes must hold at least one")
-        check_sides(shapes_of(self.sizes), 8, LARGEST_SIDE)
+        common.check_sides(common.shapes_of(self.sizes), 8, common.LARGEST_SIDE)
         for name in (*self.noise, *self.scenes):
             check_name(name, "noise or scene")
         check_positive_fields(self, "diameter_mm")
@@ -113,11 +102,11 @@ class Simulated(Configuration):
 
     def subjects(self, frames: int) -> Iterator["TradeoffSubject"]:
         """Every combination, in order of size; frames measured frames after three unloaded ones."""
-        for rows, columns in shapes_of(self.sizes):
-            mouth = lamprey_mouth((10 * (columns // 2) - 6, 10 * (rows // 2) - 4), self.diameter_mm)
-            known: dict[str, Any] = {"frames": frames, "loads": (mouth,), "course": BREATHING}
+        for rows, columns in common.shapes_of(self.sizes):
+            mouth = common.lamprey_mouth((10 * (columns // 2) - 6, 10 * (rows // 2) - 4), self.diameter_mm)
+            known: dict[str, Any] = {"frames": frames, "loads": (mouth,), "course": common.BREATHING}
             for noise, readout in self.noise.items():
-                place = Scene(Panel(rows, columns), readout, SERIES_OHM)
+                place = Scene(Panel(rows, columns), readout, common.SERIES_OHM)
                 for scene, unmodelled in self.scenes.items():
                     simulation = Simulation(1, self.seed, place, unmodelled=unmodelled, **known)
                     recording = simulate(simulation, f"{rows}x{columns}")
@@ -132,7 +121,7 @@ class TradeoffSubject(NamedTuple):
     noise: str
 
     @property
-    def shape(self) -> Shape:
+    def shape(self) -> common.Shape:
         """(rows, columns)."""
         return self.recording.scene.panel.shape
 
@@ -158,7 +147,9 @@ class TradeoffFile(Configuration):
     schema: Literal[1]
     recordings: tuple[str, ...] = ()
     simulated: Simulated | None = None
-    estimators: dict[str, BoundedMethod] = field(default_factory=lambda: paper_methods(BoundedMethod))
+    estimators: dict[str, common.BoundedMethod] = field(
+        default_factory=lambda: common.paper_methods(common.BoundedMethod)
+    )
     formulations: tuple[MethodName | AnyMethod, ...] = LADDER
     frames: int = 5
     repeats: int = 3
@@ -191,12 +182,12 @@ class TradeoffFile(Configuration):
         """The formulations; words as what they stand for."""
         return tuple(named_method(formulation) for formulation in self.formulations)
 
-    def rungs(self, shape: Shape) -> dict[str, Method]:
+    def rungs(self, shape: common.Shape) -> dict[str, Method]:
         """The rungs that are measured on a panel, by label."""
-        allowed = (rung for rung in self.ladder if max(shape) <= getattr(self.limits, rung.kind, LARGEST_SIDE))
+        allowed = (rung for rung in self.ladder if max(shape) <= getattr(self.limits, rung.kind, common.LARGEST_SIDE))
         return {label(rung): rung for rung in allowed}
 
-    def methods(self, shape: Shape) -> tuple[str, ...]:
+    def methods(self, shape: common.Shape) -> tuple[str, ...]:
         """The methods that are measured on a panel."""
         small = max(shape) <= self.limits.joint
         chosen = self.estimators.items()
@@ -361,7 +352,7 @@ def _noise_cost(cost: Cost, data: Data) -> float:
     return float(sum(value for term, value in zip(cost.terms, costs, strict=True) if term.reads_measurement))
 
 
-def _memory_tasks(plan: Plan) -> Iterator[tuple[Shape, str, Task]]:
+def _memory_tasks(plan: Plan) -> Iterator[tuple[common.Shape, str, Task]]:
     """Every rung on every size of panel, with two frames of the first of its recordings."""
     settings = plan.settings
     first = {subject.shape: subject for subject in reversed(plan.subjects)} if settings.memory is not None else {}

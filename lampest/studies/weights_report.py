@@ -239,7 +239,7 @@ STUDY: study.Study[Run, study.Cases[Tuned]] = study.Study(
     read_run,
     lambda run, on_step: study.of_cases(tuned, run, on_step, "tune"),
     rows=weight_rows,
-    tables=lambda found: [("", study.screen_table(weight_rows(found), SCREEN))],
+    screen=SCREEN,
     form="tune/2",
     records=_groups,
     figures=lambda found: {

@@ -4,7 +4,7 @@ For recordings whose truth nobody knows. Source: Stone, J. R. Statist. Soc. B 36
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,8 +28,7 @@ FACTORS = (100.0, 10.0, 1.0, 0.1)  # of the estimator's weights, the heaviest fi
 MOST_FRAMES = 10  # evenly spaced ones: neighbouring frames show the same load
 
 
-@dataclass(frozen=True)
-class Withheld:
+class Withheld(NamedTuple):
     """One frame, one draw, one weight. error, interpolated : rms over the withheld readings, in LSB or percent.
 
     readings : how many were withheld. factor : of the estimator's weights; weights : these, of the penalties.
@@ -38,6 +37,7 @@ class Withheld:
 
     recording: str
     estimator: str
+    unit: str
     frame: int
     factor: float
     weights: tuple[float, ...]
@@ -45,7 +45,6 @@ class Withheld:
     readings: int
     error: float
     interpolated: float
-    unit: str
     hidden: float
 
 
@@ -53,9 +52,8 @@ def visible(scene: Scene, recorded: Array) -> Array:
     """Recorded readings on the scale of their noise: codes within the rails; without a readout, percent."""
     if scene.readout is None:
         return np.asarray(100 * np.log(recorded))
-    return np.asarray(
-        scene.readout.volt_from_recorded(np.clip(recorded, *scene.readout.rails())) / scene.readout.lsb_volt
-    )
+    within = np.clip(recorded, *scene.readout.rails())
+    return np.asarray(scene.readout.volt_from_recorded(within) / scene.readout.lsb_volt)
 
 
 def interpolated(panel: Panel, values: Array, known: NDArray[np.bool_]) -> Array:
@@ -71,56 +69,33 @@ def interpolated(panel: Panel, values: Array, known: NDArray[np.bool_]) -> Array
     return filled.reshape(panel.shape)
 
 
-@dataclass(frozen=True, eq=False)
-class Draw:
-    """One frame of which some readings are withheld. held : (rows, columns); blank : those and what no cells allow.
-    sigma : the file's, or None."""
+def predictions(recording: Recording, case: Case, share: float, draws: int, seed: int) -> Iterator[Withheld]:
+    """Every draw and weight of evenly spaced frames. share : of a frame's readings that are values, at least one.
 
-    frame: int
-    held: NDArray[np.bool_]
-    blank: NDArray[np.bool_]
-    sigma: Array | None
-
-
-def draws_of(recording: Recording, share: float, draws: int, seed: int) -> Iterator[Draw]:
-    """Evenly spaced frames, each drawn several times. share : of a frame's readings that are values, at least one."""
-    scene, readings = recording.scene, recording.readings()
-    frames = recording.measured_frames()
+    Readings that no cells allow are neither predicted nor used.
+    """
+    scene, readings, rng = recording.scene, recording.readings(), np.random.default_rng(seed)
+    estimator = first_stream(recording, noise_seen(recording).readings, case.estimator).estimator
+    unit = "percent" if scene.readout is None else "LSB"
+    impossible, frames = lawless(scene.circuit, readings), recording.measured_frames()
     frames = frames[readings.enough(scene)[frames]]
-    impossible = lawless(scene.circuit, readings)
-    rng = np.random.default_rng(seed)
     for frame in frames[np.unique(np.linspace(0, len(frames) - 1, MOST_FRAMES).round().astype(int))]:
-        plain = readings[frame].plain & scene.panel.present & ~impossible[frame]
-        known = recording.sigma
-        sigma = None if known is None else np.broadcast_to(known, recording.recorded.shape)[frame]
+        plain, recorded = readings[frame].plain & scene.panel.present & ~impossible[frame], recording.recorded[frame]
+        sigma = None if recording.sigma is None else np.broadcast_to(recording.sigma, recording.recorded.shape)[frame]
+        shown = visible(scene, np.where(np.isnan(recorded), 1.0, recorded))
         for _ in range(draws):
             held = np.zeros(plain.shape, dtype=bool)
-            chosen = rng.choice(np.flatnonzero(plain), max(1, round(share * plain.sum())), replace=False)
-            held.flat[chosen] = True
-            yield Draw(int(frame), held, held | impossible[frame], sigma)
-
-
-def predictions(recording: Recording, case: Case, share: float, draws: int, seed: int) -> Iterator[Withheld]:
-    """Every frame, draw and weight of a case; readings that no cells allow are neither predicted nor used."""
-    scene = recording.scene
-    estimator = first_stream(recording, noise_seen(recording).readings, case.estimator).estimator
-    for draw in draws_of(recording, share, draws, seed):
-        recorded, held = recording.recorded[draw.frame], draw.held
-        rest = Readings.of(scene, np.where(draw.blank, np.nan, recorded), draw.sigma)
-        shown = visible(scene, np.where(np.isnan(recorded), 1.0, recorded))
-        without = interpolated(scene.panel, shown, (rest.seen > 0) & scene.panel.present)
-        for factor, weights, cells in _estimates(estimator, scene, rest):
-            model = scene.circuit.to_recorded(scene.circuit.exact_reading(cells, scene.wiring), scene)
-            missed, without_model = (_rms((one - shown)[held]) for one in (visible(scene, model), without))
-            unit, solved = "percent" if scene.readout is None else "LSB", bool(np.isfinite(cells).all())
-            apparent = scene.circuit.apparent_resistance(rest.value)
-            hidden = float(np.median((cells / apparent)[rest.plain & scene.panel.present]))
-            names, count = (recording.name, case.name), int(held.sum())
-            yield Withheld(*names, draw.frame, factor, weights, solved, count, missed, without_model, unit, hidden)
-
-
-def _rms(values: Array) -> float:
-    return float(np.sqrt(np.mean(values**2)))
+            held.flat[rng.choice(np.flatnonzero(plain), max(1, round(share * plain.sum())), replace=False)] = True
+            rest = Readings.of(scene, np.where(held | impossible[frame], np.nan, recorded), sigma)
+            used, apparent = rest.plain & scene.panel.present, scene.circuit.apparent_resistance(rest.value)
+            without = interpolated(scene.panel, shown, (rest.seen > 0) & scene.panel.present)
+            for factor, weights, cells in _estimates(estimator, scene, rest):
+                model = scene.circuit.to_recorded(scene.circuit.exact_reading(cells, scene.wiring), scene)
+                missed = ((one - shown)[held] for one in (visible(scene, model), without))
+                error, ignorant = (float(np.sqrt(np.mean(one**2))) for one in missed)
+                solved, hidden = bool(np.isfinite(cells).all()), float(np.median((cells / apparent)[used]))
+                about = (recording.name, case.name, unit, int(frame), factor, weights, solved, int(held.sum()))
+                yield Withheld(*about, error, ignorant, hidden)
 
 
 def _estimates(
@@ -138,15 +113,6 @@ def _estimates(
         yield factor, tuple(weight for weight, term in of_penalties if not term.reads_measurement), cells
 
 
-def unpredictable(estimator: Estimator, scene: Scene) -> str | None:
-    """Why readings of an estimator cannot be predicted; None where they can."""
-    if estimator.relative:
-        return "it compares with an earlier frame"
-    if not estimator.penalised:
-        return "without a penalty, it leaves a cell open whose reading is withheld"
-    return None if scene.panel.modules is None else "its panel is one of modules"
-
-
 def withheld_study(share: float, draws: int = 5, seed: int = 0) -> study.Study[Run, study.Cases[Withheld]]:
     """The study that withholds a share of each frame's readings. Raises InputError unless 0 < share < 1."""
     if not 0 < share < 1:
@@ -154,9 +120,13 @@ def withheld_study(share: float, draws: int = 5, seed: int = 0) -> study.Study[R
 
     def predicted(case: Case) -> list[Withheld] | str:
         recording = Recording.load(case.path)
-        reason = unpredictable(case.estimator, recording.scene)
-        found = list(predictions(recording, case, share, draws, seed)) if reason is None else []
-        return found or reason or "too little was read of every frame"
+        if case.estimator.relative:
+            return "it compares with an earlier frame"
+        if not case.estimator.penalised:
+            return "without a penalty, it leaves a cell open whose reading is withheld"
+        if recording.scene.panel.modules is not None:
+            return "its panel is one of modules"
+        return list(predictions(recording, case, share, draws, seed)) or "too little was read of every frame"
 
     return study.Study(
         "withheld",
@@ -165,7 +135,7 @@ def withheld_study(share: float, draws: int = 5, seed: int = 0) -> study.Study[R
         read_run,
         lambda run, on_step: study.of_cases(predicted, run, on_step, "predict"),
         rows=withheld_rows,
-        tables=lambda found: [("", study.screen_table(withheld_rows(found), SCREEN))],
+        screen=SCREEN,
         left_out=lambda found: found.left_out,
     )
 
@@ -177,11 +147,8 @@ def withheld_rows(cases: study.Cases[Withheld]) -> list[study.Row]:
 
 
 def _row(ones: Sequence[Withheld]) -> study.Row:
-    solved = [one for one in ones if one.solved]
-
-    def median(values: list[float]) -> float:
-        return float(np.median(values)) if values else float("nan")
-
+    solved = [(one.error, one.error / one.interpolated, one.hidden) for one in ones if one.solved]
+    error, ratio, hidden = np.median(solved or [(np.nan,) * 3], axis=0).tolist()
     return study.Row(
         recording=ones[0].recording,
         estimator=ones[0].estimator,
@@ -190,10 +157,10 @@ def _row(ones: Sequence[Withheld]) -> study.Row:
         frames=len({one.frame for one in ones}),
         withheld=sum(one.readings for one in ones),
         solved=len(solved) / len(ones),
-        median_rms=median([one.error for one in solved]),
+        median_rms=error,
         unit=ones[0].unit,
-        over_interpolation=median([one.error / one.interpolated for one in solved]),
-        cell_over_reading=median([one.hidden for one in solved]),
+        over_interpolation=ratio,
+        cell_over_reading=hidden,
     )
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from lampest.estimate.sequence import first_stream
 from lampest.solvers.solution import Solution
 from lampest.studies.bench import BenchFile
-from lampest.studies.methods import PAPER
+from lampest.studies.common import PAPER
 from lampest.studies.study import read_settings
 
 FRAMES = 3  # the first, and later ones, of which the median counts

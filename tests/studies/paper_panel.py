@@ -27,7 +27,7 @@ from lampest.recording.simulation.files import read_simulations
 from lampest.recording.simulation.measure import Unmodelled
 from lampest.recording.simulation.pressure import Course
 from lampest.recording.simulation.simulation import Cells, Simulation, simulate
-from lampest.studies.paper.sides import published_numbers
+from lampest.studies.paper.sides import FILE, read_published
 from tests.oracles.as_published import METHODS, WEIGHTS, Weights, left_by_solver
 
 # What is searched: name → least, most, and whether by its logarithm.
@@ -124,7 +124,7 @@ def figures_of(simulation: Simulation, weights: Weights, methods: Sequence[str])
 
 def published() -> dict[tuple[str, str], float]:
     """The same of the paper, standard deviations included."""
-    numbers = published_numbers()
+    numbers = read_published(FILE)
     found: dict[tuple[str, str], float] = {}
     for one in numbers.ranges:
         found[one.method, "low"], found[one.method, "high"] = one.low, one.high

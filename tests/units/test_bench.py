@@ -19,7 +19,7 @@ from lampest.solvers.multistart import evaluated
 from lampest.solvers.solution import Settings
 from lampest.studies.bench import SOLVERS, Bench, BenchFile, BenchFrame, BenchLimits, BenchPart, run_bench
 from lampest.studies.bench_report import STUDY, bench_remarks, bench_rows, growth, tables
-from lampest.studies.methods import SquaredMethod
+from lampest.studies.common import SquaredMethod
 from lampest.studies.study import page, read_settings
 from tests.oracles.published_solvers import Trf, _Point
 from tests.studies.bench_pages import MARKED, PAGES, sections, with_tables

@@ -15,7 +15,7 @@ from lampest.panel.scene import Faults, Scene
 from lampest.recording.recording import Recording
 from lampest.runs.executors import AnyExecutor
 from lampest.solvers.solution import Settings
-from lampest.studies.methods import Shape, Sizes, SquaredMethod, paper_methods, shapes_of
+from lampest.studies.common import Shape, Sizes, SquaredMethod, paper_methods, shapes_of
 from lampest.studies.study import column
 
 GRID = "log-uniform"

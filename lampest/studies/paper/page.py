@@ -3,38 +3,23 @@
 In the figures published numbers stand as marks or in words beside what our scenes give.
 """
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from lampest.files.whole import write_whole
 from lampest.loads.response import ratio_from_pressure, relative_change_from_pressure
 from lampest.panel.film import Film
 from lampest.panel.panel import Array, Panel
-from lampest.recording.datasets import folder as shipped_folder
-from lampest.report.compare import Table, comma_separated
+from lampest.report.compare import Table
 from lampest.report.page.template import filled
+from lampest.report.plots import style
 from lampest.report.plots.maps import ACROSS_LABEL, DOWN_LABEL, MapPainter, Tile, banded_scale
-from lampest.report.plots.style import (
-    BLUE,
-    ORANGE,
-    SMALL_POINT,
-    change_text,
-    data_uri,
-    dressed,
-    labelled,
-    new_figure,
-    plain_number,
-    save,
-    verbatim,
-)
 from lampest.report.words import digits
-from lampest.studies.paper.sides import MEASURED, Published, Side, all_sides, published_numbers
-from lampest.studies.study import Reported
+from lampest.studies.paper.sides import FILE, MEASURED, Published, Side, StepsSeen, all_sides, read_published
+from lampest.studies.study import OnStep, Row, Study
 
 CHANGE = "relative change of resistance [%]"
 # Of some steps: quantity, unit, the field of the published row, and of what was seen.
@@ -45,57 +30,70 @@ STEPS = (
 COLOURS = ("#222222", "#0072B2", "#E69F00", "#009E73")
 
 
-def write_paper(numbers: Path | None, folder: Path, jobs: int | None, on_case: Callable[[int, int], None]) -> Reported:
-    """Solve, draw and write all of it into a folder; what was solved there before is taken from it.
+class Paper(NamedTuple):
+    """Everything that stands side by side. figures : by the names of their files."""
 
-    numbers : a file of published ones, or None. Raises InputError where a shipped file is missing, a case fails, or the
-    folder cannot be written.
-    """
-    published = published_numbers(numbers)
-    return Reported((), write_page(folder, all_sides(shipped_folder(), folder, published, jobs, on_case), published))
+    published: Published
+    names: tuple[str, ...]
+    numbers: list["PublishedNumber"]
+    figures: dict[str, Figure]
 
 
-def write_page(folder: Path, sides: Sequence[Side], published: Published) -> tuple[Path, ...]:
-    """Write paper.html, numbers.csv and every picture as PNG; returns their paths.
+def paper_study(folder: Path, jobs: int | None) -> Study[Published, Paper]:
+    """The study; what was solved in the folder before is taken from it. jobs : processes, None for all cores."""
 
-    Raises InputError where the folder cannot be written.
-    """
-    names = tuple(side.name for side in sides)
-    numbers = list(published_beside(sides, published))
-
-    def rows(figure: str, times: bool = False) -> list[PublishedNumber]:
-        return [row for row in numbers if row.figure.startswith(figure) and row.quantity.endswith(": time") == times]
-
-    with verbatim():
-        drawn = {"fig1e": response_figure(published), "fig2": bending_figure(published)}
+    def measured(published: Published, on_step: OnStep) -> Paper:
+        sides = all_sides(folder, published, jobs, on_step)
+        names = tuple(side.name for side in sides)
+        pictures = {"fig1e": response_figure(published), "fig2": bending_figure(published)}
         for side in sides:
-            if side.word != "solver":  # its scenes are those of the paper's panel
-                drawn[f"fig6_{side.word}"] = loads_figure(side, published)
-            drawn[f"fig8_{side.word}"] = methods_figure(side, published)
-            drawn[f"fig9_{side.word}"] = mouths_figure(side, published)
-        pictures = {folder / f"{word}.png": figure for word, figure in drawn.items()}
-        for file, figure in pictures.items():
-            save(figure, file)
-        uris = {word: data_uri(figure, "png") for word, figure in drawn.items()}
-    checked = [row for row in numbers if row.figure.startswith("Fig. 8") or row.quantity.endswith("data error")]
-    set_beside = ("Fig. 8", "Fig. 9", "Table I")
-    sheets = {figure: sheet(rows(figure), ("lampest",)) for figure in ("Fig. 1", "Fig. 2")}
-    sheets |= {figure: sheet(rows(figure), names) for figure in set_beside}
-    sheets["times"] = sheet(rows("Table I", times=True), names)
-    counted = {figure: counts(rows(figure), names) for figure in set_beside} | {"all": counts(checked, names)}
-    text = filled(
-        "lampest.studies.paper", names=names, places=published.places, uris=uris, sheets=sheets, counts=counted
+            for name, tiles in tiles_of(side, published).items():
+                if name != "fig6" or side.word != "solver":  # its scenes are those of the paper's panel
+                    pictures[f"{name}_{side.word}"] = tiles_figure(tiles, side.panel, side.name)
+        return Paper(published, names, list(published_beside(sides, published)), pictures)
+
+    return Study(
+        "numbers",
+        "cases",
+        str(FILE),
+        read_published,
+        style.verbatim()(measured),
+        rows=rows,
+        figures=lambda paper: paper.figures,
+        texts=lambda paper: {"paper.html": page_of(paper)},
     )
-    lines: list[list[object]] = [["figure", "quantity", "unit", "published", *names]]
-    lines += [[row.figure, row.quantity, row.unit, row.published, *row.ours] for row in numbers]
-    texts = {folder / "paper.html": text, folder / "numbers.csv": comma_separated(lines)}
-    for file, content in texts.items():
-        write_whole(file, content)
-    return (*texts, *pictures)
 
 
-@dataclass(frozen=True)
-class PublishedNumber:
+def rows(paper: Paper) -> list[Row]:
+    """Every published number with ours, a column for each side."""
+    names = ("figure", "quantity", "unit", "published")
+    own = [dict(zip(paper.names, one.ours, strict=True)) for one in paper.numbers]
+    return [Row(**dict(zip(names, one, strict=False)), **ours) for one, ours in zip(paper.numbers, own, strict=True)]
+
+
+def page_of(paper: Paper) -> str:
+    """The page, which needs no other file."""
+    names = paper.names
+
+    def of(figure: str, times: bool = False) -> list[PublishedNumber]:
+        chosen = [row for row in paper.numbers if row.quantity.endswith(": time") == times]
+        return [row for row in chosen if row.figure.startswith(figure)]
+
+    checked = of("Fig. 8") + [row for row in of("Table I") if row.quantity.endswith("data error")]
+    set_beside = ("Fig. 8", "Fig. 9", "Table I")
+    sheets = {figure: sheet(of(figure), ("lampest",)) for figure in ("Fig. 1", "Fig. 2")}
+    sheets |= {figure: sheet(of(figure), names) for figure in set_beside}
+    return filled(
+        "lampest.studies.paper",
+        names=names,
+        places=paper.published.places,
+        uris={word: style.data_uri(figure, "png") for word, figure in paper.figures.items()},
+        sheets=sheets | {"times": sheet(of("Table I", times=True), names)},
+        counts={figure: counts(of(figure), names) for figure in set_beside} | {"all": counts(checked, names)},
+    )
+
+
+class PublishedNumber(NamedTuple):
     """A published number and ours. ours : one for each side, NaN where it is not to be had."""
 
     figure: str
@@ -130,12 +128,12 @@ def published_beside(sides: Sequence[Side], published: Published) -> Iterator[Pu
             yield row(f"Fig. 9-{mouth.letter}", name, "cells", mouth.cells, *ours)
     for kinds in STEPS:
         for step in published.errors:
-            taken = [side.steps(step.method, step.steps) for side in sides]
+            taken = [side.steps.get((step.method, step.steps), StepsSeen()) for side in sides]
             for what, unit, theirs, our in kinds:
                 name = f"{step.method}, {step.steps} steps: {what}"
                 yield row("Table I", name, unit, getattr(step, theirs), *(getattr(one, our) for one in taken))
     for point in published.changes:
-        name = f"ΔR/R₀ at {plain_number(point.kpa)} kPa"
+        name = f"ΔR/R₀ at {point.kpa:g} kPa".replace("-", "−")
         yield row("Fig. 1-e", name, "%", point.percent, 100 * _change(point.kpa))
     for part in published.slopes:
         slope = (_change(part.to_kpa) - _change(part.from_kpa)) / (part.to_kpa - part.from_kpa)
@@ -172,40 +170,40 @@ def counts(rows: Sequence[PublishedNumber], names: Sequence[str]) -> str:
 
 def response_figure(published: Published) -> Figure:
     """Figure 1-e with its inset: the curve that lampest uses through the published numbers."""
-    figure = new_figure(3.2)
+    figure = style.new_figure(3.2)
     axes = figure.subplots()
     pressures = np.linspace(-10.0, 235.0, 981)
-    axes.plot(pressures, 100 * relative_change_from_pressure(pressures), color=BLUE, lw=1.2, label="lampest")
+    axes.plot(pressures, 100 * relative_change_from_pressure(pressures), color=style.BLUE, lw=1.2, label="lampest")
     points = [(point.kpa, point.percent) for point in published.changes]
-    axes.plot(*zip(*points, strict=True), "o", color=ORANGE, ms=4.5, label="published")
-    dressed(axes, "pressure [kPa]", "relative change of resistance ΔR/R₀ [%]")
-    axes.legend(fontsize=SMALL_POINT, frameon=False, loc="upper left", bbox_to_anchor=(0.12, 1.0))
+    axes.plot(*zip(*points, strict=True), "o", color=style.ORANGE, ms=4.5, label="published")
+    style.dressed(axes, "pressure [kPa]", "relative change of resistance ΔR/R₀ [%]")
+    axes.legend(fontsize=style.SMALL_POINT, frameon=False, loc="upper left", bbox_to_anchor=(0.12, 1.0))
     inset = axes.inset_axes((0.42, 0.38, 0.55, 0.52))
     fine = np.linspace(0, 60, 601)
     slope = np.gradient(relative_change_from_pressure(fine), fine)
-    inset.plot(fine, slope, color=BLUE, lw=1.1)
+    inset.plot(fine, slope, color=style.BLUE, lw=1.1)
     for part in published.slopes:
         inset.plot(
-            [part.from_kpa, part.to_kpa], [part.per_kpa] * 2, color=ORANGE, lw=3, alpha=0.6, solid_capstyle="butt"
+            [part.from_kpa, part.to_kpa], [part.per_kpa] * 2, color=style.ORANGE, lw=3, alpha=0.6, solid_capstyle="butt"
         )
-    dressed(inset, "pressure [kPa]", "sensitivity S [1/kPa]")
+    style.dressed(inset, "pressure [kPa]", "sensitivity S [1/kPa]")
     return figure
 
 
 def bending_figure(published: Published) -> Figure:
     """Figure 2-a and 2-d: unloaded resistance over curvature, and the answer of bent cells up to 40 kPa."""
-    figure = new_figure(2.9)
+    figure = style.new_figure(2.9)
     left, right = figure.subplots(1, 2)
     curvature = np.linspace(0, published.bent_cells[-1].curvature_per_m, 120)
     unloaded = published.bent_cells[0].ohm * np.array([Film(curvature_per_m=float(one)).lowering for one in curvature])
-    left.plot(curvature, unloaded, color=BLUE, lw=1.2, label="lampest")
+    left.plot(curvature, unloaded, color=style.BLUE, lw=1.2, label="lampest")
     points = [(cell.curvature_per_m, cell.ohm) for cell in published.bent_cells]
-    left.plot(*zip(*points, strict=True), "o", color=ORANGE, ms=4.5, label="published")
+    left.plot(*zip(*points, strict=True), "o", color=style.ORANGE, ms=4.5, label="published")
     left.set_yscale("log")
     left.set_yticks([300, 500, 1000, 2000, 3000], ["300", "500", "1000", "2000", "3000"])
     left.minorticks_off()
-    left.legend(fontsize=SMALL_POINT, frameon=False)
-    dressed(left, "curvature [1/m]", "unloaded resistance R₀ [ohm]")
+    left.legend(fontsize=style.SMALL_POINT, frameon=False)
+    style.dressed(left, "curvature [1/m]", "unloaded resistance R₀ [ohm]")
     pressures = np.linspace(0.0, 40.0, 161)
     for cell, colour in zip(published.bent_cells, COLOURS, strict=True):
         answer = Film(curvature_per_m=cell.curvature_per_m).answer
@@ -213,44 +211,28 @@ def bending_figure(published: Published) -> Figure:
         name = "flat" if cell.radius_mm is None else f"radius {cell.radius_mm:g} mm"
         right.plot(pressures, change, color=colour, lw=1.1, label=name)
         right.plot(40, cell.percent, "o", color=colour, ms=4.5, clip_on=False)
-    right.legend(fontsize=SMALL_POINT, frameon=False, title="dots: published", title_fontsize=SMALL_POINT)
-    dressed(right, "pressure [kPa]", CHANGE)
+    right.legend(fontsize=style.SMALL_POINT, frameon=False, title="dots: published", title_fontsize=style.SMALL_POINT)
+    style.dressed(right, "pressure [kPa]", CHANGE)
     return figure
 
 
-def loads_figure(side: Side, published: Published) -> Figure:
-    """Figure 6: what was measured of six loads, in the frame in which the film feels what is named."""
-    tiles = []
+def tiles_of(side: Side, published: Published) -> dict[str, list[Tile]]:
+    """Figure → its maps: 6, six loads as measured; 8, six methods on one frame; 9, a large and a small mouth."""
+    tiles: dict[str, list[Tile]] = {"fig6": [], "fig8": [], "fig9": []}
     for load in published.loads:
-        seen = side.loads[load.letter]
-        note = f"measured {_span(seen.change)}\nfilm feels {_plain(seen.felt[0])} … {_plain(seen.felt[1])} kPa"
-        tiles.append(Tile(f"({load.letter}) {_wrapped(load.condition)}", seen.change, note))
-    return maps_figure_of(tiles, side.panel, side.name)
-
-
-def methods_figure(side: Side, published: Published) -> Figure:
-    """Figure 8: six maps of one frame; the published range stands below ours."""
-    tiles = []
+        change, felt = side.loads[load.letter]
+        note = f"measured {_span(change)} %\nfilm feels {_span(np.array(felt))} kPa"
+        tiles["fig6"].append(Tile(f"({load.letter}) {_wrapped(load.condition)}", change, note))
     for one in published.ranges:
-        change = side.change(one.method)
-        note = f"ours {_span(change)}\npaper {_plain(one.low)} … {_plain(one.high)} %"
-        tiles.append(
-            Tile(f"({one.letter}) {'measured two-point' if one.method == MEASURED else one.method}", change, note)
-        )
-    return maps_figure_of(tiles, side.panel, side.name)
-
-
-def mouths_figure(side: Side, published: Published) -> Figure:
-    """Figure 9: a large and a small mouth by one method."""
-    tiles = []
+        change, method = side.change(one.method), one.method.replace(MEASURED, "measured two-point")
+        note = f"ours {_span(change)} %\npaper {_span(np.array([one.low, one.high]))} %"
+        tiles["fig8"].append(Tile(f"({one.letter}) {method}", change, note))
     for number, mouth in enumerate(published.mouths):
         change = side.change(published.mouth_method, number)
-        rows, columns = covered(change)
-        note = f"ours {rows} × {columns} cells, paper {mouth.cells} × {mouth.cells}"
-        tiles.append(
-            Tile(f"({mouth.letter}) mouth of {mouth.diameter_mm:g} mm, {published.mouth_method}", change, note)
-        )
-    return maps_figure_of(tiles, side.panel, side.name, 2)
+        title = f"({mouth.letter}) mouth of {mouth.diameter_mm:g} mm, {published.mouth_method}"
+        note = f"ours {' × '.join(map(str, covered(change)))} cells, paper {mouth.cells} × {mouth.cells}"
+        tiles["fig9"].append(Tile(title, change, note))
+    return tiles
 
 
 def covered(change: Array) -> tuple[int, int]:
@@ -259,25 +241,22 @@ def covered(change: Array) -> tuple[int, int]:
     return int(np.sum(fallen.any(axis=1))), int(np.sum(fallen.any(axis=0)))
 
 
-def maps_figure_of(tiles: Sequence[Tile], panel: Panel, title: str, across: int = 3) -> Figure:
+def tiles_figure(tiles: Sequence[Tile], panel: Panel, title: str) -> Figure:
     """Contoured maps on one scale of ±100 %."""
+    across = 3 if len(tiles) > 2 else 2
     down = -(-len(tiles) // across)
-    figure = new_figure(down * (5.9 / across * panel.rows / panel.columns + 0.62) + 0.6)
+    figure = style.new_figure(down * (5.9 / across * panel.rows / panel.columns + 0.62) + 0.6)
     grid = figure.subplots(down, across, squeeze=False, sharex=True, sharey=True)
     largest = max((float(np.nanmax(tile.values)) for tile in tiles if tile.values is not None), default=0.0)
     scale = banded_scale([np.array([-100.0, 100.0, max(largest, 100.0)])], CHANGE)  # with an arrow for what leaves it
     painter = MapPainter(panel, scale, contoured=True)
     painter.draw_all(grid, tiles)
     painter.bar(figure, grid, "right", aspect=figure.get_figheight() / 0.16)
-    return labelled(figure, ACROSS_LABEL, DOWN_LABEL, title)
+    return style.labelled(figure, ACROSS_LABEL, DOWN_LABEL, title)
 
 
-def _span(change: Array) -> str:
-    return f"{_plain(float(np.nanmin(change)))} … {_plain(float(np.nanmax(change)))} %"
-
-
-def _plain(value: float) -> str:
-    return change_text(value, 100.0)
+def _span(values: Array) -> str:
+    return " … ".join(style.change_text(float(end(values)), 100.0) for end in (np.nanmin, np.nanmax))
 
 
 def _wrapped(text: str) -> str:

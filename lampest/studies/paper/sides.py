@@ -1,18 +1,16 @@
 """What the paper publishes as numbers, and what stands beside: shipped scenes, and what five methods make of them."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from functools import cache
-from importlib.resources import files
+from dataclasses import dataclass
 from math import nan
 from pathlib import Path
-from typing import Any, Literal, NamedTuple, cast
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from lampest.files.document import parse_document, read_document, validated
 from lampest.files.errors import InputError
 from lampest.panel.panel import Array, Panel
+from lampest.recording.datasets import folder as shipped_folder
 from lampest.recording.readings import Readings
 from lampest.recording.recording import UNLOADED, Recording
 from lampest.recording.simulation.files import run as simulated
@@ -22,12 +20,12 @@ from lampest.runs.batch import run_batch
 from lampest.runs.config import read_run
 from lampest.runs.executors import local
 from lampest.runs.results import Results, read_results
-from lampest.studies.study import published_code
+from lampest.studies.study import published_code, read_settings
 
 MEASURED = "measured"
-FASTEST = "formulation=reduced"  # finds the optima that a file's formulation finds, sooner
+FASTEST = "formulation={kind: reduced, joint: true}"  # finds the optima that the files' formulations find, sooner
 OnCase = Callable[[int, int], None]
-FILE = "published.yaml"
+FILE = Path(__file__).with_name("published.yaml")
 MOUTHS = ("35mm", "25mm")
 
 
@@ -106,29 +104,14 @@ class Published(NamedTuple):
     errors: tuple[ErrorRow, ...]
 
 
-def published_numbers(path: Path | None = None) -> Published:
-    """The numbers of a file, the package's own by default. Raises InputError with line and column."""
-    if path is not None:
-        return cast(Published, validated(read_document(path), Published))
-    text = files("lampest.studies.paper").joinpath(FILE).read_text(encoding="utf-8")
-    return cast(Published, validated(parse_document(text, FILE), Published))
+read_published = read_settings(Published)
 
 
-@dataclass(frozen=True, eq=False)
-class LoadSeen:
+class LoadSeen(NamedTuple):
     """What was measured of one load: relative change in percent, (rows, columns); felt : (lowest, highest) kPa."""
 
     change: Array
     felt: tuple[float, float]
-
-    @classmethod
-    def of(cls, recording: Recording) -> "LoadSeen":
-        """The frame in which cells have moved furthest; of a simulated recording."""
-        frame = int(recording.measured_frames()[furthest_frame(recording)])
-        assert recording.truth_pressure is not None
-        felt = recording.truth_pressure[frame]
-        change = percent_change(recording.recorded[frame], unloaded(recording))
-        return cls(change, (float(felt.min()), float(felt.max())))
 
 
 class StepsSeen(NamedTuple):
@@ -143,44 +126,31 @@ class StepsSeen(NamedTuple):
 class Side:
     """One set of scenes that stands beside the paper.
 
-    name, word : for the page, for files. mouths : the large and the small one. loads : letter of figure 6 → what was
-    seen. first : whether the first frame is shown, else the strongest one.
-    estimated : (method, number of the mouth) → relative change in percent, (frames, rows, columns).
-    steps : (method, steps) → what they took with the large mouth.
+    name, word : for the page, for files. loads : letter of figure 6 → what was seen. changes : (method, number of the
+    mouth) → relative change in percent of the shown frame, (rows, columns); what is measured keeps its series
+    resistance, as the paper's does. steps : (method, steps) → what they took with the large mouth.
     """
 
     name: str
     word: str
-    mouths: tuple[Recording, Recording]
+    panel: Panel
     loads: Mapping[str, LoadSeen]
-    first: bool
-    estimated: Callable[[str, int], Array]
-    steps: Callable[[str, Steps], StepsSeen]
-
-    @property
-    def panel(self) -> Panel:
-        """Of all its recordings."""
-        return self.mouths[0].scene.panel
+    changes: Mapping[tuple[str, int], Array]
+    steps: Mapping[tuple[str, Steps], StepsSeen]
 
     def change(self, method: str, number: int = 0) -> Array:
-        """Relative change in percent of the shown frame, (rows, columns): by a method, or as measured.
-
-        As the paper does, what is measured keeps its series resistance.
-        """
-        recording = self.mouths[number]
-        shown = 0 if self.first else furthest_frame(recording)
-        if method != MEASURED:
-            return np.asarray(self.estimated(method, number)[shown])
-        return percent_change(recording.recorded[recording.measured_frames()[shown]], unloaded(recording))
+        """One of the changes. Raises InputError where there is none."""
+        if (method, number) not in self.changes:
+            raise InputError(f"{self.name}: there are no results of {method}")
+        return self.changes[method, number]
 
 
-def all_sides(shipped: Path, folder: Path, published: Published, jobs: int | None, on_case: OnCase) -> tuple[Side, ...]:
+def all_sides(folder: Path, published: Published, jobs: int | None, on_case: OnCase) -> tuple[Side, ...]:
     """Simulate, solve and read; what was solved in the folder before is taken from it.
 
-    shipped : holds `configs/` and `data/`. Raises InputError where a file is missing, a case fails, or the folder
-    cannot be written.
+    Raises InputError where a shipped file is missing, a case fails, or the folder cannot be written.
     """
-    configs, data = shipped / "configs", shipped / "data"
+    configs, data = shipped_folder() / "configs", shipped_folder() / "data"
 
     def made(name: str) -> Path:
         """The recording of a simulation's file; made once."""
@@ -190,73 +160,84 @@ def all_sides(shipped: Path, folder: Path, published: Published, jobs: int | Non
             simulated(configs / f"{name}.yaml", file)
         return file
 
-    def side(name: str, word: str, files: Sequence[Path], loads: dict[str, LoadSeen], run: str, *assigned: str) -> Side:
-        mouths = Recording.load(files[0]), Recording.load(files[1])
-        results = _solved(configs / run, assigned, folder / word, jobs, on_case)
-        return Side(name, word, mouths, loads, word != "clean", *_optima(name, results, mouths))
+    def solved(word: str, run: str, *assigned: str) -> Results:
+        cases = read_run(configs / run, (FASTEST, *assigned))
+        report = run_batch(cases, folder / word, local(jobs, len(cases.cases)), on_case=on_case)
+        if report.results is None or report.failed:
+            raise InputError(f"{configs / run}: {'; '.join(f'{case}: {why}' for case, why in report.failed)}")
+        return read_results(report.results)
 
     letters = {load.letter: load.recording for load in published.loads}
-    loads = {letter: LoadSeen.of(Recording.load(data / f"{name}.h5")) for letter, name in letters.items()}
-    clean = side("clean scenes", "clean", [data / f"lamprey_{size}.h5" for size in MOUTHS], loads, "table1.yaml")
+    mouths = [Recording.load(data / f"lamprey_{size}.h5") for size in MOUTHS]
+    loads = {letter: _load(data / f"{name}.h5") for letter, name in letters.items()}
+    clean = _side("clean scenes", "clean", mouths, loads, *_optima(solved("clean", "table1.yaml"), mouths))
     files = [made(f"paper_{size}") for size in MOUTHS]
-    loads = {letter: LoadSeen.of(Recording.load(made(f"real_{name}"))) for letter, name in letters.items()}
-    recordings = f"recordings=[{', '.join(repr(str(file.resolve())) for file in files)}]"
-    panel = side("paper's panel", "panel", files, loads, "paper_run.yaml", recordings)
-    estimated, steps = _left_by_solver(panel.mouths)
-    return clean, panel, replace(panel, name="its solver", word="solver", estimated=estimated, steps=steps)
+    mouths = [Recording.load(file) for file in files]
+    loads = {letter: _load(made(f"real_{name}")) for letter, name in letters.items()}
+    named = f"recordings=[{', '.join(repr(str(file.resolve())) for file in files)}]"
+    panel = _side("paper's panel", "panel", mouths, loads, *_optima(solved("panel", "paper_run.yaml", named), mouths))
+    return clean, panel, _side("its solver", "solver", mouths, loads, *_left_by_solver(mouths, published))
 
 
-def _optima(
-    name: str, results: Results, mouths: tuple[Recording, Recording]
-) -> tuple[Callable[[str, int], Array], Callable[[str, Steps], StepsSeen]]:
+def _side(
+    name: str,
+    word: str,
+    mouths: Sequence[Recording],
+    loads: Mapping[str, LoadSeen],
+    estimated: Mapping[tuple[str, int], Array],
+    steps: Mapping[tuple[str, Steps], StepsSeen],
+) -> Side:
+    """The strongest frame is shown of clean scenes, the first one of others."""
+    frames = [furthest_frame(mouth) if word == "clean" else 0 for mouth in mouths]
+    changes = {key: np.asarray(change[frames[key[1]]]) for key, change in estimated.items()}
+    for number, (mouth, frame) in enumerate(zip(mouths, frames, strict=True)):
+        changes[MEASURED, number] = percent_change(mouth.recorded[mouth.measured_frames()[frame]], unloaded(mouth))
+    return Side(name, word, mouths[0].scene.panel, loads, changes, steps)
+
+
+def _load(file: Path) -> LoadSeen:
+    """The frame of a simulated recording in which cells have moved furthest."""
+    recording = Recording.load(file)
+    assert recording.truth_pressure is not None
+    frame = int(recording.measured_frames()[furthest_frame(recording)])
+    felt = recording.truth_pressure[frame]
+    change = percent_change(recording.recorded[frame], unloaded(recording))
+    return LoadSeen(change, (float(felt.min()), float(felt.max())))
+
+
+def _optima(results: Results, mouths: Sequence[Recording]) -> tuple[dict[Any, Array], dict[Any, StepsSeen]]:
     """Verified optima, from a results file with a case of every method; steps are those of `lampest compare`."""
-
-    def estimated(method: str, number: int) -> Array:
-        for case in results.of(mouths[number].name):
-            if case.estimator == method:
-                return np.asarray(case.relative_change)
-        raise InputError(f"{name}: there are no results of {method}")
-
-    def taken(method: str, steps: Steps) -> StepsSeen:
-        for row in compare(results):
-            if (row.recording, row.estimator, row.steps) == (mouths[0].name, method, steps) and row.data_error:
-                time = nan if row.solve_time is None else row.solve_time.mean
-                return StepsSeen(row.data_error.mean, row.data_error.sd or nan, time)
-        return StepsSeen()
-
-    return estimated, taken
+    changes = {
+        (case.estimator, number): np.asarray(case.relative_change)
+        for number, mouth in enumerate(mouths)
+        for case in results.of(mouth.name)
+    }
+    steps = {}
+    for row in compare(results):
+        if row.recording == mouths[0].name and row.data_error:
+            time = nan if row.solve_time is None else row.solve_time.mean
+            steps[row.estimator, row.steps] = StepsSeen(row.data_error.mean, row.data_error.sd or nan, time)
+    return changes, steps
 
 
-def _left_by_solver(
-    mouths: tuple[Recording, Recording],
-) -> tuple[Callable[[str, int], Array], Callable[[str, Steps], StepsSeen]]:
+def _left_by_solver(mouths: Sequence[Recording], published: Published) -> tuple[dict[Any, Array], dict[Any, StepsSeen]]:
     """What the paper's solver leaves; times are evaluations, at what one of them took the paper."""
-
-    @cache
-    def left(method: str, number: int) -> Any:
-        recording = mouths[number]
-        frames, solve = recording.recorded[recording.measured_frames()], published_code("as_published").left_by_solver
-        return solve(method, recording.scene.panel, unloaded(recording), frames)
-
-    def taken(method: str, steps: Steps) -> StepsSeen:
-        found = left(method, 0)
+    changes, steps = {}, {}
+    methods = ({one.method for one in published.ranges} | {one.method for one in published.errors}) - {MEASURED}
+    for method, number in (*((method, 0) for method in sorted(methods)), (published.mouth_method, 1)):
+        mouth = mouths[number]
+        frames, solve = mouth.recorded[mouth.measured_frames()], published_code("as_published").left_by_solver
+        found = solve(method, mouth.scene.panel, unloaded(mouth), frames)
+        changes[method, number] = found.change
         parts = {"initial": slice(1), "following": slice(1, None)} if found.joint else {"all": slice(None)}
-        if steps not in parts:
-            return StepsSeen()
-        error = spread(found.data_error[parts[steps]])
-        # Table I: LSM's 16.45 ± 0.40 s are its limit of 10,000 evaluations and one derivative.
-        time = 16.45 / 10_100 * float(found.evaluations[parts[steps]].mean())
-        return StepsSeen(time=time) if error is None else StepsSeen(error.mean, error.sd or nan, time)
-
-    return lambda method, number: left(method, number).change, taken
-
-
-def _solved(config: Path, assigned: tuple[str, ...], folder: Path, jobs: int | None, on_case: OnCase) -> Results:
-    run = read_run(config, (FASTEST, *assigned))
-    report = run_batch(run, folder, local(jobs, len(run.cases)), on_case=on_case)
-    if report.results is None or report.failed:
-        raise InputError(f"{config}: {'; '.join(f'{case}: {why}' for case, why in report.failed)}")
-    return read_results(report.results)
+        for name, part in parts.items() if not number else ():
+            error = spread(found.data_error[part])
+            # Table I: LSM's 16.45 ± 0.40 s are its limit of 10,000 evaluations and one derivative.
+            time = 16.45 / 10_100 * float(found.evaluations[part].mean())
+            steps[method, name] = (
+                StepsSeen(time=time) if error is None else StepsSeen(error.mean, error.sd or nan, time)
+            )
+    return changes, steps
 
 
 def unloaded(recording: Recording) -> Array:
