@@ -8,9 +8,9 @@ Hysteresis: loading follows the response curve, unloading lags behind it, and a 
 
     p_e = w_0 p + Σ w_i z_i,   z_i held between p and b_i p
 
-A generalised Prandtl-Ishlinskii operator: plays z_i whose two branches are the lines p and b_i p, b_i > 1. It is
-causal, independent of rate, odd, homogeneous and forgets all where the load crosses zero. Its inverse is exact: p_e is
-strictly monotone and piecewise linear in p, w_0 > 0. From a peak P the film unloads along the hyperbola
+A generalised Prandtl-Ishlinskii operator: plays z_i whose two branches are the lines p and b_i p, b_i > 1. It forgets
+all where the load crosses zero. Its inverse is exact: p_e is strictly monotone and piecewise linear in p, w_0 > 0. From
+a peak P the film unloads along the hyperbola
 p_e/P = s²t/(1 + (s² − 1)t), t = p/P, with s = (1 + η)/(1 − η); its largest gap from the line is η, at t = 1/(1 + s).
 Sources: Al Janaideh, Rakheja, Su, IEEE/ASME Trans. Mechatron. 16, 734 (2011), the operator and its inverse; Kuhnen,
 Eur. J. Control 9, 407 (2003); for tactile films Sánchez-Durán et al., Sensors 15, 26170 (2015).
@@ -112,7 +112,6 @@ class Creep:
 
     @classmethod
     def at_rest(cls, strength: Array) -> "Creep":
-        """Before the first load."""
         return cls(strength, np.zeros((len(DECADES), *np.shape(strength))))
 
     def after(self, at_once: Array, seconds: float) -> "Creep":
@@ -147,7 +146,6 @@ class FilmMemory:
     def at_rest(
         cls, hysteresis: Array, creep_per_decade: Array, gain: Array, water: Array, response: Response = PUBLISHED
     ) -> "FilmMemory":
-        """Before the first load, long in the water."""
         return cls(Plays.at_rest(hysteresis), Creep.at_rest(creep_per_decade), gain, water, response)
 
     def answered(self, pressure: Array, seconds: float) -> tuple["FilmMemory", Array]:
@@ -191,11 +189,10 @@ class FilmMemory:
 
 @dataclass(frozen=True)
 class FilmKnown:
-    """What is known of a film's strengths.
+    """What is known of a film's strengths, and where from.
 
-    hysteresis, creep : strengths of a cell. film : as the scene has it. sentence : where they come from, or ''.
-    residue : of the largest ln r/r0 of a cell, the root mean square of what stays after the load and does not fade.
     cells : (rows, columns) the creep of each cell and its deviation, estimated from a recording; else None.
+    residue : of the largest ln r/r0 of a cell, the root mean square of what stays after the load and does not fade.
     """
 
     film: Film
@@ -207,7 +204,6 @@ class FilmKnown:
 
     @classmethod
     def specified(cls, film: Film) -> "FilmKnown":
-        """As the scene specifies; what it leaves open as is usual."""
         found = cls(film, film.hysteresis_strength, film.creep_strength)
         return replace(found, sentence=found._said("assumed"))
 

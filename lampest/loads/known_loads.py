@@ -24,13 +24,10 @@ from lampest.panel.panel import Array, Panel
 class KnownLoad:
     """One load that lay still during some frames.
 
-    Parameters
-    ----------
-    frames : the first and the last, counted from 0 in the recording. recording : its file's name, without folder;
-        may be left out where there is one recording.
-    mass_g, force_newton, pressure_kpa : how heavy it was, one of the three; a pressure may be suction.
-    diameter_mm, or length_mm and width_mm with angle_deg : its foot. x_mm, y_mm : the foot's centre. A pressure without
-        foot lies on the whole panel.
+    frames : the first and the last, counted from 0 in the recording. recording : its file's name, without folder, or ''
+    where there is one recording. mass_g, force_newton, pressure_kpa : one of the three; a pressure may be suction.
+    diameter_mm, or length_mm and width_mm with angle_deg : its foot, with its centre at x_mm, y_mm. A pressure without
+    foot lies on the whole panel.
 
     Raises ValueError where a number is out of range, or the numbers do not make one load.
     """
@@ -83,14 +80,10 @@ class KnownLoad:
 
 @dataclass(frozen=True, kw_only=True)
 class KnownLoads:
-    """All loads of a calibration.
+    """All loads of a calibration. Raises ValueError where there is none, or a number is out of range.
 
-    Parameters
-    ----------
     patch_mm : edge of a cell's film; None: 0.6 of the pitch. place_mm : standard deviation of where a foot stood, along
-        x and along y.
-
-    Raises ValueError where there is no load, or a number is out of range.
+    x and along y.
     """
 
     __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
@@ -139,7 +132,6 @@ def _as_yaml(path: Path) -> str:
 
 
 def _scalar(cell: str) -> float | str:
-    """The number that a cell holds, or its text."""
     for kind in (int, float):
         try:
             return kind(cell)

@@ -158,12 +158,10 @@ class PressureTrack:
         return 1.0 if self.time is None else max(time - self.time, SOONEST)
 
     def _change(self, ratio: Array) -> Array:
-        """ln(r/r_baseline) without what warmth does."""
         warmth = self.scene.temperature
         return np.asarray(np.log(ratio) - (0.0 if warmth is None else warmth.logarithm))
 
     def _beside(self, ratio: Array, lower: Array, upper: Array, time: float) -> tuple[Array, Array]:
-        """Half the 95 % interval of the change, below and above it."""
         scene, change, warming_sd = self.scene, self._change(ratio), 0.0
         answer = -self.films.at_once(change[..., None, :, :] - self.zeros, self._seconds(time))[..., 0, :, :]
         kept = self.residue * np.maximum(self.peak - np.abs(change), 0.0)

@@ -28,12 +28,8 @@ OF_DIFFERENCES = 1.4826 / np.sqrt(2)  # median of |differences of two| → stand
 class Tare(Validated):
     """Take zero anew where nothing has touched the panel for so many frames in a row.
 
-    Parameters
-    ----------
     frames : how many; from fewer than five, noise cannot be told from a load.
     drift_per_minute : standard deviation of ln r of a cell at rest for each minute since the last zero.
-
-    Raises ValueError where a number is out of range.
 
     >>> lampest.Tare().frames
     20

@@ -51,16 +51,13 @@ class RoundCandidate(Candidate):
 
     @cached_property
     def _places(self) -> Mapping[str, int]:
-        """Where in φ every parameter stands."""
         return {name: number for number, name in enumerate(("x", "y", *self.numbers, *Unevenness._fields))}
 
     def priors(self, panel: Panel) -> Mapping[str, Prior]:
-        """Those of the centre, of all other numbers, and of its unevenness."""
         uneven = zip(Unevenness._fields, self.uneven, strict=True)
         return {**centre_priors(panel), **self.numbers, **{name: Prior(0, sd, step=0.1) for name, sd in uneven}}
 
     def pressure(self, panel: Panel, patch_mm: float, parameters: Array) -> tuple[Array, Array]:
-        """That of the disc which φ describes, stretched and in lobes where it may be."""
         disc, by_parameter = self.disc_with_slopes(parameters)
         form = slice(len(self._places) - len(EVEN), None)
         pressure, by_number = pressure_at_places(panel.places_mm, patch_mm, disc, Unevenness(*parameters[form]))
@@ -69,7 +66,6 @@ class RoundCandidate(Candidate):
         return pressure, slopes
 
     def disc(self, parameters: Array) -> Disc:
-        """The disc of φ."""
         return self.disc_with_slopes(parameters)[0]
 
     def disc_with_slopes(self, parameters: Array) -> tuple[Disc, Array]:
@@ -134,7 +130,6 @@ class RoundCandidate(Candidate):
         return unseen
 
     def report(self, parameters: Array) -> dict[str, tuple[float, Array]]:
-        """Centre and diameter, and the suction of what sucks."""
         disc, slopes = self.disc_with_slopes(parameters)
         names = ("x_mm", "y_mm", "diameter_mm", *(("suction_kpa",) if self.sucks else ()))
         return {name: (getattr(disc, name), slopes[Disc._fields.index(name)]) for name in names}
@@ -150,15 +145,13 @@ class RoundShape(Shape):
 
     @property
     def reach_mm(self) -> float:
-        """Its outer radius."""
         return self.disc().diameter_mm / 2
 
     def pressure_at(self, x: Array, y: Array) -> tuple[Array, Array]:
-        """Suction inside, and the pressure of the rim."""
         return self.disc().pressure_at(x, y)
 
     def pressing(self, inner_mm: float, outer_mm: float, rim_kpa: float, suction_kpa: float | None = None) -> Disc:
-        """The disc with these numbers, its centre and tilt. Raises ValueError where a pressure is out of range."""
+        """The disc with these numbers. Raises ValueError where a pressure is out of range."""
         if suction_kpa is not None and not VACUUM_KPA < suction_kpa < 0:
             raise ValueError("pressure_kpa is a suction: it must be negative, and above -101 kPa, an empty space")
         if not 0 <= rim_kpa < inf:
@@ -171,10 +164,6 @@ class RoundShape(Shape):
 @dataclass(frozen=True, kw_only=True)
 class Rod(RoundShape):
     """p = m·g/(π d²/4) under the flat end of an upright rod.
-
-    Parameters
-    ----------
-    diameter_mm, mass_g : of the rod.
 
     Example: {kind: rod, centre_mm: [45, 45], diameter_mm: 40, mass_g: 680}
 
@@ -195,17 +184,12 @@ class Rod(RoundShape):
     mass_g: float
 
     def disc(self) -> Disc:
-        """A full one."""
         return self.pressing(0.0, self.diameter_mm, contact_of_weight(self.mass_g, annulus_mm2(0, self.diameter_mm)))
 
 
 @dataclass(frozen=True, kw_only=True)
 class Ring(RoundShape):
     """p = m·g/(π (d² − d_i²)/4) under a weighted ring.
-
-    Parameters
-    ----------
-    inner_diameter_mm, outer_diameter_mm, mass_g : of the ring.
 
     Example: {kind: ring, centre_mm: [45, 45], inner_diameter_mm: 27, outer_diameter_mm: 35, mass_g: 850}
 
@@ -227,27 +211,20 @@ class Ring(RoundShape):
     mass_g: float
 
     def disc(self) -> Disc:
-        """One that does not suck."""
         area = annulus_mm2(self.inner_diameter_mm, self.outer_diameter_mm)
         return self.pressing(self.inner_diameter_mm, self.outer_diameter_mm, contact_of_weight(self.mass_g, area))
 
 
 @dataclass(frozen=True, kw_only=True)
 class SuctionCup(RoundShape):
-    """p < 0 inside d_i, against the surroundings, and p_rim = −p·d_i²/(d² − d_i²) under the rim that bears it.
+    """p = pressure_kpa < 0 inside d_i, against the surroundings; p_rim = −p·d_i²/(d² − d_i²) under the rim bears it.
 
     Of one frame a cup cannot be told from a mouth: recognition fits both as an oral disc.
 
-    Parameters
-    ----------
-    inner_diameter_mm, outer_diameter_mm : of the rim.
-    pressure_kpa : suction against the surroundings, negative.
-
     Example: {kind: suction_cup, centre_mm: [45, 45], inner_diameter_mm: 27, outer_diameter_mm: 35, pressure_kpa: -10}
 
-    >>> cup = lampest.SuctionCup(centre_mm=(45, 45), inner_diameter_mm=27, outer_diameter_mm=35, pressure_kpa=-10)
-    >>> cup.pressure_kpa
-    -10.0
+    >>> lampest.SuctionCup(centre_mm=(9, 9), inner_diameter_mm=27, outer_diameter_mm=35, pressure_kpa=-10).tilt
+    0.0
     """
 
     positive: ClassVar[tuple[str, ...]] = ("inner_diameter_mm", "outer_diameter_mm")
@@ -257,7 +234,6 @@ class SuctionCup(RoundShape):
     pressure_kpa: float
 
     def disc(self) -> Disc:
-        """One whose rim bears the suction."""
         inner, outer = self.inner_diameter_mm, self.outer_diameter_mm
         return self.pressing(inner, outer, bearing_kpa(self.pressure_kpa, inner, outer), self.pressure_kpa)
 
@@ -268,10 +244,7 @@ class OralDisc(RoundShape):
 
     Recognition lets it be long and uneven, and press harder than its suction needs.
 
-    Parameters
-    ----------
-    diameter_mm, rim_width_mm : of the mouth over the rim, and of the rim. Of an elongated one the geometric mean of
-        both axes; the area is that of the circle.
+    diameter_mm : of the mouth over the rim; of an elongated one the geometric mean of both axes.
     pressure_kpa : suction against the surroundings, negative.
     rim_kpa : mean contact pressure under the rim; None: what bears the suction, p_rim·A_rim = −p·A_inside, and
         `extra_rim_kpa`.
@@ -318,7 +291,6 @@ class OralDisc(RoundShape):
 
     @property
     def reach_mm(self) -> float:
-        """Half of its long axis over the rim."""
         return self.diameter_mm * sqrt(self.elongation) / 2
 
     def pressure_at(self, x: Array, y: Array) -> tuple[Array, Array]:
@@ -349,10 +321,7 @@ class OralDisc(RoundShape):
 class Block(Shape):
     """p = m·g/(a·b) under a rectangular foot; simulated only.
 
-    Parameters
-    ----------
-    length_mm, width_mm, mass_g : edges a and b of the foot, and its load.
-    angle_deg : direction of the length; 0 along the rows, towards higher columns, 90 towards higher rows.
+    angle_deg : direction of the length a; 0 along the rows, towards higher columns, 90 towards higher rows.
 
     Example: {kind: block, centre_mm: [45, 45], length_mm: 50, width_mm: 20, mass_g: 500, angle_deg: 30}
 
@@ -369,11 +338,9 @@ class Block(Shape):
 
     @property
     def reach_mm(self) -> float:
-        """Half the diagonal."""
         return hypot(self.length_mm, self.width_mm) / 2
 
     def pressure_at(self, x: Array, y: Array) -> tuple[Array, Array]:
-        """The same pressure everywhere under the foot, and no suction."""
         angle = radians(self.angle_deg)
         along, across = x * cos(angle) + y * sin(angle), y * cos(angle) - x * sin(angle)
         under = (np.abs(along) < self.length_mm / 2) & (np.abs(across) < self.width_mm / 2)

@@ -24,10 +24,10 @@ class Prior(NamedTuple):
 
 
 class Template(NamedTuple):
-    """A disc that is laid over a map of the cells, where a search begins.
+    """A disc that is laid over a map of the cells, where a search begins; inner_mm is 0 where it is full.
 
-    outer_mm, inner_mm : diameters; 0 where it is full. inside : what the inside does to ln r, 0 nothing, 1 as much as
-    the rim the other way. faint : whether it is looked for in the noise of a panel at rest too.
+    inside : what the inside does to ln r, 0 nothing, 1 as much as the rim the other way. faint : whether it is looked
+    for in the noise of a panel at rest too.
     """
 
     outer_mm: float
@@ -82,11 +82,9 @@ class Candidate(ABC):
         return np.zeros(len(parameters))
 
     def mean(self, panel: Panel) -> Array:
-        """Prior mean of φ, (parameters)."""
         return np.array([prior.mean for prior in self.priors(panel).values()])
 
     def sd(self, panel: Panel) -> Array:
-        """Prior standard deviation of φ, (parameters)."""
         return np.array([prior.sd for prior in self.priors(panel).values()])
 
 
@@ -105,14 +103,10 @@ class Shape(Validated):
     A subclass adds its numbers and `kind`, and has `reach_mm` and `pressure_at`; simulation needs no more. `candidate`
     is how recognition fits it, None: it is only simulated. `positive` names the numbers that must be above zero.
 
-    Parameters
-    ----------
     centre_mm : (x, y) of the centre; cells lie at their places, of a full rectangle at x = k·pitch and y = j·pitch.
     tilt : relative change of the contact pressure from the centre to its reach, 0 to 1; the mean stays where the
-        contact is symmetrical about the centre.
-    tilt_direction_deg : where the contact is strongest; 0 towards higher columns, 90 towards higher rows.
-
-    Raises ValueError where a number is out of range.
+        contact is symmetrical about the centre. tilt_direction_deg : where it is strongest; 0 towards higher columns,
+        90 towards higher rows.
 
     >>> issubclass(lampest.Rod, lampest.Shape)
     True
@@ -143,10 +137,7 @@ class Shape(Validated):
 
     @abstractmethod
     def pressure_at(self, x: Array, y: Array) -> tuple[Array, Array]:
-        """Contact pressure ≥ 0 without tilt and suction ≤ 0, kPa, at points x, y mm from the centre; all one shape.
-
-        Raises ValueError where the shape's numbers make no sense together.
-        """
+        """Contact pressure ≥ 0 without tilt and suction ≤ 0, kPa, at points x, y mm from the centre; all one shape."""
 
     def mean_pressure(self, panel: Panel, patch_mm: float) -> tuple[Array, Array]:
         """Mean contact pressure and mean suction over square patches of edge `patch_mm`, both (rows, columns) kPa."""

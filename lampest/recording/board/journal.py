@@ -19,18 +19,7 @@ from lampest.files.errors import InputError
 from lampest.files.whole import check_output, locked
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
-from lampest.recording.acquisition import (
-    AT_ONCE,
-    EVENT_CHECKSUM,
-    EVENT_PATHS,
-    FRAME_CHECKSUM,
-    FRAME_FIELDS,
-    LABEL_BYTES,
-    checksums,
-    frame_paths,
-    stored_rows,
-    whole_events,
-)
+from lampest.recording import acquisition
 from lampest.recording.board.stream import Sample
 from lampest.recording.recording import FORMAT, group_of
 
@@ -62,43 +51,45 @@ class Journal:
             with locked(path):  # HDF5's own lock ended where SWMR began
                 yield cls(file, group_of(scene.circuit), scene.circuit.signal)
 
+    @property
+    def _paths(self) -> tuple[str, ...]:
+        return acquisition.frame_paths(self.group, self.signal)
+
     def append(self, samples: Sequence[Sample], recorded: Array, roles: Sequence[int]) -> None:
         """Add frames, `recorded` (frames, rows, columns), and flush: from here on they survive.
 
         Raises InputError where the disk is full.
         """
         each = [vars(sample.frame) | vars(sample) for sample in samples]
-        names = ("time", "sums", *(name for name, *_ in FRAME_FIELDS))
-        times, sums, *acquired = ([one[name] for one in each] for name in names)
-        self._push(frame_paths(self.group, self.signal), (recorded, times, roles, sums, *acquired), FRAME_CHECKSUM)
+        names = ("time", "sums", *(name for name, *_ in acquisition.FRAME_FIELDS))
+        time, sums, *acquired = ([one[name] for one in each] for name in names)
+        self._push(self._paths, (recorded, time, roles, sums, *acquired), acquisition.FRAME_CHECKSUM)
 
     def mark(self, time: float, label: str) -> None:
-        """Add an event at a time on the recording's axis."""
-        text = np.bytes_(label.encode("ascii", "replace")[:LABEL_BYTES])
-        self._push(EVENT_PATHS, ([time], [text]), EVENT_CHECKSUM)
+        text = np.bytes_(label.encode("ascii", "replace")[: acquisition.LABEL_BYTES])
+        self._push(acquisition.EVENT_PATHS, ([time], [text]), acquisition.EVENT_CHECKSUM)
 
     def keep(self, other: h5py.File, damaged: NDArray[np.intp], frames: int) -> None:
         """Add what is whole of another journal like this; its damaged frames count as lost before the next one."""
-        paths = frame_paths(self.group, self.signal)
-        whole = np.setdiff1d(np.arange(frames), damaged)
+        paths, whole = self._paths, np.setdiff1d(np.arange(frames), damaged)
         dropped = np.diff(whole, prepend=-1) - 1
-        for begin in range(0, len(whole), AT_ONCE):
-            numbers = whole[begin : begin + AT_ONCE]
-            rows = stored_rows(other, paths, slice(int(numbers[0]), int(numbers[-1]) + 1))
+        for begin in range(0, len(whole), acquisition.AT_ONCE):
+            numbers = whole[begin : begin + acquisition.AT_ONCE]
+            rows = acquisition.stored_rows(other, paths, slice(int(numbers[0]), int(numbers[-1]) + 1))
             values = [column[numbers - numbers[0]] for column in rows]
             lost = paths.index("acquisition/lost")
-            values[lost] = values[lost] + dropped[begin : begin + AT_ONCE]
-            self._push(paths, values, FRAME_CHECKSUM)
-        events = whole_events(other)
-        rows = stored_rows(other, EVENT_PATHS, slice(len(events)))
-        self._push(EVENT_PATHS, [column[events] for column in rows], EVENT_CHECKSUM)
+            values[lost] = values[lost] + dropped[begin : begin + acquisition.AT_ONCE]
+            self._push(paths, values, acquisition.FRAME_CHECKSUM)
+        events = acquisition.whole_events(other)
+        rows = acquisition.stored_rows(other, acquisition.EVENT_PATHS, slice(len(events)))
+        self._push(acquisition.EVENT_PATHS, [column[events] for column in rows], acquisition.EVENT_CHECKSUM)
 
     def _push(self, paths: Sequence[str], values: Sequence[Sequence[Any] | Array], checksum: str) -> None:
         """Add rows; their checksums follow once the rows are in the file."""
         try:
             columns = [self._extend(path, value) for path, value in zip(paths, values, strict=True)]
             self.file.flush()
-            self._extend(checksum, checksums(columns))
+            self._extend(checksum, acquisition.checksums(columns))
             self.file[f"entry/{checksum}"].flush()
         except (OSError, RuntimeError) as error:
             raise InputError(f"{self.file.filename}: cannot be written ({' '.join(str(error).split())})") from error
@@ -134,14 +125,14 @@ def _lay_out(file: h5py.File, scene: Scene, readings: int) -> None:
     raw = entry.create_group("raw")
     hdf5.set_attributes(raw, NX_class="NXdata", signal="sums", readings=np.uint16(readings))
     _grow(raw, "sums", "u2", "1", "sums of ADC codes", shape)
-    acquisition = entry.create_group("acquisition")
-    hdf5.set_attributes(acquisition, NX_class="NXcollection")
-    for name, kind, units, long_name in FRAME_FIELDS:
-        _grow(acquisition, name, kind, units, long_name)
-    _grow(entry, FRAME_CHECKSUM, "u4", "1", "CRC-32 of all that belongs to the frame")
-    _grow(entry, EVENT_CHECKSUM, "u4", "1", "CRC-32 of all that belongs to the event")
-    _grow(acquisition, "event_time", "f8", "s", "time of the event")
-    _grow(acquisition, "event_label", f"S{LABEL_BYTES}", "1", "what was marked")
+    acquired = entry.create_group("acquisition")
+    hdf5.set_attributes(acquired, NX_class="NXcollection")
+    for name, kind, units, long_name in acquisition.FRAME_FIELDS:
+        _grow(acquired, name, kind, units, long_name)
+    _grow(entry, acquisition.FRAME_CHECKSUM, "u4", "1", "CRC-32 of all that belongs to the frame")
+    _grow(entry, acquisition.EVENT_CHECKSUM, "u4", "1", "CRC-32 of all that belongs to the event")
+    _grow(acquired, "event_time", "f8", "s", "time of the event")
+    _grow(acquired, "event_label", f"S{acquisition.LABEL_BYTES}", "1", "what was marked")
 
 
 def _grow(group: h5py.Group, name: str, kind: str, units: str, long_name: str, shape: tuple[int, ...] = ()) -> None:

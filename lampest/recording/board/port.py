@@ -17,20 +17,8 @@ import serial
 from serial.tools import list_ports
 
 from lampest.files.errors import InputError
-from lampest.recording.board.protocol import (
-    BAUD,
-    PROTOCOL_VERSION,
-    Answer,
-    Foreign,
-    Frame,
-    Garbage,
-    Hello,
-    Kind,
-    Message,
-    Receiver,
-    Result,
-    command,
-)
+from lampest.recording.board import protocol
+from lampest.recording.board.protocol import Answer, Foreign, Frame, Garbage, Hello, Kind, Message, command
 
 BOOT_SECONDS = 2.0  # a Mega's bootloader listens for about one after a reset; what is sent then may confuse it
 HELLO_SECONDS = 8.0
@@ -73,7 +61,7 @@ class Board:
 
     def __init__(self, port: serial.SerialBase, url: str) -> None:
         self._port, self._url = port, url
-        self._receiver = Receiver()
+        self._receiver = protocol.Receiver()
         self._waiting: list[Message] = []  # to be read
         self._tags = count(1)
         self.heard = 0
@@ -86,7 +74,7 @@ class Board:
         Raises NoBoardError where the port cannot be opened.
         """
         try:
-            port = serial.serial_for_url(url, BAUD, timeout=0.05, write_timeout=2.0, exclusive=True)
+            port = serial.serial_for_url(url, protocol.BAUD, timeout=0.05, write_timeout=2.0, exclusive=True)
         except (OSError, ValueError) as error:
             raise NoBoardError(f"{url}: cannot be opened ({' '.join(str(error).split())})") from error
         try:
@@ -134,13 +122,16 @@ class Board:
     def order(self, kind: Kind, value: int = 0) -> None:
         """Send a command until it is answered. Raises InputError where it is refused, NoBoardError for silence."""
         tag = next(self._tags) % 256
-        answer = self._ask(
-            command(kind, tag, value),
-            lambda item: isinstance(item, Answer) and (item.command, item.tag) == (kind, tag),
-            kind.name,
-        )
+
+        def wanted(item: Message) -> bool:
+            return isinstance(item, Answer) and (item.command, item.tag) == (kind, tag)
+
+        answer = self._ask(command(kind, tag, value), wanted, kind.name)
         # A board that runs already has carried out a START whose answer was lost.
-        if answer.result is not Result.DONE and (kind, answer.result) != (Kind.START, Result.REFUSED_RUNNING):
+        if answer.result is not protocol.Result.DONE and (kind, answer.result) != (
+            Kind.START,
+            protocol.Result.REFUSED_RUNNING,
+        ):
             raise InputError(f"{self._url}: {kind.name} {value} refused: {answer.result.value}")
 
     def identify(self) -> Hello:
@@ -149,7 +140,7 @@ class Board:
         return hello
 
     def _ask(self, wire: bytes, wanted: Callable[[Message], bool], name: str) -> Any:
-        """Send until the wanted message comes; what else comes meanwhile waits to be read, without garbage."""
+        """Send until the wanted message comes; what else comes, but garbage, waits to be read."""
         for _ in range(TRIES):
             self._port.write(wire)
             until = time.monotonic() + ANSWER_SECONDS
@@ -169,7 +160,7 @@ class Board:
             if isinstance(item, Foreign):
                 raise InputError(
                     f"{self._url}: the board speaks version {item.version} of the protocol and this lampest version "
-                    f"{PROTOCOL_VERSION}; upload the sketch in firmware/ that belongs to it"
+                    f"{protocol.PROTOCOL_VERSION}; upload the sketch in firmware/ that belongs to it"
                 )
         return found
 
@@ -198,7 +189,6 @@ class Board:
         return settings
 
     def stop(self) -> None:
-        """Stop scanning, if the board still listens."""
         with contextlib.suppress(OSError, InputError):
             self.order(Kind.STOP)
 

@@ -64,7 +64,7 @@ MOST_STUFFED = MOST_BODY + 2 + (MOST_BODY + 2) // 254 + 1  # bytes of the longes
 
 
 class Kind(IntEnum):
-    """Types of messages: up to 15 from the board, above to the board."""
+    """Messages: up to 15 from the board, above to the board."""
 
     HELLO = 1
     FRAME = 2
@@ -80,8 +80,6 @@ class Kind(IntEnum):
 
 
 class Result(Enum):
-    """What became of a command, as a sentence."""
-
     DONE = "done"
     REFUSED_UNKNOWN = "the board does not know this command"
     REFUSED_RANGE = "the value is outside what the board can do"
@@ -120,7 +118,6 @@ class Hello:
 
     @property
     def size(self) -> tuple[int, int, int]:
-        """Rows, columns and readings."""
         return self.rows, self.columns, self.readings
 
 
@@ -189,13 +186,11 @@ def hello_body(hello: Hello) -> bytes:
 
 
 def frame_body(frame: Frame) -> bytes:
-    """FRAME as the board packs it."""
     fields = (*frame.sums.shape, frame.readings, frame.sequence, frame.device_ms, frame.missed)
     return _FRAME.pack(PROTOCOL_VERSION, Kind.FRAME, *fields) + frame.sums.astype("<u2").tobytes()
 
 
 def answer_body(answer: Answer) -> bytes:
-    """ANSWER as the board packs it."""
     code = RESULT_CODES.index(answer.result)
     return _ANSWER.pack(PROTOCOL_VERSION, Kind.ANSWER, answer.command, answer.tag, code, answer.value)
 

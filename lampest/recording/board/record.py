@@ -3,9 +3,11 @@
 import contextlib
 import dataclasses
 import time
+from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -27,47 +29,25 @@ CLOCK_JUMP = "clock jump"  # label of the event
 
 
 @dataclass(frozen=True, kw_only=True)
-class FrameCount:
-    """Frames in the file, frames known to be missing, restarts of the board and jumps of its clock.
+class Recorded:
+    """What `record` did: frames in the file, frames known to be missing, restarts of the board, jumps of its clock.
 
-    parted : frames without a module that is read. behind : frames that the port held at the end. until : s on the
-    recording's time axis, when the last frame's period ended.
-    """
-
-    frames: int = 0
-    lost: int = 0
-    restarts: int = 0
-    clock_jumps: int = 0
-    parted: int = 0
-    behind: int = 0
-    until: float = 0.0
-
-    def after(self, sample: Sample, behind: bool) -> "FrameCount":
-        """With one more; `behind` where the end had been asked for before it was read."""
-        return FrameCount(
-            frames=self.frames + 1,
-            lost=self.lost + sample.lost,
-            restarts=sample.session,
-            clock_jumps=self.clock_jumps + sample.clock_jump,
-            parted=self.parted + (sample.missing > 0),
-            behind=self.behind + behind,
-            until=sample.ends,
-        )
-
-
-@dataclass(frozen=True, kw_only=True)
-class Recorded(FrameCount):
-    """What `record` did.
-
-    ended_by : the signal that ended it, such as SIGINT (Ctrl-C), or ''. noise_lsb : of one reading, as the baseline's
-    repeats show it, or None where they do not suffice. silent : s at the end of those asked for without any frame.
+    parted : frames without a module that is read. behind : frames that the port held at the end. ended_by : the signal
+    that ended it, such as SIGINT (Ctrl-C), or ''. noise_lsb : of one reading, as the baseline's repeats show it, or
+    None where they do not suffice. silent : s at the end of those asked for without any frame.
     """
 
     path: Path
     scene: Scene
+    frames: int
+    lost: int
+    restarts: int
+    clock_jumps: int
+    parted: int
+    behind: int
     ended_by: str
     noise_lsb: float | None
-    silent: float = 0.0
+    silent: float
 
 
 @dataclass(frozen=True)
@@ -109,8 +89,8 @@ def record(
     if out.exists():
         raise InputError(f"{out}: exists already; a recording is never written over")
     urls = (ports,) if isinstance(ports, str) else tuple(ports or ())
-    count, states = FrameCount(), [""]
-    with ending_signals(lambda: count.frames > 0 and not states[-1]) as asked:
+    count, states, last = Counter[str](), [""], None
+    with ending_signals(lambda: count["frames"] > 0 and not states[-1]) as asked:
         try:
             with contextlib.ExitStack() as stack:
                 batches = samples_of(urls, scene, period, states.append, lambda: bool(asked()))
@@ -120,27 +100,29 @@ def record(
                     if batch:
                         states[:] = [""]
                         journal = journal or stack.enter_context(journal_of(out, batch[0], scene))
-                        appended(journal, batch, scene, baseline - count.frames, keys)
-                    for sample in batch:
-                        count = count.after(sample, bool(asked()))
-                        on_progress(Progress(sample, count.frames, count.lost, ""))
+                        appended(journal, batch, scene, baseline - count["frames"], keys)
+                    for last in batch:
+                        count.update(frames=1, lost=last.lost, clock_jumps=last.clock_jump)
+                        count.update(parted=last.missing > 0, behind=bool(asked()))
+                        on_progress(Progress(last, count["frames"], count["lost"], ""))
                     if not batch and states[-1]:
-                        on_progress(Progress(None, count.frames, count.lost, states[-1]))
+                        on_progress(Progress(None, count["frames"], count["lost"], states[-1]))
         except KeyboardInterrupt:
-            if not count.frames:
+            if not last:
                 raise
         except InputError as error:
-            if count.frames:
-                raise InputError(f"{error}; the {count.frames} frames that came before are in {out}") from error
-            raise
+            before = f"; the {count['frames']} frames that came before are in {out}" if last else ""
+            raise InputError(f"{error}{before}") from error
         finally:
             # However it ended: what was recorded is left as a clean file.
-            made = finished(out) if count.frames else None
-        if made is None:
+            made = finished(out) if last else None
+        if made is None or last is None:
             raise InputError(f"{out}: ended before the first frame; nothing is written")
-        short = seconds is not None and not asked() and count.frames != frames
-        silent = round(max((seconds or 0.0) - count.until, 0.0), 3) if short else 0.0
-        return Recorded(path=out, scene=made[0], ended_by=asked(), noise_lsb=made[2], silent=silent, **asdict(count))
+        short = seconds is not None and not asked() and count["frames"] != frames
+        silent = max((seconds or 0.0) - last.time - last.period, 0.0) if short else 0.0
+        counts: Any = {name: count[name] for name in ("frames", "lost", "clock_jumps", "parted", "behind")}
+        ends = {"ended_by": asked(), "noise_lsb": made[2], "silent": round(silent, 3)}
+        return Recorded(path=out, scene=made[0], restarts=last.session, **counts | ends)
 
 
 def journal_of(out: Path, sample: Sample, scene: Scene | None) -> contextlib.AbstractContextManager[Journal]:
@@ -175,7 +157,8 @@ def _wanted(batches: Samples, frames: int | None, seconds: float | None, period:
         batch = batch if frames is None else batch[: frames - count]
         if seconds is not None:
             began = began or time.monotonic()
-            until = next((number for number, one in enumerate(batch, 1) if one.ends > seconds - 1e-3), None)
+            late = (number for number, one in enumerate(batch, 1) if one.time + one.period > seconds - 1e-3)
+            until = next(late, None)
             batch = batch[:until]
             ended = until is not None or time.monotonic() - began > 1.05 * seconds + period + 1
         count += len(batch)
@@ -212,10 +195,7 @@ def repair(path: Path) -> tuple[int, int]:
 
 
 def finished(path: Path, journal: Path | None = None) -> tuple[Scene, int, float | None]:
-    """Rewrite a journal as a clean recording, whatever signals come: its scene and frames, its baseline's noise.
-
-    journal : what is rewritten, where it is not the file at `path`.
-    """
+    """Rewrite a journal, the one at `path` or another, as a clean recording: its scene, frames and baseline's noise."""
     own(path)
     with deaf():
         recording = opened(journal or path)
@@ -223,9 +203,8 @@ def finished(path: Path, journal: Path | None = None) -> tuple[Scene, int, float
             noise = noise_from_repeats([recording])
             _with_sigma(recording, noise).save(path)
             return recording.scene, len(recording.time), noise
-        noise = noise_from_repeats(
-            recording.part(range(max(part.start - 1, 0), part.stop)) for part in recording.blocks()
-        )
+        overlapping = (range(max(part.start - 1, 0), part.stop) for part in recording.blocks())
+        noise = noise_from_repeats(recording.part(part) for part in overlapping)
         save_parts(path, (_with_sigma(recording.part(part), noise) for part in recording.blocks()))
         return recording.scene, recording.frames, noise
 

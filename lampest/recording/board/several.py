@@ -15,6 +15,7 @@ from time import time
 import numpy as np
 
 from lampest.files.errors import InputError
+from lampest.panel.panel import Modules
 from lampest.panel.scene import Scene
 from lampest.recording.acquisition import NO_SUM
 from lampest.recording.board.port import only_port
@@ -37,8 +38,7 @@ def samples_of(
 ) -> Samples:
     """As `board_samples`, of one board or of one for each module that is read, in the order of the modules.
 
-    ports : names or URLs; none: the only port that looks like an Arduino. Raises InputError as `board_samples`, and
-    where there is not one port for each module.
+    ports : none: the only port that looks like an Arduino. Raises InputError where there is not one for each module.
     """
     if scene is None or scene.panel.modules is None:
         if len(ports) > 1:
@@ -55,14 +55,14 @@ def samples_of(
     readings = {own.readout.readings for own in map(scene.of_modules.__getitem__, numbers) if own.readout}
     if len(readings) != 1:
         raise InputError("modules that are recorded together need a readout with one number of readings for all")
-    return _together(ports, scene, numbers, period, on_state, ending)
+    return _Boards(scene, layout, numbers, ports).samples(period, on_state, ending)
 
 
 @dataclass(frozen=True, eq=False)
 class Alignment:
     """Where boards stand: of each the frames that wait, oldest first, the one that was shown last, and recent delays.
 
-    moment : of the image's newest frame, s on the host's clock; None before the first. missing : boards not in it.
+    moment, began : of the image's newest and first frame, s on the host's clock. missing : boards not in the newest.
     """
 
     waiting: tuple[tuple[Stamped, ...], ...]
@@ -70,10 +70,15 @@ class Alignment:
     delays: tuple[tuple[float, ...], ...]
     moment: float | None = None
     missing: frozenset[int] = frozenset()
+    frames: int = 0
+    began: float | None = None
+
+    @property
+    def gone(self) -> list[int]:
+        return sorted(self.missing)
 
     @classmethod
     def of(cls, boards: int) -> "Alignment":
-        """Before the first frame."""
         return cls(((),) * boards, (None,) * boards, ((),) * boards)
 
     def taking(self, board: int, sample: Sample) -> "Alignment":
@@ -93,7 +98,7 @@ class Alignment:
         led = self._led(now)
         if led is None:
             return None
-        at, period = led[0], _period(led[1])
+        at, period = led[0], led[1].period
         late, found = now > at + 1.5 * period + LATE_SECONDS, dict[int, Stamped]()
         for board, waiting in enumerate(self.waiting):
             known = [*filter(None, [self.shown[board]]), *waiting]
@@ -108,7 +113,8 @@ class Alignment:
         ]
         shown = tuple(found.get(board, last) for board, last in enumerate(self.shown))
         missing = frozenset(range(len(shown))) - found.keys()
-        after = replace(self, waiting=tuple(left), shown=shown, moment=at, missing=missing)
+        began, frames = at if self.began is None else self.began, self.frames + 1
+        after = Alignment(tuple(left), shown, self.delays, at, missing, frames, began)
         return after, {board: sample for board, (_, sample) in found.items()}
 
     def _led(self, now: float) -> Stamped | None:
@@ -117,72 +123,91 @@ class Alignment:
             if not all(self.waiting):
                 return None
             begin = max(waiting[0][0] for waiting in self.waiting)
-            return next((one for one in self.waiting[0] if one[0] > begin - _period(one[1]) / 2), None)
+            return next((one for one in self.waiting[0] if one[0] > begin - one[1].period / 2), None)
         for board, waiting in enumerate(self.waiting):
             for one in waiting:
-                if one[0] > self.moment + _period(one[1]) / 2:
+                if one[0] > self.moment + one[1].period / 2:
                     return one
             last = self.shown[board]
-            if board not in self.missing and last and now < self.moment + 2.5 * _period(last[1]) + LATE_SECONDS:
+            if board not in self.missing and last and now < self.moment + 2.5 * last[1].period + LATE_SECONDS:
                 return None
         return None
 
 
-def _period(sample: Sample) -> float:
-    return sample.hello.period_us * 1e-6
+@dataclass(frozen=True, eq=False)
+class _Boards:
+    """Boards of the modules that are read, `numbers`, one at each port."""
 
+    scene: Scene
+    layout: Modules
+    numbers: Sequence[int]
+    ports: Sequence[str]
 
-def _together(
-    ports: Sequence[str],
-    scene: Scene,
-    numbers: Sequence[int],
-    period: float | None,
-    on_state: Callable[[str], None],
-    ending: Callable[[], bool],
-) -> Samples:
-    """Frames of the whole image; numbers : of the modules that are read, one for each port."""
-    layout = scene.panel.modules
-    assert layout is not None
-    here, count, began, ended, arrived = Alignment.of(len(ports)), 0, 0.0, Event(), Arrived()
-    names = [f"module {list(layout.place(number))} at {port}" for number, port in zip(numbers, ports, strict=True)]
-    states, listening = [""] * len(ports), set(range(len(ports)))
-    threads = [
-        Thread(
-            target=_listen, args=(board, port, scene.of_modules[numbers[board]], period, arrived, ended), daemon=True
-        )
-        for board, port in enumerate(ports)
-    ]
-    for thread in threads:
-        thread.start()
-    try:
-        while listening or not arrived.empty():
-            if ending():
-                ended.set()
-            with suppress(Empty):
-                board, item = arrived.get(timeout=POLL_SECONDS)
-                if isinstance(item, Sample):
-                    here, states[board] = here.taking(board, item), ""
-                elif isinstance(item, InputError) and (here.moment is None or len(listening) == 1):
-                    raise item
-                elif item is None:
-                    listening.discard(board)
-                else:
-                    states[board] = str(item)
-            made = list[Sample]()
-            while (found := here.frame(time() if listening else np.inf)) is not None:
-                after, parts = found
-                began = began if count else after.moment or 0.0
-                made.append(_image(scene, numbers, parts, here, after, count, began))
-                here, count = after, count + 1
-            yield tuple(made)
-            said = "; ".join(f"{names[board]}: {states[board] or 'no frame came'}" for board in sorted(here.missing))
-            if made and said:
-                on_state(said)
-                yield ()
-    finally:
-        ended.set()
+    def samples(self, period: float | None, on_state: Callable[[str], None], ending: Callable[[], bool]) -> Samples:
+        here, ended, arrived = Alignment.of(len(self.ports)), Event(), Arrived()
+        states, listening = [""] * len(self.ports), set(range(len(self.ports)))
+        modules = [self.scene.of_modules[number] for number in self.numbers]
+        threads = [
+            Thread(target=_listen, args=(*one, period, arrived, ended), daemon=True)
+            for one in zip(range(len(modules)), self.ports, modules, strict=True)
+        ]
         for thread in threads:
-            thread.join()
+            thread.start()
+        try:
+            while listening or not arrived.empty():
+                if ending():
+                    ended.set()
+                with suppress(Empty):
+                    board, item = arrived.get(timeout=POLL_SECONDS)
+                    if isinstance(item, Sample):
+                        here, states[board] = here.taking(board, item), ""
+                    elif isinstance(item, InputError) and (here.moment is None or len(listening) == 1):
+                        raise item
+                    elif item is None:
+                        listening.discard(board)
+                    else:
+                        states[board] = str(item)
+                made = list[Sample]()
+                while (found := here.frame(time() if listening else np.inf)) is not None:
+                    made.append(self._image(found[1], here, found[0]))
+                    here = found[0]
+                yield tuple(made)
+                gone = [
+                    f"{self._place(one)} at {self.ports[one]}: {states[one] or 'no frame came'}" for one in here.gone
+                ]
+                if made and gone:
+                    on_state("module " + "; module ".join(gone))
+                    yield ()
+        finally:
+            ended.set()
+            for thread in threads:
+                thread.join()
+
+    def _image(self, parts: dict[int, Sample], before: Alignment, after: Alignment) -> Sample:
+        """The boards' frames as one: it has the first board's clock, and the restarts of all."""
+        every, first = list(parts.values()), next(iter(parts.values()))
+        each, (rows, columns) = self.layout.each, self.layout.shape
+        sums = np.full((self.layout.count, each.rows, each.columns), NO_SUM, dtype=np.uint16)
+        for board, sample in parts.items():
+            sums[self.numbers[board]] = sample.frame.sums
+        fresh = [sample for board, sample in parts.items() if before.shown[board] != after.shown[board]]
+        missed, whole = max(sample.frame.missed for sample in every), self.layout.joined(sums)
+        events = [f"gone: {self._place(board)}" for board in after.gone if board not in before.missing]
+        events += [f"back: {self._place(board)}" for board in before.gone if board not in after.missing]
+        return Sample(
+            replace(first.frame, sequence=before.frames, missed=missed, sums=whole),
+            replace(first.hello, rows=rows, columns=columns),
+            (after.moment or 0.0) - (after.began or 0.0),
+            max(sample.host_time for sample in every),
+            min((sample.lost for sample in fresh), default=0) if before.frames else 0,
+            sum(last[1].session for last in after.shown if last is not None),
+            any(sample.clock_jump for sample in fresh),
+            len(after.missing),
+            tuple(events),
+        )
+
+    def _place(self, board: int) -> str:
+        return ",".join(map(str, self.layout.place(self.numbers[board])))
 
 
 def _listen(board: int, port: str, own: Scene, period: float | None, arrived: Arrived, ended: Event) -> None:
@@ -198,39 +223,3 @@ def _listen(board: int, port: str, own: Scene, period: float | None, arrived: Ar
     except InputError as error:
         arrived.put((board, error))
     arrived.put((board, None))
-
-
-def _image(
-    scene: Scene,
-    numbers: Sequence[int],
-    parts: dict[int, Sample],
-    before: Alignment,
-    after: Alignment,
-    count: int,
-    began: float,
-) -> Sample:
-    """The boards' frames as one: it has the first board's clock, and the restarts of all."""
-    layout = scene.panel.modules
-    assert layout is not None and after.moment is not None
-    every, first = list(parts.values()), next(iter(parts.values()))
-    sums = np.full((layout.count, layout.each.rows, layout.each.columns), NO_SUM, dtype=np.uint16)
-    for board, sample in parts.items():
-        sums[numbers[board]] = sample.frame.sums
-    fresh = [sample for board, sample in parts.items() if before.shown[board] != after.shown[board]]
-    changed = {"gone": after.missing - before.missing, "back": before.missing - after.missing}
-    rows, columns = layout.shape
-    return Sample(
-        replace(first.frame, sequence=count, missed=max(one.frame.missed for one in every), sums=layout.joined(sums)),
-        replace(first.hello, rows=rows, columns=columns),
-        after.moment - began,
-        max(sample.host_time for sample in every),
-        min((sample.lost for sample in fresh), default=0) if count else 0,
-        sum(last[1].session for last in after.shown if last is not None),
-        any(sample.clock_jump for sample in fresh),
-        len(after.missing),
-        tuple(
-            f"{word}: {','.join(map(str, layout.place(numbers[board])))}"
-            for word, boards in changed.items()
-            for board in sorted(boards)
-        ),
-    )

@@ -66,7 +66,6 @@ def scene_of(hello: Hello, scene: Scene | None) -> Scene:
 
 
 def declared_readout(hello: Hello) -> TwoPointReadout | LoadedColumnsReadout:
-    """The circuit and the converter as the board declares them."""
     reference, drive = hello.reference_milliohm / 1000, hello.drive_milliohm / 1000
     known: dict[str, Any] = {"supply_volt": hello.supply_millivolt / 1000, "adc_bits": hello.adc_bits}
     known["readings"] = hello.readings
@@ -79,10 +78,9 @@ def declared_readout(hello: Hello) -> TwoPointReadout | LoadedColumnsReadout:
 class Sample:
     """A frame with its place in the recording.
 
-    time : s since the first frame, by the board's clock; across a restart of the board by the host's.
-    host_time : s since 1970-01-01 UTC. lost : frames missing before this one.
-    session : number of restarts and reconnections before it, and of times the board's numbers began anew.
-    clock_jump : whether the board's clock jumped before it; time goes on by the period then.
+    time : s since the first frame, by the board's clock; across a restart of the board by the host's. host_time : s
+    since 1970-01-01 UTC. lost : frames missing before this one. session : number of restarts and reconnections before
+    it, and of times the board's numbers began anew. clock_jump : whether the board's clock jumped before it.
     missing : of an image of modules, how many that are read are not in it. events : what is marked at its time.
     """
 
@@ -97,9 +95,8 @@ class Sample:
     events: tuple[str, ...] = ()
 
     @property
-    def ends(self) -> float:
-        """When its period ends, s."""
-        return self.time + self.hello.period_us * 1e-6
+    def period(self) -> float:
+        return self.hello.period_us * 1e-6
 
 
 Samples = Generator[tuple[Sample, ...], None, None]
@@ -112,9 +109,8 @@ class Scanning:
     What came before is sent again by some lines; that is no frame. Where two frames in a row do not follow the newest
     one, but each other, the clock has jumped if the numbers went on, and the numbers began anew if the clock did.
 
-    hello : how the board is set. session : of its next frame. last : the recording's newest sample.
-    before, earlier : the two newest samples of this run. stray : a frame that followed none. since : s since 1970-01-01
-    UTC, when the board was started.
+    session : of the next frame. last : the recording's newest sample. before, earlier : the two newest of this run.
+    stray : a frame that followed none. since : s since 1970-01-01 UTC, when the board was started.
     """
 
     hello: Hello
@@ -127,23 +123,22 @@ class Scanning:
 
     @property
     def period(self) -> float:
-        """s between frames."""
         return self.hello.period_us * 1e-6
 
     def taking(self, frame: Frame) -> tuple["Scanning", tuple[Sample, ...]]:
         """The run with that frame, and the samples that it makes: one, none where it does not follow, or two."""
         stray = self.stray
-        together = stray is not None and _steps(stray, frame) == 1 and self._follows(frame, stray, time.time())
+        together = stray is not None and _since(stray, frame)[0] == 1 and self._follows(frame, stray, time.time())
         if stray and together and (sample := self._resumed(stray)) is not None:
-            run, samples = self._with(sample)
-            run, more = run.taking(frame)
-            return run, samples + more
+            run, more = self._with(sample)[0].taking(frame)
+            return run, (sample, *more)
         if self.before is None:
             return self._with(self._first(frame))
         for before in (self.last, self.before):  # which differ where the last one is in doubt
             if before is not None and self._follows(frame, before.frame, before.host_time):
-                at = before.time + _elapsed_ms(before.frame, frame) / 1000
-                return replace(self, before=before)._with(self._sample(frame, at, _steps(before.frame, frame) - 1))
+                steps, elapsed_ms = _since(before.frame, frame)
+                sample = self._sample(frame, before.time + elapsed_ms / 1000, steps - 1)
+                return replace(self, before=before)._with(sample)
         return replace(self, stray=frame), ()
 
     def doubted(self) -> "Scanning":
@@ -170,10 +165,10 @@ class Scanning:
         return self._sample(frame, self.last.time + moved, max(round(moved / self.period) - 1, 0))
 
     def _follows(self, frame: Frame, before: Frame, host_time: float) -> bool:
-        steps, most_ms = _steps(before, frame), self._most_ms(host_time)
+        (steps, elapsed_ms), most_ms = _since(before, frame), self._most_ms(host_time)
         if steps == 1:  # the board counts what it missed since; a scan may begin up to a period late
             most_ms = min(most_ms, 1010 * (2 + frame.missed) * self.period + 2)
-        return 0 < steps < ROUND // 2 and 990 * steps * self.period - 2 <= _elapsed_ms(before, frame) <= most_ms
+        return 0 < steps < ROUND // 2 and 990 * steps * self.period - 2 <= elapsed_ms <= most_ms
 
     def _most_ms(self, host_time: float) -> float:
         """By how much the board's clock can have advanced since a time of the host's."""
@@ -183,7 +178,7 @@ class Scanning:
         """The first frame after a jump of the clock or of the numbers; None where it was sent before."""
         assert self.before is not None and self.last is not None
         newest = max(self.before.time, self.last.time)
-        steps, elapsed_ms = _steps(self.before.frame, frame), _elapsed_ms(self.before.frame, frame)
+        steps, elapsed_ms = _since(self.before.frame, frame)
         forward = 0 < elapsed_ms < ROUND // 2
         if steps == 1 or (not forward and 0 < 1e3 * steps * self.period <= self._most_ms(self.before.host_time)):
             return self._sample(frame, newest + (steps + frame.missed) * self.period, steps - 1, jump=True)
@@ -193,21 +188,14 @@ class Scanning:
         return self._sample(frame, newest + moved, max(round(moved / self.period) - 1, 0), anew=1)
 
 
-def _steps(before: Frame, frame: Frame) -> int:
-    return (frame.sequence - before.sequence) % ROUND
-
-
-def _elapsed_ms(before: Frame, frame: Frame) -> int:
-    return (frame.device_ms - before.device_ms) % ROUND
+def _since(before: Frame, frame: Frame) -> tuple[int, int]:
+    """Frames and ms from one to the other."""
+    return (frame.sequence - before.sequence) % ROUND, (frame.device_ms - before.device_ms) % ROUND
 
 
 def agreed_and_recorded(sample: Sample, scene: Scene | None) -> tuple[Scene, Array]:
-    """The agreed scene, and (rows, columns) what its readout makes of the mean code: ohm or volt.
-
-    Raises InputError as `scene_of`.
-    """
-    several = scene is not None and scene.panel.modules is not None  # whose boards agreed one by one
-    agreed = scene if several and scene else scene_of(sample.hello, scene)
+    """The scene as `scene_of`, and (rows, columns) what its readout makes of the mean code: ohm or volt."""
+    agreed = scene if scene and scene.panel.modules else scene_of(sample.hello, scene)  # modules agreed one by one
     return agreed, recorded_of_sums(agreed, sample.frame.sums, sample.frame.readings)
 
 
@@ -220,11 +208,9 @@ def board_samples(
 ) -> Samples:
     """Samples as they come, several at once where they wait, and none now and then. Close it to stop the board.
 
-    url, scene, period : as `record` has them. on_state : called with a sentence when the board is gone. ending : asked
-    again and again; once it says so, what the port has delivered comes as one last batch.
-
-    Raises InputError where no board answers at first, where it does not fit the scene, cannot be that fast, or the line
-    talks without a frame that fits.
+    on_state : called with a sentence when the board is gone. ending : asked again and again; once it says so, what the
+    port has delivered comes as one last batch. Raises InputError where no board answers at first, where it does not fit
+    the scene, cannot be that fast, or the line talks without a frame that fits.
     """
     line = _Line(url, scene, period, ending)
     while not ending():
@@ -296,7 +282,6 @@ class _Line:
             board.stop()
 
     def _run(self, board: Board, hello: Hello) -> Samples:
-        """Samples until the board says that it no longer scans, or the end is asked for."""
         run = Scanning(hello, 0 if self.last is None else self.last.session + 1, self.last)
         silent_after = max(SILENCE_SECONDS, 3e-6 * hello.period_us)
         heard = time.monotonic()
@@ -323,7 +308,6 @@ class _Line:
                 heard = time.monotonic()
 
     def _taken(self, run: Scanning, found: Sequence[Message]) -> tuple[Scanning, tuple[Sample, ...], bool]:
-        """The run with all messages, the samples they make, and whether the board said that it no longer scans."""
         samples: tuple[Sample, ...] = ()
         for item in found:
             more, instead = tuple[Sample, ...](), "answers"

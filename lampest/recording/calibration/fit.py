@@ -95,20 +95,17 @@ class Circuit:
 
     @cached_property
     def start(self) -> Array:
-        """(unknowns) the scene's numbers; all lines alike."""
         lines = sum(part.stop - part.start for one in self.unknowns for part in one.lines.values())
         return np.array([one.start for one in self.unknowns] + [0.0] * lines)
 
     @property
     def least(self) -> Array:
-        """(unknowns) below which none can be: channels, memories and wires are not negative."""
         least = np.full(len(self.start), -np.inf)
         least[[one.index for one in self.unknowns if one.scale is not None]] = 0.0
         return least
 
     @property
     def readout(self) -> Readout:
-        """The scene's."""
         return self.scene.circuit
 
     def volt(self, unknowns: Array, cells: Array, reference_off: float = 0.0) -> Array:
@@ -186,7 +183,6 @@ class Problem:
         return np.asarray(inside[0] | inside[1])
 
     def places(self) -> Iterator[tuple[str, int, int]]:
-        """(readings) recording, row and column of each."""
         for trial in self.trials:
             yield from ((trial.name, int(row), int(column)) for row, column in np.argwhere(trial.used))
 

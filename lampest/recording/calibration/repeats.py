@@ -132,7 +132,6 @@ class Trial:
 
     @cached_property
     def cells(self) -> Array:
-        """(rows, columns) ohm with shorts and gaps as resistances."""
         return np.nan_to_num(np.maximum(self.known, SHORT_OHM), nan=OPEN_OHM)
 
     @cached_property
@@ -142,7 +141,6 @@ class Trial:
         return np.asarray((self.everywhere | (rows & columns)) & np.isfinite(self.readings.volt))
 
     def led(self, side: Side) -> NDArray[np.bool_]:
-        """(lines) of a side that lead to a resistor."""
         return np.asarray(np.isfinite(self.known).any(axis=1 if side == "rows" else 0))
 
     @cached_property

@@ -24,13 +24,11 @@ SHORT_OHM, OPEN_OHM = 1e-3, 1e12  # a strip of copper tape, and the insulation b
 class Unmodelled(Configuration):
     """Effects that enter the data but not the recording's scene. Zero or None: absent.
 
-    Parameters
-    ----------
     series_resistance_ohm : series resistance that the scene is silent about, on top of the one it names.
     channel_spread_ohm : standard deviation of the on-resistance of a multiplexer's channels, one for each line.
     reference_tolerance : the reference resistor is off by up to this fraction, drawn uniformly.
-    drift_per_minute : standard deviation of the rate at which the logarithm of a cell's resistance drifts, per minute.
-    common_drift_per_minute : the rate of all cells alike, beside that.
+    drift_per_minute : standard deviation of the rate at which the logarithm of a cell's resistance drifts;
+        common_drift_per_minute : the rate of all cells alike, beside that.
     leak_ohm : resistance between each line and the next one. contact_ohm : so much more in series with one row, which
         is drawn. begins_s : when these two begin, after the first frame; None: with it.
     saturation : the share of the supply beyond which a stage before the converter passes no voltage.
@@ -39,15 +37,13 @@ class Unmodelled(Configuration):
     supply_ripple_lsb, supply_ripple_hz : amplitude and frequency of a sine on what the converter sees, its phase drawn
         for every frame. Without a frequency one period is as long as the scan of a line.
     gain_spread : standard deviation of a frame's gain, drawn for every frame: all its voltages by one factor.
-    load_speed_mm_s : loads travel along x by TRAVEL_MM to and fro at this speed, also while the lines are scanned one
-        after the other; the truth is that of the middle of the scan.
+    load_speed_mm_s : loads travel along x by TRAVEL_MM to and fro, also while the lines are scanned one after the
+        other; the truth is that of the middle of the scan.
     inl_lsb : the largest deviation of the converter's curve from a straight line, smooth, in least significant bits.
     wire_ohm_per_cell : resistance of rows and columns from cell to cell, on top of what the scene says, in ohm.
     reading_error : standard deviation of the logarithm of a factor on each recorded reading, the same in all frames.
-    response_loss : a film answers by this fraction less, in the logarithm of its resistance.
-    response_spread : standard deviation of the logarithm of a factor on each cell's answer, likewise in the logarithm.
-
-    Raises ValueError where a number is out of range.
+    response_loss : a film answers by this fraction less, in the logarithm of its resistance; response_spread : standard
+        deviation of the logarithm of a factor on each cell's answer.
 
     >>> lampest.Unmodelled(channel_spread_ohm=3.0).channel_spread_ohm
     3.0
@@ -76,14 +72,12 @@ class Unmodelled(Configuration):
 
     def __post_init__(self) -> None:
         check_not_negative(self, *(field.name for field in fields(self)))
-        check_ranges(self, 0, 1, "reference_tolerance", "outlier_probability", "response_loss")
+        check_ranges(self, 0, 1, "outlier_probability")
+        check_ranges(self, 0, 0.999, "reference_tolerance", "response_loss")
         check_positive_fields(self, "leak_ohm")
-        if 1 in (self.reference_tolerance, self.response_loss):
-            raise ValueError("reference_tolerance and response_loss must be below 1")
 
     @property
     def needs_converter(self) -> tuple[str, ...]:
-        """Effects that are present and act on a converter."""
         names = (
             "reference_tolerance",
             "outlier_probability",
@@ -97,7 +91,7 @@ class Unmodelled(Configuration):
 
 
 def random_stream(seed: int, purpose: str) -> np.random.Generator:
-    """The random numbers for one purpose: those of other purposes stay the same whether or not these are drawn."""
+    """Random numbers for one purpose, whatever is drawn for others."""
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(zlib.crc32(purpose.encode()),)))
 
 
@@ -187,7 +181,7 @@ def _of_modules(
 
 
 def true_contacts(scene: Scene, seed: int) -> Contacts:
-    """Contacts drawn as the scene says what is known of them; none is below zero."""
+    """Contacts drawn as the scene specifies them; none is below zero."""
     contacts, shape = scene.contacts or Contacts(), scene.panel.shape
     normal = random_stream(seed, "contacts").standard_normal(sum(shape))
     ohm = np.maximum(contacts.mean(shape) + contacts.deviation(shape) * normal, 0.0)

@@ -24,15 +24,10 @@ MOMENTS, AT_ONCE = 8, 64  # within a frame's period at which the film feels the 
 class Course(Configuration):
     """Factors of contact and suction over time; the defaults are a load that is fully there from the first moment.
 
-    Parameters
-    ----------
     start_s : first touch, in seconds after the first measured frame; negative: before it, after the last unloaded one.
-    approach_s : how long the contact grows to its full pressure; 0: at once.
-    attachment_s : how long, after the approach, the suction grows; 0: at once.
+    approach_s, attachment_s : how long the contact grows to its full pressure, and then the suction; 0: at once.
     breathing_hz, breathing_depth : rhythm and relative amplitude by which contact and suction swing together.
     release_at_s, release_s : when the release begins, and how long it takes; None: never.
-
-    Raises ValueError where a number is out of range.
 
     >>> lampest.Course(start_s=1.0).start_s
     1.0

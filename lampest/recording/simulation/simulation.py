@@ -25,8 +25,6 @@ from lampest.recording.simulation.pressure import Course, pressure_on_cells, rem
 class Cells(Configuration):
     """r0 = resistance_ohm · exp(spread · z), z standard normal: the unloaded cells; patch_mm is the edge of their film.
 
-    Raises ValueError where a number is out of range.
-
     >>> lampest.Cells(resistance_ohm=3000.0).resistance_ohm
     3000.0
     """
@@ -44,18 +42,13 @@ class Cells(Configuration):
 class Simulation(Configuration):
     """All that makes a simulated recording.
 
-    Parameters
-    ----------
-    schema : version of this format. seed : every random number follows from it. scene : what the estimator gets.
-    cells : the unloaded cells. baseline_frames, frames : unloaded frames (role 0), then measured ones (role 1).
-    frame_period_s : time between frames.
+    seed : every random number follows from it. scene : what the estimator gets. cells : the unloaded cells.
+    baseline_frames, frames : unloaded frames (role 0), then measured ones (role 1). frame_period_s : between frames.
     loads, course : what touches the panel, and when; absent in the unloaded frames.
     water, film, response : how deep the panel truly stands, what the film truly does beside its response, and how it
         answers to pressure, where the scene leaves that open or is wrong; None: as the scene says.
     unmodelled : effects that the scene does not name.
-    output : where the recording goes, relative to the file that says so; see `lampest.recording.simulation.files`.
-
-    Raises ValueError where a number is out of range.
+    output : where the recording goes, relative to the file that says so.
 
     >>> lampest.Simulation(schema=1, seed=1, scene=recording.scene, frames=2).frames
     2
@@ -92,25 +85,18 @@ class Simulation(Configuration):
             raise ValueError(f"unmodelled: {', '.join(electronic)} need a readout in the scene")
         if self.scene.readout is None and self.scene.converter_memory is not None:
             raise ValueError("converter_memory needs a readout in the scene")
-        film = self.true_film
+        film = self.film or self.scene.film
         if film is not None and "auto" in (film.hysteresis, film.creep_per_decade):
             raise ValueError("film: a simulation needs numbers where the scene says auto; give a film of its own")
         if self.response is not None:
             self.response.check(self.scene.panel.shape)
 
     @property
-    def true_film(self) -> Film | None:
-        """What the film does beside its response; None: nothing."""
-        return self.film or self.scene.film
-
-    @property
     def values(self) -> int:
-        """frames · rows · columns, unloaded frames included."""
         return self.all_frames * self.scene.panel.crossings
 
     @property
     def all_frames(self) -> int:
-        """Frames, unloaded ones included."""
         return self.baseline_frames + self.frames
 
 
@@ -191,7 +177,7 @@ def cells_under(simulation: Simulation, time: Array, later_s: float = 0.0) -> Ar
 
 def _film_ratio(simulation: Simulation, time: Array, later_s: float) -> Array:
     """r over that of a film that is flat, in air and unloaded, (frames, rows, columns)."""
-    scene, film, first = simulation.scene, simulation.true_film, time[simulation.baseline_frames]
+    scene, film, first = simulation.scene, simulation.film or simulation.scene.film, time[simulation.baseline_frames]
     response = simulation.response or scene.response or PUBLISHED
 
     def pressure(at: Array) -> Array:
