@@ -19,7 +19,7 @@ from lampest.panel.readouts import Readout
 from lampest.panel.readouts.wiring import Wiring
 from lampest.panel.scene import Scene
 from lampest.posterior.spectrum import Rule
-from lampest.recording.readings import AT_MOST, Readings, StandIn
+from lampest.recording.readings import AT_MOST, Readings, stand_in_spread
 from lampest.solvers.solution import Settings
 
 FARTHEST, SHORTED = 1e9, 1e-6  # of the apparent resistance: beyond, double precision sees no difference
@@ -243,7 +243,7 @@ def weighed(readings: Readings, scene: Scene, stand_ins: NDArray[np.bool_]) -> R
         if plain.any():
             usual[frame] = np.exp(np.log(noise[frame][plain]).mean())
         if missing[frame].any():
-            spread = StandIn.of(readings.value[frame], plain).spread
+            spread = stand_in_spread(readings.value[frame], plain)
             own[frame] = np.where(missing[frame], readings.value[frame] * spread, own[frame])
     share = np.where(
         missing, np.minimum(usual / own, MOST_WEIGHT), np.where(bounded, np.minimum(usual / own, 1.0), 1.0)

@@ -1,6 +1,6 @@
 """Profile intervals: where all cells go while one that no reading of its own sees goes to either end of its interval.
 
-Without a penalty a missing reading is what `StandIn` says, and the frame is solved again at both ends. With one, the
+Without a penalty a missing reading is what `stand_in` says, and the frame is solved again at both ends. With one, the
 valley of data and penalties is followed by continuation, δ = −A⁻¹ ∇φ/2 + λ A⁻¹ e_c, Gauss and Newton's step with
 cell c going on by one step, A = Jᵀ Ω J + Zᵀ Ω Z, until φ has risen by 1.96² s² C.
 Sources: Venzon & Moolgavkar, Applied Statistics 37, 1988 (profile intervals); Allgower & Georg, Introduction to
@@ -19,7 +19,7 @@ from lampest.posterior.interval import TWO_SIDED
 from lampest.posterior.linear import LinearModel
 from lampest.posterior.sampled import SampledErrors
 from lampest.posterior.track import errors_of
-from lampest.recording.readings import Readings, StandIn
+from lampest.recording.readings import Readings, stand_in_spread
 
 MOST = 3  # missing readings of a frame, of which each costs two solves or as much; tangents serve for others
 STEPS = 3  # of the tangent's length: the path ends within a tenth of an optimum with the cell held
@@ -123,7 +123,7 @@ def _stood_in(
     moved: Callable[[Readings], Array],
 ) -> Iterator[tuple[Array, Array, Array]]:
     """(tangent, lower end, upper end) with what stands in for readings at the ends of its spread."""
-    spread, model = StandIn.of(readings.value, readings.plain).spread, errors.model
+    spread, model = stand_in_spread(readings.value, readings.plain), errors.model
     for row, column in places:
         unit = np.zeros(readings.value.shape)
         unit[row, column] = TWO_SIDED * spread[row, column]

@@ -18,45 +18,33 @@ VALUE, AT_LEAST, AT_MOST = 0.0, 1.0, -1.0
 NEAR = 3.0  # σ: a resistance so near to zero is only small; a bound so near to the mean of values is their noise
 
 
-@dataclass(frozen=True, eq=False)
-class StandIn:
-    """What the known readings of a frame (…, rows, columns) let expect of the others; NaN where unknown."""
-
-    logarithm: Array
-
-    @classmethod
-    def of(cls, value: Array, known: NDArray[np.bool_]) -> "StandIn":
-        """value : (…, rows, columns) of which the known readings count."""
-        return cls(np.where(known, np.log(np.where(known, value, 1.0)), np.nan))
-
-    @property
-    def value(self) -> Array:
-        """exp(m + a_j + b_k); 1 throughout where nothing is known."""
-        return np.exp(_polished(self.logarithm)[0])
-
-    @property
-    def spread(self) -> Array:
-        """(rows, columns) of one frame: standard deviation of the value's logarithm; 1 where nothing is known.
-
-        Cross-validated, one diagonal left out after the other: the rms, or more where that does not cover 95 % of them.
-        A line without any known reading has the variance of the others' effects on top.
-        """
-        known = ~np.isnan(self.logarithm)
-        if not known.any():
-            return np.ones(known.shape)
-        diagonal = np.add.outer(*map(np.arange, known.shape)) % max(known.shape)
-        left = np.stack([np.where(diagonal == number, np.nan, self.logarithm) for number in range(max(known.shape))])
-        alone = np.take_along_axis(_polished(left)[0], diagonal[None], axis=0)[0]
-        stray = np.abs(alone - self.logarithm)[known]
-        size = max(np.sqrt(np.mean(stray**2)), np.quantile(stray, 0.95, method="higher") / 1.96)
-        # Below, a frame is a simulation without noise.
-        return np.asarray(np.maximum(np.sqrt(size**2 + _polished(self.logarithm)[1]), 1e-3))
+def stand_in(value: Array, known: NDArray[np.bool_]) -> Array:
+    """exp(m + a_j + b_k) (…, rows, columns): what the known values of a frame let expect; 1 where nothing is known."""
+    return np.exp(_polished(value, known)[0])
 
 
-def _polished(rest: Array) -> tuple[Array, Array]:
+def stand_in_spread(value: Array, known: NDArray[np.bool_]) -> Array:
+    """Standard deviation of its logarithm, of one frame (rows, columns); 1 throughout where nothing is known.
+
+    Cross-validated, one diagonal left out after the other: the rms, or more where that does not cover 95 % of them.
+    A line without any known reading has the variance of the others' effects on top.
+    """
+    if not known.any():
+        return np.ones(known.shape)
+    diagonal = np.add.outer(*map(np.arange, known.shape)) % max(known.shape)
+    left = known & (diagonal != np.arange(max(known.shape))[:, None, None])
+    alone = np.take_along_axis(_polished(value, left)[0], diagonal[None], axis=0)[0]
+    stray = np.abs(alone - np.log(np.where(known, value, 1.0)))[known]
+    size = max(np.sqrt(np.mean(stray**2)), np.quantile(stray, 0.95, method="higher") / 1.96)
+    # Below, a frame is a simulation without noise.
+    return np.asarray(np.maximum(np.sqrt(size**2 + _polished(value, known)[1]), 1e-3))
+
+
+def _polished(value: Array, known: NDArray[np.bool_]) -> tuple[Array, Array]:
     """Median polish of log y: (m + a_j + b_k, variance of effects of unknown lines), any shape + (rows, columns)."""
     # Source: Tukey, Exploratory Data Analysis, 1977, chapter 11.
-    unknown, expected, between = np.isnan(rest), _median(rest, (-2, -1)), np.zeros(rest.shape)
+    rest = np.where(known, np.log(np.where(known, value, 1.0)), np.nan)
+    expected, between = _median(rest, (-2, -1)), np.zeros(rest.shape)
     rest = rest - expected
     effects = {axis: np.zeros_like(_median(rest, axis)) for axis in (-1, -2)}
     for _ in range(6):  # panels of 3 × 3 to 64 × 64 with holes change by less than their spread after two
@@ -64,12 +52,12 @@ def _polished(rest: Array) -> tuple[Array, Array]:
             step = _median(rest, axis)
             effects[axis], rest = effects[axis] + step, rest - step
     for axis, effect in effects.items():
-        known, other = ~unknown.all(axis=axis, keepdims=True), -3 - axis
-        count = np.maximum(known.sum(axis=other, keepdims=True), 1)
-        mean = np.where(known, effect, 0.0).sum(axis=other, keepdims=True) / count
-        square = np.where(known, (effect - mean) ** 2, 0.0).sum(axis=other, keepdims=True) / count
-        expected = expected + np.where(known, effect, mean)
-        between = between + np.where(known, 0.0, square)
+        some, other = known.any(axis=axis, keepdims=True), -3 - axis
+        count = np.maximum(some.sum(axis=other, keepdims=True), 1)
+        mean = np.where(some, effect, 0.0).sum(axis=other, keepdims=True) / count
+        square = np.where(some, (effect - mean) ** 2, 0.0).sum(axis=other, keepdims=True) / count
+        expected = expected + np.where(some, effect, mean)
+        between = between + np.where(some, 0.0, square)
     return expected, between
 
 
@@ -83,7 +71,7 @@ def _median(values: Array, axis: int | tuple[int, int]) -> Array:
 class Readings:
     """Readings of the network alone, any leading shape + (rows, columns), in the readout's unit (ohm or volt).
 
-    value : positive; where nothing is seen, what its row and column let expect (`StandIn`).
+    value : positive; where nothing is seen, what its row and column let expect (`stand_in`).
     sigma : the same unit, or None; where nothing is seen the frame's geometric mean.
     side : 0 a value, 1 the truth is at least this, -1 at most. seen : 1, or 0 where it is missing.
 
@@ -351,7 +339,7 @@ def _standing_in(value: Array, side: Array, whole: Array, seen: Array | None = N
     shape = (-1, *value.shape[-2:])
     filled, plain, there = value.copy().reshape(shape), known.reshape(shape), (whole > 0).reshape(shape)
     odd = ~there.all(axis=(1, 2))
-    filled[odd] = np.where(there[odd], filled[odd], StandIn.of(filled[odd], plain[odd]).value)
+    filled[odd] = np.where(there[odd], filled[odd], stand_in(filled[odd], plain[odd]))
     return filled.reshape(value.shape)
 
 

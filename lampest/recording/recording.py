@@ -18,7 +18,7 @@ from lampest.files.errors import InputError
 from lampest.files.process import check_memory
 from lampest.files.typed import Validated
 from lampest.panel.panel import Array, Panel, as_panels_have
-from lampest.panel.readouts import Readout, TwoPointReadout
+from lampest.panel.readouts import Readout
 from lampest.panel.scene import Scene, scene_text
 from lampest.recording.acquisition import Acquisition, undamaged_frames
 from lampest.recording.readings import Readings, check_sigma
@@ -92,7 +92,6 @@ class Recording(Validated):
             raise InputError(f"{where}time must hold one finite time for each frame")
         if np.any(np.diff(self.time) < 0):
             raise InputError(f"{where}time must not decrease")
-        self._check_unit()
         if self.role.shape != (frames,) or not np.all(np.isin(self.role, ROLES)):
             raise InputError(f"{where}role must hold 0 or 1 for each frame")
         for truth, path in zip((self.truth_cell_resistance, self.truth_pressure), TRUTHS, strict=True):
@@ -106,19 +105,6 @@ class Recording(Validated):
         unloaded, (rows, columns) = int(np.sum(self.role == UNLOADED)), self.scene.panel.shape
         frames, span = f"{len(self.role)} frames ({unloaded} unloaded)", f"{self.time.min():g} to {self.time.max():g} s"
         return f"Recording({self.name}: {frames} of {rows} × {columns} cells, {span})"
-
-    def _check_unit(self) -> None:
-        """Raise InputError where kohm were meant: all readings are below the resistance in series, without raw sums."""
-        circuit, plain = self.scene.circuit, self.recorded[np.isfinite(self.recorded) & (self.recorded > 0)]
-        if not isinstance(circuit, TwoPointReadout) or self.raw_sums is not None or not plain.size:
-            return
-        series = float(np.min(self.scene.series_ohm))
-        code = circuit.code_from_volt(circuit.volt_from_recorded(np.array(1000 * np.median(plain))))
-        if plain.max() < series and 8 <= code < 2**circuit.adc_bits - 8:
-            raise InputError(
-                f"{self.name}: {self.path} is at most {plain.max():.4g} ohm, less than the {series:.4g} ohm in series; "
-                "are these kohm?"
-            )
 
     @property
     def _group(self) -> str:
@@ -166,16 +152,15 @@ class Recording(Validated):
                 if not hdf5.has(file, path):
                     return None
                 flat = dimensions == (2, 3) and len(hdf5.shape_of(file, path)) == 2
-                return np.asarray(hdf5.read_array(file, path, dimensions, part=hdf5.ALL if flat else kept))
+                values = hdf5.read_array(file, path, dimensions, part=hdf5.ALL if flat else kept)
+                return np.asarray(values, dtype=None if path.endswith("/role") else float)
 
             def text(path: str) -> str | None:
                 return hdf5.read_text(file, path) if hdf5.has(file, path) else None
 
             recorded = np.asarray(hdf5.read_array(file, f"{group}/{signal}", 3, part=kept), dtype=float)
-            sigma, time = read(f"{group}/sigma", (2, 3)), read(f"{group}/time", 1)
+            time, number = read(f"{group}/time", 1), (kept.start or 0) + np.arange(len(recorded))
             role: Any = read(f"{group}/role", 1)
-            number = (kept.start or 0) + np.arange(len(recorded))
-            cells, pressure = (None if found is None else found.astype(float) for found in map(read, TRUTHS))
             raw = hdf5.has(file, "/entry/raw/sums")
             acquisition, start_time = Acquisition.read(file, kept), text("/entry/start_time")
             if acquisition is not None and start_time is None and len(recorded) and time is not None:
@@ -183,11 +168,11 @@ class Recording(Validated):
             return cls(
                 scene,
                 recorded,
-                np.asarray(number if time is None else time, dtype=float),
+                number.astype(float) if time is None else time,
                 np.ones(len(recorded), dtype=np.uint8) if role is None else role,
-                None if sigma is None else sigma.astype(float),
-                cells,
-                pressure,
+                read(f"{group}/sigma", (2, 3)),
+                read(TRUTHS[0]),
+                read(TRUTHS[1]),
                 hdf5.read_whole(file, "/entry/raw/sums", np.uint16, 3, part=kept) if raw else None,
                 int(hdf5.read_number(file, "/entry/raw", "readings", 0)) if raw else None,
                 path.stem,

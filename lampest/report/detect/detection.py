@@ -23,7 +23,7 @@ from lampest.loads.tare import OF_DIFFERENCES
 from lampest.panel.panel import Array, Panel
 from lampest.panel.scene import Scene
 from lampest.posterior.frame_noise import FrameNoise
-from lampest.recording.readings import Readings, StandIn
+from lampest.recording.readings import Readings, stand_in
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
 from lampest.recording.stored import StoredRecording
 from lampest.report.detect.answer import Detected
@@ -131,7 +131,7 @@ def _of_case(task: tuple[CaseResult, float | None]) -> Detected:
     noise = frame_noise_of(case.frame_noise, case.scene)
     own = sigma[0] if resting is None else resting * np.sqrt(1 if noise is None else noise.unloaded)
     rest = case.measured_baseline
-    rest = np.where(np.isfinite(rest), rest, StandIn.of(rest, np.isfinite(rest)).value)
+    rest = np.where(np.isfinite(rest), rest, stand_in(rest, np.isfinite(rest)))
     begin = float(case.time[0] - (np.median(np.diff(case.time)) if len(case.time) > 1 else 0.0))
     before = rest, own, rest[None], begin, case.reading_error, noise, notes, patch_mm
     values = zip(side, np.where(case.valued, sigma, np.inf), map(float, case.time), strict=True)
