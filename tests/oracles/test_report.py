@@ -138,9 +138,9 @@ def test_the_fastest_of_those_without_a_practical_difference_is_recommended() ->
     found = compared(cohort(30, **given), np.random.default_rng(0))
     assert found is not None
     assert [row.estimator for row in found.standings] == ["best", "near", "far"]
-    assert [row.against_best.told_apart for row in found.standings] == [False, False, True]
-    assert found.standings[2].against_best.difference.value == pytest.approx(1.0)
-    assert found.standings[2].against_best.wins == 0 and found.standings[2].against_best.losses == 30
+    assert [row.told_apart for row in found.standings] == [False, False, True]
+    assert found.standings[2].difference.value == pytest.approx(1.0)
+    assert found.standings[2].wins == 0
     assert sum(row.wins for row in found.standings) == 30
     advice = advise(cohort(30, **given), found)
     assert (
@@ -157,13 +157,13 @@ def test_speed_makes_up_for_no_error_and_a_sure_trifle_decides_nothing() -> None
     """Twice the error for half the time, not sure in five recordings; and a thousandth that is sure in all."""
     twice = cohort(5, slow=([0.01, 0.02, 0.01, 0.02, 0.01], 8.0), fast=([0.09, 0.01, 0.01, 0.02, 0.01], 4.0))
     found = compared(twice, np.random.default_rng(0))
-    assert found is not None and not found.standings[1].against_best.told_apart
+    assert found is not None and not found.standings[1].told_apart
     advice = advise(twice, found)
     assert advice.estimator == "slow" and "do not make sure that fast is larger" in " ".join(advice.reasons)
     hard = 0.02 + 0.001 * np.arange(30)
     trifle = cohort(30, one=(hard, 4.0), other=(hard * 1.001, 4.0))
     found = compared(trifle, np.random.default_rng(0))
-    assert found is not None and found.standings[1].against_best.told_apart
+    assert found is not None and found.standings[1].told_apart
     assert advise(trifle, found).headline.startswith("No practical difference between one and other")
 
 

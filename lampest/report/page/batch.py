@@ -20,13 +20,6 @@ class Subject:
     name: str
     cases: tuple[CaseResult, ...]
 
-    @property
-    def frames(self) -> int:
-        return len(self.cases[0].time)
-
-    def of(self, estimator: str) -> CaseResult | None:
-        return next((case for case in self.cases if case.estimator == estimator), None)
-
 
 @dataclass(frozen=True, eq=False)
 class Batch:
@@ -42,7 +35,7 @@ class Batch:
 
     @property
     def frames(self) -> int:
-        return sum(subject.frames for subject in self.subjects)
+        return sum(len(subject.cases[0].time) for subject in self.subjects)
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,17 +80,18 @@ def read_batch(paths: Sequence[Path], frames: range | None = None) -> Batch:
 def _renamed(case: CaseResult, before: Sequence[CaseResult], number: int) -> CaseResult:
     """The case under names that those before do not have."""
     same = [other for other in before if other.recording == case.recording]
-    if same and not _given_the_same(case, same[0]):
+    given = ("frame", "time", "measured", "measured_baseline", "truth", "truth_baseline")
+    if same and not all(_equal(getattr(case, name), getattr(same[0], name)) for name in given):
         return replace(case, recording=f"{case.recording} [{number}]")
     if any(other.estimator == case.estimator for other in same):
         return replace(case, estimator=f"{case.estimator} [{number}]")
     return case
 
 
-def _given_the_same(one: CaseResult, other: CaseResult) -> bool:
-    names = ("frame", "time", "measured", "measured_baseline", "truth", "truth_baseline")
-    pairs = ((getattr(one, name), getattr(other, name)) for name in names)
-    return all(a is b or (a is not None and b is not None and np.array_equal(a, b, equal_nan=True)) for a, b in pairs)
+def _equal(one: object, other: object) -> bool:
+    if isinstance(one, np.ndarray) and isinstance(other, np.ndarray):
+        return np.array_equal(one, other, equal_nan=True)
+    return one is other
 
 
 def without_copies(subjects: Sequence[Subject]) -> tuple[list[Subject], list[str]]:
@@ -126,9 +120,9 @@ def matched(subjects: Sequence[Subject]) -> Matched:
     what is hard; of the others, the frames count that all of them solved.
     """
     subjects, left_out = without_copies(subjects)
-    names, common = _shared(subjects)
-    every = dict.fromkeys(case.estimator for subject in subjects for case in subject.cases)
-    fewer = [name for name in every if name not in names]
+    often = Counter(case.estimator for subject in subjects for case in subject.cases)
+    names, common = _shared(subjects, often)
+    fewer = [name for name in often if name not in names]
     if fewer:
         left_out.append(f"{listed(fewer)}, for want of results of the same recordings")
     if len(common) < len(subjects):
@@ -147,11 +141,11 @@ def matched(subjects: Sequence[Subject]) -> Matched:
     return Matched(tuple(names), tuple(subject for subject, _ in kept), chosen, tuple(left_out))
 
 
-def _shared(subjects: Sequence[Subject]) -> tuple[list[str], list[Subject]]:
+def _shared(subjects: Sequence[Subject], often: Counter[str]) -> tuple[list[str], list[Subject]]:
     """Estimators and the recordings that all of them have: those with the most differences that can be paired."""
-    often = Counter(case.estimator for subject in subjects for case in subject.cases)
     options = []
     for least in sorted(set(often.values()), reverse=True):
         names = [name for name, count in often.items() if count >= least]
-        options.append((names, [subject for subject in subjects if all(subject.of(name) for name in names)]))
+        held = [subject for subject in subjects if {*names} <= {case.estimator for case in subject.cases}]
+        options.append((names, held))
     return max(options, key=lambda option: (len(option[0]) - 1) * len(option[1]))

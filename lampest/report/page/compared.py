@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -13,7 +12,6 @@ from lampest.report.page.batch import Batch, Matched, matched
 from lampest.report.page.measures import (
     Interval,
     Measures,
-    Picks,
     block_length,
     log_error,
     mean_interval,
@@ -26,28 +24,21 @@ from lampest.runs.case import CaseResult
 
 
 @dataclass(frozen=True)
-class Pair:
-    """Paired difference, mean of first − second over the units; in how many each was smaller."""
-
-    first: str
-    second: str
-    difference: Interval
-    wins: int
-    losses: int
-
-    @property
-    def told_apart(self) -> bool:
-        return not self.difference.covers_zero
-
-
-@dataclass(frozen=True)
 class Standing:
-    """An estimator's mean over the units, against the smallest of all; wins : units in which none is smaller."""
+    """An estimator's mean over the units, and how it differs from the smallest of all, in pairs.
+
+    wins : units in which none is smaller.
+    """
 
     estimator: str
     mean: Interval
-    against_best: Pair
+    difference: Interval
     wins: int
+
+    @property
+    def told_apart(self) -> bool:
+        """Whether the interval of the difference excludes zero."""
+        return not self.difference.lower <= 0 <= self.difference.upper
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,32 +70,23 @@ class Scores:
         values = np.stack(columns, axis=1)
         units = tuple(subject.name for subject in match.subjects)
         if single:
-            numbers = match.subjects[0].cases[0].frame[match.chosen[0]]
-            units = tuple(f"frame {number}" for number in numbers)
+            units = tuple(f"frame {number}" for number in match.subjects[0].cases[0].frame[match.chosen[0]])
         return cls(match.estimators, values, units, single, block_length(values) if single else 1)
 
-    def drawn(self, generator: np.random.Generator) -> Picks:
-        """Units for the bootstrap; all estimators are drawn together, so differences are paired."""
-        return picks(len(self.values), self.block, generator)
-
     def standings(self, generator: np.random.Generator) -> tuple[Standing, ...]:
-        """Every estimator against the one with the smallest mean, that one first, then by their means."""
-        drawn = self.drawn(generator)
+        """Every estimator against the one with the smallest mean, that one first, then by their means.
+
+        All estimators are drawn together, so differences are paired.
+        """
+        drawn = picks(len(self.values), self.block, generator)
         order = np.argsort(self.values.mean(axis=0), kind="stable")
         wins = np.sum(self.values == self.values.min(axis=1, keepdims=True), axis=0)
-        rows = [(mean_interval(self.values[:, one], drawn), self.pair(one, order[0], drawn)) for one in order]
-        return tuple(Standing(self.estimators[one], *row, int(wins[one])) for one, row in zip(order, rows, strict=True))
-
-    def pairs(self, generator: np.random.Generator) -> tuple[Pair, ...]:
-        """Every two estimators, each pair once in the order of their names' appearance."""
-        drawn = self.drawn(generator)
-        return tuple(self.pair(*two, drawn) for two in combinations(range(len(self.estimators)), 2))
-
-    def pair(self, one: int, other: int, drawn: Picks) -> Pair:
-        """Two estimators by their numbers."""
-        difference = self.values[:, one] - self.values[:, other]
-        wins, losses = int(np.sum(difference < 0)), int(np.sum(difference > 0))
-        return Pair(self.estimators[one], self.estimators[other], mean_interval(difference, drawn), wins, losses)
+        best, rows = self.values[:, order[0]], []
+        for one in order:
+            own = self.values[:, one]
+            intervals = mean_interval(own, drawn), mean_interval(own - best, drawn)
+            rows.append(Standing(self.estimators[one], *intervals, int(wins[one])))
+        return tuple(rows)
 
 
 @dataclass(frozen=True)
@@ -135,7 +117,6 @@ class Comparison:
     match: Matched
     scores: Scores
     standings: tuple[Standing, ...]
-    pairs: tuple[Pair, ...]
     speed: Scores
     times: tuple[Standing, ...]
 
@@ -194,9 +175,8 @@ def compared(batch: Batch, generator: np.random.Generator) -> Comparison | None:
     criterion = CELL_ERROR if known else PREDICTION if predictable else DATA_ERROR
     scores = Scores.of(match, criterion.per_cell, criterion.average)
     speed = Scores.of(match, lambda case: np.log(np.fmax(1e3 * case.solve_time, 1e-3)), np.median)
-    first, second, third = generator.spawn(3)
-    standings, pairs = scores.standings(first), scores.pairs(second)
-    return Comparison(criterion, match, scores, standings, pairs, speed, speed.standings(third))
+    first, second = generator.spawn(2)
+    return Comparison(criterion, match, scores, scores.standings(first), speed, speed.standings(second))
 
 
 @dataclass(frozen=True)
@@ -216,16 +196,24 @@ def advise(batch: Batch, comparison: Comparison | None) -> Advice:
     is larger is not made up for by speed. Where nothing but the data error is known nothing is recommended: a smaller
     one only means a weaker penalty.
     """
+    match = comparison.match if comparison else matched(batch.subjects)
+    left_out = tuple(f"Not compared: {sentence}." for sentence in match.left_out)
     if comparison is None:
         alone = "There are no frames that two estimators both solved in the recordings that can be compared."
         if len(batch.estimators) == 1:
             alone = f"{batch.estimators[0]} is the only estimator."
-        return Advice(None, "There is nothing to choose from.", (alone,), _left_out(matched(batch.subjects)))
-    warnings = (*_few(comparison), *_left_out(comparison.match))
+        return Advice(None, "There is nothing to choose from.", (alone,), left_out)
+    warnings = (*_few(comparison.scores), *left_out)
+    best = comparison.standings[0]
     if not comparison.criterion.decides:
         headline = "These results do not tell which estimator is nearest to the cells."
-        return Advice(None, headline, _undecided(comparison), warnings)
-    best = comparison.standings[0]
+        reasons = (
+            "The truth is unknown, and so is what would stand in for it: the noise of the readings with the "
+            "resolution.",
+            f"{best.estimator} has the smallest data error, {between(best.mean, comparison.criterion.unit)}; but a "
+            "data error grows with every penalty, good or bad.",
+        )
+        return Advice(None, headline, reasons, warnings)
     # Nobody sees less in a map or a force.
     alike = [row for row in comparison.standings if row.mean.value <= (1 + 0.05) * best.mean.value]
     taken = min(alike, key=lambda row: comparison.milliseconds(row.estimator))
@@ -247,6 +235,41 @@ def _some(texts: list[str], more: str) -> str:
     return listed(texts[:4] + ([f"{left} {more}"] if left > 0 else []))
 
 
+def _reasons(comparison: Comparison, taken: Standing, alike: Sequence[Standing]) -> Iterator[str]:
+    best, criterion, scores = comparison.standings[0], comparison.criterion, comparison.scores
+    points = criterion.difference_unit
+    basis = f"mean over {counted(len(scores.values), 'recording')} with {counted(comparison.match.frames, 'frame')}"
+    if scores.over_frames:
+        basis = f"mean over {counted(len(scores.values), 'frame')} of one recording, drawn in blocks of {scores.block}"
+    yield f"{best.estimator} has the smallest {criterion.name}: {between(best.mean, criterion.unit)}, {basis}."
+    others = [f"{row.estimator} ({signed(row.difference, points)})" for row in alike if row is not best]
+    if others:
+        yield f"Within a twentieth of it: {listed(others)}."
+    if taken is not best:
+        slow, fast = (digits(comparison.milliseconds(row.estimator), 2) for row in (best, taken))
+        yield f"{taken.estimator} takes {fast} ms a frame, {best.estimator} {slow} ms."
+    worse = [row for row in comparison.standings if row not in alike]
+    if worse:
+        texts = [f"{row.estimator} by {signed(row.difference)}" for row in worse]
+        yield f"Larger than that of {best.estimator}, in {points}: {_some(texts, 'more by more than that')}."
+    unsure = [row.estimator for row in worse if not row.told_apart]
+    if unsure:
+        yield f"These data do not make sure that {listed(unsure)} {'is' if len(unsure) == 1 else 'are'} larger."
+    if criterion is PREDICTION:
+        yield (
+            "The truth is unknown, so this rests on how well fresh readings would be predicted: the misfit, charged "
+            "for every cell that follows its reading's noise. It is as right as the noise that the results name."
+        )
+
+
+def _few(scores: Scores) -> Iterator[str]:
+    if scores.over_frames:
+        yield "One recording only: intervals are over its frames and do not cover another animal or day."
+    if len(scores.values) < 5:
+        noun = counted(len(scores.values), "frame" if scores.over_frames else "recording")
+        yield f"{noun} only: intervals over fewer than 5 are unreliable, mostly too short."
+
+
 def doubts(estimator: str, found: Sequence[Measures]) -> tuple[str, ...]:
     """What is wrong with the recommended estimator: residuals beyond the noise, error bars that are wrong."""
     sentences = []
@@ -263,60 +286,3 @@ def doubts(estimator: str, found: Sequence[Measures]) -> tuple[str, ...]:
             "contain more than the noise, the scene and the penalty account for."
         )
     return tuple(sentences)
-
-
-def _reasons(comparison: Comparison, taken: Standing, alike: Sequence[Standing]) -> Iterator[str]:
-    best, criterion = comparison.standings[0], comparison.criterion
-    points = criterion.difference_unit
-    smallest = between(best.mean, criterion.unit)
-    yield f"{best.estimator} has the smallest {criterion.name}: {smallest}, {_basis(comparison)}."
-    others = [f"{row.estimator} ({signed(row.against_best.difference, points)})" for row in alike if row is not best]
-    if others:
-        yield f"Within a twentieth of it: {listed(others)}."
-    if taken is not best:
-        slow, fast = (digits(comparison.milliseconds(row.estimator), 2) for row in (best, taken))
-        yield f"{taken.estimator} takes {fast} ms a frame, {best.estimator} {slow} ms."
-    worse = [row for row in comparison.standings if row not in alike]
-    if worse:
-        texts = [f"{row.estimator} by {signed(row.against_best.difference)}" for row in worse]
-        yield f"Larger than that of {best.estimator}, in {points}: {_some(texts, 'more by more than that')}."
-    unsure = [row.estimator for row in worse if not row.against_best.told_apart]
-    if unsure:
-        yield f"These data do not make sure that {listed(unsure)} {'is' if len(unsure) == 1 else 'are'} larger."
-    if criterion is PREDICTION:
-        yield (
-            "The truth is unknown, so this rests on how well fresh readings would be predicted: the misfit, charged "
-            "for every cell that follows its reading's noise. It is as right as the noise that the results name."
-        )
-
-
-def _basis(comparison: Comparison) -> str:
-    units, block = len(comparison.scores.values), comparison.scores.block
-    if comparison.scores.over_frames:
-        blocks = f"in blocks of {block}" if block > 1 else "one by one"
-        return f"mean over {counted(units, 'frame')} of one recording (95 % interval from frames drawn {blocks})"
-    frames = counted(comparison.match.frames, "frame")
-    return f"mean over {counted(units, 'recording')} with {frames} (95 % interval)"
-
-
-def _few(comparison: Comparison) -> Iterator[str]:
-    units, over_frames = len(comparison.scores.values), comparison.scores.over_frames
-    if over_frames:
-        yield "One recording only: intervals are over its frames and say nothing of another animal or day."
-    if units < 5:
-        noun = counted(units, "frame" if over_frames else "recording")
-        yield f"{noun} only: intervals over fewer than 5 are unreliable, mostly too short."
-
-
-def _left_out(match: Matched) -> tuple[str, ...]:
-    return tuple(f"Not compared: {sentence}." for sentence in match.left_out)
-
-
-def _undecided(comparison: Comparison) -> tuple[str, ...]:
-    first, quickest = comparison.standings[0], comparison.times[0]
-    return (
-        "The truth is unknown, and so is what would stand in for it: the noise of the readings with the resolution.",
-        f"{first.estimator} has the smallest data error, {between(first.mean, comparison.criterion.unit)}; but a data "
-        "error grows with every penalty, good or bad.",
-        f"The fastest is {quickest.estimator}, {digits(comparison.milliseconds(quickest.estimator), 2)} ms a frame.",
-    )

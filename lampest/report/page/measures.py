@@ -27,12 +27,7 @@ class Interval:
     @classmethod
     def of(cls, value: float, draws: Array) -> "Interval":
         """From what the figure is for each of the draws."""
-        lower, upper = np.percentile(draws, (2.5, 97.5))
-        return cls(value, float(lower), float(upper))
-
-    @property
-    def covers_zero(self) -> bool:
-        return self.lower <= 0 <= self.upper
+        return cls(value, *map(float, np.percentile(draws, (2.5, 97.5))))
 
 
 def block_length(values: Array) -> int:
@@ -44,9 +39,7 @@ def block_length(values: Array) -> int:
     count = len(values)
     series = values - values.mean(axis=1, keepdims=True)
     series = series - series.mean(axis=0)
-    power = float(np.sum(series**2))
-    longest = max(1, count // 3)
-    memory = 0
+    power, longest, memory = float(np.sum(series**2)), max(1, count // 3), 0
     if np.isfinite(power) and power > 0:
         while memory < longest and np.sum(series[memory:] * series[: count - memory]) > power / np.e:
             memory += 1
@@ -78,8 +71,7 @@ def median_interval(values: Array, drawn: Picks) -> Interval:
     counts = np.stack([np.bincount(row, minlength=most) for row in bins]).astype(float)
     often = np.stack([np.bincount(row, minlength=len(values)) for row in drawn]).astype(float)
     share = np.cumsum(often @ counts, axis=1) / values.shape[1] / drawn.shape[1]
-    place = np.argmax(share >= 0.5, axis=1)
-    row = np.arange(len(share))
+    place, row = np.argmax(share >= 0.5, axis=1), np.arange(len(share))
     before = np.where(place > 0, share[row, place - 1], 0.0)
     within = (0.5 - before) / (share[row, place] - before)
     return Interval.of(float(np.median(values)), edges[place] + within * (edges[place + 1] - edges[place]))
@@ -120,14 +112,15 @@ def measures(case: CaseResult, generator: np.random.Generator) -> Measures:
     known: dict[str, float | Interval | None] = {
         **{name: int(np.sum(values[good] != 0)) for name, values in flags.items() if values is not None},
         **{name: int(np.sum(values)) or None for name, values in readings.items() if values is not None},
-        **(_of_solved(case, generator) if np.any(good) else {}),
     }
+    if np.any(good):
+        known |= _of_errors(case, generator) | _of_intervals(case, generator)
     figures = {name: value for name, value in known.items() if value is not None}
     return Measures(case, int(np.sum(good)), int(case.measured[good].size), figures)
 
 
-def _of_solved(case: CaseResult, generator: np.random.Generator) -> dict[str, float | Interval | None]:
-    """Figures of the solved frames, of which there is one at least."""
+def _of_errors(case: CaseResult, generator: np.random.Generator) -> dict[str, float | Interval | None]:
+    """Errors, residuals, times and pressures of the solved frames, of which there is one at least."""
     good = case.solved
     known: dict[str, float | Interval | None] = {
         "data_error": _mean(data_error(case)[good]),
@@ -141,19 +134,31 @@ def _of_solved(case: CaseResult, generator: np.random.Generator) -> dict[str, fl
     if residual is not None:
         known["misfit"] = _mean(residual[good] ** 2)
         known["spread"] = 1.4826 * float(np.nanmedian(np.abs(residual[good])))  # 1/Φ⁻¹(3/4): from median deviation to σ
-    lower, upper = case.cell_resistance_lower, case.cell_resistance_upper
-    if lower is not None and upper is not None:
-        widths = (100 * (upper - lower) / case.cell_resistance)[good]
-        known["width"], known["endless"] = _mean(widths), int(np.sum(~np.isfinite(widths)))
-        if case.truth is not None:
-            within = ((lower <= case.truth) & (case.truth <= upper))[good]
-            free = ((case.open_cell == 0) & (case.at_lower_bound == 0))[good]
-            known["coverage"] = _share(within, np.ones(within.shape, bool), generator)
-            known["free_coverage"] = _share(within, free, generator)
     if case.data_share is not None:
         known["share"] = 100 * float(np.median(case.data_share[good]))
     if case.pressure is not None:
         known["suction"], known["contact"] = float(np.min(case.pressure[good])), float(np.max(case.pressure[good]))
+    return known
+
+
+def _of_intervals(case: CaseResult, generator: np.random.Generator) -> dict[str, float | Interval | None]:
+    """Widths of the 95 % intervals of the solved frames, and how much of the truth they cover."""
+    good, lower, upper = case.solved, case.cell_resistance_lower, case.cell_resistance_upper
+    if lower is None or upper is None:
+        return {}
+    widths = (100 * (upper - lower) / case.cell_resistance)[good]
+    known: dict[str, float | Interval | None] = {
+        "width": _mean(widths),
+        "endless": int(np.sum(~np.isfinite(widths))),
+    }
+    if case.truth is not None:
+        within = ((lower <= case.truth) & (case.truth <= upper))[good]
+        free = ((case.open_cell == 0) & (case.at_lower_bound == 0))[good]
+        for name, counted in (("coverage", np.ones_like(within)), ("free_coverage", free)):
+            cells = counted.sum(axis=(1, 2))
+            if np.all(cells):
+                shares = 100 * (within & counted).sum(axis=(1, 2)) / cells
+                known[name] = mean_interval(shares, picks(len(shares), block_length(shares[:, None]), generator))
     return known
 
 
@@ -169,15 +174,6 @@ def weighted_residual(case: CaseResult) -> Array | None:
     if case.sigma is None:
         return None
     return np.asarray(np.where(case.valued, (case.reading_model - case.measured) / case.sigma, np.nan))
-
-
-def _share(within: NDArray[np.bool_], counted: NDArray[np.bool_], generator: np.random.Generator) -> Interval | None:
-    """Mean over the frames of the share of the counted cells that are within, in percent."""
-    cells = counted.sum(axis=(1, 2))
-    if not np.all(cells):
-        return None
-    shares = 100 * (within & counted).sum(axis=(1, 2)) / cells
-    return mean_interval(shares, picks(len(shares), block_length(shares[:, None]), generator))
 
 
 def _mean(values: Array) -> float | None:
@@ -201,27 +197,28 @@ class Disagreement:
 
 
 def disagreements(cases: Sequence[CaseResult]) -> tuple[Disagreement, ...]:
-    """Every two cases with error bars that both solved something, those that disagree most first."""
-    known = [
-        case for case in cases if case.relative_change_lower is not None and case.relative_change_upper is not None
-    ]
-    found = [_disagreement(one, other) for one, other in combinations(known, 2) if np.any(one.solved & other.solved)]
-    return tuple(sorted(found, key=lambda pair: -pair.share))
+    """Every two cases with error bars that both solved something, those that disagree most first.
+
+    a − b > √((a − a_low)² + (b_high − b)²) for a > b: Zou and Donner, Stat. Med. 27, 2008; exact if independent.
+    """
+    arms = {case.estimator: found for case in cases if (found := _arms(case)) is not None}
+    known, pairs = [case for case in cases if case.estimator in arms], []
+    for one, other in combinations(known, 2):
+        both = one.solved & other.solved
+        difference = one.relative_change - other.relative_change
+        (below, above), (other_below, other_above) = arms[one.estimator], arms[other.estimator]
+        with np.errstate(invalid="ignore"):
+            reach = np.where(difference > 0, np.hypot(below, other_above), np.hypot(above, other_below))
+            significant = np.abs(difference) > reach
+        if np.any(both):
+            share = 100 * float(np.mean(significant[both]))
+            pairs.append(Disagreement(one.estimator, other.estimator, difference, significant, share))
+    return tuple(sorted(pairs, key=lambda pair: -pair.share))
 
 
-def _disagreement(one: CaseResult, other: CaseResult) -> Disagreement:
-    """a − b > √((a − a_low)² + (b_high − b)²) for a > b: Zou and Donner, Stat. Med. 27, 2008; exact if independent."""
-    difference = one.relative_change - other.relative_change
-    (below, above), (other_below, other_above) = _arms(one), _arms(other)
-    with np.errstate(invalid="ignore"):
-        arms = np.where(difference > 0, np.hypot(below, other_above), np.hypot(above, other_below))
-        significant: NDArray[np.bool_] = np.abs(difference) > arms
-    share = 100 * float(np.mean(significant[one.solved & other.solved]))
-    return Disagreement(one.estimator, other.estimator, difference, significant, share)
-
-
-def _arms(case: CaseResult) -> tuple[Array, Array]:
+def _arms(case: CaseResult) -> tuple[Array, Array] | None:
     """Distances from the estimate to the lower and the upper end of its interval, percentage points, never negative."""
-    assert case.relative_change_lower is not None and case.relative_change_upper is not None
-    below, above = case.relative_change - case.relative_change_lower, case.relative_change_upper - case.relative_change
-    return np.maximum(below, 0.0), np.maximum(above, 0.0)
+    lower, upper = case.relative_change_lower, case.relative_change_upper
+    if lower is None or upper is None:
+        return None
+    return np.maximum(case.relative_change - lower, 0.0), np.maximum(upper - case.relative_change, 0.0)

@@ -10,9 +10,9 @@ import numpy as np
 from lampest.files.whole import write_whole
 from lampest.report.page import pictures
 from lampest.report.page.batch import Batch, Subject, read_batch, without_copies
-from lampest.report.page.compared import Advice, Comparison, advise, compared, doubts
+from lampest.report.page.compared import advise, compared, doubts
 from lampest.report.page.measures import DRAWS, Measures, disagreements, measures
-from lampest.report.page.tables import batch_table, failures, pair_table, recording_table, standing_table, unit_table
+from lampest.report.page.tables import batch_table, failures, recording_table, standing_table, unit_table
 from lampest.report.page.template import filled
 from lampest.report.plots.style import verbatim
 from lampest.report.strongest import strongest_index
@@ -53,18 +53,12 @@ def report(batch: Batch, on_recording: Callable[[int, int], None] = lambda done,
         subject.name: {case.estimator: measures(case, each) for case in subject.cases} for subject in batch.subjects
     }
     if advice.estimator is not None:
-        taken = [own[advice.estimator] for own in found.values() if advice.estimator in own]
+        taken = [known[advice.estimator] for known in found.values() if advice.estimator in known]
         advice = replace(advice, warnings=(*advice.warnings, *doubts(advice.estimator, taken)))
-    whole = shown_whole(batch, comparison, advice)
     first = [row.estimator for row in comparison.standings] if comparison else []
     drawn = [*dict.fromkeys((*first, *batch.estimators))][:MOST]
-    tasks = [
-        (subject, number, found[subject.name], drawn, subject.name in whole)
-        for number, subject in enumerate(batch.subjects, 1)
-    ]
+    tasks = [(subject, number, found[subject.name], drawn) for number, subject in enumerate(batch.subjects)]
     sections = each_of(_section, tasks, on_recording)
-    with verbatim():
-        shown = pictures.standings(comparison) if comparison else []
     return filled(
         "lampest.report.page",
         batch=batch,
@@ -72,13 +66,10 @@ def report(batch: Batch, on_recording: Callable[[int, int], None] = lambda done,
         missing=missing(batch),
         comparison=comparison,
         standings=comparison and standing_table(comparison),
-        pairs=comparison and pair_table(comparison),
         units=comparison and len(comparison.scores.units) <= 200 and unit_table(comparison),
-        pictures_of_comparison=shown,
         together=batch_table(replace(batch, subjects=tuple(own)), found) if len(own) > 1 else None,
-        whole=[part for part in sections if part["name"] in whole],
-        others=[part for part in sections if part["name"] not in whole],
-        shown=_shown(comparison, advice),
+        whole=sections[:MOST],
+        others=sections[MOST:],
         most=MOST,
         origins={case.estimator: case for subject in batch.subjects[::-1] for case in subject.cases[::-1]},
         draws=DRAWS,
@@ -87,20 +78,20 @@ def report(batch: Batch, on_recording: Callable[[int, int], None] = lambda done,
     )
 
 
-def _section(task: tuple[Subject, int, dict[str, Measures], Sequence[str], bool]) -> dict[str, Any]:
-    """What the template says of a recording: contours and a table; every other figure too where it is shown whole."""
-    subject, number, found, drawn, whole = task
+def _section(task: tuple[Subject, int, Mapping[str, Measures], Sequence[str]]) -> dict[str, Any]:
+    """What the template says of a recording: contours and a table; of the first ones every other figure, too."""
+    subject, number, found, drawn = task
+    whole = number < MOST
     cases = tuple(case for case in subject.cases if case.estimator in drawn) or subject.cases[:1]
     place, pairs = strongest_index(cases), disagreements(cases) if whole else ()
     with verbatim():
         shown = [pictures.contours(cases)]
         if whole:
-            shown += [*pictures.certainty(cases, place), *pictures.misfits(cases, place)]
+            shown += [*pictures.certainty(cases, place), pictures.misfits(cases, place)]
             shown += pictures.differences(cases, place, pairs)
     return {
         "name": subject.name,
-        "anchor": f"recording-{number}",
-        "brief": _brief(found),
+        "anchor": f"recording-{number + 1}",
         "case": cases[0],
         "place": place,
         "table": recording_table(found),
@@ -110,42 +101,13 @@ def _section(task: tuple[Subject, int, dict[str, Measures], Sequence[str], bool]
     }
 
 
-def _brief(found: Mapping[str, Measures]) -> str:
-    """The range of the cell errors, and failures."""
-    errors = sorted((value, name) for name, own in found.items() for value in own.values("cell_error"))
-    failed = sum(len(own.case.time) - own.solved for own in found.values())
-    parts = [f"{counted(failed, 'frame')} failed"] if failed else []
-    if errors:
-        low, high = (f"{digits(value)} % ({name})" for value, name in (errors[0], errors[-1]))
-        parts.insert(0, f"median cell error {low} to {high}")
-    return ", ".join(parts)
-
-
-def _shown(comparison: Comparison | None, advice: Advice) -> str | None:
-    """The estimator by which recordings are chosen; None where they are taken as they come."""
-    if comparison is None or comparison.scores.over_frames:
-        return None
-    return advice.estimator or comparison.standings[0].estimator
-
-
-def shown_whole(batch: Batch, comparison: Comparison | None, advice: Advice) -> frozenset[str]:
-    """The recordings that get all figures: everyone of a few; else the two best, middle and worst by the criterion."""
-    names, estimator = [subject.name for subject in batch.subjects], _shown(comparison, advice)
-    if len(names) <= MOST or comparison is None or estimator is None:
-        return frozenset(names[:MOST])
-    scores = comparison.scores
-    order = np.argsort(scores.values[:, scores.estimators.index(estimator)], kind="stable")
-    middle = len(order) // 2
-    return frozenset(scores.units[place] for place in (*order[:2], *order[middle - 1 : middle + 1], *order[-2:]))
-
-
 def missing(batch: Batch) -> str:
     """What the results do not hold; empty where they hold all."""
     cases = [case for subject in batch.subjects for case in subject.cases]
     parts = []
     for field, name in WISHED.items():
         known = [getattr(case, field) for case in cases]
-        lacking = sum(value is None or (isinstance(value, dict) and not value) for value in known)
+        lacking = sum(values is None or len(values) == 0 for values in known)
         if lacking:
             parts.append(name + ("" if lacking == len(cases) else f" (in {lacking} of {len(cases)} cases)"))
     return listed(parts)

@@ -105,7 +105,6 @@ def failures(found: Mapping[str, Measures]) -> tuple[str, ...]:
 def standing_table(comparison: Comparison) -> Table:
     """Every estimator against the best one: criterion, difference, wins, time."""
     criterion, best = comparison.criterion, comparison.standings[0].estimator
-    least = comparison.milliseconds(best)
     headers = (
         "",
         f"{criterion.name}, mean [{criterion.unit}] (95 % interval)",
@@ -120,21 +119,9 @@ def standing_table(comparison: Comparison) -> Table:
         speed = comparison.milliseconds(row.estimator)
         difference, verdict, ratio = NONE, "smallest", NONE
         if row.estimator != best:
-            difference, ratio = signed(row.against_best.difference), digits(least / speed, 2)
-            verdict = "larger" if row.against_best.told_apart else "cannot be told apart"
+            difference, ratio = signed(row.difference), digits(comparison.milliseconds(best) / speed, 2)
+            verdict = "larger" if row.told_apart else "cannot be told apart"
         rows.append((row.estimator, between(row.mean), difference, verdict, str(row.wins), digits(speed), ratio))
-    return Table(headers, tuple(rows))
-
-
-def pair_table(comparison: Comparison) -> Table:
-    """Every two estimators: paired difference and in how many units each was the smaller one."""
-    headers = ("", f"difference [{comparison.criterion.difference_unit}] (95 % interval)", "smaller in", "verdict")
-    rows = []
-    for pair in comparison.pairs:
-        smaller = pair.first if pair.difference.value < 0 else pair.second
-        verdict = f"{smaller} is smaller" if pair.told_apart else "cannot be told apart"
-        wins = f"{pair.wins} : {pair.losses}"
-        rows.append((f"{pair.first} − {pair.second}", signed(pair.difference), wins, verdict))
     return Table(headers, tuple(rows))
 
 

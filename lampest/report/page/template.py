@@ -1,7 +1,6 @@
-"""What pages are made of: pictures, texts of figures, and a template in which whatever comes from a file is escaped."""
+"""Figures as pages write them, and the template in which whatever comes from a file is escaped."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from importlib.resources import files
 from typing import Any
 
@@ -14,16 +13,6 @@ from lampest.report.words import digits
 
 NONE = "–"
 HARD = "\N{NO-BREAK SPACE}"
-
-
-@dataclass(frozen=True)
-class Illustration:
-    """An image as text, what it shows in words, its caption; wide : over the whole page."""
-
-    uri: str
-    alternative: str
-    caption: str
-    wide: bool = False
 
 
 def filled(package: str, **values: Any) -> str:
@@ -40,8 +29,15 @@ def filled(package: str, **values: Any) -> str:
 
 
 def between(interval: Interval, unit: str = "", sign: str = "") -> str:
-    """'2.13 (1.95 to 2.36) %', all with the decimals that the interval's length deserves, in brackets on one line."""
-    value, lower, upper = (_together(part, interval, sign) for part in (interval.value, interval.lower, interval.upper))
+    """'2.13 (1.95 to 2.36) %': two digits of the interval's length, no more than three of the figure, on one line."""
+    ends = (interval.value, interval.lower, interval.upper)
+    sizes = [size for size in (interval.upper - interval.lower, abs(interval.value)) if size > 0 and np.isfinite(size)]
+    texts = [digits(end) for end in ends]
+    if np.all(np.isfinite(ends)) and sizes and 1e-6 < min(sizes) < 1e6:
+        length, size = np.floor(np.log10([sizes[0], max(sizes)])).astype(int)
+        places = max(0, min(1 - length, 2 - size))
+        texts = [f"{end:{sign},.{places}f}".replace("-", "−") for end in ends]
+    value, lower, upper = texts
     return f"{value} ({lower}{HARD}to{HARD}{upper}){unit and HARD + unit}"
 
 
@@ -50,38 +46,23 @@ def signed(interval: Interval, unit: str = "") -> str:
     return between(interval, unit, "+")
 
 
-def _together(value: float, interval: Interval, sign: str) -> str:
-    """A number with two digits of an interval's length, but no more than three of the figure."""
-    sizes = [size for size in (interval.upper - interval.lower, abs(interval.value)) if size > 0 and np.isfinite(size)]
-    if not np.isfinite(value) or not sizes or not 1e-6 < min(sizes) < 1e6:
-        return digits(value)
-    length, size = np.floor(np.log10([sizes[0], max(sizes)])).astype(int)
-    return f"{value:{sign},.{max(0, min(1 - length, 2 - size))}f}".replace("-", "−")
-
-
 def weights_text(cases: Sequence[Mapping[str, Array]]) -> str:
     """'gradient λ = 0.001' of the penalties used; median and range where they differ; empty where nothing is known."""
     found: dict[str, list[Array]] = {}
     for weights in cases:
         for term, values in weights.items():
-            found.setdefault(term, []).append(values)
-    parts = [
-        f"{term.replace('_', ' ')} λ = {_weight(np.concatenate(found[term]))}" for term in found if term != "misfit"
-    ]
+            found.setdefault(term, []).append(values[np.isfinite(values)])
+    parts = []
+    for term, each in found.items():
+        known, text = np.concatenate(each), NONE
+        if known.size:
+            low, text, high = (f"{value:.3g}" for value in (known.min(), np.median(known), known.max()))
+            text += f" ({low} to {high})" if low != high else ""
+        parts += [f"{term.replace('_', ' ')} λ = {text}"] if term != "misfit" else []
     return ", ".join(parts) or ("no penalty" if found else "")
-
-
-def _weight(values: Array) -> str:
-    known = values[np.isfinite(values)]
-    if not known.size:
-        return NONE
-    low, middle, high = (f"{value:.3g}" for value in (known.min(), np.median(known), known.max()))
-    return middle if low == high else f"{middle} ({low} to {high})"
 
 
 def frames_text(frames: Sequence[int]) -> str:
     """'3, 5 to 7'."""
-    ends = np.flatnonzero(np.diff(frames) != 1) + 1
-    runs = [(int(run[0]), int(run[-1])) for run in np.split(np.asarray(frames), ends)]
-    texts = [f"{low}" if low == high else f"{low}{', ' if high == low + 1 else ' to '}{high}" for low, high in runs]
-    return ", ".join(texts)
+    runs = np.split(np.asarray(frames), np.flatnonzero(np.diff(frames) != 1) + 1)
+    return ", ".join(f"{run[0]} to {run[-1]}" if len(run) > 2 else ", ".join(map(str, run)) for run in runs)

@@ -19,7 +19,7 @@ from lampest.report.plots.contours import CertaintyPlot, ContourPlot, Resistance
 from lampest.report.plots.maps import Tile, banded_scale, maps_figure
 from lampest.report.plots.plot import Plot
 from lampest.report.plots.pressure import PressurePlot
-from lampest.report.plots.style import PICTURES, SUFFIXES, save, verbatim, write_all
+from lampest.report.plots.style import HALF_INCH, PICTURES, SUFFIXES, save, verbatim, write_all
 from lampest.report.strongest import strongest_readings
 from lampest.runs.columns import Column
 from lampest.runs.results import FORMAT, CaseResult, Results, read_results, stored_cases
@@ -50,12 +50,11 @@ def plot_results(
 ) -> list[Path]:
     """Draw every recording of a results file into <kind>_<recording>.png in the folder `out`, else beside the file.
 
-    More than 20 estimators of a recording go on several pictures, <kind>_<recording>_1.png and so on. What is drawn for
-    every estimator apart goes to <kind>_<recording>_<estimator>.png. `out` may name a .png, .svg or .pdf file where
-    there is one picture. columns, frames : as `read_results` takes them. frame : index into the recordings; its
-    pictures are called so. estimators, recordings : those that are drawn, all where none is named. form : png, svg or
-    pdf; png where neither it nor `out` says. on_picture : gets how many of how many pictures are drawn. Returns the
-    files that were written.
+    More than 20 estimators of a recording go on several pictures, <kind>_<recording>_1.png and so on; those that are
+    drawn apart to <kind>_<recording>_<estimator>.png. `out` may name a .png, .svg or .pdf file where there is one
+    picture. columns, frames : as `read_results` takes them. frame : index into the recordings; its pictures are called
+    so. estimators, recordings : those that are drawn, all where none is named. form : png, svg or pdf; by default that
+    of `out`, else png. on_picture : gets how many of how many pictures are drawn. Returns the files that were written.
 
     Raises InputError where there is no such plot, frame, recording or estimator, the results cannot be read or hold
     nothing to draw, or the place cannot be written.
@@ -109,7 +108,8 @@ def plot_file(path: Path, picture: Path) -> Path:
         raise InputError(f"{path}: has no unloaded frames to compare with; lampest tare names some")
     frame, change = found
     tile = Tile(recording.name, change, f"readings of frame {frame} at {recording.time[frame]:g} s")
-    save(maps_figure([tile], recording.scene.panel, banded_scale([change], "change [%]")), picture)
+    scale = banded_scale([change], "change [%]")
+    save(maps_figure([tile], recording.scene.panel, scale, width=HALF_INCH), picture)
     return picture
 
 
@@ -138,11 +138,10 @@ def _check_form(target: Path | None, form: str | None) -> None:
     """Raise InputError where a file is asked for that is no picture of lampest, or of another form than asked for."""
     if form is not None and f".{form}" not in SUFFIXES:
         raise InputError(f"--format: there is no {form!r}; there are {', '.join(suffix[1:] for suffix in SUFFIXES)}")
-    if target is None or (target.suffix in SUFFIXES and form in (None, target.suffix[1:])):
-        return
-    if target.suffix in SUFFIXES:
+    if target is not None and target.suffix in SUFFIXES and form not in (None, target.suffix[1:]):
         raise InputError(f"{target}: is no name of a picture in {form}")
-    if (guess_type(target)[0] or "").startswith(("image/", "application/postscript")):
+    kind = "" if target is None or target.suffix in SUFFIXES else guess_type(target)[0] or ""
+    if kind.startswith(("image/", "application/postscript")):
         raise InputError(f"{target}: {PICTURES}")
 
 

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import ceil
+from textwrap import fill
 from typing import Any, Literal
 
 import numpy as np
@@ -19,12 +20,15 @@ from numpy.typing import NDArray
 
 from lampest.panel.panel import Array, Panel
 from lampest.report.plots.style import (
-    HALF_INCH,
     SMALL_POINT,
+    TALLEST_INCH,
     TEXT_POINT,
+    WIDTH_INCH,
+    labelled,
     new_figure,
     plain_number,
     round_numbers,
+    shared_legend,
     short_title,
 )
 
@@ -32,8 +36,6 @@ SIGNED, PRESSING = "RdBu_r", "RdBu"  # what presses is blue: it lowers resistanc
 Extend = Literal["both", "min", "max", "neither"]
 ACROSS_LABEL, DOWN_LABEL = "x [mm]", "y [mm]"
 NO_NUMBER = "0.88"  # grey
-OUTLINE = 0.93  # pitches from a cell's centre to the outline's corner, however it is turned: 1.3/√2
-ABREAST = 3  # maps half a page wide
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,7 +43,7 @@ class Scale:
     """Colours of a set of maps.
 
     label : what they mean, with its unit. extend : which ends values go beyond. ticks : of the bar, None for usual
-    ones. proportional : whether the bands of the bar are as wide as the values they stand for.
+    ones.
     """
 
     norm: Normalize
@@ -49,36 +51,32 @@ class Scale:
     label: str
     extend: Extend = "neither"
     ticks: tuple[float, ...] | None = None
-    proportional: bool = False
 
 
-def percent_scale(values: Sequence[Array], label: str) -> Scale:
-    """A logarithmic scale that ends at round numbers from 0.1 to 500 and holds 98 % of the positive values."""
+def log_scale(
+    values: Sequence[Array], label: str, most: float = 99.0, ends: tuple[float, float] = (0.1, 500.0)
+) -> Scale:
+    """A logarithmic scale between round numbers that holds positive values from the 1st percentile to that of `most`.
+
+    ends : it goes no further.
+    """
     numbers = _finite(values)
     numbers = numbers[numbers > 0]
-    low, high = np.percentile(numbers, [1, 99]) if numbers.size else (1.0, 10.0)
-    steps = round_numbers(0.1, 500)
-    first = max((step for step in steps if step <= low), default=steps[0])
+    low, high = np.percentile(numbers, [1, most]) if numbers.size else (1.0, 10.0)
+    steps = round_numbers(*ends)
+    first = max((step for step in steps[:-1] if step <= low), default=steps[0])
     last = min((step for step in steps if step >= high and step > first), default=steps[-1])
-    extend = _extend([np.where(part > 0, part, first) for part in values], first, last)
-    return Scale(LogNorm(first, last), colormaps["viridis"], label, extend, tuple(round_numbers(first, last)))
-
-
-def resistance_scale(values: Sequence[Array], label: str) -> Scale:
-    """From the 2nd to the 90th percentile of all positive values: cells in the air reach to any resistance."""
-    numbers = _finite(values)
-    numbers = numbers[numbers > 0]
-    low, high = np.percentile(numbers, [2, 90]) if numbers.size else (1.0, 10.0)
-    ticks = tuple(round_numbers(low, high))
-    return Scale(LogNorm(low, max(high, 1.1 * low)), colormaps["viridis"], label, "both", ticks or None)
+    norm, ticks = LogNorm(first, last), tuple(round_numbers(first, last))
+    return Scale(norm, colormaps["viridis"], label, _extend(numbers, first, last), ticks)
 
 
 def signed_scale(values: Sequence[Array], label: str, least: float, most: float = np.inf) -> Scale:
     """A scale symmetric about zero that holds 98 % of the values, ±least at least and ±most at most."""
-    reach = min(max(least, _reach(values)), most)
+    numbers = _finite(values)
+    reach = min(max(least, _reach(numbers)), most)
     power = 10.0 ** np.floor(np.log10(reach))
-    limit = float(next(step for step in (1, 2, 3, 5, 10) if step * power >= reach * (1 - 1e-9)) * power)
-    return Scale(Normalize(-limit, limit), colormaps[SIGNED], label, _extend(values, -limit, limit))
+    limit = float(power * np.ceil(reach / power * (1 - 1e-9)))
+    return Scale(Normalize(-limit, limit), colormaps[SIGNED], label, _extend(numbers, -limit, limit))
 
 
 def resolution_scale() -> Scale:
@@ -91,15 +89,14 @@ def banded_scale(values: Sequence[Array], label: str) -> Scale:
 
     The limit is the smallest round number that holds 98 % of all values, 100 at most; arrows stand for the rest.
     """
-    reach = _reach(values)
-    limit = next((step for step in round_numbers(1, 100) if step >= reach), 100.0)
+    numbers = _finite(values)
+    limit = next((step for step in round_numbers(1, 100) if step >= _reach(numbers)), 100.0)
     tenths = np.arange(1, 11) * limit / 10
     bands = colormaps[SIGNED](np.linspace(0.04, 0.96, 19))
     colours = ListedColormap(bands).with_extremes(under=colormaps[SIGNED](0.0), over=colormaps[SIGNED](1.0))
     norm = BoundaryNorm(np.concatenate([-tenths[::-1], tenths]), len(bands))
     ticks = tuple(np.linspace(-limit, limit, 11).tolist())
-    extend = _extend(values, -limit, limit)
-    return Scale(norm, colours, f"{label} (ends at ±{limit:g} %)", extend, ticks, proportional=True)
+    return Scale(norm, colours, f"{label} (ends at ±{limit:g} %)", _extend(numbers, -limit, limit), ticks)
 
 
 def stepped_scale(steps: Sequence[float], label: str, ticks: Sequence[float], colours: str = SIGNED) -> Scale:
@@ -113,14 +110,13 @@ def _finite(values: Sequence[Array]) -> Array:
     return np.concatenate([np.zeros(0), *(part[np.isfinite(part)] for part in values)])
 
 
-def _reach(values: Sequence[Array]) -> float:
-    """What 98 % of the values do not exceed."""
-    numbers = np.abs(_finite(values))
-    return float(np.percentile(numbers, 98)) if numbers.size else 0.0
+def _reach(numbers: Array) -> float:
+    """What 98 % of the numbers do not exceed."""
+    return float(np.percentile(np.abs(numbers), 98)) if numbers.size else 0.0
 
 
-def _extend(values: Sequence[Array], low: float, high: float) -> Extend:
-    below, above = (any(np.any(sign * part > sign * end) for part in values) for sign, end in ((-1, low), (1, high)))
+def _extend(numbers: Array, low: float, high: float) -> Extend:
+    below, above = bool(np.any(numbers < low)), bool(np.any(numbers > high))
     return ("both" if above else "min") if below else ("max" if above else "neither")
 
 
@@ -142,31 +138,25 @@ class Tile:
 class MapPainter:
     """Draws maps of one panel on one scale.
 
-    contoured : bands of a banded scale over interpolated values, with dots at the cells; else one square for a cell,
-    for values that are not to be drawn as if they were known in between. point : size of titles.
+    contoured : bands of a banded scale over interpolated values, with dots at the cells; else one patch for a cell,
+    for values that are not to be drawn as if they were known in between.
     """
 
     panel: Panel
     scale: Scale
     contoured: bool = False
-    point: float = TEXT_POINT
 
     def draw(self, axes: Axes, tile: Tile) -> None:
         """One map, rows downwards."""
         self._frame(axes)
-        axes.set_title("\n".join(filter(None, (tile.title, tile.note))), fontsize=self.point, linespacing=1.3)
+        axes.set_title("\n".join(filter(None, (tile.title, tile.note))), fontsize=SMALL_POINT + 0.5, linespacing=1.3)
         if tile.values is None:
-            axes.text(0.5, 0.5, "not solved", transform=axes.transAxes, ha="center", va="center", fontsize=self.point)
+            axes.annotate("not solved", (0.5, 0.5), xycoords="axes fraction", ha="center", fontsize=SMALL_POINT)
             return
-        bands = self.contoured and min(self.panel.shape) > 1  # there is something between cells, both ways
         if self.panel.cells is not None:
-            self._patches(axes, tile.values[self.panel.present], bands)
-        elif bands:
-            axes.contourf(*_refined(self.panel, self._cut(tile.values)), **self._bands())
+            self._patches(axes, tile.values)
         else:
-            half = self.panel.pitch_mm / 2
-            edges = (np.append(centres - half, centres[-1] + half) for centres in self.panel.centres_mm())
-            axes.pcolormesh(*edges, np.ma.masked_invalid(tile.values), **self._colours(NO_NUMBER))
+            self._grid(axes, tile.values)
         columns, rows = self.panel.places_mm
         if self.contoured:
             axes.plot(columns.ravel(), rows.ravel(), ".", color="0.35", ms=1, label="cell centre", clip_on=False)
@@ -177,14 +167,14 @@ class MapPainter:
             cross.set_path_effects([withStroke(linewidth=size / 2, foreground="white")])
 
     def draw_all(self, grid: Any, tiles: Sequence[Tile]) -> None:
-        """Maps row by row into a grid of axes, numbers of columns below the lowest; what is left over is hidden."""
-        across = grid.shape[1]
+        """Maps row by row into a grid of axes, columns numbered below the lowest; what is left over is hidden."""
         for number, axes in enumerate(grid.flat):
+            below = number + grid.shape[1]
+            axes.set_visible(number < len(tiles))
             if number < len(tiles):
                 self.draw(axes, tiles[number])
-                axes.tick_params(labelbottom=number + across >= len(tiles))
-            else:
-                axes.set_visible(False)
+            if len(tiles) <= below < grid.size:
+                axes.tick_params(labelbottom=True)
 
     def bar(self, figure: Any, axes: Any, location: Literal["right", "bottom"], aspect: float = 28) -> None:
         """The bar beside some axes of a figure, with what the colours mean."""
@@ -195,23 +185,20 @@ class MapPainter:
             location=location,
             extend=self.scale.extend,
             extendfrac=0.04,
-            spacing="proportional" if self.scale.proportional else "uniform",
+            spacing="uniform",
             ticks=None if ticks is None else FixedLocator(ticks),
+            format=None if ticks is None else FuncFormatter(plain_number),
             aspect=aspect,
             pad=0.02,
         )
-        if ticks is not None:
-            axis = bar.ax.yaxis if location == "right" else bar.ax.xaxis
-            axis.set_major_formatter(FuncFormatter(plain_number))
         bar.minorticks_off()
         bar.set_label(self.scale.label, fontsize=TEXT_POINT)
         bar.ax.tick_params(labelsize=SMALL_POINT)
 
     def _frame(self, axes: Axes) -> None:
         """The panel's extent, to the cells' edges."""
-        places = self.panel.places_mm
-        (left, top), (right, bottom) = np.nanmin(places, axis=(1, 2)), np.nanmax(places, axis=(1, 2))
-        beyond = self.panel.pitch_mm * (0.5 if self.panel.cells is None else OUTLINE)
+        (left, right), (top, bottom) = self.panel.extents_mm
+        beyond = self.panel.pitch_mm * (0.5 if self.panel.cells is None else 0.93)  # 1.3/√2: turned
         axes.set_facecolor(NO_NUMBER if self.panel.cells is None else "white")
         axes.set_aspect("equal")
         axes.set_xlim(left - beyond, right + beyond)
@@ -219,32 +206,28 @@ class MapPainter:
         axes.tick_params(labelsize=SMALL_POINT)
         axes.locator_params(nbins=5, steps=[1, 2, 5, 10])
 
-    def _colours(self, missing: str) -> dict[str, Any]:
-        colours = self.scale.colours.with_extremes(bad=missing)
-        return {"cmap": colours, "norm": self.scale.norm, "edgecolor": "face", "lw": 0.2}
+    def _grid(self, axes: Axes, values: Array) -> None:
+        """Every crossing has a cell: squares, or contours where there is something between cells both ways."""
+        if self.contoured and min(self.panel.shape) > 1:
+            axes.contourf(*_refined(self.panel, self._cut(values)), **self._bands())
+            return
+        half = self.panel.pitch_mm / 2
+        edges = (np.append(centres - half, centres[-1] + half) for centres in self.panel.centres_mm())
+        look: dict[str, Any] = {"cmap": self.scale.colours.with_extremes(bad=NO_NUMBER), "norm": self.scale.norm}
+        axes.pcolormesh(*edges, np.ma.masked_invalid(values), edgecolor="face", lw=0.2, **look)
 
-    def _bands(self) -> dict[str, Any]:
-        assert isinstance(self.scale.norm, BoundaryNorm)
-        look = {"cmap": self.scale.colours, "norm": self.scale.norm, "extend": self.scale.extend}
-        return look | {"levels": self.scale.norm.boundaries}
-
-    def _cut(self, values: Array) -> Array:
-        """A cell far beyond the scale must not spread its colour over its neighbours: it is drawn as just beyond."""
-        assert isinstance(self.scale.norm, BoundaryNorm)
-        beyond = 1.1 * self.scale.norm.boundaries[-1]
-        return np.clip(values, -beyond, beyond)
-
-    def _patches(self, axes: Axes, values: Array, contoured: bool) -> None:
-        """Values (cells) as squares on a dark outline; contours over them where cells are neighbours."""
-        places = self.panel.places_mm[:, self.panel.present].T
+    def _patches(self, axes: Axes, values: Array) -> None:
+        """Squares at the cells' places on a dark outline; contours over them where cells are neighbours."""
+        places, values = self.panel.places_mm[:, self.panel.present].T, values[self.panel.present]
         corners, centres = _squares(self.panel, places), places[:, None]
-        outlines = centres + 1.3 * (corners - centres)
-        axes.add_collection(PolyCollection(list(outlines), facecolors="0.25", edgecolors="none", zorder=0.5))
-        patches = PolyCollection(list(corners), **self._colours("0.85"))
+        outlines = list(centres + 1.3 * (corners - centres))
+        axes.add_collection(PolyCollection(outlines, facecolors="0.25", edgecolors="none", zorder=0.5))
+        look: dict[str, Any] = {"cmap": self.scale.colours.with_extremes(bad="0.85"), "norm": self.scale.norm}
+        patches = PolyCollection(list(corners), edgecolor="face", lw=0.2, **look)
         patches.set_array(np.ma.masked_invalid(values))
         axes.add_collection(patches)
         flat = np.linalg.matrix_rank(places - places.mean(axis=0)) < 2
-        if not contoured or flat or not np.isfinite(values).all():
+        if not self.contoured or flat or not np.isfinite(values).all():
             return
         mesh = Triangulation(*places.T)
         sides = places[mesh.triangles] - places[np.roll(mesh.triangles, 1, axis=1)]
@@ -254,8 +237,23 @@ class MapPainter:
         if not far.all():
             axes.tricontourf(mesh, self._cut(values), **self._bands() | {"extend": "both"})
 
+    def _bands(self) -> dict[str, Any]:
+        assert isinstance(self.scale.norm, BoundaryNorm)
+        look = {"cmap": self.scale.colours, "norm": self.scale.norm, "extend": self.scale.extend}
+        return look | {"levels": self.scale.norm.boundaries}
 
-def proportion(panel: Panel) -> float:
+    def _cut(self, values: Array) -> Array:
+        """A cell far beyond the scale must not spread its colour over its neighbours: it is drawn as just beyond."""
+        beyond = 1.1 * float(self.scale.norm.vmax or 0.0)
+        return np.clip(values, -beyond, beyond)
+
+
+def values_of(tiles: Sequence[Tile]) -> list[Array]:
+    """What is drawn of some tiles."""
+    return [tile.values for tile in tiles if tile.values is not None]
+
+
+def shape_of(panel: Panel) -> float:
     """Height over width of all cells."""
     wide, tall = (most - least + panel.pitch_mm for least, most in panel.extents_mm)
     return tall / wide
@@ -283,19 +281,32 @@ def _refined(panel: Panel, values: Array) -> tuple[Array, Array, Array]:
     return fine[0], fine[1], np.array([np.interp(fine[1], y, column) for column in across.T]).T
 
 
-def maps_figure(tiles: Sequence[Tile], panel: Panel, scale: Scale) -> Figure:
-    """Maps cell by cell, three abreast, on one scale; half a page wide."""
-    across = min(ABREAST, len(tiles))
-    down = ceil(len(tiles) / across)
-    tall = ((HALF_INCH - 0.45) / across - 0.12) * proportion(panel)
-    figure = new_figure(max(1.4, min(down * (tall + 0.36) + 0.85, 7.0)), HALF_INCH)
-    grid = figure.subplots(down, across, squeeze=False, sharex=True, sharey=True)
-    painter = MapPainter(panel, scale, point=SMALL_POINT + 0.5)
-    painter.draw_all(grid, [replace(tile, title=short_title(tile.title)) for tile in tiles])
-    for number, axes in enumerate(grid.flat[: len(tiles)]):
-        if number + across >= len(tiles):
-            axes.set_xlabel(ACROSS_LABEL, fontsize=SMALL_POINT, labelpad=1)
-        if number % across == 0:
-            axes.set_ylabel(DOWN_LABEL, fontsize=SMALL_POINT, labelpad=1)
-    painter.bar(figure, grid, "bottom", aspect=45)
-    return figure
+def maps_figure(
+    tiles: Sequence[Tile],
+    panel: Panel,
+    scale: Scale,
+    title: str = "",
+    width: float = WIDTH_INCH,
+    contoured: bool = False,
+) -> Figure:
+    """Maps on one scale, so many abreast that the figure is about three wide to two high with few gaps."""
+
+    def wide(across: int) -> float:
+        return (width - 1.0) / across - 0.2
+
+    def height(across: int) -> float:
+        return ceil(len(tiles) / across) * (wide(across) * shape_of(panel) + 0.4) + 0.8
+
+    def unfit(across: int) -> float:
+        return abs(height(across) - width / 1.5) + 0.3 * (-len(tiles) % across)
+
+    across = min(range(1, min(len(tiles), int((width - 1.0) / 0.88)) + 1), key=unfit)
+    figure = new_figure(min(height(across), TALLEST_INCH), width)
+    grid = figure.subplots(ceil(len(tiles) / across), across, squeeze=False, sharex=True, sharey=True)
+    signs = max(10, int(17 * wide(across)))  # that fit over a map
+    painter = MapPainter(panel, scale, contoured)
+    painter.draw_all(grid, [replace(tile, title=fill(short_title(tile.title, 60), signs)) for tile in tiles])
+    painter.bar(figure, grid, "right", aspect=figure.get_figheight() / 0.16)
+    shared_legend(figure, grid, "lower right", least=2, ncols=2)
+    between = "; bands interpolate between the cells (dots)" if contoured else ""
+    return labelled(figure, ACROSS_LABEL + between, DOWN_LABEL, title)

@@ -39,24 +39,17 @@ class Plot(Validated):
         """The cases that hold what it needs."""
         return tuple(case for case in cases if all(case.column(name) is not None for name in self.needs))
 
+    def shown(self, cases: Sequence[CaseResult]) -> tuple[int, str]:
+        """Where the shown frame stands among those of the cases, and a title: the recording, which frame, and why.
 
-def shown_index(cases: Sequence[CaseResult], frame: int | None) -> int:
-    """Where a recording's frame stands among those of its cases; None: that of the strongest one.
-
-    Raises InputError where the frame has no results.
-    """
-    if frame is None:
-        return strongest_index(cases)
-    frames = cases[0].frame
-    indices = np.flatnonzero(frames == frame)
-    if indices.size == 0:
-        raise InputError(
-            f"{cases[0].recording}: frame {frame} has no results; there are frames {frames.min()} to {frames.max()}"
-        )
-    return int(indices[0])
-
-
-def frame_title(case: CaseResult, index: int, frame: int | None) -> str:
-    """Which frame is shown, and why that one where nobody asked for it."""
-    why = ", the last within 10 % of the strongest change" if frame is None else ""
-    return f"frame {case.frame[index]} at {case.time[index]:g} s{why}"
+        Raises InputError where the frame has no results.
+        """
+        first, why = cases[0], ""
+        if self.frame is None:
+            index, why = strongest_index(cases), ", the last within 10 % of the strongest change"
+        elif self.frame in first.frame:
+            index = int(np.argmax(first.frame == self.frame))
+        else:
+            known = f"there are frames {first.frame.min()} to {first.frame.max()}"
+            raise InputError(f"{first.recording}: frame {self.frame} has no results; {known}")
+        return index, f"{first.recording}: frame {first.frame[index]} at {first.time[index]:g} s{why}"

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 from matplotlib import colormaps
@@ -13,15 +13,13 @@ from matplotlib.ticker import FuncFormatter
 
 from lampest.files.errors import InputError
 from lampest.loads.response import ratio_from_pressure
-from lampest.panel.panel import Array
 from lampest.panel.response import Response
 from lampest.report.plots.maps import ACROSS_LABEL, DOWN_LABEL, PRESSING, MapPainter, Scale, Tile, stepped_scale
-from lampest.report.plots.plot import Plot, frame_title, shown_index
-from lampest.report.plots.style import BLUE, SMALL_POINT, TEXT_POINT, new_figure, plain_number
+from lampest.report.plots.plot import Plot
+from lampest.report.plots.style import BLUE, SMALL_POINT, TEXT_POINT, dressed, new_figure, plain_number
 from lampest.runs.case import CaseResult
 
-# All in kPa, the same for all frames and recordings.
-SHOWN = (-32.0, 132.0)
+SHOWN = (-32.0, 132.0)  # kPa, the same for all frames and recordings
 
 
 @dataclass(frozen=True)
@@ -41,44 +39,42 @@ class PressurePlot(Plot):
     def draw(self, cases: Sequence[CaseResult]) -> Figure:
         """One estimator's picture. Raises InputError where it has no pressure, or has not solved the frame."""
         (case,) = cases
-        index, who = shown_index(cases, self.frame), f"{case.recording}: {case.estimator}"
+        index, title = self.shown(cases)
         if not case.solved[index]:
-            raise InputError(f"{who} has not solved frame {case.frame[index]}")
+            raise InputError(f"{case.recording}: {case.estimator} has not solved frame {case.frame[index]}")
         if not self.drawable(cases):
-            raise InputError(f"{who} holds no pressure with its interval")
+            raise InputError(f"{case.recording}: {case.estimator} holds no pressure with its interval")
         pressure, lower, upper, saturated = (case.column(name)[index] for name in self.needs)
-        marked = saturated != 0
         figure = new_figure(3.2)
         left, middle, right = figure.subplots(1, 3, width_ratios=(1, 1, 1.05))
         steps, ticks = (0.5, 1, 2, 5, 10, 20, 40), (-40, -10, -2, -0.5, 1, 5, 20)
         signed = stepped_scale(steps, "pressure [kPa]: suction − contact +", ticks, PRESSING)
-        _map(left, case, Tile("(a) pressure of the load", pressure, "", marked, "saturated"), signed)
+        half = np.clip((upper - lower) / 2, 0.05, 200)  # none and infinite: beyond the scale, not missing
+        norm, label = LogNorm(0.1, 100), "half the 95 % interval [kPa]"
+        widths = Scale(norm, colormaps["YlGnBu"], label, "both", (0.1, 1.0, 10.0, 100.0))
+        maps = (left, "(a) pressure of the load", pressure, signed), (middle, "(b) uncertainty", half, widths)
+        for axes, name, values, scale in maps:
+            painter = MapPainter(case.scene.panel, scale)
+            painter.draw(axes, Tile(name, values, "", saturated != 0, "saturated"))
+            painter.bar(figure, axes, "bottom", aspect=22)
+            axes.set_xlabel(ACROSS_LABEL, fontsize=TEXT_POINT)
         left.set_ylabel(DOWN_LABEL, fontsize=TEXT_POINT)
-        least, most = 0.1, 100.0
-        half = np.clip((upper - lower) / 2, least / 2, 2 * most)  # none and infinite: beyond the scale, not missing
-        colours = colormaps["YlGnBu"]
-        widths = Scale(LogNorm(least, most), colours, "half the 95 % interval [kPa]", "both", (0.1, 1.0, 10.0, 100.0))
-        _map(middle, case, Tile("(b) uncertainty", half, "", marked, "saturated"), widths)
         if case.scene.response is not None:  # results of an older version may have pressures without
             _curve(right, case.scene.response)
-        ratio = 1 + case.relative_change[index] / 100
-        for chosen, sign, colour, label in ((~marked, "o", BLUE, "cell, 95 %"), (marked, "x", "black", "saturated")):
+        inside, ratio = np.clip(pressure, *SHOWN), 100 + case.relative_change[index]
+        reach = np.abs(np.clip([lower, upper], *SHOWN) - inside)
+        for chosen, sign, colour, label in (
+            (saturated == 0, "o", BLUE, "cell, 95 %"),
+            (saturated != 0, "x", "black", "saturated"),
+        ):
+            look = {"fmt": sign, "color": colour, "ms": 2.5, "elinewidth": 0.5, "alpha": 0.8}
             if np.any(chosen):
-                found = pressure[chosen], lower[chosen], upper[chosen]
-                _cells(right, ratio[chosen], *found, fmt=sign, color=colour, label=label)
+                right.errorbar(ratio[chosen], inside[chosen], yerr=reach[:, chosen], label=label, **look)
         _axes(right)
         handles, labels = right.get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside lower center", ncols=4, fontsize=SMALL_POINT, frameon=False)
-        title = f"{case.recording}, {case.estimator}: {frame_title(case, index, self.frame)}"
-        figure.suptitle(title, fontsize=TEXT_POINT + 1)
+        figure.suptitle(title.replace(":", f", {case.estimator}:", 1), fontsize=TEXT_POINT + 1)
         return figure
-
-
-def _map(axes: Axes, case: CaseResult, tile: Tile, scale: Scale) -> None:
-    painter = MapPainter(case.scene.panel, scale)
-    painter.draw(axes, tile)
-    painter.bar(axes.figure, axes, "bottom", aspect=22)
-    axes.set_xlabel(ACROSS_LABEL, fontsize=TEXT_POINT)
 
 
 def _curve(axes: Axes, response: Response) -> None:
@@ -91,22 +87,13 @@ def _curve(axes: Axes, response: Response) -> None:
         axes.axhspan(low, high, color="0.93", lw=0, zorder=0, label=label)
 
 
-def _cells(axes: Axes, ratio: Array, pressure: Array, lower: Array, upper: Array, **look: Any) -> None:
-    """Resistance against pressure of some cells, with 95 % intervals."""
-    inside = np.clip(pressure, *SHOWN)
-    reach = np.abs(np.clip([lower, upper], *SHOWN) - inside)
-    axes.errorbar(100 * ratio, inside, yerr=reach, ms=2.5, elinewidth=0.5, alpha=0.8, **look)
-
-
 def _axes(axes: Axes) -> None:
     axes.set_xscale("log")
-    axes.xaxis.set_major_formatter(FuncFormatter(plain_number))
     axes.set_ylim(*SHOWN)
     axes.set_yscale("symlog", linthresh=10, linscale=1.2)
     axes.set_yticks([-30, -10, -5, 0, 5, 10, 30, 100])
-    axes.yaxis.set_major_formatter(FuncFormatter(plain_number))
+    for axis in (axes.xaxis, axes.yaxis):
+        axis.set_major_formatter(FuncFormatter(plain_number))
     axes.minorticks_off()
-    axes.tick_params(labelsize=SMALL_POINT)
-    axes.set_xlabel("resistance [% of unloaded]", fontsize=TEXT_POINT)
-    axes.set_ylabel("pressure [kPa]", fontsize=TEXT_POINT)
-    axes.set_title("(c) cells and response", fontsize=TEXT_POINT)
+    dressed(axes, "resistance [% of unloaded]", "pressure [kPa]")
+    axes.set_title("(c) cells and response", fontsize=SMALL_POINT + 0.5)

@@ -50,6 +50,16 @@ def dressed(axes: Axes, x: str, y: str, grid: Literal["both", "x", "y"] = "both"
     axes.set_axisbelow(True)
 
 
+def shared_legend(figure: Figure, grid: Any, location: str = "upper center", least: int = 1, **look: Any) -> None:
+    """One legend for all axes, each label once, unless there are fewer labels than `least`."""
+    handles: dict[str, Any] = {}
+    for axes in grid.flat:
+        handles = dict(zip(*reversed(axes.get_legend_handles_labels()), strict=True)) | handles
+    if len(handles) >= least:
+        own: dict[str, Any] = {"fontsize": SMALL_POINT, "frameon": False, "ncols": len(handles)}
+        figure.legend(handles.values(), handles.keys(), **own | {"loc": f"outside {location}"} | look)
+
+
 def save(figure: Figure, path: str | Path) -> None:
     """Write a figure as .png, .svg or .pdf, whole or not at all; the same figure gives the same bytes.
 
@@ -90,8 +100,8 @@ def _write(image: bytes, path: Path) -> None:
 
 def data_uri(figure: Figure, kind: Literal["png", "svg"] = "svg") -> str:
     """The figure as the address of an image that holds it; the same figure gives the same text."""
-    form = "image/png" if kind == "png" else "image/svg+xml"
-    return f"data:{form};base64,{b64encode(_drawn(figure, kind)).decode('ascii')}"
+    form = "png" if kind == "png" else "svg+xml"
+    return f"data:image/{form};base64,{b64encode(_drawn(figure, kind)).decode('ascii')}"
 
 
 def _drawn(figure: Figure, kind: str) -> bytes:
@@ -124,16 +134,6 @@ def round_numbers(low: float, high: float) -> list[float]:
 def short_title(name: str, longest: int = 22) -> str:
     """A name that fits."""
     return name if len(name) <= longest else f"{name[: longest - 1]}…"
-
-
-def shared_legend(figure: Figure, grid: Any, location: str = "upper center", least: int = 1, **look: Any) -> None:
-    """One legend for all axes, each label once, unless there are fewer labels than `least`."""
-    handles: dict[str, Any] = {}
-    for axes in grid.flat:
-        handles = dict(zip(*reversed(axes.get_legend_handles_labels()), strict=True)) | handles
-    if len(handles) >= least:
-        own: dict[str, Any] = {"fontsize": SMALL_POINT, "frameon": False, "ncols": len(handles)}
-        figure.legend(handles.values(), handles.keys(), **own | {"loc": f"outside {location}"} | look)
 
 
 def change_text(value: float, whole: float) -> str:

@@ -39,7 +39,7 @@ def timeline(answer: Detected) -> Figure:
     figure = new_figure(3.4)
     halves: Any = figure.subfigures(1, 2, width_ratios=(1.45, 1))
     _course(halves[0].subplots(), answer)
-    _map(halves[1], answer)
+    _map(halves[1].subplots(), answer)
     figure.suptitle(f"{answer.recording}: {answer.sentence.split(':')[0]}", fontsize=TEXT_POINT)
     return figure
 
@@ -60,22 +60,19 @@ def _course(axes: Axes, answer: Detected) -> None:
     dressed(axes, "time [s]", "readings differ from rest\n[standard deviations]")
 
 
-def _map(figure: Any, answer: Detected) -> None:
+def _map(axes: Axes, answer: Detected) -> None:
     """Relative change of the cells when something was recognised last, and the circles of what was seen."""
-    axes = figure.subplots()
     if answer.change is None or answer.panel is None:
         axes.set_axis_off()
         axes.text(0.5, 0.5, "nothing was there", ha="center", va="center", fontsize=SMALL_POINT)
         return
     label, ticks = "relative change of resistance [%]", (-100, -60, -20, 20, 60, 100)
-    scale = stepped_scale((5, 20, 40, 60, 80, 100), label, ticks)
-    painter = MapPainter(answer.panel, scale)
+    painter = MapPainter(answer.panel, stepped_scale((5, 20, 40, 60, 80, 100), label, ticks))
     painter.draw(axes, Tile("what was recognised last", 100 * np.expm1(answer.change)))
-    painter.bar(figure, axes, "bottom")
+    painter.bar(axes.figure, axes, "bottom")
     axes.set_xlabel(ACROSS_LABEL, fontsize=TEXT_POINT)
     axes.set_ylabel(DOWN_LABEL, fontsize=TEXT_POINT)
-    present = [one for one in answer.attachments if one.here] or answer.attachments
-    for one in present:
+    for one in [one for one in answer.attachments if one.here] or answer.attachments:
         if one.diameter_mm is not None:  # the outer edge of a load that is round
             circle = Circle(one.place, one.diameter_mm[0] / 2, fill=False, color="black", lw=1.1)
             circle.set_path_effects([withStroke(linewidth=2.6, foreground="white")])
