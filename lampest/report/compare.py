@@ -2,10 +2,10 @@
 
 import csv
 import io
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, TypeVar
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,67 +46,36 @@ class Table:
     best: frozenset[tuple[int, int]] = frozenset()
 
 
-@dataclass(frozen=True)
-class Spread:
-    """Mean, standard deviation (n − 1; None for one value), median and 95th percentile of some values."""
-
-    mean: float
-    sd: float | None
-    median: float
-    percentile_95: float
-
-    @property
-    def median_and_worst(self) -> str:
-        """'5.10 / 16.7'."""
-        return f"{digits(self.median)} / {digits(self.percentile_95)}"
-
-
 @dataclass(frozen=True, eq=False)
 class Row:
     """One case over some of its steps; a failed frame counts in `frames` and nowhere else.
 
-    source, label : results file, and the estimator's name as tables show it. steps : 'all'; or 'initial' and
-    'following' where the first frame was solved together with the baseline. solve_time : s. data_error :
-    |model − measured|/measured over readings that are values, percent. cell_error : |cell resistance − truth|/truth,
-    percent; None without a truth. open_cells : that cannot be told from open ones, over all frames.
-    missing_readings, bound_readings : of all frames, solved or not: missing; at a rail, zero or below.
-    published : what a publication says of the same steps.
+    label : the estimator's name as tables show it. steps : 'all'; or 'initial' and 'following' where the first frame
+    was solved together with the baseline. figures : by the headers of the CSV file, None where there is none.
     """
 
-    source: str
     label: str
     case: CaseResult
     steps: Steps
-    frames: int
-    solved: int
-    solve_time: Spread | None
-    data_error: Spread | None
-    cell_error: Spread | None
-    open_cells: int
-    worst_kkt_residual: float | None
-    missing_readings: int
-    bound_readings: int
-    published: StepFigures
+    figures: Mapping[str, Any]
 
-    @property
-    def recording(self) -> str:
-        """The recording's stem."""
-        return self.case.recording
-
-    @property
-    def estimator(self) -> str:
-        """The estimator's name."""
-        return self.case.estimator
+    def __getitem__(self, header: str) -> Any:
+        return self.figures[header]
 
 
-def spread(values: Array) -> Spread | None:
-    """Mean, standard deviation, median and 95th percentile of the finite values, any shape; None if there is none."""
-    values = values[np.isfinite(values)]
-    if values.size == 0:
-        return None
+STATISTICS: dict[str, Callable[[Array], float | None]] = {
+    "mean": lambda values: float(np.mean(values)),
+    "sd": lambda values: float(np.std(values, ddof=1)) if values.size > 1 else None,
+    "median": lambda values: float(np.median(values)),
+    "95th percentile": lambda values: float(np.percentile(values, 95)),
+}
+
+
+def statistics(values: Array | None, header: str, *names: str) -> dict[str, float | None]:
+    """Header → statistic of the finite values, any shape; None where there are none. header : 'time {} [s]'."""
+    known = np.zeros(0) if values is None else values[np.isfinite(values)]
     with np.errstate(over="ignore", invalid="ignore"):
-        sd = float(np.std(values, ddof=1)) if values.size > 1 else None
-        return Spread(float(np.mean(values)), sd, float(np.median(values)), float(np.percentile(values, 95)))
+        return {header.format(name): STATISTICS[name](known) if known.size else None for name in names}
 
 
 def relative_error(values: Array, reference: Array) -> Array:
@@ -137,54 +106,61 @@ def compare(results: Results, source: str = "") -> list[Row]:
         parts: dict[Steps, NDArray[np.bool_]] = {"initial": first, "following": ~first}
         if not case.joint_start:
             parts = {"all": first | ~first}
-        rows += [
-            _row(source, label, case, steps, chosen, _figures(published, steps))
-            for steps, chosen in parts.items()
-            if np.any(chosen) or steps == "all"
-        ]
+        for steps, chosen in parts.items():
+            if np.any(chosen) or steps == "all":
+                named = {"results": source, "recording": case.recording, "estimator": case.estimator, "steps": steps}
+                figures = named | _seen(case, chosen) | _quoted(published, steps) | _readings(case, chosen)
+                rows.append(Row(label, case, steps, figures))
     return rows
 
 
-def _row(
-    source: str, label: str, case: CaseResult, steps: Steps, chosen: NDArray[np.bool_], published: StepFigures
-) -> Row:
+def _seen(case: CaseResult, chosen: NDArray[np.bool_]) -> dict[str, Any]:
+    """What the solved ones of some frames say."""
     good = chosen & case.solved
     residual = case.kkt_residual[good]
-    return Row(
-        source,
-        label,
-        case,
-        steps,
-        frames=int(np.sum(chosen)),
-        solved=int(np.sum(good)),
-        solve_time=spread(case.solve_time[good]),
-        data_error=spread(data_error(case)[good]),
-        cell_error=None if case.truth is None else spread(relative_error(case.cell_resistance[good], case.truth[good])),
-        open_cells=int(np.sum(case.open_cell[good] != 0)),
-        worst_kkt_residual=float(np.nanmax(residual)) if np.isfinite(residual).any() else None,
-        missing_readings=0 if case.missing_readings is None else int(case.missing_readings[chosen].sum()),
-        bound_readings=0 if case.bound_readings is None else int(case.bound_readings[chosen].sum()),
-        published=published,
-    )
+    errors = None if case.truth is None else relative_error(case.cell_resistance[good], case.truth[good])
+    own, common = (None if part is None else 100 * part for part in (case.sigma_own, case.sigma_common))
+    return {
+        "frames": int(np.sum(chosen)),
+        "frames solved": int(np.sum(good)),
+        **statistics(case.solve_time[good], "solve time {} [s]", "mean", "sd"),
+        **statistics(data_error(case)[good], "data error {} [%]", "mean", "sd"),
+        **statistics(errors, "cell error {} [%]", "median", "mean", "95th percentile"),
+        **statistics(own, "own standard deviation {} [%]", "median"),
+        **statistics(common, "common standard deviation {} [%]", "median"),
+        "open cells": int(np.sum(case.open_cell[good] != 0)),
+        "worst KKT residual": float(np.nanmax(residual)) if np.isfinite(residual).any() else None,
+    }
 
 
-def _figures(published: PublishedFigures | None, steps: Steps) -> StepFigures:
-    """The figures of these steps; those of all and of following steps replace each other where one is missing."""
+def _readings(case: CaseResult, chosen: NDArray[np.bool_]) -> dict[str, Any]:
+    """Readings of all frames, solved or not: missing; at a rail, zero or below; and what the circuit makes of them."""
+    counts = {"missing readings": case.missing_readings, "bound readings": case.bound_readings}
+    return {
+        **{name: 0 if count is None else int(count[chosen].sum()) for name, count in counts.items()},
+        "model": case.model_mark,
+        "model check": case.model_sentence,
+        "noise check": case.noise_sentence,
+    }
+
+
+def _quoted(published: PublishedFigures | None, steps: Steps) -> dict[str, Any]:
+    """Published figures of these steps; those of all and of following ones replace each other where one is missing."""
     known = published or PublishedFigures()
     later = (known.all, known.following) if steps == "all" else (known.following, known.all)
-    return next(filter(None, (known.initial,) if steps == "initial" else later), StepFigures())
+    found = next(filter(None, (known.initial,) if steps == "initial" else later), StepFigures())
+    return {
+        "published time [s]": found.time_s,
+        "published time sd [s]": found.time_sd_s,
+        "published data error [%]": found.error_percent,
+        "published data error sd [%]": found.error_sd_percent,
+    }
 
 
 def model_notes(rows: Sequence[Row]) -> list[str]:
     """What speaks against each recording and its estimates, a line each; each once."""
-    notes = (f"warning: {row.recording}: {line}" for row in rows for line in row.case.warnings.split("\n") if line)
+    notes = (f"warning: {row.case.recording}: {line}" for row in rows for line in row.case.warnings.split("\n") if line)
     return list(dict.fromkeys(notes))
-
-
-def csv_text(rows: Sequence[Row]) -> str:
-    """All figures of the rows as CSV with units in the headers, full precision, empty where there is none."""
-    headers: list[object] = [header for header, _ in CSV_COLUMNS]
-    return comma_separated([headers, *([figure(row) for _, figure in CSV_COLUMNS] for row in rows)])
 
 
 def comma_separated(rows: Iterable[Iterable[object]]) -> str:
@@ -195,8 +171,12 @@ def comma_separated(rows: Iterable[Iterable[object]]) -> str:
 
 
 def write_csv(path: str | Path, rows: Sequence[Row]) -> None:
-    """Write the rows as CSV, whole or not at all. Raises InputError where the place cannot be written."""
-    write_whole(Path(path), csv_text(rows))
+    """Write all figures of the rows as CSV with units in the headers, full precision, empty where there is none.
+
+    Raises InputError where the place cannot be written.
+    """
+    headers = [[*row.figures] for row in rows[:1]]
+    write_whole(Path(path), comma_separated([*headers, *(row.figures.values() for row in rows)]))
 
 
 def screen_blocks(rows: Sequence[Row], each: bool = False, published: bool = False) -> list[Table]:
@@ -204,20 +184,20 @@ def screen_blocks(rows: Sequence[Row], each: bool = False, published: bool = Fal
 
     published : with the figures that a run's file quotes.
     """
-    groups = _grouped(rows, lambda row: (row.source, row.recording))
+    groups = _grouped(rows, "results", "recording")
     if len(groups) > 6 and not each:
         more = "--each shows every one, --csv FILE and --report PAGE hold all"
         title = f"{len(groups)} recordings, medians over them ({more})"
-        return [_table(title, _grouped(rows, lambda row: (row.estimator, row.steps)), OVER_ALL)]
-    several = len({row.source for row in rows}) > 1
-    columns = COLUMNS + PUBLISHED * published
+        return [_table(title, _grouped(rows, "estimator", "steps"), OVER_ALL)]
+    several = len({row["results"] for row in rows}) > 1
+    columns = COLUMNS | (PUBLISHED if published else {})
     return [_table(_title(group, several), group, columns) for group in groups]
 
 
-def _grouped(rows: Sequence[Row], key: Callable[[Row], tuple[str, str]]) -> list[list[Row]]:
-    groups: dict[tuple[str, str], list[Row]] = {}
+def _grouped(rows: Sequence[Row], *headers: str) -> list[list[Row]]:
+    groups: dict[tuple[str, ...], list[Row]] = {}
     for row in rows:
-        groups.setdefault(key(row), []).append(row)
+        groups.setdefault(tuple(row[header] for header in headers), []).append(row)
     return list(groups.values())
 
 
@@ -230,105 +210,71 @@ def legend(rows: Sequence[Row], blocks: Sequence[Table]) -> list[str]:
 
 def _title(group: Sequence[Row], several: bool) -> str:
     """'lamprey_35mm: 21 frames, 12 readings missing'."""
-    own = [row for row in group if row.estimator == group[0].estimator]
-    missing, bounds = (sum(getattr(row, name) for row in own) for name in ("missing_readings", "bound_readings"))
-    parts = [counted(sum(row.frames for row in own), "frame")]
+    first = group[0]
+    own = [row for row in group if row["estimator"] == first["estimator"]]
+    frames, missing, bounds = (
+        sum(row[name] for row in own) for name in ("frames", "missing readings", "bound readings")
+    )
+    parts = [counted(frames, "frame")]
     parts += [f"{counted(missing, 'reading')} missing"] if missing else []
     parts += [f"{counted(bounds, 'reading')} at a bound"] if bounds else []
-    return f"{own[0].source + ': ' if several else ''}{own[0].recording}: {', '.join(parts)}"
+    return f"{first['results'] + ': ' if several else ''}{first['recording']}: {', '.join(parts)}"
 
 
-def _table(title: str, things: Sequence[T], columns: Sequence[tuple[str, Callable[[T], str]]]) -> Table:
+def _table(title: str, things: Sequence[T], columns: Mapping[str, Callable[[T], str]]) -> Table:
     """A row for each of the things; a column in which none has anything is left out."""
-    texts = {header: [text(thing) for thing in things] for header, text in columns}
+    texts = {header: [text(thing) for thing in things] for header, text in columns.items()}
     filled = {header: column for header, column in texts.items() if any(column)}
     return Table(tuple(filled), tuple(zip(*filled.values(), strict=True)), title)
 
 
-def _plus_minus(values: Spread | None, factor: float = 1.0) -> str:
-    if values is None:
+def _plus_minus(row: Row, header: str, factor: float = 1.0) -> str:
+    """'2.3 ± 1.4'. header : 'time {} [s]'."""
+    mean, sd = (row[header.format(name)] for name in ("mean", "sd"))
+    if mean is None:
         return ""
-    mean = factor * values.mean
-    if 0 < mean < LEAST:
+    if 0 < mean * factor < LEAST:
         return f"< {LEAST:g}"
-    return digits(mean, 2) + ("" if values.sd is None else f" ± {digits(factor * values.sd, 2, like=mean)}")
+    return digits(factor * mean, 2) + ("" if sd is None else f" ± {digits(factor * sd, 2, like=factor * mean)}")
 
 
-def _published(mean: float | None, sd: float | None) -> str:
-    return "" if mean is None else f"{mean:g}" + ("" if sd is None else f" ± {sd:g}")
+def _both(row: Row, first: str, second: str, between: str, text: Callable[[float], str] = digits) -> str:
+    """Two figures, as far as there are any: '5.10 / 16.7'."""
+    return between.join(text(figure) for header in (first, second) if (figure := row[header]) is not None)
 
 
 def _solved(group: Sequence[Row]) -> str:
-    return f"{sum(row.solved for row in group)}/{sum(row.frames for row in group)}{STEPS[group[0].steps]}"
+    solved, frames = (sum(row[header] for row in group) for header in ("frames solved", "frames"))
+    return f"{solved}/{frames}{STEPS[group[0].steps]}"
 
 
-def _median(spreads: Sequence[Spread | None], name: str, factor: float = 1.0) -> str:
-    values = [factor * getattr(one, name) for one in spreads if one]
-    return digits(float(np.median(values))) if values else ""
+def _over(group: Sequence[Row], header: str, *functions: Callable[[Any], float], factor: float = 1.0) -> str:
+    """What functions make of the figures of a group, '2.1 … 3.5'; nothing where there are none."""
+    known = [factor * row[header] for row in group if row[header] is not None]
+    return " … ".join(digits(float(function(known))) for function in functions if known)
 
 
-def _range(spreads: Sequence[Spread | None]) -> str:
-    values = [one.median for one in spreads if one]
-    return f"{digits(min(values))} … {digits(max(values))}" if values else ""
-
-
-def _median_of(part: Array | None) -> float | None:
-    """Median of the finite ones, percent; None without any."""
-    known = np.zeros(0) if part is None else part[np.isfinite(part)]
-    return 100 * float(np.median(known)) if len(known) else None
-
-
-def _parts(case: CaseResult) -> str:
-    """'0.8 / 3.1'; nothing without error bars."""
-    parts = [_median_of(part) for part in (case.sigma_own, case.sigma_common)]
-    return " / ".join(digits(part) for part in parts if part is not None)
-
-
-COLUMNS: tuple[tuple[str, Callable[[Row], str]], ...] = (
-    ("estimator", lambda row: row.label),
-    ("solved", lambda row: _solved([row])),
-    ("time [ms]", lambda row: _plus_minus(row.solve_time, 1000)),
-    ("data error [%]", lambda row: _plus_minus(row.data_error)),
-    ("cell error [%]", lambda row: row.cell_error.median_and_worst if row.cell_error else ""),
-    ("± own / all [%]", lambda row: _parts(row.case)),
-)
-PUBLISHED: tuple[tuple[str, Callable[[Row], str]], ...] = (
-    ("published time [s]", lambda row: _published(row.published.time_s, row.published.time_sd_s)),
-    ("published error [%]", lambda row: _published(row.published.error_percent, row.published.error_sd_percent)),
-)
-OVER_ALL: tuple[tuple[str, Callable[[Sequence[Row]], str]], ...] = (
-    ("estimator", lambda group: group[0].label),
-    ("solved", _solved),
-    ("time [ms]", lambda group: _median([row.solve_time for row in group], "mean", 1000)),
-    ("data error [%], mean", lambda group: _median([row.data_error for row in group], "mean")),
-    ("cell error [%], median", lambda group: _median([row.cell_error for row in group], "median")),
-    ("least … most of them", lambda group: _range([row.cell_error for row in group])),
-)
-CSV_COLUMNS: tuple[tuple[str, Callable[[Row], object]], ...] = (
-    ("results", lambda row: row.source),
-    ("recording", lambda row: row.recording),
-    ("estimator", lambda row: row.estimator),
-    ("steps", lambda row: row.steps),
-    ("frames", lambda row: row.frames),
-    ("frames solved", lambda row: row.solved),
-    ("solve time mean [s]", lambda row: row.solve_time and row.solve_time.mean),
-    ("solve time sd [s]", lambda row: row.solve_time and row.solve_time.sd),
-    ("data error mean [%]", lambda row: row.data_error and row.data_error.mean),
-    ("data error sd [%]", lambda row: row.data_error and row.data_error.sd),
-    ("cell error median [%]", lambda row: row.cell_error and row.cell_error.median),
-    ("cell error mean [%]", lambda row: row.cell_error and row.cell_error.mean),
-    ("cell error 95th percentile [%]", lambda row: row.cell_error and row.cell_error.percentile_95),
-    ("own standard deviation median [%]", lambda row: _median_of(row.case.sigma_own)),
-    ("common standard deviation median [%]", lambda row: _median_of(row.case.sigma_common)),
-    ("open cells", lambda row: row.open_cells),
-    ("worst KKT residual", lambda row: row.worst_kkt_residual),
-    ("published time [s]", lambda row: row.published.time_s),
-    ("published time sd [s]", lambda row: row.published.time_sd_s),
-    ("published data error [%]", lambda row: row.published.error_percent),
-    ("published data error sd [%]", lambda row: row.published.error_sd_percent),
-    ("missing readings", lambda row: row.missing_readings),
-    ("bound readings", lambda row: row.bound_readings),
-    ("model", lambda row: row.case.model_mark),
-    ("model check", lambda row: row.case.model_sentence),
-    ("noise check", lambda row: row.case.noise_sentence),
-)
+COLUMNS: dict[str, Callable[[Row], str]] = {
+    "estimator": lambda row: row.label,
+    "solved": lambda row: _solved([row]),
+    "time [ms]": lambda row: _plus_minus(row, "solve time {} [s]", 1000),
+    "data error [%]": lambda row: _plus_minus(row, "data error {} [%]"),
+    "cell error [%]": lambda row: _both(row, "cell error median [%]", "cell error 95th percentile [%]", " / "),
+    "± own / all [%]": lambda row: _both(
+        row, "own standard deviation median [%]", "common standard deviation median [%]", " / "
+    ),
+}
+PUBLISHED: dict[str, Callable[[Row], str]] = {
+    "published time [s]": lambda row: _both(row, "published time [s]", "published time sd [s]", " ± ", "{:g}".format),
+    "published error [%]": lambda row: _both(
+        row, "published data error [%]", "published data error sd [%]", " ± ", "{:g}".format
+    ),
+}
+OVER_ALL: dict[str, Callable[[Sequence[Row]], str]] = {
+    "estimator": lambda group: group[0].label,
+    "solved": _solved,
+    "time [ms]": lambda group: _over(group, "solve time mean [s]", np.median, factor=1000),
+    "data error [%], mean": lambda group: _over(group, "data error mean [%]", np.median),
+    "cell error [%], median": lambda group: _over(group, "cell error median [%]", np.median),
+    "least … most of them": lambda group: _over(group, "cell error median [%]", min, max),
+}

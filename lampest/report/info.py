@@ -14,7 +14,7 @@ from lampest.files import hdf5
 from lampest.files.errors import InputError
 from lampest.loads.recognition.breathing import too_slow
 from lampest.panel.film import Film
-from lampest.panel.panel import Array, Panel
+from lampest.panel.panel import Array
 from lampest.panel.readouts.lines import lines_text
 from lampest.panel.response import Response
 from lampest.panel.scene import Faults, Scene
@@ -35,52 +35,51 @@ UNSEALED = "readable, but without checksums: an older version or another program
 def describe(path: str | Path) -> list[str]:
     """Lines on a file: format, frames, panel, scene, times, roles, range of readings, and the strongest change.
 
-    Raises InputError where the file is neither a recording nor results, or is damaged.
+    Of one that is too long to be held: its frames, and what the first ones say. Raises InputError where the file is
+    neither a recording nor results, or is damaged.
     """
-    path = Path(path)
+    path, too_long_words = Path(path), "too long to be held at once; of frames {} to {}:"
     with hdf5.existing_file(path) as file:
         form = hdf5.read_attribute(file, "/", "lampest_format")
         form = form if isinstance(form, str) else None
         if form is None and not any(hdf5.has(file, path) for path in READINGS):
             raise InputError(f"{path}: neither a recording nor results (no lampest_format)")
+    head = f"{path}: {form or 'a recording without lampest_format'}"
     if form == FORMAT:
-        return [f"{path}: {form}", *_stored_lines(path)]
-    recording, head = opened(path), f"{path}: {form or 'a recording without lampest_format'}"
-    return [head, *(_recording_lines(recording) if isinstance(recording, Recording) else _long_lines(recording))]
-
-
-def _stored_lines(path: Path) -> list[str]:
-    """Of results; of those that are too long to be held, their number and what the first frames say."""
-    cases = stored_cases(path)
-    if not any(too_long(case.frames, case.cells) for case in cases):
-        return _results_lines(read_results(path))
-    part = next(read_each(path, BLOCK))
-    long = [f"  {case.estimator}  {case.frames} frames  case {case.case_id}" for case in cases]
-    first, last = int(part.frame[0]), int(part.frame[-1])
-    shown = _results_lines(read_results(path, frames=range(first, last + 1)))
-    return [*long, f"too long to be held at once; of frames {first} to {last}:", *shown]
-
-
-def _long_lines(recording: StoredRecording) -> list[str]:
-    """Of a recording that is too long to be held: all of its roles and times, and what the first frames say."""
+        cases = stored_cases(path)
+        if not any(too_long(case.frames, case.cells) for case in cases):
+            return [head, *_results_lines(read_results(path))]
+        part = next(read_each(path, BLOCK))
+        first, last = int(part.frame[0]), int(part.frame[-1])
+        long = [f"  {case.estimator}  {case.frames} frames  case {case.case_id}" for case in cases]
+        shown = _results_lines(read_results(path, frames=range(first, last + 1)))
+        return [head, *long, too_long_words.format(first, last), *shown]
+    recording = opened(path)
+    if isinstance(recording, Recording):
+        return [head, *_recording_lines(recording)]
     blocks = recording.blocks()
     parts = ((part.role, part.time) for part in map(recording.part, blocks))
     role, time = (np.concatenate(values) for values in zip(*parts, strict=True))
-    part = f"too long to be held at once; of frames {blocks[0][0]} to {blocks[0][-1]}:"
-    return [*_frames_lines(role, time), part, *_recording_lines(recording.part(blocks[0]))]
+    words = too_long_words.format(blocks[0][0], blocks[0][-1])
+    return [head, *_frames_lines(role, time), words, *_recording_lines(recording.part(blocks[0]))]
+
+
+def _line(head: str, text: object) -> str:
+    """As a screen shows what files hold in ASCII."""
+    return f"{head:9} {text}".replace("+-", "±")
 
 
 def _frames_lines(role: NDArray[np.uint8], time: Array) -> list[str]:
     """How many frames, when, and whether there are too few a second to see breathing."""
     unloaded, measured = int(np.sum(role == UNLOADED)), int(np.sum(role == MEASURED))
-    frames = f"frames    {len(role)}: {unloaded} unloaded, {measured} measured; {time.min():g} to {time.max():g} s"
+    frames = f"{len(role)}: {unloaded} unloaded, {measured} measured; {time.min():g} to {time.max():g} s"
     step = float(np.median(np.diff(time))) if len(time) > 1 else 0.0
     slow = too_slow(1 / step) if step > 0 else ""
-    return [frames, *([f"{'':9} {slow}"] if slow else [])]
+    return [_line("frames", frames), *([_line("", slow)] if slow else [])]
 
 
 def _recording_lines(recording: Recording) -> list[str]:
-    circuit = recording.scene.circuit
+    circuit, scene = recording.scene.circuit, recording.scene
     extras = {
         "σ": recording.sigma,
         "true cell resistance": recording.truth_cell_resistance,
@@ -88,25 +87,17 @@ def _recording_lines(recording: Recording) -> list[str]:
         "sums of ADC codes": recording.raw_sums,
     }
     held = ", ".join(name for name, values in extras.items() if values is not None)
-    return [
-        *_frames_lines(recording.role, recording.time),
-        *([] if recording.start_time is None else [f"start     {recording.start_time} at 0 s"]),
-        *_scene_lines(recording.scene),
-        *_noise_lines(recording),
-        f"readings  {_range(recording.recorded, circuit.unit)} ({circuit.signal_name})",
-        *(f"{'':9} {sentence}" for sentence in _holes(recording)),
-        f"besides   {held or 'nothing'}",
-        *_map_lines(recording),
-    ]
-
-
-def _map_lines(recording: Recording) -> list[str]:
-    """The frame that changed most against the unloaded ones; numbers of the first one where there are none."""
+    lines = _frames_lines(recording.role, recording.time)
+    if recording.start_time is not None:
+        lines.append(_line("start", f"{recording.start_time} at 0 s"))
+    lines += [*_scene_lines(scene), *_noise_lines(recording)]
+    lines.append(_line("readings", f"{_range(recording.recorded, circuit.unit)} ({circuit.signal_name})"))
+    lines += [*(_line("", sentence) for sentence in _holes(recording)), _line("besides", held or "nothing")]
     found = strongest_readings(recording)
     if found is None:
-        return [f"readings of frame 0 in {recording.scene.circuit.unit}:", *text_map(recording.recorded[0])]
+        return [*lines, f"readings of frame 0 in {circuit.unit}:", *text_map(recording.recorded[0])]
     where = f"frame {found[0]} at {recording.time[found[0]]:g} s"
-    return [f"readings of {where}, the strongest change against the unloaded ones:", *shaded_map(found[1])]
+    return [*lines, f"readings of {where}, the strongest change against the unloaded ones:", *shaded_map(found[1])]
 
 
 def _noise_lines(recording: Recording) -> list[str]:
@@ -118,32 +109,25 @@ def _noise_lines(recording: Recording) -> list[str]:
             ("rows", faults.joined_rows, touching_rows(readings)),
             ("columns", faults.joined_columns, touching_columns(readings)),
         ):
-            lines += [
-                f"alike     {name} {', '.join(map(str, group))} in every frame: if they touch, faults: "
-                f"{{joined_{name}: [{list(group)}]}} says so"
-                for group in found
-                if not any(set(group) <= set(one) for one in known)
-            ]
+            for group in found:
+                words = f"{name} {', '.join(map(str, group))} in every frame: if they touch, faults: "
+                if not any(set(group) <= set(one) for one in known):
+                    lines.append(_line("alike", f"{words}{{joined_{name}: [{list(group)}]}} says so"))
     with suppress(InputError):
         learned = frame_noise_seen(recording).learned
-        lines += [f"noise     {_plain(learned)}"] if learned else []
-        lines += [f"warning   {_plain(one)}" for one in warnings_of(recording)]
+        lines += [_line("noise", learned)] if learned else []
+        lines += [_line("warning", one) for one in warnings_of(recording)]
     return lines
-
-
-def _listed(panel: Panel) -> str:
-    """Of a panel whose cells are listed, how many there are and over what they lie."""
-    if panel.cells is None:
-        return ""
-    wide, tall = (most - least for least, most in panel.extents_mm)
-    return f", {len(panel.cells)} cells at places of their own over {wide:g} × {tall:g} mm"
 
 
 def _scene_lines(scene: Scene) -> list[str]:
     panel, wire, heat, faults = scene.panel, scene.lines, scene.temperature, scene.faults
-    off = scene.specified_systematic
+    off, listed = scene.specified_systematic, ""
+    if panel.cells is not None:
+        wide, tall = (most - least for least, most in panel.extents_mm)
+        listed = f", {len(panel.cells)} cells at places of their own over {wide:g} × {tall:g} mm"
     texts: list[tuple[str, object]] = [
-        ("panel", f"{panel.rows} rows × {panel.columns} columns{_listed(panel)}, pitch {panel.pitch_mm:g} mm"),
+        ("panel", f"{panel.rows} rows × {panel.columns} columns{listed}, pitch {panel.pitch_mm:g} mm"),
         ("readout", "unknown, resistances alone" if scene.readout is None else scene.readout.description()),
         ("assumed", scene.assumed and f"{scene.assumed_text}: the scene does not say"),
         ("series", scene.circuit.unit == "ohm" and scene.series_text),
@@ -173,16 +157,15 @@ def _scene_lines(scene: Scene) -> list[str]:
     if faults is not None:
         known = ", ".join(f"{name.replace('_', ' ')} {list(value)}" for name, value in vars(faults).items() if value)
         texts.append(("faults", known or "none"))
-    return [f"{head:9} {text}" for head, text in texts if text]
+    return [_line(head, text) for head, text in texts if text]
 
 
 def _response_text(response: Response) -> str:
     """'table, -10 to 40 kPa; gains of cells 0.85 to 1.2'."""
     least, most = response.told_kpa
-    text = f"{getattr(response, 'kind', type(response).__name__)}, {least:g} to {most:g} kPa"
-    if response.gain is not None:
-        text += f"; gains of cells {response.gains.min():.2g} to {response.gains.max():.2g}"
-    return text
+    gains = response.gains
+    own = "" if response.gain is None else f"; gains of cells {gains.min():.2g} to {gains.max():.2g}"
+    return f"{getattr(response, 'kind', type(response).__name__)}, {least:g} to {most:g} kPa{own}"
 
 
 def _film_text(film: Film) -> str:
@@ -201,25 +184,28 @@ def _results_lines(results: Results) -> list[str]:
         first = cases[0]
         frames, rows, columns = first.measured.shape
         truth = "not in" if first.truth is None else "in"
+        values = _range(first.measured, first.scene.circuit.unit)
         lines += [
             f"recording {recording}: {frames} frames, {first.time.min():g} to {first.time.max():g} s, "
             f"{rows} rows × {columns} columns, pitch {first.scene.panel.pitch_mm:g} mm, truth {truth} the file",
-            f"readings  {_range(first.measured, first.scene.circuit.unit)} "
-            "(as the network is read, series resistance taken off)",
-            *(f"{'':9} {sentence}" for sentence in (_holes_of_case(first),) if sentence),
+            _line("readings", f"{values} (as the network is read, series resistance taken off)"),
         ]
-        if first.model_mark and first.model_sentence not in first.warnings:
-            lines.append(f"model     {first.model_mark}: {first.model_sentence}")
-        lines += [f"warning   {_plain(one)}" for one in first.warnings.split("\n") if one]
-        if first.film_sentence:
-            lines.append(f"film      {first.film_sentence}")
-        lines += [f"noise     {_plain(first.noise_learned)}"] if first.noise_learned else []
+        missing = np.isnan(first.measured) & first.scene.asked  # results of older versions do not say what are bounds
+        bounds = np.zeros(missing.shape, bool) if first.reading_side is None else first.reading_side != 0
+        told = first.model_mark and first.model_sentence not in first.warnings
+        sentences = [
+            ("", holes_sentence(missing, bounds)),
+            ("model", told and f"{first.model_mark}: {first.model_sentence}"),
+            *(("warning", one) for one in first.warnings.split("\n")),
+            ("film", first.film_sentence),
+            ("noise", first.noise_learned),
+        ]
+        lines += [_line(head, sentence) for head, sentence in sentences if sentence]
         width = max(len(case.estimator) for case in cases)
         for case in cases:
-            lines.append(
-                f"  {case.estimator:{width}}  solved {int(np.sum(case.solved))}/{frames}{_starts(case)}  "
-                f"r {_range(case.cell_resistance, 'ohm')}  case {case.case_id}"
-            )
+            solved = f"solved {int(np.sum(case.solved))}/{frames}{_starts(case)}"
+            found = f"r {_range(case.cell_resistance, 'ohm')}  case {case.case_id}"
+            lines.append(f"  {case.estimator:{width}}  {solved}  {found}")
             if case.error_words:
                 lines.append(f"  {'':{width}}  {case.error_words} (standard deviations, medians)")
     if results.published:
@@ -232,39 +218,25 @@ def _results_lines(results: Results) -> list[str]:
     return lines
 
 
-def _plain(sentence: str) -> str:
-    """As a screen shows what files hold in ASCII."""
-    return sentence.replace("+-", "±")
-
-
 def _starts(case: CaseResult) -> str:
     """'', or of how many starts the estimates of the solved frames are the lowest local optimum."""
     if case.local_optima is None:
         return ""
     _, least, most = case.local_optima
-    if most == 1:
-        return ", local optima from one start a frame"
-    return f", local optima, the lowest from {least if least == most else f'{least} to {most}'} starts a frame"
+    starts = f"{least}" if least == most else f"{least} to {most}"
+    return f", local optima, the lowest from {starts} start{'' if most == 1 else 's'} a frame"
 
 
 def _holes(recording: Recording) -> list[str]:
     """What is missing or only a bound, readings of faulty cells aside, and what follows from it."""
-    readings = recording.readings()
-    sentences = [holes_sentence(readings.missing(recording.scene), readings.bounds)]
-    enough = readings.enough(recording.scene)
+    readings, scene = recording.readings(), recording.scene
+    sentences = [holes_sentence(readings.missing(scene), readings.bounds)]
+    enough, unloaded = readings.enough(scene), recording.role == UNLOADED
     if not np.all(enough):
         sentences.append(f"{int(np.sum(~enough))} of {len(enough)} frames have too few values to be estimated")
-    unloaded = recording.role == UNLOADED
-    if np.any(unloaded) and np.any(enough) and not readings[unloaded].mean().enough(recording.scene):
+    if np.any(unloaded) and np.any(enough) and not readings[unloaded].mean().enough(scene):
         sentences.append("the unloaded frames have too few values: the first frame with enough stands for them")
     return [sentence for sentence in sentences if sentence]
-
-
-def _holes_of_case(case: CaseResult) -> str:
-    """Of the measured frames. Results that do not say which readings are bounds have none."""
-    missing = np.isnan(case.measured) & case.scene.asked
-    bounds = np.zeros(missing.shape, bool) if case.reading_side is None else case.reading_side != 0
-    return holes_sentence(missing, bounds)
 
 
 def holes_sentence(missing: NDArray[np.bool_], bounds: NDArray[np.bool_]) -> str:
@@ -318,15 +290,16 @@ def text_map(values: Array) -> list[str]:
     """A matrix (rows, columns) as numbers, row 0 on top and columns to the right; what is cropped is said below."""
     columns = values.shape[1]
     texts = [["-" if np.isnan(value) else f"{value:.4g}" for value in row] for row in values[:MOST_ROWS]]
-    width = max(len(text) for text in (*(text for row in texts for text in row), str(columns - 1))) + 2
+    lines = [[*map(str, range(columns))], *texts]
+    width = max(len(text) for line in lines for text in line) + 2
     labels = ["column", *(f"row {row}" for row in range(len(texts)))]
     left = max(map(len, labels))
-    fitting = max(1, (_room() - left) // width)
-    lines = [
+    fitting = min(columns, max(1, (_room() - left) // width))
+    drawn = [
         f"{label:>{left}}" + "".join(f"{text:>{width}}" for text in line[:fitting])
-        for label, line in zip(labels, [list(map(str, range(columns))), *texts], strict=True)
+        for label, line in zip(labels, lines, strict=True)
     ]
-    return lines + _cropped(values, len(texts), min(fitting, columns))
+    return drawn + _cropped(values, fitting)
 
 
 def shaded_map(change: Array) -> list[str]:
@@ -339,35 +312,29 @@ def shaded_map(change: Array) -> list[str]:
     label = max(3, len(str(rows - 1)) + 1)
     wide = 2 if 2 * columns + label <= _room() else 1
     fitting = min(columns, (_room() - label) // wide)
-    known = np.where(np.isfinite(change), change, 0.0)
-    most = [max(float(np.max(sign * known)), 1.0) for sign in (-1, 1)]  # changes from noise alone stay white
-    steps = [
-        np.clip(np.rint(4 * part / end), 0, 4).astype(int) for part, end in zip((-known, known), most, strict=True)
-    ]
-    signs = np.where(steps[0] > 0, np.array(list(FALLS))[steps[0]], np.array(list(RISES))[steps[1]])
-    signs = np.where(np.isfinite(change), signs, UNKNOWN)
+    signs, keys = np.where(np.isfinite(change), " ", UNKNOWN), []
+    for name, shades, part in (("falls by", FALLS, -change), ("rises by", RISES, change)):
+        known = np.where(np.isfinite(part), part, 0.0)
+        end = max(float(np.max(known)), 1.0)  # changes from noise alone stay white
+        steps = np.clip(np.rint(4 * known / end), 0, 4).astype(int)
+        signs = np.where(steps > 0, np.array(list(shades))[steps], signs)
+        if np.any(steps > 0):
+            parts = (f"{sign} {end * step / 4:.3g} %" for step, sign in enumerate(shades) if step)
+            keys.append(f"{name} {' '.join(parts)}")
+    keys += [f"{UNKNOWN} no value"] if not np.all(np.isfinite(change)) else []
     lines = [
         f"{row:>{label - 1}} " + "".join(wide * str(sign) for sign in line[:fitting])
         for row, line in enumerate(signs[:MOST_ROWS])
     ]
-    keys = [
-        f"{name} {' '.join(f'{sign} {end * part / 4:.3g} %' for part, sign in enumerate(shades) if part)}"
-        for name, shades, end, sign in (("falls by", FALLS, most[0], -1), ("rises by", RISES, most[1], 1))
-        if np.max(sign * known) >= 0.125
-    ]
-    keys += [f"{UNKNOWN} no value"] if not np.all(np.isfinite(change)) else []
-    return [
-        *(line.rstrip() for line in lines),
-        "; ".join(keys) or "nothing changes",
-        *_cropped(change, len(lines), fitting),
-    ]
+    return [*(line.rstrip() for line in lines), "; ".join(keys) or "nothing changes", *_cropped(change, fitting)]
 
 
 def _room() -> int:
     return max(shutil.get_terminal_size((100, 24)).columns, 20)  # where no terminal says how many signs it has
 
 
-def _cropped(values: Array, rows: int, columns: int) -> list[str]:
+def _cropped(values: Array, columns: int) -> list[str]:
+    rows = min(len(values), MOST_ROWS)
     if (rows, columns) == values.shape:
         return []
     return [f"(the first {rows} of {values.shape[0]} rows and {columns} of {values.shape[1]} columns)"]

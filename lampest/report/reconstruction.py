@@ -36,7 +36,8 @@ class Reconstruction(Estimates):
     unloaded panel, `pressure` in kPa, each with `_errors`, `_lower` and `_upper`; `status` says how each frame ended.
 
     `name` is what files and pictures call the estimator; by default its terms, `misfit + gradient`. `columns` are those
-    of your own, besides those of lampest and of installed packages.
+    of your own, besides those of lampest and of installed packages. All methods that take them raise InputError where
+    the name cannot stand in a file, or a column's values do not fit it.
 
     >>> found
     Reconstruction(mine: misfit, auto, 2 of 2 frames solved, the first: optimum verified)
@@ -64,31 +65,25 @@ class Reconstruction(Estimates):
         return f'<p>{lines}</p><pre style="line-height: 1">{drawn}</pre>'
 
     def result(self, name: str | None = None, columns: Sequence[Column] = ()) -> CaseResult:
-        """The case that results files keep; several may go into one file with `write_results`.
-
-        Raises InputError where the name cannot stand in a file, or a column's values do not fit it.
-        """
+        """The case that results files keep; several may go into one file with `write_results`."""
         return named_result(self, name, columns)
 
     def save(self, path: str | Path, name: str | None = None, columns: Sequence[Column] = ()) -> None:
         """Write a results file, whole or not at all; `read_results` reads it, and every command takes it.
 
-        Raises InputError as `result`, and where the place cannot be written.
+        Raises InputError where the place cannot be written.
         """
         write_results(path, [self.result(name, columns)], columns=columns)
 
     def to_xarray(self, columns: Sequence[Column] = ()) -> "Dataset":
         """An xarray.Dataset over time (s), row and column, with x and y in mm; units in every variable's `attrs`.
 
-        Raises InputError as `result`, and where xarray is not installed.
+        Raises InputError where xarray is not installed.
         """
         return self.result(columns=columns).to_xarray(columns)
 
     def to_dataframe(self, columns: Sequence[Column] = ()) -> "DataFrame":
-        """A pandas.DataFrame of one line for every cell of every frame; units in `attrs["units"]`.
-
-        Raises InputError as `result`.
-        """
+        """A pandas.DataFrame of one line for every cell of every frame; units in `attrs["units"]`."""
         return self.result(columns=columns).to_dataframe(columns)
 
     def plot(self, kind: "str | Plot" = "contours", frame: int | None = None) -> "Figure":

@@ -27,10 +27,7 @@ EXPORTS: tuple[Export, ...] = (CsvExport(), ParquetExport(), MatlabExport(), Zar
 def export_of(kind: str) -> Export:
     """The format of that kind, of lampest or of an installed package. Raises InputError where there is none or two."""
     exports: tuple[Export, ...] = (*EXPORTS, *installed("lampest.exports", Export))
-    try:
-        return of_kind(kind, "format", exports)
-    except InputError as error:
-        raise InputError(f"--to: {error}") from error
+    return of_kind(kind, "format", exports)
 
 
 @typed
@@ -57,16 +54,16 @@ def export_results(
     export = export_of(to) if isinstance(to, str) else to
     source = Path(results)
     path = source.with_suffix(export.suffix) if out is None else Path(out)
-    second = path.with_name(path.name + export.beside) if export.beside else None
+    written = (path, path.with_name(path.name + export.beside)) if export.beside else (path,)
     with sparing((source,)), ExitStack() as files:
-        refuse_inputs([path] if second is None else [path, second])
+        refuse_inputs(written)
         read = read_results(source, frames=frames)
         cases = _started(read.cases if recording is None else read.of(recording), start)
         if not cases:
             raise InputError(f"{source}: holds no case that could be exported")
-        beside = None if second is None else files.enter_context(whole_file(second))
-        export.write(cases, path.name, files.enter_context(whole_file(path)), beside)
-    return (path,) if second is None else (path, second)
+        unfinished = [files.enter_context(whole_file(one)) for one in written[::-1]]
+        export.write(cases, path.name, unfinished[-1], unfinished[0] if export.beside else None)
+    return written
 
 
 def _started(cases: Sequence[CaseResult], start: str | None) -> tuple[CaseResult, ...]:

@@ -29,9 +29,9 @@ class MatlabExport(Export):
         from scipy.io import savemat
         from scipy.io.matlab import MatWriteError
 
+        held = {"cases": _cells([_struct(case) for case in cases]).reshape(1, -1)}
         try:
             with path.open("wb") as file:
-                held = {"cases": _cells([_struct(case) for case in cases]).reshape(1, -1)}
                 savemat(file, held, long_field_names=True, do_compression=True, oned_as="column")
         except (ValueError, MatWriteError) as error:
             raise InputError(f"{name}: does not fit a MATLAB 5 file ({error})") from error
@@ -39,11 +39,8 @@ class MatlabExport(Export):
 
 def _struct(case: CaseResult) -> dict[str, Any]:
     held, places = series_of(case, all_columns()), places_of(case)
-    flags = {}
-    for one in held.values():
-        if one.flags:
-            numbers, words = zip(*one.flags, strict=True)
-            flags[one.name] = {"values": np.array(numbers), "meanings": _cells(words)}
+    words = {name: zip(*one.flags, strict=True) for name, one in held.items() if one.flags}
+    flags = {name: {"values": np.array(numbers), "meanings": _cells(texts)} for name, (numbers, texts) in words.items()}
     values = {name: _cells(one.values) if one.dtype is str else one.stored for name, one in held.items()}
     units = {name: one.units for name, one in (held | places).items() if name not in ("row", "column")}
     names = {name: one.long_name for name, one in held.items()}
@@ -54,15 +51,14 @@ def _struct(case: CaseResult) -> dict[str, Any]:
 def _cells(things: Sequence[Any]) -> NDArray[Any]:
     """(things, 1) a cell each, whatever they are."""
     cells = np.empty((len(things), 1), dtype=np.object_)
-    for number, thing in enumerate(things):
-        cells[number, 0] = thing
+    cells[:, 0] = [*things]
     return cells
 
 
 class ZarrExport(Export):
     """`xarray.open_datatree(zarr.storage.ZipStore(path), engine="zarr")`: groups recording/estimator.
 
-    Version 2 of the format, which every library for zarr reads. One zip archive, because a folder of thousands of files
+    Version 2 of the format, which every library for zarr reads; one zip archive, because a folder of thousands of files
     cannot appear whole.
     """
 

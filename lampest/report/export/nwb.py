@@ -3,6 +3,7 @@
 import hashlib
 import warnings
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from datetime import datetime
 from pathlib import Path
 from typing import Any, ClassVar
@@ -10,7 +11,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from lampest.files.errors import InputError, extra
-from lampest.panel.scene import Scene
+from lampest.panel.scene import Experiment, MeasuredSubject
 from lampest.report.export.export import Export
 from lampest.runs.case import CaseResult, about, series_of
 from lampest.runs.columns import CELLS, TIME, all_columns
@@ -20,8 +21,7 @@ class NwbExport(Export):
     """What was measured stands under acquisition, what an estimator made of it in the module of its name.
 
     Maps and numbers of frames are TimeSeries (time × rows × columns), sentences stand in a table of frames, maps that
-    have no time in a table of cells with their positions in mm. The format holds one session, and
-    must know when it began.
+    have no time in a table of cells with their positions in mm. The format holds one session that knows when it began.
     """
 
     kind: ClassVar[str] = "nwb"
@@ -40,9 +40,7 @@ class NwbExport(Export):
         for case in cases:
             words = "\n".join(f"{name}: {text}" for name, text in about(case).items() if name != "scene")
             called = case.estimator.replace(":", "_").replace("/", "_")  # NWB allows neither
-            module = session.create_processing_module(name=called, description=words)
-            for element in _elements(case, shared=False):
-                module.add(element)
+            session.create_processing_module(called, words).add([*_elements(case, shared=False)])
         with warnings.catch_warnings():
             warnings.filterwarnings("ignore", ".*does not end in '.nwb'")  # it will, once it is whole
             with NWBHDF5IO(path, mode="w") as file:
@@ -50,53 +48,44 @@ class NwbExport(Export):
 
 
 def _session(cases: Sequence[CaseResult]) -> Any:
-    """Raises InputError where nobody says when it began, or not in which zone."""
+    """Who was measured, when and for what. Raises InputError where nobody says when it began, or not in which zone."""
     from pynwb import NWBFile
+    from pynwb.file import Subject
 
-    first, panel = cases[0], cases[0].scene.panel
-    try:
+    first, subject, experiment = cases[0], cases[0].scene.subject, cases[0].scene.experiment or Experiment()
+    start = None
+    with suppress(ValueError):
         start = datetime.fromisoformat(first.start_time)
-    except ValueError:
-        start = None
     if start is None or start.tzinfo is None:
         said = f"at {first.start_time}, without a zone" if first.start_time else "nowhere"
         raise InputError(
             f"an NWB file says when a session began; {first.recording} says it {said}: give it with "
             "--start 2026-05-04T09:30:00+02:00"
         )
+    celsius = experiment.water_temperature_celsius
+    water = "" if celsius is None else f"water at {celsius:g} degrees Celsius"
     together = first.recording + "".join(case.case_id for case in cases)
-    session = NWBFile(
+    return NWBFile(
         session_description=f"cells of a resistive panel estimated from its readings, recording {first.recording}",
         identifier=hashlib.sha256(together.encode()).hexdigest()[:32],
         session_start_time=start,
         session_id=first.recording,
         notes=about(first)["scene"],
-        source_script_file_name="lampest export",
-        source_script=f"lampest {first.versions.get('lampest', '')}",
+        experiment_description="; ".join(filter(None, (experiment.title, water, experiment.note))) or None,
+        experimenter=(experiment.experimenter,) if experiment.experimenter else None,
+        institution=experiment.institution or None,
+        subject=None if subject is None else Subject(**_described(subject)),
     )
-    _describe(session, first.scene)
-    words = f"{panel.rows} × {panel.columns} cells, {panel.pitch_mm:g} mm apart"
-    session.create_device(name="panel", description=words)
-    return session
 
 
-def _describe(session: Any, scene: Scene) -> None:
-    """Who was measured and for what, where the scene says it."""
-    from pynwb.file import Subject
-
-    subject, experiment = scene.subject, scene.experiment
-    if subject is not None:
-        length = "" if subject.length_mm is None else f"{subject.length_mm:g} mm long"
-        weight = None if subject.mass_g is None else f"{subject.mass_g / 1000:g} kg"
-        words = "; ".join(filter(None, (length, subject.note))) or None
-        named = {"subject_id": subject.id or None, "species": subject.species or None}
-        session.subject = Subject(**named, weight=weight, description=words)
-    if experiment is not None:
-        celsius = experiment.water_temperature_celsius
-        water = "" if celsius is None else f"water at {celsius:g} degrees Celsius"
-        session.experiment_description = "; ".join(filter(None, (experiment.title, water, experiment.note))) or None
-        session.experimenter = (experiment.experimenter,) if experiment.experimenter else None
-        session.institution = experiment.institution or None
+def _described(subject: MeasuredSubject) -> dict[str, str | None]:
+    length = "" if subject.length_mm is None else f"{subject.length_mm:g} mm long"
+    return {
+        "subject_id": subject.id or None,
+        "species": subject.species or None,
+        "weight": None if subject.mass_g is None else f"{subject.mass_g / 1000:g} kg",
+        "description": "; ".join(filter(None, (length, subject.note))) or None,
+    }
 
 
 def _elements(case: CaseResult, shared: bool) -> Iterator[Any]:
@@ -108,21 +97,19 @@ def _elements(case: CaseResult, shared: bool) -> Iterator[Any]:
     held = [one for one in every if one.shared == shared and one.name != TIME.name]
     for one in held:
         if one.dtype is not str and one.axes != CELLS:
-            known = {"unit": one.units, "description": one.meaning}
-            yield TimeSeries(name=one.name, data=one.stored, timestamps=case.time, **known)
-    rows, lines = np.indices(case.scene.panel.shape)
-    x, y = case.scene.panel.places_mm
-    cells = [("row", "row line", rows), ("column", "column line", lines)]
-    places = [("y_mm", "position of the cell, mm", y), ("x_mm", "position of the cell, mm", x)]
+            yield TimeSeries(one.name, one.stored, one.units, timestamps=case.time, description=one.meaning)
+    (rows, lines), (x, y) = np.indices(case.scene.panel.shape), case.scene.panel.places_mm
+    places = [("row", "row line", rows), ("column", "column line", lines)]
+    places += [("y_mm", "position of the cell, mm", y), ("x_mm", "position of the cell, mm", x)]
     time = [("time", "time of the frame, s", case.time)]
     for name, words, first, wanted in (
         ("frames", "what frames say in words", time, [one for one in held if one.dtype is str]),
-        ("cells", "what has no time", [*cells, *places], [one for one in held if one.axes == CELLS]),
+        ("cells", "what has no time", places, [one for one in held if one.axes == CELLS]),
     ):
         columns = [*first, *((one.name, f"{one.meaning}, {one.units}", one.values) for one in wanted)]
         vectors = [
-            VectorData(name=called, description=text, data=list(one) if isinstance(one, tuple) else np.ravel(one))
+            VectorData(called, text, data=list(one) if isinstance(one, tuple) else np.ravel(one))
             for called, text, one in columns
         ]
         if wanted:
-            yield DynamicTable(name=name, description=words, columns=vectors)
+            yield DynamicTable(name, words, columns=vectors)

@@ -18,7 +18,6 @@ if TYPE_CHECKING:
 # numpy's whole numbers → those of pandas that may be missing.
 WHOLE = {"int8": "Int8", "uint8": "UInt8", "int64": "Int64", "bool": "boolean"}
 CSV_KINDS = {"f": "double", "i": "integer", "u": "integer", "b": "boolean"}  # of XML Schema, by numpy's letter
-NAMES = {"recording": "name of the recording", "estimator": "name of the estimator"}
 
 
 class CsvExport(Export):
@@ -89,17 +88,15 @@ def long_table(cases: Sequence[CaseResult]) -> tuple["DataFrame", Mapping[str, S
     tables: list[DataFrame] = []
     meanings: dict[str, Series] = {}
     for case in cases:
-        known = {name: Series(name, FRAMES, None, "1", words) for name, words in NAMES.items()}
-        known |= places_of(case) | series_of(case, all_columns())
-        kinds = {one.label: np.dtype(one.dtype).name for one in all_columns()}
         table = case.to_dataframe()
-        table.attrs = {}
-        table.insert(0, "recording", case.recording)
-        table.insert(1, "estimator", case.estimator)
-        kinds = {name: kinds.get(name, kind.name) for name, kind in table.dtypes.items()}
+        table.attrs, known = {}, places_of(case) | series_of(case, all_columns())
+        for place, (word, text) in enumerate((("recording", case.recording), ("estimator", case.estimator))):
+            table.insert(place, word, text)
+            known[word] = Series(word, FRAMES, None, "1", f"name of the {word}")
+        kinds = {name: kind.name for name, kind in table.dtypes.items()}
+        kinds |= {one.label: np.dtype(one.dtype).name for one in all_columns() if one.label in kinds}
         whole = {name: WHOLE[kind] for name, kind in kinds.items() if kind in WHOLE}
-        units = {name: known[name].units for name in table.columns}
-        names = {name: name if unit == "1" else f"{name}_{unit}" for name, unit in units.items()}
+        names = {name: name if known[name].units == "1" else f"{name}_{known[name].units}" for name in table.columns}
         meanings |= {names[name]: known[name] for name in table.columns}
         tables.append(table.astype(whole).rename(columns=names))
     return concat(tables, ignore_index=True), meanings

@@ -1,6 +1,6 @@
 """Estimators against each other: by which criterion, how far apart with bootstrap intervals, and which to take."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,6 +10,8 @@ from lampest.panel.panel import Array
 from lampest.report.compare import data_error
 from lampest.report.page.batch import Batch, Matched, matched
 from lampest.report.page.measures import (
+    COVERED,
+    SPREAD,
     Interval,
     Measures,
     block_length,
@@ -111,18 +113,13 @@ class Criterion:
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """standings : by the criterion, best first. times : by time per frame, fastest first, in ln(ms)."""
+    """standings : by the criterion, best first. milliseconds : median time per frame, geometric mean over the units."""
 
     criterion: Criterion
     match: Matched
     scores: Scores
     standings: tuple[Standing, ...]
-    speed: Scores
-    times: tuple[Standing, ...]
-
-    def milliseconds(self, estimator: str) -> float:
-        """Geometric mean over the units of the median time per frame."""
-        return float(np.exp(self.speed.values[:, self.speed.estimators.index(estimator)].mean()))
+    milliseconds: Mapping[str, float]
 
 
 def predicted(case: CaseResult) -> Array:
@@ -175,8 +172,8 @@ def compared(batch: Batch, generator: np.random.Generator) -> Comparison | None:
     criterion = CELL_ERROR if known else PREDICTION if predictable else DATA_ERROR
     scores = Scores.of(match, criterion.per_cell, criterion.average)
     speed = Scores.of(match, lambda case: np.log(np.fmax(1e3 * case.solve_time, 1e-3)), np.median)
-    first, second = generator.spawn(2)
-    return Comparison(criterion, match, scores, scores.standings(first), speed, speed.standings(second))
+    milliseconds = dict(zip(match.estimators, np.exp(speed.values.mean(axis=0)).tolist(), strict=True))
+    return Comparison(criterion, match, scores, scores.standings(generator.spawn(1)[0]), milliseconds)
 
 
 @dataclass(frozen=True)
@@ -216,8 +213,8 @@ def advise(batch: Batch, comparison: Comparison | None) -> Advice:
         return Advice(None, headline, reasons, warnings)
     # Nobody sees less in a map or a force.
     alike = [row for row in comparison.standings if row.mean.value <= (1 + 0.05) * best.mean.value]
-    taken = min(alike, key=lambda row: comparison.milliseconds(row.estimator))
-    if comparison.milliseconds(best.estimator) < 1.1 * comparison.milliseconds(taken.estimator):  # nobody notices less
+    taken = min(alike, key=lambda row: comparison.milliseconds[row.estimator])
+    if comparison.milliseconds[best.estimator] < 1.1 * comparison.milliseconds[taken.estimator]:  # nobody notices less
         taken = best
     weights = weights_text([case.weights for case in comparison.match.cases(taken.estimator)])
     named = f"{taken.estimator}{f' ({weights})' if weights else ''}"
@@ -246,7 +243,7 @@ def _reasons(comparison: Comparison, taken: Standing, alike: Sequence[Standing])
     if others:
         yield f"Within a twentieth of it: {listed(others)}."
     if taken is not best:
-        slow, fast = (digits(comparison.milliseconds(row.estimator), 2) for row in (best, taken))
+        slow, fast = (digits(comparison.milliseconds[row.estimator], 2) for row in (best, taken))
         yield f"{taken.estimator} takes {fast} ms a frame, {best.estimator} {slow} ms."
     worse = [row for row in comparison.standings if row not in alike]
     if worse:
@@ -273,13 +270,13 @@ def _few(scores: Scores) -> Iterator[str]:
 def doubts(estimator: str, found: Sequence[Measures]) -> tuple[str, ...]:
     """What is wrong with the recommended estimator: residuals beyond the noise, error bars that are wrong."""
     sentences = []
-    spread = float(np.median([value for own in found for value in own.values("spread")] or [0.0]))
+    spread = float(np.median([value for own in found for value in own.values(SPREAD)] or [0.0]))
     if spread > 1.5:
         sentences.append(
             f"The residuals of {estimator} are {digits(spread, 2)} times the noise of the readings: the noise is "
             "larger than the scene says, the model lacks an effect, or the penalty is too strong."
         )
-    coverage = float(np.mean([value for own in found for value in own.values("coverage")] or [100.0]))
+    coverage = float(np.mean([value for own in found for value in own.values(COVERED)] or [100.0]))
     if coverage < 90:
         sentences.append(
             f"The 95 % intervals of {estimator} cover the truth for {digits(coverage, 2)} % of the cells: the readings "

@@ -1,9 +1,10 @@
 """Figures of one case: errors, residuals, intervals, times; and where two cases differ significantly."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from math import ceil
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +14,9 @@ from lampest.report.compare import data_error, relative_error
 from lampest.runs.case import CaseResult
 
 DRAWS = 2000  # of which the 2.5th percentile is known to 0.06 standard deviations
+CELL_ERROR, SPREAD = "median cell error [%] (95 % interval)", "residuals: robust standard deviation [σ]"
+COVERED, FREE_COVERED = "truth within its interval [%]", "the same, cells away from bounds [%]"
+SMALLEST, LARGEST = "pressure, smallest [kPa]", "pressure, largest [kPa]"
 Picks = NDArray[np.intp]
 
 
@@ -79,19 +83,18 @@ def median_interval(values: Array, drawn: Picks) -> Interval:
 
 @dataclass(frozen=True)
 class Measures:
-    """One case over its solved frames.
-
-    figures : by the names that `page.tables.LINES` explains, as far as the results say. cells : of the solved frames.
-    """
+    """One case over its solved frames. figures : by their lines in tables, as far as known; counts are int."""
 
     case: CaseResult
-    solved: int
-    cells: int
     figures: Mapping[str, float | Interval]
 
-    def values(self, name: str) -> list[float]:
+    @property
+    def solved(self) -> int:
+        return int(np.sum(self.case.solved))
+
+    def values(self, line: str) -> list[float]:
         """The figure without its interval; none where the results do not say."""
-        known = self.figures.get(name)
+        known = self.figures.get(line)
         return [] if known is None else [known.value if isinstance(known, Interval) else known]
 
     @property
@@ -106,60 +109,63 @@ class Measures:
 @np.errstate(over="ignore")
 def measures(case: CaseResult, generator: np.random.Generator) -> Measures:
     """Everything of one case; intervals from frames drawn in blocks."""
-    good = case.solved
-    flags = {"open": case.open_cell, "low": case.at_lower_bound, "saturated": case.saturated}
-    readings = {"missing": case.missing_readings, "bounds": case.bound_readings}
-    known: dict[str, float | Interval | None] = {
-        **{name: int(np.sum(values[good] != 0)) for name, values in flags.items() if values is not None},
-        **{name: int(np.sum(values)) or None for name, values in readings.items() if values is not None},
+    lower, upper, residual = case.cell_resistance_lower, case.cell_resistance_upper, weighted_residual(case)
+    widths = None if lower is None or upper is None else 100 * (upper - lower) / case.cell_resistance
+    counts = {
+        "95 % intervals with an open end": None if widths is None else ~np.isfinite(widths),
+        "open cells": case.open_cell,
+        "cells at the lower bound": case.at_lower_bound,
+        "saturated cells": case.saturated,
     }
-    if np.any(good):
-        known |= _of_errors(case, generator) | _of_intervals(case, generator)
-    figures = {name: value for name, value in known.items() if value is not None}
-    return Measures(case, int(np.sum(good)), int(case.measured[good].size), figures)
-
-
-def _of_errors(case: CaseResult, generator: np.random.Generator) -> dict[str, float | Interval | None]:
-    """Errors, residuals, times and pressures of the solved frames, of which there is one at least."""
-    good = case.solved
-    known: dict[str, float | Interval | None] = {
-        "data_error": _mean(data_error(case)[good]),
-        "time": 1e3 * float(np.median(case.solve_time[good])),
+    readings = {
+        "missing readings": case.missing_readings,
+        "readings at a rail, zero or below the series resistance": case.bound_readings,
     }
-    if case.truth is not None:
-        error = relative_error(case.cell_resistance, case.truth)[good].reshape(int(np.sum(good)), -1)
-        block = block_length(np.median(error, axis=1)[:, None])
-        known["cell_error"] = median_interval(error, picks(len(error), block, generator))
-    residual = weighted_residual(case)
-    if residual is not None:
-        known["misfit"] = _mean(residual[good] ** 2)
-        known["spread"] = 1.4826 * float(np.nanmedian(np.abs(residual[good])))  # 1/Φ⁻¹(3/4): from median deviation to σ
-    if case.data_share is not None:
-        known["share"] = 100 * float(np.median(case.data_share[good]))
-    if case.pressure is not None:
-        known["suction"], known["contact"] = float(np.min(case.pressure[good])), float(np.max(case.pressure[good]))
-    return known
 
+    def over(values: Array | None, function: Callable[[Array], Any]) -> float | None:
+        known = np.zeros(0) if values is None else values[case.solved]
+        known = known[np.isfinite(known)]
+        return float(function(known)) if known.size else None
 
-def _of_intervals(case: CaseResult, generator: np.random.Generator) -> dict[str, float | Interval | None]:
-    """Widths of the 95 % intervals of the solved frames, and how much of the truth they cover."""
-    good, lower, upper = case.solved, case.cell_resistance_lower, case.cell_resistance_upper
-    if lower is None or upper is None:
-        return {}
-    widths = (100 * (upper - lower) / case.cell_resistance)[good]
     known: dict[str, float | Interval | None] = {
-        "width": _mean(widths),
-        "endless": int(np.sum(~np.isfinite(widths))),
+        CELL_ERROR: _cell_error(case, generator),
+        "data error, mean [%]": over(data_error(case), np.mean),
+        "residuals: mean of ((model − measured)/σ)²": over(residual, lambda z: np.mean(z**2)),
+        SPREAD: over(residual, lambda z: 1.4826 * np.median(np.abs(z))),  # 1/Φ⁻¹(3/4): from median deviation to σ
+        "95 % intervals: mean width [% of the cell]": over(widths, np.mean),
+        COVERED: _coverage(case, generator, free=False),
+        FREE_COVERED: _coverage(case, generator, free=True),
+        "share of an estimate that data decide, median [%]": over(case.data_share, lambda s: 100 * np.median(s)),
+        "time per frame, median [ms]": over(case.solve_time, lambda t: 1e3 * np.median(t)),
+        **{
+            line: None if flags is None else int(np.count_nonzero(flags[case.solved])) for line, flags in counts.items()
+        },
+        **{line: None if count is None else int(np.sum(count)) or None for line, count in readings.items()},
+        SMALLEST: over(case.pressure, np.min),
+        LARGEST: over(case.pressure, np.max),
     }
-    if case.truth is not None:
-        within = ((lower <= case.truth) & (case.truth <= upper))[good]
-        free = ((case.open_cell == 0) & (case.at_lower_bound == 0))[good]
-        for name, counted in (("coverage", np.ones_like(within)), ("free_coverage", free)):
-            cells = counted.sum(axis=(1, 2))
-            if np.all(cells):
-                shares = 100 * (within & counted).sum(axis=(1, 2)) / cells
-                known[name] = mean_interval(shares, picks(len(shares), block_length(shares[:, None]), generator))
-    return known
+    return Measures(case, {line: value for line, value in known.items() if value is not None})
+
+
+def _cell_error(case: CaseResult, generator: np.random.Generator) -> Interval | None:
+    if case.truth is None or not np.any(case.solved):
+        return None
+    error = relative_error(case.cell_resistance, case.truth)[case.solved].reshape(int(np.sum(case.solved)), -1)
+    return median_interval(error, picks(len(error), block_length(np.median(error, axis=1)[:, None]), generator))
+
+
+def _coverage(case: CaseResult, generator: np.random.Generator, free: bool) -> Interval | None:
+    """Share of the cells whose interval covers the truth, percent; free : of those away from bounds."""
+    lower, upper, good = case.cell_resistance_lower, case.cell_resistance_upper, case.solved
+    if lower is None or upper is None or case.truth is None or not np.any(good):
+        return None
+    within = ((lower <= case.truth) & (case.truth <= upper))[good]
+    counted = ((case.open_cell == 0) & (case.at_lower_bound == 0))[good] | (not free)
+    cells = counted.sum(axis=(1, 2))
+    if not np.all(cells):
+        return None
+    shares = 100 * (within & counted).sum(axis=(1, 2)) / cells
+    return mean_interval(shares, picks(len(shares), block_length(shares[:, None]), generator))
 
 
 def log_error(case: CaseResult) -> Array:
@@ -174,11 +180,6 @@ def weighted_residual(case: CaseResult) -> Array | None:
     if case.sigma is None:
         return None
     return np.asarray(np.where(case.valued, (case.reading_model - case.measured) / case.sigma, np.nan))
-
-
-def _mean(values: Array) -> float | None:
-    numbers = values[np.isfinite(values)]
-    return float(numbers.mean()) if numbers.size else None
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,11 +5,11 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from lampest.report.page.measures import Disagreement, weighted_residual
 from lampest.report.plots.contours import CertaintyPlot, ContourPlot
 from lampest.report.plots.maps import Scale, Tile, maps_figure, signed_scale, values_of
+from lampest.report.plots.plot import Plot
 from lampest.report.plots.style import HALF_INCH, data_uri
 from lampest.report.strongest import percent_change
 from lampest.report.words import digits
@@ -42,14 +42,14 @@ class Illustration:
 def contours(cases: Sequence[CaseResult]) -> Illustration:
     """Maps of relative change."""
     words = f"Maps of relative change of {cases[0].recording}: measured, by every estimator, and true where known"
-    return _wide(ContourPlot().draw(cases), words, CHANGED)
+    return _wide(ContourPlot(), cases, words, CHANGED)
 
 
 def certainty(cases: Sequence[CaseResult], place: int) -> list[Illustration]:
     """Standard deviation, resolution, and errors where the truth is known; none where no case has error bars."""
     plot = CertaintyPlot(int(cases[0].frame[place]))
     known = plot.drawable(cases)
-    return [_wide(plot.draw(known), "Maps of standard deviation and resolution", CERTAIN)] if known else []
+    return [_wide(plot, known, "Maps of standard deviation and resolution", CERTAIN)] if known else []
 
 
 def misfits(cases: Sequence[CaseResult], place: int) -> Illustration:
@@ -78,8 +78,8 @@ def differences(cases: Sequence[CaseResult], place: int, found: Sequence[Disagre
     return [_maps(cases, tiles, scale, "significant differences", DIFFERENT + most)] if tiles else []
 
 
-def _wide(figure: Figure, words: str, caption: str) -> Illustration:
-    return Illustration(data_uri(figure, "png"), words, caption, True)
+def _wide(plot: Plot, cases: Sequence[CaseResult], words: str, caption: str) -> Illustration:
+    return Illustration(data_uri(plot.draw(cases), "png"), words, caption, True)
 
 
 def _maps(cases: Sequence[CaseResult], tiles: list[Tile], scale: Scale, of_what: str, caption: str) -> Illustration:

@@ -2,45 +2,17 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from statistics import fmean, median
-from typing import NamedTuple
 
 import numpy as np
 
 from lampest.report.compare import LEAST, Table
 from lampest.report.page.batch import Batch
 from lampest.report.page.compared import Comparison
-from lampest.report.page.measures import Interval, Measures
+from lampest.report.page.measures import COVERED, FREE_COVERED, LARGEST, SMALLEST, Interval, Measures
 from lampest.report.page.template import HARD, NONE, between, frames_text, signed, weights_text
 from lampest.report.words import digits
 
-
-class Line(NamedTuple):
-    """One line over estimators. name : of a figure of `Measures`. over : how those of several recordings become one."""
-
-    label: str
-    name: str
-    over: Callable[[list[float]], float] = median
-
-
-LINES = (
-    Line("median cell error [%] (95 % interval)", "cell_error"),
-    Line("data error, mean [%]", "data_error"),
-    Line("residuals: mean of ((model − measured)/σ)²", "misfit"),
-    Line("residuals: robust standard deviation [σ]", "spread"),
-    Line("95 % intervals: mean width [% of the cell]", "width"),
-    Line("95 % intervals with an open end", "endless", sum),
-    Line("truth within its interval [%]", "coverage", fmean),
-    Line("the same, cells away from bounds [%]", "free_coverage", fmean),
-    Line("share of an estimate that data decide, median [%]", "share"),
-    Line("time per frame, median [ms]", "time"),
-    Line("open cells", "open", sum),
-    Line("cells at the lower bound", "low", sum),
-    Line("missing readings", "missing", sum),
-    Line("readings at a rail, zero or below the series resistance", "bounds", sum),
-    Line("saturated cells", "saturated", sum),
-    Line("pressure, smallest [kPa]", "suction", min),
-    Line("pressure, largest [kPa]", "contact", max),
-)
+OVER: dict[str, Callable[[list[float]], float]] = {COVERED: fmean, FREE_COVERED: fmean, SMALLEST: min, LARGEST: max}
 
 
 def recording_table(found: Mapping[str, Measures]) -> Table:
@@ -57,31 +29,30 @@ def batch_table(batch: Batch, found: Mapping[str, Mapping[str, Measures]]) -> Ta
 def _table(groups: Mapping[str, Sequence[Measures]], alone: bool) -> Table:
     """A column for every estimator's cases; alone : whether each has one."""
     every = groups.values()
-    rows = [("frames solved", *map(_solved, every))]
+    solved = (f"{sum(one.solved for one in own):,} of {sum(len(one.case.time) for one in own):,}" for own in every)
+    rows = [("frames solved", *solved)]
     if any(one.case.local_optima for own in every for one in own):
         rows.append(("of them local optima (starts of a frame)", *map(_optima, every)))
     rows.append(("weights", *(weights_text([one.case.weights for one in own]) or NONE for own in every)))
-    for line in LINES:
-        if any(one.values(line.name) for own in every for one in own):
-            label = line.label if alone else line.label.replace(" (95 % interval)", "")
-            rows.append((label, *(_entry(line, own, alone) for own in every)))
+    for line in dict.fromkeys(line for own in every for one in own for line in one.figures):
+        label = line if alone else line.replace(" (95 % interval)", "")
+        rows.append((label, *(_entry(line, own, alone) for own in every)))
     return Table(("", *groups), tuple(rows))
 
 
-def _entry(line: Line, own: Sequence[Measures], alone: bool) -> str:
-    known = [value for one in own for value in one.values(line.name)]
+def _entry(line: str, own: Sequence[Measures], alone: bool) -> str:
+    """One case's figure with its interval, or those of several as one: sums of counts, see `OVER` for the rest."""
+    known = [value for one in own for value in one.values(line)]
     if not known:
         return NONE
-    figure, value, cells = own[0].figures.get(line.name), line.over(known), sum(one.cells for one in own)
+    figure = own[0].figures.get(line)
     if alone and isinstance(figure, Interval):
         return between(figure)
-    if line.over is not sum:
-        return f"<{HARD}{LEAST:g}" if 0 < value < LEAST else digits(value)
-    return f"{value:,.0f}" + (f" ({digits(100 * value / cells, 2)}{HARD}%)" if value and cells else "")
-
-
-def _solved(own: Sequence[Measures]) -> str:
-    return f"{sum(one.solved for one in own):,} of {sum(len(one.case.time) for one in own):,}"
+    if all(isinstance(value, int) for value in known):
+        total, cells = sum(known), sum(one.solved * one.case.measured[0].size for one in own)
+        return f"{total:,}" + (f" ({digits(100 * total / cells, 2)}{HARD}%)" if total and cells else "")
+    value = OVER.get(line, median)(known)
+    return f"<{HARD}{LEAST:g}" if 0 < value < LEAST else digits(value)
 
 
 def _optima(own: Sequence[Measures]) -> str:
@@ -116,10 +87,10 @@ def standing_table(comparison: Comparison) -> Table:
     )
     rows = []
     for row in comparison.standings:
-        speed = comparison.milliseconds(row.estimator)
+        speed = comparison.milliseconds[row.estimator]
         difference, verdict, ratio = NONE, "smallest", NONE
         if row.estimator != best:
-            difference, ratio = signed(row.difference), digits(comparison.milliseconds(best) / speed, 2)
+            difference, ratio = signed(row.difference), digits(comparison.milliseconds[best] / speed, 2)
             verdict = "larger" if row.told_apart else "cannot be told apart"
         rows.append((row.estimator, between(row.mean), difference, verdict, str(row.wins), digits(speed), ratio))
     return Table(headers, tuple(rows))

@@ -18,8 +18,8 @@ from lampest.report.plots.maps import (
     banded_scale,
     log_scale,
     maps_figure,
+    proportion,
     resolution_scale,
-    shape_of,
     signed_scale,
     values_of,
 )
@@ -112,7 +112,7 @@ class CertaintyPlot(Plot):
         cases = cases[: int(WIDTH_INCH)]
         index, title = self.shown(cases)
         rows, panel = _rows(cases, index), cases[0].scene.panel
-        tall = (WIDTH_INCH - 1.2) / max(len(cases), 3) * shape_of(panel)
+        tall = (WIDTH_INCH - 1.2) / max(len(cases), 3) * proportion(panel)
         figure = new_figure(min(len(rows) * (tall + 0.25) + 0.8, TALLEST_INCH))
         grid = figure.subplots(len(rows), len(cases), squeeze=False, sharex=True, sharey=True)
         names = [short_title(case.estimator) for case in cases]

@@ -253,7 +253,7 @@ def values_of(tiles: Sequence[Tile]) -> list[Array]:
     return [tile.values for tile in tiles if tile.values is not None]
 
 
-def shape_of(panel: Panel) -> float:
+def proportion(panel: Panel) -> float:
     """Height over width of all cells."""
     wide, tall = (most - least + panel.pitch_mm for least, most in panel.extents_mm)
     return tall / wide
@@ -295,7 +295,7 @@ def maps_figure(
         return (width - 1.0) / across - 0.2
 
     def height(across: int) -> float:
-        return ceil(len(tiles) / across) * (wide(across) * shape_of(panel) + 0.4) + 0.8
+        return ceil(len(tiles) / across) * (wide(across) * proportion(panel) + 0.4) + 0.8
 
     def unfit(across: int) -> float:
         return abs(height(across) - width / 1.5) + 0.3 * (-len(tiles) % across)

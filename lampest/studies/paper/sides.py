@@ -14,7 +14,7 @@ from lampest.recording.datasets import folder as shipped_folder
 from lampest.recording.readings import Readings
 from lampest.recording.recording import UNLOADED, Recording
 from lampest.recording.simulation.files import run as simulated
-from lampest.report.compare import Steps, compare, spread
+from lampest.report.compare import Steps, compare, statistics
 from lampest.report.strongest import furthest, percent_change
 from lampest.runs.batch import run_batch
 from lampest.runs.config import read_run
@@ -214,9 +214,10 @@ def _optima(results: Results, mouths: Sequence[Recording]) -> tuple[dict[Any, Ar
     }
     steps = {}
     for row in compare(results):
-        if row.recording == mouths[0].name and row.data_error:
-            time = nan if row.solve_time is None else row.solve_time.mean
-            steps[row.estimator, row.steps] = StepsSeen(row.data_error.mean, row.data_error.sd or nan, time)
+        if row["recording"] == mouths[0].name:
+            names = ("data error mean [%]", "data error sd [%]", "solve time mean [s]")
+            figures = (nan if row[name] is None else row[name] for name in names)
+            steps[row["estimator"], row.steps] = StepsSeen(*figures)
     return changes, steps
 
 
@@ -231,12 +232,10 @@ def _left_by_solver(mouths: Sequence[Recording], published: Published) -> tuple[
         changes[method, number] = found.change
         parts = {"initial": slice(1), "following": slice(1, None)} if found.joint else {"all": slice(None)}
         for name, part in parts.items() if not number else ():
-            error = spread(found.data_error[part])
+            mean, sd = statistics(found.data_error[part], "{}", "mean", "sd").values()
             # Table I: LSM's 16.45 ± 0.40 s are its limit of 10,000 evaluations and one derivative.
             time = 16.45 / 10_100 * float(found.evaluations[part].mean())
-            steps[method, name] = (
-                StepsSeen(time=time) if error is None else StepsSeen(error.mean, error.sd or nan, time)
-            )
+            steps[method, name] = StepsSeen(nan if mean is None else mean, nan if sd is None else sd, time)
     return changes, steps
 
 
