@@ -1,9 +1,10 @@
 """What a recording, a results file or an import holds, in a few lines of text with a small map."""
 
 import shutil
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,12 +12,10 @@ from numpy.typing import NDArray
 from lampest.estimate.noise import frame_noise_seen
 from lampest.estimate.warnings import warnings_of
 from lampest.files import hdf5
+from lampest.files.document import plain_content
 from lampest.files.errors import InputError
 from lampest.loads.recognition.breathing import too_slow
-from lampest.panel.film import Film
 from lampest.panel.panel import Array
-from lampest.panel.readouts.lines import lines_text
-from lampest.panel.response import Response
 from lampest.panel.scene import Faults, Scene
 from lampest.recording.recording import FORMAT as RECORDING
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
@@ -121,60 +120,37 @@ def _noise_lines(recording: Recording) -> list[str]:
 
 
 def _scene_lines(scene: Scene) -> list[str]:
-    panel, wire, heat, faults = scene.panel, scene.lines, scene.temperature, scene.faults
-    off, listed = scene.specified_systematic, ""
+    """Panel, readout and what is in series in words; all else by the keys of its file."""
+    panel, listed = scene.panel, ""
     if panel.cells is not None:
         wide, tall = (most - least for least, most in panel.extents_mm)
         listed = f", {len(panel.cells)} cells at places of their own over {wide:g} × {tall:g} mm"
-    texts: list[tuple[str, object]] = [
-        ("panel", f"{panel.rows} rows × {panel.columns} columns{listed}, pitch {panel.pitch_mm:g} mm"),
-        ("readout", "unknown, resistances alone" if scene.readout is None else scene.readout.description()),
-        ("assumed", scene.assumed and f"{scene.assumed_text}: the scene does not say"),
-        ("series", scene.circuit.unit == "ohm" and scene.series_text),
-    ]
-    if wire is not None:
-        rows = f"rows {wire.row_ohm_per_cell:g} ohm a cell, entering at the {wire.rows_enter}"
-        columns = f"columns {wire.column_ohm_per_cell:g} ohm a cell, leaving at the {wire.columns_leave}"
-        texts.append(("lines", f"{rows}; {columns}"))
-    if scene.contacts is not None:
-        sides = (("rows", scene.contacts.rows), ("columns", scene.contacts.columns))
-        known = "; ".join(f"{name} {lines_text(side.mean_ohm)} ± {lines_text(side.sd_ohm)}" for name, side in sides)
-        texts.append(("contacts", known))
-    if scene.converter_memory is not None:
-        texts.append(("memory", f"{100 * scene.converter_memory:g} % of the channel converted before"))
-    if off is not None:
-        channels = f"channels by {off.channel_spread_ohm:g} ohm"
-        texts.append(("together", f"off by up to {100 * off.reference_tolerance:g} %, {channels}"))
-    if scene.water is not None:
-        texts.append(("water", f"{scene.water.top_row_depth_mm:g} mm above the top row"))
-    if heat is not None:
-        celsius = f"{heat.baseline_celsius:g} °C unloaded, {heat.measured_celsius:g} °C measured"
-        texts.append(("film", f"{100 * heat.coefficient_per_kelvin:g} % per kelvin, {celsius}"))
-    texts += [
-        ("response", scene.response and _response_text(scene.response)),
-        ("film", scene.film and _film_text(scene.film)),
-    ]
-    if faults is not None:
-        known = ", ".join(f"{name.replace('_', ' ')} {list(value)}" for name, value in vars(faults).items() if value)
-        texts.append(("faults", known or "none"))
-    return [_line(head, text) for head, text in texts if text]
+    texts: dict[str, object] = {
+        "panel": f"{panel.rows} rows × {panel.columns} columns{listed}, pitch {panel.pitch_mm:g} mm",
+        "readout": "unknown, resistances alone" if scene.readout is None else scene.readout.description(),
+        "assumed": scene.assumed and f"{scene.assumed_text}: the scene does not say",
+        "series": scene.circuit.unit == "ohm" and scene.series_text,
+    }
+    said = ("panel", "readout", "assumed", "series_resistance_ohm")
+    texts |= {name: _in_words(part) or "none" for name, part in plain_content(scene).items() if name not in said}
+    return [_line(name, text) for name, text in texts.items() if text]
 
 
-def _response_text(response: Response) -> str:
-    """'table, -10 to 40 kPa; gains of cells 0.85 to 1.2'."""
-    least, most = response.told_kpa
-    gains = response.gains
-    own = "" if response.gain is None else f"; gains of cells {gains.min():.2g} to {gains.max():.2g}"
-    return f"{getattr(response, 'kind', type(response).__name__)}, {least:g} to {most:g} kPa{own}"
+def _in_words(part: Any) -> str:
+    """'hysteresis 0.2, creep_per_decade auto'; of many numbers the least and the largest."""
+    if isinstance(part, dict):
+        return ", ".join(f"{key} {words}" for key, value in part.items() if (words := _in_words(value)))
+    if isinstance(part, list) and (numbers := [*_numbers(part)]):
+        return f"{min(numbers):.3g} to {max(numbers):.3g}" if len(numbers) > 4 else str(part)
+    return f"{part:g}" if isinstance(part, float) else str(part or "")
 
 
-def _film_text(film: Film) -> str:
-    """What it does beside its response curve, in words."""
-    shares = (("hysteresis", film.hysteresis, ""), ("creep", film.creep_per_decade, " for each decade"))
-    parts = [
-        f"{name} not known" if value == "auto" else f"{name} {100 * value:g} %{each}" for name, value, each in shares
-    ]
-    return ", ".join(parts + [f"bent by {film.curvature_per_m:g} / m"] * bool(film.curvature_per_m))
+def _numbers(values: list[Any]) -> Iterator[float]:
+    for value in values:
+        if isinstance(value, list):
+            yield from _numbers(value)
+        elif isinstance(value, int | float):
+            yield value
 
 
 def _results_lines(results: Results) -> list[str]:

@@ -11,7 +11,8 @@ from lampest.files.errors import InputError
 from lampest.loads.pressure import pressure_of
 from lampest.panel.panel import Panel
 from lampest.panel.scene import Scene, Water
-from lampest.report.plots.pressure import PressurePlot
+from lampest.report.plots import picture
+from lampest.report.plots.contours import PressurePlot
 from lampest.report.plots.style import save
 from lampest.runs.results import CaseResult
 
@@ -46,15 +47,14 @@ def test_units_and_frame_are_told() -> None:
     case = case_with_pressure()
     figure = PressurePlot(6).draw((case,))
     labels = [text for axes in figure.axes for text in (axes.get_xlabel(), axes.get_ylabel()) if text]
-    assert len(labels) == 7 and all("[" in label for label in labels)
+    labels += [figure.get_supxlabel(), figure.get_supylabel()]
+    assert len(labels) == 4 and all("[" in label for label in labels)
     assert "frame 6 at 6 s" in figure.get_suptitle()
 
 
 def test_nothing_to_draw() -> None:
     case = case_with_pressure()
-    with pytest.raises(InputError, match="has not solved frame 5"):
-        PressurePlot(5).draw((case,))
     with pytest.raises(InputError, match="frame 99 has no results"):
         PressurePlot(99).draw((case,))
     with pytest.raises(InputError, match="holds no pressure"):
-        PressurePlot().draw((invented_case(),))
+        picture((invented_case(),), "pressure")

@@ -15,10 +15,9 @@ from lampest.files import hdf5
 from lampest.files.errors import InputError, in_words
 from lampest.files.typed import installed, of_kind, typed
 from lampest.recording.stored import StoredRecording, opened, too_long
-from lampest.report.plots.contours import CertaintyPlot, ContourPlot, ResistancePlot
+from lampest.report.plots.contours import CertaintyPlot, ContourPlot, PressurePlot, ResistancePlot
 from lampest.report.plots.maps import Tile, banded_scale, maps_figure
 from lampest.report.plots.plot import Plot
-from lampest.report.plots.pressure import PressurePlot
 from lampest.report.plots.style import HALF_INCH, PICTURES, SUFFIXES, save, verbatim, write_all
 from lampest.report.strongest import strongest_readings
 from lampest.runs.columns import Column
@@ -50,11 +49,11 @@ def plot_results(
 ) -> list[Path]:
     """Draw every recording of a results file into <kind>_<recording>.png in the folder `out`, else beside the file.
 
-    More than 20 estimators of a recording go on several pictures, <kind>_<recording>_1.png and so on; those that are
-    drawn apart to <kind>_<recording>_<estimator>.png. `out` may name a .png, .svg or .pdf file where there is one
-    picture. columns, frames : as `read_results` takes them. frame : index into the recordings; its pictures are called
-    so. estimators, recordings : those that are drawn, all where none is named. form : png, svg or pdf; by default that
-    of `out`, else png. on_picture : gets how many of how many pictures are drawn. Returns the files that were written.
+    More than 20 estimators of a recording go on several pictures, <kind>_<recording>_1.png and so on. `out` may name
+    a .png, .svg or .pdf file where there is one picture. columns, frames : as `read_results` takes them. frame : index
+    into the recordings; its pictures are called so. estimators, recordings : those that are drawn, all where none is
+    named. form : png, svg or pdf; by default that of `out`, else png. on_picture : gets how many of how many pictures
+    are drawn. Returns the files that were written.
 
     Raises InputError where there is no such plot, frame, recording or estimator, the results cannot be read or hold
     nothing to draw, or the place cannot be written.
@@ -114,7 +113,7 @@ def plot_file(path: Path, picture: Path) -> Path:
 
 
 def picture(cases: Sequence[CaseResult], show: str | Plot, frame: int | None = None) -> Figure:
-    """One picture of a recording's cases; of one of them where the plot draws them apart.
+    """One picture of a recording's cases.
 
     frame : index into the recording; None: what the plot says. Raises InputError where there is no such plot or frame,
     or nothing to draw.
@@ -154,9 +153,7 @@ def _pictures(results: Results, plot: Plot) -> Iterator[tuple[str, tuple[CaseRes
     most = 20  # estimators on one
     for recording in results.recordings():
         cases = plot.drawable(results.of(recording))
-        if plot.apart:
-            yield from ((f"{recording}_{case.estimator}", (case,)) for case in cases)
-        elif len(cases) > most:
+        if len(cases) > most:
             for page, first in enumerate(range(0, len(cases), most), 1):
                 yield f"{recording}_{page}", cases[first : first + most]
         elif cases:

@@ -1,10 +1,13 @@
-"""Maps of one frame side by side: relative change, certainty, or resistance, by every estimator."""
+"""Maps of one frame side by side: relative change, resistance, certainty, or pressure, by every estimator."""
 
+from abc import abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
+from matplotlib import colormaps
+from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
@@ -12,6 +15,7 @@ from lampest.panel.panel import Array
 from lampest.report.plots.maps import (
     ACROSS_LABEL,
     DOWN_LABEL,
+    PRESSING,
     MapPainter,
     Scale,
     Tile,
@@ -21,10 +25,20 @@ from lampest.report.plots.maps import (
     proportion,
     resolution_scale,
     signed_scale,
+    stepped_scale,
     values_of,
 )
 from lampest.report.plots.plot import Plot
-from lampest.report.plots.style import TALLEST_INCH, WIDTH_INCH, change_text, labelled, new_figure, short_title
+from lampest.report.plots.style import (
+    SMALL_POINT,
+    TALLEST_INCH,
+    WIDTH_INCH,
+    change_text,
+    labelled,
+    new_figure,
+    shared_legend,
+    short_title,
+)
 from lampest.report.strongest import percent_change
 from lampest.runs.case import CaseResult
 
@@ -94,11 +108,37 @@ class ResistancePlot(Plot):
 
 
 @dataclass(frozen=True)
-class CertaintyPlot(Plot):
-    """One frame, one column for each of the first seven estimators with error bars, three rows of maps:
+class RowsPlot(Plot):
+    """One frame, a column for each of the first seven estimators that hold what it needs, a row for each quantity."""
 
-    standard deviation of the cells [%], resolution, and, where the truth is known, the error in units of the
-    standard deviation.
+    about: ClassVar[str]
+
+    @abstractmethod
+    def rows(self, cases: Sequence[CaseResult], index: int) -> list[tuple[Scale, list[Tile]]]:
+        """Scale and maps of every row."""
+
+    def draw(self, cases: Sequence[CaseResult]) -> Figure:
+        """One picture of all estimators. Raises InputError where the frame has no results."""
+        cases = cases[: int(WIDTH_INCH)]
+        index, title = self.shown(cases)
+        rows, panel = self.rows(cases, index), cases[0].scene.panel
+        tall = (WIDTH_INCH - 1.2) / max(len(cases), 2) * proportion(panel)
+        figure = new_figure(min(len(rows) * (tall + 0.25) + 0.8, TALLEST_INCH))
+        grid = figure.subplots(len(rows), len(cases), squeeze=False, sharex=True, sharey=True)
+        for number, (scale, maps) in enumerate(rows):
+            painter = MapPainter(panel, scale)
+            painter.draw_all(grid[number : number + 1], maps)
+            painter.bar(figure, grid[number], "right")
+        for axes, case in zip(grid[0], cases, strict=True):
+            axes.set_title(short_title(case.estimator), fontsize=SMALL_POINT + 0.5)
+        shared_legend(figure, grid, "lower right")
+        return labelled(figure, f"{ACROSS_LABEL}; {self.about}", DOWN_LABEL, title)
+
+
+@dataclass(frozen=True)
+class CertaintyPlot(RowsPlot):
+    """Of every estimator with error bars: standard deviation of the cells [%], resolution, and, where the truth is
+    known, the error in units of the standard deviation.
 
     >>> lampest.CertaintyPlot().needs
     ('cell_resistance_errors', 'resolution')
@@ -106,39 +146,46 @@ class CertaintyPlot(Plot):
 
     kind: ClassVar[str] = "certainty"
     needs: ClassVar[tuple[str, ...]] = ("cell_resistance_errors", "resolution")
+    about: ClassVar[str] = "grey: no number (failed frame or open cell); 95 % intervals reach 1.96 sd"
 
-    def draw(self, cases: Sequence[CaseResult]) -> Figure:
-        """One picture of all estimators. Raises InputError where the frame has no results."""
-        cases = cases[: int(WIDTH_INCH)]
-        index, title = self.shown(cases)
-        rows, panel = _rows(cases, index), cases[0].scene.panel
-        tall = (WIDTH_INCH - 1.2) / max(len(cases), 3) * proportion(panel)
-        figure = new_figure(min(len(rows) * (tall + 0.25) + 0.8, TALLEST_INCH))
-        grid = figure.subplots(len(rows), len(cases), squeeze=False, sharex=True, sharey=True)
-        names = [short_title(case.estimator) for case in cases]
-        for number, (scale, maps) in enumerate(rows):
-            painter = MapPainter(panel, scale)
-            titles = [""] * len(names) if number else names
-            painter.draw_all(grid[number : number + 1], list(map(Tile, titles, maps)))
-            painter.bar(figure, grid[number], "right")
-        across = f"{ACROSS_LABEL}; grey: no number (failed frame or open cell)"
-        return labelled(figure, across, DOWN_LABEL, f"{title}; 95 % intervals reach 1.96 sd")
+    def rows(self, cases: Sequence[CaseResult], index: int) -> list[tuple[Scale, list[Tile]]]:
+        """Standard deviations, resolutions, and errors."""
+        cells = [case.cell_resistance[index] for case in cases]
+        errors, resolutions = ([case.column(name)[index] for case in cases] for name in self.needs)
+        deviations = [100 * error / own for error, own in zip(errors, cells, strict=True)]
+        rows = [(log_scale(deviations, "standard deviation [%]"), deviations), (resolution_scale(), resolutions)]
+        truth = cases[0].truth
+        if truth is not None:
+            with np.errstate(divide="ignore", invalid="ignore"):
+                logs = [100 * np.log(own / truth[index]) for own in cells]
+                ratios = [one / deviation for one, deviation in zip(logs, deviations, strict=True)]
+            rows.append((signed_scale(ratios, "error / standard deviation", least=3.0, most=5.0), ratios))
+        return [(scale, [Tile("", np.where(np.isfinite(one), one, np.nan)) for one in maps]) for scale, maps in rows]
 
 
-def _rows(cases: Sequence[CaseResult], index: int) -> list[tuple[Scale, list[Array]]]:
-    """Scale and maps of every row of the picture."""
-    cells = [case.cell_resistance[index] for case in cases]
-    errors = [case.column("cell_resistance_errors")[index] for case in cases]
-    deviations = [_finite(100 * error / own) for error, own in zip(errors, cells, strict=True)]
-    resolutions = [case.column("resolution")[index] for case in cases]
-    rows = [(log_scale(deviations, "standard deviation [%]"), deviations), (resolution_scale(), resolutions)]
-    if cases[0].truth is not None:
-        with np.errstate(divide="ignore", invalid="ignore"):
-            logs = [100 * np.log(own / cases[0].truth[index]) for own in cells]
-            ratios = [_finite(one / deviation) for one, deviation in zip(logs, deviations, strict=True)]
-        rows.append((signed_scale(ratios, "error / standard deviation", least=3.0, most=5.0), ratios))
-    return rows
+@dataclass(frozen=True)
+class PressurePlot(RowsPlot):
+    """Of every estimator: pressure, and half its 95 % interval. Crosses mark cells whose pressure the response leaves
+    open. The scales are the same for all frames and recordings.
 
+    >>> lampest.PressurePlot().kind
+    'pressure'
+    """
 
-def _finite(values: Array) -> Array:
-    return np.where(np.isfinite(values), values, np.nan)
+    kind: ClassVar[str] = "pressure"
+    needs: ClassVar[tuple[str, ...]] = ("pressure", "pressure_lower", "pressure_upper", "saturated")
+    about: ClassVar[str] = "grey: no number"
+
+    def rows(self, cases: Sequence[CaseResult], index: int) -> list[tuple[Scale, list[Tile]]]:
+        """Pressures, and half the widths of their intervals."""
+        steps, ticks = (0.5, 1, 2, 5, 10, 20, 40), (-40, -10, -2, -0.5, 1, 5, 20)
+        signed = stepped_scale(steps, "pressure [kPa]: suction − contact +", ticks, PRESSING)
+        norm, label = LogNorm(0.1, 100), "half the 95 % interval [kPa]"
+        widths = Scale(norm, colormaps["YlGnBu"], label, "both", (0.1, 1.0, 10.0, 100.0))
+        pressures, halves = [], []
+        for case in cases:
+            pressure, lower, upper, saturated = (case.column(name)[index] for name in self.needs)
+            half = np.clip((upper - lower) / 2, 0.05, 200)  # none and infinite: beyond the scale, not missing
+            pressures.append(Tile("", pressure, "", saturated != 0, "saturated"))
+            halves.append(Tile("", half, "", saturated != 0, "saturated"))
+        return [(signed, pressures), (widths, halves)]

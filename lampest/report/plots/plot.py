@@ -19,7 +19,6 @@ class Plot(Validated):
     """One kind of picture of a results file.
 
     kind : the word that asks for it. needs : the columns that a case must hold to be drawn.
-    apart : whether every estimator has a picture of its own; else all of a recording share one.
     frame : index into the recording of what is shown; None: `strongest_index` chooses.
 
     >>> issubclass(lampest.ContourPlot, lampest.Plot)
@@ -28,12 +27,11 @@ class Plot(Validated):
 
     kind: ClassVar[str]
     needs: ClassVar[tuple[str, ...]] = ()
-    apart: ClassVar[bool] = False
     frame: int | None = None
 
     @abstractmethod
     def draw(self, cases: Sequence[CaseResult]) -> Figure:
-        """The picture of a recording's cases that hold what it needs; of one of them where they are drawn apart."""
+        """The picture of a recording's cases that hold what it needs."""
 
     def drawable(self, cases: Sequence[CaseResult]) -> tuple[CaseResult, ...]:
         """The cases that hold what it needs."""
