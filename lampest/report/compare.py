@@ -68,6 +68,9 @@ STATISTICS: dict[str, Callable[[Array], float | None]] = {
     "sd": lambda values: float(np.std(values, ddof=1)) if values.size > 1 else None,
     "median": lambda values: float(np.median(values)),
     "95th percentile": lambda values: float(np.percentile(values, 95)),
+    "smallest": lambda values: float(np.min(values)),
+    "largest": lambda values: float(np.max(values)),
+    "worst": lambda values: float(np.max(values)),
 }
 
 
@@ -106,20 +109,22 @@ def compare(results: Results, source: str = "") -> list[Row]:
         parts: dict[Steps, NDArray[np.bool_]] = {"initial": first, "following": ~first}
         if not case.joint_start:
             parts = {"all": first | ~first}
+        texts = {"model": case.model_mark, "model check": case.model_sentence, "noise check": case.noise_sentence}
         for steps, chosen in parts.items():
             if np.any(chosen) or steps == "all":
                 named = {"results": source, "recording": case.recording, "estimator": case.estimator, "steps": steps}
-                figures = named | _seen(case, chosen) | _quoted(published, steps) | _readings(case, chosen)
-                rows.append(Row(label, case, steps, figures))
+                rows.append(
+                    Row(label, case, steps, named | figures_of(case, chosen) | _quoted(published, steps) | texts)
+                )
     return rows
 
 
-def _seen(case: CaseResult, chosen: NDArray[np.bool_]) -> dict[str, Any]:
-    """What the solved ones of some frames say."""
+def figures_of(case: CaseResult, chosen: NDArray[np.bool_]) -> dict[str, Any]:
+    """Header → what the solved ones of some frames say, and how many of all their readings are no values."""
     good = chosen & case.solved
-    residual = case.kkt_residual[good]
     errors = None if case.truth is None else relative_error(case.cell_resistance[good], case.truth[good])
-    own, common = (None if part is None else 100 * part for part in (case.sigma_own, case.sigma_common))
+    own, common = (None if part is None else 100 * part[good] for part in (case.sigma_own, case.sigma_common))
+    counts = {"missing readings": case.missing_readings, "bound readings": case.bound_readings}
     return {
         "frames": int(np.sum(chosen)),
         "frames solved": int(np.sum(good)),
@@ -129,18 +134,8 @@ def _seen(case: CaseResult, chosen: NDArray[np.bool_]) -> dict[str, Any]:
         **statistics(own, "own standard deviation {} [%]", "median"),
         **statistics(common, "common standard deviation {} [%]", "median"),
         "open cells": int(np.sum(case.open_cell[good] != 0)),
-        "worst KKT residual": float(np.nanmax(residual)) if np.isfinite(residual).any() else None,
-    }
-
-
-def _readings(case: CaseResult, chosen: NDArray[np.bool_]) -> dict[str, Any]:
-    """Readings of all frames, solved or not: missing; at a rail, zero or below; and what the circuit makes of them."""
-    counts = {"missing readings": case.missing_readings, "bound readings": case.bound_readings}
-    return {
+        **statistics(case.kkt_residual[good], "{} KKT residual", "worst"),
         **{name: 0 if count is None else int(count[chosen].sum()) for name, count in counts.items()},
-        "model": case.model_mark,
-        "model check": case.model_sentence,
-        "noise check": case.noise_sentence,
     }
 
 

@@ -40,7 +40,7 @@ class NwbExport(Export):
         for case in cases:
             words = "\n".join(f"{name}: {text}" for name, text in about(case).items() if name != "scene")
             called = case.estimator.replace(":", "_").replace("/", "_")  # NWB allows neither
-            session.create_processing_module(called, words).add([*_elements(case, shared=False)])
+            session.create_processing_module(name=called, description=words).add([*_elements(case, shared=False)])
         with warnings.catch_warnings():
             warnings.filterwarnings("ignore", ".*does not end in '.nwb'")  # it will, once it is whole
             with NWBHDF5IO(path, mode="w") as file:
@@ -97,7 +97,8 @@ def _elements(case: CaseResult, shared: bool) -> Iterator[Any]:
     held = [one for one in every if one.shared == shared and one.name != TIME.name]
     for one in held:
         if one.dtype is not str and one.axes != CELLS:
-            yield TimeSeries(one.name, one.stored, one.units, timestamps=case.time, description=one.meaning)
+            known = {"name": one.name, "unit": one.units, "description": one.meaning}
+            yield TimeSeries(data=one.stored, timestamps=case.time, **known)
     (rows, lines), (x, y) = np.indices(case.scene.panel.shape), case.scene.panel.places_mm
     places = [("row", "row line", rows), ("column", "column line", lines)]
     places += [("y_mm", "position of the cell, mm", y), ("x_mm", "position of the cell, mm", x)]
@@ -108,8 +109,8 @@ def _elements(case: CaseResult, shared: bool) -> Iterator[Any]:
     ):
         columns = [*first, *((one.name, f"{one.meaning}, {one.units}", one.values) for one in wanted)]
         vectors = [
-            VectorData(called, text, data=list(one) if isinstance(one, tuple) else np.ravel(one))
+            VectorData(name=called, description=text, data=list(one) if isinstance(one, tuple) else np.ravel(one))
             for called, text, one in columns
         ]
         if wanted:
-            yield DynamicTable(name, words, columns=vectors)
+            yield DynamicTable(name=name, description=words, columns=vectors)

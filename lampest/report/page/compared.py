@@ -7,13 +7,11 @@ from typing import Any
 import numpy as np
 
 from lampest.panel.panel import Array
-from lampest.report.compare import data_error
 from lampest.report.page.batch import Batch, Matched, matched
 from lampest.report.page.measures import (
     COVERED,
     SPREAD,
     Interval,
-    Measures,
     block_length,
     log_error,
     mean_interval,
@@ -96,7 +94,7 @@ class Criterion:
     """What estimators are ranked by; smaller is better.
 
     name : fits 'the smallest …'. unit : of the figure. meaning : how it is defined. per_cell : (frames, rows, columns)
-    of a case. average : over cells and frames. decides : whether a smaller figure is evidence of a better estimate.
+    of a case. average : over cells and frames.
     """
 
     name: str
@@ -104,7 +102,6 @@ class Criterion:
     meaning: str
     per_cell: Callable[[CaseResult], Array]
     average: Callable[..., Any]
-    decides: bool = False
 
     @property
     def difference_unit(self) -> str:
@@ -141,7 +138,6 @@ CELL_ERROR = Criterion(
     "100·|ln(r/r_true)|, its median over cells and frames; the truth is known",
     log_error,
     np.median,
-    decides=True,
 )
 PREDICTION = Criterion(
     "prediction error",
@@ -150,26 +146,23 @@ PREDICTION = Criterion(
     "noise (Mallows' C); the truth is unknown",
     predicted,
     np.nanmean,
-    decides=True,
-)
-DATA_ERROR = Criterion(
-    "data error", "%", "100·|model − measured|/measured, its median over readings and frames", data_error, np.nanmedian
 )
 
 
 def compared(batch: Batch, generator: np.random.Generator) -> Comparison | None:
-    """The comparison by the best criterion that the results allow; None where no two estimators share a frame.
+    """The comparison by the best criterion that the results allow.
 
     Truth first: the recordings that know theirs. Else the prediction of fresh readings, which needs their noise and
-    the resolution. Else the data error, which does not decide.
+    the resolution. None where neither is known, for a data error grows with every penalty, good or bad; or where no two
+    estimators share a frame.
     """
     known = [subject for subject in batch.subjects if subject.cases[0].truth is not None]
     match = matched(known or batch.subjects)
-    if len(match.estimators) < 2 or not match.subjects:
-        return None
     cases = [case for name in match.estimators for case in match.cases(name)]
     predictable = all(case.sigma is not None and case.resolution is not None for case in cases)
-    criterion = CELL_ERROR if known else PREDICTION if predictable else DATA_ERROR
+    if len(match.estimators) < 2 or not match.subjects or not (known or predictable):
+        return None
+    criterion = CELL_ERROR if known else PREDICTION
     scores = Scores.of(match, criterion.per_cell, criterion.average)
     speed = Scores.of(match, lambda case: np.log(np.fmax(1e3 * case.solve_time, 1e-3)), np.median)
     milliseconds = dict(zip(match.estimators, np.exp(speed.values.mean(axis=0)).tolist(), strict=True))
@@ -190,27 +183,20 @@ def advise(batch: Batch, comparison: Comparison | None) -> Advice:
     """Error first, then time: of those with practically the smallest criterion the fastest.
 
     Practically the same is what lies within a twentieth of the smallest one, however sure that difference is; one that
-    is larger is not made up for by speed. Where nothing but the data error is known nothing is recommended: a smaller
-    one only means a weaker penalty.
+    is larger is not made up for by speed.
     """
     match = comparison.match if comparison else matched(batch.subjects)
     left_out = tuple(f"Not compared: {sentence}." for sentence in match.left_out)
     if comparison is None:
-        alone = "There are no frames that two estimators both solved in the recordings that can be compared."
-        if len(batch.estimators) == 1:
-            alone = f"{batch.estimators[0]} is the only estimator."
-        return Advice(None, "There is nothing to choose from.", (alone,), left_out)
+        headline = "These results do not tell which estimator is nearest to the cells."
+        alone = "No two estimators solved the same frames."
+        if len(match.estimators) > 1 and match.subjects:
+            alone = (
+                "The truth is unknown, and so is the noise of the readings or the resolution, which would replace it."
+            )
+        return Advice(None, headline, (alone,), left_out)
     warnings = (*_few(comparison.scores), *left_out)
     best = comparison.standings[0]
-    if not comparison.criterion.decides:
-        headline = "These results do not tell which estimator is nearest to the cells."
-        reasons = (
-            "The truth is unknown, and so is what would stand in for it: the noise of the readings with the "
-            "resolution.",
-            f"{best.estimator} has the smallest data error, {between(best.mean, comparison.criterion.unit)}; but a "
-            "data error grows with every penalty, good or bad.",
-        )
-        return Advice(None, headline, reasons, warnings)
     # Nobody sees less in a map or a force.
     alike = [row for row in comparison.standings if row.mean.value <= (1 + 0.05) * best.mean.value]
     taken = min(alike, key=lambda row: comparison.milliseconds[row.estimator])
@@ -221,15 +207,9 @@ def advise(batch: Batch, comparison: Comparison | None) -> Advice:
     headline = f"On these data take {named}."
     if len(alike) > 1:
         why = "the smallest error" if taken is best else "the fastest"
-        names = _some([row.estimator for row in alike], "more")
+        names = listed([row.estimator for row in alike])
         headline = f"No practical difference between {names}; {named} is {why} of them."
     return Advice(taken.estimator, headline, tuple(_reasons(comparison, taken, alike)), warnings)
-
-
-def _some(texts: list[str], more: str) -> str:
-    """The first few in a list, and how many more there are."""
-    left = len(texts) - 4
-    return listed(texts[:4] + ([f"{left} {more}"] if left > 0 else []))
 
 
 def _reasons(comparison: Comparison, taken: Standing, alike: Sequence[Standing]) -> Iterator[str]:
@@ -248,7 +228,7 @@ def _reasons(comparison: Comparison, taken: Standing, alike: Sequence[Standing])
     worse = [row for row in comparison.standings if row not in alike]
     if worse:
         texts = [f"{row.estimator} by {signed(row.difference)}" for row in worse]
-        yield f"Larger than that of {best.estimator}, in {points}: {_some(texts, 'more by more than that')}."
+        yield f"Larger than that of {best.estimator}, in {points}: {listed(texts)}."
     unsure = [row.estimator for row in worse if not row.told_apart]
     if unsure:
         yield f"These data do not make sure that {listed(unsure)} {'is' if len(unsure) == 1 else 'are'} larger."
@@ -267,16 +247,19 @@ def _few(scores: Scores) -> Iterator[str]:
         yield f"{noun} only: intervals over fewer than 5 are unreliable, mostly too short."
 
 
-def doubts(estimator: str, found: Sequence[Measures]) -> tuple[str, ...]:
-    """What is wrong with the recommended estimator: residuals beyond the noise, error bars that are wrong."""
+def doubts(estimator: str, found: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:
+    """What is wrong with the recommended estimator: residuals beyond the noise, error bars that are wrong.
+
+    found : its `figures` of each recording.
+    """
+    spreads, coverages = ([own[line] for own in found if own.get(line) is not None] for line in (SPREAD, COVERED))
+    spread, coverage = float(np.median(spreads or [1.0])), float(np.mean(coverages or [100.0]))
     sentences = []
-    spread = float(np.median([value for own in found for value in own.values(SPREAD)] or [0.0]))
     if spread > 1.5:
         sentences.append(
             f"The residuals of {estimator} are {digits(spread, 2)} times the noise of the readings: the noise is "
             "larger than the scene says, the model lacks an effect, or the penalty is too strong."
         )
-    coverage = float(np.mean([value for own in found for value in own.values(COVERED)] or [100.0]))
     if coverage < 90:
         sentences.append(
             f"The 95 % intervals of {estimator} cover the truth for {digits(coverage, 2)} % of the cells: the readings "

@@ -1,6 +1,6 @@
-"""Figures of one case: errors, residuals, intervals, times; and where two cases differ significantly."""
+"""Figures of one case, bootstrap intervals, and where two cases differ significantly."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from math import ceil
@@ -10,13 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.panel.panel import Array
-from lampest.report.compare import data_error, relative_error
+from lampest.report.compare import figures_of, statistics
 from lampest.runs.case import CaseResult
 
 DRAWS = 2000  # of which the 2.5th percentile is known to 0.06 standard deviations
-CELL_ERROR, SPREAD = "median cell error [%] (95 % interval)", "residuals: robust standard deviation [σ]"
-COVERED, FREE_COVERED = "truth within its interval [%]", "the same, cells away from bounds [%]"
-SMALLEST, LARGEST = "pressure, smallest [kPa]", "pressure, largest [kPa]"
+SPREAD, COVERED = "residuals: robust standard deviation [σ]", "truth within its interval [%]"
 Picks = NDArray[np.intp]
 
 
@@ -64,108 +62,28 @@ def mean_interval(values: Array, drawn: Picks) -> Interval:
     return Interval.of(float(np.mean(values)), values[drawn].mean(axis=1))
 
 
-def median_interval(values: Array, drawn: Picks) -> Interval:
-    """The median of all of (frames, cells) values, and its interval where frames are drawn.
-
-    Draws are counted in bins that each hold 1/400 of the values, so that thousands of frames stay quick.
-    """
-    most = 400  # bins
-    edges = np.quantile(values, np.linspace(0, 1, most + 1))
-    bins = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, most - 1)
-    counts = np.stack([np.bincount(row, minlength=most) for row in bins]).astype(float)
-    often = np.stack([np.bincount(row, minlength=len(values)) for row in drawn]).astype(float)
-    share = np.cumsum(often @ counts, axis=1) / values.shape[1] / drawn.shape[1]
-    place, row = np.argmax(share >= 0.5, axis=1), np.arange(len(share))
-    before = np.where(place > 0, share[row, place - 1], 0.0)
-    within = (0.5 - before) / (share[row, place] - before)
-    return Interval.of(float(np.median(values)), edges[place] + within * (edges[place + 1] - edges[place]))
-
-
-@dataclass(frozen=True)
-class Measures:
-    """One case over its solved frames. figures : by their lines in tables, as far as known; counts are int."""
-
-    case: CaseResult
-    figures: Mapping[str, float | Interval]
-
-    @property
-    def solved(self) -> int:
-        return int(np.sum(self.case.solved))
-
-    def values(self, line: str) -> list[float]:
-        """The figure without its interval; none where the results do not say."""
-        known = self.figures.get(line)
-        return [] if known is None else [known.value if isinstance(known, Interval) else known]
-
-    @property
-    def failures(self) -> dict[str, list[int]]:
-        """Sentence → numbers of the frames that failed so."""
-        failed: dict[str, list[int]] = {}
-        for index in np.flatnonzero(~self.case.solved):
-            failed.setdefault(self.case.status[index], []).append(int(self.case.frame[index]))
-        return failed
-
-
 @np.errstate(over="ignore")
-def measures(case: CaseResult, generator: np.random.Generator) -> Measures:
-    """Everything of one case; intervals from frames drawn in blocks."""
-    lower, upper, residual = case.cell_resistance_lower, case.cell_resistance_upper, weighted_residual(case)
-    widths = None if lower is None or upper is None else 100 * (upper - lower) / case.cell_resistance
-    counts = {
-        "95 % intervals with an open end": None if widths is None else ~np.isfinite(widths),
-        "open cells": case.open_cell,
-        "cells at the lower bound": case.at_lower_bound,
-        "saturated cells": case.saturated,
-    }
-    readings = {
-        "missing readings": case.missing_readings,
-        "readings at a rail, zero or below the series resistance": case.bound_readings,
-    }
+def figures(case: CaseResult) -> dict[str, Any]:
+    """Line of a table → what it says of a case: the figures of `lampest compare`, and those of noise and intervals.
 
-    def over(values: Array | None, function: Callable[[Array], Any]) -> float | None:
-        known = np.zeros(0) if values is None else values[case.solved]
-        known = known[np.isfinite(known)]
-        return float(function(known)) if known.size else None
-
-    known: dict[str, float | Interval | None] = {
-        CELL_ERROR: _cell_error(case, generator),
-        "data error, mean [%]": over(data_error(case), np.mean),
-        "residuals: mean of ((model − measured)/σ)²": over(residual, lambda z: np.mean(z**2)),
-        SPREAD: over(residual, lambda z: 1.4826 * np.median(np.abs(z))),  # 1/Φ⁻¹(3/4): from median deviation to σ
-        "95 % intervals: mean width [% of the cell]": over(widths, np.mean),
-        COVERED: _coverage(case, generator, free=False),
-        FREE_COVERED: _coverage(case, generator, free=True),
-        "share of an estimate that data decide, median [%]": over(case.data_share, lambda s: 100 * np.median(s)),
-        "time per frame, median [ms]": over(case.solve_time, lambda t: 1e3 * np.median(t)),
-        **{
-            line: None if flags is None else int(np.count_nonzero(flags[case.solved])) for line, flags in counts.items()
-        },
-        **{line: None if count is None else int(np.sum(count)) or None for line, count in readings.items()},
-        SMALLEST: over(case.pressure, np.min),
-        LARGEST: over(case.pressure, np.max),
-    }
-    return Measures(case, {line: value for line, value in known.items() if value is not None})
-
-
-def _cell_error(case: CaseResult, generator: np.random.Generator) -> Interval | None:
-    if case.truth is None or not np.any(case.solved):
-        return None
-    error = relative_error(case.cell_resistance, case.truth)[case.solved].reshape(int(np.sum(case.solved)), -1)
-    return median_interval(error, picks(len(error), block_length(np.median(error, axis=1)[:, None]), generator))
-
-
-def _coverage(case: CaseResult, generator: np.random.Generator, free: bool) -> Interval | None:
-    """Share of the cells whose interval covers the truth, percent; free : of those away from bounds."""
-    lower, upper, good = case.cell_resistance_lower, case.cell_resistance_upper, case.solved
-    if lower is None or upper is None or case.truth is None or not np.any(good):
-        return None
-    within = ((lower <= case.truth) & (case.truth <= upper))[good]
-    counted = ((case.open_cell == 0) & (case.at_lower_bound == 0))[good] | (not free)
-    cells = counted.sum(axis=(1, 2))
-    if not np.all(cells):
-        return None
-    shares = 100 * (within & counted).sum(axis=(1, 2)) / cells
-    return mean_interval(shares, picks(len(shares), block_length(shares[:, None]), generator))
+    Counts are int; None where the results do not say.
+    """
+    residual, lower, upper = weighted_residual(case), case.cell_resistance_lower, case.cell_resistance_upper
+    spread = None if residual is None else 1.4826 * np.abs(residual)  # 1/Φ⁻¹(3/4): from median deviation to σ
+    known: dict[str, Any] = figures_of(case, np.ones(len(case.time), bool))
+    known |= statistics(None if residual is None else residual**2, "residuals: {} of ((model − measured)/σ)²", "mean")
+    known[SPREAD] = statistics(spread, "{}", "median")["median"]
+    if lower is not None and upper is not None:
+        widths = 100 * (upper - lower) / case.cell_resistance
+        known |= statistics(widths, "95 % intervals: {} width [% of the cell]", "mean")
+        known["95 % intervals with an open end"] = int(np.sum(np.isinf(widths)))
+        if case.truth is not None:
+            within = ((lower <= case.truth) & (case.truth <= upper))[case.solved]
+            known[COVERED] = 100 * float(np.mean(within)) if within.size else None
+    known |= statistics(case.data_share, "share of an estimate that data decide, {} [1]", "median")
+    known["cells at the lower bound"] = int(np.sum(case.at_lower_bound != 0))
+    known["saturated cells"] = None if case.saturated is None else int(np.sum(case.saturated != 0))
+    return known | statistics(case.pressure, "pressure, {} [kPa]", "smallest", "largest")
 
 
 def log_error(case: CaseResult) -> Array:

@@ -1,6 +1,6 @@
 """The page itself: everything put in order, and written as one HTML file that needs nothing else."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,22 +11,15 @@ from lampest.files.whole import write_whole
 from lampest.report.page import pictures
 from lampest.report.page.batch import Batch, Subject, read_batch, without_copies
 from lampest.report.page.compared import advise, compared, doubts
-from lampest.report.page.measures import DRAWS, Measures, disagreements, measures
-from lampest.report.page.tables import batch_table, failures, recording_table, standing_table, unit_table
+from lampest.report.page.measures import DRAWS, disagreements, figures
+from lampest.report.page.tables import case_table, failures, standing_table, unit_table
 from lampest.report.page.template import filled
 from lampest.report.plots.style import verbatim
 from lampest.report.strongest import strongest_index
-from lampest.report.words import counted, digits, listed
+from lampest.report.words import counted, digits
 from lampest.runs.executors import each_of
 
 MOST = 6  # recordings with all figures, and estimators in them
-WISHED = {
-    "sigma": "the noise of the readings",
-    "cell_resistance_lower": "error bars",
-    "resolution": "resolution",
-    "truth": "the truth",
-    "weights": "the weights",
-}
 
 
 def write_report(
@@ -45,29 +38,27 @@ def write_report(
 
 def report(batch: Batch, on_recording: Callable[[int, int], None] = lambda done, total: None) -> str:
     """The page as HTML; on_recording as `write_report` has it."""
-    over_all, each = np.random.default_rng(20190604).spawn(2)  # always the same draws
     own, _ = without_copies(batch.subjects)
-    comparison = compared(batch, over_all)
+    comparison = compared(batch, np.random.default_rng(20190604).spawn(1)[0])  # always the same draws
     advice = advise(batch, comparison)
-    found = {
-        subject.name: {case.estimator: measures(case, each) for case in subject.cases} for subject in batch.subjects
+    by_estimator = {
+        name: [case for subject in own for case in subject.cases if case.estimator == name] for name in batch.estimators
     }
     if advice.estimator is not None:
-        taken = [known[advice.estimator] for known in found.values() if advice.estimator in known]
-        advice = replace(advice, warnings=(*advice.warnings, *doubts(advice.estimator, taken)))
+        doubted = doubts(advice.estimator, list(map(figures, by_estimator[advice.estimator])))
+        advice = replace(advice, warnings=(*advice.warnings, *doubted))
     first = [row.estimator for row in comparison.standings] if comparison else []
     drawn = [*dict.fromkeys((*first, *batch.estimators))][:MOST]
-    tasks = [(subject, number, found[subject.name], drawn) for number, subject in enumerate(batch.subjects)]
+    tasks = [(subject, number, drawn) for number, subject in enumerate(batch.subjects)]
     sections = each_of(_section, tasks, on_recording)
     return filled(
         "lampest.report.page",
         batch=batch,
         advice=advice,
-        missing=missing(batch),
         comparison=comparison,
         standings=comparison and standing_table(comparison),
         units=comparison and len(comparison.scores.units) <= 200 and unit_table(comparison),
-        together=batch_table(replace(batch, subjects=tuple(own)), found) if len(own) > 1 else None,
+        together=case_table(by_estimator) if len(own) > 1 else None,
         whole=sections[:MOST],
         others=sections[MOST:],
         most=MOST,
@@ -78,9 +69,9 @@ def report(batch: Batch, on_recording: Callable[[int, int], None] = lambda done,
     )
 
 
-def _section(task: tuple[Subject, int, Mapping[str, Measures], Sequence[str]]) -> dict[str, Any]:
+def _section(task: tuple[Subject, int, Sequence[str]]) -> dict[str, Any]:
     """What the template says of a recording: contours and a table; of the first ones every other figure, too."""
-    subject, number, found, drawn = task
+    subject, number, drawn = task
     whole = number < MOST
     cases = tuple(case for case in subject.cases if case.estimator in drawn) or subject.cases[:1]
     place, pairs = strongest_index(cases), disagreements(cases) if whole else ()
@@ -94,20 +85,8 @@ def _section(task: tuple[Subject, int, Mapping[str, Measures], Sequence[str]]) -
         "anchor": f"recording-{number + 1}",
         "case": cases[0],
         "place": place,
-        "table": recording_table(found),
+        "table": case_table({case.estimator: [case] for case in subject.cases}),
         "pictures": shown,
         "undecided": whole and len(cases) > 1 and not pairs,
-        "failed": failures(found),
+        "failed": failures(subject.cases),
     }
-
-
-def missing(batch: Batch) -> str:
-    """What the results do not hold; empty where they hold all."""
-    cases = [case for subject in batch.subjects for case in subject.cases]
-    parts = []
-    for field, name in WISHED.items():
-        known = [getattr(case, field) for case in cases]
-        lacking = sum(values is None or len(values) == 0 for values in known)
-        if lacking:
-            parts.append(name + ("" if lacking == len(cases) else f" (in {lacking} of {len(cases)} cases)"))
-    return listed(parts)

@@ -1,76 +1,60 @@
 """The report's tables: a recording's estimators, all recordings together, estimators against each other."""
 
-from collections.abc import Callable, Mapping, Sequence
-from statistics import fmean, median
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from lampest.report.compare import LEAST, Table
-from lampest.report.page.batch import Batch
 from lampest.report.page.compared import Comparison
-from lampest.report.page.measures import COVERED, FREE_COVERED, LARGEST, SMALLEST, Interval, Measures
+from lampest.report.page.measures import figures
 from lampest.report.page.template import HARD, NONE, between, frames_text, signed, weights_text
 from lampest.report.words import digits
-
-OVER: dict[str, Callable[[list[float]], float]] = {COVERED: fmean, FREE_COVERED: fmean, SMALLEST: min, LARGEST: max}
-
-
-def recording_table(found: Mapping[str, Measures]) -> Table:
-    """Every figure of one recording, a column for each estimator; lines of which nothing is known are left out."""
-    return _table({name: [own] for name, own in found.items()}, True)
+from lampest.runs.case import CaseResult
 
 
-def batch_table(batch: Batch, found: Mapping[str, Mapping[str, Measures]]) -> Table:
-    """All recordings together: medians of their figures, means of coverages, sums of cells and frames."""
-    counted = [found[subject.name] for subject in batch.subjects]
-    return _table({name: [case[name] for case in counted if name in case] for name in batch.estimators}, False)
+def case_table(groups: Mapping[str, Sequence[CaseResult]]) -> Table:
+    """A column for each estimator's cases, a line for each figure: medians over the cases, sums of counts.
+
+    Lines of which nothing is known are left out.
+    """
+    known = [[figures(case) for case in cases] for cases in groups.values()]
+    rows = [
+        ("of the frames local optima (starts of a frame)", *map(_optima, groups.values())),
+        ("weights", *(weights_text([case.weights for case in cases]) or NONE for cases in groups.values())),
+    ]
+    for line in dict.fromkeys(line for column in known for one in column for line in one):
+        values = [[one[line] for one in column if isinstance(one.get(line), int | float)] for column in known]
+        rows.append((line, *map(_figure, values)))
+    return Table(("", *groups), tuple(row for row in rows if set(row[1:]) != {NONE}))
 
 
-def _table(groups: Mapping[str, Sequence[Measures]], alone: bool) -> Table:
-    """A column for every estimator's cases; alone : whether each has one."""
-    every = groups.values()
-    solved = (f"{sum(one.solved for one in own):,} of {sum(len(one.case.time) for one in own):,}" for own in every)
-    rows = [("frames solved", *solved)]
-    if any(one.case.local_optima for own in every for one in own):
-        rows.append(("of them local optima (starts of a frame)", *map(_optima, every)))
-    rows.append(("weights", *(weights_text([one.case.weights for one in own]) or NONE for own in every)))
-    for line in dict.fromkeys(line for own in every for one in own for line in one.figures):
-        label = line if alone else line.replace(" (95 % interval)", "")
-        rows.append((label, *(_entry(line, own, alone) for own in every)))
-    return Table(("", *groups), tuple(rows))
-
-
-def _entry(line: str, own: Sequence[Measures], alone: bool) -> str:
-    """One case's figure with its interval, or those of several as one: sums of counts, see `OVER` for the rest."""
-    known = [value for one in own for value in one.values(line)]
-    if not known:
+def _figure(values: Sequence[float]) -> str:
+    if not values:
         return NONE
-    figure = own[0].figures.get(line)
-    if alone and isinstance(figure, Interval):
-        return between(figure)
-    if all(isinstance(value, int) for value in known):
-        total, cells = sum(known), sum(one.solved * one.case.measured[0].size for one in own)
-        return f"{total:,}" + (f" ({digits(100 * total / cells, 2)}{HARD}%)" if total and cells else "")
-    value = OVER.get(line, median)(known)
+    if all(isinstance(value, int) for value in values):
+        return f"{sum(values):,}"
+    value = float(np.median(values))
     return f"<{HARD}{LEAST:g}" if 0 < value < LEAST else digits(value)
 
 
-def _optima(own: Sequence[Measures]) -> str:
+def _optima(cases: Sequence[CaseResult]) -> str:
     """'21 (1 to 7)': how many frames end at a local optimum, the lowest that so many starts reached."""
-    known = [one.case.local_optima for one in own if one.case.local_optima is not None]
+    known = [case.local_optima for case in cases if case.local_optima is not None]
     if not known:
         return NONE
     least, most = min(one[1] for one in known), max(one[2] for one in known)
     return f"{sum(one[0] for one in known):,} ({least if least == most else f'{least} to {most}'})"
 
 
-def failures(found: Mapping[str, Measures]) -> tuple[str, ...]:
+def failures(cases: Sequence[CaseResult]) -> list[str]:
     """A sentence for each way in which an estimator failed."""
-    return tuple(
-        f"{name}, {'frame' if len(frames) == 1 else 'frames'} {frames_text(frames)}: {sentence}"
-        for name, own in found.items()
-        for sentence, frames in own.failures.items()
-    )
+    sentences = []
+    for case in cases:
+        for status in dict.fromkeys(case.status[index] for index in np.flatnonzero(~case.solved)):
+            frames = case.frame[[one == status for one in case.status]]
+            noun = "frame" if len(frames) == 1 else "frames"
+            sentences.append(f"{case.estimator}, {noun} {frames_text(frames)}: {status}")
+    return sentences
 
 
 def standing_table(comparison: Comparison) -> Table:
