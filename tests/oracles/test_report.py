@@ -170,7 +170,7 @@ def test_few_recordings_and_a_single_one_are_warned_of() -> None:
     assert any("fewer than 5" in sentence for sentence in advise(few, compared(few, np.random.default_rng(0))).warnings)
     one = cohort(1, A=(errors, 1.0), B=([0.05], 1.0))
     found = compared(one, np.random.default_rng(0))
-    assert found is not None and found.scores.over_frames and found.scores.values.shape == (SHAPE[0], 2)
+    assert found is not None and found.over_frames and found.values.shape == (SHAPE[0], 2)
     assert any("One recording only" in sentence for sentence in advise(one, found).warnings)
 
 

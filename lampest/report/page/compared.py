@@ -12,6 +12,7 @@ from lampest.report.page.measures import (
     COVERED,
     SPREAD,
     Interval,
+    Picks,
     block_length,
     log_error,
     mean_interval,
@@ -41,54 +42,6 @@ class Standing:
         return not self.difference.lower <= 0 <= self.difference.upper
 
 
-@dataclass(frozen=True, eq=False)
-class Scores:
-    """What is compared.
-
-    estimators : names. values : (units, estimators), smaller is better. units : names of recordings, or of the frames
-    of one recording. block : so many neighbouring units are drawn together, 1 for recordings.
-    """
-
-    estimators: tuple[str, ...]
-    values: Array
-    units: tuple[str, ...]
-    over_frames: bool
-    block: int
-
-    @classmethod
-    def of(cls, match: Matched, per_cell: Callable[[CaseResult], Array], average: Callable[..., Any]) -> "Scores":
-        """Averages over the cells of the matched frames: for each recording, or each frame of a single recording.
-
-        per_cell : (frames, ...) of a case, smaller is better. average : np.median or np.mean.
-        """
-        single = len(match.subjects) == 1
-        columns = []
-        for name in match.estimators:
-            pairs_of = zip(match.cases(name), match.chosen, strict=True)
-            chosen = [per_cell(case)[frames].reshape(int(np.sum(frames)), -1) for case, frames in pairs_of]
-            columns.append(average(chosen[0], axis=1) if single else np.array([average(part) for part in chosen]))
-        values = np.stack(columns, axis=1)
-        units = tuple(subject.name for subject in match.subjects)
-        if single:
-            units = tuple(f"frame {number}" for number in match.subjects[0].cases[0].frame[match.chosen[0]])
-        return cls(match.estimators, values, units, single, block_length(values) if single else 1)
-
-    def standings(self, generator: np.random.Generator) -> tuple[Standing, ...]:
-        """Every estimator against the one with the smallest mean, that one first, then by their means.
-
-        All estimators are drawn together, so differences are paired.
-        """
-        drawn = picks(len(self.values), self.block, generator)
-        order = np.argsort(self.values.mean(axis=0), kind="stable")
-        wins = np.sum(self.values == self.values.min(axis=1, keepdims=True), axis=0)
-        best, rows = self.values[:, order[0]], []
-        for one in order:
-            own = self.values[:, one]
-            intervals = mean_interval(own, drawn), mean_interval(own - best, drawn)
-            rows.append(Standing(self.estimators[one], *intervals, int(wins[one])))
-        return tuple(rows)
-
-
 @dataclass(frozen=True)
 class Criterion:
     """What estimators are ranked by; smaller is better.
@@ -110,13 +63,24 @@ class Criterion:
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """standings : by the criterion, best first. milliseconds : median time per frame, geometric mean over the units."""
+    """Estimators in pairs.
+
+    units : names of recordings, or of the frames of a single one. values : (units, estimators of the match), smaller is
+    better. block : so many neighbouring units are drawn together, 1 for recordings. standings : best first.
+    milliseconds : median time per frame, geometric mean over the units.
+    """
 
     criterion: Criterion
     match: Matched
-    scores: Scores
+    units: tuple[str, ...]
+    values: Array
+    block: int
     standings: tuple[Standing, ...]
     milliseconds: Mapping[str, float]
+
+    @property
+    def over_frames(self) -> bool:
+        return len(self.match.subjects) == 1
 
 
 def predicted(case: CaseResult) -> Array:
@@ -163,10 +127,36 @@ def compared(batch: Batch, generator: np.random.Generator) -> Comparison | None:
     if len(match.estimators) < 2 or not match.subjects or not (known or predictable):
         return None
     criterion = CELL_ERROR if known else PREDICTION
-    scores = Scores.of(match, criterion.per_cell, criterion.average)
-    speed = Scores.of(match, lambda case: np.log(np.fmax(1e3 * case.solve_time, 1e-3)), np.median)
-    milliseconds = dict(zip(match.estimators, np.exp(speed.values.mean(axis=0)).tolist(), strict=True))
-    return Comparison(criterion, match, scores, scores.standings(generator.spawn(1)[0]), milliseconds)
+    single, units = len(match.subjects) == 1, tuple(subject.name for subject in match.subjects)
+    if single:
+        units = tuple(f"frame {number}" for number in match.subjects[0].cases[0].frame[match.chosen[0]])
+    values = _values(match, criterion.per_cell, criterion.average)
+    block = block_length(values) if single else 1
+    standings = _standings(match.estimators, values, picks(len(values), block, generator.spawn(1)[0]))
+    times = np.exp(_values(match, lambda case: np.log(np.fmax(1e3 * case.solve_time, 1e-3)), np.median).mean(axis=0))
+    milliseconds = dict(zip(match.estimators, times.tolist(), strict=True))
+    return Comparison(criterion, match, units, values, block, standings, milliseconds)
+
+
+def _values(match: Matched, per_cell: Callable[[CaseResult], Array], average: Callable[..., Any]) -> Array:
+    """(units, estimators) averages over the cells of the matched frames: of recordings, or frames of a single one."""
+    columns = []
+    for name in match.estimators:
+        pairs_of = zip(match.cases(name), match.chosen, strict=True)
+        chosen = [per_cell(case)[frames].reshape(int(np.sum(frames)), -1) for case, frames in pairs_of]
+        single = average(chosen[0], axis=1)
+        columns.append(single if len(chosen) == 1 else np.array([average(part) for part in chosen]))
+    return np.stack(columns, axis=1)
+
+
+def _standings(estimators: Sequence[str], values: Array, drawn: Picks) -> tuple[Standing, ...]:
+    """Every estimator against the one with the smallest mean, that one first; all are drawn together, so in pairs."""
+    order = np.argsort(values.mean(axis=0), kind="stable")
+    wins, rows = np.sum(values == values.min(axis=1, keepdims=True), axis=0), []
+    for one in order:
+        intervals = (mean_interval(part, drawn) for part in (values[:, one], values[:, one] - values[:, order[0]]))
+        rows.append(Standing(estimators[one], *intervals, int(wins[one])))
+    return tuple(rows)
 
 
 @dataclass(frozen=True)
@@ -195,7 +185,7 @@ def advise(batch: Batch, comparison: Comparison | None) -> Advice:
                 "The truth is unknown, and so is the noise of the readings or the resolution, which would replace it."
             )
         return Advice(None, headline, (alone,), left_out)
-    warnings = (*_few(comparison.scores), *left_out)
+    warnings = (*_few(comparison), *left_out)
     best = comparison.standings[0]
     # Nobody sees less in a map or a force.
     alike = [row for row in comparison.standings if row.mean.value <= (1 + 0.05) * best.mean.value]
@@ -213,11 +203,11 @@ def advise(batch: Batch, comparison: Comparison | None) -> Advice:
 
 
 def _reasons(comparison: Comparison, taken: Standing, alike: Sequence[Standing]) -> Iterator[str]:
-    best, criterion, scores = comparison.standings[0], comparison.criterion, comparison.scores
+    best, criterion, units = comparison.standings[0], comparison.criterion, len(comparison.units)
     points = criterion.difference_unit
-    basis = f"mean over {counted(len(scores.values), 'recording')} with {counted(comparison.match.frames, 'frame')}"
-    if scores.over_frames:
-        basis = f"mean over {counted(len(scores.values), 'frame')} of one recording, drawn in blocks of {scores.block}"
+    basis = f"mean over {counted(units, 'recording')} with {counted(comparison.match.frames, 'frame')}"
+    if comparison.over_frames:
+        basis = f"mean over {counted(units, 'frame')} of one recording, drawn in blocks of {comparison.block}"
     yield f"{best.estimator} has the smallest {criterion.name}: {between(best.mean, criterion.unit)}, {basis}."
     others = [f"{row.estimator} ({signed(row.difference, points)})" for row in alike if row is not best]
     if others:
@@ -239,11 +229,11 @@ def _reasons(comparison: Comparison, taken: Standing, alike: Sequence[Standing])
         )
 
 
-def _few(scores: Scores) -> Iterator[str]:
-    if scores.over_frames:
+def _few(comparison: Comparison) -> Iterator[str]:
+    if comparison.over_frames:
         yield "One recording only: intervals are over its frames and do not cover another animal or day."
-    if len(scores.values) < 5:
-        noun = counted(len(scores.values), "frame" if scores.over_frames else "recording")
+    if len(comparison.units) < 5:
+        noun = counted(len(comparison.units), "frame" if comparison.over_frames else "recording")
         yield f"{noun} only: intervals over fewer than 5 are unreliable, mostly too short."
 
 

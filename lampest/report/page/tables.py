@@ -53,7 +53,7 @@ def failures(cases: Sequence[CaseResult]) -> list[str]:
         for status in dict.fromkeys(case.status[index] for index in np.flatnonzero(~case.solved)):
             frames = case.frame[[one == status for one in case.status]]
             noun = "frame" if len(frames) == 1 else "frames"
-            sentences.append(f"{case.estimator}, {noun} {frames_text(frames)}: {status}")
+            sentences.append(f"{case.estimator}, {noun} {frames_text(frames.tolist())}: {status}")
     return sentences
 
 
@@ -65,7 +65,7 @@ def standing_table(comparison: Comparison) -> Table:
         f"{criterion.name}, mean [{criterion.unit}] (95 % interval)",
         f"difference from {best} [{criterion.difference_unit}] (95 % interval)",
         "verdict",
-        f"smallest in, of {len(comparison.scores.values)}",
+        f"smallest in, of {len(comparison.units)}",
         "time per frame [ms]",
         f"times as fast as {best}",
     )
@@ -82,8 +82,7 @@ def standing_table(comparison: Comparison) -> Table:
 
 def unit_table(comparison: Comparison) -> Table:
     """The criterion of every unit, the smallest of each set off."""
-    scores = comparison.scores
-    rows = [(unit, *map(digits, values)) for unit, values in zip(scores.units, scores.values, strict=True)]
-    smallest = np.argwhere(scores.values == scores.values.min(axis=1, keepdims=True))
+    rows = [(unit, *map(digits, values)) for unit, values in zip(comparison.units, comparison.values, strict=True)]
+    smallest = np.argwhere(comparison.values == comparison.values.min(axis=1, keepdims=True))
     best = frozenset((int(row), int(column) + 1) for row, column in smallest)
-    return Table(("", *scores.estimators), tuple(rows), best=best)
+    return Table(("", *comparison.match.estimators), tuple(rows), best=best)
