@@ -16,7 +16,7 @@ from support import METHODS, invented_case
 from lampest.files.errors import InputError
 from lampest.panel.panel import Panel
 from lampest.report.plots import PLOTS, Plot, plot_of, plot_results
-from lampest.report.plots.maps import MapPainter, Tile, banded_scale, resolution_scale
+from lampest.report.plots.maps import RESOLUTION, MapPainter, Tile, banded_scale
 from lampest.report.plots.style import change_text, new_figure
 from lampest.runs.case import CaseResult
 from lampest.runs.columns import COLUMNS, FRAMES, Column
@@ -112,10 +112,10 @@ def test_a_map_is_in_millimetre_with_crosses_where_it_says(contoured: bool) -> N
 
 
 def test_what_is_no_number_is_grey_and_what_was_not_solved_says_so() -> None:
-    painter = MapPainter(Panel(1, 2), resolution_scale())
-    (mesh,) = painted(painter, Tile("", np.array([[0.5, np.nan]]))).collections
-    assert mesh.get_array().mask.tolist() == [[False, True]]
-    assert mesh.get_cmap().get_bad().tolist() == pytest.approx([0.88, 0.88, 0.88, 1.0])
+    painter = MapPainter(Panel(1, 2), RESOLUTION)
+    _, cells = painted(painter, Tile("", np.array([[0.5, np.nan]]))).collections
+    assert cells.get_array().mask.tolist() == [False, True]
+    assert cells.get_cmap().get_bad().tolist() == pytest.approx([0.88, 0.88, 0.88, 1.0])
     axes = painted(painter, Tile("", None))
     assert [text.get_text() for text in axes.texts] == ["not solved"] and not axes.collections
     figure = new_figure(3.0)

@@ -154,7 +154,8 @@ def _standings(estimators: Sequence[str], values: Array, drawn: Picks) -> tuple[
     order = np.argsort(values.mean(axis=0), kind="stable")
     wins, rows = np.sum(values == values.min(axis=1, keepdims=True), axis=0), []
     for one in order:
-        intervals = (mean_interval(part, drawn) for part in (values[:, one], values[:, one] - values[:, order[0]]))
+        own, best = values[:, one], values[:, order[0]]
+        intervals = mean_interval(own, drawn), mean_interval(own - best, drawn)
         rows.append(Standing(estimators[one], *intervals, int(wins[one])))
     return tuple(rows)
 

@@ -16,6 +16,7 @@ from lampest.report.plots.maps import (
     ACROSS_LABEL,
     DOWN_LABEL,
     PRESSING,
+    RESOLUTION,
     MapPainter,
     Scale,
     Tile,
@@ -23,7 +24,6 @@ from lampest.report.plots.maps import (
     log_scale,
     maps_figure,
     proportion,
-    resolution_scale,
     signed_scale,
     stepped_scale,
     values_of,
@@ -153,7 +153,7 @@ class CertaintyPlot(RowsPlot):
         cells = [case.cell_resistance[index] for case in cases]
         errors, resolutions = ([case.column(name)[index] for case in cases] for name in self.needs)
         deviations = [100 * error / own for error, own in zip(errors, cells, strict=True)]
-        rows = [(log_scale(deviations, "standard deviation [%]"), deviations), (resolution_scale(), resolutions)]
+        rows = [(log_scale(deviations, "standard deviation [%]"), deviations), (RESOLUTION, resolutions)]
         truth = cases[0].truth
         if truth is not None:
             with np.errstate(divide="ignore", invalid="ignore"):
@@ -181,7 +181,7 @@ class PressurePlot(RowsPlot):
         steps, ticks = (0.5, 1, 2, 5, 10, 20, 40), (-40, -10, -2, -0.5, 1, 5, 20)
         signed = stepped_scale(steps, "pressure [kPa]: suction − contact +", ticks, PRESSING)
         norm, label = LogNorm(0.1, 100), "half the 95 % interval [kPa]"
-        widths = Scale(norm, colormaps["YlGnBu"], label, "both", (0.1, 1.0, 10.0, 100.0))
+        widths = Scale(norm, colormaps["YlGnBu"], label, (0.1, 1.0, 10.0, 100.0))
         pressures, halves = [], []
         for case in cases:
             pressure, lower, upper, saturated = (case.column(name)[index] for name in self.needs)

@@ -11,7 +11,7 @@ from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.collections import PolyCollection
-from matplotlib.colors import BoundaryNorm, Colormap, ListedColormap, LogNorm, Normalize
+from matplotlib.colors import BoundaryNorm, Colormap, LogNorm, Normalize
 from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import FixedLocator, FuncFormatter
@@ -33,91 +33,71 @@ from lampest.report.plots.style import (
 )
 
 SIGNED, PRESSING = "RdBu_r", "RdBu"  # what presses is blue: it lowers resistance and raises pressure
-Extend = Literal["both", "min", "max", "neither"]
 ACROSS_LABEL, DOWN_LABEL = "x [mm]", "y [mm]"
 NO_NUMBER = "0.88"  # grey
 
 
 @dataclass(frozen=True, eq=False)
 class Scale:
-    """Colours of a set of maps.
+    """Colours of a set of maps. label : what they mean, with its unit. ticks : of the bar, None for usual ones.
 
-    label : what they mean, with its unit. extend : which ends values go beyond. ticks : of the bar, None for usual
-    ones.
+    Values beyond an end have its colour, or that of the arrow there.
     """
 
     norm: Normalize
     colours: Colormap
     label: str
-    extend: Extend = "neither"
-    ticks: tuple[float, ...] | None = None
+    ticks: Sequence[float] | None = None
+
+
+RESOLUTION = Scale(Normalize(0, 1), colormaps["YlGnBu"], "resolution")
 
 
 def log_scale(
     values: Sequence[Array], label: str, most: float = 99.0, ends: tuple[float, float] = (0.1, 500.0)
 ) -> Scale:
-    """A logarithmic scale between round numbers that holds positive values from the 1st percentile to that of `most`.
-
-    ends : it goes no further.
-    """
+    """Logarithmic between round numbers that hold positive values from the 1st percentile to `most`, within `ends`."""
     numbers = _finite(values)
     numbers = numbers[numbers > 0]
     low, high = np.percentile(numbers, [1, most]) if numbers.size else (1.0, 10.0)
     steps = round_numbers(*ends)
     first = max((step for step in steps[:-1] if step <= low), default=steps[0])
     last = min((step for step in steps if step >= high and step > first), default=steps[-1])
-    norm, ticks = LogNorm(first, last), tuple(round_numbers(first, last))
-    return Scale(norm, colormaps["viridis"], label, _extend(numbers, first, last), ticks)
+    return Scale(LogNorm(first, last), colormaps["viridis"], label, round_numbers(first, last))
 
 
 def signed_scale(values: Sequence[Array], label: str, least: float, most: float = np.inf) -> Scale:
     """A scale symmetric about zero that holds 98 % of the values, ±least at least and ±most at most."""
-    numbers = _finite(values)
-    reach = min(max(least, _reach(numbers)), most)
+    reach = min(max(least, _reach(values)), most)
     power = 10.0 ** np.floor(np.log10(reach))
     limit = float(power * np.ceil(reach / power * (1 - 1e-9)))
-    return Scale(Normalize(-limit, limit), colormaps[SIGNED], label, _extend(numbers, -limit, limit))
-
-
-def resolution_scale() -> Scale:
-    """Of resolutions, from 0 to 1."""
-    return Scale(Normalize(0, 1), colormaps["YlGnBu"], "resolution")
+    return Scale(Normalize(-limit, limit), colormaps[SIGNED], label)
 
 
 def banded_scale(values: Sequence[Array], label: str) -> Scale:
     """Bands of a tenth of the limit, the middle one from −1/10 to +1/10 so that noise about zero stays white.
 
-    The limit is the smallest round number that holds 98 % of all values, 100 at most; arrows stand for the rest.
+    The limit is the smallest round number that holds 98 % of all values, 100 at most.
     """
-    numbers = _finite(values)
-    limit = next((step for step in round_numbers(1, 100) if step >= _reach(numbers)), 100.0)
-    tenths = np.arange(1, 11) * limit / 10
-    bands = colormaps[SIGNED](np.linspace(0.04, 0.96, 19))
-    colours = ListedColormap(bands).with_extremes(under=colormaps[SIGNED](0.0), over=colormaps[SIGNED](1.0))
-    norm = BoundaryNorm(np.concatenate([-tenths[::-1], tenths]), len(bands))
-    ticks = tuple(np.linspace(-limit, limit, 11).tolist())
-    return Scale(norm, colours, f"{label} (ends at ±{limit:g} %)", _extend(numbers, -limit, limit), ticks)
+    limit = next((step for step in round_numbers(1, 100) if step >= _reach(values)), 100.0)
+    ticks = np.linspace(-limit, limit, 11).tolist()
+    return stepped_scale((np.arange(1, 11) * limit / 10).tolist(), f"{label} (ends at ±{limit:g} %)", ticks)
 
 
 def stepped_scale(steps: Sequence[float], label: str, ticks: Sequence[float], colours: str = SIGNED) -> Scale:
     """Bands between ±steps, white within the first; the same whatever is shown."""
     bounds = np.concatenate([np.negative(steps)[::-1], steps])
-    norm = BoundaryNorm(bounds, colormaps[colours].N, extend="both")
-    return Scale(norm, colormaps[colours], label, "both", tuple(ticks))
+    return Scale(BoundaryNorm(bounds, colormaps[colours].N, extend="both"), colormaps[colours], label, ticks)
 
 
 def _finite(values: Sequence[Array]) -> Array:
     return np.concatenate([np.zeros(0), *(part[np.isfinite(part)] for part in values)])
 
 
-def _reach(numbers: Array) -> float:
-    """What 98 % of the numbers do not exceed."""
-    return float(np.percentile(np.abs(numbers), 98)) if numbers.size else 0.0
-
-
-def _extend(numbers: Array, low: float, high: float) -> Extend:
-    below, above = bool(np.any(numbers < low)), bool(np.any(numbers > high))
-    return ("both" if above else "min") if below else ("max" if above else "neither")
+def _reach(values: Sequence[Array]) -> float:
+    """What 98 % of the values do not exceed."""
+    numbers = np.abs(_finite(values))
+    return float(np.percentile(numbers, 98)) if numbers.size else 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,10 +133,10 @@ class MapPainter:
         if tile.values is None:
             axes.annotate("not solved", (0.5, 0.5), xycoords="axes fraction", ha="center", fontsize=SMALL_POINT)
             return
-        if self.panel.cells is not None:
-            self._patches(axes, tile.values)
+        if self.contoured and self.panel.cells is None and min(self.panel.shape) > 1:
+            axes.contourf(*_refined(self.panel, self._cut(tile.values)), **self._bands())
         else:
-            self._grid(axes, tile.values)
+            self._patches(axes, tile.values)
         columns, rows = self.panel.places_mm
         if self.contoured:
             axes.plot(columns.ravel(), rows.ravel(), ".", color="0.35", ms=1, label="cell centre", clip_on=False)
@@ -183,7 +163,7 @@ class MapPainter:
             ScalarMappable(self.scale.norm, self.scale.colours),
             ax=axes,
             location=location,
-            extend=self.scale.extend,
+            extend="both",
             extendfrac=0.04,
             spacing="uniform",
             ticks=None if ticks is None else FixedLocator(ticks),
@@ -206,28 +186,18 @@ class MapPainter:
         axes.tick_params(labelsize=SMALL_POINT)
         axes.locator_params(nbins=5, steps=[1, 2, 5, 10])
 
-    def _grid(self, axes: Axes, values: Array) -> None:
-        """Every crossing has a cell: squares, or contours where there is something between cells both ways."""
-        if self.contoured and min(self.panel.shape) > 1:
-            axes.contourf(*_refined(self.panel, self._cut(values)), **self._bands())
-            return
-        half = self.panel.pitch_mm / 2
-        edges = (np.append(centres - half, centres[-1] + half) for centres in self.panel.centres_mm())
-        look: dict[str, Any] = {"cmap": self.scale.colours.with_extremes(bad=NO_NUMBER), "norm": self.scale.norm}
-        axes.pcolormesh(*edges, np.ma.masked_invalid(values), edgecolor="face", lw=0.2, **look)
-
     def _patches(self, axes: Axes, values: Array) -> None:
-        """Squares at the cells' places on a dark outline; contours over them where cells are neighbours."""
+        """Squares at the cells' places; listed ones on a dark outline, with contours where they are neighbours."""
         places, values = self.panel.places_mm[:, self.panel.present].T, values[self.panel.present]
-        corners, centres = _squares(self.panel, places), places[:, None]
-        outlines = list(centres + 1.3 * (corners - centres))
-        axes.add_collection(PolyCollection(outlines, facecolors="0.25", edgecolors="none", zorder=0.5))
-        look: dict[str, Any] = {"cmap": self.scale.colours.with_extremes(bad="0.85"), "norm": self.scale.norm}
+        corners, centres, listed = _squares(self.panel, places), places[:, None], self.panel.cells is not None
+        outlines = list(centres + 1.3 * (corners - centres)) if listed else []
+        look: dict[str, Any] = {"cmap": self.scale.colours.with_extremes(bad=NO_NUMBER), "norm": self.scale.norm}
         patches = PolyCollection(list(corners), edgecolor="face", lw=0.2, **look)
         patches.set_array(np.ma.masked_invalid(values))
-        axes.add_collection(patches)
+        for collection in (PolyCollection(outlines, facecolors="0.25", edgecolors="none", zorder=0.5), patches):
+            axes.add_collection(collection)
         flat = np.linalg.matrix_rank(places - places.mean(axis=0)) < 2
-        if not self.contoured or flat or not np.isfinite(values).all():
+        if not (self.contoured and listed) or flat or not np.isfinite(values).all():
             return
         mesh = Triangulation(*places.T)
         sides = places[mesh.triangles] - places[np.roll(mesh.triangles, 1, axis=1)]
@@ -235,11 +205,11 @@ class MapPainter:
         far = np.hypot(*sides.T).T.max(axis=1) > 1.5 * self.panel.pitch_mm
         mesh.set_mask(far)
         if not far.all():
-            axes.tricontourf(mesh, self._cut(values), **self._bands() | {"extend": "both"})
+            axes.tricontourf(mesh, self._cut(values), **self._bands())
 
     def _bands(self) -> dict[str, Any]:
         assert isinstance(self.scale.norm, BoundaryNorm)
-        look = {"cmap": self.scale.colours, "norm": self.scale.norm, "extend": self.scale.extend}
+        look = {"cmap": self.scale.colours, "norm": self.scale.norm, "extend": "both"}
         return look | {"levels": self.scale.norm.boundaries}
 
     def _cut(self, values: Array) -> Array:
