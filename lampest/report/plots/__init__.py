@@ -3,7 +3,7 @@
 A package adds plots by naming them in the entry point group `lampest.plots`, a script by handing one to `plot_results`.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from mimetypes import guess_type
@@ -21,7 +21,7 @@ from lampest.report.plots.plot import Plot
 from lampest.report.plots.style import HALF_INCH, PICTURES, SUFFIXES, save, verbatim, write_all
 from lampest.report.strongest import strongest_readings
 from lampest.runs.columns import Column
-from lampest.runs.results import FORMAT, CaseResult, Results, read_results, stored_cases
+from lampest.runs.results import FORMAT, CaseResult, read_results, stored_cases
 
 __all__ = ["PLOTS", "CertaintyPlot", "ContourPlot", "Plot", "PressurePlot", "picture", "plot_of", "plot_results"]
 PLOTS: tuple[Plot, ...] = (ContourPlot(), CertaintyPlot(), PressurePlot(), ResistancePlot())
@@ -49,11 +49,10 @@ def plot_results(
 ) -> list[Path]:
     """Draw every recording of a results file into <kind>_<recording>.png in the folder `out`, else beside the file.
 
-    More than 20 estimators of a recording go on several pictures, <kind>_<recording>_1.png and so on. `out` may name
-    a .png, .svg or .pdf file where there is one picture. columns, frames : as `read_results` takes them. frame : index
-    into the recordings; its pictures are called so. estimators, recordings : those that are drawn, all where none is
-    named. form : png, svg or pdf; by default that of `out`, else png. on_picture : gets how many of how many pictures
-    are drawn. Returns the files that were written.
+    `out` may name a .png, .svg or .pdf file where there is one picture. columns, frames : as `read_results` takes them.
+    frame : index into the recordings; its pictures are called so. estimators, recordings : those that are drawn, all
+    where none is named. form : png, svg or pdf; by default that of `out`, else png. on_picture : gets how many of how
+    many pictures are drawn. Returns the files that were written.
 
     Raises InputError where there is no such plot, frame, recording or estimator, the results cannot be read or hold
     nothing to draw, or the place cannot be written.
@@ -72,7 +71,7 @@ def plot_results(
         results = results.named("recording", recordings).named("estimator", estimators)
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
-    pictures = dict(_pictures(results, plot))
+    pictures = {name: cases for name in results.recordings() if (cases := plot.drawable(results.of(name)))}
     if not pictures:
         raise InputError(f"{path}: {_lacks(plot)}")
     if single is not None and len(pictures) > 1:
@@ -146,15 +145,3 @@ def _check_form(target: Path | None, form: str | None) -> None:
 
 def _lacks(plot: Plot) -> str:
     return f"holds no {plot.kind} to draw" + (f", which needs {', '.join(plot.needs)}" if plot.needs else "")
-
-
-def _pictures(results: Results, plot: Plot) -> Iterator[tuple[str, tuple[CaseResult, ...]]]:
-    """(name, cases) of every picture; more estimators than one picture holds go on several."""
-    most = 20  # estimators on one
-    for recording in results.recordings():
-        cases = plot.drawable(results.of(recording))
-        if len(cases) > most:
-            for page, first in enumerate(range(0, len(cases), most), 1):
-                yield f"{recording}_{page}", cases[first : first + most]
-        elif cases:
-            yield recording, cases
