@@ -195,7 +195,7 @@ class CarriedOver:
         if dense := self._under("dense_"):
             return DenseMemory(**dense)
         sampled = self._under("sampled_")
-        return SampledMemory(sampled["last"], sampled["baseline"], int(sampled["drawn"][0])) if sampled else None
+        return SampledMemory(sampled["last"], sampled["baseline"], int(sampled["frames"][0])) if sampled else None
 
 
 def _of_module(number: int) -> str:

@@ -1,7 +1,8 @@
 """What is known of an estimate beyond its value: standard deviation, 95 % interval, resolution, share of the data."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
-from typing import Protocol, Self
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,33 +10,6 @@ from numpy.typing import NDArray
 from lampest.panel.panel import Array
 from lampest.posterior.interval import TWO_SIDED, one_sided
 from lampest.posterior.linear import LinearModel
-
-
-class Errors(Protocol):
-    """The error of an estimate in log r, over its free cells."""
-
-    @property
-    def model(self) -> LinearModel:
-        """The estimate's surroundings."""
-
-    @property
-    def variance(self) -> Array:
-        """Of log r."""
-
-    @property
-    def shared_variance(self) -> Array:
-        """The part of it that one chance moves together in all cells of a frame."""
-
-    @property
-    def resolution(self) -> Array:
-        """The diagonal of the averaging kernel."""
-
-    @property
-    def data_share(self) -> Array:
-        """The row sums of the averaging kernel."""
-
-    def released(self, cells: NDArray[np.intp]) -> Array:
-        """Variance of cells that stand at a bound, if each alone were free."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,27 +43,36 @@ class Certainty(LogInterval):
         return np.asarray(np.sqrt(np.maximum(self.deviation**2 - self.common**2, 0.0)))
 
     @classmethod
-    def of(cls, errors: Errors) -> "Certainty":
-        """Two-sided for free cells, one-sided at active bounds; below a lower bound as far as its reading's noise."""
-        model = errors.model
+    def of(
+        cls,
+        model: LinearModel,
+        variance: Array,
+        shared: Array,
+        shares: tuple[Array, Array],
+        released: Callable[[NDArray[np.intp]], Array],
+    ) -> "Certainty":
+        """Two-sided for free cells, one-sided at active bounds; below a lower bound as far as its reading's noise.
+
+        variance, shared : of log r of the free cells, and the part of it that one chance moves together in a frame.
+        shares : diagonal and row sums of the averaging kernel. released : variance of cells (numbers) that stand at a
+        bound, if each alone were free.
+        """
         at, free = model.at, model.free
-        size = at.cell_resistance.size
-        deviation, below, above, resolution, data_share, common = np.zeros((6, size))
-        deviation[free], common[free] = np.sqrt(errors.variance), np.sqrt(errors.shared_variance)
+        deviation, below, above, resolution, data_share, common = np.zeros((6, at.cell_resistance.size))
+        deviation[free], common[free] = np.sqrt(variance), np.sqrt(shared)
         below[free] = above[free] = TWO_SIDED * deviation[free]
-        resolution[free], data_share[free] = errors.resolution, errors.data_share
+        resolution[free], data_share[free] = shares
         noise = TWO_SIDED * np.minimum(at.data.sigma / at.data.measured, 0.5).ravel()
         pressed = np.flatnonzero(model.at_lower | model.at_upper)
         if len(pressed):
             slope = np.abs(model.gradient[pressed]) / (2 * model.scale)
-            deviation[pressed], reach = one_sided(slope, errors.released(pressed))
+            deviation[pressed], reach = one_sided(slope, released(pressed))
             low = model.at_lower[pressed]
             above[pressed] = np.where(low, reach, np.inf)
             below[pressed] = np.where(low, noise[pressed], reach)
         lower, upper = (bound.ravel() for bound in at.data.log_bounds)
         position = np.log(at.cell_resistance).ravel()
-        beyond = (position + above >= upper) & ~model.at_lower & (lower < upper)
-        above[beyond] = np.inf
+        above[(position + above >= upper) & ~model.at_lower & (lower < upper)] = np.inf
         deviation[model.at_upper] = np.inf
         below[free] = np.minimum(below[free], position[free] - lower[free] + noise[free])
         shape = at.cell_resistance.shape
@@ -99,14 +82,9 @@ class Certainty(LogInterval):
         """With what independent errors of variance 1 do on top, (frames · cells, n); the last `own` not common."""
         squares = (answer**2).reshape(*self.deviation.shape, -1)
         variance, common = squares.sum(axis=-1), squares[..., : squares.shape[-1] - own].sum(axis=-1)
-        reach = TWO_SIDED**2 * variance
-        return replace(
-            self,
-            deviation=np.sqrt(self.deviation**2 + variance),
-            common=np.sqrt(self.common**2 + common),
-            below=np.sqrt(self.below**2 + reach),
-            above=np.sqrt(self.above**2 + reach),
-        )
+        found = self.reaching_farther(TWO_SIDED**2 * variance, TWO_SIDED**2 * variance)
+        deviation, common = np.sqrt(self.deviation**2 + variance), np.sqrt(self.common**2 + common)
+        return replace(found, deviation=deviation, common=common)
 
     def reaching(self, cells: NDArray[np.intp], below: Array, above: Array) -> "Certainty":
         """With intervals of single cells (numbers) that reach at least so far."""

@@ -56,13 +56,13 @@ class Chain:
         return self._solved(self.border)
 
     @cached_property
+    def _border_precision(self) -> Array:
+        return np.asarray(self.corner - np.einsum("tci,tcj->ij", self.border, self._follow, optimize=True))
+
+    @cached_property
     def border_covariance(self) -> Array:
         """(n, n) of the border in H⁻¹."""
         return positive_inverse(self._border_precision)
-
-    @cached_property
-    def _border_precision(self) -> Array:
-        return np.asarray(self.corner - np.einsum("tci,tcj->ij", self.border, self._follow, optimize=True))
 
     def doubting(self, share: float, prior: Array) -> "Chain":
         """The same where only a share of what frames tell of the border is believed; prior : (n), its own precision."""
@@ -70,12 +70,7 @@ class Chain:
         return replace(self, corner=self.corner - (1 - share) * learned)
 
     def solve(self, right: Array, border: Array) -> tuple[Array, Array]:
-        """H⁻¹ x of (frames, cells) and (n)."""
-        frames, moved = self.solve_columns(right[:, :, None], border[:, None])
-        return frames[:, :, 0], moved[:, 0]
-
-    def solve_columns(self, right: Array, border: Array) -> tuple[Array, Array]:
-        """The same of (frames, cells, m) and (n, m)."""
+        """H⁻¹ x of (frames, cells, m) and (n, m)."""
         alone = self._solved(right)
         moved = self.border_covariance @ (border - np.einsum("tci,tcm->im", self.border, alone, optimize=True))
         return alone - self._follow @ moved, moved

@@ -13,10 +13,11 @@ of ω x̂²/s², and of Σ ω x̂²/(s² γ) over its term, of whose residuals d
 curvature.
 """
 
-from dataclasses import dataclass
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from itertools import product
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +27,7 @@ from scipy.linalg import blas, lapack
 from lampest.cost.cost import Cost
 from lampest.cost.problem import residuals
 from lampest.panel.panel import Array
+from lampest.posterior.certainty import Certainty
 from lampest.posterior.interval import one_sided
 from lampest.posterior.linear import IGNORANCE, LinearModel, least_widening
 from lampest.solvers.hessian import block_diagonal
@@ -34,35 +36,55 @@ MOST_RANKED = 2048  # cells: beyond, a rank takes seconds, and that of penalties
 
 
 @dataclass(frozen=True, eq=False)
-class DenseMemory:
-    """Covariances of log r, (cells, cells): of the last estimate, of that with the baseline's, and of the latter."""
+class Memory(ABC):
+    """What the next frame must know of the errors of the last estimate and of the baseline."""
 
     last: Array
-    with_baseline: Array
     baseline: Array
 
-    def resting(self) -> "DenseMemory":
+    @abstractmethod
+    def resting(self) -> Self:
         """The same, with the last estimate as the baseline."""
-        return DenseMemory(self.last, self.last, self.last)
+
+    @abstractmethod
+    def shared(self) -> Array:
+        """Covariance of the two, cell by cell."""
+
+    @abstractmethod
+    def variance(self) -> Array:
+        """Of the last estimate, (cells)."""
+
+
+@dataclass(frozen=True, eq=False)
+class DenseMemory(Memory):
+    """Covariances of log r, (cells, cells): of the last estimate, of the baseline, and of both."""
+
+    with_baseline: Array
+
+    def resting(self) -> Self:
+        return replace(self, baseline=self.last, with_baseline=self.last)
+
+    def shared(self) -> Array:
+        return np.asarray(np.diag(self.with_baseline))
+
+    def variance(self) -> Array:
+        return np.asarray(np.diag(self.last))
 
     def both(self) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
         """In blocks: last estimate, baseline."""
         return (self.last, self.with_baseline), (self.with_baseline.T, self.baseline)
-
-    def shared(self) -> Array:
-        """The diagonal of the middle one."""
-        return np.asarray(np.diag(self.with_baseline))
 
 
 @dataclass(frozen=True, eq=False)
 class DenseErrors:
     """model : the estimate's surroundings. before : what is known of the previous frame's error, if it is read.
 
-    drawn : (data rows, n) what one chance moves together in the frames that are solved; None: each reading alone errs.
+    drawn : V (data rows, n), what one chance moves together in the frames that are solved; None: each reading alone
+    errs.
     """
 
     model: LinearModel
-    before: DenseMemory | None = None
+    before: Any = None
     drawn: Array | None = None
 
     @cached_property
@@ -75,6 +97,22 @@ class DenseErrors:
     def jacobian(self) -> Array:
         """J (data rows, free)."""
         return np.asarray(self._of_free(self.sensitivity))
+
+    def forward(self, change: Array) -> Array:
+        """J p of changes (cells, n)."""
+        return np.asarray(self.sensitivity @ change)
+
+    def weighed(self, rows: Array) -> Array:
+        """Jᵀ Ω x of rows of the data (rows, n), (cells, n)."""
+        return np.asarray(self.sensitivity.T @ (self.model.data_curvature[:, None] * rows))
+
+    def solved(self, right: Array) -> Array:
+        """A⁻¹ x of (free, n)."""
+        return np.asarray(self.inverse @ right)
+
+    def gained(self, rows: Array, fine: bool = False) -> Array:
+        """K x of rows of the data; fine : of what is reported itself."""
+        return np.asarray(self._gain @ rows)
 
     @cached_property
     def _sparse_penalties(self) -> sparse.csc_array:
@@ -121,20 +159,12 @@ class DenseErrors:
         rows = sparse.csr_array(self._of_free(self.model.penalty_jacobian))[beyond]
         return np.asarray((rows @ self.inverse).T * self.model.steady_pull[beyond])
 
-    @cached_property
-    def _pulled(self) -> Array:
-        """s² (C − B)."""
-        model = self.model
-        squares, widened = model.penalty_squares, least_widening(model)
-        for number, expected in self._determined.items():
-            own = model.penalty_term == number
-            widened[own] = np.maximum(widened[own], squares[own].sum() / max(expected, 1.0))
-        known = None if self.before is None else np.diag(self.before.last)
-        return model.scale * (widened - model.known_share(known))
+    def determined(self, term: int) -> float:
+        """γ_t = tr(B⁺ B_t) − tr(A⁻¹ B_t), B_t = Z_tᵀ Ω Z_t, B their sum; B⁺ B_t has B_t's rank where that is alone."""
+        return self._determined[term]
 
     @cached_property
     def _determined(self) -> dict[int, float]:
-        """γ_t = tr(B⁺ B_t) − tr(A⁻¹ B_t), B_t = Z_tᵀ Ω Z_t, B their sum; B⁺ B_t has B_t's rank where that is alone."""
         model, rows = self.model, self._penalties
         used = np.einsum("ij,ji->i", rows, self._pulls)
         numbers = [int(number) for number in np.unique(model.penalty_term)]
@@ -152,21 +182,22 @@ class DenseErrors:
         return [(which, np.asarray(-self._pulls @ (rows.toarray() * size))) for which, rows in known if rows.nnz]
 
     @cached_property
-    def _moved(self) -> Array:
-        """K V (free, n)."""
-        return np.zeros((len(self.inverse), 0)) if self.drawn is None else np.asarray(self._gain @ self.drawn)
-
-    @property
-    def shared_variance(self) -> Array:
-        """The diagonal of K V Vᵀ Kᵀ."""
-        return np.asarray(np.sum(self._moved**2, axis=1))
+    def _parts(self) -> list[tuple[Array, Array]]:
+        """(rows, variances) of which S is the sum over rows · variances · rowsᵀ, without the previous frame's."""
+        model = self.model
+        moved = np.zeros((len(self.inverse), 0)) if self.drawn is None else self._gain @ self.drawn
+        return [
+            (self._gain, model.noise**2),
+            (self._pulls, model.scale * self.widening),
+            (self._held, np.ones(self._held.shape[1])),
+            (moved, np.ones(moved.shape[1])),
+            (self.inverse, model.scale**2 * model.ignorance),
+        ]
 
     @cached_property
     def variance(self) -> Array:
         """The diagonal of S over the free cells."""
-        variance = self._gain**2 @ self.model.noise**2 + self._pulls**2 @ self._pulled
-        variance += np.sum(self._held**2, axis=1) + self.shared_variance
-        variance += self.model.scale**2 * self.inverse**2 @ self.model.ignorance
+        variance = sum(rows**2 @ size for rows, size in self._parts)
         if self.before is not None:
             for (one, first), (other, second) in product(self._carried, repeat=2):
                 variance += np.sum((first @ self.before.both()[one][other]) * second, axis=1)
@@ -175,10 +206,7 @@ class DenseErrors:
     @cached_property
     def covariance(self) -> Array:
         """S over all cells (frames · cells)²; zero for those that are not free."""
-        covariance = (self._gain * self.model.noise**2) @ self._gain.T + (self._pulls * self._pulled) @ self._pulls.T
-        covariance += self._moved @ self._moved.T
-        covariance += self._held @ self._held.T
-        covariance += self.model.scale**2 * (self.inverse * self.model.ignorance) @ self.inverse
+        covariance = sum((rows * size) @ rows.T for rows, size in self._parts)
         if self.before is not None:
             for (one, first), (other, second) in product(self._carried, repeat=2):
                 covariance += first @ self.before.both()[one][other] @ second.T
@@ -186,43 +214,74 @@ class DenseErrors:
         whole[np.ix_(self.model.free, self.model.free)] = covariance
         return whole
 
-    def memory(self) -> DenseMemory:
+    def memory(self) -> Memory:
         """What the next frame must know of the last one here; of two frames the first is the baseline."""
         size = self.model.at.cell_resistance[0].size
         if len(self.model.at.cell_resistance) == 2:
             whole = self.covariance
-            return DenseMemory(whole[size:, size:], whole[size:, :size], whole[:size, :size])
+            return DenseMemory(whole[size:, size:], whole[:size, :size], whole[size:, :size])
         with_baseline, baseline = np.zeros((2, size, size))
         if self.before is not None:
             baseline = self.before.baseline
             for which, carried in self._carried:
                 with_baseline[self.model.free] += carried @ self.before.both()[which][1]
-        return DenseMemory(self.covariance, with_baseline, baseline)
-
-    def answer(self, rows: Array, last: Array, baseline: Array) -> Array:
-        """What errors of the data (rows, n), the same as those that earlier estimates have (cells, n), do to log r."""
-        answer = self._gain @ rows
-        for which, carried in self._carried:
-            answer = answer + carried @ (last, baseline)[which]
-        return np.asarray(answer)
+        return DenseMemory(self.covariance, baseline, with_baseline)
 
     @cached_property
     def resolution(self) -> Array:
-        """The diagonal of the averaging kernel K·J."""
+        """The diagonal of the averaging kernel."""
         return np.asarray(np.einsum("ij,ji->i", self._gain, self.jacobian))
+
+    @cached_property
+    def certainty(self) -> Certainty:
+        """Without errors that all frames share."""
+        shares = self.resolution, self.data_share
+        return Certainty.of(self.model, self.variance, self.shared_variance, shares, self.released)
+
+    @cached_property
+    def widening(self) -> Array:
+        """C − B of the penalty rows."""
+        model = self.model
+        squares, widened = model.penalty_squares, least_widening(model)
+        for number in np.unique(model.penalty_term):
+            own = model.penalty_term == number
+            widened[own] = np.maximum(widened[own], squares[own].sum() / max(self.determined(int(number)), 1.0))
+        return np.asarray(widened - model.known_share(None if self.before is None else self.before.variance()))
+
+    @property
+    def shared_variance(self) -> Array:
+        """The part of the variance that one chance moves together in a frame."""
+        if self.drawn is None:
+            return np.zeros(len(self.model.free))
+        nothing = np.zeros((self.model.at.cell_resistance[0].size, self.drawn.shape[1]))
+        return np.asarray(np.minimum(np.sum(self.answer(self.drawn, nothing, nothing) ** 2, axis=1), self.variance))
+
+    def answer(self, rows: Array, last: Array, baseline: Array) -> Array:
+        """What errors of the data (rows, n), the same as those that earlier estimates have (cells, n), do to log r."""
+        model = self.model
+        known = model.previous_jacobian @ last + model.baseline_jacobian @ baseline
+        if not known.any():
+            return self.gained(rows)
+        back = model.penalty_jacobian.T @ (model.penalty_curvature[:, None] * known)
+        return self.gained(rows) - self.solved(back[model.free])
 
     @cached_property
     def data_share(self) -> Array:
         """The row sums of the averaging kernel."""
-        return np.asarray(self._gain @ self.jacobian.sum(axis=1))
+        everywhere = np.zeros((self.model.at.cell_resistance.size, 1))
+        everywhere[self.model.free] = 1.0
+        return self.gained(self.forward(everywhere), fine=True)[:, 0]
 
     def released(self, cells: NDArray[np.intp]) -> Array:
         """Variance of cells (numbers) that stand at a bound if each alone were free among the free ones."""
-        both = _rows(self)
-        own, free = both[:, cells], self._of_free(both)
-        across = free.T @ own
-        left = np.sum(own**2, axis=0) - np.sum(across * (self.inverse @ across), axis=0)
-        return np.asarray(self.model.scale / np.maximum(left, IGNORANCE * self.model.scale))
+        model, own = self.model, (cells, np.arange(len(cells)))
+        unit = np.zeros((model.at.cell_resistance.size, len(cells)))
+        unit[own] = 1.0
+        penalised = model.penalty_curvature[:, None] * (model.penalty_jacobian @ unit)
+        image = self.weighed(self.forward(unit)) + model.penalty_jacobian.T @ penalised
+        across = image[model.free]
+        left = image[own] - np.sum(across * self.solved(across), axis=0)
+        return np.asarray(model.scale / np.maximum(left, IGNORANCE * model.scale))
 
 
 @dataclass(frozen=True, eq=False)
@@ -250,8 +309,10 @@ class ActiveBounds:
         free, cells = model.free, np.flatnonzero(model.at_lower | model.at_upper)
         typical = np.exp(np.log(model.at.cell_resistance).ravel()[free].mean()) if len(free) else 1.0
         stretch = np.where(model.at_upper, np.maximum(model.at.cell_resistance.ravel() / typical, 1.0), 1.0)
-        stacked, moved = _stacked(errors, rows, last, baseline)
-        stacked = stacked * stretch
+        data, penalties = np.sqrt(model.data_curvature)[:, None], np.sqrt(model.penalty_curvature)[:, None]
+        stacked = np.vstack([errors.sensitivity * data, model.penalty_jacobian.toarray() * penalties]) * stretch
+        carried = model.previous_jacobian @ last + model.baseline_jacobian @ baseline
+        moved = np.vstack([rows * data, -carried * penalties])  # √Ω of what z moves of data and penalties
         own, others = stacked[:, cells], stacked[:, free]
         across = errors.inverse @ (others.T @ own)
         left = np.maximum(np.sum(own**2, axis=0) - np.sum((others.T @ own) * across, axis=0), IGNORANCE * model.scale)
@@ -268,21 +329,6 @@ class ActiveBounds:
         reach = one_sided(slope * variance / wide, wide)[1]
         below = np.where(model.at_upper[cells], np.log1p(stretch[cells] * reach), 0.0)
         return cls(cells, below, np.where(model.at_upper[cells], np.inf, reach), joint[: len(free)])
-
-
-def _stacked(errors: DenseErrors, rows: Array, last: Array, baseline: Array) -> tuple[Array, Array]:
-    """(√Ω [J; Z] (rows, cells), √Ω of what z moves of them (rows, n)): data above penalties."""
-    model = errors.model
-    data, penalties = np.sqrt(model.data_curvature)[:, None], np.sqrt(model.penalty_curvature)[:, None]
-    carried = model.previous_jacobian @ last + model.baseline_jacobian @ baseline
-    return _rows(errors), np.vstack([rows * data, -carried * penalties])
-
-
-def _rows(errors: DenseErrors) -> Array:
-    """√Ω [J; Z] (rows, cells)."""
-    model = errors.model
-    data, penalties = np.sqrt(model.data_curvature)[:, None], np.sqrt(model.penalty_curvature)[:, None]
-    return np.vstack([errors.sensitivity * data, model.penalty_jacobian.toarray() * penalties])
 
 
 def positive_inverse(matrix: Array) -> Array:

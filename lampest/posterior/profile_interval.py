@@ -27,6 +27,8 @@ LONGEST = 0.5  # of log r, that of one step
 FARTHEST = 3.0  # tangents: a penalty in ohm rises slowly towards a short
 MOST_STEPS = 20  # which reach a factor of 20,000: where nothing decides the cell, its tangent has no end
 
+Ends = Iterator[tuple[Array, Array, Array]]  # (tangent, lower end, upper end), each (frames · cells) of log r
+
 
 @dataclass(frozen=True, eq=False)
 class ProfileInterval:
@@ -87,42 +89,33 @@ def beyond_tangents(
     readings : (rows, columns) what the estimate was solved from. missing : which of them. moved : readings → log r
     (rows, columns) that follow, NaN where no solve ends; None: penalties decide.
     """
-    errors, size = errors_of(model, None), readings.value.size
-
-    def last(change: Array) -> Array:
-        return change.ravel()[-size:].reshape(readings.value.shape)
-
+    errors, shape = errors_of(model, None), readings.value.shape
     places = np.argwhere(missing)[:MOST]
-    if moved is None:
-        cells = places @ (readings.value.shape[1], 1) + model.at.cell_resistance.size - size
-        found = _profiled(errors, cells)
-    else:
+    first = model.at.cell_resistance.size - readings.value.size
+    found = _profiled(errors, places @ (shape[1], 1) + first)
+    if moved is not None:
         found = _stood_in(errors, readings, places, moved)
-    straight, below, above = np.zeros((3, *readings.value.shape))
-    for tangent, *ends in found:
-        straight += last(tangent) ** 2
+    straight, below, above = np.zeros((3, *shape))
+    for ends in found:
+        tangent, low, high = (change.ravel()[-readings.value.size :].reshape(shape) for change in ends)
+        straight += tangent**2
         # An end that no solve reached is NaN and leads nowhere.
-        low, high = map(last, ends)
         below += np.fmax(np.fmax(-low, -high), 0.0) ** 2
         above += np.fmax(np.fmax(low, high), 0.0) ** 2
     return np.maximum(below - straight, 0.0), np.maximum(above - straight, 0.0)
 
 
-def _profiled(errors: DenseErrors | SampledErrors, cells: NDArray[np.intp]) -> Iterator[tuple[Array, Array, Array]]:
-    """(tangent, lower end, upper end) of cells that were not read; none that stand at a bound, or of large panels."""
-    if isinstance(errors, DenseErrors):
-        for cell in cells[np.isin(cells, errors.model.free)]:
-            profile = ProfileInterval(errors, int(cell))
-            yield profile.tangent, profile.end(-1), profile.end(1)
+def _profiled(errors: DenseErrors, cells: NDArray[np.intp]) -> Ends:
+    """Of cells that were not read; none that stand at a bound, or of large panels."""
+    for cell in cells[np.isin(cells, errors.model.free)] if not isinstance(errors, SampledErrors) else ():
+        profile = ProfileInterval(errors, int(cell))
+        yield profile.tangent, profile.end(-1), profile.end(1)
 
 
 def _stood_in(
-    errors: DenseErrors | SampledErrors,
-    readings: Readings,
-    places: NDArray[np.intp],
-    moved: Callable[[Readings], Array],
-) -> Iterator[tuple[Array, Array, Array]]:
-    """(tangent, lower end, upper end) with what stands in for readings at the ends of its spread."""
+    errors: DenseErrors, readings: Readings, places: NDArray[np.intp], moved: Callable[[Readings], Array]
+) -> Ends:
+    """With what stands in for readings at the ends of its spread."""
     spread, model = stand_in_spread(readings.value, readings.plain), errors.model
     for row, column in places:
         unit = np.zeros(readings.value.shape)

@@ -4,17 +4,18 @@
 gradients and has the covariance S of `lampest.posterior.dense`. Standard deviations from n samples scatter by 1/√(2n).
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 
 from lampest.panel.panel import Array
 from lampest.panel.trust_region import Linear, steihaug
-from lampest.posterior.dense import rank
-from lampest.posterior.linear import IGNORANCE, LinearModel, least_widening
+from lampest.posterior.dense import DenseErrors, Memory, rank
+from lampest.posterior.linear import IGNORANCE
 from lampest.solvers.hessian import Hessian
 from lampest.solvers.preconditioners import TwoLevel
 from lampest.solvers.smoothing import Smoothing
@@ -24,55 +25,56 @@ ACCURACY, FINE = 1e-3, 1e-7  # of a solve by conjugate gradients: of a sample, a
 
 
 @dataclass(frozen=True, eq=False)
-class SampledMemory:
+class SampledMemory(Memory):
     """Samples of the errors of log r, (samples, cells): of the last estimate, and of the baseline's.
 
-    drawn : how many frames they are made of; every frame's noise must be a new one.
+    frames : how many they are made of; every frame's noise must be a new one.
     """
 
-    last: Array
-    baseline: Array
-    drawn: int = 1
+    frames: int = 1
 
-    def resting(self) -> "SampledMemory":
-        """The same, with the last estimate as the baseline."""
+    def resting(self) -> Self:
         return replace(self, baseline=self.last)
 
     def shared(self) -> Array:
-        """Their covariance, cell by cell."""
         return np.asarray(np.mean(self.last * self.baseline, axis=0))
+
+    def variance(self) -> Array:
+        return np.asarray(np.mean(self.last**2, axis=0))
 
 
 @dataclass(frozen=True, eq=False)
-class SampledErrors:
-    """model : the estimate's surroundings. before : samples of the previous frame's error, if it is read.
-
-    drawn : (data rows, n) what one chance moves together in the frames that are solved, or None.
-    """
-
-    model: LinearModel
-    before: SampledMemory | None = None
-    drawn: Array | None = None
+class SampledErrors(DenseErrors):
+    """before : samples of the previous frame's error, if it is read."""
 
     @cached_property
     def _curvature(self) -> Hessian:
         return Hessian(self.model.at, Smoothing.start(self.model.at))
 
     @cached_property
-    def _penalties(self) -> sparse.csr_array:
+    def _rows(self) -> sparse.csr_array:
         """√Ω Z, all cells."""
         return sparse.csr_array(sparse.diags_array(np.sqrt(self.model.penalty_curvature)) @ self.model.penalty_jacobian)
+
+    def _adjoint(self, rows: Array) -> Array:
+        weights = np.asarray(self.model.through.T @ (self.model.data_curvature * rows))
+        return self._curvature.adjoint(weights.reshape(self.model.at.cell_resistance.shape))
 
     def _forward(self, change: Array) -> Array:
         return np.asarray(self.model.through @ self._curvature.forward(change).ravel())
 
-    def _adjoint(self, rows: Array) -> Array:
-        weights = np.asarray(self.model.through.T @ rows).reshape(self.model.at.cell_resistance.shape)
-        return self._curvature.adjoint(weights)
+    def forward(self, change: Array) -> Array:
+        return _by_columns(self._forward, change, len(self.model.noise))
 
-    def _data(self, change: Array) -> Array:
-        """Jᵀ Ω J p."""
-        return self._adjoint(self.model.data_curvature * self._forward(change))
+    def weighed(self, rows: Array) -> Array:
+        return _by_columns(self._adjoint, rows, self.model.at.cell_resistance.size)
+
+    def solved(self, right: Array) -> Array:
+        return _by_columns(self._solved, right, len(right))
+
+    def gained(self, rows: Array, fine: bool = False) -> Array:
+        right = self.weighed(rows)[self.model.free]
+        return _by_columns(lambda column: self._solved(column, FINE if fine else ACCURACY), right, len(right))
 
     @cached_property
     def _system(self) -> tuple[Linear, Linear]:
@@ -81,7 +83,7 @@ class SampledErrors:
 
         def product(search: Array) -> Array:
             whole[free] = search
-            image = self._data(whole) + self._penalties.T @ (self._penalties @ whole)
+            image = self._adjoint(self._forward(whole)) + self._rows.T @ (self._rows @ whole)
             return np.asarray(image[free] + model.scale * model.ignorance * search)
 
         ridge, chosen = np.full(len(whole), IGNORANCE * model.scale), np.isin(np.arange(len(whole)), free)
@@ -90,38 +92,30 @@ class SampledErrors:
     def _solved(self, right: Array, accuracy: float = ACCURACY) -> Array:
         return -steihaug(*self._system, right, accuracy).step
 
-    @cached_property
-    def _widened(self) -> Array:
-        """C − B, as in the closed form, with γ from probes."""
-        model = self.model
-        squares, widened = model.penalty_squares, least_widening(model)
-        terms = np.unique(model.penalty_term)
-        for number in terms:
-            own = model.penalty_term == number
-            alone = min(rank(model.at.cost.unweighted), len(model.free)) / len(terms)
-            widened[own] = np.maximum(widened[own], squares[own].sum() / max(alone - self.used(int(number)), 1.0))
-        known = None if self.before is None else np.mean(self.before.last**2, axis=0)
-        return np.asarray(widened - model.known_share(known))
+    def determined(self, term: int) -> float:
+        """γ from probes, the rank of all penalties in equal parts."""
+        every = min(rank(self.model.at.cost.unweighted), len(self.model.free))
+        return every / len(np.unique(self.model.penalty_term)) - self.used(term)
 
     def used(self, term: int) -> float:
         """tr(A⁻¹ Z_tᵀ Ω Z_t) of one term (its number), from probes."""
         random, own = np.random.default_rng(1), self.model.penalty_term == term
-        rows, total = self._penalties[own], 0.0
+        rows, total = self._rows[own], 0.0
         for _ in range(PROBES):
             right = (rows.T @ random.choice([-1.0, 1.0], int(own.sum())))[self.model.free]
             total += float(right @ self._solved(right))
         return total / PROBES
 
     @property
-    def _drawn_before(self) -> int:
-        return 0 if self.before is None else self.before.drawn
+    def _frames(self) -> int:
+        return 0 if self.before is None else self.before.frames
 
     @cached_property
-    def _drawn(self) -> tuple[Array, Array]:
+    def _samples(self) -> tuple[Array, Array]:
         """(samples of ε, the diagonal of A⁻¹ Zᵀ Ω Z), over the free cells."""
-        model, random = self.model, np.random.default_rng(self._drawn_before)
+        model, random = self.model, np.random.default_rng(self._frames)
         pulled, samples = np.zeros(len(model.free)), np.empty((SAMPLES, len(model.free)))
-        size = np.sqrt(self._widened * model.scale)
+        size = np.sqrt(self.widening * model.scale)
         curvature = sparse.diags_array(model.penalty_curvature)
         previous, baseline = curvature @ model.previous_jacobian, curvature @ model.baseline_jacobian
         for number in range(SAMPLES):
@@ -129,68 +123,34 @@ class SampledErrors:
             pull = random.standard_normal(len(size))
             if self.drawn is not None:
                 noise = noise + self.drawn @ random.standard_normal(self.drawn.shape[1])
-            right = self._adjoint(model.data_curvature * noise) + self._penalties.T @ (size * pull)
+            right = self._adjoint(noise) + self._rows.T @ (size * pull)
             right += model.penalty_jacobian.T @ (model.steady_pull * pull)
             if self.before is not None:
                 known = previous @ self.before.last[number] + baseline @ self.before.baseline[number]
                 right -= model.penalty_jacobian.T @ known
             samples[number] = self._solved(right[model.free])
-            pulled += samples[number] * (self._penalties.T @ (pull / size))[model.free] / SAMPLES
+            pulled += samples[number] * (self._rows.T @ (pull / size))[model.free] / SAMPLES
         return samples, pulled
 
     @property
-    def shared_variance(self) -> Array:
-        """What V moves, as `DenseErrors.shared_variance`; no more than all."""
-        if self.drawn is None:
-            return np.zeros(len(self.model.free))
-        nothing = np.zeros((self.model.at.cell_resistance[0].size, self.drawn.shape[1]))
-        return np.asarray(np.minimum(np.sum(self.answer(self.drawn, nothing, nothing) ** 2, axis=1), self.variance))
-
-    @property
     def variance(self) -> Array:
-        """The diagonal of S over the free cells."""
-        return np.asarray(np.mean(self._drawn[0] ** 2, axis=0))
-
-    def answer(self, rows: Array, last: Array, baseline: Array) -> Array:
-        """What errors of the data (rows, n), the same as those that earlier estimates have (cells, n), do to log r."""
-        model, answers = self.model, np.empty((len(self.model.free), rows.shape[1]))
-        known = model.previous_jacobian @ last + model.baseline_jacobian @ baseline
-        back = model.penalty_jacobian.T @ (model.penalty_curvature[:, None] * known)
-        for number in range(rows.shape[1]):
-            right = self._adjoint(model.data_curvature * rows[:, number]) - back[:, number]
-            answers[:, number] = self._solved(right[model.free])
-        return answers
+        return np.asarray(np.mean(self._samples[0] ** 2, axis=0))
 
     @property
     def resolution(self) -> Array:
         """The diagonal of the averaging kernel, held within 0 and 1 against the scatter of the samples."""
-        return np.clip(1 - self._drawn[1], 0, 1)
+        return np.clip(1 - self._samples[1], 0, 1)
 
-    @cached_property
-    def data_share(self) -> Array:
-        """The row sums of the averaging kernel."""
-        everywhere = np.zeros(self.model.at.cell_resistance.size)
-        everywhere[self.model.free] = 1.0
-        return self._solved(self._data(everywhere)[self.model.free], FINE)
-
-    def released(self, cells: NDArray[np.intp]) -> Array:
-        """Variance of cells (numbers) that stand at a bound if each alone were free among the free ones."""
-        variance = np.empty(len(cells))
-        for place, cell in enumerate(cells):
-            unit = np.zeros(self.model.at.cell_resistance.size)
-            unit[cell] = 1.0
-            image = self._data(unit) + self._penalties.T @ (self._penalties @ unit)
-            across = image[self.model.free]
-            left = image[cell] - across @ self._solved(across)
-            variance[place] = self.model.scale / max(left, IGNORANCE * self.model.scale)
-        return variance
-
-    def memory(self) -> SampledMemory:
-        """What the next frame must know of the last one here; of two frames the first is the baseline."""
+    def memory(self) -> Memory:
         size = self.model.at.cell_resistance[0].size
         samples = np.zeros((SAMPLES, self.model.at.cell_resistance.size))
-        samples[:, self.model.free] = self._drawn[0]
+        samples[:, self.model.free] = self._samples[0]
         if len(self.model.at.cell_resistance) == 2:
             return SampledMemory(samples[:, size:], samples[:, :size])
         baseline = np.zeros_like(samples) if self.before is None else self.before.baseline
-        return SampledMemory(samples, baseline, self._drawn_before + 1)
+        return SampledMemory(samples, baseline, self._frames + 1)
+
+
+def _by_columns(function: Callable[[Array], Array], columns: Array, size: int) -> Array:
+    """(size, n) of one column after the other."""
+    return np.stack([function(column) for column in columns.T], axis=1) if columns.size else np.zeros((size, 0))

@@ -7,7 +7,7 @@ import numpy as np
 from lampest.panel.panel import Array
 from lampest.panel.systematic import Shared
 from lampest.posterior.certainty import Certainty, LogInterval
-from lampest.posterior.dense import ActiveBounds, DenseErrors, DenseMemory
+from lampest.posterior.dense import ActiveBounds, DenseErrors, Memory
 from lampest.posterior.frame_noise import FrameNoise
 from lampest.posterior.interval import TWO_SIDED
 from lampest.posterior.linear import LinearModel
@@ -46,7 +46,7 @@ class Bars:
 
     def reaching_farther(self, below: Array, above: Array) -> "Bars":
         """As `Certainty.reaching_farther`."""
-        change = None if self.change is None else self.change.reaching_farther(below, above)
+        change = self.change and self.change.reaching_farther(below, above)
         return Bars(self.frame.reaching_farther(below, above), change)
 
 
@@ -63,66 +63,54 @@ class Track:
     shared: Shared | None = None
     baseline: Certainty | None = None
     deviation: Array | None = None
-    memory: DenseMemory | SampledMemory | None = None
+    memory: Memory | None = None
     answers: tuple[Array, Array] | None = None
     noise: FrameNoise | None = None
     beyond: tuple[Array, Array] | None = None
 
     def resting(self, model: LinearModel, remembered: bool) -> "Track":
         """After a baseline alone; remembered : whether later frames look back at it. Raises LinAlgError if flat."""
-        errors = errors_of(self._blurred(model), None, self._drawn(model, baseline=True))
-        own = Certainty.of(errors)
-        answer, certainty = self._answered(errors, own)
-        return Track(
-            self.shared,
-            certainty.of_frame(0),
-            own.deviation[0],
-            errors.memory().resting() if remembered else None,
-            (answer, answer),
-            self.noise,
-        )
+        errors = self._errors(model, None, baseline=True)
+        answer, certainty = self._answered(errors)
+        memory, deviation = errors.memory().resting() if remembered else None, errors.certainty.deviation[0]
+        return Track(self.shared, certainty.of_frame(0), deviation, memory, (answer, answer), self.noise)
 
     def advanced(self, model: LinearModel) -> tuple["Track", Bars]:
         """After a frame, or after the baseline and the first frame together. Raises as `resting`."""
+        joint, size = len(model.at.cell_resistance) == 2, model.at.cell_resistance[0].size
+        errors = self._errors(model, self.memory, baseline=joint)
+        answer, certainty = self._answered(errors)
         relative = any(term.needs_previous for term in model.at.cost.terms)
-        joint = len(model.at.cell_resistance) == 2
-        errors = errors_of(self._blurred(model), self.memory, self._drawn(model, baseline=joint))
-        own = Certainty.of(errors)
-        answer, certainty = self._answered(errors, own)
-        memory, size = errors.memory() if relative else None, model.at.cell_resistance[0].size
+        memory = errors.memory() if relative else None
         resting = answer[:size] if joint or self.answers is None else self.answers[1]
-        baseline = certainty.of_frame(0) if joint else self.baseline
-        answers = answer[-size:], resting
-        track = Track(self.shared, baseline, own.deviation[-1], memory, answers, self.noise, self.beyond)
-        frame = certainty.of_frame(-1)
+        baseline, frame = certainty.of_frame(0) if joint else self.baseline, certainty.of_frame(-1)
+        answers, deviation = (answer[-size:], resting), errors.certainty.deviation[-1]
+        track = replace(self, baseline=baseline, deviation=deviation, memory=memory, answers=answers)
         if baseline is None:
             return track, Bars(frame, None)
         together = np.sum(answer[-size:] * resting, axis=1) + (0.0 if memory is None else memory.shared())
         return track, Bars(frame, Change.between(frame, baseline, together.reshape(frame.deviation.shape)))
 
-    def _blurred(self, model: LinearModel) -> LinearModel:
-        """The model with each reading's own error; not where nothing is penalised, or frames that share it compared."""
-        terms = model.at.cost.terms
-        if self.shared is None or all(term.reads_measurement or term.needs_previous for term in terms):
-            return model
-        return replace(model, own_error=self.shared.own_error(model.at.data.measured))
+    def _errors(self, model: LinearModel, memory: Memory | None, baseline: bool) -> DenseErrors:
+        """With V, and with each reading's own error; baseline : whether the first frame is the unloaded ones' mean."""
+        terms, measured, drawn = model.at.cost.terms, model.at.data.measured, None
+        # Not where nothing is penalised, or frames that share that error are compared.
+        if self.shared is not None and not all(term.reads_measurement or term.needs_previous for term in terms):
+            model = replace(model, own_error=self.shared.own_error(measured))
+        if self.noise is not None:
+            drawn = np.asarray(model.through @ self.noise.columns(measured, baseline))
+        return errors_of(model, memory, drawn)
 
-    def _drawn(self, model: LinearModel, baseline: bool) -> Array | None:
-        """V of the data rows, or None; baseline : whether the first frame is the unloaded ones' mean."""
-        if self.noise is None:
-            return None
-        return np.asarray(model.through @ self.noise.columns(model.at.data.measured, baseline))
-
-    def _answered(self, errors: DenseErrors | SampledErrors, own: Certainty) -> tuple[Array, Certainty]:
+    def _answered(self, errors: DenseErrors) -> tuple[Array, Certainty]:
         """What shared errors do to log r, (frames · cells, n), and what is known with them on top of each reading's."""
-        model = errors.model
+        model, own = errors.model, errors.certainty
         cells = model.at.cell_resistance
         if self.shared is None:
             return np.zeros((cells.size, 0)), own
         columns = self.shared.columns(cells, model.at.data.measured, model.at.networks)
         last, baseline = self.answers or np.zeros((2, cells[0].size, columns.shape[1]))
         answer, rows = np.zeros((cells.size, columns.shape[1])), np.asarray(model.through @ columns)
-        if isinstance(errors, DenseErrors) and (model.at_lower | model.at_upper).any():
+        if not isinstance(errors, SampledErrors) and (model.at_lower | model.at_upper).any():
             active = ActiveBounds.of(errors, rows, last, baseline)
             answer[model.free] = active.answer
             own = own.reaching(active.cells, active.below, active.above)
@@ -131,9 +119,7 @@ class Track:
         return answer, own.widened(answer, self.shared.own(cells[0].size))
 
 
-def errors_of(
-    model: LinearModel, memory: DenseMemory | SampledMemory | None, drawn: Array | None = None
-) -> DenseErrors | SampledErrors:
+def errors_of(model: LinearModel, memory: Memory | None, drawn: Array | None = None) -> DenseErrors:
     """The errors of an estimate, as matrices or from samples; memory : of the frame before, or None; drawn : V."""
     if isinstance(memory, SampledMemory) or model.at.cell_resistance.size > MOST_DENSE:
         return SampledErrors(model, memory if isinstance(memory, SampledMemory) else None, drawn)

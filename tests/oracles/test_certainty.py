@@ -95,7 +95,7 @@ def drawn(terms: tuple[Term, ...], noise: float, draws: int) -> Iterator[tuple[A
         free = np.zeros(cells.size, dtype=bool)
         free[model.free] = True
         error = np.log(found.cell_resistance[0] / cells)
-        yield error, Certainty.of(DenseErrors(model)), free.reshape(cells.shape)
+        yield error, DenseErrors(model).certainty, free.reshape(cells.shape)
 
 
 @pytest.mark.parametrize("weighting", ["plain", "noise"])
@@ -227,7 +227,7 @@ def test_what_nobody_sees_has_no_bounds() -> None:
     problem = estimator.problem(Scene(Panel(*SHAPE)), 1, 1.0, data.partial)
     found = best_solution(problem, data, cells[None])
     assert found.solved
-    certainty = Certainty.of(DenseErrors(model_of(found)))
+    certainty = DenseErrors(model_of(found)).certainty
     assert np.all(certainty.deviation[0, 0] > 1)
     assert np.all(certainty.above[0, 0] > 2)
 

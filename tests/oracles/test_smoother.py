@@ -83,7 +83,7 @@ def test_a_chain_is_the_inverse_of_its_matrix() -> None:
     tied[:size, size:], tied[size:, size:] = border.reshape(size, shared), corner
     tied[size:, :size] = tied[:size, size:].T
     chain, inverse, right = Chain(own, tie, border, corner), np.linalg.inv(tied), rng.standard_normal(size + shared)
-    parts = chain.solve(right[:size].reshape(frames, cells), right[size:])
+    parts = chain.solve(right[:size].reshape(frames, cells, 1), right[size:, None])
     assert_allclose(np.concatenate([part.ravel() for part in parts]), inverse @ right, rtol=1e-10)
     assert_allclose(chain.variance.ravel(), np.diag(inverse)[:size], rtol=1e-10)
     assert_allclose(chain.covariance(2), inverse[6:9, 6:9], rtol=1e-10)

@@ -205,7 +205,7 @@ def test_error_bars_know_the_baselines_error(reads_both: bool) -> None:
     carried = np.array([moved(step) - moved(-step) for step in 1e-3 * np.eye(2 * cells)]).T / 2e-3
     root = 0.1 * rng.standard_normal((2 * cells, 2 * cells))
     joint = root @ root.T
-    memory = DenseMemory(joint[:cells, :cells], joint[:cells, cells:], joint[cells:, cells:])
+    memory = DenseMemory(joint[:cells, :cells], joint[cells:, cells:], joint[:cells, cells:])
     found = best_solution(solver, data, known[:1])
     assert found.at is not None
     model = LinearModel(found.at, np.zeros(0))

@@ -58,8 +58,7 @@ class JointData:
     def bounds(self) -> tuple[Array, Array]:
         """Of u, (frames, cells)."""
         lower, upper = zip(*(data.log_bounds for data in self.data), strict=True)
-        shape = (len(self.data), -1)
-        return np.stack(lower).reshape(shape), np.stack(upper).reshape(shape)
+        return np.stack(lower).reshape(len(self.data), -1), np.stack(upper).reshape(len(self.data), -1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,10 +73,13 @@ class Joint:
     @cached_property
     def at(self) -> tuple[Evaluation, ...]:
         """Every frame's misfit; what is shared is taken off its readings."""
-        offsets = self.frames.shared @ self.shift[: self._sharing]
-        return tuple(
-            _evaluated(*parts) for parts in zip(self.frames.cost, self.frames.data, self.position, offsets, strict=True)
-        )
+        frames, found = self.frames, []
+        offsets = frames.shared @ self.shift[: self._sharing]
+        for cost, data, position, offset in zip(frames.cost, frames.data, self.position, offsets, strict=True):
+            measured = data.measured - offset.reshape(data.measured.shape)
+            shifted = replace(data, given=replace(data.given, measured=measured))
+            found.append(Evaluation.at(cost, shifted, np.exp(position).reshape(measured.shape)))
+        return tuple(found)
 
     @property
     def _sharing(self) -> int:
@@ -91,13 +93,9 @@ class Joint:
     @cached_property
     def value(self) -> float:
         """Φ."""
-        return self.untied + float(np.sum(self.stiffness * self.steps**2))
-
-    @cached_property
-    def untied(self) -> float:
-        """Φ without the last of its parts."""
         misfit = sum(at.objective for at in self.at)
-        return misfit + float(np.sum(self.shift**2 * self.certainty) + IGNORANCE * np.sum(self._strayed**2))
+        stray = misfit + float(np.sum(self.shift**2 * self.certainty) + IGNORANCE * np.sum(self._strayed**2))
+        return stray + float(np.sum(self.stiffness * self.steps**2))
 
     @property
     def _strayed(self) -> Array:
@@ -120,13 +118,6 @@ class Joint:
         pulls = np.pad(self.stiffness * self.steps, ((1, 1), (0, 0)))
         misfit = np.stack([at.log_gradient(NO_DUAL).ravel() / 2 for at in self.at])
         return misfit + pulls[:-1] - pulls[1:] + IGNORANCE * self._strayed
-
-    @cached_property
-    def shift_gradient(self) -> Array:
-        """½ ∂Φ/∂(z, c)."""
-        through = np.stack([at.partials(NO_DUAL)[1].ravel() / 2 for at in self.at])
-        shared = np.einsum("tri,tr->i", self.frames.shared, through)
-        return np.concatenate([shared, -np.sum(self.stiffness * self.steps, axis=1)]) + self.shift * self.certainty
 
     @cached_property
     def pressed(self) -> NDArray[np.bool_]:
@@ -166,40 +157,35 @@ class Joint:
     @cached_property
     def chain(self) -> Chain:
         """Half of Φ's second derivatives, without those of the readings; cells at a bound stay."""
-        free = ~self.pressed
-        border, corner = self._border()
+        free, count, sharing = ~self.pressed, len(self.position), self._sharing
         own = np.stack([rows.T @ rows for rows in self.sensitivities])
         own *= free[:, :, None] & free[:, None, :]
         across = np.arange(own.shape[1])
         own[:, across, across] = np.where(free, own[:, across, across] + self.ties + IGNORANCE, 1.0)
-        return Chain(own, self.stiffness * (free[1:] & free[:-1]), border * free[:, :, None], corner)
-
-    def _border(self) -> tuple[Array, Array]:
-        """What the border has in common with every frame (frames, cells, n), and its own part (n, n)."""
-        count, sharing = len(self.position), self._sharing
         border, corner = np.zeros((*self.position.shape, len(self.shift))), np.diag(self.certainty)
-        parts = zip(self.models, self._sizes, self.sensitivities, self.frames.shared, strict=True)
-        for frame, (model, size, rows, shared) in enumerate(parts):
-            columns = np.asarray(model.through @ shared) * size[:, None]
-            border[frame, :, :sharing] = rows.T @ columns
-            corner[:sharing, :sharing] += columns.T @ columns
+        border[:, :, :sharing], corner[:sharing, :sharing] = self._bordered(self.frames.shared)
+        corner[:sharing, :sharing] += np.eye(sharing)
         step = np.arange(count - 1)
         border[step, :, sharing + step] = self.stiffness
         border[step + 1, :, sharing + step] = -self.stiffness
         corner[sharing + step, sharing + step] += self.stiffness.sum(axis=1)
-        return border, corner
+        return Chain(own, self.stiffness * (free[1:] & free[:-1]), border * free[:, :, None], corner)
+
+    def _bordered(self, columns: Array) -> tuple[Array, Array]:
+        """What errors of readings (frames, readings, n) have in common with u, (frames, cells, n), and with z."""
+        parts = zip(self.models, self._sizes, self.sensitivities, self.frames.shared, columns, strict=True)
+        border, corner = [], []
+        for model, size, rows, known, own in parts:
+            moved = np.asarray(model.through @ own) * size[:, None]
+            border.append(rows.T @ moved)
+            corner.append((np.asarray(model.through @ known) * size[:, None]).T @ moved)
+        return np.stack(border), np.sum(corner, axis=0)
 
     def answer(self, columns: Array) -> Array:
         """What errors of readings (frames, readings, n) that Φ knows nothing of do to u, (frames, cells, n)."""
-        parts = zip(self.models, self._sizes, self.sensitivities, self.frames.shared, columns, strict=True)
-        right, border = [], []
-        for model, size, rows, known, own in parts:
-            weighted = model.through * size[:, None]
-            right.append(rows.T @ (weighted @ own))
-            border.append((weighted @ known).T @ (weighted @ own))
+        right, corner = self._bordered(columns)
         steps = np.zeros((len(self.stiffness), columns.shape[2]))
-        moved = np.stack(right) * ~self.pressed[:, :, None]
-        return self.chain.solve_columns(moved, np.concatenate([np.sum(border, axis=0), steps]))[0]
+        return self.chain.solve(right * ~self.pressed[:, :, None], np.concatenate([corner, steps]))[0]
 
     def expected_squares(self) -> Array:
         """E x² of the steps, (frames − 1, cells)."""
@@ -209,7 +195,11 @@ class Joint:
 
     def newton(self) -> tuple[Array, Array]:
         """The Newton step of the cells (frames, cells), and of z and c."""
-        return self.chain.solve(-np.where(self.pressed, 0.0, self.gradient), -self.shift_gradient)
+        through = np.stack([at.partials(NO_DUAL)[1].ravel() / 2 for at in self.at])
+        shared = np.einsum("tri,tr->i", self.frames.shared, through)
+        slope = np.concatenate([shared, -np.sum(self.stiffness * self.steps, axis=1)]) + self.shift * self.certainty
+        cells, shift = self.chain.solve(-np.where(self.pressed, 0.0, self.gradient)[..., None], -slope[:, None])
+        return cells[..., 0], shift[:, 0]
 
     def stepped(self) -> "Joint":
         """After a Newton step, halved until Φ is no larger; as it is where no halving helps."""
@@ -224,13 +214,6 @@ class Joint:
         return self
 
 
-def _evaluated(cost: Cost, data: Data, position: Array, offset: Array) -> Evaluation:
-    """One frame's misfit (cells) with an offset of its readings (readings)."""
-    shape = data.measured.shape
-    shifted = replace(data, given=replace(data.given, measured=data.measured - offset.reshape(shape)))
-    return Evaluation.at(cost, shifted, np.exp(position).reshape(shape))
-
-
 @dataclass(frozen=True, eq=False)
 class TiedModel(LinearModel):
     """A frame's misfit whose cells are tied to other frames; slope : ∂Φ/∂u of all of it, (cells)."""
@@ -243,47 +226,21 @@ class TiedModel(LinearModel):
         return self.slope
 
 
-@dataclass(frozen=True, eq=False)
-class TiedErrors:
-    """One frame's errors. covariance : (cells, cells) of log r; shared : (cells), what all cells share of its diagonal.
+def _certainty(joint: Joint, chain: Chain, frame: int) -> Certainty:
+    """Of one frame alone: its readings make up the resolution, and ties compare frames but draw no cell anywhere."""
+    model = TiedModel(joint.at[frame], NO_DUAL, 2 * joint.gradient[frame])
+    covariance, rows, free, tie = chain.covariance(frame), joint.sensitivities[frame], model.free, joint.ties[frame]
 
-    rows : √ω ∂x/∂u of its data. tie : (cells), Σ λ.
-    """
-
-    model: TiedModel
-    covariance: Array
-    shared: Array
-    rows: Array
-    tie: Array
-
-    @property
-    def variance(self) -> Array:
-        """Of log r of the free cells."""
-        return np.asarray(np.diag(self.covariance)[self.model.free])
-
-    @property
-    def shared_variance(self) -> Array:
-        """What channels, reference and the steps that all cells have in common make up of it."""
-        return self.shared[self.model.free]
-
-    @property
-    def resolution(self) -> Array:
-        """The diagonal of the averaging kernel, as far as the frame's readings make it up."""
-        followed = np.einsum("ij,ri,rj->i", self.covariance, self.rows, self.rows, optimize=True)
-        return np.asarray(followed[self.model.free])
-
-    @property
-    def data_share(self) -> Array:
-        """The row sums of the averaging kernel: ties compare frames, and draw no cell anywhere."""
-        return np.ones(len(self.model.free))
-
-    def released(self, cells: NDArray[np.intp]) -> Array:
+    def released(cells: NDArray[np.intp]) -> Array:
         """Variance of cells that stand at a bound, if each alone were free; what ties it counts as known."""
-        free = self.model.free
-        across = self.rows[:, free].T @ self.rows[:, cells]
-        alone = np.sum(self.rows[:, cells] ** 2, axis=0) + self.tie[cells]
-        taken = np.einsum("fi,fg,gi->i", across, self.covariance[np.ix_(free, free)], across, optimize=True)
+        across = rows[:, free].T @ rows[:, cells]
+        alone = np.sum(rows[:, cells] ** 2, axis=0) + tie[cells]
+        taken = np.einsum("fi,fg,gi->i", across, covariance[np.ix_(free, free)], across, optimize=True)
         return np.asarray(1 / np.maximum(alone - taken, IGNORANCE))
+
+    followed = np.einsum("ij,ri,rj->i", covariance, rows, rows, optimize=True)
+    shares, shared = (followed[free], np.ones(len(free))), chain.shared_variance(frame)[free]
+    return Certainty.of(model, np.diag(covariance)[free], shared, shares, released)
 
 
 def error_bars(
@@ -293,17 +250,20 @@ def error_bars(
 
     beyond, noise : what all readings share, and those of a frame, of which Φ knows nothing; or None.
     """
-    frames, chain = range(resting - 1, len(joint.position)), joint.chain.doubting(BELIEVED, joint.certainty)
-    answer = joint.answer(np.concatenate([_of_frames(joint, resting, noise), _shared(joint.at, beyond)], axis=2))
-    own = 0 if beyond is None else beyond.own(joint.position.shape[1])
-    found = (Certainty.of(_errors(joint, chain, frame)).widened(answer[frame], own).of_frame(0) for frame in frames)
+    count, cells = joint.position.shape
+    drawn: Array = np.zeros((count, cells, 0))
+    if noise is not None:  # the first frames are means of some of the unloaded ones
+        readings = np.concatenate([at.reading for at in joint.at])
+        drawn = noise.columns(readings, baseline=False).reshape(count, cells, -1)
+        drawn[:resting] *= np.sqrt(resting / noise.unloaded)
+    answer = joint.answer(np.concatenate([drawn, _shared(joint.at, beyond)], axis=2))
+    chain, own = joint.chain.doubting(BELIEVED, joint.certainty), 0 if beyond is None else beyond.own(cells)
+    found = (_certainty(joint, chain, t).widened(answer[t], own).of_frame(0) for t in range(resting - 1, count))
     baseline, *certainty = (one.by_conductance() for one in found)
     together = chain.since(resting - 1)[1:] + np.sum(answer[resting:] * answer[resting - 1], axis=2)
-    changes = [
-        Change.between(frame, baseline, shared.reshape(baseline.deviation.shape))
-        for frame, shared in zip(certainty, together, strict=True)
-    ]
-    return baseline, tuple(Bars(*pair) for pair in zip(certainty, changes, strict=True))
+    together = together.reshape(-1, *baseline.deviation.shape)
+    pairs = zip(certainty, together, strict=True)
+    return baseline, tuple(Bars(frame, Change.between(frame, baseline, shared)) for frame, shared in pairs)
 
 
 def _shared(at: Sequence[Evaluation], errors: Shared | None) -> Array:
@@ -311,18 +271,3 @@ def _shared(at: Sequence[Evaluation], errors: Shared | None) -> Array:
     if errors is None:
         return np.zeros((len(at), at[0].reading.size, 0))
     return np.stack([errors.columns(one.cell_resistance, one.reading, one.networks) for one in at])
-
-
-def _of_frames(joint: Joint, resting: int, noise: FrameNoise | None) -> Array:
-    """(frames, readings, n) of what the readings of each share; the first are means of some of the unloaded frames."""
-    if noise is None:
-        return np.zeros((len(joint.at), joint.position.shape[1], 0))
-    columns = noise.columns(np.concatenate([at.reading for at in joint.at]), baseline=False)
-    columns = columns.reshape(len(joint.at), joint.position.shape[1], -1)
-    columns[:resting] *= np.sqrt(resting / noise.unloaded)
-    return columns
-
-
-def _errors(joint: Joint, chain: Chain, frame: int) -> TiedErrors:
-    model, tie = TiedModel(joint.at[frame], NO_DUAL, 2 * joint.gradient[frame]), joint.ties[frame]
-    return TiedErrors(model, chain.covariance(frame), chain.shared_variance(frame), joint.sensitivities[frame], tie)

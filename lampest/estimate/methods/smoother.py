@@ -41,16 +41,14 @@ from lampest.solvers.solution import OPEN_FRACTION, VERIFIED, Settings, Solution
 
 STILL = 1e-3  # of a standard deviation: what one more step may move a cell by
 MOST_PARTS = 5  # of the unloaded frames: enough to identify a wrong reading; more cost time
-
-
 WIDE = 3.0  # q at the start over the noise: as large jumps as three deviations
 MOST_ROUNDS = 40  # 15 to 40 were needed on simulated lampreys
 SETTLED = 0.3  # of a standard deviation, by which a round may still move a cell
 FROZEN = 12  # rounds after which U stays, so that Φ is one function
 JUMP_SD = 1.0  # of log r: prior standard deviation of jumps and of cells that no reading determines
 FAST, SLOW = 0.6, 0.8  # from one walk to the next; slowly where the ties make a step's variance, which then must follow
-TIED = 0.5  # of q²: the median of squared steps of still cells from where on that is so
-FOLLOWED = 1.5  # the same, where ties have followed the walk
+# Of q²: the median of squared steps of still cells from where on that is so, and where ties have followed the walk.
+TIED, FOLLOWED = 0.5, 1.5
 
 
 @dataclass(frozen=True)
@@ -104,12 +102,16 @@ class SmootherMethod(Method):
         self, state: S, resting: Readings, readings: Readings, on_frame: Callable[[], None]
     ) -> tuple[S, list[Step]]:
         """All frames together; those of which too little was read are left out."""
-        enough = readings.enough(state.scene) & state.resting.enough(state.scene)
+        rested = state.resting.enough(state.scene)
+        enough = readings.enough(state.scene) & rested
         read = [readings[frame] for frame in np.flatnonzero(enough)]
-        state, found = self._together(state, _groups(state, resting), read, [], on_frame)
-        status = Status.UNREAD if state.resting.enough(state.scene) else Status.UNRESTED
-        solved = iter(found)
-        return state, [next(solved) if one else state.unsolved(status) for one in enough]
+        # Means of the unloaded frames, in up to so many parts that one wrong reading is seen; or of all there is.
+        numbers = np.flatnonzero(resting.enough(state.scene))
+        parts = np.array_split(numbers, min(len(numbers), MOST_PARTS)) if len(numbers) else []
+        groups = [resting[part].mean() for part in parts] or [state.resting]
+        state, found = self._together(state, groups, read, [], on_frame)
+        missing, solved = state.unsolved(Status.UNREAD if rested else Status.UNRESTED), iter(found)
+        return state, [next(solved) if one else missing for one in enough]
 
     def push(self, state: S, readings: Readings) -> tuple[S, Step]:
         """One frame, together with those before it."""
@@ -149,13 +151,6 @@ class SmootherMethod(Method):
             baseline = steps[0] if steps[0].solution.solved else state.baseline
             return replace(state, baseline=baseline, previous=steps[-1].estimate(0)), steps[1:]
         return state, [state.unsolved(Status.BREAKDOWN) for _ in readings]
-
-
-def _groups(state: SequenceState, resting: Readings) -> list[Readings]:
-    """Means of the unloaded frames, in up to so many parts that one wrong reading is seen; or of all there is."""
-    numbers = np.flatnonzero(resting.enough(state.scene))
-    parts = np.array_split(numbers, min(len(numbers), MOST_PARTS)) if len(numbers) else []
-    return [resting[part].mean() for part in parts] or [state.resting]
 
 
 def _begun(
@@ -204,10 +199,8 @@ def _barred(state: S, track: Track, joint: Joint, steps: list[Step]) -> tuple[S,
     beyond = None if track.shared is None else track.shared.beyond(joint.frames.errors)
     baseline, bars = error_bars(joint, len(joint.position) - len(steps) + 1, beyond, track.noise)
     seconds = (perf_counter() - begin) / len(steps)
-    barred = [
-        replace(step, bars=one, bars_seconds=seconds) if step.solution.solved else step
-        for step, one in zip(steps[1:], bars, strict=True)
-    ]
+    pairs = zip(steps[1:], bars, strict=True)
+    barred = [replace(one, bars=own, bars_seconds=seconds) if one.solution.solved else one for one, own in pairs]
     return replace(state, track=replace(track, baseline=baseline)), [steps[0], *barred]
 
 
@@ -278,69 +271,31 @@ def smoothed(frames: JointData, alone: Array, walk: Walk, settings: Settings, un
     walk : its deviation is the least, over the noise of frames alone. until : s on the clock of `time.monotonic`, when
     rounds end. Raises numpy.linalg.LinAlgError where arithmetic breaks down.
     """
-    found = _Round.first(frames, lasting(alone), walk)
-    while found.number < MOST_ROUNDS and not found.done and monotonic() < until:
-        found = found.next()
-    return _settled(found.joint, settings, until), found.number
-
-
-def lasting(alone: Array) -> Array:
-    """The median of each frame's cells and of those before and after, so that a wrong reading begins as no jump."""
-    around = np.stack([alone[:-2], alone[1:-1], alone[2:]])
-    return np.concatenate([alone[:1], np.median(around, axis=0), alone[-1:]])
-
-
-@dataclass(frozen=True, eq=False)
-class _Round:
-    """joint : the point. walk, least : as it is drawn down, and its end. noise : of frames alone. moved : here."""
-
-    joint: Joint
-    walk: Walk
-    least: float
-    noise: float
-    number: int = 0
-    moved: float = np.inf
-
-    @classmethod
-    def first(cls, frames: JointData, start: Array, walk: Walk) -> "_Round":
-        """Before the first; walk : as `smoothed` takes it."""
-        start = np.clip(start, *frames.bounds)
-        steps = len(start) - 1
-        joint = Joint(frames, start, np.zeros(steps), np.zeros((steps, start.shape[1])))
-        ignorance = IGNORANCE * np.eye(start.shape[1])
-        inverses = [positive_inverse(rows.T @ rows + ignorance) for rows in joint.sensitivities]
-        variance = np.minimum([np.diag(inverse) for inverse in inverses], JUMP_SD**2)
-        noise = float(np.sqrt(np.median(variance)))
-        wide = replace(walk, deviation=WIDE * noise)
-        frames = frames.sharing(joint.at)
-        shift = np.zeros(frames.shared.shape[2] + steps)
-        stiffness = wide.stiffness(joint.steps**2 + variance[1:] + variance[:-1])
-        return cls(Joint(frames, start, shift, stiffness), wide, walk.deviation * noise, noise)
-
-    def next(self) -> "_Round":
-        """After a Newton step and with the stiffness that follows from it."""
-        joint = self.joint.stepped()
-        if self.number < FROZEN:
+    # The median with the frames before and after, so that a wrong reading begins as no jump.
+    lasting = np.median(np.stack([alone[:-2], alone[1:-1], alone[2:]]), axis=0)
+    start = np.clip(np.concatenate([alone[:1], lasting, alone[-1:]]), *frames.bounds)
+    joint = Joint(frames, start, np.zeros(len(start) - 1), np.zeros((len(start) - 1, start.shape[1])))
+    ignorance = IGNORANCE * np.eye(start.shape[1])
+    inverses = [positive_inverse(rows.T @ rows + ignorance) for rows in joint.sensitivities]
+    variance = np.minimum([np.diag(inverse) for inverse in inverses], JUMP_SD**2)
+    noise = float(np.sqrt(np.median(variance)))
+    walk, least = replace(walk, deviation=WIDE * noise), walk.deviation * noise
+    frames = frames.sharing(joint.at)
+    shift = np.zeros(frames.shared.shape[2] + len(start) - 1)
+    joint = Joint(frames, start, shift, walk.stiffness(joint.steps**2 + variance[1:] + variance[:-1]))
+    rounds, moved = 0, inf
+    while rounds < MOST_ROUNDS and not (walk.deviation == least and moved <= SETTLED * noise) and monotonic() < until:
+        before, joint = joint, joint.stepped()
+        if rounds < FROZEN:
             joint = replace(joint, frames=joint.frames.sharing(joint.at))
-        moved = np.abs(joint.position - self.joint.position).max(initial=0.0, where=~joint.pressed)
+        moved = np.abs(joint.position - before.position).max(initial=0.0, where=~joint.pressed)
         squares = joint.expected_squares()
-        walk, least = self.walk.drawn_down(squares, joint.stiffness, self.least)
-        joint = replace(joint, stiffness=walk.stiffness(squares))
-        return replace(self, joint=joint, walk=walk, least=least, number=self.number + 1, moved=float(moved))
-
-    @property
-    def done(self) -> bool:
-        """Whether the walk is drawn down and no cell moves much."""
-        return self.walk.deviation == self.least and self.moved <= SETTLED * self.noise
-
-
-def _settled(joint: Joint, settings: Settings, until: float) -> Joint:
-    """Where Φ is least for the stiffness that it has."""
+        walk, least = walk.drawn_down(squares, joint.stiffness, least)
+        joint, rounds = replace(joint, stiffness=walk.stiffness(squares)), rounds + 1
     for _ in range(settings.max_iterations):
         if joint.kkt_residual.max() <= settings.tolerance or monotonic() > until:
             break
-        after = joint.stepped()
-        if after is joint:
+        before, joint = joint, joint.stepped()
+        if joint is before:
             break
-        joint = after
-    return joint
+    return joint, rounds
