@@ -32,27 +32,22 @@ FIT = LevenbergMarquardt(evaluations=20, settled=1e-6, damping=0.0)
 class SolvedContacts:
     """The cells solved for contacts `ohm`, as a sum of squares over the contacts; all (lines) ohm.
 
-    scale : s². mean, deviation : of the prior. Its normal matrix is S/s².
+    scale : s². mean, precision : of the prior. Its normal matrix is S/s².
     """
 
     step: Step
     ohm: Array
     scale: float
     mean: Array
-    deviation: Array
-
-    @property
-    def _prior(self) -> tuple[Array, Array]:
-        """(1/sd², (c − mean)/sd²); contacts without a deviation stay where bounds hold them."""
-        precision = np.where(self.deviation > 0, self.deviation, 1.0) ** -2.0
-        return precision, precision * (self.ohm - self.mean)
+    precision: Array
 
     @property
     def cost(self) -> float:
         """½ (φ/s² + the prior's part); infinite where the cells have no optimum."""
         if self.step.surroundings() is None:
             return np.inf
-        return float(self.step.solution.objective / self.scale + self._prior[1] @ (self.ohm - self.mean)) / 2
+        away = self.ohm - self.mean
+        return float(self.step.solution.objective / self.scale + (self.precision * away) @ away) / 2
 
     @cached_property
     def _model(self) -> LinearModel:
@@ -68,40 +63,23 @@ class SolvedContacts:
     @cached_property
     def gradient(self) -> Array:
         """Of the cost by the contacts."""
-        model = self._model
-        slope = self._response.T @ model.at.partials(np.clip(model.dual, -1, 1))[1].ravel()
-        return np.asarray(slope / (2 * self.scale) + self._prior[1])
+        slope = self._response.T @ self._model.at.partials(np.clip(self._model.dual, -1, 1))[1].ravel()
+        return np.asarray(slope / (2 * self.scale) + self.precision * (self.ohm - self.mean))
 
     @cached_property
     def normal(self) -> Array:
         """S/s²."""
         model = self._model
-        at, rows = model.at, model.through @ self._response
-        follow = errors_of(model, None).answer(rows, *np.zeros((2, at.cell_resistance[0].size, len(self.ohm))))
-        left = rows - model.through @ _forward(model, follow)
-        charged = model.penalty_jacobian[:, model.free] @ follow
+        cells, rows = model.at.cell_resistance, model.through @ self._response
+        errors = errors_of(model, None)
+        follow = errors.answer(rows, *np.zeros((2, cells[0].size, len(self.ohm))))
+        whole = np.zeros((cells.size, len(self.ohm)))
+        whole[model.free] = follow
+        left = rows - errors.forward(whole)
+        charged = model.penalty_jacobian @ whole
         schur = left.T @ (model.data_curvature[:, None] * left) + IGNORANCE * model.scale * follow.T @ follow
         schur += charged.T @ (model.penalty_curvature[:, None] * charged)
-        return np.asarray(schur / self.scale + np.diag(self._prior[0]))
-
-    @property
-    def covariance(self) -> Array:
-        """(lines, lines) ohm²."""
-        sought = self.deviation > 0
-        inverse = np.zeros(self.normal.shape)
-        inverse[np.ix_(sought, sought)] = np.linalg.inv(self.normal[np.ix_(sought, sought)])
-        return inverse
-
-
-def _forward(model: LinearModel, follow: Array) -> Array:
-    """J·p (frames · cells, n) of steps p (free cells, n)."""
-    shape, count = model.at.cell_resistance.shape, follow.shape[1]
-    whole = np.zeros((count, model.at.cell_resistance.size))
-    whole[:, model.free] = follow.T
-    steps = whole.reshape(count, *shape)
-    networks = enumerate(model.at.networks)
-    forward = [np.stack([network.forward(step) for step in steps[:, frame]]) for frame, network in networks]
-    return np.stack(forward, axis=1).reshape(count, -1).T
+        return np.asarray(schur / self.scale + np.diag(self.precision))
 
 
 def with_contacts(
@@ -116,19 +94,20 @@ def with_contacts(
     if prior is None or state.track is None or model is None:
         return state, solved
     mean, deviation = prior.mean(shape), prior.deviation(shape)
-    scale, seconds = model.scale, [solved.seconds]
+    sought, scale, seconds = deviation > 0, model.scale, [solved.seconds]
+    precision = np.where(sought, deviation, 1.0) ** -2.0  # contacts without a deviation stay where bounds hold them
 
     def at(ohm: Array) -> SolvedContacts:
         if np.array_equal(ohm, mean):
-            return SolvedContacts(solved, mean, scale, mean, deviation)
+            return SolvedContacts(solved, mean, scale, mean, precision)
         trying = replace(state, scene=replace(state.scene, contacts=Contacts.of(ohm, deviation, shape[0])))
         trial = solve(trying, readings, solved.solution.cell_resistance)
         seconds.append(trial.seconds)
-        return SolvedContacts(trial, ohm, scale, mean, deviation)
+        return SolvedContacts(trial, ohm, scale, mean, precision)
 
-    bounds = np.where(deviation > 0, 0.0, mean), np.where(deviation > 0, np.inf, mean)
-    found = FIT.minimum(at, mean, bounds).at
-    covariance = found.covariance
+    found = FIT.minimum(at, mean, (np.where(sought, 0.0, mean), np.where(sought, np.inf, mean))).at
+    covariance = np.zeros(found.normal.shape)
+    covariance[np.ix_(sought, sought)] = np.linalg.inv(found.normal[np.ix_(sought, sought)])
     scene = replace(state.scene, contacts=Contacts.of(found.ohm, np.sqrt(np.diag(covariance)), shape[0]))
     vectors, squares = np.linalg.eigh(covariance)[::-1]
     root = vectors * np.sqrt(np.maximum(squares, 0.0))

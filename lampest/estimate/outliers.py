@@ -32,38 +32,29 @@ Expected = tuple[Array, Array, Array]
 Predictor = Callable[[Array, NDArray[np.intp]], Expected]  # of neighbours, and by how many frames each is off
 
 
-@dataclass(frozen=True, eq=False)
-class Outliers:
-    """outlying : (frames, rows, columns). instead : what frames around let expect; spread : its σ beside noise."""
+def outliers_in_time(value: Array, scale: Array, most_share: float = 1.0) -> tuple[NDArray[np.bool_], Array, Array]:
+    """(which are, what frames around let expect, its σ beside noise) of readings in order of time, all the same shape.
 
-    outlying: NDArray[np.bool_]
-    instead: Array
-    spread: Array
-
-    @classmethod
-    def of(cls, value: Array, scale: Array, most_share: float = 1.0) -> "Outliers":
-        """Of readings (frames, rows, columns) in order of time, NaN where there is none; scale : their σ.
-
-        A frame in which more than most_share would be outliers has none, nor have fewer than LEAST_FRAMES frames, nor
-        readings beside σ = 0.
-        """
-        predictors = [_by_median, *([_by_line] if len(value) > NEAREST else [])]
-        frames, width = np.arange(len(value)), min(len(value), NEAREST + 1)
-        first = np.clip(frames - NEAREST // 2, 0, len(value) - width)
-        expected = [_from_window(value, first, frames - first, predict) for predict in predictors]
-        scale = np.broadcast_to(median(scale), scale.shape)  # of the frames around: that of a touched cell is another
-        with np.errstate(divide="ignore", invalid="ignore"):
-            far = [
-                _stands_out(value, scale, one) & ~_usual(value, one[0], first, predict)
-                for one, predict in zip(expected, predictors, strict=True)
-            ]
-            outlying = (scale > 0) & np.any(far, axis=0)
-        outlying &= (outlying.mean(axis=(1, 2), keepdims=True) <= most_share) & (len(value) >= LEAST_FRAMES)
-        middles, spreads = (np.stack([one[part] for one in expected]) for part in (0, 1))
-        nearest = np.where(spreads[-1] < spreads[0], len(expected) - 1, 0)[None]
-        middle, spread = (np.take_along_axis(part, nearest, axis=0)[0] for part in (middles, spreads))
-        apart = np.abs(middles - middle).max(axis=0)
-        return cls(outlying, middle, np.hypot(spread, np.nan_to_num(apart)))
+    value : (frames, rows, columns), NaN where there is none. scale : their σ. A frame in which more than most_share
+    would be outliers has none, nor have fewer than LEAST_FRAMES frames, nor readings beside σ = 0.
+    """
+    predictors = [_by_median, *([_by_line] if len(value) > NEAREST else [])]
+    frames, width = np.arange(len(value)), min(len(value), NEAREST + 1)
+    first = np.clip(frames - NEAREST // 2, 0, len(value) - width)
+    expected = [_from_window(value, first, frames - first, predict) for predict in predictors]
+    scale = np.broadcast_to(median(scale), scale.shape)  # of the frames around: that of a touched cell is another
+    with np.errstate(divide="ignore", invalid="ignore"):
+        far = [
+            _stands_out(value, scale, one) & ~_usual(value, one[0], first, predict)
+            for one, predict in zip(expected, predictors, strict=True)
+        ]
+        outlying = (scale > 0) & np.any(far, axis=0)
+    outlying &= (outlying.mean(axis=(1, 2), keepdims=True) <= most_share) & (len(value) >= LEAST_FRAMES)
+    middles, spreads = (np.stack([one[part] for one in expected]) for part in (0, 1))
+    nearest = np.where(spreads[-1] < spreads[0], len(expected) - 1, 0)[None]
+    middle, spread = (np.take_along_axis(part, nearest, axis=0)[0] for part in (middles, spreads))
+    apart = np.abs(middles - middle).max(axis=0)
+    return outlying, middle, np.hypot(spread, np.nan_to_num(apart))
 
 
 def lawless(circuit: Readout, readings: Readings) -> NDArray[np.bool_]:
@@ -113,9 +104,9 @@ def without_outliers(
     most = 1.0
     for chosen in (unloaded, ~unloaded):
         if chosen.sum() >= LEAST_FRAMES:
-            found = Outliers.of(value[chosen], scale[chosen], most)
-            outlying[chosen], instead[chosen], spread[chosen] = found.outlying, found.instead, found.spread
-            most = max(SHARE, 2 * float(found.outlying.mean()))
+            found = outliers_in_time(value[chosen], scale[chosen], most)
+            outlying[chosen], instead[chosen], spread[chosen] = found
+            most = max(SHARE, 2 * float(found[0].mean()))
         else:
             most = SHARE
     if not outlying.any():

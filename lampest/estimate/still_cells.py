@@ -3,7 +3,7 @@
 Errors z that baseline and frames share move the estimated log change of a cell by a = K_f U_f − K_b U_b times z, with U
 as of `lampest.panel.systematic` and K the inverse of the readings' derivative. Over the cells that stand still,
 d = a z + noise, z ~ N(0, 1), of which each reading's own error ~ N(0, e²): their marginal likelihood gives e, and what
-is left possible of z. Errors too large for that have e from the unloaded panel alone; see `UnloadedPanel`.
+is left possible of z. Errors too large for that have e from the unloaded panel alone.
 """
 
 from dataclasses import dataclass, replace
@@ -54,20 +54,18 @@ def errors_left_possible(
         return None
     fit = fitted(scene, resting, patient=True)
     if fit is None or fit.tail < LEVEL:
-        return Possible(at_least(UnloadedPanel.of(scene, resting).size), None)
-    base = FrameFit.of(scene, resting, None, sizes, noise)
-    others = [] if base is None else [FrameFit.of(scene, one, base.fit.cells, sizes, noise) for one in _each(frames)]
-    found = [one for one in others if one is not None]
-    if base is None or len(found) < len(others):
+        return Possible(at_least(_mean_square(_unloaded_costs(scene, resting))), None)
+    moves, shape = Moves.of(scene, resting, frames, sizes, noise), resting.value.shape
+    if moves is None:
         return None
-    moves, shape = Moves.between(base, found), resting.value.shape
-    smoothed = replace(moves, noise=moves.noise + _smooth_loads(shape, len(found)))
+    smoothed = replace(moves, noise=moves.noise + _smooth_loads(shape, len(frames.value)))
     size, still = _own_error(smoothed, shape)
     apart, sure, linear = _apart_from_moved(still, shape), size > 0, LINEAR / moves.reach
     if sure:
-        alone = UnloadedPanel.of(scene, resting)
-        if size > linear or alone.contradicts(size) > LARGER:
-            return Possible(at_least(max(alone.size, min(size, linear))), None)
+        costs = _unloaded_costs(scene, resting)
+        larger = size < ERRORS[np.argmin(costs)] and np.interp(size, ERRORS, costs) > LARGER
+        if size > linear or larger:
+            return Possible(at_least(max(_mean_square(costs), min(size, linear))), None)
     else:  # an error that still cells make likelier than none, though that may be chance
         hint, gained = _size_of(smoothed, apart)
         size = hint if gained > HINT and hint <= linear else 0.0
@@ -76,45 +74,31 @@ def errors_left_possible(
     return Possible(assumed, root, sure)
 
 
-def _each(frames: Readings) -> list[Readings]:
-    return [frames[number] for number in range(len(frames.value))]
+def _of_frame(
+    scene: Scene, readings: Readings, near: Array | None, sizes: Systematic, noise: FrameNoise | None
+) -> tuple[Array, list[Array]] | None:
+    """One frame's cells (rows, columns) ohm, and by its cells the covariance of its error and what shared errors do.
 
-
-@dataclass(frozen=True, eq=False)
-class FrameFit:
-    """One frame's fit, covariance of its error, and what shared errors do to its log cells.
-
-    hidden, own, known : (cells, n) of what `hidden_columns` has, of each reading's own, and of channels and reference.
+    The latter are what `hidden_columns` has, each reading's own, channels and reference; in log r. near : cells to
+    begin at; None: it is the unloaded mean. None where it is not fitted.
     """
-
-    fit: CellsFit
-    error: Array
-    hidden: Array
-    own: Array
-    known: Array
-
-    @classmethod
-    def of(
-        cls, scene: Scene, readings: Readings, near: Array | None, sizes: Systematic, noise: FrameNoise | None
-    ) -> "FrameFit | None":
-        """Of one frame; None where it is not fitted. near : cells to begin at; None: it is the unloaded mean."""
-        fit = fitted(scene, readings, near, patient=near is None) or fitted(scene, readings, patient=True)
-        if fit is None or not fit.small:
-            return None
-        assert readings.sigma is not None
-        error = np.linalg.inv(fit.normal)
-        at = fit if near is None else _steadied(scene, fit, near, error)
-        gain = np.linalg.solve(at.normal, at.jacobian.T / readings.sigma.ravel())
-        if noise is not None:
-            drawn = gain @ noise.columns(at.readings.value[None], near is None)
-            error = error + drawn @ drawn.T
-        here = at.cells, at.readings.value
-        columns = (
-            hidden_columns(*here, scene, replace(sizes, reading_error=None)),
-            hidden_columns(*here, scene, EACH),
-            scene.circuit.shared_errors(*here, scene, sizes.reference_tolerance / np.sqrt(3), sizes.channel_spread_ohm),
-        )
-        return cls(fit, error, *(gain @ one.reshape(len(one), gain.shape[1]).T for one in columns))
+    fit = fitted(scene, readings, near, patient=near is None) or fitted(scene, readings, patient=True)
+    if fit is None or not fit.small:
+        return None
+    assert readings.sigma is not None
+    error = np.linalg.inv(fit.normal)
+    at = fit if near is None else _steadied(scene, fit, near, error)
+    gain = np.linalg.solve(at.normal, at.jacobian.T / readings.sigma.ravel())
+    if noise is not None:
+        drawn = gain @ noise.columns(at.readings.value[None], near is None)
+        error = error + drawn @ drawn.T
+    here = at.cells, at.readings.value
+    columns = (
+        hidden_columns(*here, scene, replace(sizes, reading_error=None)),
+        hidden_columns(*here, scene, EACH),
+        scene.circuit.shared_errors(*here, scene, sizes.reference_tolerance / np.sqrt(3), sizes.channel_spread_ohm),
+    )
+    return fit.cells, [error, *(gain @ one.reshape(len(one), gain.shape[1]).T for one in columns)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,20 +115,27 @@ class Moves:
     reach: float
 
     @classmethod
-    def between(cls, base: FrameFit, others: list[FrameFit]) -> "Moves":
-        """The changes of all cells from the unloaded panel to the frames."""
-        cells = base.fit.cells.size
-        change = np.concatenate([np.log(one.fit.cells / base.fit.cells).ravel() for one in others])
-        covariance = np.tile(base.error, (len(others), len(others)))
-        for number, one in enumerate(others):
-            part = slice(number * cells, (number + 1) * cells)
-            covariance[part, part] += one.error + CREEP**2 * np.eye(cells) + TOGETHER**2
-        known, hidden, own = (
-            np.vstack([getattr(one, name) - getattr(base, name) for one in others])
-            for name in ("known", "hidden", "own")
-        )
-        reach = float(np.median(np.linalg.norm(base.own, axis=1)))
-        return cls(change, covariance + known @ known.T, hidden, own, reach)
+    def of(
+        cls, scene: Scene, resting: Readings, frames: Readings, sizes: Systematic, noise: FrameNoise | None
+    ) -> "Moves | None":
+        """The changes of all cells from the unloaded panel to the frames; None where one is not fitted."""
+        base, size, count = _of_frame(scene, resting, None, sizes, noise), resting.value.size, len(frames.value)
+        change, parts = [], []
+        for number in range(count):
+            one = None if base is None else _of_frame(scene, frames[number], base[0], sizes, noise)
+            if base is None or one is None:
+                return None
+            change.append(np.log(one[0] / base[0]).ravel())
+            parts.append([one[1][0], *(there - here for there, here in zip(one[1][1:], base[1][1:], strict=True))])
+        if base is None:
+            return None
+        covariance = np.tile(base[1][0], (count, count))
+        for number, (error, *_) in enumerate(parts):
+            part = slice(number * size, (number + 1) * size)
+            covariance[part, part] += error + CREEP**2 * np.eye(size) + TOGETHER**2
+        hidden, own, known = (np.vstack(columns) for columns in list(zip(*parts, strict=True))[1:])
+        reach = float(np.median(np.linalg.norm(base[1][2], axis=1)))
+        return cls(np.concatenate(change), covariance + known @ known.T, hidden, own, reach)
 
     def covariance(self, size: float) -> Array:
         """Of changes of still cells, if each reading errs by so much on its own."""
@@ -247,41 +238,25 @@ def _steadied(scene: Scene, fit: CellsFit, near: Array, error: Array) -> CellsFi
     return CellsFit.at(data, replace(fit.readings, value=network.reading()), network)
 
 
-@dataclass(frozen=True, eq=False)
-class UnloadedPanel:
-    """The size e of readings' own errors with which unloaded cells scatter about one value, log r ~ N(μ, s²).
+def _unloaded_costs(scene: Scene, resting: Readings) -> Array:
+    """−2 log likelihood of ERRORS, the least of them 0: unloaded cells scatter about one value, log r ~ N(μ, s²).
 
         −2 log p(y | e, s) ≈ Σ (y − f(u))²/τ² + Σ (u − ū)²/s² + log |A| + Σ log τ² + (m − 1) log s²,   τ² = σ² + (e y')²
 
     at the most probable u (Laplace), A its Hessian, y' the reading's derivative by its recorded value's logarithm.
-    Where cells are not alike, e comes out too large rather than too small. cost : of ERRORS, the least of them 0.
+    Where cells are not alike, e comes out too large rather than too small. Raises what arithmetic does.
     """
-
-    cost: Array
-
-    @classmethod
-    def of(cls, scene: Scene, resting: Readings) -> "UnloadedPanel":
-        """Of the mean of the unloaded frames (rows, columns), with its σ. Raises what arithmetic does."""
-        assert resting.sigma is not None
-        data = cells_alone().data(resting.alone(), Background(scene))
-        share = np.abs(hidden_columns(resting.value, resting.value, scene, EACH)).sum(axis=0)
-        costs = np.empty((len(ERRORS), len(SCATTERS)))
-        for column, spread in enumerate(SCATTERS):
-            cells = np.log(data.uniform_start[0])
-            for row in reversed(range(len(ERRORS))):
-                deviation = np.where(resting.plain, np.hypot(resting.sigma, ERRORS[row] * share), np.inf)
-                cells, costs[row, column] = _most_probable(data, resting.value, deviation, spread, cells)
-        together = -2 * np.logaddexp.reduce(-costs / 2, axis=1)
-        return cls(together - together.min())
-
-    @property
-    def size(self) -> float:
-        """√E[e²]."""
-        return _mean_square(self.cost)
-
-    def contradicts(self, size: float) -> float:
-        """−2 log likelihood that a larger error gains over this one; 0 where the most likely one is not larger."""
-        return float(np.interp(size, ERRORS, self.cost)) if size < ERRORS[np.argmin(self.cost)] else 0.0
+    assert resting.sigma is not None
+    data = cells_alone().data(resting.alone(), Background(scene))
+    share = np.abs(hidden_columns(resting.value, resting.value, scene, EACH)).sum(axis=0)
+    costs = np.empty((len(ERRORS), len(SCATTERS)))
+    for column, spread in enumerate(SCATTERS):
+        cells = np.log(data.uniform_start[0])
+        for row in reversed(range(len(ERRORS))):
+            deviation = np.where(resting.plain, np.hypot(resting.sigma, ERRORS[row] * share), np.inf)
+            cells, costs[row, column] = _most_probable(data, resting.value, deviation, spread, cells)
+    together = -2 * np.logaddexp.reduce(-costs / 2, axis=1)
+    return np.asarray(together - together.min())
 
 
 def _most_probable(data: Data, value: Array, deviation: Array, spread: float, start: Array) -> tuple[Array, float]:

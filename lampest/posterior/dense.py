@@ -284,51 +284,41 @@ class DenseErrors:
         return np.asarray(model.scale / np.maximum(left, IGNORANCE * model.scale))
 
 
-@dataclass(frozen=True, eq=False)
-class ActiveBounds:
-    """Cells that shared errors z press against a bound: how far they, and cells beside them, may be off.
+def active_bounds(
+    errors: DenseErrors, rows: Array, last: Array, baseline: Array
+) -> tuple[Array, NDArray[np.intp], Array, Array]:
+    """(what shared errors z do to log r of the free cells (free, n), the cells at a bound, how far these reach).
 
     A cell c at a bound stands alone, t_c ~ N(−slope·v, v + |a|²) cut off at t_c ≥ 0, v its variance among the free
     cells, a what z does to it; where |a| > slope·v it moves with the free cells. An open cell's t is its conductance,
-    in units of a typical cell's.
-
-    cells : the numbers of those at a bound. below, above : how far in log r their intervals reach into the inside.
-
-    answer : (free, n) what z does to log r of the free cells.
+    in units of a typical cell's. The reach is that of their intervals into the inside, below and above, in log r.
+    rows, last, baseline : z's columns in the data (rows, n), and in earlier estimates (cells, n). Raises LinAlgError if
+    flat.
     """
-
-    cells: NDArray[np.intp]
-    below: Array
-    above: Array
-    answer: Array
-
-    @classmethod
-    def of(cls, errors: DenseErrors, rows: Array, last: Array, baseline: Array) -> "ActiveBounds":
-        """With z's columns in the data (rows, n), and in earlier estimates (cells, n). Raises LinAlgError if flat."""
-        model = errors.model
-        free, cells = model.free, np.flatnonzero(model.at_lower | model.at_upper)
-        typical = np.exp(np.log(model.at.cell_resistance).ravel()[free].mean()) if len(free) else 1.0
-        stretch = np.where(model.at_upper, np.maximum(model.at.cell_resistance.ravel() / typical, 1.0), 1.0)
-        data, penalties = np.sqrt(model.data_curvature)[:, None], np.sqrt(model.penalty_curvature)[:, None]
-        stacked = np.vstack([errors.sensitivity * data, model.penalty_jacobian.toarray() * penalties]) * stretch
-        carried = model.previous_jacobian @ last + model.baseline_jacobian @ baseline
-        moved = np.vstack([rows * data, -carried * penalties])  # √Ω of what z moves of data and penalties
-        own, others = stacked[:, cells], stacked[:, free]
-        across = errors.inverse @ (others.T @ own)
-        left = np.maximum(np.sum(own**2, axis=0) - np.sum((others.T @ own) * across, axis=0), IGNORANCE * model.scale)
-        variance = model.scale / left
-        slope = np.abs(model.gradient[cells]) * stretch[cells] / (2 * model.scale)
-        answer = ((own - others @ across).T @ moved) / left[:, None]
-        released = np.sqrt(np.sum(answer**2, axis=1)) > slope * variance
-        together = np.concatenate([free, cells[released]])
-        matrix = stacked[:, together].T @ stacked[:, together]
-        matrix[np.diag_indices(len(matrix))] += IGNORANCE * model.scale
-        joint = positive_inverse(matrix) @ (stacked[:, together].T @ moved)
-        answer[released] = joint[len(free) :]
-        wide = variance + np.sum(answer**2, axis=1)
-        reach = one_sided(slope * variance / wide, wide)[1]
-        below = np.where(model.at_upper[cells], np.log1p(stretch[cells] * reach), 0.0)
-        return cls(cells, below, np.where(model.at_upper[cells], np.inf, reach), joint[: len(free)])
+    model = errors.model
+    free, cells = model.free, np.flatnonzero(model.at_lower | model.at_upper)
+    typical = np.exp(np.log(model.at.cell_resistance).ravel()[free].mean()) if len(free) else 1.0
+    stretch = np.where(model.at_upper, np.maximum(model.at.cell_resistance.ravel() / typical, 1.0), 1.0)
+    data, penalties = np.sqrt(model.data_curvature)[:, None], np.sqrt(model.penalty_curvature)[:, None]
+    stacked = np.vstack([errors.sensitivity * data, model.penalty_jacobian.toarray() * penalties]) * stretch
+    carried = model.previous_jacobian @ last + model.baseline_jacobian @ baseline
+    moved = np.vstack([rows * data, -carried * penalties])  # √Ω of what z moves of data and penalties
+    own, others = stacked[:, cells], stacked[:, free]
+    across = errors.inverse @ (others.T @ own)
+    left = np.maximum(np.sum(own**2, axis=0) - np.sum((others.T @ own) * across, axis=0), IGNORANCE * model.scale)
+    variance = model.scale / left
+    slope = np.abs(model.gradient[cells]) * stretch[cells] / (2 * model.scale)
+    answer = ((own - others @ across).T @ moved) / left[:, None]
+    released = np.sqrt(np.sum(answer**2, axis=1)) > slope * variance
+    together = np.concatenate([free, cells[released]])
+    matrix = stacked[:, together].T @ stacked[:, together]
+    matrix[np.diag_indices(len(matrix))] += IGNORANCE * model.scale
+    joint = positive_inverse(matrix) @ (stacked[:, together].T @ moved)
+    answer[released] = joint[len(free) :]
+    wide = variance + np.sum(answer**2, axis=1)
+    reach = one_sided(slope * variance / wide, wide)[1]
+    below = np.where(model.at_upper[cells], np.log1p(stretch[cells] * reach), 0.0)
+    return joint[: len(free)], cells, below, np.where(model.at_upper[cells], np.inf, reach)
 
 
 def positive_inverse(matrix: Array) -> Array:

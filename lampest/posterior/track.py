@@ -7,7 +7,7 @@ import numpy as np
 from lampest.panel.panel import Array
 from lampest.panel.systematic import Shared
 from lampest.posterior.certainty import Certainty, LogInterval
-from lampest.posterior.dense import ActiveBounds, DenseErrors, Memory
+from lampest.posterior.dense import DenseErrors, Memory, active_bounds
 from lampest.posterior.frame_noise import FrameNoise
 from lampest.posterior.interval import TWO_SIDED
 from lampest.posterior.linear import LinearModel
@@ -111,9 +111,8 @@ class Track:
         last, baseline = self.answers or np.zeros((2, cells[0].size, columns.shape[1]))
         answer, rows = np.zeros((cells.size, columns.shape[1])), np.asarray(model.through @ columns)
         if not isinstance(errors, SampledErrors) and (model.at_lower | model.at_upper).any():
-            active = ActiveBounds.of(errors, rows, last, baseline)
-            answer[model.free] = active.answer
-            own = own.reaching(active.cells, active.below, active.above)
+            answer[model.free], held, below, above = active_bounds(errors, rows, last, baseline)
+            own = own.reaching(held, below, above)
         else:
             answer[model.free] = errors.answer(rows, last, baseline)
         return answer, own.widened(answer, self.shared.own(cells[0].size))
