@@ -120,8 +120,6 @@ def test_should_the_other_process_die_every_frame_waits_for_its_own(lamprey: Rec
             beside = engine._beside
             assert beside is not None
             if engine.shown.thing.frames == 5:
-                until(lambda: beside._worker is not None)
-                assert beside._worker is not None
                 beside._worker.process.kill()
                 until(lambda: beside.gone)
 

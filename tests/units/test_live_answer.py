@@ -1,7 +1,6 @@
 """What live says of attachments: the answer of `lampest detect`, and an alarm that stays until it is acknowledged."""
 
 import dataclasses
-import time
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +19,7 @@ from lampest.report.detect.detection import detect_recording
 from lampest.report.live import watcher as watcher_module
 from lampest.report.live.message import UNKNOWN, Message, Picture, View, acknowledged, with_detected
 from lampest.report.live.run import scan_of
-from lampest.report.live.watcher import Unloaded, Watched, Watcher
+from lampest.report.live.watcher import Unloaded, Watched, in_one_batch, watcher
 
 SCENE = Scene(Panel(6, 6), TwoPointReadout(noise_lsb=0.7), 140.0, response=PublishedResponse())
 MOUTH = OralDisc(centre_mm=(26, 24), diameter_mm=33, rim_width_mm=5.5, pressure_kpa=-10, rim_kpa=85)
@@ -144,26 +143,24 @@ def test_streams_of_numbers_have_the_answer_too() -> None:
 
 def test_more_than_can_be_watched_is_watched_less_often(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(watcher_module, "MOST_WAITING", 4)
-    monkeypatch.setattr(Watcher, "_serve", lambda self: None)
-    watcher, (unloaded, *scans) = Watcher("mouth", print), news(taken(8))
+    (unloaded, *scans), waiting = news(taken(8)), []
     for one in (unloaded, *scans):
-        watcher.take(one)  # type: ignore[arg-type]
-    assert watcher._waiting[0] is unloaded and watcher._waiting[-1] is scans[-1] and len(watcher._waiting) <= 5
+        waiting = in_one_batch([one], waiting)  # type: ignore[list-item]
+    (batch,) = waiting
+    assert batch[0] is unloaded and batch[-1] is scans[-1] and len(batch) <= 5
 
 
 @pytest.mark.slow
 def test_a_process_of_its_own_answers_and_its_death_is_said() -> None:
     answers: list[Detected] = []
-    watcher = Watcher("mouth", answers.append)
+    beside = watcher("mouth", answers.append)
     for one in news(taken(4)):
-        watcher.take(one)  # type: ignore[arg-type]
-    watcher.finish()
+        beside.ask([one])  # type: ignore[list-item]
+    beside.finish()
     assert answers[-1].answer == "nothing"
-    watcher = Watcher("mouth", answers.append)
-    while watcher._worker is None:
-        time.sleep(0.01)
-    watcher._worker.process.kill()
-    watcher.take(2)
-    watcher.finish()
+    beside = watcher("mouth", answers.append)
+    beside._worker.process.kill()
+    beside.ask([2])
+    beside.finish()
     assert answers[-1].answer == "cannot say" and "has died" in answers[-1].why
-    watcher.close()
+    beside.close()

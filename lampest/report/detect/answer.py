@@ -1,7 +1,7 @@
 """What a recording is answered with: one sentence, its attachments and events; as a table, as JSON and as a file."""
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -14,22 +14,11 @@ from lampest.panel.panel import Array, Panel
 from lampest.report.compare import Table
 
 FORMAT, FILE = "detections/2", "detections.h5"
-LAMPREY, SUCKS, CUP, PRESSES, NOTHING, CANNOT_SAY = ANSWERS = (
-    "lamprey",
-    "sucks",
-    "suction cup",
-    "presses",
-    "nothing",
-    "cannot say",
-)
+ANSWERS = ("lamprey", "sucks", "suction cup", "presses", "nothing", "cannot say")
+LAMPREY, SUCKS, CUP, PRESSES, NOTHING, CANNOT_SAY = ANSWERS
 BARE = 0.99  # probability that a panel is bare on which nothing stepped: weak loads make no step; an assumption
 SURE = 0.9  # from which on an attachment is called lamprey, or suction cup
-IN_WORDS = {
-    SUCKS: "something sucks (lamprey or cup)",
-    CUP: "suction cup",
-    LAMPREY: "lamprey",
-    PRESSES: "something presses",
-}
+IN_WORDS = {SUCKS: "something sucks (lamprey or cup)", CUP: CUP, LAMPREY: LAMPREY, PRESSES: "something presses"}
 PAIRS = {
     "x_mm": ("mm", "centre across the columns, column 0 at 0"),
     "y_mm": ("mm", "centre across the rows, row 0 at 0"),
@@ -92,12 +81,9 @@ class Detected:
         panel: Panel | None = None,
     ) -> "Detected":
         """The most alarming of all attachments, of these the last one; rate : frames a second."""
-        if not attachments:
-            return cls(recording, NOTHING, BARE, "", rate, notes, (), course, change, panel)
-        order = [ANSWERS.index(answer_of(one, rate)[0]) for one in attachments]
-        chosen = attachments[max(number for number, rank in enumerate(order) if rank == min(order))]
-        answer, probability, why = answer_of(chosen, rate)
-        return cls(recording, answer, probability, why, rate, notes, tuple(attachments), course, change, panel)
+        called = [answer_of(one, rate) for one in reversed(attachments)]
+        chosen = min(called, key=lambda one: ANSWERS.index(one[0]), default=(NOTHING, BARE, ""))
+        return cls(recording, *chosen, rate, notes, tuple(attachments), course, change, panel)
 
     @classmethod
     def unknown(cls, recording: str, why: str) -> "Detected":
@@ -105,35 +91,39 @@ class Detected:
         return cls(recording, CANNOT_SAY, 1.0, why)
 
     @property
+    def called(self) -> list[str]:
+        """The answer to each attachment alone."""
+        return [answer_of(one, self.frames_per_second or 0.0)[0] for one in self.attachments]
+
+    @property
     def chosen(self) -> Attachment | None:
         """The attachment that the answer is about."""
-        rate = self.frames_per_second or 0.0
-        found = [one for one in self.attachments if answer_of(one, rate)[0] == self.answer]
-        return found[-1] if found else None
+        named = zip(self.attachments, self.called, strict=True)
+        return next((one for one, name in reversed(list(named)) if name == self.answer), None)
 
     @property
     def sentence(self) -> str:
         """The answer for people."""
-        one = self.chosen
+        one, why = self.chosen, f": {self.why}" if self.why else ""
         if one is None:
-            return self.answer + (f": {self.why}" if self.why else "")
+            return self.answer + why
+        begun = "since" if one.until_s is None else "from"
+        words = " attached" if one.sucks > 0.5 else ", there"
         until = "" if one.until_s is None else f" to {one.until_s:.1f} s"
-        there = "attached" if one.sucks > 0.5 else "there"
-        words = f"{IN_WORDS[self.answer]}, {there} {'from' if until else 'since'} {one.since_s:.1f} s{until}"
-        words = words.replace(", attached", " attached", 1)
-        said = [f"{words}, {_shown(one.diameter_mm, 'mm')}".removesuffix(", ")]
-        said[0] += f" at ({one.x_mm[0]:.0f}, {one.y_mm[0]:.0f}) mm"
-        said += [_shown(one.suction_kpa, "kPa")] if one.sucks > 0.5 else []
+        diameter = f", {_shown(one.diameter_mm, 'mm')}" if one.diameter_mm else ""
+        place = f" at ({one.x_mm[0]:.0f}, {one.y_mm[0]:.0f}) mm"
+        said = [f"{IN_WORDS[self.answer]}{words} {begun} {one.since_s:.1f} s{until}{diameter}{place}"]
+        if one.suction_kpa and one.sucks > 0.5:
+            said.append(_shown(one.suction_kpa, "kPa"))
         if one.diameter_mm is None and one.area_mm2 is not None:
             said += [f"{one.cells} cells", _shown(one.area_mm2, "mm²")]
         if self.answer == LAMPREY and one.breathing_hz and one.breathing_depth:
             depth = (100 * one.breathing_depth[0], 100 * one.breathing_depth[1])
-            said += [f"breathing {one.breathing_hz[0]:.1f} Hz, {_shown(depth, '%')}"]
-        more = sum(other.here for other in self.attachments) - one.here
-        said += [f"and {more} more"] if more else []
+            said += [f"breathing {one.breathing_hz[0]:.1f} Hz", _shown(depth, "%")]
+        if more := sum(other.here for other in self.attachments) - one.here:
+            said.append(f"and {more} more")
         odds = f"P = {self.probability:.2f}" if self.probability < 0.995 else "P > 0.99"
-        text = ", ".join(part for part in said if part) + f" ({odds})"
-        return text + (f": {self.why}" if self.why else "")
+        return f"{', '.join(said)} ({odds}){why}"
 
     @property
     def events(self) -> tuple[Event, ...]:
@@ -159,24 +149,24 @@ class Detected:
             "why": self.why,
             "notes": list(self.notes),
             "warnings": list(self.warnings),
-            "attachments": [self._content(one) for one in self.attachments],
+            "attachments": [_content(one, name) for one, name in zip(self.attachments, self.called, strict=True)],
             "events": [
                 {"event": one.kind, "time_s": _round(one.time_s), "attachment": one.number} for one in self.events
             ],
         }
 
-    def _content(self, one: Attachment) -> dict[str, Any]:
-        known = asdict(one)
-        pairs = {name: None if known[name] is None else [_round(number) for number in known[name]] for name in PAIRS}
-        times = {"since_s": _round(one.since_s), "until_s": None if one.until_s is None else _round(one.until_s)}
-        odds = {"sucks": round(one.sucks, 4), "breathes": round(one.breathes, 4)}
-        return {
-            "answer": answer_of(one, self.frames_per_second or 0.0)[0],
-            **odds,
-            **times,
-            "cells": one.cells,
-            **pairs,
-        }
+
+def _content(one: Attachment, answer: str) -> dict[str, Any]:
+    pairs = {name: getattr(one, name) for name in PAIRS}
+    return {
+        "answer": answer,
+        "sucks": round(one.sucks, 4),
+        "breathes": round(one.breathes, 4),
+        "since_s": _round(one.since_s),
+        "until_s": None if one.until_s is None else _round(one.until_s),
+        "cells": one.cells,
+        **{name: None if pair is None else [_round(number) for number in pair] for name, pair in pairs.items()},
+    }
 
 
 def answer_of(one: Attachment, rate: float) -> tuple[str, float, str]:
@@ -201,9 +191,9 @@ def answer_of(one: Attachment, rate: float) -> tuple[str, float, str]:
 
 def alarming(detected: Detected) -> list[float]:
     """Since when attachments are there that are lampreys, or suck while frames are too few to know more, s."""
-    rate = detected.frames_per_second or 0.0
-    called = ((one, answer_of(one, rate)[0]) for one in detected.attachments)
-    return [one.since_s for one, name in called if name == LAMPREY or (name == SUCKS and too_slow(rate))]
+    alarms = (LAMPREY, SUCKS) if too_slow(detected.frames_per_second or 0.0) else (LAMPREY,)
+    pairs = zip(detected.attachments, detected.called, strict=True)
+    return [one.since_s for one, name in pairs if name in alarms]
 
 
 def _round(number: float) -> float:
@@ -211,13 +201,13 @@ def _round(number: float) -> float:
     return float(f"{number:.6g}")
 
 
-def _shown(pair: Pair | None, unit: str) -> str:
+def _shown(pair: Pair | None, unit: str = "") -> str:
     """Value ± standard deviation, with as many digits as that has; '' where there is none."""
     if pair is None:
         return ""
     digits = 0 if pair[1] >= 1 else 1 if pair[1] >= 0.05 else 2
     error = max(pair[1], 0.01)
-    return f"{pair[0]:.{digits}f} ± {error:.{digits}f} {unit}".replace("-", "−")
+    return f"{pair[0]:.{digits}f} ± {error:.{digits}f} {unit}".replace("-", "−").strip()
 
 
 def event_table(answers: Sequence[Detected]) -> Table:
@@ -225,14 +215,10 @@ def event_table(answers: Sequence[Detected]) -> Table:
     rows = []
     for one in answers:
         for event in one.events:
-            load = one.attachments[event.number]
-            rate = one.frames_per_second or 0.0
+            load, what = one.attachments[event.number], one.called[event.number]
             place = f"{load.x_mm[0]:.0f}, {load.y_mm[0]:.0f}"
-            numbers = [_shown(pair, "") for pair in (load.diameter_mm, load.suction_kpa, load.breathing_hz)]
-            what = answer_of(load, rate)[0]
-            rows.append(
-                (one.recording, f"{event.time_s:.1f}", event.kind, what, place, *(text.strip() for text in numbers))
-            )
+            numbers = [_shown(pair) for pair in (load.diameter_mm, load.suction_kpa, load.breathing_hz)]
+            rows.append((one.recording, f"{event.time_s:.1f}", event.kind, what, place, *numbers))
     headers = ("recording", "time [s]", "event", "what", "x, y [mm]", "diameter [mm]", "inside [kPa]", "breathing [Hz]")
     return Table(headers, tuple(rows))
 
@@ -240,12 +226,11 @@ def event_table(answers: Sequence[Detected]) -> Table:
 def load_table(answers: Sequence[Detected]) -> Table:
     """One row for each attachment: probabilities, and what the touched cells show whatever it is."""
     rows = []
-    for one in answers:
-        for load in one.attachments:
-            area = "" if load.area_mm2 is None else f"{load.area_mm2[0]:.0f}"
-            conductance = "" if load.conductance_s is None else f"{1e3 * load.conductance_s[0]:.3g}"
-            odds = f"{load.sucks:.3f}", f"{load.breathes:.3f}"
-            rows.append((one.recording, f"{load.since_s:.1f}", *odds, str(load.cells), area, conductance))
+    for name, load in ((one.recording, load) for one in answers for load in one.attachments):
+        area = "" if load.area_mm2 is None else f"{load.area_mm2[0]:.0f}"
+        conductance = "" if load.conductance_s is None else f"{1e3 * load.conductance_s[0]:.3g}"
+        odds = f"{load.sucks:.3f}", f"{load.breathes:.3f}"
+        rows.append((name, f"{load.since_s:.1f}", *odds, str(load.cells), area, conductance))
     headers = ("recording", "since [s]", "P(sucks)", "P(breathes)", "cells", "area [mm²]", "conductance [mS]")
     return Table(headers, tuple(rows))
 
@@ -253,49 +238,45 @@ def load_table(answers: Sequence[Detected]) -> Table:
 def write_detections(path: str | Path, answers: Sequence[Detected]) -> Path:
     """Write all answers into one file, whole or not at all. Raises InputError where it cannot be written.
 
-    A group for each recording with the names of `Detected.content`: one number of an attachment is one dataset.
+    A group for each recording with the names of `Detected.content`: one number of an attachment is one dataset, of a
+    pair two, the second `<name>_errors`.
     """
-    path = Path(path)
-    with hdf5.new_file(path) as file:
+    with hdf5.new_file(path := Path(path)) as file:
         hdf5.set_attributes(file, NX_class="NXroot", default="entry", lampest_format=FORMAT)
         entry = file.create_group("entry")
         hdf5.set_attributes(entry, NX_class="NXentry")
         for order, one in enumerate(answers):
+            known, rate = one.content(), one.frames_per_second
+            about = {name: known[name] for name in ("answer", "sentence", "why")} | {"probability": one.probability}
+            about |= {"frames_per_second": np.nan if rate is None else rate, "notes": "\n".join(one.notes)}
             group = entry.create_group(one.recording)
-            known = one.content()
-            texts = {name: known[name] for name in ("answer", "sentence", "why")}
-            rate = np.nan if one.frames_per_second is None else one.frames_per_second
-            hdf5.set_attributes(
-                group,
-                NX_class="NXsubentry",
-                order=order,
-                probability=one.probability,
-                frames_per_second=rate,
-                notes="\n".join(one.notes),
-                **texts,
-            )
+            hdf5.set_attributes(group, NX_class="NXsubentry", order=order, **about)
             if one.attachments:
-                _write_attachments(group.create_group("attachments"), known["attachments"])
-                _write_events(group.create_group("events"), one.events)
+                _write_table(group.create_group("attachments"), _attachment_columns(known["attachments"]))
+                events = [(event.kind, event.time_s, event.number) for event in one.events]
+                kinds, times, numbers = zip(*events, strict=True)
+                columns = {"event": (hdf5.ascii_array(kinds), "1", "touched, attached, moved or released")}
+                columns["time"] = np.array(times), "s", "when it was first seen"
+                columns["attachment"] = np.array(numbers), "1", "number of the attachment"
+                _write_table(group.create_group("events"), columns)
     return path
 
 
-def _write_attachments(group: Any, known: Sequence[dict[str, Any]]) -> None:
-    """A table by columns; pairs as two columns, the second `<name>_errors`."""
-    hdf5.set_attributes(group, NX_class="NXcollection")
-    hdf5.write_dataset(group, "answer", hdf5.ascii_array([one["answer"] for one in known]), "1", "what it is")
+def _attachment_columns(known: Sequence[dict[str, Any]]) -> dict[str, tuple[Any, str, str]]:
+    """name → (values, units, text)."""
+    columns: dict[str, tuple[Any, str, str]] = {
+        "answer": (hdf5.ascii_array([one["answer"] for one in known]), "1", "what it is")
+    }
     for name, (units, text) in NUMBERS.items():
-        values = np.array([np.nan if one[name] is None else one[name] for one in known], dtype=float)
-        hdf5.write_dataset(group, name, values, units, text)
+        columns[name] = np.array([one[name] for one in known], dtype=float), units, text
     for name, (units, text) in PAIRS.items():
-        pairs = np.array([[np.nan, np.nan] if one[name] is None else one[name] for one in known], dtype=float)
-        hdf5.write_dataset(group, name, pairs[:, 0], units, text)
-        hdf5.write_dataset(group, f"{name}_errors", pairs[:, 1], units, f"standard deviation: {text}")
+        pairs = np.array([one[name] or (None, None) for one in known], dtype=float)
+        columns[name] = pairs[:, 0], units, text
+        columns[f"{name}_errors"] = pairs[:, 1], units, f"standard deviation: {text}"
+    return columns
 
 
-def _write_events(group: Any, happened: Sequence[Event]) -> None:
+def _write_table(group: Any, columns: dict[str, tuple[Any, str, str]]) -> None:
     hdf5.set_attributes(group, NX_class="NXcollection")
-    kinds = hdf5.ascii_array([one.kind for one in happened])
-    hdf5.write_dataset(group, "event", kinds, "1", "touched, attached, moved or released")
-    hdf5.write_dataset(group, "time", np.array([one.time_s for one in happened]), "s", "when it was first seen")
-    hdf5.write_dataset(group, "attachment", np.array([one.number for one in happened]), "1", "number of the attachment")
+    for name, (values, units, text) in columns.items():
+        hdf5.write_dataset(group, name, values, units, text)

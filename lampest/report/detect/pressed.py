@@ -1,7 +1,5 @@
 """What presses on a panel whatever it is: centre, area, peak and total force over time, from the cells' pressures."""
 
-import csv
-import io
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +10,7 @@ from numpy.typing import NDArray
 from lampest.files.whole import write_whole
 from lampest.loads.force import KPA_MM2, determined, pressing_cells
 from lampest.panel.panel import Array, Panel
-from lampest.report.compare import Table
+from lampest.report.compare import Table, comma_separated
 from lampest.runs.case import CaseResult
 from lampest.runs.results import Results
 
@@ -117,15 +115,13 @@ def write_pressed(path: str | Path, all_pressed: Sequence[PressedCells]) -> Path
 
     Raises InputError where the place cannot be written.
     """
-    stream = io.StringIO()
-    writer = csv.writer(stream, lineterminator="\n")
     named = [name for header in HEADERS for name in (header, f"standard deviation of {header}")]
-    writer.writerow(["recording", "estimator", "frame", "time [s]", *named, "saturated cells"])
+    lines: list[list[object]] = [["recording", "estimator", "frame", "time [s]", *named, "saturated cells"]]
     for one in all_pressed:
         for number, frame in enumerate(one.frame):
             pairs = np.column_stack([one.values[number], one.errors[number]]).ravel()
             numbers = [float(value) if np.isfinite(value) else None for value in pairs]
-            line = [one.recording, one.estimator, int(frame), float(one.time[number]), *numbers]
-            writer.writerow([*line, int(one.saturated[number])])
-    write_whole(Path(path), stream.getvalue())
+            head = one.recording, one.estimator, int(frame), float(one.time[number])
+            lines.append([*head, *numbers, int(one.saturated[number])])
+    write_whole(Path(path), comma_separated(lines))
     return Path(path)

@@ -10,21 +10,19 @@ from threading import Event
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.outliers import without_outliers
 from lampest.estimate.warnings import warnings_of
 from lampest.files.errors import InputError
-from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.recording.readings import Readings
-from lampest.recording.recording import MEASURED, UNLOADED, Recording
+from lampest.recording.recording import MEASURED, UNLOADED
 from lampest.report.detect.answer import Detected
 from lampest.report.live.handover import Beside, Errand, Newest
-from lampest.report.live.message import POINTS, UNKNOWN, Picture, Point, View, acknowledged, with_detected
+from lampest.report.live.message import POINTS, UNKNOWN, Picture, Point, View, with_detected
 from lampest.report.live.state import Findings, PanelState, SecondLook, solved_picture
-from lampest.report.live.watcher import Scan, Unloaded, Watcher
+from lampest.report.live.watcher import News, Scan, Unloaded, as_recording, watcher
 
 BARS_SECONDS = 0.2  # between looks that only lack error bars: what reads them is the eye
 LOADED = 1.0  # percent by which readings have changed on average: far above noise, and what a finger does
@@ -54,17 +52,15 @@ class Engine:
 
     def __init__(self, name: str, method: str, estimator: Estimator, baseline: int, beside: bool = False) -> None:
         self.shown = Newest(View(name, method, "starting"))
-        self._estimator = estimator
-        self._baseline = baseline
+        self._estimator, self._baseline = estimator, baseline
         self._unloaded: list[Scan] = []
         self._arrivals: Newest[Scan | None] = Newest(None)
         self._pool = ThreadPoolExecutor(1, "lampest-solver")
         self._solving: Future[None] | None = None
-        self._zero_asked = Event()
-        self._looked = 0.0
-        self._beside = Beside() if beside else None
-        self._watcher = Watcher(name, self._take_detected) if beside else None
+        self._zero_asked, self._looked = Event(), 0.0
         self._found: SimpleQueue[Any] = SimpleQueue()
+        self._beside = Beside(Errand.done, Errand.queued, self._take_answer) if beside else None
+        self._watcher = watcher(name, self._take_detected) if beside else None
 
     def __enter__(self) -> "Engine":
         return self
@@ -72,10 +68,9 @@ class Engine:
     def __exit__(self, *error: object) -> None:
         self._arrivals.close()
         self._pool.shutdown()
-        if self._beside is not None:
-            self._beside.close()
-        if self._watcher is not None:
-            self._watcher.close()
+        for process in (self._beside, self._watcher):
+            if process is not None:
+                process.close()
 
     def finish(self) -> None:
         """Solve the frame that waits, and watch all that came; no other may come. Raises what stopped the solver."""
@@ -86,32 +81,25 @@ class Engine:
         if self._watcher is not None:
             self._watcher.finish()
 
+    def show(self, **fields: Any) -> None:
+        """Change fields of the view."""
+        self.shown.change(lambda view: replace(view, **fields))
+
     def say(self, sentence: str) -> None:
         """Show a state of the port or the recording."""
-        self._show(state=sentence)
-
-    def say_of_recording(self, sentence: str, on: bool) -> None:
-        """Show the state of the recording that the page may begin and end, and whether it runs."""
-        self._show(recording=(sentence, on))
-
-    def _show(self, **fields: Any) -> None:
-        self.shown.change(lambda view: replace(view, **fields))
+        self.show(state=sentence)
 
     def tare(self) -> None:
         """The mean of the next frames, as many as the first baseline had, is the new one; called from any thread."""
         self._zero_asked.set()
         self._watch(self._baseline)
 
-    def acknowledge(self) -> None:
-        """The alarm has been seen; called from any thread."""
-        self.shown.change(acknowledged)
-
-    def _watch(self, news: Unloaded | Scan | int) -> None:
+    def _watch(self, news: News) -> None:
         if self._watcher is not None:
-            self._watcher.take(news)
+            self._watcher.ask([news])
 
     def _take_detected(self, found: Detected) -> None:
-        self.shown.change(lambda view: with_detected(view, found))
+        self.shown.change(partial(with_detected, detected=found))
 
     def begin(self, source: FrameSource, unloaded: Sequence[Scan]) -> None:
         """Solve against the mean of unloaded frames without outliers. Raises InputError where one has no readings."""
@@ -121,7 +109,7 @@ class Engine:
             raise InputError(f"the unloaded panel is no baseline: {error}; check the scene's readout") from error
         every = first.together(*others)
         resting = without_outliers(source.scene.circuit, every, np.ones(len(every.value), dtype=bool))[1].mean()
-        self._show(panel=source.scene.panel, state=source.state, frames=len(unloaded))
+        self.show(panel=source.scene.panel, state=source.state, frames=len(unloaded))
         self._watch(Unloaded(source.scene, tuple(unloaded)))
         self._solving = self._pool.submit(self._solve, source, resting, tuple(unloaded))
 
@@ -144,8 +132,8 @@ class Engine:
     def _solve(self, source: FrameSource, resting: Readings, unloaded: tuple[Scan, ...]) -> None:
         """Solve the newest frame until no more come; check the circuit before and with the first loaded frames."""
         state = PanelState.begin(self._estimator, source.scene, source.period, resting, self._beside is not None)
-        self._check(source.scene, unloaded)
-        seen, loaded = 0, list[Scan]()
+        self._check(source.scene, unloaded, ())
+        seen, loaded = 0, tuple[Scan, ...]()
         while (news := self._arrivals.after(seen)) is not None:
             assert news.thing is not None
             skipped, seen = news.number - seen - 1, news.number
@@ -157,11 +145,11 @@ class Engine:
             self.shown.change(partial(with_picture, picture=picture, zeroed=state.zeroed))
             self._look_again(state.look)
             if len(loaded) < LOADED_FRAMES and float(np.nanmean(np.abs(picture.measured_change))) > LOADED:
-                loaded.append(news.thing)
+                loaded = (*loaded, news.thing)
                 if len(loaded) == LOADED_FRAMES:
-                    self._check(source.scene, unloaded, *loaded)
+                    self._check(source.scene, unloaded, loaded)
         if 0 < len(loaded) < LOADED_FRAMES:
-            self._check(source.scene, unloaded, *loaded)
+            self._check(source.scene, unloaded, loaded)
 
     def _with_findings(self, state: PanelState) -> PanelState:
         """With what second looks have found meanwhile; without them from here on, should their process have died."""
@@ -180,36 +168,30 @@ class Engine:
         now = time.monotonic()
         if look is not None and self._beside is not None and (look.due or now - self._looked >= BARS_SECONDS):
             self._looked = now
-            self._beside.ask("look", Errand(look.findings, self._take_findings, look.due))
+            self._beside.ask(Errand("look", look.findings, look.due))
 
-    def _take_findings(self, found: "Findings | Exception") -> None:
+    def _check(self, scene: Scene, unloaded: tuple[Scan, ...], loaded: tuple[Scan, ...]) -> None:
+        """Show what speaks against the frames."""
+        check = Errand("check", partial(_warnings, scene, unloaded, loaded))
+        if self._beside is None or self._beside.gone:
+            self._take_answer(check, check.done())
+        else:
+            self._beside.ask(check)
+
+    def _take_answer(self, errand: Errand, found: Any) -> None:
+        if errand.kind == "check" and not isinstance(found, Exception):
+            self.show(model="\n".join(found))
+            return
         self._found.put(found)
         if isinstance(found, Findings) and found.force is not None:
-            self._show(deviation=found.force.deviation, deviation_of=found.number)
-
-    def _check(self, scene: Scene, unloaded: tuple[Scan, ...], *loaded: Scan) -> None:
-        """Show what speaks against the frames."""
-        scans = (*unloaded, *loaded)
-        known = [scan.sigma for scan in scans if scan.sigma is not None]
-        sigma = np.stack(known) if len(known) == len(scans) else None
-        role = np.array([UNLOADED] * len(unloaded) + [MEASURED] * len(loaded), dtype=np.uint8)
-        check = partial(_warnings, scene, np.stack([scan.recorded for scan in scans]), sigma, role)
-        if self._beside is None or self._beside.gone:
-            self._take_check(check())
-        else:
-            self._beside.ask("check", Errand(check, self._take_check))
-
-    def _take_check(self, found: "tuple[str, ...] | Exception") -> None:
-        if isinstance(found, Exception):
-            self._found.put(found)
-        else:
-            self._show(model="\n".join(found))
+            self.show(deviation=found.force.deviation, deviation_of=found.number)
 
 
-def _warnings(scene: Scene, recorded: Array, sigma: Array | None, role: NDArray[np.uint8]) -> tuple[str, ...]:
-    """What speaks against frames (frames, rows, columns), or why they are none."""
+def _warnings(scene: Scene, unloaded: tuple[Scan, ...], loaded: tuple[Scan, ...]) -> tuple[str, ...]:
+    """What speaks against frames, or why they are none."""
+    role = [UNLOADED] * len(unloaded) + [MEASURED] * len(loaded)
     try:
-        return warnings_of(Recording(scene, recorded, np.arange(float(len(role))), role, sigma))
+        return warnings_of(as_recording(scene, unloaded + loaded, np.arange(float(len(role))), role))
     except InputError as error:
         return (str(error),)
 
@@ -233,6 +215,5 @@ def with_picture(view: View, picture: Picture, zeroed: str = "") -> View:
     zero = f"taken anew after frame {picture.number}: {zeroed}" if zeroed else view.zero
     skipped, history = view.skipped + picture.skipped, (*view.history, point)[-POINTS:]
     view = replace(view, picture=picture, skipped=skipped, history=history, zero=zero)
-    if np.isnan(picture.force.deviation):
-        return view
-    return replace(view, deviation=picture.force.deviation, deviation_of=picture.number)
+    known = not np.isnan(picture.force.deviation)
+    return replace(view, deviation=picture.force.deviation, deviation_of=picture.number) if known else view

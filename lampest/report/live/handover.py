@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Callable
-from contextlib import ExitStack, suppress
+from contextlib import suppress
 from threading import Condition, Thread
 from typing import Any, Generic, NamedTuple, TypeVar
 
@@ -19,12 +19,12 @@ class News(NamedTuple, Generic[T]):
 
 
 class Newest(Generic[T]):
-    """One place that holds one thing. What it holds, and whether more will come, is its only state."""
+    """One place that holds one thing. What it holds, and whether more will come (`closed`), is its only state."""
 
     def __init__(self, first: T) -> None:
         self._changed = Condition()
         self._news = News(0, first)
-        self._closed = False
+        self.closed = False
 
     def put(self, thing: T) -> None:
         """Let `thing` take the place."""
@@ -39,7 +39,7 @@ class Newest(Generic[T]):
     def close(self) -> None:
         """Nothing more will come."""
         with self._changed:
-            self._closed = True
+            self.closed = True
             self._changed.notify_all()
 
     @property
@@ -47,91 +47,97 @@ class Newest(Generic[T]):
         """What it holds now."""
         return self._news.thing
 
-    @property
-    def closed(self) -> bool:
-        """Whether nothing more will come."""
-        return self._closed
-
     def after(self, number: int, timeout: float | None = None) -> News[T] | None:
         """Wait for something newer than that number; None after so many s, or where nothing more will come."""
         with self._changed:
-            self._changed.wait_for(lambda: self._news.number > number or self._closed, timeout)
+            self._changed.wait_for(lambda: self._news.number > number or self.closed, timeout)
             return self._news if self._news.number > number else None
 
 
-class Errand(NamedTuple):
-    """run : in the other process. then : takes answer or exception here. urgent : replaced by urgent ones alone."""
+class Beside(Generic[T]):
+    """One process, polite to others, in which `desk` answers one task after the other, and a thread that waits for it.
 
-    run: Callable[[], Any]
-    then: Callable[[Any], None]
-    urgent: bool = False
-
-
-class Beside:
-    """One process that runs one task after the other; of each kind the newest waits.
-
-    A process that dies takes its tasks with it: nothing is answered any more, and `gone` says so.
+    queued : (one more, those that wait) → those that wait then. on_answer : gets task and answer or exception, from
+    that thread. A process that dies takes its tasks with it: nothing is answered any more; `gone` says so, and on_gone.
     """
 
-    def __init__(self) -> None:
-        self._changed = Condition()
-        self._waiting: dict[str, Errand] = {}
-        self._closed = self._gone = False
-        self._worker: Worker | None = None
-        self._thread = Thread(target=self._serve, name="lampest-background", daemon=True)
+    def __init__(
+        self,
+        desk: Callable[[T], Any],
+        queued: Callable[[T, list[T]], list[T]],
+        on_answer: Callable[[T, Any], None],
+        on_gone: Callable[[], None] = lambda: None,
+    ) -> None:
+        self._queued, self._on_answer, self._on_gone = queued, on_answer, on_gone
+        self._changed, self._ending, self.gone = Condition(), False, False
+        self._waiting: list[T] = []
+        self._worker = Worker.start(Polite(desk))
+        self._thread = Thread(target=self._serve, name="lampest-beside", daemon=True)
+        self._thread.start()
 
-    @property
-    def gone(self) -> bool:
-        """Whether nothing is answered any more."""
-        return self._gone
-
-    def ask(self, kind: str, task: Errand) -> None:
-        """Never waits; the task replaces one of its kind that waits, unless that is urgent and it not."""
+    def ask(self, task: T) -> None:
+        """Never waits."""
         with self._changed:
-            waiting = self._waiting.get(kind)
-            if waiting is None or task.urgent or not waiting.urgent:
-                self._waiting[kind] = task
-            if not self._thread.is_alive() and not self._closed and not self._gone:
-                self._thread.start()
+            self._waiting = self._queued(task, self._waiting)
             self._changed.notify_all()
+
+    def finish(self) -> None:
+        """Wait for the answer to all that came."""
+        with self._changed:
+            self._ending = True
+            self._changed.notify_all()
+        self._thread.join()
 
     def close(self) -> None:
-        """Drop all tasks."""
+        """Drop what waits."""
         with self._changed:
-            self._closed = True
-            self._changed.notify_all()
-            worker = self._worker
-        if worker is not None:
-            worker.process.kill()
-        if self._thread.is_alive():
-            self._thread.join()
+            self._waiting = []
+        self._worker.process.kill()
+        self.finish()
 
     def _serve(self) -> None:
-        with ExitStack() as end:
-            try:
-                worker = Worker.start(run_politely)
-                end.callback(worker.kill)
-                with self._changed:
-                    self._worker = worker
-                while (task := self._next()) is not None:
-                    worker.send(task.run)
-                    task.then(worker.connection.recv())
-            except (EOFError, OSError):
-                self._gone = True
+        try:
+            while (task := self._next()) is not None:
+                self._worker.send(task)
+                self._on_answer(task, self._worker.connection.recv())
+        except (EOFError, OSError):
+            self.gone = True
+            self._on_gone()
+        finally:
+            self._worker.kill()
 
-    def _next(self) -> Errand | None:
+    def _next(self) -> T | None:
         with self._changed:
-            self._changed.wait_for(lambda: self._closed or bool(self._waiting))
-            return None if self._closed else self._waiting.pop(next(iter(self._waiting)))
+            self._changed.wait_for(lambda: self._ending or bool(self._waiting))
+            return self._waiting.pop(0) if self._waiting else None
 
 
-def politely() -> None:
-    """Let other processes go first."""
-    with suppress(AttributeError, OSError):  # Linux alone has it
-        os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
+class Polite(Generic[T]):
+    """A function of one argument, called by a process that lets others go first."""
+
+    def __init__(self, function: Callable[[T], Any]) -> None:
+        self._function = function
+
+    def __call__(self, argument: T) -> Any:
+        with suppress(AttributeError, OSError):  # Linux alone has it
+            os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
+        return self._function(argument)
 
 
-def run_politely(run: Callable[[], Any]) -> Any:
-    """The answer, by a process that lets others go first."""
-    politely()
-    return run()
+class Errand(NamedTuple):
+    """Something to run; of each kind the newest waits, an urgent one is replaced by urgent ones alone."""
+
+    kind: str
+    run: Callable[[], Any]
+    urgent: bool = False
+
+    def queued(self, waiting: "list[Errand]") -> "list[Errand]":
+        """Those that wait with this one."""
+        same = [one for one in waiting if one.kind == self.kind]
+        if any(one.urgent and not self.urgent for one in same):
+            return waiting
+        return [self if one in same else one for one in waiting] if same else [*waiting, self]
+
+    def done(self) -> Any:
+        """What running it gives."""
+        return self.run()

@@ -22,18 +22,9 @@ MAP_UNITS = {"change": "percent", "pressure": "kPa", "cells": "ohm"}
 UNKNOWN = Force(float("nan"), float("nan"))
 COMPACT: dict[str, Any] = {"allow_nan": False, "separators": (",", ":")}
 POINTS = 1800  # frames of the page's history, one minute at 30 frames a second
-ANSWER = {  # of what is answered, the numbers and their units
-    "answer": "1",
-    "probability": "1",
-    "alarm": "1",
-    "since_s": "second",
-    "until_s": "second",
-    "x_mm": "millimetre",
-    "y_mm": "millimetre",
-    "diameter_mm": "millimetre",
-    "suction_kpa": "kilopascal",
-    "breathing_hz": "hertz",
-}
+PAIRS = {"x_mm": "millimetre", "y_mm": "millimetre", "diameter_mm": "millimetre"}
+PAIRS |= {"suction_kpa": "kilopascal", "breathing_hz": "hertz"}
+ANSWER = {"answer": "1", "probability": "1", "alarm": "1", "since_s": "second", "until_s": "second", **PAIRS}
 VERDICTS = "nothing", "pressing", "sucking", "pressing and sucking", "unsolved"
 NOTHING, PRESSING, SUCKING, BOTH, UNSOLVED = VERDICTS
 
@@ -133,7 +124,7 @@ def acknowledged(view: View) -> View:
 class Message:
     """One frame for other programs, or the same one again once the answer or the alarm has changed.
 
-    panel : rows, columns, pitch. picture : the frame. view : what was shown when it was solved.
+    picture : the frame. view : what was shown when it was solved.
     """
 
     panel: Panel
@@ -154,9 +145,9 @@ class Message:
     @property
     def maps(self) -> dict[str, Array]:
         """In the order of MAP_UNITS, each (rows, columns), NaN where the frame failed."""
-        failed, picture = np.full(self.panel.shape, np.nan), self.picture
-        known = {"change": picture.relative_change, "pressure": picture.pressure, "cells": picture.cell_resistance}
-        return {name: failed if values is None else values for name, values in known.items()}
+        known = self.picture.relative_change, self.picture.pressure, self.picture.cell_resistance
+        failed = np.full(self.panel.shape, np.nan)
+        return {name: failed if values is None else values for name, values in zip(MAP_UNITS, known, strict=True)}
 
     @property
     def solved(self) -> bool:
@@ -164,25 +155,18 @@ class Message:
         return self.picture.verdict != UNSOLVED
 
     def row(self) -> Array:
-        """The frame as one row of numbers, in the order of `channels`."""
-        picture = self.picture
+        """The frame as one row of numbers, in the order of `channels`; NaN where one is not known."""
+        picture, detected, answer = self.picture, self.view.detected, dict[str, float]()
         head = [float(picture.number), picture.force.newton, float(VERDICTS.index(picture.verdict)), float(self.solved)]
-        tail = [self.view.deviation, *self._answer()]
+        if detected is not None:
+            answer = {"answer": ANSWERS.index(detected.answer), "probability": detected.probability}
+            answer["alarm"] = bool(self.view.alarm)
+            if (one := detected.chosen) is not None:
+                pairs = {name: getattr(one, name) for name in PAIRS}
+                answer |= {name: pair[0] for name, pair in pairs.items() if pair is not None}
+                answer |= {"since_s": one.since_s, "until_s": np.nan if one.until_s is None else one.until_s}
+        tail = [self.view.deviation, *(float(answer.get(name, np.nan)) for name in ANSWER)]
         return np.concatenate([head, *(values.ravel() for values in self.maps.values()), tail])
-
-    def _answer(self) -> list[float]:
-        """The numbers of ANSWER; NaN where they are not known."""
-        detected, known = self.view.detected, dict[str, float]()
-        if detected is None:
-            return [float("nan")] * len(ANSWER)
-        known = {"answer": ANSWERS.index(detected.answer), "probability": detected.probability}
-        known["alarm"] = bool(self.view.alarm)
-        if detected.chosen is not None:
-            one = detected.chosen
-            pairs = {name: getattr(one, name) for name in ANSWER if name.endswith(("_mm", "_kpa", "_hz"))}
-            known |= {name: pair[0] for name, pair in pairs.items() if pair is not None}
-            known |= {"since_s": one.since_s, "until_s": float("nan") if one.until_s is None else one.until_s}
-        return [float(known.get(name, np.nan)) for name in ANSWER]
 
     def channels(self) -> list[Channel]:
         """What the numbers of `row` are."""
@@ -193,8 +177,7 @@ class Message:
             for name in self.maps
             for (row, column), x, y in zip(np.ndindex(self.panel.shape), *places.reshape(2, -1).tolist(), strict=True)
         ]
-        answer = [Channel(name, unit) for name, unit in ANSWER.items()]
-        return [*head, *cells, Channel("force_sd", "newton"), *answer]
+        return [*head, *cells, Channel("force_sd", "newton"), *(Channel(name, unit) for name, unit in ANSWER.items())]
 
     def content(self, sent_at: float) -> dict[str, Any]:
         """As docs/reference/stream.schema.json has it; what is no number is None. sent_at : s since 1970-01-01 UTC."""
@@ -219,14 +202,10 @@ class Message:
                 "arrived": picture.arrived,
                 "sent": sent_at,
                 "solve_seconds": picture.seconds,
-                "lost": view.lost,
-                "skipped": view.skipped,
                 "leaps": picture.outliers,
                 "open": np.flatnonzero(picture.open_cell).tolist(),
                 "saturated": saturated,
-                "state": view.state,
-                "model": view.model,
-                "zero": view.zero,
+                **{name: getattr(view, name) for name in ("lost", "skipped", "state", "model", "zero")},
             },
         }
 
@@ -244,9 +223,8 @@ def view_text(view: View, sent_at: float, known: int = 0) -> str:
     first = bisect_right(view.history, known, key=lambda point: point.number)
     message, picture = Message.of(view), None
     if message and message.picture.number > known:
-        picture = message.content(sent_at)
-        for known_elsewhere in ("cells", "pressure", "detection", "alarm"):
-            del picture[known_elsewhere]
+        elsewhere = ("cells", "pressure", "detection", "alarm")
+        picture = {name: value for name, value in message.content(sent_at).items() if name not in elsewhere}
         picture |= {"measured": _numbers(message.picture.measured_change, 2), "passed": message.picture.skipped}
         picture["centre"] = _centre(message)
     as_they_are = ("source", "method", "state", "model", "zero", "frames", "lost", "skipped", "alarm")

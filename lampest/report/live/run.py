@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
 from threading import Event
+from typing import Any
 
 import numpy as np
 
@@ -24,6 +25,7 @@ from lampest.recording.board.several import samples_of
 from lampest.recording.board.stream import Sample, agreed_and_recorded
 from lampest.recording.recording import UNLOADED, Recording
 from lampest.report.live.engine import Engine, FrameSource
+from lampest.report.live.message import acknowledged
 from lampest.report.live.publish import publish_at
 from lampest.report.live.publish.publish import publishing
 from lampest.report.live.server import Asks, address, serving
@@ -46,8 +48,8 @@ class LiveBoard:
     """Live from a board.
 
     ports : its port or a pyserial URL, of a panel of modules those of all boards; none: the only one that looks like an
-    Arduino. scene : what it must fit.
-    baseline : the first so many frames are unloaded. period : s between frames. out : a recording to make as well.
+    Arduino. scene : what it must fit. baseline : the first so many frames are unloaded. period : s between frames.
+    out : a recording to make as well.
     """
 
     ports: tuple[str, ...] = ()
@@ -82,7 +84,6 @@ def live(
 
     Parameters
     ----------
-    source : a board or a recording.
     method, config : an estimator of a run's file, the first by default; without a file, one of METHODS.
     http : HOST:PORT to listen at; port 0 for any that is free.
     token : asked of visitors of the page; where others can reach it, one is made up if none is given.
@@ -97,7 +98,7 @@ def live(
     if isinstance(source, LiveBoard) and not source.ports:
         source = replace(source, ports=(only_port(),))
     port = ", ".join(source.ports) if isinstance(source, LiveBoard) else ""
-    ways = [publish_at(where, token) for where in publish]
+    ways, done = [publish_at(where, token) for where in publish], None
     with (
         Engine(port if recording is None else recording.name, name, estimator, source.baseline, True) as engine,
         publishing(ways, engine.shown, on_trouble) as published,
@@ -107,7 +108,6 @@ def live(
         for where in (server.url, *published):
             on_url(where)
         try:
-            done = None
             if isinstance(source, Replay):
                 assert recording is not None
                 from_recording(engine, recording, source.speed, frames)
@@ -129,17 +129,21 @@ def live(
 @contextmanager
 def recorder_of(source: LiveBoard | Replay, engine: Engine) -> Iterator[tuple[Recorder | None, Asks]]:
     """What the page's button records with, into the working folder, or None; and what the page may ask for."""
+    asks = Asks(engine.tare, lambda: engine.shown.change(acknowledged))
     if isinstance(source, Replay) or source.out is not None:
-        yield None, Asks(engine.tare, engine.acknowledge)
+        yield None, asks
         return
-    engine.say_of_recording("", False)
-    with closing(Recorder(Path(), source.scene, source.baseline, engine.say_of_recording)) as recorder:
 
-        def tare() -> None:
-            recorder.zero()
-            engine.tare()
+    def say(sentence: str, on: bool) -> None:
+        engine.show(recording=(sentence, on))
 
-        yield recorder, Asks(tare, engine.acknowledge, recorder.ask)
+    def tare() -> None:
+        recorder.zero()
+        engine.tare()
+
+    say("", False)
+    with closing(Recorder(Path(), source.scene, source.baseline, say)) as recorder:
+        yield recorder, replace(asks, tare=tare, record=recorder.ask)
 
 
 def chosen(name: str | None, config: Path | None, settings: tuple[str, ...] = ()) -> tuple[str, Estimator]:
@@ -180,15 +184,8 @@ def recorded_from_board(engine: Engine, board: LiveBoard, frames: int | None) ->
         elif progress.state:
             engine.say(progress.state)
 
-    return record(
-        board.ports,
-        board.out,
-        frames=frames,
-        scene=board.scene,
-        baseline=board.baseline,
-        period=board.period,
-        on_progress=on_progress,
-    )
+    how: dict[str, Any] = {"frames": frames, "baseline": board.baseline, "period": board.period}
+    return record(board.ports, board.out, scene=board.scene, on_progress=on_progress, **how)
 
 
 def take_sample(engine: Engine, sample: Sample, scene: Scene | None) -> None:

@@ -1,6 +1,5 @@
 """The page and its stream of views (server-sent events) over HTTP: GET of two paths, POST of three wishes, no more."""
 
-import ipaddress
 import os
 import re
 import secrets
@@ -14,6 +13,7 @@ from http import HTTPStatus
 from http.cookies import CookieError, SimpleCookie
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from importlib.resources import files
+from ipaddress import IPv4Address, IPv6Address, ip_address
 from threading import BoundedSemaphore, Thread
 from urllib.parse import parse_qsl, urlsplit
 
@@ -37,7 +37,7 @@ HEADERS = {
 
 @dataclass(frozen=True)
 class Access:
-    """A token and the cookie for it; without a token everybody may see the page.
+    """A token and the cookie for it, which this server alone gets; without a token everybody may see the page.
 
     token : at least 16 letters, digits or any of - _ . ~, or ''. name : of the cookie. Raises InputError for another.
     """
@@ -56,11 +56,16 @@ class Access:
         """With the given token; without one, nobody but this computer comes in without a token that is made up here."""
         return cls(token or ("" if local else secrets.token_urlsafe(24)), f"lampest-{port}")
 
+    @property
+    def query(self) -> str:
+        """What an address ends with that brings the token."""
+        return f"?token={self.token}" if self.token else ""
+
     def shown_by(self, target: str, authorization: str) -> bool:
         """Whether the address asked for, or the header Authorization, has the token."""
         kind, _, word = authorization.partition(" ")
-        brought = [value for name, value in query(target) if name == "token"] + [word] * (kind in ("Bearer", "token"))
-        return bool(self.token) and any(same(text, self.token) for text in brought)
+        brought = [value for name, value in _query(target) if name == "token"] + [word] * (kind in ("Bearer", "token"))
+        return bool(self.token) and any(_same(text, self.token) for text in brought)
 
     def remembered_by(self, cookie: str) -> bool:
         """Whether the header Cookie has what was given for the token."""
@@ -68,20 +73,15 @@ class Access:
             found = SimpleCookie(cookie).get(self.name)
         except CookieError:
             return False
-        return found is not None and same(found.value, self.secret)
-
-    @property
-    def cookie(self) -> str:
-        """What the browser is to remember, for this server alone and hidden from scripts."""
-        return f"{self.name}={self.secret}; HttpOnly; SameSite=Lax; Path=/"
+        return found is not None and _same(found.value, self.secret)
 
 
-def same(one: str, other: str) -> bool:
+def _same(one: str, other: str) -> bool:
     """Whether two texts are equal, in a time that does not depend on where they differ."""
     return compare_digest(one.encode("utf-8", "surrogatepass"), other.encode("utf-8", "surrogatepass"))
 
 
-def query(target: str) -> list[tuple[str, str]]:
+def _query(target: str) -> list[tuple[str, str]]:
     """The (name, value) pairs behind the question mark of what a request asks for."""
     try:
         return parse_qsl(urlsplit(target).query, keep_blank_values=True, max_num_fields=8)
@@ -103,20 +103,19 @@ class Asks:
 
 
 class PageServer(ThreadingHTTPServer):
-    """Shows the views of `shown`, and passes on what visitors ask for."""
+    """Shows the views of `shown`, and passes on what visitors ask for. local : only this computer can reach it."""
 
     daemon_threads, block_on_close = True, False
     request_queue_size = 64
     allow_reuse_address = os.name == "posix"  # on Windows it would share the port with another server
 
-    def __init__(
-        self, host: str, port: int, shown: Newest[View], token: str | None = None, asks: Asks | None = None
-    ) -> None:
-        self.shown, self.asks = shown, asks or Asks()
+    def __init__(self, host: str, port: int, shown: Newest[View], token: str | None, asks: Asks) -> None:
+        self.shown, self.asks = shown, asks
         self.page = files("lampest.report.live").joinpath("page.html").read_bytes()
         self.seats = BoundedSemaphore(MOST_STREAMS)
         self.address_family = socket.AF_INET6 if ":" in host else socket.AF_INET
         super().__init__((host, port), PageHandler)
+        self.local = ip_address(str(self.server_address[0])).is_loopback
         self.access = Access.of(token, self.local, int(self.server_address[1]))
 
     @property
@@ -124,13 +123,7 @@ class PageServer(ThreadingHTTPServer):
         """What to open in a browser on this computer, with the token where one is asked for."""
         host, port = self.server_address[:2]
         name = {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(str(host), str(host))
-        token = f"?token={self.access.token}" if self.access.token else ""
-        return f"http://{f'[{name}]' if ':' in name else name}:{port}/{token}"
-
-    @property
-    def local(self) -> bool:
-        """Whether only this computer can reach it."""
-        return ipaddress.ip_address(str(self.server_address[0])).is_loopback
+        return f"http://{f'[{name}]' if ':' in name else name}:{port}/{self.access.query}"
 
     def handle_error(self, request: object, client_address: object) -> None:
         """A client that went away is none of our business."""
@@ -181,7 +174,7 @@ class PageHandler(BaseHTTPRequestHandler):
         For who sends the header WISH: no page from elsewhere may.
         """
         asks, wish = self.server.asks, urlsplit(self.path).path.removeprefix("/")
-        record, name = asks.record, dict(query(self.path)).get("name", "")
+        record, name = asks.record, dict(_query(self.path)).get("name", "")
         wishes = {"zero": asks.tare, "acknowledge": asks.acknowledge}
         wishes |= {"record": lambda: record(name)} if record else {}
         if wish not in wishes:
@@ -208,10 +201,10 @@ class PageHandler(BaseHTTPRequestHandler):
 
     def _start(self, kind: str, length: int | None, status: HTTPStatus = HTTPStatus.OK, **further: str) -> None:
         headers = {"Content-Type": kind} | HEADERS | further
-        if length is not None:
-            headers["Content-Length"] = str(length)
+        headers |= {} if length is None else {"Content-Length": str(length)}
         if status is HTTPStatus.OK and self.introduced:
-            headers["Set-Cookie"] = self.server.access.cookie
+            access = self.server.access
+            headers["Set-Cookie"] = f"{access.name}={access.secret}; HttpOnly; SameSite=Lax; Path=/"
         self.send_response(status)
         for name, value in headers.items():
             self.send_header(name, value)
@@ -219,8 +212,7 @@ class PageHandler(BaseHTTPRequestHandler):
 
     def _stream(self) -> None:
         """The newest view whenever there is one that this client has not seen; a client that is slow skips views."""
-        shown = self.server.shown
-        seen, known = -1, 0
+        seen, known, shown = -1, 0, self.server.shown
         while True:
             news = shown.after(seen, HEARTBEAT_SECONDS)
             if news is not None:
@@ -238,15 +230,14 @@ class PageHandler(BaseHTTPRequestHandler):
 
 def is_local_name(host: str) -> bool:
     """Whether a Host header names this computer itself: localhost or a loopback address, with or without a port."""
-    name = host.rsplit(":", 1)[0] if host.rpartition(":")[2].isdigit() else host
-    found = _ip(name)
+    found = ip_named(host.rsplit(":", 1)[0] if host.rpartition(":")[2].isdigit() else host)
     return found is not None and found.is_loopback
 
 
-def _ip(name: str) -> "ipaddress.IPv4Address | ipaddress.IPv6Address | None":
+def ip_named(name: str) -> IPv4Address | IPv6Address | None:
     """An address, in brackets or not, or localhost; None where it is another name."""
     try:
-        return ipaddress.ip_address("127.0.0.1" if name == "localhost" else name.removeprefix("[").removesuffix("]"))
+        return ip_address("127.0.0.1" if name == "localhost" else name.removeprefix("[").removesuffix("]"))
     except ValueError:
         return None
 
@@ -254,7 +245,7 @@ def _ip(name: str) -> "ipaddress.IPv4Address | ipaddress.IPv6Address | None":
 def address(text: str) -> tuple[str, int]:
     """HOST:PORT, such as 127.0.0.1:8137, [::1]:0 or 0.0.0.0:8137. Raises InputError where it is something else."""
     host, separator, port = text.rpartition(":")
-    found = _ip(host)
+    found = ip_named(host)
     if found is None or not separator or not (port.isascii() and port.isdigit() and int(port) < 65536):
         raise InputError(f"--http: '{text}' is not of the form HOST:PORT with an address, such as 127.0.0.1:8137")
     return str(found), int(port)
@@ -271,7 +262,7 @@ def serving(
     """
     Access(token or "")
     try:
-        server = PageServer(host, port, shown, token, asks)
+        server = PageServer(host, port, shown, token, asks or Asks())
     except OSError as error:
         raise InputError(f"--http: cannot listen at {host}:{port} ({error.strerror or error})") from error
     with server:

@@ -22,18 +22,17 @@ from lampest.solvers.multistart import SAME
 
 ASKED = "it was asked for"
 # Standard deviations that one reading of 100 passes by chance about twice in 10⁷ frames of normal noise: four days at
-# 30 frames a second have 10⁷.
-NOTICED = 6.0
-NOTICED_PERCENT = 1.0  # where the noise is unknown: far above that of any readout here, and what a finger does
+# 30 frames a second have 10⁷. And percent where the noise is unknown: far above any readout's, and what a finger does.
+NOTICED, NOTICED_PERCENT = 6.0, 1.0
 SHARE = 0.3  # of the strongest |ln r/r₀|: what penalties leave beside a load stays below, a mouth's inside lies above
 
 
 @dataclass(frozen=True, eq=False)
 class Findings:
-    """What a second look gives to later frames.
+    """What a second look at frame `number` gives to later frames.
 
-    number : of the frame. weights, weighed_at : as `Stream` has them. lower : cells (rows, columns) ohm of a lower
-    minimum, or of other weights, or None. force : with its error, or None.
+    weights, weighed_at : as `Stream` has them. lower : cells (rows, columns) ohm of a lower minimum, or of other
+    weights, or None. force : with its error, or None.
     """
 
     number: int
@@ -105,8 +104,7 @@ class PanelState:
         several = scene.panel.modules is not None
         if several and estimator.error_bars == "auto":
             estimator = replace(estimator, error_bars=False)
-        stream = begin_stream(estimator, scene, period, resting)
-        begun = cls(stream, PressureTrack.begin(scene, tare=estimator.tare))
+        begun = cls(begin_stream(estimator, scene, period, resting), PressureTrack.begin(scene, tare=estimator.tare))
         return begun.in_haste() if hasty and not several else begun
 
     def in_haste(self) -> "PanelState":
@@ -120,19 +118,18 @@ class PanelState:
         track = None if stream.estimator.relative else stream.track
         return replace(self, stream=replace(stream, hasty=True, track=None if track else stream.track), track=track)
 
-    def after(self, readings: Readings, step: Step, time: float) -> "PanelState":
+    def after(self, readings: Readings, ratio: Array | None, time: float) -> "PanelState":
         """Once a frame was solved: its zero is new where enough frames have come, or nothing touches the panel."""
-        here = replace(self, zeroed="", recent=self._kept(readings))
-        ratio = self.ratio(step)
-        if ratio is not None:
-            here = replace(here, load=self.load.after(ratio, time))
+        tare = self.stream.estimator.tare
+        most = max(0 if tare is None else tare.frames, len(self.recent) + 1 if self.missing else 0)
+        here = replace(self, zeroed="", recent=(*self.recent, readings)[-most:] if most else ())
+        here = here if ratio is None else replace(here, load=self.load.after(ratio, time))
         if self.missing is not None:
             here = replace(here, missing=self.missing - 1)
             return here if here.missing else here._zeroed(here.recent, time, ASKED)
-        tared, tare = here.load.tared, self.stream.estimator.tare
-        if ratio is None or not tared or tare is None:
+        if ratio is None or not here.load.tared or tare is None:
             return here
-        return here._zeroed(here.recent[: tare.frames // 2], time, tared)
+        return here._zeroed(here.recent[: tare.frames // 2], time, here.load.tared)
 
     def second_look(self, number: int, time: float, readings: Readings, step: Step) -> SecondLook | None:
         """At the frame that comes next, once it was solved in haste; None where it left nothing open."""
@@ -149,11 +146,6 @@ class PanelState:
         if not step.solution.solved or np.isnan(baseline[~self.stream.scene.broken]).any():
             return None
         return np.asarray(step.solution.cell_resistance[-1] / baseline)
-
-    def _kept(self, readings: Readings) -> tuple[Readings, ...]:
-        tare = self.stream.estimator.tare
-        most = max(0 if tare is None else tare.frames, len(self.recent) + 1 if self.missing else 0)
-        return (*self.recent, readings)[-most:] if most else ()
 
     def _zeroed(self, frames: tuple[Readings, ...], time: float, why: str) -> "PanelState":
         """Against the mean of some frames from now on; as it was where too little of them was read."""
@@ -181,8 +173,7 @@ def solved_picture(state: PanelState, readings: Readings, picture: Picture) -> t
         return state, replace(picture, status=str(error))
     look = state.second_look(picture.number, picture.time, readings, step)
     here, solution = replace(state, stream=stream, look=look), step.solution
-    picture = replace(picture, status=step.status, seconds=step.seconds)
-    ratio = here.ratio(step)
+    picture, ratio = replace(picture, status=step.status, seconds=step.seconds), here.ratio(step)
     if ratio is not None:
         pressed, force = read_load(here.load, ratio, step.bars, picture.time)
         verdict = verdict_of(readings, stream.resting, ratio, np.asarray(solution.open_cell[-1], dtype=bool))
@@ -201,7 +192,7 @@ def solved_picture(state: PanelState, readings: Readings, picture: Picture) -> t
     elif solution.solved:
         assert stream.baseline is not None
         picture = replace(picture, status=f"no baseline: {stream.baseline.solution.status.value}")
-    return here.after(readings, step, picture.time), picture
+    return here.after(readings, ratio, picture.time), picture
 
 
 def read_load(load: PressureTrack, ratio: Array, bars: Bars | None, time: float) -> tuple[Pressure | None, Force]:
@@ -239,8 +230,6 @@ def verdict_of(readings: Readings, resting: Readings, ratio: Array, open_cell: N
     change = np.log(ratio[~open_cell & np.isfinite(ratio)])
     if not np.any(noticed) or not change.size:
         return NOTHING
-    strongest = float(np.max(np.abs(change)))
-    pressing, sucking = (float(np.max(sign * change)) > SHARE * strongest for sign in (-1, 1))
-    if pressing and sucking:
-        return BOTH
-    return SUCKING if sucking else PRESSING
+    least_pressed = SHARE * float(np.max(np.abs(change)))
+    pressing, sucking = -float(np.min(change)) > least_pressed, float(np.max(change)) > least_pressed
+    return BOTH if pressing and sucking else SUCKING if sucking else PRESSING

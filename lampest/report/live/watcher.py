@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from threading import Condition, Thread
 from typing import Any
 
 import numpy as np
@@ -17,8 +16,7 @@ from lampest.recording.readings import Readings
 from lampest.recording.recording import UNLOADED, Recording
 from lampest.report.detect.answer import Detected
 from lampest.report.detect.detection import HEAD, Known, frame_rate, known_of
-from lampest.report.live.handover import politely
-from lampest.runs.executors import Worker
+from lampest.report.live.handover import Beside
 
 LATEST = 16  # attachments that live remembers, beside those that are there
 MOST_WAITING = 2000  # frames; beyond, every second one is left out: a fit on 32 × 32 cells takes a minute
@@ -41,12 +39,23 @@ class Scan:
     lost: int = 0
 
 
+def as_recording(scene: Scene, scans: tuple[Scan, ...], times: Array, role: list[int], name: str = "") -> Recording:
+    """Frames as a recording, at these times in s; σ is known where it is of all."""
+    known = [scan.sigma for scan in scans if scan.sigma is not None]
+    sigma = np.stack(known) if len(known) == len(scans) else None
+    recorded = np.stack([scan.recorded for scan in scans])
+    return Recording(scene, recorded, times, np.array(role, dtype=np.uint8), sigma, name=name)
+
+
 @dataclass(frozen=True, eq=False)
 class Unloaded:
     """Frames of the unloaded panel, with which watching begins anew."""
 
     scene: Scene
     scans: tuple[Scan, ...]
+
+
+News = Unloaded | Scan | int  # the last is the wish that so many frames to come are the new zero
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,13 +75,13 @@ class Watched:
     missing: int = 0
     zero: tuple[Scan, ...] = ()
 
-    def after(self, news: "Unloaded | Scan | int") -> "Watched":
-        """After unloaded frames, one frame, or the wish that so many to come are the new zero."""
+    def after(self, news: News) -> "Watched":
+        """After unloaded frames, one frame, or a wish."""
         try:
             if isinstance(news, int):
                 return replace(self, missing=news, zero=())
             if isinstance(news, Unloaded):
-                return self._begun(news.scene, news.scans)
+                return self._begun(news)
             return self._zeroed(news) if self.missing else self._seen(news)
         except (InputError, ArithmeticError, ValueError, np.linalg.LinAlgError) as error:
             return replace(self, why=told_reason(error, self.name))
@@ -84,23 +93,19 @@ class Watched:
             return Detected.unknown(self.name, self.why)
         return self.known.detected(self.watch, frame_rate(self.times))
 
-    def _begun(self, scene: Scene, scans: tuple[Scan, ...]) -> "Watched":
+    def _begun(self, news: Unloaded) -> "Watched":
         """Against unloaded frames; what was attached before has left."""
-        sigmas = [scan.sigma for scan in scans if scan.sigma is not None]
-        sigma = np.stack(sigmas) if len(sigmas) == len(scans) else None
-        recorded, times = np.stack([scan.recorded for scan in scans]), np.array([scan.time for scan in scans])
-        role = np.full(len(scans), UNLOADED, dtype=np.uint8)
-        known = known_of(Recording(scene, recorded, times, role, sigma, name=self.name))
+        times = np.array([scan.time for scan in news.scans])
+        known = known_of(as_recording(news.scene, news.scans, times, [UNLOADED] * len(times), self.name))
         if isinstance(known, Detected):
             return replace(self, why=known.why, known=None, watch=None, missing=0)
-        before = () if self.watch is None else self.watch.attachments
-        closed = tuple(replace(one, until_s=scans[0].time) if one.here else one for one in before)
-        watch = replace(known.watch(), attachments=closed)
-        return Watched(self.name, "", known, watch, self.times)
+        before, end = () if self.watch is None else self.watch.attachments, news.scans[0].time
+        closed = tuple(replace(one, until_s=end) if one.here else one for one in before)
+        return Watched(self.name, "", known, replace(known.watch(), attachments=closed), self.times)
 
     def _zeroed(self, scan: Scan) -> "Watched":
         here = replace(self, missing=self.missing - 1, zero=(*self.zero, scan))
-        return here if here.missing or self.known is None else here._begun(self.known.scene, here.zero)
+        return here if here.missing or self.known is None else here._begun(Unloaded(self.known.scene, here.zero))
 
     def _seen(self, scan: Scan) -> "Watched":
         if self.known is None or self.watch is None:
@@ -118,72 +123,26 @@ class Desk:
     def __init__(self, name: str) -> None:
         self._watched = Watched(name)
 
-    def __call__(self, batch: "list[Unloaded | Scan | int]") -> Detected:
+    def __call__(self, batch: list[News]) -> Detected:
         """The answer after a batch of news."""
-        politely()
         for news in batch:
             self._watched = self._watched.after(news)
         return self._watched.detected
 
 
-class Watcher:
-    """Hands all news to a desk, in their order, and its answers on. What comes while it is at work waits.
+def watcher(name: str, on_answer: Callable[[Detected], None]) -> Beside[list[News]]:
+    """What takes lists of news, never waits, and hands its answers on from a thread of its own."""
 
-    on_answer : gets every answer, from a thread of its own.
-    """
+    def answered(batch: list[News], found: Any) -> None:
+        on_answer(found if isinstance(found, Detected) else Detected.unknown(name, told_reason(found, name)))
 
-    def __init__(self, name: str, on_answer: Callable[[Detected], None]) -> None:
-        self._name, self._on_answer = name, on_answer
-        self._changed = Condition()
-        self._waiting: list[Any] = []
-        self._ending = False
-        self._worker: Worker | None = None
-        self._thread = Thread(target=self._serve, name="lampest-watch", daemon=True)
-        self._thread.start()
+    return Beside(Desk(name), in_one_batch, answered, lambda: on_answer(Detected.unknown(name, DIED)))
 
-    def take(self, news: "Unloaded | Scan | int") -> None:
-        """Never waits."""
-        with self._changed:
-            self._waiting.append(news)
-            if len(self._waiting) > MOST_WAITING:
-                odd = len(self._waiting) % 2
-                few = enumerate(self._waiting, odd)
-                self._waiting = [one for number, one in few if number % 2 or not isinstance(one, Scan)]
-            self._changed.notify_all()
 
-    def finish(self) -> None:
-        """Wait for the answer to all that came."""
-        with self._changed:
-            self._ending = True
-            self._changed.notify_all()
-        self._thread.join()
-
-    def close(self) -> None:
-        """Drop what waits."""
-        with self._changed:
-            self._waiting, worker = [], self._worker
-        if worker is not None:
-            worker.process.kill()
-        self.finish()
-
-    def _serve(self) -> None:
-        worker = Worker.start(Desk(self._name))
-        with self._changed:
-            self._worker = worker
-        try:
-            while batch := self._next():
-                worker.send(batch)
-                found = worker.connection.recv()
-                known = isinstance(found, Detected)
-                self._on_answer(found if known else Detected.unknown(self._name, told_reason(found, self._name)))
-        except (EOFError, OSError):
-            self._on_answer(Detected.unknown(self._name, DIED))
-        finally:
-            worker.kill()
-
-    def _next(self) -> list[Any]:
-        """All that came; nothing once nothing more will."""
-        with self._changed:
-            self._changed.wait_for(lambda: self._ending or bool(self._waiting))
-            batch, self._waiting = self._waiting, []
-            return batch
+def in_one_batch(more: list[News], waiting: list[list[News]]) -> list[list[News]]:
+    """All that waits as one batch; of more than MOST_WAITING every second frame is left out, but the last."""
+    batch = [*(waiting[0] if waiting else []), *more]
+    if len(batch) > MOST_WAITING:
+        odd = len(batch) % 2
+        batch = [one for number, one in enumerate(batch, odd) if number % 2 or not isinstance(one, Scan)]
+    return [batch]

@@ -9,7 +9,6 @@ from lampest.report.live.publish.osc import OscPublish
 from lampest.report.live.publish.publish import Publish
 from lampest.report.live.publish.websocket import WebsocketPublish
 
-__all__ = ["WAYS", "Publish", "publish_at"]
 WAYS: tuple[type[Publish], ...] = (LslPublish, OscPublish, MqttPublish, WebsocketPublish)
 
 
@@ -24,9 +23,8 @@ def publish_at(where: str, token: str | None = None) -> Publish:
         raise InputError(f"--publish: '{where}' begins with none of {', '.join(ways)}")
     try:
         parts = urlsplit(f"//{rest}", allow_fragments=False)
-        fit = not parts.query and parts.port != -1  # whatever is no port raises
+        if parts.query or parts.port == -1:  # whatever is no port raises
+            raise ValueError("what follows a question mark means nothing there")
     except ValueError as error:
         raise InputError(f"--publish: '{where}' is no address ({error})") from error
-    if not fit:
-        raise InputError(f"--publish: '{where}' is no address: what follows a question mark means nothing there")
     return ways[kind].at(parts, token)

@@ -15,8 +15,6 @@ from lampest.report.detect.answer import ANSWERS
 from lampest.report.live.message import COMPACT, FORMAT, VERDICTS, Message
 from lampest.report.live.publish.publish import Publish, Say, Send
 
-QUIET = "[log]\nlevel = -1\n"  # of liblsl's own configuration: errors alone
-
 
 @dataclass(frozen=True)
 class LslPublish(Publish):
@@ -26,11 +24,10 @@ class LslPublish(Publish):
     """
 
     kind: ClassVar[str] = "lsl"
-    name: str = "lampest"
 
     @classmethod
     def at(cls, where: SplitResult, token: str | None) -> Self:
-        return cls(where.netloc or cls.name)
+        return cls(path=where.netloc or cls.path)
 
     @contextmanager
     def opened(self, say: Say) -> Iterator[tuple[str, Send]]:
@@ -39,28 +36,25 @@ class LslPublish(Publish):
                 import pylsl
             except RuntimeError as error:
                 raise InputError(f"--publish: lsl: {' '.join(str(error).split())}") from error
-        pylsl.set_config_content(QUIET)
-        outlets: list[Any] = []
-        sent = 0, "", ""
+        pylsl.set_config_content("[log]\nlevel = -1\n")  # of liblsl's own: errors alone
+        outlets, sent = list[Any](), [(0, "", "")]
 
         def send(message: Message) -> None:
-            nonlocal sent
-            row, name = message.row().astype(np.float32), f"{self.name}-answer"
+            row, view, (frame, *before) = message.row().astype(np.float32), message.view, sent.pop()
             if not outlets:
-                info = pylsl.StreamInfo(self.name, "Pressure", len(row), pylsl.IRREGULAR_RATE, "float32", self.name)
-                _describe(info.desc(), message)
-                texts = pylsl.StreamInfo(name, "Markers", 1, pylsl.IRREGULAR_RATE, "string", name)
-                outlets.extend(pylsl.StreamOutlet(one) for one in (info, texts))
-            frame, *values = message.signature
-            if frame != sent[0]:
+                number = pylsl.StreamInfo(self.path, "Pressure", len(row), pylsl.IRREGULAR_RATE, "float32", self.path)
+                _describe(number.desc(), message)
+                name = f"{self.path}-answer"
+                text = pylsl.StreamInfo(name, "Markers", 1, pylsl.IRREGULAR_RATE, "string", name)
+                outlets.extend(pylsl.StreamOutlet(one) for one in (number, text))
+            sent.append(message.signature)
+            if message.picture.number != frame:
                 outlets[0].push_sample(row, pylsl.local_clock() - (time.time() - message.picture.arrived))
-            if tuple(values) != sent[1:]:
-                view = message.view
-                text = {"detection": view.detected and view.detected.content(), "alarm": view.alarm}
-                outlets[1].push_sample([json.dumps(text, **COMPACT)])
-            sent = message.signature
+            if [*message.signature[1:]] != before:
+                content = {"detection": view.detected and view.detected.content(), "alarm": view.alarm}
+                outlets[1].push_sample([json.dumps(content, **COMPACT)])
 
-        yield f"lsl://{self.name}", send
+        yield f"lsl://{self.path}", send
         outlets.clear()
 
 

@@ -6,7 +6,7 @@ from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import dataclass
 from threading import Thread
 from typing import ClassVar, Self
-from urllib.parse import SplitResult
+from urllib.parse import SplitResult, unquote
 
 from lampest.report.live.handover import Newest
 from lampest.report.live.message import Message, View
@@ -17,17 +17,30 @@ Say = Callable[[str], None]
 
 @dataclass(frozen=True)
 class Publish(ABC):
-    """One way, with its address.
+    """One way, with its address `KIND://USER:PASSWORD@HOST:PORT/PATH`; token : asked of listeners.
 
-    kind : the word that an address begins with.
+    A way has defaults of its own for what an address leaves away.
     """
 
     kind: ClassVar[str]
+    host: str = "127.0.0.1"
+    port: int = 0
+    path: str = "lampest"
+    user: str | None = None
+    password: str | None = None
+    token: str | None = None
 
     @classmethod
-    @abstractmethod
     def at(cls, where: SplitResult, token: str | None) -> Self:
-        """With the parts of an address, its own for those that are left away. Raises InputError where it is none."""
+        """With the parts of an address. Raises InputError where it is none."""
+        user, password = (None if part is None else unquote(part) for part in (where.username, where.password))
+        port = cls.port if where.port is None else where.port
+        return cls(where.hostname or cls.host, port, where.path.strip("/") or cls.path, user, password, token)
+
+    @property
+    def where(self) -> str:
+        """For people."""
+        return f"{self.kind}://{self.host}:{self.port}/{self.path}"
 
     @abstractmethod
     def opened(self, say: Say) -> AbstractContextManager[tuple[str, Send]]:
@@ -42,16 +55,12 @@ class Publish(ABC):
 def publishing(ways: Sequence[Publish], shown: Newest[View], say: Say) -> Iterator[tuple[str, ...]]:
     """Send every new picture, answer and alarm each way, in a thread of its own, until nothing more will come.
 
-    Yields the ways' addresses.
-
-    say : gets a sentence when a way fails first. Raises InputError where one cannot be opened.
+    Yields the ways' addresses. say : gets a sentence when a way fails first. Raises InputError where one cannot be
+    opened.
     """
     with ExitStack() as opened:
         outlets = [opened.enter_context(way.opened(say)) for way in ways]
-        threads = [
-            Thread(target=_forward, args=(shown, send, where, say), name="lampest-publish", daemon=True)
-            for where, send in outlets
-        ]
+        threads = [Thread(target=_forward, args=(shown, send, where, say), daemon=True) for where, send in outlets]
         for thread in threads:
             thread.start()
         try:

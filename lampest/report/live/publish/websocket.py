@@ -1,6 +1,5 @@
 """WebSocket: a server that sends each message as a line of JSON to all listeners."""
 
-import ipaddress
 import math
 import re
 import socket
@@ -10,13 +9,12 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from http import HTTPStatus
 from threading import Thread
-from typing import Any, ClassVar, Self
-from urllib.parse import SplitResult
+from typing import Any, ClassVar
 
 from lampest.files.errors import InputError, extra
 from lampest.report.live.handover import Newest
 from lampest.report.live.publish.publish import Publish, Say, Send
-from lampest.report.live.server import MOST_STREAMS, Access
+from lampest.report.live.server import MOST_STREAMS, Access, ip_named
 
 CLOSE_SECONDS = 1.0  # for a listener to introduce itself, and to take the last message
 STALLED_SECONDS = 40.0  # for a listener to take any other, before its place is given away
@@ -31,46 +29,18 @@ class WebsocketPublish(Publish):
     """
 
     kind: ClassVar[str] = "websocket"
-    host: str = "127.0.0.1"
     port: int = 8138
-    token: str | None = None
-
-    @classmethod
-    def at(cls, where: SplitResult, token: str | None) -> Self:
-        host = "127.0.0.1" if where.hostname in (None, "localhost") else str(where.hostname)
-        try:
-            ipaddress.ip_address(host)
-        except ValueError as error:
-            raise InputError(f"--publish: websocket: '{host}' is no address such as 127.0.0.1 or 0.0.0.0") from error
-        return cls(host, cls.port if where.port is None else where.port, token)
 
     @contextmanager
     def opened(self, say: Say) -> Iterator[tuple[str, Send]]:
-        newest, listeners = Newest(""), dict[Any, float]()
-        access = Access.of(self.token, ipaddress.ip_address(self.host).is_loopback, self.port)
-        server = self._server(newest, listeners, access)
-        thread = Thread(target=server.serve_forever, name="lampest-websocket", daemon=True)
-        thread.start()
-        host, token = f"[{self.host}]" if ":" in self.host else self.host, access.token and f"?token={access.token}"
-        try:
-            yield f"ws://{host}:{server.socket.getsockname()[1]}/{token}", lambda message: newest.put(message.text())
-        finally:
-            newest.close()
-            until = time.monotonic() + CLOSE_SECONDS
-            while listeners and time.monotonic() < until:
-                time.sleep(0.01)
-            _cut_off(listeners, until)
-            server.shutdown()
-            thread.join()
-
-    def _server(self, newest: Newest[str], listeners: dict[Any, float], access: Access) -> Any:
-        """A thread for each listener, which sends it what is newest. Raises InputError where it cannot listen.
-
-        listeners : connection → when the message that it has not yet taken was sent; infinite where there is none.
-        """
         with extra("streams"):
             from websockets.exceptions import ConnectionClosed
             from websockets.sync.server import serve
+        host = ip_named(self.host)
+        if host is None:
+            raise InputError(f"--publish: websocket: '{self.host}' is no address such as 127.0.0.1 or 0.0.0.0")
+        newest, access = Newest(""), Access.of(self.token, host.is_loopback, self.port)
+        listeners = dict[Any, float]()  # when the message that each has not yet taken was sent; else infinite
 
         def admitted(connection: Any, request: Any) -> Any:
             if access.token and not access.shown_by(request.path, request.headers.get("Authorization", "")):
@@ -89,14 +59,26 @@ class WebsocketPublish(Publish):
             del listeners[connection]
 
         settings: dict[str, Any] = {"open_timeout": CLOSE_SECONDS, "close_timeout": CLOSE_SECONDS, "compression": None}
-        settings |= {"family": socket.AF_INET6} if ":" in self.host else {}
-        settings |= {"max_size": 1024}  # bytes: no listener has anything to say
-        settings |= {"origins": [None, LOCAL_PAGES]} if ipaddress.ip_address(self.host).is_loopback else {}
+        settings |= {"max_size": 1024, "origins": [None, LOCAL_PAGES] if host.is_loopback else None}
+        family = socket.AF_INET6 if host.version == 6 else socket.AF_INET
         try:
-            return serve(listening, self.host, self.port, process_request=admitted, **settings)
+            server = serve(listening, str(host), self.port, process_request=admitted, family=family, **settings)
         except OSError as error:
             said = error.strerror or error
-            raise InputError(f"--publish: websocket: cannot listen at {self.host}:{self.port} ({said})") from error
+            raise InputError(f"--publish: websocket: cannot listen at {host}:{self.port} ({said})") from error
+        thread = Thread(target=server.serve_forever, name="lampest-websocket", daemon=True)
+        thread.start()
+        where = f"{f'[{host}]' if host.version == 6 else host}:{server.socket.getsockname()[1]}"
+        try:
+            yield f"ws://{where}/{access.query}", lambda message: newest.put(message.text())
+        finally:
+            newest.close()
+            until = time.monotonic() + CLOSE_SECONDS
+            while listeners and time.monotonic() < until:
+                time.sleep(0.01)
+            _cut_off(listeners, until)
+            server.shutdown()
+            thread.join()
 
 
 def _cut_off(listeners: dict[Any, float], before: float) -> None:
