@@ -2,12 +2,15 @@
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from lampest import Faults, OralDisc, Panel, Rod, Scene, Simulation, TwoPointReadout, simulate
-from lampest.loads.recognition.image import Window
+from lampest.loads.recognition.attachment import Attachment
+from lampest.loads.recognition.image import ImageWatch, Window
 from lampest.loads.recognition.settings import ModelErrors
 from lampest.panel.panel import EachModule, Modules
 from lampest.report.detect.detection import detect_recording
@@ -55,3 +58,15 @@ def test_a_window_is_the_network_of_its_modules() -> None:
     lines = offsets[:, : 4 * 13].reshape(*cells.shape, -1)
     assert lines.sum(axis=2).max() == 2 and (lines[0, 0] & lines[0, 8]).sum() == 0 == (lines[0, 0] & lines[7, 0]).sum()
     assert (lines[0, 0] & lines[0, 6]).sum() == 1 == (lines[0, 0] & lines[5, 0]).sum()
+
+
+def test_one_load_hides_none_that_stands_apart_from_it_or_in_the_same_window() -> None:
+    windows = Window.all_of(SCENE)
+    blot = Attachment(0.0, 1.0, (40.0, 5.0), (62.0, 5.0), area_mm2=(2000.0, 400.0))  # of no shape: without a diameter
+    mouth, rod = (Attachment(0.9, 1.0, (x, 0.5), (62.0, 0.5), (30.0, 1.0)) for x in (150.0, 175.0))
+    again = replace(mouth, x_mm=(150.0 - windows[1].x_mm, 0.5))
+    watches: Any = [SimpleNamespace(attachments=found) for found in ((blot, mouth), (again,))]
+    assert [load.x_mm[0] for load in ImageWatch(windows, tuple(watches), SCENE.panel.shape, 0.0)._merged()] == [150, 40]
+    watches[0].attachments = (mouth, rod)
+    watches[1].attachments = ()
+    assert len(ImageWatch(windows, tuple(watches), SCENE.panel.shape, 0.0)._merged()) == 2

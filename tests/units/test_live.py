@@ -30,7 +30,7 @@ from lampest.loads.response import ratio_from_pressure
 from lampest.loads.shapes import Rod
 from lampest.loads.tare import Tare
 from lampest.panel.film import Film
-from lampest.panel.panel import Array, Panel
+from lampest.panel.panel import Array, EachModule, Modules, Panel
 from lampest.panel.readouts import TwoPointReadout, VirtualGroundReadout
 from lampest.panel.response import PublishedResponse
 from lampest.panel.scene import Faults, Scene, Water
@@ -44,7 +44,7 @@ from lampest.report.live.handover import Newest
 from lampest.report.live.message import POINTS, Message, Picture, View, view_text
 from lampest.report.live.run import METHODS, Replay, chosen, from_recording, live
 from lampest.report.live.server import Asks, PageServer, address, is_local_name, serving
-from lampest.report.live.state import ASKED, read_load, verdict_of
+from lampest.report.live.state import ASKED, PanelState, read_load, verdict_of
 from lampest.report.live.watcher import Scan
 from lampest.solvers.solution import Settings
 
@@ -168,6 +168,13 @@ def test_an_unloaded_reading_that_leaps_is_left_out_as_in_a_batch(lamprey: Recor
     measured = np.array([picture.measured_change for picture in found])[:, 2, 3]
     np.testing.assert_allclose(measured, 100 * (batch.measured / batch.measured_baseline - 1)[:, 2, 3])
     np.testing.assert_allclose(measured, [picture.measured_change[2, 3] for picture in calm], atol=1)
+
+
+def test_coupled_modules_leave_weights_to_second_looks_and_modules_by_themselves_nothing() -> None:
+    for coupled in (True, False):
+        scene = Scene(Panel(modules=Modules(1, 2, EachModule(4, 4), coupled=coupled)))
+        resting = Readings.of(scene, np.full((4, 8), 1000.0))
+        assert PanelState.begin(METHODS["smooth"], scene, 0.25, resting, hasty=True).stream.hasty == coupled
 
 
 def test_a_reading_that_leaps_alone_stands_as_before_and_a_touch_does_not(lamprey: Recording) -> None:

@@ -99,13 +99,12 @@ class PanelState:
     ) -> "PanelState":
         """Against the unloaded readings; hasty : see `in_haste`. Raises InputError as `Stream.begin`.
 
-        Frames of many modules are solved together, and leave nothing to second looks; they get error bars if asked for.
+        Modules by themselves are solved together, and leave nothing to second looks; they get error bars if asked for.
         """
-        several = scene.panel.modules is not None
-        if several and estimator.error_bars == "auto":
+        if scene.panel.modules is not None and estimator.error_bars == "auto":
             estimator = replace(estimator, error_bars=False)
         begun = cls(begin_stream(estimator, scene, period, resting), PressureTrack.begin(scene, tare=estimator.tare))
-        return begun.in_haste() if hasty and not several else begun
+        return begun.in_haste() if hasty and not begun.stream.parts else begun
 
     def in_haste(self) -> "PanelState":
         """Frames take no longer than they must, and leave the rest open for a second look.

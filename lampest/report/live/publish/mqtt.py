@@ -6,15 +6,13 @@ from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from queue import Empty, SimpleQueue
 from typing import Any, ClassVar
 
 from lampest.files.errors import InputError, extra
 from lampest.report.live.message import Message
-from lampest.report.live.publish.publish import Publish, Say, Send
+from lampest.report.live.publish.publish import Publish, Say, Send, waited
 
 CONNECT_SECONDS, CLOSE_SECONDS = 5.0, 1.0  # for a broker to answer, and to take the last message
-PAUSES_SECONDS = 1, 10  # between attempts to reach a broker that went away
 LATEST_SECONDS = 0.2  # that a broker may take to confirm a message before those that follow are left out
 
 
@@ -37,10 +35,12 @@ class MqttPublish(Publish):
         if set(self.path) & set("+#"):
             raise InputError(f"--publish: mqtt: '{self.path}' is no topic to publish to: + and # stand for others")
         client: Any = Client(CallbackAPIVersion.VERSION2)
-        client.connect_timeout, client.on_socket_open = CONNECT_SECONDS, _at_once
-        client.reconnect_delay_set(*PAUSES_SECONDS)
+        client.connect_timeout = CONNECT_SECONDS
+        # A short segment does not wait until the one before is confirmed (RFC 896), up to 0.5 s later (RFC 1122).
+        client.on_socket_open = lambda *event: event[2].setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        client.reconnect_delay_set(1, 10)  # s
         client.username_pw_set(self.user, self.password)
-        waiting: deque[tuple[Any, float]] = deque()  # messages that are not confirmed, and when each was sent
+        waiting, answers = deque[tuple[Any, float]](), list[Any]()  # not confirmed, and when sent
 
         def send(message: Message) -> None:
             while waiting and waiting[0][0].is_published():
@@ -50,35 +50,24 @@ class MqttPublish(Publish):
                 waiting.append((client.publish(self.path, message.text(), qos=1), now))
 
         try:
-            self._connect(client)
-            gone = f"{self.where}: the broker is gone"
+            client.on_connect = client.on_disconnect = lambda *event: answers.append(event[3])
+            try:
+                client.connect(self.host, self.port)
+                client.loop_start()
+            except (OSError, ValueError) as error:
+                raise InputError(f"--publish: {self.where}: no broker answers ({error})") from error
+            if not waited(lambda: bool(answers), CONNECT_SECONDS):
+                raise InputError(f"--publish: {self.where}: no broker answers (it says nothing)")
+            if answers[0].is_failure:
+                raise InputError(f"--publish: {self.where}: the broker refuses ({answers[0]})")
+            gone, again = f"{self.where}: the broker is gone", f"{self.where}: the broker is back"
             client.on_disconnect = lambda *event: say(f"{gone} ({event[3]}); it is called again")
-            client.on_connect = lambda *event: say(f"{self.where}: the broker is back")
+            client.on_connect = lambda *event: say(again)
             yield self.where, send
         finally:
             client.on_disconnect = None
-            client.disconnect()  # which waits for ever for a broker that does not read
-            until = time.monotonic() + CLOSE_SECONDS
-            while client.socket() is not None and time.monotonic() < until:
-                time.sleep(0.01)
+            client.disconnect()
+            waited(lambda: client.socket() is None, CLOSE_SECONDS)  # the library would wait for ever
             with suppress(OSError, AttributeError):  # it has gone meanwhile
                 client.socket().shutdown(socket.SHUT_RDWR)
             client.loop_stop()
-
-    def _connect(self, client: Any) -> None:
-        """Wait until the broker has said that it takes us. Raises InputError where it does not."""
-        answers: SimpleQueue[Any] = SimpleQueue()
-        client.on_connect = client.on_disconnect = lambda *event: answers.put(event[3])
-        try:
-            client.connect(self.host, self.port)
-            client.loop_start()
-            answer = answers.get(timeout=CONNECT_SECONDS)
-        except (OSError, ValueError, Empty) as error:
-            raise InputError(f"--publish: {self.where}: no broker answers ({error or 'it says nothing'})") from error
-        if answer.is_failure:
-            raise InputError(f"--publish: {self.where}: the broker refuses ({answer})")
-
-
-def _at_once(client: Any, user: Any, connection: Any) -> None:
-    """A short segment does not wait until the one before is confirmed (RFC 896), up to 0.5 s later (RFC 1122)."""
-    connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)

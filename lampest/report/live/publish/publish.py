@@ -1,5 +1,6 @@
 """What a way to publish frames is, and how all ways get every frame."""
 
+import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager
@@ -49,6 +50,14 @@ class Publish(ABC):
         Sending never waits for listeners: slow ones miss messages. say : gets sentences about the connection.
         Raises InputError where a library is missing or nobody is there.
         """
+
+
+def waited(done: Callable[[], bool], seconds: float) -> bool:
+    """Whether something came true within so many s."""
+    until = time.monotonic() + seconds
+    while not done() and time.monotonic() < until:
+        time.sleep(0.01)
+    return done()
 
 
 @contextmanager

@@ -13,7 +13,7 @@ from typing import Any, ClassVar
 
 from lampest.files.errors import InputError, extra
 from lampest.report.live.handover import Newest
-from lampest.report.live.publish.publish import Publish, Say, Send
+from lampest.report.live.publish.publish import Publish, Say, Send, waited
 from lampest.report.live.server import MOST_STREAMS, Access, ip_named
 
 CLOSE_SECONDS = 1.0  # for a listener to introduce itself, and to take the last message
@@ -42,10 +42,15 @@ class WebsocketPublish(Publish):
         newest, access = Newest(""), Access.of(self.token, host.is_loopback, self.port)
         listeners = dict[Any, float]()  # when the message that each has not yet taken was sent; else infinite
 
+        def cut_off(before: float) -> None:
+            for connection in [one for one, sent in tuple(listeners.items()) if sent <= before]:
+                with suppress(OSError):
+                    connection.socket.shutdown(socket.SHUT_RDWR)
+
         def admitted(connection: Any, request: Any) -> Any:
             if access.token and not access.shown_by(request.path, request.headers.get("Authorization", "")):
                 return connection.respond(HTTPStatus.FORBIDDEN, "the token is missing or wrong\n")
-            _cut_off(listeners, time.monotonic() - STALLED_SECONDS)
+            cut_off(time.monotonic() - STALLED_SECONDS)
             full = len(listeners) >= MOST_STREAMS
             return connection.respond(HTTPStatus.SERVICE_UNAVAILABLE, "too many listen\n") if full else None
 
@@ -60,9 +65,9 @@ class WebsocketPublish(Publish):
 
         settings: dict[str, Any] = {"open_timeout": CLOSE_SECONDS, "close_timeout": CLOSE_SECONDS, "compression": None}
         settings |= {"max_size": 1024, "origins": [None, LOCAL_PAGES] if host.is_loopback else None}
-        family = socket.AF_INET6 if host.version == 6 else socket.AF_INET
+        settings |= {"family": socket.AF_INET6 if host.version == 6 else socket.AF_INET, "process_request": admitted}
         try:
-            server = serve(listening, str(host), self.port, process_request=admitted, family=family, **settings)
+            server = serve(listening, str(host), self.port, **settings)
         except OSError as error:
             said = error.strerror or error
             raise InputError(f"--publish: websocket: cannot listen at {host}:{self.port} ({said})") from error
@@ -73,17 +78,7 @@ class WebsocketPublish(Publish):
             yield f"ws://{where}/{access.query}", lambda message: newest.put(message.text())
         finally:
             newest.close()
-            until = time.monotonic() + CLOSE_SECONDS
-            while listeners and time.monotonic() < until:
-                time.sleep(0.01)
-            _cut_off(listeners, until)
+            waited(lambda: not listeners, CLOSE_SECONDS)
+            cut_off(time.monotonic())
             server.shutdown()
             thread.join()
-
-
-def _cut_off(listeners: dict[Any, float], before: float) -> None:
-    """Those that have not taken what was sent before that time, s of the monotonic clock."""
-    for connection, sent in tuple(listeners.items()):
-        with suppress(OSError):
-            if sent <= before:
-                connection.socket.shutdown(socket.SHUT_RDWR)
