@@ -56,18 +56,12 @@ def usual_effects() -> dict[str, Unmodelled]:
 
 @dataclass(frozen=True)
 class AuditFile(Configuration):
-    """What is audited.
+    """What is audited. Raises ValueError where a number is out of range.
 
-    Parameters
-    ----------
     simulation : as in a simulation's file; the seeds are `seed` and those that follow it. Loads are put up to half a
         pitch beside their places, drawn for every seed.
-    seeds : how many recordings of each effect.
-    estimators : methods by name. formulation : of all of them.
-    effects : name → what is unmodelled, on top of nothing; the usual ones by default.
-    executor : where the recordings are solved; all cores by default.
-
-    Raises ValueError where a number is out of range.
+    estimators : methods by name. seeds : how many recordings of each effect. formulation : of all estimators.
+    effects : name → what is unmodelled, on top of nothing. executor : all cores by default.
     """
 
     schema: Literal[1]
@@ -245,15 +239,8 @@ def _verdict(shares: Sequence[float]) -> str:
     return "wide" if np.fmax(shares[0], shares[1]) > MOST else "covered"
 
 
-def audit_rows(found: Sequence[Audited]) -> list[study.Row]:
-    """Effects in their order, the estimators of each together, all seeds of both in one row.
-
-    Coverages in percent, `silent_` those of recordings whose results carry no sentence; failed ones count nowhere.
-    """
-    return [_row(own) for own in study.grouped(found, lambda one: (one.effect, one.estimator)).values()]
-
-
 def _row(own: Sequence[Audited]) -> study.Row:
+    """Coverages in percent, `silent_` those of recordings without a sentence; failed ones count nowhere."""
     good = [one for one in own if not one.failed]
     silent = [one for one in good if not one.sentence]
     coverage: dict[str, float] = {}
@@ -280,6 +267,7 @@ def _row(own: Sequence[Audited]) -> study.Row:
     )
 
 
+audit_rows = study.rows_by(lambda one: (one.effect, one.estimator), _row)
 SCREEN: study.Screen = {
     "effect": "{effect}",
     "estimator": "{estimator}",

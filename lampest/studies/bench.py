@@ -3,6 +3,7 @@
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
+from itertools import product
 from time import perf_counter
 from typing import Any, ClassVar, Literal, NamedTuple
 
@@ -27,7 +28,7 @@ from lampest.recording.simulation.simulation import Simulation, simulate
 from lampest.solvers.multistart import evaluable, starts
 from lampest.solvers.solution import Settings, Solution, Solver, check
 from lampest.studies import common
-from lampest.studies.study import OnStep, column, grouped, published_code
+from lampest.studies.study import OnStep, column, published_code
 from lampest.studies.timing import TimedFrame, inverse_time, outcome, peak_memory, pushed
 
 OURS = ("reduced", "nodal")
@@ -56,7 +57,11 @@ def loads(number: int, shape: common.Shape) -> tuple[tuple[AnyShape, ...], Cours
 
 @dataclass(frozen=True)
 class ScipyMethod(Method):
-    """One of scipy's solvers, from the cheapest of the starts that a frame has, checked as ours are."""
+    """One of scipy's solvers, from the cheapest of the starts that a frame has, checked as ours are.
+
+    scipy_exact, scipy_difference : trf with the closed-form Jacobian, and with finite differences. scipy_lbfgsb :
+    L-BFGS-B with the closed-form gradient.
+    """
 
     optimum: ClassVar[bool] = True
     kind: Literal["scipy_exact", "scipy_difference", "scipy_lbfgsb"]
@@ -83,8 +88,6 @@ def _scipy(name: str, cost: Cost, settings: Settings) -> Solver:
 class BenchLimits(Configuration):
     """The largest side, max(rows, columns), at which a solver is run; 0: not at all.
 
-    scipy_exact, scipy_difference : scipy's trf with the closed-form Jacobian, and with finite differences.
-    scipy_lbfgsb : scipy's L-BFGS-B with the closed-form gradient.
     joint : no solver, but the first pair of relative methods: on larger panels their first frame starts from a baseline
     that was solved alone.
     """
@@ -99,10 +102,8 @@ class BenchLimits(Configuration):
 
 @dataclass(frozen=True)
 class BenchFile(Configuration):
-    """What is compared.
+    """What is compared. Raises ValueError where a number is out of range.
 
-    Parameters
-    ----------
     sizes : sides of square panels, or [rows, columns].
     estimators : methods by name, their terms as in a run's file; the paper's five by default.
     recordings : simulated recordings of every panel, each with loads and noise of its own.
@@ -113,8 +114,6 @@ class BenchFile(Configuration):
     solver : tolerance and iterations, the same for all.
     limits : the largest side for each solver.
     memory : sides of panels on which the peak memory of a fresh process is measured.
-
-    Raises ValueError where a number is out of range.
     """
 
     schema: Literal[1]
@@ -209,13 +208,15 @@ class BenchPart(NamedTuple):
         return sum(one.seconds for one in alike) / recordings * (lines / nearest) ** 3
 
 
-@dataclass(frozen=True, eq=False)
-class Bench:
-    """frames : of all solvers. left_out : panels and methods for which there was no time, and what of them."""
+LeftOut = tuple[common.Shape, str, str]  # a panel, a method, and what of them there was no time for
+
+
+class Bench(NamedTuple):
+    """frames : of all solvers."""
 
     settings: BenchFile
     frames: tuple[BenchFrame, ...]
-    left_out: tuple[tuple[common.Shape, str, str], ...] = ()
+    left_out: tuple[LeftOut, ...] = ()
 
 
 def run_bench(bench: BenchFile, on_step: OnStep) -> Bench:
@@ -224,13 +225,8 @@ def run_bench(bench: BenchFile, on_step: OnStep) -> Bench:
 
     All panels' first recordings come first, smallest panels before larger ones, with the memory that they take.
     """
-    end = perf_counter() + bench.budget_s
-    numbers = range(bench.recordings)
-    parts = [
-        BenchPart(number, shape, name) for number in numbers for shape in bench.shapes for name in bench.estimators
-    ]
-    found: list[BenchFrame] = []
-    missed: list[tuple[common.Shape, str, str]] = []
+    end, found, missed = perf_counter() + bench.budget_s, list[BenchFrame](), list[LeftOut]()
+    parts = [BenchPart(*part) for part in product(range(bench.recordings), bench.shapes, bench.estimators)]
     simulated = lru_cache(maxsize=1)(bench.recording)
     for number, part in enumerate(parts):
         shape, method, name = part.shape, part.method, f"recording {part.recording + 1}"
@@ -241,13 +237,13 @@ def run_bench(bench: BenchFile, on_step: OnStep) -> Bench:
         own = list(_frames(bench, simulated(shape, part.recording), part, end))
         if (frames := own[-1].frame + 1) <= bench.frames:
             missed.append((shape, method, f"{name} after {frames} of {bench.frames + 1} frames"))
-        measured = not part.recording and shape in {(side, side) for side in bench.memory}
-        for solver, its in grouped(own, lambda one: one.solver).items() if measured else ():
-            if PROCESS_S + sum(one.seconds for one in its[:2]) > end - perf_counter():
+        measured = not part.recording and shape[0] == shape[1] and shape[0] in bench.memory
+        for solver in bench.solvers(shape) if measured else ():
+            if PROCESS_S + sum(one.seconds for one in own if one.solver == solver) > end - perf_counter():
                 missed.append((shape, method, f"memory of {solver}"))
-            else:
-                peak = peak_memory(solve_two_frames, (bench, shape, method, solver))
-                own = [replace(one, memory_mb=peak) if one in its else one for one in own]
+                continue
+            peak = peak_memory(solve_two_frames, (bench, shape, method, solver))
+            own = [replace(one, memory_mb=peak) if one.solver == solver else one for one in own]
         found += own
     return Bench(bench, tuple(found), tuple(missed))
 

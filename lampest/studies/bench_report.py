@@ -108,17 +108,18 @@ SCREEN: study.Screen = {
 def tables(bench: Bench) -> list[tuple[str, Table]]:
     """Titled tables for the screen, those without any row left out."""
     rows = bench_rows(bench.frames)
+    together = [row for row in rows if row.method == ALL]
     ours = [row for row in rows if row.method != ALL and row.solver == "reduced"]
     titled = (
-        ("solvers: all methods together", [row for row in rows if row.method == ALL], SCREEN, ("method", "quartiles")),
-        ("methods: the reduced solver", ours, SCREEN, ("solver",)),
-        ("growth: time ∝ side^exponent", growth(rows), GROWTH_SCREEN, ()),
+        ("solvers: all methods together", together, _without("method", "quartiles")),
+        ("methods: the reduced solver", ours, _without("solver")),
+        ("growth: time ∝ side^exponent", growth(rows), GROWTH_SCREEN),
     )
-    return [
-        (title, study.screen_table(own, {name: of for name, of in screen.items() if name not in without}))
-        for title, own, screen, without in titled
-        if own
-    ]
+    return [(title, study.screen_table(own, screen)) for title, own, screen in titled if own]
+
+
+def _without(*titles: str) -> study.Screen:
+    return {title: of for title, of in SCREEN.items() if title not in titles}
 
 
 def bench_remarks(bench: Bench) -> list[str]:
@@ -132,10 +133,8 @@ def bench_remarks(bench: Bench) -> list[str]:
         methods = [method for _, method, _ in own]
         named = "all methods" if methods == list(settings.estimators) else ", ".join(methods)
         panels.setdefault((what, named), []).append(f"{shape[0]} × {shape[1]}")
-    return lines + [
-        f"left out, would not end within {settings.budget_s:g} s: {what}: {named} at {', '.join(several)}"
-        for (what, named), several in panels.items()
-    ]
+    reason = f"left out, would not end within {settings.budget_s:g} s"
+    return lines + [f"{reason}: {what}: {named} at {', '.join(several)}" for (what, named), several in panels.items()]
 
 
 STUDY: study.Study[BenchFile, Bench] = study.Study(

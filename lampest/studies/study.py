@@ -32,7 +32,6 @@ Kind = TypeVar("Kind")
 Task = TypeVar("Task")
 OnStep = Callable[..., None]
 Row = SimpleNamespace  # one line of a study's CSV file
-Figures = Mapping[str, Callable[[Any], Any]]  # column of the CSV file → its value for a group of records
 Screen = Mapping[str, str | Callable[[Any], str]]  # title → template over a row's values, or the text of a row
 LIBRARIES = ("lampest", "casadi", "numpy", "scipy", "h5py")
 
@@ -243,9 +242,9 @@ def grouped(records: Iterable[Any], key: Callable[[Any], Any]) -> dict[Any, list
     return found
 
 
-def rows_of(groups: Iterable[Any], figures: Figures) -> list[Row]:
-    """A row for each group of records: all figures of it."""
-    return [Row(**{name: figure(own) for name, figure in figures.items()}) for own in groups]
+def rows_by(key: Callable[[Any], Any], row: Callable[[Any], Row]) -> Callable[[Iterable[Any]], list[Row]]:
+    """What makes a row of each group of records."""
+    return lambda records: [row(own) for own in grouped(records, key).values()]
 
 
 def text_of(value: Any, form: str = "digits") -> str:

@@ -8,6 +8,7 @@ reference's baseline.
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
+from itertools import count
 from pathlib import Path
 from time import perf_counter, process_time
 from typing import Any, Literal, NamedTuple, cast
@@ -51,7 +52,6 @@ LADDER: tuple[MethodName | AnyMethod, ...] = (
     "nodal",
     "per_pixel",
 )
-Task = tuple[Estimator, Recording]
 Passage = tuple[Estimates, Array]  # through a recording: estimates, and the processor's s of each frame
 
 
@@ -76,13 +76,8 @@ class TradeoffLimits(Configuration):
 class Simulated(Configuration):
     """Recordings of one lamprey of a fixed size on panels of 10 mm pitch, for every size, noise and scene.
 
-    Parameters
-    ----------
-    sizes : sides of square panels, or [rows, columns].
-    noise : readouts by name. scenes : unmodelled effects by name.
-    diameter_mm : of the mouth. seed : of all random numbers.
-
-    Raises ValueError where a number is out of range.
+    sizes : sides of square panels, or [rows, columns]. noise : readouts by name. scenes : unmodelled effects by name.
+    diameter_mm : of the mouth. Raises ValueError where a number is out of range.
     """
 
     sizes: common.Sizes
@@ -100,8 +95,8 @@ class Simulated(Configuration):
         check_positive_fields(self, "diameter_mm")
         check_ranges(self, 0, 2**64 - 1, "seed")
 
-    def subjects(self, frames: int) -> Iterator["TradeoffSubject"]:
-        """Every combination, in order of size; frames measured frames after three unloaded ones."""
+    def recordings(self, frames: int) -> Iterator[Recording]:
+        """<panel>_<scene>_<noise>, in order of size; frames measured frames after three unloaded ones."""
         for rows, columns in common.shapes_of(self.sizes):
             mouth = common.lamprey_mouth((10 * (columns // 2) - 6, 10 * (rows // 2) - 4), self.diameter_mm)
             known: dict[str, Any] = {"frames": frames, "loads": (mouth,), "course": common.BREATHING}
@@ -109,39 +104,20 @@ class Simulated(Configuration):
                 place = Scene(Panel(rows, columns), readout, common.SERIES_OHM)
                 for scene, unmodelled in self.scenes.items():
                     simulation = Simulation(1, self.seed, place, unmodelled=unmodelled, **known)
-                    recording = simulate(simulation, f"{rows}x{columns}")
-                    yield TradeoffSubject(replace(recording, name=f"{recording.name}_{scene}_{noise}"), scene, noise)
-
-
-class TradeoffSubject(NamedTuple):
-    """A recording that is measured; scene and noise are '-' for one from a file."""
-
-    recording: Recording
-    scene: str
-    noise: str
-
-    @property
-    def shape(self) -> common.Shape:
-        """(rows, columns)."""
-        return self.recording.scene.panel.shape
+                    yield replace(simulate(simulation, f"{rows}x{columns}"), name=f"{rows}x{columns}_{scene}_{noise}")
 
 
 @dataclass(frozen=True)
 class TradeoffFile(Configuration):
-    """What is measured.
+    """What is measured. Raises ValueError where something is missing or a number is out of range.
 
-    Parameters
-    ----------
     recordings : files, relative to this one. simulated : recordings made for the purpose.
     estimators : methods by name; the paper's five by default.
     formulations : the rungs; all by default. `reduced` must be among them: it is what others are compared with.
     frames : of each recording at most so many measured frames, in sequence, from the first.
     repeats, patience_s : how often every rung runs through a recording; no further time once that has taken so long.
     memory : the method with which the peak memory of a fresh process is measured; None: it is not.
-    solver : tolerance and iterations, the same for all.
-    limits : the largest side for each rung.
-
-    Raises ValueError where something is missing or a number is out of range.
+    solver : tolerance and iterations, the same for all. limits : the largest side for each rung.
     """
 
     schema: Literal[1]
@@ -187,11 +163,12 @@ class TradeoffFile(Configuration):
         allowed = (rung for rung in self.ladder if max(shape) <= getattr(self.limits, rung.kind, common.LARGEST_SIDE))
         return {label(rung): rung for rung in allowed}
 
-    def methods(self, shape: common.Shape) -> tuple[str, ...]:
+    def methods(self, shape: common.Shape) -> list[str]:
         """The methods that are measured on a panel."""
-        small = max(shape) <= self.limits.joint
-        chosen = self.estimators.items()
-        return tuple(name for name, method in chosen if small or not any(term.needs_previous for term in method.parts))
+        compared = {
+            name for name, method in self.estimators.items() if any(term.needs_previous for term in method.parts)
+        }
+        return [name for name in self.estimators if max(shape) <= self.limits.joint or name not in compared]
 
     def estimator(self, method: str, formulation: Method) -> Estimator:
         """A method in a formulation."""
@@ -203,7 +180,7 @@ class Plan(NamedTuple):
     """A trade-off's file with its recordings at hand, cut to their first frames."""
 
     settings: TradeoffFile
-    subjects: list[TradeoffSubject]
+    recordings: list[Recording]
 
 
 def label(formulation: Method) -> str:
@@ -214,18 +191,17 @@ def label(formulation: Method) -> str:
 def read_plan(path: Path, assigned: tuple[str, ...] = ()) -> Plan:
     """A trade-off's file and its recordings. Raises InputError, with line and column where the file is at fault."""
     settings = cast(TradeoffFile, validated(read_document(path, assigned), TradeoffFile))
-    recordings = [Recording.load(file) for file in recording_paths(path, list(settings.recordings))]
-    subjects = [TradeoffSubject(first_frames(recording, settings.frames), "-", "-") for recording in recordings]
+    files = recording_paths(path, list(settings.recordings))
+    recordings = [first_frames(Recording.load(file), settings.frames) for file in files]
     if settings.simulated is not None:
         try:
-            subjects += settings.simulated.subjects(settings.frames)
+            recordings += settings.simulated.recordings(settings.frames)
         except ValueError as error:
             raise InputError(f"{path}: simulated: {error}") from error
-    names = [subject.recording.name for subject in subjects]
-    for name in names:
-        if names.count(name) > 1:
-            raise InputError(f"{path}: two recordings are called {name}")
-    return Plan(settings, subjects)
+    names = [recording.name for recording in recordings]
+    if twice := [name for name in names if names.count(name) > 1]:
+        raise InputError(f"{path}: two recordings are called {twice[0]}")
+    return Plan(settings, recordings)
 
 
 def first_frames(recording: Recording, count: int) -> Recording:
@@ -246,8 +222,6 @@ class TradeoffFrame(TimedFrame):
     its noise costs): a gap far below 1 cannot be seen in the readings.
     """
 
-    scene: str = column("1", "effects outside the scene")
-    noise: str = column("1", "readout")
     baseline_s: float = column("s", "time of the unloaded baseline; 0 where it is solved with the first frame")
     cell_error: float = column("percent", "median error of the cells against the truth")
     changed_error: float = column("percent", "the same of cells that the load has changed by more than 5 percent")
@@ -255,37 +229,38 @@ class TradeoffFrame(TimedFrame):
 
 def run_tradeoff(plan: Plan, on_step: OnStep = lambda done, total: None) -> list[TradeoffFrame]:
     """Measure everything. on_step is called with how many of how many parts are done."""
-    settings = plan.settings
-    fresh = list(_memory_tasks(plan))
-    chosen = [(subject, method) for subject in plan.subjects for method in settings.methods(subject.shape)]
+    settings, done = plan.settings, count(1)
+    first = {recording.scene.panel.shape: recording for recording in reversed(plan.recordings)}
+    fresh = [(shape, name) for shape in first if settings.memory for name in settings.rungs(shape)]
+    chosen = [(one, method) for one in plan.recordings for method in settings.methods(one.scene.panel.shape)]
     measured: list[TradeoffFrame] = []
-    for done, (subject, method) in enumerate(chosen, 1):
-        measured += _measure(settings, subject, method)
-        on_step(done, len(chosen) + len(fresh))
+    for recording, method in chosen:
+        measured += _measure(settings, recording, method)
+        on_step(next(done), len(chosen) + len(fresh))
     memory = {}
-    for done, (shape, name, task) in enumerate(fresh, len(chosen) + 1):
-        memory[shape, name] = peak_memory(_passage, task)
-        on_step(done, len(chosen) + len(fresh))
+    for shape, name in fresh:
+        estimator = settings.estimator(str(settings.memory), settings.rungs(shape)[name])
+        memory[shape, name] = peak_memory(_passage, (estimator, first_frames(first[shape], 2)))
+        on_step(next(done), len(chosen) + len(fresh))
     return [replace(one, memory_mb=memory.get((one.shape, one.solver))) for one in measured]
 
 
-def _passage(task: Task) -> Passage:
+def _passage(task: tuple[Estimator, Recording]) -> Passage:
     """Solve the frames of a recording in sequence."""
     (estimator, recording), clock = task, [process_time()]
     found = reconstruct(recording, estimator, lambda: clock.append(process_time()))
     return found, np.diff(clock)
 
 
-def _measure(settings: TradeoffFile, subject: TradeoffSubject, method: str) -> Iterator[TradeoffFrame]:
+def _measure(settings: TradeoffFile, recording: Recording, method: str) -> Iterator[TradeoffFrame]:
     """All rungs with one method on one recording."""
-    rungs = settings.rungs(subject.shape)
+    rungs, begin = settings.rungs(recording.scene.panel.shape), perf_counter()
     runs: dict[str, list[Passage]] = {name: [] for name in rungs}
-    begin = perf_counter()
     for turn in range(settings.repeats):
         if turn and perf_counter() - begin > settings.patience_s:
             break
         for name, formulation in rungs.items():
-            runs[name].append(_passage((settings.estimator(method, formulation), subject.recording)))
+            runs[name].append(_passage((settings.estimator(method, formulation), recording)))
     costs = list(_costs(runs[REFERENCE][0][0]))
     objective = {
         name: [_objective(*cost, cells) for cost, cells in zip(costs, run[0][0].cell_resistance, strict=True)]
@@ -296,19 +271,16 @@ def _measure(settings: TradeoffFile, subject: TradeoffSubject, method: str) -> I
     for name, run in runs.items():
         first = run[0][0]
         seconds = np.min([np.minimum([step.seconds for step in found.steps], cpu) for found, cpu in run], axis=0)
-        baseline_s = 0.0 if first.joint_start else min(found.baseline.seconds for found, _ in run)
         for number, (step, cell, changed) in enumerate(zip(first.steps, *errors(first), strict=True)):
             yield TradeoffFrame(
-                **outcome(subject.recording, step),
+                **outcome(recording, step),
                 method=method,
                 solver=name,
                 frame=number,
                 seconds=float(seconds[number]),
                 objective=objective[name][number],
                 gap=float(gaps[name][number]),
-                scene=subject.scene,
-                noise=subject.noise,
-                baseline_s=baseline_s,
+                baseline_s=0.0 if first.joint_start else min(found.baseline.seconds for found, _ in run),
                 cell_error=float(cell),
                 changed_error=float(changed),
             )
@@ -350,13 +322,3 @@ def _noise_cost(cost: Cost, data: Data) -> float:
     """The misfit terms where every reading is missed by its standard deviation."""
     costs = Evaluation(cost, data, data.apparent_resistance, data.measured + data.sigma, ()).costs
     return float(sum(value for term, value in zip(cost.terms, costs, strict=True) if term.reads_measurement))
-
-
-def _memory_tasks(plan: Plan) -> Iterator[tuple[common.Shape, str, Task]]:
-    """Every rung on every size of panel, with two frames of the first of its recordings."""
-    settings = plan.settings
-    first = {subject.shape: subject for subject in reversed(plan.subjects)} if settings.memory is not None else {}
-    for shape in dict.fromkeys(subject.shape for subject in plan.subjects if subject.shape in first):
-        short = first_frames(first[shape].recording, 2)
-        for name, formulation in settings.rungs(shape).items():
-            yield shape, name, (settings.estimator(str(settings.memory), formulation), short)

@@ -31,10 +31,9 @@ SCREEN: study.Screen = {
 }
 
 
-def rows_by(frames: Sequence[TradeoffFrame], *names: str) -> list[study.Row]:
+def ladder_rows(frames: Sequence[TradeoffFrame], *names: str) -> list[study.Row]:
     """A row for each panel size and rung, and whatever else is named; all other frames together."""
-    groups = study.grouped(frames, lambda one: (one.shape, one.solver, *(getattr(one, name) for name in names)))
-    return [_row(own) for own in groups.values()]
+    return study.rows_by(lambda one: (one.shape, one.solver, *(getattr(one, name) for name in names)), _row)(frames)
 
 
 def _row(own: Sequence[TradeoffFrame]) -> study.Row:
@@ -52,7 +51,7 @@ def _row(own: Sequence[TradeoffFrame]) -> study.Row:
     return study.Row(
         rows=own[0].rows,
         columns=own[0].columns,
-        **{name: common(name) for name in ("recording", "scene", "noise", "method")},
+        **{name: common(name) for name in ("recording", "method")},
         formulation=own[0].solver,
         first_ms=1e3 * float(np.median([one.baseline_s + one.seconds for one in own if not one.frame])),
         frame_ms=1e3 * float(np.median([one.seconds for one in own if one.frame])),
@@ -86,7 +85,7 @@ def on_front(rows: Sequence[study.Row]) -> list[str]:
 
 def tradeoff_table(frames: Sequence[TradeoffFrame]) -> Table:
     """The first method's rows, those on a front marked."""
-    rows = rows_by([one for one in frames if one.method == frames[0].method])
+    rows = ladder_rows([one for one in frames if one.method == frames[0].method])
     for own in study.grouped(rows, _shape).values():
         best = on_front(own)
         for row in own:
@@ -155,9 +154,13 @@ STUDY: study.Study[Plan, list[TradeoffFrame]] = study.Study(
     "tradeoff.yaml",
     read_plan,
     run_tradeoff,
-    rows=lambda frames: [*rows_by(frames), *rows_by(frames, "method"), *rows_by(frames, "method", "recording")],
+    rows=lambda frames: [
+        *ladder_rows(frames),
+        *ladder_rows(frames, "method"),
+        *ladder_rows(frames, "method", "recording"),
+    ],
     tables=lambda frames: [("", tradeoff_table(frames))],
     form="tradeoff/2",
     records=lambda frames: [study.RecordGroup("frames", frames, "seconds")],
-    figures=lambda frames: {"tradeoff": tradeoff_figure(rows_by(frames, "method"))},
+    figures=lambda frames: {"tradeoff": tradeoff_figure(ladder_rows(frames, "method"))},
 )

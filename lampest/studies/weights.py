@@ -34,12 +34,11 @@ from lampest.studies.study import column
 
 @dataclass(frozen=True, eq=False)
 class WeightSubject:
-    """One case.
+    """One case: a frame of a recording with an estimator that has one penalty.
 
-    recording, name : of the recording and of the estimator. frame : index into the recording. noisy : whether σ is
-    known. cost, data : of the solves; the last of their frames is the measured one. truth : log r (rows, columns) of
-    that frame, NaN in cells that are known to be broken; None where it is unknown. others : data of further frames
-    that a rule's weight is to suit.
+    frame : index into the recording. noisy : whether σ is known. cost, data : of the solves; the last of their frames
+    is the measured one. truth : log r (rows, columns) of that frame, NaN in cells that are known to be broken; None
+    where it is unknown. others : data of further frames that a rule's weight is to suit.
     """
 
     recording: str
@@ -55,25 +54,23 @@ class WeightSubject:
 
     @classmethod
     def of(cls, case: Case, recording: Recording) -> "WeightSubject | None":
-        """The recording's strongest frame; with the baseline where terms compare it with that. None without a frame of
-        which enough was read.
+        """The recording's strongest frame, with the baseline where terms compare it with that; None where too little
+        was read of every frame.
         """
         readings, scene = recording.readings(), recording.scene
         resting = resting_readings(recording, readings)
         frame = deciding_frame(recording, readings, resting)
         if frame is None:
             return None
-        data = deciding_data(case.estimator, scene, resting, readings[frame])
+        beside = [frame, *frames_beside(recording, readings, frame)]
+        data, *others = (deciding_data(case.estimator, scene, resting, readings[one]) for one in beside)
         truth = None
         if recording.truth_cell_resistance is not None:
             truth = np.log(recording.truth_cell_resistance[frame])
             truth[scene.broken] = np.nan
-        cost = case.estimator.cost(scene, len(data.measured), data.partial)
-        beside = readings[frames_beside(recording, readings, frame)]
-        numbers = range(len(beside.value))
-        others = tuple(deciding_data(case.estimator, scene, resting, beside[number]) for number in numbers)
-        names, noisy = (case.recording, case.name), readings.sigma is not None
-        return cls(*names, case.estimator, scene, frame, noisy, cost, data, truth, others)
+        cost, noisy = case.estimator.cost(scene, len(data.measured), data.partial), readings.sigma is not None
+        names = case.recording, case.name
+        return cls(*names, case.estimator, scene, frame, noisy, cost, data, truth, tuple(others))
 
     @cached_property
     def penalty(self) -> int:
@@ -196,19 +193,14 @@ def bound_evidence(model: LinearModel) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Curves:
-    """points : in the order of their weights. even : the weights of the grid that is even in log λ."""
+    """points : in the order of their weights."""
 
     subject: WeightSubject
     points: tuple[CurvePoint, ...]
-    even: tuple[float, ...] = ()
 
     def values(self, name: str) -> Array:
         """One of a point's figures, at all points."""
         return np.array([getattr(point, name) for point in self.points], dtype=float)
-
-    def on_grid(self) -> tuple[CurvePoint, ...]:
-        """The solved points of the even grid."""
-        return tuple(point for point in self.points if point.solved and point.weight in self.even)
 
     def at(self, weight: float) -> CurvePoint:
         """The point at a weight that is on the curves."""
@@ -221,7 +213,7 @@ class Curves:
         for weight in sorted(set(weights) - set(points)):
             near = min(solved, key=lambda point: abs(np.log(point.weight / weight)), default=None)
             points[weight] = solve_at(self.subject, weight, None if near is None else near.cells)
-        return Curves(self.subject, tuple(points[weight] for weight in sorted(points)), self.even)
+        return Curves(self.subject, tuple(points[weight] for weight in sorted(points)))
 
     def best(self) -> CurvePoint | None:
         """The point with the least true error."""
@@ -229,17 +221,12 @@ class Curves:
         return min(known, key=lambda point: point.error, default=None)
 
     def finer(self) -> "Curves":
-        """With points round the least true error, half as far apart in log λ, and again."""
-        curves = self
-        for _ in range(2):
-            best = curves.best()
-            if best is None:
-                break
-            weights = [point.weight for point in curves.points]
-            middle = weights.index(best.weight)
-            near = weights[max(middle - 1, 0) : middle + 2]
-            curves = curves.extended(np.sqrt(np.multiply(near[1:], near[:-1])).tolist())
-        return curves
+        """With points round the least true error, half as far apart in log λ."""
+        if (best := self.best()) is None:
+            return self
+        weights = [point.weight for point in self.points]
+        near = weights[max(weights.index(best.weight) - 1, 0) :][:3]
+        return self.extended(np.sqrt(np.multiply(near[1:], near[:-1])).tolist())
 
 
 def trace(subject: WeightSubject, marks: list[float], first: Array) -> Curves:
@@ -261,7 +248,7 @@ def trace(subject: WeightSubject, marks: list[float], first: Array) -> Curves:
         for weight in side:
             points[weight] = solve_at(subject, weight, start)
             start = start if points[weight].cells is None else points[weight].cells
-    return Curves(subject, tuple(points[weight] for weight in weights), tuple(weights))
+    return Curves(subject, tuple(points[weight] for weight in weights))
 
 
 @dataclass(frozen=True)
@@ -297,11 +284,12 @@ def tune(subject: WeightSubject) -> Tuned:
     in_use = rule_in_use(subject.estimator, subject.noisy) if given is None else "given"
     curves = trace(subject, [path[-1] for path in tried.values()] + ([given] if given else []), first)
     weights: dict[str, tuple[float | None, int | None]] = {rule: (path[-1], len(path)) for rule, path in tried.items()}
-    weights["Morozov"] = (morozov(curves) if subject.noisy else None, None)
-    weights["L-curve"] = (l_curve(curves.on_grid()), None)
+    solved = [point for point in curves.points if point.solved]
+    weights["Morozov"] = (morozov(solved, subject.count) if subject.noisy else None, None)
+    weights["L-curve"] = (l_curve(solved), None)
     if given:
         weights["given"] = (given, 1)
-    curves = curves.extended(weight for weight, _ in weights.values() if weight is not None).finer()
+    curves = curves.extended(weight for weight, _ in weights.values() if weight is not None).finer().finer()
     best = curves.best()
     if best is not None:
         weights["best"] = (best.weight, None)
@@ -313,14 +301,12 @@ def tune(subject: WeightSubject) -> Tuned:
     return Tuned(subject, curves, tuple(choices))
 
 
-def morozov(curves: Curves) -> float | None:
+def morozov(points: Sequence[CurvePoint], data: int) -> float | None:
     """The largest λ at which data are missed by no more than their noise, ρ/s² = number of data; None if there is none.
 
     Interpolated between the points, log ρ over log λ.
     """
-    data = curves.subject.count
-    points = curves.on_grid()
-    for before, after in zip(reversed(points[:-1]), reversed(points[1:]), strict=True):
+    for before, after in zip(points[-2::-1], points[:0:-1], strict=True):
         if before.misfit <= data < after.misfit:
             share = np.log(data / before.misfit) / np.log(after.misfit / before.misfit)
             return float(before.weight * (after.weight / before.weight) ** share)

@@ -8,7 +8,6 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis, XAxis
 from matplotlib.figure import Figure
-from matplotlib.patheffects import withStroke
 from matplotlib.ticker import LogFormatterSciNotation, LogLocator, NullLocator
 
 from lampest.cost.terms import term_kind
@@ -16,7 +15,7 @@ from lampest.recording.recording import Recording
 from lampest.report.plots.style import SMALL_POINT, TEXT_POINT, dressed, new_figure
 from lampest.runs.config import Case, Run, read_run
 from lampest.studies import study
-from lampest.studies.weights import Tuned, WeightSubject, tune, why_not
+from lampest.studies.weights import Choice, Tuned, WeightSubject, tune, why_not
 
 LOOKS: dict[str, dict[str, Any]] = {
     "risk": {"color": "#0072B2", "ls": "-", "marker": "o"},
@@ -74,7 +73,7 @@ def _over_weight(axes: Axes, one: Tuned, label: str) -> Any:
 
 
 def _above_least(name: str, label: str) -> Callable[[Axes, Tuned], None]:
-    """A panel of a rule's function, less its least value, on a logarithmic scale that holds zero."""
+    """A panel of a rule's function, less its least value, which a dot marks."""
 
     def draw(axes: Axes, one: Tuned) -> None:
         values = one.curves.values(name)
@@ -82,23 +81,17 @@ def _above_least(name: str, label: str) -> Callable[[Axes, Tuned], None]:
         if not np.isfinite(values).any():
             _words_instead(axes, "needs the noise of the readings")
             return
-        above = values - np.nanmin(values)
-        positive = above[above > 0]
-        small, large = np.quantile(positive, (0.2, 1.0)) if len(positive) else (1.0, 1.0)
-        first, last = int(np.floor(np.log10(small))), int(np.floor(np.log10(large)))
-        axes.set_yscale("symlog", linthresh=10.0**first)
-        axes.plot(weights, above, **LINE)
-        axes.plot(weights[int(np.nanargmin(values))], 0, "o", color="black", ms=4, clip_on=False, zorder=3)
-        axes.set_ylim(0, 1.5 * large)
-        axes.set_yticks([0.0, *(10.0**power for power in range(first, last + 1, 1 + (last - first) // 6))], minor=False)
-        axes.yaxis.set_minor_locator(NullLocator())
+        above, least = values - np.nanmin(values), int(np.nanargmin(values))
+        axes.plot(weights, np.where(above > 0, above, np.nan), **LINE)
+        _logarithmic(axes.yaxis)
+        axes.plot(weights[least], axes.get_ylim()[0], "o", color="black", ms=4, clip_on=False, zorder=3)
 
     return draw
 
 
 def _words_instead(axes: Axes, words: str) -> None:
-    text = axes.text(0.5, 0.5, words, transform=axes.transAxes, ha="center", va="center", fontsize=TEXT_POINT)
-    text.set_path_effects([withStroke(linewidth=3, foreground="white")])
+    look: dict[str, Any] = {"ha": "center", "va": "center", "backgroundcolor": "white"}
+    axes.text(0.5, 0.5, words, transform=axes.transAxes, fontsize=TEXT_POINT, **look)
     axes.set_yscale("linear")
     axes.set_yticks([])
 
@@ -191,22 +184,22 @@ def tuned(case: Case) -> list[Tuned] | str:
 
 def weight_rows(found: study.Cases[Tuned]) -> list[study.Row]:
     """A row for every case and rule."""
-    return [
-        study.Row(
-            recording=one.subject.recording,
-            estimator=one.subject.name,
-            frame=one.subject.frame,
-            rule=choice.rule,
-            in_use=int(choice.in_use),
-            weight=choice.weight,
-            weight_unit=one.subject.units["weight"],
-            solves=choice.solves,
-            rms_log_error=choice.error,
-            over_best=choice.excess,
-        )
-        for one in found.found
-        for choice in one.choices
-    ]
+    return [_row(one.subject, choice) for one in found.found for choice in one.choices]
+
+
+def _row(subject: WeightSubject, choice: Choice) -> study.Row:
+    return study.Row(
+        recording=subject.recording,
+        estimator=subject.name,
+        frame=subject.frame,
+        rule=choice.rule,
+        in_use=int(choice.in_use),
+        weight=choice.weight,
+        weight_unit=subject.units["weight"],
+        solves=choice.solves,
+        rms_log_error=choice.error,
+        over_best=choice.excess,
+    )
 
 
 SCREEN: study.Screen = {

@@ -134,19 +134,14 @@ def withheld_study(share: float, draws: int = 5, seed: int = 0) -> study.Study[R
         "insole.yaml",
         read_run,
         lambda run, on_step: study.of_cases(predicted, run, on_step, "predict"),
-        rows=withheld_rows,
+        rows=lambda cases: withheld_rows(cases.found),
         screen=SCREEN,
         left_out=lambda found: found.left_out,
     )
 
 
-def withheld_rows(cases: study.Cases[Withheld]) -> list[study.Row]:
-    """A row for every case and weight: medians over frames and draws."""
-    groups = study.grouped(cases.found, lambda one: (one.recording, one.estimator, one.factor))
-    return [_row(ones) for ones in groups.values()]
-
-
 def _row(ones: Sequence[Withheld]) -> study.Row:
+    """Of a case at one weight: medians over frames and draws."""
     solved = [(one.error, one.error / one.interpolated, one.hidden) for one in ones if one.solved]
     error, ratio, hidden = np.median(solved or [(np.nan,) * 3], axis=0).tolist()
     return study.Row(
@@ -164,6 +159,7 @@ def _row(ones: Sequence[Withheld]) -> study.Row:
     )
 
 
+withheld_rows = study.rows_by(lambda one: (one.recording, one.estimator, one.factor), _row)
 SCREEN: study.Screen = {
     "recording": "{recording}",
     "estimator": "{estimator}",

@@ -19,7 +19,7 @@ from lampest.panel.scene import Scene
 from lampest.posterior.linear import LinearModel
 from lampest.recording.recording import Recording
 from lampest.runs.config import Case
-from lampest.studies.weights import CurvePoint, Tuned, WeightSubject, bound_evidence, l_curve, morozov, solve_at, tune
+from lampest.studies.weights import CurvePoint, Tuned, WeightSubject, bound_evidence, l_curve, solve_at, tune
 
 pytestmark = pytest.mark.slow
 
@@ -114,8 +114,7 @@ def test_what_a_held_cell_leaves_is_the_integral_of_its_density() -> None:
 
 
 def test_morozovs_weight_misses_the_readings_by_their_noise(tuned: Tuned) -> None:
-    weight = morozov(tuned.curves)
-    assert weight is not None
+    (weight,) = (choice.weight for choice in tuned.choices if choice.rule == "Morozov")
     assert_allclose(tuned.curves.at(weight).misfit, 20, rtol=0.05)
 
 

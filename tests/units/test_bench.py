@@ -216,7 +216,7 @@ def test_page_holds_a_section_for_every_table(tiny: Bench) -> None:
 
 
 def test_pages_show_tables_that_the_bench_writes(tiny: Bench) -> None:
-    both = replace(tiny, frames=tuple(frame for side in (32, 64) for frame in timed(side, [1.0, 1.0])))
+    both = tiny._replace(frames=tuple(frame for side in (32, 64) for frame in timed(side, [1.0, 1.0])))
     found = sections(pages(both))
     assert all(text.startswith("- " if name == "remarks" else "| ") for name, text in found.items())
     marks = [mark for path in PAGES for mark in MARKED.findall(path.read_text(encoding="utf-8"))]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lampest.studies.tradeoff import TradeoffFrame, label, read_plan, run_tradeoff
-from lampest.studies.tradeoff_report import front, on_front, rows_by
+from lampest.studies.tradeoff_report import front, ladder_rows, on_front
 from tests.small_files import TRADEOFF
 
 RUNGS = ["naive", "scaled", "linearised", "truncated 2", "region", "reduced", "nodal"]
@@ -43,7 +43,7 @@ def test_gap_is_judged_by_one_cost_and_is_zero_for_the_best(found: list[Tradeoff
 
 
 def test_no_reconstruction_errs_by_what_it_ignores(found: list[TradeoffFrame]) -> None:
-    rows = {row.formulation: row for row in rows_by(found) if (row.rows, row.columns) == (8, 8)}
+    rows = {row.formulation: row for row in ladder_rows(found) if (row.rows, row.columns) == (8, 8)}
     assert rows["naive"].cell_error > 60
     assert rows["reduced"].reached > 0.9
     assert rows["reduced"].memory_mb is None
@@ -55,7 +55,7 @@ def test_front_holds_what_nothing_beats() -> None:
 
 
 def test_fastest_rung_is_on_the_front(found: list[TradeoffFrame]) -> None:
-    rows = [row for row in rows_by(found) if (row.rows, row.columns) == (8, 8)]
+    rows = [row for row in ladder_rows(found) if (row.rows, row.columns) == (8, 8)]
     assert min(rows, key=lambda row: row.frame_ms).formulation in on_front(rows)
 
 
@@ -63,4 +63,4 @@ def test_fastest_rung_is_on_the_front(found: list[TradeoffFrame]) -> None:
 def test_shipped_file_is_valid() -> None:
     plan = read_plan(Path(__file__).parents[2] / "configs" / "tradeoff.yaml")
     assert {label(formulation) for formulation in plan.settings.ladder} >= set(RUNGS)
-    assert {subject.shape for subject in plan.subjects} == {(10, 10), (16, 16), (32, 32), (100, 100)}
+    assert {recording.scene.panel.shape for recording in plan.recordings} == {(10, 10), (16, 16), (32, 32), (100, 100)}

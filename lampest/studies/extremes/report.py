@@ -11,7 +11,6 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 
-from lampest.report.compare import Table
 from lampest.report.plots.style import ORANGE, RAISED, SMALL_POINT, TEXT_POINT, new_figure
 from lampest.solvers.solution import VERIFIED
 from lampest.studies import study
@@ -22,53 +21,43 @@ COLOURS = "YlGnBu"
 SQUARE_INCH = 0.165
 
 
-def atlas_rows(solves: Sequence[Solve]) -> list[study.Row]:
-    """A row for each cell of the atlas, in its order: a case with a contrast, size, noise, method and formulation."""
+def _row(own: Sequence[Solve]) -> study.Row:
+    """verified : estimates of which the audit says nothing bad; named : a sentence instead; doubtful : estimates that
+    the audit does not confirm; crashed : neither; worse : estimates that cost more than the truth. Digits are the
+    least, residuals the largest.
+    """
+    solved = [solve for solve in own if solve.solved]
+    statuses = Counter(solve.status for solve in own).most_common()
+    return study.Row(
+        **{name: getattr(own[0], name) for name in ("case", "decades", "rows", "columns", "noise")},
+        method=own[0].method,
+        formulation=own[0].formulation,
+        solves=len(own),
+        verified=sum(solve.verified for solve in own),
+        named=sum(not solve.solved and not solve.crashed for solve in own),
+        doubtful=sum(solve.doubtful for solve in own),
+        crashed=sum(solve.crashed for solve in own),
+        worse=sum(solve.excess > VERIFIED for solve in solved),
+        forward_digits=_of(min, own, "forward_digits"),
+        model_digits=_of(min, solved, "model_digits"),
+        residual=_of(max, solved, "residual"),
+        audited=_of(max, solved, "audited"),
+        iterations=float(np.median([solve.iterations for solve in own])),
+        most_iterations=max(solve.iterations for solve in own),
+        statuses="; ".join(f"{count} × {status}" for status, count in statuses),
+    )
 
-    def cell(solve: Solve) -> tuple[Any, ...]:
-        return solve.case, solve.decades, solve.shape, solve.noise, solve.method, solve.formulation
 
-    return study.rows_of(study.grouped(solves, cell).values(), FIGURES)
-
-
-def _of(reduce: Callable[[Any], Any], what: str, estimates: bool = True) -> Callable[[Sequence[Solve]], float]:
-    """The reduction of all numbers, by default of estimates; NaN where there is none."""
-
-    def reduced(own: Sequence[Solve]) -> float:
-        values = [getattr(solve, what) for solve in own if solve.solved or not estimates]
-        known = [value for value in values if np.isfinite(value)]
-        return float(reduce(known)) if known else float("nan")
-
-    return reduced
+def _of(reduce: Callable[[Any], float], solves: Sequence[Solve], what: str) -> float:
+    """The reduction of all numbers; NaN where there is none."""
+    known = [value for solve in solves if np.isfinite(value := getattr(solve, what))]
+    return float(reduce(known)) if known else float("nan")
 
 
-def _statuses(own: Sequence[Solve]) -> str:
-    counted = Counter(solve.status for solve in own)
-    return "; ".join(f"{count} × {status}" for status, count in counted.most_common())
-
-
-FIGURES: study.Figures = {
-    "case": lambda own: own[0].case,
-    "decades": lambda own: own[0].decades,
-    "rows": lambda own: own[0].rows,
-    "columns": lambda own: own[0].columns,
-    "noise": lambda own: own[0].noise,
-    "method": lambda own: own[0].method,
-    "formulation": lambda own: own[0].formulation,
-    "solves": len,
-    "verified": lambda own: sum(solve.verified for solve in own),  # an estimate of which the audit says nothing bad
-    "named": lambda own: sum(not solve.solved and not solve.crashed for solve in own),  # a sentence instead
-    "doubtful": lambda own: sum(solve.doubtful for solve in own),  # estimates that the audit does not confirm
-    "crashed": lambda own: sum(solve.crashed for solve in own),  # neither
-    "worse": lambda own: sum(solve.solved and solve.excess > VERIFIED for solve in own),  # cost more than the truth
-    "forward_digits": _of(np.min, "forward_digits", False),
-    "model_digits": _of(np.min, "model_digits"),
-    "residual": _of(np.max, "residual"),
-    "audited": _of(np.max, "audited"),
-    "iterations": lambda own: float(np.median([solve.iterations for solve in own])),
-    "most_iterations": lambda own: max(solve.iterations for solve in own),
-    "statuses": _statuses,
-}
+atlas_rows = study.rows_by(  # for each cell of the atlas
+    lambda one: (one.case, one.decades, one.shape, one.noise, one.method, one.formulation), _row
+)
+case_rows = study.rows_by(lambda one: (one.case, one.decades), _row)  # all methods, sizes and noises together
 SCREEN: study.Screen = {
     "case": "{case}",
     "decades": lambda row: f"{row.decades:g}" if CASES[row.case].contrasted else "",
@@ -83,12 +72,6 @@ SCREEN: study.Screen = {
     "audited": "{audited:.0e}",
     "iterations (most)": "{iterations:.0f} ({most_iterations})",
 }
-
-
-def atlas_table(solves: Sequence[Solve]) -> Table:
-    """A line for every number of decades of the random panels and for every other case, all methods together."""
-    groups = study.grouped(solves, lambda solve: (solve.case, solve.decades))
-    return study.screen_table(study.rows_of(groups.values(), FIGURES), SCREEN)
 
 
 def mild(solve: Solve) -> bool:
@@ -182,7 +165,7 @@ STUDY: study.Study[AtlasFile, Sequence[Solve]] = study.Study(
     study.read_settings(AtlasFile),
     run_atlas,
     rows=atlas_rows,
-    tables=lambda found: [("", atlas_table(found))],
+    tables=lambda found: [("", study.screen_table(case_rows(found), SCREEN))],
     form="extremes/2",
     records=lambda found: [study.RecordGroup("solves", found, "solved", attributes={"verified_below": VERIFIED})],
     figures=lambda found: {"extremes": extremes_figure(found)},

@@ -2,7 +2,8 @@
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from itertools import product
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -41,8 +42,7 @@ class AtlasSample:
         return self.rows, self.columns
 
 
-@dataclass(frozen=True, eq=False)
-class Made:
+class Made(NamedTuple):
     """Cells (2, rows, columns) ohm, unloaded and loaded, with what the scene states of them.
 
     still : both frames are the same, noise included. weight : of all penalties in place of their own, or None.
@@ -56,12 +56,9 @@ class Made:
     weight: float | None = None
 
 
-@dataclass(frozen=True)
-class Extreme:
-    """How a scene is made from the usual cells, and what it stands for.
-
-    single_fault : one cell or line is broken. contrasted : its contrast is the sample's.
-    shapes : the panels that it is about, in place of the atlas' own.
+class Extreme(NamedTuple):
+    """How a scene is made from the usual cells. single_fault : one cell or line is broken. contrasted : its contrast is
+    the sample's. shapes : the panels that it is about, in place of the atlas' own.
     """
 
     make: Callable[[Array, AtlasSample, Generator], Made]
@@ -70,42 +67,33 @@ class Extreme:
     shapes: tuple[Shape, ...] = ()
 
 
-def made(sample: AtlasSample) -> Made:
-    """The scene's cells; the same for every noise."""
+def recording_of(sample: AtlasSample) -> tuple[Recording, Made]:
+    """The scene, whose cells are the same for every noise, and its readings: exact ones, times 1 + noise, through the
+    converter where there is one.
+    """
     rng = np.random.default_rng([sample.seed, sample.rows, sample.columns, 1])
     usual = USUAL_OHM * 10 ** rng.uniform(-0.15, 0.15, sample.shape)
     cells = np.stack([usual, np.where(rng.random(sample.shape) < 0.2, 0.5, 1.0) * usual])
-    return CASES[sample.case].make(cells, sample, rng)
-
-
-def recording_of(sample: AtlasSample) -> tuple[Recording, Made]:
-    """The scene's readings: exact ones, times 1 + noise, through the converter where there is one."""
-    scene = made(sample)
+    scene = CASES[sample.case].make(cells, sample, rng)
     rng = np.random.default_rng([sample.seed, sample.rows, sample.columns, 2])
-    exact = two_point_resistance(scene.cells)
+    exact, readout = two_point_resistance(scene.cells), scene.readout
     noise = 1 + sample.noise * rng.standard_normal(exact.shape)
     if scene.still:
         noise[1] = noise[0]
-    network = exact * np.maximum(noise, 0.01)
-    total = network + scene.series_ohm
+    total = exact * np.maximum(noise, 0.01) + scene.series_ohm
     if scene.series_ohm:
         total = np.maximum(total + sample.noise * scene.series_ohm * rng.standard_normal(exact.shape), 1e-3)
     sigma: Array | None = max(sample.noise, 1e-9) * total
-    if scene.readout is not None:
-        total, sigma = _converted(scene.readout, total, rng), None
+    if readout is not None:
+        volt = readout.volt_from_recorded(total) + readout.noise_volt() * rng.standard_normal(total.shape)
+        codes = readout.code_from_volt(volt).astype(float)
+        total, sigma = readout.recorded_from_volt(readout.volt_from_code(codes)), None
     usable = np.isfinite(total) & (total > 0)  # readings that are no value hold any finite number
     total = np.where(usable, total, USUAL_OHM)
     sigma = None if sigma is None else np.where(usable, sigma, USUAL_OHM)
-    place = Scene(Panel(*sample.shape), scene.readout, scene.series_ohm, scene.faults)
+    place = Scene(Panel(*sample.shape), readout, scene.series_ohm, scene.faults)
     role = np.array([0, 1], dtype=np.uint8)
     return Recording(place, total, np.arange(2.0), role, sigma, name=sample.case), scene
-
-
-def _converted(readout: TwoPointReadout, total: Array, rng: Generator) -> Array:
-    """A resistance as one conversion reads it."""
-    noise = readout.noise_volt() * rng.standard_normal(total.shape)
-    code = readout.code_from_volt(readout.volt_from_recorded(total) + noise)
-    return readout.recorded_from_volt(readout.volt_from_code(code.astype(float)))
 
 
 def _cell(sample: AtlasSample) -> tuple[int, int]:
@@ -196,11 +184,8 @@ CASES: dict[str, Extreme] = {
 class Grid(Configuration):
     """Panels of random cells, uniform in the logarithm: every size with every number of decades, noise and seed.
 
-    Parameters
-    ----------
     sizes : sides of square panels, or [rows, columns]. decades : between the least and the largest cell.
     noise : relative standard deviation of a reading, percent. seeds : how many panels of each kind.
-
     Raises ValueError where a number is out of range.
     """
 
@@ -220,21 +205,25 @@ class Grid(Configuration):
         """(rows, columns) of every panel."""
         return shapes_of(self.sizes)
 
+    def samples(self, name: str) -> Iterator[AtlasSample]:
+        """Those of a case."""
+        case = CASES[name]
+        shapes = (case.shapes or self.shapes) if self.sizes else ()
+        decades = self.decades if case.contrasted else (0.0,)
+        for shape, decade, noise, seed in product(shapes, decades, self.noise, range(self.seeds)):
+            yield AtlasSample(name, *shape, decade, noise / 100, seed)
+
 
 @dataclass(frozen=True)
 class AtlasFile(Configuration):
-    """What is tried.
+    """What is tried. Raises ValueError where a number is out of range.
 
-    Parameters
-    ----------
     grid : panels of random cells. structured : sizes, contrasts and noise of all other cases.
     nodal : the part of both that the nodal formulation solves too: sizes, decades and noise.
     estimators : methods by name; the paper's five by default.
     solver : tolerance and iterations. audit_cells : the largest panel on which the optimality of every estimate is
     tested a second time, by differences of the exact forward map.
     executor : where the scenes are solved; all cores by default.
-
-    Raises ValueError where a number is out of range.
     """
 
     schema: Literal[1]
@@ -253,37 +242,22 @@ class AtlasFile(Configuration):
             raise ValueError("grid and structured hold no scene")
 
     @property
-    def tasks(self) -> tuple["AtlasTask", ...]:
+    def tasks(self) -> list["AtlasTask"]:
         """Every scene with the formulations that solve it, in the order of the atlas."""
-        samples = (
-            *_samples(self.grid, (GRID,)),
-            *_samples(self.structured, tuple(name for name in CASES if name != GRID)),
-        )
-        return tuple(AtlasTask(sample, self, self._formulations(sample)) for sample in samples)
+        named = [(self.grid, GRID), *((self.structured, name) for name in CASES if name != GRID)]
+        samples = (sample for grid, name in named for sample in grid.samples(name))
+        return [AtlasTask(sample, self, self._formulations(sample)) for sample in samples]
 
     def _formulations(self, sample: AtlasSample) -> tuple[MethodName, ...]:
-        part = self.nodal
-        own = CASES[sample.case].shapes
-        chosen = (sample.shape in part.shapes or (bool(own) and sample.rows * sample.columns < 100)) and (
-            100 * sample.noise in part.noise and sample.decades in (*part.decades, 0.0) and sample.seed < part.seeds
-        )
+        part, own = self.nodal, bool(CASES[sample.case].shapes) and sample.rows * sample.columns < 100
+        known = 100 * sample.noise in part.noise and sample.decades in (*part.decades, 0.0)
+        chosen = known and sample.seed < part.seeds and (own or sample.shape in part.shapes)
         return ("reduced", "nodal") if chosen else ("reduced",)
 
 
-@dataclass(frozen=True)
-class AtlasTask:
+class AtlasTask(NamedTuple):
     """One scene, and the formulations in which every method solves it."""
 
     sample: AtlasSample
     atlas: AtlasFile
     formulations: tuple[MethodName, ...]
-
-
-def _samples(grid: Grid, names: tuple[str, ...]) -> Iterator[AtlasSample]:
-    for name in names:
-        case = CASES[name]
-        for shape in (case.shapes or grid.shapes) if grid.sizes else ():
-            for decades in grid.decades if case.contrasted else (0.0,):
-                for noise in grid.noise:
-                    for seed in range(grid.seeds):
-                        yield AtlasSample(name, *shape, decades, noise / 100, seed)
