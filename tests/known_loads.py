@@ -14,8 +14,7 @@ from lampest.panel.response import AnyResponse
 from lampest.panel.scene import Scene
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
 from lampest.recording.simulation.measure import Unmodelled, measured
-from lampest.recording.simulation.pressure import Course
-from lampest.recording.simulation.simulation import Simulation, cells_under, pressure_at
+from lampest.recording.simulation.simulation import Course, Simulation, cells_under, pressure_at
 
 RESTING = 4
 

@@ -40,11 +40,7 @@ def determined(scene: Scene, pressure: Array, errors: Array) -> tuple[Array, Arr
 
 
 def total_force(
-    scene: Scene,
-    pressure: Array,
-    pressed: NDArray[np.bool_],
-    saturated: NDArray[np.bool_],
-    errors: Array | None,
+    scene: Scene, pressure: Array, pressed: NDArray[np.bool_], saturated: NDArray[np.bool_], errors: Array | None
 ) -> Force:
     """F of one frame, all (rows, columns). pressed : as `pressing_cells`. errors : kPa, independent, or None."""
     area = scene.panel.pitch_mm**2 * KPA_MM2

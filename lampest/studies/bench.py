@@ -23,8 +23,7 @@ from lampest.panel.readouts.wiring import Lines
 from lampest.panel.scene import Scene
 from lampest.recording.recording import Recording
 from lampest.recording.simulation.measure import Unmodelled
-from lampest.recording.simulation.pressure import Course
-from lampest.recording.simulation.simulation import Simulation, simulate
+from lampest.recording.simulation.simulation import Course, Simulation, simulate
 from lampest.solvers.multistart import evaluable, starts
 from lampest.solvers.solution import Settings, Solution, Solver, check
 from lampest.studies import common

@@ -8,7 +8,7 @@ from lampest.cost.terms import CellResistance, Gradient, GradientOfRelativeChang
 from lampest.estimate.estimator import Bounds
 from lampest.files.typed import Configuration, check_range
 from lampest.loads.shapes import OralDisc
-from lampest.recording.simulation.pressure import Course
+from lampest.recording.simulation.simulation import Course
 from lampest.runs.config import Terms, terms_of
 
 LARGEST_SIDE = 1000  # of a simulated panel

@@ -15,8 +15,7 @@ from lampest.panel.panel import Array, Panel
 from lampest.panel.scene import Scene, Water
 from lampest.recording.recording import Recording
 from lampest.recording.simulation.measure import Unmodelled
-from lampest.recording.simulation.pressure import Course
-from lampest.recording.simulation.simulation import Cells, Simulation, simulate
+from lampest.recording.simulation.simulation import Cells, Course, Simulation, simulate
 
 WALK = np.concatenate([np.linspace(*ends, 40) for ends in ((0, 30), (30, -8), (-8, -2), (-2, 12), (12, 3), (3, 25))])
 

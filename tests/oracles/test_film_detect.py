@@ -18,8 +18,7 @@ from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.scene import Scene
 from lampest.recording.recording import Recording
 from lampest.recording.simulation.measure import Unmodelled, measured
-from lampest.recording.simulation.pressure import Course
-from lampest.recording.simulation.simulation import Simulation, simulate
+from lampest.recording.simulation.simulation import Course, Simulation, simulate
 
 pytestmark = pytest.mark.slow
 

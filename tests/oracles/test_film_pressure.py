@@ -21,8 +21,7 @@ from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.response import PublishedResponse, TableResponse
 from lampest.panel.scene import Scene, Systematic
 from lampest.recording.recording import Recording
-from lampest.recording.simulation.pressure import Course
-from lampest.recording.simulation.simulation import Simulation, simulate
+from lampest.recording.simulation.simulation import Course, Simulation, simulate
 from lampest.runs.filling import named_result
 from lampest.runs.results import read_results, write_results
 

@@ -13,8 +13,7 @@ from lampest.panel.scene import Scene, Water
 from lampest.recording.recording import Recording
 from lampest.recording.simulation import Simulation, simulate
 from lampest.recording.simulation.measure import Unmodelled
-from lampest.recording.simulation.pressure import Course
-from lampest.recording.simulation.simulation import Cells
+from lampest.recording.simulation.simulation import Cells, Course
 from lampest.solvers.solution import Settings
 from tests.least_cost import Circuit, LeastCost, Penalty
 

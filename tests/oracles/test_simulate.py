@@ -16,8 +16,7 @@ from lampest.panel.scene import Scene, Water
 from lampest.recording.recording import Recording
 from lampest.recording.simulation import Simulation, read_simulations, run, simulate
 from lampest.recording.simulation.measure import Unmodelled, raw_sums
-from lampest.recording.simulation.pressure import Course, pressure_on_cells
-from lampest.recording.simulation.simulation import Cells
+from lampest.recording.simulation.simulation import Cells, Course, pressure_at
 
 ROOT = Path(__file__).parents[2]
 SHIPPED = (
@@ -158,7 +157,7 @@ def test_course_of_a_lamprey() -> None:
 
 def test_water_is_there_before_the_load_and_deeper_below() -> None:
     time = np.array([-1.0, 0.0])
-    pressure = pressure_on_cells(PANEL, 6, (), Course(), Water(70), time)
+    pressure = pressure_at(Simulation(1, 1, Scene(PANEL), water=Water(70)), time)
     np.testing.assert_allclose(pressure[0], pressure[1])
     np.testing.assert_allclose(pressure[0, :, 3], 9.81e-3 * (70 + 10 * np.arange(10)))
 

@@ -23,8 +23,7 @@ from lampest.panel.response import PublishedResponse
 from lampest.panel.scene import Scene
 from lampest.recording.recording import Recording
 from lampest.recording.simulation.measure import Unmodelled
-from lampest.recording.simulation.pressure import Course
-from lampest.recording.simulation.simulation import Simulation, simulate
+from lampest.recording.simulation.simulation import Course, Simulation, simulate
 from lampest.runs.filling import named_result
 from lampest.runs.results import read_results, write_results
 

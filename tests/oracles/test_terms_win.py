@@ -38,7 +38,7 @@ from lampest.posterior.dense import DenseErrors, DenseMemory
 from lampest.posterior.linear import LinearModel
 from lampest.posterior.sampled import SAMPLES, SampledErrors, SampledMemory
 from lampest.recording.recording import Recording
-from lampest.recording.simulation.pressure import Course
+from lampest.recording.simulation.simulation import Course
 from lampest.solvers.ipopt.formulations import FORMULATIONS
 from lampest.solvers.multistart import best_solution, evaluated
 from lampest.solvers.multistart import solved_from as run

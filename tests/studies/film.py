@@ -27,8 +27,7 @@ from lampest.panel.response import PublishedResponse
 from lampest.panel.scene import Scene, Systematic, Water
 from lampest.recording.recording import Recording
 from lampest.recording.simulation.measure import Unmodelled
-from lampest.recording.simulation.pressure import Course
-from lampest.recording.simulation.simulation import Simulation, simulate
+from lampest.recording.simulation.simulation import Course, Simulation, simulate
 from lampest.report.detect.detection import detect_recording
 
 AFTER = 300

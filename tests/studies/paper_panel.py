@@ -25,8 +25,7 @@ from lampest.panel.scene import Scene
 from lampest.recording.recording import MEASURED, UNLOADED
 from lampest.recording.simulation.files import read_simulations
 from lampest.recording.simulation.measure import Unmodelled
-from lampest.recording.simulation.pressure import Course
-from lampest.recording.simulation.simulation import Cells, Simulation, simulate
+from lampest.recording.simulation.simulation import Cells, Course, Simulation, simulate
 from lampest.studies.paper.sides import FILE, read_published
 from tests.oracles.as_published import METHODS, WEIGHTS, Weights, left_by_solver
 

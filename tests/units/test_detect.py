@@ -20,8 +20,7 @@ from lampest.panel.panel import Panel
 from lampest.panel.readouts import LoadedColumnsReadout, TwoPointReadout
 from lampest.panel.scene import Faults, Scene, Systematic, Water
 from lampest.recording.recording import Recording
-from lampest.recording.simulation.pressure import Course
-from lampest.recording.simulation.simulation import Simulation, simulate
+from lampest.recording.simulation.simulation import Course, Simulation, simulate
 from lampest.report.detect.answer import (
     CANNOT_SAY,
     CUP,

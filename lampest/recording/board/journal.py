@@ -105,12 +105,6 @@ class Journal:
         return column
 
 
-def is_finished(path: Path) -> bool:
-    """Whether a recording was closed. Raises InputError where it cannot be read."""
-    with hdf5.existing_file(path) as file:
-        return "lampest_unfinished" not in file.attrs
-
-
 def _lay_out(file: h5py.File, scene: Scene, readings: int) -> None:
     hdf5.set_attributes(file, NX_class="NXroot", default="entry", lampest_format=FORMAT, lampest_unfinished=np.uint8(1))
     entry = file.create_group("entry")

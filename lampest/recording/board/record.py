@@ -17,7 +17,7 @@ from lampest.files.process import deaf, ending_signals
 from lampest.files.whole import check_output, folder_beside, is_locked, own
 from lampest.panel.scene import Scene
 from lampest.recording.acquisition import damaged_frames, whole_events
-from lampest.recording.board.journal import Journal, is_finished
+from lampest.recording.board.journal import Journal
 from lampest.recording.board.protocol import MOST_CODE
 from lampest.recording.board.several import samples_of
 from lampest.recording.board.stream import Sample, Samples, agreed_and_recorded
@@ -75,20 +75,18 @@ def record(
     """Frames from a board into the recording `out`: what the readout makes of sum/readings, ohm or volt.
 
     ports : port name or pyserial URL, or of a panel of modules those of all boards in the order of the modules; None
-    for the only port that looks like an Arduino. out : must not exist. frames, seconds : when to end; by default at
-    Ctrl-C. scene : what the board must fit, and is set to; by default what the board says. baseline : the first so many
-    frames are unloaded. period : s between frames; by default 1 s, or the shortest possible where that is longer.
-    on_progress : called after every frame, and when the board comes or goes. keys : gives the keys pressed since it was
-    last called; each marks an event.
+    for the only port that looks like an Arduino. frames, seconds : when to end. scene : what the board must fit, and is
+    set to; by default what the board says. baseline : the first so many frames are unloaded. period : s between frames;
+    by default 1 s, or the shortest possible where that is longer. on_progress : called after every frame, and when the
+    board comes or goes. keys : gives the keys pressed since it was last called; each marks an event.
 
-    Ctrl-C, SIGTERM, SIGHUP and SIGQUIT end it as well, with all that the port has delivered by then. Raises InputError
-    where the board does not answer or does not fit, `out` exists, no frame came, or nothing fits any more; what came
-    before is in the file then.
+    Ctrl-C, SIGTERM, SIGHUP and SIGQUIT end it, with all that the port has delivered by then. Raises InputError where
+    the board does not answer or fit, `out` exists, or no frame came; what came before is in the file then.
     """
     check_output(out)
     if out.exists():
         raise InputError(f"{out}: exists already; a recording is never written over")
-    urls = (ports,) if isinstance(ports, str) else tuple(ports or ())
+    urls: Sequence[str] = (ports,) if isinstance(ports, str) else ports or ()
     count, states, last = Counter[str](), [""], None
     with ending_signals(lambda: count["frames"] > 0 and not states[-1]) as asked:
         try:
@@ -121,8 +119,8 @@ def record(
         short = seconds is not None and not asked() and count["frames"] != frames
         silent = max((seconds or 0.0) - last.time - last.period, 0.0) if short else 0.0
         counts: Any = {name: count[name] for name in ("frames", "lost", "clock_jumps", "parted", "behind")}
-        ends = {"ended_by": asked(), "noise_lsb": made[2], "silent": round(silent, 3)}
-        return Recorded(path=out, scene=made[0], restarts=last.session, **counts | ends)
+        counts |= {"ended_by": asked(), "noise_lsb": made[2], "silent": round(silent, 3)}
+        return Recorded(path=out, scene=made[0], restarts=last.session, **counts)
 
 
 def journal_of(out: Path, sample: Sample, scene: Scene | None) -> contextlib.AbstractContextManager[Journal]:
@@ -174,7 +172,9 @@ def repair(path: Path) -> tuple[int, int]:
     nothing can be read, or someone is still recording into it.
     """
     own(path)
-    if is_finished(path):
+    with hdf5.existing_file(path) as file:
+        closed = "lampest_unfinished" not in file.attrs
+    if closed:
         recording = opened(path)
         return recording.frames if isinstance(recording, StoredRecording) else len(recording.time), 0
     if is_locked(path):

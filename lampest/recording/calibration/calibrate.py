@@ -20,14 +20,13 @@ from lampest.recording.calibration.fit import (
     TYPICAL_OHM,
     WIRE,
     WORST_OHM,
-    Circuit,
     CircuitFit,
     Problem,
     Unknown,
     fit,
     with_numbers,
 )
-from lampest.recording.calibration.repeats import BELIEF, FEWEST_REPEATS, Trial, repeats
+from lampest.recording.calibration.repeats import BELIEF, FEWEST_REPEATS, Trial
 from lampest.recording.recording import Recording
 
 DIGITS, MEMORY_DIGITS = 3, 5  # of an ohm, below what any contact repeats to; of a fraction: a hundredth of a code
@@ -121,13 +120,11 @@ def calibrate(
     if not scene.circuit.line_numbers():
         raise InputError(f"{name}: known resistors tell nothing of this readout ({scene.circuit.description()})")
     trials = tuple(_trial(one, ohm) for one, ohm in zip(recordings, known, strict=True))
-    fitted = fit(Problem(Circuit(scene), trials, tolerance))
+    fitted = fit(Problem(scene, trials, tolerance))
     _check_fit(fitted)
-    found = tuple(_found(fitted, unknown) for unknown in fitted.problem.circuit.unknowns)
-    for one, unknown in zip(found, fitted.problem.circuit.unknowns, strict=True):
-        _check_number(f"{name}: no calibration: ", one, unknown.specified)
-    counts = np.array([trial.readings.seen for trial in trials])
-    variance = np.average([trial.readings.noise_lsb**2 for trial in trials], axis=0, weights=counts + 1e-9)
+    found = tuple(_found(fitted, unknown) for unknown in fitted.problem.unknowns)
+    counts = np.array([trial.seen for trial in trials])
+    variance = np.average([trial.noise_lsb**2 for trial in trials], axis=0, weights=counts + 1e-9)
     misfit = fitted.chi_square / max(fitted.freedom, 1)
     return Calibration(scene, found, np.sqrt(variance), counts.sum(axis=0), fitted.readings, misfit, tolerance)
 
@@ -139,11 +136,11 @@ def _trial(recording: Recording, known: Array | float) -> Trial:
         raise InputError("known resistors must be zero or positive")
     if not np.isfinite(ohm).any():
         raise InputError(f"{recording.name}: no row line is joined to a column line by a known resistor")
-    return Trial(recording.name, repeats(recording), ohm, recording.scene.converter_memory is not None)
+    return Trial.of(recording, ohm)
 
 
 def _found(fit: CircuitFit, one: Unknown) -> Found:
-    """A number, with its covariance to first order in the unknowns."""
+    """A number, with its covariance to first order in the unknowns. Raises InputError as `_check_number`."""
     spread, (common, own) = one.spread(fit.unknowns), one.common(fit.unknowns)
     value, slope, sides = common, np.zeros(len(fit.unknowns)), []
     slope[one.index] = own
@@ -156,23 +153,23 @@ def _found(fit: CircuitFit, one: Unknown) -> Found:
         sigma = np.sqrt(np.maximum(np.einsum("li,ij,lj->l", centred, fit.covariance, centred), 0.0))
         nothing = np.where(measured, 0.0, np.nan)
         sides.append(LineOffsets(side, off - mean + nothing, sigma + nothing))
-    return Found(one.number, value, float(np.sqrt(slope @ fit.covariance @ slope)), tuple(sides))
+    found = Found(one.number, value, float(np.sqrt(slope @ fit.covariance @ slope)), tuple(sides))
+    _check_number(f"{fit.problem.trials[0].name}: no calibration: ", found, one.specified)
+    return found
 
 
 def _check_fit(fit: CircuitFit) -> None:
     """Raise InputError where the readings are not those of the known resistors behind any such circuit."""
-    trials, circuit = fit.problem.trials, fit.problem.circuit
-    readout = circuit.readout
+    trials, readout = fit.problem.trials, fit.problem.readout
 
     def spoken(volt: float) -> str:
         return f"{float(readout.recorded_from_volt(np.array(volt))):.4g} {readout.unit}"
 
     for trial in trials:
-        reads = trial.readings.volt
-        elsewhere = ~trial.used & np.isfinite(reads)
-        off = np.where(elsewhere, np.abs(reads - circuit.volt(fit.unknowns, trial.cells)), 0.0) / readout.supply_volt
-        if off.max() > 0.1:  # of the supply: hum, and a memory of 3 %, stay below
-            row, column = (int(part) for part in np.unravel_index(off.argmax(), off.shape))
+        reads, elsewhere = trial.volt, ~trial.used & np.isfinite(trial.volt)
+        missed = np.where(elsewhere, np.abs(reads - fit.problem.volt(fit.unknowns, trial.cells)), 0.0)
+        if missed.max() > 0.1 * readout.supply_volt:  # hum, and a memory of 3 %, stay below
+            row, column = (int(part) for part in np.unravel_index(missed.argmax(), missed.shape))
             raise InputError(
                 f"{trial.name}: no calibration: row {row}, column {column} reads {spoken(reads[row, column])}, but no "
                 f"known resistor leads there; was the panel unplugged?"
@@ -181,16 +178,17 @@ def _check_fit(fit: CircuitFit) -> None:
         many = "nothing was read across a known resistor" if not fit.readings else f"only {fit.readings} readings"
         raise InputError(f"{trials[0].name}: no calibration: {many}; join lines by more known resistors")
     # σ itself is known from as many repeats only: χ² over its freedom follows Fisher's distribution.
-    freedom, repeated = max(fit.freedom, 1), sum(BELIEF + trial.readings.seen.sum() for trial in trials)
+    freedom, repeated = max(fit.freedom, 1), sum(BELIEF + trial.seen.sum() for trial in trials)
     if fisher.sf(fit.chi_square / freedom, freedom, repeated) < 1e-7:  # of good calibrations may be refused
         off = np.abs(fit.rest) / fit.sigma
         index = int(off.argmax())
-        name, row, column = list(fit.problem.places())[index]
+        names = [trial.name for trial in trials for _ in range(trial.used.sum())]
+        row, column = np.concatenate([np.argwhere(trial.used) for trial in trials])[index]
         measured = fit.problem.measured[index]
         raise InputError(
-            f"{name}: no calibration: row {row}, column {column} reads {spoken(measured)}, but behind the circuit that "
-            f"fits best the known resistors give {spoken(measured - fit.rest[index])}; noise and tolerances explain "
-            f"{100 * np.mean(off < 3):.0f} % of the readings"
+            f"{names[index]}: no calibration: row {row}, column {column} reads {spoken(measured)}, but behind the "
+            f"circuit that fits best the known resistors give {spoken(measured - fit.rest[index])}; noise and "
+            f"tolerances explain {100 * np.mean(off < 3):.0f} % of the readings"
         )
 
 

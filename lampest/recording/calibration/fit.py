@@ -1,13 +1,11 @@
 """Weighted least squares through a circuit's equations: which numbers of the electronics explain known resistors."""
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from operator import attrgetter
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
 from lampest.panel.least_squares import LevenbergMarquardt, SumOfSquares
@@ -71,10 +69,14 @@ class Unknown:
 
 
 @dataclass(frozen=True, eq=False)
-class Circuit:
-    """The scene's circuit as a function of its unknowns; of the scene itself only what is no unknown counts."""
+class Problem:
+    """Residuals of all readings of all trials, about the unknowns of the scene's circuit; of the scene itself only what
+    is no unknown counts. tolerance : fraction by which resistors may be off, evenly.
+    """
 
     scene: Scene
+    trials: tuple[Trial, ...]
+    tolerance: float
 
     @cached_property
     def unknowns(self) -> tuple[Unknown, ...]:
@@ -135,28 +137,11 @@ class Circuit:
         volt = np.asarray(circuit.off_by(reference_off).volt_from_recorded(recorded))
         return with_memory(circuit, scene.converter_memory, volt) if scene.converter_memory else volt
 
-
-def with_numbers(part: Any, values: dict[str, Any]) -> Any:
-    """A record with numbers of other values; 'a.b' is b of its part a."""
-    for name, value in values.items():
-        first, _, rest = name.partition(".")
-        part = replace(part, **{first: with_numbers(getattr(part, first), {rest: value}) if rest else value})
-    return part
-
-
-@dataclass(frozen=True, eq=False)
-class Problem:
-    """Residuals of all readings of all trials. tolerance : fraction by which resistors may be off, evenly."""
-
-    circuit: Circuit
-    trials: tuple[Trial, ...]
-    tolerance: float
-
     @cached_property
     def measured(self) -> Array:
         """(readings) V at the converter, within its rails: beyond, a reading is a bound, and any more is as good."""
-        volt = np.concatenate([trial.readings.volt[trial.used] for trial in self.trials])
-        return np.asarray(np.clip(volt, *usable_range(self.circuit.readout)))
+        volt = np.concatenate([trial.volt[trial.used] for trial in self.trials])
+        return np.asarray(np.clip(volt, *usable_range(self.readout)))
 
     def expected(self, unknowns: Array, resistor: tuple[float, int] | None = None, reference: float = 0.0) -> Array:
         """(readings) V, with one resistor larger by a factor exp(STEP), or the reference by 1 + reference."""
@@ -165,37 +150,36 @@ class Problem:
             cells = trial.cells.copy()
             if resistor in trial.resistors:
                 cells[trial.resistors[resistor]] *= np.exp(STEP)
-            found.append(self.circuit.volt(unknowns, cells, reference)[trial.used])
-        return np.asarray(np.clip(np.concatenate(found), *usable_range(self.circuit.readout)))
+            found.append(self.volt(unknowns, cells, reference)[trial.used])
+        return np.asarray(np.clip(np.concatenate(found), *usable_range(self.readout)))
 
     def covariance(self, unknowns: Array, own_lsb: float = 0.0) -> Array:
         """(readings, readings) V² of noise, quantisation, the converter's own error, resistors and the reference."""
         at, names = self.expected(unknowns), dict.fromkeys(name for trial in self.trials for name in trial.resistors)
         moved = [*(self.expected(unknowns, name) for name in names), self.expected(unknowns, reference=STEP)]
         off = self.tolerance / np.sqrt(3) / STEP * (np.stack(moved, axis=1) - at[:, None])
-        sigma = np.concatenate([trial.readings.sigma_volt[trial.used] for trial in self.trials])
-        own = own_lsb * self.circuit.readout.lsb_volt
+        sigma = np.concatenate([trial.sigma_volt[trial.used] for trial in self.trials])
+        own = own_lsb * self.readout.lsb_volt
         return np.asarray(np.diag(sigma**2 + own**2) + off @ off.T)
-
-    def within(self, unknowns: Array) -> NDArray[np.bool_]:
-        """(readings) that are values: neither they nor what is expected of them lies at a rail."""
-        inside = [within_rails(self.circuit.readout, volt) for volt in (self.measured, self.expected(unknowns))]
-        return np.asarray(inside[0] | inside[1])
-
-    def places(self) -> Iterator[tuple[str, int, int]]:
-        for trial in self.trials:
-            yield from ((trial.name, int(row), int(column)) for row, column in np.argwhere(trial.used))
 
     def squares(self, root: Array, unknowns: Array) -> SumOfSquares:
         """(y − V(θ))ᵀ C⁻¹ (y − V(θ)) + Σ e² about θ, slopes by forward differences; root : Cholesky factor of C."""
 
         def residual(at: Array) -> Array:
             left = solve_triangular(root, self.measured - self.expected(at), lower=True)
-            return np.concatenate([left, at[len(self.circuit.unknowns) :]])
+            return np.concatenate([left, at[len(self.unknowns) :]])
 
         here, steps = residual(unknowns), STEP * np.maximum(1.0, np.abs(unknowns))
         slopes = [(residual(unknowns + step) - here) / step.sum() for step in np.diag(steps)]
         return SumOfSquares(here, np.stack(slopes, axis=1))
+
+
+def with_numbers(part: Any, values: dict[str, Any]) -> Any:
+    """A record with numbers of other values; 'a.b' is b of its part a."""
+    for name, value in values.items():
+        first, _, rest = name.partition(".")
+        part = replace(part, **{first: with_numbers(getattr(part, first), {rest: value}) if rest else value})
+    return part
 
 
 @dataclass(frozen=True, eq=False)
@@ -221,17 +205,19 @@ def fit(problem: Problem) -> CircuitFit:
 
     C depends on θ: a first round ends where its tolerances are known well enough.
     """
-    circuit, unknowns = problem.circuit, problem.circuit.start
+    unknowns = problem.start
     for settled in (1.0, 1e-4):  # of ½ χ²: the last one is off by a hundredth of σ
         root = np.linalg.cholesky(problem.covariance(unknowns))
         # Good calibrations end after some 5 evaluations from the scene's numbers, 10 from those ten times too large.
         least_squares = LevenbergMarquardt(25, settled)
-        found = least_squares.minimum(partial(problem.squares, root), unknowns, (circuit.least, np.inf))
+        found = least_squares.minimum(partial(problem.squares, root), unknowns, (problem.least, np.inf))
         unknowns = found.position
     # The converter's own error: ATmega2560, integral non-linearity 0.5 LSB, its data sheet.
     rest, whole = problem.measured - problem.expected(unknowns), problem.covariance(unknowns, 0.5)
     left = solve_triangular(np.linalg.cholesky(whole), rest, lower=True)
-    values, commons = int(problem.within(unknowns).sum()), len(circuit.unknowns)
+    # Values are readings of which neither they nor what is expected of them lies at a rail.
+    inside = [within_rails(problem.readout, volt) for volt in (problem.measured, problem.expected(unknowns))]
+    values, commons = int(np.sum(inside[0] | inside[1])), len(problem.unknowns)
     chi_square = float(left @ left + unknowns[commons:] @ unknowns[commons:])
     # (JᵀJ)⁻¹, nearly without end along what J does not see.
     _, singular, right = np.linalg.svd(found.at.jacobian, full_matrices=False)

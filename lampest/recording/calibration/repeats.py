@@ -25,48 +25,77 @@ CHANGE = "change from frame to frame, which fixed resistors do not"
 
 
 @dataclass(frozen=True, eq=False)
-class Repeats:
-    """Means over the frames of a recording.
+class Trial:
+    """One recording of known resistors: means over its frames, and what stood in place of the cells.
 
-    volt, sigma_volt : (rows, columns) at the converter; σ is that of the mean, what quantisation leaves included.
-    noise_lsb : (driven lines) of one reading, with the scene's as if it had been seen BELIEF times. seen : (driven
-    lines) repeats of each.
+    known : (rows, columns) ohm, 0 shorted, NaN no resistor. volt, sigma_volt : (rows, columns) at the converter; σ is
+    that of the mean, what quantisation leaves included. noise_lsb : (driven lines) of one reading, with the scene's as
+    if it had been seen BELIEF times. seen : (driven lines) repeats of each. everywhere : whether readings of lines
+    without a resistor count too, because something of the channel before may be in them.
     """
 
+    name: str
+    known: Array
     volt: Array
     sigma_volt: Array
     noise_lsb: Array
     seen: Array
+    everywhere: bool
 
+    @classmethod
+    def of(cls, recording: Recording, known: Array) -> "Trial":
+        """Means, with the noise of each driven line from differences between frames.
 
-def repeats(recording: Recording) -> Repeats:
-    """Means, with the noise of each driven line from differences between frames.
+        Raises InputError where the scene names no readout, or readings change as those of resistors do not.
+        """
+        readout = recording.scene.readout
+        if readout is None:
+            raise InputError(f"{recording.name}: its scene names no readout, whose numbers a calibration could find")
+        volt, other = readout.volt_from_recorded(recording.recorded), 1 if readout.noisy_side == "rows" else 0
+        kept = _kept(recording, readout, volt, other)
+        counts = kept.sum(axis=0)
+        with np.errstate(invalid="ignore"):
+            mean = np.where(kept, volt, 0.0).sum(axis=0) / counts
+        inside = within_rails(readout, mean)
+        rest = np.where(kept & inside, (volt - mean) / readout.lsb_volt, 0.0)
+        # What stays from one frame to the next is no noise: von Neumann, Annals of Mathematical Statistics 12(4), 1941.
+        total, quick = ((part**2).sum() / max(len(rest) - 1, 1) for part in (rest, np.diff(rest, axis=0) / np.sqrt(2)))
+        lasting = np.sqrt(max(total - quick, 0.0) / mean.size) / 2.0**readout.adc_bits
+        if len(rest) >= FEWEST_FRAMES and quick < total / 2 and lasting > 1e-3:
+            raise InputError(
+                f"{recording.name}: no calibration: its readings drift by {100 * lasting:.2g} % of the supply, and "
+                f"{CHANGE}"
+            )
+        squares, freedom = (rest**2).sum(axis=(0, 1 + other)), np.where(inside, counts - 1, 0).sum(axis=other)
+        variance = (BELIEF * _averaging(readout, readout.assumed_noise) + squares) / (BELIEF + freedom)
+        noise = np.array([noise_of_variance(readout, value) for value in variance])
+        left = np.array([float(sigma_code(readout, value, ENDLESS)) for value in noise])
+        mean_variance = np.expand_dims(variance, other) / np.maximum(counts, 1) + np.expand_dims(left, other) ** 2
+        memory, sigma = recording.scene.converter_memory is not None, readout.lsb_volt * np.sqrt(mean_variance)
+        return cls(recording.name, known, mean, sigma, noise, freedom, memory)
 
-    Raises InputError where the scene names no readout, or readings change as those of resistors do not.
-    """
-    readout = recording.scene.readout
-    if readout is None:
-        raise InputError(f"{recording.name}: its scene names no readout, whose numbers a calibration could find")
-    volt, other = readout.volt_from_recorded(recording.recorded), 1 if readout.noisy_side == "rows" else 0
-    kept = _kept(recording, readout, volt, other)
-    counts = kept.sum(axis=0)
-    with np.errstate(invalid="ignore"):
-        mean = np.where(kept, volt, 0.0).sum(axis=0) / counts
-    inside = within_rails(readout, mean)
-    rest = np.where(kept & inside, (volt - mean) / readout.lsb_volt, 0.0)
-    # What stays from one frame to the next is no noise: von Neumann, Annals of Mathematical Statistics 12(4), 1941.
-    total, quick = ((part**2).sum() / max(len(rest) - 1, 1) for part in (rest, np.diff(rest, axis=0) / np.sqrt(2)))
-    lasting = np.sqrt(max(total - quick, 0.0) / mean.size) / 2.0**readout.adc_bits
-    if len(rest) >= FEWEST_FRAMES and quick < total / 2 and lasting > 1e-3:
-        raise InputError(
-            f"{recording.name}: no calibration: its readings drift by {100 * lasting:.2g} % of the supply, and {CHANGE}"
-        )
-    squares, freedom = (rest**2).sum(axis=(0, 1 + other)), np.where(inside, counts - 1, 0).sum(axis=other)
-    variance = (BELIEF * _averaging(readout, readout.assumed_noise) + squares) / (BELIEF + freedom)
-    noise = np.array([noise_of_variance(readout, value) for value in variance])
-    left = np.array([float(sigma_code(readout, value, ENDLESS)) for value in noise])
-    mean_variance = np.expand_dims(variance, other) / np.maximum(counts, 1) + np.expand_dims(left, other) ** 2
-    return Repeats(mean, readout.lsb_volt * np.sqrt(mean_variance), noise, freedom)
+    @cached_property
+    def cells(self) -> Array:
+        return np.nan_to_num(np.maximum(self.known, SHORT_OHM), nan=OPEN_OHM)
+
+    @cached_property
+    def used(self) -> NDArray[np.bool_]:
+        """(rows, columns) where a reading says something: it is there, and both of its lines lead to a resistor."""
+        rows, columns = self.led("rows")[:, None], self.led("columns")[None, :]
+        return np.asarray((self.everywhere | (rows & columns)) & np.isfinite(self.volt))
+
+    def led(self, side: Side) -> NDArray[np.bool_]:
+        return np.asarray(np.isfinite(self.known).any(axis=1 if side == "rows" else 0))
+
+    @cached_property
+    def resistors(self) -> dict[tuple[float, int], tuple[int, int]]:
+        """Where each resistor stands, by its value and its number among those of that value: the same one if moved."""
+        count, found = Counter[float](), {}
+        for row, column in np.argwhere(self.known > 0).tolist():
+            value = float(self.known[row, column])
+            found[value, count[value]] = (row, column)
+            count[value] += 1
+        return found
 
 
 def usable_range(readout: Readout) -> tuple[float, float]:
@@ -115,43 +144,6 @@ def _kept(recording: Recording, readout: Readout, volt: Array, other: int) -> ND
     if wild.sum() > 0.02 * wild.size + 2:  # spikes are some in ten thousand
         raise InputError(f"{recording.name}: no calibration: {100 * wild.mean():.0f} % of its readings {CHANGE}")
     return kept & ~wild
-
-
-@dataclass(frozen=True, eq=False)
-class Trial:
-    """One recording of known resistors: means of its readings, and what stood in place of the cells.
-
-    known : (rows, columns) ohm, 0 shorted, NaN no resistor. everywhere : whether readings of lines without a resistor
-    count too, because something of the channel before may be in them.
-    """
-
-    name: str
-    readings: Repeats
-    known: Array
-    everywhere: bool = False
-
-    @cached_property
-    def cells(self) -> Array:
-        return np.nan_to_num(np.maximum(self.known, SHORT_OHM), nan=OPEN_OHM)
-
-    @cached_property
-    def used(self) -> NDArray[np.bool_]:
-        """(rows, columns) where a reading says something: it is there, and both of its lines lead to a resistor."""
-        rows, columns = self.led("rows")[:, None], self.led("columns")[None, :]
-        return np.asarray((self.everywhere | (rows & columns)) & np.isfinite(self.readings.volt))
-
-    def led(self, side: Side) -> NDArray[np.bool_]:
-        return np.asarray(np.isfinite(self.known).any(axis=1 if side == "rows" else 0))
-
-    @cached_property
-    def resistors(self) -> dict[tuple[float, int], tuple[int, int]]:
-        """Where each resistor stands, by its value and its number among those of that value: the same one if moved."""
-        count, found = Counter[float](), {}
-        for row, column in np.argwhere(self.known > 0).tolist():
-            value = float(self.known[row, column])
-            found[value, count[value]] = (row, column)
-            count[value] += 1
-        return found
 
 
 def known_resistors(text: str, panel: Panel) -> Array:

@@ -2,7 +2,6 @@
 
 from lampest.recording.simulation.files import read_simulations, run
 from lampest.recording.simulation.measure import Unmodelled
-from lampest.recording.simulation.pressure import Course
-from lampest.recording.simulation.simulation import Cells, Simulation, simulate
+from lampest.recording.simulation.simulation import Cells, Course, Simulation, simulate
 
 __all__ = ["Cells", "Course", "Simulation", "Unmodelled", "read_simulations", "run", "simulate"]

@@ -78,16 +78,9 @@ class Unmodelled(Configuration):
 
     @property
     def needs_converter(self) -> tuple[str, ...]:
-        names = (
-            "reference_tolerance",
-            "outlier_probability",
-            "supply_ripple_lsb",
-            "gain_spread",
-            "inl_lsb",
-            "saturation",
-        )
-        present = tuple(name for name in names if getattr(self, name))
-        return present if self.noise_factor is None else (*present, "noise_factor")
+        of_readings = ("reference_tolerance", "outlier_probability", "noise_factor", "saturation")
+        names = (*of_readings, "supply_ripple_lsb", "gain_spread", "inl_lsb")
+        return tuple(name for name in names if getattr(self, name))
 
 
 def random_stream(seed: int, purpose: str) -> np.random.Generator:
@@ -123,17 +116,7 @@ def measured(
         lines, more = scene.lines or Lines(), unmodelled.wire_ohm_per_cell
         row, column = lines.row_ohm_per_cell + more, lines.column_ohm_per_cell + more
         scene = replace(scene, lines=replace(lines, row_ohm_per_cell=row, column_ohm_per_cell=column))
-    begin = int(np.ceil((unmodelled.begins_s or 0.0) / period_s))
-
-    def read(part: Array) -> Array:
-        there = np.where(scene.panel.present, part, np.inf)
-        whole = actual.simulated(there, scene, *_channel_errors(scene, unmodelled, seed, late=False))
-        if unmodelled.contact_ohm:
-            channels = _channel_errors(scene, unmodelled, seed, late=True)
-            whole[begin:] = actual.simulated(there, scene, *channels)[begin:]
-        return _with_leak(actual, scene, there, whole, unmodelled.leak_ohm, begin)
-
-    total, *passes = [read(part) for part in scanned or [cells]]
+    total, *passes = [_read(actual, scene, part, unmodelled, seed, period_s) for part in scanned or [cells]]
     if passes:  # each line was read in its own
         axis = 2 if actual.by_columns else 1
         each = [part.take(line, axis) for line, part in enumerate([total, *passes])]
@@ -154,6 +137,22 @@ def measured(
         )
     sums = sums_of_codes(actual, total, unmodelled, seed, on_frame)
     return scene.readout.recorded_from_sums(sums, scene.readout.readings), sums
+
+
+def _read(actual: Readout, scene: Scene, cells: Array, unmodelled: Unmodelled, seed: int, period_s: float) -> Array:
+    """Readings of cells (frames, rows, columns) ohm, with a leak and a contact from their begin on."""
+    begin, there = int(np.ceil((unmodelled.begins_s or 0.0) / period_s)), np.where(scene.panel.present, cells, np.inf)
+    whole = actual.simulated(there, scene, *_channel_errors(scene, unmodelled, seed, late=False))
+    if unmodelled.contact_ohm:
+        late = actual.simulated(there, scene, *_channel_errors(scene, unmodelled, seed, late=True))
+        whole[begin:] = late[begin:]
+    if unmodelled.leak_ohm is None:
+        return whole
+    reading, between = actual.from_recorded(whole, scene), neighbours(*scene.panel.shape)
+    for frame in range(begin, len(there)):
+        network = actual.network(there[frame], actual.ties(reading[frame]), scene.wiring)
+        reading[frame] += leak_effect(actual, network, between, 1 / unmodelled.leak_ohm)
+    return actual.to_recorded(reading, scene)
 
 
 def _of_modules(
@@ -186,19 +185,6 @@ def true_contacts(scene: Scene, seed: int) -> Contacts:
     normal = random_stream(seed, "contacts").standard_normal(sum(shape))
     ohm = np.maximum(contacts.mean(shape) + contacts.deviation(shape) * normal, 0.0)
     return Contacts.of(ohm, np.zeros(len(ohm)), shape[0])
-
-
-def _with_leak(
-    circuit: Readout, scene: Scene, cells: Array, recorded: Array, leak_ohm: float | None, begin: int
-) -> Array:
-    """The recorded readings (frames, rows, columns) with a leak between neighbouring lines from a frame on."""
-    if leak_ohm is None:
-        return recorded
-    reading, lines = circuit.from_recorded(recorded, scene), neighbours(*scene.panel.shape)
-    for frame in range(begin, len(cells)):
-        network = circuit.network(cells[frame], circuit.ties(reading[frame]), scene.wiring)
-        reading[frame] += leak_effect(circuit, network, lines, 1 / leak_ohm)
-    return circuit.to_recorded(reading, scene)
 
 
 def _channel_errors(scene: Scene, unmodelled: Unmodelled, seed: int, late: bool) -> tuple[Array, Array]:

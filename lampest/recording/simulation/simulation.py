@@ -1,24 +1,74 @@
 """A simulation: what is on the panel and how it is measured → a recording with its truth."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, replace
+from math import isfinite
 from typing import Literal
 
 import numpy as np
 
 from lampest.files.document import to_yaml
 from lampest.files.process import check_memory
-from lampest.files.typed import Configuration, check_positive_fields, check_range, typed
+from lampest.files.typed import Configuration, check_not_negative, check_positive_fields, check_range, typed
+from lampest.loads.film import FilmMemory
 from lampest.loads.pressure import water_pressure
 from lampest.loads.response import PUBLISHED, ratio_from_pressure
 from lampest.loads.shapes import AnyShape
-from lampest.panel.film import Film
+from lampest.panel.film import MOST_CREEP, MOST_HYSTERESIS, Film
 from lampest.panel.panel import Array
 from lampest.panel.response import AnyResponse
 from lampest.panel.scene import Scene, Water
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
 from lampest.recording.simulation.measure import OPEN_OHM, SHORT_OHM, Unmodelled, measured, random_stream, raw_sums
-from lampest.recording.simulation.pressure import Course, pressure_on_cells, remembered_ratio
+
+TRAVEL_MM = 20.0  # two cells of the usual panel: a load that starts in the middle stays on it
+MOMENTS, AT_ONCE = 8, 64  # within a frame's period at which the film feels the load, and frames looked at together
+
+
+@dataclass(frozen=True)
+class Course(Configuration):
+    """Factors of contact and suction over time; the defaults are a load that is fully there from the first moment.
+
+    start_s : first touch, in seconds after the first measured frame; negative: before it, after the last unloaded one.
+    approach_s, attachment_s : how long the contact grows to its full pressure, and then the suction; 0: at once.
+    breathing_hz, breathing_depth : rhythm and relative amplitude by which contact and suction swing together.
+    release_at_s, release_s : when the release begins, and how long it takes; None: never.
+
+    >>> lampest.Course(start_s=1.0).start_s
+    1.0
+    """
+
+    start_s: float = 0.0
+    approach_s: float = 0.0
+    attachment_s: float = 0.0
+    breathing_hz: float = 0.0
+    breathing_depth: float = 0.0
+    release_at_s: float | None = None
+    release_s: float = 0.0
+
+    def __post_init__(self) -> None:
+        check_not_negative(self, *(field.name for field in fields(self) if field.name != "start_s"))
+        if not isfinite(self.start_s):
+            raise ValueError("start_s must be finite")
+        if self.breathing_depth >= 1:
+            raise ValueError("breathing_depth must be below 1")
+
+    def contact_and_suction(self, time: Array) -> tuple[Array, Array]:
+        """Factors of contact pressure and suction, (frames) s → 1; the suction begins when the approach is over."""
+        touched = time - self.start_s
+        factor = 1 + self.breathing_depth * np.sin(2 * np.pi * self.breathing_hz * touched)
+        if self.release_at_s is not None:
+            factor = factor * (1 - _ramp(time - self.release_at_s, self.release_s))
+        suction = _ramp(touched - self.approach_s, self.attachment_s)
+        return _ramp(touched, self.approach_s) * factor, suction * factor
+
+
+def _ramp(time: Array, length: float) -> Array:
+    """3x² − 2x³ with x = time/length held within 0 and 1; a step at 0 for no length."""
+    if length == 0:
+        return (time >= 0).astype(float)
+    part = np.clip(time / length, 0, 1)
+    return np.asarray(part**2 * (3 - 2 * part))
 
 
 @dataclass(frozen=True)
@@ -139,13 +189,22 @@ def simulate(simulation: Simulation, name: str = "simulated", on_frame: Callable
 
 
 def pressure_at(simulation: Simulation, time: Array, later_s: float = 0.0) -> Array:
-    """Pressure on every cell (frames, rows, columns) kPa; time : (frames) s after the first measured frame.
+    """p(t) = contact(t)·p_contact + suction(t)·p_suction + p_water, means over patches, (frames, rows, columns) kPa.
 
-    later_s : from the middle of the scan; loads that travel are elsewhere then, and press as much.
+    time : (frames) s after the first measured frame; loads are absent before it. later_s : from the middle of the scan;
+    loads that travel TRAVEL_MM along x and back are elsewhere then, and press as much.
     """
-    panel, water = simulation.scene.panel, simulation.water or simulation.scene.water
-    speed, patch = simulation.unmodelled.load_speed_mm_s or 0.0, simulation.cells.patch_mm
-    return pressure_on_cells(panel, patch, simulation.loads, simulation.course, water, time, speed, later_s)
+    panel, way = simulation.scene.panel, (simulation.unmodelled.load_speed_mm_s or 0.0) * (time + later_s)
+    way = np.mod(way + TRAVEL_MM / 2, 2 * TRAVEL_MM)
+    along, frames = np.unique(np.minimum(way, 2 * TRAVEL_MM - way) - TRAVEL_MM / 2, return_inverse=True)
+    fully = np.zeros((len(along), 2, *panel.shape))  # contact and suction of loads that are fully there
+    for number, mm in enumerate(along.tolist()):
+        for load in simulation.loads:
+            moved = replace(load, centre_mm=(load.centre_mm[0] + mm, load.centre_mm[1])) if mm else load
+            fully[number] += moved.mean_pressure(panel, simulation.cells.patch_mm)
+    contact, suction = ((time >= 0) * np.stack(simulation.course.contact_and_suction(time)))[:, :, None, None]
+    water = water_pressure(panel, simulation.water or simulation.scene.water)
+    return np.asarray(contact * fully[frames, 0] + suction * fully[frames, 1] + water)
 
 
 def cells_under(simulation: Simulation, time: Array, later_s: float = 0.0) -> Array:
@@ -176,14 +235,30 @@ def cells_under(simulation: Simulation, time: Array, later_s: float = 0.0) -> Ar
 
 
 def _film_ratio(simulation: Simulation, time: Array, later_s: float) -> Array:
-    """r over that of a film that is flat, in air and unloaded, (frames, rows, columns)."""
-    scene, film, first = simulation.scene, simulation.film or simulation.scene.film, time[simulation.baseline_frames]
-    response = simulation.response or scene.response or PUBLISHED
-
-    def pressure(at: Array) -> Array:
-        return pressure_at(simulation, at - first, later_s)
-
+    """r over that of a film that is flat, in air and unloaded, (frames, rows, columns); drawn as is known of it."""
+    scene, first, step = simulation.scene, time[simulation.baseline_frames], simulation.frame_period_s / MOMENTS
+    response, film = simulation.response or scene.response or PUBLISHED, simulation.film or scene.film
     if film is None:
-        return np.asarray(ratio_from_pressure(pressure(time), response) ** response.gains)
-    water, period = water_pressure(scene.panel, simulation.water or scene.water), simulation.frame_period_s
-    return film.lowering * remembered_ratio(film, simulation.seed, pressure, water, time, period, response)
+        return np.asarray(
+            ratio_from_pressure(pressure_at(simulation, time - first, later_s), response) ** response.gains
+        )
+    water, strengths = water_pressure(scene.panel, simulation.water or scene.water), list[Array]()
+    for name, value, most in (
+        ("hysteresis", film.hysteresis, MOST_HYSTERESIS),
+        ("creep", film.creep_per_decade, MOST_CREEP),
+    ):
+        assert value != "auto"
+        stream = random_stream(
+            simulation.seed, f"film {name}"
+        )  # all cells together by its deviation, each by its spread
+        shared, own = stream.standard_normal(), stream.standard_normal(water.shape)
+        strengths.append(np.minimum(value * np.exp(film.deviation * shared + film.cell_spread * own), most))
+    gain = np.broadcast_to(film.answer * response.gains, water.shape)
+    memory, ratios = FilmMemory.at_rest(strengths[0], strengths[1], gain, water, response), list[Array]()
+    for begin in range(0, len(time), AT_ONCE):
+        felt = time[begin : begin + AT_ONCE, None] - step * np.arange(MOMENTS)[::-1] - first
+        for number, loaded in enumerate(pressure_at(simulation, felt.ravel(), later_s) - water, 1):
+            memory, change = memory.answered(loaded, step)
+            if number % MOMENTS == 0:
+                ratios.append(np.exp(gain * response.logarithm(water) + change))
+    return film.lowering * np.stack(ratios)
