@@ -1,43 +1,29 @@
-"""Runs cases: finished ones are skipped, failures isolated, results kept as they come.
-
-A finished case is kept until results.h5 is written: two datasets, in a millisecond, or a results file of its own where
-they would hold more than MOST_PACKED bytes.
-"""
+"""Runs cases: finished ones are skipped, failures isolated, each result kept as a file of its own as it comes."""
 
 import fcntl
-import json
 import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager, suppress
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import lru_cache
 from itertools import count
 from pathlib import Path
-from typing import Any
-
-import numpy as np
 
 from lampest.estimate.sequence import reconstruct
-from lampest.files import hdf5
-from lampest.files.document import adapter, plain_content
 from lampest.files.errors import InputError
 from lampest.files.process import told_reason
 from lampest.files.whole import inner_folder, opened_for_locking, output_folder, own, remove_own, sparing
-from lampest.panel.scene import Scene
 from lampest.recording.recording import Recording
 from lampest.recording.stored import StoredRecording, opened, too_long
-from lampest.runs.columns import all_columns
+from lampest.runs.case import CaseResult, StoredCase
 from lampest.runs.config import Case, Run, digest
 from lampest.runs.executors import Executor, LostError
 from lampest.runs.filling import case_result
 from lampest.runs.long_case import PartFiles, solve_long, watched
-from lampest.runs.results import CaseResult, StoredCase, read_results, stored_cases, write_results
+from lampest.runs.results import read_results, stored_cases, write_results
 
 RESULTS = "results.h5"
 CASES = "cases"
-KEPT = "case/1"
-MOST_PACKED = 2**20  # bytes
-ARRAY = "array"  # the key of what stands for an array: its type, its shape, where it begins in `values`
 
 
 @dataclass(frozen=True)
@@ -150,8 +136,8 @@ def solve_case(task: Task) -> CaseResult | StoredCase:
     if isinstance(recording, StoredRecording):
         return solve_long(task.case, recording, task.file)
     result = case_result(task.case, reconstruct(recording, task.case.estimator))
-    inner_folder(task.folder, CASES)
-    write_kept(task.file, result)
+    inner_folder(task.folder, CASES)  # it may have become a link meanwhile
+    write_results(task.file, [result])
     return result
 
 
@@ -192,74 +178,12 @@ def _clear(folder: Path, tasks: Sequence[Task], fresh: bool) -> None:
 
 
 def _result(task: Task) -> CaseResult | StoredCase | None:
-    """The case's result where it is there and readable; a damaged one is solved again."""
-    with suppress(InputError):
-        return read_kept(task.file, task.case.case_id) if task.file.is_file() else None
+    """The case's result where it is there and readable; a damaged one is solved again.
+
+    One of a recording that is too long for memory stays where it is.
+    """
+    with suppress(InputError, StopIteration):
+        if task.file.is_file():
+            held = next(case for case in stored_cases(task.file) if case.case_id == task.case.case_id)
+            return held if too_long(held.frames, held.cells) else read_results(task.file).cases[0]
     return None
-
-
-def write_kept(path: Path, result: CaseResult) -> None:
-    """Keep a case, whole or not at all.
-
-    A packed one is not waited for until it is on the disk: its checksums tell whether it is whole, and it is solved
-    again where a power failure cost it. Raises InputError where the place cannot be written.
-    """
-    parts: list[bytes] = []
-    text = json.dumps({field.name: _plain(getattr(result, field.name), parts) for field in fields(result)})
-    values = b"".join(parts)
-    if len(text) + len(values) > MOST_PACKED:
-        write_results(path, [result])
-        return
-    with hdf5.new_file(path, durable=False) as file:
-        hdf5.set_attributes(file, lampest_format=KEPT)
-        hdf5.write_plain(file, "case", np.asarray(hdf5.ascii_array(text)))
-        hdf5.write_plain(file, "values", np.frombuffer(values, dtype=np.uint8))
-
-
-def read_kept(path: Path, case_id: str) -> CaseResult | StoredCase | None:
-    """The case of that name in a file that keeps one, None where it is of another. Raises InputError where damaged.
-
-    A case of a recording that is too long for memory stays where it is.
-    """
-    with hdf5.existing_file(path) as file:
-        packed = hdf5.read_attribute(file, "/", "lampest_format") == KEPT
-        if packed:
-            text, values = hdf5.read_text(file, "/case"), hdf5.read_array(file, "/values", 1).tobytes()
-    if not packed:
-        held = next((case for case in stored_cases(path) if case.case_id == case_id), None)
-        if held is None or too_long(held.frames, held.cells):
-            return held
-        return next((case for case in read_results(path).cases if case.case_id == case_id), None)
-    try:
-        found = {name: _held(value, values) for name, value in json.loads(text).items()}
-        scene: Scene = adapter(Scene).validate_python(found.pop("scene"))
-        case = CaseResult(**found, scene=scene)
-    except (ValueError, TypeError, LookupError) as error:
-        raise InputError(f"{path}: keeps no case ({error})") from error
-    case.check(all_columns())
-    return case if case.case_id == case_id else None
-
-
-def _plain(value: Any, parts: list[bytes]) -> Any:
-    """What JSON can say of a field's value; the bytes of arrays go to `parts`."""
-    if isinstance(value, np.ndarray):
-        begin = sum(map(len, parts))
-        parts.append(value.tobytes())
-        return {ARRAY: [value.dtype.str, value.shape, begin]}
-    if isinstance(value, dict):
-        return {name: _plain(item, parts) for name, item in value.items()}
-    return plain_content(value) if isinstance(value, Scene) else value
-
-
-def _held(value: Any, values: bytes) -> Any:
-    """The reverse; a list of texts as a tuple."""
-    if isinstance(value, list):
-        return tuple(value)
-    if not isinstance(value, dict):
-        return value
-    if value.keys() != {ARRAY}:
-        return {name: _held(item, values) for name, item in value.items()}
-    kind, shape, begin = value[ARRAY]
-    if np.dtype(kind).kind not in "biuf":
-        raise ValueError(f"an array of {kind}")
-    return np.frombuffer(values, kind, int(np.prod(shape)), begin).reshape(shape)

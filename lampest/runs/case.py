@@ -11,30 +11,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.files.errors import InputError, extra
-from lampest.files.typed import Validated
-from lampest.panel.panel import Array, beyond_any_panel
-from lampest.panel.scene import Scene, scene_text
-from lampest.recording.recording import coordinates
-from lampest.runs.columns import COLUMNS, FIGURES, FRAME, FRAMES, MAPS, MEASURED, TIME, Column, all_columns
-from lampest.runs.columns.column import flag_attributes
+from lampest.files.typed import Validated, installed
+from lampest.panel.panel import Array
+from lampest.panel.scene import Scene
+from lampest.runs import columns as col
+from lampest.runs.columns import CELLS, FIGURES, FRAMES, MAPS, Column
+from lampest.runs.series import about, attributes_of, places_of, series_of
 
 if TYPE_CHECKING:
     from pandas import DataFrame as DataFrame
     from xarray import Dataset as Dataset
 
 SHARED = "recording"  # the group beside the estimators that holds what they were given
-# Attribute of a case's group in a file → what a case calls this sentence; not there where it is empty.
-SENTENCES = {
-    "model_check": "model_sentence",
-    "model_explains": "model_mark",
-    "noise_check": "noise_sentence",
-    "noise_learned": "noise_learned",
-    "film": "film_sentence",
-    "warnings": "warnings",
-}
 
 
-@dataclass(frozen=True, eq=False)
+def _attribute(name: str, default: Any = "") -> Any:
+    """A field that is an attribute of the estimator's group, or not there where it has its default."""
+    return field(default=default, metadata={"attribute": name})
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
 class CaseResult(Validated):
     """One case: a recording's measured frames as one estimator understands them.
 
@@ -64,69 +60,136 @@ class CaseResult(Validated):
 
     recording: str
     estimator: str
-    case_id: str
-    case_yaml: str
-    versions: dict[str, str]
     scene: Scene
-    frame: NDArray[np.int64]
-    time: Array
-    measured: Array
-    measured_baseline: Array
-    cell_resistance: Array
-    relative_change: Array
-    reading_model: Array
-    open_cell: NDArray[np.uint8]
-    at_lower_bound: NDArray[np.uint8]
-    baseline_resistance: Array
-    status: tuple[str, ...]
-    iterations: NDArray[np.int64]
-    solve_time: Array
-    objective: Array
-    kkt_residual: Array
-    costs: dict[str, Array]
-    weights: dict[str, Array]
-    baseline_status: str
-    baseline_solve_time: float
-    joint_start: bool
-    solved: NDArray[np.bool_]
-    truth: Array | None = None
-    truth_baseline: Array | None = None
-    disc: dict[str, Array] = field(default_factory=dict)
-    contacts: dict[str, Array] = field(default_factory=dict)
-    misfit: dict[str, Array] = field(default_factory=dict)
-    model_mark: str = ""
-    model_sentence: str = ""
-    noise_sentence: str = ""
-    noise_learned: str = ""
-    warnings: str = ""
-    reading_error: float = 0.0
+    case_id: str = _attribute("case_id")
+    case_yaml: str = _attribute("case")
+    versions: dict[str, str] = field(default_factory=dict)
+    baseline_status: str = _attribute("baseline_status")
+    baseline_solve_time: float = _attribute("baseline_solve_time_s", float("nan"))
+    joint_start: bool = _attribute("joint_start", False)
+    model_mark: str = _attribute("model_explains")
+    model_sentence: str = _attribute("model_check")
+    noise_sentence: str = _attribute("noise_check")
+    noise_learned: str = _attribute("noise_learned")
+    film_sentence: str = _attribute("film")
+    warnings: str = _attribute("warnings")
+    reading_error: float = _attribute("reading_error", 0.0)
     frame_noise: dict[str, Array] = field(default_factory=dict)
-    film_sentence: str = ""
     start_time: str = ""
-    sigma: Array | None = None
-    sigma_baseline: Array | None = None
-    reading_side: NDArray[np.int8] | None = None
-    missing_readings: NDArray[np.int64] | None = None
-    starts: NDArray[np.int64] | None = None
-    bound_readings: NDArray[np.int64] | None = None
-    cell_resistance_errors: Array | None = None
-    cell_resistance_lower: Array | None = None
-    cell_resistance_upper: Array | None = None
-    relative_change_errors: Array | None = None
-    relative_change_lower: Array | None = None
-    relative_change_upper: Array | None = None
-    sigma_own: Array | None = None
-    sigma_common: Array | None = None
-    resolution: Array | None = None
-    data_share: Array | None = None
-    baseline_resistance_errors: Array | None = None
-    error_bar_time: Array | None = None
-    pressure: Array | None = None
-    pressure_errors: Array | None = None
-    pressure_lower: Array | None = None
-    pressure_upper: Array | None = None
-    saturated: NDArray[np.uint8] | None = None
-    tared: tuple[str, ...] | None = None
+    # What every estimate of a recording was given: its frames, the readings with their noise, and the truth.
+    time: Array = col.frames("s", "time of the frame", col.finite, **col.GIVEN)
+    frame: NDArray[np.int64] = col.counts("index of the frame in the recording", value=col.frame_numbers, **col.GIVEN)
+    measured: Array = col.maps(
+        "ohm",
+        "reading as the network is read, series resistance taken off; NaN where it says nothing",
+        col.positive_or_missing,
+        dataset="resistance",
+        as_volt="volt",
+        **col.GIVEN,
+    )
+    measured_baseline: Array = col.cells(
+        "mean of the unloaded frames", col.positive_or_missing, dataset="baseline", as_volt="baseline", **col.GIVEN
+    )
+    sigma: Array | None = col.maps(
+        "ohm", "standard deviation of the reading", col.positive_or_infinite, as_volt="sigma", **col.GIVEN | col.MAYBE
+    )
+    sigma_baseline: Array | None = col.cells(
+        "standard deviation of the baseline",
+        col.positive_or_infinite,
+        as_volt="sigma_baseline",
+        **col.GIVEN | col.MAYBE,
+    )
+    reading_side: NDArray[np.int8] | None = col.maps(
+        "1",
+        "0: a value; a bound: 1 the truth is at least this, -1 at most",
+        value=lambda done: done.readings.side,
+        dtype=np.int8,
+        flags=((-1, "truth_is_at_most_this"), (0, "value"), (1, "truth_is_at_least_this")),
+        **col.GIVEN | col.MAYBE,
+    )
+    missing_readings: NDArray[np.int64] | None = col.counts("readings that say nothing", **col.GIVEN | col.MAYBE)
+    bound_readings: NDArray[np.int64] | None = col.counts(
+        "readings at a rail, zero, or below the series resistance", **col.GIVEN | col.MAYBE
+    )
+    truth: Array | None = col.maps(
+        "ohm", "true cell resistance", col.positive, value=col.truth, **col.GIVEN | col.MAYBE
+    )
+    truth_baseline: Array | None = col.cells(
+        "mean true unloaded cell resistance", col.positive, value=col.truth_baseline, **col.GIVEN | col.MAYBE
+    )
+    # What an estimator made of every frame, and how each of its solves ended.
+    cell_resistance: Array = col.maps("ohm", "estimated cell resistance", col.numbers_if_solved, col.not_zero_or_less)
+    relative_change: Array = col.maps("percent", "cell resistance against its baseline", col.missing_unless_solved)
+    reading_model: Array = col.maps(
+        "ohm",
+        "reading of the estimated cells",
+        col.numbers_if_solved,
+        col.not_negative,
+        value=col.of_steps(lambda step: step.solution.reading[-1]),
+        dataset="two_point_model",
+        as_volt="reading_model",
+    )
+    open_cell: NDArray[np.uint8] = col.flag(
+        "1: cannot be told from an open cell", "conducts", "cannot_be_told_from_open"
+    )
+    at_lower_bound: NDArray[np.uint8] = col.flag(
+        "1: cell resistance stands at its lower bound", "above_lower_bound", "at_lower_bound"
+    )
+    baseline_resistance: Array = col.cells("estimated unloaded cell resistance", col.possible)
+    status: tuple[str, ...] = col.frames("1", "how the solve ended", dtype=str)
+    iterations: NDArray[np.int64] = col.counts("iterations of the solver", value=col.of_solutions("iterations"))
+    starts: NDArray[np.int64] | None = col.counts(
+        "starts of the solve; the estimate is the lowest local optimum that they reached",
+        value=col.of_solutions("starts"),
+        **col.MAYBE,
+    )
+    solve_time: Array = col.frames("s", "wall time of the solve", value=col.of_steps(lambda step: step.seconds))
+    objective: Array = col.frames("1", "value of the cost function", value=col.of_solutions("objective"))
+    kkt_residual: Array = col.frames(
+        "1", "violation of the optimality conditions", value=col.of_solutions("kkt_residual")
+    )
+    solved: NDArray[np.bool_] = col.frames(
+        "1", "1: solved, 0: failed", dtype=bool, flags=((0, "failed"), (1, "solved"))
+    )
+    # What is known of an estimate beyond its value; absent where the noise is unknown or nobody asked.
+    cell_resistance_errors: Array | None = col.deviation("ohm", "posterior standard deviation of the cell resistance")
+    cell_resistance_lower: Array | None = col.end("ohm", "lower")
+    cell_resistance_upper: Array | None = col.end("ohm", "upper")
+    relative_change_errors: Array | None = col.deviation(
+        "percent", "posterior standard deviation of the relative change"
+    )
+    relative_change_lower: Array | None = col.end("percent", "lower")
+    relative_change_upper: Array | None = col.end("percent", "upper")
+    sigma_own: Array | None = col.deviation("1", "standard deviation of ln r: each cell's own error")
+    sigma_common: Array | None = col.deviation(
+        "1", "standard deviation of ln r: what all cells share, or those of a line"
+    )
+    resolution: Array | None = col.maps("1", "diagonal of the averaging kernel", col.known_if_solved, **col.MAYBE)
+    data_share: Array | None = col.maps(
+        "1", "share of the estimate that comes from the data", col.known_if_solved, **col.MAYBE
+    )
+    error_bar_time: Array | None = col.frames("s", "wall time of the error bars", **col.MAYBE)
+    baseline_resistance_errors: Array | None = col.cells(
+        "posterior standard deviation of the unloaded cell resistance", col.not_negative, **col.MAYBE
+    )
+    # What presses on the cells, where there are error bars: without them nobody can say what the response shows.
+    pressure: Array | None = col.maps("kPa", "pressure of the load on the cell", col.known_if_solved, **col.MAYBE)
+    pressure_errors: Array | None = col.deviation("kPa", "standard deviation of the pressure")
+    pressure_lower: Array | None = col.end("kPa", "lower")
+    pressure_upper: Array | None = col.end("kPa", "upper")
+    saturated: NDArray[np.uint8] | None = col.flag(
+        "1: the response does not tell the pressure",
+        *("response_tells_pressure", "response_does_not_tell_pressure"),
+        **col.MAYBE,
+    )
+    tared: tuple[str, ...] | None = col.frames(
+        "1", "why the zero of pressures was taken anew after the frame; empty: it was not", dtype=str, **col.MAYBE
+    )
+    contacts: dict[str, Array] = field(default_factory=dict)
+    costs: dict[str, Array] = field(default_factory=dict)
+    weights: dict[str, Array] = field(default_factory=dict)
+    disc: dict[str, Array] = field(default_factory=dict)
+    misfit: dict[str, Array] = field(default_factory=dict)
     extra: Mapping[str, Array] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -173,19 +236,12 @@ class CaseResult(Validated):
     @classmethod
     def of(cls, values: Mapping[str, Any], **rest: Any) -> CaseResult:
         """From the values of columns, those without an attribute as `extra`, and the rest."""
-        extra = {name: value for name, value in values.items() if name not in TYPED}
-        return cls(**{name: value for name, value in values.items() if name in TYPED}, **rest, extra=extra)
+        extra = {name: value for name, value in values.items() if name not in NAMES}
+        return cls(**{name: value for name, value in values.items() if name in NAMES}, **rest, extra=extra)
 
     def column(self, name: str) -> Any:
         """The values of a column, or None where the case has none."""
-        return getattr(self, name) if name in TYPED else self.extra.get(name)
-
-    def shown(self, column: Column) -> Any:
-        """The values of a column for others: a flag is NaN where a cell has no estimate."""
-        values, missing = self.column(column.name), np.isnan(self.cell_resistance)
-        if values is None or column.shared or column.axes != MAPS or not column.flags or not missing.any():
-            return values
-        return np.where(missing, np.nan, values)
+        return getattr(self, name) if name in NAMES else self.extra.get(name)
 
     def to_xarray(self, columns: Sequence[Column] = ()) -> Dataset:
         """The case as an xarray.Dataset over time (s), row and column, with x and y in mm; units in every `attrs`.
@@ -193,14 +249,36 @@ class CaseResult(Validated):
         columns : of `extra`, as `read_results` takes them. Raises InputError where an extra has no column, or xarray is
         not installed.
         """
-        return dataset_of(self, self.described(columns))
+        with extra("xarray"):
+            from xarray import Dataset
+        held = series_of(self, self.described(columns))
+        axes = {name: held.pop(name) for name in (TIME.name, FRAME.name)} | places_of(self)
+        parts = [
+            {name: (one.axes, np.asarray(one.values), one.attributes) for name, one in part.items()}
+            for part in (held, axes)
+        ]
+        return Dataset(*parts, about(self))
 
     def to_dataframe(self, columns: Sequence[Column] = ()) -> DataFrame:
         """The case as a long pandas.DataFrame: time, frame, row, column, and a column for each of the case's.
 
-        One line for every cell of every frame; units in `attrs["units"]`. Raises InputError as `to_xarray`.
+        One line for every cell of every frame; what only a frame or a cell has stands in each of its lines. Units are
+        in `attrs["units"]`. Raises InputError as `to_xarray`.
         """
-        return table_of(self, self.described(columns))
+        with extra("tables"):
+            from pandas import DataFrame  # takes 0.3 s
+
+        held = series_of(self, self.described(columns))
+        first = {name: held.pop(name) for name in (TIME.name, FRAME.name)} | places_of(self)
+        held = first | {name: one for name, one in held.items() if "/" not in one.path}
+        sizes = dict(zip(MAPS, self.measured.shape, strict=True))
+        lines = {}
+        for name, one in held.items():
+            shape = [size if axis in one.axes else 1 for axis, size in sizes.items()]
+            lines[name] = np.broadcast_to(np.reshape(one.values, shape), self.measured.shape).ravel()
+        table = DataFrame(lines)
+        table.attrs = about(self) | {"units": {n: one.units for n, one in held.items() if n not in CELLS}}
+        return table
 
     def described(self, columns: Sequence[Column] = ()) -> tuple[Column, ...]:
         """All columns: those of lampest, of installed packages, and further ones.
@@ -220,32 +298,23 @@ class CaseResult(Validated):
         filled = {column: held for column, held in values.items() if column.name in REQUIRED or held is not None}
         for column, held in filled.items():
             self._check_shape(self._path(column), held, column.axes)
+        present, estimated = self.scene.panel.present, self._estimated()
         for column, held in filled.items():
-            if column.name in PHYSICAL and np.any(out := beyond_any_panel(held)):
-                raise InputError(f"{self._path(column)} holds {np.asarray(held)[out][0]:.6g}, which no panel has")
-            tested = self._by_module(held) if column.axes[-2:] == MAPS[-2:] else held
-            solved = self._solved_modules if column.axes == MAPS else self.solved
+            tested, solved = np.asarray(held), self.solved
+            if column.axes[-2:] == CELLS:
+                tested, solved = tested[..., present], estimated[..., present]
             for fault in (check(tested, solved) for check in column.checks):
                 if fault is not None:
                     raise InputError(f"{self._path(column)} {fault}")
 
-    def _by_module(self, maps: Any) -> Any:
-        """(frames, rows, columns) as (frames · modules, rows, columns) of each; listed cells in one row."""
-        panel, maps = self.scene.panel, np.asarray(maps)
-        if panel.cells is not None:
-            return maps[..., panel.present][..., None, :]
-        if panel.modules is None or maps.ndim < len(MAPS):
-            return maps
-        return panel.modules.split(maps).reshape(-1, *panel.networks[0].shape)
-
-    @property
-    def _solved_modules(self) -> NDArray[np.bool_]:
-        """(frames · modules) whether each has an estimate, as its first cell says; none in a frame that failed."""
-        layout = self.scene.panel.modules
+    def _estimated(self) -> NDArray[np.bool_]:
+        """(frames, rows, columns) whether an estimate is expected: of solved frames, in modules that have any."""
+        estimated, layout = np.broadcast_to(self.solved[:, None, None], self.measured.shape), self.scene.panel.modules
         if layout is None:
-            return self.solved
-        known = np.isfinite(self._by_module(self.cell_resistance)[:, 0, 0])
-        return np.asarray(known & np.repeat(self.solved, layout.count))
+            return estimated
+        known = layout.split(np.isfinite(self.cell_resistance))
+        known = np.broadcast_to(known.any(axis=(-2, -1), keepdims=True), known.shape)
+        return np.asarray(estimated & layout.joined(known))
 
     def _path(self, column: Column) -> str:
         group = SHARED if column.shared else self.estimator
@@ -257,6 +326,15 @@ class CaseResult(Validated):
         if np.shape(values) != shape:
             held, wanted = (" × ".join(map(str, sizes)) or "one value" for sizes in (np.shape(values), shape))
             raise InputError(f"{path} is {held}; the frames ask for {wanted}")
+
+
+COLUMNS = tuple(
+    Column(item.name, **item.metadata["column"]) for item in fields(CaseResult) if "column" in item.metadata
+)
+TIME, FRAME, MEASURED = COLUMNS[:3]
+NAMES = frozenset(column.name for column in COLUMNS)
+REQUIRED = frozenset(item.name for item in fields(CaseResult) if item.name in NAMES and item.default is MISSING)
+ATTRIBUTES = attributes_of(CaseResult)
 
 
 @dataclass(frozen=True)
@@ -271,13 +349,14 @@ class StoredCase:
     cells: int
 
 
-PHYSICAL = (
-    *("measured", "measured_baseline", "sigma", "sigma_baseline", "truth", "truth_baseline", "time"),
-    *("cell_resistance", "baseline_resistance", "reading_model"),
-)
-# Columns that have an attribute of their own, and those of them that a case cannot be without.
-TYPED = {item.name: item.default for item in fields(CaseResult) if item.name in {column.name for column in COLUMNS}}
-REQUIRED = frozenset(name for name, default in TYPED.items() if default is MISSING)
+def all_columns(further: Sequence[Column] = ()) -> tuple[Column, ...]:
+    """Those of lampest, those of installed packages, and further ones. Raises InputError where a name comes twice."""
+    columns = (*COLUMNS, *installed("lampest.columns", Column), *further)
+    for names in ([column.name for column in columns], [column.path for column in columns]):
+        for name in names:
+            if names.count(name) > 1:
+                raise InputError(f"two columns of results are called {name}")
+    return columns
 
 
 def check_name(name: str, what: str) -> None:
@@ -288,105 +367,3 @@ def check_name(name: str, what: str) -> None:
             f"{name[:200]!r} cannot name a {what}: 1 to 200 printable ASCII characters without '/' "
             "or blanks at the ends are needed, other than '.' and '..'"
         )
-
-
-@dataclass(frozen=True, eq=False)
-class Series:
-    """One thing that a case holds, as labelled arrays, tables and exports have it.
-
-    axes : time, row, column. values : an array over them, or texts. flags : what each value means where values are no
-    amounts. shared : True for what was measured.
-    """
-
-    name: str
-    axes: tuple[str, ...]
-    values: Any
-    units: str
-    long_name: str
-    flags: tuple[tuple[int, str], ...] = ()
-    shared: bool = False
-    dtype: type[Any] = np.float64
-
-    @property
-    def stored(self) -> Any:
-        """The values with 0 and 1 for truth values."""
-        return np.asarray(self.values, np.uint8) if self.dtype is bool else self.values
-
-    @property
-    def meaning(self) -> str:
-        """The long name, with what each value of a flag means."""
-        flags = "; ".join(f"{value}: {word.replace('_', ' ')}" for value, word in self.flags)
-        return f"{self.long_name} ({flags})" if flags else self.long_name
-
-    @property
-    def attributes(self) -> dict[str, Any]:
-        """Units, long name and flags."""
-        return {"units": self.units, "long_name": self.long_name} | flag_attributes(self.flags, self.dtype)
-
-
-def series_of(case: CaseResult, columns: Sequence[Column]) -> dict[str, Series]:
-    """Every column and figure that the case holds, by name, in its readout's unit; a cost is called cost_misfit."""
-    held: dict[str, Series] = {}
-    for column in (column.of(case.scene.circuit) for column in columns):
-        if (values := case.shown(column)) is not None:
-            about = column.units, column.long_name, column.flags, column.shared, column.dtype
-            held[column.label] = Series(column.label, column.axes, values, *about)
-    for folder in FIGURES:
-        for figure, values in getattr(case, folder.name).items():
-            name = f"{folder.folder}_{figure}"
-            held[name] = Series(name, FRAMES, np.asarray(values), folder.units(figure), folder.long_name(figure))
-    return held
-
-
-def places_of(case: CaseResult) -> dict[str, Series]:
-    """row and column, y and x in mm."""
-    places = coordinates(case.scene.panel).items()
-    return {name: Series(name, along, values, units, words) for name, (along, values, units, words) in places}
-
-
-def dataset_of(case: CaseResult, columns: Sequence[Column]) -> Dataset:
-    """Everything of a case over time, row and column, with units and long names as in results files.
-
-    Coordinates: time (s) and frame, row and column with y and x (mm). Raises InputError where xarray is not installed.
-    """
-    with extra("xarray"):
-        from xarray import Dataset
-    held = series_of(case, columns)
-    axes = {name: held.pop(name) for name in (TIME.name, FRAME.name)} | places_of(case)
-    parts = [
-        {name: (one.axes, np.asarray(one.values), one.attributes) for name, one in p.items()} for p in (held, axes)
-    ]
-    return Dataset(*parts, about(case))
-
-
-def table_of(case: CaseResult, columns: Sequence[Column]) -> DataFrame:
-    """One line for every cell of every frame: time, frame, row, column, y and x in mm, then all columns of the case.
-
-    What only a frame or only a cell has stands in each of its lines. Units are in `attrs["units"]`, by column.
-    """
-    with extra("tables"):
-        from pandas import DataFrame  # takes 0.3 s
-
-    sizes = dict(zip(MAPS, case.measured.shape, strict=True))
-    known, named = series_of(case, columns), {column.of(case.scene.circuit).label for column in columns}
-    held = {name: known.pop(name) for name in (TIME.name, FRAME.name)} | places_of(case)
-    held |= {name: one for name, one in known.items() if name in named}
-    table = DataFrame({name: _lines(one.values, one.axes, sizes) for name, one in held.items()})
-    table.attrs = about(case) | {"units": {n: one.units for n, one in held.items() if n not in ("row", "column")}}
-    return table
-
-
-def _lines(values: Any, axes: tuple[str, ...], sizes: Mapping[str, int]) -> NDArray[Any]:
-    """Values over some of the axes, one for every cell of every frame, in that order."""
-    shape = [sizes[axis] if axis in axes else 1 for axis in MAPS]
-    return np.broadcast_to(np.reshape(values, shape), list(sizes.values())).ravel()
-
-
-def about(case: CaseResult) -> dict[str, Any]:
-    """What is no column: names, the resolved case and the scene as YAML, sentences; texts all."""
-    sentences = {"start_time": case.start_time, "baseline_status": case.baseline_status}
-    sentences |= {name: getattr(case, field) for name, field in SENTENCES.items() if name != "model_explains"}
-    names = {"recording": case.recording, "estimator": case.estimator, "case_id": case.case_id}
-    texts = {"case": case.case_yaml, "scene": scene_text(case.scene)}
-    versions = {f"{library}_version": text for library, text in sorted(case.versions.items())}
-    return names | texts | {name: text for name, text in sentences.items() if text} | versions

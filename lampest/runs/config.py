@@ -5,7 +5,7 @@ import json
 import re
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import dataclass, field, make_dataclass
+from dataclasses import dataclass, field, fields, make_dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, ClassVar, Literal
@@ -24,8 +24,9 @@ from lampest.loads.tare import Tare
 from lampest.panel.scene import Scene
 from lampest.recording.readings import Readings
 from lampest.recording.stored import StoredRecording, opened
+from lampest.runs.case import check_name
 from lampest.runs.executors import AnyExecutor, Dask, Executor
-from lampest.runs.results import PublishedFigures, check_name
+from lampest.runs.results import PublishedFigures
 from lampest.solvers.solution import Settings
 
 FORBID: dict[str, Any] = {"extra": "forbid"}
@@ -64,34 +65,33 @@ def terms_of(terms: Any) -> tuple[Term, ...]:
     return tuple(term for kind in term_types() if (term := getattr(terms, kind, None)) is not None)
 
 
-@dataclass(frozen=True)
-class EstimatorEntry:
-    """An estimator as a run's file writes it; what it names overrides the run's, solver and bounds key by key."""
+@dataclass(frozen=True, kw_only=True)
+class Choices:
+    """What a run's file says for all estimators, or an estimator for itself: there solver and bounds key by key."""
 
     __pydantic_config__: ClassVar[Any] = FORBID
-    terms: Terms  # type: ignore[valid-type]
-    formulation: MethodName | AnyMethod | None = None
-    solver: Settings | None = None
-    bounds: Bounds | None = None
-    error_bars: Literal["auto"] | bool | None = None
-    auto_weight: AutoWeight | None = None
-    tare: Tare | None = None
-
-
-@dataclass(frozen=True)
-class RunFile:
-    """The content of a run's file. Raises ValueError where recordings or estimators are missing."""
-
-    __pydantic_config__: ClassVar[Any] = FORBID
-    schema: Literal[1]
-    recordings: list[str]
-    estimators: dict[str, EstimatorEntry]
     formulation: MethodName | AnyMethod = "auto"
     solver: Settings = Settings()
     bounds: Bounds = Bounds()
     error_bars: Literal["auto"] | bool = "auto"
     auto_weight: AutoWeight = AutoWeight()
     tare: Tare | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class EstimatorEntry(Choices):
+    """An estimator as a run's file writes it."""
+
+    terms: Terms  # type: ignore[valid-type]
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunFile(Choices):
+    """The content of a run's file. Raises ValueError where recordings or estimators are missing."""
+
+    schema: Literal[1]
+    recordings: list[str]
+    estimators: dict[str, EstimatorEntry]
     executor: AnyExecutor | None = None
     published: dict[str, PublishedFigures] | None = None
     sweep: dict[str, list[Any]] | None = None
@@ -234,6 +234,11 @@ class _Method:
         return cls(varied, estimator, _blocks({"estimator": varied, **plain_content(estimator), "case_format": 1}))
 
 
+def hash_of(resolved: str) -> str:
+    """The name of a case: a hash of all that decides its result."""
+    return hashlib.sha256(resolved.encode()).hexdigest()[:24]
+
+
 def digest(path: Path) -> str:
     """SHA-256 of a file. Raises InputError where it may not be read."""
     try:
@@ -267,23 +272,16 @@ def recording_paths(config: Path, patterns: list[str]) -> list[Path]:
 
 def resolve(document: Document, run: RunFile, name: str) -> Estimator:
     """An estimator with what the run says where its own entry is silent."""
-    entry = run.estimators[name]
+    shared = {item.name: document.content[item.name] for item in fields(Choices) if item.name in document.content}
     own = document.content["estimators"][name]
-    parts = {}
-    for part, kind in (("solver", Settings), ("bounds", Bounds)):
-        merged = (document.content.get(part) or {}) | (own.get(part) or {})
-        try:
-            parts[part] = adapter(kind).validate_python(merged)
-        except ValueError as error:
-            raise document.error(("estimators", name, part), "does not fit the run's") from error
-    terms = terms_of(entry.terms)
+    merged = shared | own | {part: shared.get(part, {}) | own.get(part, {}) for part in ("solver", "bounds")}
+    try:
+        said: EstimatorEntry = adapter(EstimatorEntry).validate_json(json.dumps(merged))
+    except ValueError as error:
+        raise document.error(("estimators", name), "does not fit what the run says") from error
     try:
         check_name(name, "estimator")
-        formulation = entry.formulation or run.formulation
-        bars = run.error_bars if entry.error_bars is None else entry.error_bars
-        choice = entry.auto_weight or run.auto_weight
-        tare = entry.tare or run.tare
-        return Estimator(terms, formulation, parts["solver"], parts["bounds"], bars, choice, tare)
+        return Estimator(terms_of(said.terms), *(getattr(said, item.name) for item in fields(Choices)))
     except ValueError as error:
         raise document.error(("estimators", name), str(error)) from error
 
@@ -318,13 +316,11 @@ def _block(key: str, value: str) -> str:
 def _case(source: _Source, method: _Method) -> Case:
     blocks = source.blocks | method.blocks
     resolved = "".join(blocks[key] for key in sorted(blocks))
-    case_id = hashlib.sha256(resolved.encode()).hexdigest()[:24]
-    name = source.path.stem
-    return Case(source.path, source.sha256, name, method.name, method.estimator, resolved, case_id, source.stored)
+    names = source.path.stem, method.name
+    return Case(source.path, source.sha256, *names, method.estimator, resolved, hash_of(resolved), source.stored)
 
 
 def json_schema() -> dict[str, Any]:
     """JSON schema of a run's file, for editors; examples in Python are none of YAML and are left out."""
     text = json.dumps(adapter(RunFile).json_schema())
-    schema: dict[str, Any] = json.loads(re.sub(r"\\n\\n>>> (?:[^\"\\]|\\.)*", "", text))
-    return schema
+    return dict(json.loads(re.sub(r"\\n\\n>>> (?:[^\"\\]|\\.)*", "", text)))

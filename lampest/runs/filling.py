@@ -1,19 +1,25 @@
-"""Estimates → what their results file keeps."""
+"""Estimates → what their results file keeps, and back to the noise that frames share."""
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import cache
 from importlib.metadata import version
+
+import numpy as np
 
 from lampest.cost.terms import term_kind
 from lampest.estimate.estimates import Estimates
 from lampest.files.document import plain_content, to_yaml
-from lampest.runs.case import CaseResult
-from lampest.runs.columns import FIGURES, Column, all_columns
-from lampest.runs.config import Case
-from lampest.runs.results.reader import arrays_of
+from lampest.panel.panel import Array
+from lampest.panel.scene import Scene
+from lampest.posterior.frame_noise import FrameNoise
+from lampest.runs.case import CaseResult, all_columns
+from lampest.runs.columns import FIGURES, Column
+from lampest.runs.config import Case, hash_of
 
 LIBRARIES = ("lampest", "casadi", "numpy", "h5py")
+# Of the noise that readings of a frame share: numbers, and patterns in volt.
+NUMBERS, PATTERNS = ("gain", "unloaded"), ("together", "apart")
 
 
 def case_result(case: Case, estimates: Estimates) -> CaseResult:
@@ -21,7 +27,8 @@ def case_result(case: Case, estimates: Estimates) -> CaseResult:
 
     Raises InputError where a column's values are of another shape than its axes, or impossible.
     """
-    return _filled(estimates, (), case.recording, case.name, case.resolved, case.case_id)
+    names = {"recording": case.recording, "estimator": case.name, "case_id": case.case_id, "case_yaml": case.resolved}
+    return _filled(estimates, (), names)
 
 
 def named_result(estimates: Estimates, name: str | None, columns: Sequence[Column] = ()) -> CaseResult:
@@ -31,25 +38,21 @@ def named_result(estimates: Estimates, name: str | None, columns: Sequence[Colum
     packages. Raises InputError as `case_result`.
     """
     recording, estimator = estimates.recording, estimates.estimator
-    name = " + ".join(map(term_kind, estimator.terms)) if name is None else name
-    readings = hashlib.sha256(recording.recorded.tobytes()).hexdigest()
-    content = {"recording": recording.name, "readings_sha256": readings, "estimator": name}
+    names = {
+        "recording": recording.name,
+        "estimator": " + ".join(map(term_kind, estimator.terms)) if name is None else name,
+    }
+    content = names | {"readings_sha256": hashlib.sha256(recording.recorded.tobytes()).hexdigest()}
     resolved = to_yaml(content | plain_content(recording.scene) | plain_content(estimator))
-    case_id = hashlib.sha256(resolved.encode()).hexdigest()[:24]
-    return _filled(estimates, columns, recording.name, name, resolved, case_id)
+    return _filled(estimates, columns, names | {"case_id": hash_of(resolved), "case_yaml": resolved})
 
 
-def _filled(
-    estimates: Estimates, columns: Sequence[Column], recording: str, name: str, resolved: str, case_id: str
-) -> CaseResult:
+def _filled(estimates: Estimates, columns: Sequence[Column], names: dict[str, str]) -> CaseResult:
     table = all_columns(columns)
     values = {column.name: column.filled(estimates) for column in table}
     result = CaseResult.of(
         {column: held for column, held in values.items() if held is not None},
-        recording=recording,
-        estimator=name,
-        case_id=case_id,
-        case_yaml=resolved,
+        **names,
         versions=_versions(),
         scene=estimates.recording.scene,
         baseline_status=estimates.baseline.status,
@@ -61,7 +64,7 @@ def _filled(
         noise_learned=estimates.noise.learned,
         warnings="\n".join(estimates.checks),
         reading_error=estimates.noise.reading_error,
-        frame_noise=arrays_of(estimates.noise.frame),
+        frame_noise=_arrays_of(estimates.noise.frame),
         start_time=estimates.recording.start_time or "",
         film_sentence="" if estimates.film is None else estimates.film.sentence,
         **{folder.name: folder.value(estimates) for folder in FIGURES},
@@ -73,3 +76,28 @@ def _filled(
 @cache
 def _versions() -> dict[str, str]:
     return {library: version(library) for library in LIBRARIES}
+
+
+def _arrays_of(noise: FrameNoise | None) -> dict[str, Array]:
+    """Its numbers, and patterns in volt where there are such; nothing of None."""
+    if noise is None:
+        return {}
+    found = {name: np.array(getattr(noise, name), dtype=float, order="C") for name in (*NUMBERS, *PATTERNS)}
+    return {name: value for name, value in found.items() if value.size}
+
+
+def frame_noise_of(arrays: Mapping[str, Array], scene: Scene) -> FrameNoise | None:
+    """The reverse. Raises ValueError where that is no such noise of the scene's panel."""
+    if scene.readout is None or not arrays:
+        return None
+    rows, columns = scene.panel.shape
+    channels = rows if scene.circuit.by_columns else columns
+    numbers = [np.asarray(arrays.get(name, np.nan)) for name in NUMBERS]
+    roots = [np.asarray(arrays.get(name, np.zeros((channels, 0)))) for name in PATTERNS]
+    if any(array.dtype.kind not in "iuf" or not np.isfinite(array).all() for array in (*numbers, *roots)):
+        raise ValueError("frame_gain and what belongs to it must be finite numbers")
+    if any(number.shape for number in numbers) or numbers[0] < 0 or numbers[1] < 1:
+        raise ValueError("frame_gain must not be negative, frame_unloaded at least 1")
+    if any(root.ndim != 2 or len(root) != channels for root in roots):
+        raise ValueError(f"frame_together and frame_apart must have {channels} rows, one for each channel of a line")
+    return FrameNoise(scene, int(numbers[1]), float(numbers[0]), *(root.astype(float) for root in roots))

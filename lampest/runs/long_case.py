@@ -118,15 +118,15 @@ def watched(cases: Sequence[tuple[Case, Path]], on_progress: Callable[[str], Non
     if not long:
         yield
         return
-    begun = {files.folder: (time.monotonic(), frames_done(files, stored)) for files, stored in long}
-    ended = threading.Event()
+    begun, ended = [frames_done(files, stored) for files, stored in long], threading.Event()
+    since = time.monotonic()
 
     def watch() -> None:
         while not ended.wait(EVERY_SECONDS):
             # Parts are there, and not yet the result that they become.
             sentences = [
-                _how_far(files, stored, *begun[files.folder])
-                for files, stored in long
+                _how_far(files, stored, time.monotonic() - since, before)
+                for (files, stored), before in zip(long, begun, strict=True)
                 if files.folder.is_dir() and not files.folder.with_suffix(".h5").exists()
             ]
             if sentences:
@@ -141,21 +141,19 @@ def watched(cases: Sequence[tuple[Case, Path]], on_progress: Callable[[str], Non
         thread.join()
 
 
-def _how_far(files: PartFiles, stored: StoredRecording, since: float, before: int) -> str:
-    """'long × one: 45000 of 1000000 frames, 21 min left'; since, before : s and frames when it was first looked at."""
+def _how_far(files: PartFiles, stored: StoredRecording, seconds: float, before: int) -> str:
+    """'long × one: 45000 of 1000000 frames, 21 min left', so many seconds after `before` frames were done."""
     done = frames_done(files, stored)
     text = f"{files.case.recording} × {files.case.name}: {done} of {stored.frames} frames"
     if done == stored.frames:
         return f"{text}, being put together"
-    if done <= before:
-        return text
-    return f"{text}, {time_in_words((time.monotonic() - since) * (stored.frames - done) / (done - before))} left"
+    left = seconds * (stored.frames - done) / max(done - before, 1)
+    return f"{text}, {time_in_words(left)} left" if done > before else text
 
 
 def frames_done(files: PartFiles, stored: StoredRecording) -> int:
     """Frames up to the end of the last part that is whole; one in which no frame is measured has no file."""
-    whole = files.whole
-    return min(stored.frames, (whole[-1] + 1) * stored.length) if whole else 0
+    return min(stored.frames, max((number + 1 for number in files.whole), default=0) * stored.length)
 
 
 def time_in_words(seconds: float) -> str:

@@ -283,3 +283,12 @@ def test_damaged_values_are_found(written: Path) -> None:
     written.write_bytes(data)
     with pytest.raises(InputError, match="/entry/a/LSM/cell_resistance is damaged"):
         read_results(written)
+
+
+def test_a_long_text_that_was_damaged_is_missed(tmp_path: Path) -> None:
+    """HDF5 keeps attributes of more than 4 kB where it has no checksum."""
+    path = tmp_path / "r.h5"
+    write_results(path, [invented_case(case_yaml="k" * 8000)])
+    path.write_bytes(path.read_bytes().replace(b"k" * 4000, b"k" * 3999 + b"j", 1))
+    with pytest.raises(InputError, match="case is damaged"):
+        read_results(path)

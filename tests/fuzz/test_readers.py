@@ -22,8 +22,9 @@ from hypothesis import strategies as st
 from lampest.files.document import MOST_BYTES, parse_document
 from lampest.files.errors import InputError
 from lampest.recording.recording import Recording
+from lampest.runs.case import check_name
 from lampest.runs.config import read_run
-from lampest.runs.results import check_name, read_results
+from lampest.runs.results import read_results
 
 ROOT = Path(__file__).parents[2]
 QUICK = settings(derandomize=True, deadline=None, database=None, max_examples=100)

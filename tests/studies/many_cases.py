@@ -1,8 +1,8 @@
 """What a case costs beside its solving: python -m tests.studies.many_cases --recordings 40 --estimators 50.
 
 Processor time of one process, so that other work on the machine does not count: reading the run's file, solving (what
-the estimator does, error bars left out), what follows from estimates, keeping each case, writing results.h5, and the
-same run once more, which finds every case done.
+the estimator does, error bars left out), what follows from estimates, writing each case and results.h5, and the same
+run once more, which finds every case done.
 """
 
 import argparse
@@ -31,8 +31,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as name:
         path = written(Path(name), chosen.recordings, chosen.estimators)
         spent = Counter[str]()
-        names = {"reconstruct": "solving", "case_result": "what follows", "write_kept": "keeping"}
-        names |= {"write_results": "results.h5"}
+        names = {"reconstruct": "solving", "case_result": "what follows", "write_results": "files"}
         parts = {name: timed(getattr(batch, name), what, spent) for name, what in names.items()}
         with mock.patch.multiple(batch, **parts):
             run = timed(read_run, "the run's file", spent)(path)

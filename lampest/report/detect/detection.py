@@ -29,8 +29,8 @@ from lampest.recording.stored import StoredRecording
 from lampest.report.detect.answer import Detected
 from lampest.runs.case import CaseResult
 from lampest.runs.executors import each_of
+from lampest.runs.filling import frame_noise_of
 from lampest.runs.results import Results
-from lampest.runs.results.reader import frame_noise_of
 
 RESULTS = "results/"  # how the format of such a file begins
 BY = "from the readings; cells by Gauss-Newton steps with a Gaussian prior"

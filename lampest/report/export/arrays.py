@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from lampest.files.errors import InputError, extra
 from lampest.report.export.export import Export
-from lampest.runs.case import CaseResult, about, places_of, series_of
-from lampest.runs.columns import all_columns
+from lampest.runs.case import CaseResult, all_columns
+from lampest.runs.series import about, places_of, series_of
 
 
 class MatlabExport(Export):

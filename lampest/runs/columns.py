@@ -1,0 +1,297 @@
+"""A column of results: where it stands in the file, what it means, how it is filled and when it is wrong.
+
+Those of lampest are the fields of `lampest.runs.case.CaseResult`. A package adds further ones by naming them in the
+entry point group `lampest.columns`, a script by handing them to `named_result`, `write_results` and `read_results`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import MISSING, dataclass, field, replace
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lampest.cost.terms import Term, term_kind
+from lampest.files import hdf5
+from lampest.files.errors import InputError
+from lampest.files.typed import Validated
+from lampest.panel.panel import Array, beyond_any_panel
+from lampest.panel.readouts.readout import Readout
+from lampest.recording.recording import UNLOADED
+
+if TYPE_CHECKING:  # what reads results need not load what solves
+    from lampest.estimate.estimates import Estimates
+    from lampest.estimate.state import Step
+
+MAPS = ("time", "row", "column")
+FRAMES, CELLS = MAPS[:1], MAPS[1:]
+# What the groups of a results file hold besides columns.
+RESERVED = (*CELLS, "x", "y", "scene", "start_time", "cost", "weight", "disc", "model_check")
+
+# (values, whether an estimate is expected of each) → what is wrong: the end of a sentence that begins with their path.
+Check = Callable[[Any, NDArray[np.bool_]], str | None]
+
+
+def _unless(right: Callable[[Array, NDArray[np.bool_]], Any], said: str) -> Check:
+    return lambda values, solved: None if np.all(right(np.asarray(values), solved)) else said
+
+
+def possible(values: Array, solved: NDArray[np.bool_]) -> str | None:
+    """No number is beyond any panel's."""
+    beyond = np.asarray(values)[beyond_any_panel(values)]
+    return f"holds {beyond[0]:.6g}, which no panel has" if beyond.size else None
+
+
+def _physical(right: Callable[[Array, NDArray[np.bool_]], Any], said: str) -> Check:
+    """The same of what is measured, or compared with it."""
+    return lambda values, solved: possible(values, solved) or _unless(right, said)(values, solved)
+
+
+finite = _physical(lambda values, solved: np.isfinite(values), "must be finite")
+positive = _physical(lambda values, solved: (values > 0) & (values < np.inf), "must be positive and finite everywhere")
+positive_or_missing = _physical(
+    lambda values, solved: np.isnan(values) | ((values > 0) & (values < np.inf)), "must be positive and finite, or NaN"
+)
+positive_or_infinite = _physical(lambda values, solved: values > 0, "must be positive everywhere")
+not_negative = _unless(lambda values, solved: ~(values < 0), "must not be negative")
+not_zero_or_less = _unless(lambda values, solved: ~(values <= 0), "must be positive")
+numbers_if_solved = _physical(
+    lambda values, solved: np.where(solved, np.isfinite(values), np.isnan(values)),
+    "must be numbers where solved is 1, and NaN elsewhere",
+)
+known_if_solved = _unless(  # numbers, or infinite
+    lambda values, solved: np.isnan(values) != solved, "must be NaN where solved is 0, only"
+)
+missing_unless_solved = _unless(
+    lambda values, solved: np.isnan(values) | (solved & np.isfinite(values)),
+    "must be numbers or NaN where solved is 1, and NaN elsewhere",
+)
+
+
+@dataclass(frozen=True)
+class Column(Validated):
+    """One dataset of a results file.
+
+    Parameters
+    ----------
+    name : what a case calls it, and the file too unless `dataset` says otherwise.
+    axes : MAPS (frames, rows, columns), CELLS (rows, columns) or FRAMES. units, long_name : as the file gives them.
+    value : estimates → values over the axes, or None where there are none; by default their attribute of the same name.
+    checks : each says what is wrong with values: the end of a sentence that begins with their path, or None.
+    dtype : float, bool, an integer kind, or str.
+    shared : True for what was measured: every estimate of a recording was given the same.
+    as_volt : the dataset where the readout gives volt, which are the units then; '' for what does not follow it.
+    flags : what each value means where values are no amounts: (value, a word of ASCII letters and _).
+
+    Raises InputError where the name, the axes or a flag's word are unfit.
+
+    >>> force = lampest.Column("force", ("time",), "newton", "total force", value=lambda estimates: estimates.time)
+    >>> found.result(columns=[force]).extra["force"].shape
+    (2,)
+    """
+
+    name: str
+    axes: tuple[str, ...]
+    units: str
+    long_name: str
+    value: Callable[[Estimates], ArrayLike | None] | None = None
+    checks: tuple[Check, ...] = ()
+    dtype: type[Any] = np.float64
+    dataset: str = ""
+    shared: bool = False
+    as_volt: str = ""
+    flags: tuple[tuple[int, str], ...] = ()
+
+    def __post_init__(self) -> None:
+        if not (self.path.isidentifier() and self.path.isascii()) or self.path in RESERVED:
+            raise InputError(
+                f"{self.path!r} cannot name a column: a word of ASCII letters is needed, none of {RESERVED}"
+            )
+        if self.axes not in (MAPS, CELLS, FRAMES):
+            raise InputError(f"the column {self.name} cannot lie along {self.axes}: only {MAPS}, {CELLS} or {FRAMES}")
+        for _, word in self.flags:
+            if not (word.isidentifier() and word.isascii()):
+                raise InputError(f"the column {self.name} says {word!r} of a value; a word of ASCII letters is needed")
+
+    @property
+    def path(self) -> str:
+        """The name of the dataset."""
+        return self.dataset or self.name
+
+    @property
+    def label(self) -> str:
+        """The name in labelled arrays, tables and exports: the dataset's, but for what was measured."""
+        return self.name if self.shared else self.path
+
+    def of(self, readout: Readout) -> Column:
+        """The same column as a readout's unit, 'ohm' or 'volt', asks for it."""
+        follows = self.as_volt and readout.unit == "volt"
+        return replace(self, dataset=self.as_volt, units=readout.unit) if follows else self
+
+    def filled(self, estimates: Estimates) -> Any:
+        """The values as a case holds them: an array, a tuple of texts, or None where there are none."""
+        values = getattr(estimates, self.name) if self.value is None else self.value(estimates)
+        if values is None:
+            return None
+        return tuple(np.asarray(values).tolist()) if self.dtype is str else np.asarray(values, self.dtype)
+
+    def read(self, file: Any, group: str, sizes: Mapping[str, int], part: slice = hdf5.ALL) -> Any:
+        """The values in a group of a file, as a case holds them; sizes : axis → length. part : of the frames.
+
+        Raises InputError where they are missing, damaged, of another shape or no such values.
+        """
+        path, shape = f"{group}/{self.path}", tuple(sizes[axis] for axis in self.axes)
+        part = part if self.axes[:1] == FRAMES else hdf5.ALL
+        if self.dtype is str:
+            return hdf5.read_texts(file, path, shape[0], part)
+        if np.dtype(self.dtype).kind == "f":
+            return hdf5.read_array(file, path, len(shape), shape, part).astype(self.dtype)
+        stored = np.uint8 if self.dtype is bool else self.dtype
+        return hdf5.read_whole(file, path, stored, len(shape), shape, part).astype(self.dtype)
+
+
+def column(axes: tuple[str, ...], units: str, words: str, *checks: Check, default: Any = MISSING, **more: Any) -> Any:
+    """A field of a case that is a column; default : None where a case need not have it. more : as `Column`."""
+    about = {"axes": axes, "units": units, "long_name": words, "checks": checks} | more
+    return field(default=default, metadata={"column": about})
+
+
+maps, frames, cells = partial(column, MAPS), partial(column, FRAMES), partial(column, CELLS, "ohm")
+counts = partial(frames, "1", dtype=np.int64)
+GIVEN: dict[str, Any] = {"shared": True}
+MAYBE: dict[str, Any] = {"default": None}  # not every case has it
+
+
+def flag(words: str, unset: str, then: str, **more: Any) -> Any:
+    """Cells of which something is true."""
+    return maps("1", words, dtype=np.uint8, flags=((0, unset), (1, then)), **more)
+
+
+def deviation(units: str, words: str) -> Any:
+    """A standard deviation of each cell."""
+    return maps(units, words, not_negative, known_if_solved, **MAYBE)
+
+
+def end(units: str, which: str) -> Any:
+    """An end of each cell's interval."""
+    return maps(units, f"95 % interval, {which} end", known_if_solved, **MAYBE)
+
+
+def of_steps(value: Callable[[Step], ArrayLike]) -> Callable[[Estimates], Array]:
+    """(frames, ...) of what every step says."""
+    return lambda estimates: np.stack([np.asarray(value(step)) for step in estimates.steps])
+
+
+def of_solutions(name: str) -> Callable[[Estimates], Array]:
+    """(frames) an attribute of every step's solution."""
+    return of_steps(lambda step: getattr(step.solution, name))
+
+
+def frame_numbers(done: Estimates) -> NDArray[np.intp]:
+    """Index into the recording, of which a part alone may have been read."""
+    return done.frame if done.recording.number is None else done.recording.number[done.frame]
+
+
+def truth(done: Estimates) -> Array | None:
+    """(frames, rows, columns) ohm."""
+    cells = done.recording.truth_cell_resistance
+    return None if cells is None else cells[done.frame]
+
+
+def truth_baseline(done: Estimates) -> Array | None:
+    """(rows, columns) ohm: mean of the unloaded frames."""
+    cells, unloaded = done.recording.truth_cell_resistance, done.recording.role == UNLOADED
+    return cells[unloaded].mean(axis=0) if cells is not None and np.any(unloaded) else None
+
+
+@dataclass(frozen=True)
+class Figures:
+    """Columns over the frames whose names only a case knows, in a folder of their own.
+
+    name : what a case calls them. folder : the file. value : estimates → name → (frames).
+    long_name, units : of the figure of a name.
+    """
+
+    name: str
+    folder: str
+    value: Callable[[Estimates], Mapping[str, Array]]
+    long_name: Callable[[str], str]
+    units: Callable[[str], str] = lambda name: "1"
+
+
+def _of_terms(done: Estimates, values: Sequence[Array] | Sequence[tuple[float, ...]]) -> dict[str, Array]:
+    """Term → values of every step's terms."""
+    names = _names(done.estimator.terms)
+    return {name: np.array([one[number] for one in values]) for number, name in enumerate(names)}
+
+
+def _names(terms: Sequence[Term]) -> list[str]:
+    """The kind of every term; `kind_2` and so on for further ones of a kind, which only a script can give."""
+    kinds = [term_kind(term) for term in terms]
+    before = [kinds[:number].count(kind) for number, kind in enumerate(kinds)]
+    return [f"{kind}_{count + 1}" if count else kind for kind, count in zip(kinds, before, strict=True)]
+
+
+def _disc(done: Estimates) -> dict[str, Array]:
+    """Every number of the discs and its standard deviation; NaN where a frame failed. None without any disc."""
+    discs = [step.disc for step in done.steps]
+    first = next((disc for disc in discs if disc is not None), None)
+    numbers = {}
+    for name in () if first is None else first.disc._fields:
+        for end, part in (("", "disc"), ("_errors", "disc_errors")):
+            values = [np.nan if disc is None else getattr(getattr(disc, part), name) for disc in discs]
+            numbers[name + end] = np.array(values, dtype=float)
+    return numbers
+
+
+def _contacts(done: Estimates) -> dict[str, Array]:
+    """Every line's contact and its standard deviation, the same in every frame; none where the scene names none."""
+    if done.contacts is None:
+        return {}
+    shape, every = done.recording.scene.panel.shape, np.ones(len(done.steps))
+    lines = [f"{side}_{line}" for side, count in zip(("row", "column"), shape, strict=True) for line in range(count)]
+    ohm, errors = done.contacts.mean(shape), done.contacts.deviation(shape)
+    return dict(zip(lines, np.outer(ohm, every), strict=True)) | {
+        f"{line}_errors": error * every for line, error in zip(lines, errors, strict=True)
+    }
+
+
+def _of_contact(name: str) -> str:
+    line = name.removesuffix("_errors")
+    deviation = "" if name == line else "standard deviation of the "
+    return f"{deviation}contact resistance of {line.replace('_', ' ')}"
+
+
+def _unit_of_disc(name: str) -> str:
+    return {"mm": "mm", "kpa": "kPa"}.get(name.removesuffix("_errors").rpartition("_")[2], "1")
+
+
+MISFIT = {
+    "chi_square": "sum of squared residuals over their noise",
+    "degrees_of_freedom": "readings less what the estimate follows of them",
+    "tail": "probability of as large a chi square by noise alone",
+    "worst_row": "row that holds most of chi square",
+    "worst_row_share": "share of that row",
+    "worst_column": "column that holds most of chi square",
+    "worst_column_share": "share of that column",
+}
+FIGURES = (
+    Figures("contacts", "contact", _contacts, _of_contact, lambda name: "ohm"),
+    Figures(
+        "costs",
+        "cost",
+        lambda done: _of_terms(done, [step.solution.costs for step in done.steps]),
+        lambda name: f"cost of the term {name}",
+    ),
+    Figures(
+        "weights",
+        "weight",
+        lambda done: _of_terms(done, [step.weights for step in done.steps]),
+        lambda name: f"weight of the term {name}",
+    ),
+    Figures("disc", "disc", _disc, lambda name: f"oral disc: {name.replace('_', ' ')}", _unit_of_disc),
+    Figures("misfit", "model_check", lambda done: done.misfit, lambda name: MISFIT.get(name, name)),
+)

@@ -1,0 +1,397 @@
+"""Results files: what estimators made of recordings, case by case; their one writer and reader."""
+
+import json
+from bisect import bisect_left
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, field, fields, replace
+from math import prod
+from pathlib import Path
+from typing import Any, Literal
+
+import h5py
+import numpy as np
+
+from lampest.files import hdf5
+from lampest.files.document import adapter, parse_document, validated
+from lampest.files.errors import InputError, meant
+from lampest.files.parts import join_parts
+from lampest.files.typed import Configuration, check_not_negative, typed
+from lampest.panel.panel import Array
+from lampest.panel.scene import Scene, scene_text
+from lampest.runs.case import ATTRIBUTES, FRAME, MEASURED, REQUIRED, SHARED, TIME, StoredCase, all_columns
+from lampest.runs.case import CaseResult as CaseResult
+from lampest.runs.columns import FIGURES, FRAMES, MAPS, Column
+from lampest.runs.series import Series, places_of, series_of
+
+FORMAT = "results/1"
+POSITIONS = "y x"  # by this the CF conventions, and so xarray, know them for coordinates
+
+
+@dataclass(frozen=True)
+class StepFigures(Configuration):
+    """Published figures of some steps: mean and standard deviation of solve time (s) and of data error (percent).
+
+    Raises ValueError where a figure is negative or not finite.
+
+    >>> lampest.StepFigures(error_percent=1.33).error_percent
+    1.33
+    """
+
+    time_s: float | None = None
+    time_sd_s: float | None = None
+    error_percent: float | None = None
+    error_sd_percent: float | None = None
+
+    def __post_init__(self) -> None:
+        check_not_negative(self, *(field.name for field in fields(self)))
+
+
+@dataclass(frozen=True)
+class PublishedFigures(Configuration):
+    """An estimator's figures in a publication: over all steps, or apart where the first is solved with the baseline.
+
+    >>> lampest.PublishedFigures(all=lampest.StepFigures(time_s=16.45)).all.time_s
+    16.45
+    """
+
+    all: StepFigures | None = None
+    initial: StepFigures | None = None
+    following: StepFigures | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Results:
+    """The cases of one file in the order they were given, and published figures by estimator.
+
+    >>> lampest.Results((found.result("LSM"),)).estimators()
+    ('LSM',)
+    """
+
+    cases: tuple[CaseResult, ...]
+    published: Mapping[str, PublishedFigures] = field(default_factory=dict)
+
+    def recordings(self) -> tuple[str, ...]:
+        """The recordings' names in order, each once."""
+        return tuple(dict.fromkeys(case.recording for case in self.cases))
+
+    def of(self, recording: str) -> tuple[CaseResult, ...]:
+        """The cases of one recording. Raises InputError where there is none."""
+        return self.named("recording", (recording,)).cases
+
+    def estimators(self) -> tuple[str, ...]:
+        """The estimators' names in order, each once."""
+        return tuple(dict.fromkeys(case.estimator for case in self.cases))
+
+    def label(self, case: CaseResult) -> str:
+        """The estimator's name; of one with published figures and weights of its own `LSR-CR, paper's lambda`."""
+        chosen = "weight: auto" in case.case_yaml or not case.weights.keys() - {"misfit"}
+        return case.estimator if chosen or case.estimator not in self.published else f"{case.estimator}, paper's lambda"
+
+    def named(self, what: Literal["recording", "estimator"], names: Collection[str]) -> "Results":
+        """The results of these recordings or estimators, in the file's order; all where none is named.
+
+        Raises InputError where one is unknown.
+        """
+        known = list(dict.fromkeys(str(getattr(case, what)) for case in self.cases))
+        for name in names:
+            if name not in known:
+                close = meant(name, known)
+                raise InputError(f"no {what} is called {name!r}; there are {', '.join(known) or 'none'}{close}")
+        kept = names or known
+        return replace(self, cases=tuple(case for case in self.cases if getattr(case, what) in kept))
+
+
+@typed
+def write_results(
+    path: str | Path,
+    cases: Sequence[CaseResult | StoredCase],
+    published: Mapping[str, PublishedFigures] | None = None,
+    columns: Sequence[Column] = (),
+) -> None:
+    """Write all cases into one file, whole or not at all; the same cases give the same bytes.
+
+    columns : of what the cases hold as `extra`, besides those of installed packages. Raises InputError where a case
+    appears twice, where two different recordings share a name, where an extra has no column or does not fit it, or
+    where the place cannot be written.
+
+    >>> lampest.write_results("results.h5", [found.result("LSM")])
+    """
+    table = all_columns(columns)
+    recordings: dict[str, list[CaseResult | StoredCase]] = {}
+    for case in cases:
+        recordings.setdefault(case.recording, []).append(case)
+    for held in recordings.values():
+        _check_together([case for case in held if isinstance(case, CaseResult)], columns)
+    size = sum(case.path.stat().st_size for case in cases if isinstance(case, StoredCase))
+    with hdf5.new_large_file(Path(path), size) if size else hdf5.new_file(Path(path)) as file:
+        entry = _begun(file, next(iter(recordings), ""))
+        if published:
+            text = json.dumps({name: asdict(figures) for name, figures in published.items()}, allow_nan=False)
+            hdf5.set_attributes(entry, published=text)
+        for order, (name, held) in enumerate(recordings.items()):
+            group = entry.create_group(name)
+            hdf5.set_attributes(group, NX_class="NXsubentry", default=held[0].estimator, order=order)
+            for number, case in enumerate(held):
+                if isinstance(case, StoredCase):
+                    for part in (SHARED, case.estimator)[bool(number) :]:
+                        join_parts((case.path,), group.create_group(part), f"/entry/{name}/{part}")
+                else:
+                    _write_case(group, case, table, with_given=not number)
+                hdf5.set_attributes(group[case.estimator], order=number)
+
+
+def join_case(path: Path, parts: Sequence[Path], recording: str) -> None:
+    """Write the case whose parts are these files, one after the other in time, whole or not at all.
+
+    Raises InputError where a part cannot be read, or as `write_results`.
+    """
+    with hdf5.new_large_file(path, sum(part.stat().st_size for part in parts)) as file:
+        join_parts(parts, _begun(file, recording).create_group(recording), f"/entry/{recording}")
+
+
+def _begun(file: h5py.File, first: str) -> h5py.Group:
+    """The entry of a file, whose first recording that is."""
+    hdf5.set_attributes(file, NX_class="NXroot", default="entry", lampest_format=FORMAT)
+    entry = file.create_group("entry")
+    hdf5.set_attributes(entry, NX_class="NXentry", **({"default": first} if first else {}))
+    return entry
+
+
+def _check_together(cases: Sequence[CaseResult], columns: Sequence[Column]) -> None:
+    """Cases of one recording must have been given the same."""
+    seen: set[str] = set()
+    for case in cases:
+        first, numbers = cases[0], _numbers(cases[0].scene)
+        shared = [column.name for column in case.described(columns) if column.shared]
+        if case.estimator in seen:
+            raise InputError(f"two cases are called {case.recording} × {case.estimator}")
+        seen.add(case.estimator)
+        for name, ours, theirs in (
+            *((name, case.column(name), first.column(name)) for name in shared),
+            *((name, _numbers(case.scene).get(name), number) for name, number in numbers.items()),
+            ("start_time", case.start_time, first.start_time),
+            ("scene", case.scene, first.scene),
+        ):
+            numeric = isinstance(ours, np.ndarray) and ours.dtype.kind == "f"
+            if (ours is None) != (theirs is None) or not np.array_equal(ours, theirs, equal_nan=numeric):
+                raise InputError(
+                    f"{case.estimator} and {first.estimator} were given different recordings of the name "
+                    f"{case.recording} ({name} differs)"
+                )
+
+
+def _write_case(group: h5py.Group, case: CaseResult, table: Sequence[Column], with_given: bool) -> None:
+    """An estimate, and what it was given where no other case of the recording has written that."""
+    series = series_of(case, table, raw=True).values()
+    if with_given:
+        given = _group_of_data(group, SHARED, MEASURED.of(case.scene.circuit).path)
+        hdf5.set_attributes(given, **_numbers(case.scene))
+        texts = {"scene": (scene_text(case.scene), "what was measured, YAML")}
+        if case.start_time:
+            texts["start_time"] = case.start_time, "date and time at 0 s of the time axis, ISO 8601"
+        for name, (text, words) in texts.items():
+            hdf5.write_dataset(given, name, hdf5.ascii_array(text), "1", words)
+        _write_series(given, case, [one for one in series if one.shared])
+    estimate = _group_of_data(group, case.estimator, "cell_resistance")
+    held = {name: (getattr(case, item), default) for name, (item, default) in ATTRIBUTES.items()}
+    attributes = {name: value for name, (value, default) in held.items() if value != default}
+    attributes |= {f"{library}_version": text for library, text in sorted(case.versions.items())}
+    attributes |= {f"frame_{name}": noise for name, noise in case.frame_noise.items()}
+    attributes["joint_start"] = np.uint8(case.joint_start)
+    hdf5.set_attributes(estimate, **attributes)
+    _write_series(estimate, case, [one for one in series if not one.shared or one.name in (TIME.name, FRAME.name)])
+
+
+def _numbers(scene: Scene) -> dict[str, float]:
+    """Attributes of a recording's group: numbers of its scene, which stands beside them as YAML text."""
+    series, depth = scene.series_resistance_ohm, None if scene.water is None else scene.water.top_row_depth_mm
+    numbers = {"pitch_mm": scene.panel.pitch_mm, "series_resistance_ohm": series, "top_row_depth_mm": depth}
+    return {name: float(number) for name, number in numbers.items() if isinstance(number, int | float)}
+
+
+def _group_of_data(parent: h5py.Group, name: str, signal: str) -> h5py.Group:
+    group = parent.create_group(name)
+    hdf5.set_attributes(group, NX_class="NXdata", signal=signal, axes=list(MAPS))
+    return group
+
+
+def _write_series(group: h5py.Group, case: CaseResult, series: Iterable[Series]) -> None:
+    """Axes, positions, columns and figures of a case in a group, and then which of them lie along which axes."""
+    axes: dict[str, tuple[str, ...]] = {}
+    places = places_of(case)
+    for one in (*places.values(), *series):
+        attributes = one.attributes
+        if one.name not in places and one.axes != FRAMES:
+            attributes["coordinates"] = POSITIONS
+        hdf5.write_dataset(group, one.path, one.stored, **attributes)
+        if one.axes == (one.name,):
+            group[one.path].make_scale(one.name)
+        else:
+            axes[one.path] = one.axes
+    for folder in {path.partition("/")[0] for path in axes if "/" in path}:
+        hdf5.set_attributes(group[folder], NX_class="NXcollection")
+    hdf5.attach_scales(group, axes)
+
+
+@typed
+def read_results(path: str | Path, columns: Sequence[Column] = (), frames: range | None = None) -> Results:
+    """Read a results file; columns : of what it holds besides those of lampest and of installed packages.
+
+    frames : of the recordings, those that are read; None: all. A recording that has none of them is left out.
+    Raises InputError with the dataset's path where something is wrong, or no recording has any of the frames.
+
+    >>> lampest.read_results("results.h5").recordings()
+    ('mine',)
+    """
+    path, table = Path(path), all_columns(columns)
+    with _results_file(path) as file:
+        published = _read_published(file)
+        names = _in_order(file, "/entry")
+        parts = {name: hdf5.ALL if frames is None else _part(file, name, frames) for name in names}
+        read = {name: part for name, part in parts.items() if part is not None}
+        if names and not read:
+            raise InputError(f"{path}: holds none of the frames that are asked for")
+        cases = [case for name, part in read.items() for case in _read_recording(file, name, table, part)]
+        return Results(tuple(cases), published)
+
+
+def read_each(path: Path, most: int) -> Iterator[CaseResult]:
+    """Every case of a results file, its frames by parts of so many readings. Raises InputError as `read_results`."""
+    with _results_file(path) as file:
+        _read_published(file)
+        for name in _in_order(file, "/entry"):
+            frames, cells = _sizes(file, name)
+            step = max(1, most // (cells * max(1, len(_estimators(file, name)))))
+            for begin in range(0, frames, step):
+                yield from _read_recording(file, name, all_columns(), slice(begin, begin + step))
+
+
+def stored_cases(path: Path) -> tuple[StoredCase, ...]:
+    """The cases of a results file without their values. Raises InputError as `read_results`."""
+    with _results_file(path) as file:
+        return tuple(
+            StoredCase(path, recording, name, str(_read(file, recording, name, "case_id")), *_sizes(file, recording))
+            for recording in _in_order(file, "/entry")
+            for name in _estimators(file, recording)
+        )
+
+
+@contextmanager
+def _results_file(path: Path) -> Iterator[h5py.File]:
+    with hdf5.existing_file(path) as file:
+        form = hdf5.read_attribute(file, "/", "lampest_format")
+        if not isinstance(form, str) or form != FORMAT:
+            raise InputError(f"{file.filename}: no results file (lampest_format is {form!r}, not '{FORMAT}')")
+        yield file
+
+
+def _in_order(file: h5py.File, path: str) -> list[str]:
+    names = hdf5.child_groups(file, path)
+    return sorted(names, key=lambda name: (hdf5.read_number(file, f"{path}/{name}", "order", 0), name))
+
+
+def _estimators(file: h5py.File, recording: str) -> list[str]:
+    return [name for name in _in_order(file, f"/entry/{recording}") if name != SHARED]
+
+
+def _sizes(file: h5py.File, recording: str) -> tuple[int, int]:
+    """How many frames and cells a recording has."""
+    frames, rows, columns = (hdf5.length_of(file, f"/entry/{recording}/{SHARED}/{axis}") for axis in MAPS)
+    return frames, rows * columns
+
+
+def _read(file: h5py.File, recording: str, estimator: str, name: str) -> Any:
+    return hdf5.read_attribute(file, f"/entry/{recording}/{estimator}", name)
+
+
+def _part(file: h5py.File, recording: str, frames: range) -> slice | None:
+    """Which of the frames that are kept are these ones of the recording, by bisection; None where none is."""
+    path, length = f"/entry/{recording}/{_estimators(file, recording)[0]}/{FRAME.path}", _sizes(file, recording)[0]
+
+    def number(at: int) -> int:
+        return int(hdf5.read_array(file, path, 1, (length,), slice(at, at + 1))[0])
+
+    part = slice(*(bisect_left(range(length), end, key=number) for end in (frames.start, frames.stop)))
+    return part if part.start < part.stop else None
+
+
+def _read_recording(file: h5py.File, name: str, table: Sequence[Column], part: slice) -> list[CaseResult]:
+    base = f"/entry/{name}/{SHARED}"
+    scene: Scene = validated(
+        parse_document(hdf5.read_text(file, f"{base}/scene"), f"{file.filename}:{base}/scene"), Scene
+    )
+    table = [column.of(scene.circuit) for column in table]
+    path = f"{base}/{MEASURED.of(scene.circuit).path}"
+    hdf5.read_array(file, path, len(MAPS), part=slice(0))  # whether it is what it claims; nothing is read
+    shape, estimators = hdf5.shape_of(file, path), _estimators(file, name)
+    maps = sum(column.axes == MAPS and not column.shared for column in table)
+    if len(estimators) * maps * len(range(shape[0])[part]) * prod(shape[1:]) > hdf5.MOST_VALUES:
+        raise InputError(
+            f"{file.filename}: /entry/{name} claims more than {hdf5.MOST_VALUES} values, which are not read at once; "
+            f"of its {shape[0]} frames --frames 0:1000 names some"
+        )
+    sizes = dict(zip(MAPS, shape, strict=True))
+
+    def held(group: str, columns: Iterable[Column]) -> dict[str, Any]:
+        """Column → values, of those that the file holds or cannot be without."""
+        return {
+            column.name: column.read(file, group, sizes, part)
+            for column in columns
+            if column.name in REQUIRED or hdf5.has(file, f"{group}/{column.path}")
+        }
+
+    start = hdf5.read_text(file, f"{base}/start_time") if hdf5.has(file, f"{base}/start_time") else ""
+    given = held(base, (column for column in table if column.shared))
+    known = {
+        "recording": name,
+        "scene": scene,
+        "start_time": hdf5.read_text(file, start) if hdf5.has(file, start) else "",
+    }
+    cases = []
+    for estimator in estimators:
+        group = f"/entry/{name}/{estimator}"
+        values = given | held(group, (column for column in table if not column.shared))
+        figures = {each.name: _read_figures(file, f"{group}/{each.folder}", shape[:1], part) for each in FIGURES}
+        said = known | _read_attributes(file, group) | figures
+        try:
+            case = CaseResult.of(values, estimator=estimator, **said)
+            case.check(table)
+        except InputError as error:
+            raise InputError(f"{file.filename}: {error}") from error
+        cases.append(case)
+    return cases
+
+
+def _read_figures(file: h5py.File, path: str, shape: tuple[int, ...], part: slice) -> dict[str, Array]:
+    """name → (frames)."""
+    names = hdf5.child_datasets(file, path) if hdf5.has(file, path) else []
+    return {name: hdf5.read_array(file, f"{path}/{name}", 1, shape, part) for name in names}
+
+
+def _read_attributes(file: h5py.File, path: str) -> dict[str, Any]:
+    """What a case says beside its columns."""
+    texts = {name: hdf5.read_attribute(file, path, name) for name in hdf5.attribute_names(file, path)}
+    found: dict[str, Any] = {
+        "versions": {key.removesuffix("_version"): str(texts[key]) for key in texts if key.endswith("_version")},
+        "frame_noise": {
+            key.removeprefix("frame_"): np.asarray(texts[key]) for key in texts if key.startswith("frame_")
+        },
+    }
+    for name, (item, default) in ATTRIBUTES.items():
+        if isinstance(default, str):
+            found[item] = str(texts.get(name, ""))
+        else:
+            found[item] = type(default)(hdf5.read_number(file, path, name, default))
+    return found
+
+
+def _read_published(file: h5py.File) -> dict[str, PublishedFigures]:
+    """Figures by estimator from JSON."""
+    text = hdf5.read_attribute(file, "/entry", "published")
+    try:
+        figures: dict[str, PublishedFigures] = adapter(dict[str, PublishedFigures]).validate_json(text or "{}")
+        return figures
+    except (ValueError, TypeError) as error:
+        names = ", ".join(item.name for item in fields(PublishedFigures))
+        raise InputError(f"{file.filename}: /entry@published is not figures by estimator and {names}") from error
