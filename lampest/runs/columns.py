@@ -153,6 +153,47 @@ class Column(Validated):
         return hdf5.read_whole(file, path, stored, len(shape), shape, part).astype(self.dtype)
 
 
+@dataclass(frozen=True, eq=False)
+class Series:
+    """One thing that a case holds, as files, labelled arrays, tables and exports have it.
+
+    axes : time, row, column. values : an array over them, or texts. flags : what each value means where values are no
+    amounts. shared : True for what was measured. path : of the dataset in its group.
+    """
+
+    name: str
+    axes: tuple[str, ...]
+    values: Any
+    units: str
+    long_name: str
+    flags: tuple[tuple[int, str], ...] = ()
+    shared: bool = False
+    dtype: type[Any] = np.float64
+    path: str = ""
+
+    @property
+    def stored(self) -> Any:
+        """The values with texts in ASCII, and 0 and 1 for truth values."""
+        if self.dtype is str:
+            return hdf5.ascii_array(self.values)
+        return np.asarray(self.values).astype(np.uint8 if self.dtype is bool else self.dtype)
+
+    @property
+    def meaning(self) -> str:
+        """The long name, with what each value of a flag means."""
+        flags = "; ".join(f"{value}: {word.replace('_', ' ')}" for value, word in self.flags)
+        return f"{self.long_name} ({flags})" if flags else self.long_name
+
+    @property
+    def attributes(self) -> dict[str, Any]:
+        """Units, long name, and flags as the CF conventions have them (section 3.5)."""
+        said = {"units": self.units, "long_name": self.long_name}
+        if not self.flags:
+            return said
+        values = np.array([value for value, _ in self.flags], dtype=np.uint8 if self.dtype is bool else self.dtype)
+        return said | {"flag_values": values, "flag_meanings": " ".join(word for _, word in self.flags)}
+
+
 def column(axes: tuple[str, ...], units: str, words: str, *checks: Check, default: Any = MISSING, **more: Any) -> Any:
     """A field of a case that is a column; default : None where a case need not have it. more : as `Column`."""
     about = {"axes": axes, "units": units, "long_name": words, "checks": checks} | more

@@ -13,9 +13,10 @@ from lampest.files.document import plain_content, to_yaml
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.posterior.frame_noise import FrameNoise
-from lampest.runs.case import CaseResult, all_columns
+from lampest.runs.case import CaseResult
 from lampest.runs.columns import FIGURES, Column
 from lampest.runs.config import Case, hash_of
+from lampest.runs.held import all_columns
 
 LIBRARIES = ("lampest", "casadi", "numpy", "h5py")
 # Of the noise that readings of a frame share: numbers, and patterns in volt.

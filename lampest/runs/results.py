@@ -19,10 +19,10 @@ from lampest.files.parts import join_parts
 from lampest.files.typed import Configuration, check_not_negative, typed
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene, scene_text
-from lampest.runs.case import ATTRIBUTES, FRAME, MEASURED, REQUIRED, SHARED, TIME, StoredCase, all_columns
+from lampest.runs.case import SHARED, StoredCase, places_of, series_of
 from lampest.runs.case import CaseResult as CaseResult
-from lampest.runs.columns import FIGURES, FRAMES, MAPS, Column
-from lampest.runs.series import Series, places_of, series_of
+from lampest.runs.columns import FIGURES, FRAMES, MAPS, Column, Series
+from lampest.runs.held import ATTRIBUTES, FRAME, MEASURED, REQUIRED, TIME, all_columns
 
 FORMAT = "results/1"
 POSITIONS = "y x"  # by this the CF conventions, and so xarray, know them for coordinates
@@ -343,11 +343,7 @@ def _read_recording(file: h5py.File, name: str, table: Sequence[Column], part: s
 
     start = hdf5.read_text(file, f"{base}/start_time") if hdf5.has(file, f"{base}/start_time") else ""
     given = held(base, (column for column in table if column.shared))
-    known = {
-        "recording": name,
-        "scene": scene,
-        "start_time": hdf5.read_text(file, start) if hdf5.has(file, start) else "",
-    }
+    known = {"recording": name, "scene": scene, "start_time": start}
     cases = []
     for estimator in estimators:
         group = f"/entry/{name}/{estimator}"

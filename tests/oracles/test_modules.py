@@ -13,7 +13,7 @@ from lampest.files.document import parse_document, to_yaml, validated
 from lampest.panel.panel import EachModule, Modules
 from lampest.runs.batch import run_batch
 from lampest.runs.config import read_run
-from lampest.runs.executors.processes import Serial
+from lampest.runs.executors import Serial
 from lampest.runs.long_case import solve_long
 
 SCENE = """

@@ -20,9 +20,10 @@ import pytest
 
 from lampest.files import process
 from lampest.files.errors import InputError
+from lampest.runs import executors
 from lampest.runs.batch import Task, run_batch, solve_case
 from lampest.runs.config import json_schema, read_run
-from lampest.runs.executors import Dask, Processes, Serial, dask, local
+from lampest.runs.executors import Dask, Processes, Serial, local
 from lampest.runs.results import CaseResult, read_results
 
 Command = Callable[..., SimpleNamespace]
@@ -107,7 +108,7 @@ def test_workers_have_one_thread_and_the_environment_is_as_before(
 @pytest.mark.slow
 def test_nobody_waits_for_a_call_that_is_no_longer_wanted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """As at Ctrl-C: what ends soon is waited for, what does not is ended."""
-    monkeypatch.setattr("lampest.runs.executors.processes.PATIENCE_SECONDS", 3.0)
+    monkeypatch.setattr("lampest.runs.executors.PATIENCE_SECONDS", 3.0)
     soon, never = (f"[__import__('time').sleep({s}), open({str(tmp_path / name)!r}, 'x')]" for s, name in WAITS)
     outcomes = Processes(3).results(eval, ["1", never, soon])
     assert next(outcomes) == ("1", 1)
@@ -202,7 +203,7 @@ def test_levels_of_loggers_are_as_before_once_dask_is_done() -> None:
     before = log.level
     try:
         log.setLevel(logging.ERROR)
-        with dask._silence():
+        with executors._silence():
             assert not log.isEnabledFor(logging.CRITICAL)
         assert log.level == logging.ERROR
     finally:

@@ -18,8 +18,9 @@ from lampest.panel.panel import Panel
 from lampest.report.plots import PLOTS, Plot, plot_of, plot_results
 from lampest.report.plots.maps import RESOLUTION, MapPainter, Tile, banded_scale
 from lampest.report.plots.style import change_text, new_figure
-from lampest.runs.case import COLUMNS, CaseResult
+from lampest.runs.case import CaseResult
 from lampest.runs.columns import FRAMES, Column
+from lampest.runs.held import COLUMNS
 from lampest.runs.results import write_results
 
 ADDON = """\

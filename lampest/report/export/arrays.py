@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from lampest.files.errors import InputError, extra
 from lampest.report.export.export import Export
-from lampest.runs.case import CaseResult, all_columns
-from lampest.runs.series import about, places_of, series_of
+from lampest.runs.case import CaseResult, about, places_of, series_of
+from lampest.runs.held import all_columns
 
 
 class MatlabExport(Export):

@@ -13,9 +13,9 @@ import numpy as np
 from lampest.files.errors import InputError, extra
 from lampest.panel.conditions import Experiment, MeasuredSubject
 from lampest.report.export.export import Export
-from lampest.runs.case import TIME, CaseResult, all_columns
+from lampest.runs.case import CaseResult, about, series_of
 from lampest.runs.columns import CELLS
-from lampest.runs.series import about, series_of
+from lampest.runs.held import TIME, all_columns
 
 
 class NwbExport(Export):

@@ -9,9 +9,9 @@ import numpy as np
 
 from lampest.files.errors import extra
 from lampest.report.export.export import Export
-from lampest.runs.case import CaseResult, all_columns
-from lampest.runs.columns import FRAMES
-from lampest.runs.series import Series, about, places_of, series_of
+from lampest.runs.case import CaseResult, about, places_of, series_of
+from lampest.runs.columns import FRAMES, Series
+from lampest.runs.held import all_columns
 
 if TYPE_CHECKING:
     from lampest.runs.case import DataFrame

@@ -1,0 +1,343 @@
+"""Where the cases of a batch run: here, in processes of this machine, or on a Dask cluster.
+
+An executor calls a function once for every argument, hands out one call at a time, and yields what comes of them.
+"""
+
+import logging
+import signal
+import time
+from collections import Counter, deque
+from collections.abc import Callable, Generator, Iterator, Sequence
+from contextlib import ExitStack, closing, contextmanager
+from dataclasses import astuple, dataclass, replace
+from importlib import import_module
+from multiprocessing.connection import Connection, wait
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from lampest.files.errors import InputError, extra
+from lampest.files.process import ENDING, ONE_THREAD, interrupted
+from lampest.files.typed import ByKind, Configuration, check_not_negative, check_ranges
+from lampest.runs.worker import Function, cores, one_thread
+from lampest.runs.worker import Worker as Worker
+
+MOST_TRIES = 4  # of a task whose process dies: whoever kills processes from outside may meet the same one again
+DIED = f"its process died {MOST_TRIES} times"
+HUNG = (
+    "a frame went on far beyond solver.time_limit_s, in a step that nothing interrupts, so that its process was ended"
+)
+PATIENCE_SECONDS = 1.0  # for a call under way when nobody waits for it any more
+FEW = 12  # so many tasks of half a second end before processes have started
+# A worker of Dask is handed one task at a time where there are many.
+SCHEDULING = {
+    "distributed.scheduler.allowed-failures": MOST_TRIES - 1,
+    "distributed.scheduler.worker-saturation": 1.0,
+    "distributed.scheduler.work-stealing": False,
+}
+NOISY = ("distributed", "tornado", "asyncio")
+
+Pairs = Generator[tuple[Any, Any], None, None]
+
+
+class LostError(RuntimeError):
+    """Whoever hands out the tasks is gone: those without a result have not failed, they were not run."""
+
+
+@dataclass(frozen=True)
+class Executor(Configuration):
+    """Something that calls a function once for every argument."""
+
+    def ready(self) -> None:
+        """Raise InputError where this executor cannot run here."""
+
+    def results(self, function: Function, arguments: Sequence[Any]) -> Pairs:
+        """(argument, result) pairs as they are finished; the result is an exception where the call raised one.
+
+        Raises LostError where no further result will come. After the generator is closed no further call starts; a
+        call under way ends or dies, and writes no half file.
+        """
+        raise NotImplementedError
+
+
+@dataclass(frozen=True)
+class Serial(Executor):
+    """One call after the other in this process, in the order of the arguments."""
+
+    kind: Literal["serial"] = "serial"
+
+    def results(self, function: Function, arguments: Sequence[Any]) -> Pairs:
+        """As `Executor`."""
+        for argument in arguments:
+            try:
+                outcome = function(argument)
+            except Exception as error:
+                if interrupted(error):
+                    raise KeyboardInterrupt from error
+                outcome = error
+            yield argument, outcome
+
+
+@dataclass(frozen=True)
+class Processes(Executor):
+    """`workers` fresh processes with one BLAS thread each, or as many as there are cores.
+
+    A process that dies costs the task it was at one of a few more tries, and no other task anything. One that
+    hangs beyond the time limit of a frame is ended, and its task with it.
+    Raises ValueError where the number of workers is out of range.
+    """
+
+    workers: int | None = None
+    kind: Literal["processes"] = "processes"
+
+    def __post_init__(self) -> None:
+        check_ranges(self, 1, 10_000, "workers")
+
+    def results(self, function: Function, arguments: Sequence[Any]) -> Pairs:
+        """As `Executor`."""
+        waiting = deque(range(len(arguments)))
+        tries = Counter[int]()
+        idle = [Worker.start(function) for _ in range(min(self.workers or cores(), len(arguments)))]
+        busy: dict[Connection, tuple[Worker, int]] = {}
+        try:
+            while waiting or busy:
+                while waiting and idle:
+                    worker, number = idle.pop(), waiting.popleft()
+                    worker.send(arguments[number])
+                    busy[worker.connection] = worker, number
+                ready = wait(list(busy))
+                for connection in [connection for connection in busy if connection in ready]:
+                    worker, number = busy.pop(connection)
+                    try:
+                        outcome = connection.recv()
+                    except (EOFError, OSError):
+                        worker.stop()
+                        tries[number] += 1
+                        idle.append(Worker.start(function))
+                        if not worker.hung and tries[number] < MOST_TRIES:
+                            waiting.appendleft(number)
+                            continue
+                        outcome = TimeoutError(HUNG) if worker.hung else RuntimeError(DIED)
+                    else:
+                        idle.append(worker)
+                    yield arguments[number], outcome
+        finally:
+            for worker in idle:
+                worker.stop()
+            for worker, _ in busy.values():
+                worker.connection.close()
+            patience = time.monotonic() + PATIENCE_SECONDS
+            for worker, _ in busy.values():
+                worker.leave(patience - time.monotonic())
+
+
+@dataclass(frozen=True)
+class Tls(Configuration):
+    """Files by which all sides of a cluster know each other; without them whoever reaches a scheduler runs code on it.
+
+    Parameters
+    ----------
+    ca_file : the authority that signed the certificates of all sides, PEM.
+    cert_file, key_file : the certificate of this side and its key, PEM.
+    """
+
+    ca_file: str
+    cert_file: str
+    key_file: str
+
+    def beside(self, folder: Path) -> "Tls":
+        """The same with paths from that folder on. Raises InputError where a file cannot be read."""
+        names = ("ca_file", "cert_file", "key_file")
+        return Tls(*(_readable(folder / getattr(self, name), f"tls.{name}") for name in names))
+
+
+@dataclass(frozen=True)
+class Dask(Executor):
+    """Workers of Dask distributed with one thread each; files must have the same paths everywhere.
+
+    Parameters
+    ----------
+    workers : how many processes of this machine; as many as it has cores by default. Not with a scheduler.
+    address : of a scheduler that runs, such as tcp://host:8786; its workers: dask worker ADDRESS --nthreads 1.
+    scheduler_file : the file in which such a scheduler says its address (dask scheduler --scheduler-file).
+    wait_s : how many seconds its first worker may take to come; jobs of a cluster may stand in a queue.
+    tls : files by which scheduler, workers and this computer know each other; with an address it begins with tls://.
+
+    Without address and file the workers are processes of this machine. A worker that dies costs the task it was at one
+    of a few more tries (as many as a scheduler elsewhere grants). Results are those of `Serial` bit for bit where the
+    processors are of one kind. Raises ValueError where the parameters exclude each other.
+    """
+
+    kind: Literal["dask"] = "dask"
+    workers: int | None = None
+    address: str | None = None
+    scheduler_file: str | None = None
+    wait_s: float = 30.0
+    tls: Tls | None = None
+
+    def __post_init__(self) -> None:
+        check_ranges(self, 1, 10_000, "workers")
+        if sum(part is not None for part in (self.workers, self.address, self.scheduler_file)) > 1:
+            raise ValueError(
+                "address names a cluster that runs, and so does scheduler_file: one of them, without workers"
+            )
+        check_not_negative(self, "wait_s")
+
+    def beside(self, folder: Path) -> "Dask":
+        """The same with its files taken from that folder. Raises InputError where one cannot be read."""
+        file = self.scheduler_file and _readable(folder / self.scheduler_file, "scheduler_file")
+        return replace(self, scheduler_file=file, tls=self.tls and self.tls.beside(folder))
+
+    def ready(self) -> None:
+        """Raise InputError where the extra is not installed, or files for encryption stand without a use for them."""
+        if self.address is not None and (self.tls is not None) != self.address.startswith("tls://"):
+            raise InputError("executor: tls goes with an address that begins with tls://, and such an address with tls")
+        if self.tls is not None and not (self.address or self.scheduler_file):
+            raise InputError("executor: workers of this machine listen on its loopback address alone, without tls")
+        _library("distributed")
+
+    def results(self, function: Function, arguments: Sequence[Any]) -> Pairs:
+        """As `Executor`. Raises InputError also where no fit worker answers."""
+        if not arguments:
+            return
+        distributed = _library("distributed")
+        with self._client(distributed, len(arguments)) as client:
+            rounds = [dict(enumerate(arguments))]
+            for tasks in rounds:
+                numbers = {client.submit(function, task, pure=False): number for number, task in tasks.items()}
+                for future in distributed.as_completed(list(numbers), loop=client.loop):
+                    number, outcome = numbers.pop(future), _outcome(distributed, client, future)
+                    if not isinstance(outcome, distributed.KilledWorker):
+                        yield arguments[number], outcome
+                    elif len(tasks) > 1:  # Dask blames every task that was given to a worker that died
+                        rounds.append({number: arguments[number]})
+                    else:
+                        yield arguments[number], RuntimeError(DIED)
+
+    @contextmanager
+    def _client(self, distributed: Any, tasks: int) -> Iterator[Any]:
+        """A client whose cluster is closed with it unless it ran before."""
+        with ExitStack() as stack:
+            stack.enter_context(_silence())
+            stack.enter_context(_library("dask").config.set(SCHEDULING))
+            stack.enter_context(one_thread())
+            where: dict[str, Any] = {"address": self.address, "scheduler_file": self.scheduler_file}
+            place = self.address or self.scheduler_file
+            if place is None:
+                workers = min(self.workers or cores(), tasks)
+                where = {"address": stack.enter_context(_of_this_machine(distributed, workers))}
+            if self.tls is not None:
+                names = ("tls_ca_file", "tls_client_cert", "tls_client_key")
+                files = dict(zip(names, astuple(self.tls), strict=True))
+                where["security"] = distributed.Security(**files, require_encryption=True)
+            try:
+                client = stack.enter_context(distributed.Client(**where, timeout=self.wait_s, set_as_default=False))
+                client.wait_for_workers(1, timeout=self.wait_s)
+            except (OSError, TimeoutError) as error:
+                raise InputError(
+                    f"executor: no Dask scheduler with workers answers at {place} within {self.wait_s:g} s"
+                ) from error
+            for worker, threads in client.nthreads().items():
+                if threads != 1:
+                    raise InputError(f"executor: the worker {worker} has {threads} threads; start it with --nthreads 1")
+            yield client
+
+
+def _outcome(distributed: Any, client: Any, future: Any) -> Any:
+    """The result of a call that has ended, or its exception. Raises LostError."""
+    try:
+        return future.result()
+    except distributed.CancelledError as error:
+        raise LostError(f"the Dask scheduler {client.scheduler.address} is gone") from error
+    except Exception as error:
+        return error
+    finally:
+        future.release()
+
+
+def _of_this_machine(distributed: Any, workers: int) -> Any:
+    return distributed.LocalCluster(
+        n_workers=workers,
+        threads_per_worker=1,
+        memory_limit=0,
+        host="127.0.0.1",
+        dashboard_address="127.0.0.1:0",  # any free port: without one it is 8787, taken by whoever came first
+        silence_logs=logging.CRITICAL,
+        env=ONE_THREAD,
+        preload=[__name__],
+    )
+
+
+def dask_setup(worker: Any) -> None:
+    """Leave Ctrl-C and a closed terminal to the process that collects the results; Dask calls this by its name."""
+    for number in ENDING:
+        if number != signal.SIGTERM:
+            signal.signal(number, signal.SIG_IGN)
+
+
+@contextmanager
+def _silence() -> Iterator[None]:
+    """Dask reports a lost scheduler in dozens of lines of its own; a user reads one sentence."""
+    names = {*NOISY, *(name for name in logging.root.manager.loggerDict if name.partition(".")[0] in NOISY)}
+    before = {logging.getLogger(name): logging.getLogger(name).level for name in names}
+    try:
+        for logger in before:
+            logger.setLevel(logging.CRITICAL + 1)
+        yield
+    finally:
+        for logger, level in before.items():
+            logger.setLevel(level)
+
+
+def _readable(path: Path, key: str) -> str:
+    """The absolute path of a file that an executor names. Raises InputError where it cannot be read."""
+    try:
+        path.open("rb").close()
+    except OSError as error:
+        raise InputError(f"executor.{key}: {path}: cannot be read ({error.strerror})") from error
+    return str(path.absolute())
+
+
+def _library(name: str) -> Any:
+    """A module of the extra, imported where it is used. Raises InputError where it is missing."""
+    with extra("cluster"):
+        return import_module(name)
+
+
+AnyExecutor = Annotated[Serial | Processes | Dask, ByKind()]
+
+
+def local(workers: int | None, tasks: int, apart: bool = False) -> Executor:
+    """The executor of this machine for that many workers (None: one for each core), no more than there are tasks.
+
+    apart : not in this process even if there is one worker, so that one that hangs can be ended.
+    """
+    workers = min(workers or cores(), tasks)
+    return Processes(workers) if workers > 1 or (apart and tasks) else Serial()
+
+
+def each_of(
+    function: Function,
+    things: Sequence[Any],
+    on_done: Callable[[int, int], None] = lambda done, total: None,
+    here: bool = False,
+) -> list[Any]:
+    """What a function makes of every thing, in their order; the first exception that a call raised is raised here.
+
+    function : one that a process can import. on_done : called with how many of how many are done.
+    here : in this process however many there are, because another could not import what the things are of.
+    """
+    executor: Executor = Processes() if len(things) > FEW and not here else Serial()
+    found: dict[int, Any] = {}
+    tasks = [(function, number, thing) for number, thing in enumerate(things)]
+    with closing(executor.results(_numbered, tasks)) as ends:
+        for (_, number, _), outcome in ends:
+            if isinstance(outcome, BaseException):
+                raise outcome
+            found[number] = outcome
+            on_done(len(found), len(things))
+    return [found[number] for number in range(len(things))]
+
+
+def _numbered(task: tuple[Function, int, Any]) -> Any:
+    function, _, thing = task
+    return function(thing)

@@ -1,0 +1,181 @@
+"""What a case holds, field by field: columns of a results file, attributes, figures."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import MISSING, dataclass, field, fields
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lampest.files.errors import InputError
+from lampest.files.typed import Validated, installed
+from lampest.panel.panel import Array
+from lampest.panel.scene import Scene
+from lampest.runs import columns as col
+from lampest.runs.columns import Column
+
+
+def _attribute(name: str, default: Any = "") -> Any:
+    """A field that is an attribute of the estimator's group, or not there where it has its default."""
+    return field(default=default, metadata={"attribute": name})
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Held(Validated):
+    """The fields of `lampest.runs.case.CaseResult`."""
+
+    recording: str
+    estimator: str
+    scene: Scene
+    case_id: str = _attribute("case_id")
+    case_yaml: str = _attribute("case")
+    versions: dict[str, str] = field(default_factory=dict)
+    baseline_status: str = _attribute("baseline_status")
+    baseline_solve_time: float = _attribute("baseline_solve_time_s", float("nan"))
+    joint_start: bool = _attribute("joint_start", False)
+    model_mark: str = _attribute("model_explains")
+    model_sentence: str = _attribute("model_check")
+    noise_sentence: str = _attribute("noise_check")
+    noise_learned: str = _attribute("noise_learned")
+    film_sentence: str = _attribute("film")
+    warnings: str = _attribute("warnings")
+    reading_error: float = _attribute("reading_error", 0.0)
+    frame_noise: dict[str, Array] = field(default_factory=dict)
+    start_time: str = ""
+    # What every estimate of a recording was given: its frames, the readings with their noise, and the truth.
+    time: Array = col.frames("s", "time of the frame", col.finite, **col.GIVEN)
+    frame: NDArray[np.int64] = col.counts("index of the frame in the recording", value=col.frame_numbers, **col.GIVEN)
+    measured: Array = col.maps(
+        "ohm",
+        "reading as the network is read, series resistance taken off; NaN where it says nothing",
+        col.positive_or_missing,
+        dataset="resistance",
+        as_volt="volt",
+        **col.GIVEN,
+    )
+    measured_baseline: Array = col.cells(
+        "mean of the unloaded frames", col.positive_or_missing, dataset="baseline", as_volt="baseline", **col.GIVEN
+    )
+    sigma: Array | None = col.maps(
+        "ohm", "standard deviation of the reading", col.positive_or_infinite, as_volt="sigma", **col.GIVEN | col.MAYBE
+    )
+    sigma_baseline: Array | None = col.cells(
+        "standard deviation of the baseline",
+        col.positive_or_infinite,
+        as_volt="sigma_baseline",
+        **col.GIVEN | col.MAYBE,
+    )
+    reading_side: NDArray[np.int8] | None = col.maps(
+        "1",
+        "0: a value; a bound: 1 the truth is at least this, -1 at most",
+        value=lambda done: done.readings.side,
+        dtype=np.int8,
+        flags=((-1, "truth_is_at_most_this"), (0, "value"), (1, "truth_is_at_least_this")),
+        **col.GIVEN | col.MAYBE,
+    )
+    missing_readings: NDArray[np.int64] | None = col.counts("readings that say nothing", **col.GIVEN | col.MAYBE)
+    bound_readings: NDArray[np.int64] | None = col.counts(
+        "readings at a rail, zero, or below the series resistance", **col.GIVEN | col.MAYBE
+    )
+    truth: Array | None = col.maps(
+        "ohm", "true cell resistance", col.positive, value=col.truth, **col.GIVEN | col.MAYBE
+    )
+    truth_baseline: Array | None = col.cells(
+        "mean true unloaded cell resistance", col.positive, value=col.truth_baseline, **col.GIVEN | col.MAYBE
+    )
+    # What an estimator made of every frame, and how each of its solves ended.
+    cell_resistance: Array = col.maps("ohm", "estimated cell resistance", col.numbers_if_solved, col.not_zero_or_less)
+    relative_change: Array = col.maps("percent", "cell resistance against its baseline", col.missing_unless_solved)
+    reading_model: Array = col.maps(
+        "ohm",
+        "reading of the estimated cells",
+        col.numbers_if_solved,
+        col.not_negative,
+        value=col.of_steps(lambda step: step.solution.reading[-1]),
+        dataset="two_point_model",
+        as_volt="reading_model",
+    )
+    open_cell: NDArray[np.uint8] = col.flag(
+        "1: cannot be told from an open cell", "conducts", "cannot_be_told_from_open"
+    )
+    at_lower_bound: NDArray[np.uint8] = col.flag(
+        "1: cell resistance stands at its lower bound", "above_lower_bound", "at_lower_bound"
+    )
+    baseline_resistance: Array = col.cells("estimated unloaded cell resistance", col.possible)
+    status: tuple[str, ...] = col.frames("1", "how the solve ended", dtype=str)
+    iterations: NDArray[np.int64] = col.counts("iterations of the solver", value=col.of_solutions("iterations"))
+    starts: NDArray[np.int64] | None = col.counts(
+        "starts of the solve; the estimate is the lowest local optimum that they reached",
+        value=col.of_solutions("starts"),
+        **col.MAYBE,
+    )
+    solve_time: Array = col.frames("s", "wall time of the solve", value=col.of_steps(lambda step: step.seconds))
+    objective: Array = col.frames("1", "value of the cost function", value=col.of_solutions("objective"))
+    kkt_residual: Array = col.frames(
+        "1", "violation of the optimality conditions", value=col.of_solutions("kkt_residual")
+    )
+    solved: NDArray[np.bool_] = col.frames(
+        "1", "1: solved, 0: failed", dtype=bool, flags=((0, "failed"), (1, "solved"))
+    )
+    # What is known of an estimate beyond its value; absent where the noise is unknown or nobody asked.
+    cell_resistance_errors: Array | None = col.deviation("ohm", "posterior standard deviation of the cell resistance")
+    cell_resistance_lower: Array | None = col.end("ohm", "lower")
+    cell_resistance_upper: Array | None = col.end("ohm", "upper")
+    relative_change_errors: Array | None = col.deviation(
+        "percent", "posterior standard deviation of the relative change"
+    )
+    relative_change_lower: Array | None = col.end("percent", "lower")
+    relative_change_upper: Array | None = col.end("percent", "upper")
+    sigma_own: Array | None = col.deviation("1", "standard deviation of ln r: each cell's own error")
+    sigma_common: Array | None = col.deviation(
+        "1", "standard deviation of ln r: what all cells share, or those of a line"
+    )
+    resolution: Array | None = col.maps("1", "diagonal of the averaging kernel", col.known_if_solved, **col.MAYBE)
+    data_share: Array | None = col.maps(
+        "1", "share of the estimate that comes from the data", col.known_if_solved, **col.MAYBE
+    )
+    error_bar_time: Array | None = col.frames("s", "wall time of the error bars", **col.MAYBE)
+    baseline_resistance_errors: Array | None = col.cells(
+        "posterior standard deviation of the unloaded cell resistance", col.not_negative, **col.MAYBE
+    )
+    # What presses on the cells, where there are error bars: without them nobody can say what the response shows.
+    pressure: Array | None = col.maps("kPa", "pressure of the load on the cell", col.known_if_solved, **col.MAYBE)
+    pressure_errors: Array | None = col.deviation("kPa", "standard deviation of the pressure")
+    pressure_lower: Array | None = col.end("kPa", "lower")
+    pressure_upper: Array | None = col.end("kPa", "upper")
+    saturated: NDArray[np.uint8] | None = col.flag(
+        "1: the response does not tell the pressure",
+        *("response_tells_pressure", "response_does_not_tell_pressure"),
+        **col.MAYBE,
+    )
+    tared: tuple[str, ...] | None = col.frames(
+        "1", "why the zero of pressures was taken anew after the frame; empty: it was not", dtype=str, **col.MAYBE
+    )
+    contacts: dict[str, Array] = field(default_factory=dict)
+    costs: dict[str, Array] = field(default_factory=dict)
+    weights: dict[str, Array] = field(default_factory=dict)
+    disc: dict[str, Array] = field(default_factory=dict)
+    misfit: dict[str, Array] = field(default_factory=dict)
+    extra: Mapping[str, Array] = field(default_factory=dict)
+
+
+COLUMNS = tuple(Column(item.name, **item.metadata["column"]) for item in fields(Held) if "column" in item.metadata)
+TIME, FRAME, MEASURED = COLUMNS[:3]
+NAMES = frozenset(column.name for column in COLUMNS)
+REQUIRED = frozenset(item.name for item in fields(Held) if item.name in NAMES and item.default is MISSING)
+# Attribute of an estimator's group → the field that it is, and its value where the attribute is not there.
+ATTRIBUTES: dict[str, tuple[str, Any]] = {
+    item.metadata["attribute"]: (item.name, item.default) for item in fields(Held) if "attribute" in item.metadata
+}
+
+
+def all_columns(further: Sequence[Column] = ()) -> tuple[Column, ...]:
+    """Those of lampest, those of installed packages, and further ones. Raises InputError where a name comes twice."""
+    columns = (*COLUMNS, *installed("lampest.columns", Column), *further)
+    for names in ([column.name for column in columns], [column.path for column in columns]):
+        for name in names:
+            if names.count(name) > 1:
+                raise InputError(f"two columns of results are called {name}")
+    return columns
