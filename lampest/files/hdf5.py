@@ -3,10 +3,11 @@
 Format v110 has checksums of all metadata, small values among it; larger values are in chunks, packed, with Fletcher-32.
 """
 
-from collections.abc import Iterator, Mapping
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager, suppress
+from functools import wraps
 from pathlib import Path
-from typing import Any
+from typing import Any, ParamSpec, TypeVar, cast
 
 import h5py
 import numpy as np
@@ -32,20 +33,19 @@ PACKED = {"compression": "gzip", "shuffle": True, "fletcher32": True}
 ALL = slice(None)
 OPEN_FOR_WRITING = ("already open for", "truncated file")
 
+P = ParamSpec("P")
+R = TypeVar("R")
+
 
 @contextmanager
-def new_file(path: Path, durable: bool = True) -> Iterator[h5py.File]:
-    """A file that appears under its name only when it is complete and on the disk.
-
-    durable : False where nobody waits for the disk, see `whole_file`. Raises InputError where the folder cannot be
-    written or the disk is full; nothing is left behind then.
-    """
+def new_file(path: Path) -> Iterator[h5py.File]:
+    """A file that appears only when it is complete and on the disk. Raises InputError as `whole_file`."""
     # Built in memory: the HDF5 library may crash the process when it meets a full disk, Python's own files do not.
     with h5py.File(str(path), "w", libver=FORMAT, driver="core", backing_store=False, block_size=2**20) as file:
         yield file
         file.flush()
         image = file.id.get_file_image()
-    with whole_file(path, durable) as unfinished:
+    with whole_file(path) as unfinished:
         unfinished.write_bytes(image)
 
 
@@ -64,7 +64,10 @@ def new_large_file(path: Path, size: int) -> Iterator[h5py.File]:
 @contextmanager
 def existing_file(path: Path) -> Iterator[h5py.File]:
     """A file opened for reading. Raises InputError where it is missing, no HDF5 file, truncated or damaged."""
-    if not _is_file(path):
+    there = False
+    with suppress(OSError, ValueError):  # a name that is too long, or holds a zero byte
+        there = path.is_file()
+    if not there:
         raise InputError(f"{path}: no such file")
     note_read(path)
     try:
@@ -72,13 +75,6 @@ def existing_file(path: Path) -> Iterator[h5py.File]:
             yield file
     except (OSError, RuntimeError, KeyError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: not a readable HDF5 file ({' '.join(str(error).split())})") from error
-
-
-def _is_file(path: Path) -> bool:
-    try:
-        return path.is_file()
-    except (OSError, ValueError):  # a name that is too long, or holds a zero byte
-        return False
 
 
 @contextmanager
@@ -187,6 +183,32 @@ def write_text(group: h5py.Group, name: str, text: str) -> None:
     write_plain(group, name, np.asarray(ascii_array(text)))
 
 
+def _located(function: Callable[P, R]) -> Callable[P, R]:
+    """A function of a file and a path in it, whose errors name both."""
+
+    @wraps(function)
+    def called(*args: P.args, **kwargs: P.kwargs) -> R:
+        with located(cast(h5py.File, args[0]), str(args[1])):
+            return function(*args, **kwargs)
+
+    return called
+
+
+@_located
+def has(file: h5py.File, path: str) -> bool:
+    """Whether there is such a group or dataset. Raises InputError where the way there is damaged or leaves the file."""
+    return _found(file, path) is not None
+
+
+@_located
+def shape_of(file: h5py.File, path: str) -> tuple[int, ...]:
+    """The lengths of a dataset's axes. Raises InputError where it is absent or empty."""
+    shape = _dataset(file, path).shape
+    if shape is None:
+        raise InputError(f"{file.filename}: {path} is missing")
+    return tuple(map(int, shape))
+
+
 def length_of(file: h5py.File, path: str) -> int:
     """The length of a dataset's first axis. Raises InputError where it is absent or has no axis."""
     shape = shape_of(file, path)
@@ -195,21 +217,7 @@ def length_of(file: h5py.File, path: str) -> int:
     return shape[0]
 
 
-def has(file: h5py.File, path: str) -> bool:
-    """Whether there is such a group or dataset. Raises InputError where the way there is damaged or leaves the file."""
-    with located(file, path):
-        return _found(file, path) is not None
-
-
-def shape_of(file: h5py.File, path: str) -> tuple[int, ...]:
-    """The lengths of a dataset's axes. Raises InputError where it is absent or empty."""
-    with located(file, path):
-        dataset = _dataset(file, path)
-        if dataset is None or dataset.shape is None:
-            raise InputError(f"{file.filename}: {path} is missing")
-        return tuple(map(int, dataset.shape))
-
-
+@_located
 def read_array(
     file: h5py.File,
     path: str,
@@ -221,28 +229,25 @@ def read_array(
 
     part : of its first axis. Raises InputError where it is absent, of another shape, damaged, or absurdly large.
     """
-    with located(file, path):
-        dataset = _dataset(file, path)
-        if dataset is None:
-            raise InputError(f"{file.filename}: {path} is missing")
-        wanted = (dimensions,) if isinstance(dimensions, int) else dimensions
-        if dataset.shape is None or dataset.ndim not in wanted or dataset.dtype.kind not in "iuf":
-            numbers = " or ".join(str(number) for number in wanted)
-            raise InputError(f"{file.filename}: {path} must be numeric with {numbers} dimensions")
-        if shape and dataset.shape != shape:
-            found, asked = (" × ".join(str(size) for size in sizes) for sizes in (dataset.shape, shape))
-            raise InputError(f"{file.filename}: {path} is {found}, not {asked}")
-        size = len(range(*part.indices(len(dataset)))) * int(np.prod(dataset.shape[1:]))
-        if size > MOST_VALUES:
-            raise InputError(f"{file.filename}: {path} claims {size} values; more than {MOST_VALUES} are not read")
-        stored, claimed = dataset.id.get_storage_size(), dataset.size * dataset.dtype.itemsize  # a part is of a whole
-        # Bytes that nothing holds; and deflate packs to a 1032nd at best.
-        if claimed > max(64_000_000, 1100 * stored):
-            raise InputError(f"{file.filename}: {path} claims {claimed} bytes, but holds only {stored}")
-        values = dataset[part]
-        if part == ALL:
-            check_digest(dataset, values)
-        return values
+    dataset = _dataset(file, path)
+    wanted = (dimensions,) if isinstance(dimensions, int) else dimensions
+    if dataset.shape is None or dataset.ndim not in wanted or dataset.dtype.kind not in "iuf":
+        numbers = " or ".join(str(number) for number in wanted)
+        raise InputError(f"{file.filename}: {path} must be numeric with {numbers} dimensions")
+    if shape and dataset.shape != shape:
+        found, asked = (" × ".join(str(size) for size in sizes) for sizes in (dataset.shape, shape))
+        raise InputError(f"{file.filename}: {path} is {found}, not {asked}")
+    size = len(range(*part.indices(len(dataset)))) * int(np.prod(dataset.shape[1:]))
+    if size > MOST_VALUES:
+        raise InputError(f"{file.filename}: {path} claims {size} values; more than {MOST_VALUES} are not read")
+    stored, claimed = dataset.id.get_storage_size(), dataset.size * dataset.dtype.itemsize  # a part is of a whole
+    # Bytes that nothing holds; and deflate packs to a 1032nd at best.
+    if claimed > max(64_000_000, 1100 * stored):
+        raise InputError(f"{file.filename}: {path} claims {claimed} bytes, but holds only {stored}")
+    values = dataset[part]
+    if part == ALL:
+        check_digest(dataset, values)
+    return values
 
 
 def read_whole(
@@ -255,54 +260,46 @@ def read_whole(
 ) -> Any:
     """The same as integers of that kind. Raises InputError also where a value is not whole or beyond its range."""
     values = read_array(file, path, dimensions, shape, part)
-    whole = values if values.dtype.kind == "f" else values.astype(kind)
-    if values.dtype.kind == "f" or not np.array_equal(whole, values):
+    if values.dtype.kind == "f" or not np.array_equal(values.astype(kind), values):
         raise InputError(f"{file.filename}: {path} must be whole numbers within the range of {np.dtype(kind)}")
-    return whole
+    return values.astype(kind)
 
 
+@_located
 def read_text(file: h5py.File, path: str) -> str:
     """A scalar text. Raises InputError where it is absent or no text."""
-    with located(file, path):
-        dataset = _dataset(file, path)
-        if dataset is None or dataset.shape != () or dataset.dtype.kind not in "SO":
-            raise InputError(f"{file.filename}: {path} is missing or no text")
-        if dataset.dtype.itemsize > MOST_TEXT_BYTES:
-            raise InputError(f"{file.filename}: {path} claims a text of {dataset.dtype.itemsize} bytes")
-        value = dataset[()]
-        check_digest(dataset, value)
-        return _text(value)
+    dataset = _found(file, path, h5py.Dataset)
+    if dataset is None or dataset.shape != () or dataset.dtype.kind not in "SO":
+        raise InputError(f"{file.filename}: {path} is missing or no text")
+    if dataset.dtype.itemsize > MOST_TEXT_BYTES:
+        raise InputError(f"{file.filename}: {path} claims a text of {dataset.dtype.itemsize} bytes")
+    value = dataset[()]
+    check_digest(dataset, value)
+    return _text(value)
 
 
+@_located
 def read_texts(file: h5py.File, path: str, length: int | None = None, part: slice = ALL) -> tuple[str, ...]:
-    """A list of that many texts, or a part of it. Raises InputError where it is absent, longer, shorter or no text."""
-    with located(file, path):
-        dataset = _dataset(file, path)
-        size = None if dataset is None or dataset.shape is None or dataset.ndim != 1 else len(dataset)
-        if dataset is None or size is None or length not in (None, size) or dataset.dtype.kind not in "SO":
-            raise InputError(f"{file.filename}: {path} is missing or not {length or 'some'} texts")
-        numbers = range(size)[part]
-        if dataset.dtype.itemsize * len(numbers) > MOST_TEXT_BYTES:
-            raise InputError(f"{file.filename}: {path} claims texts of {dataset.dtype.itemsize * len(numbers)} bytes")
-        if dataset.dtype.kind == "S":
-            return tuple(map(_text, dataset[part]))
-        texts, total = list[str](), 0
-        for index in numbers:  # one by one: a short file may name a long text often, or many short ones
-            texts.append(_text(dataset[index]))
-            total += len(texts[-1]) + 50  # reading takes as long as so many bytes
-            if total > MOST_TEXT_BYTES:
-                raise InputError(f"{file.filename}: {path} claims texts of more than {MOST_TEXT_BYTES} bytes")
-        return tuple(texts)
+    """A list of that many texts of a fixed length, or a part of it.
+
+    Raises InputError where it is absent, longer, shorter or something else.
+    """
+    dataset = _found(file, path, h5py.Dataset)
+    size = None if dataset is None or dataset.shape is None or dataset.ndim != 1 else len(dataset)
+    if dataset is None or size is None or length not in (None, size) or dataset.dtype.kind != "S":
+        raise InputError(f"{file.filename}: {path} is missing or not {length or 'some'} texts of a fixed length")
+    claimed = dataset.dtype.itemsize * len(range(size)[part])
+    if claimed > MOST_TEXT_BYTES:
+        raise InputError(f"{file.filename}: {path} claims texts of {claimed} bytes")
+    return tuple(map(_text, dataset[part]))
 
 
 def read_attribute(file: h5py.File, path: str, name: str) -> Any:
     """An attribute, text as str, or None where there is none. Raises InputError where it cannot be read."""
     with located(file, f"{path}@{name}"):
         attributes = _node(file, path).attrs
-        if name not in attributes:
-            return None
-        held = attributes.get_id(name)
-        if held.shape is None:
+        held = attributes.get_id(name) if name in attributes else None
+        if held is None or held.shape is None:
             return None
         if held.get_storage_size() > MOST_TEXT_BYTES:
             raise InputError(f"{file.filename}: {path}@{name} is larger than {MOST_TEXT_BYTES} bytes")
@@ -324,10 +321,10 @@ def read_number(file: h5py.File, path: str, name: str, otherwise: float | None =
     return float(value)
 
 
+@_located
 def attribute_names(file: h5py.File, path: str) -> list[str]:
     """The names of a node's attributes. Raises InputError where there is no such node."""
-    with located(file, path):
-        return [str(name) for name in _node(file, path).attrs]
+    return [str(name) for name in _node(file, path).attrs]
 
 
 def child_groups(file: h5py.File, path: str) -> list[str]:
@@ -340,15 +337,12 @@ def child_datasets(file: h5py.File, path: str) -> list[str]:
     return _children(file, path, h5py.Dataset)
 
 
+@_located
 def _children(file: h5py.File, path: str, kind: type[Any]) -> list[str]:
-    with located(file, path):
-        group = _node(file, path)
-        if not isinstance(group, h5py.Group):
-            raise InputError(f"{file.filename}: {path} is no group")
-        nodes = {name: _found(file, f"{path}/{name}") for name in group}
-        for name in (name for name, node in nodes.items() if node is None):
-            raise InputError(f"{file.filename}: {path} is damaged ({name} leads nowhere)")
-        return [name for name, node in nodes.items() if isinstance(node, kind)]
+    group = _node(file, path)
+    if not isinstance(group, h5py.Group):
+        raise InputError(f"{file.filename}: {path} is no group")
+    return [name for name in group if _found(file, f"{path}/{name}", kind) is not None]
 
 
 def _node(file: h5py.File, path: str) -> Any:
@@ -358,30 +352,25 @@ def _node(file: h5py.File, path: str) -> Any:
     return node
 
 
-def _found(file: h5py.File, path: str, links: int = 8) -> Any:
-    """The group or dataset at a path, or None; what the file says of other files of the machine is not followed."""
+def _found(file: h5py.File, path: str, kind: type[Any] = object) -> Any:
+    """The group or dataset at a path, or None where none of the kind is there; no link is followed."""
     node: Any = file
     for part in filter(None, path.split("/")):
         # Raises where the group is damaged, where `get` alone would say that there is nothing.
-        there = isinstance(node, h5py.Group) and node.id.links.exists(part.encode("utf-8"))
-        link = node.get(part, getlink=True) if there else None
-        if isinstance(link, h5py.ExternalLink):
-            raise InputError(f"{file.filename}: {path} is a link to another file, which is not followed")
-        if isinstance(link, h5py.SoftLink):
-            target = link.path if link.path.startswith("/") else f"{node.name}/{link.path}"
-            node = _found(file, target, links - 1) if links else None
-        else:
-            node = None if link is None else node[part]
-    return node
+        if not isinstance(node, h5py.Group) or not node.id.links.exists(part.encode("utf-8")):
+            return None
+        if not isinstance(node.get(part, getlink=True), h5py.HardLink):
+            raise InputError(f"{file.filename}: {path} is a link, perhaps to another file, which is not followed")
+        node = node[part]
+    if isinstance(node, h5py.Dataset) and (node.is_virtual or node.external):
+        raise InputError(f"{file.filename}: {path} has its values in another file, which is not read")
+    return node if isinstance(node, kind) else None
 
 
 def _dataset(file: h5py.File, path: str) -> Any:
-    """The dataset at a path, or None."""
-    dataset = _found(file, path)
-    if not isinstance(dataset, h5py.Dataset):
-        return None
-    if dataset.is_virtual or dataset.external:
-        raise InputError(f"{file.filename}: {path} has its values in another file, which is not read")
+    dataset = _found(file, path, h5py.Dataset)
+    if dataset is None:
+        raise InputError(f"{file.filename}: {path} is missing")
     return dataset
 
 

@@ -3,11 +3,12 @@
 import logging
 import os
 import re
+import resource
 import signal
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, suppress
 from contextvars import ContextVar
 from pathlib import Path
 
@@ -17,11 +18,10 @@ from lampest.files.errors import InputError
 
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")  # small matrices
 ALLOWED = "LAMPEST_MEMORY"  # the environment variable by which a user says how much may be taken, such as 8GB
-PREFIXES = " KMGT"  # each 1,024 times the one before
 SIZE = re.compile(r"(\d+(?:\.\d+)?)\s*([KMGT]?)(?:i?B)?", re.IGNORECASE)
 # What nohup has set to be ignored stays ignored; whoever sends the first two by hand means it.
 WANTED = (signal.SIGINT, signal.SIGTERM)
-ENDING = (*WANTED, *(signal.Signals[name] for name in ("SIGHUP", "SIGQUIT") if hasattr(signal, name)))
+ENDING = (*WANTED, signal.SIGHUP, signal.SIGQUIT)
 HUNG_SECONDS = 120.0  # and ten times a limit: what a library does between two looks at the clock ends within this
 EXPENDABLE = ContextVar("expendable", default=False)  # whether somebody waits for this process who replaces it
 LOG = "LAMPEST_LOG"
@@ -45,14 +45,19 @@ def memory_limit() -> float:
 
     Raises InputError where what the user says is no size.
     """
-    said = os.environ.get(ALLOWED)
-    if said:
+    if said := os.environ.get(ALLOWED):
         size = SIZE.fullmatch(said.strip())
         if size is None or not float(size[1]):
             raise InputError(f"{ALLOWED}: {said!r} is no size such as 8GB")
-        return float(size[1]) * 1024.0 ** PREFIXES.index(size[2].upper() or " ")
-    # The rest is for what was not counted.
-    return 0.9 * min(float(psutil.virtual_memory().available), _left_in_container(), _left_of_addresses())
+        return float(size[1]) * 1024.0 ** " KMGT".index(size[2].upper() or " ")
+    left = [float(psutil.virtual_memory().available)]
+    with suppress(OSError, ValueError):  # without Linux' control groups, or where the most is 'max'
+        most, taken = (float(Path("/sys/fs/cgroup", name).read_text()) for name in ("memory.max", "memory.current"))
+        left.append(most - taken)
+    addresses = resource.getrlimit(resource.RLIMIT_AS)[0]
+    if addresses != resource.RLIM_INFINITY:
+        left.append(float(addresses - psutil.Process().memory_info().vms))
+    return 0.9 * min(left)  # the rest is for what was not counted
 
 
 def in_bytes(size: float) -> str:
@@ -64,32 +69,13 @@ def in_bytes(size: float) -> str:
     return f"{size:.1f} GiB"
 
 
-def _left_in_container() -> float:
-    """What Linux' control group still grants; endless where there is none."""
-    with suppress(OSError, ValueError):
-        most, taken = (Path("/sys/fs/cgroup", name).read_text() for name in ("memory.max", "memory.current"))
-        return float(most) - float(taken)  # 'max' is no number
-    return float("inf")
-
-
-def _left_of_addresses() -> float:
-    """What `ulimit -v` still grants; endless where it grants all, or on a system without it."""
-    with suppress(ImportError, OSError):
-        import resource
-
-        most = resource.getrlimit(resource.RLIMIT_AS)[0]
-        if most != resource.RLIM_INFINITY:
-            return float(most - psutil.Process().memory_info().vms)
-    return float("inf")
-
-
 @contextmanager
 def ended_where_hung(limit_s: float | None) -> Iterator[None]:
     """In an expendable process SIGALRM ends what takes longer than HUNG_SECONDS and ten times its limit in s.
 
     For calls of libraries that look at no clock, or too rarely: no handler of Python's runs before they return.
     """
-    if limit_s is None or not EXPENDABLE.get() or not hasattr(signal, "setitimer"):
+    if limit_s is None or not EXPENDABLE.get():
         yield
         return
     signal.signal(signal.SIGALRM, signal.SIG_DFL)
@@ -136,11 +122,9 @@ def interrupted(error: BaseException | None) -> bool:
     return error is not None
 
 
-@contextmanager
-def deaf() -> Iterator[None]:
+def deaf() -> AbstractContextManager[None]:
     """Nothing that can be caught ends the program meanwhile: for the short while in which a file is closed."""
-    with handled(lambda number: None):
-        yield
+    return handled(lambda number: None)
 
 
 @contextmanager
@@ -183,16 +167,12 @@ def told_reason(error: BaseException, of: str) -> str:
 
     of : what was computed, for the log.
     """
-    if isinstance(error, InputError) or not isinstance(error, FOREIGN) or _is_ours(error):
+    trace, raised = error.__traceback__, ""
+    while trace is not None:
+        raised = str(trace.tb_frame.f_globals.get("__name__"))
+        trace = trace.tb_next
+    ours = type(error) is ValueError and raised.startswith("lampest.")
+    if ours or isinstance(error, InputError) or not isinstance(error, FOREIGN):
         return " ".join(str(error).split())
     logging.getLogger("lampest").error("%s", of, exc_info=error)
     return BEYOND.format(kind=type(error).__name__)
-
-
-def _is_ours(error: BaseException) -> bool:
-    """Whether it is a ValueError that a module of this package raised, not a library below it."""
-    trace = error.__traceback__
-    while trace is not None and trace.tb_next is not None:
-        trace = trace.tb_next
-    raised = "" if trace is None else str(trace.tb_frame.f_globals.get("__name__"))
-    return type(error) is ValueError and raised.startswith("lampest.")

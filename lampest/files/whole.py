@@ -1,5 +1,6 @@
 """Files that appear whole or not at all, where a file may appear: the one door to the disk for all that is written."""
 
+import fcntl
 import os
 import secrets
 import shutil
@@ -7,30 +8,24 @@ import stat
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from tempfile import TemporaryDirectory
-
-try:
-    import fcntl
-except ImportError:  # Windows
-    fcntl = None  # type: ignore[assignment]
 
 from lampest.files.errors import InputError
 from lampest.files.process import in_bytes
 
 # By the letter that `ls` has for them.
 KINDS = {"d": "a folder", "l": "a link", "c": "a device", "b": "a device", "p": "a pipe", "s": "a socket"}
-SAFELY = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)  # Windows has no such flags
 
 
 @dataclass(frozen=True)
 class Touched:
     """What a command has read and written so far, and what it may read and write anew; this grows."""
 
-    read: set[Path]
-    written: set[Path]
-    own: set[Path]
+    read: set[Path] = field(default_factory=set)
+    written: set[Path] = field(default_factory=set)
+    own: set[Path] = field(default_factory=set)
 
     def owns(self, path: Path) -> bool:
         return any(path.is_relative_to(own) for own in self.own)
@@ -45,7 +40,7 @@ def sparing(inputs: Iterable[Path] = ()) -> Iterator[None]:
 
     inputs : what will be read. See `note_read`, `check_output`.
     """
-    before = _TOUCHED.set(_TOUCHED.get() or Touched(set(), set(), set()))
+    before = _TOUCHED.set(_TOUCHED.get() or Touched())
     try:
         for path in inputs:
             note_read(path)
@@ -57,7 +52,7 @@ def sparing(inputs: Iterable[Path] = ()) -> Iterator[None]:
 def note_read(path: Path) -> None:
     """Every reader of a user's files says so here; what a command owns is not noted."""
     touched = _TOUCHED.get()
-    if touched is not None and not touched.owns(path.absolute()):
+    if touched and not touched.owns(path.absolute()):
         touched.read.add(path.absolute())
 
 
@@ -67,8 +62,7 @@ def own(path: Path) -> None:
     Call it before the first of both.
     """
     _refuse_touched(path)
-    touched = _TOUCHED.get()
-    if touched is not None:
+    if touched := _TOUCHED.get():
         touched.own.add(path.absolute())
 
 
@@ -81,10 +75,10 @@ def refuse_inputs(outputs: Sequence[Path]) -> None:
 
 
 def _refuse_touched(path: Path) -> None:
-    touched = _TOUCHED.get()
-    if touched and any(_same(path, read) for read in touched.read):
+    touched = _TOUCHED.get() or Touched()
+    if any(_same(path, read) for read in touched.read):
         raise InputError(f"{path}: is what is read; give what is written another name")
-    if touched and path.absolute() in touched.written:
+    if path.absolute() in touched.written:
         raise InputError(f"{path}: two outputs have this name; give one of them another")
 
 
@@ -96,44 +90,43 @@ def _same(path: Path, other: Path) -> bool:
 
 
 @contextmanager
-def whole_file(path: Path, durable: bool = True) -> Iterator[Path]:
-    """A temporary path beside `path` to write to; it takes that name once it is complete and on the disk.
-
-    durable : False where nobody waits for the disk, and a power failure may cost the file. Raises InputError as
-    `check_output`, and where the folder cannot be written or the disk is full; nothing is left behind then.
-    """
+def _to_write(path: Path) -> Iterator[None]:
+    """Within it the folder of an output is there. Raises InputError as `check_output`, and where the disk refuses."""
     check_output(path)
-    unfinished = path.with_name(f".{path.name}.{os.getpid()}-{secrets.token_hex(4)}.part")
-    made = False
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        os.close(os.open(unfinished, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666))
-        made = True
-        yield unfinished
-        if durable:
-            with unfinished.open("rb") as handle:
-                os.fsync(handle.fileno())
-        unfinished.replace(path)
-        if (touched := _TOUCHED.get()) is not None and not touched.owns(path.absolute()):
-            touched.written.add(path.absolute())
+        yield
     except OSError as error:
         raise InputError(f"{path}: cannot be written ({error.strerror or error})") from error
-    finally:
-        if made:
+
+
+@contextmanager
+def whole_file(path: Path) -> Iterator[Path]:
+    """A temporary path beside `path` to write to; it takes that name once it is complete and on the disk.
+
+    Raises InputError as `check_output`, and where the folder cannot be written or the disk is full; nothing is left
+    behind then.
+    """
+    unfinished = path.with_name(f".{path.name}.{os.getpid()}-{secrets.token_hex(4)}.part")
+    with _to_write(path):
+        os.close(os.open(unfinished, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666))
+        try:
+            yield unfinished
+            with unfinished.open("rb") as handle:
+                os.fsync(handle.fileno())
+            unfinished.replace(path)
+        finally:
             with suppress(OSError):
                 unfinished.unlink()
+    if (touched := _TOUCHED.get()) and not touched.owns(path.absolute()):
+        touched.written.add(path.absolute())
 
 
 @contextmanager
 def folder_beside(path: Path) -> Iterator[Path]:
     """A new folder beside `path` for the parts of what will stand there; it goes at the end. Raises as `whole_file`."""
-    check_output(path)
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with TemporaryDirectory(prefix=f".{path.name}.", dir=path.parent) as folder:
-            yield Path(folder)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written ({error.strerror or error})") from error
+    with _to_write(path), TemporaryDirectory(prefix=f".{path.name}.", dir=path.parent) as folder:
+        yield Path(folder)
 
 
 def write_whole(path: Path, text: str) -> None:
@@ -190,7 +183,7 @@ def opened_for_locking(path: Path, make: bool = False) -> int:
     if _kind(path) not in (None, "-"):
         check_output(path)
     made = os.O_RDWR | os.O_CREAT if make else os.O_RDONLY
-    descriptor = os.open(path, made | SAFELY, 0o666)
+    descriptor = os.open(path, made | os.O_NOFOLLOW | os.O_NONBLOCK, 0o666)
     if not stat.S_ISREG(os.fstat(descriptor).st_mode):
         os.close(descriptor)
         raise InputError(f"{path}: is no regular file, which a lock must be")
@@ -201,15 +194,12 @@ def opened_for_locking(path: Path, make: bool = False) -> int:
 def locked(path: Path) -> Iterator[None]:
     """A lock that readers do not mind and that ends with the process."""
     with os.fdopen(opened_for_locking(path), "rb") as handle:
-        if fcntl is not None:
-            fcntl.flock(handle, fcntl.LOCK_SH)
+        fcntl.flock(handle, fcntl.LOCK_SH)
         yield
 
 
 def is_locked(path: Path) -> bool:
     """Whether a living process holds a lock on the file."""
-    if fcntl is None:
-        return False
     with os.fdopen(opened_for_locking(path), "rb") as handle:
         try:
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)

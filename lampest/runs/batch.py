@@ -14,7 +14,7 @@ from lampest.files.errors import InputError
 from lampest.files.process import told_reason
 from lampest.files.whole import inner_folder, opened_for_locking, output_folder, own, remove_own, sparing
 from lampest.recording.recording import Recording
-from lampest.recording.stored import StoredRecording, opened, too_long
+from lampest.recording.stored import StoredRecording, opened
 from lampest.runs.case import CaseResult, StoredCase
 from lampest.runs.config import Case, Run, digest
 from lampest.runs.executors import Executor, LostError
@@ -182,8 +182,8 @@ def _result(task: Task) -> CaseResult | StoredCase | None:
 
     One of a recording that is too long for memory stays where it is.
     """
-    with suppress(InputError, StopIteration):
+    with suppress(InputError, ValueError):
         if task.file.is_file():
-            held = next(case for case in stored_cases(task.file) if case.case_id == task.case.case_id)
-            return held if too_long(held.frames, held.cells) else read_results(task.file).cases[0]
+            [held] = stored_cases(task.file) if task.case.stored else read_results(task.file).cases
+            return held if held.case_id == task.case.case_id else None
     return None

@@ -253,7 +253,7 @@ def claim(file: h5py.File) -> None:
         (lambda file: file["/entry"].attrs.__setitem__("published", b"["), "/entry@published"),
         (
             lambda file: file.__setitem__("/entry/a/LSM/cost/bad", h5py.SoftLink("/nowhere")),
-            "/entry/a/LSM/cost is damaged",
+            "/entry/a/LSM/cost/bad is a link",
         ),
     ],
 )

@@ -24,7 +24,6 @@ from lampest.files.errors import InputError
 from lampest.recording.recording import Recording
 from lampest.runs.case import check_name
 from lampest.runs.config import read_run
-from lampest.runs.results import read_results
 
 ROOT = Path(__file__).parents[2]
 QUICK = settings(derandomize=True, deadline=None, database=None, max_examples=100)
@@ -193,17 +192,6 @@ def test_no_values_of_other_files_are_read(good: Corpus, tmp_path: Path) -> None
         file.create_dataset("entry/two_point/resistance", (3, 3, 4), "f8", external=[(str(values), 0, 288)])
     with pytest.raises(InputError, match="in another file"):
         Recording.load(path)
-
-
-def test_links_within_a_file_are_followed(good: Corpus, tmp_path: Path) -> None:
-    path = tmp_path / "linked.h5"
-    path.write_bytes(good.files["results"][0])
-    with h5py.File(path, "a") as file:
-        file.move("/entry/small/LSM/cell_resistance", "/elsewhere")
-        file["/entry/small/LSM/cell_resistance"] = h5py.SoftLink("/elsewhere")
-        file["/entry/small/LSM/first"] = h5py.SoftLink("second")
-        file["/entry/small/LSM/second"] = h5py.SoftLink("first")
-    assert len(read_results(path).cases) == 2
 
 
 @pytest.mark.slow

@@ -145,7 +145,7 @@ def test_the_same_picture_twice(tmp_path: Path) -> None:
         save(ContourPlot().draw(results.of("mouth")), tmp_path / "one.bmp")
     with pytest.raises(InputError, match="frame 3 has no results; there are frames 5 to 7"):
         ContourPlot(3).draw(results.of("mouth"))
-    with pytest.raises(InputError, match="no results of a recording 'ear'; there are mouth"):
+    with pytest.raises(InputError, match="no recording is called 'ear'; there are mouth"):
         results.of("ear")
 
 
