@@ -28,28 +28,26 @@ if TYPE_CHECKING:
     from lampest.recording.board.record import Progress, Recorded
 
 PORT = "Serial port such as /dev/ttyACM0, or a URL. Default: the Arduino. Repeat it for each module, in order."
-Port = Annotated[list[str] | None, option("--port", PORT)]
-SceneFile = Annotated[Path | None, option("--scene", "YAML file of the scene. Default: the board's settings.")]
-Count = Annotated[int | None, option("--count", "Stop after this number of frames, such as 600.", min=1)]
-OldCount = Annotated[int | None, option("--frames", "Old name of --count, such as 600.", min=1, hidden=True)]
+Port = Annotated[list[str] | None, option(PORT)]
+SceneFile = Annotated[Path | None, option("YAML file of the scene. Default: the board's settings.")]
+Count = Annotated[int | None, option("Stop after this number of frames, such as 600.", min=1)]
 TOKEN = "Access token of the page; outside 127.0.0.1 one is generated."
-Token = Annotated[str | None, option("--token", TOKEN, envvar="LAMPEST_TOKEN")]
+Token = Annotated[str | None, option(TOKEN, envvar="LAMPEST_TOKEN")]
 PUBLISH = "lsl, osc, mqtt or websocket, with an optional address: mqtt://localhost:1883/lampest. Repeatable."
-Publish = Annotated[list[str] | None, option("--publish", PUBLISH, metavar="WHERE")]
-Period = Annotated[float | None, option("--period", "Seconds between frames, such as 0.1. Default: 1.")]
+Publish = Annotated[list[str] | None, option(PUBLISH, metavar="WHERE")]
+Period = Annotated[float | None, option("Seconds between frames, such as 0.1. Default: 1.")]
 
 
 def record(
     out: Annotated[Path | None, written("--out", "New recording file.")] = None,
     port: Port = None,
     count: Count = None,
-    seconds: Annotated[float | None, option("--seconds", "Stop after this number of seconds, such as 60.")] = None,
+    seconds: Annotated[float | None, option("Stop after this number of seconds, such as 60.")] = None,
     scene: SceneFile = None,
     assign: AssignToScene = None,
-    baseline: Annotated[int, option("--baseline", "Number of unloaded frames at the beginning, such as 3.", min=0)] = 0,
+    baseline: Annotated[int, option("Number of unloaded frames at the beginning, such as 3.", min=0)] = 0,
     period: Period = None,
-    listed: Annotated[bool, option("--list", "List the serial ports, likely ones first, and exit.")] = False,
-    frames: OldCount = None,
+    listed: Annotated[bool, option("List the serial ports, likely ones first, and exit.", "--list")] = False,
 ) -> None:
     """Record a board until the count or the time is reached, or Ctrl-C; any key marks an event."""
     if listed:
@@ -66,7 +64,6 @@ def record(
     from lampest.recording.board.port import pressed_keys
     from lampest.recording.board.record import record as record_board
 
-    count = _count(count, frames)
     if count is not None and seconds is not None:
         raise InputError("--count and --seconds: give one of them")
     check_positive("--seconds", seconds)
@@ -87,27 +84,17 @@ def record(
     report_recorded(done)
 
 
-def _count(count: int | None, frames: int | None) -> int | None:
-    """--count, or what the release before called --frames, which elsewhere names frames."""
-    if frames is not None:
-        warn("--frames is now: --count; the old word answers for one release more")
-    return frames if count is None else count
-
-
 def calibrate(
     files: Annotated[
         list[Path], typer.Argument(metavar="FILE...", help="Recordings of shorted lines, resistors or loads.")
     ],
     known: Annotated[
-        list[str] | None,
-        option("--known", "Resistors in place of the cells, in ohm, or a .csv or .npy table; one for each file."),
+        list[str] | None, option("Resistors in place of the cells, in ohm, or a .csv or .npy table; one for each file.")
     ] = None,
     loads: Annotated[
-        Path | None, option("--loads", "YAML or CSV of known weights or pressures, to calibrate the film's response.")
+        Path | None, option("YAML or CSV of known weights or pressures, to calibrate the film's response.")
     ] = None,
-    tolerance: Annotated[
-        float, option("--tolerance", "Relative tolerance of resistors or loads: 0.01 for 1 %.")
-    ] = 0.01,
+    tolerance: Annotated[float, option("Relative tolerance of resistors or loads: 0.01 for 1 %.")] = 0.01,
     out: Annotated[Path | None, written("--out", "Scene file to write. Default: print it.")] = None,
 ) -> None:
     """Calibrate the electronics with known resistors, or the film with known loads, and write a scene.
@@ -166,24 +153,23 @@ def _scene_out(text: str, summary: str, out: Path | None) -> None:
 
 def live(
     port: Port = None,
-    recording: Annotated[Path | None, option("--recording", "A recording to replay instead.")] = None,
-    estimator: Annotated[str | None, option("--estimator", "Default: smooth, or the first of --config.")] = None,
-    config: Annotated[Path | None, option("--config", "A run's YAML file with estimators.")] = None,
+    recording: Annotated[Path | None, option("A recording to replay instead.")] = None,
+    estimator: Annotated[str | None, option("Default: smooth, or the first of --config.")] = None,
+    config: Annotated[Path | None, option("A run's YAML file with estimators.")] = None,
     assign: Assign = None,
-    speed: Annotated[float, option("--speed", "Speed of the replay relative to the recording, such as 10.")] = 1.0,
+    speed: Annotated[float, option("Speed of the replay relative to the recording, such as 10.")] = 1.0,
     http: Annotated[
-        str, option("--http", "HOST:PORT of the page; 127.0.0.1 is visible on this computer only.")
+        str, option("HOST:PORT of the page; 127.0.0.1 is visible on this computer only.")
     ] = "127.0.0.1:8137",
     token: Token = None,
     count: Count = None,
     baseline: Annotated[
-        int, option("--baseline", "Number of unloaded frames at the beginning, unless the recording marks them.", min=1)
+        int, option("Number of unloaded frames at the beginning, unless the recording marks them.", min=1)
     ] = 3,
     scene: SceneFile = None,
     period: Period = None,
     out: Annotated[Path | None, written("--out", "Record the board into this file as well.")] = None,
     publish: Publish = None,
-    frames: OldCount = None,
 ) -> None:
     """Reconstruct frames as they arrive and show them in the browser."""
     from lampest.files.process import ending_signals
@@ -205,7 +191,7 @@ def live(
             estimator,
             config,
             http,
-            _count(count, frames),
+            count,
             token,
             lambda url: say(f"{url}  (Ctrl-C ends)" if url.startswith("http") else url),
             tuple(assign or ()),

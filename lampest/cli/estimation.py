@@ -26,10 +26,10 @@ def init(
         Path, typer.Argument(metavar="DIR", help="Folder, created if missing; existing files are kept.")
     ] = Path(),
     readout: Annotated[
-        str, option("--readout", "Your circuit: two_mux, pull_ups, grounded or amplifiers.", metavar="CIRCUIT")
+        str, option("Your circuit: two_mux, pull_ups, grounded or amplifiers.", metavar="CIRCUIT")
     ] = "two_mux",
-    rows: Annotated[int, option("--rows", "Rows of your panel, such as 16.", min=1)] = 10,
-    columns: Annotated[int, option("--columns", "Columns of your panel, such as 16.", min=1)] = 10,
+    rows: Annotated[int, option("Rows of your panel, such as 16.", min=1)] = 10,
+    columns: Annotated[int, option("Columns of your panel, such as 16.", min=1)] = 10,
 ) -> None:
     """Write starter files for your circuit: a scene, a run, a simulated recording and its simulation."""
     from lampest.runs.starter import RECORDING, RUN, SCENE, circuit_called, write_starter
@@ -54,9 +54,9 @@ def run(
     out: Annotated[Path | None, written("--out", "Results folder. Default: results/<config>.")] = None,
     assign: Assign = None,
     jobs: Annotated[
-        int | None, option("--jobs", "Processes, such as 2. Default: the file's executor, or all cores.", min=1)
+        int | None, option("Processes, such as 2. Default: the file's executor, or all cores.", min=1)
     ] = None,
-    fresh: Annotated[bool, option("--fresh", "Solve finished cases again.")] = False,
+    fresh: Annotated[bool, option("Solve finished cases again.", "--fresh")] = False,
 ) -> None:
     """Reconstruct recordings with every estimator of a run file; finished cases are skipped."""
     from lampest.report.words import counted
@@ -103,25 +103,17 @@ def simulate(
 def import_(
     file: Annotated[Path, typer.Argument(help="CSV or other text, .xlsx, .npy, .npz or .mat.")],
     out: Annotated[Path, written("--out", "New recording file.")],
-    rows: Annotated[int | None, option("--rows", "Rows of the panel, such as 10. Default: the scene's.", min=1)] = None,
-    columns: Annotated[
-        int | None, option("--columns", "Columns of the panel, such as 10. Default: the scene's.", min=1)
-    ] = None,
-    scene: Annotated[Path | None, option("--scene", "The scene's YAML file; lampest init writes one.")] = None,
+    rows: Annotated[int | None, option("Rows of the panel, such as 10. Default: the scene's.", min=1)] = None,
+    columns: Annotated[int | None, option("Columns of the panel, such as 10. Default: the scene's.", min=1)] = None,
+    scene: Annotated[Path | None, option("The scene's YAML file; lampest init writes one.")] = None,
     assign: AssignToScene = None,
-    unit: Annotated[str | None, option("--unit", "ohm, kohm, volt, mV or code. Default: by header or values.")] = None,
-    period: Annotated[
-        float | None, option("--period", "Seconds between frames, such as 0.1. Default: the file's times.")
-    ] = None,
-    missing: Annotated[str, option("--missing", "Missing readings: mark (NaN), skip-frame or refuse.")] = "mark",
-    baseline: Annotated[int, option("--baseline", "Number of unloaded frames at the beginning, such as 3.", min=0)] = 0,
-    transpose: Annotated[bool, option("--transpose", "Rows and columns of the file are swapped.")] = False,
-    variable: Annotated[
-        str | None, option("--variable", "The variable of a .mat or .npz file, the sheet of an .xlsx file.")
-    ] = None,
-    layout: Annotated[
-        str | None, option("--layout", "Names of a table's columns, such as time,row,column,value.")
-    ] = None,
+    unit: Annotated[str | None, option("ohm, kohm, volt, mV or code. Default: by header or values.")] = None,
+    period: Annotated[float | None, option("Seconds between frames, such as 0.1. Default: the file's times.")] = None,
+    missing: Annotated[str, option("Missing readings: mark (NaN), skip-frame or refuse.")] = "mark",
+    baseline: Annotated[int, option("Number of unloaded frames at the beginning, such as 3.", min=0)] = 0,
+    transpose: Annotated[bool, option("Rows and columns of the file are swapped.", "--transpose")] = False,
+    variable: Annotated[str | None, option("The variable of a .mat or .npz file, the sheet of an .xlsx file.")] = None,
+    layout: Annotated[str | None, option("Names of a table's columns, such as time,row,column,value.")] = None,
 ) -> None:
     """Convert measurements of another program to a recording, and report how they were interpreted."""
     from lampest.recording.foreign.importing import import_file
@@ -141,7 +133,7 @@ def import_(
 
 def tare(
     file: Annotated[Path, typer.Argument(help="A recording.")],
-    frames: Annotated[str, option("--frames", "Unloaded frames as FIRST:END: 40:50 is 40 to 49.")],
+    frames: Annotated[str, option("Unloaded frames as FIRST:END: 40:50 is 40 to 49.")],
     out: Annotated[Path, written("--out", "New recording file.")],
 ) -> None:
     """Choose new baseline frames; all other frames become measured ones, and no reading changes."""

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from lampest.report.detect.answer import Detected
     from lampest.report.detect.pressed import PressedCells
 
-FramesNamed = Annotated[str | None, option("--frames", "Range of frames: 40:50 is 40 to 49.", metavar="FIRST:END")]
+FramesNamed = Annotated[str | None, option("Range of frames: 40:50 is 40 to 49.", metavar="FIRST:END")]
 
 
 def _frames(text: str | None) -> range | None:
@@ -33,9 +33,9 @@ def compare(
     report: Annotated[
         Path | None, written("--report", "Write a page with figures, intervals and a recommendation.")
     ] = None,
-    each: Annotated[bool, option("--each", "Print one block per recording, for any number of recordings.")] = False,
+    each: Annotated[bool, option("Print one block per recording, for any number of recordings.", "--each")] = False,
     frames: FramesNamed = None,
-    published: Annotated[bool, option("--published", "Also print published figures that the run file quotes.")] = False,
+    published: Annotated[bool, option("Also print published figures that the run file quotes.", "--published")] = False,
 ) -> None:
     """Compare methods over recordings: frames solved, time, data error, and cell error where the truth is known."""
     from lampest.report.compare import compare_files, legend, model_notes, screen_blocks, write_csv
@@ -59,20 +59,13 @@ def plot(
     results: Annotated[Path, typer.Argument(help="A results file.")],
     out: Annotated[Path | None, written("--out", "Output folder, or one picture such as x.svg.")] = None,
     show: Annotated[
-        str,
-        option("--show", "Such as contours, certainty or pressure; any other word lists all kinds.", metavar="KIND"),
+        str, option("Such as contours, certainty or pressure; any other word lists all kinds.", metavar="KIND")
     ] = "contours",
-    frame: Annotated[
-        int | None, option("--frame", "Frame index, such as 12. Default: a frame of strong change.", min=0)
-    ] = None,
-    recording: Annotated[
-        list[str] | None, option("--recording", "Recording to plot, such as mine. Default: all. Repeatable.")
-    ] = None,
-    estimator: Annotated[
-        list[str] | None, option("--estimator", "Estimator to plot, such as LSM. Default: all. Repeatable.")
-    ] = None,
+    frame: Annotated[int | None, option("Frame index, such as 12. Default: a frame of strong change.", min=0)] = None,
+    recording: Annotated[list[str] | None, option("Recording to plot, such as mine. Default: all. Repeatable.")] = None,
+    estimator: Annotated[list[str] | None, option("Estimator to plot, such as LSM. Default: all. Repeatable.")] = None,
     form: Annotated[
-        str | None, option("--format", "Image format. Default: png, or that of --out.", metavar="png|svg|pdf")
+        str | None, option("Image format. Default: png, or that of --out.", "--format", metavar="png|svg|pdf")
     ] = None,
     frames: FramesNamed = None,
 ) -> None:
@@ -97,12 +90,10 @@ def plot(
 
 def export(
     results: Annotated[Path, typer.Argument(help="A results file.")],
-    to: Annotated[str, option("--to", "csv, parquet, mat, zarr or nwb.", metavar="FORMAT")],
+    to: Annotated[str, option("csv, parquet, mat, zarr or nwb.", metavar="FORMAT")],
     out: Annotated[Path | None, written("--out", "Output file. Default: beside the results.")] = None,
-    recording: Annotated[str | None, option("--recording", "Export this recording only; nwb takes one.")] = None,
-    start: Annotated[
-        str | None, option("--start", "Start time for nwb if the file has none: 2026-05-04T09:30:00+02:00.")
-    ] = None,
+    recording: Annotated[str | None, option("Export this recording only; nwb takes one.")] = None,
+    start: Annotated[str | None, option("Start time for nwb if the file has none: 2026-05-04T09:30:00+02:00.")] = None,
     frames: FramesNamed = None,
 ) -> None:
     """Export results to pandas and R, MATLAB and Octave, xarray or NWB, with units and descriptions."""
@@ -115,16 +106,15 @@ def export(
 def detect(
     file: Annotated[Path, typer.Argument(help="A recording or a results file.")],
     out: Annotated[Path | None, written("--out", "Output folder. Default: beside the file.")] = None,
-    as_json: Annotated[bool, option("--json", "Print the answers as JSON, and write no files.")] = False,
+    as_json: Annotated[bool, option("Print the answers as JSON, and write no files.", "--json")] = False,
     everything: Annotated[
-        bool, option("--all", "Also print notes and, for results, the frame of the largest force.")
+        bool, option("Also print notes and, for results, the frame of the largest force.", "--all")
     ] = False,
     patch: Annotated[
-        float | None, option("--patch", "Edge length of a cell's film in mm, such as 6. Default: 0.6 of the pitch.")
+        float | None, option("Edge length of a cell's film in mm, such as 6. Default: 0.6 of the pitch.")
     ] = None,
     estimator: Annotated[
-        str | None,
-        option("--estimator", "Estimator whose force and area are printed, such as LSM. Default: the first."),
+        str | None, option("Estimator whose force and area are printed, such as LSM. Default: the first.")
     ] = None,
     frames: FramesNamed = None,
 ) -> None:
@@ -221,7 +211,7 @@ def info(
 
 def check(
     files: Annotated[list[Path], mended("FILE...", "Recordings or results.")],
-    repair: Annotated[bool, option("--repair", "Recover recordings after a crash.")] = False,
+    repair: Annotated[bool, option("Recover recordings after a crash.", "--repair")] = False,
 ) -> None:
     """Verify the checksums of files and name the first damaged dataset of each."""
     from lampest.report.info import checked_sentence

@@ -44,15 +44,15 @@ def is_written(annotation: Any) -> bool:
     return any(getattr(each, "parser", None) is not None for each in getattr(annotation, "__metadata__", ()))
 
 
-def option(name: str, text: str, **further: Any) -> Any:
-    """The option of that name with its help."""
-    return typer.Option(name, help=text, **further)
+def option(text: str, *names: str, **further: Any) -> Any:
+    """An option with its help; it is called as its parameter is, or by other names."""
+    return typer.Option(*names, help=text, **further)
 
 
 OVERRIDE = "Override an entry of the file: formulation=reduced. Repeatable."
-Assign = Annotated[list[str] | None, option("--set", OVERRIDE, metavar="PATH=VALUE")]
+Assign = Annotated[list[str] | None, option(OVERRIDE, "--set", metavar="PATH=VALUE")]
 OVERRIDE_SCENE = "Override an entry of --scene: readout.adc_bits=12. Repeatable."
-AssignToScene = Annotated[list[str] | None, option("--set", OVERRIDE_SCENE, metavar="PATH=VALUE")]
+AssignToScene = Annotated[list[str] | None, option(OVERRIDE_SCENE, "--set", metavar="PATH=VALUE")]
 Folder = Annotated[Path | None, written("--out", "Output folder. Default: results/<config>.")]
 
 

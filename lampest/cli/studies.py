@@ -53,11 +53,9 @@ def study_command(word: str) -> Callable[..., None]:
 def weights(
     config: Config = None,
     out: Folder = None,
-    withhold: Annotated[
-        float | None, option("--withhold", "Fraction of the readings to withhold and predict, such as 0.1.")
-    ] = None,
-    draws: Annotated[int, option("--draws", "Number of random draws of withheld readings.", min=1)] = 5,
-    seed: Annotated[int, option("--seed", "Random seed of the draws.")] = 0,
+    withhold: Annotated[float | None, option("Fraction of the readings to withhold and predict, such as 0.1.")] = None,
+    draws: Annotated[int, option("Number of random draws of withheld readings.", min=1)] = 5,
+    seed: Annotated[int, option("Random seed of the draws.")] = 0,
     assign: Assign = None,
 ) -> None:
     """Plot weight selection: evidence, misfit, penalty and true error over λ, with every rule's choice.
@@ -73,8 +71,8 @@ def weights(
 def starts(
     config: Annotated[Path | None, typer.Argument(metavar="[CONFIG]", help="A run's YAML file; else table1's.")] = None,
     out: Folder = None,
-    random: Annotated[int, option("--random", "Number of random starts per frame.", min=1)] = 20,
-    seed: Annotated[int, option("--seed", "Random seed of the starts.")] = 0,
+    random: Annotated[int, option("Number of random starts per frame.", min=1)] = 20,
+    seed: Annotated[int, option("Random seed of the starts.")] = 0,
     assign: Assign = None,
 ) -> None:
     """Multi-start test: how often a case of a run reaches the lowest objective of random starts; writes starts.csv."""
@@ -93,8 +91,8 @@ def paper(
     config: Annotated[
         Path | None, typer.Argument(metavar="[CONFIG]", help="Published numbers; else lampest's.")
     ] = None,
-    out: Annotated[Path, option("--out", "Output folder.")] = Path("results/paper"),
-    jobs: Annotated[int | None, option("--jobs", "Number of processes, such as 2. Default: all cores.", min=1)] = None,
+    out: Annotated[Path, option("Output folder.")] = Path("results/paper"),
+    jobs: Annotated[int | None, option("Number of processes, such as 2. Default: all cores.", min=1)] = None,
 ) -> None:
     """Reproduce the paper's figures and table from shipped recordings, beside the published numbers.
 

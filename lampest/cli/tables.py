@@ -4,6 +4,7 @@ import re
 import sys
 from collections.abc import Iterator, Sequence
 from itertools import groupby
+from shutil import get_terminal_size
 from textwrap import wrap
 from typing import TYPE_CHECKING
 
@@ -28,7 +29,7 @@ def print_table(table: "Table") -> None:
         return
     headers = [table.headers[number] for number in filled]
     rows = [[_escaped(cells[number]) for number in filled] for cells in table.cells]
-    room = _room()
+    room = max(get_terminal_size().columns if sys.stdout.isatty() else 0, WIDTH)
     widths, gap = _layout(headers, rows, room)
     if _whole(widths, gap) <= room or len(headers) < 2:
         _draw(headers, rows, widths, gap)
@@ -37,12 +38,6 @@ def print_table(table: "Table") -> None:
         say(f"{name}:")
         others = [cells[1:] for cells in block]
         _draw(headers[1:], others, *_layout(headers[1:], others, room))
-
-
-def _room() -> int:
-    from rich.console import Console
-
-    return max(Console().width if sys.stdout.isatty() else 0, WIDTH)
 
 
 def _escaped(text: str) -> str:
@@ -61,28 +56,22 @@ def _layout(headers: Sequence[str], rows: Sequence[Sequence[str]], room: int) ->
     Headers give way first, then texts, then the blanks between columns, then names in the first column; no other column
     is narrower than the longest of its words and figures.
     """
-    columns = [[cells[number] for cells in rows] for number in range(len(headers))]
+    columns = list(zip(*rows, strict=True))
     words = [_longest_word(header) for header in headers]
-    lines = [[line for text in column for line in text.split("\n")] for column in columns]
-    whole = [max(word, *map(len, column)) for word, column in zip(words, lines, strict=True)]
-    least = [max(word, *map(_longest_word, column)) for word, column in zip(words, columns, strict=True)]
+    lines = [[line for text in held for line in text.split("\n")] for held in columns]
+    whole = [max(word, *map(len, held)) for word, held in zip(words, lines, strict=True)]
+    least = [max(word, *map(_longest_word, held)) for word, held in zip(words, columns, strict=True)]
     names = [min(least[0], max(words[0], 12)), *least[1:]]  # below, a name is not cut into lines
-    full = [max(len(header), held) for header, held in zip(headers, whole, strict=True)]
+    full = [max(len(header), width) for header, width in zip(headers, whole, strict=True)]
     for gap, steps in ((2, (whole, least)), (1, (whole, least, names))):
-        widths = full
+        widths = list(full)
         for floors in steps:
-            widths = _narrowed(widths, floors, room - 2 - gap * (len(headers) - 1))
+            spare = list(range(len(widths)))
+            while _whole(widths, gap) > room and (spare := [at for at in spare if widths[at] > floors[at]]):
+                widths[max(spare, key=lambda at: widths[at])] -= 1
         if _whole(widths, gap) <= room:
             break
     return widths, gap
-
-
-def _narrowed(widths: Sequence[int], floors: Sequence[int], room: int) -> list[int]:
-    """The widest column that may be narrower by one, until all fit or none may."""
-    widths = list(widths)
-    while sum(widths) > room and (spare := [at for at, width in enumerate(widths) if width > floors[at]]):
-        widths[max(spare, key=lambda at: widths[at])] -= 1
-    return widths
 
 
 def _longest_word(text: str) -> int:

@@ -9,6 +9,7 @@ import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
+from itertools import count
 from math import inf
 from pathlib import Path
 from typing import Any
@@ -82,9 +83,8 @@ class Document:
 
 def place_in(node: Any, part: str | int) -> Any:
     """`part` of a dotted path as a key of `node`: a word in a mapping, a number in a list, None elsewhere."""
-    if isinstance(node, dict):
-        return part
-    return int(part) if isinstance(node, list) and str(part).isascii() and str(part).isdigit() else None
+    number = isinstance(node, list) and str(part).isascii() and str(part).isdigit()
+    return part if isinstance(node, dict) else int(part) if number else None
 
 
 def read_document(path: Path, settings: Sequence[str] = ()) -> Document:
@@ -107,16 +107,14 @@ def _with_table(document: Document, place: tuple[str, ...]) -> Document:
         value = value.get(key) if isinstance(value, dict) else None
     if not isinstance(value, str):
         return document
-    path = Path(document.source).parent / value
-    lines = list(csv.reader(io.StringIO(_text_of(path))))
-    rows: list[list[float]] = []
-    for number, line in enumerate(lines, start=1):
+    path, rows = Path(document.source).parent / value, list[list[float]]()
+    for number, line in enumerate(csv.reader(io.StringIO(_text_of(path))), start=1):
         try:
-            rows.append([int(text) if text.strip().isdecimal() else float(text) for text in line])
+            rows += [[int(text) if text.strip().isdecimal() else float(text) for text in line]] if line else []
         except ValueError as error:
             if number > 1:  # the first may be a header
                 raise document.error(place, f"{path}:{number}: {', '.join(line)} are not all numbers") from error
-    return document.with_value(place, [row for row in rows if row])
+    return document.with_value(place, rows)
 
 
 def _text_of(path: Path) -> str:
@@ -144,7 +142,8 @@ def parse_document(text: str, source: str) -> Document:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of an anchor that is set twice
             marks = YAML(typ="rt").load(text)
-        content = _plain(marks)
+        content = _plain(marks, count(1))
+        json.dumps(content, ensure_ascii=False).encode("utf-8")  # half a sign, a surrogate, is an error
     except MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         where = f"{source}:{mark.line + 1}:{mark.column + 1}" if mark else source
@@ -161,39 +160,26 @@ def parse_scalar(text: str) -> Any:
     return parse_document(text, f"'{text}'").content
 
 
-def _plain(marks: Any) -> Any:
+def _plain(node: Any, count: Iterator[int]) -> Any:
     """The content as plain Python objects; refuses tags and texts that unfold without end."""
-    count = 0
-
-    def walk(node: Any) -> Any:
-        nonlocal count
-        count += 1
-        if count > MOST_BYTES:
-            raise ValueError(f"more than {MOST_BYTES} values")
-        if isinstance(node, CommentedMap | CommentedSeq) and node.tag.value is not None:
-            raise ValueError(f"the tag {node.tag.value} has no place here")
-        if isinstance(node, CommentedMap):
-            for key in node:
-                if not isinstance(key, str | int | float):
-                    raise ValueError("a key must be a plain word or number")
-            return {str(key): walk(node[key]) for key in node}
-        if isinstance(node, CommentedSeq):
-            return [walk(item) for item in node]
-        if isinstance(node, int) and node.bit_length() > 1000:
-            raise ValueError("a whole number of more than 1000 bits")
-        if node is None or isinstance(node, bool | int | float | str):
-            for kind in (bool, int, float, str):
-                if isinstance(node, kind):
-                    return kind(node)
-            return None
+    if next(count) > MOST_BYTES:
+        raise ValueError(f"more than {MOST_BYTES} values")
+    if isinstance(node, CommentedMap | CommentedSeq) and node.tag.value is not None:
+        raise ValueError(f"the tag {node.tag.value} has no place here")
+    if isinstance(node, CommentedMap):
+        if not all(isinstance(key, str | int | float) for key in node):
+            raise ValueError("a key must be a plain word or number")
+        return {str(key): _plain(value, count) for key, value in node.items()}
+    if isinstance(node, CommentedSeq):
+        return [_plain(item, count) for item in node]
+    if isinstance(node, int) and node.bit_length() > 1000:
+        raise ValueError("a whole number of more than 1000 bits")
+    for kind in (bool, int, float, str):
+        if isinstance(node, kind):
+            return kind(node)
+    if node is not None:
         raise ValueError(f"a value of type {type(node).__name__} has no place here")
-
-    content = walk(marks)
-    try:
-        json.dumps(content, ensure_ascii=False).encode("utf-8")
-    except UnicodeEncodeError as error:
-        raise ValueError("a text holds half a sign, a surrogate") from error
-    return content
+    return None
 
 
 @cache
@@ -266,16 +252,14 @@ def _known_keys(kind: Any, content: Any, location: tuple[Any, ...]) -> set[str]:
     there = {key: value for key, value in content.items() if key != location[-1]}
     schema = adapter(kind).json_schema()
     objects = [item.get("properties", {}) for item in (schema, *schema.get("$defs", {}).values())]
-    alike = [_likeness(known, there) for known in objects]
+    # Of another kind are those with another word for one of the keys.
+    alike = [
+        -1 if any(known[key].get("const", there[key]) != there[key] for key in shared) else len(shared)
+        for known in objects
+        for shared in [known.keys() & there.keys()]
+    ]
     keys = {key for known, like in zip(objects, alike, strict=True) if like == max(alike) for key in known}
     return keys - {*there, location[-1]}
-
-
-def _likeness(known: dict[str, Any], there: dict[str, Any]) -> int:
-    """How many keys an object has of those that are there; none if it is of another kind."""
-    if any(known[key].get("const", value) != value for key, value in there.items() if key in known):
-        return 0
-    return len(known.keys() & there.keys())
 
 
 def _worst(faults: list[Any], content: Any) -> tuple[tuple[Any, ...], str]:

@@ -23,15 +23,14 @@ class Combination(Generic[Kind]):
     value: Kind
 
 
-def expanded(document: Document) -> list[tuple[dict[str, Any], Document]]:
-    """The Cartesian product of a document's sweep, the last path fastest: (path → value, document without the sweep).
+def combinations(document: Document, validate: Callable[[Document], Kind]) -> list[Combination[Kind]]:
+    """Every combination of the document's sweep, the last path fastest, as what `validate` makes of it.
 
     Paths lead through mapping keys and list indices; all but the last part must exist in the document, or be mappings
-    that it leaves to their defaults. Raises InputError at the sweep's line where it is malformed or too large.
+    that it leaves to their defaults. Raises InputError: at its own position for a fault of the document, at the
+    sweep's line where it is malformed or too large, for a path that names no place, or a value that does not fit there.
     """
-    if not isinstance(document.content, dict) or "sweep" not in document.content:
-        return [({}, document)]
-    sweep = document.content["sweep"]
+    sweep = document.content.get("sweep", {}) if isinstance(document.content, dict) else {}
     if not isinstance(sweep, dict):
         raise document.error(("sweep",), "must be a mapping of dotted paths to lists of values")
     for path, values in sweep.items():
@@ -41,90 +40,74 @@ def expanded(document: Document) -> list[tuple[dict[str, Any], Document]]:
             raise document.error(("sweep", path), "a sweep cannot vary itself")
     if math.prod(len(values) for values in sweep.values()) > 10_000:
         raise document.error(("sweep",), "more than 10000 combinations")
-    rest = {key: item for key, item in document.content.items() if key != "sweep"}
-    base = dataclasses.replace(document, content=rest)
-    combinations = (dict(zip(sweep, values, strict=True)) for values in itertools.product(*sweep.values()))
-    return [(assignments, with_assignments(base, assignments)) for assignments in combinations]
+    found = []
+    for values in itertools.product(*sweep.values()):
+        assignments = dict(zip(sweep, values, strict=True))
+        varied = _assigned(document, assignments)
+        try:
+            value = validate(varied)
+        except InputError as error:
+            raise _blamed(document, assignments, validate, error) from error
+        for path in assignments:
+            if not _is_place(document.content, value, path.split(".")):
+                raise document.error(("sweep", path), "no such place in this document")
+        found.append(Combination(assignments, varied, value))
+    return found
 
 
-def combinations(document: Document, validate: Callable[[Document], Kind]) -> list[Combination[Kind]]:
-    """Every combination of the document's sweep as what `validate` makes of it.
-
-    Raises InputError: at its own position for a fault of the document, at the sweep's line for a path that names no
-    place or a value that does not fit there.
-    """
-    return [
-        Combination(assignments, varied, _validated(document, assignments, varied, validate))
-        for assignments, varied in expanded(document)
-    ]
-
-
-def with_assignments(document: Document, assignments: dict[str, Any]) -> Document:
-    """A copy with each dotted path set to its value. Raises InputError at a sweep's path that leads nowhere."""
+def _assigned(document: Document, assignments: dict[str, Any]) -> Document:
+    """The document without its sweep, each dotted path set to its value. Raises InputError where one leads nowhere."""
+    varied = document
+    if isinstance(document.content, dict):
+        content = {key: item for key, item in document.content.items() if key != "sweep"}
+        varied = dataclasses.replace(document, content=content)
     for path, value in assignments.items():
         try:
-            document = document.with_value(path.split("."), value)
+            varied = varied.with_value(path.split("."), value)
         except InputError as error:
             raise document.error(("sweep", path), _without_position(error)) from error
-    return document
-
-
-def _validated(
-    document: Document, assignments: dict[str, Any], varied: Document, validate: Callable[[Document], Kind]
-) -> Kind:
-    try:
-        value = validate(varied)
-    except InputError as error:
-        _blame(document, assignments, validate, error)
-        raise
-    for path in assignments:
-        if not _is_place(document.content, value, path.split(".")):
-            raise document.error(("sweep", path), "no such place in this document")
-    return value
+    return varied
 
 
 def _is_place(content: Any, value: Any, parts: list[str]) -> bool:
     """Whether the path leads through what the document holds or, where it is silent, through fields with defaults."""
     for part in parts:
-        index = place_in(content, part)
-        held = index is not None and (index in content if isinstance(content, dict) else index < len(content))
-        if not held and isinstance(value, dict):
-            return False
-        content = content[index] if held else None
-        if dataclasses.is_dataclass(value):
-            value = getattr(value, part, None)
-        elif isinstance(value, dict):
+        try:
+            content = content[place_in(content, part)]
+        except (LookupError, TypeError):
+            if isinstance(value, dict):
+                return False
+            content = None
+        if isinstance(value, dict):
             value = value.get(part)
+        elif isinstance(value, list | tuple) and part.isdigit():
+            value = value[int(part)]
         else:
-            value = None if not isinstance(value, list | tuple) or not isinstance(index, int) else value[index]
+            value = getattr(value, part, None) if dataclasses.is_dataclass(value) else None
     return True
 
 
-def _blame(
+def _blamed(
     document: Document, assignments: dict[str, Any], validate: Callable[[Document], Any], error: InputError
-) -> None:
-    """Raise at the sweep's line where the assignments spoil a document that is in order without them."""
-    if not assignments:
-        return
-    base = dataclasses.replace(document, content={k: item for k, item in document.content.items() if k != "sweep"})
-    if _fault(base, validate) is not None:
-        return
+) -> InputError:
+    """The error, at the sweep's line where the assignments spoil a document that is in order without them."""
+    if not assignments or _fault(_assigned(document, {}), validate):
+        return error
     for path, value in assignments.items():
-        fault = _fault(with_assignments(base, {path: value}), validate)
-        if fault is not None:
+        if fault := _fault(_assigned(document, {path: value}), validate):
             index = document.content["sweep"][path].index(value)
-            location = ("sweep", path) if UNKNOWN in fault else ("sweep", path, index)
-            raise document.error(location, fault) from error
+            return document.error(("sweep", path) if UNKNOWN in fault else ("sweep", path, index), fault)
     values = ", ".join(f"{path} = {value}" for path, value in assignments.items())
-    raise document.error(("sweep",), f"with {values}: {_without_position(error)}") from error
+    return document.error(("sweep",), f"with {values}: {_without_position(error)}")
 
 
-def _fault(document: Document, validate: Callable[[Document], Any]) -> str | None:
+def _fault(document: Document, validate: Callable[[Document], Any]) -> str:
+    """What is wrong with a document; '' where nothing is."""
     try:
         validate(document)
     except InputError as error:
         return _without_position(error)
-    return None
+    return ""
 
 
 def _without_position(error: InputError) -> str:

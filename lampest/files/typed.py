@@ -5,7 +5,7 @@ import typing
 from abc import ABCMeta
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import cache, wraps
+from functools import cache, partial, wraps
 from importlib.metadata import entry_points
 from types import UnionType
 from typing import Any, ClassVar, ParamSpec, TypeVar
@@ -109,9 +109,9 @@ def _arguments(owner: Any, name: str, args: Sequence[Any], kwargs: dict[str, Any
 
 @cache
 def _signature(owner: Any) -> inspect.Signature:
-    made: Any = owner
     if not isinstance(owner, type):
-        return inspect.signature(made)
+        return inspect.signature(owner)
+    made: Any = owner
     return inspect.Signature(list(inspect.signature(made.__init__).parameters.values())[1:])
 
 
@@ -126,28 +126,27 @@ def _checks(owner: Any) -> dict[str, Callable[[Any, str], Any]]:
 
 
 def _check_of(hint: Any) -> Callable[[Any, str], Any] | None:
-    parts = typing.get_args(hint) if typing.get_origin(hint) in (typing.Union, UnionType) else ()
-    if any(typing.get_origin(part) is np.ndarray for part in (hint, *parts)):
-        kind = np.float64 if "float64" in str(hint) else None
-        return lambda value, what: (
-            value if value is None and type(None) in parts else np.asarray(real_array(value, what), kind)
-        )
+    parts = typing.get_args(hint) if typing.get_origin(hint) in (typing.Union, UnionType) else (hint,)
     validator = schema_of(hint)
+    if any(typing.get_origin(part) is np.ndarray for part in parts):
+        kind = np.float64 if "float64" in str(hint) else None
+        optional = type(None) in parts
+        return lambda value, what: value if value is None and optional else np.asarray(real_array(value, what), kind)
     if validator is None:
-        kinds = tuple(part for part in (parts or (hint,)) if isinstance(part, type))
-        return (lambda value, what: _instance(value, kinds, what)) if kinds and hint is not type(None) else None
-
-    def check(value: Any, what: str) -> Any:
-        plain = _plain(value, what)
-        try:
-            return conformed(validator, plain)
-        except InputError as error:
-            raise InputError(f"{what}: {error}") from error
-
-    return check
+        kinds = tuple(part for part in parts if isinstance(part, type))
+        return partial(_instance, kinds) if kinds and hint is not type(None) else None
+    return partial(_conformed, validator)
 
 
-def _instance(value: Any, kinds: tuple[type, ...], what: str) -> Any:
+def _conformed(validator: Any, value: Any, what: str) -> Any:
+    plain = _plain(value, what)
+    try:
+        return conformed(validator, plain)
+    except InputError as error:
+        raise InputError(f"{what}: {error}") from error
+
+
+def _instance(kinds: tuple[type, ...], value: Any, what: str) -> Any:
     if not isinstance(value, kinds):
         needed = " or ".join(kind.__name__ for kind in kinds)
         raise InputError(f"{what}: {needed} is needed, not {in_words(value)}")

@@ -34,9 +34,3 @@ def test_wrong_input_of_live(lampest: Callable[..., SimpleNamespace], words: Any
 def test_live_ends_after_so_many_frames(lampest: Callable[..., SimpleNamespace]) -> None:
     done = lampest("live", "--recording", LAMPREY, "--speed", "1e6", "--count", "4", "--http", "127.0.0.1:0")
     assert done.code == 0 and done.out.startswith("http://127.0.0.1:")
-
-
-@pytest.mark.slow
-def test_the_word_of_the_release_before_for_a_count_answers(lampest: Callable[..., SimpleNamespace]) -> None:
-    done = lampest("live", "--recording", LAMPREY, "--speed", "1e6", "--frames", "4", "--http", "127.0.0.1:0")
-    assert done.code == 0 and "--frames is now: --count" in done.err

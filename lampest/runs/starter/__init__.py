@@ -12,16 +12,9 @@ from lampest.recording.simulation import Simulation, simulate
 from lampest.runs.config import json_schema
 
 TEMPLATES = Path(__file__).parent
-RUN, SCENE, SIMULATION, RECORDING, SCHEMA = (
-    "run.yaml",
-    "scene.yaml",
-    "simulation.yaml",
-    "example.h5",
-    "lampest.schema.json",
-)
+RUN, SCENE, SIMULATION = "run.yaml", "scene.yaml", "simulation.yaml"
+RECORDING, SCHEMA = "example.h5", "lampest.schema.json"
 FILES = (SCENE, SIMULATION, SCHEMA, RECORDING, RUN)
-
-
 # A lamprey's mouth where the panel has room for it, else a weight.
 MOUTH = """\
   - kind: oral_disc       # a lamprey's mouth
@@ -51,8 +44,8 @@ class StarterCircuit:
 
 def circuit_called(word: str) -> StarterCircuit:
     """The circuit of that word. Raises InputError where there is none."""
-    text = (TEMPLATES / "circuits.yaml").read_text(encoding="utf-8")
-    known: dict[str, StarterCircuit] = validated(parse_document(text, "circuits.yaml"), dict[str, StarterCircuit])
+    document = parse_document(_template("circuits.yaml"), "circuits.yaml")
+    known: dict[str, StarterCircuit] = validated(document, dict[str, StarterCircuit])
     if word not in known:
         raise InputError(f"--readout: there is no {word!r}; there are {', '.join(known)}{meant(word, known)}")
     return known[word]
@@ -68,41 +61,22 @@ def write_starter(folder: Path, circuit: str = "two_mux", rows: int = 10, column
     for path in paths.values():
         if path.exists():
             raise InputError(f"{path}: is there already; name another folder, and nothing of yours is replaced")
-    texts = {SCENE: starter_scene(chosen, rows, columns), RUN: (TEMPLATES / RUN).read_text(encoding="utf-8")}
-    texts[SIMULATION] = simulation_text(texts[SCENE], rows, columns)
-    texts[SCHEMA] = json.dumps(json_schema(), indent=2) + "\n"
-    recording = simulate(validated(parse_document(texts[SIMULATION], SIMULATION), Simulation), paths[RECORDING].stem)
-    for name, path in paths.items():
-        if name == RECORDING:
-            recording.save(path)
-        else:
-            write_whole(path, texts[name])
+    wiring = {"page": chosen.page, "sketch": indent(chosen.sketch, "#   "), "software": chosen.software}
+    scene = _template(SCENE, rows=str(rows), columns=str(columns), readout=chosen.readout, **wiring)
+    centre = f"[{max(5 * columns - 6, 0)}, {max(5 * rows - 4, 0)}]"  # the middle of the panel
+    load = (MOUTH if min(rows, columns) >= 6 else WEIGHT).replace("{centre}", centre)
+    simulation = _template(SIMULATION, load=load).replace("scene: {}\n", "scene:\n" + indent(scene, "  "))
+    simulated: Simulation = validated(parse_document(simulation, SIMULATION), Simulation)
+    simulate(simulated, paths[RECORDING].stem).save(paths[RECORDING])
+    schema = json.dumps(json_schema(), indent=2) + "\n"
+    for name, text in {SCENE: scene, SIMULATION: simulation, SCHEMA: schema, RUN: _template(RUN)}.items():
+        write_whole(paths[name], text)
     return tuple(paths.values())
 
 
-def starter_scene(circuit: StarterCircuit, rows: int, columns: int) -> str:
-    """The scene's file: wiring, panel and readout."""
-    values = {
-        "page": circuit.page,
-        "sketch": indent(circuit.sketch, "#   "),
-        "software": circuit.software,
-        "rows": str(rows),
-        "columns": str(columns),
-        "readout": circuit.readout,
-    }
-    return filled_in((TEMPLATES / SCENE).read_text(encoding="utf-8"), values)
-
-
-def simulation_text(scene: str, rows: int, columns: int) -> str:
-    """The simulation's file, whose `scene:` is the text of the scene's file, with a load in the middle of the panel."""
-    centre = f"[{max(5 * columns - 6, 0)}, {max(5 * rows - 4, 0)}]"
-    load = (MOUTH if min(rows, columns) >= 6 else WEIGHT).replace("{centre}", centre)
-    template = filled_in((TEMPLATES / SIMULATION).read_text(encoding="utf-8"), {"load": load})
-    return template.replace("scene: {}\n", "scene:\n" + indent(scene, "  "))
-
-
-def filled_in(text: str, values: dict[str, str]) -> str:
-    """A text with {name} replaced; other braces are YAML's."""
-    for name, value in values.items():
-        text = text.replace(f"{{{name}}}", value)
+def _template(name: str, **values: str) -> str:
+    """A template's text with {name} replaced; other braces are YAML's."""
+    text = (TEMPLATES / name).read_text(encoding="utf-8")
+    for word, value in values.items():
+        text = text.replace(f"{{{word}}}", value)
     return text
