@@ -1,9 +1,8 @@
 """Groups of HDF5 files from file to file, dataset by dataset and part by part, so that memory holds little of them."""
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import h5py
 import numpy as np
@@ -14,9 +13,8 @@ TIME = "time"  # the axis along which parts follow each other
 OF_AXES = ("DIMENSION_LIST", "REFERENCE_LIST", "CLASS", "NAME")  # by which HDF5 ties axes to datasets
 
 
-@dataclass(frozen=True)
-class DatasetPlan:
-    """A dataset as it is to be: shape, dtype, the paths of its axes' scales, attributes.
+class DatasetPlan(NamedTuple):
+    """A dataset as it is to be; scales : the paths of its axes'.
 
     is_scale : whether it is an axis itself. along : whether its first axis is time. owner : the last file that has it.
     """
@@ -24,23 +22,9 @@ class DatasetPlan:
     shape: tuple[int, ...]
     dtype: Any
     scales: tuple[str, ...]
-    attributes: dict[str, Any]
     is_scale: bool
     along: bool
     owner: Path
-
-    @classmethod
-    def of(cls, dataset: h5py.Dataset, owner: Path) -> "DatasetPlan":
-        """As it is."""
-        scales = () if dataset.is_scale else tuple(str(dim[0].name) if len(dim) else "" for dim in dataset.dims)
-        along = f"{dataset.name if dataset.is_scale else (*scales, '')[0]}".endswith(f"/{TIME}")
-        attributes = _attributes(dataset)
-        return cls(tuple(dataset.shape), dataset.dtype, scales, attributes, bool(dataset.is_scale), along, owner)
-
-    def longer(self, other: "DatasetPlan") -> "DatasetPlan":
-        """With the frames of another part behind its own; texts as long as the longest."""
-        longest = max(self.dtype, other.dtype, key=lambda dtype: int(dtype.itemsize))
-        return replace(other, dtype=longest, shape=(self.shape[0] + other.shape[0], *self.shape[1:]))
 
 
 def join_parts(parts: Sequence[Path], target: h5py.Group, group: str) -> None:
@@ -50,19 +34,17 @@ def join_parts(parts: Sequence[Path], target: h5py.Group, group: str) -> None:
     an empty text there. Raises InputError where a file cannot be read.
     """
     plans: dict[str, DatasetPlan] = {}
-    groups: dict[str, dict[str, Any]] = {}
+    attributes: dict[str, dict[str, Any]] = {}
     begins: list[dict[str, int]] = []
     for part in parts:
         with hdf5.existing_file(part) as file:
             begins.append(_lengths(plans))
             for path, node in _below(file[group]):
-                if isinstance(node, h5py.Group):
-                    groups[path] = _attributes(node)
-                else:
-                    before, found = plans.get(path), DatasetPlan.of(node, part)
-                    plans[path] = before.longer(found) if before is not None and found.along else found
-    for path, attributes in groups.items():
-        (target.require_group(path) if path else target).attrs.update(attributes)
+                attributes[path] = {name: value for name, value in node.attrs.items() if name not in OF_AXES}
+                if isinstance(node, h5py.Dataset):
+                    plans[path] = _planned(node, part, plans.get(path))
+                elif path:
+                    target.require_group(path)
     joined = {path: plan for path, plan in plans.items() if plan.along and len(parts) > 1}
     for path, plan in joined.items():
         shape = (_lengths(plans)[_parent(path)], *plan.shape[1:])
@@ -78,26 +60,29 @@ def join_parts(parts: Sequence[Path], target: h5py.Group, group: str) -> None:
                     target[path][first : first + len(node)] = node[()]
                 elif path in plans and plans[path].owner == part:
                     file.copy(node, target, path, without_attrs=True)
-    for path, plan in plans.items():
-        target[path].attrs.update(plan.attributes)
-        if plan.is_scale:
+    for path, held in attributes.items():
+        (target[path] if path else target).attrs.update(held)
+        if path in plans and plans[path].is_scale:
             target[path].make_scale(path.rsplit("/", 1)[-1])
-    hdf5.attach_scales(
-        target, {path: tuple(scale.removeprefix(f"{group}/") for scale in plan.scales) for path, plan in plans.items()}
-    )
+    for path, plan in plans.items():
+        hdf5.attach_scales(target, {path: tuple(scale.removeprefix(f"{group}/") for scale in plan.scales)})
 
 
-def _lengths(plans: dict[str, DatasetPlan]) -> dict[str, int]:
+def _planned(dataset: h5py.Dataset, owner: Path, before: DatasetPlan | None) -> DatasetPlan:
+    """With the frames of this part behind those of the parts before; texts as long as the longest."""
+    scales = () if dataset.is_scale else tuple(str(dim[0].name) if len(dim) else "" for dim in dataset.dims)
+    along = f"{dataset.name if dataset.is_scale else (*scales, '')[0]}".endswith(f"/{TIME}")
+    shape, dtype = dataset.shape, dataset.dtype
+    if before is not None and along:
+        shape = (before.shape[0] + shape[0], *shape[1:])
+        dtype = max(before.dtype, dtype, key=lambda kind: int(kind.itemsize))
+    return DatasetPlan(tuple(shape), dtype, scales, bool(dataset.is_scale), along, owner)
+
+
+def _lengths(plans: Mapping[str, DatasetPlan]) -> dict[str, int]:
     """Estimator, or what was measured → frames so far."""
-    return {
-        _parent(path): plan.shape[0]
-        for path, plan in plans.items()
-        if path.endswith(f"/{TIME}") and path.count("/") == 1
-    }
-
-
-def _attributes(node: Any) -> dict[str, Any]:
-    return {name: value for name, value in node.attrs.items() if name not in OF_AXES}
+    times = {path: plan for path, plan in plans.items() if path.endswith(f"/{TIME}") and path.count("/") == 1}
+    return {_parent(path): plan.shape[0] for path, plan in times.items()}
 
 
 def _below(group: h5py.Group, before: str = "") -> Iterator[tuple[str, Any]]:

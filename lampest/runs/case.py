@@ -29,19 +29,14 @@ class CaseResult(Held):
 
     recording, estimator : the recording's stem and the estimator's name, printable ASCII without '/'.
     case_id, case_yaml : hash and YAML text of the resolved case. versions : library → version.
-    scene : the recording's, as given to the estimator.
     costs, weights, disc, contacts, misfit : name → (frames), see `lampest.runs.columns.FIGURES`; with `_errors` behind
         a name its standard deviation.
     baseline_status, baseline_solve_time : how the baseline's solve ended, and its time in s (NaN: not solved apart).
-    joint_start : whether the first frame was solved together with the baseline.
-    model_mark, model_sentence : whether the circuit explains the recording ('yes', 'no', 'noise', 'not checked'; empty
-        where an older file does not say), and the sentence that says so.
-    noise_sentence, noise_learned, film_sentence : what frames say against the scene's noise, what was learned from
-        them, what the scene leaves open of the film; ''.
-    warnings : what speaks against the case, lines of a text.
+    model_mark : whether the circuit explains the recording: 'yes', 'no', 'noise' or 'not checked'.
     reading_error : standard deviation of the logarithm of a factor on each reading, learned from still cells; 0: none.
     frame_noise : what the readings of a frame share by chance; empty: nothing.
     start_time : date and time at 0 s, ISO 8601, with its zone where that is known; '' where it is not.
+    sentences and warnings : '' where there is nothing to say.
     the other arrays : as the columns of their names say; None where nobody asked. NaN where a frame failed.
     extra : name → values of the columns that installed packages or scripts add.
 

@@ -194,13 +194,13 @@ class Series:
         return said | {"flag_values": values, "flag_meanings": " ".join(word for _, word in self.flags)}
 
 
-def column(axes: tuple[str, ...], units: str, words: str, *checks: Check, default: Any = MISSING, **more: Any) -> Any:
+def declared(axes: tuple[str, ...], units: str, words: str, *checks: Check, default: Any = MISSING, **more: Any) -> Any:
     """A field of a case that is a column; default : None where a case need not have it. more : as `Column`."""
     about = {"axes": axes, "units": units, "long_name": words, "checks": checks} | more
     return field(default=default, metadata={"column": about})
 
 
-maps, frames, cells = partial(column, MAPS), partial(column, FRAMES), partial(column, CELLS, "ohm")
+maps, frames, cells = partial(declared, MAPS), partial(declared, FRAMES), partial(declared, CELLS, "ohm")
 counts = partial(frames, "1", dtype=np.int64)
 GIVEN: dict[str, Any] = {"shared": True}
 MAYBE: dict[str, Any] = {"default": None}  # not every case has it

@@ -34,17 +34,10 @@ FORBID: dict[str, Any] = {"extra": "forbid"}
 
 def terms_class(kinds: Mapping[str, type[Term]], *bases: type[Any]) -> type[Any]:
     """A dataclass with a field for every kind of term, None by default."""
-    return make_dataclass(
-        "Terms",
-        [(kind, term | None, field(default=None)) for kind, term in kinds.items()],
-        bases=bases,
-        frozen=True,
-        namespace={
-            "__pydantic_config__": FORBID,
-            "__module__": __name__,
-            "__doc__": "The cost terms of an estimator, by kind.",
-        },
-    )
+    said = "The cost terms of an estimator, by kind."
+    space = {"__pydantic_config__": FORBID, "__module__": __name__, "__doc__": said}
+    terms = [(kind, term | None, field(default=None)) for kind, term in kinds.items()]
+    return make_dataclass("Terms", terms, bases=bases, frozen=True, namespace=space)
 
 
 class _WithInstalled:
@@ -157,12 +150,15 @@ def read_run(path: Path, settings: tuple[str, ...] = ()) -> Run:
         for swept in point.assignments:
             if swept.split(".")[0] == "executor":
                 raise document.error(("sweep", swept), "where cases run changes no result, so it cannot be swept")
-        methods = [_Method.read(point, name) for name in _affected(run, point.assignments)]
+        methods = [
+            (_varied_name(name, point.assignments), resolve(point.document, run, name))
+            for name in _affected(run, point.assignments)
+        ]
         for file in recording_paths(path, run.recordings):
             source = recordings[file] = recordings.get(file) or _Source.read(file)
-            for method in methods:
-                source.check(document, method)
-                cases.append(_case(source, method))
+            for name, estimator in methods:
+                source.check(f"{path}: {name} × {file.stem}", estimator)
+                cases.append(source.case(name, estimator))
     faults = [source.fault for source in recordings.values()]
     if faults[0] is not None and all(faults):
         raise faults[0]
@@ -176,7 +172,7 @@ def read_run(path: Path, settings: tuple[str, ...] = ()) -> Run:
 
 @dataclass(frozen=True, eq=False)
 class _Source:
-    """A recording as cases need it; `blocks` are its entries of the resolved case, key → YAML text.
+    """A recording as cases need it.
 
     scene, readings : None where the file cannot be read, and fault : why. stored : where it is too long for memory;
     then `readings` are its first.
@@ -184,9 +180,8 @@ class _Source:
 
     path: Path
     sha256: str
-    scene: Scene | None
-    readings: Readings | None
-    blocks: dict[str, str]
+    scene: Scene | None = None
+    readings: Readings | None = None
     fault: InputError | None = None
     stored: StoredRecording | None = None
 
@@ -194,44 +189,43 @@ class _Source:
     def read(cls, path: Path) -> "_Source":
         if not path.is_file():
             raise InputError(f"{path}: no such file")
-        sha256 = digest(path)
-        blocks = _blocks({"recording": path.stem, "recording_sha256": sha256})
+        names = path.absolute(), digest(path)
         try:
             recording = opened(path)
             if isinstance(recording, StoredRecording):
                 first = recording.part(recording.blocks()[0])
-                return cls(path.absolute(), sha256, recording.scene, first.readings(), blocks, stored=recording)
+                return cls(*names, recording.scene, first.readings(), stored=recording)
             recording.measured_frames()
         except InputError as error:
-            return cls(path.absolute(), sha256, None, None, blocks, error)
-        return cls(path.absolute(), sha256, recording.scene, recording.readings(), blocks)
+            return cls(*names, fault=error)
+        return cls(*names, recording.scene, recording.readings())
 
-    def check(self, document: Document, method: "_Method") -> None:
+    def check(self, case: str, estimator: Estimator) -> None:
         """Raise InputError where an estimator needs what the recording does not say, or cannot serve its scene."""
         if self.scene is None or self.readings is None:
             return
         try:
-            method.estimator.check(self.scene)
+            estimator.check(self.scene)
             if self.stored is not None:
-                check_by_parts(method.estimator, self.stored)
+                check_by_parts(estimator, self.stored)
         except InputError as error:
-            raise InputError(f"{document.source}: {method.name} × {self.path.stem}: {error}") from error
-        method.estimator.data(self.readings, Background(self.scene))
+            raise InputError(f"{case}: {error}") from error
+        estimator.data(self.readings, Background(self.scene))
+
+    def case(self, name: str, estimator: Estimator) -> Case:
+        """With an estimator of that name."""
+        recording = self.path.stem
+        content = {"recording": recording, "recording_sha256": self.sha256, "estimator": name, "case_format": 1}
+        entries = {key: value for key, value in (content | plain_content(estimator)).items() if value is not None}
+        # One after the other, in the order of their keys, the entries' texts are that of the mapping.
+        resolved = "".join(_block(key, json.dumps(plain_content(entries[key]))) for key in sorted(entries))
+        return Case(self.path, self.sha256, recording, name, estimator, resolved, hash_of(resolved), self.stored)
 
 
-@dataclass(frozen=True, eq=False)
-class _Method:
-    """An estimator at one point of the sweep; `blocks` as in `_Source`."""
-
-    name: str
-    estimator: Estimator
-    blocks: dict[str, str]
-
-    @classmethod
-    def read(cls, point: sweep.Combination[RunFile], name: str) -> "_Method":
-        estimator = resolve(point.document, point.value, name)
-        varied = _varied_name(name, point.assignments)
-        return cls(varied, estimator, _blocks({"estimator": varied, **plain_content(estimator), "case_format": 1}))
+@lru_cache(maxsize=4096)
+def _block(key: str, value: str) -> str:
+    """The YAML text of an entry, given as JSON: most cases of a sweep share most of them, and YAML takes its time."""
+    return to_yaml({key: json.loads(value)})
 
 
 def hash_of(resolved: str) -> str:
@@ -300,24 +294,6 @@ def _varied_name(name: str, assignments: dict[str, Any]) -> str:
         text = value if isinstance(value, str) else json.dumps(value)
         parts.append(f"{short}={text}".replace("/", "|"))
     return "@".join(filter(None, (name, ",".join(parts))))
-
-
-def _blocks(entries: dict[str, Any]) -> dict[str, str]:
-    """The YAML text of every entry: one after the other, in the order of their keys, they are that of the mapping."""
-    return {key: _block(key, json.dumps(plain_content(value))) for key, value in entries.items() if value is not None}
-
-
-@lru_cache(maxsize=4096)
-def _block(key: str, value: str) -> str:
-    """One of them, of a value as JSON: most cases of a sweep share most of them, and YAML takes its time."""
-    return to_yaml({key: json.loads(value)})
-
-
-def _case(source: _Source, method: _Method) -> Case:
-    blocks = source.blocks | method.blocks
-    resolved = "".join(blocks[key] for key in sorted(blocks))
-    names = source.path.stem, method.name
-    return Case(source.path, source.sha256, *names, method.estimator, resolved, hash_of(resolved), source.stored)
 
 
 def json_schema() -> dict[str, Any]:
