@@ -5,7 +5,6 @@ An executor calls a function once for every argument, hands out one call at a ti
 
 import logging
 import signal
-import time
 from collections import Counter, deque
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import ExitStack, closing, contextmanager
@@ -26,7 +25,6 @@ DIED = f"its process died {MOST_TRIES} times"
 HUNG = (
     "a frame went on far beyond solver.time_limit_s, in a step that nothing interrupts, so that its process was ended"
 )
-PATIENCE_SECONDS = 1.0  # for a call under way when nobody waits for it any more
 FEW = 12  # so many tasks of half a second end before processes have started
 # A worker of Dask is handed one task at a time where there are many.
 SCHEDULING = {
@@ -53,8 +51,8 @@ class Executor(Configuration):
     def results(self, function: Function, arguments: Sequence[Any]) -> Pairs:
         """(argument, result) pairs as they are finished; the result is an exception where the call raised one.
 
-        Raises LostError where no further result will come. After the generator is closed no further call starts; a
-        call under way ends or dies, and writes no half file.
+        Raises LostError where no further result will come. When the generator is closed, no further call starts; one
+        under way dies, and leaves no half file under a file's name.
         """
         raise NotImplementedError
 
@@ -110,7 +108,7 @@ class Processes(Executor):
                     try:
                         outcome = connection.recv()
                     except (EOFError, OSError):
-                        worker.stop()
+                        worker.kill()
                         tries[number] += 1
                         idle.append(Worker.start(function))
                         if not worker.hung and tries[number] < MOST_TRIES:
@@ -121,13 +119,8 @@ class Processes(Executor):
                         idle.append(worker)
                     yield arguments[number], outcome
         finally:
-            for worker in idle:
-                worker.stop()
-            for worker, _ in busy.values():
-                worker.connection.close()
-            patience = time.monotonic() + PATIENCE_SECONDS
-            for worker, _ in busy.values():
-                worker.leave(patience - time.monotonic())
+            for worker in (*idle, *(worker for worker, _ in busy.values())):
+                worker.kill()
 
 
 @dataclass(frozen=True)

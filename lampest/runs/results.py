@@ -162,14 +162,13 @@ def _check_together(cases: Sequence[CaseResult], columns: Sequence[Column]) -> N
     """Cases of one recording must have been given the same."""
     seen: set[str] = set()
     for case in cases:
-        first, numbers = cases[0], _numbers(cases[0].scene)
+        first = cases[0]
         shared = [column.name for column in case.described(columns) if column.shared]
         if case.estimator in seen:
             raise InputError(f"two cases are called {case.recording} × {case.estimator}")
         seen.add(case.estimator)
         for name, ours, theirs in (
             *((name, case.column(name), first.column(name)) for name in shared),
-            *((name, _numbers(case.scene).get(name), number) for name, number in numbers.items()),
             ("start_time", case.start_time, first.start_time),
             ("scene", case.scene, first.scene),
         ):
@@ -186,7 +185,6 @@ def _write_case(group: h5py.Group, case: CaseResult, table: Sequence[Column], wi
     series = series_of(case, table, raw=True).values()
     if with_given:
         given = _group_of_data(group, SHARED, MEASURED.of(case.scene.circuit).path)
-        hdf5.set_attributes(given, **_numbers(case.scene))
         texts = {"scene": (scene_text(case.scene), "what was measured, YAML")}
         if case.start_time:
             texts["start_time"] = case.start_time, "date and time at 0 s of the time axis, ISO 8601"
@@ -201,13 +199,6 @@ def _write_case(group: h5py.Group, case: CaseResult, table: Sequence[Column], wi
     attributes["joint_start"] = np.uint8(case.joint_start)
     hdf5.set_attributes(estimate, **attributes)
     _write_series(estimate, case, [one for one in series if not one.shared or one.name in (TIME.name, FRAME.name)])
-
-
-def _numbers(scene: Scene) -> dict[str, float]:
-    """Attributes of a recording's group: numbers of its scene, which stands beside them as YAML text."""
-    series, depth = scene.series_resistance_ohm, None if scene.water is None else scene.water.top_row_depth_mm
-    numbers = {"pitch_mm": scene.panel.pitch_mm, "series_resistance_ohm": series, "top_row_depth_mm": depth}
-    return {name: float(number) for name, number in numbers.items() if isinstance(number, int | float)}
 
 
 def _group_of_data(parent: h5py.Group, name: str, signal: str) -> h5py.Group:

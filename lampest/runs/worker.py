@@ -38,26 +38,16 @@ class Worker:
         with suppress(BrokenPipeError):
             self.connection.send(argument)
 
-    def stop(self) -> None:
-        """Wait until the process has ended what it is at."""
-        self.connection.close()
-        self.process.join()
-
     @property
     def hung(self) -> bool:
         """Whether a process that has stopped was ended by `ended_where_hung`."""
         return self.process.exitcode == -signal.SIGALRM
 
-    def leave(self, seconds: float) -> None:
-        """Wait so long for what the process is at, then end it."""
-        self.connection.close()
-        self.process.join(max(seconds, 0.0))
-        self.kill()
-
     def kill(self) -> None:
         """End the process, whatever it is at."""
+        self.connection.close()
         self.process.kill()
-        self.stop()
+        self.process.join()
 
 
 def _work(function: Function, connection: Connection) -> None:
