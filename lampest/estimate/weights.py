@@ -1,5 +1,7 @@
 """`weight: auto`: of one penalty with a squared loss by a rule (`lampest.posterior.spectrum`), else the evidence's.
 
+The rule `press` takes losses with a derivative, too.
+
 The cost is linearised at an estimate; the estimate for the weight that this gives is where it is linearised next.
 """
 
@@ -48,7 +50,8 @@ def with_chosen_weights(
         estimator.cost(scene, len(data.measured), data.partial), data, estimator.solver, tuple(others)
     )
     penalties = [number for number, term in enumerate(estimator.terms) if not term.reads_measurement]
-    single = len(penalties) == 1 and estimator.terms[penalties[0]].loss.squared
+    losses = [estimator.terms[number].loss for number in penalties]
+    single = len(losses) == 1 and (losses[0].squared or (rule == "press" and losses[0].enters != "dual"))
     first = convex(data, near) if near is None else near
     with np.errstate(all="ignore"):
         if single and data.measured.size <= MOST_DENSE:

@@ -47,13 +47,20 @@ class Spectrum:
 
     @classmethod
     def of(cls, model: LinearModel) -> "Spectrum":
-        """Of an estimate whose one penalty has a squared loss. Raises LinAlgError where data leave it flat."""
+        """Of an estimate with one penalty, which reweighted least squares stand for where its loss is not squared.
+
+        Raises LinAlgError where data leave it flat.
+        """
         size = np.sqrt(model.data_curvature)
         jacobian = DenseErrors(model).jacobian * size[:, None]
         matrix = jacobian.T @ jacobian
         matrix[np.diag_indices(len(matrix))] += IGNORANCE * model.scale
         factor, _ = cho_factor(matrix, lower=True)
-        penalties = solve_triangular(factor, model.penalty_jacobian.toarray()[:, model.free].T, lower=True)
+        loss = model.at.cost.terms[model.penalty_term[0]].loss
+        pull = np.ones(len(model.penalty)) if loss.squared else np.sqrt(loss.stiffness(model.penalty))
+        penalty = pull * model.penalty
+        penalty_rows = pull[:, None] * model.penalty_jacobian.toarray()[:, model.free]
+        penalties = solve_triangular(factor, penalty_rows.T, lower=True)
         stiffness, vectors = eigh(penalties @ penalties.T)
         back = solve_triangular(factor, vectors, lower=True, trans="T")
         directions, residual = jacobian @ back, size * model.residual
@@ -61,10 +68,10 @@ class Spectrum:
         return cls(
             np.maximum(stiffness, 0),
             directions.T @ residual,
-            vectors.T @ (penalties @ model.penalty),
+            vectors.T @ (penalties @ penalty),
             directions,
             residual,
-            float(model.penalty @ model.penalty),
+            float(penalty @ penalty),
             model.scale,
             min(rank(model.at.cost.unweighted), len(stiffness)),
             float(np.sum(np.log(np.diag(factor) ** 2 / model.scale))),

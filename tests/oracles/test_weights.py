@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 
 from lampest import two_point_resistance
 from lampest.cost.given import Background
-from lampest.cost.losses import Absolute
+from lampest.cost.losses import Absolute, Huber, Student
 from lampest.cost.problem import Data
 from lampest.cost.terms import CellResistance, Gradient, GradientOfRelativeChange, Misfit, RelativeChange, Term
 from lampest.estimate.estimator import AutoWeight, Estimator
@@ -79,6 +79,14 @@ def test_spectrum_is_the_linear_problem_solved(term: Term, factor: float) -> Non
         slope = jacobian[keep].T @ model.residual[keep] + weight * rows.T @ model.penalty
         left_out += abs(float(model.residual[reading] - jacobian[reading] @ np.linalg.solve(reduced, slope)))
     assert_allclose(spectrum.press(weight), left_out**2, rtol=2e-2)
+
+
+@pytest.mark.parametrize("loss", [Huber(corner=50.0), Student(corner=50.0)], ids=["huber", "student"])
+def test_slopes_of_another_loss_balance_at_its_estimate(loss: Huber | Student) -> None:
+    spectrum, model = spectrum_and_model(Gradient(weight=1e-5, loss=loss))
+    assert np.mean(np.abs(model.penalty) > 50.0) > 0.3, "most rows lie beyond the corner"
+    largest = np.abs(spectrum.misfit_slope).max()
+    assert_allclose(spectrum.misfit_slope, -1e-5 * spectrum.penalty_slope, atol=1e-4 * largest)
 
 
 def test_risk_is_unbiased_where_the_model_is_linear() -> None:
@@ -180,6 +188,8 @@ def test_without_noise_readings_predict_each_other() -> None:
     asked = replace(estimator, auto_weight=AutoWeight(rule="evidence"))
     with pytest.raises(InputError, match="evidence needs the noise"):
         reconstruct(recording(None), asked)
+    huber = replace(estimator, terms=(Misfit(), Gradient(weight=AUTO, loss=Huber(corner=300.0))))
+    assert reconstruct(recording(None), huber).steps[0].weights[1] > 0
     two = replace(estimator, terms=(*estimator.terms, CellResistance(weight=AUTO)))
     with pytest.raises(InputError, match="needs the noise"):
         reconstruct(recording(None), two)
