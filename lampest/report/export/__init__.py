@@ -20,14 +20,8 @@ from lampest.report.export.tables import CsvExport, ParquetExport
 from lampest.runs.case import CaseResult
 from lampest.runs.results import read_results
 
-__all__ = ["EXPORTS", "Export", "export_of", "export_results"]
+__all__ = ["EXPORTS", "Export", "export_results"]
 EXPORTS: tuple[Export, ...] = (CsvExport(), ParquetExport(), MatlabExport(), ZarrExport(), NwbExport())
-
-
-def export_of(kind: str) -> Export:
-    """The format of that kind, of lampest or of an installed package. Raises InputError where there is none or two."""
-    exports: tuple[Export, ...] = (*EXPORTS, *installed("lampest.exports", Export))
-    return of_kind(kind, "format", exports)
 
 
 @typed
@@ -51,7 +45,8 @@ def export_results(
     >>> lampest.export_results("results.h5", "mat")[0].name
     'results.mat'
     """
-    export = export_of(to) if isinstance(to, str) else to
+    known: tuple[Export, ...] = (*EXPORTS, *installed("lampest.exports", Export))
+    export = of_kind(to, "format", known) if isinstance(to, str) else to
     source = Path(results)
     path = source.with_suffix(export.suffix) if out is None else Path(out)
     written = (path, path.with_name(path.name + export.beside)) if export.beside else (path,)

@@ -19,7 +19,7 @@ from lampest.report.page.measures import (
     picks,
     weighted_residual,
 )
-from lampest.report.page.template import between, signed, weights_text
+from lampest.report.page.template import between, weights_text
 from lampest.report.words import counted, digits, listed
 from lampest.runs.case import CaseResult
 
@@ -210,7 +210,7 @@ def _reasons(comparison: Comparison, taken: Standing, alike: Sequence[Standing])
     if comparison.over_frames:
         basis = f"mean over {counted(units, 'frame')} of one recording, drawn in blocks of {comparison.block}"
     yield f"{best.estimator} has the smallest {criterion.name}: {between(best.mean, criterion.unit)}, {basis}."
-    others = [f"{row.estimator} ({signed(row.difference, points)})" for row in alike if row is not best]
+    others = [f"{row.estimator} ({between(row.difference, points, '+')})" for row in alike if row is not best]
     if others:
         yield f"Within a twentieth of it: {listed(others)}."
     if taken is not best:
@@ -218,7 +218,7 @@ def _reasons(comparison: Comparison, taken: Standing, alike: Sequence[Standing])
         yield f"{taken.estimator} takes {fast} ms a frame, {best.estimator} {slow} ms."
     worse = [row for row in comparison.standings if row not in alike]
     if worse:
-        texts = [f"{row.estimator} by {signed(row.difference)}" for row in worse]
+        texts = [f"{row.estimator} by {between(row.difference, sign='+')}" for row in worse]
         yield f"Larger than that of {best.estimator}, in {points}: {listed(texts)}."
     unsure = [row.estimator for row in worse if not row.told_apart]
     if unsure:

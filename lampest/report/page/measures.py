@@ -26,11 +26,6 @@ class Interval:
     lower: float
     upper: float
 
-    @classmethod
-    def of(cls, value: float, draws: Array) -> "Interval":
-        """From what the figure is for each of the draws."""
-        return cls(value, *map(float, np.percentile(draws, (2.5, 97.5))))
-
 
 def block_length(values: Array) -> int:
     """Frames that are drawn together: n^(1/3), or as many as their memory lasts, at most n/3.
@@ -59,7 +54,7 @@ def picks(count: int, block: int, generator: np.random.Generator) -> Picks:
 
 def mean_interval(values: Array, drawn: Picks) -> Interval:
     """The mean of (units) values and its interval."""
-    return Interval.of(float(np.mean(values)), values[drawn].mean(axis=1))
+    return Interval(float(np.mean(values)), *np.percentile(values[drawn].mean(axis=1), (2.5, 97.5)).tolist())
 
 
 @np.errstate(over="ignore")

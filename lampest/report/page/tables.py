@@ -7,7 +7,7 @@ import numpy as np
 from lampest.report.compare import LEAST, Table
 from lampest.report.page.compared import Comparison
 from lampest.report.page.measures import figures
-from lampest.report.page.template import HARD, NONE, between, frames_text, signed, weights_text
+from lampest.report.page.template import HARD, NONE, between, frames_text, weights_text
 from lampest.report.words import digits
 from lampest.runs.case import CaseResult
 
@@ -74,7 +74,7 @@ def standing_table(comparison: Comparison) -> Table:
         speed = comparison.milliseconds[row.estimator]
         difference, verdict, ratio = NONE, "smallest", NONE
         if row.estimator != best:
-            difference, ratio = signed(row.difference), digits(comparison.milliseconds[best] / speed, 2)
+            difference, ratio = between(row.difference, sign="+"), digits(comparison.milliseconds[best] / speed, 2)
             verdict = "larger" if row.told_apart else "cannot be told apart"
         rows.append((row.estimator, between(row.mean), difference, verdict, str(row.wins), digits(speed), ratio))
     return Table(headers, tuple(rows))

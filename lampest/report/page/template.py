@@ -29,7 +29,10 @@ def filled(package: str, **values: Any) -> str:
 
 
 def between(interval: Interval, unit: str = "", sign: str = "") -> str:
-    """'2.13 (1.95 to 2.36) %': two digits of the interval's length, no more than three of the figure, on one line."""
+    """'2.13 (1.95 to 2.36) %': two digits of the interval's length, no more than three of the figure, on one line.
+
+    sign : '+' of differences, before all that is not negative.
+    """
     ends = (interval.value, interval.lower, interval.upper)
     sizes = [size for size in (interval.upper - interval.lower, abs(interval.value)) if size > 0 and np.isfinite(size)]
     texts = [digits(end) for end in ends]
@@ -39,11 +42,6 @@ def between(interval: Interval, unit: str = "", sign: str = "") -> str:
         texts = [f"{end:{sign},.{places}f}".replace("-", "−") for end in ends]
     value, lower, upper = texts
     return f"{value} ({lower}{HARD}to{HARD}{upper}){unit and HARD + unit}"
-
-
-def signed(interval: Interval, unit: str = "") -> str:
-    """'+1.3 (+0.9 to +1.7) %'."""
-    return between(interval, unit, "+")
 
 
 def weights_text(cases: Sequence[Mapping[str, Array]]) -> str:
