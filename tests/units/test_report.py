@@ -10,7 +10,7 @@ import pytest
 from support import METHODS, invented_case
 
 from lampest.files.errors import InputError
-from lampest.report.page.batch import Batch, Subject, read_batch
+from lampest.report.page.batch import Batch, read_batch
 from lampest.report.page.page import report, write_report
 from lampest.runs.results import CaseResult, write_results
 
@@ -18,9 +18,7 @@ EMPTY = {"meta", "link", "img", "br"}
 
 
 def batch(*cases: CaseResult) -> Batch:
-    names = dict.fromkeys(case.recording for case in cases)
-    parts = (Subject(name, tuple(case for case in cases if case.recording == name)) for name in names)
-    return Batch(("results.h5",), tuple(parts))
+    return Batch.of(["results.h5"], cases)
 
 
 def certain(case: CaseResult) -> CaseResult:
@@ -173,7 +171,7 @@ def test_files_are_put_together(tmp_path: Path) -> None:
     other = invented_case("LSM")
     write_results(tmp_path / "three.h5", [dataclasses.replace(other, measured=other.measured * 2)])
     found = read_batch([tmp_path / name for name in ("one.h5", "two.h5", "three.h5")])
-    assert [subject.name for subject in found.subjects] == ["mouth", "mouth [3]"]
+    assert [*found.recordings] == ["mouth", "mouth [3]"]
     assert found.estimators == ("LSM", "LSR-CR", "LSM [2]", "LSR-dCR")
 
 

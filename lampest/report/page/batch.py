@@ -1,7 +1,7 @@
 """Results files put together: every recording with all that was made of it, and who can be compared on what."""
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -12,13 +12,7 @@ from lampest.files.errors import InputError
 from lampest.report.words import listed
 from lampest.runs.results import CaseResult, read_results
 
-
-@dataclass(frozen=True, eq=False)
-class Subject:
-    """A recording's name on the page, and its cases."""
-
-    name: str
-    cases: tuple[CaseResult, ...]
+Recordings = Mapping[str, Mapping[str, CaseResult]]  # name → estimator → case
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,16 +20,24 @@ class Batch:
     """sources : the files as they were named."""
 
     sources: tuple[str, ...]
-    subjects: tuple[Subject, ...]
+    recordings: Recordings
+
+    @classmethod
+    def of(cls, sources: Sequence[str], cases: Sequence[CaseResult]) -> "Batch":
+        """Cases of one recording together; no two have the same names."""
+        recordings: dict[str, dict[str, CaseResult]] = {}
+        for case in cases:
+            recordings.setdefault(case.recording, {})[case.estimator] = case
+        return cls(tuple(sources), recordings)
 
     @property
     def estimators(self) -> tuple[str, ...]:
         """All names in order, each once."""
-        return tuple(dict.fromkeys(case.estimator for subject in self.subjects for case in subject.cases))
+        return tuple(dict.fromkeys(name for cases in self.recordings.values() for name in cases))
 
     @property
     def frames(self) -> int:
-        return sum(len(subject.cases[0].time) for subject in self.subjects)
+        return sum(len(first_of(cases).time) for cases in self.recordings.values())
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +48,7 @@ class Matched:
     """
 
     estimators: tuple[str, ...]
-    subjects: tuple[Subject, ...]
+    recordings: Recordings
     chosen: tuple[NDArray[np.bool_], ...]
     left_out: tuple[str, ...]
 
@@ -56,7 +58,12 @@ class Matched:
 
     def cases(self, estimator: str) -> list[CaseResult]:
         """The estimator's case of each recording."""
-        return [case for subject in self.subjects for case in subject.cases if case.estimator == estimator]
+        return [cases[estimator] for cases in self.recordings.values()]
+
+
+def first_of(cases: Mapping[str, CaseResult]) -> CaseResult:
+    """One of a recording's cases, for what all of them were given."""
+    return next(iter(cases.values()))
 
 
 def read_batch(paths: Sequence[Path], frames: range | None = None) -> Batch:
@@ -72,9 +79,7 @@ def read_batch(paths: Sequence[Path], frames: range | None = None) -> Batch:
         cases += [_renamed(case, cases, number) for case in read_results(path, frames=frames).cases]
     if not cases:
         raise InputError(f"{', '.join(map(str, paths))}: no results to report")
-    names = dict.fromkeys(case.recording for case in cases)
-    subjects = (Subject(name, tuple(case for case in cases if case.recording == name)) for name in names)
-    return Batch(tuple(map(str, paths)), tuple(subjects))
+    return Batch.of([str(path) for path in paths], cases)
 
 
 def _renamed(case: CaseResult, before: Sequence[CaseResult], number: int) -> CaseResult:
@@ -94,58 +99,51 @@ def _equal(one: object, other: object) -> bool:
     return one is other
 
 
-def without_copies(subjects: Sequence[Subject]) -> tuple[list[Subject], list[str]]:
+def without_copies(recordings: Recordings) -> tuple[Recordings, list[str]]:
     """The recordings that are no copies, and a sentence on each of the others.
 
     One is a copy of an earlier one where more than half of its frames have that one's readings, to the seven digits of
     single precision: its frames would count twice.
     """
-    kept: list[tuple[Subject, set[bytes]]] = []
+    seen: dict[str, set[bytes]] = {}
     copies: list[str] = []
-    for subject in subjects:
-        measured = subject.cases[0].measured
-        own = [np.float32(frame).tobytes() for frame in measured if np.isfinite(frame).any()]
-        before = next((one.name for one, seen in kept if sum(frame in seen for frame in own) > len(own) / 2), None)
+    for name, cases in recordings.items():
+        own = [np.float32(frame).tobytes() for frame in first_of(cases).measured if np.isfinite(frame).any()]
+        before = next((one for one, held in seen.items() if sum(frame in held for frame in own) > len(own) / 2), None)
         if before is None:
-            kept.append((subject, set(own)))
+            seen[name] = set(own)
         else:
-            copies.append(f"{subject.name}, whose readings are those of {before}: a copy does not count again")
-    return [subject for subject, _ in kept], copies
+            copies.append(f"{name}, whose readings are those of {before}: a copy does not count again")
+    return {name: recordings[name] for name in seen}, copies
 
 
-def matched(subjects: Sequence[Subject]) -> Matched:
+def matched(recordings: Recordings) -> Matched:
     """Who can be compared on what: as many estimators on as many recordings as possible, each on all of them.
 
-    One that failed in more than a twentieth of the frames is left out, so that it does not profit from having skipped
-    what is hard; of the others, the frames count that all of them solved.
+    They have the most differences that can be paired. One that failed in more than a twentieth of the frames is left
+    out, so that it does not profit from having skipped what is hard; of the others, the frames count that all solved.
     """
-    subjects, left_out = without_copies(subjects)
-    often = Counter(case.estimator for subject in subjects for case in subject.cases)
-    names, common = _shared(subjects, often)
+    kept, left_out = without_copies(recordings)
+    often = Counter(name for cases in kept.values() for name in cases)
+    options = []
+    for least in sorted(set(often.values()), reverse=True):
+        known = [name for name, count in often.items() if count >= least]
+        options.append((known, {name: cases for name, cases in kept.items() if {*known} <= cases.keys()}))
+    names, common = max(options, key=lambda option: (len(option[0]) - 1) * len(option[1]))
     fewer = [name for name in often if name not in names]
     if fewer:
         left_out.append(f"{listed(fewer)}, for want of results of the same recordings")
-    if len(common) < len(subjects):
-        left_out.append(f"{len(subjects) - len(common)} of {len(subjects)} recordings lack some of the estimators")
+    if len(common) < len(kept):
+        left_out.append(f"{len(kept) - len(common)} of {len(kept)} recordings lack some of the estimators")
     for name in tuple(names) if common else ():
-        solved = np.concatenate([case.solved for subject in common for case in subject.cases if case.estimator == name])
+        solved = np.concatenate([cases[name].solved for cases in common.values()])
         if np.mean(solved) < 0.95:
             names.remove(name)
             left_out.append(f"{name} failed in {int(np.sum(~solved))} of {len(solved)} frames")
-    kept = []
-    for subject in common if names else ():
-        frames = np.all([case.solved for case in subject.cases if case.estimator in names], axis=0)
-        if np.any(frames):
-            kept.append((subject, frames))
-    chosen = tuple(frames for _, frames in kept)
-    return Matched(tuple(names), tuple(subject for subject, _ in kept), chosen, tuple(left_out))
-
-
-def _shared(subjects: Sequence[Subject], often: Counter[str]) -> tuple[list[str], list[Subject]]:
-    """Estimators and the recordings that all of them have: those with the most differences that can be paired."""
-    options = []
-    for least in sorted(set(often.values()), reverse=True):
-        names = [name for name, count in often.items() if count >= least]
-        held = [subject for subject in subjects if {*names} <= {case.estimator for case in subject.cases}]
-        options.append((names, held))
-    return max(options, key=lambda option: (len(option[0]) - 1) * len(option[1]))
+    solved_by_all = {
+        recording: np.all([cases[name].solved for name in names], axis=0)
+        for recording, cases in (common.items() if names else ())
+    }
+    chosen = {recording: frames for recording, frames in solved_by_all.items() if np.any(frames)}
+    found = {recording: common[recording] for recording in chosen}
+    return Matched(tuple(names), found, tuple(chosen.values()), tuple(left_out))

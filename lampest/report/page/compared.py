@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from lampest.panel.panel import Array
-from lampest.report.page.batch import Batch, Matched, matched
+from lampest.report.page.batch import Batch, Matched, first_of, matched
 from lampest.report.page.measures import (
     COVERED,
     SPREAD,
@@ -80,7 +80,7 @@ class Comparison:
 
     @property
     def over_frames(self) -> bool:
-        return len(self.match.subjects) == 1
+        return len(self.match.recordings) == 1
 
 
 def predicted(case: CaseResult) -> Array:
@@ -120,16 +120,16 @@ def compared(batch: Batch, generator: np.random.Generator) -> Comparison | None:
     the resolution. None where neither is known, for a data error grows with every penalty, good or bad; or where no two
     estimators share a frame.
     """
-    known = [subject for subject in batch.subjects if subject.cases[0].truth is not None]
-    match = matched(known or batch.subjects)
+    known = {name: cases for name, cases in batch.recordings.items() if first_of(cases).truth is not None}
+    match = matched(known or batch.recordings)
     cases = [case for name in match.estimators for case in match.cases(name)]
     predictable = all(case.sigma is not None and case.resolution is not None for case in cases)
-    if len(match.estimators) < 2 or not match.subjects or not (known or predictable):
+    if len(match.estimators) < 2 or not match.recordings or not (known or predictable):
         return None
     criterion = CELL_ERROR if known else PREDICTION
-    single, units = len(match.subjects) == 1, tuple(subject.name for subject in match.subjects)
+    single, units = len(match.recordings) == 1, tuple(match.recordings)
     if single:
-        units = tuple(f"frame {number}" for number in match.subjects[0].cases[0].frame[match.chosen[0]])
+        units = tuple(f"frame {number}" for number in cases[0].frame[match.chosen[0]])
     values = _values(match, criterion.per_cell, criterion.average)
     block = block_length(values) if single else 1
     standings = _standings(match.estimators, values, picks(len(values), block, generator.spawn(1)[0]))
@@ -176,12 +176,12 @@ def advise(batch: Batch, comparison: Comparison | None) -> Advice:
     Practically the same is what lies within a twentieth of the smallest one, however sure that difference is; one that
     is larger is not made up for by speed.
     """
-    match = comparison.match if comparison else matched(batch.subjects)
+    match = comparison.match if comparison else matched(batch.recordings)
     left_out = tuple(f"Not compared: {sentence}." for sentence in match.left_out)
     if comparison is None:
         headline = "These results do not tell which estimator is nearest to the cells."
         alone = "No two estimators solved the same frames."
-        if len(match.estimators) > 1 and match.subjects:
+        if len(match.estimators) > 1 and match.recordings:
             alone = (
                 "The truth is unknown, and so is the noise of the readings or the resolution, which would replace it."
             )

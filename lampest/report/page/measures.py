@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from math import ceil
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -95,18 +95,15 @@ def weighted_residual(case: CaseResult) -> Array | None:
     return np.asarray(np.where(case.valued, (case.reading_model - case.measured) / case.sigma, np.nan))
 
 
-@dataclass(frozen=True, eq=False)
-class Disagreement:
-    """Two estimators of one recording; over the frames that both solved.
+class Disagreement(NamedTuple):
+    """Two estimators of one recording.
 
-    difference : (frames, rows, columns) relative change of the first − second, percentage points; NaN elsewhere.
-    significant : (frames, rows, columns). share : of the cells of these frames, percent.
+    significant : (frames, rows, columns) relative change of the first − second in percentage points where that is
+    significant, else NaN. share : of the cells of the frames that both solved where it is, percent.
     """
 
-    first: str
-    second: str
-    difference: Array
-    significant: NDArray[np.bool_]
+    title: str
+    significant: Array
     share: float
 
 
@@ -115,18 +112,15 @@ def disagreements(cases: Sequence[CaseResult]) -> tuple[Disagreement, ...]:
 
     a − b > √((a − a_low)² + (b_high − b)²) for a > b: Zou and Donner, Stat. Med. 27, 2008; exact if independent.
     """
-    arms = {case.estimator: found for case in cases if (found := _arms(case)) is not None}
-    known, pairs = [case for case in cases if case.estimator in arms], []
-    for one, other in combinations(known, 2):
-        both = one.solved & other.solved
-        difference = one.relative_change - other.relative_change
-        (below, above), (other_below, other_above) = arms[one.estimator], arms[other.estimator]
-        with np.errstate(invalid="ignore"):
-            reach = np.where(difference > 0, np.hypot(below, other_above), np.hypot(above, other_below))
-            significant = np.abs(difference) > reach
+    known = [(case, arms) for case in cases if (arms := _arms(case)) is not None]
+    pairs = []
+    for (one, (below, above)), (other, (other_below, other_above)) in combinations(known, 2):
+        both, difference = one.solved & other.solved, one.relative_change - other.relative_change
+        reach = np.where(difference > 0, np.hypot(below, other_above), np.hypot(above, other_below))
+        significant = np.where(np.abs(difference) > reach, difference, np.nan)
         if np.any(both):
-            share = 100 * float(np.mean(significant[both]))
-            pairs.append(Disagreement(one.estimator, other.estimator, difference, significant, share))
+            share = 100 * float(np.mean(np.isfinite(significant[both])))
+            pairs.append(Disagreement(f"{one.estimator} − {other.estimator}", significant, share))
     return tuple(sorted(pairs, key=lambda pair: -pair.share))
 
 

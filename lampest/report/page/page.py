@@ -1,6 +1,6 @@
 """The page itself: everything put in order, and written as one HTML file that needs nothing else."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -9,7 +9,7 @@ import numpy as np
 
 from lampest.files.whole import write_whole
 from lampest.report.page import pictures
-from lampest.report.page.batch import Batch, Subject, read_batch, without_copies
+from lampest.report.page.batch import Batch, read_batch, without_copies
 from lampest.report.page.compared import advise, compared, doubts
 from lampest.report.page.measures import DRAWS, disagreements, figures
 from lampest.report.page.tables import case_table, failures, standing_table, unit_table
@@ -17,6 +17,7 @@ from lampest.report.page.template import filled
 from lampest.report.plots.style import verbatim
 from lampest.report.strongest import strongest_index
 from lampest.report.words import counted, digits
+from lampest.runs.case import CaseResult
 from lampest.runs.executors import each_of
 
 MOST = 6  # recordings with all figures, and estimators in them
@@ -38,18 +39,16 @@ def write_report(
 
 def report(batch: Batch, on_recording: Callable[[int, int], None] = lambda done, total: None) -> str:
     """The page as HTML; on_recording as `write_report` has it."""
-    own, _ = without_copies(batch.subjects)
+    own, _ = without_copies(batch.recordings)
     comparison = compared(batch, np.random.default_rng(20190604).spawn(1)[0])  # always the same draws
     advice = advise(batch, comparison)
-    by_estimator = {
-        name: [case for subject in own for case in subject.cases if case.estimator == name] for name in batch.estimators
-    }
+    by_estimator = {name: [cases[name] for cases in own.values() if name in cases] for name in batch.estimators}
     if advice.estimator is not None:
         doubted = doubts(advice.estimator, list(map(figures, by_estimator[advice.estimator])))
         advice = replace(advice, warnings=(*advice.warnings, *doubted))
     first = [row.estimator for row in comparison.standings] if comparison else []
     drawn = [*dict.fromkeys((*first, *batch.estimators))][:MOST]
-    tasks = [(subject, number, drawn) for number, subject in enumerate(batch.subjects)]
+    tasks = [(name, cases, number, drawn) for number, (name, cases) in enumerate(batch.recordings.items())]
     sections = each_of(_section, tasks, on_recording)
     return filled(
         "lampest.report.page",
@@ -62,18 +61,18 @@ def report(batch: Batch, on_recording: Callable[[int, int], None] = lambda done,
         whole=sections[:MOST],
         others=sections[MOST:],
         most=MOST,
-        origins={case.estimator: case for subject in batch.subjects[::-1] for case in subject.cases[::-1]},
+        origins={name: case for cases in [*batch.recordings.values()][::-1] for name, case in cases.items()},
         draws=DRAWS,
         counted=counted,
         digits=digits,
     )
 
 
-def _section(task: tuple[Subject, int, Sequence[str]]) -> dict[str, Any]:
+def _section(task: tuple[str, Mapping[str, CaseResult], int, Sequence[str]]) -> dict[str, Any]:
     """What the template says of a recording: contours and a table; of the first ones every other figure, too."""
-    subject, number, drawn = task
+    name, every, number, drawn = task
     whole = number < MOST
-    cases = tuple(case for case in subject.cases if case.estimator in drawn) or subject.cases[:1]
+    cases = [case for estimator, case in every.items() if estimator in drawn] or [*every.values()][:1]
     place, pairs = strongest_index(cases), disagreements(cases) if whole else ()
     with verbatim():
         shown = [pictures.contours(cases)]
@@ -81,12 +80,12 @@ def _section(task: tuple[Subject, int, Sequence[str]]) -> dict[str, Any]:
             shown += [*pictures.certainty(cases, place), pictures.misfits(cases, place)]
             shown += pictures.differences(cases, place, pairs)
     return {
-        "name": subject.name,
+        "name": name,
         "anchor": f"recording-{number + 1}",
         "case": cases[0],
         "place": place,
-        "table": case_table({case.estimator: [case] for case in subject.cases}),
+        "table": case_table({estimator: [case] for estimator, case in every.items()}),
         "pictures": shown,
         "undecided": whole and len(cases) > 1 and not pairs,
-        "failed": failures(subject.cases),
+        "failed": failures([*every.values()]),
     }

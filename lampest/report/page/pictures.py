@@ -68,11 +68,7 @@ def misfits(cases: Sequence[CaseResult], place: int) -> Illustration:
 
 def differences(cases: Sequence[CaseResult], place: int, found: Sequence[Disagreement]) -> list[Illustration]:
     """Maps of the pairs that disagree most, those first; none of no pairs."""
-    tiles = []
-    for pair in found[:9]:
-        known = not np.all(np.isnan(pair.difference[place]))
-        values = np.where(pair.significant[place], pair.difference[place], np.nan) if known else None
-        tiles.append(Tile(f"{pair.first} − {pair.second}", values, f"{digits(pair.share, 2)} %"))
+    tiles = [Tile(pair.title, pair.significant[place], f"{digits(pair.share, 2)} %") for pair in found[:9]]
     most = f" The 9 of {len(found)} pairs that differ most." if len(found) > 9 else ""
     scale = signed_scale(values_of(tiles), "difference of relative change [percentage points]", 1.0, 100.0)
     return [_maps(cases, tiles, scale, "significant differences", DIFFERENT + most)] if tiles else []
