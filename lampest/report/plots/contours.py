@@ -12,33 +12,8 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from lampest.panel.panel import Array
-from lampest.report.plots.maps import (
-    ACROSS_LABEL,
-    DOWN_LABEL,
-    PRESSING,
-    RESOLUTION,
-    MapPainter,
-    Scale,
-    Tile,
-    banded_scale,
-    log_scale,
-    maps_figure,
-    proportion,
-    signed_scale,
-    stepped_scale,
-    values_of,
-)
+from lampest.report.plots import maps, style
 from lampest.report.plots.plot import Plot
-from lampest.report.plots.style import (
-    SMALL_POINT,
-    TALLEST_INCH,
-    WIDTH_INCH,
-    change_text,
-    labelled,
-    new_figure,
-    shared_legend,
-    short_title,
-)
 from lampest.report.strongest import percent_change
 from lampest.runs.case import CaseResult
 
@@ -61,10 +36,10 @@ class ContourPlot(Plot):
         index, title = self.shown(cases)
         first, letters = cases[0], iter("abcdefghijklmnopqrstuvwxyz")
 
-        def tile(name: str, change: Array | None, crosses: NDArray[np.bool_] | None = None) -> Tile:
+        def tile(name: str, change: Array | None, crosses: NDArray[np.bool_] | None = None) -> maps.Tile:
             letter = next(letters, "")
             lettered = f"({letter}) {name}" if letter else name
-            return Tile(lettered.replace("paper's lambda", "paper's λ"), change, _range(change), crosses)
+            return maps.Tile(lettered.replace("paper's lambda", "paper's λ"), change, _range(change), crosses)
 
         kind = "measured two-point" if first.scene.circuit.unit == "ohm" else "measured voltage"
         tiles = [tile(kind, percent_change(first.measured[index], first.measured_baseline))]
@@ -73,8 +48,8 @@ class ContourPlot(Plot):
             tiles.append(tile(case.estimator, change, case.open_cell[index] != 0))
         if first.truth is not None and first.truth_baseline is not None:
             tiles.append(tile("truth", percent_change(first.truth[index], first.truth_baseline)))
-        scale = banded_scale(values_of(tiles), "relative change of resistance [%]")
-        return maps_figure(tiles, first.scene.panel, scale, title, contoured=True)
+        scale = maps.banded_scale(maps.values_of(tiles), "relative change of resistance [%]")
+        return maps.maps_figure(tiles, first.scene.panel, scale, title, contoured=True)
 
 
 def _range(change: Array | None) -> str:
@@ -82,7 +57,7 @@ def _range(change: Array | None) -> str:
     if change is None:
         return ""
     known = change[np.isfinite(change)]
-    ends = [change_text(float(value), 10.0) for value in (known.min(), known.max())] if known.size else []
+    ends = [style.change_text(float(value), 10.0) for value in (known.min(), known.max())] if known.size else []
     return f"{' … '.join(ends)} %" if ends else "no number"
 
 
@@ -102,9 +77,9 @@ class ResistancePlot(Plot):
         found = [(case.estimator, case.cell_resistance[index] if case.solved[index] else None) for case in cases]
         given = [("measured", first.measured[index])]
         true = [] if first.truth is None else [("truth", first.truth[index])]
-        tiles = [Tile(*named) for named in (*given, *found, *true)]
-        scale = log_scale(values_of(tiles), "resistance [ohm]", 90.0, (1e-3, 1e12))
-        return maps_figure(tiles, first.scene.panel, scale, title)
+        tiles = [maps.Tile(*named) for named in (*given, *found, *true)]
+        scale = maps.log_scale(maps.values_of(tiles), "resistance [ohm]", 90.0, (1e-3, 1e12))
+        return maps.maps_figure(tiles, first.scene.panel, scale, title)
 
 
 @dataclass(frozen=True)
@@ -114,25 +89,25 @@ class RowsPlot(Plot):
     about: ClassVar[str]
 
     @abstractmethod
-    def rows(self, cases: Sequence[CaseResult], index: int) -> list[tuple[Scale, list[Tile]]]:
+    def rows(self, cases: Sequence[CaseResult], index: int) -> list[tuple[maps.Scale, list[maps.Tile]]]:
         """Scale and maps of every row."""
 
     def draw(self, cases: Sequence[CaseResult]) -> Figure:
         """One picture of all estimators. Raises InputError where the frame has no results."""
-        cases = cases[: int(WIDTH_INCH)]
+        cases = cases[: int(style.WIDTH_INCH)]
         index, title = self.shown(cases)
         rows, panel = self.rows(cases, index), cases[0].scene.panel
-        tall = (WIDTH_INCH - 1.2) / max(len(cases), 2) * proportion(panel)
-        figure = new_figure(min(len(rows) * (tall + 0.25) + 0.8, TALLEST_INCH))
+        tall = (style.WIDTH_INCH - 1.2) / max(len(cases), 2) * maps.proportion(panel)
+        figure = style.new_figure(min(len(rows) * (tall + 0.25) + 0.8, style.TALLEST_INCH))
         grid = figure.subplots(len(rows), len(cases), squeeze=False, sharex=True, sharey=True)
-        for number, (scale, maps) in enumerate(rows):
-            painter = MapPainter(panel, scale)
-            painter.draw_all(grid[number : number + 1], maps)
+        for number, (scale, tiles) in enumerate(rows):
+            painter = maps.MapPainter(panel, scale)
+            painter.draw_all(grid[number : number + 1], tiles)
             painter.bar(figure, grid[number], "right")
         for axes, case in zip(grid[0], cases, strict=True):
-            axes.set_title(short_title(case.estimator), fontsize=SMALL_POINT + 0.5)
-        shared_legend(figure, grid, "lower right")
-        return labelled(figure, f"{ACROSS_LABEL}; {self.about}", DOWN_LABEL, title)
+            axes.set_title(style.short_title(case.estimator), fontsize=style.SMALL_POINT + 0.5)
+        style.shared_legend(figure, grid, "lower right")
+        return style.labelled(figure, f"{maps.ACROSS_LABEL}; {self.about}", maps.DOWN_LABEL, title)
 
 
 @dataclass(frozen=True)
@@ -148,19 +123,21 @@ class CertaintyPlot(RowsPlot):
     needs: ClassVar[tuple[str, ...]] = ("cell_resistance_errors", "resolution")
     about: ClassVar[str] = "grey: no number (failed frame or open cell); 95 % intervals reach 1.96 sd"
 
-    def rows(self, cases: Sequence[CaseResult], index: int) -> list[tuple[Scale, list[Tile]]]:
+    def rows(self, cases: Sequence[CaseResult], index: int) -> list[tuple[maps.Scale, list[maps.Tile]]]:
         """Standard deviations, resolutions, and errors."""
         cells = [case.cell_resistance[index] for case in cases]
         errors, resolutions = ([case.column(name)[index] for case in cases] for name in self.needs)
         deviations = [100 * error / own for error, own in zip(errors, cells, strict=True)]
-        rows = [(log_scale(deviations, "standard deviation [%]"), deviations), (RESOLUTION, resolutions)]
+        rows = [(maps.log_scale(deviations, "standard deviation [%]"), deviations), (maps.RESOLUTION, resolutions)]
         truth = cases[0].truth
         if truth is not None:
             with np.errstate(divide="ignore", invalid="ignore"):
                 logs = [100 * np.log(own / truth[index]) for own in cells]
                 ratios = [one / deviation for one, deviation in zip(logs, deviations, strict=True)]
-            rows.append((signed_scale(ratios, "error / standard deviation", least=3.0, most=5.0), ratios))
-        return [(scale, [Tile("", np.where(np.isfinite(one), one, np.nan)) for one in maps]) for scale, maps in rows]
+            rows.append((maps.signed_scale(ratios, "error / standard deviation", least=3.0, most=5.0), ratios))
+        return [
+            (scale, [maps.Tile("", np.where(np.isfinite(one), one, np.nan)) for one in each]) for scale, each in rows
+        ]
 
 
 @dataclass(frozen=True)
@@ -176,16 +153,16 @@ class PressurePlot(RowsPlot):
     needs: ClassVar[tuple[str, ...]] = ("pressure", "pressure_lower", "pressure_upper", "saturated")
     about: ClassVar[str] = "grey: no number"
 
-    def rows(self, cases: Sequence[CaseResult], index: int) -> list[tuple[Scale, list[Tile]]]:
+    def rows(self, cases: Sequence[CaseResult], index: int) -> list[tuple[maps.Scale, list[maps.Tile]]]:
         """Pressures, and half the widths of their intervals."""
         steps, ticks = (0.5, 1, 2, 5, 10, 20, 40), (-40, -10, -2, -0.5, 1, 5, 20)
-        signed = stepped_scale(steps, "pressure [kPa]: suction − contact +", ticks, PRESSING)
+        signed = maps.stepped_scale(steps, "pressure [kPa]: suction − contact +", ticks, maps.PRESSING)
         norm, label = LogNorm(0.1, 100), "half the 95 % interval [kPa]"
-        widths = Scale(norm, colormaps["YlGnBu"], label, (0.1, 1.0, 10.0, 100.0))
+        widths = maps.Scale(norm, colormaps["YlGnBu"], label, (0.1, 1.0, 10.0, 100.0))
         pressures, halves = [], []
         for case in cases:
             pressure, lower, upper, saturated = (case.column(name)[index] for name in self.needs)
             half = np.clip((upper - lower) / 2, 0.05, 200)  # none and infinite: beyond the scale, not missing
-            pressures.append(Tile("", pressure, "", saturated != 0, "saturated"))
-            halves.append(Tile("", half, "", saturated != 0, "saturated"))
+            pressures.append(maps.Tile("", pressure, "", saturated != 0, "saturated"))
+            halves.append(maps.Tile("", half, "", saturated != 0, "saturated"))
         return [(signed, pressures), (widths, halves)]

@@ -19,18 +19,7 @@ from matplotlib.tri import Triangulation
 from numpy.typing import NDArray
 
 from lampest.panel.panel import Array, Panel
-from lampest.report.plots.style import (
-    SMALL_POINT,
-    TALLEST_INCH,
-    TEXT_POINT,
-    WIDTH_INCH,
-    labelled,
-    new_figure,
-    plain_number,
-    round_numbers,
-    shared_legend,
-    short_title,
-)
+from lampest.report.plots import style
 
 SIGNED, PRESSING = "RdBu_r", "RdBu"  # what presses is blue: it lowers resistance and raises pressure
 ACROSS_LABEL, DOWN_LABEL = "x [mm]", "y [mm]"
@@ -60,10 +49,10 @@ def log_scale(
     numbers = _finite(values)
     numbers = numbers[numbers > 0]
     low, high = np.percentile(numbers, [1, most]) if numbers.size else (1.0, 10.0)
-    steps = round_numbers(*ends)
+    steps = style.round_numbers(*ends)
     first = max((step for step in steps[:-1] if step <= low), default=steps[0])
     last = min((step for step in steps if step >= high and step > first), default=steps[-1])
-    return Scale(LogNorm(first, last), colormaps["viridis"], label, round_numbers(first, last))
+    return Scale(LogNorm(first, last), colormaps["viridis"], label, style.round_numbers(first, last))
 
 
 def signed_scale(values: Sequence[Array], label: str, least: float, most: float = np.inf) -> Scale:
@@ -79,7 +68,7 @@ def banded_scale(values: Sequence[Array], label: str) -> Scale:
 
     The limit is the smallest round number that holds 98 % of all values, 100 at most.
     """
-    limit = next((step for step in round_numbers(1, 100) if step >= _reach(values)), 100.0)
+    limit = next((step for step in style.round_numbers(1, 100) if step >= _reach(values)), 100.0)
     ticks = np.linspace(-limit, limit, 11).tolist()
     return stepped_scale((np.arange(1, 11) * limit / 10).tolist(), f"{label} (ends at ±{limit:g} %)", ticks)
 
@@ -129,9 +118,10 @@ class MapPainter:
     def draw(self, axes: Axes, tile: Tile) -> None:
         """One map, rows downwards."""
         self._frame(axes)
-        axes.set_title("\n".join(filter(None, (tile.title, tile.note))), fontsize=SMALL_POINT + 0.5, linespacing=1.3)
+        title = "\n".join(filter(None, (tile.title, tile.note)))
+        axes.set_title(title, fontsize=style.SMALL_POINT + 0.5, linespacing=1.3)
         if tile.values is None:
-            axes.annotate("not solved", (0.5, 0.5), xycoords="axes fraction", ha="center", fontsize=SMALL_POINT)
+            axes.annotate("not solved", (0.5, 0.5), xycoords="axes fraction", ha="center", fontsize=style.SMALL_POINT)
             return
         if self.contoured and self.panel.cells is None and min(self.panel.shape) > 1:
             axes.contourf(*_refined(self.panel, self._cut(tile.values)), **self._bands())
@@ -167,13 +157,13 @@ class MapPainter:
             extendfrac=0.04,
             spacing="uniform",
             ticks=None if ticks is None else FixedLocator(ticks),
-            format=None if ticks is None else FuncFormatter(plain_number),
+            format=None if ticks is None else FuncFormatter(style.plain_number),
             aspect=aspect,
             pad=0.02,
         )
         bar.minorticks_off()
-        bar.set_label(self.scale.label, fontsize=TEXT_POINT)
-        bar.ax.tick_params(labelsize=SMALL_POINT)
+        bar.set_label(self.scale.label, fontsize=style.TEXT_POINT)
+        bar.ax.tick_params(labelsize=style.SMALL_POINT)
 
     def _frame(self, axes: Axes) -> None:
         """The panel's extent, to the cells' edges."""
@@ -183,7 +173,7 @@ class MapPainter:
         axes.set_aspect("equal")
         axes.set_xlim(left - beyond, right + beyond)
         axes.set_ylim(bottom + beyond, top - beyond)
-        axes.tick_params(labelsize=SMALL_POINT)
+        axes.tick_params(labelsize=style.SMALL_POINT)
         axes.locator_params(nbins=5, steps=[1, 2, 5, 10])
 
     def _patches(self, axes: Axes, values: Array) -> None:
@@ -256,7 +246,7 @@ def maps_figure(
     panel: Panel,
     scale: Scale,
     title: str = "",
-    width: float = WIDTH_INCH,
+    width: float = style.WIDTH_INCH,
     contoured: bool = False,
 ) -> Figure:
     """Maps on one scale, so many abreast that the figure is about three wide to two high with few gaps."""
@@ -271,12 +261,12 @@ def maps_figure(
         return abs(height(across) - width / 1.5) + 0.3 * (-len(tiles) % across)
 
     across = min(range(1, min(len(tiles), int((width - 1.0) / 0.88)) + 1), key=unfit)
-    figure = new_figure(min(height(across), TALLEST_INCH), width)
+    figure = style.new_figure(min(height(across), style.TALLEST_INCH), width)
     grid = figure.subplots(ceil(len(tiles) / across), across, squeeze=False, sharex=True, sharey=True)
     signs = max(10, int(17 * wide(across)))  # that fit over a map
     painter = MapPainter(panel, scale, contoured)
-    painter.draw_all(grid, [replace(tile, title=fill(short_title(tile.title, 60), signs)) for tile in tiles])
+    painter.draw_all(grid, [replace(tile, title=fill(style.short_title(tile.title, 60), signs)) for tile in tiles])
     painter.bar(figure, grid, "right", aspect=figure.get_figheight() / 0.16)
-    shared_legend(figure, grid, "lower right", least=2, ncols=2)
+    style.shared_legend(figure, grid, "lower right", least=2, ncols=2)
     between = "; bands interpolate between the cells (dots)" if contoured else ""
-    return labelled(figure, ACROSS_LABEL + between, DOWN_LABEL, title)
+    return style.labelled(figure, ACROSS_LABEL + between, DOWN_LABEL, title)
