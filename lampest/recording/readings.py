@@ -141,14 +141,11 @@ class Readings:
         values = layout.split(recorded).copy()
         values[..., list(scene.dead_modules), :, :] = np.nan
         noise = None if sigma is None else np.broadcast_to(layout.split(sigma), values.shape)
-        maps, known = [np.empty_like(values) for _ in range(4)], True
+        parts: dict[int, Readings] = {}
         for own, numbers in scene.alike:
             some = cls.of(own, values[..., numbers, :, :], None if noise is None else noise[..., numbers, :, :])
-            for whole, part in zip(maps, (some.value, some.side, some.seen, some.sigma), strict=True):
-                whole[..., numbers, :, :] = np.nan if part is None else part
-            known &= some.sigma is not None
-        value, side, seen, deviation = map(layout.joined, maps)
-        return cls(value, deviation if known else None, side, seen)
+            parts |= {number: some[..., at, :, :] for at, number in enumerate(numbers)}
+        return cls.of_parts(layout, [parts[number] for number in range(layout.count)])
 
     def each(self, change: Callable[[Array], Array]) -> "Readings":
         """The readings with all four arrays changed alike, such as `layout.split`."""

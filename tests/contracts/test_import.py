@@ -1,5 +1,6 @@
 """Foreign measurements: every format gives the same frames, every fault is one sentence with its place."""
 
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -155,7 +156,8 @@ def test_volts_and_codes(tmp_path: Path) -> None:
     for unit in ("volt", "code"):
         with pytest.raises(InputError, match=f"{unit} values need a scene with a readout"):
             import_file(tmp_path / "c.npy", ROWS, COLUMNS, None, unit)
-    np.testing.assert_allclose(milli(tmp_path / "m.npy", volts).resistance, FRAMES)
+    np.save(tmp_path / "m.npy", 1000 * volts)
+    np.testing.assert_allclose(import_file(tmp_path / "m.npy", ROWS, COLUMNS, SCENE, "mV")[0].resistance, FRAMES)
     with pytest.raises(InputError, match="the unit 'V' is unknown; there are ohm, kohm, volt, mV, code"):
         import_file(tmp_path / "c.npy", ROWS, COLUMNS, SCENE, "V")
     codes = np.full((1, 3, 5), 500)
@@ -167,11 +169,6 @@ def test_volts_and_codes(tmp_path: Path) -> None:
     path = table(tmp_path / "v.csv", volts.reshape(4, -1))
     with pytest.raises(InputError, match=r"v\.csv:3:9: .*lies outside 0 to 5 V"):
         import_file(path, ROWS, COLUMNS, SCENE, "volt")
-
-
-def milli(path: Path, volts: np.ndarray) -> Recording:
-    np.save(path, 1000 * volts)
-    return import_file(path, ROWS, COLUMNS, SCENE, "mV")[0]
 
 
 def test_what_is_at_a_rail_is_kept_as_a_bound(tmp_path: Path) -> None:
@@ -237,6 +234,15 @@ def test_faults_in_tables(tmp_path: Path, text: str, message: str) -> None:
     assert str(caught.value).startswith(str(path)) and message in str(caught.value) and "\n" not in str(caught.value)
 
 
+def test_one_value_for_each_listed_cell(tmp_path: Path) -> None:
+    scene = Scene(Panel(3, 2, cells=((2, 0, 0.0, 15.0), (0, 1, 7.5, 0.0), (1, 1, 7.5, 7.5))))
+    recording, notes = import_file(table(tmp_path / "m.csv", FRAMES[:, 0, :3]), scene=scene, unit="ohm")
+    np.testing.assert_allclose(recording.recorded[:, [2, 0, 1], [0, 1, 1]], FRAMES[:, 0, :3])
+    assert np.isnan(recording.recorded[:, 0, 0]).all() and any(
+        "the order of the scene's list" in note for note in notes
+    )
+
+
 def test_the_place_of_a_transposed_value(tmp_path: Path) -> None:
     lines = long_table(FRAMES, 1, swap=True)
     lines[7, 2] = -1
@@ -250,11 +256,6 @@ GARBAGE = np.random.default_rng(3).bytes(4000)
 def sparse(path: Path) -> None:
     with path.open("wb") as handle:
         handle.truncate(600_000_000)
-
-
-def shortened(path: Path) -> None:
-    np.save(path, FRAMES)
-    path.write_bytes(path.read_bytes()[:-8])
 
 
 def boastful(path: Path) -> None:
@@ -273,7 +274,7 @@ def boastful(path: Path) -> None:
         ("m.csv", lambda path: None, "No such file"),
         ("m.npy", lambda path: path.write_bytes(GARBAGE), "no readable .npy file"),
         ("m.npy", lambda path: path.write_bytes(b""), "no readable .npy file"),
-        ("m.npy", shortened, "no readable .npy file"),
+        ("m.npy", lambda path: (np.save(path, FRAMES), os.truncate(path, 500)), "no readable .npy file"),
         ("m.npy", boastful, "no readable .npy file"),
         ("m.npy", lambda path: np.save(path, np.array([{}], dtype=object), allow_pickle=True), "no readable .npy"),
         ("m.npy", lambda path: np.save(path, FRAMES.astype(complex)), "no plain array of real numbers"),

@@ -122,17 +122,18 @@ def read_scene(path: str | Path, assigned: tuple[str, ...] = ()) -> Scene:
 
 def _panel(rows: int | None, columns: int | None, scene: Scene | None) -> Panel:
     """The panel that is asked for, or the scene's; both must agree."""
-    if scene is None and (rows is None or columns is None):
+    if scene is not None:
+        has = scene.panel.shape
+        asked = (has[0] if rows is None else rows, has[1] if columns is None else columns)
+        if has != asked:
+            raise InputError(f"the scene's panel has {has[0]} × {has[1]} cells, not {asked[0]} × {asked[1]}")
+        return scene.panel
+    if rows is None or columns is None:
         raise InputError("how large is the panel? Say --rows and --columns, or give a --scene")
-    has = (0, 0) if scene is None else scene.panel.shape
-    asked = tuple(own if size is None else size for size, own in zip((rows, columns), has, strict=True))
     try:
-        panel = Panel(asked[0], asked[1])
+        return Panel(rows, columns)
     except ValueError as error:
-        raise InputError(f"{asked[0]} × {asked[1]}: {error}") from error
-    if scene is not None and has != asked:
-        raise InputError(f"the scene's panel has {has[0]} × {has[1]} cells, not {asked[0]} × {asked[1]}")
-    return panel if scene is None else scene.panel
+        raise InputError(f"{rows} × {columns}: {error}") from error
 
 
 def _frames(path: Path, panel: Panel, transpose: bool, variable: str | None, layout: str | None) -> Frames:
