@@ -7,18 +7,8 @@ from typing import Any
 import numpy as np
 
 from lampest.panel.panel import Array
+from lampest.report.page import measures
 from lampest.report.page.batch import Batch, Matched, first_of, matched
-from lampest.report.page.measures import (
-    COVERED,
-    SPREAD,
-    Interval,
-    Picks,
-    block_length,
-    log_error,
-    mean_interval,
-    picks,
-    weighted_residual,
-)
 from lampest.report.page.template import between, weights_text
 from lampest.report.words import counted, digits, listed
 from lampest.runs.case import CaseResult
@@ -32,8 +22,8 @@ class Standing:
     """
 
     estimator: str
-    mean: Interval
-    difference: Interval
+    mean: measures.Interval
+    difference: measures.Interval
     wins: int
 
     @property
@@ -91,7 +81,7 @@ def predicted(case: CaseResult) -> Array:
     influence on their own prediction. Outliers count as five σ, lest a few of them decide. Source: Mallows,
     Technometrics 15, 1973.
     """
-    residual = weighted_residual(case)
+    residual = measures.weighted_residual(case)
     assert residual is not None and case.resolution is not None
     return np.asarray(np.minimum(residual**2, 25.0) + 2 * case.resolution)
 
@@ -100,7 +90,7 @@ CELL_ERROR = Criterion(
     "error of the cells",
     "%",
     "100·|ln(r/r_true)|, its median over cells and frames; the truth is known",
-    log_error,
+    measures.log_error,
     np.median,
 )
 PREDICTION = Criterion(
@@ -131,8 +121,8 @@ def compared(batch: Batch, generator: np.random.Generator) -> Comparison | None:
     if single:
         units = tuple(f"frame {number}" for number in cases[0].frame[match.chosen[0]])
     values = _values(match, criterion.per_cell, criterion.average)
-    block = block_length(values) if single else 1
-    standings = _standings(match.estimators, values, picks(len(values), block, generator.spawn(1)[0]))
+    block = measures.block_length(values) if single else 1
+    standings = _standings(match.estimators, values, measures.picks(len(values), block, generator.spawn(1)[0]))
     times = np.exp(_values(match, lambda case: np.log(np.fmax(1e3 * case.solve_time, 1e-3)), np.median).mean(axis=0))
     milliseconds = dict(zip(match.estimators, times.tolist(), strict=True))
     return Comparison(criterion, match, units, values, block, standings, milliseconds)
@@ -149,13 +139,13 @@ def _values(match: Matched, per_cell: Callable[[CaseResult], Array], average: Ca
     return np.stack(columns, axis=1)
 
 
-def _standings(estimators: Sequence[str], values: Array, drawn: Picks) -> tuple[Standing, ...]:
+def _standings(estimators: Sequence[str], values: Array, drawn: measures.Picks) -> tuple[Standing, ...]:
     """Every estimator against the one with the smallest mean, that one first; all are drawn together, so in pairs."""
     order = np.argsort(values.mean(axis=0), kind="stable")
     wins, rows = np.sum(values == values.min(axis=1, keepdims=True), axis=0), []
     for one in order:
         own, best = values[:, one], values[:, order[0]]
-        intervals = mean_interval(own, drawn), mean_interval(own - best, drawn)
+        intervals = measures.mean_interval(own, drawn), measures.mean_interval(own - best, drawn)
         rows.append(Standing(estimators[one], *intervals, int(wins[one])))
     return tuple(rows)
 
@@ -243,7 +233,8 @@ def doubts(estimator: str, found: Sequence[Mapping[str, Any]]) -> tuple[str, ...
 
     found : its `figures` of each recording.
     """
-    spreads, coverages = ([own[line] for own in found if own.get(line) is not None] for line in (SPREAD, COVERED))
+    lines = measures.SPREAD, measures.COVERED
+    spreads, coverages = ([own[line] for own in found if own.get(line) is not None] for line in lines)
     spread, coverage = float(np.median(spreads or [1.0])), float(np.mean(coverages or [100.0]))
     sentences = []
     if spread > 1.5:

@@ -29,18 +29,14 @@ def filled(package: str, **values: Any) -> str:
 
 
 def between(interval: Interval, unit: str = "", sign: str = "") -> str:
-    """'2.13 (1.95 to 2.36) %': two digits of the interval's length, no more than three of the figure, on one line.
+    """'2.13 (1.95 to 2.36) %': two digits of the interval's length, three of the figure at most, on one line.
 
-    sign : '+' of differences, before all that is not negative.
+    sign : '+' of differences, before positive numbers.
     """
+    length = interval.upper - interval.lower
+    like = max(length, abs(interval.value) / 10) if np.isfinite(length) else None
     ends = (interval.value, interval.lower, interval.upper)
-    sizes = [size for size in (interval.upper - interval.lower, abs(interval.value)) if size > 0 and np.isfinite(size)]
-    texts = [digits(end) for end in ends]
-    if np.all(np.isfinite(ends)) and sizes and 1e-6 < min(sizes) < 1e6:
-        length, size = np.floor(np.log10([sizes[0], max(sizes)])).astype(int)
-        places = max(0, min(1 - length, 2 - size))
-        texts = [f"{end:{sign},.{places}f}".replace("-", "−") for end in ends]
-    value, lower, upper = texts
+    value, lower, upper = (sign * (end > 0) + digits(end, 2, like) for end in ends)
     return f"{value} ({lower}{HARD}to{HARD}{upper}){unit and HARD + unit}"
 
 
