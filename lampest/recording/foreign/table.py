@@ -51,25 +51,24 @@ class FieldLine(NamedTuple):
 class FieldLines:
     """The lines of a text or of a sheet that hold anything; comments, too.
 
-    fields : (lines, width) texts, '' where a line ends earlier. counts : (lines) fields of each. numbers : (lines) as
-    the file counts them. stamps : a terminal's times. comment, blank : (lines) whether it is a comment, whether an
-    empty line stands before. word : 'line' or 'row'. at : a line's number and a field or None → where in the file.
+    word : 'line' or 'row'. at : a line's number and a field or None → where in the file. fields : (lines, width) texts,
+    '' where a line ends earlier. counts : (lines) fields of each. comment, blank : (lines) whether it is a comment,
+    whether an empty line stands before.
     """
 
     source: str
     word: str
     at: Callable[[int, int | None], str]
     notes: tuple[str, ...]
+    lines: Sequence[FieldLine]
     fields: NDArray[Any]
     counts: Index
-    numbers: Sequence[int]
-    stamps: Sequence[str]
     comment: NDArray[np.bool_]
     blank: NDArray[np.bool_]
 
     def called(self, line: int) -> str:
         """'line 3'."""
-        return f"{self.word} {self.numbers[line]}"
+        return f"{self.word} {self.lines[line].number}"
 
 
 def _lines(
@@ -86,12 +85,9 @@ def _lines(
     for number, line in enumerate(read):
         fields[number, : len(line.texts)] = line.texts
     counts = np.array([len(line.texts) for line in read], dtype=np.intp)
-    numbers = [line.number for line in read]
     comment = np.array([COMMENT.match(line.texts[0]) is not None for line in read], dtype=bool)
-    blank = np.diff(np.array([0, *numbers])) > 1
-    return FieldLines(
-        source, word, at, tuple(notes), fields, counts, numbers, [line.stamp for line in read], comment, blank
-    )
+    blank = np.diff(np.array([0, *(line.number for line in read)])) > 1
+    return FieldLines(source, word, at, tuple(notes), read, fields, counts, comment, blank)
 
 
 def lines_of_text(path: Path) -> FieldLines:
@@ -120,7 +116,7 @@ def lines_of_text(path: Path) -> FieldLines:
     lines = _lines(str(path), "line", at, notes, split)
     if len(read) > 1 and not text.endswith(("\r", "\n")) and lines.counts[-1] < np.median(lines.counts):
         lines.fields[-1, lines.counts[-1] - 1] = ""  # the file ends within a line
-        note = f"the last number of line {lines.numbers[-1]} is cut off and missing"
+        note = f"the last number of line {read[-1].number} is cut off and missing"
         return replace(lines, notes=(*lines.notes, note))
     return lines
 
@@ -193,7 +189,7 @@ def lines_of_sheets(path: Path, wanted: str | None, least: int) -> dict[str, Fie
 
             rows = _rows_of_sheet(sheets[title], least)
             found[title] = _lines(f"{path}: sheet {title}", "row", at, [f"sheet {title}"], rows)
-    return {title: lines for title, lines in found.items() if lines.numbers}
+    return {title: lines for title, lines in found.items() if lines.lines}
 
 
 def _rows_of_sheet(sheet: Any, least: int) -> Iterator[FieldLine]:
@@ -259,7 +255,7 @@ class ReadingsTable:
 
     def place(self, line: int, field: int | None) -> str:
         """Where in the file."""
-        number = self.source.numbers[self.lines[line]]
+        number = self.source.lines[self.lines[line]].number
         return self.source.at(number, None if field is None else int(self.columns[field]))
 
     def only(self, lines: Any = slice(None), columns: Any = slice(None)) -> "ReadingsTable":
@@ -296,7 +292,7 @@ class ReadingsTable:
     def timing(self, columns: Sequence[int], lines: Sequence[int]) -> Timing:
         """Times of frames from columns (a date and a time of day may be two), in these lines, else from stamps."""
         if not columns:
-            stamps = [self.source.stamps[self.lines[line]] for line in lines]
+            stamps = [self.source.lines[self.lines[line]].stamp for line in lines]
             return self._timing(stamps, "", lines, None, "the terminal's, ") if all(stamps) else None
         dates = [column for column in columns if role_of(self.names[column]) == "date"]
         chosen = [*dates[:1], *[column for column in columns if column not in dates][:1]]
@@ -356,7 +352,7 @@ def readings_table(source: FieldLines, layout: str | None = None) -> ReadingsTab
     if np.any(long):
         line, plain = int(np.argmax(long)), int(np.argmax(data & ~long))
         said = f"{counts[line]} fields, where {source.called(plain)} has {width}"
-        raise InputError(f"{source.at(source.numbers[line], None)}: {said}")
+        raise InputError(f"{source.at(source.lines[line].number, None)}: {said}")
     notes = [", ".join((*source.notes, *(["decimal commas"] if comma else [])))]
     notes += [] if header is None else [f"{source.called(header)} taken as header"]
     left = np.flatnonzero(~data & other & ~comment & np.any(fields != "", axis=1))
