@@ -29,6 +29,7 @@ FEWEST_JUDGED, MOST_JUDGED = 5, 60  # loads: fewer show no usual one; each costs
 ALIKE = 0.02  # of ln of an answer: so well films repeat at best
 UNLIKE = 2.0  # of ln of the first guess's steepness, two standard deviations of its prior: units are wrong more often
 MOST_NAMED = 5  # loads in one warning
+UNITS = "is mass_g in gram, force_newton in newton, and diameter_mm the diameter in mm?"
 CHANGED, BESIDE = 0.25, 0.5  # of a load's answer: change within its frames, and answer of cells beside its foot
 
 
@@ -93,8 +94,7 @@ def calibrate_loads(recordings: Sequence[Recording], known: KnownLoads, toleranc
     for one, two in np.argwhere(np.triu(together, 1)):
         if np.any(felt[one] & felt[two]):
             raise InputError(f"loads {one + 1} and {two + 1} lie on the same cells in the same frames: give one line")
-    water = water_pressure(scene.panel, scene.water)
-    base = scene.response or PUBLISHED
+    base, water = scene.response or PUBLISHED, water_pressure(scene.panel, scene.water)
     flat = [values.reshape(len(loads), -1) for values in (change, sd, pressure, pressure_sd)]
     loaded = Loaded(flat[0], flat[1], flat[2], flat[3], water.ravel(), base)
     fitted = fit_loads(loaded)
@@ -109,28 +109,23 @@ def calibrate_loads(recordings: Sequence[Recording], known: KnownLoads, toleranc
         with np.errstate(over="ignore"):
             response = response_of(fitted, base, scene.panel.shape, tolerance)
     except ValueError as error:
-        raise InputError(
-            f"the loads make a curve that no film has ({error}): is mass_g in gram, force_newton in newton, and "
-            "diameter_mm the diameter in mm?"
-        ) from error
-    beside = _beside(change, felt, pressure_sd, together)
+        raise InputError(f"the loads make a curve that no film has ({error}): {UNITS}") from error
+    beside = _beside(change, felt, pressure_sd, together) > BESIDE
     warnings = (
-        *_named("{} answers otherwise than the others let expect: is its weight right?", _odd_ones(loaded)),
-        *_unlike_first_guess(fitted, pressure, base),
-        *_named("readings change within the frames of {}: were they put on or taken off then?", within > CHANGED),
-        *_named(
-            "cells beside the foot of {} answer as those under it: are places, frames and diameter_mm right?",
-            beside > BESIDE,
+        _named("{} answers otherwise than the others let expect: is its weight right?", _odd_ones(loaded)),
+        _unlike_first_guess(fitted, pressure, base),
+        _named("readings change within the frames of {}: were they put on or taken off then?", within > CHANGED),
+        _named(
+            "cells beside the foot of {} answer as those under it: are places, frames and diameter_mm right?", beside
         ),
     )
-    return LoadCalibration(replace(scene, response=response), fitted, len(loads), warnings)
+    return LoadCalibration(replace(scene, response=response), fitted, len(loads), tuple(filter(None, warnings)))
 
 
 def _odd_ones(loaded: Loaded) -> NDArray[np.bool_]:
     """(loads) which answer otherwise than all others let expect, by many times what the others do."""
-    if not FEWEST_JUDGED <= len(loaded.change) <= MOST_JUDGED:
-        return np.zeros(len(loaded.change), dtype=bool)
-    away = answers_by_others(loaded)
+    judged = FEWEST_JUDGED <= len(loaded.change) <= MOST_JUDGED
+    away = answers_by_others(loaded) if judged else np.full(len(loaded.change), np.nan)
     if np.isnan(away).all():
         return np.zeros(len(away), dtype=bool)
     away -= np.nanmedian(away)
@@ -138,19 +133,14 @@ def _odd_ones(loaded: Loaded) -> NDArray[np.bool_]:
     return np.asarray(np.nan_to_num(np.abs(away)) > CLEARLY * max(usual, ALIKE))
 
 
-def _unlike_first_guess(fitted: Fitted, pressure: Array, base: Response) -> list[str]:
+def _unlike_first_guess(fitted: Fitted, pressure: Array, base: Response) -> str:
     """Where the film answers many times more or less than the first guess."""
-    felt = np.abs(pressure[pressure != 0])
-    middle = np.array([float(np.median(felt))])
-    found, guess = fitted.curve(middle, base)[0][0], float(base.logarithm(middle)[0])
-    ratio = found / guess
+    middle = np.array([float(np.median(np.abs(pressure[pressure != 0])))])
+    ratio = fitted.curve(middle, base)[0][0] / float(base.logarithm(middle)[0])
     if abs(np.log(ratio)) <= UNLIKE:
-        return []
+        return ""
     times = f"{ratio:.2g} times as much" if ratio > 1 else f"{1 / ratio:.2g} times less"
-    return [
-        f"at {middle[0]:.3g} kPa the film answers {times} than the first guess: is mass_g in gram, force_newton in "
-        "newton, and diameter_mm the diameter in mm?"
-    ]
+    return f"at {middle[0]:.3g} kPa the film answers {times} than the first guess: {UNITS}"
 
 
 def _beside(change: Array, felt: NDArray[np.bool_], pressure_sd: Array, together: NDArray[np.bool_]) -> Array:
@@ -164,14 +154,12 @@ def _beside(change: Array, felt: NDArray[np.bool_], pressure_sd: Array, together
     return found
 
 
-def _named(sentence: str, which: NDArray[np.bool_]) -> list[str]:
-    """The sentence with the loads that it is about; none where it is about none."""
+def _named(sentence: str, which: NDArray[np.bool_]) -> str:
+    """The sentence with the loads that it is about; '' where it is about none."""
     numbers = (np.flatnonzero(which) + 1).tolist()
-    if not numbers:
-        return []
     more = f" and {len(numbers) - MOST_NAMED} more" if len(numbers) > MOST_NAMED else ""
-    name = f"load {numbers[0]}" if len(numbers) == 1 else f"loads {', '.join(map(str, numbers[:MOST_NAMED]))}{more}"
-    return [sentence.format(name)]
+    loads = f"load{'s' if len(numbers) > 1 else ''} {', '.join(map(str, numbers[:MOST_NAMED]))}{more}"
+    return sentence.format(loads) if numbers else ""
 
 
 def _places(names: Sequence[str], loads: Sequence[KnownLoad]) -> NDArray[np.intp]:

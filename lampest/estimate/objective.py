@@ -65,20 +65,15 @@ class Bounds(Validated):
 
         Raises InputError where readings leave no room for most of the cells.
         """
-        apparent = readout.apparent_resistance(measured)
-        if isinstance(self.lower, str):
-            native = self.lower == "measured"
-            least = readout.nearly_shorted(measured)
-            lower = readout.least_cells(measured, sigma) if native else least
-            if native and wiring is not None:
-                lower = np.maximum(lower - wiring.path_ohm(measured.shape[-2:]), least)
-        else:
+        lower, upper = readout.nearly_shorted(measured), readout.apparent_resistance(measured) * FARTHEST
+        if self.lower == "measured":
+            least = readout.least_cells(measured, sigma)
+            lower = least if wiring is None else np.maximum(least - wiring.path_ohm(measured.shape[-2:]), lower)
+        elif not isinstance(self.lower, str):
             lower = np.full_like(measured, self.lower)
         if self.upper == "resolution" and sigma is not None:
             upper = readout.resolution(measured, sigma)
-        elif isinstance(self.upper, str):
-            upper = apparent * FARTHEST
-        else:
+        elif not isinstance(self.upper, str):
             upper = np.full_like(measured, self.upper)
         contradicted = upper <= lower
         if np.mean(contradicted) > MOST_CONTRADICTED:
@@ -159,12 +154,6 @@ class Objective:
         """Whether a term says what is expected of cells that no reading sees."""
         return not all(term.reads_measurement for term in self.terms)
 
-    def _stood_in(self, frames: int) -> NDArray[np.bool_]:
-        """(frames) whether missing readings are stood in for: where no penalty says what is expected of their cells."""
-        untold = np.full(frames, not self.penalised)
-        untold[: frames - 1] = all(term.reads_measurement for term in self.absolute_terms)
-        return untold
-
     @property
     def weighs_previous(self) -> bool:
         """Whether a term reads how well the previous frame is known."""
@@ -175,18 +164,17 @@ class Objective:
         """The terms that need no previous frame."""
         return tuple(term for term in self.terms if not term.needs_previous)
 
-    def needs_sigma(self) -> bool:
-        """Whether a term divides by the readings' standard deviation."""
-        return any(getattr(term, "weighting", "plain") == "noise" for term in self.terms)
-
     def data(self, readings: Readings, background: Background) -> Data:
         """What one solve is given, from readings (frames, rows, columns). Raises InputError as `Bounds.limits`."""
         measured, sigma, scene = readings.value, readings.sigma, background.scene
-        if sigma is None and self.needs_sigma():
+        if sigma is None and any(getattr(term, "weighting", "plain") == "noise" for term in self.terms):
             raise InputError("misfit.weighting: noise needs a readout in the scene or sigma in the recording")
         if sigma is None and self.weighs_previous:
             raise InputError("arrival needs the noise: a readout in the scene or sigma in the recording")
-        readings = weighed(readings, scene, self._stood_in(len(measured)))
+        # Missing readings are stood in for where no penalty says what is expected of their cells.
+        stood_in = np.full(len(measured), not self.penalised)
+        stood_in[:-1] = all(term.reads_measurement for term in self.absolute_terms)
+        readings = weighed(readings, scene, stood_in)
         lower, upper = self.bounds.limits(scene.circuit, measured, sigma, scene.wiring)
         apparent = scene.circuit.apparent_resistance(measured)
         if readings.partial:

@@ -19,7 +19,7 @@ from lampest.estimate.state import NO_DUAL
 from lampest.files.errors import InputError
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
-from lampest.posterior.fixed_point import FixedPoint, first_weights, next_weights
+from lampest.posterior.fixed_point import first_weights, next_weights, settled_weights
 from lampest.posterior.linear import LinearModel
 from lampest.posterior.spectrum import Rule, Spectrum, best_weight
 from lampest.posterior.track import MOST_DENSE
@@ -46,16 +46,17 @@ def with_chosen_weights(
     Raises InputError where σ is needed and unknown.
     """
     rule = rule_in_use(estimator, noisy)
-    search = WeightSearch(
-        estimator.cost(scene, len(data.measured), data.partial), data, estimator.solver, tuple(others)
-    )
+    cost = estimator.cost(scene, len(data.measured), data.partial)
+    search = WeightSearch(cost, data, estimator.solver, tuple(others))
     penalties = [number for number, term in enumerate(estimator.terms) if not term.reads_measurement]
     losses = [estimator.terms[number].loss for number in penalties]
     single = len(losses) == 1 and (losses[0].squared or (rule == "press" and losses[0].enters != "dual"))
     first = convex(data, near) if near is None else near
     with np.errstate(all="ignore"):
         if single and data.measured.size <= MOST_DENSE:
-            return estimator.with_weights(search.by_rule(penalties[0], rule, first))
+            weights = search.begun
+            weights[penalties[0]] = search.tried(penalties[0], rule, first)[-1]
+            return estimator.with_weights(weights)
         if rule == "press":
             raise InputError(
                 "weight: auto of more than one penalty, or of a loss that is not squared, needs the noise: name "
@@ -86,19 +87,14 @@ class WeightSearch:
     others: tuple[Data, ...] = ()
 
     @property
-    def _begun(self) -> list[float]:
+    def begun(self) -> list[float]:
+        """The weights that are numbers, and 1 for the open ones."""
         return [1.0 if term.weight == "auto" else float(term.weight) for term in self.cost.terms]
 
     def weighted(self, weights: Sequence[float]) -> Cost:
         """The cost with numbers for all weights."""
         terms = zip(self.cost.terms, weights, strict=True)
         return replace(self.cost, terms=tuple(replace(term, weight=float(weight)) for term, weight in terms))
-
-    def by_rule(self, penalty: int, rule: Rule, first: Array) -> list[float]:
-        """The weights with that of the only penalty that a rule calls the best."""
-        weights = self._begun
-        weights[penalty] = self.tried(penalty, rule, first)[-1]
-        return weights
 
     def tried(self, penalty: int, rule: Rule, first: Array) -> list[float]:
         """What a rule calls the best weight at a start, and then at the estimates for each weight before.
@@ -119,13 +115,13 @@ class WeightSearch:
                     return found
         found = []
         with suppress(*BROKEN):
-            at = evaluated(self.weighted(self._begun), self.data, first)
+            at = evaluated(self.weighted(self.begun), self.data, first)
             found, _ = self._followed(penalty, rule, [LinearModel(at, NO_DUAL)])
         return found or [self._suggested((penalty,), first)[penalty]]
 
     def _followed(self, penalty: int, rule: Rule, models: list[LinearModel]) -> tuple[list[float], bool]:
         """(best weights from model to model, whether the last one that was tried has an estimate)."""
-        weights, found = self._begun, list[float]()
+        weights, found = self.begun, list[float]()
         while models and len(found) < MOST_SOLVES:
             best = best_weight([Spectrum.of(model) for model in models], rule)
             weights[penalty] = float(np.sqrt(best * found[-1])) if found and self.data.bounded else best
@@ -137,8 +133,8 @@ class WeightSearch:
         return found, bool(models)
 
     def _suggested(self, penalties: Sequence[int], first: Array) -> list[float]:
-        at = evaluated(self.weighted(self._begun), self.data, first)
-        return first_weights(LinearModel(at, NO_DUAL), self._begun, penalties)
+        at = evaluated(self.weighted(self.begun), self.data, first)
+        return first_weights(LinearModel(at, NO_DUAL), self.begun, penalties)
 
     def _solved(self, weights: Sequence[float], start: Array, data: Data) -> LinearModel | None:
         """What surrounds the estimate for these weights."""
@@ -156,7 +152,7 @@ class WeightSearch:
                     break
                 near, before = model.at.cell_resistance, weights
                 large = self.data.measured.size > MOST_DENSE
-                weights = next_weights(model, sought) if large else FixedPoint(model, sought).weights()
+                weights = (next_weights if large else settled_weights)(model, sought)
                 if max(abs(np.log(weights[number] / before[number])) for number in sought) < SETTLED:
                     break
         return weights

@@ -5,16 +5,14 @@ and η_t = Σ x². Source: MacKay, Neural Computation 4, 1992.
 """
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 from scipy.special import erf
 
-from lampest.cost.losses import Loss, PenaltyEvidence
+from lampest.cost.losses import PenaltyEvidence
 from lampest.cost.terms import term_kind
 from lampest.files.errors import InputError
-from lampest.panel.panel import Array
 from lampest.posterior.dense import DenseErrors, positive_inverse, rank
 from lampest.posterior.linear import IGNORANCE, LinearModel, penalty_curvature_of
 from lampest.posterior.sampled import SampledErrors
@@ -46,65 +44,47 @@ def next_weights(model: LinearModel, open_terms: Collection[int]) -> list[float]
     for number in open_terms:
         residual = model.penalty[model.penalty_term == number]
         evidence = PenaltyEvidence(residual, float(np.abs(residual).sum()), share, partial(errors.used, number))
-        weights[number] = settled_weight(model.scale, model.at.cost.terms[number].loss, evidence)
+        weights[number] = _weight(model, number, evidence)
     return weights
 
 
-def settled_weight(scale: float, loss: Loss, evidence: PenaltyEvidence) -> float:
-    """s² γ/η, as if at least one residual were determined."""
-    return scale * max(loss.determined(evidence), 1.0) / max(loss.size(evidence), np.finfo(float).tiny)
-
-
-@dataclass(frozen=True, eq=False)
-class FixedPoint:
-    """The linear model of one estimate, as matrices over the cells; open_terms : whose weights are sought."""
-
-    model: LinearModel
-    open_terms: tuple[int, ...]
-
-    def weights(self) -> list[float]:
-        """Where the weights settle while the estimate follows them within the linear model."""
-        errors, model = DenseErrors(self.model), self.model
-        weighted = errors.jacobian.T * model.data_curvature
-        data, slope = weighted @ errors.jacobian, weighted @ model.residual
-        rows = model.penalty_jacobian.toarray()[:, model.free]
-        weights = list(model.at.cost.weights)
-        if not len(model.free):
-            return weights
-        for _ in range(MOST_ROUNDS):
-            curvature = penalty_curvature_of(model, np.asarray(weights))
-            prior = (rows.T * curvature) @ rows
-            inverse = positive_inverse(data + prior + IGNORANCE * model.scale * np.eye(len(data)))
-            step = -inverse @ (slope + rows.T @ (curvature * model.penalty))
-            ridge = FLAT * np.trace(prior) / len(prior) * np.eye(len(prior))
-            alone = positive_inverse(prior + ridge)
-            new = self._updated(weights, rows, curvature, model.penalty + rows @ step, inverse, alone)
-            moved = max(abs(np.log(one / other)) for one, other in zip(new, weights, strict=True))
-            weights = new
-            if moved < SETTLED:
-                break
+def settled_weights(model: LinearModel, open_terms: Collection[int]) -> list[float]:
+    """Where the open weights settle while the estimate follows them within the linear model, by matrices."""
+    errors, weights = DenseErrors(model), list(model.at.cost.weights)
+    if not len(model.free):
         return weights
-
-    def _updated(
-        self, weights: list[float], rows: Array, curvature: Array, size: Array, inverse: Array, alone: Array
-    ) -> list[float]:
-        new = list(weights)
-        for number in self.open_terms:
-            own = self.model.penalty_term == number
-            posterior = np.einsum("ij,jk,ik->i", rows[own], inverse, rows[own], optimize=True)
-            free = np.einsum("ij,jk,ik->i", rows[own], alone, rows[own], optimize=True)
+    weighted = errors.jacobian.T * model.data_curvature
+    data, slope = weighted @ errors.jacobian, weighted @ model.residual
+    rows = model.penalty_jacobian.toarray()[:, model.free]
+    for _ in range(MOST_ROUNDS):
+        curvature = penalty_curvature_of(model, np.asarray(weights))
+        prior = (rows.T * curvature) @ rows
+        inverse = positive_inverse(data + prior + IGNORANCE * model.scale * np.eye(len(data)))
+        step = -inverse @ (slope + rows.T @ (curvature * model.penalty))
+        alone = positive_inverse(prior + FLAT * np.trace(prior) / len(prior) * np.eye(len(prior)))
+        residual, before = model.penalty + rows @ step, weights
+        weights = list(weights)
+        for number in open_terms:
+            own = model.penalty_term == number
+            posterior, free = (
+                np.einsum("ij,jk,ik->i", rows[own], matrix, rows[own], optimize=True) for matrix in (inverse, alone)
+            )
             inside = curvature[own] > 0
-            residual = size[own][inside]
-            magnitude = float(folded(residual, self.model.scale * posterior[inside]).sum())
+            mean = residual[own][inside]
+            size = np.sqrt(np.maximum(model.scale * posterior[inside], np.finfo(float).tiny))
+            # E|x| of normal x.
+            folded = size * np.sqrt(2 / np.pi) * np.exp(-0.5 * (mean / size) ** 2) + mean * erf(
+                mean / size / np.sqrt(2)
+            )
             count, used = (float(np.sum(curvature[own] * part)) for part in (free, posterior))
-            evidence = PenaltyEvidence(residual, magnitude, count, partial(float, used))
-            loss = self.model.at.cost.terms[number].loss
-            new[number] = settled_weight(self.model.scale, loss, evidence)
-        return new
+            evidence = PenaltyEvidence(mean, float(folded.sum()), count, partial(float, used))
+            weights[number] = _weight(model, number, evidence)
+        if max(abs(np.log(one / other)) for one, other in zip(weights, before, strict=True)) < SETTLED:
+            break
+    return weights
 
 
-def folded(mean: Array, variance: Array) -> Array:
-    """E|x| of normal x, any shape."""
-    size = np.sqrt(np.maximum(variance, np.finfo(float).tiny))
-    away = mean / size
-    return np.asarray(size * np.sqrt(2 / np.pi) * np.exp(-0.5 * away**2) + mean * erf(away / np.sqrt(2)))
+def _weight(model: LinearModel, term: int, evidence: PenaltyEvidence) -> float:
+    """s² γ/η, as if at least one residual were determined."""
+    loss = model.at.cost.terms[term].loss
+    return model.scale * max(loss.determined(evidence), 1.0) / max(loss.size(evidence), np.finfo(float).tiny)

@@ -99,25 +99,18 @@ class LinearModel:
         return self._of_rows(self.at.data.deviation)
 
     def _of_rows(self, deviation: Array) -> Array:
-        through = self.through
-        squares = sparse.csc_array((through.data**2, through.indices, through.indptr), shape=through.shape)
-        return np.asarray(np.sqrt(squares @ deviation.ravel() ** 2))
+        return np.asarray(np.sqrt(_squares(self.through) @ deviation.ravel() ** 2))
 
     @cached_property
     def data_curvature(self) -> Array:
-        """ω of the data; zero where a row is missing, and where it is a bound."""
-        curvature: Array = self.at.cost.weights[self._residuals.data.term] * (self.noise > 0) * ~self._bound
+        """ω of the data; zero where a row is missing, and where it reads what only bounds the truth."""
+        side = self.at.data.given.side
+        curvature: Array = self.at.cost.weights[self._residuals.data.term] * (self.noise > 0)
+        if side is not None and np.any(side):
+            curvature = curvature * ~(abs(self.through) @ np.abs(side.ravel()) > 0)
         for _, loss, rows in curved_rows(self.at.cost, self._residuals.data.term):
             curvature[rows] *= loss.data_curvature(self.residual[rows], self.noise[rows])
         return curvature
-
-    @property
-    def _bound(self) -> NDArray[np.bool_]:
-        """Of the data, whether a row reads what only bounds the truth."""
-        side = self.at.data.given.side
-        if side is None or not np.any(side):
-            return np.zeros(len(self.noise), dtype=bool)
-        return np.asarray(abs(self.through) @ np.abs(side.ravel()) > 0)
 
     @cached_property
     def residual(self) -> Array:
@@ -182,9 +175,8 @@ class LinearModel:
         weighing = [number for number, term in enumerate(self.at.cost.terms) if term.weighs_previous]
         if variance is None or not weighing:
             return np.zeros(len(self.penalty_term))
-        rows = self.previous_jacobian
-        squares = sparse.csc_array((rows.data**2, rows.indices, rows.indptr), shape=rows.shape)
-        return np.where(np.isin(self.penalty_term, weighing), np.minimum(squares @ variance, 1.0), 0.0)
+        share = np.minimum(_squares(self.previous_jacobian) @ variance, 1.0)
+        return np.where(np.isin(self.penalty_term, weighing), share, 0.0)
 
     def _known_jacobian(self, name: str, cells: Array | None) -> sparse.csc_array:
         jacobian = self._residuals.penalties.jacobian(name, self.at)
@@ -213,10 +205,12 @@ def least_widening(model: LinearModel) -> Array:
 
     On a cell that was not read x̂ is no evidence: its rows are taken to deviate as much as 95 % of its term's others.
     """
-    squares = model.penalty_squares
+    squares, cells = model.penalty_squares, np.zeros(model.at.cell_resistance.size)
     widened = np.maximum(1.0, squares)
-    if (unread := _unread_rows(model)) is None:
+    if not model.unread.any():
         return widened
+    cells[model.free[model.unread]] = 1.0
+    unread = abs(model.penalty_jacobian) @ cells > 0
     for number in np.unique(model.penalty_term):
         own = model.penalty_term == number
         if (others := own & ~unread).any():
@@ -225,8 +219,6 @@ def least_widening(model: LinearModel) -> Array:
     return widened
 
 
-def _unread_rows(model: LinearModel) -> NDArray[np.bool_] | None:
-    """Which penalty rows speak of a cell that was not read; None where every cell was."""
-    cells = np.zeros(model.at.cell_resistance.size)
-    cells[model.free[model.unread]] = 1.0
-    return np.asarray(abs(model.penalty_jacobian) @ cells > 0) if cells.any() else None
+def _squares(rows: sparse.csc_array) -> sparse.csc_array:
+    """Element by element."""
+    return sparse.csc_array((rows.data**2, rows.indices, rows.indptr), shape=rows.shape)

@@ -29,40 +29,39 @@ from lampest.solvers.solution import Outcome, Solution, Solver, Status, approxim
 
 @dataclass(frozen=True, eq=False)
 class OralDiscTracker:
-    """Where a sequence of such fits stands.
-
-    baseline : of the unloaded readings. frames : how many were fitted. detector, last : prepared for the panel, and the
-    fit before; None at first.
-    """
+    """Of the unloaded readings, prepared for the panel, and the fit before, or None. frames : how many were fitted."""
 
     baseline: Baseline
+    detector: Detector
     frames: int = 0
-    detector: Detector | None = None
     last: OralDiscFit | None = None
 
     @classmethod
     def of(cls, state: SequenceState) -> "OralDiscTracker":
         """Before the first frame. Raises InputError where the noise of the readings is unknown."""
-        scene, resting, noise = state.scene, state.resting, state.frame_noise
+        scene, resting = state.scene, state.resting
         if resting.sigma is None:
             raise InputError("formulation: oral_disc needs the noise: a readout in the scene or sigma in the recording")
         errors = ModelErrors().of_scene(scene, state.reading_error)
-        common = None if noise is None else noise.columns(resting.value[None], True)
+        detector = Detector(scene.panel, patch_of(scene.panel))
         try:
-            return cls(Baseline.of(resting.value, _sigma(resting), scene, errors, common))
+            baseline = Baseline.of(resting.value, _sigma(resting), scene, errors, _common(state, resting, True))
         except ValueError as error:
             raise InputError(f"formulation: oral_disc: {error}") from error
+        return cls(baseline, detector)
 
     def push(self, state: SequenceState, readings: Readings) -> tuple["OralDiscTracker", OralDiscFit]:
         """The fit of one frame's readings (rows, columns), begun at the last one or all over the panel."""
-        panel, noise = state.scene.panel, state.frame_noise
         seconds = (self.frames + 1) * state.period if np.isfinite(state.period) else 0.0
-        common = None if noise is None else noise.columns(readings.value[None], False)
-        water = water_pressure(panel, state.scene.water)
+        water, common = water_pressure(state.scene.panel, state.scene.water), _common(state, readings, False)
         frame = Observation(readings.value, _sigma(readings), self.baseline, water, seconds, common=common)
-        detector = self.detector or Detector(panel, patch_of(panel))
-        found = fit_oral_disc(detector, frame, None if self.last is None else self.last.fit)
-        return replace(self, frames=self.frames + 1, detector=detector, last=found), found
+        found = fit_oral_disc(self.detector, frame, None if self.last is None else self.last.fit)
+        return replace(self, frames=self.frames + 1, last=found), found
+
+
+def _common(state: SequenceState, readings: Readings, baseline: bool) -> Array | None:
+    """What the readings of a frame share by chance."""
+    return None if state.frame_noise is None else state.frame_noise.columns(readings.value[None], baseline)
 
 
 @dataclass(frozen=True)
