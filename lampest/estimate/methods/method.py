@@ -78,10 +78,6 @@ class Method(Validated):
         """What minimises a cost on frames `period` seconds apart; built once per process and kept."""
         return ProjectedNewton(cost, settings)
 
-    def prepare(self, solver: Solver, data: Data, previous: Array | None) -> None:
-        """Build what can be built before the first solve of its kind, so that no frame is charged for it."""
-        solver.prepare()
-
     @abstractmethod
     def solution(self, solver: Solver, data: Data, previous: Array | None, prepared: Any) -> Solution:
         """The cells of a frame; previous : (1, rows, columns) ohm or None; prepared : `SequenceState.prepared`."""
@@ -135,7 +131,7 @@ class Method(Validated):
             choice = perf_counter() - begin
             cost = objective.cost(state.scene, len(data.measured), data.partial)
             solver = self.solver(cost, state.scene, objective.solver, state.period)
-            self.prepare(solver, data, previous)
+            solver.prepare()  # so that no frame is charged for what is built before the first solve of its kind
             begin = perf_counter()
             with ended_where_hung(limit):
                 solution = self.solution(solver, data.limited(limit), previous, state.prepared)
