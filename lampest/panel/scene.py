@@ -132,12 +132,13 @@ class Scene(Configuration):
         """Raise ValueError where a module has something of its own that it cannot have, or does not fit its scene."""
         layout, places = self.panel.modules, [own.at for own in self.modules or ()]
         for own in self.modules or ():
+            where = list(own.at)
             if layout is None or not (0 <= own.at[0] < layout.rows and 0 <= own.at[1] < layout.columns):
-                raise ValueError(f"modules: there is no module {list(own.at)}")
+                raise ValueError(f"modules: there is no module {where}")
             if places.count(own.at) > 1:
-                raise ValueError(f"modules: module {list(own.at)} is named twice")
+                raise ValueError(f"modules: module {where} is named twice")
             if own.readout is not None and type(own.readout) is not type(self.readout):
-                raise ValueError(f"modules: module {list(own.at)} has a readout of another kind than the scene")
+                raise ValueError(f"modules: module {where} has a readout of another kind than the scene")
         if layout is not None:
             assert self.of_modules  # each checks itself
 
@@ -168,18 +169,16 @@ class Scene(Configuration):
     @cached_property
     def alike(self) -> tuple[tuple["Scene", tuple[int, ...]], ...]:
         """(scene, numbers of the modules that have it), each scene once."""
-        numbers: dict[int, list[int]] = {}
+        numbers: dict[Scene, list[int]] = {}
         for number, scene in enumerate(self.of_modules):
-            numbers.setdefault(id(scene), []).append(number)
-        return tuple((self.of_modules[own[0]], tuple(own)) for own in numbers.values())
+            numbers.setdefault(scene, []).append(number)
+        return tuple((scene, tuple(own)) for scene, own in numbers.items())
 
     @property
     def dead_modules(self) -> tuple[int, ...]:
         """The numbers of modules that are not read."""
-        layout = self.panel.modules
-        if layout is None or self.faults is None:
-            return ()
-        return tuple(sorted({row * layout.columns + column for row, column in self.faults.dead_modules}))
+        layout, faults = self.panel.modules, self.faults or Faults()
+        return () if layout is None else tuple(sorted({row * layout.columns + k for row, k in faults.dead_modules}))
 
     @cached_property
     def blind(self) -> NDArray[np.bool_]:
@@ -198,7 +197,6 @@ class Scene(Configuration):
 
     @cached_property
     def shorted_cells(self) -> NDArray[np.bool_]:
-        """(rows, columns) where a cell joins its lines."""
         return self._of_faults(Faults.shorted_cells)
 
     @cached_property
@@ -222,12 +220,10 @@ class Scene(Configuration):
     @property
     def assumed_text(self) -> str:
         """'readings: 20, adc_bits: 10' of the entries that the scene's file left open."""
-        parts = []
-        for path in self.assumed:
-            room, _, name = path.partition(".")
-            value = getattr(getattr(self, room, None), name, None)
-            parts += [] if value is None else [f"{name}: {value:g}" if isinstance(value, float) else f"{name}: {value}"]
-        return ", ".join(parts)
+        places = (path.partition(".") for path in self.assumed)
+        named = ((name, getattr(getattr(self, room, None), name, None)) for room, _, name in places)
+        texts = ((name, f"{value:g}" if isinstance(value, float) else value) for name, value in named)
+        return ", ".join(f"{name}: {text}" for name, text in texts if text is not None)
 
     @property
     def circuit(self) -> Readout:
@@ -253,19 +249,18 @@ class Scene(Configuration):
 
         Itself where the readout's kind has none; see `Readout.series_name`.
         """
-        name = self.circuit.series_name
+        changes: dict[str, Any] = {self.circuit.series_name: ohm}
         if self.circuit.in_series:
-            return replace(self, series_resistance_ohm=ohm)
-        changes: dict[str, Any] = {name: ohm}
-        return replace(self, readout=replace(self.circuit, **changes)) if name else self  # type: ignore[arg-type]
+            return replace(self, **changes)
+        circuit = self.circuit
+        return replace(self, readout=replace(circuit, **changes)) if circuit.series_name else self  # type: ignore[arg-type]
 
     @property
     def specified_in_series(self) -> float:
         """What the scene says of it, ohm; the mean where lines differ."""
-        name = self.circuit.series_name
         if self.circuit.in_series:
             return float(np.mean(self.series_ohm))
-        return float(np.mean(as_tuple(getattr(self.circuit, name)))) if name else 0.0
+        return float(np.mean(as_tuple(getattr(self.circuit, self.circuit.series_name, 0.0))))
 
     @property
     def specified_systematic(self) -> Systematic | None:

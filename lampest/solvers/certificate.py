@@ -82,12 +82,12 @@ class Certificate:
         """The same at the end of its short step: by the gradient there, second derivatives have hardly changed."""
         if self.factor is None or self.definiteness is not Definiteness.POSITIVE:
             return self
-        cells = self.factor.cells
-        part = self.factor.solve(-gradient.ravel()[cells])
-        decrement = float(np.sqrt(max(-float(gradient.ravel()[cells] @ part), 0.0)))
-        share = decrement / (self.decrement or 1.0)
-        step = within_bounds(at, cells, part)
-        return replace(self, step=step, decrement=decrement, deviations=self.deviations * share)
+        slope = gradient.ravel()[self.factor.cells]
+        part = self.factor.solve(-slope)
+        decrement = float(np.sqrt(max(-float(slope @ part), 0.0)))
+        deviations = self.deviations * decrement / (self.decrement or 1.0)
+        step = within_bounds(at, self.factor.cells, part)
+        return replace(self, step=step, decrement=decrement, deviations=deviations)
 
     def converged(self, cost_scale: float) -> bool:
         """Whether one more step moves no cell by a millionth and lowers the cost by no more than its own rounding.
@@ -120,9 +120,7 @@ def certificate(hessian: Hessian, kept: Preconditioner | None = None) -> Certifi
         return at_kinks(hessian, chosen, Kinks.of(hessian, at_kink(hessian.at, hessian.smoothing.dual), chosen))
     if not hessian.dense:
         return _by_conjugate_gradients(hessian, free, kept)
-    found = _by_factorisation(hessian, chosen)
-    finer = None if found.definiteness is Definiteness.POSITIVE else _by_squares(hessian, chosen)
-    return finer or found
+    return _by_factorisation(hessian, chosen)
 
 
 def _of_reproduced(hessian: Hessian) -> Certificate | None:
@@ -196,6 +194,11 @@ def _by_factorisation(hessian: Hessian, free: Numbers) -> Certificate:
         return Certificate.of(hessian, Definiteness.POSITIVE, free, part, None, left=0.0, factor=factor)
     definiteness, part, left, lowest = newton_step(matrix, slope, least)
     definiteness, lower = _confirmed(hessian, definiteness, free, lowest)
+    if len(free) <= DENSE_STIFF_CELLS and definiteness is not Definiteness.POSITIVE:
+        # From residuals' first derivatives, which have twice the digits, where these suffice.
+        finer = Squares.of(hessian, free).newton(matrix)
+        if finer is not None and finer[0] > max(finer[1], SURE):
+            return Certificate.of(hessian, Definiteness.POSITIVE, free, *finer[2:])
     return Certificate.of(hessian, definiteness, free, part, None, left=left, factor=factor, lower=lower)
 
 
@@ -214,16 +217,6 @@ def newton_step(matrix: Array, slope: Array, least: Array) -> tuple[Definiteness
     left = float(np.abs(size * (vectors[:, ~solid] @ part[~solid])).max(initial=0.0))
     flat = Definiteness.POSITIVE if solid.all() else Definiteness.UNDETERMINED
     return Definiteness.INDEFINITE if values[0] < -ROUNDING else flat, step, left, vectors[:, 0] / size
-
-
-def _by_squares(hessian: Hessian, free: Numbers) -> Certificate | None:
-    """From residuals' first derivatives, which have twice the digits; None where those do not suffice or φ falls."""
-    if len(free) > DENSE_STIFF_CELLS:
-        return None
-    found = Squares.of(hessian, free).newton(hessian.between(free))
-    if found is None or not found[0] > max(found[1], SURE):
-        return None
-    return Certificate.of(hessian, Definiteness.POSITIVE, free, *found[2:])
 
 
 def clear_of_rounding(triangle: Array, norm: float) -> bool:

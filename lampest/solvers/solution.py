@@ -1,6 +1,5 @@
 """How a solve ended, and what it found."""
 
-import math
 from dataclasses import dataclass, replace
 from enum import Enum
 from typing import Any, ClassVar, Protocol
@@ -10,7 +9,7 @@ from numpy.typing import NDArray
 
 from lampest.cost.cost import Cost
 from lampest.cost.problem import Data, Evaluation, within_one
-from lampest.files.typed import Validated, typed
+from lampest.files.typed import Validated, check_positive_fields, check_ranges, typed
 from lampest.panel.panel import Array
 from lampest.solvers.bounds import MILLIONTH, bounds_matter, free_cells
 from lampest.solvers.certificate import Certificate, Definiteness, certificate
@@ -104,12 +103,9 @@ class Settings(Validated):
     def __post_init__(self) -> None:
         if not 0 < self.tolerance < 1:
             raise ValueError("tolerance must lie between 0 and 1")
-        if not 1 <= self.max_iterations <= 1_000_000:
-            raise ValueError("max_iterations must lie between 1 and 1000000")
-        if self.time_limit_s is not None and not 0 < self.time_limit_s < math.inf:
-            raise ValueError("time_limit_s must be positive and finite")
-        if self.starts is not None and not 1 <= self.starts <= MOST_STARTS:
-            raise ValueError(f"starts must lie between 1 and {MOST_STARTS}")
+        check_ranges(self, 1, 1_000_000, "max_iterations")
+        check_positive_fields(self, "time_limit_s")
+        check_ranges(self, 1, MOST_STARTS, "starts")
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,25 +175,22 @@ class Solution:
 
 
 class Solver(Protocol):
-    """What a sequence asks of a solver.
+    """What a sequence asks of a solver of one cost; prepare : build what can be built before the first solve. solve :
+    minimise from a start; never raises for a failed solve.
 
     >>> sorted(name for name in vars(lampest.Solver) if not name.startswith("_"))
     ['cost', 'prepare', 'settings', 'solve']
     """
 
     @property
-    def cost(self) -> Cost:
-        """What it minimises."""
+    def cost(self) -> Cost: ...
 
     @property
-    def settings(self) -> Settings:
-        """When it stops."""
+    def settings(self) -> Settings: ...
 
-    def prepare(self) -> None:
-        """Build what can be built before the first solve."""
+    def prepare(self) -> None: ...
 
-    def solve(self, data: Data, start: Evaluation) -> Outcome:
-        """Minimise from `start`; never raises for a failed solve."""
+    def solve(self, data: Data, start: Evaluation) -> Outcome: ...
 
 
 def check(start: Evaluation, outcome: Outcome) -> Solution:
@@ -215,23 +208,18 @@ def check(start: Evaluation, outcome: Outcome) -> Solution:
     level = residual <= VERIFIED
     ended = outcome.status is not Status.TIME and np.all(np.isfinite(gradient))
     if not worse and not level and ended and at.dual_gap(dual) <= VERIFIED * at.cost_scale:
-        outcome = replace(outcome, certificate=_certificate(at, outcome))
-        level = outcome.certificate is not None and outcome.certificate.converged(at.cost_scale)
+        found = outcome.certificate or certificate(_sharp(at, outcome), outcome.kept)
+        outcome, level = replace(outcome, certificate=found), found.converged(at.cost_scale)
     if worse or not level:
         fault = Status.WORSE if level else Status.UNVERIFIED
         fault = fault if outcome.status is Status.OPTIMUM else outcome.status
         return failure(cost, data, _cause(at, gradient, outcome, fault), residual, outcome)
-    found = _certificate(at, outcome)
-    if found.settled:
-        held = bounds_matter(at, gradient, dual)
-        return _solution(at, residual, outcome, Status.HELD if held else Status.OPTIMUM)
+    found = outcome.certificate or certificate(_sharp(at, outcome), outcome.kept)
     if found.definiteness is Definiteness.INDEFINITE:
         return failure(cost, data, Status.SADDLE, residual, outcome)
-    return _solution(at, residual, outcome, UNSETTLED[found.definiteness])
-
-
-def _certificate(at: Evaluation, outcome: Outcome) -> Certificate:
-    return outcome.certificate or certificate(_sharp(at, outcome), outcome.kept)
+    if not found.settled:
+        return _solution(at, residual, outcome, UNSETTLED[found.definiteness])
+    return _solution(at, residual, outcome, Status.HELD if bounds_matter(at, gradient, dual) else Status.OPTIMUM)
 
 
 def _sharp(at: Evaluation, outcome: Outcome) -> Hessian:

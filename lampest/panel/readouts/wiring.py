@@ -40,8 +40,8 @@ class Lines(Configuration):
     columns_leave: Literal["bottom", "top"] = "bottom"
 
     def __post_init__(self) -> None:
-        for name in ("row_ohm_per_cell", "column_ohm_per_cell"):
-            check_lines(name, getattr(self, name))
+        check_lines("row_ohm_per_cell", self.row_ohm_per_cell)
+        check_lines("column_ohm_per_cell", self.column_ohm_per_cell)
 
     @property
     def resist(self) -> bool:
@@ -53,9 +53,7 @@ class Lines(Configuration):
 class ContactPrior(Configuration):
     """What is known beforehand of the contacts of one side's lines, in ohm: a number, or one for each line.
 
-    mean_ohm, sd_ohm : mean and standard deviation. sd_ohm 0: known.
-
-    Raises ValueError where a number is out of range.
+    mean_ohm, sd_ohm : mean and standard deviation. sd_ohm 0: known. Raises ValueError where a number is out of range.
 
     >>> lampest.ContactPrior(mean_ohm=5.0, sd_ohm=2.0).sd_ohm
     2.0
@@ -101,78 +99,6 @@ class Contacts(Configuration):
         return cls(*(ContactPrior(*map(tuple, part.tolist())) for part in (both[:, :rows], both[:, rows:])))
 
 
-@dataclass(frozen=True, eq=False)
-class Ladder:
-    """K·i = e, the currents i through cells under potential differences e = Bᵀp of terminals at p.
-
-    K = diag(r) + T, T_cd = Σ of the wire that cells c and d share on their ways to terminals. Block elimination: the
-    lines of one side are rungs, the others' wire the rails. The rungs passed so far are a source with an internal
-    conductance, to which each rung adds its own and each segment of the rails its resistance. Costs long·short³.
-
-    swapped : whether the columns are the rungs. outer, inner : steps that put rungs and their cells in order; rungs
-    enter at their first cell, rails leave at the last. rung : (rungs, n, n) siemens, of every rung's own K⁻¹.
-    passed : (rungs, n, n), the share of the current that gets through the next segment of the rails.
-    shown : (rungs, n, n) siemens, the conductance of all rungs so far beyond that segment.
-    segment_ohm : (rungs, n) of the rails, the contacts in the last.
-    """
-
-    swapped: bool
-    outer: slice
-    inner: slice
-    rung: Array
-    passed: Array
-    shown: Array
-    segment_ohm: Array
-
-    @classmethod
-    def of(
-        cls,
-        cells: Array,
-        swapped: bool,
-        flipped: tuple[bool, bool],
-        ohm: tuple[float, float],
-        contact_ohm: Sequence[Array],
-    ) -> "Ladder":
-        """Of cells (rows, columns) ohm in the panel's order.
-
-        flipped : whether rungs, and cells of a rung, come from the last to the first. ohm, contact_ohm : of a segment,
-        and of every line's contact, of the rungs and of the rails.
-        """
-        outer, inner = (slice(None, None, -1 if flip else 1) for flip in flipped)
-        turned = (cells.T if swapped else cells)[outer, inner]
-        along, across = ohm
-        count, size = turned.shape
-        steps, every = np.arange(1, size + 1), np.arange(size)
-        matrix = np.tile(along * np.minimum.outer(steps, steps).astype(float), (count, 1, 1))
-        matrix += contact_ohm[0][outer, None, None]
-        matrix[:, every, every] += turned
-        segment = np.full((count, size), across)
-        segment[-1] += contact_ohm[1][inner]
-        rung = np.linalg.inv(matrix)
-        passed, shown = np.empty_like(rung), np.empty_like(rung)
-        before, one = np.zeros((size, size)), np.eye(size)
-        for number in range(count):
-            total = before + rung[number]
-            passed[number] = np.linalg.inv(one + total * segment[number])
-            before = shown[number] = passed[number] @ total
-        return cls(swapped, outer, inner, rung, passed, shown, segment)
-
-    def solve(self, differences: Array) -> Array:
-        """i = K⁻¹·e: currents through the cells for e (rows, columns, patterns) volt, the same shape, ampere."""
-        turned = (differences.swapaxes(0, 1) if self.swapped else differences)[self.outer, self.inner]
-        own = self.rung @ turned
-        source, potential = np.empty_like(own), np.empty_like(own)
-        before = np.zeros(own.shape[1:])
-        for number in range(len(own)):
-            before = source[number] = self.passed[number] @ (before + own[number])
-        after = np.zeros(own.shape[1:])
-        for number in reversed(range(len(own))):
-            current = source[number] - self.shown[number] @ after
-            after = potential[number] = after + self.segment_ohm[number, :, None] * current
-        current = (own - self.rung @ potential)[self.outer, self.inner]
-        return current.swapaxes(0, 1) if self.swapped else current
-
-
 @dataclass(frozen=True)
 class Wiring:
     """lines : their wire. joined : groups of lines that touch, by their numbers, rows first. contacts : or None."""
@@ -189,10 +115,8 @@ class Wiring:
         """Wire from terminal to terminal through every cell, (rows, columns) ohm; of contacts as much as may be."""
         rows, columns = shape
         along, down = np.arange(1, columns + 1), np.arange(1, rows + 1)
-        if self.lines.rows_enter == "right":
-            along = along[::-1]
-        if self.lines.columns_leave == "bottom":
-            down = down[::-1]
+        along = along[::-1] if self.lines.rows_enter == "right" else along
+        down = down[::-1] if self.lines.columns_leave == "bottom" else down
         wire = self.lines.row_ohm_per_cell * along + self.lines.column_ohm_per_cell * down[:, None]
         if self.contacts is None:
             return np.asarray(wire)
@@ -206,16 +130,69 @@ class Wiring:
             first[list(group)] = min(group)
         return np.asarray(first[:, None] == np.unique(first), dtype=float)
 
-    def factor(self, cell_resistance: Array) -> Ladder:
-        """K for cells (rows, columns) ohm, ready to be solved."""
-        rows, columns = cell_resistance.shape
-        lines = self.lines
-        flip_rows, flip_columns = lines.columns_leave == "top", lines.rows_enter == "right"
-        contact = np.split(self.contact_ohm((rows, columns)), [rows])
-        ohm = (lines.row_ohm_per_cell, lines.column_ohm_per_cell)
-        if columns <= rows:
-            return Ladder.of(cell_resistance, False, (flip_rows, flip_columns), ohm, contact)
-        return Ladder.of(cell_resistance, True, (not flip_columns, not flip_rows), ohm[::-1], contact[::-1])
+
+@dataclass(frozen=True, eq=False)
+class Ladder:
+    """K·i = e, the currents i through cells under potential differences e = Bᵀp of terminals at p.
+
+    K = diag(r) + T, T_cd = Σ of the wire that cells c and d share on their ways to terminals. Block elimination: the
+    lines of one side are rungs, the others' wire the rails. The rungs passed so far are a source with an internal
+    conductance, to which each rung adds its own and each segment of the rails its resistance. Costs long·short³.
+
+    swapped : whether the columns are the rungs. outer, inner : steps that put rungs and their cells in order; rungs
+    enter at their first cell, rails leave at the last. rung : (rungs, n, n) siemens, of every rung's own K⁻¹.
+    passed : (rungs, n, n), the share of the current that gets through the next segment of the rails. shown : (rungs, n,
+    n) siemens, the conductance of all rungs so far beyond that segment. segment_ohm : (rungs, n) of the rails, the
+    contacts in the last.
+    """
+
+    swapped: bool
+    outer: slice
+    inner: slice
+    rung: Array
+    passed: Array
+    shown: Array
+    segment_ohm: Array
+
+    @classmethod
+    def of(cls, cells: Array, wiring: Wiring) -> "Ladder":
+        """Of cells (rows, columns) ohm in the panel's order; the longer side's lines are the rungs."""
+        lines, swapped = wiring.lines, cells.shape[1] > cells.shape[0]
+        flipped = [lines.columns_leave == "top", lines.rows_enter == "right"]
+        ohm = [lines.row_ohm_per_cell, lines.column_ohm_per_cell]
+        contacts = np.split(wiring.contact_ohm(cells.shape), [len(cells)])
+        if swapped:
+            flipped, ohm, contacts = [not flip for flip in flipped[::-1]], ohm[::-1], contacts[::-1]
+        outer, inner = (slice(None, None, -1 if flip else 1) for flip in flipped)
+        turned = (cells.T if swapped else cells)[outer, inner]
+        count, size = turned.shape
+        steps, every = np.arange(1, size + 1), np.arange(size)
+        matrix = np.tile(ohm[0] * np.minimum.outer(steps, steps).astype(float), (count, 1, 1))
+        matrix += contacts[0][outer, None, None]
+        matrix[:, every, every] += turned
+        segment = np.full((count, size), ohm[1])
+        segment[-1] += contacts[1][inner]
+        rung = np.linalg.inv(matrix)
+        passed, shown, before = np.empty_like(rung), np.empty_like(rung), np.zeros((size, size))
+        for number in range(count):
+            total = before + rung[number]
+            passed[number] = np.linalg.inv(np.eye(size) + total * segment[number])
+            before = shown[number] = passed[number] @ total
+        return cls(swapped, outer, inner, rung, passed, shown, segment)
+
+    def solve(self, differences: Array) -> Array:
+        """i = K⁻¹·e: currents through the cells for e (rows, columns, patterns) volt, the same shape, ampere."""
+        turned = (differences.swapaxes(0, 1) if self.swapped else differences)[self.outer, self.inner]
+        own = self.rung @ turned
+        source, potential = np.empty_like(own), np.empty_like(own)
+        before, after = np.zeros(own.shape[1:]), np.zeros(own.shape[1:])
+        for number in range(len(own)):
+            before = source[number] = self.passed[number] @ (before + own[number])
+        for number in reversed(range(len(own))):
+            current = source[number] - self.shown[number] @ after
+            after = potential[number] = after + self.segment_ohm[number, :, None] * current
+        current = (own - self.rung @ potential)[self.outer, self.inner]
+        return current.swapaxes(0, 1) if self.swapped else current
 
 
 @dataclass(frozen=True, eq=False)
@@ -239,7 +216,7 @@ class WiredNetwork(TiedNetwork):
     def solve(cls, cell_resistance: Array, ties: Array, readout: ReadCircuit, wiring: Wiring) -> "WiredNetwork":
         """Of cells (rows, columns) ohm. Raises numpy.linalg.LinAlgError where a line is not connected."""
         rows, columns = cell_resistance.shape
-        ladder = wiring.factor(cell_resistance)
+        ladder = Ladder.of(cell_resistance, wiring)
         currents = ladder.solve(incidence(rows, columns)).reshape(-1, rows + columns)
         through = currents.reshape(rows, columns, -1)
         admittance = np.concatenate([through.sum(axis=1), -through.sum(axis=0)])
