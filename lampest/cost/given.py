@@ -16,27 +16,25 @@ from lampest.panel.scene import Scene
 
 
 class FrameReadings(Protocol):
-    """The readings that a solve is given, all (frames, rows, columns); see `lampest.recording.readings`."""
+    """The readings that a solve is given, all (frames, rows, columns); see `Given` for what they are.
+
+    partial : whether any is not a plain value.
+    """
 
     @property
-    def value(self) -> Array:
-        """The network's readings, in the readout's unit."""
+    def value(self) -> Array: ...
 
     @property
-    def sigma(self) -> Array | None:
-        """Their standard deviation, or None."""
+    def sigma(self) -> Array | None: ...
 
     @property
-    def side(self) -> Array:
-        """0 a value, 1 or -1 where the truth is at least or at most this."""
+    def side(self) -> Array: ...
 
     @property
-    def seen(self) -> Array:
-        """1, or 0 where a reading says nothing."""
+    def seen(self) -> Array: ...
 
     @property
-    def partial(self) -> bool:
-        """Whether any reading is not a plain value."""
+    def partial(self) -> bool: ...
 
 
 @dataclass(frozen=True, eq=False)

@@ -64,9 +64,8 @@ class Data:
     @property
     def plain(self) -> NDArray[np.bool_]:
         """(frames, rows, columns) whether a reading is a value: no bound, not nothing, no stand-in."""
-        if not self.partial:
-            return np.ones(self.measured.shape, dtype=bool)
-        return np.asarray((self.given.side == 0) & (self.given.seen == 1))
+        whole = np.ones(self.measured.shape, dtype=bool)
+        return np.asarray(whole & (self.given.side == 0) & (self.given.seen == 1)) if self.partial else whole
 
     @property
     def deviation(self) -> Array:
@@ -100,7 +99,6 @@ class Data:
 
     @cached_property
     def log_bounds(self) -> tuple[Array, Array]:
-        """Logarithms of the bounds."""
         return np.log(self.lower), np.log(self.upper)
 
     @cached_property
@@ -111,6 +109,10 @@ class Data:
     def network(self, frame: int, cell_resistance: Array) -> Network:
         """The solved network of one frame's cells (rows, columns) ohm."""
         return self.readout.network(cell_resistance, self.ties[frame], self.wiring)
+
+    def networks(self, cell_resistance: Array) -> tuple[Network, ...]:
+        """Those of all frames."""
+        return tuple(self.network(frame, cells) for frame, cells in enumerate(cell_resistance))
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,7 +131,7 @@ class Evaluation:
     @classmethod
     def at(cls, cost: Cost, data: Data, cell_resistance: Array) -> "Evaluation":
         """Solve the networks of a cell resistance (frames, rows, columns) ohm."""
-        networks = _solved(data, cell_resistance)
+        networks = data.networks(cell_resistance)
         return cls(cost, data, cell_resistance, np.stack([network.reading() for network in networks]), networks)
 
     def elsewhere(self, cell_resistance: Array) -> "Evaluation":
@@ -139,7 +141,7 @@ class Evaluation:
     @cached_property
     def networks(self) -> tuple[Network, ...]:
         """The solved network of every frame."""
-        return _solved(self.data, self.cell_resistance) if self.solved is None else self.solved
+        return self.data.networks(self.cell_resistance) if self.solved is None else self.solved
 
     def call(self, function: Compiled, dual: Array) -> Array:
         """One of the cost's functions at this point."""
@@ -153,13 +155,13 @@ class Evaluation:
         return function(*[here[name] if name in here else given[name] for name in function.names])
 
     def of_terms(self, function: Compiled) -> Array:
-        """A function of the terms' residuals at this point, which knows neither weights nor duals."""
-        return self.call(function, self._no_dual)
+        """A function of the terms' residuals at this point, which knows no duals."""
+        return self.call(function, np.zeros(len(self.cost.slope)))
 
     @cached_property
     def first(self) -> Array:
         """The costs of the terms, here and at f(r) = 0, and their derivatives without duals."""
-        return self.call(self.cost.functions.first, self._no_dual)
+        return self.of_terms(self.cost.functions.first)
 
     @property
     def costs(self) -> Array:
@@ -170,10 +172,6 @@ class Evaluation:
     def objective(self) -> float:
         """φ."""
         return float(self.costs.sum())
-
-    @property
-    def _no_dual(self) -> Array:
-        return np.zeros(len(self.cost.slope))
 
     def partials(self, dual: Array) -> tuple[Array, Array]:
         """(∂φ/∂r at fixed readings y, ∂φ/∂y), each (frames, rows, columns)."""
@@ -198,13 +196,13 @@ class Evaluation:
     @cached_property
     def nonsmooth(self) -> Array:
         """Residuals x with an absolute loss."""
-        return self.call(self.cost.functions.nonsmooth, self._no_dual) if len(self.cost.slope) else np.zeros(0)
+        return self.of_terms(self.cost.functions.nonsmooth) if len(self.cost.slope) else np.zeros(0)
 
     @cached_property
     def nonsmooth_reach(self) -> Array:
         """Σ |∂x/∂r|·r + Σ |∂x/∂y|·|y| of those residuals: what they would be off by were every digit wrong."""
         rows, columns = self.cost.functions.nonsmooth_jacobian.pattern
-        slopes = self.call(self.cost.functions.nonsmooth_jacobian, self._no_dual)
+        slopes = self.of_terms(self.cost.functions.nonsmooth_jacobian)
         at = np.concatenate([self.cell_resistance.ravel(), self.reading.ravel()])
         return np.asarray(np.bincount(rows, np.abs(slopes * at[columns]), len(self.nonsmooth)), dtype=float)
 
@@ -228,25 +226,19 @@ class Evaluation:
 
         Zero where the first-order optimality conditions hold. log_gradient : for these duals, where it is known.
         """
-        dual = within_one(dual)
-        gap = self.dual_gap(dual) / self.cost_scale if len(dual) else 0.0
+        gap = self.dual_gap(within_one(dual)) / self.cost_scale if len(dual) else 0.0
         return self.projected_gradient(self.log_gradient(dual) if log_gradient is None else log_gradient) + gap
 
     def projected_gradient(self, log_gradient: Array) -> float:
         """max |u − Π(u − ∇φ/s)| for a gradient that is known already."""
         lower, upper = self.data.log_bounds
-        position = self.position
-        target = np.minimum(np.maximum(position - log_gradient / self.cost_scale, lower), upper)
-        return float(np.abs(position - target).max())
+        target = np.minimum(np.maximum(self.position - log_gradient / self.cost_scale, lower), upper)
+        return float(np.abs(self.position - target).max())
 
     @cached_property
     def position(self) -> Array:
         """u = log r, (frames, rows, columns)."""
         return np.log(self.cell_resistance)
-
-
-def _solved(data: Data, cell_resistance: Array) -> tuple[Network, ...]:
-    return tuple(data.network(frame, cells) for frame, cells in enumerate(cell_resistance))
 
 
 def within_one(dual: Array) -> Array:

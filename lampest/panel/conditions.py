@@ -26,12 +26,11 @@ class Water(Configuration):
 class Temperature(Configuration):
     """r(T) = r(T_b)·exp(α (T − T_b)): how the film's temperature changes every cell between baseline and measurement.
 
-    Exponential, because 1 + α (T − T_b) turns negative far from T_b; both agree within (α (T − T_b))²/2.
-
     coefficient_per_kelvin : α. coefficient_sd_per_kelvin : its standard deviation.
     baseline_celsius, measured_celsius : T_b of the unloaded and T of the measured frames.
 
-    Raises ValueError where a number is out of range.
+    1 + α (T − T_b), with which it agrees within (α (T − T_b))²/2, turns negative far from T_b. Raises ValueError where
+    a number is out of range.
 
     >>> lampest.Temperature(-0.003, baseline_celsius=20.0, measured_celsius=12.0).difference_kelvin
     -8.0
@@ -98,10 +97,8 @@ class Systematic(Configuration):
 class MeasuredSubject(Configuration):
     """Who touched the panel.
 
-    id : its name in the laboratory. species : its Latin name. length_mm : of the body. mass_g : of the body.
-    note : what else there is to say.
-
-    Empty or None: not known. Raises ValueError where a number is not positive.
+    id : its name in the laboratory. species : its Latin name. length_mm, mass_g : of the body. note : what else there
+    is to say. Empty or None: not known. Raises ValueError where a number is not positive.
 
     >>> lampest.MeasuredSubject(species="Petromyzon marinus").species
     'Petromyzon marinus'
@@ -122,8 +119,7 @@ class Experiment(Configuration):
     """What it was measured for.
 
     title : in a few words. experimenter : who did it. institution : where. water_temperature_celsius : of the water
-        around the panel; what warmth does to the film is another key, `temperature`. note : what else there is to say.
-
+    around the panel; what warmth does to the film is another key, `temperature`. note : what else there is to say.
     Empty or None: not known. Raises ValueError where the water is no water.
 
     >>> lampest.Experiment(title="attachment").title

@@ -84,8 +84,8 @@ def hidden_columns(cells: Array, measured: Array, scene: Scene, sizes: Systemati
 def recorded_share(measured: Array, scene: Scene) -> Array:
     """∂(reading)/∂ log(recorded): what a factor on a recorded value does to the network's reading."""
     recorded, step = scene.circuit.to_recorded(measured, scene), 1e-6
-    ends = [scene.circuit.from_recorded(recorded * np.exp(sign * step), scene) for sign in (1, -1)]
-    return np.asarray((ends[0] - ends[1]) / (2 * step))
+    above, below = (scene.circuit.from_recorded(recorded * np.exp(sign * step), scene) for sign in (1, -1))
+    return np.asarray((above - below) / (2 * step))
 
 
 @dataclass(frozen=True)
@@ -123,20 +123,23 @@ class Shared:
         if other is None or other.systematic is None:
             return replace(self, contact_root=None)
         own, known = (one.reading_error or 0.0 for one in (self.systematic, other.systematic))
-        if own <= known:
-            return None
-        return Shared(Systematic(reading_error=float(np.sqrt(own**2 - known**2))), self.scene)
+        return Shared(Systematic(reading_error=float(np.sqrt(own**2 - known**2))), self.scene) if own > known else None
 
     def columns(self, cells: Array, measured: Array, networks: Sequence[Network]) -> Array:
-        """U (frames · cells, n) in the readings' unit; see `own`.
+        """U (frames · cells, n) in the readings' unit: contacts, reference and channels, hidden errors; see `own`.
 
-        cells, measured : (frames, rows, columns). networks : one a frame.
+        cells, measured : (frames, rows, columns). networks : one a frame. A tolerance is the half width of a uniform
+        distribution, σ = 1/√3 of it.
         """
         parts: list[Array] = []
         if self.contact_root is not None:
             parts.append(contact_responses(networks) @ self.contact_root)
         if self.systematic is not None:
-            parts += self._of_readings(cells, measured, self.systematic)
+            sizes, circuit, pairs = self.systematic, self.scene.circuit, list(zip(cells, measured, strict=True))
+            reference, channel = sizes.reference_tolerance / np.sqrt(3), sizes.channel_spread_ohm
+            parts.append(_columns([circuit.shared_errors(*pair, self.scene, reference, channel) for pair in pairs]))
+            hidden = _columns([hidden_columns(*pair, self.scene, sizes) for pair in pairs])
+            parts.append(hidden if self.hidden_root is None or not hidden.size else hidden @ self.hidden_root)
         return np.concatenate(parts, axis=1)
 
     def own(self, cells: int) -> int:
@@ -149,19 +152,6 @@ class Shared:
         if not size:
             return np.zeros(measured.shape)
         return np.asarray(size * np.abs(np.stack([recorded_share(frame, self.scene) for frame in measured])))
-
-    def _of_readings(self, cells: Array, measured: Array, systematic: Systematic) -> list[Array]:
-        """1 + rows + columns of them, and the hidden ones.
-
-        A tolerance is the half width of a uniform distribution, σ = 1/√3 of it.
-        """
-        reference, pairs = systematic.reference_tolerance / np.sqrt(3), list(zip(cells, measured, strict=True))
-        circuit, channel = self.scene.circuit, systematic.channel_spread_ohm
-        specified = _columns([circuit.shared_errors(*pair, self.scene, reference, channel) for pair in pairs])
-        hidden = _columns([hidden_columns(*pair, self.scene, systematic) for pair in pairs])
-        if not hidden.size:
-            return [specified]
-        return [specified, hidden if self.hidden_root is None else hidden @ self.hidden_root]
 
 
 def _columns(frames: Sequence[Array]) -> Array:

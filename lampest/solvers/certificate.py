@@ -229,10 +229,13 @@ def clear_of_rounding(triangle: Array, norm: float) -> bool:
 
 def _usual_curvature(hessian: Hessian) -> Array:
     """(cells) ∂²φ/∂u² from a cell's own reading, were it weighed as the others are."""
-    response = np.concatenate([network.own_response().ravel() for network in hessian.at.networks])
     weight = hessian.curvature[hessian.curvature > 0]
     middle = len(weight) // 2
-    return np.asarray(np.partition(weight, middle)[middle] * response**2 if len(weight) else np.ones_like(response))
+    return (
+        np.partition(weight, middle)[middle] * hessian.own_response**2
+        if len(weight)
+        else np.ones(len(hessian.own_response))
+    )
 
 
 def _by_conjugate_gradients(hessian: Hessian, free: NDArray[np.bool_], kept: Preconditioner | None) -> Certificate:

@@ -75,8 +75,7 @@ class Hessian:
 
     @cached_property
     def _second_orders(self) -> list[SecondOrder]:
-        pairs = zip(self.at.networks, self.by_reading, strict=True)
-        return [network.second_order(slope) for network, slope in pairs]
+        return [net.second_order(slope) for net, slope in zip(self.at.networks, self.by_reading, strict=True)]
 
     @cached_property
     def terms(self) -> sparse.csr_array:
@@ -149,11 +148,15 @@ class Hessian:
         absolute = functions.nonsmooth_jacobian.pattern[1] < cells.size
         return len(cells) == 1 and not (len(functions.entries.cells) or absolute.any())
 
+    @cached_property
+    def own_response(self) -> Array:
+        """J's diagonal, flat."""
+        return np.concatenate([network.own_response().ravel() for network in self.at.networks])
+
     @property
     def own(self) -> Array:
         """The part of each cell's own reading in JᵀWJ's diagonal: W_c·J_cc²."""
-        response = np.stack([network.own_response() for network in self.at.networks]).ravel()
-        return np.asarray(self.reading_weight.ravel() * response**2)
+        return np.asarray(self.reading_weight.ravel() * self.own_response**2)
 
     @cached_property
     def diagonal(self) -> Array:

@@ -84,7 +84,6 @@ class _Barrier:
 
     @cached_property
     def conductance(self) -> Array:
-        """g, siemens."""
         return np.asarray(1 / self.at.cell_resistance[0])
 
     @cached_property
@@ -101,7 +100,6 @@ class _Barrier:
 
     @cached_property
     def hessian(self) -> Hessian:
-        """Of the cost."""
         return Hessian(self.at, Smoothing.start(self.at))
 
     @cached_property

@@ -55,10 +55,10 @@ class Kinks:
         """Those of `standing` (rows) that a free cell can move."""
         rows = np.flatnonzero(standing)
         slopes = derivatives(hessian, rows)
-        whole, slopes = _lengths(slopes), slopes[:, free]
-        movable = _lengths(slopes) > AT_ZERO * whole
+        whole, slopes = np.linalg.norm(slopes, axis=1), slopes[:, free]
+        movable = np.linalg.norm(slopes, axis=1) > AT_ZERO * whole
         rows, slopes = rows[movable], slopes[movable]
-        length = _lengths(slopes)
+        length = np.linalg.norm(slopes, axis=1)
         if not len(rows):
             return cls(rows, length, np.zeros((len(free), 0)), np.eye(len(free)), np.zeros((0, 0)), np.zeros(len(free)))
         unit = slopes / length[:, None]
@@ -107,10 +107,6 @@ def _independent(unit: Array, weight: Array) -> NDArray[np.intp]:
         upper, order = linalg.qr(rest.T, mode="r", pivoting=True, check_finite=False)
         chosen = np.append(chosen, own[order[: int(np.sum(np.abs(np.diag(upper)) > AT_ZERO))]])
     return chosen
-
-
-def _lengths(rows: Array) -> Array:
-    return np.asarray(np.sqrt(np.einsum("ij,ij->i", rows, rows)))
 
 
 def derivatives(hessian: Hessian, rows: NDArray[np.intp]) -> Array:

@@ -47,7 +47,7 @@ class Converter(Configuration):
     @property
     def noise_told(self) -> bool:
         """Whether the noise is specified, and not left to the frames."""
-        return self.noise_lsb is not None and self.noise_lsb != "estimated"
+        return self.noise_lsb not in (None, "estimated")
 
     @property
     def assumed_noise(self) -> PerLine:
@@ -80,9 +80,8 @@ class Converter(Configuration):
 
     def code_from_volt(self, volt: Array) -> NDArray[np.int64]:
         """code = ⌊V/Vcc · 2^bits⌋, clipped to 0 and 2^bits − 1; any shape."""
-        code = np.floor(np.asarray(volt) / self.lsb_volt)
-        clipped: NDArray[np.int64] = np.clip(code, 0, 2**self.adc_bits - 1).astype(np.int64)
-        return clipped
+        code = np.clip(np.floor(np.asarray(volt) / self.lsb_volt), 0, 2**self.adc_bits - 1)
+        return np.asarray(code, dtype=np.int64)
 
     def volt_from_code(self, mean_code: Array) -> Array:
         """V = (code + ½)·Vcc/2^bits: the middle of what a converter calls by this code; means of codes too."""
@@ -92,12 +91,9 @@ class Converter(Configuration):
         """A recorded reading from the sum of so many codes; a rail stands for its interval's middle, and is finite."""
         return self.recorded_from_volt(self.volt_from_code(sums / readings))
 
-    def noise_volt(self) -> Array:
-        """The noise of one reading, to be broadcast to (rows, columns)."""
-        return self._volt_of_lines(np.array(self.assumed_noise))
-
-    def _volt_of_lines(self, codes: Array) -> Array:
-        """LSB, one number or one for each driven line → volt, to be broadcast to (rows, columns)."""
+    def noise_volt(self, codes: Array | None = None) -> Array:
+        """The noise of one reading, or LSB given alike → volt, to be broadcast to (rows, columns)."""
+        codes = np.array(self.assumed_noise) if codes is None else codes
         return np.asarray((along(self.noisy_side, codes) if codes.ndim else codes) * self.lsb_volt)
 
     def sigma_code(self) -> Array:
@@ -122,7 +118,7 @@ class Converter(Configuration):
 
     @cached_property
     def _sigma_volt(self) -> Array:
-        return self._volt_of_lines(self.sigma_code())
+        return self.noise_volt(self.sigma_code())
 
     def rails(self) -> tuple[float, float]:
         """(least, largest) recorded reading that a code between the first above the floor and the last one can mean.
