@@ -170,12 +170,12 @@ class Panel(Configuration):
         return x, y
 
     @property
-    def networks(self) -> tuple["Panel", ...]:
-        """The panels that are networks of their own: itself, or its modules."""
+    def network(self) -> "Panel":
+        """The panel that is one network: itself, or each of its modules."""
         if self.modules is None:
-            return (self,)
+            return self
         each = self.modules.each
-        return (Panel(each.rows, each.columns, each.pitch_mm),) * self.modules.count
+        return Panel(each.rows, each.columns, each.pitch_mm)
 
     @cached_property
     def places_mm(self) -> Array:

@@ -150,12 +150,12 @@ class Scene(Configuration):
             return (self,)
         owns = {own.at: own for own in self.modules or ()}
         scenes = []
-        for number, panel in enumerate(self.panel.networks):
+        for number in range(layout.count):
             own = owns.get(layout.place(number)) or OwnOfModule((0, 0))
             series, cells = own.series_resistance_ohm, layout.cells(number)
             scene = replace(
                 self,
-                panel=panel,
+                panel=self.panel.network,
                 modules=None,
                 readout=own.readout or self.readout,
                 series_resistance_ohm=self.series_resistance_ohm if series is None else series,

@@ -3,7 +3,7 @@
 A first frame whose cost may have several minima begins at the baseline, at equal cells, and at the readout's own start.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from dataclasses import replace
 from itertools import chain, count, islice
@@ -51,14 +51,9 @@ def _lowest(solver: Solver, data: Data, previous: Array | None) -> Solution:
     first = previous is None or data.first
     most = wanted or (FIRST_STARTS if first and several_minima(solver.cost, data) else 1)
     places = chain(starts(solver.cost, data, previous), scattered(data) if wanted else ())
-    for place in islice(places, MOST_STARTS):
+    for start in evaluable(solver.cost, data, places):
         if tried and (data.overdue or (tried >= most and best is not None and best.solved)):
             break
-        start = None
-        with suppress(*BROKEN):
-            start = evaluated(solver.cost, data, place)
-        if start is None or not np.isfinite(start.objective):
-            continue
         found, tried = solved_from(solver, start), tried + 1
         lower = best is None or not best.solved or found.objective < best.objective * (1 - SAME)
         best = found if best is None or (found.solved and lower) else best
@@ -111,6 +106,15 @@ def convex(data: Data, near: Array | None) -> Array:
 def evaluated(cost: Cost, data: Data, start: Array) -> Evaluation:
     """The cost at a start put within the bounds."""
     return Evaluation.at(cost, data, np.clip(start, data.lower, data.upper))
+
+
+def evaluable(cost: Cost, data: Data, places: Iterable[Array]) -> Iterator[Evaluation]:
+    """The cost at those starts where it is a number."""
+    for start in islice(places, MOST_STARTS):
+        with suppress(*BROKEN):
+            point = evaluated(cost, data, start)
+            if np.isfinite(point.objective):
+                yield point
 
 
 def solved_from(solver: Solver, start: Evaluation) -> Solution:

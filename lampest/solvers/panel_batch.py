@@ -49,7 +49,6 @@ class PanelBatch:
 
     @cached_property
     def ties(self) -> Array:
-        """As `Data.ties`."""
         return self.data.ties if self.data.parts is not None else grounding(self.data.measured)
 
     def padded(self, values: Array) -> Array:
@@ -116,7 +115,6 @@ class Points:
 
     @cached_property
     def reading(self) -> Array:
-        """(panels, rows, columns) ohm."""
         return self.network.reading()
 
     def called(self, function: Compiled) -> Array:
@@ -130,7 +128,6 @@ class Points:
 
     @cached_property
     def first(self) -> Array:
-        """As `Evaluation.first` of every panel."""
         return self.called(self.batch.cost.functions.first)
 
     @cached_property
@@ -194,36 +191,13 @@ class Points:
         weight[:, entries.at_model] = self.hessian_values[:, entries.model]
         return weight
 
-    @cached_property
-    def _between(self) -> tuple[Array, Numbers, Numbers, Numbers]:
-        """Second derivatives by u of the terms alone: values (panels, n), their columns; first of each row, rows."""
-        entries, cells = self.batch.cost.functions.entries, self._flat(self.network.cell_resistance)
-        row, column = entries.at_cells
-        order = np.lexsort((column, row))
-        row, column = row[order], column[order]
-        values = self.hessian_values[:, entries.cells[order]] * cells[:, row] * cells[:, column]
-        rows, first = np.unique(row, return_index=True)
-        return values, column, first, rows
-
-    def product(self, step: Array, exact: Array) -> Array:
-        """∇²φ·p in relative changes of conductance; Gauss and Newton's where `exact` (panels, 1) is 0."""
-        change, second = self.second_order.products(self._maps(step))
-        force = self._maps(self.reading_weight * self._flat(change))
-        found = self._flat(self.network.adjoint(force)) + exact * (self._flat(second) + 2 * self.direct * step)
-        values, column, first, rows = self._between
-        if len(rows):
-            found[:, rows] += np.add.reduceat(values * step[:, column], first, axis=1)
-        return found
-
     def matrix(self) -> Array:
         """∇²φ in u, (panels, cells, cells)."""
-        sensitivity = self.network.sensitivity()
-        found = self.second_order.matrix()
+        entries, cells = self.batch.cost.functions.entries, self._flat(self.network.cell_resistance)
+        sensitivity, found = self.network.sensitivity(), self.second_order.matrix()
         found += (sensitivity * self.reading_weight[..., None]).swapaxes(-1, -2) @ sensitivity
-        values, column, first, rows = self._between
-        if len(rows):
-            row = np.repeat(rows, np.diff(np.append(first, len(column))))
-            found[:, row, column] += values
-        cells = np.arange(self.position.shape[1])
-        found[:, cells, cells] += 2 * self.direct
+        row, column = entries.at_cells
+        found[:, row, column] += self.hessian_values[:, entries.cells] * cells[:, row] * cells[:, column]
+        every = np.arange(self.position.shape[1])
+        found[:, every, every] += 2 * self.direct
         return found

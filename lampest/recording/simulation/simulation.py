@@ -162,7 +162,7 @@ def simulate(simulation: Simulation, name: str = "simulated", on_frame: Callable
     """
     scene, unmodelled, frames = simulation.scene, simulation.unmodelled, simulation.all_frames
     time, moves = np.arange(frames) * simulation.frame_period_s, bool(unmodelled.load_speed_mm_s)
-    each = scene.panel.networks[0]
+    each = scene.panel.network
     # Pressures, cells, their factors, readings, sums; and cells while each line is read.
     check_memory(
         8.0 * (10 + moves * sum(each.shape)) * simulation.values, f"{frames} frames of {scene.panel.crossings} cells"
