@@ -30,10 +30,7 @@ def laplacian(conductance: Array) -> Array:
     rows, columns = conductance.shape[-2:]
     if rows + columns > MANY_LINES:
         Panel(rows, columns).check_memory()
-    matrix = np.zeros((*conductance.shape[:-2], rows + columns, rows + columns), dtype=conductance.dtype)
-    matrix[..., :rows, rows:], matrix[..., rows:, :rows] = -conductance, -conductance.swapaxes(-1, -2)
-    np.einsum("...ii->...i", matrix)[...] = line_sums(conductance)
-    return matrix
+    return bipartite_matrix(line_sums(conductance), -conductance)
 
 
 def injected(conductance: Array, potentials: Array) -> Array:
@@ -41,8 +38,17 @@ def injected(conductance: Array, potentials: Array) -> Array:
     return bipartite(line_sums(conductance), -conductance, potentials)
 
 
+def bipartite_matrix(diagonal: Array, between: Array) -> Array:
+    """[[diag d, A], [Aᵀ, diag d]] (…, lines, lines): d (…, lines), A (…, rows, columns)."""
+    rows, lines = between.shape[-2], diagonal.shape[-1]
+    matrix = np.zeros((*diagonal.shape, lines), dtype=between.dtype)
+    matrix[..., :rows, rows:], matrix[..., rows:, :rows] = between, between.swapaxes(-1, -2)
+    np.einsum("...ii->...i", matrix)[...] = diagonal
+    return matrix
+
+
 def bipartite(diagonal: Array, between: Array, values: Array) -> Array:
-    """[[diag d, A], [Aᵀ, diag d]]·V: d (…, lines), A (…, rows, columns), V (…, lines, patterns)."""
+    """That matrix times V (…, lines, patterns)."""
     rows = between.shape[-2]
     product: Array = diagonal[..., None] * values
     product[..., :rows, :] += between @ values[..., rows:, :]

@@ -17,7 +17,7 @@ from scipy import linalg, sparse
 from scipy.linalg import lapack
 from scipy.sparse.linalg import splu
 
-from lampest.panel.kirchhoff import line_sums
+from lampest.panel.kirchhoff import bipartite_matrix, line_sums
 from lampest.panel.panel import Array
 from lampest.panel.trust_region import Linear, restricted
 from lampest.solvers.hessian import Hessian
@@ -181,9 +181,12 @@ class CoarseLines:
     @classmethod
     def of(cls, local: sparse.csr_array, along: Array, mixed: Array) -> "CoarseLines | None":
         """None where most lines add less than what they cross."""
-        columns = _columns(along)
-        if not columns.shape[1]:
+        if not len(along):
             return None
+        row, column = np.indices(along.shape[1:]).reshape(2, -1)
+        number, places = np.tile(np.arange(len(row)), 2), np.concatenate([row, along.shape[1] + column])
+        incidence = sparse.csr_array((np.ones(len(places)), (number, places)))
+        columns = sparse.csr_array(sparse.hstack([sparse.diags_array(one.ravel()) @ incidence for one in along]))
         length = np.sqrt(np.maximum(columns.multiply(columns).sum(axis=0), 1e-300))
         columns = sparse.csr_array(columns @ sparse.diags_array(1 / length))
         crossed, square = (columns.T @ (local @ columns)).toarray(), (columns.T @ columns).toarray()
@@ -208,35 +211,17 @@ class CoarseLines:
 
     def between(self, values: Array) -> Array:
         """Vᵀ diag(x) V of x (rows, columns)."""
-
-        def block(grid: Array) -> Array:
-            matrix = np.diag(line_sums(grid))
-            matrix[: len(grid), len(grid) :], matrix[len(grid) :, : len(grid)] = grid, grid.T
-            return matrix
-
-        return np.block([[block(one * other * values) for other in self.along] for one in self.along])
+        grids = [[one * other * values for other in self.along] for one in self.along]
+        return np.block([[bipartite_matrix(line_sums(grid), grid) for grid in row] for row in grids])
 
     def sums(self, values: Array) -> Array:
         """Vᵀ·x."""
-        grid = values.reshape(self.along.shape[1:])
-        return np.concatenate([line_sums(one * grid) for one in self.along])
+        return line_sums(self.along * values.reshape(self.along.shape[1:])).ravel()
 
     def back(self, lines: Array) -> Array:
         """V·y."""
-        rows = self.along.shape[1]
-        parts = lines.reshape(len(self.along), -1)
-        pairs = zip(self.along, parts, strict=True)
-        return np.asarray(sum(one * (part[:rows, None] + part[rows:]) for one, part in pairs)).ravel()
-
-
-def _columns(along: Array) -> sparse.csr_array:
-    """V (cells, k·lines) of v (k, rows, columns)."""
-    _, rows, columns = along.shape
-    number = np.arange(rows * columns)
-    places = np.concatenate([number // columns, rows + number % columns])
-    lines = sparse.csr_array((np.ones(len(places)), (np.tile(number, 2), places)), (len(number), rows + columns))
-    blank = sparse.csr_array((len(number), 0))
-    return sparse.csr_array(sparse.hstack([blank, *(sparse.diags_array(one.ravel()) @ lines for one in along)]))
+        of_rows, of_columns = np.split(lines.reshape(len(self.along), -1), [self.along.shape[1]], axis=1)
+        return np.asarray((self.along * (of_rows[:, :, None] + of_columns[:, None])).sum(axis=0)).ravel()
 
 
 def preconditioner(hessian: Hessian, free: Free) -> Preconditioner:

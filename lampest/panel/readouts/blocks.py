@@ -18,11 +18,7 @@ from lampest.panel.readouts.wiring import Wiring
 
 @dataclass(frozen=True, kw_only=True)
 class ModulesReadout(TwoPointReadout):
-    """R_jk of each module by itself, as readings of the whole image.
-
-    >>> lampest.panel.readouts.blocks.ModulesReadout().unit
-    'ohm'
-    """
+    """R_jk of each module by itself, as readings of the whole image."""
 
     layout: Modules = Modules(1, 1, EachModule(1, 1))
 

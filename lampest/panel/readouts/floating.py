@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import lapack
 
-from lampest.panel.kirchhoff import line_sums
+from lampest.panel.kirchhoff import bipartite_matrix, line_sums
 from lampest.panel.network import Entries, Loading, Network, NormalByLines, Numbers, across, inverse_of
 from lampest.panel.panel import Array
 from lampest.panel.trust_region import DENSE_CELLS, steihaug
@@ -108,7 +108,7 @@ class Stencil:
         """The stencil over the free cells of a network; all (rows, columns), siemens and ohm."""
         cells, lines = _parts(conductance, two_point_resistance)
         diagonal = np.where(free, 1 / cells, 0.0)
-        return cls(diagonal, np.linalg.inv(np.diag(1 / lines) + _between_lines(diagonal)))
+        return cls(diagonal, np.linalg.inv(np.diag(1 / lines) + bipartite_matrix(line_sums(diagonal), diagonal)))
 
     def solve(self, values: Array) -> Array:
         """(stencil of D∘D)⁻¹·x over the free cells, (rows, columns)."""
@@ -127,7 +127,7 @@ def square_by_lines(conductance: Array, two_point_resistance: Array, weight: Arr
     """
     cells, lines = _parts(conductance, two_point_resistance)
     heavy = conductance * cells * weight
-    mixed = lines[:, None] * _between_lines(weight) * lines
+    mixed = lines[:, None] * bipartite_matrix(line_sums(weight), weight) * lines
     inner = np.block([[np.zeros_like(mixed), np.diag(lines)], [np.diag(lines), mixed]])
     return NormalByLines(heavy * conductance * cells, np.stack([heavy, conductance]), inner)
 
@@ -138,15 +138,6 @@ def _parts(conductance: Array, two_point_resistance: Array) -> tuple[Array, Arra
     square = two_point_resistance**2
     diagonal = np.maximum(square - of_rows[:, None] - of_columns, LEAST_SHARE * square)
     return diagonal, np.concatenate([of_rows, of_columns])
-
-
-def _between_lines(values: Array) -> Array:
-    """Uᵀ diag(x) U, (lines)², of x (rows, columns)."""
-    rows, columns = values.shape
-    matrix = np.zeros((rows + columns, rows + columns))
-    matrix[:rows, rows:], matrix[rows:, :rows] = values, values.T
-    matrix.flat[:: rows + columns + 1] = line_sums(values)
-    return matrix
 
 
 def convex_start(measured: Array, upper: Array, near: Array | None = None) -> Array:
