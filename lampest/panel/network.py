@@ -95,11 +95,11 @@ class Network(ABC):
 
     def changes(self, step: Array) -> Entries:
         """Of dZ = Z L_{g·p} Z."""
-        return self.entries_of_product(self._impedance, injected(self.conductance * step, self._impedance))
+        return self.entries_of_product(self._impedance, injected(step / self.cell_resistance, self._impedance))
 
     def adjoint(self, weights: Array) -> Array:
         """Jᵀ·w = g·bᵀ(Z W Z)b for weights w of the readings, (rows, columns); (rows + columns)³ operations."""
-        return np.asarray(self.conductance * self.drawn(self.loading(weights)))
+        return np.asarray(self.drawn(self.loading(weights)) / self.cell_resistance)
 
     def loading(self, weights: Array) -> Loading:
         """W of weights (rows, columns) of the readings."""
@@ -235,17 +235,17 @@ class SecondOrder:
 
     def adjoint(self) -> Array:
         """Jᵀ·w = g·bᵀ K b, (rows, columns), from what H needs anyway."""
-        return np.asarray(self.network.conductance * across(self.network.entries(self._twice)))
+        return np.asarray(across(self.network.entries(self._twice)) / self.network.cell_resistance)
 
     def products(self, step: Array) -> tuple[Array, Array]:
         """(J·p, H·p = g·(2 bᵀ K L_{g·p} Z b + bᵀ Z W' Z b)), W' from what the step p does to the slopes of h."""
         network = self.network
-        currents = injected(network.conductance * step, network._impedance)
+        currents = injected(step / network.cell_resistance, network._impedance)
         change = network.entries_of_product(network._impedance, currents)
         second = 2 * across(network.entries_of_product(self._twice, currents, symmetric=False))
         if network.curvatures:
             second = second + network.drawn(self.loading_change(change))
-        return network.read_change(change), network.conductance * second
+        return network.read_change(change), second / network.cell_resistance
 
     def loading_change(self, change: Entries) -> Loading:
         """W': what a change of Z does to W through the slopes of h."""
