@@ -82,7 +82,8 @@ def _above_least(name: str, label: str) -> Callable[[Axes, Tuned], None]:
             _words_instead(axes, "needs the noise of the readings")
             return
         above, least = values - np.nanmin(values), int(np.nanargmin(values))
-        axes.plot(weights, np.where(above > 0, above, np.nan), **LINE)
+        above[least] = np.min(above, where=above > 0, initial=np.nanmax(above))
+        axes.plot(weights, above, **LINE)
         _logarithmic(axes.yaxis)
         axes.plot(weights[least], axes.get_ylim()[0], "o", color="black", ms=4, clip_on=False, zorder=3)
 

@@ -16,7 +16,7 @@ from lampest.panel.panel import Array, Panel
 from lampest.report.compare import Table
 from lampest.report.page.template import filled
 from lampest.report.plots import style
-from lampest.report.plots.maps import ACROSS_LABEL, DOWN_LABEL, MapPainter, Tile, banded_scale
+from lampest.report.plots.maps import Tile, banded_scale, maps_figure
 from lampest.report.words import digits
 from lampest.studies.paper.sides import FILE, MEASURED, Published, Side, StepsSeen, all_sides, read_published
 from lampest.studies.study import OnStep, Row, Study
@@ -222,7 +222,7 @@ def tiles_of(side: Side, published: Published) -> dict[str, list[Tile]]:
     for load in published.loads:
         change, felt = side.loads[load.letter]
         note = f"measured {_span(change)} %\nfilm feels {_span(np.array(felt))} kPa"
-        tiles["fig6"].append(Tile(f"({load.letter}) {_wrapped(load.condition)}", change, note))
+        tiles["fig6"].append(Tile(f"({load.letter}) {load.condition}", change, note))
     for one in published.ranges:
         change, method = side.change(one.method), one.method.replace(MEASURED, "measured two-point")
         note = f"ours {_span(change)} %\npaper {_span(np.array([one.low, one.high]))} %"
@@ -242,24 +242,11 @@ def covered(change: Array) -> tuple[int, int]:
 
 
 def tiles_figure(tiles: Sequence[Tile], panel: Panel, title: str) -> Figure:
-    """Contoured maps on one scale of ±100 %."""
-    across = 3 if len(tiles) > 2 else 2
-    down = -(-len(tiles) // across)
-    figure = style.new_figure(down * (5.9 / across * panel.rows / panel.columns + 0.62) + 0.6)
-    grid = figure.subplots(down, across, squeeze=False, sharex=True, sharey=True)
-    largest = max((float(np.nanmax(tile.values)) for tile in tiles if tile.values is not None), default=0.0)
-    scale = banded_scale([np.array([-100.0, 100.0, max(largest, 100.0)])], CHANGE)  # with an arrow for what leaves it
-    painter = MapPainter(panel, scale, contoured=True)
-    painter.draw_all(grid, tiles)
-    painter.bar(figure, grid, "right", aspect=figure.get_figheight() / 0.16)
-    return style.labelled(figure, ACROSS_LABEL, DOWN_LABEL, title)
+    """Contoured maps on one scale of ±100 %, with an arrow for what leaves it."""
+    largest = max(float(np.nanmax(tile.values)) for tile in tiles if tile.values is not None)
+    scale = banded_scale([np.array([-100.0, 100.0, max(largest, 100.0)])], CHANGE)
+    return maps_figure(tiles, panel, scale, title, contoured=True)
 
 
 def _span(values: Array) -> str:
     return " … ".join(style.change_text(float(end(values)), 100.0) for end in (np.nanmin, np.nanmax))
-
-
-def _wrapped(text: str) -> str:
-    """In two lines where it is long."""
-    middle = text.find(" ", len(text) // 2)
-    return text if len(text) < 24 or middle < 0 else f"{text[:middle]}\n{text[middle + 1 :]}"

@@ -1,7 +1,7 @@
 """What the paper publishes as numbers, and what stands beside: shipped scenes, and what five methods make of them."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import nan
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
@@ -26,7 +26,7 @@ MEASURED = "measured"
 FASTEST = "formulation={kind: reduced, joint: true}"  # finds the optima that the files' formulations find, sooner
 OnCase = Callable[[int, int], None]
 FILE = Path(__file__).with_name("published.yaml")
-MOUTHS = ("35mm", "25mm")
+MOUTHS = {"lamprey_35mm": "paper_35mm", "lamprey_25mm": "paper_25mm"}  # shipped recording → as the paper's panel has it
 
 
 class ChangeAt(NamedTuple):
@@ -126,17 +126,23 @@ class StepsSeen(NamedTuple):
 class Side:
     """One set of scenes that stands beside the paper.
 
-    name, word : for the page, for files. loads : letter of figure 6 → what was seen. changes : (method, number of the
-    mouth) → relative change in percent of the shown frame, (rows, columns); what is measured keeps its series
-    resistance, as the paper's does. steps : (method, steps) → what they took with the large mouth.
+    name, word : for the page, for files. mouths : the large and the small one. loads : letter of figure 6 → what was
+    seen. changes : (method, number of the mouth) → relative change in percent of the shown frame, (rows, columns); what
+    is measured keeps its series resistance, as the paper's does. steps : (method, steps) → what they took with the
+    large mouth.
     """
 
     name: str
     word: str
-    panel: Panel
+    mouths: Sequence[Recording]
     loads: Mapping[str, LoadSeen]
     changes: Mapping[tuple[str, int], Array]
     steps: Mapping[tuple[str, Steps], StepsSeen]
+
+    @property
+    def panel(self) -> Panel:
+        """Of all its recordings."""
+        return self.mouths[0].scene.panel
 
     def change(self, method: str, number: int = 0) -> Array:
         """One of the changes. Raises InputError where there is none."""
@@ -153,46 +159,38 @@ def all_sides(folder: Path, published: Published, jobs: int | None, on_case: OnC
     configs, data = shipped_folder() / "configs", shipped_folder() / "data"
 
     def made(name: str) -> Path:
-        """The recording of a simulation's file; made once."""
-        file = folder / "recordings" / f"{name}.h5"
+        """The recording as the paper's panel measures it; simulated once."""
+        word = MOUTHS.get(name, f"real_{name}")
+        file = folder / "recordings" / f"{word}.h5"
         if not file.is_file():
             file.parent.mkdir(parents=True, exist_ok=True)
-            simulated(configs / f"{name}.yaml", file)
+            simulated(configs / f"{word}.yaml", file)
         return file
 
-    def solved(word: str, run: str, *assigned: str) -> Results:
-        cases = read_run(configs / run, (FASTEST, *assigned))
+    def side(name: str, word: str, run: str, recorded: Callable[[str], Path]) -> Side:
+        files = [recorded(mouth) for mouth in MOUTHS]
+        named = f"recordings=[{', '.join(repr(str(file.resolve())) for file in files)}]"
+        cases = read_run(configs / run, (FASTEST, named))
         report = run_batch(cases, folder / word, local(jobs, len(cases.cases)), on_case=on_case)
         if report.results is None or report.failed:
             raise InputError(f"{configs / run}: {'; '.join(f'{case}: {why}' for case, why in report.failed)}")
-        return read_results(report.results)
+        mouths = [Recording.load(file) for file in files]
+        loads = {one.letter: _load(recorded(one.recording)) for one in published.loads}
+        return _shown(Side(name, word, mouths, loads, *_optima(read_results(report.results), mouths)))
 
-    letters = {load.letter: load.recording for load in published.loads}
-    mouths = [Recording.load(data / f"lamprey_{size}.h5") for size in MOUTHS]
-    loads = {letter: _load(data / f"{name}.h5") for letter, name in letters.items()}
-    clean = _side("clean scenes", "clean", mouths, loads, *_optima(solved("clean", "table1.yaml"), mouths))
-    files = [made(f"paper_{size}") for size in MOUTHS]
-    mouths = [Recording.load(file) for file in files]
-    loads = {letter: _load(made(f"real_{name}")) for letter, name in letters.items()}
-    named = f"recordings=[{', '.join(repr(str(file.resolve())) for file in files)}]"
-    panel = _side("paper's panel", "panel", mouths, loads, *_optima(solved("panel", "paper_run.yaml", named), mouths))
-    return clean, panel, _side("its solver", "solver", mouths, loads, *_left_by_solver(mouths, published))
+    clean = side("clean scenes", "clean", "table1.yaml", lambda name: data / f"{name}.h5")
+    panel = side("paper's panel", "panel", "paper_run.yaml", made)
+    changes, steps = _left_by_solver(panel.mouths, published)
+    return clean, panel, _shown(replace(panel, name="its solver", word="solver", changes=changes, steps=steps))
 
 
-def _side(
-    name: str,
-    word: str,
-    mouths: Sequence[Recording],
-    loads: Mapping[str, LoadSeen],
-    estimated: Mapping[tuple[str, int], Array],
-    steps: Mapping[tuple[str, Steps], StepsSeen],
-) -> Side:
-    """The strongest frame is shown of clean scenes, the first one of others."""
-    frames = [furthest_frame(mouth) if word == "clean" else 0 for mouth in mouths]
-    changes = {key: np.asarray(change[frames[key[1]]]) for key, change in estimated.items()}
-    for number, (mouth, frame) in enumerate(zip(mouths, frames, strict=True)):
+def _shown(side: Side) -> Side:
+    """With changes of the shown frame: of clean scenes the strongest one, of others the first; and what is measured."""
+    frames = [furthest_frame(mouth) if side.word == "clean" else 0 for mouth in side.mouths]
+    changes = {key: np.asarray(change[frames[key[1]]]) for key, change in side.changes.items()}
+    for number, (mouth, frame) in enumerate(zip(side.mouths, frames, strict=True)):
         changes[MEASURED, number] = percent_change(mouth.recorded[mouth.measured_frames()[frame]], unloaded(mouth))
-    return Side(name, word, mouths[0].scene.panel, loads, changes, steps)
+    return replace(side, changes=changes)
 
 
 def _load(file: Path) -> LoadSeen:
