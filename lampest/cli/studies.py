@@ -21,7 +21,7 @@ STUDIES = {
         """Compare solvers over panel sizes: time, accuracy, memory, growth; reduced, nodal, scipy's.
 
         Writes bench.csv (a row for every panel, method, solver and first, joint or later frames), growth.csv,
-        bench.md and bench.h5 with every sample. Cases beyond the file's limits or budget are named.
+        bench.md and bench.h5 with every frame. Cases beyond the file's limits or budget are named.
         """,
     ),
     "tradeoff": (

@@ -32,7 +32,6 @@ from lampest.studies.timing import TimedFrame, inverse_time, outcome, peak_memor
 
 OURS = ("reduced", "nodal")
 SOLVERS = (*OURS, "scipy_exact", "scipy_difference", "scipy_lbfgsb")
-PROCESS_S = 3.0  # that a fresh process takes to begin
 
 
 def loads(number: int, shape: common.Shape) -> tuple[tuple[AnyShape, ...], Course]:
@@ -238,7 +237,8 @@ def run_bench(bench: BenchFile, on_step: OnStep) -> Bench:
             missed.append((shape, method, f"{name} after {frames} of {bench.frames + 1} frames"))
         measured = not part.recording and shape[0] == shape[1] and shape[0] in bench.memory
         for solver in bench.solvers(shape) if measured else ():
-            if PROCESS_S + sum(one.seconds for one in own if one.solver == solver) > end - perf_counter():
+            # A fresh process takes some 3 s to begin.
+            if 3.0 + sum(one.seconds for one in own if one.solver == solver) > end - perf_counter():
                 missed.append((shape, method, f"memory of {solver}"))
                 continue
             peak = peak_memory(solve_two_frames, (bench, shape, method, solver))

@@ -18,7 +18,6 @@ from lampest.studies.extremes.run import REFUSED, Solve, run_atlas
 from lampest.studies.extremes.scenes import CASES, GRID, AtlasFile
 
 COLOURS = "YlGnBu"
-SQUARE_INCH = 0.165
 
 
 def _row(own: Sequence[Solve]) -> study.Row:
@@ -112,7 +111,7 @@ def extremes_figure(found: Sequence[Solve]) -> Figure:
     columns = sorted(
         {_column(solve) for solve in found if solve.formulation}, key=lambda one: (one[0] != "reduced", one)
     )
-    figure = new_figure(len(titles) * SQUARE_INCH + 1.5)
+    figure = new_figure(0.165 * len(titles) + 1.5)
     grid = figure.subplots(1, len(methods), squeeze=False, sharey=True)[0]
     for axes, method in zip(grid, methods, strict=True):
         cells = study.grouped([one for one in found if one.method == method], lambda one: (_title(one), *_column(one)))

@@ -66,9 +66,11 @@ def paper_study(folder: Path, jobs: int | None) -> Study[Published, Paper]:
 
 def rows(paper: Paper) -> list[Row]:
     """Every published number with ours, a column for each side."""
-    names = ("figure", "quantity", "unit", "published")
-    own = [dict(zip(paper.names, one.ours, strict=True)) for one in paper.numbers]
-    return [Row(**dict(zip(names, one, strict=False)), **ours) for one, ours in zip(paper.numbers, own, strict=True)]
+    beside = [dict(zip(paper.names, one.ours, strict=True)) for one in paper.numbers]
+    places = [
+        {name: getattr(one, name) for name in ("figure", "quantity", "unit", "published")} for one in paper.numbers
+    ]
+    return [Row(**place, **ours) for place, ours in zip(places, beside, strict=True)]
 
 
 def page_of(paper: Paper) -> str:
