@@ -109,10 +109,7 @@ def fit_loads(loaded: Loaded) -> Fitted:
 
 
 def answers_by_others(loaded: Loaded) -> Array:
-    """(loads) ln of each load's answer over what all other loads let expect, the median of the cells that they touched.
-
-    NaN where they touched none.
-    """
+    """(loads) ln of each load's answer over what all others let expect, median over its cells; NaN: there are none."""
     found, falls = np.full(len(loaded.change), np.nan), loaded.falls()
     for number, change in enumerate(loaded.change):
         each = ("change", "sd", "pressure", "pressure_sd")
@@ -126,10 +123,7 @@ def answers_by_others(loaded: Loaded) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class _Answers:
-    """The answers (n) that take part: ln(r/r0), its standard deviation and its cell.
-
-    falls, open_falls : (n, pieces) a of the load, and what its place leaves open of that.
-    """
+    """(n) answers: ln(r/r0), its sd, its cell; (n, pieces) a of the load, and what its place leaves open of that."""
 
     change: Array
     sd: Array
@@ -192,10 +186,7 @@ class _Answers:
 
 
 def response_of(fitted: Fitted, base: Response, shape: tuple[int, int], tolerance: float) -> TableResponse:
-    """Points from where the base curve begins to where it ends, densest about 0; gains of cells (rows, columns).
-
-    tolerance : by which fraction all loads together may be off, evenly: σ = 1/√3 of it, of the curve.
-    """
+    """Points densest about 0 kPa, gains (rows, columns); tolerance: by which all loads may be off alike, σ = 1/√3."""
     low, high = base.told_kpa
     pressure = np.concatenate([-_rising(-low)[::-1], [0.0], _rising(high)])
     logarithm, sd = np.zeros(len(pressure)), np.zeros(len(pressure))

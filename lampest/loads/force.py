@@ -22,10 +22,7 @@ class Force(NamedTuple):
 
 
 def pressing_cells(scene: Scene, ratio: Array, deviation: Array | None, pressure: Array) -> NDArray[np.bool_]:
-    """Where cells that are not broken have a pressure and r/r0 has fallen by more than three standard deviations.
-
-    (…, rows, columns). deviation : of the ratio; None: not known, and every cell with a pressure counts.
-    """
+    """(…, rows, columns) unbroken cells with a pressure whose r/r0 fell by CLEAR deviations; None: they are unknown."""
     fallen = 1 - np.nan_to_num(ratio, nan=1.0)
     least = np.zeros(1) if deviation is None else CLEAR * np.nan_to_num(deviation, nan=np.inf, posinf=np.inf)
     return np.asarray((fallen > least) & (np.nan_to_num(pressure) > 0) & ~scene.broken)

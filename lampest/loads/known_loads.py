@@ -100,10 +100,7 @@ class KnownLoads:
 
 
 def read_known_loads(path: Path) -> KnownLoads:
-    """From YAML; or from CSV with a line of names: first, last, and those of `KnownLoad`.
-
-    Raises InputError with the line where it is neither.
-    """
+    """From YAML, or CSV with names `first`, `last` and those of `KnownLoad`. Raises InputError with the line."""
     if path.suffix.lower() != ".csv":
         return cast(KnownLoads, validated(read_document(path), KnownLoads))
     try:

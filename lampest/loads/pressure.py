@@ -109,10 +109,7 @@ class PressureTrack:
         return self.scene.film is not None or self.watch is not None
 
     def pressure(self, ratio: Array, lower: Array, upper: Array, time: float) -> Pressure:
-        """p (rows, columns) kPa of the next frame at a time in s; of several (frames, …) where nothing remembers.
-
-        What the film's strengths leave open is one more error: what p moves by if each is by its deviation more.
-        """
+        """p (rows, columns) kPa of the next frame at a time in s; of several (frames, …) where nothing remembers."""
         change, below, above = self._change(ratio), *self._beside(ratio, lower, upper, time)
         water = water_pressure(self.scene.panel, self.scene.water)
         here, *others = self._pressures(change, time)
@@ -179,10 +176,7 @@ class PressureTrack:
 
 
 def response_sd(scene: Scene, answer: Array) -> Array:
-    """Relative standard deviation of ln(r/r0) of cells at a pressure, where it is `answer` (…, rows, columns).
-
-    The scene's `response_sd`, RESPONSE_SD where it names none, or the gains' own; and that of the scene's curve.
-    """
+    """Relative standard deviation, of cells and the curve, of ln(r/r0) = `answer` (…, rows, columns) at a pressure."""
     response, named = scene.response or PUBLISHED, usual(scene)
     own = RESPONSE_SD if named is None or named.response_sd is None else named.response_sd
     scatter = np.array(own if response.gain_sd is None else response.gain_sd)

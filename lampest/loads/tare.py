@@ -57,10 +57,7 @@ class TareWatch:
     frames: tuple[tuple[Array, Array, float], ...] = ()
 
     def after(self, left: Array, memory: Array, time: float) -> tuple["TareWatch", Array | None, str]:
-        """(the watch after a frame, mean that is the new zero or None, why in a sentence or '').
-
-        left : (rows, columns) ln r/r_zero without the memory, NaN where a cell is not known. memory : (rows, columns).
-        """
+        """(watch, new zero or None, why or ''); left : ln r/r_zero (rows, columns) without the film's memory."""
         zeroed, count = time if self.zeroed is None else self.zeroed, self.tare.frames
         if not np.isfinite(left).any():
             return TareWatch(self.tare, zeroed), None, ""

@@ -52,10 +52,7 @@ EVEN = Unevenness(0.0, 0.0, 0.0, 0.0)
 
 
 def pressure_at_places(places: Array, patch_mm: float, disc: Disc, form: Unevenness = EVEN) -> tuple[Array, Array]:
-    """Mean pressure on every patch, (…) kPa, and its slopes by the numbers of `disc` and `form`, (12, …).
-
-    places : (2, …) mm, x and y of the patches' centres, NaN where there is none.
-    """
+    """(…) kPa mean on patches at (2, …) mm, NaN: none; and (12, …) its slopes by the numbers of `disc` and `form`."""
     soft = SOFT * patch_mm
     reach = disc.diameter_mm / 2 * (1 + abs(form.along) + abs(form.across)) + patch_mm / 2 + soft
     means = np.zeros((13, *places.shape[1:]))

@@ -94,10 +94,7 @@ class RoundCandidate(Candidate):
         return Disc(at[0], at[1], diameter, share * diameter, suction, rim, *tilt), slopes
 
     def start(self, disc: Disc) -> Array:
-        """φ of a disc as far as this kind has it; what the disc has none of is small, or as before the measurement.
-
-        A full one presses with the same force.
-        """
+        """φ of a disc as far as this kind has it; what the disc has not is small, and a full one presses as hard."""
         width, bearing, mean = RIM_WIDTH_MM, 0.0, disc.rim_kpa
         if disc.inner_mm:
             hole = (disc.inner_mm / disc.diameter_mm) ** 2

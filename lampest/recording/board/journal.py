@@ -56,10 +56,7 @@ class Journal:
         return acquisition.frame_paths(self.group, self.signal)
 
     def append(self, samples: Sequence[Sample], recorded: Array, roles: Sequence[int]) -> None:
-        """Add frames, `recorded` (frames, rows, columns), and flush: from here on they survive.
-
-        Raises InputError where the disk is full.
-        """
+        """Add frames, which then survive; recorded (frames, rows, columns). Raises InputError: the disk is full."""
         each = [vars(sample.frame) | vars(sample) for sample in samples]
         names = ("time", "sums", *(name for name, *_ in acquisition.FRAME_FIELDS))
         time, sums, *acquired = ([one[name] for one in each] for name in names)

@@ -69,10 +69,7 @@ class Board:
     @classmethod
     @contextmanager
     def open(cls, url: str) -> Iterator["Board"]:
-        """Open a port by its name or a pyserial URL (socket://, rfc2217://, loop://) and reset the board behind it.
-
-        Raises NoBoardError where the port cannot be opened.
-        """
+        """Open a port by its name or pyserial URL (socket://, rfc2217://) and reset its board. Raises NoBoardError."""
         try:
             port = serial.serial_for_url(url, protocol.BAUD, timeout=0.05, write_timeout=2.0, exclusive=True)
         except (OSError, ValueError) as error:
@@ -165,10 +162,7 @@ class Board:
         return found
 
     def start(self, rows: int, columns: int, readings: int, period_us: int | None) -> Hello:
-        """Set the board and start it; a period of None means 1 s or the shortest, whichever is longer.
-
-        Returns the HELLO that states the settings. Raises InputError where the board refuses one.
-        """
+        """Set the board and start it; period None: 1 s or the shortest. Returns its settings. Raises InputError."""
         self.order(Kind.STOP)
         self._waiting = []
         for kind, value in ((Kind.SET_ROWS, rows), (Kind.SET_COLUMNS, columns), (Kind.SET_READINGS, readings)):

@@ -145,10 +145,7 @@ def appended(
 
 
 def _wanted(batches: Samples, frames: int | None, seconds: float | None, period: float) -> Samples:
-    """The batches until so many frames have come, or s have gone by on the board's clock.
-
-    The host's clock ends it too, whatever comes or does not: 5 %, a period and a second after the board's should.
-    """
+    """Batches until so many frames, or s on the board's clock; the host's ends it 5 %, a period and 1 s later."""
     count, began = 0, None
     for batch in batches:
         ended = frames is not None and count + len(batch) >= frames
@@ -219,10 +216,7 @@ def _with_sigma(recording: Recording, noise: float | None) -> Recording:
 
 
 def noise_from_repeats(parts: Iterable[Recording]) -> float | None:
-    """The noise of one reading, LSB, from differences of mean codes of successive unloaded frames.
-
-    Slow drift and readings at either end of the converter do not count. None below 50 differences.
-    """
+    """LSB of one reading, from differences of mean codes of successive unloaded frames; None below 50 of them."""
     total, count, readout = 0.0, 0, None
     for part in parts:
         readout, sums = part.scene.readout, part.raw_sums

@@ -35,10 +35,7 @@ class Recorder:
         self._finishing: list[Thread] = []
 
     def ask(self, name: str) -> None:
-        """Begin a recording of that name, or, where one runs, end it; '' for the time as its name.
-
-        From any thread; it takes effect with the next sample. Raises InputError where it is no name.
-        """
+        """From any thread: begin a recording of that name, '' for the time; or end one that runs. Raises InputError."""
         if name and not NAME.fullmatch(name):
             raise InputError("a recording's name has up to 64 letters, digits, - and _")
         self._asked.append(name)

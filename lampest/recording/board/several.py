@@ -36,10 +36,7 @@ def samples_of(
     on_state: Callable[[str], None] = lambda sentence: None,
     ending: Callable[[], bool] = lambda: False,
 ) -> Samples:
-    """As `board_samples`, of one board or of one for each module that is read, in the order of the modules.
-
-    ports : none: the only port that looks like an Arduino. Raises InputError where there is not one for each module.
-    """
+    """As `board_samples`, of one board (none named: the only one), or one for each module that is read, in order."""
     if scene is None or scene.panel.modules is None:
         if len(ports) > 1:
             raise InputError("--port: several boards need a scene with panel: {modules: ...}, a board for each module")
@@ -91,10 +88,7 @@ class Alignment:
         return replace(self, waiting=tuple(waiting), delays=tuple(delays))
 
     def frame(self, now: float) -> "tuple[Alignment, dict[int, Sample]] | None":
-        """What comes after the next frame of the image, and that, board → sample; None before it can be made.
-
-        The first one waits for all boards, later ones for no board that is late. now : s since 1970-01-01 UTC.
-        """
+        """What is after the image's next frame, and that, board → sample; None while a board that is there may send."""
         led = self._led(now)
         if led is None:
             return None

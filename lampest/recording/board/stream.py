@@ -31,10 +31,7 @@ SILENCE_SECONDS = 2.5
 
 
 def scene_of(hello: Hello, scene: Scene | None) -> Scene:
-    """The scene that the board's HELLO and the user's scene agree on; without a scene, what the board says.
-
-    Raises InputError where they contradict each other.
-    """
+    """The scene on which HELLO and the user's scene agree; None: what the board says. Raises InputError."""
     declared = declared_readout(hello)
     if scene is None:
         return Scene(Panel(hello.rows, hello.columns), declared)
@@ -239,10 +236,7 @@ def board_samples(
 
 
 class _Line:
-    """What is asked of a board; its state is the newest sample, since when nothing has fitted, and what came instead.
-
-    A line that is silent, or a port that is gone, may be waited for; one that talks may not without end.
-    """
+    """What is asked of a board; state: the newest sample, since when nothing has fitted, and what came instead."""
 
     def __init__(self, url: str, scene: Scene | None, period: float | None, ending: Callable[[], bool]) -> None:
         self._url, self._scene, self._period, self._ending = url, scene, period, ending

@@ -85,10 +85,7 @@ class Calibration:
 
     @property
     def noise(self) -> float | tuple[float, ...] | None:
-        """Of one reading, LSB: one number, or one for each driven line where they differ; None: too few repeats.
-
-        The variance of n repeats is known to √(2/n) of itself. Lines with few repeats take the mean of the others.
-        """
+        """LSB of one reading; of each driven line where they differ, the mean where repeats are few; None: all few."""
         enough = self.repeats >= FEWEST_REPEATS
         if not enough.any():
             return None

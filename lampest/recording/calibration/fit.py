@@ -201,10 +201,7 @@ class CircuitFit:
 
 
 def fit(problem: Problem) -> CircuitFit:
-    """argmin (y − V(θ))ᵀ C⁻¹ (y − V(θ)) + Σ e² with C of noise and tolerances; covariance (JᵀJ)⁻¹ at the minimum.
-
-    C depends on θ: a first round ends where its tolerances are known well enough.
-    """
+    """argmin (y − V(θ))ᵀ C⁻¹ (y − V(θ)) + Σ e² with C of noise and tolerances; covariance (JᵀJ)⁻¹ at the minimum."""
     unknowns = problem.start
     for settled in (1.0, 1e-4):  # of ½ χ²: the last one is off by a hundredth of σ
         root = np.linalg.cholesky(problem.covariance(unknowns))

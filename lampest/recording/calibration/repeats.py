@@ -44,10 +44,7 @@ class Trial:
 
     @classmethod
     def of(cls, recording: Recording, known: Array) -> "Trial":
-        """Means, with the noise of each driven line from differences between frames.
-
-        Raises InputError where the scene names no readout, or readings change as those of resistors do not.
-        """
+        """Means and noise over frames. Raises InputError without readout, or where readings change as no resistor's."""
         readout = recording.scene.readout
         if readout is None:
             raise InputError(f"{recording.name}: its scene names no readout, whose numbers a calibration could find")
