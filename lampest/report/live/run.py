@@ -19,8 +19,7 @@ from lampest.files.errors import InputError, meant
 from lampest.loads.tare import Tare
 from lampest.panel.scene import Scene
 from lampest.recording.board.port import only_port
-from lampest.recording.board.record import Progress, Recorded, record
-from lampest.recording.board.recorder import Recorder
+from lampest.recording.board.record import Progress, Recorded, Recorder, record
 from lampest.recording.board.several import samples_of
 from lampest.recording.board.stream import Sample, agreed_and_recorded
 from lampest.recording.recording import UNLOADED, Recording
