@@ -133,8 +133,7 @@ class CostFunctions:
 
     first : the costs of each term, the same at readings of zero, and the gradient by (cells; readings) of Σ smooth +
     Σ weight·z·x, in one call. hessian : of the same. nonsmooth, nonsmooth_jacobian : residuals x that enter through
-    duals, of `nonsmooth_terms`. split : residuals that an interior-point method splits, in blocks of `split_blocks`
-    (loss, rows).
+    duals, of `nonsmooth_terms`. split : residuals that an interior-point method splits, in blocks of so many rows.
     """
 
     first: Compiled
@@ -143,7 +142,7 @@ class CostFunctions:
     nonsmooth_jacobian: Compiled
     split: Compiled
     nonsmooth_terms: NDArray[np.intp]
-    split_blocks: tuple[tuple[Loss, int], ...]
+    split_blocks: tuple[int, ...]
 
     @cached_property
     def entries(self) -> "Entries":
@@ -183,7 +182,7 @@ class CostFunctions:
             nonsmooth_terms=np.array(
                 [part.term for part in through_duals for _ in range(part.residual.shape[0])], dtype=np.intp
             ),
-            split_blocks=tuple((group[0].loss, sum(part.rows for part in group)) for group in split),
+            split_blocks=tuple(sum(part.rows for part in group) for group in split),
         )
 
 

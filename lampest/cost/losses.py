@@ -32,7 +32,6 @@ class Lowered:
 
 
 Entry = Literal["whole", "split", "dual"]
-INSIDE = 0.01  # (split unit) p, q begin as far from their bound 0 as IPOPT's option bound_push has it by default
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,10 +82,6 @@ class Loss(Validated):
     def lowered(self, residual: casadi.SX, weight: casadi.SX, unit: casadi.SX) -> Lowered:
         """weight·cost as an interior-point method takes it; weight (1, 1), or of every row; unit : of the split."""
         return Lowered(weight * self.cost(residual))
-
-    def split_start(self, residual: Array) -> tuple[Array, Array]:
-        """(p, q) where an interior-point method begins, for residuals in the split's unit: x's parts, a little more."""
-        return np.maximum(residual, 0) + INSIDE, np.maximum(-residual, 0) + INSIDE
 
     def curvature(self, residual: Array) -> Array:
         """ω = ½ρ''(x) (rows), 0 where it is negative: near x the cost has the second derivative of Σ ω x²."""

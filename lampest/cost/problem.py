@@ -92,11 +92,6 @@ class Data:
         """(frames, rows, columns) ohm; see `Readout.uniform_start`."""
         return self.readout.uniform_start(self.measured)
 
-    @property
-    def resistance_scale(self) -> float:
-        """Geometric mean of the apparent resistances, ohm."""
-        return float(np.exp(np.mean(np.log(self.apparent_resistance))))
-
     @cached_property
     def log_bounds(self) -> tuple[Array, Array]:
         return np.log(self.lower), np.log(self.upper)

@@ -166,7 +166,8 @@ class Network(ABC):
 
     def changed(self, block: Block, conductance: Array) -> Self:
         """The network with other conductances in a block: Z − Z_S (1 + ΔL Z_SS)⁻¹ ΔL Z_Sᵀ, S the lines of the block."""
-        lines = self.lines_of(block)
+        rows, columns = self.conductance.shape
+        lines = np.concatenate([np.arange(rows)[block[0]], rows + np.arange(columns)[block[1]]])
         change = laplacian(conductance - self.conductance[block])
         towards = self._impedance[:, lines]
         core = np.linalg.solve(np.eye(len(lines)) + change @ towards[lines], change)
@@ -174,11 +175,6 @@ class Network(ABC):
         cells[block], whole[block] = 1 / conductance, conductance
         impedance = self._impedance - towards @ core @ towards.T
         return replace(self, cell_resistance=cells, conductance=whole, _impedance=impedance)
-
-    def lines_of(self, block: Block) -> Numbers:
-        """The numbers of a block's lines, rows first."""
-        rows, columns = self.conductance.shape
-        return np.concatenate([np.arange(rows)[block[0]], rows + np.arange(columns)[block[1]]])
 
     def entries(self, matrix: Array) -> Entries:
         """(K_jj, K_kk, K_jk) of K (…, lines, lines)."""

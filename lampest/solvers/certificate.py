@@ -157,7 +157,7 @@ def at_kinks(hessian: Hessian, free: Numbers, kinks: Kinks) -> Certificate:
     """
     along = kinks.along
     whole = hessian.between(free)
-    matrix, slope = kinks.reduced(whole, hessian.gradient[free])
+    matrix, slope = along.T @ whole @ along, along.T @ (hessian.gradient[free] + whole @ kinks.back)
     usual = np.einsum("ij,i,ij->j", along, _usual_curvature(hessian)[free], along)
     definiteness, part, left, lowest = newton_step(matrix, slope, ROUNDING * usual)
     definiteness, lower = _confirmed(hessian, definiteness, free, along @ lowest)

@@ -69,10 +69,6 @@ class Kinks:
         back = -turn[:, :rank] @ linalg.solve_triangular(upper[:rank], missing, trans="T")
         return cls(rows, length, turn[:, :rank], turn[:, rank:], turn[:, :rank].T @ unit.T, back)
 
-    def reduced(self, matrix: Array, gradient: Array) -> tuple[Array, Array]:
-        """(NᵀHN, Nᵀ(g + H Y p)) of H and g over the free cells."""
-        return self.along.T @ matrix @ self.along, self.along.T @ (gradient + matrix @ self.back)
-
     def balanced(self, dual: Array, pull: Array, slope: Array) -> Array:
         """(all rows) the duals; of K changed so that they balance the gradient across, |z| ≤ 1 where that can be.
 

@@ -221,12 +221,11 @@ class DrivenReadout(Readout):
         if not self.idle_floats:
             law = "readings of a sensed line add up to no more than the supply"
             tests = [(law, volt.sum(axis=driven), np.sqrt((noise**2).sum(axis=driven))), *tests]
-        return tuple(FreeTest(law, self._excess(value, spread), value[0].size) for law, value, spread in tests)
-
-    def _excess(self, volt: Array, noise: Array) -> Array:
-        """max (volt − Vcc)/σ of every frame, (frames); −∞ where there is no value."""
-        excess = np.where(noise > 0, (volt - self.supply_volt) / np.where(noise > 0, noise, 1.0), -np.inf)
-        return np.asarray(excess.reshape(len(volt), -1).max(axis=1))
+        found = []
+        for law, value, spread in tests:
+            excess = np.where(spread > 0, (value - self.supply_volt) / np.where(spread > 0, spread, 1.0), -np.inf)
+            found.append(FreeTest(law, excess.reshape(len(value), -1).max(axis=1), value[0].size))
+        return tuple(found)
 
     def most_in_series(self, measured: Array, sigma: Array) -> float:
         """Rd ≤ min_i (Vcc − V_d − max_j v_ij)/Σ_j v_ij/Rs_j; with one load at a time, of each reading alone."""

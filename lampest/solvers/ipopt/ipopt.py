@@ -25,6 +25,7 @@ STATUS = {
     "Infeasible_Problem_Detected": Status.INFEASIBLE,
     "Invalid_Option": Status.UNAVAILABLE,
 }
+INSIDE = 0.01  # (split unit) p, q begin as far from their bound 0 as IPOPT's option bound_push has it by default
 PUSH = 1e-9  # of a bound, at least of 1: how far IPOPT keeps off it; far below what a cell is known to
 # A start brings its multipliers, see `Ipopt._multipliers`; from these the adaptive barrier follows.
 WARM = {
@@ -78,7 +79,8 @@ class Ipopt:
         if data.overdue:
             return Outcome(start.cell_resistance, np.zeros_like(self.cost.slope), Status.TIME, 0)
         solver = self._built.solver
-        scale, split = data.resistance_scale, start.of_terms(self.cost.functions.split)
+        scale = float(np.exp(np.mean(np.log(data.apparent_resistance))))
+        split = start.of_terms(self.cost.functions.split)
         split_scale = max(float(np.abs(split).max(initial=0)), 1e-12)
         own: dict[str, Any] = {"ties": data.ties.ravel() * scale, "weights": self.cost.weights}
         own |= {"scale": scale, "cost_scale": start.cost_scale, "split_scale": split_scale}
@@ -106,8 +108,8 @@ class Ipopt:
         conductance = scale / start.cell_resistance.ravel()
         potentials = [self.formulation.potentials(self.readout, network) / scale for network in start.networks]
         blocks = self.cost.functions.split_blocks
-        parts = np.split(split, np.cumsum([rows for _, rows in blocks], dtype=int)[:-1])
-        sides = [side for (loss, _), part in zip(blocks, parts, strict=False) for side in loss.split_start(part)]
+        parts = np.split(split, np.cumsum(blocks, dtype=int)[:-1])
+        sides = [np.maximum(side, 0) + INSIDE for part in parts[: len(blocks)] for side in (part, -part)]
         return np.concatenate([conductance, *potentials, *sides])
 
     def _multipliers(
