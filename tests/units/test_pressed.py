@@ -70,7 +70,7 @@ def test_every_frame_is_written_and_the_strongest_shown(tmp_path: Path) -> None:
         invented_case("bare", shape=SHAPE),
     )
     found = pressed(Results(cases))
-    assert [one.estimator for one in found] == ["LSM"]
+    assert [one.case.estimator for one in found] == ["LSM"]
     lines = list(csv.DictReader(write_pressed(tmp_path / "pressed.csv", found).read_text("utf-8").splitlines()))
     assert lines[0]["force [N]"] == "" and float(lines[1]["force [N]"]) == pytest.approx(6.4)
     assert [line["saturated cells"] for line in lines] == ["0", "2", "0"]

@@ -35,7 +35,6 @@ class Several(Candidate):
         return {f"{number}.{name}": prior for number, priors in each for name, prior in priors}
 
     def loads(self, parameters: Array) -> list[tuple[Candidate, Array]]:
-        """Every part with its own φ."""
         lengths = [len(part.priors(Panel(2, 2))) for part in self.parts]  # the same on every panel
         return list(zip(self.parts, np.split(parameters, list(accumulate(lengths))[:-1]), strict=True))
 
@@ -45,7 +44,6 @@ class Several(Candidate):
         return np.sum([pressure for pressure, _ in each], axis=0), np.concatenate([slopes for _, slopes in each])
 
     def start(self, disc: Disc) -> Array:
-        """All of them there."""
         return np.concatenate([part.start(disc) for part in self.parts])
 
     def like(self, other: Candidate, parameters: Array) -> Array | None:
@@ -55,7 +53,6 @@ class Several(Candidate):
         return np.concatenate(found) if len(found) == len(self.parts) == len(other.loads(parameters)) else None
 
     def blind(self, parameters: Array) -> Array:
-        """Those of the parts."""
         return np.concatenate([part.blind(own) for part, own in self.loads(parameters)])
 
 
@@ -70,20 +67,16 @@ class Uniform(Candidate):
         return {name: Prior(0, 5) for name in self.numbers}
 
     def pressure(self, panel: Panel, patch_mm: float, parameters: Array) -> tuple[Array, Array]:
-        """p = φ."""
         slopes = np.ones((len(parameters), *panel.shape))
         return np.tensordot(parameters, slopes, 1), slopes
 
     def start(self, disc: Disc) -> Array:
-        """No pressure, wherever the disc."""
         return np.zeros(len(self.numbers))
 
 
 NOTHING, FLAT = UNIFORM = Uniform(label="nothing"), Uniform(label="flat load", numbers=("flat",))
 LOADS: tuple[Candidate, ...] = tuple(shape.candidate for shape in shape_types() if shape.candidate is not None)
-CANDIDATES = (*UNIFORM, *LOADS)
 FIELD = Uniform(label="unlike any")  # changes of any form, see `lampest.loads.recognition.fit.field_fit`
-KINDS = (*(candidate.label for candidate in CANDIDATES), FIELD.label)
 
 
 def under(panel: Panel, disc: Disc) -> NDArray[np.bool_]:

@@ -8,7 +8,6 @@ loads at once are tried.
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import count
 
 import numpy as np
 from scipy.linalg import cho_solve
@@ -32,7 +31,7 @@ from lampest.loads.shapes.shape import Candidate
 from lampest.panel.panel import Array, Panel
 
 LEVELS = (0.5, 1.2, 2.5)  # times the response's standard deviation: from a film as published to a bent, uneven one
-MOST_AT_ONCE = 3  # loads
+ROUNDS, MOST_AT_ONCE = 4, 3  # of fits with the errors about the one before, at most; loads
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,21 +100,19 @@ class Detector:
         """(the frame without outliers, all fits to it) with the errors about what is explained, then the best explains.
 
         Errors that all fits share follow none of them. calm : the frame to begin with. From the second round on
-        outliers are sought every time among all readings, so that none stays out which a better fit explains, until
-        they have been the same before.
+        outliers are sought every time among all readings, so that none stays out which a better fit explains.
         """
-        dropped = set[tuple[int, ...]]()
-        for number in count():
+        dropped: list[int] | None = None
+        for number in range(ROUNDS):
             whitening = Whitening.of(calm, explained, scatter)
             fits = [self._fitting(fit.candidate, calm, whitening).best(fit.parameters, quick=True) for fit in fits]
             best = best_of(fits)
             explained = best.explained
             if number:
                 far = best.outliers(frame)
-                if tuple(far) in dropped:
+                if far.tolist() == dropped:
                     break
-                dropped.add(tuple(far))
-                calm = frame.without(far)
+                calm, dropped = frame.without(far), far.tolist()
         return calm, fits
 
     def _coarse(self, load: Candidate, frame: Observation, discs: Sequence[Disc]) -> Fit:

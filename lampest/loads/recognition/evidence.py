@@ -60,11 +60,6 @@ class Verdict:
         return self.fits[int(np.argmax(self.shares))]
 
     @property
-    def label(self) -> str:
-        """What that is called."""
-        return self.best.candidate.label
-
-    @property
     def loads(self) -> tuple[Fit, ...]:
         """Those that are loads of some shape, the best first; none where nothing stood out."""
         shaped = (fit for fit in self.fits if fit.candidate not in (*UNIFORM, FIELD))
@@ -76,11 +71,6 @@ class Verdict:
         pairs = zip(self.fits, self.shares, strict=True)
         return sum(share for fit, share in pairs if fit.candidate in UNIFORM)
 
-    @property
-    def sucks(self) -> float:
-        """How probable it is that a load sucks, given that there is one."""
-        return self.sucks_at(None)
-
     def sucks_at(self, disc: Disc | None) -> float:
         """How probable it is that a load sucks there, given that there is one; None: anywhere."""
         pairs = zip(self.fits, self.shares, strict=True)
@@ -88,12 +78,10 @@ class Verdict:
 
 
 def prior_cost(panel: Panel, fit: Fit, response: Response = PUBLISHED) -> float:
-    """−ln P of a fit before the measurement, up to what all share; response : the scene's own."""
-    return RARER * (len(fit.loads) - 1) + outline_cost(panel, fit, response)
+    """−ln P of a fit before the measurement, up to what all share; response : the scene's own.
 
-
-def outline_cost(panel: Panel, fit: Fit, response: Response = PUBLISHED) -> float:
-    """By how much ln P falls of suction that raises no cell, and of loads that stand in each other."""
+    Of further loads, of suction that raises no cell, and of loads that stand in each other.
+    """
     loads = [(part, part.disc(own)) for part, own in fit.loads]
     cost = sum(_overlapping(*pair) for pair in combinations([disc for _, disc in loads if disc is not None], 2))
     for part, disc in loads:
@@ -102,7 +90,7 @@ def outline_cost(panel: Panel, fit: Fit, response: Response = PUBLISHED) -> floa
             full = 0.0 if disc is None else float(np.mean(response.gains * response.logarithm(disc.suction_kpa)))
             rise = float(fit.change[there].max(initial=0.0))
             cost += exp(-((rise / max(SHOWN, SHARE * full)) ** 2))
-    return CANNOT_BE * cost
+    return RARER * (len(loads) - 1) + CANNOT_BE * cost
 
 
 def _overlapping(one: Disc, other: Disc) -> float:

@@ -121,11 +121,6 @@ class Window:
                 found.append(cls(own, cells, float(corner[0]), float(corner[1]), middle))
         return tuple(found)
 
-    def placed(self, load: Attachment) -> Attachment:
-        """A load of the window by its place in the image."""
-        (x, x_sd), (y, y_sd) = load.x_mm, load.y_mm
-        return replace(load, x_mm=(x + self.x_mm, x_sd), y_mm=(y + self.y_mm, y_sd))
-
 
 @dataclass(frozen=True, eq=False)
 class ImageWatch:
@@ -177,11 +172,11 @@ class ImageWatch:
 
     def _merged(self) -> tuple[Attachment, ...]:
         """Those of all windows: of two that are one, the one that stands nearer to its window's middle."""
-        every = [
-            (window, window.placed(load))
-            for window, watch in zip(self.windows, self.watches, strict=True)
-            for load in watch.attachments
-        ]
+        every = list[tuple[Window, Attachment]]()
+        for window, watch in zip(self.windows, self.watches, strict=True):
+            for load in watch.attachments:
+                x, y = (load.x_mm[0] + window.x_mm, load.x_mm[1]), (load.y_mm[0] + window.y_mm, load.y_mm[1])
+                every.append((window, replace(load, x_mm=x, y_mm=y)))
         every.sort(key=lambda pair: pair[1].distance((pair[0].middle[0], pair[0].middle[1])))
         ended = [one for one in self.attachments if one.until_s is not None and one.until_s <= self.began]
         kept: list[tuple[Window, Attachment]] = []

@@ -255,10 +255,11 @@ class Whitening:
         return cls(cholesky(frame.covariance(slope, frame.baseline.film(explained, scatter)), lower=True), scatter)
 
     @classmethod
-    def at_rest(cls, frame: Observation, sd: float = 0.0) -> "Whitening":
-        """For a panel that nothing touches; sd : of each cell's ln r, beside what cells at rest have."""
-        slope = frame.slope(np.zeros(frame.measured.shape))
-        return cls(cholesky(frame.covariance(slope, sd**2 * np.eye(len(slope))), lower=True))
+    def at_rest(cls, frame: Observation, settled: float | None = None) -> "Whitening":
+        """For a panel that nothing touches; settled : of each cell's ln r at rest in place of the assumed one."""
+        slope, assumed = frame.slope(np.zeros(frame.measured.shape)), frame.baseline.model_errors.settled
+        more = 0.0 if settled is None else (settled**2 - assumed**2) * np.eye(len(slope))
+        return cls(cholesky(frame.covariance(slope, more), lower=True))
 
     @cached_property
     def volume(self) -> float:

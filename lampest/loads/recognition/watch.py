@@ -24,6 +24,7 @@ from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 
 STEP = 6.0  # standard deviations: with some 1000 patterns normal noise passes them once in 10⁶ frames
+FREE = 0.1  # σ of ln r and of ln y that all cells and all readings may share: temperature, waves, supply; an assumption
 NEAR = 3.0  # pitches about a disc in which a load's pattern counts for it
 FOLLOWS_S = 20.0  # in which the mean of frames follows them
 # Of what stands there, as patterns see it: a change beyond it is another load, or one that left. And of a load's
@@ -78,7 +79,7 @@ class StepTest:
         value, cells = frame.measured.ravel(), frame.measured.size
         slope = frame.slope(np.zeros(frame.measured.shape)) / value[:, None]
         settled = frame.baseline.model_errors.settled**2 * slope @ slope.T
-        shared = [slope.sum(axis=1, keepdims=True), np.ones((cells, 1))]  # temperature, waves, supply
+        shared = [FREE * slope.sum(axis=1, keepdims=True), FREE * np.ones((cells, 1))]
         shared += [] if frame.common is None else [frame.common / value[:, None]]
         columns = np.hstack(shared)
         root = cholesky(np.diag((frame.sigma.ravel() / value) ** 2) + settled + columns @ columns.T, lower=True)

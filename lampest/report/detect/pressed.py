@@ -24,16 +24,12 @@ HEADERS = ("centre x [mm]", "centre y [mm]", "area [mm²]", "peak [kPa]", "force
 class PressedCells:
     """One estimate of a recording, frame by frame; NaN where nothing presses clearly or the frame was not solved.
 
-    recording, estimator : names. frame, time : (frames) index into the recording, and s.
     values, errors : (frames, 5) in the order of HEADERS, and standard deviations.
     saturated : (frames) how many of the pressed cells have a pressure that the response leaves open. With one, peak and
     force are lower bounds: such a cell counts with no more than the response determines.
     """
 
-    recording: str
-    estimator: str
-    frame: NDArray[np.int64]
-    time: Array
+    case: CaseResult
     values: Array
     errors: Array
     saturated: NDArray[np.int64]
@@ -57,7 +53,7 @@ def pressed_of(case: CaseResult) -> PressedCells | None:
     beyond = np.zeros(touched.shape) if case.saturated is None else case.saturated
     values, errors = (np.array([pair[part] for pair in both]) for part in (0, 1))
     counts = np.sum(touched & (beyond != 0), axis=(1, 2))
-    return PressedCells(case.recording, case.estimator, case.frame, case.time, values, errors, counts)
+    return PressedCells(case, values, errors, counts)
 
 
 def pressed(results: Results) -> tuple[PressedCells, ...]:
@@ -91,14 +87,16 @@ def pressed_table(all_pressed: Sequence[PressedCells]) -> Table:
     """One row for each estimate: the frame in which the force is largest."""
     rows = []
     for one in all_pressed:
-        force = one.values[:, -1]
+        case, force = one.case, one.values[:, -1]
         if np.isfinite(force).any():
             at = int(np.nanargmax(force))
             numbers = [figure(*pair) for pair in zip(one.values[at], one.errors[at], strict=True)]
             saturated = str(one.saturated[at] or "")
             if saturated:
                 numbers[-2:] = [f"≥\N{NO-BREAK SPACE}{number}" for number in numbers[-2:]]
-            rows.append((one.recording, one.estimator, str(one.frame[at]), f"{one.time[at]:g}", *numbers, saturated))
+            rows.append(
+                (case.recording, case.estimator, str(case.frame[at]), f"{case.time[at]:g}", *numbers, saturated)
+            )
     return Table(("recording", "from", "frame", "time [s]", *HEADERS, "saturated cells"), tuple(rows))
 
 
@@ -118,10 +116,10 @@ def write_pressed(path: str | Path, all_pressed: Sequence[PressedCells]) -> Path
     named = [name for header in HEADERS for name in (header, f"standard deviation of {header}")]
     lines: list[list[object]] = [["recording", "estimator", "frame", "time [s]", *named, "saturated cells"]]
     for one in all_pressed:
-        for number, frame in enumerate(one.frame):
+        for number, (frame, time) in enumerate(zip(one.case.frame, one.case.time, strict=True)):
             pairs = np.column_stack([one.values[number], one.errors[number]]).ravel()
             numbers = [float(value) if np.isfinite(value) else None for value in pairs]
-            head = one.recording, one.estimator, int(frame), float(one.time[number])
+            head = one.case.recording, one.case.estimator, int(frame), float(time)
             lines.append([*head, *numbers, int(one.saturated[number])])
     write_whole(Path(path), comma_separated(lines))
     return Path(path)

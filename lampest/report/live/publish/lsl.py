@@ -61,15 +61,14 @@ class LslPublish(Publish):
 def _describe(about: Any, message: Message) -> None:
     panel = message.panel
     texts = {"format": FORMAT, "verdicts": ",".join(VERDICTS), "answers": ",".join(ANSWERS)}
-    _write(about, texts | {"rows": panel.rows, "columns": panel.columns, "pitch_mm": panel.pitch_mm})
+    for name, text in (texts | {"rows": panel.rows, "columns": panel.columns, "pitch_mm": panel.pitch_mm}).items():
+        about.append_child_value(name, str(text))
     channels = about.append_child("channels")
     for label, unit, place in message.channels():
         channel = channels.append_child("channel")
-        _write(channel, {"label": label, "unit": unit})
+        channel.append_child_value("label", label)
+        channel.append_child_value("unit", unit)
         if place is not None:
-            _write(channel.append_child("location"), {"X": place[0], "Y": place[1]})
-
-
-def _write(element: Any, values: dict[str, Any]) -> None:
-    for name, value in values.items():
-        element.append_child_value(name, str(value))
+            location = channel.append_child("location")
+            location.append_child_value("X", str(place[0]))
+            location.append_child_value("Y", str(place[1]))
