@@ -17,6 +17,8 @@ from lampest.runs.results import CaseResult, PublishedFigures, Results, StepFigu
 
 Steps = Literal["all", "initial", "following"]
 T = TypeVar("T")
+Row = Mapping[str, Any]  # header of the CSV file → figure of a case over some of its steps, None where there is none
+ASIDE = ("label", "warnings")  # of a row, but not of the CSV file
 LEAST = 1e-3  # percent or ms: less is rounding
 STEPS = {"all": "", "initial": " first", "following": " later"}
 NOTES = {  # what a header that begins so means
@@ -44,23 +46,6 @@ class Table:
     cells: tuple[tuple[str, ...], ...]
     title: str = ""
     best: frozenset[tuple[int, int]] = frozenset()
-
-
-@dataclass(frozen=True, eq=False)
-class Row:
-    """One case over some of its steps; a failed frame counts in `frames` and nowhere else.
-
-    label : the estimator's name as tables show it. steps : 'all'; or 'initial' and 'following' where the first frame
-    was solved together with the baseline. figures : by the headers of the CSV file, None where there is none.
-    """
-
-    label: str
-    case: CaseResult
-    steps: Steps
-    figures: Mapping[str, Any]
-
-    def __getitem__(self, header: str) -> Any:
-        return self.figures[header]
 
 
 STATISTICS: dict[str, Callable[[Array], float | None]] = {
@@ -101,21 +86,23 @@ def compare_files(paths: Sequence[str | Path], frames: range | None = None) -> l
 
 
 def compare(results: Results, source: str = "") -> list[Row]:
-    """The rows of one results file: one for each case, two where its first frame was solved with the baseline."""
-    rows = []
+    """The rows of one results file: one for each case, two where its first frame was solved with the baseline.
+
+    steps : 'all', or 'initial' and 'following'. A failed frame counts in `frames` and nowhere else.
+    """
+    rows: list[Row] = []
     for case in results.cases:
-        label, published = results.label(case).replace("lambda", "λ"), results.published.get(case.estimator)
+        published = results.published.get(case.estimator)
         first = np.arange(len(case.time)) == 0
         parts: dict[Steps, NDArray[np.bool_]] = {"initial": first, "following": ~first}
         if not case.joint_start:
             parts = {"all": first | ~first}
         texts = {"model": case.model_mark, "model check": case.model_sentence, "noise check": case.noise_sentence}
+        texts |= {"label": results.label(case).replace("lambda", "λ"), "warnings": case.warnings}
         for steps, chosen in parts.items():
             if np.any(chosen) or steps == "all":
                 named = {"results": source, "recording": case.recording, "estimator": case.estimator, "steps": steps}
-                rows.append(
-                    Row(label, case, steps, named | figures_of(case, chosen) | _quoted(published, steps) | texts)
-                )
+                rows.append(named | figures_of(case, chosen) | _quoted(published, steps) | texts)
     return rows
 
 
@@ -154,7 +141,7 @@ def _quoted(published: PublishedFigures | None, steps: Steps) -> dict[str, Any]:
 
 def model_notes(rows: Sequence[Row]) -> list[str]:
     """What speaks against each recording and its estimates, a line each; each once."""
-    notes = (f"warning: {row.case.recording}: {line}" for row in rows for line in row.case.warnings.split("\n") if line)
+    notes = (f"warning: {row['recording']}: {line}" for row in rows for line in row["warnings"].split("\n") if line)
     return list(dict.fromkeys(notes))
 
 
@@ -170,8 +157,8 @@ def write_csv(path: str | Path, rows: Sequence[Row]) -> None:
 
     Raises InputError where the place cannot be written.
     """
-    headers = [[*row.figures] for row in rows[:1]]
-    write_whole(Path(path), comma_separated([*headers, *(row.figures.values() for row in rows)]))
+    lines = [{header: figure for header, figure in row.items() if header not in ASIDE} for row in rows]
+    write_whole(Path(path), comma_separated([*lines[:1], *(line.values() for line in lines)]))
 
 
 def screen_blocks(rows: Sequence[Row], each: bool = False, published: bool = False) -> list[Table]:
@@ -199,7 +186,7 @@ def _grouped(rows: Sequence[Row], *headers: str) -> list[list[Row]]:
 def legend(rows: Sequence[Row], blocks: Sequence[Table]) -> list[str]:
     """What the headers of the blocks mean, a sentence each."""
     headers = [header for block in blocks for header in block.headers]
-    headers += ["first"] * any(row.steps != "all" for row in rows)
+    headers += ["first"] * any(row["steps"] != "all" for row in rows)
     return [note for start, note in NOTES.items() if any(header.startswith(start) for header in headers)]
 
 
@@ -240,7 +227,7 @@ def _both(row: Row, first: str, second: str, between: str, text: Callable[[float
 
 def _solved(group: Sequence[Row]) -> str:
     solved, frames = (sum(row[header] for row in group) for header in ("frames solved", "frames"))
-    return f"{solved}/{frames}{STEPS[group[0].steps]}"
+    return f"{solved}/{frames}{STEPS[group[0]['steps']]}"
 
 
 def _over(group: Sequence[Row], header: str, *functions: Callable[[Any], float], factor: float = 1.0) -> str:
@@ -250,7 +237,7 @@ def _over(group: Sequence[Row], header: str, *functions: Callable[[Any], float],
 
 
 COLUMNS: dict[str, Callable[[Row], str]] = {
-    "estimator": lambda row: row.label,
+    "estimator": lambda row: row["label"],
     "solved": lambda row: _solved([row]),
     "time [ms]": lambda row: _plus_minus(row, "solve time {} [s]", 1000),
     "data error [%]": lambda row: _plus_minus(row, "data error {} [%]"),
@@ -266,7 +253,7 @@ PUBLISHED: dict[str, Callable[[Row], str]] = {
     ),
 }
 OVER_ALL: dict[str, Callable[[Sequence[Row]], str]] = {
-    "estimator": lambda group: group[0].label,
+    "estimator": lambda group: group[0]["label"],
     "solved": _solved,
     "time [ms]": lambda group: _over(group, "solve time mean [s]", np.median, factor=1000),
     "data error [%], mean": lambda group: _over(group, "data error mean [%]", np.median),

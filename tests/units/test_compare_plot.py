@@ -33,7 +33,7 @@ def test_the_figures_are_what_they_are_called() -> None:
     good = [0, 2]
     data = 100 * np.abs(case.reading_model[good] - case.measured[good]) / case.measured[good]
     cell = 100 * np.abs(case.cell_resistance[good] - case.truth[good]) / case.truth[good]
-    assert (row.steps, row["frames"], row["frames solved"]) == ("all", 3, 2)
+    assert (row["steps"], row["frames"], row["frames solved"]) == ("all", 3, 2)
     expected = {
         "data error mean [%]": data.mean(),
         "data error sd [%]": data.std(ddof=1),
@@ -55,7 +55,7 @@ def test_a_joint_start_is_told_apart() -> None:
     assert [following[name] for name in names] == ["following", 3, 8.05]
     assert initial["solve time sd [s]"] is None and initial["data error sd [%]"] is not None
     (alone,) = compare(Results((invented_case("LSR-dCR", shape=(1, 5, 6)),)))
-    assert alone.steps == "initial"
+    assert alone["steps"] == "initial"
 
 
 def test_the_table_on_screen() -> None:
@@ -100,7 +100,7 @@ def test_many_recordings_are_summed_up() -> None:
     (block,) = screen_blocks(rows)
     assert block.title.startswith("7 recordings") and len(block.cells) == 4
     line = dict(zip(block.headers, block.cells[0], strict=True))
-    errors = [row["cell error median [%]"] for row in rows if row.case.estimator == "LSM"]
+    errors = [row["cell error median [%]"] for row in rows if row["estimator"] == "LSM"]
     assert float(line["cell error [%], median"]) == pytest.approx(np.median(errors), rel=0.01)
     assert float(line["least … most of them"].split(" … ")[1]) == pytest.approx(max(errors), rel=0.01)
     assert line["solved"] == "21/21" and len(screen_blocks(rows, each=True)) == 7

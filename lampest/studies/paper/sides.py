@@ -215,7 +215,7 @@ def _optima(results: Results, mouths: Sequence[Recording]) -> tuple[dict[Any, Ar
         if row["recording"] == mouths[0].name:
             names = ("data error mean [%]", "data error sd [%]", "solve time mean [s]")
             figures = (nan if row[name] is None else row[name] for name in names)
-            steps[row["estimator"], row.steps] = StepsSeen(*figures)
+            steps[row["estimator"], row["steps"]] = StepsSeen(*figures)
     return changes, steps
 
 
