@@ -2,6 +2,7 @@
 
 import csv
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -35,7 +36,8 @@ def numbers(written: Path) -> list[dict[str, str]]:
 
 def test_the_page_needs_nothing_else(written: Path) -> None:
     page = (written / "paper.html").read_text(encoding="utf-8")
-    assert "http" not in page.replace("https://www.w3.org", "") and page.count("data:image/png;base64,") >= 5
+    text = re.sub(r"base64,[\w+/=]+", "", page)  # whose letters may spell anything
+    assert "http" not in text.replace("https://www.w3.org", "") and page.count("data:image/png;base64,") >= 5
     for part in ("Fig. 1-e", "Fig. 2-a", "Fig. 6", "Fig. 8", "Fig. 9", "Table I"):
         assert part in page
     pictures = {file.stem.split("_")[0] for file in written.glob("*.png")}
