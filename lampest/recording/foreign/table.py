@@ -176,7 +176,11 @@ def lines_of_sheets(path: Path, wanted: str | None, least: int) -> dict[str, Fie
     check_archive(path)
     with extra("tables"):
         import openpyxl  # takes 0.2 s
-    with reading(path), closing(openpyxl.load_workbook(path, read_only=True, data_only=True)) as book:
+    with (
+        reading(path),
+        path.open("rb") as stream,  # openpyxl leaves a file open that it cannot read
+        closing(openpyxl.load_workbook(stream, read_only=True, data_only=True)) as book,
+    ):
         sheets = {str(sheet.title): sheet for sheet in book.worksheets}
         if wanted is not None and wanted not in sheets:
             raise InputError(f"{path}: no sheet '{wanted}'; there are {', '.join(sheets) or 'none'}")
