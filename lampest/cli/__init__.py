@@ -49,18 +49,14 @@ def _guarded(command: Callable[..., None]) -> Callable[..., None]:
 
     @wraps(command)
     def called(**options: Any) -> None:
-        places = {name: _paths(value) for name, value in options.items()}
-        with sparing([path for name, paths in places.items() if name not in outputs for path in paths]):
+        named = [value for name, value in options.items() if name not in outputs]
+        named += [each for value in named if isinstance(value, list) for each in value]
+        with sparing(each for each in named if isinstance(each, Path)):
             refuse_inputs([options[name] for name in outputs if isinstance(options.get(name), Path)])
             command(**options)
 
     called.__signature__ = signature  # type: ignore[attr-defined]
     return called
-
-
-def _paths(value: object) -> list[Path]:
-    """What an option names of files and folders."""
-    return [each for each in (value if isinstance(value, list) else [value]) if isinstance(each, Path)]
 
 
 def _renamed(old: str, new: str) -> Callable[..., None]:
@@ -116,24 +112,23 @@ GROUPS = {
 }
 
 
-def _add(group: typer.Typer, word: str, command: Callable[..., None], example: str, **further: Any) -> None:
-    """Register a command."""
-    command = command if inspect.unwrap(command) in UNGUARDED else _guarded(command)
-    group.command(word, epilog=f"Example: lampest {example}".rstrip(), **further)(command)
-
-
 def _build() -> None:
     """All commands and groups of them in the parts of the help, then the hidden words of the release before."""
-    groups: dict[str, typer.Typer] = {}
+    groups: dict[str, typer.Typer] = {"": app}
+
+    def add(group: str, word: str, command: Callable[..., None], example: str, **further: Any) -> None:
+        command = command if inspect.unwrap(command) in UNGUARDED else _guarded(command)
+        groups[group].command(word, epilog=f"Example: lampest {example}".rstrip(), **further)(command)
+
     for name, (part, command, example) in COMMANDS.items():
         group, _, word = name.rpartition(" ")
-        if group and group not in groups:
+        if group not in groups:
             groups[group] = typer.Typer(no_args_is_help=True, help=GROUPS[group])
             epilog = f"Example: lampest {name} {example}".rstrip()
             app.add_typer(groups[group], name=group, epilog=epilog, rich_help_panel=part)
-        _add(groups.get(group, app), word, command, f"{name} {example}", rich_help_panel=None if group else part)
+        add(group, word, command, f"{name} {example}", rich_help_panel=None if group else part)
     for old, new in OLD.items():
-        _add(app, old, _renamed(old, new), new, hidden=True)
+        add("", old, _renamed(old, new), new, hidden=True)
 
 
 def _program() -> Any:

@@ -94,7 +94,7 @@ def read_document(path: Path, settings: Sequence[str] = ()) -> Document:
         key, separator, value = setting.partition("=")
         if not separator or not key:
             raise InputError(f"'{setting}' is not of the form PATH=VALUE")
-        document = document.with_value(tuple(key.split(".")), parse_scalar(value))
+        document = document.with_value(tuple(key.split(".")), parse_document(value, f"'{value}'").content)
     for place in TABLES:
         document = _with_table(document, place)
     return document
@@ -153,11 +153,6 @@ def parse_document(text: str, source: str) -> Document:
     except (YAMLError, ValueError, TypeError, AttributeError) as error:
         raise InputError(f"{source}: {' '.join(str(error).split())}") from error
     return Document(content, source, marks)
-
-
-def parse_scalar(text: str) -> Any:
-    """The value that YAML 1.2 reads from a short text such as `1e-3`, `nodal` or `[1, 2]`."""
-    return parse_document(text, f"'{text}'").content
 
 
 def _plain(node: Any, count: Iterator[int]) -> Any:

@@ -6,6 +6,7 @@ entry point group `lampest.columns`, a script by handing them to `named_result`,
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import MISSING, dataclass, field, replace
 from functools import partial
@@ -14,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lampest.cost.terms import Term, term_kind
+from lampest.cost.terms import term_kind
 from lampest.files import hdf5
 from lampest.files.errors import InputError
 from lampest.files.typed import Validated
@@ -264,16 +265,13 @@ class Figures:
 
 
 def _of_terms(done: Estimates, values: Sequence[Array] | Sequence[tuple[float, ...]]) -> dict[str, Array]:
-    """Term → values of every step's terms."""
-    names = _names(done.estimator.terms)
-    return {name: np.array([one[number] for one in values]) for number, name in enumerate(names)}
-
-
-def _names(terms: Sequence[Term]) -> list[str]:
-    """The kind of every term; `kind_2` and so on for further ones of a kind, which only a script can give."""
-    kinds = [term_kind(term) for term in terms]
-    before = [kinds[:number].count(kind) for number, kind in enumerate(kinds)]
-    return [f"{kind}_{count + 1}" if count else kind for kind, count in zip(kinds, before, strict=True)]
+    """Term → values of every step's terms; further ones of a kind, which a script can give, are `kind_2` and so on."""
+    found: dict[str, Array] = {}
+    for number, term in enumerate(done.estimator.terms):
+        kind = term_kind(term)
+        names = itertools.chain([kind], (f"{kind}_{count}" for count in itertools.count(2)))
+        found[next(name for name in names if name not in found)] = np.array([one[number] for one in values])
+    return found
 
 
 def _disc(done: Estimates) -> dict[str, Array]:

@@ -1,7 +1,6 @@
 """Results files: what estimators made of recordings, case by case; their one writer and reader."""
 
 import json
-from bisect import bisect_left
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, fields, replace
@@ -261,11 +260,12 @@ def read_each(path: Path, most: int) -> Iterator[CaseResult]:
 def stored_cases(path: Path) -> tuple[StoredCase, ...]:
     """The cases of a results file without their values. Raises InputError as `read_results`."""
     with _results_file(path) as file:
-        return tuple(
-            StoredCase(path, recording, name, str(_read(file, recording, name, "case_id")), *_sizes(file, recording))
-            for recording in _in_order(file, "/entry")
-            for name in _estimators(file, recording)
-        )
+        found = []
+        for recording in _in_order(file, "/entry"):
+            for name in _estimators(file, recording):
+                identity = hdf5.read_attribute(file, f"/entry/{recording}/{name}", "case_id")
+                found.append(StoredCase(path, recording, name, str(identity), *_sizes(file, recording)))
+        return tuple(found)
 
 
 @contextmanager
@@ -292,19 +292,11 @@ def _sizes(file: h5py.File, recording: str) -> tuple[int, int]:
     return frames, rows * columns
 
 
-def _read(file: h5py.File, recording: str, estimator: str, name: str) -> Any:
-    return hdf5.read_attribute(file, f"/entry/{recording}/{estimator}", name)
-
-
 def _part(file: h5py.File, recording: str, frames: range) -> slice | None:
-    """Which of the frames that are kept are these ones of the recording, by bisection; None where none is."""
-    path, length = f"/entry/{recording}/{_estimators(file, recording)[0]}/{FRAME.path}", _sizes(file, recording)[0]
-
-    def number(at: int) -> int:
-        return int(hdf5.read_array(file, path, 1, (length,), slice(at, at + 1))[0])
-
-    part = slice(*(bisect_left(range(length), end, key=number) for end in (frames.start, frames.stop)))
-    return part if part.start < part.stop else None
+    """Which of the frames that are kept are these ones of the recording; None where none is."""
+    kept = hdf5.read_array(file, f"/entry/{recording}/{_estimators(file, recording)[0]}/{FRAME.path}", 1)
+    begin, end = np.searchsorted(kept, (frames.start, frames.stop))
+    return slice(int(begin), int(end)) if begin < end else None
 
 
 def _read_recording(file: h5py.File, name: str, table: Sequence[Column], part: slice) -> list[CaseResult]:
