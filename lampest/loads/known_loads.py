@@ -10,7 +10,7 @@ from typing import Any, ClassVar, Literal, cast
 
 import numpy as np
 
-from lampest.files.document import parse_document, read_document, validated
+from lampest.files.document import Document, parse_document, read_document, validated
 from lampest.files.errors import InputError
 from lampest.files.typed import check_not_negative, check_positive_fields
 from lampest.files.whole import note_read
@@ -29,7 +29,7 @@ class KnownLoad:
     diameter_mm, or length_mm and width_mm with angle_deg : its foot, with its centre at x_mm, y_mm. A pressure without
     foot lies on the whole panel.
 
-    Raises ValueError where a number is out of range, or the numbers do not make one load.
+    Raises ValueError where a number is out of range.
     """
 
     __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
@@ -51,6 +51,9 @@ class KnownLoad:
         check_positive_fields(self, "mass_g", "force_newton", "diameter_mm", "length_mm", "width_mm")
         if self.pressure_kpa is not None and not 1e-6 < abs(self.pressure_kpa) < 1e4:
             raise ValueError("pressure_kpa must not be 0, and below 1e4")
+
+    def check(self) -> None:
+        """Raise ValueError unless these numbers make one load."""
         if sum(one is not None for one in (self.mass_g, self.force_newton, self.pressure_kpa)) != 1:
             raise ValueError("a load needs one of mass_g, force_newton and pressure_kpa")
         given = (self.diameter_mm is not None, self.length_mm is not None, self.width_mm is not None)
@@ -62,7 +65,8 @@ class KnownLoad:
             raise ValueError("a weight or force needs its foot: diameter_mm, or length_mm and width_mm")
 
     def pressure(self, panel: Panel, patch_mm: float, along_mm: float = 0.0, down_mm: float = 0.0) -> Array:
-        """Mean on every patch, (rows, columns) kPa; of the foot elsewhere by so much."""
+        """Mean on every patch, (rows, columns) kPa; of the foot elsewhere by so much. Raises ValueError as `check`."""
+        self.check()
         if self.x_mm is None or self.y_mm is None:
             return np.full(panel.shape, self.pressure_kpa)
         centre, length, width = (self.x_mm + along_mm, self.y_mm + down_mm), self.length_mm or 0.0, self.width_mm or 0.0
@@ -102,11 +106,21 @@ class KnownLoads:
 def read_known_loads(path: Path) -> KnownLoads:
     """From YAML, or CSV with names `first`, `last` and those of `KnownLoad`. Raises InputError with the line."""
     if path.suffix.lower() != ".csv":
-        return cast(KnownLoads, validated(read_document(path), KnownLoads))
+        return _checked(read_document(path))
     try:
-        return cast(KnownLoads, validated(parse_document(_as_yaml(path), str(path)), KnownLoads))
+        return _checked(parse_document(_as_yaml(path), str(path)))
     except InputError as error:  # the column is that of the YAML
         raise InputError(re.sub(rf"^({re.escape(str(path))}:\d+):\d+", r"\1", str(error))) from error
+
+
+def _checked(document: Document) -> KnownLoads:
+    known = cast(KnownLoads, validated(document, KnownLoads))
+    for number, load in enumerate(known.loads):
+        try:
+            load.check()
+        except ValueError as error:
+            raise document.error(("loads", number), str(error)) from error
+    return known
 
 
 def _as_yaml(path: Path) -> str:

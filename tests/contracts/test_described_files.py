@@ -44,8 +44,8 @@ def test_every_name_in_a_results_file_is_one_for_octave(tmp_path: Path) -> None:
 
 
 def test_when_it_began_goes_from_recording_to_results(tmp_path: Path) -> None:
-    case = invented_case("LSM", "mouth", start_time="2026-05-04T09:30:00+02:00")
-    write_results(tmp_path / "r.h5", [case, invented_case("LSR-CR", "mouth")])
+    case, same = (invented_case(name, "mouth", start_time="2026-05-04T09:30:00+02:00") for name in ("LSM", "LSR-CR"))
+    write_results(tmp_path / "r.h5", [case, same])
     assert [case.start_time for case in read_results(tmp_path / "r.h5").cases] == ["2026-05-04T09:30:00+02:00"] * 2
     with pytest.raises(InputError, match="start_time differs"):
         other = invented_case("LSR-CR", "mouth", start_time="2026-05-05T09:30:00+02:00")
