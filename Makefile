@@ -22,7 +22,7 @@ APT = export DEBIAN_FRONTEND=noninteractive; apt-get update -qq && apt-get insta
 OUT = results/table1
 QUICK = tests/laws tests/golden tests/contracts/test_architecture.py --ignore tests/laws/test_holes.py
 PYTEST = $(BIN)/python -m pytest -q
-SPREAD = --numprocesses auto --maxprocesses 4 --dist loadgroup
+SPREAD = --numprocesses auto --maxprocesses 4 --dist loadfile
 
 install: $(VENV)/.installed
 

@@ -18,7 +18,7 @@ from lampest.files.errors import InputError
 from lampest.files.process import check_memory
 from lampest.files.typed import Validated
 from lampest.panel.panel import Array, Panel, as_panels_have
-from lampest.panel.readouts import Readout
+from lampest.panel.readouts import Readout, TwoPointReadout
 from lampest.panel.scene import Scene, scene_text
 from lampest.recording.acquisition import Acquisition, undamaged_frames
 from lampest.recording.readings import Readings, check_sigma
@@ -92,6 +92,7 @@ class Recording(Validated):
             raise InputError(f"{where}time must hold one finite time for each frame")
         if np.any(np.diff(self.time) < 0):
             raise InputError(f"{where}time must not decrease")
+        self._check_unit()
         if self.role.shape != (frames,) or not np.all(np.isin(self.role, ROLES)):
             raise InputError(f"{where}role must hold 0 or 1 for each frame")
         for truth, path in zip((self.truth_cell_resistance, self.truth_pressure), TRUTHS, strict=True):
@@ -105,6 +106,19 @@ class Recording(Validated):
         unloaded, (rows, columns) = int(np.sum(self.role == UNLOADED)), self.scene.panel.shape
         frames, span = f"{len(self.role)} frames ({unloaded} unloaded)", f"{self.time.min():g} to {self.time.max():g} s"
         return f"Recording({self.name}: {frames} of {rows} × {columns} cells, {span})"
+
+    def _check_unit(self) -> None:
+        """Raise InputError where kohm were meant: all readings are below the resistance in series, without raw sums."""
+        circuit, plain = self.scene.circuit, self.recorded[np.isfinite(self.recorded) & (self.recorded > 0)]
+        if not isinstance(circuit, TwoPointReadout) or self.raw_sums is not None or not plain.size:
+            return
+        series = float(np.min(self.scene.series_ohm))
+        code = circuit.code_from_volt(circuit.volt_from_recorded(np.array(1000 * np.median(plain))))
+        if plain.max() < series and 8 <= code < 2**circuit.adc_bits - 8:
+            raise InputError(
+                f"{self.name}: {self.path} is at most {plain.max():.4g} ohm, less than the {series:.4g} ohm in series; "
+                "are these kohm?"
+            )
 
     @property
     def _group(self) -> str:

@@ -238,6 +238,11 @@ def test_a_misspelt_weight_is_one_sentence() -> None:
         Gradient(weight="autos")  # type: ignore[arg-type]
 
 
+def test_a_recording_in_kohm_is_refused(lamprey: Recording) -> None:
+    with pytest.raises(lampest.InputError, match=r"less than the 140 ohm in series; are these kohm\?"):
+        replace(lamprey, recorded=lamprey.recorded / 1000)
+
+
 def test_a_recording_in_one_line(lamprey: Recording) -> None:
     assert repr(lamprey) == "Recording(lamprey_35mm: 7 frames (3 unloaded) of 10 × 10 cells, 0 to 6 s)"
 

@@ -17,7 +17,7 @@ def paper(folder: Path) -> subprocess.CompletedProcess[str]:
     return subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=600, env=dict(os.environ))
 
 
-pytestmark = [pytest.mark.slow, pytest.mark.xdist_group("paper")]  # the fixture takes half a minute: once
+pytestmark = pytest.mark.slow  # the module's fixture takes half a minute
 
 
 @pytest.fixture(scope="module")

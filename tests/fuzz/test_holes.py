@@ -61,7 +61,7 @@ FORMULATIONS: list[MethodName] = [
 def test_any_holes(kind: str, name: str) -> None:
     scene, rng = SCENES[kind], np.random.default_rng([len(kind), len(name)])
     whole = simulate(Simulation(1, 3, SCENES["two_point"] if kind == "unknown" else scene, frames=2))
-    for formulation in rng.choice(FORMULATIONS, 4, replace=False).tolist():
+    for formulation in rng.choice(FORMULATIONS, 3, replace=False).tolist():
         values = whole.recorded.copy()
         hit = rng.random(values.shape) < rng.uniform(0.0, 0.6)
         values[hit] = rng.choice(SENT, hit.sum())

@@ -10,7 +10,6 @@ from studies.equal import compare, equal, relative_difference, show
 # Another processor adds in another order: between two of them the same commit's cells of these scenes differed by up to
 # 1.4e-9.
 CELLS = 1e-8
-pytestmark = pytest.mark.xdist_group("golden")  # one process makes the results
 EXPECTED = {path.stem: path for path in sorted(HERE.glob("*.h5")) if path.name != RECORDING}
 
 

@@ -60,7 +60,7 @@ def scene(load: Shape, frames: int, depth: float, seed: int) -> Recording:
     course = Course(breathing_hz=1 / 9, breathing_depth=depth)
     time = np.arange(frames + 2.0) - 2
     contact, suction = load.mean_pressure(PANEL, 6.0)
-    factors = ((time >= 0) * course.contact(time), (time >= 0) * course.suction(time))
+    factors = (time >= 0) * np.stack(course.contact_and_suction(time))
     pressure = factors[0][:, None, None] * contact + factors[1][:, None, None] * suction
     cells = 3050 * np.exp(0.2 * rng.standard_normal(PANEL.shape)) * ratio_from_pressure(pressure)
     exact = two_point_resistance(cells)

@@ -214,14 +214,14 @@ def test_time_that_is_left_time_in_words() -> None:
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="the system tells no peak of a process alone")
 def test_memory_does_not_grow_with_the_frames(tmp_path: Path) -> None:
     """Peak resident size of two processes; the 25 maps of the longer recording alone would be 48 MB."""
-    scene = lampest.Scene(lampest.Panel(20, 20), lampest.TwoPointReadout(noise_lsb=0.7), series_resistance_ohm=140.0)
+    scene = lampest.Scene(lampest.Panel(10, 10), lampest.TwoPointReadout(noise_lsb=0.7), series_resistance_ohm=140.0)
     run = "schema: 1\nrecordings: [long.h5]\nformulation: naive\nestimators: {one: {terms: {misfit: {}}}}\n"
     peaks = []
-    for count in (150, 600):
+    for count in (600, 2400):
         (folder := tmp_path / str(count)).mkdir()
         save(folder, frames(count, scene), scene)
         (folder / "run.yaml").write_text(run)
-        ended = started(folder, "out", 20_000)  # readings, which are 50 frames
+        ended = started(folder, "out", 20_000)  # readings, which are 200 frames
         assert ended.returncode == 0, ended.stderr
         peaks.append(int(ended.stdout))
     assert peaks[1] < 1.02 * peaks[0]

@@ -11,8 +11,9 @@ from lampest.files.typed import ByKind, members_by_kind
 
 LessWork = UncorrectedMethod | LinearisedMethod | TruncatedMethod | RegionMethod
 AnyMethod = Annotated[OptimalMethod | LessWork | OralDiscMethod | SmootherMethod, ByKind("lampest.methods")]
-Exact = Literal["per_pixel", "nodal", "reduced", "auto"]
-MethodName = Literal[Exact, "naive", "scaled", "linearised", "truncated", "region", "oral_disc", "smoother"]
+Optimal = Literal["per_pixel", "nodal", "reduced", "auto"]
+Approximate = Literal["naive", "scaled", "linearised", "truncated", "region"]
+MethodName = Literal[Optimal, Approximate, "oral_disc", "smoother"]
 
 
 def named_method(method: "Method | str") -> Method:
