@@ -168,10 +168,10 @@ def _results_lines(results: Results) -> list[str]:
         ]
         missing = np.isnan(first.measured) & first.scene.asked  # results of older versions do not say what are bounds
         bounds = np.zeros(missing.shape, bool) if first.reading_side is None else first.reading_side != 0
-        told = first.model_mark and first.model_sentence not in first.warnings
+        shown = first.model_mark and first.model_sentence not in first.warnings
         sentences = [
             ("", holes_sentence(missing, bounds)),
-            ("model", told and f"{first.model_mark}: {first.model_sentence}"),
+            ("model", shown and f"{first.model_mark}: {first.model_sentence}"),
             *(("warning", one) for one in first.warnings.split("\n")),
             ("film", first.film_sentence),
             ("noise", first.noise_learned),

@@ -23,7 +23,7 @@ from lampest.panel.panel import Array, beyond_any_panel
 from lampest.panel.readouts.readout import Readout
 from lampest.recording.recording import UNLOADED
 
-if TYPE_CHECKING:  # what reads results need not load what solves
+if TYPE_CHECKING:  # readers of results need not load the solvers
     from lampest.estimate.estimates import Estimates
     from lampest.estimate.state import Step
 

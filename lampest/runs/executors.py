@@ -5,6 +5,7 @@ An executor calls a function once for every argument, hands out one call at a ti
 
 import logging
 import signal
+from abc import abstractmethod
 from collections import Counter, deque
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import ExitStack, closing, contextmanager
@@ -48,13 +49,13 @@ class Executor(Configuration):
     def ready(self) -> None:
         """Raise InputError where this executor cannot run here."""
 
+    @abstractmethod
     def results(self, function: Function, arguments: Sequence[Any]) -> Pairs:
         """(argument, result) pairs as they are finished; the result is an exception where the call raised one.
 
         Raises LostError where no further result will come. When the generator is closed, no further call starts; one
         under way dies, and leaves no half file under a file's name.
         """
-        raise NotImplementedError
 
 
 @dataclass(frozen=True)

@@ -118,7 +118,6 @@ def record(
             before = f"; the {count['frames']} frames that came before are in {out}" if last else ""
             raise InputError(f"{error}{before}") from error
         finally:
-            # However it ended: what was recorded is left as a clean file.
             made = finished(out) if last else None
         if made is None or last is None:
             raise InputError(f"{out}: ended before the first frame; nothing is written")

@@ -205,7 +205,7 @@ class _Boards:
 
 
 def _listen(board: int, port: str, own: Scene, period: float | None, arrived: Arrived, ended: Event) -> None:
-    """Hand on what a board sends: samples, what is said of it, the error that ended it, and None at the end."""
+    """Queue a board's samples, its states, the error that ended it, and None at the end."""
 
     def said(sentence: str) -> None:
         arrived.put((board, sentence))

@@ -46,8 +46,6 @@ def import_file(
 
     The suffix says what the file is: .xlsx, .npy, .npz, .mat, and a text table for every other; docs/howto/import.md.
 
-    Parameters
-    ----------
     rows, columns : of the panel; None: the scene's.
     scene : None: this panel and resistances alone.
     unit : 'ohm', 'kohm', 'volt', 'mV' or 'code'; None: what the header says, else what values and scene leave.
@@ -71,9 +69,8 @@ def import_file(
     panel = _panel(rows, columns, scene)
     check_unit(unit, scene, path)
     frames = _frames(path, panel, transpose, variable, layout)
-    values = frames.values
+    values, count = frames.values, len(frames.values)
     values[~panel.present & ~(values > 0)] = np.nan
-    count = len(values)
     if not 0 <= baseline_frames <= count:
         raise InputError(f"{path}: {baseline_frames} baseline frames asked for, but the file holds {count} frames")
     clock = _clock(frames, period)
@@ -84,15 +81,13 @@ def import_file(
     kind, reason = unit, f"unit {unit}, as specified"
     if kind is None:
         kind, reason = understood_unit(values, units_of(frames.words), scene, path)
-    assumed = _assumed(scene or Scene(panel), scene is not None)
-    scene = scene or Scene(panel)
+    scene, given = scene or Scene(panel), scene is not None
     recorded = recorded_values(values, kind, scene, frames.place)
     role = np.where(np.arange(count) < baseline_frames, UNLOADED, MEASURED).astype(np.uint8)
     kept, gaps = _without_missing(np.isnan(recorded) & panel.present, missing, path)
-    recording = Recording(
-        scene, recorded[kept], clock.seconds[kept], role[kept], name=path.stem, start_time=clock.start
-    )
-    notes = (*frames.notes, reason, clock.sentence, assumed, gaps, *_summary(recording))
+    series, time = recorded[kept], clock.seconds[kept]
+    recording = Recording(scene, series, time, role[kept], name=path.stem, start_time=clock.start)
+    notes = (*frames.notes, reason, clock.sentence, _assumed(scene, given), gaps, *_summary(recording))
     return recording, tuple(map(printable, filter(None, notes)))
 
 
