@@ -20,12 +20,14 @@ from lampest.estimate.state import NO_DUAL, Step
 from lampest.estimate.stream import Stream
 from lampest.panel.panel import Array
 from lampest.panel.readouts import TwoPointReadout
+from lampest.posterior.batch import BatchErrors
 from lampest.posterior.linear import LinearModel
+from lampest.posterior.track import Bars, Track
 from lampest.recording.readings import Readings
 from lampest.solvers.batch import Ended, Kept, solve
 from lampest.solvers.bounds import bounds_matter
 from lampest.solvers.multistart import BROKEN, SAME, several_minima
-from lampest.solvers.panel_batch import PanelBatch
+from lampest.solvers.panel_batch import BLOCK, PanelBatch
 from lampest.solvers.solution import OPEN_FRACTION, VERIFIED, Settings, Solution, Status
 
 FEWEST = 20  # panels of a thread: with fewer, threads cost more than they save
@@ -40,7 +42,7 @@ def pushed_together(
     readings : (streams, rows, columns), of each one's frame. kept : what solves of earlier frames left, of every stream
     by its number; renewed in place.
     """
-    found = _solved_together(streams, readings, kept, _after)
+    found = _solved_together(streams, readings, kept, Together.pushed)
     others = {n: one.push(readings[n]) for n, one in enumerate(streams) if one is not None and n not in found}
     return [(found | others).get(number, (None, None)) for number in range(len(streams))]
 
@@ -50,19 +52,22 @@ def rested_together(streams: Sequence[Stream | None]) -> list[Stream | None]:
     there = next(stream for stream in streams if stream is not None)
     resting = [there.resting if stream is None else stream.resting for stream in streams]
     kept = Kept.nothing(len(streams), there.resting.value.size)
-    found = _solved_together(streams, resting[0].together(*resting[1:]), kept, lambda stream, step: step)
+    found = _solved_together(streams, resting[0].together(*resting[1:]), kept, Together.rested)
     return [stream and stream.with_rest(found.get(number)) for number, stream in enumerate(streams)]
 
 
 def _solved_together(
-    streams: Sequence[Stream | None], readings: Readings, kept: Kept, after: Callable[[Stream, Step], W]
+    streams: Sequence[Stream | None],
+    readings: Readings,
+    kept: Kept,
+    solve: Callable[["Together", Kept], Sequence[W | None]],
 ) -> dict[int, W]:
-    """Number → what `after` makes of the streams that batches solve, blocks in threads beside each other."""
+    """Number → what `solve` makes of the streams that batches solve, blocks in threads beside each other."""
 
     def solved(block: Together) -> dict[int, W]:
         with np.errstate(all="ignore"), suppress(*BROKEN):
-            every = zip(block.numbers.tolist(), block.streams, block.steps(kept), strict=True)
-            return {number: after(stream, step) for number, stream, step in every if step is not None}
+            pairs = zip(block.numbers.tolist(), solve(block, kept), strict=True)
+            return {number: one for number, one in pairs if one is not None}
         return {}
 
     blocks = list(_batches(streams, readings))
@@ -144,15 +149,59 @@ class Together:
         weights = np.array([_weights(stream) for stream in streams], dtype=float)
         return cls(numbers, streams, PanelBatch(cost, weights, data, place), estimator.solver)
 
-    def steps(self, kept: Kept) -> list[Step | None]:
-        """How every frame was solved, without error bars; None where the batch found no verified minimum."""
+    def rested(self, kept: Kept) -> list[Step | None]:
+        """How every baseline was solved, with what error bars follow from; None where no minimum was verified."""
+        ended, steps = self._solved(kept)
+        for number, step in enumerate(steps):
+            if step is not None and self.streams[number].track is not None:
+                surrounded = replace(step.solution, at=self._evaluation(ended, number), dual=NO_DUAL)
+                steps[number] = replace(step, solution=surrounded)
+        return steps
+
+    def pushed(self, kept: Kept) -> list[tuple[Stream, Step] | None]:
+        """Every stream after its frame, with error bars where it has them."""
+        (ended, steps), begin = self._solved(kept), perf_counter()
+        barred = self._barred(ended, steps)
+        seconds = (perf_counter() - begin) / max(len(barred), 1)
+        every = enumerate(steps)
+        return [None if step is None else self._after(n, step, barred.get(n), seconds) for n, step in every]
+
+    def _barred(self, ended: Ended, steps: Sequence[Step | None]) -> dict[int, tuple[Track, Bars]]:
+        """Number → a track after its frame, and error bars: made together of panels without a cell at a bound."""
+        pairs = enumerate(zip(self.streams, steps, strict=True))
+        tracks = {n: one.track for n, (one, step) in pairs if step is not None and one.track is not None}
+        free = BatchErrors.inside(ended.points).tolist() if tracks else []
+        found, inside = dict[int, tuple[Track, Bars]](), [n for n in tracks if free[n]]
+        for some in (inside[first : first + BLOCK] for first in range(0, len(inside), BLOCK)):
+            with suppress(*BROKEN):
+                errors = BatchErrors(ended.points.some(np.array(some)), [tracks[n] for n in some])
+                found |= dict(zip(some, errors.bars(), strict=True))
+        for number in tracks.keys() - found.keys():
+            with suppress(*BROKEN):
+                model = LinearModel(self._evaluation(ended, number), NO_DUAL)
+                found[number] = tracks[number].advanced(model)
+        return found
+
+    def _after(self, number: int, step: Step, barred: tuple[Track, Bars] | None, seconds: float) -> tuple[Stream, Step]:
+        """A stream after its frame, with error bars where it has them."""
+        stream = self.streams[number]
+        stream = replace(stream, previous=step.solution.cell_resistance[0], previous_deviation=None, first=False)
+        if barred is None:
+            return stream, step
+        track, bars = barred
+        stream = replace(stream, track=track, previous_deviation=track.deviation)
+        return stream, replace(step, bars=bars, bars_seconds=seconds)
+
+    def _solved(self, kept: Kept) -> tuple[Ended, list[Step | None]]:
+        """Where the panels ended, and the step of each; None where the batch found no verified minimum."""
         begin, found = perf_counter(), list[Ended]()
         for start in self._starts(kept, found):
             found.append(solve(self.batch, start, kept, self.numbers, self.settings))
-        solutions = self._solutions(reduce(_lower, found), len(found))
+        ended = reduce(_lower, found)
+        solutions = self._solutions(ended, len(found))
         seconds = (perf_counter() - begin) / len(self.numbers)
         pairs = zip(solutions, self.batch.weights.tolist(), strict=True)
-        return [None if found is None else Step(found, seconds, tuple(weights)) for found, weights in pairs]
+        return ended, [None if found is None else Step(found, seconds, tuple(weights)) for found, weights in pairs]
 
     def _starts(self, kept: Kept, found: Sequence[Ended]) -> Iterator[Array]:
         """As `lampest.solvers.multistart.starts`; found : where those before ended."""
@@ -183,42 +232,25 @@ class Together:
             solution = Solution(
                 cells[one], reading[one], costs[number], *figures, *bounds, Status.OPTIMUM, iterations, starts=starts
             )
-            if held[number] or self.streams[number].track is not None:
-                at = self._evaluation(ended, number)
-                gradient = points.gradient[number].reshape(cells[one].shape)
-                status = Status.HELD if held[number] and bounds_matter(at, gradient, NO_DUAL) else Status.OPTIMUM
-                solution = replace(solution, at=at, dual=NO_DUAL, status=status)
+            gradient = points.gradient[number].reshape(cells[one].shape)
+            if held[number] and bounds_matter(self._evaluation(ended, number), gradient, NO_DUAL):
+                solution = replace(solution, status=Status.HELD)
             found[number] = solution
         return found
 
     def _evaluation(self, ended: Ended, number: int) -> Evaluation:
         """Of one panel, with the network that was solved."""
         one = ended.points.some(np.array([number]))
-        names = ("cell_resistance", "conductance", "_impedance")
-        alone = replace(one.network, **{name: getattr(one.network, name)[0] for name in names})
         pairs = zip(self.batch.cost.terms, self.batch.weights[number], strict=True)
         terms = tuple(replace(term, weight=float(weight)) for term, weight in pairs)
         cost, reading = replace(self.batch.cost, terms=terms), ended.points.reading[number][None]
-        return Evaluation(cost, one.batch.data, one.network.cell_resistance, reading, (alone,))
+        return Evaluation(cost, one.batch.data, one.network.cell_resistance, reading, (one.network.some(0),))
 
 
 def _previous(streams: Sequence[Stream]) -> Array:
     """(streams, rows, columns) the cells before their frames."""
     pairs = ((stream.previous, stream.baseline_resistance) for stream in streams)
     return np.stack([resting if previous is None else previous for previous, resting in pairs])
-
-
-def _after(stream: Stream, step: Step) -> tuple[Stream | None, Step | None]:
-    """A stream after its frame, with error bars where it has them."""
-    solution, track, deviation = step.solution, stream.track, None
-    if track is not None and solution.at is not None:
-        begin = perf_counter()
-        with suppress(*BROKEN):
-            track, bars = track.advanced(LinearModel(solution.at, NO_DUAL))
-            step, deviation = replace(step, bars=bars, bars_seconds=perf_counter() - begin), track.deviation
-    found = solution.cell_resistance[0]
-    after = replace(stream, previous=found, previous_deviation=deviation, track=track, first=False)
-    return after, step if solution.at is None else step.bare()
 
 
 def _weights(stream: Stream) -> tuple[float, ...]:

@@ -18,7 +18,7 @@ from lampest.estimate.cells_fit import CREEP, FIT, LEVEL, MOST_CELLS, TOGETHER, 
 from lampest.panel.least_squares import SumOfSquares
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene, Systematic
-from lampest.panel.systematic import Possible, hidden_columns
+from lampest.panel.systematic import Possible, hidden_columns, recorded_share
 from lampest.posterior.frame_noise import FrameNoise
 from lampest.recording.readings import Readings
 
@@ -34,7 +34,6 @@ LINEAR = 0.15  # of log r: so large an error moves cells by more than one per ce
 LOADED = 3 * LINEAR  # of log r: so far a load moves a cell, and no error that is small enough for linear theory
 CLEARLY = 4.0  # σ of a change that noise does not make
 SMOOTH, REACH = 0.3, 1.5  # of log r, and in cells: a skirt that a load has around it, or a load that covers many cells
-EACH = Systematic(reading_error=1.0)
 
 Chosen = NDArray[np.bool_]
 
@@ -92,11 +91,12 @@ def _of_frame(
     if noise is not None:
         drawn = gain @ noise.columns(at.readings.value[None], near is None)
         error = error + drawn @ drawn.T
-    here = at.cells, at.readings.value
+    here, circuit = (at.cells, at.readings.value), scene.circuit
+    network = circuit.network(at.cells, circuit.ties_of_parts(at.readings.value, scene.parts), scene.wiring)
     columns = (
-        hidden_columns(*here, scene, replace(sizes, reading_error=None)),
-        hidden_columns(*here, scene, EACH),
-        scene.circuit.shared_errors(*here, scene, sizes.reference_tolerance / np.sqrt(3), sizes.channel_spread_ohm),
+        hidden_columns(network, at.readings.value, scene, replace(sizes, reading_error=None)),
+        np.diag(recorded_share(at.readings.value, scene).ravel()),
+        circuit.shared_errors(*here, scene, sizes.reference_tolerance / np.sqrt(3), sizes.channel_spread_ohm),
     )
     return fit.cells, [error, *(gain @ one.reshape(len(one), gain.shape[1]).T for one in columns)]
 
@@ -248,7 +248,7 @@ def _unloaded_costs(scene: Scene, resting: Readings) -> Array:
     """
     assert resting.sigma is not None
     data = cells_alone().data(resting.alone(), Background(scene))
-    share = np.abs(hidden_columns(resting.value, resting.value, scene, EACH)).sum(axis=0)
+    share = np.abs(recorded_share(resting.value, scene))
     costs = np.empty((len(ERRORS), len(SCATTERS)))
     for column, spread in enumerate(SCATTERS):
         cells = np.log(data.uniform_start[0])

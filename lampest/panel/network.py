@@ -111,9 +111,9 @@ class Network(ABC):
 
     @cached_property
     def potential_differences(self) -> Array:
-        """D = Z·B (lines, cells) ohm: across every cell for a unit current into every line."""
-        differences = self._impedance[:, : self.rows, None] - self._impedance[:, None, self.rows :]
-        return differences.reshape(len(differences), -1)
+        """D = Z·B (…, lines, cells) ohm: across every cell for a unit current into every line."""
+        differences = self._impedance[..., : self.rows, None] - self._impedance[..., None, self.rows :]
+        return differences.reshape(*self._impedance.shape[:-1], -1)
 
     def entry_responses(self, cells: Numbers | None = None) -> Entries:
         """g_c·(D_jc², D_kc², D_jc·D_kc): (rows, cells), (columns, cells), (rows, columns, cells) for some cells."""

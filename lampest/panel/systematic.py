@@ -4,16 +4,14 @@ To first order the estimate moves by K·U·z with independent standard normal z,
 does to the readings, a secant of the readout's own equations.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from math import prod
 
 import numpy as np
 
 from lampest.panel.network import Network
 from lampest.panel.panel import Array
 from lampest.panel.readouts.lines import of_side
-from lampest.panel.readouts.wiring import Wiring, contact_responses
+from lampest.panel.readouts.wiring import Wiring, contact_responses, wire_responses
 from lampest.panel.scene import Scene, Systematic
 
 SINES = 4  # that a converter's curve is made of; between them they are as large as specified, in the mean square
@@ -53,31 +51,29 @@ def usual(scene: Scene) -> Systematic | None:
     return USUAL if scene.circuit.series_name else replace(USUAL, series_ohm=None)
 
 
-def hidden_columns(cells: Array, measured: Array, scene: Scene, sizes: Systematic) -> Array:
-    """U (n, rows, columns) in the unit of the network's readings: of one frame's cells (rows, columns) ohm.
+def hidden_columns(network: Network, measured: Array, scene: Scene, sizes: Systematic) -> Array:
+    """U (n, …, rows, columns) in the unit of the network's readings, one axis for each error.
 
-    measured : its readings. In the order series, curve, wire of rows, wire of columns, each reading.
+    measured : readings (…, rows, columns). In the order series, curve, wire of rows, wire of columns, each reading.
     """
-    circuit, wiring, parts = scene.circuit, scene.wiring or Wiring(), []
+    circuit, parts = scene.circuit, list[Array]()
     if sizes.series_ohm:
-        lines = circuit.shared_errors(cells, measured, scene, 0.0, 1.0)[1:]
-        driven, _ = of_side(circuit.noisy_side, *np.split(lines, [len(measured)]))
+        lines = circuit.shared_errors(network.cell_resistance, measured, scene, 0.0, 1.0)[1:]
+        driven, _ = of_side(circuit.noisy_side, *np.split(lines, [measured.shape[-2]]))
         parts.append(sizes.series_ohm * driven.sum(axis=0)[None])
     if sizes.inl_lsb and scene.readout is not None:
         volt = circuit.volt_from_recorded(circuit.to_recorded(measured, scene))
         size = sizes.inl_lsb * circuit.lsb_volt * np.sqrt(2 / SINES)
-        waves = size * np.sin(np.pi * (np.arange(SINES)[:, None, None] + 1) * volt / circuit.supply_volt)
+        waves = size * np.sin(np.pi * np.multiply.outer(np.arange(SINES) + 1, volt / circuit.supply_volt))
         ends = [circuit.from_recorded(circuit.recorded_from_volt(volt + sign * waves), scene) for sign in (0.5, -0.5)]
         parts.append(ends[0] - ends[1])
     if sizes.wire_ohm_per_cell:
-        still = circuit.exact_reading(cells, scene.wiring)
-        for name in ("row_ohm_per_cell", "column_ohm_per_cell"):
-            more: dict[str, float] = {name: getattr(wiring.lines, name) + sizes.wire_ohm_per_cell}
-            longer = replace(wiring, lines=replace(wiring.lines, **more))  # type: ignore[arg-type]
-            parts.append((circuit.exact_reading(cells, longer) - still)[None])
+        parts.append(sizes.wire_ohm_per_cell * wire_responses(network, (scene.wiring or Wiring()).lines))
     if sizes.reading_error:
-        each = sizes.reading_error * recorded_share(measured, scene)
-        parts.append(np.diag(each.ravel()).reshape(measured.size, *measured.shape))
+        each = (sizes.reading_error * recorded_share(measured, scene)).reshape(*measured.shape[:-2], -1)
+        alone = np.zeros((each.shape[-1], *each.shape))
+        np.einsum("c...c->...c", alone)[...] = each
+        parts.append(alone.reshape(-1, *measured.shape))
     return np.concatenate(parts) if parts else np.zeros((0, *measured.shape))
 
 
@@ -125,22 +121,34 @@ class Shared:
         own, known = (one.reading_error or 0.0 for one in (self.systematic, other.systematic))
         return Shared(Systematic(reading_error=float(np.sqrt(own**2 - known**2))), self.scene) if own > known else None
 
-    def columns(self, cells: Array, measured: Array, networks: Sequence[Network]) -> Array:
-        """U (frames · cells, n) in the readings' unit: contacts, reference and channels, hidden errors; see `own`.
+    def columns(self, network: Network, measured: Array) -> Array:
+        """U (cells, n) in the readings' unit: contacts, reference and channels, hidden errors; see `own`.
 
-        cells, measured : (frames, rows, columns). networks : one a frame. A tolerance is the half width of a uniform
-        distribution, σ = 1/√3 of it.
+        measured : readings (rows, columns). A tolerance is the half width of a uniform distribution, σ = 1/√3 of it.
         """
-        parts: list[Array] = []
-        if self.contact_root is not None:
-            parts.append(contact_responses(networks) @ self.contact_root)
-        if self.systematic is not None:
-            sizes, circuit, pairs = self.systematic, self.scene.circuit, list(zip(cells, measured, strict=True))
-            reference, channel = sizes.reference_tolerance / np.sqrt(3), sizes.channel_spread_ohm
-            parts.append(_columns([circuit.shared_errors(*pair, self.scene, reference, channel) for pair in pairs]))
-            hidden = _columns([hidden_columns(*pair, self.scene, sizes) for pair in pairs])
-            parts.append(hidden if self.hidden_root is None or not hidden.size else hidden @ self.hidden_root)
-        return np.concatenate(parts, axis=1)
+        columns = self.unrelated(network, measured)
+        if self.contact_root is None:
+            return self.related(columns)
+        contacts = contact_responses([network]) @ self.contact_root
+        return np.concatenate([contacts, self.related(columns)], axis=1)
+
+    def unrelated(self, network: Network, measured: Array) -> Array:
+        """The columns without contacts, (…, cells, n) of readings (…, rows, columns), as if hidden errors were
+        independent of each other.
+        """
+        if self.systematic is None:
+            return np.zeros((measured.size, 0))
+        sizes = self.systematic
+        off = sizes.reference_tolerance / np.sqrt(3), sizes.channel_spread_ohm
+        known = self.scene.circuit.shared_errors(network.cell_resistance, measured, self.scene, *off)
+        errors = np.concatenate([known, hidden_columns(network, measured, self.scene, sizes)])
+        return np.moveaxis(errors.reshape(*errors.shape[:-2], -1), 0, -1)
+
+    def related(self, columns: Array) -> Array:
+        """These columns with the covariance of hidden errors, the last of them."""
+        root = np.zeros((0, 0)) if self.hidden_root is None else self.hidden_root
+        first = columns.shape[-1] - len(root)
+        return np.concatenate([columns[..., :first], columns[..., first:] @ root], axis=-1)
 
     def own(self, cells: int) -> int:
         """How many of the last columns move single readings, independently of all others."""
@@ -152,8 +160,3 @@ class Shared:
         if not size:
             return np.zeros(measured.shape)
         return np.asarray(size * np.abs(np.stack([recorded_share(frame, self.scene) for frame in measured])))
-
-
-def _columns(frames: Sequence[Array]) -> Array:
-    """(n, rows, columns) of every frame → (frames · cells, n)."""
-    return np.concatenate([errors.reshape(len(errors), prod(errors.shape[1:])).T for errors in frames])

@@ -7,6 +7,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
+from lampest.cost.problem import Data
 from lampest.panel.panel import Array
 from lampest.posterior.interval import TWO_SIDED, one_sided
 from lampest.posterior.linear import LinearModel
@@ -43,40 +44,45 @@ class Certainty(LogInterval):
         return np.asarray(np.sqrt(np.maximum(self.deviation**2 - self.common**2, 0.0)))
 
     @classmethod
+    def inside(cls, cells: Array, data: Data, variances: tuple[Array, Array], shares: tuple[Array, Array]) -> Self:
+        """Two-sided, of cells away from their bounds; below a lower bound as far as its reading's noise. Any shape.
+
+        variances : of log r, and the part of it that one chance moves together in a frame. shares : diagonal and row
+        sums of the averaging kernel.
+        """
+        shape, (lower, upper) = cells.shape, data.log_bounds
+        deviation, common = (np.sqrt(one).reshape(shape) for one in variances)
+        position, reach = np.log(cells), TWO_SIDED * deviation
+        noise = TWO_SIDED * np.minimum(data.sigma / data.measured, 0.5)
+        above = np.where((position + reach >= upper) & (lower < upper), np.inf, reach)
+        below = np.minimum(reach, position - lower + noise)
+        resolution, data_share = (share.reshape(shape) for share in shares)
+        return cls(deviation, below, above, resolution, data_share, common)
+
+    @classmethod
     def of(
         cls,
         model: LinearModel,
-        variance: Array,
-        shared: Array,
+        variances: tuple[Array, Array],
         shares: tuple[Array, Array],
         released: Callable[[NDArray[np.intp]], Array],
-    ) -> "Certainty":
-        """Two-sided for free cells, one-sided at active bounds; below a lower bound as far as its reading's noise.
+    ) -> Self:
+        """As `inside` for free cells, one-sided at active bounds. variances, shares : of the free cells.
 
-        variance, shared : of log r of the free cells, and the part of it that one chance moves together in a frame.
-        shares : diagonal and row sums of the averaging kernel. released : variance of cells (numbers) that stand at a
-        bound, if each alone were free.
+        released : variance of cells (numbers) that stand at a bound, if each alone were free.
         """
-        at, free = model.at, model.free
-        deviation, below, above, resolution, data_share, common = np.zeros((6, at.cell_resistance.size))
-        deviation[free], common[free] = np.sqrt(variance), np.sqrt(shared)
-        below[free] = above[free] = TWO_SIDED * deviation[free]
-        resolution[free], data_share[free] = shares
-        noise = TWO_SIDED * np.minimum(at.data.sigma / at.data.measured, 0.5).ravel()
+        at, whole = model.at, np.zeros((4, model.at.cell_resistance.size))
+        whole[:, model.free] = *variances, *shares
+        found = cls.inside(at.cell_resistance, at.data, (whole[0], whole[1]), (whole[2], whole[3]))
         pressed = np.flatnonzero(model.at_lower | model.at_upper)
         if len(pressed):
-            slope = np.abs(model.gradient[pressed]) / (2 * model.scale)
-            deviation[pressed], reach = one_sided(slope, released(pressed))
-            low = model.at_lower[pressed]
-            above[pressed] = np.where(low, reach, np.inf)
-            below[pressed] = np.where(low, noise[pressed], reach)
-        lower, upper = (bound.ravel() for bound in at.data.log_bounds)
-        position = np.log(at.cell_resistance).ravel()
-        above[(position + above >= upper) & ~model.at_lower & (lower < upper)] = np.inf
-        deviation[model.at_upper] = np.inf
-        below[free] = np.minimum(below[free], position[free] - lower[free] + noise[free])
-        shape = at.cell_resistance.shape
-        return cls(*(values.reshape(shape) for values in (deviation, below, above, resolution, data_share, common)))
+            slope, low = np.abs(model.gradient[pressed]) / (2 * model.scale), model.at_lower[pressed]
+            deviation, reach = one_sided(slope, released(pressed))
+            noise = TWO_SIDED * np.minimum(at.data.sigma / at.data.measured, 0.5).ravel()[pressed]
+            found.deviation.flat[pressed] = np.where(low, deviation, np.inf)
+            found.above.flat[pressed] = np.where(low, reach, np.inf)
+            found.below.flat[pressed] = np.where(low, noise, reach)
+        return found
 
     def widened(self, answer: Array, own: int) -> "Certainty":
         """With what independent errors of variance 1 do on top, (frames · cells, n); the last `own` not common."""

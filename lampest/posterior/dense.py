@@ -236,7 +236,7 @@ class DenseErrors:
     def certainty(self) -> Certainty:
         """Without errors that all frames share."""
         shares = self.resolution, self.data_share
-        return Certainty.of(self.model, self.variance, self.shared_variance, shares, self.released)
+        return Certainty.of(self.model, (self.variance, self.shared_variance), shares, self.released)
 
     @cached_property
     def widening(self) -> Array:

@@ -82,14 +82,19 @@ class Track:
         answer, certainty = self._answered(errors)
         relative = any(term.needs_previous for term in model.at.cost.terms)
         memory = errors.memory() if relative else None
-        resting = answer[:size] if joint or self.answers is None else self.answers[1]
-        baseline, frame = certainty.of_frame(0) if joint else self.baseline, certainty.of_frame(-1)
-        answers, deviation = (answer[-size:], resting), errors.certainty.deviation[-1]
-        track = replace(self, baseline=baseline, deviation=deviation, memory=memory, answers=answers)
-        if baseline is None:
+        before = replace(self, baseline=certainty.of_frame(0), answers=(answer[:size],) * 2) if joint else self
+        return before.after(certainty.of_frame(-1), errors.certainty.deviation[-1], answer[-size:], memory)
+
+    def after(
+        self, frame: Certainty, deviation: Array, answer: Array, memory: Memory | None = None
+    ) -> tuple["Track", Bars]:
+        """After a frame; frame, deviation : its errors with and without shared ones, which do `answer` to its log r."""
+        resting = answer if self.answers is None else self.answers[1]
+        track = replace(self, deviation=deviation, memory=memory, answers=(answer, resting))
+        if self.baseline is None:
             return track, Bars(frame, None)
-        together = np.sum(answer[-size:] * resting, axis=1) + (0.0 if memory is None else memory.shared())
-        return track, Bars(frame, Change.between(frame, baseline, together.reshape(frame.deviation.shape)))
+        together = np.sum(answer * resting, axis=1) + (0.0 if memory is None else memory.shared())
+        return track, Bars(frame, Change.between(frame, self.baseline, together.reshape(frame.deviation.shape)))
 
     def _errors(self, model: LinearModel, memory: Memory | None, baseline: bool) -> DenseErrors:
         """With V, and with each reading's own error; baseline : whether the first frame is the unloaded ones' mean."""
@@ -107,7 +112,8 @@ class Track:
         cells = model.at.cell_resistance
         if self.shared is None:
             return np.zeros((cells.size, 0)), own
-        columns = self.shared.columns(cells, model.at.data.measured, model.at.networks)
+        pairs = zip(model.at.networks, model.at.data.measured, strict=True)
+        columns = np.concatenate([self.shared.columns(*pair) for pair in pairs])
         last, baseline = self.answers or np.zeros((2, cells[0].size, columns.shape[1]))
         answer, rows = np.zeros((cells.size, columns.shape[1])), np.asarray(model.through @ columns)
         if not isinstance(errors, SampledErrors) and (model.at_lower | model.at_upper).any():

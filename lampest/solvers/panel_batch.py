@@ -99,9 +99,7 @@ class Points:
 
     def some(self, panels: Numbers) -> "Points":
         """Those of some panels, with what is known of them."""
-        one = self.network
-        network = FloatingNetwork(one.cell_resistance[panels], one.conductance[panels], one._impedance[panels])
-        found = Points(self.batch.some(panels), self.position[panels], network)
+        found = Points(self.batch.some(panels), self.position[panels], self.network.some(panels))
         for name in ("first", "hessian_values"):
             if name in self.__dict__:
                 found.__dict__[name] = self.__dict__[name][panels]

@@ -1,15 +1,25 @@
 """Many panels at once against the solver for one: the same minima, each verified; what is none is handed back."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from lampest import CellResistance, Estimator, Gradient, Misfit, Readings, RelativeChange, Scene, Term, TwoPointReadout
 from lampest.cost.given import Background
+from lampest.cost.problem import Evaluation
 from lampest.panel.network import inverse_of
 from lampest.panel.panel import Panel
 from lampest.panel.readouts.floating import grounding
 from lampest.panel.readouts.star_mesh import two_point_resistance
-from lampest.solvers.batch import Kept, solve
+from lampest.panel.scene import Systematic
+from lampest.panel.systematic import Possible, Shared
+from lampest.posterior.batch import BatchErrors
+from lampest.posterior.certainty import Certainty
+from lampest.posterior.frame_noise import FrameNoise
+from lampest.posterior.linear import LinearModel
+from lampest.posterior.track import Track
+from lampest.solvers.batch import Ended, Kept, solve
 from lampest.solvers.multistart import best_solution
 from lampest.solvers.panel_batch import PanelBatch
 from lampest.solvers.projected_newton import ProjectedNewton
@@ -34,6 +44,12 @@ def batch_of(terms: tuple[Term, ...], readings: Readings) -> PanelBatch:
     data = estimator.data(readings, Background(SCENE, 1.0, rest, None, rest))
     cost = estimator.cost(SCENE, 1, data.partial)
     return PanelBatch(cost, np.tile(cost.weights, (len(rest), 1)), data)
+
+
+def solved(batch: PanelBatch) -> Ended:
+    """From equal cells."""
+    start = np.full(batch.data.measured.shape, 3000.0)
+    return solve(batch, start, Kept.nothing(PANELS, 20), np.arange(PANELS), Settings())
 
 
 @pytest.mark.parametrize(
@@ -81,6 +97,47 @@ def test_a_panel_that_readings_leave_open_is_handed_back_and_costs_no_other() ->
     readings.seen[2, 1] = 0.0
     batch = batch_of((Misfit(),), Readings(readings.value, readings.sigma, readings.side, readings.seen))
     batch.data.given.seen[2, 1] = 0.0
-    start = np.full(batch.data.measured.shape, 3000.0)
-    found = solve(batch, start, Kept.nothing(PANELS, 20), np.arange(PANELS), Settings())
+    found = solved(batch)
     assert not found.solved[2] and found.solved.sum() >= PANELS - 2
+
+
+@pytest.mark.parametrize("penalty", [(), (CellResistance(weight=1e-4),), (Gradient(weight=1e-7),)])
+def test_error_bars_made_together_are_those_made_one_by_one(penalty: tuple[Term, ...]) -> None:
+    batch = batch_of((Misfit(), *penalty), frames(1e-3))
+    found = solved(batch)
+    hidden, several = Systematic(series_ohm=20, inl_lsb=0.5, wire_ohm_per_cell=0.2, reading_error=0.01), np.eye(27)
+    shared = [
+        None,
+        Shared.of(SCENE),
+        Shared.of(SCENE, hidden=Possible(hidden, None)),
+        Shared.of(SCENE, hidden=Possible(hidden, several + np.tri(27) / 9)),
+        Shared(Systematic(reference_tolerance=0.01, channel_spread_ohm=3), SCENE),
+        Shared.of(SCENE),
+    ]
+    noise = FrameNoise(SCENE, 4, 1e-3, np.full((5, 1), 1e-3), np.full((5, 2), 1e-3))
+    tracks = [Track(one, noise=noise if number % 2 else None) for number, one in enumerate(shared)]
+    tracks[5] = replace(tracks[1], baseline=Certainty(*np.full((6, 4, 5), 0.01)))
+    inside = np.flatnonzero(BatchErrors.inside(found.points))
+    assert len(inside) >= PANELS - 1
+    some = BatchErrors(found.points.some(inside), [tracks[number] for number in inside])
+    for number, (track, bars) in zip(inside, some.bars(), strict=True):
+        at = Evaluation.at(
+            batch.cost, batch.some(np.array([number])).data, np.exp(found.points.position[number]).reshape(1, 4, 5)
+        )
+        before, alone = tracks[number].advanced(LinearModel(at, np.zeros(0)))
+        for name, expected in vars(alone.frame).items():
+            np.testing.assert_allclose(getattr(bars.frame, name), expected, rtol=1e-8, atol=1e-12)
+        assert (bars.change is None) == (alone.change is None) == (number != 5)
+        if bars.change is not None and alone.change is not None:
+            np.testing.assert_allclose(bars.change.deviation, alone.change.deviation, rtol=1e-8)
+        assert track.answers is not None and before.answers is not None
+        np.testing.assert_allclose(track.answers[0], before.answers[0], rtol=1e-8, atol=1e-12)
+        np.testing.assert_allclose(track.deviation, before.deviation, rtol=1e-8)
+
+
+def test_a_cell_at_a_bound_gets_its_bars_alone() -> None:
+    batch = batch_of((Misfit(),), frames(0.1))
+    ended = solved(batch)
+    lower, upper = batch.log_bounds
+    at_bound = ((ended.points.position <= lower) | (ended.points.position >= upper)).any(axis=1)
+    assert at_bound.any() and not BatchErrors.inside(ended.points)[at_bound].any()

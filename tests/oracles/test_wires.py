@@ -18,7 +18,7 @@ from lampest.files.errors import InputError
 from lampest.loads.shapes import Rod
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import LoadedColumnsReadout, Readout, TwoPointReadout
-from lampest.panel.readouts.wiring import Lines, Wiring
+from lampest.panel.readouts.wiring import Lines, Wiring, wire_responses
 from lampest.panel.scene import Faults, Scene
 from lampest.recording.recording import Recording
 from lampest.recording.simulation import Cells, Simulation, simulate
@@ -144,6 +144,18 @@ def test_little_wire_does_little(readout: Readout) -> None:
     cells = np.random.default_rng(1).uniform(100, 9000, size=(6, 8))
     bare, wired = (readout.exact_reading(cells, wiring) for wiring in (None, Wiring(Lines(1e-9, 0.0))))
     assert_allclose(wired, bare, rtol=1e-10)
+
+
+@each_readout
+@pytest.mark.parametrize("lines", [None, Lines(1.0, 2.0, "right", "top")])
+def test_responses_to_wire_are_the_derivatives_of_readings(readout: Readout, lines: Lines | None) -> None:
+    cells, step = np.random.default_rng(2).uniform(300, 9000, size=(5, 3)), 1e-4
+    network = readout.network(cells, readout.ties(cells), None if lines is None else Wiring(lines))
+    known, names = lines or Lines(), ("row_ohm_per_cell", "column_ohm_per_cell")
+    for response, name in zip(wire_responses(network, known), names, strict=True):
+        more: dict[str, Any] = {name: getattr(known, name) + step}
+        longer = readout.exact_reading(cells, Wiring(replace(known, **more)))
+        assert_allclose((longer - network.reading()) / step, response, rtol=1e-4, atol=1e-6 * np.abs(response).max())
 
 
 def test_a_reading_bounds_the_cell_with_its_wire() -> None:

@@ -240,7 +240,7 @@ def _certainty(joint: Joint, chain: Chain, frame: int) -> Certainty:
 
     followed = np.einsum("ij,ri,rj->i", covariance, rows, rows, optimize=True)
     shares, shared = (followed[free], np.ones(len(free))), chain.shared_variance(frame)[free]
-    return Certainty.of(model, np.diag(covariance)[free], shared, shares, released)
+    return Certainty.of(model, (np.diag(covariance)[free], shared), shares, released)
 
 
 def error_bars(
@@ -270,4 +270,4 @@ def _shared(at: Sequence[Evaluation], errors: Shared | None) -> Array:
     """(frames, readings, n) of what all readings share; without a column where there is no such error."""
     if errors is None:
         return np.zeros((len(at), at[0].reading.size, 0))
-    return np.stack([errors.columns(one.cell_resistance, one.reading, one.networks) for one in at])
+    return np.stack([errors.columns(one.networks[0], one.reading[0]) for one in at])

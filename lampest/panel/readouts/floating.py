@@ -56,6 +56,10 @@ class FloatingNetwork(Network):
         with np.errstate(divide="ignore"):
             return cls(1 / conductance, conductance, inverse_of(conductance, tie))
 
+    def some(self, numbers: Numbers | int) -> "FloatingNetwork":
+        """Some of many networks, or one of them."""
+        return FloatingNetwork(self.cell_resistance[numbers], self.conductance[numbers], self._impedance[numbers])
+
     def read(self, entries: Entries) -> Array:
         """R_jk = Z_jj + Z_kk − 2 Z_jk."""
         return across(entries)

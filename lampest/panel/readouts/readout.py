@@ -226,16 +226,18 @@ class Readout(Converter, ABC):
     def shared_errors(
         self, cells: Array, measured: Array, scene: Surroundings, reference: float, channel: float
     ) -> Array:
-        """What errors of all readings together do to them, (1 + rows + columns, rows, columns): secants of the model.
+        """What errors of all readings together do to them, (1 + rows + columns, rows, columns), or (1, rows, columns)
+        without `channel`: secants of the model. Of two-point readouts also of many panels, (…, rows, columns).
 
         cells : the estimate, (rows, columns) ohm. measured : its readings. reference : by this fraction the reference
         resistor is off, see `off_by`. channel : by so many ohm one line's channel is, rows first, see `simulated`.
         """
         rows, columns = cells.shape
-        errors, still = np.zeros((1 + rows + columns, rows, columns)), self.exact_reading(cells, scene.wiring)
+        lines, still = rows + columns if channel else 0, self.exact_reading(cells, scene.wiring)
+        errors = np.zeros((1 + lines, rows, columns))
         if reference:
             errors[0] = self.off_by(reference).exact_reading(cells, scene.wiring) - still
-        for line, more in enumerate(channel * np.eye(rows + columns) if channel else ()):
+        for line, more in enumerate(channel * np.eye(lines)):
             recorded = self.simulated(cells, scene, more[:rows], more[rows:])
             errors[1 + line] = self.from_recorded(recorded, scene) - still
         return errors

@@ -162,10 +162,11 @@ class TwoPointReadout(Readout):
         self, cells: Array, measured: Array, scene: Surroundings, reference: float, channel: float
     ) -> Array:
         """(R + R_series)·reference, and `channel` in every reading of the line; see `Readout.shared_errors`."""
-        rows, columns = measured.shape
-        lines = np.zeros((rows + columns, rows, columns))
-        row, column = np.indices(measured.shape)
-        lines[row, row, column] = lines[rows + column, row, column] = channel
+        rows, columns = measured.shape[-2:]
+        lines = np.zeros((rows + columns if channel else 0, *measured.shape))
+        if channel:
+            np.einsum("j...jk->j...k", lines[:rows])[...] = channel
+            np.einsum("k...jk->k...j", lines[rows:])[...] = channel
         return np.concatenate([((measured + scene.series_ohm) * reference)[None], lines])
 
     def off_by(self, fraction: float) -> Self:

@@ -305,6 +305,18 @@ def contact_responses(networks: Sequence[Network]) -> Array:
     return np.concatenate([network.contact_response().reshape(network.conductance.size, -1) for network in wired])
 
 
+def wire_responses(network: Network, lines: Lines) -> Array:
+    """∂y/∂ρ of the wire of all rows and of all columns from cell to cell, (2, …, rows, columns): ∂Z_ab/∂ρ = Σ I_a I_b
+    over its segments, I_a the current through one, and so through all cells beyond it, for a unit current into a.
+    """
+    currents = network.potential_differences * network.flat_conductance[..., None, :]
+    maps, found = currents.reshape(*currents.shape[:-1], *network.conductance.shape[-2:]), []
+    for axis, near_first in ((-1, lines.rows_enter == "left"), (-2, lines.columns_leave == "top")):
+        beyond = np.cumsum(np.flip(maps, axis) if near_first else maps, axis).reshape(currents.shape)
+        found.append(network.read_change(network.entries(beyond @ beyond.swapaxes(-1, -2))))
+    return np.stack(found)
+
+
 def incidence(rows: int, columns: int) -> Array:
     """Bᵀ (rows, columns, lines): +1 at a cell's row, −1 at its column."""
     matrix = np.zeros((rows, columns, rows + columns))
