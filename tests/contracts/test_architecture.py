@@ -49,7 +49,7 @@ DOORS = {
         "report.export.arrays",
         "studies",
     ),
-    "xarray": ("runs.case", "report.export.arrays"),
+    "xarray": ("runs.case",),
     "pandas": ("runs.case", "report.export.tables"),
     "pyarrow": ("report.export.tables",),
     "pylsl": ("report.live.publish.lsl",),
