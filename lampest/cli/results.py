@@ -33,7 +33,6 @@ def compare(
     report: Annotated[
         Path | None, written("--report", "Write a page with figures, intervals and a recommendation.")
     ] = None,
-    each: Annotated[bool, option("Print one block per recording, for any number of recordings.", "--each")] = False,
     frames: FramesNamed = None,
     published: Annotated[bool, option("Also print published figures that the run file quotes.", "--published")] = False,
 ) -> None:
@@ -48,7 +47,7 @@ def compare(
             from lampest.report.page.page import write_report
 
             write_report(results, report, on_recording, _frames(frames))
-    blocks = screen_blocks(rows, each, published)
+    blocks = screen_blocks(rows, published)
     for block in blocks:
         say(block.title)
         print_table(block)
@@ -64,9 +63,6 @@ def plot(
     frame: Annotated[int | None, option("Frame index, such as 12. Default: a frame of strong change.", min=0)] = None,
     recording: Annotated[list[str] | None, option("Recording to plot, such as mine. Default: all. Repeatable.")] = None,
     estimator: Annotated[list[str] | None, option("Estimator to plot, such as LSM. Default: all. Repeatable.")] = None,
-    form: Annotated[
-        str | None, option("Image format. Default: png, or that of --out.", "--format", metavar="png|svg|pdf")
-    ] = None,
     frames: FramesNamed = None,
 ) -> None:
     """Plot contours of every recording side by side, or error bars, or pressures."""
@@ -80,7 +76,6 @@ def plot(
             on_picture=on_picture,
             frame=frame,
             estimators=tuple(estimator or ()),
-            form=form,
             frames=_frames(frames),
             recordings=tuple(recording or ()),
         )

@@ -161,15 +161,14 @@ def write_csv(path: str | Path, rows: Sequence[Row]) -> None:
     write_whole(Path(path), comma_separated([*lines[:1], *(line.values() for line in lines)]))
 
 
-def screen_blocks(rows: Sequence[Row], each: bool = False, published: bool = False) -> list[Table]:
-    """A table for each recording; of more than six recordings one that sums them up, unless `each` is asked for.
+def screen_blocks(rows: Sequence[Row], published: bool = False) -> list[Table]:
+    """A table for each recording; of more than six recordings one that sums them up.
 
     published : with the figures that a run's file quotes.
     """
     groups = _grouped(rows, "results", "recording")
-    if len(groups) > 6 and not each:
-        more = "--each shows every one, --csv FILE and --report PAGE hold all"
-        title = f"{len(groups)} recordings, medians over them ({more})"
+    if len(groups) > 6:
+        title = f"{len(groups)} recordings, medians over them (--csv FILE and --report PAGE hold all)"
         return [_table(title, _grouped(rows, "estimator", "steps"), OVER_ALL)]
     several = len({row["results"] for row in rows}) > 1
     columns = COLUMNS | (PUBLISHED if published else {})

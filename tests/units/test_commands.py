@@ -114,22 +114,20 @@ def test_a_simulation_asks_for_its_room_beforehand(
 
 
 @pytest.mark.slow
-def test_pictures_of_a_frame_an_estimator_and_a_form(disk: SimpleNamespace, lampest: Command) -> None:
+def test_pictures_of_a_frame_and_an_estimator(disk: SimpleNamespace, lampest: Command) -> None:
     assert lampest("run", disk.folder / "run.yaml", "--out", disk.folder, "--jobs", "1").code == 0
     results, new = disk.folder / "results.h5", disk.folder / "new"
     told = lampest("info", results).out
     (name, *_) = re.findall(r"^  (\S+) +solved", told, flags=re.MULTILINE)
-    ended = lampest("plot", results, "--out", new, "--frame", "1", "--estimator", name, "--format", "svg")
+    ended = lampest("plot", results, "--out", new, "--frame", "1", "--estimator", name)
     (picture,) = map(Path, ended.out.split())
-    assert picture == new / "contours_small_frame1.svg" and picture.read_text().startswith("<?xml")
+    assert picture == new / "contours_small_frame1.png" and picture.read_bytes().startswith(b"\x89PNG")
     again = lampest("plot", results, "--out", new / "x.svg", "--frame", "1", "--estimator", name)
-    assert again.code == 0 and (new / "x.svg").read_bytes() == picture.read_bytes()
+    assert again.code == 0 and (new / "x.svg").read_text().startswith("<?xml")
     assert lampest("plot", results, "--out", new / "x.pdf").code == 0 and (new / "x.pdf").is_file()
     shutil.rmtree(new)
     for wrong in (
         ("--out", new / "x.jpg"),
-        ("--out", new / "x.svg", "--format", "png"),
-        ("--format", "gif"),
         ("--frame", "999"),
         ("--estimator", name + "x"),
     ):

@@ -43,7 +43,6 @@ def plot_results(
     *,
     frame: int | None = None,
     estimators: Sequence[str] = (),
-    form: str | None = None,
     frames: range | None = None,
     recordings: Sequence[str] = (),
 ) -> list[Path]:
@@ -51,8 +50,7 @@ def plot_results(
 
     `out` may name a .png, .svg or .pdf file where there is one picture. columns, frames : as `read_results` takes them.
     frame : index into the recordings; its pictures are called so. estimators, recordings : those that are drawn, all
-    where none is named. form : png, svg or pdf; by default that of `out`, else png. on_picture : gets how many of how
-    many pictures are drawn. Returns the files that were written.
+    where none is named. on_picture : gets how many of how many pictures are drawn. Returns the files that were written.
 
     Raises InputError where there is no such plot, frame, recording or estimator, the results cannot be read or hold
     nothing to draw, or the place cannot be written.
@@ -63,7 +61,7 @@ def plot_results(
     plot = _chosen(show, frame)
     path, target = Path(path), None if out is None else Path(out)
     single = target if target is not None and target.suffix in SUFFIXES else None
-    _check_form(target, form)
+    _check_form(target)
     if frames is None and frame is not None and any(too_long(case.frames, case.cells) for case in stored_cases(path)):
         frames = range(frame, frame + 1)
     results = read_results(path, columns, frames)
@@ -80,7 +78,7 @@ def plot_results(
             f"{target}: one picture cannot hold {len(pictures)} ({names}): choose with --recording and --estimator, or "
             "name a folder"
         )
-    ending = ("" if frame is None else f"_frame{frame}") + f".{form or 'png'}"
+    ending = ("" if frame is None else f"_frame{frame}") + ".png"
     files = [single or (target or path.parent) / f"{plot.kind}_{name}{ending}" for name in pictures]
     drawn = [
         partial(plot.draw, tuple(replace(case, estimator=results.label(case)) for case in cases))
@@ -132,12 +130,8 @@ def _chosen(show: str | Plot, frame: int | None) -> Plot:
     return plot if frame is None else replace(plot, frame=frame)
 
 
-def _check_form(target: Path | None, form: str | None) -> None:
-    """Raise InputError where a file is asked for that is no picture of lampest, or of another form than asked for."""
-    if form is not None and f".{form}" not in SUFFIXES:
-        raise InputError(f"--format: there is no {form!r}; there are {', '.join(suffix[1:] for suffix in SUFFIXES)}")
-    if target is not None and target.suffix in SUFFIXES and form not in (None, target.suffix[1:]):
-        raise InputError(f"{target}: is no name of a picture in {form}")
+def _check_form(target: Path | None) -> None:
+    """Raise InputError where a file is asked for that is no picture of lampest."""
     kind = "" if target is None or target.suffix in SUFFIXES else guess_type(target)[0] or ""
     if kind.startswith(("image/", "application/postscript")):
         raise InputError(f"{target}: {PICTURES}")

@@ -50,7 +50,6 @@ class BentCell(NamedTuple):
     curvature_per_m: float
     ohm: float
     percent: float
-    radius_mm: float | None = None
 
 
 class LoadMap(NamedTuple):
