@@ -1,11 +1,11 @@
 """The cost of all frames together, its linear surroundings, and error bars from the inverse of its Hessian.
 
-    Φ(u, z, c) = Σ_t misfit(f(u_t) + U_t z, y_t) + |z|² + Σ_t c_t²/τ² + ε |u − a|²
-                 + Σ_t,i λ_ti (u_{t+1,i} − u_{t,i} − c_t)²
+    Φ(u, w, z, c) = Σ_t misfit(f(u_t) + V_t w_t + U_t z, y_t) + |w|² + |z|² + Σ_t c_t²/τ² + ε |u − a|²
+                    + Σ_t,i λ_ti (u_{t+1,i} − u_{t,i} − c_t)²
 
-over u_t = log r of the unloaded panel (t = 0) and of every frame, what all readings share (z, in standard deviations:
-reference, channels, contacts) and the steps c_t that all cells of a frame have in common. λ is the walk's; a, with
-hardly any weight, is where cells stay that no reading sees.
+over u_t = log r of the unloaded panel (t = 0) and of every frame, what the readings of one frame share (w, in standard
+deviations: gain, ripple), what all readings share (z: reference, channels, contacts) and the steps c_t that all cells
+of a frame have in common. λ is the walk's; a, with hardly any weight, is where cells stay that no reading sees.
 """
 
 from collections.abc import Sequence
@@ -36,19 +36,37 @@ BELIEVED = 0.1
 class JointData:
     """cost, data : of every frame alone, the unloaded panel first. errors : what all readings share, or None.
 
-    shared : U (frames, readings, n), what that does to readings. anchor : a (frames, cells).
+    anchor : a (frames, cells). drawn : V (frames, readings, n). shared : U (frames, readings, n).
     """
 
     cost: tuple[Cost, ...]
     data: tuple[Data, ...]
     errors: Shared | None
     anchor: Array
+    drawn: Array
     shared: Array
 
     @classmethod
-    def alone(cls, cost: Sequence[Cost], data: Sequence[Data], errors: Shared | None, anchor: Array) -> "JointData":
-        """Before anything that is shared is known."""
-        return cls(tuple(cost), tuple(data), errors, anchor, np.zeros((len(data), data[0].measured.size, 0)))
+    def alone(
+        cls,
+        cost: Sequence[Cost],
+        data: Sequence[Data],
+        errors: Shared | None,
+        anchor: Array,
+        noise: FrameNoise | None = None,
+        resting: int = 0,
+    ) -> "JointData":
+        """Before anything that all readings share is known.
+
+        noise : what the readings of a frame share, or None. The first `resting` frames are means of the unloaded ones.
+        """
+        count, size = len(data), data[0].measured.size
+        drawn = np.zeros((count, size, 0))
+        if noise is not None:
+            parts = [noise.columns(one.measured, baseline=False) for one in data]
+            drawn = np.stack(parts)
+            drawn[:resting] *= np.sqrt(resting / noise.unloaded)
+        return cls(tuple(cost), tuple(data), errors, anchor, drawn, np.zeros((count, size, 0)))
 
     def sharing(self, at: Sequence[Evaluation]) -> "JointData":
         """With U at modelled readings: at measured ones a reference that shrinks the noise would seem to fit."""
@@ -56,14 +74,16 @@ class JointData:
 
     @property
     def bounds(self) -> tuple[Array, Array]:
-        """Of u, (frames, cells)."""
-        lower, upper = zip(*(data.log_bounds for data in self.data), strict=True)
-        return np.stack(lower).reshape(len(self.data), -1), np.stack(upper).reshape(len(self.data), -1)
+        """Of u and w, (frames, cells + n)."""
+        limits = zip(*(data.log_bounds for data in self.data), strict=True)
+        lower, upper = (np.stack(one).reshape(len(self.data), -1) for one in limits)
+        more = ((0, 0), (0, self.drawn.shape[2]))
+        return np.pad(lower, more, constant_values=-np.inf), np.pad(upper, more, constant_values=np.inf)
 
 
 @dataclass(frozen=True, eq=False)
 class Joint:
-    """Φ at a point. position : u (frames, cells). shift : (z, c) in one. stiffness : λ (frames − 1, cells)."""
+    """Φ at a point. position : (u, w) (frames, cells + n). shift : (z, c). stiffness : λ (frames − 1, cells)."""
 
     frames: JointData
     position: Array
@@ -74,12 +94,27 @@ class Joint:
     def at(self) -> tuple[Evaluation, ...]:
         """Every frame's misfit; what is shared is taken off its readings."""
         frames, found = self.frames, []
-        offsets = frames.shared @ self.shift[: self._sharing]
-        for cost, data, position, offset in zip(frames.cost, frames.data, self.position, offsets, strict=True):
+        offsets = frames.shared @ self.shift[: self._sharing] + np.einsum("tri,ti->tr", frames.drawn, self.chance)
+        for cost, data, position, offset in zip(frames.cost, frames.data, self.log_cells, offsets, strict=True):
             measured = data.measured - offset.reshape(data.measured.shape)
             shifted = replace(data, given=replace(data.given, measured=measured))
             found.append(Evaluation.at(cost, shifted, np.exp(position).reshape(measured.shape)))
         return tuple(found)
+
+    @property
+    def cells(self) -> int:
+        """The number of cells."""
+        return int(self.frames.anchor.shape[1])
+
+    @property
+    def log_cells(self) -> Array:
+        """u (frames, cells)."""
+        return self.position[:, : self.cells]
+
+    @property
+    def chance(self) -> Array:
+        """w (frames, n)."""
+        return self.position[:, self.cells :]
 
     @property
     def _sharing(self) -> int:
@@ -88,18 +123,19 @@ class Joint:
     @property
     def steps(self) -> Array:
         """u_{t+1} − u_t − c_t, (frames − 1, cells)."""
-        return np.asarray(np.diff(self.position, axis=0) - self.shift[self._sharing :, None])
+        return np.asarray(np.diff(self.log_cells, axis=0) - self.shift[self._sharing :, None])
 
     @cached_property
     def value(self) -> float:
         """Φ."""
         misfit = sum(at.objective for at in self.at)
         stray = misfit + float(np.sum(self.shift**2 * self.certainty) + IGNORANCE * np.sum(self._strayed**2))
+        stray += float(np.sum(self.chance**2))
         return stray + float(np.sum(self.stiffness * self.steps**2))
 
     @property
     def _strayed(self) -> Array:
-        return np.asarray(self.position - self.frames.anchor)
+        return np.asarray(self.log_cells - self.frames.anchor)
 
     @property
     def certainty(self) -> Array:
@@ -114,10 +150,17 @@ class Joint:
 
     @cached_property
     def gradient(self) -> Array:
-        """½ ∂Φ/∂u, (frames, cells)."""
+        """½ ∂Φ/∂(u, w), (frames, cells + n)."""
         pulls = np.pad(self.stiffness * self.steps, ((1, 1), (0, 0)))
         misfit = np.stack([at.log_gradient(NO_DUAL).ravel() / 2 for at in self.at])
-        return misfit + pulls[:-1] - pulls[1:] + IGNORANCE * self._strayed
+        cells = misfit + pulls[:-1] - pulls[1:] + IGNORANCE * self._strayed
+        chance = np.einsum("tri,tr->ti", self.frames.drawn, self._through) + self.chance
+        return np.concatenate([cells, chance], axis=1)
+
+    @cached_property
+    def _through(self) -> Array:
+        """½ ∂misfit/∂f, (frames, readings)."""
+        return np.stack([at.partials(NO_DUAL)[1].ravel() / 2 for at in self.at])
 
     @cached_property
     def pressed(self) -> NDArray[np.bool_]:
@@ -128,7 +171,7 @@ class Joint:
     @property
     def kkt_residual(self) -> Array:
         """(frames) of `Evaluation.projected_gradient`, with the whole gradient."""
-        pairs = zip(self.at, 2 * self.gradient, strict=True)
+        pairs = zip(self.at, 2 * self.gradient[:, : self.cells], strict=True)
         return np.array([at.projected_gradient(slope.reshape(at.cell_resistance.shape)) for at, slope in pairs])
 
     @cached_property
@@ -138,9 +181,12 @@ class Joint:
 
     @cached_property
     def sensitivities(self) -> list[Array]:
-        """√ω ∂x/∂u of every frame's data, (rows, cells)."""
-        pairs = zip(self.models, self._sizes, strict=True)
-        return [np.asarray(model.through @ model.at.networks[0].sensitivity()) * size[:, None] for model, size in pairs]
+        """√ω ∂x/∂(u, w) of every frame's data, (rows, cells + n)."""
+        found = []
+        for model, size, drawn in zip(self.models, self._sizes, self.frames.drawn, strict=True):
+            moved = np.concatenate([model.at.networks[0].sensitivity(), drawn], axis=1)
+            found.append(np.asarray(model.through @ moved) * size[:, None])
+        return found
 
     @cached_property
     def _sizes(self) -> list[Array]:
@@ -157,22 +203,25 @@ class Joint:
     @cached_property
     def chain(self) -> Chain:
         """Half of Φ's second derivatives, without those of the readings; cells at a bound stay."""
-        free, count, sharing = ~self.pressed, len(self.position), self._sharing
+        free, count, sharing, cells = ~self.pressed, len(self.position), self._sharing, self.cells
+        prior = np.pad(self.ties + IGNORANCE, ((0, 0), (0, self.frames.drawn.shape[2])), constant_values=1.0)
         own = np.stack([rows.T @ rows for rows in self.sensitivities])
         own *= free[:, :, None] & free[:, None, :]
         across = np.arange(own.shape[1])
-        own[:, across, across] = np.where(free, own[:, across, across] + self.ties + IGNORANCE, 1.0)
+        own[:, across, across] = np.where(free, own[:, across, across] + prior, 1.0)
         border, corner = np.zeros((*self.position.shape, len(self.shift))), np.diag(self.certainty)
         border[:, :, :sharing], corner[:sharing, :sharing] = self._bordered(self.frames.shared)
         corner[:sharing, :sharing] += np.eye(sharing)
         step = np.arange(count - 1)
-        border[step, :, sharing + step] = self.stiffness
-        border[step + 1, :, sharing + step] = -self.stiffness
+        border[step, :cells, sharing + step] = self.stiffness
+        border[step + 1, :cells, sharing + step] = -self.stiffness
         corner[sharing + step, sharing + step] += self.stiffness.sum(axis=1)
-        return Chain(own, self.stiffness * (free[1:] & free[:-1]), border * free[:, :, None], corner)
+        tie = np.zeros((count - 1, own.shape[1]))
+        tie[:, :cells] = self.stiffness * (free[1:] & free[:-1])[:, :cells]
+        return Chain(own, tie, border * free[:, :, None], corner)
 
     def _bordered(self, columns: Array) -> tuple[Array, Array]:
-        """What errors of readings (frames, readings, n) have in common with u, (frames, cells, n), and with z."""
+        """What errors of readings (frames, readings, n) have in common with (u, w), (frames, cells + n, m), and with z."""
         parts = zip(self.models, self._sizes, self.sensitivities, self.frames.shared, columns, strict=True)
         border, corner = [], []
         for model, size, rows, known, own in parts:
@@ -185,18 +234,17 @@ class Joint:
         """What errors of readings (frames, readings, n) that Φ knows nothing of do to u, (frames, cells, n)."""
         right, corner = self._bordered(columns)
         steps = np.zeros((len(self.stiffness), columns.shape[2]))
-        return self.chain.solve(right * ~self.pressed[:, :, None], np.concatenate([corner, steps]))[0]
+        return self.chain.solve(right * ~self.pressed[:, :, None], np.concatenate([corner, steps]))[0][:, : self.cells]
 
     def expected_squares(self) -> Array:
         """E x² of the steps, (frames − 1, cells)."""
         less = np.zeros((len(self.stiffness), len(self.shift)))
         less[:, self._sharing :] = np.eye(len(self.stiffness))
-        return np.asarray(self.steps**2 + self.chain.step_variance(less))
+        return np.asarray(self.steps**2 + self.chain.step_variance(less)[:, : self.cells])
 
     def newton(self) -> tuple[Array, Array]:
-        """The Newton step of the cells (frames, cells), and of z and c."""
-        through = np.stack([at.partials(NO_DUAL)[1].ravel() / 2 for at in self.at])
-        shared = np.einsum("tri,tr->i", self.frames.shared, through)
+        """The Newton step of (u, w) (frames, cells + n), and of z and c."""
+        shared = np.einsum("tri,tr->i", self.frames.shared, self._through)
         slope = np.concatenate([shared, -np.sum(self.stiffness * self.steps, axis=1)]) + self.shift * self.certainty
         cells, shift = self.chain.solve(-np.where(self.pressed, 0.0, self.gradient)[..., None], -slope[:, None])
         return cells[..., 0], shift[:, 0]
@@ -228,8 +276,10 @@ class TiedModel(LinearModel):
 
 def _certainty(joint: Joint, chain: Chain, frame: int) -> Certainty:
     """Of one frame alone: its readings make up the resolution, and ties compare frames but draw no cell anywhere."""
-    model = TiedModel(joint.at[frame], NO_DUAL, 2 * joint.gradient[frame])
-    covariance, rows, free, tie = chain.covariance(frame), joint.sensitivities[frame], model.free, joint.ties[frame]
+    cells = slice(joint.cells)
+    model = TiedModel(joint.at[frame], NO_DUAL, 2 * joint.gradient[frame, cells])
+    whole, rows = chain.covariance(frame), joint.sensitivities[frame][:, cells]
+    covariance, free, tie = whole[cells, cells], model.free, joint.ties[frame]
 
     def released(cells: NDArray[np.intp]) -> Array:
         """Variance of cells that stand at a bound, if each alone were free; what ties it counts as known."""
@@ -239,28 +289,24 @@ def _certainty(joint: Joint, chain: Chain, frame: int) -> Certainty:
         return np.asarray(1 / np.maximum(alone - taken, IGNORANCE))
 
     followed = np.einsum("ij,ri,rj->i", covariance, rows, rows, optimize=True)
-    shares, shared = (followed[free], np.ones(len(free))), chain.shared_variance(frame)[free]
-    return Certainty.of(model, (np.diag(covariance)[free], shared), shares, released)
+    shares, variance = (followed[free], np.ones(len(free))), np.diag(covariance)
+    across = whole[cells, joint.cells :]
+    together = np.sum(across @ np.linalg.inv(whole[joint.cells :, joint.cells :]) * across, axis=1)
+    shared = np.minimum(chain.shared_variance(frame)[cells] + together, variance)
+    return Certainty.of(model, (variance[free], shared[free]), shares, released)
 
 
-def error_bars(
-    joint: Joint, resting: int, beyond: Shared | None = None, noise: FrameNoise | None = None
-) -> tuple[Certainty, tuple[Bars, ...]]:
+def error_bars(joint: Joint, resting: int, beyond: Shared | None = None) -> tuple[Certainty, tuple[Bars, ...]]:
     """The baseline's, which is the last of `resting` frames, and those of the frames after it.
 
-    beyond, noise : what all readings share, and those of a frame, of which Φ knows nothing; or None.
+    beyond : what all readings share, of which Φ knows nothing; or None.
     """
-    count, cells = joint.position.shape
-    drawn: Array = np.zeros((count, cells, 0))
-    if noise is not None:  # the first frames are means of some of the unloaded ones
-        readings = np.concatenate([at.reading for at in joint.at])
-        drawn = noise.columns(readings, baseline=False).reshape(count, cells, -1)
-        drawn[:resting] *= np.sqrt(resting / noise.unloaded)
-    answer = joint.answer(np.concatenate([drawn, _shared(joint.at, beyond)], axis=2))
-    chain, own = joint.chain.doubting(BELIEVED, joint.certainty), 0 if beyond is None else beyond.own(cells)
-    found = (_certainty(joint, chain, t).widened(answer[t], own).of_frame(0) for t in range(resting - 1, count))
+    answer = joint.answer(_shared(joint.at, beyond))
+    chain, own = joint.chain.doubting(BELIEVED, joint.certainty), 0 if beyond is None else beyond.own(joint.cells)
+    numbers = range(resting - 1, len(joint.position))
+    found = (_certainty(joint, chain, t).widened(answer[t], own).of_frame(0) for t in numbers)
     baseline, *certainty = (one.by_conductance() for one in found)
-    together = chain.since(resting - 1)[1:] + np.sum(answer[resting:] * answer[resting - 1], axis=2)
+    together = chain.since(resting - 1)[1:, : joint.cells] + np.sum(answer[resting:] * answer[resting - 1], axis=2)
     together = together.reshape(-1, *baseline.deviation.shape)
     pairs = zip(certainty, together, strict=True)
     return baseline, tuple(Bars(frame, Change.between(frame, baseline, shared)) for frame, shared in pairs)

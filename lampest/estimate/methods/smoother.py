@@ -138,7 +138,7 @@ class SmootherMethod(Method):
         costs = [state.estimator.cost(state.scene, 1, one.partial) for one in data]
         # What a scene does not name is no unknown: usual errors of a circuit are too many for a few frames to tell.
         scene = state.scene if state.scene.specified_systematic else replace(state.scene, systematic="none")
-        frames = JointData.alone(costs, data, Shared.of(scene), start)
+        frames = JointData.alone(costs, data, Shared.of(scene), start, state.frame_noise, len(resting))
         with delayed_interrupt(), suppress(*BROKEN), np.errstate(all="ignore"):
             settings = state.estimator.solver
             until = monotonic() + len(data) * (settings.time_limit_s or inf)
@@ -179,7 +179,7 @@ def _checked(joint: Joint, rounds: int, fault: Status) -> list[Solution]:
     """Every frame where the joint cost's optimality conditions hold for it; NaN and the fault elsewhere."""
     faint = np.any(np.abs(joint.newton()[0]) > STILL * np.sqrt(joint.chain.variance), axis=1)
     solutions = []
-    for at, residual, weak, slope in zip(joint.at, joint.kkt_residual, faint, 2 * joint.gradient, strict=True):
+    for at, residual, weak, slope in zip(joint.at, joint.kkt_residual, faint, 2 * joint.gradient[:, : joint.cells], strict=True):
         cells, data = at.cell_resistance, at.data
         if not residual <= VERIFIED:
             failed = blank(cells.shape, 1, fault)
@@ -197,7 +197,7 @@ def _barred(state: S, track: Track, joint: Joint, steps: list[Step]) -> tuple[S,
     """The state with the baseline's error bars, and the steps, of which it is the first, with theirs."""
     begin = perf_counter()
     beyond = None if track.shared is None else track.shared.beyond(joint.frames.errors)
-    baseline, bars = error_bars(joint, len(joint.position) - len(steps) + 1, beyond, track.noise)
+    baseline, bars = error_bars(joint, len(joint.position) - len(steps) + 1, beyond)
     seconds = (perf_counter() - begin) / len(steps)
     pairs = zip(steps[1:], bars, strict=True)
     barred = [replace(one, bars=own, bars_seconds=seconds) if one.solution.solved else one for one, own in pairs]
@@ -235,19 +235,19 @@ class Walk:
         size = self._size(squares)
         return np.asarray(np.mean(self.most**2 * size / (self.most**2 + size), axis=0))
 
-    def drawn_down(self, squares: Array, stiffness: Array, least: float) -> tuple["Walk", float]:
-        """(the next walk, how far it may go on), never beyond `least`: until still cells step further than it says.
+    def drawn_down(self, squares: Array, stiffness: Array, least: float) -> tuple["Walk", bool]:
+        """(the next walk, never below `least`, whether it may go on): while still cells do not step further than it.
 
         Still is the half of the cells with the least unrest. stiffness : that the squares were found with. A cell's
         likeliest walk is where λ E x² is 1 in the mean.
         """
         unrest = self.unrest(squares)
         still = unrest <= np.median(unrest)
-        if np.mean((stiffness * squares)[:, still]) > 1:
-            least = self.deviation
+        if self.deviation <= least or np.mean((stiffness * squares)[:, still]) > 1:
+            return self, False
         size = np.median(squares[:, still]) / self.deviation**2
         factor = 1.0 if size > FOLLOWED else SLOW if size > TIED else FAST
-        return replace(self, deviation=max(self.deviation * factor, least)), least
+        return replace(self, deviation=max(self.deviation * factor, least)), True
 
     @property
     def _scale(self) -> float:
@@ -273,25 +273,27 @@ def smoothed(frames: JointData, alone: Array, walk: Walk, settings: Settings, un
     """
     # The median with the frames before and after, so that a wrong reading begins as no jump.
     lasting = np.median(np.stack([alone[:-2], alone[1:-1], alone[2:]]), axis=0)
-    start = np.clip(np.concatenate([alone[:1], lasting, alone[-1:]]), *frames.bounds)
-    joint = Joint(frames, start, np.zeros(len(start) - 1), np.zeros((len(start) - 1, start.shape[1])))
-    ignorance = IGNORANCE * np.eye(start.shape[1])
-    inverses = [positive_inverse(rows.T @ rows + ignorance) for rows in joint.sensitivities]
-    variance = np.minimum([np.diag(inverse) for inverse in inverses], JUMP_SD**2)
+    start = np.pad(np.concatenate([alone[:1], lasting, alone[-1:]]), ((0, 0), (0, frames.drawn.shape[2])))
+    start = np.clip(start, *frames.bounds)
+    joint = Joint(frames, start, np.zeros(len(start) - 1), np.zeros((len(start) - 1, alone.shape[1])))
+    own = np.pad(np.full(alone.shape[1], IGNORANCE), (0, frames.drawn.shape[2]), constant_values=1.0)
+    inverses = [positive_inverse(rows.T @ rows + np.diag(own)) for rows in joint.sensitivities]
+    variance = np.minimum([np.diag(inverse)[: alone.shape[1]] for inverse in inverses], JUMP_SD**2)
     noise = float(np.sqrt(np.median(variance)))
     walk, least = replace(walk, deviation=WIDE * noise), walk.deviation * noise
     frames = frames.sharing(joint.at)
     shift = np.zeros(frames.shared.shape[2] + len(start) - 1)
     joint = Joint(frames, start, shift, walk.stiffness(joint.steps**2 + variance[1:] + variance[:-1]))
-    rounds, moved = 0, inf
-    while rounds < MOST_ROUNDS and not (walk.deviation == least and moved <= SETTLED * noise) and monotonic() < until:
+    rounds, moving = 0, True
+    while rounds < MOST_ROUNDS and moving and monotonic() < until:
         before, joint = joint, joint.stepped()
         if rounds < FROZEN:
             joint = replace(joint, frames=joint.frames.sharing(joint.at))
-        moved = np.abs(joint.position - before.position).max(initial=0.0, where=~joint.pressed)
+        moved = np.abs(joint.log_cells - before.log_cells).max(initial=0.0, where=~joint.pressed[:, : joint.cells])
         squares = joint.expected_squares()
-        walk, least = walk.drawn_down(squares, joint.stiffness, least)
+        walk, on = walk.drawn_down(squares, joint.stiffness, least)
         joint, rounds = replace(joint, stiffness=walk.stiffness(squares)), rounds + 1
+        moving = on or moved > SETTLED * noise
     for _ in range(settings.max_iterations):
         if joint.kkt_residual.max() <= settings.tolerance or monotonic() > until:
             break
