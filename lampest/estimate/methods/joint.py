@@ -63,8 +63,7 @@ class JointData:
         count, size = len(data), data[0].measured.size
         drawn = np.zeros((count, size, 0))
         if noise is not None:
-            parts = [noise.columns(one.measured, baseline=False) for one in data]
-            drawn = np.stack(parts)
+            drawn = np.stack([noise.columns(one.measured, baseline=False) for one in data])
             drawn[:resting] *= np.sqrt(resting / noise.unloaded)
         return cls(tuple(cost), tuple(data), errors, anchor, drawn, np.zeros((count, size, 0)))
 
@@ -221,7 +220,7 @@ class Joint:
         return Chain(own, tie, border * free[:, :, None], corner)
 
     def _bordered(self, columns: Array) -> tuple[Array, Array]:
-        """What errors of readings (frames, readings, n) have in common with (u, w), (frames, cells + n, m), and with z."""
+        """What errors of readings (frames, readings, m) have in common with (u, w), (frames, cells + n, m), and z."""
         parts = zip(self.models, self._sizes, self.sensitivities, self.frames.shared, columns, strict=True)
         border, corner = [], []
         for model, size, rows, known, own in parts:

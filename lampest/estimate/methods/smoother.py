@@ -178,8 +178,8 @@ def _begun(
 def _checked(joint: Joint, rounds: int, fault: Status) -> list[Solution]:
     """Every frame where the joint cost's optimality conditions hold for it; NaN and the fault elsewhere."""
     faint = np.any(np.abs(joint.newton()[0]) > STILL * np.sqrt(joint.chain.variance), axis=1)
-    solutions = []
-    for at, residual, weak, slope in zip(joint.at, joint.kkt_residual, faint, 2 * joint.gradient[:, : joint.cells], strict=True):
+    solutions, slopes = [], 2 * joint.gradient[:, : joint.cells]
+    for at, residual, weak, slope in zip(joint.at, joint.kkt_residual, faint, slopes, strict=True):
         cells, data = at.cell_resistance, at.data
         if not residual <= VERIFIED:
             failed = blank(cells.shape, 1, fault)
