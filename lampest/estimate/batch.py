@@ -1,7 +1,7 @@
 """Frames of many streams at once: what a batch can solve goes into one, and every other stream solves by itself."""
 
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Hashable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -18,6 +18,7 @@ from lampest.estimate.estimator import Estimator
 from lampest.estimate.methods.method import OptimalMethod
 from lampest.estimate.state import NO_DUAL, Step
 from lampest.estimate.stream import Stream
+from lampest.estimate.weights import kind_of, strongest, with_chosen_weights
 from lampest.panel.panel import Array
 from lampest.panel.readouts import TwoPointReadout
 from lampest.posterior.batch import BatchErrors
@@ -42,9 +43,29 @@ def pushed_together(
     readings : (streams, rows, columns), of each one's frame. kept : what solves of earlier frames left, of every stream
     by its number; renewed in place.
     """
+    streams = _weighed(streams, readings)
     found = _solved_together(streams, readings, kept, Together.pushed)
     others = {n: one.push(readings[n]) for n, one in enumerate(streams) if one is not None and n not in found}
     return [(found | others).get(number, (None, None)) for number in range(len(streams))]
+
+
+def _weighed(streams: Sequence[Stream | None], readings: Readings) -> list[Stream | None]:
+    """The streams, with new weights where frames are due to choose them: one choice for all that are alike."""
+    found, due = list(streams), dict[Hashable, list[int]]()
+    for number, stream in enumerate(streams):
+        if stream is not None and stream.rested and stream.choosing(readings[number]):
+            due.setdefault((id(stream.estimator), kind_of(stream.scene)), []).append(number)
+    for numbers in due.values():
+        every = {number: one for number in numbers if (one := streams[number]) is not None}
+        changes = [one.change(readings[number]) for number, one in every.items()]
+        some = [numbers[place] for place in strongest(changes)]
+        one, ((first, near), *beside) = every[some[0]], [every[number].given(readings[number]) for number in some]
+        data, others = first.limited(one.estimator.solver.time_limit_s), [data for data, _ in beside]
+        weighed = with_chosen_weights(one.estimator, one.scene, data, near, readings.sigma is not None, others)
+        weights = tuple(float(term.weight) for term in weighed.terms)
+        for (number, one), change in zip(every.items(), changes, strict=True):
+            found[number] = replace(one, weights=weights, weighed_at=change)
+    return found
 
 
 def rested_together(streams: Sequence[Stream | None]) -> list[Stream | None]:
@@ -109,9 +130,7 @@ def _in_batches(stream: Stream, readings: Readings, number: int, partial: bool) 
     if not stream.rested:
         alone = stream.baseline is None and not estimator.joint_start
         return alone and all(term.weight != "auto" for term in estimator.absolute_terms)
-    if not estimator.automatic:
-        return True
-    return not (stream.weights is None or estimator.auto_weight.per == "frame" or stream.due(readings[number]))
+    return not estimator.automatic or estimator.auto_weight.per == "recording"
 
 
 @lru_cache(maxsize=256)

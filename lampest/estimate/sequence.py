@@ -1,7 +1,8 @@
 """A recording's frames in order: absolute methods one by one, relative methods from a joint first pair on."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Hashable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +16,7 @@ from lampest.estimate.noise import NoiseSeen, noise_seen, noise_seen_in_part
 from lampest.estimate.outliers import NEAREST
 from lampest.estimate.state import CarriedOver, Step
 from lampest.estimate.stream import Stream
-from lampest.estimate.weights import with_chosen_weights
+from lampest.estimate.weights import MOST_BESIDE, kind_of, strongest, with_chosen_weights
 from lampest.files.errors import InputError, in_words
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
@@ -24,7 +25,6 @@ from lampest.recording.recording import MEASURED, UNLOADED, Recording
 from lampest.recording.stored import StoredRecording, first_unloaded, measured_part, of_parts, only_frames
 
 LEAD = 500  # unloaded frames, and measured ones around the strongest, that tell of the noise; no more than a part has
-MOST_BESIDE = 4  # frames that decide on weights beside the strongest one
 OPENING = 10  # first frames that stand for the unloaded ones where there are none, if enough of one can be read
 
 
@@ -79,23 +79,48 @@ def first_stream(
 
     period : s between frames; None: the recording's. Weights that are open are chosen from each network's own data.
     """
-    layout = recording.scene.panel.modules
+    layout, chosen = recording.scene.panel.modules, dict[Hashable, Estimator]()
 
-    def own(scene: Scene, number: int | None) -> tuple[Estimator, Readings]:
+    @cache
+    def network(scene: Scene, number: int | None) -> tuple[Recording, Readings, Readings]:
         if layout is None or number is None:
             part, read = replace(recording, scene=scene), readings
         else:
             part, read = recording.modules[number], readings.of_module(layout, number)
-        resting, chosen = resting_readings(part, read), estimator.automatic and estimator.auto_weight.per == "recording"
-        frame = deciding_frame(part, read, resting) if chosen else None
-        if frame is None:
+        return part, read, resting_readings(part, read)
+
+    def own(scene: Scene, number: int | None) -> tuple[Estimator, Readings]:
+        resting = network(scene, number)[2]
+        if not (estimator.automatic and estimator.auto_weight.per == "recording"):
             return estimator, resting
-        beside = [deciding_data(estimator, scene, resting, read[one]) for one in frames_beside(part, read, frame)]
-        data = deciding_data(estimator, scene, resting, read[frame])
-        return with_chosen_weights(estimator, scene, data, None, read.sigma is not None, beside), resting
+        if (kind := kind_of(scene)) not in chosen:
+            every = recording.scene.of_modules if number is not None else (scene,)
+            alike = [n for n, one in enumerate(every) if kind_of(one) == kind and n not in recording.scene.dead_modules]
+            some = [network(every[n], None if number is None else n) for n in alike]
+            chosen[kind] = _weighted(estimator, some)
+        return chosen[kind], resting
 
     period = frame_period(recording) if period is None else period
     return begin_stream(estimator, recording.scene, period, readings[0], noise, own)
+
+
+def _weighted(estimator: Estimator, networks: Sequence[tuple[Recording, Readings, Readings]]) -> Estimator:
+    """With weights from the deciding frames of networks that are alike, each with its readings and those at rest.
+
+    Of one network also of frames beside. As it is where no frame is measured.
+    """
+    found = [(*one, frame) for one in networks if (frame := deciding_frame(*one)) is not None]
+    if not found:
+        return estimator
+    if len(networks) == 1:
+        found += [(*networks[0], frame) for frame in frames_beside(*networks[0][:2], found[0][3])]
+        numbers: Sequence[int] = range(len(found))
+    else:
+        numbers = strongest([float(mean_change(read.plain_values[f], rest.value)) for _, read, rest, f in found])
+    parts = (found[number] for number in numbers)
+    first, *beside = [deciding_data(estimator, part.scene, rest, read[frame]) for part, read, rest, frame in parts]
+    part, read, *_ = found[numbers[0]]
+    return with_chosen_weights(estimator, part.scene, first, None, read.sigma is not None, beside)
 
 
 def resting_readings(recording: Recording, readings: Readings) -> Readings:

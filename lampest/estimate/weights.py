@@ -5,7 +5,7 @@ The rule `press` takes losses with a derivative, too.
 The cost is linearised at an estimate; the estimate for the weight that this gives is where it is linearised next.
 """
 
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import TypeVar
@@ -28,6 +28,7 @@ from lampest.solvers.projected_newton import ProjectedNewton
 from lampest.solvers.solution import Settings
 
 MOST_SOLVES, SETTLED = 4, 0.2  # of an estimate; of log λ: nothing that is reported changes by less
+MOST_BESIDE = 4  # solves that decide on a weight beside the strongest one
 AnyObjective = TypeVar("AnyObjective", bound=Objective)
 
 
@@ -42,12 +43,12 @@ def with_chosen_weights(
     """The objective with numbers for the weights that it leaves open, from one solve's data.
 
     near : an estimate to start from, (frames, rows, columns) ohm, or None. noisy : whether the data's σ is known.
-    others : of further solves, which a rule's weight is to suit as well; with one-sided readings, as `data` then.
+    others : of further solves, which a rule's weight is to suit as well, where readings are missing as in `data`.
     Raises InputError where σ is needed and unknown.
     """
     rule = rule_in_use(estimator, noisy)
     cost = estimator.cost(scene, len(data.measured), data.partial)
-    search = WeightSearch(cost, data, estimator.solver, tuple(others))
+    search = WeightSearch(cost, data, estimator.solver, tuple(one for one in others if one.partial == data.partial))
     penalties = [number for number, term in enumerate(estimator.terms) if not term.reads_measurement]
     losses = [estimator.terms[number].loss for number in penalties]
     single = len(losses) == 1 and (losses[0].squared or (rule == "press" and losses[0].enters != "dual"))
@@ -65,6 +66,20 @@ def with_chosen_weights(
         return estimator.with_weights(search.by_evidence(penalties, first))
 
 
+def strongest(changes: Sequence[float]) -> list[int]:
+    """The numbers of the networks that choose a weight for all alike: those that differ most from rest, first the most.
+
+    A network's own weight scatters by factors of 100, and hardly matters where nothing touches it.
+    """
+    return sorted(range(len(changes)), key=lambda number: -changes[number])[: 1 + MOST_BESIDE]
+
+
+def kind_of(scene: Scene) -> Hashable:
+    """Equal for networks that one weight suits: with the same faults, read by the same converter."""
+    circuit = scene.circuit
+    return scene.faults, circuit.unit, circuit.adc_bits, circuit.readings, circuit.assumed_noise
+
+
 def rule_in_use(estimator: Objective, noisy: bool) -> Rule:
     """The estimator's rule, or the default one. noisy : whether the data's σ is known.
 
@@ -78,8 +93,7 @@ def rule_in_use(estimator: Objective, noisy: bool) -> Rule:
 
 @dataclass(frozen=True)
 class WeightSearch:
-    """cost : with weights that are numbers or 'auto'. data : of one solve; others : of further ones, all with
-    one-sided readings."""
+    """cost : with weights that are numbers or 'auto'. data : of one solve; others : of further ones."""
 
     cost: Cost
     data: Data
@@ -115,8 +129,10 @@ class WeightSearch:
                     return found
         found = []
         with suppress(*BROKEN):
-            at = evaluated(self.weighted(self.begun), self.data, first)
-            found, _ = self._followed(penalty, rule, [LinearModel(at, NO_DUAL)])
+            starts = [first, *(convex(data, None) for data in self.others)]
+            cost, pairs = self.weighted(self.begun), zip((self.data, *self.others), starts, strict=True)
+            models = [LinearModel(evaluated(cost, data, start), NO_DUAL) for data, start in pairs]
+            found, _ = self._followed(penalty, rule, models)
         return found or [self._suggested((penalty,), first)[penalty]]
 
     def _followed(self, penalty: int, rule: Rule, models: list[LinearModel]) -> tuple[list[float], bool]:

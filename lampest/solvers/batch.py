@@ -78,7 +78,7 @@ class Kept:
             factor = Cholesky.of(points.position[number], free, matrix_between(matrix, free)) if len(free) else None
             positive = factor is not None and clear_of_rounding(factor.triangle, factor.norm)
             if factor is not None and positive:
-                inverse[np.ix_(free, free)] = factor.solve(np.diag(factor.size)) / factor.size[:, None]
+                inverse[np.ix_(free, free)] = factor.inverse()
             self.inverse[panel], self.free[panel] = inverse, points.free[number]
             self.positive[panel] = positive or not len(free)
         self.position[panels], self.worn[panels] = points.position, False

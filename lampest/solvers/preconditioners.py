@@ -81,6 +81,12 @@ class Cholesky(Preconditioner):
         """M⁻¹·p over its own cells."""
         return np.asarray(lapack.dpotrs(self.triangle, values / self.size)[0] / self.size)
 
+    def inverse(self) -> Array:
+        """M⁻¹ between its own cells, (cells, cells)."""
+        upper = np.triu(lapack.dpotri(self.triangle)[0])
+        upper.flat[:: len(upper) + 1] /= 2
+        return np.asarray((upper + upper.T) / self.size / self.size[:, None])
+
     def over(self, free: Free, cell_resistance: Array) -> Linear:
         chosen = np.flatnonzero(free)
         if np.array_equal(chosen, self.cells):

@@ -9,6 +9,8 @@ import pytest
 import lampest
 from lampest import InputError, Recording, Scene, Simulation, simulate
 from lampest.cli import main
+from lampest.estimate.modules import begin_stream
+from lampest.estimate.sequence import first_stream
 from lampest.files.document import parse_document, to_yaml, validated
 from lampest.panel.panel import EachModule, Modules
 from lampest.runs.batch import run_batch
@@ -125,6 +127,23 @@ def test_a_module_that_drops_out_is_missing_alone_and_comes_back() -> None:
     assert np.isnan(parted.cell_resistance[2, :3, :4]).all() and np.isfinite(parted.cell_resistance[2, 3:]).all()
     assert "module [0, 0]: too few" in parted.status[2] and parted.solved.all()
     np.testing.assert_allclose(parted.cell_resistance[3], whole.cell_resistance[3], rtol=1e-5)
+
+
+def test_modules_that_are_alike_share_their_weights() -> None:
+    """Chosen from those that differ most from rest; a module with another converter has its own."""
+    own = "modules: [{at: [0, 1], readout: {kind: two_point, reference_ohm: 1000, adc_bits: 10, readings: 5}}]\n"
+    recording = simulated(scene_of(SCENE + "faults: {dead_modules: [[1, 2]]}\n" + own))
+    estimator = lampest.Estimator((lampest.Misfit(), lampest.Gradient(weight="auto")), "reduced", error_bars=False)
+    readings = recording.readings()
+    known = first_stream(recording, readings, estimator)
+    begun = begin_stream(estimator, recording.scene, 0.1, readings[recording.role == 0].mean())
+    assert begun.baseline_resistance.shape == (6, 12)
+    pushed, step = begun.push(readings[recording.measured_frames()[0]])
+    assert step.solution.solved and len(pushed.parts) == 6
+    chosen = [part.estimator.terms[1].weight for part in known.parts if part is not None]
+    later = [part.weights[1] for part in pushed.parts if isinstance(part, lampest.Stream) and part.weights]
+    for weights in (chosen, later):
+        assert len(weights) == 5 and len(set(weights)) == 2 and weights.count(weights[1]) == 1
 
 
 def test_modules_in_threads_beside_each_other_give_the_same_bytes(monkeypatch: pytest.MonkeyPatch) -> None:
