@@ -18,7 +18,7 @@ from lampest.estimate.estimator import Estimator
 from lampest.estimate.methods.method import OptimalMethod
 from lampest.estimate.state import NO_DUAL, Step
 from lampest.estimate.stream import Stream
-from lampest.estimate.weights import kind_of, strongest, with_chosen_weights
+from lampest.estimate.weights import converter_and_faults, strongest, with_chosen_weights
 from lampest.panel.panel import Array
 from lampest.panel.readouts import TwoPointReadout
 from lampest.posterior.batch import BatchErrors
@@ -54,7 +54,7 @@ def _weighed(streams: Sequence[Stream | None], readings: Readings) -> list[Strea
     found, due = list(streams), dict[Hashable, list[int]]()
     for number, stream in enumerate(streams):
         if stream is not None and stream.rested and stream.choosing(readings[number]):
-            due.setdefault((id(stream.estimator), kind_of(stream.scene)), []).append(number)
+            due.setdefault((id(stream.estimator), converter_and_faults(stream.scene)), []).append(number)
     for numbers in due.values():
         every = {number: one for number in numbers if (one := streams[number]) is not None}
         changes = [one.change(readings[number]) for number, one in every.items()]

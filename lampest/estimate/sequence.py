@@ -16,7 +16,7 @@ from lampest.estimate.noise import NoiseSeen, noise_seen, noise_seen_in_part
 from lampest.estimate.outliers import NEAREST
 from lampest.estimate.state import CarriedOver, Step
 from lampest.estimate.stream import Stream
-from lampest.estimate.weights import MOST_BESIDE, kind_of, strongest, with_chosen_weights
+from lampest.estimate.weights import MOST_BESIDE, converter_and_faults, strongest, with_chosen_weights
 from lampest.files.errors import InputError, in_words
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
@@ -77,7 +77,8 @@ def first_stream(
 ) -> Stream:
     """The stream before a recording's first measured frame; see `resting_readings`. noise : learned from frames.
 
-    period : s between frames; None: the recording's. Weights that are open are chosen from each network's own data.
+    period : s between frames; None: the recording's. Networks that are alike share the weights that those of them
+    choose that differ most from rest.
     """
     layout, chosen = recording.scene.panel.modules, dict[Hashable, Estimator]()
 
@@ -93,9 +94,13 @@ def first_stream(
         resting = network(scene, number)[2]
         if not (estimator.automatic and estimator.auto_weight.per == "recording"):
             return estimator, resting
-        if (kind := kind_of(scene)) not in chosen:
+        if (kind := converter_and_faults(scene)) not in chosen:
             every = recording.scene.of_modules if number is not None else (scene,)
-            alike = [n for n, one in enumerate(every) if kind_of(one) == kind and n not in recording.scene.dead_modules]
+            alike = [
+                n
+                for n, one in enumerate(every)
+                if converter_and_faults(one) == kind and n not in recording.scene.dead_modules
+            ]
             some = [network(every[n], None if number is None else n) for n in alike]
             chosen[kind] = _weighted(estimator, some)
         return chosen[kind], resting

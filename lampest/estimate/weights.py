@@ -74,7 +74,7 @@ def strongest(changes: Sequence[float]) -> list[int]:
     return sorted(range(len(changes)), key=lambda number: -changes[number])[: 1 + MOST_BESIDE]
 
 
-def kind_of(scene: Scene) -> Hashable:
+def converter_and_faults(scene: Scene) -> Hashable:
     """Equal for networks that one weight suits: with the same faults, read by the same converter."""
     circuit = scene.circuit
     return scene.faults, circuit.unit, circuit.adc_bits, circuit.readings, circuit.assumed_noise
