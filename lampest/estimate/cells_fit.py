@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from functools import cache, cached_property
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from lampest.cost.given import Background
@@ -18,6 +19,7 @@ from lampest.cost.problem import Data
 from lampest.cost.terms import Misfit
 from lampest.estimate.estimator import Bounds, Estimator
 from lampest.estimate.rivals import Question, Rival
+from lampest.panel.effects import Effect, disturbed
 from lampest.panel.least_squares import LevenbergMarquardt, SumOfSquares
 from lampest.panel.network import Network
 from lampest.panel.panel import Array
@@ -44,6 +46,7 @@ SPREAD = 0.01  # 1/variance of log r: a cell that no reading sees may be anythin
 PRICE = 12.0
 TOGETHER = 0.05  # of log r: by so much all cells may change with temperature
 CREEP = 3e-3  # of log r, by which films creep on their own in seconds
+FEWEST = 0.3  # of the cells must stand still: else a load covers the panel
 UNIT = 0.1  # of the largest resistance in series: what a step of log r by 1 is to it
 
 
@@ -56,6 +59,13 @@ def cells_alone() -> Estimator:
 def mostly_still(moved: NDArray[np.bool_]) -> bool:
     """Whether more than half of the cells are where they were."""
     return 2 * int(moved.sum()) < moved.size
+
+
+def apart_from_moved(still: NDArray[np.bool_], shape: tuple[int, ...]) -> NDArray[np.bool_]:
+    """The still cells of all frames, flat, without those that touch one that moved: a load does not end at a cell."""
+    moved = np.pad(~still.reshape(-1, *shape), ((0, 0), (1, 1), (1, 1)))
+    apart = still & ~sliding_window_view(moved, (3, 3), axis=(1, 2)).any(axis=(-2, -1)).ravel()
+    return apart if apart.mean() >= FEWEST else still
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -99,18 +109,24 @@ class CellsFit(SumOfSquares):
         return float(chi_square_tail(self.chi_square, self.degrees))
 
 
-def fitted(scene: Scene, readings: Readings, near: Array | None = None, patient: bool = False) -> CellsFit | None:
+def fitted(
+    scene: Scene,
+    readings: Readings,
+    near: Array | None = None,
+    patient: bool = False,
+    effects: Sequence[Effect] = (),
+) -> CellsFit | None:
     """argmin Σ ((f(r) − y)/σ)² of one frame over r > 0; None where it is not reached, or arithmetic breaks down.
 
     near : cells (rows, columns) ohm to begin at; None: the readout's start. patient : every start is tried, else a few
-    iterations must do.
+    iterations must do. effects : of the network beside its circuit; what is reached from `near` is taken then.
     """
     try:
         with np.errstate(all="ignore"):
             data = cells_alone().data(readings.alone(), Background(scene))
             data = replace(data, lower=EDGE * data.lower)
-            found = _fitted_near(data, readings, convex(data, None)[0] if near is None else near)
-            if found.chi_square <= EXACT:
+            found = _fitted_near(data, readings, convex(data, None)[0] if near is None else near, scene, effects)
+            if found.chi_square <= EXACT or effects:
                 return found
             if not patient and found.chi_square > HOPELESS * readings.value.size:
                 return None
@@ -125,13 +141,15 @@ def fitted(scene: Scene, readings: Readings, near: Array | None = None, patient:
     return None
 
 
-def _fitted_near(data: Data, readings: Readings, start: Array) -> CellsFit:
+def _fitted_near(data: Data, readings: Readings, start: Array, scene: Scene, effects: Sequence[Effect]) -> CellsFit:
     """The least squares that the loop reaches from cells; on panels too large for it, the start itself."""
     bounds = (data.log_bounds[0].ravel(), data.log_bounds[1].ravel())
     position = np.clip(np.log(start).ravel(), *bounds)
 
     def model(position: Array) -> CellsFit:
-        return CellsFit.at(data, readings, data.network(0, np.exp(position).reshape(start.shape)))
+        network, added = disturbed(effects, scene, data.network(0, np.exp(position).reshape(start.shape)))
+        given = replace(readings, value=readings.value - added) if effects else readings
+        return CellsFit.at(data, given, network)
 
     if start.size > MOST_CELLS:
         return model(position)

@@ -9,10 +9,11 @@ from warnings import catch_warnings, simplefilter
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.estimate.cells_fit import LEVEL, PRICE, CellsFit, JointFit, fitted, mostly_still, moved_score
-from lampest.estimate.nuisances import MARGIN, MOST_ASKED, Better, besides_the_circuit
+from lampest.estimate.cells_fit import LEVEL, MOST_CELLS, PRICE, CellsFit, JointFit, fitted, mostly_still, moved_score
+from lampest.estimate.nuisances import MARGIN, MOST_ASKED, Besides, Better, besides_the_circuit
 from lampest.estimate.outliers import without_outliers
 from lampest.estimate.rivals import Question, Rival, changes_beyond_noise, rivals_of, standing_frames
+from lampest.estimate.saturation import as_passed
 from lampest.estimate.scatter import LEAST_FACTOR
 from lampest.files.errors import InputError
 from lampest.panel.panel import Modules
@@ -36,7 +37,7 @@ class ModelCheck:
     explains : whether nothing speaks against the specified circuit; None: not checked, because the noise is unknown or
     no fit was found. better : the circuit that explains the readings better, as a scene would name it; ''.
     noise : by how much the unloaded frames scatter beyond the specified noise; 1 where not noticeably. together : how
-    all cells changed alike, in words; ''.
+    all cells changed alike, in words; ''. besides : whether effects beside the circuit are what explains best.
 
     >>> lampest.ModelCheck(True, "the circuit explains its readings").mark
     'yes'
@@ -47,6 +48,7 @@ class ModelCheck:
     better: str = ""
     noise: float = 1.0
     together: str = ""
+    besides: bool = False
 
     @property
     def mark(self) -> str:
@@ -64,10 +66,10 @@ def recording_check(recording: Recording) -> ModelCheck:
     held against the circuit's inequalities, and other circuits are tried on the same two. Without an unloaded frame
     the first one stands in.
     """
-    scene = recording.scene
-    if scene.panel.modules is not None:
-        return _of_modules(recording, scene.panel.modules)
-    readings = recording.readings()
+    if recording.scene.panel.modules is not None:
+        return _of_modules(recording, recording.scene.panel.modules)
+    recording = as_passed(recording)
+    scene, readings = recording.scene, recording.readings()
     if readings.sigma is None:
         return ModelCheck(None, "the circuit was not checked: the noise of the readings is unknown")
     try:
@@ -125,16 +127,14 @@ def _checked(specified: Rival, recording: Recording) -> ModelCheck:
             lawful = f"no readings break a law of the circuit; {100 * bounded:.0f} % of them are bounds"
             return ModelCheck(True, f"{lawful}, and no cells were fitted")
         return ModelCheck(None, "the circuit was not checked: no fit of its cells was found", noise=noise)
-    best, together = Better(), ""
+    best, besides = Better(), effects_seen(recording)
     whole = float(compared.missing(scene).mean()) <= MOST_MISSING and (few_bounds or bool(below))
     if whole:
         change = changes_beyond_noise(scene, readings, role)
         rivals = list(rivals_of(specified, bool(change.max(initial=0.0) > -change.min(initial=0.0))))
-        best = better_rival(rivals, question, None if fault else found)
-        with suppress(*BROKEN):  # of a circuit far from the right one
-            effect, together = _besides(found, question, used, np.flatnonzero(role == MEASURED)[-1:])
-            if effect.name and (effect.fits_noise or not fault) and (not best.name or effect.count < best.count):
-                best = effect
+        best, effect = better_rival(rivals, question, None if fault else found), besides.better
+        if effect.name and (effect.fits_noise or not fault) and (not best.name or effect.count < best.count):
+            best = effect
     if not whole:
         sentence = f"{fault or EXPLAINED}; other circuits were not tried, too many readings are missing or bounds"
     elif fault:
@@ -143,23 +143,37 @@ def _checked(specified: Rival, recording: Recording) -> ModelCheck:
         sentence = f"{best.name} explains the readings better: {best.reason}" if best.name else EXPLAINED
     if noise > 1:
         sentence += f"; the unloaded frames scatter by {noise:.2g} times the specified noise, which is allowed for"
-    return ModelCheck(not fault and not best.name, sentence, best.name, noise, together)
+    named_best = bool(best.name) and best is besides.better
+    return ModelCheck(not fault and not best.name, sentence, best.name, noise, besides.together, named_best)
 
 
-def _besides(
-    found: "Explanation | None", question: Question, used: Readings, last: NDArray[np.intp]
-) -> tuple[Better, str]:
-    """What is there beside the circuit, in the frames that changed most and in the last one (its number)."""
-    if found is None or not found.comparable:
-        return Better(), ""
-    frames = [(question.loaded, found.fits[1])]
-    if last[0] not in question.standing:
-        readings = used[int(last[0])]
+@lru_cache(maxsize=1)  # the check asks for it, and the noise
+def effects_seen(recording: Recording) -> Besides:
+    """What is there beside the circuit, in the frames that changed most and in the last one."""
+    recording = as_passed(recording)
+    scene, role = recording.scene, recording.role
+    resting, standing = (np.flatnonzero(role == one) for one in (UNLOADED, MEASURED))
+    if not len(resting) or not len(standing) or scene.panel.crossings > MOST_CELLS or scene.readout is None:
+        return Besides()
+    with suppress(*BROKEN), np.errstate(all="ignore"):
+        _, readings = without_outliers(scene.circuit, recording.readings(), role == UNLOADED)
+        specified = Rival(scene, recording.recorded, recording.sigma)
+        readings = replace(readings, seen=readings.seen * specified.nearly_gaussian(1))
+        noise, last = noise_factor(readings[resting]), standing[-1:]
         assert readings.sigma is not None
-        widened = replace(readings, sigma=question.widening * readings.sigma)
-        fit = fitted(question.specified.scene, widened, found.fits[0].cells, patient=True)
-        frames += [] if fit is None else [(replace(question, standing=last).loaded, fit)]
-    return besides_the_circuit(question.specified.scene, found.fits[0], frames)
+        widened = replace(readings, sigma=noise * readings.sigma)
+        mean = widened[resting].mean()
+        unloaded = fitted(scene, mean, patient=True)
+        frame = strongest_frame(widened.plain_values, mean.value, standing)
+        standing = standing_frames(widened, frame, standing, 1.0)
+        question, frames = Question(specified, resting, standing, noise, recording.number), list[tuple[str, CellsFit]]()
+        for chosen in (standing,) if last[0] in standing else (standing, last):
+            near = None if unloaded is None else unloaded.cells
+            fit = fitted(scene, widened[chosen].mean(), near, patient=True)
+            frames += [] if fit is None else [(replace(question, standing=chosen).loaded, fit)]
+        if unloaded is not None:
+            return besides_the_circuit(scene, unloaded, frames)
+    return Besides()
 
 
 def noise_factor(resting: Readings) -> float:

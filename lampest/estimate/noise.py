@@ -9,7 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.estimate.cells_fit import LEVEL, fitted
+from lampest.estimate.model_check import effects_seen, recording_check
+from lampest.estimate.nuisances import Besides, left_open, taken_off
 from lampest.estimate.outliers import LEAST_FRAMES, SHARE, without_outliers
+from lampest.estimate.saturation import as_passed
 from lampest.estimate.scatter import LEAST_FACTOR, unloaded_scatter
 from lampest.estimate.still_cells import errors_left_possible
 from lampest.panel.memory import in_panel_order
@@ -45,7 +48,7 @@ class NoiseSeen:
     rms in LSB, of what all scanned lines of a frame share and of what each has anew; 0 where not seen. hidden : what
     still cells leave possible of errors that all frames share, or None. share : of its period that a scan seems to
     take, where loads move within it; else 0. of_modules : the same of each module, None of a dead one; () of a single
-    network.
+    network. besides : the effects that are taken off the readings, or None.
     """
 
     outliers: NDArray[np.bool_]
@@ -62,6 +65,7 @@ class NoiseSeen:
     hidden: Possible | None = None
     share: float = 0.0
     of_modules: tuple["NoiseSeen | None", ...] = ()
+    besides: Besides | None = None
 
     @property
     def sentence(self) -> str:
@@ -117,6 +121,7 @@ def noise_seen(recording: Recording) -> NoiseSeen:
     if not len(unloaded) or not len(measured) or sizes is None:
         return seen
     with suppress(*BROKEN), np.errstate(all="ignore"):
+        seen = without_effects(seen, recording)
         resting = seen.readings[unloaded].mean()
         still = seen.with_motion(scene, scan_share(scene, resting, seen.readings, measured), measured)
         strongest = strongest_frame(still.readings.plain_values, resting.value, measured)
@@ -129,6 +134,22 @@ def noise_seen(recording: Recording) -> NoiseSeen:
         )
         return replace(still, hidden=hidden).warned(said if own > (sizes.reading_error or 0.0) else "")
     return seen
+
+
+def without_effects(seen: NoiseSeen, recording: Recording, known: Besides | None = None) -> NoiseSeen:
+    """With what leaks and contacts did taken off the readings, where nothing else explains these as well.
+
+    known : of the frames that were asked; None: those of the recording itself.
+    """
+    besides = known or effects_seen(recording)
+    if besides.pair is None or not (known or recording_check(recording).besides):
+        return seen
+    unloaded = recording.role == UNLOADED
+    frame, nothing = seen.frame, np.zeros((recording.scene.panel.shape[1 - recording.scene.circuit.by_columns], 0))
+    if frame is None:
+        frame = FrameNoise(recording.scene, int(unloaded.sum()), 0.0, nothing, nothing)
+    readings, frame = taken_off(besides.pair, seen.readings, unloaded), replace(frame, left=left_open(besides.pair))
+    return replace(seen, readings=readings, frame=frame, besides=besides).warned("" if known else besides.taken)
 
 
 def noise_seen_in_part(recording: Recording, known: NoiseSeen | None) -> Readings:
@@ -144,6 +165,7 @@ def noise_seen_in_part(recording: Recording, known: NoiseSeen | None) -> Reading
     seen = frame_noise_seen(recording)
     if known is not None:
         with suppress(*BROKEN), np.errstate(all="ignore"):
+            seen = seen if known.besides is None else without_effects(seen, recording, known.besides)
             seen = seen.with_motion(recording.scene, known.share, np.flatnonzero(recording.role == MEASURED))
     return seen.readings
 
@@ -152,6 +174,7 @@ def frame_noise_seen(recording: Recording) -> NoiseSeen:
     """What unloaded frames and neighbours in time show, and readings that allow for it."""
     if recording.scene.panel.modules is not None:
         return _of_modules(recording, recording.scene.panel.modules, frame_noise_seen)
+    recording = as_passed(recording)
     readings, resting = recording.readings(), recording.role == UNLOADED
     readout, unloaded = recording.scene.readout, int(resting.sum())
     outliers, cleaned = without_outliers(recording.scene.circuit, readings, resting)

@@ -1,22 +1,31 @@
-"""Effects that no circuit names, each one more parameter of the readings with a prior, tested by its evidence.
+"""Effects that no circuit names, each one more parameter θ of the readings: named by its evidence, and estimated.
 
 Between the unloaded panel and a frame the log cells change by d = a θ + noise where no load is, θ ~ N(0, prior²), with
 a = K_f U_f − K_b U_b: U is what a unit of θ does to the readings, K the inverse of their Jacobian. The cells that must
-have moved are counted with a in the model and without. The best effect is then taken off the readings by the network
-itself, and d found anew. Wet lines leak, contacts loosen, films creep together.
+have moved are counted with a in the model and without. The best effects are then put into the network itself, and the
+cells and d found anew (Gauss and Newton). Wet lines leak, contacts loosen, films creep together.
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.estimate.cells_fit import CREEP, LEVEL, PRICE, TOGETHER, CellsFit, fitted, mostly_still, selected
+from lampest.estimate.cells_fit import (
+    CREEP,
+    LEVEL,
+    PRICE,
+    TOGETHER,
+    CellsFit,
+    apart_from_moved,
+    fitted,
+    mostly_still,
+    selected,
+)
 from lampest.estimate.rivals import MOVED
-from lampest.panel.leaks import leak_effect, neighbours
+from lampest.panel.effects import Effect, disturbance, neighbours
 from lampest.panel.network import Network
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
@@ -28,11 +37,14 @@ from lampest.recording.readings import Readings
 # 15 or less.
 MARGIN = 36.0
 MOST_ASKED = 3  # rivals or effects: those that linear theory finds best
-LEAK_OHM, CONTACT_OHM = 10e3, 100.0  # priors: water between lines, a contact that loosens
+PRIOR = {"leak": 1 / 10e3, "contact": 100.0}  # siemens of water between lines; ohm of a contact that loosens
 CHANNEL_OHM = 3.0  # standard deviation of a multiplexer's channels (CD74HC4067, data sheet: any two differ by 10 ohm)
-STEPS, SETTLED = 8, 0.1  # of θ, by the network itself, and the standard deviations at which they end
+STEPS, SETTLED = 12, 0.1  # of θ, each within its prior's deviation; standard deviations at which they end
 MOST_BOUNDS = 0.02  # of the readings: cells behind bounds have no linear theory
 SURE = 5.0  # standard deviations: a common change that is said
+MOST_EFFECTS = 3  # beside each other
+SECANT = 1e-3  # of a prior
+LEAST_LEFT = 0.1  # of a reading, whatever is taken off
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,65 +68,39 @@ class Better:
         return f"between the unloaded panel and {self.frames} {counts}"
 
 
-@dataclass(frozen=True)
-class Nuisance:
-    """One effect. kind : of it. lines : numbers of the lines, rows first; of a leak (pairs) between neighbours.
-
-    since : whether it came after the unloaded frames. size : θ, siemens of a leak, ohm of a contact.
-    """
-
-    kind: Literal["leak", "contact"]
-    lines: tuple[int, ...]
-    since: bool
-    size: float = 0.0
-
-    @property
-    def prior(self) -> float:
-        """Standard deviation of θ."""
-        return 1 / LEAK_OHM if self.kind == "leak" else CONTACT_OHM
-
-    def effect(self, scene: Scene, network: Network, size: float) -> Array:
-        """What θ = size does to the readings of cells, (rows, columns)."""
-        circuit, (rows, columns) = scene.circuit, network.conductance.shape
-        if self.kind == "leak":
-            return leak_effect(circuit, network, self.lines, size)
-        more = size * np.isin(np.arange(rows + columns), self.lines)
-        simulated = circuit.simulated(network.cell_resistance, scene, more[:rows], more[rows:])
-        return np.asarray(circuit.from_recorded(simulated, scene) - network.reading())
-
-    def named(self, rows: int) -> str:
-        """In words, with its size."""
-        since = ", since the unloaded frames" if self.since else ""
-        first = f"row {self.lines[0]}" if self.lines[0] < rows else f"column {self.lines[0] - rows}"
-        if self.kind == "contact":
-            more = "more" if self.size > 0 else "less"
-            return f"{float(f'{abs(self.size):.2g}'):g} ohm {more} at the contact of {first}{since}"
-        where = f"{first} and the next one" if len(self.lines) == 1 else "neighbouring lines"
-        return f"a leak of {1e-3 / self.size:.2g} kohm between {where}{since}"
+def named(effect: Effect, rows: int) -> str:
+    """An effect in words, with its size."""
+    since = ", since the unloaded frames" if effect.since else ""
+    first = f"row {effect.lines[0]}" if effect.lines[0] < rows else f"column {effect.lines[0] - rows}"
+    if effect.kind == "contact":
+        more = "more" if effect.size > 0 else "less"
+        return f"{float(f'{abs(effect.size):.2g}'):g} ohm {more} at the contact of {first}{since}"
+    where = f"{first} and the next one" if len(effect.lines) == 1 else "neighbouring lines"
+    return f"a leak of {1e-3 / effect.size:.2g} kohm between {where}{since}"
 
 
-def nuisances(shape: tuple[int, int]) -> Iterator[Nuisance]:
+def candidates(shape: tuple[int, int]) -> Iterator[Effect]:
     """All that are tried on a panel."""
     pairs = neighbours(*shape)
     for since in (True, False):
-        yield Nuisance("leak", pairs, since)
-        yield from (Nuisance("leak", (line,), since) for line in pairs)
-        yield from (Nuisance("contact", (line,), since) for line in range(sum(shape)))
+        yield from (Effect("leak", lines, since) for lines in (pairs, *((line,) for line in pairs)))
+        yield from (Effect("contact", (line,), since) for line in range(sum(shape)))
 
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """score : −2 log evidence up to a constant. moved : (cells). size, sd : the last θ in units of its prior."""
+    """score : −2 log evidence up to a constant. moved : (cells). size, sd : of a common change, then of every effect
+    beyond what it has, in units of the priors; NaN where nothing stands still."""
 
     score: float
     moved: NDArray[np.bool_]
-    size: float = np.nan
-    sd: float = np.nan
+    size: Array
+    sd: Array
 
 
 @dataclass(frozen=True, eq=False)
 class FittedPair:
-    """The unloaded panel and a frame. given : their readings. fits : of what the nuisance, if any, leaves of them.
+    """The unloaded panel and a frame. given : their readings. fits : of these with the effects in the network.
 
     channels : (cells, lines) a of each line's channel, of one standard deviation.
     """
@@ -123,16 +109,16 @@ class FittedPair:
     given: tuple[Readings, ...]
     fits: tuple[CellsFit, ...]
     channels: Array
-    nuisance: Nuisance | None = None
+    effects: tuple[Effect, ...] = ()
 
     @classmethod
     def of(cls, scene: Scene, *fits: CellsFit) -> "FittedPair":
         """With channels that differ as specified, or as those of one multiplexer do."""
         bare = cls(scene, tuple(fit.readings for fit in fits), fits, np.zeros((fits[0].cells.size, 0)))
         sizes = usual(scene)
-        spread = (CHANNEL_OHM if sizes is None else sizes.channel_spread_ohm or CHANNEL_OHM) / CONTACT_OHM
-        contacts = (Nuisance("contact", (line,), since=False) for line in range(sum(scene.panel.shape)))
-        return replace(bare, channels=spread * np.stack([bare.column(one) for one in contacts], axis=1))
+        spread = CHANNEL_OHM if sizes is None else sizes.channel_spread_ohm or CHANNEL_OHM
+        contacts = [Effect("contact", (line,)) for line in range(sum(scene.panel.shape))]
+        return replace(bare, channels=spread / PRIOR["contact"] * bare.columns(contacts))
 
     @cached_property
     def change(self) -> Array:
@@ -149,85 +135,212 @@ class FittedPair:
     def _precision(self) -> Array:
         return np.linalg.inv(self._covariance)
 
-    @cached_property
-    def _networks(self) -> tuple[Network, ...]:
-        circuit, wiring = self.scene.circuit, self.scene.wiring
-        return tuple(circuit.network(fit.cells, circuit.ties(fit.readings.value), wiring) for fit in self.fits)
+    def _in_frame(self, number: int) -> tuple[Effect, ...]:
+        """The effects of the unloaded panel (0) or of the frame (1)."""
+        return tuple(one for one in self.effects if number or not one.since)
 
-    def explained(self, nuisance: Nuisance | None = None, briefly: bool = False) -> Evidence:
-        """With a factor that all cells share, and with a further effect or without; briefly : cells are only added."""
-        own = np.full((len(self.change), 1), TOGETHER)
-        if nuisance is not None:
-            own = np.column_stack([own, self.column(nuisance)])
-        weighted = self._precision @ own
-        inner = np.eye(own.shape[1]) + own.T @ weighted
+    def _network(self, number: int) -> Network:
+        fit, circuit = self.fits[number], self.scene.circuit
+        return circuit.network(fit.cells, circuit.ties(fit.readings.value), self.scene.wiring)
+
+    @cached_property
+    def _disturbances(self) -> tuple[tuple[Network, Array], ...]:
+        """Each network without effects, and what these do to its readings."""
+        networks = [self._network(number) for number in range(len(self.fits))]
+        return tuple((one, disturbance(self._in_frame(n), self.scene, one)) for n, one in enumerate(networks))
+
+    @cached_property
+    def _gains(self) -> tuple[Array, ...]:
+        """K (cells, readings) of either frame."""
+        sigmas = (fit.readings.sigma for fit in self.fits)
+        return tuple(
+            np.linalg.solve(fit.normal, fit.jacobian.T / np.ravel(sigma))
+            for fit, sigma in zip(self.fits, sigmas, strict=True)
+            if sigma is not None
+        )
+
+    def columns(self, effects: Sequence[Effect]) -> Array:
+        """(cells, effects) a of each θ in units of its prior, by secants."""
+        known: dict[Effect, tuple[Array, ...]] = {}
+        for one in effects:
+            alone = replace(one, since=False, size=SECANT * PRIOR[one.kind])
+            if alone not in known:
+                known[alone] = tuple(self._answer(number, alone) / SECANT for number in (0, 1))
+        found = [known[replace(one, since=False, size=SECANT * PRIOR[one.kind])] for one in effects]
+        return np.stack(
+            [late if one.since else late - early for one, (early, late) in zip(effects, found, strict=True)], axis=1
+        )
+
+    def _answer(self, number: int, effect: Effect) -> Array:
+        """What so much of an effect more does to the log cells of a frame (cells)."""
+        return np.asarray(self._gains[number] @ self.more(number, effect).ravel())
+
+    def more(self, number: int, effect: Effect) -> Array:
+        """The same to its readings, (rows, columns)."""
+        network, there = self._disturbances[number]
+        return disturbance((*self._in_frame(number), effect), self.scene, network) - there
+
+    def explained(self, columns: Array, briefly: bool = False) -> Evidence:
+        """With a factor that all cells share, and with effects' columns (cells, n); briefly : cells are only added."""
+        own = np.column_stack([np.full(len(self.change), TOGETHER), columns])
+        weighted, one = self._precision @ own, np.eye(own.shape[1])
+        inner = one + own.T @ weighted
         precision = self._precision - weighted @ np.linalg.solve(inner, weighted.T)
         lost, moved = selected(precision @ self.change, precision, briefly)
         score = float(self.change @ precision @ self.change) + lost + float(np.linalg.slogdet(inner)[1])
-        if self.nuisance is not None:
-            score += PRICE + (self.nuisance.size / self.nuisance.prior) ** 2
+        score += sum(PRICE + (effect.size / PRIOR[effect.kind]) ** 2 for effect in self.effects if effect.size)
+        still, nothing = apart_from_moved(~moved, self.fits[0].cells.shape), np.full(own.shape[1], np.nan)
         if briefly or moved.all():
-            return Evidence(score, moved)
-        still = ~moved
+            return Evidence(score, moved, nothing, nothing)
         within = np.linalg.solve(self._covariance[np.ix_(still, still)], own[still])
-        left = np.linalg.inv(np.eye(own.shape[1]) + own[still].T @ within)
-        theta = left @ within.T @ self.change[still]
-        return Evidence(score, moved, float(theta[-1]), float(np.sqrt(left[-1, -1])))
+        left = np.linalg.inv(one + own[still].T @ within)
+        return Evidence(score, moved, left @ within.T @ self.change[still], np.sqrt(np.diag(left)))
 
-    def column(self, nuisance: Nuisance) -> Array:
-        """a (cells) of θ in units of its prior, by secants."""
-        parts = []
-        for fit, network in zip(self.fits, self._networks, strict=True):
-            assert fit.readings.sigma is not None
-            read = nuisance.effect(self.scene, network, 1e-3 * nuisance.prior) / fit.readings.sigma
-            parts.append(np.linalg.solve(fit.normal, fit.jacobian.T @ (1e3 * read.ravel())))
-        return np.asarray(parts[1] if nuisance.since else parts[1] - parts[0])
-
-    def without(self, nuisance: Nuisance) -> "FittedPair | None":
-        """The pair once an effect is taken off the readings; None where no cells give the rest."""
-        found = []
-        for number, (fit, network, given) in enumerate(zip(self.fits, self._networks, self.given, strict=True)):
-            one: CellsFit | None = fit
-            if number or not nuisance.since:
-                left = given.value - nuisance.effect(self.scene, network, nuisance.size)
-                one = fitted(self.scene, replace(given, value=left), fit.cells)
+    def with_sizes(self, sizes: Sequence[float]) -> "FittedPair | None":
+        """The pair with effects of other sizes; None where no cells give the readings then."""
+        effects = tuple(replace(one, size=size) for one, size in zip(self.effects, sizes, strict=True))
+        bare, found = replace(self, effects=effects), list[CellsFit]()
+        for number, (fit, given) in enumerate(zip(self.fits, self.given, strict=True)):
+            own = bare._in_frame(number)
+            one = fitted(self.scene, given, fit.cells, effects=own) if own else fit
             if one is None:
                 return None
             found.append(one)
-        after = replace(self, fits=tuple(found), nuisance=nuisance)
+        after = replace(bare, fits=tuple(found))
         return after if np.all(np.isfinite(after.change)) else None
 
+    def settled(self, constant: bool = True) -> "tuple[FittedPair, Evidence] | None":
+        """(the pair with its effects as large as is likeliest, the evidence); None where no cells give the readings.
 
-def besides_the_circuit(scene: Scene, resting: CellsFit, frames: Sequence[tuple[str, CellsFit]]) -> tuple[Better, str]:
-    """(the likeliest effect, how all cells changed together or '') by fits of the unloaded panel and of named frames.
+        constant : whether those that are there in the unloaded frames are to change, too.
+        """
+        pair = self
+        for _ in range(STEPS):
+            found = pair.explained(pair.columns(pair.effects))
+            free = np.array([constant or one.since for one in pair.effects])
+            step, sd = np.where(free, found.size[1:], 0.0), found.sd[1:]
+            if not np.isfinite(step).all():
+                return None
+            short = step / max(1.0, float(np.abs(step).max()))
+            after = next(filter(None, (pair._stepped(short * 0.5**half) for half in range(5))), None)
+            if after is None:
+                return None
+            pair = after
+            if np.all(np.abs(step) < SETTLED * np.maximum(sd, SETTLED)):
+                break
+        return pair, replace(pair.explained(np.zeros((len(self.change), 0))), sd=found.sd)
 
-    Effects are tried by linear theory, the best ones by the network.
-    """
-    found, together, most = Better(), "", MARGIN
+    def offset(self, number: int) -> Array:
+        """What the effects do to the readings of the unloaded panel (0) or of the frame (1), (rows, columns)."""
+        return self._disturbances[number][1]
+
+    def amplified(self, number: int) -> Array:
+        """By what the noise of a frame's readings grows once the effects are taken off, (rows, columns)."""
+        fit, (network, _) = self.fits[number], self._disturbances[number]
+        if all(one.kind == "contact" for one in self._in_frame(number)):
+            return np.ones(fit.cells.shape)
+        assert fit.readings.sigma is not None
+        dry = network.sensitivity() / fit.readings.sigma.reshape(-1, 1)
+        variance = np.sum((dry @ np.linalg.inv(fit.normal)) * dry, axis=1)
+        return np.asarray(np.sqrt(np.maximum(variance, 1.0))).reshape(fit.cells.shape)
+
+    def _without_late(self) -> "FittedPair":
+        return replace(self, effects=tuple(replace(one, size=0.0) if one.since else one for one in self.effects))
+
+    def at_rest(self) -> "FittedPair":
+        """The unloaded panel twice, before effects come that it has not."""
+        return replace(self._without_late(), given=(self.given[0],) * 2, fits=(self.fits[0],) * 2)
+
+    def of_frame(self, readings: Readings, late: bool) -> "FittedPair | None":
+        """The pair with another frame (rows, columns); late : effects since the unloaded ones have another size there.
+
+        They have none where the frame is no likelier with them.
+        """
+        fits, near = [], self.fits[1].cells
+        for effects in (self.effects, self._without_late().effects) if late else (self.effects,):
+            if (fit := fitted(self.scene, readings, near, effects=effects)) is None:
+                return None
+            fits.append(replace(self, given=(self.given[0], readings), fits=(self.fits[0], fit), effects=effects))
+        if not late:
+            return fits[0]
+        found, none = fits[0].settled(constant=False), fits[1].explained(np.zeros((near.size, 0)))
+        return fits[1] if found is None or none.score <= found[1].score else found[0]
+
+    def _stepped(self, step: Array) -> "FittedPair | None":
+        """With sizes by a step (effects) in units of their priors larger; no leak is below zero."""
+        sizes = [one.size + PRIOR[one.kind] * float(more) for one, more in zip(self.effects, step, strict=True)]
+        return self.with_sizes(
+            [max(size, 0.0) if one.kind == "leak" else size for one, size in zip(self.effects, sizes, strict=True)]
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Besides:
+    """What is there beside the circuit. better : all effects that are named. together : how all cells changed, in
+    words; ''. pair : with those effects alone that no other ones could be, or None."""
+
+    better: Better = field(default_factory=Better)
+    together: str = ""
+    pair: FittedPair | None = None
+
+    @property
+    def taken(self) -> str:
+        """What is taken off the readings, in words."""
+        rows = 0 if self.pair is None else self.pair.scene.panel.rows
+        names = [] if self.pair is None else [named(one, rows) for one in self.pair.effects]
+        return f"{' and '.join(names)}: taken off the readings, which error bars allow for"
+
+
+def besides_the_circuit(scene: Scene, resting: CellsFit, frames: Sequence[tuple[str, CellsFit]]) -> Besides:
+    """By fits of the unloaded panel and of named frames: of the frame that shows them best."""
+    found, together, most = Besides(), "", 0.0
     for name, frame in frames:
         if max(float(fit.readings.bounds.mean()) for fit in (resting, frame)) > MOST_BOUNDS:
             continue
         pair = FittedPair.of(scene, resting, frame)
-        plain = pair.explained()
-        together, count = _together(plain) or together, int(plain.moved.sum())
-        effects = list(nuisances(frame.cells.shape))
-        scores = np.array([pair.explained(one, briefly=True).score for one in effects])
-        for number in np.argsort(scores)[:MOST_ASKED]:
-            refined = _refined(pair, effects[number])
-            if refined is None or refined.nuisance is None:
-                continue
-            after = refined.explained()
-            moved = int(after.moved.sum())
-            if mostly_still(after.moved) and moved < count and plain.score - after.score > most:
-                most = plain.score - after.score
-                fits_noise = min(fit.tail for fit in refined.fits) >= LEVEL
-                found = Better(refined.nuisance.named(scene.panel.rows), name, moved, count, fits_noise)
-    return found, "" if found.name else together
+        plain = pair.explained(np.zeros((frame.cells.size, 0)))
+        together = _together(plain) or together
+        whole, after, certain = _grown(pair, plain)
+        if not (plain.score - after.score > most and mostly_still(after.moved)):
+            continue
+        most, fits_noise = plain.score - after.score, min(fit.tail for fit in whole.fits) >= LEVEL
+        names = " and ".join(named(one, scene.panel.rows) for one in whole.effects)
+        better = Better(names, name, int(after.moved.sum()), int(plain.moved.sum()), fits_noise)
+        found = Besides(better, "", certain if certain.effects and fits_noise else None)
+    return found if found.better.name else replace(found, together=together)
+
+
+def _grown(pair: FittedPair, evidence: Evidence) -> tuple[FittedPair, Evidence, FittedPair]:
+    """(the pair with one effect after the other that beats those before by MARGIN, its evidence, the pair with those
+    before the first that another one explains about as well)."""
+    certain, doubtful = pair, False
+    for _ in range(MOST_EFFECTS):
+        tried = sorted(_tried(pair, evidence), key=lambda one: one[1].score)
+        if not tried or evidence.score - tried[0][1].score <= MARGIN:
+            break
+        doubtful |= len(tried) > 1 and tried[1][1].score - tried[0][1].score < MARGIN / 2
+        pair, evidence = tried[0]
+        certain = certain if doubtful else pair
+    return pair, evidence, certain
+
+
+def _tried(pair: FittedPair, plain: Evidence) -> Iterator[tuple[FittedPair, Evidence]]:
+    """The pair with one effect more, each of the likeliest, where fewer cells have moved with it."""
+    effects = list(candidates(pair.fits[0].cells.shape))
+    columns = pair.columns((*pair.effects, *effects))
+    before, columns = np.split(columns, [len(pair.effects)], axis=1)
+    scores = [pair.explained(np.column_stack([before, one]), briefly=True).score for one in columns.T]
+    for number in np.argsort(scores)[:MOST_ASKED]:
+        if scores[number] > plain.score - PRICE:
+            return
+        found = replace(pair, effects=(*pair.effects, replace(effects[number], size=0.0))).settled()
+        if found is not None and found[1].moved.sum() < plain.moved.sum():
+            yield found
 
 
 def _together(plain: Evidence) -> str:
     """How all cells that no load touches changed, in words; '' where that may be chance, or a load's rim."""
-    change, sd = TOGETHER * plain.size, TOGETHER * plain.sd
+    change, sd = float(TOGETHER * plain.size[0]), float(TOGETHER * plain.sd[0])
     if not mostly_still(plain.moved) or not abs(change) > max(MOVED, SURE * sd):
         return ""
     return (
@@ -236,17 +349,30 @@ def _together(plain: Evidence) -> str:
     )
 
 
-def _refined(pair: FittedPair, nuisance: Nuisance) -> FittedPair | None:
-    """The pair without the effect, of the likeliest size by the network; None where no cells give the rest."""
-    for _ in range(STEPS):
-        found = pair.explained(nuisance)
-        sizes = nuisance.size + found.size * nuisance.prior * 0.5 ** np.arange(5)
-        least = 0.0 if nuisance.kind == "leak" else -np.inf
-        trials = (pair.without(replace(nuisance, size=max(float(size), least))) for size in sizes[np.isfinite(sizes)])
-        after = next((one for one in trials if one is not None), None)
-        if after is None or after.nuisance is None:
-            return None
-        pair, nuisance = after, after.nuisance
-        if abs(found.size) < SETTLED * max(found.sd, SETTLED):
-            break
-    return pair if nuisance.size else None
+def taken_off(pair: FittedPair, readings: Readings, unloaded: NDArray[np.bool_]) -> Readings:
+    """The readings (frames, rows, columns) that the cells would give without the pair's effects, frame after frame.
+
+    Those since the unloaded frames are estimated anew in every measured one: they come, grow and go. A frame of which
+    no cells give the readings is taken as the one before. σ grows by what leaks take of the readings' differences.
+    """
+    assert readings.sigma is not None
+    value, sigma = readings.value.copy(), readings.sigma.copy()
+    late, here, number = any(one.since for one in pair.effects), pair.at_rest(), 0
+    for frame in (*np.flatnonzero(unloaded)[:1], *np.flatnonzero(~unloaded)):
+        if not unloaded[frame]:
+            here, number = here.of_frame(readings[frame], late) or here, 1
+        frames = frame if number else unloaded
+        value[frames] -= here.offset(number)
+        sigma[frames] *= here.amplified(number)
+    return replace(readings, value=np.maximum(value, LEAST_LEFT * readings.value), sigma=sigma)
+
+
+def left_open(pair: FittedPair) -> Array:
+    """(2, effects, rows, columns) what the sizes leave open, one standard deviation each, as fractions of readings."""
+    sd = pair.explained(pair.columns(pair.effects)).sd[1:]
+    found = np.zeros((2, len(sd), *pair.fits[0].cells.shape))
+    for place, (effect, one) in enumerate(zip(pair.effects, np.nan_to_num(sd), strict=True)):
+        more = replace(effect, size=float(one) * PRIOR[effect.kind])
+        for number in (1,) if effect.since else (0, 1):
+            found[number, place] = pair.more(number, more) / pair.given[number].value
+    return found

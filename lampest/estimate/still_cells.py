@@ -9,12 +9,22 @@ is left possible of z. Errors too large for that have e from the unloaded panel 
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from lampest.cost.given import Background
 from lampest.cost.problem import Data
-from lampest.estimate.cells_fit import CREEP, FIT, LEVEL, MOST_CELLS, TOGETHER, CellsFit, cells_alone, fitted
+from lampest.estimate.cells_fit import (
+    CREEP,
+    FEWEST,
+    FIT,
+    LEVEL,
+    MOST_CELLS,
+    TOGETHER,
+    CellsFit,
+    apart_from_moved,
+    cells_alone,
+    fitted,
+)
 from lampest.panel.least_squares import SumOfSquares
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene, Systematic
@@ -26,7 +36,6 @@ ERRORS = np.geomspace(2.5e-4, 0.2, 30)  # of a reading's own that are tried, wit
 SCATTERS = (0.03, 0.1, 0.2, 0.4)  # of unloaded cells: films of one batch scatter by a tenth, worn ones by 0.4
 GAIN = 15.0  # −2 log likelihood that an error of its own must gain: a cell that moved a little gains 8 to 12
 MOVED = 2.8  # −2 log of the odds that a cell moved: one in five, and then by about 1 in the logarithm
-FEWEST = 0.3  # of the cells must stand still: else a load covers the panel
 SURE = 6.6  # −2 log likelihood gained by chosen cells: χ² with one degree of freedom, once in a hundred
 HINT = 0.5  # the same, from which on bars allow for what may be chance: where nothing is, one in four is so large
 LARGER = 4.0  # the same, of a larger one, once something of the kind is there: two standard deviations
@@ -59,7 +68,7 @@ def errors_left_possible(
         return None
     smoothed = replace(moves, noise=moves.noise + _smooth_loads(shape, len(frames.value)))
     size, still = _own_error(smoothed, shape)
-    apart, sure, linear = _apart_from_moved(still, shape), size > 0, LINEAR / moves.reach
+    apart, sure, linear = apart_from_moved(still, shape), size > 0, LINEAR / moves.reach
     if sure:
         costs = _unloaded_costs(scene, resting)
         larger = size < ERRORS[np.argmin(costs)] and np.interp(size, ERRORS, costs) > LARGER
@@ -157,7 +166,7 @@ def _own_error(moves: Moves, shape: tuple[int, ...]) -> tuple[float, Chosen]:
     if costs[size][0] <= costs[0.0][0] - GAIN:
         for _ in range(3):
             _, still = still_cells(moves.change, moves.covariance(min(size, LINEAR / moves.reach)))
-            size, gained = _size_of(moves, _apart_from_moved(still, shape))
+            size, gained = _size_of(moves, apart_from_moved(still, shape))
         if gained > SURE:
             return size, still
     return 0.0, costs[0.0][1]
@@ -219,13 +228,6 @@ def still_cells(change: Array, covariance: Array) -> tuple[float, Chosen]:
         variance = np.maximum(variance, 1e-300)
         still = (miss**2 / variance + np.log(variance) < MOVED + change**2) & (np.abs(change) < LOADED)
     return best
-
-
-def _apart_from_moved(still: Chosen, shape: tuple[int, ...]) -> Chosen:
-    """The still cells of all frames, flat, without those that touch one that moved: a load does not end at a cell."""
-    moved = np.pad(~still.reshape(-1, *shape), ((0, 0), (1, 1), (1, 1)))
-    apart = still & ~sliding_window_view(moved, (3, 3), axis=(1, 2)).any(axis=(-2, -1)).ravel()
-    return apart if apart.mean() >= FEWEST else still
 
 
 def _steadied(scene: Scene, fit: CellsFit, near: Array, error: Array) -> CellsFit:

@@ -7,14 +7,12 @@ from numpy.typing import NDArray
 
 from lampest.estimate.model_check import ModelCheck, recording_check
 from lampest.estimate.noise import NoiseSeen, frame_noise_seen
-from lampest.estimate.outliers import FAR
 from lampest.estimate.rivals import changes_beyond_noise
+from lampest.estimate.saturation import SEVERAL, saturated
 from lampest.recording.readings import Readings
-from lampest.recording.recording import MEASURED, UNLOADED, Recording
+from lampest.recording.recording import UNLOADED, Recording
 
 STEPS = 16  # of the converter: a median reading that close to a rail is known to 6 % at best
-TOLERATED, NEAR = 3.0, 8.0  # σ of voltages that count as the same; as many such widths without others beside
-SEVERAL = 5  # readings: a finger moves as many
 QUIET, LOUD = 0.1, 10.0  # of the specified noise: no converter is specified so badly, units are
 
 
@@ -31,7 +29,9 @@ def warnings_of(
     less = "" if check.better else _less_load(recording, readings)
     plain = (_roles(recording.role), _unit(recording, readings), _scatter(recording, noise), less)
     circuit = check.sentence if check.mark in ("no", "not checked") else ""
-    return tuple(filter(None, (*plain, _piled(recording, readings), circuit, check.together, *noise.warnings)))
+    stage = saturated(recording)
+    piled = "" if stage is None else stage.sentence
+    return tuple(filter(None, (*plain, piled, circuit, check.together, *noise.warnings)))
 
 
 def unsolved(solved: NDArray[np.bool_], status: tuple[str, ...]) -> str:
@@ -75,27 +75,6 @@ def _scatter(recording: Recording, noise: NoiseSeen) -> str:
         f"unloaded frames scatter {noise.factor:.2g} times as much as the scene's converter does: are units, "
         "readout.noise_lsb and readout.readings right, and is no frame a copy?"
     )
-
-
-def _piled(recording: Recording, readings: Readings) -> str:
-    """Moved channels that end at one voltage, with none near by: a stage before the converter saturates."""
-    scene, unloaded, measured = recording.scene, recording.role == UNLOADED, recording.role == MEASURED
-    if scene.readout is None or not unloaded.any() or not measured.any():
-        return ""
-    recorded, width = scene.circuit.volt_from_recorded(recording.recorded), TOLERATED * scene.readout.sigma_volt()
-    for sign in (1.0, -1.0):
-        volt = np.where(readings.plain, sign * recorded, -np.inf)
-        most, resting = volt[measured].max(axis=0), volt[unloaded].max(axis=0)
-        end = most.max()
-        below = np.where(most - resting > FAR * width, end - most, np.inf)
-        piled, near = below <= width, (below > width) & (below <= NEAR * width)
-        lines = min(int(piled.any(axis=axis).sum()) for axis in (0, 1))
-        if lines > 1 and piled.sum() >= SEVERAL and piled.sum() > near.sum():
-            return (
-                f"{piled.sum()} loaded channels end at the same {sign * end:.3g} volt, and what lies beyond is lost: "
-                "does a stage before the converter saturate there?"
-            )
-    return ""
 
 
 def _less_load(recording: Recording, readings: Readings) -> str:

@@ -18,7 +18,8 @@ class FrameNoise:
     """scene : with a readout, whose converter it acts on. unloaded : frames that the baseline is the mean of.
 
     gain : standard deviation of the factor of a frame's voltages, as a fraction. together, apart : (channels of a
-    scanned line, n) volt, see `lampest.estimate.scatter`.
+    scanned line, n) volt, see `lampest.estimate.scatter`. left : (2, n, rows, columns) what effects that are taken off
+    leave, as fractions of the readings, one standard deviation each: in the unloaded panel, and in frames.
     """
 
     scene: Scene
@@ -26,12 +27,18 @@ class FrameNoise:
     gain: float
     together: Array
     apart: Array
+    left: Array | None = None
 
     def columns(self, measured: Array, baseline: bool) -> Array:
         """V (frames · cells, n) of readings (frames, rows, columns); baseline : the first is the unloaded mean."""
         parts = [self._of_frame(frame) for frame in measured]
         if baseline:
             parts[0] = parts[0] / np.sqrt(self.unloaded)
+        if self.left is not None:
+            each = [self.left[int(number > 0 or not baseline)] * frame for number, frame in enumerate(measured)]
+            parts = [
+                np.column_stack([part, one.reshape(len(one), -1).T]) for part, one in zip(parts, each, strict=True)
+            ]
         return np.asarray(linalg.block_diag(*parts))
 
     def _of_frame(self, measured: Array) -> Array:

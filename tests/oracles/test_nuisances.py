@@ -1,6 +1,7 @@
 """Leaks, contacts, common creep and saturation are named, in readings of a network that is written anew here."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,8 @@ from numpy.typing import NDArray
 
 import lampest
 from lampest import Recording, Scene, TwoPointReadout
+from lampest.estimate.model_check import effects_seen
+from lampest.estimate.noise import noise_seen
 from lampest.estimate.warnings import warnings_of
 
 Array = NDArray[np.float64]
@@ -73,6 +76,69 @@ def test_nothing_is_said_where_nothing_is(seed: int) -> None:
 def test_what_a_panel_does_is_named(effect: dict, sentence: str) -> None:
     said = warnings_of(panel(1, **effect))
     assert sum(sentence in line for line in said) == 1, said
+
+
+@pytest.mark.parametrize(
+    "effect",
+    [
+        {"leak_ohm": 10e3, "leak_from": UNLOADED + 3},
+        {"leak_ohm": 2e3},
+        {"contact": (3, 200.0, UNLOADED + 3)},
+        {"contact": (3, 200.0, UNLOADED + 3), "leak_ohm": 10e3, "leak_from": UNLOADED + 3},
+    ],
+)
+def test_what_a_leak_and_a_contact_do_is_taken_off_the_frames_that_have_it(effect: dict) -> None:
+    """The same noise is in both recordings; what the sizes leave open is a fraction of it."""
+    dirty, clean = noise_seen(panel(1, **effect)), panel(1).readings()
+    assert clean.sigma is not None and dirty.readings.sigma is not None and dirty.frame is not None
+    assert dirty.frame.left is not None and 0 < np.abs(dirty.frame.left[1]).max() < 0.01
+    open_ohm = np.hypot(dirty.readings.sigma, np.linalg.norm(dirty.frame.left[1], axis=0) * clean.value)
+    off = np.abs((dirty.readings.value - clean.value) / open_ohm)
+    assert np.quantile(off, 0.95, axis=(1, 2)).max() < 3
+    assert np.abs((panel(1, **effect).readings().value - clean.value) / open_ohm)[-1].max() > 10
+    assert bool(np.any(dirty.frame.left[0])) == ("leak_from" not in effect and "contact" not in effect)
+
+
+def test_noise_grows_by_what_a_leak_takes_of_the_signal() -> None:
+    wet, dry = noise_seen(panel(1, leak_ohm=2e3)).readings, panel(1).readings()
+    assert wet.sigma is not None and dry.sigma is not None
+    assert 1.1 < np.median(wet.sigma / dry.sigma) < 2
+
+
+def test_a_contact_that_another_one_explains_as_well_is_named_but_not_taken_off() -> None:
+    recording = panel(1, contact=(3, 200.0, 0))
+    found = effects_seen(recording)
+    assert found.pair is None and noise_seen(recording).besides is None
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_nothing_is_taken_off_where_nothing_is(seed: int) -> None:
+    recording = panel(seed)
+    assert noise_seen(recording).besides is None
+    assert np.array_equal(noise_seen(recording).readings.value, recording.readings().value)
+
+
+def test_readings_of_a_saturated_stage_are_bounds() -> None:
+    recording = panel(1, saturated=0.62)
+    readings = noise_seen(recording).readings
+    volt = recording.scene.circuit.volt_from_recorded(recording.recorded)
+    assert readings.bounds.any() and np.all(readings.bounds[volt > 3.096]) and not np.any(readings.bounds[volt < 3.094])
+    assert not recording.readings().bounds.any()
+
+
+def test_a_stage_that_the_unloaded_panel_saturates_is_named() -> None:
+    said = warnings_of(panel(1, saturated=0.585))
+    assert sum("of the unloaded panel too" in line for line in said) == 1, said
+
+
+def test_a_scene_states_what_a_stage_passes() -> None:
+    recording = panel(1, saturated=0.62)
+    stated = replace(recording.scene, readout=TwoPointReadout(readings=20, noise_lsb=0.7, passes_volt=(0.0, 3.098)))
+    found = replace(recording, scene=stated)
+    assert np.mean(found.readings().bounds != noise_seen(recording).readings.bounds) < 0.01
+    assert not any("saturate" in line for line in warnings_of(found))
+    with pytest.raises(ValueError, match="passes_volt must be two voltages from 0 to 5, the lower one first"):
+        TwoPointReadout(passes_volt=(3.0, 1.0))
 
 
 def test_the_size_of_a_leak_is_found() -> None:

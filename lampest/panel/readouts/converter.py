@@ -13,6 +13,8 @@ from lampest.panel.readouts.lines import PerLine, Side, along, as_tuple, check_l
 
 USUAL_NOISE_LSB = 0.7  # (LSB) enough to dither: what the shipped boards show, and what averaging needs
 
+WITHIN = 3.0  # σ of a mean reading: as far as noise takes it from what a stage passes
+
 
 @dataclass(frozen=True, kw_only=True)
 class Converter(Configuration):
@@ -25,6 +27,8 @@ class Converter(Configuration):
         each driven line (`noisy_side`). 'estimated': as the unloaded frames show it. None: not said; then as five or
         more unloaded frames show it, else USUAL_NOISE_LSB.
     floor_code : codes at or below it were not recorded: such a reading, zero or infinite by its unit, says only that.
+    passes_volt : the least and the largest voltage that a stage before the converter passes: a reading within its noise
+        of either says only that. None: as frames show it.
 
     Raises ValueError where a number is out of range.
     """
@@ -34,6 +38,7 @@ class Converter(Configuration):
     readings: int = 20
     noise_lsb: PerLine | Literal["estimated"] | None = None
     floor_code: int | None = None
+    passes_volt: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
         check_range("supply_volt", self.supply_volt, 1e-3, 1e3, " V")  # a thermocouple's; low voltage by IEC 60038
@@ -43,6 +48,8 @@ class Converter(Configuration):
         if max(as_tuple(self.assumed_noise)) > 2**self.adc_bits:
             raise ValueError(f"noise_lsb must not exceed the converter's range, {2**self.adc_bits} LSB")
         check_ranges(self, 0, 2**self.adc_bits - 3, "floor_code")
+        if self.passes_volt is not None and not 0 <= self.passes_volt[0] < self.passes_volt[1] <= self.supply_volt:
+            raise ValueError(f"passes_volt must be two voltages from 0 to {self.supply_volt:g}, the lower one first")
 
     @property
     def noise_told(self) -> bool:
@@ -130,5 +137,9 @@ class Converter(Configuration):
     @cached_property
     def _rails(self) -> tuple[float, float]:
         top = 2.0**self.adc_bits - 1
-        ends = self.recorded_from_volt(np.array([(self.floor_code or 0) + 1.0, top]) * self.lsb_volt)
+        edges = np.array([(self.floor_code or 0) + 1.0, top]) * self.lsb_volt
+        if self.passes_volt is not None:
+            within = np.add(self.passes_volt, np.array([1, -1]) * WITHIN * float(np.mean(self.sigma_volt())))
+            edges = np.array([max(edges[0], within[0]), min(edges[1], within[1])])
+        ends = self.recorded_from_volt(edges)
         return float(ends.min()), float(ends.max())

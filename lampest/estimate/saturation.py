@@ -1,0 +1,84 @@
+"""A stage before the converter that saturates: channels that end at one voltage, with none near by.
+
+Such readings say only that the voltage lies beyond, exactly as readings at a rail do.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from lampest.estimate.outliers import FAR
+from lampest.panel.panel import Array
+from lampest.panel.readouts.converter import WITHIN
+from lampest.recording.readings import Readings
+from lampest.recording.recording import MEASURED, UNLOADED, Recording
+
+NEAR = 8.0 / 3.0  # of the width of voltages that count as the same: so far beyond, fewer channels end than at one
+SEVERAL = 5  # channels: a finger moves as many
+SPREAD = 10.0  # of that width: over so much the other channels extend at least, else all are alike
+
+
+@dataclass(frozen=True)
+class Saturated:
+    """What channels end at. volt : of the stage. loaded, unloaded : channels that end there under load, or always.
+
+    highest : whether it is the largest voltage that the stage passes, else the least.
+    """
+
+    volt: float
+    loaded: int
+    unloaded: int
+    highest: bool
+
+    @property
+    def sentence(self) -> str:
+        """For people."""
+        channels = f"{self.loaded} loaded channels end" if self.loaded else f"{self.unloaded} unloaded channels stand"
+        also = f", {self.unloaded} of the unloaded panel too" if self.loaded and self.unloaded else ""
+        return (
+            f"{channels} at the same {self.volt:.3g} volt{also}, and what lies beyond is lost: "
+            "does a stage before the converter saturate there? They are taken for bounds"
+        )
+
+
+def saturated(recording: Recording) -> Saturated | None:
+    """The voltage at which several channels end; None where there is none, or the scene states one.
+
+    Under load channels end there that moved; the unloaded panel's stand there while its others differ.
+    """
+    scene, unloaded, measured = recording.scene, recording.role == UNLOADED, recording.role == MEASURED
+    readout = scene.readout
+    if readout is None or readout.passes_volt is not None or scene.panel.modules is not None or not unloaded.any():
+        return None
+    width = WITHIN * readout.sigma_volt()
+    plain = Readings.of(scene, recording.recorded, recording.sigma).plain
+    for sign in (1.0, -1.0):
+        volt = np.where(plain, sign * scene.circuit.volt_from_recorded(recording.recorded), np.nan)
+        resting = _largest(volt[unloaded])
+        most = _largest(volt[measured]) if measured.any() else resting
+        moved = np.nan_to_num(most - resting, nan=0.0) > FAR * width
+        for channels, others in ((most, moved), (resting, np.isfinite(resting))):
+            end = float(np.nanmax(channels, initial=-np.inf))
+            below = np.where(others, end - channels, np.inf)
+            piled, near = below <= width, (below > width) & (below <= NEAR * width)
+            apart = end - float(np.nanmin(channels, initial=end)) > SPREAD * float(np.mean(width))
+            lines = min(int(piled.any(axis=axis).sum()) for axis in (0, 1))
+            if apart and lines > 1 and piled.sum() >= SEVERAL and piled.sum() > near.sum():
+                level = float(np.median(volt[np.broadcast_to(piled, volt.shape) & (end - volt <= 2 * width)]))
+                resting_too = int((np.abs(resting - level) <= width).sum())
+                return Saturated(sign * level, int((piled & moved).sum()), resting_too, sign > 0)
+    return None
+
+
+def as_passed(recording: Recording) -> Recording:
+    """The recording with the stage that its frames show in the scene; itself where they show none."""
+    found, readout = saturated(recording), recording.scene.readout
+    if found is None or readout is None:
+        return recording
+    passes = (0.0, found.volt) if found.highest else (found.volt, readout.supply_volt)
+    return replace(recording, scene=replace(recording.scene, readout=replace(readout, passes_volt=passes)))
+
+
+def _largest(volt: Array) -> Array:
+    """Over frames, (rows, columns); NaN where there is none."""
+    return np.where(np.isnan(volt).all(axis=0), np.nan, np.nanmax(volt, axis=0, initial=-np.inf))
