@@ -85,15 +85,16 @@ def plot(
 
 def export(
     results: Annotated[Path, typer.Argument(help="A results file.")],
-    to: Annotated[str, option("csv, parquet or mat.", metavar="FORMAT")],
+    to: Annotated[str, option("csv, parquet, mat, zarr or nwb.", metavar="FORMAT")],
     out: Annotated[Path | None, written("--out", "Output file. Default: beside the results.")] = None,
-    recording: Annotated[str | None, option("Export this recording only.")] = None,
+    recording: Annotated[str | None, option("Export this recording only; nwb takes one.")] = None,
+    start: Annotated[str | None, option("Start time for nwb if the file has none: 2026-05-04T09:30:00+02:00.")] = None,
     frames: FramesNamed = None,
 ) -> None:
-    """Export results to pandas and R, MATLAB and Octave, with units and descriptions."""
+    """Export results to pandas and R, MATLAB and Octave, xarray or NWB, with units and descriptions."""
     from lampest.report.export import export_results
 
-    for file in export_results(results, to, out, recording, _frames(frames)):
+    for file in export_results(results, to, out, recording, start, _frames(frames)):
         say(file)
 
 

@@ -180,6 +180,12 @@ class Series:
         return np.asarray(self.values).astype(np.uint8 if self.dtype is bool else self.dtype)
 
     @property
+    def meaning(self) -> str:
+        """The long name, with what each value of a flag means."""
+        flags = "; ".join(f"{value}: {word.replace('_', ' ')}" for value, word in self.flags)
+        return f"{self.long_name} ({flags})" if flags else self.long_name
+
+    @property
     def attributes(self) -> dict[str, Any]:
         """Units, long name, and flags as the CF conventions have them (section 3.5)."""
         said = {"units": self.units, "long_name": self.long_name}

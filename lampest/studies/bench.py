@@ -1,4 +1,4 @@
-"""The benchmark: every frame of a simulated recording, solved by every solver in turn for as long as there is time."""
+"""The benchmark: every frame of simulated recordings, solved by every solver in turn for as long as there is time."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
@@ -14,7 +14,8 @@ from lampest.cost.problem import Data
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.methods.method import Method, OptimalMethod
 from lampest.estimate.sequence import first_stream
-from lampest.files.typed import Configuration, check_ranges
+from lampest.files.typed import Configuration, check_range, check_ranges
+from lampest.loads.shapes import AnyShape, Rod
 from lampest.panel.kirchhoff import laplacian
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import TwoPointReadout
@@ -22,15 +23,34 @@ from lampest.panel.readouts.wiring import Lines
 from lampest.panel.scene import Scene
 from lampest.recording.recording import Recording
 from lampest.recording.simulation.measure import Unmodelled
-from lampest.recording.simulation.simulation import Simulation, simulate
+from lampest.recording.simulation.simulation import Course, Simulation, simulate
 from lampest.solvers.multistart import evaluable, starts
 from lampest.solvers.solution import Settings, Solution, Solver, check
 from lampest.studies import common
 from lampest.studies.study import OnStep, column, published_code
-from lampest.studies.timing import TimedFrame, inverse_time, outcome, pushed
+from lampest.studies.timing import TimedFrame, inverse_time, outcome, peak_memory, pushed
 
 OURS = ("reduced", "nodal")
 SOLVERS = (*OURS, "scipy_exact", "scipy_difference", "scipy_lbfgsb")
+
+
+def loads(number: int, shape: common.Shape) -> tuple[tuple[AnyShape, ...], Course]:
+    """What touches the panel in recording `number`, and when; recordings 0, 1, 2 differ, then they come again.
+
+    0 : a mouth over a third of the shorter side, sucking ever harder, breathing. 1 : three rods that stand. 2 : a mouth
+    of 35 mm that presses ever harder, then sucks, beside a rod.
+    """
+    pitch = Panel(*shape).pitch_mm
+    height, width = (pitch * (side - 1) for side in shape)
+    places = ((0.3, 0.3, 680.0), (0.7, 0.35, 300.0), (0.4, 0.75, 1200.0))  # shares of width and height, mass in g
+    rods = tuple(
+        Rod(kind="rod", centre_mm=(right * width, down * height), diameter_mm=40, mass_g=mass)
+        for right, down, mass in places
+    )
+    third = common.lamprey_mouth((0.49 * width, 0.51 * height), 0.35 * pitch * min(shape))
+    growing = replace(common.BREATHING, start_s=-0.4, approach_s=2)
+    beside = (common.lamprey_mouth((0.6 * width, 0.55 * height)), rods[0])
+    return (((third,), common.BREATHING), (rods, Course()), (beside, growing))[number % 3]
 
 
 @dataclass(frozen=True)
@@ -84,12 +104,14 @@ class BenchFile(Configuration):
 
     sizes : sides of square panels, or [rows, columns].
     estimators : methods by name, their terms as in a run's file; the paper's five by default.
+    recordings : simulated recordings of every panel, each with loads and noise of its own.
     frames, repeats : frames after the first, solved in sequence, and how often each is solved by every solver.
     budget_s : no solve is begun that would probably not end within so many seconds; what is left out is named.
-    seed, readout, unmodelled : of the simulated recording of each panel, as in a simulation's file.
+    seed, readout, unmodelled : of the simulated recordings, as in a simulation's file.
     lines : of their scenes; nodal does not know wire and is left out then.
     solver : tolerance and iterations, the same for all.
     limits : the largest side for each solver.
+    memory : sides of panels on which the peak memory of a fresh process is measured.
     """
 
     schema: Literal[1]
@@ -97,6 +119,7 @@ class BenchFile(Configuration):
     estimators: dict[str, common.SquaredMethod] = field(
         default_factory=lambda: common.paper_methods(common.SquaredMethod)
     )
+    recordings: int = 1
     frames: int = 4
     repeats: int = 3
     budget_s: float = 3600.0
@@ -106,15 +129,17 @@ class BenchFile(Configuration):
     lines: Lines | None = None
     solver: Settings = Settings()
     limits: BenchLimits = BenchLimits()
+    memory: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
         if not self.sizes or not self.estimators:
             raise ValueError("sizes and estimators must hold at least one")
         common.check_sides(self.shapes, 2, common.LARGEST_SIDE)
+        check_range("a panel's side", self.memory, 2, common.LARGEST_SIDE)
         for rows, columns in self.shapes:
             if not self.solvers((rows, columns)):
                 raise ValueError(f"limits leave no solver for {rows} × {columns}")
-        check_ranges(self, 1, 1000, "frames", "repeats")
+        check_ranges(self, 1, 1000, "recordings", "frames", "repeats")
         check_ranges(self, 1e-3, 30 * 86400, "budget_s")
 
     @property
@@ -134,14 +159,13 @@ class BenchFile(Configuration):
         formulation = OptimalMethod(**known) if solver in OURS else ScipyMethod(**known)
         return Estimator(self.estimators[method].parts, formulation, self.solver, error_bars=False)
 
-    def recording(self, shape: common.Shape) -> Recording:
-        """3 unloaded frames, then a breathing mouth over a third of the shorter side."""
-        panel = Panel(*shape)
-        height, width = (panel.pitch_mm * (side - 1) for side in shape)
-        mouth = common.lamprey_mouth((0.49 * width, 0.51 * height), 0.35 * panel.pitch_mm * min(shape))
-        scene = Scene(panel, self.readout, common.SERIES_OHM, lines=self.lines)
-        known: dict[str, Any] = {"frames": self.frames + 1, "loads": (mouth,), "unmodelled": self.unmodelled}
-        return simulate(Simulation(1, self.seed, scene, course=common.BREATHING, **known), f"{shape[0]}x{shape[1]}")
+    def recording(self, shape: common.Shape, number: int = 0) -> Recording:
+        """One of the recordings of a panel, its loads those of `loads`; 3 unloaded frames."""
+        touching, course = loads(number, shape)
+        scene = Scene(Panel(*shape), self.readout, common.SERIES_OHM, lines=self.lines)
+        known: dict[str, Any] = {"frames": self.frames + 1, "loads": touching, "unmodelled": self.unmodelled}
+        simulation = Simulation(1, self.seed + number, scene, course=course, **known)
+        return simulate(simulation, str(number))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -155,21 +179,34 @@ class BenchFrame(TimedFrame):
     inverse_s: float = column("s", "a dense inverse of size rows + columns - 1 at that time")
 
 
-class BenchPart(NamedTuple):
-    """A method on a panel."""
+def solve_two_frames(task: tuple[BenchFile, common.Shape, str, str]) -> None:
+    """A first frame and the next, for the memory that they take."""
+    bench, shape, method, solver = task
+    recording = bench.recording(shape)
+    readings = recording.readings()
+    stream = first_stream(recording, readings, bench.estimator(method, solver, shape))
+    for frame in recording.measured_frames()[:2]:
+        stream, _ = stream.push(readings[frame])
 
+
+class BenchPart(NamedTuple):
+    """A method on one recording of a panel."""
+
+    recording: int
     shape: common.Shape
     method: str
 
     def expected_s(self, bench: BenchFile, done: Sequence[BenchFrame]) -> float:
-        """As on the largest panel that is smaller, growing as (M + N)³."""
+        """As on another recording of the panel; else as on the largest one that is smaller, growing as (M + N)³."""
         solvers, lines = bench.solvers(self.shape), sum(self.shape)
-        alike = [one for one in done if one.method == self.method and one.solver in solvers]
+        alike = [one for one in done if one.method == self.method and one.solver in solvers and sum(one.shape) <= lines]
         nearest = max((sum(one.shape) for one in alike), default=lines)
-        return sum(one.seconds for one in alike if sum(one.shape) == nearest) * (lines / nearest) ** 3
+        alike = [one for one in alike if sum(one.shape) == nearest]
+        recordings = len({(one.shape, one.recording) for one in alike}) or 1
+        return sum(one.seconds for one in alike) / recordings * (lines / nearest) ** 3
 
 
-LeftOut = tuple[common.Shape, str, str]  # a panel, a method, and which frames there was no time for
+LeftOut = tuple[common.Shape, str, str]  # a panel, a method, and what of them there was no time for
 
 
 class Bench(NamedTuple):
@@ -181,22 +218,31 @@ class Bench(NamedTuple):
 
 
 def run_bench(bench: BenchFile, on_step: OnStep) -> Bench:
-    """Measure everything, smallest panels first, as far as the budget goes.
+    """Measure everything, as far as the budget goes; on_step is called with how many of how many parts are done, and
+    what is next.
 
-    on_step : called with how many of how many parts are done, and what is next.
+    All panels' first recordings come first, smallest panels before larger ones, with the memory that they take.
     """
     end, found, missed = perf_counter() + bench.budget_s, list[BenchFrame](), list[LeftOut]()
-    parts = [BenchPart(*part) for part in product(sorted(bench.shapes, key=sum), bench.estimators)]
+    parts = [BenchPart(*part) for part in product(range(bench.recordings), bench.shapes, bench.estimators)]
     simulated = lru_cache(maxsize=1)(bench.recording)
     for number, part in enumerate(parts):
-        shape, method = part
-        on_step(number, len(parts), f"{shape[0]} × {shape[1]} {method}")
+        shape, method, name = part.shape, part.method, f"recording {part.recording + 1}"
+        on_step(number, len(parts), f"{shape[0]} × {shape[1]} {method}, {name}")
         if part.expected_s(bench, found) > end - perf_counter():
-            missed.append((shape, method, "every frame"))
+            missed.append((shape, method, name))
             continue
-        own = list(_frames(bench, simulated(shape), part, end))
+        own = list(_frames(bench, simulated(shape, part.recording), part, end))
         if (frames := own[-1].frame + 1) <= bench.frames:
-            missed.append((shape, method, f"after {frames} of {bench.frames + 1} frames"))
+            missed.append((shape, method, f"{name} after {frames} of {bench.frames + 1} frames"))
+        measured = not part.recording and shape[0] == shape[1] and shape[0] in bench.memory
+        for solver in bench.solvers(shape) if measured else ():
+            # A fresh process takes some 3 s to begin.
+            if 3.0 + sum(one.seconds for one in own if one.solver == solver) > end - perf_counter():
+                missed.append((shape, method, f"memory of {solver}"))
+                continue
+            peak = peak_memory(solve_two_frames, (bench, shape, method, solver))
+            own = [replace(one, memory_mb=peak) if one.solver == solver else one for one in own]
         found += own
     return Bench(bench, tuple(found), tuple(missed))
 

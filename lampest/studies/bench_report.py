@@ -57,6 +57,7 @@ def _row(method: str, own: Sequence[BenchFrame]) -> study.Row:
         count=len(own),
         verified=sum(one.verified for one in own),
         solved=sum(one.solved for one in own),
+        memory_mb=max((one.memory_mb for one in own if one.memory_mb is not None), default=None),
     )
 
 
@@ -100,6 +101,7 @@ SCREEN: study.Screen = {
     "steps": "{iterations:g}",
     "gap": lambda row: study.text_of(row.gap, ".0e") if row.gap is None or row.gap > NO_GAP else f"< {NO_GAP:.0e}",
     "verified": "{verified}/{count}",
+    "MB": "{memory_mb:.0f}",
 }
 
 

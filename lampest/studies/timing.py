@@ -1,7 +1,8 @@
-"""What solves take: the record of a timed frame, and clocks."""
+"""What solves take: the record of a timed frame, clocks, the peak memory of a fresh process."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from time import perf_counter, process_time
 from typing import Any, NamedTuple, TypeVar
 
@@ -12,12 +13,15 @@ from lampest.estimate.stream import Stream
 from lampest.panel.panel import Array
 from lampest.recording.readings import Readings
 from lampest.recording.recording import Recording
+from lampest.runs.executors import Processes
 from lampest.solvers.solution import STRICT
 from lampest.studies.common import Shape
 from lampest.studies.study import column
 
 Result = TypeVar("Result")
+Task = TypeVar("Task")
 NO_GAP = 1e-12  # less is rounding
+STATUS = Path("/proc/self/status")  # where Linux says how much a process holds
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,6 +40,7 @@ class TimedFrame:
     iterations: int = column("1", "iterations of the solver")
     solved: bool = column("1", "1: solved, 0: failed")
     status: str = column("1", "how the solve ended")
+    memory_mb: float | None = column("10^6 byte", "peak of a fresh process, NaN: not measured", None)
 
     @property
     def shape(self) -> Shape:
@@ -92,3 +97,20 @@ def inverse_time(matrix: Array) -> float:
     while (spent := inverses(count)) < 2e-3:
         count *= 2
     return min(spent, inverses(count), inverses(count)) / count
+
+
+def peak_memory(work: Callable[[Task], object], task: Task) -> float:
+    """The largest resident size, 10⁶ bytes, of a fresh process that does some work; NaN if it died.
+
+    Not what Python has allocated: compiled costs and IPOPT's factors lie outside what tracemalloc sees.
+    """
+    ((_, megabytes),) = Processes(1).results(_peak_after, [(work, task)])
+    return float("nan") if isinstance(megabytes, Exception) else float(megabytes)
+
+
+def _peak_after(task: tuple[Callable[[Task], object], Task]) -> float:
+    """The largest resident size of this process after some work, without what its parent had before."""
+    work, argument = task
+    work(argument)
+    line = next(line for line in STATUS.read_text().splitlines() if line.startswith("VmHWM:"))
+    return float(line.split()[1]) * 1024 / 1e6

@@ -8,6 +8,7 @@ reference's baseline.
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
+from itertools import count
 from pathlib import Path
 from time import perf_counter, process_time
 from typing import Any, Literal, NamedTuple, cast
@@ -38,7 +39,7 @@ from lampest.runs.config import recording_paths
 from lampest.solvers.solution import Settings
 from lampest.studies import common
 from lampest.studies.study import OnStep, column
-from lampest.studies.timing import TimedFrame, outcome
+from lampest.studies.timing import TimedFrame, outcome, peak_memory
 
 REFERENCE = "reduced"
 LADDER: tuple[MethodName | AnyMethod, ...] = (
@@ -46,6 +47,7 @@ LADDER: tuple[MethodName | AnyMethod, ...] = (
     "scaled",
     "linearised",
     *(TruncatedMethod(steps=steps) for steps in (1, 2, 4)),
+    "region",
     "reduced",
     "nodal",
     "per_pixel",
@@ -64,6 +66,7 @@ class TradeoffLimits(Configuration):
     scaled: int = common.LARGEST_SIDE
     linearised: int = common.LARGEST_SIDE
     truncated: int = common.LARGEST_SIDE
+    region: int = common.LARGEST_SIDE
     nodal: int = 16
     per_pixel: int = 10
     joint: int = 16
@@ -113,6 +116,7 @@ class TradeoffFile(Configuration):
     formulations : the rungs; all by default. `reduced` must be among them: it is what others are compared with.
     frames : of each recording at most so many measured frames, in sequence, from the first.
     repeats, patience_s : how often every rung runs through a recording; no further time once that has taken so long.
+    memory : the method with which the peak memory of a fresh process is measured; None: it is not.
     solver : tolerance and iterations, the same for all. limits : the largest side for each rung.
     """
 
@@ -126,6 +130,7 @@ class TradeoffFile(Configuration):
     frames: int = 5
     repeats: int = 3
     patience_s: float = 3.0
+    memory: str | None = None
     solver: Settings = Settings()
     limits: TradeoffLimits = TradeoffLimits()
 
@@ -145,6 +150,8 @@ class TradeoffFile(Configuration):
         check_ranges(self, 1, 1000, "repeats")
         if not 0 <= self.patience_s < float("inf"):
             raise ValueError("patience_s must be zero or positive, and finite")
+        if self.memory is not None and self.memory not in self.estimators:
+            raise ValueError(f"memory: {self.memory} is none of the estimators")
 
     @property
     def ladder(self) -> tuple[Method, ...]:
@@ -222,18 +229,25 @@ class TradeoffFrame(TimedFrame):
 
 def run_tradeoff(plan: Plan, on_step: OnStep = lambda done, total: None) -> list[TradeoffFrame]:
     """Measure everything. on_step is called with how many of how many parts are done."""
-    settings = plan.settings
+    settings, done = plan.settings, count(1)
+    first = {recording.scene.panel.shape: recording for recording in reversed(plan.recordings)}
+    fresh = [(shape, name) for shape in first if settings.memory for name in settings.rungs(shape)]
     chosen = [(one, method) for one in plan.recordings for method in settings.methods(one.scene.panel.shape)]
     measured: list[TradeoffFrame] = []
-    for number, (recording, method) in enumerate(chosen, 1):
+    for recording, method in chosen:
         measured += _measure(settings, recording, method)
-        on_step(number, len(chosen))
-    return measured
+        on_step(next(done), len(chosen) + len(fresh))
+    memory = {}
+    for shape, name in fresh:
+        estimator = settings.estimator(str(settings.memory), settings.rungs(shape)[name])
+        memory[shape, name] = peak_memory(_passage, (estimator, first_frames(first[shape], 2)))
+        on_step(next(done), len(chosen) + len(fresh))
+    return [replace(one, memory_mb=memory.get((one.shape, one.solver))) for one in measured]
 
 
-def _passage(estimator: Estimator, recording: Recording) -> Passage:
+def _passage(task: tuple[Estimator, Recording]) -> Passage:
     """Solve the frames of a recording in sequence."""
-    clock = [process_time()]
+    (estimator, recording), clock = task, [process_time()]
     found = reconstruct(recording, estimator, lambda: clock.append(process_time()))
     return found, np.diff(clock)
 
@@ -246,7 +260,7 @@ def _measure(settings: TradeoffFile, recording: Recording, method: str) -> Itera
         if turn and perf_counter() - begin > settings.patience_s:
             break
         for name, formulation in rungs.items():
-            runs[name].append(_passage(settings.estimator(method, formulation), recording))
+            runs[name].append(_passage((settings.estimator(method, formulation), recording)))
     costs = list(_costs(runs[REFERENCE][0][0]))
     objective = {
         name: [_objective(*cost, cells) for cost, cells in zip(costs, run[0][0].cell_resistance, strict=True)]

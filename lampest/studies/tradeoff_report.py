@@ -26,6 +26,7 @@ SCREEN: study.Screen = {
     "gap median / worst": "{gap:.0e} / {worst_gap:.0e}",
     "reached [%]": lambda row: f"{100 * row.reached:.0f}",
     "failed": "{failed}/{frames}",
+    "memory [MB]": "{memory_mb:.0f}",
     "front": "{front}",
 }
 
@@ -61,6 +62,7 @@ def _row(own: Sequence[TradeoffFrame]) -> study.Row:
         reached=float(np.mean(np.array(gaps) <= 1e-6)),
         frames=len(own),
         failed=sum(not one.solved for one in own),
+        memory_mb=own[0].memory_mb,
     )
 
 

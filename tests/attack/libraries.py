@@ -14,7 +14,10 @@ NEEDED: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("jinja2", ("compare", "results.h5", "--report", "page.html")),
     ("openpyxl", ("import", "sheet.xlsx", "--rows", "3", "--columns", "4", "--out", "made.h5")),
     ("pyarrow", ("export", "results.h5", "--to", "parquet")),
+    ("pynwb", ("export", "results.h5", "--to", "nwb", "--start", "2026-05-04T09:30:00Z")),
+    ("zarr", ("export", "results.h5", "--to", "zarr")),
     ("distributed", ("run", "run.yaml", "--set", "executor={kind: dask}", "--out", "out")),
+    ("mpmath", ("study", "extremes", "--out", "atlas")),
 )
 SPARED = (
     ("info", "small.h5"),

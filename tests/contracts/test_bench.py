@@ -13,7 +13,7 @@ Command = Callable[..., SimpleNamespace]
 
 @pytest.mark.slow
 def test_command_writes_table_and_samples(disk: SimpleNamespace, lampest: Command) -> None:
-    text = "schema: 1\nsizes: [3]\nframes: 1\nrepeats: 1\n"
+    text = "schema: 1\nsizes: [3]\nframes: 1\nrepeats: 1\nmemory: [3]\n"
     text += "limits: {nodal: 0, scipy_difference: 0, scipy_lbfgsb: 0}\n"
     text += "estimators: {mine: {terms: {misfit: {}, gradient: {weight: 2}}}}\n"
     ended = lampest("study", "bench", disk.run(text, "bench.yaml"), "--out", disk.folder / "out")
@@ -29,12 +29,13 @@ def test_command_writes_table_and_samples(disk: SimpleNamespace, lampest: Comman
         for solver in ("reduced", "scipy_exact")
         for frames in ("first", "later")
     ]
+    assert all(20 < float(row["memory_mb"]) < 2000 for row in table)
     with h5py.File(disk.folder / "out" / "bench.h5") as file:
         group = file["entry/frames"]
         assert [*group["solver"][:2]] == [b"reduced", b"scipy_exact"] and list(group["frame"]) == [0, 0, 1, 1]
         for name, dataset in group.items():
             assert dataset.attrs["units"] and dataset.attrs["long_name"] and dataset.shape == (4,), name
-        assert np.all(group["inverse_s"][()] > 0)
+        assert np.all(group["memory_mb"][()] > 20) and np.all(group["inverse_s"][()] > 0)
         assert group["status"][0] == b"optimum verified"
 
 
@@ -45,6 +46,7 @@ def test_command_writes_table_and_samples(disk: SimpleNamespace, lampest: Comman
         ("sizes: [1]", "a panel's side must lie between 2 and 1000"),
         ("sizes: [3, [3, 3]]", "names a panel twice"),
         ("sizes: [3]\nframes: 0", "frames must lie between 1 and 1000"),
+        ("sizes: [3]\nrecordings: 0", "recordings must lie between 1 and 1000"),
         ("sizes: [3]\nbudget_s: 0", "budget_s must lie between"),
         ("sizes: [3, [3, 30]]\nlimits: {reduced: 20}", "limits leave no solver for 3 × 30"),
         ("sizes: [3]\nlimits: {noddal: 3}", "bench.yaml:3:10: limits.noddal: no such key"),

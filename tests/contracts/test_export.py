@@ -17,9 +17,11 @@ from support import invented_case
 
 from lampest import (
     CaseResult,
+    Experiment,
     Export,
     InputError,
     LoadedColumnsReadout,
+    MeasuredSubject,
     export_results,
     read_results,
     write_results,
@@ -179,10 +181,58 @@ def test_octave_reads_the_mat_file_and_the_results_themselves(lampest: Run, resu
     assert_array_equal(np.array(numbers, dtype=float), np.concatenate([cells, cells]))
 
 
+def test_zarr_is_what_xarray_reads(lampest: Run, results: Path) -> None:
+    import xarray
+    from zarr.storage import ZipStore
+
+    path = exported(lampest, results, "zarr")
+    assert path.name == "r.zarr.zip"
+    with ZipStore(path, mode="r") as store, xarray.open_datatree(store, engine="zarr") as tree:
+        for case in read_results(results).cases:
+            xarray.testing.assert_identical(tree[f"{case.recording}/{case.estimator}"].to_dataset(), case.to_xarray())
+        found = tree["mouth/LSM"]
+        assert found["cell_resistance"].attrs["units"] == "ohm" and found["x"].attrs["units"] == "mm"
+        assert found["open_cell"].attrs["flag_meanings"] == "conducts cannot_be_told_from_open"
+        assert found["saturated"].isnull().any(["row", "column"]).values.tolist() == [False, True, False]
+        assert "two_point_model" in found and "reading_model" not in found
+        assert found.attrs["start_time"] == START
+
+
+def test_nwb_is_what_pynwb_reads(lampest: Run, results: Path) -> None:
+    from pynwb import read_nwb, validate
+
+    path = exported(lampest, results, "nwb", "--recording", "mouth")
+    assert not validate(path=str(path))
+    session = read_nwb(str(path))
+    assert session.session_start_time.isoformat() == START and session.session_id == "mouth"
+    cases = read_results(results).of("mouth")
+    assert set(session.processing) == {"LSM", "LSR-gCR"}
+    assert_array_equal(session.acquisition["measured"].data[:], cases[0].measured)
+    for case in cases:
+        module = session.processing[case.estimator]
+        series = module["cell_resistance"]
+        assert_array_equal(series.data[:], case.cell_resistance)
+        assert_array_equal(series.timestamps[:], case.time)
+        assert series.unit == "ohm"
+        assert_array_equal(module["open_cell"].data[:], shown(case, "open_cell"))
+        assert_array_equal(module["two_point_model"].data[:], case.reading_model)
+        assert "1: cannot be told from open" in module["open_cell"].description
+        assert tuple(module["frames"]["status"].data[:]) == case.status
+        cells = module["cells"].to_dataframe()
+        assert_array_equal(cells.baseline_resistance, case.baseline_resistance.ravel())
+        assert_array_equal(cells.x_mm, 10 * cells.column)
+    session.read_io.close()
+
+
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [
-        (("--to", "xlsx"), "there is no format 'xlsx'; there are csv, parquet, mat"),
+        (("--to", "xlsx"), "there is no format 'xlsx'; there are csv, parquet, mat, zarr, nwb"),
+        (("--to", "nwb"), "an NWB file is one session: choose with --recording one of mouth, other"),
+        (("--to", "nwb", "--recording", "other"), "other says it nowhere: give it with --start"),
+        (("--to", "nwb", "--recording", "other", "--start", "2026-05-04T09:30"), "without a zone"),
+        (("--to", "csv", "--start", "yesterday"), "'yesterday' is no date and time"),
+        (("--to", "csv", "--start", "2026-05-05"), f"mouth says itself that it began at {START}"),
         (("--to", "csv", "--recording", "third"), "no recording is called 'third'; there are mouth, other"),
         (("--to", "csv", "--out", "r.h5"), "r.h5: is what is read; give what is written another name"),
     ],
@@ -196,10 +246,23 @@ def test_wrong_input_of_export(
     assert [path.name for path in results.parent.iterdir()] == ["r.h5"], "nothing is written"
 
 
-def test_a_library_that_is_missing_is_named(results: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "pyarrow", None)
-    with pytest.raises(InputError, match=r"^pyarrow is not installed; pip install 'lampest\[export\]' brings it$"):
-        export_results(results, "parquet", recording="mouth")
+def test_a_start_that_is_given_is_kept(lampest: Run, results: Path) -> None:
+    from pynwb import read_nwb
+
+    session = read_nwb(str(exported(lampest, results, "nwb", "--recording", "other", "--start", START)))
+    assert session.session_start_time.isoformat() == START
+    session.read_io.close()
+
+
+@pytest.mark.parametrize(
+    ("library", "to"), [("pyarrow", "parquet"), ("zarr.storage", "zarr"), ("xarray", "zarr"), ("pynwb", "nwb")]
+)
+def test_a_library_that_is_missing_is_named(
+    results: Path, monkeypatch: pytest.MonkeyPatch, library: str, to: str
+) -> None:
+    monkeypatch.setitem(sys.modules, library, None)
+    with pytest.raises(InputError, match=rf"^{library} is not installed; pip install 'lampest\[export\]' brings it$"):
+        export_results(results, to, recording="mouth")
     assert [path.name for path in results.parent.iterdir()] == ["r.h5"]
 
 
@@ -214,3 +277,22 @@ def test_an_export_that_fails_leaves_neither_of_its_files(results: Path) -> None
     with pytest.raises(InputError, match=r"r\.txt: no"):
         export_results(results, Broken())
     assert [path.name for path in results.parent.iterdir()] == ["r.h5"]
+
+
+def test_who_was_measured_is_in_nwb(tmp_path: Path) -> None:
+    from pynwb import read_nwb
+
+    case = invented_case("LSM", "mouth", (2, 3, 4), start_time=START)
+    scene = dataclasses.replace(
+        case.scene,
+        subject=MeasuredSubject(id="L7", species="Petromyzon marinus", length_mm=420.0, mass_g=150.0),
+        experiment=Experiment(title="attachment", experimenter="Doe, Jane", water_temperature_celsius=12.5),
+    )
+    write_results(tmp_path / "r.h5", [dataclasses.replace(case, scene=scene)])
+    (path,) = export_results(tmp_path / "r.h5", "nwb")
+    session = read_nwb(str(path))
+    assert (session.subject.subject_id, session.subject.species) == ("L7", "Petromyzon marinus")
+    assert (session.subject.weight, session.subject.description) == ("0.15 kg", "420 mm long")
+    assert session.experiment_description == "attachment; water at 12.5 degrees Celsius"
+    assert session.experimenter == ("Doe, Jane",)
+    session.read_io.close()

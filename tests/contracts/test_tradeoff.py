@@ -17,7 +17,7 @@ def test_command_writes_table_samples_and_figure(
     config = tmp_path / "one.yaml"
     config.write_text(
         "schema: 1\nrecordings: [small.h5]\nestimators: {LSM: {terms: {misfit: {}}}}\n"
-        "formulations: [scaled, reduced]\nframes: 2\nrepeats: 1\n"
+        "formulations: [scaled, reduced]\nframes: 2\nrepeats: 1\nmemory: LSM\n"
     )
     done = lampest("study", "tradeoff", config, "--out", tmp_path / "out")
     assert done.code == 0, done.err
@@ -25,6 +25,7 @@ def test_command_writes_table_samples_and_figure(
     with (tmp_path / "out" / "tradeoff.csv").open() as stream:
         rows = list(csv.DictReader(stream))
     assert {row["formulation"] for row in rows} == {"scaled", "reduced"}
+    assert all(float(row["memory_mb"]) > 10 for row in rows)
     assert (tmp_path / "out" / "tradeoff.png").read_bytes().startswith(b"\x89PNG")
     with h5py.File(tmp_path / "out" / "tradeoff.h5") as file:
         group = file["entry/frames"]
@@ -39,7 +40,7 @@ def test_command_writes_table_samples_and_figure(
 @pytest.mark.parametrize(
     ("old", "new", "place", "words"),
     [
-        ("linearised,", "linearized,", "9:", "formulations.2"),
+        ("region,", "regoin,", "9:", "formulations.4"),
         ("steps: 2", "steps: 0", "9:", "formulations.3"),
         (" reduced,", "", ":", "reduced"),
         ("scaled,", "naive,", ":", "twice"),

@@ -50,6 +50,7 @@ FORMULATIONS: list[MethodName] = [
     "scaled",
     "linearised",
     "truncated",
+    "region",
     "oral_disc",
 ]
 

@@ -14,6 +14,7 @@ from lampest.report.page.measures import (
     COVERED,
     SPREAD,
     block_length,
+    disagreements,
     figures,
     mean_interval,
     picks,
@@ -85,6 +86,25 @@ def test_blocks_widen_the_interval_of_frames_that_remember() -> None:
     assert block_length(np.ones((30, 2))) == 4 and block_length(np.ones((1, 2))) == 1
     slow = np.sin(np.arange(300) / 40)
     assert 30 < block_length(np.stack([slow, -slow], axis=1)) <= 100
+
+
+def with_change(estimator: str, change: float, below: float, above: float) -> CaseResult:
+    case = invented_case(estimator, shape=SHAPE)
+    values = np.full(SHAPE, change)
+    ends = {"relative_change_lower": values - below, "relative_change_upper": values + above}
+    return dataclasses.replace(case, relative_change=values, **ends)
+
+
+def test_estimates_differ_where_their_joint_interval_excludes_zero() -> None:
+    """Two normal errors of 3 and 4: the difference has 5. Unequal arms: those that face each other count."""
+    for change, told in ((1.96 * 5 + 0.01, True), (1.96 * 5 - 0.01, False)):
+        pair = disagreements([with_change("A", change, 1.96 * 3, 1.96 * 3), with_change("B", 0.0, 1.96 * 4, 1.96 * 4)])
+        assert np.all(np.isfinite(pair[0].significant) == told) and pair[0].share == 100 * told
+    facing = [with_change("A", 6.0, 3.0, 1e6), with_change("B", 0.0, 1e6, 4.0)]
+    assert disagreements(facing)[0].share == 100 and disagreements(facing[::-1])[0].share == 100
+    assert np.all(disagreements(facing[::-1])[0].significant == -6)
+    assert disagreements([with_change("A", 6.0, 3.0, np.inf), with_change("B", 0.0, 1.0, np.inf)])[0].share == 0
+    assert disagreements([invented_case("A"), with_change("B", 0.0, 1.0, 1.0)]) == ()
 
 
 def test_prediction_error_is_what_fresh_readings_deviate_by() -> None:

@@ -13,6 +13,7 @@ from lampest.cost.terms import Misfit
 from lampest.estimate.sequence import first_stream
 from lampest.files.errors import InputError
 from lampest.panel.panel import Panel
+from lampest.recording.recording import Recording
 from lampest.runs.config import Terms
 from lampest.solvers.multistart import evaluated
 from lampest.solvers.solution import Settings
@@ -28,6 +29,7 @@ read_bench = read_settings(BenchFile)
 TINY = """\
 schema: 1
 sizes: [3, [2, 4]]
+recordings: 2
 frames: 2
 repeats: 2
 limits: {nodal: 3, scipy_exact: 4, scipy_difference: 3, scipy_lbfgsb: 3, joint: 3}
@@ -50,13 +52,15 @@ def alone() -> BenchLimits:
     return replace(BenchLimits(), **dict.fromkeys(SOLVERS[1:], 0))
 
 
-def timed(side: int, seconds: list[float], method: str = "LSM", solver: str = "reduced") -> list[BenchFrame]:
+def timed(
+    side: int, seconds: list[float], method: str = "LSM", solver: str = "reduced", number: int = 0
+) -> list[BenchFrame]:
     """Frames in sequence that took so many s."""
     return [
         BenchFrame(
             rows=side,
             columns=side,
-            recording="mouth",
+            recording=str(number),
             method=method,
             solver=solver,
             frame=frame,
@@ -75,9 +79,14 @@ def timed(side: int, seconds: list[float], method: str = "LSM", solver: str = "r
 
 @pytest.mark.slow
 def test_all_solvers_agree_where_they_say_they_solved(tiny: Bench) -> None:
-    assert {(one.shape, one.solver, one.frame) for one in tiny.frames} == {
-        *(((3, 3), solver, frame) for solver in SOLVERS for frame in range(3)),
-        *(((2, 4), name, frame) for name in ("reduced", "scipy_exact") for frame in range(3)),
+    assert {(one.shape, one.solver, one.recording, one.frame) for one in tiny.frames} == {
+        *(((3, 3), solver, number, frame) for solver in SOLVERS for number in "01" for frame in range(3)),
+        *(
+            ((2, 4), name, number, frame)
+            for name in ("reduced", "scipy_exact")
+            for number in "01"
+            for frame in range(3)
+        ),
     }
     for one in tiny.frames:
         assert one.seconds > 0 and one.inverse_s > 0 and one.gap >= 0
@@ -97,7 +106,7 @@ def test_rows_are_ratios_of_medians(tiny: Bench) -> None:
     for (high, wide, method, _, first), row in found.items():
         reduced = found[high, wide, method, "reduced", first]
         assert row.ratio == pytest.approx(row.ms / reduced.ms)
-        assert row.count == (5 if method == "all" else 1) * (1 if first else 2)
+        assert row.count == (5 if method == "all" else 1) * (2 if first else 4)
         assert row.ms_quartile_1 <= row.ms <= row.ms_quartile_3
         assert row.verified <= row.solved <= row.count
     assert found[3, 3, "LSR-dCR", "reduced", True].frames == "pair"
@@ -108,6 +117,22 @@ def test_rows_are_ratios_of_medians(tiny: Bench) -> None:
 def test_a_solver_alone_is_given_no_gap() -> None:
     found = bench_rows(run_bench(BenchFile(1, (3,), frames=1, repeats=1, limits=alone()), quiet).frames)
     assert {row.solver for row in found} == {"reduced"} and all(row.gap is None for row in found)
+
+
+def test_recordings_differ_and_follow_from_the_seed() -> None:
+    bench = BenchFile(1, (12,))
+
+    def load(recording: Recording) -> np.ndarray:
+        assert recording.truth_pressure is not None
+        return recording.truth_pressure
+
+    mouth, rods, growing, again = (bench.recording((12, 12), number) for number in range(4))
+    np.testing.assert_array_equal(mouth.recorded, bench.recording((12, 12)).recorded)
+    assert load(mouth).min() < -5 and load(growing).min() < -5
+    assert load(rods).min() == 0 and load(rods).max() > 2
+    assert np.all(np.diff(np.abs(load(growing)).sum(axis=(1, 2))[3:]) > 0)
+    assert not np.array_equal(mouth.recorded, again.recorded)
+    np.testing.assert_array_equal(load(mouth), load(again))
 
 
 def test_growth_is_the_slope_of_the_logarithms() -> None:
@@ -141,14 +166,16 @@ def test_all_methods_are_told_together_only_where_none_was_left_out() -> None:
 
 
 def test_what_there_is_no_time_for_is_left_out_and_named() -> None:
-    bench = BenchFile(1, (3, 40), frames=3, repeats=1, budget_s=1e-3, limits=alone())
+    bench = BenchFile(1, (3, 40), recordings=2, frames=3, repeats=1, budget_s=1e-3, limits=alone())
+    bench = replace(bench, memory=(3,))
     found = run_bench(bench, quiet)
     # The first task of every method knows nothing of its time: it is begun, and stops after its first frame.
-    assert {(one.shape, one.frame) for one in found.frames} == {((3, 3), 0)}
+    assert {(one.shape, one.recording, one.frame, one.memory_mb) for one in found.frames} == {((3, 3), "0", 0, None)}
     named = {(shape, what) for shape, _, what in found.left_out}
-    assert {((3, 3), "after 1 of 4 frames"), ((40, 40), "every frame")} <= named
+    assert {((3, 3), "recording 1 after 1 of 4 frames"), ((40, 40), "recording 1"), ((3, 3), "recording 2")} <= named
+    assert ((3, 3), "memory of reduced") in named
     remarks = bench_remarks(found)
-    assert "left out, would not end within 0.001 s: every frame: all methods at 40 × 40" in remarks
+    assert "left out, would not end within 0.001 s: recording 2: all methods at 3 × 3, 40 × 40" in remarks
     assert any(line.startswith("not run beyond these sides (limits): nodal 0, ") for line in remarks)
 
 
@@ -157,20 +184,23 @@ def test_a_larger_panel_is_guessed_from_the_next_smaller_one() -> None:
     done = [
         *timed(10, [8.0, 1.0]),
         *timed(20, [2.0, 1.5]),
+        *timed(20, [3.0, 1.5], number=1),
         *timed(20, [99.0, 99.0], method="LSR-CR"),
         *timed(10, [77.0, 1.0], solver="nodal"),
     ]
-    assert BenchPart((40, 40), "LSM").expected_s(bench, done) == pytest.approx(8 * 3.5)
-    assert BenchPart((20, 20), "LSM").expected_s(bench, done[:2]) == pytest.approx(8 * 9.0)
-    assert BenchPart((10, 10), "LSR-gCR").expected_s(bench, done) == 0
+    assert BenchPart(1, (20, 20), "LSM").expected_s(bench, done) == pytest.approx(4.0)
+    assert BenchPart(0, (40, 40), "LSM").expected_s(bench, done) == pytest.approx(8 * 4.0)
+    assert BenchPart(0, (20, 20), "LSM").expected_s(bench, done[:2]) == pytest.approx(8 * 9.0)
+    assert BenchPart(0, (10, 10), "LSM").expected_s(bench, done) == pytest.approx(9.0 + 78.0)
+    assert BenchPart(0, (10, 10), "LSR-gCR").expected_s(bench, done) == 0
 
 
 def test_progress_is_told_before_each_part() -> None:
     told: list[tuple[int, int, str]] = []
-    bench = BenchFile(1, (3,), frames=1, repeats=1, limits=alone())
+    bench = BenchFile(1, (3,), recordings=2, frames=1, repeats=1, limits=alone())
     run_bench(bench, lambda *about: told.append(about))
-    assert told[0] == (0, 5, "3 × 3 LSM")
-    assert told[-1] == (4, 5, "3 × 3 LSR-gdCR") and len(told) == 5
+    assert told[0] == (0, 10, "3 × 3 LSM, recording 1")
+    assert told[-1] == (9, 10, "3 × 3 LSR-gdCR, recording 2") and len(told) == 10
 
 
 def pages(bench: Bench) -> str:

@@ -12,10 +12,10 @@ from lampest.solvers.preconditioners import Cholesky
 from lampest.studies.bench import BenchFile
 
 
-def counted(monkeypatch: pytest.MonkeyPatch, method: str, seed: int) -> dict[str, int]:
+def counted(monkeypatch: pytest.MonkeyPatch, method: str, number: int) -> dict[str, int]:
     """How often the third frame of a recording evaluates the cost, multiplies by ∇²φ, and factors it."""
-    bench = BenchFile(schema=1, sizes=(8,), seed=seed)
-    recording = bench.recording((8, 8))
+    bench = BenchFile(schema=1, sizes=(8,))
+    recording = bench.recording((8, 8), number)
     readings, estimator = recording.readings(), bench.estimator(method, "reduced", (8, 8))
     stream = first_stream(recording, readings, estimator)
     first, second, third = recording.measured_frames()[:3]
@@ -51,9 +51,9 @@ def watch(monkeypatch: pytest.MonkeyPatch, counts: dict[str, int]) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [1, 2])
-def test_second_derivatives_are_factored_once_and_serve(monkeypatch: pytest.MonkeyPatch, seed: int) -> None:
-    counts = counted(monkeypatch, "LSR-gdCR", seed)
+@pytest.mark.parametrize("number", [0, 1])
+def test_second_derivatives_are_factored_once_and_serve(monkeypatch: pytest.MonkeyPatch, number: int) -> None:
+    counts = counted(monkeypatch, "LSR-gdCR", number)
     assert counts["of"] == 1
     assert counts["product"] <= 7  # 8 where ∇²φ is factored at the end alone
     assert counts["elsewhere"] <= 4  # 5 where the last point is evaluated again

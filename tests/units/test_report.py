@@ -76,7 +76,7 @@ class Page(HTMLParser):
 def test_page_needs_nothing_else() -> None:
     page = Page(report(batch(*(certain(invented_case(method)) for method in METHODS[:3]))))
     assert not {tag for tag, _ in page.tags} & {"script", "iframe", "object", "embed", "base", "form"}
-    assert len(page.values("src")) == 3 and all(uri.startswith("data:image/") for uri in page.values("src"))
+    assert len(page.values("src")) == 4 and all(uri.startswith("data:image/") for uri in page.values("src"))
     assert all(href.startswith(("#", "data:,")) for href in page.values("href"))
     anchors = page.values("id")
     assert len(anchors) == len(set(anchors)) and {href[1:] for href in page.values("href") if href[0] == "#"} <= {
@@ -89,7 +89,7 @@ def test_page_needs_nothing_else() -> None:
 
 def test_nothing_is_recommended_without_truth_and_noise() -> None:
     page = Page(report(batch(*(invented_case(method, truth=False, weights={}) for method in METHODS[:2]))))
-    assert "do not tell which estimator" in page.text
+    assert "differ significantly cannot be told" in page.text and "do not tell which estimator" in page.text
 
 
 def test_what_comes_from_files_is_text() -> None:
@@ -131,6 +131,29 @@ def test_many_recordings_are_shown_in_part_and_the_page_says_which() -> None:
     assert "All figures for the first 6 of 8 recordings." in page.text
     assert sum(tag == "details" for tag, _ in page.tags) == 1 + 2 + 2  # recordings compared, others, what was run
     assert all(f"r{number}" in page.text for number in range(8)) and "smallest in, of 8" in page.text
+
+
+@pytest.mark.slow
+def test_copies_of_a_recording_are_no_further_recordings() -> None:
+    """Two recordings and a copy of one, under another name and without its last frame, are two."""
+    cases = [invented_case(name, f"r{number}", (4, 3, 3)) for number in range(2) for name in ("A", "B")]
+
+    def cut(case: CaseResult) -> CaseResult:
+        shorter = {
+            field.name: value[:3]
+            for field in dataclasses.fields(case)
+            if isinstance(value := getattr(case, field.name), np.ndarray | tuple) and len(value) == 4
+        }
+        maps = {name: {term: value[:3] for term, value in getattr(case, name).items()} for name in ("costs", "weights")}
+        return dataclasses.replace(case, recording="again", **shorter, **maps)
+
+    alone, copied = batch(*cases), batch(*cases, *(cut(case) for case in cases[:2]))
+    said = "Not compared: again, whose readings are those of r0: a copy does not count again."
+    page, before = Page(report(copied)).text, Page(report(alone)).text
+    assert said in page and said not in before
+    assert "2 recordings only" in page and "2 recordings only" in before
+    together = "All recordings together Medians"
+    assert page.split(together)[1].split("All figures")[0][:400] == before.split(together)[1][:400]
 
 
 @pytest.mark.slow

@@ -4,19 +4,24 @@ A package adds formats by naming them in the entry point group `lampest.exports`
 `export_results`.
 """
 
+from collections.abc import Sequence
 from contextlib import ExitStack
+from dataclasses import replace
+from datetime import datetime
 from pathlib import Path
 
 from lampest.files.errors import InputError
 from lampest.files.typed import installed, of_kind, typed
 from lampest.files.whole import refuse_inputs, sparing, whole_file
-from lampest.report.export.arrays import MatlabExport
+from lampest.report.export.arrays import MatlabExport, ZarrExport
 from lampest.report.export.export import Export
+from lampest.report.export.nwb import NwbExport
 from lampest.report.export.tables import CsvExport, ParquetExport
+from lampest.runs.case import CaseResult
 from lampest.runs.results import read_results
 
 __all__ = ["EXPORTS", "Export", "export_results"]
-EXPORTS: tuple[Export, ...] = (CsvExport(), ParquetExport(), MatlabExport())
+EXPORTS: tuple[Export, ...] = (CsvExport(), ParquetExport(), MatlabExport(), ZarrExport(), NwbExport())
 
 
 @typed
@@ -25,12 +30,14 @@ def export_results(
     to: str | Export,
     out: str | Path | None = None,
     recording: str | None = None,
+    start: str | None = None,
     frames: range | None = None,
 ) -> tuple[Path, ...]:
     """Write a results file in another format, whole or not at all: the files that were written.
 
-    to : csv, parquet, mat, or an Export of your own. out : the file; by default beside the results, with the format's
-    suffix. recording : this one alone. frames : as `read_results` takes them.
+    to : csv, parquet, mat, zarr, nwb, or an Export of your own. out : the file; by default beside the results, with the
+    format's suffix. recording : this one alone. start : date and time at 0 s, ISO 8601, of recordings that do not say.
+    frames : as `read_results` takes them.
 
     Raises InputError where the results are damaged, hold no such recording, do not fit the format, or the place cannot
     be written, and where a library is missing.
@@ -46,9 +53,23 @@ def export_results(
     with sparing((source,)), ExitStack() as files:
         refuse_inputs(written)
         read = read_results(source, frames=frames)
-        cases = read.cases if recording is None else read.of(recording)
+        cases = _started(read.cases if recording is None else read.of(recording), start)
         if not cases:
             raise InputError(f"{source}: holds no case that could be exported")
         unfinished = [files.enter_context(whole_file(one)) for one in written[::-1]]
         export.write(cases, path.name, unfinished[-1], unfinished[0] if export.beside else None)
     return written
+
+
+def _started(cases: Sequence[CaseResult], start: str | None) -> tuple[CaseResult, ...]:
+    """The cases, with a start where they have none. Raises InputError where they say another, or it is no date."""
+    if start is None:
+        return tuple(cases)
+    try:
+        datetime.fromisoformat(start)
+    except ValueError as error:
+        raise InputError(f"--start: '{start}' is no date and time such as 2026-05-04T09:30:00+02:00") from error
+    for case in cases:
+        if case.start_time not in ("", start):
+            raise InputError(f"--start: {case.recording} says itself that it began at {case.start_time}")
+    return tuple(replace(case, start_time=start) for case in cases)

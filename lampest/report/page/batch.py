@@ -99,24 +99,42 @@ def _equal(one: object, other: object) -> bool:
     return one is other
 
 
+def without_copies(recordings: Recordings) -> tuple[Recordings, list[str]]:
+    """The recordings that are no copies, and a sentence on each of the others.
+
+    One is a copy of an earlier one where more than half of its frames have that one's readings, to the seven digits of
+    single precision: its frames would count twice.
+    """
+    seen: dict[str, set[bytes]] = {}
+    copies: list[str] = []
+    for name, cases in recordings.items():
+        own = [np.float32(frame).tobytes() for frame in first_of(cases).measured if np.isfinite(frame).any()]
+        before = next((one for one, held in seen.items() if sum(frame in held for frame in own) > len(own) / 2), None)
+        if before is None:
+            seen[name] = set(own)
+        else:
+            copies.append(f"{name}, whose readings are those of {before}: a copy does not count again")
+    return {name: recordings[name] for name in seen}, copies
+
+
 def matched(recordings: Recordings) -> Matched:
     """Who can be compared on what: as many estimators on as many recordings as possible, each on all of them.
 
     They have the most differences that can be paired. One that failed in more than a twentieth of the frames is left
     out, so that it does not profit from having skipped what is hard; of the others, the frames count that all solved.
     """
-    left_out: list[str] = []
-    often = Counter(name for cases in recordings.values() for name in cases)
+    kept, left_out = without_copies(recordings)
+    often = Counter(name for cases in kept.values() for name in cases)
     options = []
     for least in sorted(set(often.values()), reverse=True):
         known = [name for name, count in often.items() if count >= least]
-        options.append((known, {name: cases for name, cases in recordings.items() if {*known} <= cases.keys()}))
+        options.append((known, {name: cases for name, cases in kept.items() if {*known} <= cases.keys()}))
     names, common = max(options, key=lambda option: (len(option[0]) - 1) * len(option[1]))
     fewer = [name for name in often if name not in names]
     if fewer:
         left_out.append(f"{listed(fewer)}, for want of results of the same recordings")
-    if len(common) < len(recordings):
-        left_out.append(f"{len(recordings) - len(common)} of {len(recordings)} recordings lack some of the estimators")
+    if len(common) < len(kept):
+        left_out.append(f"{len(kept) - len(common)} of {len(kept)} recordings lack some of the estimators")
     for name in tuple(names) if common else ():
         solved = np.concatenate([cases[name].solved for cases in common.values()])
         if np.mean(solved) < 0.95:

@@ -1,8 +1,10 @@
-"""Figures of one case, and bootstrap intervals."""
+"""Figures of one case, bootstrap intervals, and where two cases differ significantly."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import combinations
 from math import ceil
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -91,3 +93,40 @@ def weighted_residual(case: CaseResult) -> Array | None:
     if case.sigma is None:
         return None
     return np.asarray(np.where(case.valued, (case.reading_model - case.measured) / case.sigma, np.nan))
+
+
+class Disagreement(NamedTuple):
+    """Two estimators of one recording.
+
+    significant : (frames, rows, columns) relative change of the first − second in percentage points where that is
+    significant, else NaN. share : of the cells of the frames that both solved where it is, percent.
+    """
+
+    title: str
+    significant: Array
+    share: float
+
+
+def disagreements(cases: Sequence[CaseResult]) -> tuple[Disagreement, ...]:
+    """Every two cases with error bars that both solved something, those that disagree most first.
+
+    a − b > √((a − a_low)² + (b_high − b)²) for a > b: Zou and Donner, Stat. Med. 27, 2008; exact if independent.
+    """
+    known = [(case, arms) for case in cases if (arms := _arms(case)) is not None]
+    pairs = []
+    for (one, (below, above)), (other, (other_below, other_above)) in combinations(known, 2):
+        both, difference = one.solved & other.solved, one.relative_change - other.relative_change
+        reach = np.where(difference > 0, np.hypot(below, other_above), np.hypot(above, other_below))
+        significant = np.where(np.abs(difference) > reach, difference, np.nan)
+        if np.any(both):
+            share = 100 * float(np.mean(np.isfinite(significant[both])))
+            pairs.append(Disagreement(f"{one.estimator} − {other.estimator}", significant, share))
+    return tuple(sorted(pairs, key=lambda pair: -pair.share))
+
+
+def _arms(case: CaseResult) -> tuple[Array, Array] | None:
+    """Distances from the estimate to the lower and the upper end of its interval, percentage points, never negative."""
+    lower, upper = case.relative_change_lower, case.relative_change_upper
+    if lower is None or upper is None:
+        return None
+    return np.maximum(case.relative_change - lower, 0.0), np.maximum(upper - case.relative_change, 0.0)

@@ -9,9 +9,9 @@ import numpy as np
 
 from lampest.files.whole import write_whole
 from lampest.report.page import pictures
-from lampest.report.page.batch import Batch, read_batch
+from lampest.report.page.batch import Batch, read_batch, without_copies
 from lampest.report.page.compared import advise, compared, doubts
-from lampest.report.page.measures import DRAWS, figures
+from lampest.report.page.measures import DRAWS, disagreements, figures
 from lampest.report.page.tables import case_table, failures, standing_table, unit_table
 from lampest.report.page.template import filled
 from lampest.report.plots.style import verbatim
@@ -39,16 +39,16 @@ def write_report(
 
 def report(batch: Batch, on_recording: Callable[[int, int], None] = lambda done, total: None) -> str:
     """The page as HTML; on_recording as `write_report` has it."""
+    own, _ = without_copies(batch.recordings)
     comparison = compared(batch, np.random.default_rng(20190604).spawn(1)[0])  # always the same draws
     advice = advise(batch, comparison)
-    recordings = batch.recordings
-    by_estimator = {name: [cases[name] for cases in recordings.values() if name in cases] for name in batch.estimators}
+    by_estimator = {name: [cases[name] for cases in own.values() if name in cases] for name in batch.estimators}
     if advice.estimator is not None:
         doubted = doubts(advice.estimator, list(map(figures, by_estimator[advice.estimator])))
         advice = replace(advice, warnings=(*advice.warnings, *doubted))
     first = [row.estimator for row in comparison.standings] if comparison else []
     drawn = [*dict.fromkeys((*first, *batch.estimators))][:MOST]
-    tasks = [(name, cases, number, drawn) for number, (name, cases) in enumerate(recordings.items())]
+    tasks = [(name, cases, number, drawn) for number, (name, cases) in enumerate(batch.recordings.items())]
     sections = each_of(_section, tasks, on_recording)
     return filled(
         "lampest.report.page",
@@ -57,11 +57,11 @@ def report(batch: Batch, on_recording: Callable[[int, int], None] = lambda done,
         comparison=comparison,
         standings=comparison and standing_table(comparison),
         units=comparison and len(comparison.units) <= 200 and unit_table(comparison),
-        together=case_table(by_estimator) if len(recordings) > 1 else None,
+        together=case_table(by_estimator) if len(own) > 1 else None,
         whole=sections[:MOST],
         others=sections[MOST:],
         most=MOST,
-        origins={name: case for cases in [*recordings.values()][::-1] for name, case in cases.items()},
+        origins={name: case for cases in [*batch.recordings.values()][::-1] for name, case in cases.items()},
         draws=DRAWS,
         counted=counted,
         digits=digits,
@@ -73,11 +73,12 @@ def _section(task: tuple[str, Mapping[str, CaseResult], int, Sequence[str]]) -> 
     name, every, number, drawn = task
     whole = number < MOST
     cases = [case for estimator, case in every.items() if estimator in drawn] or [*every.values()][:1]
-    place = strongest_index(cases)
+    place, pairs = strongest_index(cases), disagreements(cases) if whole else ()
     with verbatim():
         shown = [pictures.contours(cases)]
         if whole:
             shown += [*pictures.certainty(cases, place), pictures.misfits(cases, place)]
+            shown += pictures.differences(cases, place, pairs)
     return {
         "name": name,
         "anchor": f"recording-{number + 1}",
@@ -85,5 +86,6 @@ def _section(task: tuple[str, Mapping[str, CaseResult], int, Sequence[str]]) -> 
         "place": place,
         "table": case_table({estimator: [case] for estimator, case in every.items()}),
         "pictures": shown,
+        "undecided": whole and len(cases) > 1 and not pairs,
         "failed": failures([*every.values()]),
     }

@@ -6,12 +6,13 @@ from typing import Literal
 
 import numpy as np
 
-from lampest.report.page.measures import weighted_residual
+from lampest.report.page.measures import Disagreement, weighted_residual
 from lampest.report.plots.contours import CertaintyPlot, ContourPlot
 from lampest.report.plots.maps import Scale, Tile, maps_figure, signed_scale, values_of
 from lampest.report.plots.plot import Plot
 from lampest.report.plots.style import HALF_INCH, data_uri
 from lampest.report.strongest import percent_change
+from lampest.report.words import digits
 from lampest.runs.case import CaseResult
 
 CHANGED = "Relative change of resistance against the unloaded panel."
@@ -21,6 +22,10 @@ CERTAIN = (
 )
 UNEXPLAINED = (
     "What the model leaves unexplained. A pattern means an effect that the model lacks, or too strong a penalty."
+)
+DIFFERENT = (
+    "Where two estimators differ by more than their joint 95 % interval (grey: they do not); in the titles, the share "
+    "of cells over all frames. One in twenty is to be expected by chance, or fewer: both rest on the same readings."
 )
 
 
@@ -59,6 +64,14 @@ def misfits(cases: Sequence[CaseResult], place: int) -> Illustration:
         Tile(case.estimator, own[place] if own is not None and case.solved[place] else None) for case, own in pairs
     ]
     return _maps(cases, tiles, signed_scale(values_of(tiles), label, least), "the residuals", UNEXPLAINED)
+
+
+def differences(cases: Sequence[CaseResult], place: int, found: Sequence[Disagreement]) -> list[Illustration]:
+    """Maps of the pairs that disagree most, those first; none of no pairs."""
+    tiles = [Tile(pair.title, pair.significant[place], f"{digits(pair.share, 2)} %") for pair in found[:9]]
+    most = f" The 9 of {len(found)} pairs that differ most." if len(found) > 9 else ""
+    scale = signed_scale(values_of(tiles), "difference of relative change [percentage points]", 1.0, 100.0)
+    return [_maps(cases, tiles, scale, "significant differences", DIFFERENT + most)] if tiles else []
 
 
 def _wide(plot: Plot, cases: Sequence[CaseResult], words: str, caption: str) -> Illustration:

@@ -1,9 +1,12 @@
-"""Judges of an estimate that share no code with the solvers: the exact forward map, and another test of optimality."""
+"""Judges of an estimate that share no code with the solvers: 50 digits, and another test of optimality."""
 
 import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from lampest.cost.cost import Cost
 from lampest.cost.problem import Data, Evaluation
+from lampest.files.errors import extra
 from lampest.panel.panel import Array
 from lampest.panel.readouts.star_mesh import exact_two_point_resistance
 
@@ -19,6 +22,35 @@ def correct_digits(found: Array, certified: Array) -> float:
         error = np.where(found == certified, 0.0, np.abs(found / certified - 1))
         worst = float(np.max(np.where(np.isnan(error), np.inf, error), initial=0.0))
         return float(np.clip(-np.log10(worst), 0.0, 15.0))
+
+
+def fifty_digits(cells: Array) -> Array:
+    """R = f(r) of (rows, columns) ohm in 50 digits; cells positive, infinite ones open, zeros shorts.
+
+    Lines that nothing connects have R = inf. Raises InputError where mpmath is not installed.
+    """
+    with extra("extremes"):
+        import mpmath
+    rows, columns = cells.shape
+    conducting = coo_array(np.isfinite(cells))
+    lines = (conducting.row, rows + conducting.col)
+    graph = coo_array((conducting.data, lines), shape=(rows + columns,) * 2)
+    part = connected_components(graph, directed=False)[1]
+    resistance = np.where(cells == 0, 0.0, np.inf)
+    with mpmath.workdps(50):
+        # A tie of each part's first line to ground carries no current; a short stands for 10⁻²⁵ ohm.
+        matrix = mpmath.diag([int(line == np.argmax(part == part[line])) for line in range(rows + columns)])
+        for row, column in zip(*lines, strict=True):
+            ohm = float(cells[row, column - rows])
+            conductance = 1 / mpmath.mpf(ohm) if ohm else mpmath.mpf(10) ** 25
+            for j, k in ((row, column), (column, row)):
+                matrix[j, j] += conductance
+                matrix[j, k] -= conductance
+        inverse = mpmath.inverse(matrix)
+        for row, column in np.argwhere((part[:rows, None] == part[rows:]) & (cells > 0)):
+            k = rows + column
+            resistance[row, column] = float(inverse[row, row] + inverse[k, k] - 2 * inverse[row, k])
+    return resistance
 
 
 def exact_cost(cost: Cost, data: Data, cells: Array, two_point: Array | None = None) -> float:

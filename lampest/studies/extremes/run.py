@@ -14,10 +14,10 @@ from lampest.estimate.state import Step
 from lampest.estimate.stream import Stream
 from lampest.files.errors import InputError
 from lampest.panel.panel import Array
-from lampest.panel.readouts.star_mesh import exact_two_point_resistance
+from lampest.panel.readouts.star_mesh import exact_two_point_resistance, two_point_resistance
 from lampest.recording.recording import Recording
 from lampest.solvers.solution import VERIFIED
-from lampest.studies.extremes.judges import correct_digits, exact_cost, exact_residual, exact_scale
+from lampest.studies.extremes.judges import correct_digits, exact_cost, exact_residual, exact_scale, fifty_digits
 from lampest.studies.extremes.scenes import AtlasFile, AtlasSample, AtlasTask, recording_of
 from lampest.studies.study import OnStep, column, of_tasks
 
@@ -37,6 +37,7 @@ class Solve(AtlasSample):
     residual: float = column("1", "KKT residual of the accepted estimate", nan)
     audited: float = column("1", "the same by differences of the exact forward map; NaN on large panels", nan)
     excess: float = column("1", "cost of the estimate over that of the truth within the bounds, scaled", nan)
+    forward_digits: float = column("1", "LRE of the forward map, 50 digits", nan)
     model_digits: float = column("1", "LRE of the estimate's two-point resistance", nan)
 
     @property
@@ -56,7 +57,11 @@ class Solve(AtlasSample):
 
 
 def run_atlas(atlas: AtlasFile, on_step: OnStep = lambda done, total: None) -> tuple[Solve, ...]:
-    """Measure everything, in the order of the atlas. on_step is called with how many of how many scenes are done."""
+    """Measure everything, in the order of the atlas. on_step is called with how many of how many scenes are done.
+
+    Raises InputError where mpmath is not installed.
+    """
+    fifty_digits(np.ones((1, 1)))
 
     def lost(task: AtlasTask, error: object) -> Solve:
         return _failed(task.sample, "", "", "", f"{CRASHED}{type(error).__name__}: {error}")
@@ -68,6 +73,7 @@ def solves_of(task: AtlasTask) -> tuple[Solve, ...]:
     """All solves of one scene."""
     sample, atlas = task.sample, task.atlas
     recording, scene = recording_of(sample)
+    forward = min(correct_digits(two_point_resistance(cells), fifty_digits(cells)) for cells in scene.cells)
     solves: list[Solve] = []
     for formulation in task.formulations:
         for name, method in atlas.estimators.items():
@@ -81,7 +87,7 @@ def solves_of(task: AtlasTask) -> tuple[Solve, ...]:
                 solves.append(_failed(sample, name, formulation, "frame", f"{REFUSED}{error}"))
             except Exception as error:  # whatever it is, the atlas shows it
                 solves.append(_failed(sample, name, formulation, "frame", f"{CRASHED}{type(error).__name__}: {error}"))
-    return tuple(solves)
+    return tuple(replace(solve, forward_digits=forward) for solve in solves)
 
 
 def _failed(sample: AtlasSample, method: str, formulation: str, part: str, status: str) -> Solve:

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from matplotlib.figure import Figure
 
-from lampest.loads.response import relative_change_from_pressure
+from lampest.loads.response import ratio_from_pressure, relative_change_from_pressure
 from lampest.panel.film import Film
 from lampest.panel.panel import Array, Panel
 from lampest.report.compare import Table
@@ -27,6 +27,7 @@ STEPS = (
     (("data error", "%", "error_percent", "error"), ("its standard deviation", "%", "error_sd_percent", "error_sd")),
     (("time", "s", "time_s", "time"),),
 )
+COLOURS = ("#222222", "#0072B2", "#E69F00", "#009E73")
 
 
 class Paper(NamedTuple):
@@ -44,7 +45,7 @@ def paper_study(folder: Path, jobs: int | None) -> Study[Published, Paper]:
     def measured(published: Published, on_step: OnStep) -> Paper:
         sides = all_sides(folder, published, jobs, on_step)
         names = tuple(side.name for side in sides)
-        pictures = {"fig1e": response_figure(published)}
+        pictures = {"fig1e": response_figure(published), "fig2": bending_figure(published)}
         for side in sides:
             for name, tiles in tiles_of(side, published).items():
                 if name != "fig6" or side.word != "solver":  # its scenes are those of the paper's panel
@@ -188,6 +189,32 @@ def response_figure(published: Published) -> Figure:
             [part.from_kpa, part.to_kpa], [part.per_kpa] * 2, color=style.ORANGE, lw=3, alpha=0.6, solid_capstyle="butt"
         )
     style.dressed(inset, "pressure [kPa]", "sensitivity S [1/kPa]")
+    return figure
+
+
+def bending_figure(published: Published) -> Figure:
+    """Figure 2-a and 2-d: unloaded resistance over curvature, and the answer of bent cells up to 40 kPa."""
+    figure = style.new_figure(2.9)
+    left, right = figure.subplots(1, 2)
+    curvature = np.linspace(0, published.bent_cells[-1].curvature_per_m, 120)
+    unloaded = published.bent_cells[0].ohm * np.array([Film(curvature_per_m=float(one)).lowering for one in curvature])
+    left.plot(curvature, unloaded, color=style.BLUE, lw=1.2, label="lampest")
+    points = [(cell.curvature_per_m, cell.ohm) for cell in published.bent_cells]
+    left.plot(*zip(*points, strict=True), "o", color=style.ORANGE, ms=4.5, label="published")
+    left.set_yscale("log")
+    left.set_yticks([300, 500, 1000, 2000, 3000], ["300", "500", "1000", "2000", "3000"])
+    left.minorticks_off()
+    left.legend(fontsize=style.SMALL_POINT, frameon=False)
+    style.dressed(left, "curvature [1/m]", "unloaded resistance R₀ [ohm]")
+    pressures = np.linspace(0.0, 40.0, 161)
+    for cell, colour in zip(published.bent_cells, COLOURS, strict=True):
+        answer = Film(curvature_per_m=cell.curvature_per_m).answer
+        change = 100 * (ratio_from_pressure(pressures) ** answer - 1)
+        name = "flat" if cell.radius_mm is None else f"radius {cell.radius_mm:g} mm"
+        right.plot(pressures, change, color=colour, lw=1.1, label=name)
+        right.plot(40, cell.percent, "o", color=colour, ms=4.5, clip_on=False)
+    right.legend(fontsize=style.SMALL_POINT, frameon=False, title="dots: published", title_fontsize=style.SMALL_POINT)
+    style.dressed(right, "pressure [kPa]", CHANGE)
     return figure
 
 

@@ -50,6 +50,7 @@ class BentCell(NamedTuple):
     curvature_per_m: float
     ohm: float
     percent: float
+    radius_mm: float | None = None
 
 
 class LoadMap(NamedTuple):

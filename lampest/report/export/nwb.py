@@ -1,0 +1,117 @@
+"""NWB (Neurodata Without Borders): one session, every estimator a processing module."""
+
+import hashlib
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from datetime import datetime
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+
+from lampest.files.errors import InputError, extra
+from lampest.panel.conditions import Experiment, MeasuredSubject
+from lampest.report.export.export import Export
+from lampest.runs.case import CaseResult, about, series_of
+from lampest.runs.columns import CELLS
+from lampest.runs.held import TIME, all_columns
+
+
+class NwbExport(Export):
+    """What was measured stands under acquisition, what an estimator made of it in the module of its name.
+
+    Maps and numbers of frames are TimeSeries (time × rows × columns), sentences stand in a table of frames, maps that
+    have no time in a table of cells with their positions in mm. The format holds one session that knows when it began.
+    """
+
+    kind: ClassVar[str] = "nwb"
+    suffix: ClassVar[str] = ".nwb"
+
+    def write(self, cases: Sequence[CaseResult], name: str, path: Path, beside: Path | None) -> None:
+        """The session. Raises InputError also where there are several recordings, or none says when it began."""
+        with extra("export"):
+            from pynwb import NWBHDF5IO
+        recordings = dict.fromkeys(case.recording for case in cases)
+        if len(recordings) > 1:
+            raise InputError(f"an NWB file is one session: choose with --recording one of {', '.join(recordings)}")
+        session = _session(cases)
+        for element in _elements(cases[0], shared=True):
+            session.add_acquisition(element)
+        for case in cases:
+            words = "\n".join(f"{name}: {text}" for name, text in about(case).items() if name != "scene")
+            called = case.estimator.replace(":", "_").replace("/", "_")  # NWB allows neither
+            session.create_processing_module(name=called, description=words).add([*_elements(case, shared=False)])
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", ".*does not end in '.nwb'")  # it will, once it is whole
+            with NWBHDF5IO(path, mode="w") as file:
+                file.write(session)
+
+
+def _session(cases: Sequence[CaseResult]) -> Any:
+    """Who was measured, when and for what. Raises InputError where nobody says when it began, or not in which zone."""
+    from pynwb import NWBFile
+    from pynwb.file import Subject
+
+    first, subject, experiment = cases[0], cases[0].scene.subject, cases[0].scene.experiment or Experiment()
+    start = None
+    with suppress(ValueError):
+        start = datetime.fromisoformat(first.start_time)
+    if start is None or start.tzinfo is None:
+        said = f"at {first.start_time}, without a zone" if first.start_time else "nowhere"
+        raise InputError(
+            f"an NWB file says when a session began; {first.recording} says it {said}: give it with "
+            "--start 2026-05-04T09:30:00+02:00"
+        )
+    celsius = experiment.water_temperature_celsius
+    water = "" if celsius is None else f"water at {celsius:g} degrees Celsius"
+    together = first.recording + "".join(case.case_id for case in cases)
+    return NWBFile(
+        session_description=f"cells of a resistive panel estimated from its readings, recording {first.recording}",
+        identifier=hashlib.sha256(together.encode()).hexdigest()[:32],
+        session_start_time=start,
+        session_id=first.recording,
+        notes=about(first)["scene"],
+        experiment_description="; ".join(filter(None, (experiment.title, water, experiment.note))) or None,
+        experimenter=(experiment.experimenter,) if experiment.experimenter else None,
+        institution=experiment.institution or None,
+        subject=None if subject is None else Subject(**_described(subject)),
+    )
+
+
+def _described(subject: MeasuredSubject) -> dict[str, str | None]:
+    length = "" if subject.length_mm is None else f"{subject.length_mm:g} mm long"
+    return {
+        "subject_id": subject.id or None,
+        "species": subject.species or None,
+        "weight": None if subject.mass_g is None else f"{subject.mass_g / 1000:g} kg",
+        "description": "; ".join(filter(None, (length, subject.note))) or None,
+    }
+
+
+def _elements(case: CaseResult, shared: bool) -> Iterator[Any]:
+    """A series for every number over time, a table of frames for texts, a table of cells for what has no time."""
+    from hdmf.common import DynamicTable, VectorData
+    from pynwb import TimeSeries
+
+    every = series_of(case, all_columns()).values()
+    held = [one for one in every if one.shared == shared and one.name != TIME.name]
+    for one in held:
+        if one.dtype is not str and one.axes != CELLS:
+            known = {"name": one.name, "unit": one.units, "description": one.meaning}
+            yield TimeSeries(data=one.stored, timestamps=case.time, **known)
+    (rows, lines), (x, y) = np.indices(case.scene.panel.shape), case.scene.panel.places_mm
+    places = [("row", "row line", rows), ("column", "column line", lines)]
+    places += [("y_mm", "position of the cell, mm", y), ("x_mm", "position of the cell, mm", x)]
+    time = [("time", "time of the frame, s", case.time)]
+    for name, words, first, wanted in (
+        ("frames", "what frames say in words", time, [one for one in held if one.dtype is str]),
+        ("cells", "what has no time", places, [one for one in held if one.axes == CELLS]),
+    ):
+        columns = [*first, *((one.name, f"{one.meaning}, {one.units}", one.values) for one in wanted)]
+        vectors = [
+            VectorData(name=called, description=text, data=list(one) if isinstance(one, tuple) else np.ravel(one))
+            for called, text, one in columns
+        ]
+        if wanted:
+            yield DynamicTable(name=name, description=words, columns=vectors)
