@@ -71,6 +71,11 @@ class Estimator(Objective):
         """Whether the baseline is solved together with the first frame."""
         return self.method.joint_start(self)
 
+    @property
+    def looks_back(self) -> bool:
+        """Whether estimates depend on those of earlier frames by more than where their search begins."""
+        return self.relative or not self.method.optimum
+
     def barred(self, readings: Readings) -> bool:
         """Whether estimates of such readings get error bars."""
         rows, columns = readings.value.shape[-2:]

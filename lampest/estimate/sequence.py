@@ -170,14 +170,18 @@ def frame_period(recording: Recording) -> float:
     return float(np.median(np.diff(recording.time))) if len(recording.time) > 1 else float("inf")
 
 
+SolvedPart = tuple[int, Estimates, CarriedOver]  # its number, what became of its frames, what the next part needs
+
+
 @dataclass(frozen=True, eq=False)
 class Parts:
     """A recording too long for memory, ready for its first frame: part by part, each like a recording of its own.
 
     What needs many frames (baseline, noise, weights, the check of the circuit) is taken from a bounded sample: the
-    first unloaded frames, and the measured ones around the strongest. Outliers are found in every part. A stream goes
-    on from part to part by what `CarriedOver` holds, so that one that is resumed from the disk finds the same numbers;
-    what a solver kept for speed alone begins anew.
+    first unloaded frames, and the measured ones around the strongest. Outliers are found in every part. Parts whose
+    estimates look back at no earlier frame stand `apart`, and all begin with the baseline. Else a stream goes on from
+    part to part by what `CarriedOver` holds, so that one that is resumed from the disk finds the same numbers; what a
+    solver kept for speed alone begins anew.
 
     lead : the unloaded frames, or the first ones where there are none. asked : these, and frames around the strongest.
     noise : what they tell. stream : before the first frame.
@@ -196,24 +200,40 @@ class Parts:
         noise, period = noise_seen(asked[1]), frame_period(stored.part(stored.blocks()[0]))
         return cls(stored, *asked, noise, first_stream(asked[1], noise.readings, estimator, noise, period))
 
-    def estimates(self, done: Callable[[int], CarriedOver | None]) -> Iterator[tuple[int, Estimates, CarriedOver]]:
-        """(number, what became of its frames, what the next one needs) of every part of which none is `done`.
+    @property
+    def apart(self) -> bool:
+        """Whether parts can be solved in any order."""
+        return self.stream.rested and not self.stream.estimator.looks_back
 
-        done : number → what its last frame left, where its estimates are kept.
-        """
+    def estimates(self, done: Callable[[int], CarriedOver | None]) -> Iterator[SolvedPart]:
+        """Every part that is not `done`. done : number → what its last frame left, where its estimates are kept."""
         stream = begun = self.stream
         for number, frames in enumerate(self.stored.blocks()):
             kept = done(number)
+            if self.apart:
+                yield from () if kept is not None else self.alone(number)
+                continue
             taken = self._taken(frames) if kept is None or not begun.rested else None
             if kept is not None:
                 begun = begun if taken is None else self._with_baseline(begun, taken[1])
                 stream = kept.onto(begun)
             elif taken is not None:
-                recording, readings, inside = taken
-                stream, steps = stream.sequence(self.noise.readings[:0], readings, lambda: None)
-                yield number, _estimates(stream, recording, inside, readings, steps, self.asked), CarriedOver.of(stream)
+                stream, solved = self._solved(number, stream, *taken)
+                yield solved
                 begun = stream.restarted(self.stream)
                 stream = CarriedOver.of(stream).onto(begun)
+
+    def alone(self, number: int) -> Iterator[SolvedPart]:
+        """A part, where it stands apart and some of its frames are measured."""
+        if self.apart and (taken := self._taken(self.stored.blocks()[number])) is not None:
+            yield self._solved(number, self.stream, *taken)[1]
+
+    def _solved(
+        self, number: int, stream: Stream, recording: Recording, readings: Readings, inside: NDArray[np.intp]
+    ) -> tuple[Stream, SolvedPart]:
+        stream, steps = stream.sequence(self.noise.readings[:0], readings, lambda: None)
+        found = _estimates(stream, recording, inside, readings, steps, self.asked)
+        return stream, (number, found, CarriedOver.of(stream))
 
     def _taken(self, frames: range) -> tuple[Recording, Readings, NDArray[np.intp]] | None:
         """A part with the lead, the readings of its own measured frames, and which these are; None without any."""

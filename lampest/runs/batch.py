@@ -2,8 +2,9 @@
 
 import fcntl
 import os
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import closing, contextmanager, suppress
+from contextlib import ExitStack, closing, contextmanager, suppress
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import count
@@ -19,7 +20,7 @@ from lampest.runs.case import CaseResult, StoredCase
 from lampest.runs.config import Case, Run, digest
 from lampest.runs.executors import Executor, LostError
 from lampest.runs.filling import case_result
-from lampest.runs.long_case import PartFiles, solve_long, watched
+from lampest.runs.long_case import PartFiles, parts_to_solve, solve_long, solve_part, watched
 from lampest.runs.results import read_results, stored_cases, write_results
 
 RESULTS = "results.h5"
@@ -87,7 +88,13 @@ def run_batch(
         lost = ""
         try:
             under_way = watched([(task.case, task.file) for task in waiting], on_long)
-            with under_way, closing(executor.results(solve_case, waiting)) as outcomes:
+            with ExitStack() as stack:
+                stack.enter_context(under_way)
+                long = [(task, task.case.stored) for task in waiting if task.case.stored is not None]
+                parts = [(task, n) for task, stored in long for n in parts_to_solve(task.case, stored, task.file)]
+                if parts:  # what becomes of them shows when their cases are put together
+                    deque(stack.enter_context(closing(executor.results(solve_part_of, parts))), maxlen=0)
+                outcomes = stack.enter_context(closing(executor.results(solve_case, waiting)))
                 for finished, (task, outcome) in enumerate(outcomes, 1):
                     if isinstance(outcome, BaseException):
                         name = f"{task.case.recording} × {task.case.name}"
@@ -127,6 +134,14 @@ def _put_aside(path: Path, done: Sequence[CaseResult | StoredCase]) -> Path | No
             return None
     names = (path.with_name(f"{path.stem}_{number}{path.suffix}") for number in count(1))
     return path.rename(next(name for name in names if not os.path.lexists(name)))
+
+
+def solve_part_of(part: tuple[Task, int]) -> None:
+    """Solve one part of a case that is too long for memory."""
+    task, number = part
+    recording = _recording(task.case.path, task.case.sha256)
+    if isinstance(recording, StoredRecording):
+        solve_part(task.case, recording, task.file, number)
 
 
 def solve_case(task: Task) -> CaseResult | StoredCase:

@@ -11,6 +11,8 @@ from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 
+from lampest.estimate.estimates import Estimates
+from lampest.estimate.estimator import Estimator
 from lampest.estimate.sequence import Parts, asked_frames
 from lampest.estimate.state import CarriedOver
 from lampest.files import hdf5
@@ -56,6 +58,12 @@ class PartFiles:
                     return read_carried(self.carried(number))
         return None
 
+    def write(self, number: int, estimates: Estimates, carried: CarriedOver) -> int:
+        """Keep a part's estimates, and what the next part needs; the part's number."""
+        write_carried(self.carried(number), carried)
+        write_results(self.results(number), [case_result(self.case, estimates)])
+        return number
+
     @property
     def whole(self) -> list[int]:
         """Numbers of the parts whose estimates are there."""
@@ -72,16 +80,33 @@ class PartFiles:
 
 def solve_long(case: Case, stored: StoredRecording, file: Path) -> StoredCase:
     """Solve a case part by part, from the first one on that is not done, and write its result, whole or not at all."""
-    files = PartFiles.beside(case, file)
-    parts = Parts.of(stored, case.estimator, _asked(stored))
-    solved: list[int] = []  # what stands behind a part that is solved now followed from another one
-    for number, estimates, carried in parts.estimates(lambda at: None if solved else files.done(at)):
-        solved.append(number)
-        write_carried(files.carried(number), carried)
-        write_results(files.results(number), [case_result(case, estimates)])
+    files, solved = PartFiles.beside(case, file), list[int]()
+    if case.estimator.looks_back or parts_to_solve(case, stored, file):
+        parts = _parts(case.estimator, stored)
+        # What stands behind a part that is solved now followed from another one, unless parts stand apart.
+        for part in parts.estimates(lambda at: None if solved and not parts.apart else files.done(at)):
+            solved.append(files.write(*part))
     join_case(file, [files.results(number) for number in files.whole], case.recording)
     files.clear()
     return next(held for held in stored_cases(file) if held.case_id == case.case_id)
+
+
+def parts_to_solve(case: Case, stored: StoredRecording, file: Path) -> list[int]:
+    """The numbers of the parts of a case that may be solved in any order, and are not done."""
+    files = PartFiles.beside(case, file)
+    every = range(0 if case.estimator.looks_back else len(stored.blocks()))
+    return [number for number in every if files.done(number) is None]
+
+
+def solve_part(case: Case, stored: StoredRecording, file: Path, number: int) -> None:
+    """Solve one of these, where that is possible without those before."""
+    for part in _parts(case.estimator, stored).alone(number):
+        PartFiles.beside(case, file).write(*part)
+
+
+@lru_cache(maxsize=1)  # a process solves several parts of a case
+def _parts(estimator: Estimator, stored: StoredRecording) -> Parts:
+    return Parts.of(stored, estimator, _asked(stored))
 
 
 @lru_cache(maxsize=1)  # several estimators of one recording come one after the other
@@ -152,8 +177,8 @@ def _how_far(files: PartFiles, stored: StoredRecording, seconds: float, before: 
 
 
 def frames_done(files: PartFiles, stored: StoredRecording) -> int:
-    """Frames up to the end of the last part that is whole; one in which no frame is measured has no file."""
-    return min(stored.frames, max((number + 1 for number in files.whole), default=0) * stored.length)
+    """Frames of the parts that are whole; one in which no frame is measured has no file."""
+    return min(stored.frames, len(files.whole) * stored.length)
 
 
 def time_in_words(seconds: float) -> str:

@@ -6,7 +6,7 @@ import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -160,6 +160,27 @@ def test_a_run_that_was_killed_goes_on_and_finds_the_same(tmp_path: Path) -> Non
     assert started(tmp_path, "killed", 400).returncode == 0
     same(*(content(tmp_path / name / "results.h5") for name in ("undisturbed", "killed")))
     assert not list(tmp_path.rglob("*.part")) and not list(tmp_path.rglob("*.parts"))
+
+
+@pytest.mark.slow
+def test_parts_are_tasks_in_any_order(tmp_path: Path, small: None) -> None:
+    """An executor gets them one by one where estimates do not look back, and results are the same."""
+    asked: list[Any] = []
+
+    class Backwards(Serial):
+        def results(self, function: Any, arguments: Sequence[Any]) -> Any:
+            asked.extend(arguments)
+            return super().results(function, arguments[::-1])
+
+    save(tmp_path, frames(90))
+    (tmp_path / "run.yaml").write_text(RUN)
+    run = read_run(tmp_path / "run.yaml")
+    run_batch(run, tmp_path / "backwards", Backwards())
+    assert [(task.case.name, number) for task, number in asked[:-3]] == [("auto", number) for number in range(5)]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("lampest.runs.batch.parts_to_solve", lambda *case: [])
+        run_batch(run, tmp_path / "forwards", Serial())
+    same(*(content(tmp_path / name / "results.h5") for name in ("forwards", "backwards")))
 
 
 @pytest.mark.slow
