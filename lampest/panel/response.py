@@ -226,7 +226,7 @@ class PublishedResponse(Response):
         logarithm = logarithm + saturated * np.maximum(pressure - 40.0, 0.0)
         return np.asarray(np.log(linear) + logarithm)
 
-    @property
+    @cached_property
     def _rates(self) -> Array:
         """1/kPa of ln(r/r0), of the last two pieces."""
         return np.asarray(np.log(CURVE_RATIO[3:] / CURVE_RATIO[2:-1]) / np.diff(CURVE_KPA[2:]))

@@ -102,12 +102,13 @@ def test_any_numbers_that_a_fit_may_try_make_readings(candidate: Candidate) -> N
     """Tilts and lobes beyond one turn a strong rim into suction of many atmospheres: no network has such cells."""
     panel, rng = Panel(6, 6), np.random.default_rng(4)
     frame = frame_under(load_of(Rod), panel)
-    fitting = Fitting(panel, PATCH_MM, candidate, frame, Whitening.at_rest(frame))
+    fitting, whitening = Fitting(panel, PATCH_MM, candidate, frame), Whitening.at_rest(frame)
     mean, sd = candidate.mean(panel), candidate.sd(panel)
     for _ in range(60):
-        here = fitting.at(mean + FARTHEST * sd * rng.choice([-1, 0, 1], len(mean)))
+        parameters = mean + FARTHEST * sd * rng.choice([-1, 0, 1], len(mean))
+        here = fitting.at(parameters, fitting.about(parameters, whitening))
         assert np.isfinite(here.cost)
-        assert np.isfinite(here.jacobian).all()
+        assert np.isfinite(here.gradient).all() and np.isfinite(here.normal).all()
 
 
 @pytest.mark.parametrize("kind", [kind for kind in RECOGNISED if isinstance(kind.candidate, RoundCandidate)])

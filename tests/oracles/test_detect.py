@@ -11,7 +11,7 @@ from lampest.loads.recognition.candidates import AND, FLAT, UNIFORM, Several
 from lampest.loads.recognition.candidates import LOADS as SHAPED
 from lampest.loads.recognition.detector import Detector, discs_of, fit_oral_disc
 from lampest.loads.recognition.evidence import CANNOT_BE, RARER, Verdict, prior_cost
-from lampest.loads.recognition.fit import SD, field_fit, paid, prior, states
+from lampest.loads.recognition.field import SD, field_fit, paid, prior, states
 from lampest.loads.recognition.observation import Baseline, Observation, Whitening, outliers
 from lampest.loads.recognition.settings import ModelErrors
 from lampest.loads.shapes import Block, OralDisc, Ring, Rod, SuctionCup
@@ -213,7 +213,7 @@ def test_a_thin_line_is_no_lamprey(place: tuple[float, float], angle_deg: float)
 def test_hidden_suction_counts_less() -> None:
     verdict = seen(frames_of(recorded(MOUTH)))[-1]
     assert verdict.best.change.max() > 1 and prior_cost(PANEL, verdict.best) == pytest.approx(0, abs=0.1)
-    hidden = replace(verdict.best, explained=verdict.best.explained._replace(change=np.minimum(verdict.best.change, 0)))
+    hidden = replace(verdict.best, change=np.minimum(verdict.best.change, 0))
     assert prior_cost(PANEL, hidden) == CANNOT_BE
     assert prior_cost(PANEL, replace(hidden, candidate=Ring.candidate)) == 0
 

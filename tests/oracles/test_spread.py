@@ -14,13 +14,17 @@ PANEL = Panel(6, 6)
 STEPS, SCALES = 10000, (0.1, 0.4, 1.0)
 
 
-def walked(fitting: Fitting, start: Array, root: Array) -> Array:
+def walked(fitting: Fitting, whitening: Whitening, start: Array, root: Array) -> Array:
     """ln d along a random walk through e^−cost, (samples)."""
-    rng, found = np.random.default_rng(5), []
-    here, cost = start, fitting.cost(start)
+    rng, found, mean, sd = np.random.default_rng(5), [], fitting.candidate.mean(PANEL), fitting.candidate.sd(PANEL)
+
+    def cost_at(parameters: Array) -> float:
+        return float(fitting.about(parameters, whitening).exact + np.sum(((parameters - mean) / sd) ** 2) / 2)
+
+    here, cost = start, cost_at(start)
     for _ in range(STEPS):
         step = here + root @ rng.standard_normal(len(here)) * rng.choice(SCALES)
-        there = fitting.cost(step)
+        there = cost_at(step)
         if np.log(rng.random()) < cost - there:
             here, cost = step, there
         found.append(here[2])
@@ -29,13 +33,14 @@ def walked(fitting: Fitting, start: Array, root: Array) -> Array:
 
 @pytest.mark.slow
 def test_a_diameter_that_patches_hardly_see_is_as_wide_as_its_posterior() -> None:
-    frame = frame_under(Rod(centre_mm=(20.0, 20.0), diameter_mm=10.0, mass_g=60), PANEL)
-    verdict = Detector(PANEL, PATCH_MM).verdict(frame)
-    rod = next(fit for fit in verdict.loads if fit.candidate is Rod.candidate)
-    fitting = Fitting(PANEL, PATCH_MM, rod.candidate, frame, Whitening.of(frame, rod.explained, rod.scatter))
-    local = fitting.best(rod.parameters)
-    wide = along_diameter(fitting, local)
-    samples = walked(fitting, rod.parameters, np.linalg.cholesky(wide.covariance) / len(wide.parameters) ** 0.5)
+    frame, detector = frame_under(Rod(centre_mm=(20.0, 20.0), diameter_mm=10.0, mass_g=60), PANEL), Detector(PANEL, 6.0)
+    rod = next(fit for fit in detector.verdict(frame).loads if fit.candidate is Rod.candidate)
+    fitting = Fitting(PANEL, PATCH_MM, rod.candidate, frame)
+    whitening = Whitening.of(frame, detector.explained(frame, rod), rod.scatter)
+    local = fitting.best(rod.parameters, whitening)
+    wide = along_diameter(fitting, local, whitening)
+    root = np.linalg.cholesky(wide.covariance) / len(wide.parameters) ** 0.5
+    samples = walked(fitting, whitening, rod.parameters, root)
     own = np.sqrt(wide.covariance[2, 2] - rod.candidate.blind(wide.parameters)[2] ** 2)
     assert own == pytest.approx(np.sqrt(np.mean((samples - wide.parameters[2]) ** 2)), rel=0.35)
     assert own > 2 * local.covariance[2, 2] ** 0.5, "curvature alone would have done"

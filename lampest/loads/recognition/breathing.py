@@ -63,7 +63,8 @@ def breaths(
     (readings, readings). pressure : (rows, columns) kPa of the fit.
     """
     model = frame.measured.ravel()
-    slopes = iter((whitening @ (fit.slopes / model[:, None])).T)
+    of_cells = frame.slope(fit.change)
+    slopes = iter((whitening @ (of_cells @ fit.by_parameter.T / model[:, None])).T)
     centres, patterns = list[tuple[float, float]](), list[list[Array]]()
     for part, own in fit.loads:
         names = part.priors(frame.baseline.scene.panel)

@@ -3,12 +3,13 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import accumulate
+from itertools import accumulate, pairwise
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array
 
-from lampest.loads.recognition.observation import Observation, Whitening, unit
+from lampest.loads.recognition.observation import Observation, unit
 from lampest.loads.shapes import shape_types
 from lampest.loads.shapes.disc import Disc, pressure_at_places
 from lampest.loads.shapes.shape import Candidate, Prior, Template
@@ -35,8 +36,13 @@ class Several(Candidate):
         return {f"{number}.{name}": prior for number, priors in each for name, prior in priors}
 
     def loads(self, parameters: Array) -> list[tuple[Candidate, Array]]:
-        lengths = [len(part.priors(Panel(2, 2))) for part in self.parts]  # the same on every panel
-        return list(zip(self.parts, np.split(parameters, list(accumulate(lengths))[:-1]), strict=True))
+        return [(part, parameters[own]) for part, own in self._own]
+
+    @cached_property
+    def _own(self) -> list[tuple[Candidate, slice]]:
+        """Where each part's φ are; there are as many on every panel."""
+        ends = [0, *accumulate(len(part.priors(Panel(2, 2))) for part in self.parts)]
+        return [(part, slice(*pair)) for part, pair in zip(self.parts, pairwise(ends), strict=True)]
 
     def pressure(self, panel: Panel, patch_mm: float, parameters: Array) -> tuple[Array, Array]:
         """The sum, and the slopes of each by its own numbers."""
@@ -131,17 +137,17 @@ class DiscSearch:
         """(cells, faint discs) ohm: what they add to the readings of a panel at rest."""
         return np.asarray(frame.slope(np.zeros(self.panel.shape)) @ self.changes[:, self.faint])
 
-    def starts(self, frame: Observation, rest: Whitening) -> list[Disc]:
-        """Where each template fits a map of the cells best, then where it fits the errors of a panel at rest.
+    def starts(self, normal: Array, pull: Array) -> dict[Template, Disc]:
+        """Where each template, as strong as it may be, explains most: (tᵀb)²/tᵀΛt of ln r/r0 with Λ (cells, cells), b.
 
-        The map shows strong loads, whose errors are not in proportion; the errors show weak ones through noise.
+        Templates are where ln r/r0 falls, so tᵀb has their sign.
         """
+        patterns = csr_array(self.changes.T)
+        pulled, size = patterns @ pull, patterns.multiply(patterns @ normal).sum(axis=1)
+        gain = pulled * np.abs(pulled) / np.maximum(size, 1e-300)
+        best = np.argmax(gain.reshape(len(self.templates), -1), axis=1)
         size = len(self.discs) // len(self.templates)
-        on_map, errors = self.changes.T @ np.tanh(frame.map).ravel(), np.full(len(self.discs), -np.inf)
-        errors[self.faint] = unit(rest @ self.readings(frame)).T @ (rest @ frame.residual())
-        rows = sorted(enumerate(on_map.reshape(-1, size)), key=lambda row: -row[1].max())
-        rows += [row for row in enumerate(errors.reshape(-1, size)) if self.templates[row[0]].faint]
-        return [self.discs[number] for number in dict.fromkeys(at * size + int(np.argmax(row)) for at, row in rows)]
+        return {one: self.discs[at * size + int(best[at])] for at, one in enumerate(self.templates)}
 
     def beside(self, change: Array, discs: Sequence[Disc]) -> Disc | None:
         """Where one more load may stand on a map of ln r/r0 (rows, columns), clear of those discs; None: nowhere."""

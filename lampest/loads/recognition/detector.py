@@ -10,13 +10,22 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import cho_solve
 
-from lampest.loads.recognition.candidates import FIELD, LOADS, UNIFORM, DiscSearch, Several
+from lampest.loads.recognition.candidates import FIELD, LOADS, UNIFORM, DiscSearch, Several, under
 from lampest.loads.recognition.evidence import Verdict, prior_cost
-from lampest.loads.recognition.fit import COARSE_STEPS, UNLIKELY, Fit, Fitting, along_diameter, field_fit
+from lampest.loads.recognition.field import field_fit, states
+from lampest.loads.recognition.fit import (
+    STEPS,
+    UNLIKELY,
+    CellLikelihood,
+    Fit,
+    Fitting,
+    Linearisation,
+    along_diameter,
+)
 from lampest.loads.recognition.observation import (
-    COARSE_SD,
     FARTHEST,
     SUSPICIOUS,
     Explained,
@@ -59,70 +68,86 @@ class Detector:
         (field, without), found = field_fit(frame), list[Verdict]()
         if before is not None and before.loads:
             found.append(self._settled(frame, before.loads, field, without))
-        if not found or _doubtful(found[0]):
-            starts = self.search.starts(frame, rest)
-            coarse = [self._coarse(load, frame, starts) for load in self.loads]
+        if not found or self._doubtful(found[0], field):
+            coarse = self._coarse(frame, field, without)
             found.append(self._settled(frame, coarse, field, without))
         single, discs = found[-1], list[Disc]()
-        while _doubtful(found[-1]) and len(discs) < MOST_AT_ONCE:
-            beside = self.search.beside(field.change, discs)
+        for _ in range(MOST_AT_ONCE):
+            beside = self.search.beside(field.change, discs) if self._doubtful(found[-1], field) else None
             if beside is None:
                 break
             discs.append(beside)
             if len(discs) > 1:
-                fits = self._together(frame, discs)
+                fits = self._together(without, field, discs)
                 found.append(self._settled(frame, (*fits, *single.loads[:1]), field, without))
                 discs = discs_of(fits[0])
         return self._spread(frame, max(found, key=lambda one: one.evidence))
 
     def fitted(self, candidate: Candidate, frame: Observation, start: Fit | None) -> Fit:
         """One candidate whether or not anything else would do; from everywhere, unless the start of before fits."""
-        fit = None if start is None else self._whole(frame, start, start.explained, frame)
+        fit = None if start is None else self._whole(frame, start, start, frame)
         if fit is None or fit.chi2 > SUSPICIOUS * frame.measured.size:
-            discs = self.search.starts(frame, Whitening.at_rest(frame))
             field, calm = field_fit(frame)
-            other = self._whole(frame, self._coarse(candidate, frame, discs), field.explained, calm)
+            (begin,) = replace(self, loads=(candidate,))._coarse(frame, field, calm)
+            other = self._whole(frame, begin, field, calm)
             fit = other if fit is None or other.chi2 < fit.chi2 else fit
         return fit
 
-    def _fitting(self, candidate: Candidate, frame: Observation, whitening: Whitening) -> Fitting:
-        return Fitting(self.panel, self.patch_mm, candidate, frame, whitening)
+    def with_errors(self, frame: Observation, fit: Fit) -> tuple[Observation, Whitening]:
+        """(the frame without the readings that contradict a fit, the errors about what it explains)."""
+        calm = frame.without(self._contradicting(frame, fit))
+        return calm, Whitening.of(calm, self.explained(calm, fit), fit.scatter)
 
-    def _whole(self, frame: Observation, fit: Fit, explained: Explained, calm: Observation) -> Fit:
+    def _fitting(self, candidate: Candidate, frame: Observation) -> Fitting:
+        return Fitting(self.panel, self.patch_mm, candidate, frame)
+
+    def explained(self, frame: Observation, fit: Fit) -> Explained:
+        return self._fitting(fit.candidate, frame).explained(fit)
+
+    def _whole(self, frame: Observation, fit: Fit, explains: Fit, calm: Observation) -> Fit:
         """A single fit, sharpened, with the whole width of its posterior."""
         scatter = frame.baseline.model_errors.response
-        calm, (fit,) = self._sharpened(frame, [fit], explained, calm, scatter)
-        return self._fitting(fit.candidate, calm, Whitening.of(calm, fit.explained, scatter)).best(fit.parameters)
+        calm, fit = self._sharpened(frame, fit, explains, calm, scatter)
+        whitening = Whitening.of(calm, self.explained(calm, fit), scatter)
+        return self._fitting(fit.candidate, calm).best(fit.parameters, whitening)
 
     def _sharpened(
-        self, frame: Observation, fits: Sequence[Fit], explained: Explained, calm: Observation, scatter: float
-    ) -> tuple[Observation, Sequence[Fit]]:
-        """(the frame without outliers, all fits to it) with the errors about what is explained, then the best explains.
+        self, frame: Observation, fit: Fit, explains: Fit, calm: Observation, scatter: float
+    ) -> tuple[Observation, Fit]:
+        """(the frame without outliers, the fit to it) with the errors about what `explains` does, then about itself.
 
-        Errors that all fits share follow none of them. calm : the frame to begin with. From the second round on
-        outliers are sought every time among all readings, so that none stays out which a better fit explains.
+        calm : the frame to begin with. Outliers are sought every time among all readings, so that none stays out which
+        a better fit explains.
         """
         dropped: list[int] | None = None
-        for number in range(ROUNDS):
-            whitening = Whitening.of(calm, explained, scatter)
-            fits = [self._fitting(fit.candidate, calm, whitening).best(fit.parameters, quick=True) for fit in fits]
-            best = best_of(fits)
-            explained = best.explained
-            if number:
-                far = best.outliers(frame)
-                if far.tolist() == dropped:
-                    break
-                calm, dropped = frame.without(far), far.tolist()
-        return calm, fits
+        for _ in range(ROUNDS):
+            whitening = Whitening.of(calm, self.explained(calm, explains), scatter)
+            fit = explains = self._fitting(fit.candidate, calm).best(fit.parameters, whitening, quick=True)
+            far = self._contradicting(frame, fit)
+            if far.tolist() == dropped:
+                break
+            calm, dropped = frame.without(far), far.tolist()
+        return calm, fit
 
-    def _coarse(self, load: Candidate, frame: Observation, discs: Sequence[Disc]) -> Fit:
-        """The best fit of a load from any disc, with the errors of a panel at rest."""
-        fitting = self._fitting(load, frame, Whitening.at_rest(frame, COARSE_SD))
+    def _contradicting(self, frame: Observation, fit: Fit) -> NDArray[np.intp]:
+        whitening = Whitening.of(frame, self.explained(frame, fit), fit.scatter)
+        errors = whitening @ fit.residual
+        suspicious = errors @ errors > SUSPICIOUS * len(errors)
+        return outliers(whitening, fit.residual) if suspicious else np.zeros(0, dtype=np.intp)
+
+    def _coarse(self, frame: Observation, field: Fit, calm: Observation) -> list[Fit]:
+        """The best fit of every load from where templates match, with the errors about the field."""
+        whitening = Whitening.coarse(calm, field.change)
+        likelihood = CellLikelihood.about(calm, whitening, field.change)
+        starts = self.search.starts(likelihood.normal, likelihood.pull)
         fits: list[Fit] = []
-        for disc in discs:
-            most = min((fit.cost for fit in fits), default=np.inf) + UNLIKELY
-            fits.append(fitting.best(load.start(disc), COARSE_STEPS, most, quick=True))
-        return best_of(fits)
+        for load in self.loads:
+            fitting, found = self._fitting(load, calm), list[Linearisation]()
+            for disc in (starts[template] for template in load.templates):
+                most = min((one.cost for one in found), default=np.inf) + UNLIKELY
+                found.append(fitting.descended(load.start(disc), likelihood, STEPS // 2, most)[0])
+            fits.append(fitting.found(min(found, key=lambda one: one.cost), likelihood, whitening, quick=True))
+        return fits
 
     def _settled(self, frame: Observation, fits: Sequence[Fit], field: Fit, calm: Observation) -> Verdict:
         """The verdict on all candidates from coarse fits; field, calm : of `field_fit`.
@@ -130,28 +155,45 @@ class Detector:
         All are weighed by what the best of them explains, from where they are or where that is. The film's relative
         deviation is that of LEVELS under which the frame is most probable.
         """
-        response = frame.baseline.model_errors.response
-        calm, fits = self._sharpened(frame, fits, field.explained, calm, LEVELS[-1] * response)
-        best = best_of(fits)
-        errors = [Whitening.of(calm, best.explained, level * response) for level in LEVELS]
-        levels = [self._fitting(best.candidate, calm, one).best(best.parameters, quick=True) for one in errors]
-        suits, whitening = max(zip(levels, errors, strict=True), key=lambda pair: pair[0].evidence)
-        weighed = []
-        for fit in fits:
-            like = fit.candidate.like(suits.candidate, suits.parameters)
-            starts = [fit.parameters] if like is None else [fit.parameters, like]
-            weighed.append(best_of(self._fitting(fit.candidate, calm, whitening).best(start) for start in starts))
-        return self._judged(calm, (*weighed, field))
+        explains, scatter = field, LEVELS[-1] * frame.baseline.model_errors.response
+        for _ in range(len(fits)):
+            best = best_of(fits)
+            others = [fit for fit in fits if fit is not best]
+            calm, best = self._sharpened(frame, best, explains, calm, scatter)
+            best, whitening = self._own(calm, best)
+            besides = [self._beside(calm, fit, best, whitening) for fit in others]
+            near = [self._own(calm, fit)[0] if fit.cost < best.cost + UNLIKELY else fit for fit in besides]
+            fits, explains = [best, *near], best
+            if best_of(fits) is best:
+                break
+        return self._judged(calm, (*fits, field))
 
-    def _together(self, frame: Observation, discs: Sequence[Disc]) -> list[Fit]:
+    def _own(self, calm: Observation, fit: Fit) -> tuple[Fit, Whitening]:
+        """(a fit with the errors about what it explains, these): of LEVELS under which the frame is most probable."""
+        fitting, explained = self._fitting(fit.candidate, calm), self.explained(calm, fit)
+        response = calm.baseline.model_errors.response
+        errors = [Whitening.of(calm, explained, level * response) for level in LEVELS]
+        levels = [fitting.stays(fit.parameters, one).evidence for one in errors]
+        whitening = errors[int(np.argmax(levels))]
+        return fitting.best(fit.parameters, whitening), whitening
+
+    def _beside(self, calm: Observation, fit: Fit, best: Fit, whitening: Whitening) -> Fit:
+        """Another load with the same errors, from where it is; where that is hopeless, from where the best is."""
+        fitting, most = self._fitting(fit.candidate, calm), best.cost + UNLIKELY
+        found = fitting.best(fit.parameters, whitening, most)
+        like = fit.candidate.like(best.candidate, best.parameters) if found.cost > most else None
+        return found if like is None else best_of([found, fitting.best(like, whitening, most)])
+
+    def _together(self, calm: Observation, field: Fit, discs: Sequence[Disc]) -> list[Fit]:
         """Coarse fits of loads about some discs at once: each of the likeliest kind, and all that suck."""
-        whitening = Whitening.at_rest(frame, COARSE_SD)
+        whitening = Whitening.coarse(calm, field.change)
+        likelihood = CellLikelihood.about(calm, whitening, field.change)
 
         def fitted(loads: Sequence[tuple[Candidate, Array]]) -> Fit:
             parts, own = zip(*sorted(loads, key=lambda load: not load[0].sucks), strict=True)
-            return self._fitting(Several.of(parts), frame, whitening).best(
-                np.concatenate(own), COARSE_STEPS, quick=True
-            )
+            fitting = self._fitting(Several.of(parts), calm)
+            here, _ = fitting.descended(np.concatenate(own), likelihood, STEPS // 2)
+            return fitting.found(here, likelihood, whitening, quick=True)
 
         def likely(fit: Fit) -> float:
             return fit.evidence - prior_cost(self.panel, fit)
@@ -170,15 +212,24 @@ class Detector:
     def _judged(self, frame: Observation, fits: Sequence[Fit]) -> Verdict:
         """The verdict on these, on nothing, and on the same pressure everywhere."""
         rest = Whitening.at_rest(frame)
-        uniform = [self._fitting(kind, frame, rest).best(kind.mean(self.panel)) for kind in UNIFORM]
+        uniform = [self._fitting(kind, frame).best(kind.mean(self.panel), rest) for kind in UNIFORM]
         return Verdict.of(self.panel, (*uniform, *fits), frame.measured.size, frame.baseline.response)
+
+    def _doubtful(self, verdict: Verdict, field: Fit) -> bool:
+        """Whether another number of loads might explain more, or cells beside the best have clearly changed."""
+        if verdict.best.candidate is FIELD or verdict.goodness > SUSPICIOUS:
+            return True
+        explained = [verdict.best.change != 0, *(under(self.panel, disc) for disc in discs_of(verdict.best))]
+        left = np.where(np.any(explained, axis=0), 0.0, field.change)
+        return bool(states(self.panel, left).max() > 1)
 
     def _spread(self, frame: Observation, verdict: Verdict) -> Verdict:
         """The verdict with a single load as large as it may be."""
         best = verdict.best
         if best.candidate not in self.loads:
             return verdict
-        wide = along_diameter(self._fitting(best.candidate, *best.with_errors(frame)), best)
+        calm, whitening = self.with_errors(frame, best)
+        wide = along_diameter(self._fitting(best.candidate, calm), best, whitening)
         return replace(verdict, fits=tuple(wide if fit is best else fit for fit in verdict.fits))
 
 
@@ -191,11 +242,6 @@ def discs_of(fit: Fit) -> list[Disc]:
     """The discs of all its loads that are like one."""
     discs = [part.disc(own) for part, own in fit.loads]
     return [disc for disc in discs if disc is not None]
-
-
-def _doubtful(verdict: Verdict) -> bool:
-    """Whether another number of loads might explain more."""
-    return verdict.best.candidate is FIELD or verdict.goodness > SUSPICIOUS
 
 
 @dataclass(frozen=True, eq=False)
@@ -223,9 +269,9 @@ def fit_oral_disc(detector: Detector, frame: Observation, start: Fit | None = No
     fit, baseline = detector.fitted(OralDisc.candidate, frame, start), frame.baseline
     disc, slopes = OralDisc.candidate.disc_with_slopes(fit.parameters)
     covariance, cells = slopes @ fit.covariance @ slopes.T, fit.change.size
-    calm, whitening = fit.with_errors(frame)
+    calm, whitening = detector.with_errors(frame, fit)
     resting = baseline.model_errors.resting_covariance(frame.seconds, cells)
-    spread = resting + baseline.film(fit.explained, fit.scatter)
+    spread = resting + baseline.film(detector.explained(frame, fit), fit.scatter)
     both = np.hstack([calm.slope(fit.change), calm.offsets])
     before = baseline.covariance[:cells] @ both.T + spread @ both[:, :cells].T
     departure = (before @ cho_solve((whitening.root, True), fit.residual)).reshape(fit.change.shape)

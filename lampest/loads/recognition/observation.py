@@ -182,8 +182,13 @@ class Observation:
         """x of pressures and its slope, (rows, columns), 1 and 1/kPa; MOST_CHANGED at most."""
         response, step = self.baseline.response, 1e-3  # kPa: the slope is a difference, F has corners
         near = pressure + self.water + np.array([0.0, step, -step])[:, None, None]
-        here, up, down = response.gains * (response.logarithm(near) - response.logarithm(self.water))
+        here, up, down = response.gains * (response.logarithm(near) - self._immersed)
         return np.clip(here, -MOST_CHANGED, MOST_CHANGED), (up - down) / (2 * step) * (np.abs(here) < MOST_CHANGED)
+
+    @cached_property
+    def _immersed(self) -> Array:
+        """ln F(p_w), (rows, columns)."""
+        return self.baseline.response.logarithm(self.water)
 
     def covariance(self, slope: Array, cells: Array | float = 0.0) -> Array:
         """σ² + V Vᵀ + H C Hᵀ + J T Jᵀ, (cells, cells) ohm², at the slope J (cells, cells).
@@ -255,11 +260,16 @@ class Whitening:
         return cls(cholesky(frame.covariance(slope, frame.baseline.film(explained, scatter)), lower=True), scatter)
 
     @classmethod
-    def at_rest(cls, frame: Observation, settled: float | None = None) -> "Whitening":
-        """For a panel that nothing touches; settled : of each cell's ln r at rest in place of the assumed one."""
-        slope, assumed = frame.slope(np.zeros(frame.measured.shape)), frame.baseline.model_errors.settled
-        more = 0.0 if settled is None else (settled**2 - assumed**2) * np.eye(len(slope))
-        return cls(cholesky(frame.covariance(slope, more), lower=True))
+    def at_rest(cls, frame: Observation) -> "Whitening":
+        """For a panel that nothing touches."""
+        slope = frame.slope(np.zeros(frame.measured.shape))
+        return cls(cholesky(frame.covariance(slope), lower=True))
+
+    @classmethod
+    def coarse(cls, frame: Observation, change: Array) -> "Whitening":
+        """About ln r/r0 (rows, columns) that every cell may depart from alike."""
+        slope = frame.slope(change)
+        return cls(cholesky(frame.covariance(slope, COARSE_SD**2 * np.eye(len(slope))), lower=True))
 
     @cached_property
     def volume(self) -> float:

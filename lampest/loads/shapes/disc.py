@@ -13,6 +13,7 @@ from lampest.loads.pressure import GRAVITY
 from lampest.panel.panel import Array
 
 POINTS = 5  # along either edge of a patch: 1.2 mm on a patch of 6 mm
+EACH = np.full(POINTS**2, 1 / POINTS**2)
 SOFT = 0.2  # of a patch's edge, half the width over which an edge is soft: real ones are, and points are so far apart
 
 
@@ -59,52 +60,58 @@ def pressure_at_places(places: Array, patch_mm: float, disc: Disc, form: Unevenn
     near = (np.abs(places[0] - disc.x_mm) < reach) & (np.abs(places[1] - disc.y_mm) < reach)
     if near.any():
         offset = ((np.arange(POINTS) + 0.5) / POINTS - 0.5) * patch_mm
-        x = (places[0, near] - disc.x_mm)[:, None, None] + offset
-        y = (places[1, near] - disc.y_mm)[:, None, None] + offset[:, None]
-        means[:, near] = _at_points(x, y, disc, form, soft).mean(axis=(2, 3))
+        x = (places[0, near] - disc.x_mm)[:, None] + np.tile(offset, POINTS)
+        y = (places[1, near] - disc.y_mm)[:, None] + np.repeat(offset, POINTS)
+        means[:, near] = _at_points(x, y, disc, form, soft)
     return means[0], means[1:]
 
 
 def _at_points(x: Array, y: Array, disc: Disc, form: Unevenness, soft: float) -> Array:
-    """(13, …) pressure and its slopes at points x and y, mm from the centre, to be broadcast together."""
-    outer, inner, suction, press = disc.diameter_mm / 2, disc.inner_mm / 2, disc.suction_kpa, disc.rim_kpa
+    """(13, cells) mean over points (cells, points) mm from the centre of the pressure and its slopes."""
+    outer, press, (tilt_x, tilt_y) = disc.diameter_mm / 2, disc.rim_kpa, disc[-2:]
     along, stretched, lobe_along, lobe_across = form
-    u, v = x - along * x - stretched * y, y - stretched * x + along * y
+    u, v = (1 - along) * x - stretched * y, (1 + along) * y - stretched * x
     square = np.maximum(u * u + v * v, 1e-6)
     radius = np.sqrt(square)
-    whole, whole_slope = _inside(radius - outer, soft)
-    hole, hole_slope = _inside(radius - inner, soft) if inner > 0 else (np.zeros_like(radius),) * 2
-    twice, cross = (u * u - v * v) / square, 2 * u * v / square  # cos 2θ and sin 2θ
-    lean = (disc.tilt_x * u + disc.tilt_y * v) / outer
-    level = 1 + lean + lobe_along * twice + lobe_across * cross
-    contact = press * (whole - hole)
-    outward = press * level * (whole_slope - hole_slope) + suction * hole_slope
-    turned = 2 * contact * (lobe_across * twice - lobe_along * cross) / square
-    by_u = outward * u / radius + contact * disc.tilt_x / outer - turned * v
-    by_v = outward * v / radius + contact * disc.tilt_y / outer + turned * u
-    return np.stack(
+    edges = np.array([outer, disc.inner_mm / 2])
+    (whole, hole), (whole_slope, hole_slope) = _inside(radius - edges[:, None, None], soft)
+    if not disc.inner_mm:
+        hole = hole_slope = np.zeros_like(radius)
+    rim, twice, cross = whole - hole, (u * u - v * v) / square, 2 * u * v / square  # cos 2θ and sin 2θ
+    level = 1 + (tilt_x / outer) * u + (tilt_y / outer) * v + lobe_along * twice + lobe_across * cross
+    outward = (press * level * (whole_slope - hole_slope) + disc.suction_kpa * hole_slope) / radius
+    turned = (2 * press) * rim * (lobe_across * twice - lobe_along * cross) / square
+    by_u = outward * u + (press * tilt_x / outer) * rim - turned * v
+    by_v = outward * v + (press * tilt_y / outer) * rim + turned * u
+    every = [rim * level, hole, by_u, by_v, level * whole_slope, level * hole_slope, hole_slope, rim * u, rim * v]
+    every += [by_v * y - by_u * x, by_u * y + by_v * x, rim * twice, rim * cross]
+    means = np.array(every) @ EACH
+    level, hole, by_u, by_v, by_whole, by_hole, slope, rim_u, rim_v, lengthened, turned, rim_twice, rim_cross = means
+    lean = (tilt_x * rim_u + tilt_y * rim_v) / outer
+    return np.array(
         [
-            contact * level + suction * hole,
-            by_v * stretched - by_u * (1 - along),
-            by_u * stretched - by_v * (1 + along),
-            -(press * level * whole_slope + contact * lean / outer) / 2,
-            (press * level - suction) * hole_slope / 2,
+            press * level + disc.suction_kpa * hole,
+            stretched * by_v - (1 - along) * by_u,
+            stretched * by_u - (1 + along) * by_v,
+            -press * (by_whole + lean / outer) / 2,
+            (press * by_hole - disc.suction_kpa * slope) / 2,
             hole,
-            (whole - hole) * level,
-            contact * u / outer,
-            contact * v / outer,
-            by_v * y - by_u * x,
-            -(by_u * y + by_v * x),
-            contact * twice,
-            contact * cross,
+            level,
+            press / outer * rim_u,
+            press / outer * rim_v,
+            lengthened,
+            -turned,
+            press * rim_twice,
+            press * rim_cross,
         ]
     )
 
 
 def _inside(beyond: Array, soft: float) -> tuple[Array, Array]:
     """1 where −`beyond` is above `soft`, 0 where it is below −`soft`, ½ − ¾t + ¼t³ between; and its slope."""
-    t = np.clip(beyond / soft, -1.0, 1.0)
-    return 0.5 - 0.75 * t + 0.25 * t**3, 0.75 * (t * t - 1) / soft
+    t = np.minimum(np.maximum(beyond * (1 / soft), -1.0), 1.0)
+    square = t * t
+    return 0.5 + t * (0.25 * square - 0.75), (square - 1) * (0.75 / soft)
 
 
 def annulus_mm2(inner_mm: float, outer_mm: float) -> float:

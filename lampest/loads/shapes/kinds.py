@@ -268,7 +268,7 @@ class OralDisc(RoundShape):
             "diameter": DIAMETER,
             "width": Prior(log(RIM_WIDTH_MM), 0.3),
             "suction": Prior(log(8), 0.75),
-            "push": Prior(log(1.5), 2.2),
+            "push": Prior(log(1.5), 2.2, step=2.0),
         }
         | TILT,
         edge_mm=SOFT_EDGE_MM,
