@@ -65,7 +65,7 @@ def describe(path: str | Path) -> list[str]:
 
 def _line(head: str, text: object) -> str:
     """As a screen shows what files hold in ASCII."""
-    return f"{head:9} {text}".replace("+-", "±")
+    return f"{head:10} {text}".replace("+-", "±")
 
 
 def _frames_lines(role: NDArray[np.uint8], time: Array) -> list[str]:

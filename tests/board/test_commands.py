@@ -40,7 +40,7 @@ def test_from_the_board_to_the_cells(tmp_path: Path) -> None:
     found = read_results(tmp_path / "results" / "results.h5").cases[0]
     assert found.solved.all()
     assert np.median(np.abs(found.cell_resistance / truth[baseline:] - 1)) <= 0.01
-    assert "frames    24: 3 unloaded, 21 measured" in lampest("info", out)[0]
+    assert "frames     24: 3 unloaded, 21 measured" in lampest("info", out)[0]
 
 
 @pytest.mark.slow

@@ -812,4 +812,4 @@ def test_info_says_when_a_recording_began(tmp_path: Path) -> None:
     recording, _ = timed(tmp_path, "time", [f"2025-01-31 12:00:0{n}+01:00" for n in range(4)])
     recording.save(tmp_path / "m.h5")
     ended = lampest_command(tmp_path, "info", "m.h5")
-    assert "start     2025-01-31T12:00:00+01:00 at 0 s" in ended.stdout.splitlines()
+    assert "start      2025-01-31T12:00:00+01:00 at 0 s" in ended.stdout.splitlines()

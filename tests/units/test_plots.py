@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import ClassVar
@@ -15,6 +15,7 @@ from support import METHODS, invented_case
 
 from lampest.files.errors import InputError
 from lampest.panel.panel import Panel
+from lampest.panel.readouts import TwoPointReadout
 from lampest.report.plots import PLOTS, Plot, plot_of, plot_results
 from lampest.report.plots.maps import RESOLUTION, MapPainter, Tile, banded_scale
 from lampest.report.plots.style import change_text, new_figure
@@ -98,6 +99,14 @@ def painted(painter: MapPainter, tile: Tile) -> Axes:
     axes = new_figure(3.0).subplots()
     painter.draw(axes, tile)
     return axes
+
+
+@pytest.mark.parametrize(("reference", "unit"), [(1.0, "R_ref"), (1000.0, "ohm")])
+def test_resistances_over_an_unknown_reference_are_in_units_of_it(reference: float, unit: str) -> None:
+    case = invented_case()
+    scene = replace(case.scene, readout=TwoPointReadout(reference_ohm=reference))
+    figure = plot_of("resistance").draw((replace(case, scene=scene),))
+    assert f"resistance [{unit}]" in {axes.get_ylabel() for axes in figure.axes}
 
 
 @pytest.mark.parametrize("contoured", [True, False])

@@ -66,6 +66,7 @@ class ResistancePlot(Plot):
     """Maps of one frame: what was measured, each estimator's cells, the truth; r in ohm, dark where low.
 
     For recordings without unloaded frames. The scale ends at the 90th percentile: open cells reach any resistance.
+    A reference of exactly 1 ohm stands for an unknown one, R_ref: resistances are in units of it.
     """
 
     kind: ClassVar[str] = "resistance"
@@ -78,7 +79,8 @@ class ResistancePlot(Plot):
         given = [("measured", first.measured[index])]
         true = [] if first.truth is None else [("truth", first.truth[index])]
         tiles = [maps.Tile(*named) for named in (*given, *found, *true)]
-        scale = maps.log_scale(maps.values_of(tiles), "resistance [ohm]", 90.0, (1e-3, 1e12))
+        unit = "R_ref" if getattr(first.scene.readout, "reference_ohm", None) == 1 else "ohm"
+        scale = maps.log_scale(maps.values_of(tiles), f"resistance [{unit}]", 90.0, (1e-3, 1e12))
         return maps.maps_figure(tiles, first.scene.panel, scale, title)
 
 
