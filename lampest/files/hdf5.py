@@ -224,10 +224,12 @@ def read_array(
     dimensions: int | tuple[int, int],
     shape: tuple[int, ...] = (),
     part: slice = ALL,
+    kind: Any = None,
 ) -> Any:
     """A numeric dataset of that many dimensions, or of either of two numbers of them; shape : of all of it.
 
-    part : of its first axis. Raises InputError where it is absent, of another shape, damaged, or absurdly large.
+    part : of its first axis. kind : of integers, in which it is returned; None: as it is stored. Raises InputError
+    where it is absent, of another shape, damaged, absurdly large, or not whole numbers of that kind.
     """
     dataset = _dataset(file, path)
     wanted = (dimensions,) if isinstance(dimensions, int) else dimensions
@@ -247,19 +249,8 @@ def read_array(
     values = dataset[part]
     if part == ALL:
         check_digest(dataset, values)
-    return values
-
-
-def read_whole(
-    file: h5py.File,
-    path: str,
-    kind: Any,
-    dimensions: int | tuple[int, int],
-    shape: tuple[int, ...] = (),
-    part: slice = ALL,
-) -> Any:
-    """The same as integers of that kind. Raises InputError also where a value is not whole or beyond its range."""
-    values = read_array(file, path, dimensions, shape, part)
+    if kind is None:
+        return values
     if values.dtype.kind == "f" or not np.array_equal(values.astype(kind), values):
         raise InputError(f"{file.filename}: {path} must be whole numbers within the range of {np.dtype(kind)}")
     return values.astype(kind)

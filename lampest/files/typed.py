@@ -39,7 +39,7 @@ class Validated(metaclass=Checked):
 
 
 class Configuration(Validated):
-    """Base of dataclasses that YAML is validated into; unknown keys are refused."""
+    """Base of dataclasses that YAML is validated into; unknown keys and numbers out of range are errors."""
 
     __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
 

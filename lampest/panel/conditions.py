@@ -71,7 +71,7 @@ class Systematic(Configuration):
     response_sd : of a factor on each cell's answer to pressure, in the logarithm of its resistance (bent film, patches
         that differ); widens pressures alone.
 
-    None: absent. Raises ValueError where a number is out of range.
+    None: absent.
 
     >>> lampest.Systematic(reference_tolerance=0.01).reference_tolerance
     0.01

@@ -42,8 +42,6 @@ class Film(Configuration):
     cell_spread : relative standard deviation of the two from cell to cell.
     curvature_per_m : of the bent panel, the same in all frames; 0: flat.
 
-    Raises ValueError where a number is out of range.
-
     >>> lampest.Film(hysteresis=0.1).hysteresis
     0.1
     """

@@ -32,8 +32,6 @@ class Modules(Configuration):
 
     seam_mm : what lies between neighbouring cells of two modules beside the pitch, in millimetre. coupled : whether
     terms that compare neighbours go over the seams; the image is one problem then.
-
-    Raises ValueError where a number is out of range.
     """
 
     rows: int

@@ -155,8 +155,6 @@ class PowerResponse(Response):
 
     Example: {kind: power, exponent: 0.8, scale_kpa: 1.5}
 
-    Raises ValueError where a number is out of range.
-
     >>> lampest.PowerResponse(exponent=1.0, scale_kpa=1.0).pressure(np.log(0.5)).round(6)
     np.float64(1.0)
     """

@@ -87,8 +87,6 @@ class Scene(Configuration):
     subject, experiment : who was measured and for what; None: not specified. No estimate depends on them.
     modules : of a panel of modules, what single ones have of their own; all else is the same in all of them.
 
-    Raises ValueError where a number is out of range.
-
     >>> lampest.Scene(lampest.Panel(2, 3), lampest.TwoPointReadout(), 140.0).series_text
     '140 ohm'
     """

@@ -91,9 +91,7 @@ class Acquisition(Validated):
         if not hdf5.has(file, PATH):
             return None
         fields: dict[str, Any] = {
-            name: hdf5.read_array(file, f"{PATH}/{name}", 1, part=kept).astype(kind)
-            if kind == "f8"
-            else hdf5.read_whole(file, f"{PATH}/{name}", kind, 1, part=kept)
+            name: hdf5.read_array(file, f"{PATH}/{name}", 1, part=kept, kind=None if kind == "f8" else kind)
             for name, kind, *_ in FRAME_FIELDS
         }
         times, labels = np.zeros(0), tuple[str, ...]()

@@ -187,7 +187,7 @@ class Recording(Validated):
                 read(f"{group}/sigma", (2, 3)),
                 read(TRUTHS[0]),
                 read(TRUTHS[1]),
-                hdf5.read_whole(file, "/entry/raw/sums", np.uint16, 3, part=kept) if raw else None,
+                hdf5.read_array(file, "/entry/raw/sums", 3, part=kept, kind=np.uint16) if raw else None,
                 int(hdf5.read_number(file, "/entry/raw", "readings", 0)) if raw else None,
                 path.stem,
                 text("/entry/truth/simulation"),

@@ -148,10 +148,8 @@ class Column(Validated):
         part = part if self.axes[:1] == FRAMES else hdf5.ALL
         if self.dtype is str:
             return hdf5.read_texts(file, path, shape[0], part)
-        if np.dtype(self.dtype).kind == "f":
-            return hdf5.read_array(file, path, len(shape), shape, part).astype(self.dtype)
-        stored = np.uint8 if self.dtype is bool else self.dtype
-        return hdf5.read_whole(file, path, stored, len(shape), shape, part).astype(self.dtype)
+        whole = None if np.dtype(self.dtype).kind == "f" else np.uint8 if self.dtype is bool else self.dtype
+        return hdf5.read_array(file, path, len(shape), shape, part, whole).astype(self.dtype)
 
 
 @dataclass(frozen=True, eq=False)

@@ -88,8 +88,6 @@ class Settings(Validated):
     None for no limit: then no result depends on how fast the computer is. starts : places from which every frame is
     begun, the lowest minimum is taken; None: three for a first frame, one for each that follows another.
 
-    Raises ValueError where a number is out of range.
-
     >>> lampest.Settings(max_iterations=50).max_iterations
     50
     """

@@ -100,7 +100,7 @@ class BenchLimits(Configuration):
 
 @dataclass(frozen=True)
 class BenchFile(Configuration):
-    """What is compared. Raises ValueError where a number is out of range.
+    """What is compared.
 
     sizes : sides of square panels, or [rows, columns].
     estimators : methods by name, their terms as in a run's file; the paper's five by default.

@@ -77,7 +77,7 @@ class Simulated(Configuration):
     """Recordings of one lamprey of a fixed size on panels of 10 mm pitch, for every size, noise and scene.
 
     sizes : sides of square panels, or [rows, columns]. noise : readouts by name. scenes : unmodelled effects by name.
-    diameter_mm : of the mouth. Raises ValueError where a number is out of range.
+    diameter_mm : of the mouth.
     """
 
     sizes: common.Sizes

@@ -29,8 +29,6 @@ class Converter(Configuration):
     floor_code : codes at or below it were not recorded: such a reading, zero or infinite by its unit, says only that.
     passes_volt : the least and the largest voltage that a stage before the converter passes: a reading within its noise
         of either says only that. None: as frames show it.
-
-    Raises ValueError where a number is out of range.
     """
 
     supply_volt: float = 5.0

@@ -83,7 +83,7 @@ class VirtualGroundReadout(DrivenReadout):
         amplifier. feedback_ohm : Rf. Each a number or one for each line. Rd and Rc of zero are taken for a micro-ohm.
     supply_volt, adc_bits, readings, noise_lsb : see `Converter`.
 
-    No bound but r > 0 holds: other cells raise and lower a reading. Raises ValueError where a number is out of range.
+    No bound but r > 0 holds: other cells raise and lower a reading.
     Source: node analysis with Z = (L(g) + diag(t))⁻¹, t = 1/Rd at the driven and 1/Rc at the sensed lines.
 
     >>> lampest.VirtualGroundReadout(feedback_ohm=1000.0).unit

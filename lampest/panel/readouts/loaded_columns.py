@@ -20,8 +20,6 @@ class Diode(Configuration):
     drop_volt : at the current at_ampere, as a data sheet says. slope_volt : s = n·kT/q, what an e-fold of current adds
         to the drop; 2.303 s is a decade's.
 
-    Raises ValueError where a number is out of range.
-
     >>> lampest.Diode(drop_volt=0.6, at_ampere=1e-3, slope_volt=0.05).drop_volt
     0.6
     """

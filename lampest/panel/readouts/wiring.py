@@ -28,8 +28,6 @@ class Lines(Configuration):
     rows_enter : the side at which the rows' terminals are; at the left, column 0 is the nearest.
     columns_leave : the side at which the columns' terminals are; at the bottom, the last row is the nearest.
 
-    Raises ValueError where a number is out of range.
-
     >>> lampest.Lines(row_ohm_per_cell=1.0).resist
     True
     """
@@ -53,7 +51,7 @@ class Lines(Configuration):
 class ContactPrior(Configuration):
     """What is known beforehand of the contacts of one side's lines, in ohm: a number, or one for each line.
 
-    mean_ohm, sd_ohm : mean and standard deviation. sd_ohm 0: known. Raises ValueError where a number is out of range.
+    mean_ohm, sd_ohm : mean and standard deviation. sd_ohm 0: known.
 
     >>> lampest.ContactPrior(mean_ohm=5.0, sd_ohm=2.0).sd_ohm
     2.0

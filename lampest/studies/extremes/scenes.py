@@ -186,7 +186,6 @@ class Grid(Configuration):
 
     sizes : sides of square panels, or [rows, columns]. decades : between the least and the largest cell.
     noise : relative standard deviation of a reading, percent. seeds : how many panels of each kind.
-    Raises ValueError where a number is out of range.
     """
 
     sizes: Sizes
@@ -216,7 +215,7 @@ class Grid(Configuration):
 
 @dataclass(frozen=True)
 class AtlasFile(Configuration):
-    """What is tried. Raises ValueError where a number is out of range.
+    """What is tried.
 
     grid : panels of random cells. structured : sizes, contrasts and noise of all other cases.
     nodal : the part of both that the nodal formulation solves too: sizes, decades and noise.
