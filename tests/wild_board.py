@@ -18,12 +18,10 @@ from lampest.recording.board.protocol import (
     Hello,
     Kind,
     Result,
-    answer_body,
-    frame_body,
-    hello_body,
     message,
     unstuffed,
 )
+from tests.bodies import answer_body, frame_body, hello_body
 
 IDLE = Hello(3, 4, 2, 16, 16, 64, (1, 0), 1_000_000, 1_000, 40, 5000, 1_000_000, 10, "reference", False)
 SETTINGS = {Kind.SET_ROWS: "rows", Kind.SET_COLUMNS: "columns", Kind.SET_READINGS: "readings"}

@@ -18,11 +18,12 @@ from wild_board import Script, hundred_a_second, wild_board, wire
 
 from lampest import InputError, Recording
 from lampest.recording.board import stream
-from lampest.recording.board.protocol import Hello, hello_body, message
+from lampest.recording.board.protocol import Hello, message
 from lampest.recording.board.record import record
 from lampest.report.live.handover import Newest
 from lampest.report.live.message import View
 from lampest.report.live.server import serving
+from tests.bodies import hello_body
 
 LIMIT_S, SLACK_S = 0.5, 15.0  # how long nothing may fit here, and what the rest may take on a loaded machine
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)

@@ -14,8 +14,9 @@ import pytest
 from board.bench import Bench, bench, scene, some_cells
 
 from lampest import InputError, Recording
-from lampest.recording.board.protocol import Frame, Receiver, frame_body
+from lampest.recording.board.protocol import Frame, Receiver
 from lampest.recording.board.record import Progress, record, repair
+from tests.bodies import frame_body
 
 RECORDER = """
 import sys

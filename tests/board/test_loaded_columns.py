@@ -16,11 +16,12 @@ from lampest.estimate.estimator import Estimator
 from lampest.estimate.sequence import reconstruct
 from lampest.files.document import to_yaml
 from lampest.panel.panel import Array
-from lampest.recording.board.protocol import Hello, Receiver, hello_body, message
+from lampest.recording.board.protocol import Hello, Receiver, message
 from lampest.recording.board.record import record
 from lampest.recording.board.stream import declared_readout, scene_of
 from lampest.recording.recording import UNLOADED
 from lampest.report.live.run import LiveBoard, recorded_from_board
+from tests.bodies import hello_body
 
 WIRING = "loaded_columns"
 SHIPPED = Path(__file__).parents[2] / "data" / "lamprey_35mm.h5"

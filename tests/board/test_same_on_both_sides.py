@@ -21,11 +21,10 @@ from lampest.recording.board.protocol import (
     Result,
     command,
     crc16,
-    frame_body,
-    hello_body,
     message,
     unstuffed,
 )
+from tests.bodies import frame_body, hello_body
 
 EMIT = ctypes.CFUNCTYPE(None, ctypes.c_uint8)
 

@@ -18,15 +18,13 @@ from lampest.recording.board.protocol import (
     Message,
     Receiver,
     Result,
-    answer_body,
     command,
     crc16,
-    frame_body,
-    hello_body,
     message,
     stuffed,
     unstuffed,
 )
+from tests.bodies import answer_body, frame_body, hello_body
 
 HELLO = Hello(10, 10, 20, 16, 16, 64, (1, 0), 1_000_000, 230_100, 40, 5000, 1_000_000, 10, "reference", False)
 ANSWER = Answer(Kind.SET_ROWS, 7, Result.REFUSED_RANGE, 10)

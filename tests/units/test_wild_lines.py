@@ -13,9 +13,10 @@ from wild_board import IDLE, Script, hundred_a_second, wild_board, wire
 from lampest import InputError, Recording
 from lampest.cli.board import report_recorded
 from lampest.recording.board import stream
-from lampest.recording.board.protocol import Frame, Hello, hello_body, message
+from lampest.recording.board.protocol import Frame, Hello, message
 from lampest.recording.board.record import Recorded, record
 from lampest.recording.board.stream import Sample, Scanning, board_samples
+from tests.bodies import hello_body
 
 Sent = Iterator[tuple[float, bytes]]
 

@@ -177,24 +177,6 @@ def command(kind: Kind, tag: int = 0, value: int = 0) -> bytes:
     return message(_COMMAND.pack(PROTOCOL_VERSION, kind, tag, value))
 
 
-def hello_body(hello: Hello) -> bytes:
-    """HELLO as the board packs it."""
-    *fields, wiring, drive = vars(hello).values()
-    fields[6], fields[13] = hello.firmware[0] << 8 | hello.firmware[1], ACROSS.index(hello.measured_across)
-    more = b"" if wiring == "two_point" else _HELLO_WIRING.pack(WIRINGS.index(wiring), drive)
-    return _HELLO.pack(PROTOCOL_VERSION, Kind.HELLO, *fields) + more
-
-
-def frame_body(frame: Frame) -> bytes:
-    fields = (*frame.sums.shape, frame.readings, frame.sequence, frame.device_ms, frame.missed)
-    return _FRAME.pack(PROTOCOL_VERSION, Kind.FRAME, *fields) + frame.sums.astype("<u2").tobytes()
-
-
-def answer_body(answer: Answer) -> bytes:
-    code = RESULT_CODES.index(answer.result)
-    return _ANSWER.pack(PROTOCOL_VERSION, Kind.ANSWER, answer.command, answer.tag, code, answer.value)
-
-
 def _read_piece(piece: bytes) -> Message:
     content = unstuffed(piece) if len(piece) <= MOST_STUFFED else None
     # The CRC over a body and its own CRC is zero.
