@@ -28,7 +28,8 @@ def print_table(table: "Table") -> None:
     if not filled:
         return
     headers = [table.headers[number] for number in filled]
-    rows = [[_escaped(cells[number]) for number in filled] for cells in table.cells]
+    texts = [["\n".join(map(printable, cells[number].split("\n"))) for number in filled] for cells in table.cells]
+    rows = [[TOGETHER.sub("\N{NO-BREAK SPACE}", text) for text in cells] for cells in texts]
     room = max(get_terminal_size().columns if sys.stdout.isatty() else 0, WIDTH)
     widths, gap = _layout(headers, rows, room)
     if _whole(widths, gap) <= room or len(headers) < 2:
@@ -38,11 +39,6 @@ def print_table(table: "Table") -> None:
         say(f"{name}:")
         others = [cells[1:] for cells in block]
         _draw(headers[1:], others, *_layout(headers[1:], others, room))
-
-
-def _escaped(text: str) -> str:
-    """What stands in a cell, line by line as `say` has it, of which a figure's blanks part nothing."""
-    return TOGETHER.sub("\N{NO-BREAK SPACE}", "\n".join(map(printable, text.split("\n"))))
 
 
 def _whole(widths: Sequence[int], gap: int) -> int:

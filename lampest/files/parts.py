@@ -47,7 +47,7 @@ def join_parts(parts: Sequence[Path], target: h5py.Group, group: str) -> None:
                     target.require_group(path)
     joined = {path: plan for path, plan in plans.items() if plan.along and len(parts) > 1}
     for path, plan in joined.items():
-        shape = (_lengths(plans)[_parent(path)], *plan.shape[1:])
+        shape = (_lengths(plans)[path.split("/", 1)[0]], *plan.shape[1:])
         # A chunk that holds more than a part's frames is unpacked and packed again for every one of them.
         length = max(1, min(100_000 // int(np.prod(shape[1:], initial=1)), plan.shape[0] // len(parts)))
         nothing = np.nan if plan.dtype.kind == "f" else None
@@ -56,7 +56,7 @@ def join_parts(parts: Sequence[Path], target: h5py.Group, group: str) -> None:
         with hdf5.existing_file(part) as file:
             for path, node in _below(file[group]):
                 if path in joined:
-                    first = begin.get(_parent(path), 0)
+                    first = begin.get(path.split("/", 1)[0], 0)
                     target[path][first : first + len(node)] = node[()]
                 elif path in plans and plans[path].owner == part:
                     file.copy(node, target, path, without_attrs=True)
@@ -82,7 +82,7 @@ def _planned(dataset: h5py.Dataset, owner: Path, before: DatasetPlan | None) -> 
 def _lengths(plans: Mapping[str, DatasetPlan]) -> dict[str, int]:
     """Estimator, or what was measured → frames so far."""
     times = {path: plan for path, plan in plans.items() if path.endswith(f"/{TIME}") and path.count("/") == 1}
-    return {_parent(path): plan.shape[0] for path, plan in times.items()}
+    return {path.split("/", 1)[0]: plan.shape[0] for path, plan in times.items()}
 
 
 def _below(group: h5py.Group, before: str = "") -> Iterator[tuple[str, Any]]:
@@ -93,8 +93,3 @@ def _below(group: h5py.Group, before: str = "") -> Iterator[tuple[str, Any]]:
             yield from _below(group[name], f"{before}{name}/")
         else:
             yield f"{before}{name}", group[name]
-
-
-def _parent(path: str) -> str:
-    """The group of an estimator, or of what was measured: the first part of a path."""
-    return path.split("/", 1)[0]

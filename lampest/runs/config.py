@@ -150,9 +150,11 @@ def read_run(path: Path, settings: tuple[str, ...] = ()) -> Run:
         for swept in point.assignments:
             if swept.split(".")[0] == "executor":
                 raise document.error(("sweep", swept), "where cases run changes no result, so it cannot be swept")
-        methods = [
+        single = {path.split(".")[1] for path in point.assignments if path.startswith("estimators.")}
+        methods = [  # where the sweep varies single estimators, those
             (_varied_name(name, point.assignments), resolve(point.document, run, name))
-            for name in _affected(run, point.assignments)
+            for name in run.estimators
+            if not single or name in single
         ]
         for file in recording_paths(path, run.recordings):
             source = recordings[file] = recordings.get(file) or _Source.read(file)
@@ -278,12 +280,6 @@ def resolve(document: Document, run: RunFile, name: str) -> Estimator:
         return Estimator(terms_of(said.terms), *(getattr(said, item.name) for item in fields(Choices)))
     except ValueError as error:
         raise document.error(("estimators", name), str(error)) from error
-
-
-def _affected(run: RunFile, assignments: dict[str, Any]) -> list[str]:
-    """All estimators, or, where the sweep varies single ones, those."""
-    named = {path.split(".")[1] for path in assignments if path.startswith("estimators.")}
-    return [name for name in run.estimators if not named or name in named]
 
 
 def _varied_name(name: str, assignments: dict[str, Any]) -> str:

@@ -86,17 +86,13 @@ def _renamed(case: CaseResult, before: Sequence[CaseResult], number: int) -> Cas
     """The case under names that those before do not have."""
     same = [other for other in before if other.recording == case.recording]
     given = ("frame", "time", "measured", "measured_baseline", "truth", "truth_baseline")
-    if same and not all(_equal(getattr(case, name), getattr(same[0], name)) for name in given):
+    pairs = [(getattr(case, name), getattr(same[0], name)) for name in given] if same else []
+    arrays = [(one, other) for one, other in pairs if one is not None or other is not None]
+    if not all(np.array_equal(*pair, equal_nan=pair[0] is not None and pair[1] is not None) for pair in arrays):
         return replace(case, recording=f"{case.recording} [{number}]")
     if any(other.estimator == case.estimator for other in same):
         return replace(case, estimator=f"{case.estimator} [{number}]")
     return case
-
-
-def _equal(one: object, other: object) -> bool:
-    if isinstance(one, np.ndarray) and isinstance(other, np.ndarray):
-        return np.array_equal(one, other, equal_nan=True)
-    return one is other
 
 
 def without_copies(recordings: Recordings) -> tuple[Recordings, list[str]]:
