@@ -334,8 +334,19 @@ def _tried(pair: FittedPair, plain: Evidence) -> Iterator[tuple[FittedPair, Evid
         if scores[number] > plain.score - PRICE:
             return
         found = replace(pair, effects=(*pair.effects, replace(effects[number], size=0.0))).settled()
-        if found is not None and found[1].moved.sum() < plain.moved.sum():
+        if found is None or found[1].moved.sum() >= plain.moved.sum():
+            continue
+        if not _beside_a_load(found[0].effects[-1], found[1].moved.reshape(pair.fits[0].cells.shape)):
             yield found
+
+
+def _beside_a_load(effect: Effect, moved: NDArray[np.bool_]) -> bool:
+    """Whether the contact may as well be the edge of a load: most cells of a line next to it have moved."""
+    if effect.kind == "leak":
+        return False
+    line, rows = effect.lines[0], len(moved)
+    side, at = (moved, line) if line < rows else (moved.T, line - rows)
+    return any(2 * side[next_one].sum() > side.shape[1] for next_one in (at - 1, at + 1) if 0 <= next_one < len(side))
 
 
 def _together(plain: Evidence) -> str:

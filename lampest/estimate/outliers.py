@@ -109,11 +109,27 @@ def without_outliers(
             most = max(SHARE, 2 * float(found[0].mean()))
         else:
             most = SHARE
+    resting = np.broadcast_to(median(value[unloaded]) if unloaded.any() else np.nan, value.shape[1:])
+    outlying &= unloaded[:, None, None] | _alone_in_time(value, resting, ~unloaded)
     if not outlying.any():
         return outlying, readings
     moving = outlying & ~unloaded[:, None, None]
     left = replace(readings, seen=np.where(outlying & ~moving, 0.0, readings.seen))
     return outlying, _replaced(left, moving, instead, spread)
+
+
+def _alone_in_time(value: Array, resting: Array, measured: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Whether a measured reading is farther from the frames before and after than these are from each other.
+
+    A load that comes moves readings by such steps, and overshoots. Before the first measured frame the panel is as it
+    rests (rows, columns); the last frame has none after it.
+    """
+    found, own = np.ones(value.shape, dtype=bool), value[measured]
+    if len(own) > 1:
+        before, after = np.concatenate([resting[None], own[:-2]]), own[1:]
+        nearer = np.minimum(np.abs(own[:-1] - before), np.abs(own[:-1] - after))
+        found[np.flatnonzero(measured)[:-1]] = ~(nearer < np.abs(after - before))
+    return found
 
 
 def _replaced(readings: Readings, outlying: NDArray[np.bool_], instead: Array, spread: Array) -> Readings:
