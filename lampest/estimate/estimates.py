@@ -59,6 +59,7 @@ def barred_maps(cells: Array, baseline: Array, steps: tuple[Step, ...]) -> dict[
             "data_share": frames("data_share", unbarred=0.0),
             "sigma_own": frames("own"),
             "sigma_common": frames("common"),
+            "change_own": frames("own", change=True),
         }
 
 
@@ -233,6 +234,8 @@ class Estimates:
     sigma_common = Barred("_bars", "Standard deviation of log r: of what all cells share, or those of a line.")
     pressure = Barred("_pressed", "Pressure of the load, kPa, suction negative; of films with a response in the scene.")
     pressure_errors = Barred("_pressed", "Standard deviation of the pressure, kPa.")
+    pressure_own = Barred("_pressed", "Standard deviation of the pressure, kPa: of each cell's own error.")
+    pressure_common = Barred("_pressed", "Standard deviation of the pressure, kPa: of what cells share.")
     pressure_lower = Barred("_pressed", "Lower end of the 95 % interval of the pressure, kPa.")
     pressure_upper = Barred("_pressed", "Upper end of the 95 % interval of the pressure, kPa.")
 
@@ -309,7 +312,8 @@ class Estimates:
         if load is None:
             return None
         ends = {"pressure_lower": load.lower, "pressure_upper": load.upper}
-        return {"pressure": load.pressure, "pressure_errors": load.errors, **ends}
+        parts = {"pressure_own": load.own, "pressure_common": load.common}
+        return {"pressure": load.pressure, "pressure_errors": load.errors, **ends, **parts}
 
     @cached_property
     def _load(self) -> Pressure | None:
@@ -318,7 +322,8 @@ class Estimates:
             return None
         interval = self._bars["ratio_lower"], self._bars["ratio_upper"]
         ratio = self.cell_resistance / self.baseline_resistance
-        return pressure_of(ratio, *interval, self.recording.scene, self.time, self.film, self.estimator.tare)
+        own, scene = self._bars["change_own"], self.recording.scene
+        return pressure_of(ratio, *interval, scene, self.time, self.film, self.estimator.tare, own)
 
 
 def log_change(found: Estimates) -> tuple[Array, Array] | None:

@@ -22,7 +22,8 @@ class Pressure:
     """What presses on the cells or sucks at them, without the pressure of the water.
 
     pressure : (frames, rows, columns) kPa; NaN where the estimate is. lower, upper : ends of the 95 % interval, kPa:
-        `lower` is never below an empty space, `upper` may be infinite. errors : half the 68 % interval, kPa.
+        `lower` is never below an empty space, `upper` may be infinite. errors : half the 68 % interval. own, common
+        : its two parts, each cell's own and what cells share, such as the film's curve.
     saturated : 1 where the response leaves the pressure open: the interval, water included, reaches beyond `told_kpa`
         of the response. tared : (frames) why zero was taken anew after a frame; '' where it was not.
     """
@@ -31,6 +32,8 @@ class Pressure:
     lower: Array
     upper: Array
     errors: Array
+    own: Array
+    common: Array
     saturated: NDArray[np.uint8]
     tared: tuple[str, ...] = ()
 
@@ -43,6 +46,7 @@ def pressure_of(
     time: Array | None = None,
     known: FilmKnown | None = None,
     tare: Tare | None = None,
+    own: Array | None = None,
 ) -> Pressure:
     """p = f⁻¹(f(p_w)·e^{x/κ}) − p_w with x = ln(r/r_baseline) − α (T − T_b), (frames, rows, columns) kPa.
 
@@ -52,7 +56,8 @@ def pressure_of(
 
     ratio : (frames, rows, columns) r/r_baseline; NaN where a frame failed. lower, upper : ends of its 95 % interval; 0
     and infinity where that is open, `ratio` itself at a bound. time : (frames) s; None: a second apart. known : of the
-    film; None: as the scene has it. tare : when zero is taken anew; None: never.
+    film; None: as the scene has it. tare : when zero is taken anew; None: never. own : standard deviation of log ratio
+    that each cell has on its own; None: all of the interval.
 
     Raises ValueError where shapes disagree, a ratio is not positive and finite, or lies outside its interval.
     """
@@ -63,13 +68,14 @@ def pressure_of(
         raise ValueError("a resistance over its unloaded value must be positive, finite and within its interval")
     track = PressureTrack.begin(scene, known, tare)
     if not track.remembers:
-        return track.pressure(ratio, lower, upper, 0.0)
+        return track.pressure(ratio, lower, upper, 0.0, own)
     frames, tared = list[Pressure](), list[str]()
     for number, at in enumerate(np.arange(float(len(ratio))) if time is None else time):
-        frames.append(track.pressure(ratio[number], lower[number], upper[number], float(at)))
+        part = None if own is None else own[number]
+        frames.append(track.pressure(ratio[number], lower[number], upper[number], float(at), part))
         track = track.after(ratio[number], float(at))
         tared.append(track.tared)
-    maps = ("pressure", "lower", "upper", "errors", "saturated")
+    maps = ("pressure", "lower", "upper", "errors", "own", "common", "saturated")
     return Pressure(**{name: np.stack([getattr(frame, name) for frame in frames]) for name in maps}, tared=tuple(tared))
 
 
@@ -108,8 +114,11 @@ class PressureTrack:
         """Whether a frame's pressure depends on those before."""
         return self.scene.film is not None or self.watch is not None
 
-    def pressure(self, ratio: Array, lower: Array, upper: Array, time: float) -> Pressure:
-        """p (rows, columns) kPa of the next frame at a time in s; of several (frames, …) where nothing remembers."""
+    def pressure(self, ratio: Array, lower: Array, upper: Array, time: float, own: Array | None = None) -> Pressure:
+        """p (rows, columns) kPa of the next frame at a time in s; of several (frames, …) where nothing remembers.
+
+        own : as `pressure_of`.
+        """
         change, below, above = self._change(ratio), *self._beside(ratio, lower, upper, time)
         water = water_pressure(self.scene.panel, self.scene.water)
         here, *others = self._pressures(change, time)
@@ -120,9 +129,16 @@ class PressureTrack:
             open_kpa = np.sqrt(np.sum((np.stack(others) - here) ** 2, axis=0))
             least = np.maximum(here - np.hypot(here - least, NORMAL_95 * open_kpa), VACUUM_KPA - water)
             most, errors = here + np.hypot(most - here, NORMAL_95 * open_kpa), np.hypot(errors, open_kpa)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            half = np.log(upper / lower) / (2 * NORMAL_95) if own is None else own
+        scatter = np.hypot(half, scatter_sd(self.scene) * self._answer(change, time))
+        ends = (self._pressures(change + sign * scatter, time)[0] for sign in (1, -1))
+        alone = np.minimum(np.abs(next(ends) - next(ends)) / 2, errors)
+        with np.errstate(invalid="ignore"):
+            common = np.where(np.isinf(errors), np.inf, np.sqrt(np.maximum(errors**2 - alone**2, 0.0)))
         known = (self.scene.response or PUBLISHED).told_kpa
         saturated = (least + water < known[0]) | (most + water > known[1])
-        return Pressure(here, least, most, errors, saturated.astype(np.uint8))
+        return Pressure(here, least, most, errors, alone, common, saturated.astype(np.uint8))
 
     def after(self, ratio: Array, time: float) -> "PressureTrack":
         """Once a frame with r/r_baseline (rows, columns) has come at a time in s; where it is NaN, the film stands."""
@@ -160,7 +176,7 @@ class PressureTrack:
 
     def _beside(self, ratio: Array, lower: Array, upper: Array, time: float) -> tuple[Array, Array]:
         scene, change, warming_sd = self.scene, self._change(ratio), 0.0
-        answer = -self.films.at_once(change[..., None, :, :] - self.zeros, self._seconds(time))[..., 0, :, :]
+        answer = self._answer(change, time)
         kept = self.residue * np.maximum(self.peak - np.abs(change), 0.0)
         if (warmth := scene.temperature) is not None:
             warming_sd = abs(warmth.difference_kelvin) * warmth.coefficient_sd_per_kelvin
@@ -169,6 +185,10 @@ class PressureTrack:
         shared = np.hypot(film_sd, np.hypot(warming_sd, kept)) * NORMAL_95
         with np.errstate(divide="ignore"):
             return np.hypot(np.log(ratio) - np.log(lower), shared), np.hypot(np.log(upper) - np.log(ratio), shared)
+
+    def _answer(self, change: Array, time: float) -> Array:
+        """ln r/r_rest without what the film crept."""
+        return -self.films.at_once(change[..., None, :, :] - self.zeros, self._seconds(time))[..., 0, :, :]
 
     def _pressures(self, change: Array, time: float) -> Array:
         """(films, …) pressures of the load under which each film shows such changes."""
@@ -181,6 +201,13 @@ def response_sd(scene: Scene, answer: Array) -> Array:
     own = RESPONSE_SD if named is None or named.response_sd is None else named.response_sd
     scatter = np.array(own if response.gain_sd is None else response.gain_sd)
     return np.asarray(np.hypot(scatter, response.curve_sd(response.pressure(answer / response.gains))))
+
+
+def scatter_sd(scene: Scene) -> Array:
+    """The part of it that each cell has on its own: as specified; else as cells of one film scatter."""
+    response, stated = scene.response or PUBLISHED, scene.specified_systematic
+    own = RESPONSE_SD if stated is None or stated.response_sd is None else stated.response_sd
+    return np.array(own if response.gain_sd is None else response.gain_sd)
 
 
 def water_pressure(panel: Panel, water: Water | None) -> Array:

@@ -41,7 +41,7 @@ class Certainty(LogInterval):
     @property
     def own(self) -> Array:
         """√(deviation² − common²): each cell's own part."""
-        return np.asarray(np.sqrt(np.maximum(self.deviation**2 - self.common**2, 0.0)))
+        return own_part(self.deviation, self.common)
 
     @classmethod
     def inside(cls, cells: Array, data: Data, variances: tuple[Array, Array], shares: tuple[Array, Array]) -> Self:
@@ -107,3 +107,8 @@ class Certainty(LogInterval):
     def of_frame(self, frame: int) -> "Certainty":
         """That of one frame, (rows, columns)."""
         return Certainty(*(getattr(self, field.name)[frame] for field in fields(self)))
+
+
+def own_part(deviation: Array, common: Array) -> Array:
+    """√(deviation² − common²), infinite where a cell may be open; any shape."""
+    return np.asarray(np.sqrt(np.maximum(deviation**2 - common**2, 0.0)))

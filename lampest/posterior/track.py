@@ -6,7 +6,7 @@ import numpy as np
 
 from lampest.panel.panel import Array
 from lampest.panel.systematic import Shared
-from lampest.posterior.certainty import Certainty, LogInterval
+from lampest.posterior.certainty import Certainty, LogInterval, own_part
 from lampest.posterior.dense import DenseErrors, Memory, active_bounds
 from lampest.posterior.frame_noise import FrameNoise
 from lampest.posterior.interval import TWO_SIDED
@@ -18,11 +18,21 @@ MOST_DENSE = 1200  # unknowns; from there on samples are faster
 
 @dataclass(frozen=True, eq=False)
 class Change(LogInterval):
-    """Of log r − log r_baseline."""
+    """Of log r − log r_baseline. common : the part of the deviation that cells share; None: not known."""
+
+    common: Array | None = None
+
+    @property
+    def own(self) -> Array:
+        """√(deviation² − common²): each cell's own part; all of it where the common one is not known."""
+        return self.deviation if self.common is None else own_part(self.deviation, self.common)
 
     @classmethod
-    def between(cls, frame: Certainty, baseline: Certainty, shared: Array) -> "Change":
-        """√(a² + b² − 2·shared), ends apart; shared : covariance of the two errors, (rows, columns)."""
+    def between(cls, frame: Certainty, baseline: Certainty, shared: Array, common: Array | None = None) -> "Change":
+        """√(a² + b² − 2·shared), ends apart; shared : covariance of the two errors, (rows, columns).
+
+        common : covariance of what cells share of them; None: not known.
+        """
 
         def joined(one: Array, other: Array, shared: Array) -> Array:
             with np.errstate(invalid="ignore"):
@@ -34,6 +44,7 @@ class Change(LogInterval):
             joined(frame.deviation, baseline.deviation, shared),
             joined(frame.below, baseline.above, ends),
             joined(frame.above, baseline.below, ends),
+            None if common is None else joined(frame.common, baseline.common, common),
         )
 
 
@@ -93,8 +104,11 @@ class Track:
         track = replace(self, deviation=deviation, memory=memory, answers=(answer, resting))
         if self.baseline is None:
             return track, Bars(frame, None)
-        together = np.sum(answer * resting, axis=1) + (0.0 if memory is None else memory.shared())
-        return track, Bars(frame, Change.between(frame, self.baseline, together.reshape(frame.deviation.shape)))
+        shape, each = frame.deviation.shape, answer * resting
+        common = each[:, : each.shape[1] - (0 if self.shared is None else self.shared.own(len(each)))].sum(axis=1)
+        together = each.sum(axis=1) + (0.0 if memory is None else memory.shared())
+        change = Change.between(frame, self.baseline, together.reshape(shape), common.reshape(shape))
+        return track, Bars(frame, change)
 
     def _errors(self, model: LinearModel, memory: Memory | None, baseline: bool) -> DenseErrors:
         """With V, and with each reading's own error; baseline : whether the first frame is the unloaded ones' mean."""

@@ -143,6 +143,8 @@ class Held(Validated):
     # What presses on the cells, where there are error bars: without them nobody can say what the response shows.
     pressure: Array | None = col.maps("kPa", "pressure of the load on the cell", col.known_if_solved, **col.MAYBE)
     pressure_errors: Array | None = col.deviation("kPa", "standard deviation of the pressure")
+    pressure_own: Array | None = col.deviation("kPa", "standard deviation of the pressure: each cell's own error")
+    pressure_common: Array | None = col.deviation("kPa", "standard deviation of the pressure: what cells share")
     pressure_lower: Array | None = col.end("kPa", "lower")
     pressure_upper: Array | None = col.end("kPa", "upper")
     saturated: NDArray[np.uint8] | None = col.flag(

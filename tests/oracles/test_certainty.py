@@ -16,7 +16,7 @@ from lampest.estimate.estimates import Estimates
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.sequence import reconstruct
 from lampest.panel.panel import Array, Panel
-from lampest.panel.readouts import VirtualGroundReadout
+from lampest.panel.readouts import TwoPointReadout, VirtualGroundReadout
 from lampest.panel.scene import Scene, Systematic
 from lampest.posterior.certainty import Certainty
 from lampest.posterior.dense import DenseErrors
@@ -214,6 +214,18 @@ def test_a_method_that_looks_back_carries_its_error_along() -> None:
     alone = reconstruct(recording, replace(estimator, terms=(Misfit(),))).steps[-1].bars
     assert alone is not None
     assert np.median(carried / alone.frame.deviation) < 1
+
+
+def test_what_cells_share_of_a_change_cancels_as_far_as_both_frames_have_it() -> None:
+    """A reference that is off moves baseline and frame alike; where the frame is the baseline, nothing is common."""
+    cells = panel_cells()
+    frames = np.repeat(cells[None], 3, axis=0)
+    scene = Scene(Panel(*SHAPE), TwoPointReadout(), systematic=Systematic(reference_tolerance=0.05))
+    recording = recorded(scene, frames, two_point_resistance(frames), 0.003)
+    found = reconstruct(recording, Estimator((Misfit(),), formulation="reduced")).steps[-1].bars
+    assert found is not None and found.change is not None
+    assert np.allclose(found.frame.common, 0.05 / np.sqrt(3), rtol=0.2)
+    assert np.all(found.change.common < 1e-3) and np.allclose(found.change.own, found.change.deviation, rtol=1e-3)
 
 
 def test_what_nobody_sees_has_no_bounds() -> None:

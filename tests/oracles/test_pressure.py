@@ -11,7 +11,8 @@ from lampest.loads.pressure import pressure_of, water_pressure
 from lampest.loads.response import RESPONSE_SD, VACUUM_KPA, ratio_from_pressure
 from lampest.loads.shapes import SuctionCup
 from lampest.panel.panel import Array, Panel
-from lampest.panel.scene import Scene, Temperature, Water
+from lampest.panel.readouts import TwoPointReadout
+from lampest.panel.scene import Scene, Systematic, Temperature, Water
 from lampest.recording.simulation import Simulation, simulate
 from lampest.recording.simulation.simulation import Cells
 
@@ -165,3 +166,19 @@ def test_scene_with_and_without_the_new_keys() -> None:
 def test_wrong_scenes(key: str, message: str) -> None:
     with pytest.raises(InputError, match=message):
         validated(parse_document(f"panel: {{rows: 4, columns: 3}}\n{key}", "scene"), Scene)
+
+
+def test_the_film_is_a_common_error_and_the_scatter_of_its_cells_is_none() -> None:
+    """Of a usual scene the curve is known to 25 %, and cells of one film scatter by 10 %."""
+    change = np.log(np.array([[[0.3, 0.32]]]))
+    scene = Scene(Panel(1, 2), TwoPointReadout())
+    ends, own = (np.exp(change - 1.96 * 0.2), np.exp(change + 1.96 * 0.2)), np.full(change.shape, 0.05)
+    found, alone = (pressure_of(np.exp(change), *ends, scene, own=one) for one in (own, None))
+    assert np.allclose(np.hypot(found.own, found.common), found.errors)
+    slope = found.errors / np.sqrt(0.2**2 + (0.25 * change) ** 2)  # kPa for each of ln r
+    assert np.allclose(found.own, slope * np.sqrt(0.05**2 + (0.1 * change) ** 2), rtol=0.2)
+    assert np.all(alone.own > 1.5 * found.own) and np.allclose(alone.errors, found.errors)
+    stated = pressure_of(
+        np.exp(change), *ends, dataclasses.replace(scene, systematic=Systematic(response_sd=0.25)), own=own
+    )
+    assert np.allclose(stated.own, slope * np.sqrt(0.05**2 + (0.25 * change) ** 2), rtol=0.2)
