@@ -134,8 +134,10 @@ def _odd_ones(loaded: Loaded) -> NDArray[np.bool_]:
 
 
 def _unlike_first_guess(fitted: Fitted, pressure: Array, base: Response) -> str:
-    """Where the film answers many times more or less than the first guess."""
-    middle = np.array([float(np.median(np.abs(pressure[pressure != 0])))])
+    """Where the film answers many times more or less than the first guess, or loads press beyond what that knows."""
+    middle, most = np.array([float(np.median(np.abs(pressure[pressure != 0])))]), max(map(abs, base.told_kpa))
+    if middle[0] > most:
+        return f"half of the loads press with more than {most:.3g} kPa, beyond what the first guess knows: {UNITS}"
     ratio = fitted.curve(middle, base)[0][0] / float(base.logarithm(middle)[0])
     if abs(np.log(ratio)) <= UNLIKE:
         return ""

@@ -301,7 +301,10 @@ def besides_the_circuit(scene: Scene, resting: CellsFit, frames: Sequence[tuple[
         plain = pair.explained(np.zeros((frame.cells.size, 0)))
         together = _together(plain) or together
         whole, after, certain = _grown(pair, plain)
-        if not (plain.score - after.score > most and mostly_still(after.moved)):
+        moved = after.moved.reshape(frame.cells.shape)
+        if not (plain.score - after.score > most and mostly_still(moved)):
+            continue
+        if any(_beside_a_load(one, moved) for one in whole.effects):
             continue
         most, fits_noise = plain.score - after.score, min(fit.tail for fit in whole.fits) >= LEVEL
         names = " and ".join(named(one, scene.panel.rows) for one in whole.effects)
@@ -334,15 +337,13 @@ def _tried(pair: FittedPair, plain: Evidence) -> Iterator[tuple[FittedPair, Evid
         if scores[number] > plain.score - PRICE:
             return
         found = replace(pair, effects=(*pair.effects, replace(effects[number], size=0.0))).settled()
-        if found is None or found[1].moved.sum() >= plain.moved.sum():
-            continue
-        if not _beside_a_load(found[0].effects[-1], found[1].moved.reshape(pair.fits[0].cells.shape)):
+        if found is not None and found[1].moved.sum() < plain.moved.sum():
             yield found
 
 
 def _beside_a_load(effect: Effect, moved: NDArray[np.bool_]) -> bool:
-    """Whether the contact may as well be the edge of a load: most cells of a line next to it have moved."""
-    if effect.kind == "leak":
+    """Whether a load's edge may be taken for a better contact: most cells of a line next to it have moved."""
+    if effect.kind == "leak" or effect.size > 0:
         return False
     line, rows = effect.lines[0], len(moved)
     side, at = (moved, line) if line < rows else (moved.T, line - rows)
