@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 import lampest
 from lampest import Estimator, Gradient, Misfit, Panel, Scene, two_point_resistance
 from lampest.estimate.noise import noise_seen, passing, swept
-from lampest.estimate.outliers import outliers_in_time
+from lampest.estimate.outliers import outliers_in_time, without_outliers
 from lampest.estimate.scatter import scatter
 from lampest.estimate.sequence import reconstruct
 from lampest.estimate.warnings import warnings_of
@@ -60,6 +60,19 @@ def test_parts_are_found_with_their_sizes() -> None:
     assert np.mean([one.own for one in apart]) == pytest.approx(1, abs=0.06)
     wave = [parts(rng, 10, wave=3.0) for _ in range(20)]
     assert np.mean([(one.together**2).sum() / CHANNELS for one in wave]) == pytest.approx(4.5, rel=0.5)
+
+
+def test_a_load_that_overshoots_when_it_comes_is_no_outlier() -> None:
+    """The frame of the touch is as far from the unloaded panel as those after it, or a little farther."""
+    rng = np.random.default_rng(3)
+    value, unloaded = 700 + 0.1 * rng.standard_normal((11, 6, 6)), np.arange(11) < 5
+    value[5:, 2:4, 2:4] -= 150
+    value[5, 2:4, 2:4] -= 8
+    readings = Readings(value, np.full(value.shape, 0.1), np.zeros(value.shape), np.ones(value.shape))
+    assert not without_outliers(TwoPointReadout(), readings, unloaded)[0].any()
+    value[8, 5, 0] += 8
+    found, _ = without_outliers(TwoPointReadout(), readings, unloaded)
+    assert found.sum() == 1 and found[8, 5, 0]
 
 
 def test_a_lone_leap_is_one_and_a_touch_of_one_frame_is_none() -> None:

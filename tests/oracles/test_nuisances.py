@@ -13,6 +13,8 @@ from lampest import Recording, Scene, TwoPointReadout
 from lampest.estimate.model_check import effects_seen
 from lampest.estimate.noise import noise_seen
 from lampest.estimate.warnings import warnings_of
+from lampest.loads.shapes import Block
+from lampest.recording.simulation import Cells, Course, Simulation, simulate
 
 Array = NDArray[np.float64]
 ROWS, COLUMNS, UNLOADED, FRAMES = 9, 10, 5, 6
@@ -144,6 +146,16 @@ def test_a_scene_states_what_a_stage_passes() -> None:
 def test_the_size_of_a_leak_is_found() -> None:
     (line,) = (line for line in warnings_of(panel(2, leak_ohm=5e3, leak_from=UNLOADED)) if "leak" in line)
     assert 4 < float(line.split("a leak of ")[1].split(" kohm")[0]) < 6
+
+
+def test_the_edge_of_a_load_on_half_the_panel_is_no_contact() -> None:
+    """It covers whole columns, the last of which it presses little, and breathes."""
+    block = Block(centre_mm=(17.5, 45.0), length_mm=35.0, width_mm=90.0, mass_g=4000.0)
+    course = Course(start_s=-0.08, approach_s=0.06, attachment_s=0.9316, breathing_hz=0.80338, breathing_depth=0.1)
+    scene = Scene(lampest.Panel(9, 7), TwoPointReadout(readings=20, noise_lsb=0.7), 140.0)
+    cells = Cells(spread=0.085013)
+    found = simulate(Simulation(1, 9125, scene, cells, frames=18, frame_period_s=0.1, loads=(block,), course=course))
+    assert effects_seen(found).better.name == ""
 
 
 @pytest.mark.parametrize("mouth", ["lamprey_25mm", "lamprey_35mm"])
