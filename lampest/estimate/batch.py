@@ -50,21 +50,25 @@ def pushed_together(
 
 
 def _weighed(streams: Sequence[Stream | None], readings: Readings) -> list[Stream | None]:
-    """The streams, with new weights where frames are due to choose them: one choice for all that are alike."""
-    found, due = list(streams), dict[Hashable, list[int]]()
-    for number, stream in enumerate(streams):
-        if stream is not None and stream.rested and stream.choosing(readings[number]):
-            due.setdefault((id(stream.estimator), converter_and_faults(stream.scene)), []).append(number)
-    for numbers in due.values():
-        every = {number: one for number in numbers if (one := streams[number]) is not None}
-        changes = [one.change(readings[number]) for number, one in every.items()]
-        some = [numbers[place] for place in strongest(changes)]
-        one, ((first, near), *beside) = every[some[0]], [every[number].given(readings[number]) for number in some]
-        data, others = first.limited(one.estimator.solver.time_limit_s), [data for data, _ in beside]
-        weighed = with_chosen_weights(one.estimator, one.scene, data, near, readings.sigma is not None, others)
-        weights = tuple(float(term.weight) for term in weighed.terms)
-        for (number, one), change in zip(every.items(), changes, strict=True):
-            found[number] = replace(one, weights=weights, weighed_at=change)
+    """The streams, with new weights for all that are alike where the frame of any is due to choose them."""
+    found, groups = list(streams), dict[Hashable, dict[int, Stream]]()
+    for number, one in enumerate(streams):
+        if one is None or not one.chooses or not (one.rested or not one.estimator.relative):
+            continue
+        if readings[number].enough(one.scene):
+            kind = id(one.estimator), one.rested, converter_and_faults(one.scene)
+            groups.setdefault(kind, {})[number] = one
+    for group in groups.values():
+        if any(one.choosing(readings[number]) for number, one in group.items()):
+            changes = [one.change(readings[number]) for number, one in group.items()]
+            numbers = [list(group)[place] for place in strongest(changes)]
+            one, pairs = group[numbers[0]], [group[number].given(readings[number]) for number in numbers]
+            first, others = pairs[0][0].limited(one.estimator.solver.time_limit_s), [data for data, _ in pairs[1:]]
+            noisy = readings.sigma is not None
+            weighed = with_chosen_weights(one.estimator, one.scene, first, pairs[0][1], noisy, others)
+            weights = tuple(float(term.weight) for term in weighed.terms)
+            for number, one in group.items():
+                found[number] = replace(one, weights=weights, weighed_at=max(changes))
     return found
 
 
@@ -73,7 +77,8 @@ def rested_together(streams: Sequence[Stream | None]) -> list[Stream | None]:
     there = next(stream for stream in streams if stream is not None)
     resting = [there.resting if stream is None else stream.resting for stream in streams]
     kept = Kept.nothing(len(streams), there.resting.value.size)
-    found = _solved_together(streams, resting[0].together(*resting[1:]), kept, Together.rested)
+    together = resting[0].together(*resting[1:])
+    found = _solved_together(_weighed(streams, together), together, kept, Together.rested)
     return [stream and stream.with_rest(found.get(number)) for number, stream in enumerate(streams)]
 
 
@@ -128,8 +133,8 @@ def _in_batches(stream: Stream, readings: Readings, number: int, partial: bool) 
     if partial and (stream.track is not None or not bool(readings[number].enough(stream.scene))):
         return False
     if not stream.rested:
-        alone = stream.baseline is None and not estimator.joint_start
-        return alone and all(term.weight != "auto" for term in estimator.absolute_terms)
+        weighed = stream.weights is not None or all(term.weight != "auto" for term in estimator.absolute_terms)
+        return weighed and stream.baseline is None and not estimator.joint_start
     return not estimator.automatic or estimator.auto_weight.per == "recording"
 
 
@@ -275,7 +280,7 @@ def _previous(streams: Sequence[Stream]) -> Array:
 def _weights(stream: Stream) -> tuple[float, ...]:
     """Of the terms that a batch minimises."""
     estimator = stream.estimator
-    if stream.rested and estimator.automatic and stream.weights is not None:
+    if estimator.automatic and stream.weights is not None:
         return stream.weights
     return tuple(float(term.weight) for term in (estimator.terms if stream.rested else estimator.absolute_terms))
 

@@ -112,25 +112,26 @@ class Stream(SequenceState):
             return self, self.unsolved(Status.UNREAD)
         if method.compares(terms) and not self.resting.enough(self.scene):
             return self, self.unsolved(Status.UNRESTED)
-        if self._chooses and self.weights is not None and not self.choosing(readings):
+        if self.chooses and self.weights is not None and not self.choosing(readings):
             stream, step = method.push(replace(self, estimator=self.estimator.with_weights(self.weights)), readings)
             return replace(stream, estimator=self.estimator), step
         stream, step = method.push(self, readings)
-        if self._chooses and step.solution.solved:
+        if self.chooses and step.solution.solved:
             stream = replace(stream, weights=step.weights, weighed_at=self.change(readings))
         return stream, step
 
     def due(self, readings: Readings) -> bool:
         """Whether weights that the data of the strongest frame choose are to be chosen anew by a frame."""
-        return self._chooses and self.change(readings) > STRONGER * self.weighed_at
+        return self.chooses and self.change(readings) > STRONGER * self.weighed_at
 
     def choosing(self, readings: Readings) -> bool:
         """Whether a frame, of which enough was read, chooses the weights that the data of the strongest one choose."""
         asked = self.weights is None or (self.due(readings) and not self.hasty)
-        return self._chooses and asked and bool(readings.enough(self.scene))
+        return self.chooses and asked and bool(readings.enough(self.scene))
 
     @property
-    def _chooses(self) -> bool:
+    def chooses(self) -> bool:
+        """Whether the data of the strongest frame choose weights."""
         return self.estimator.automatic and self.estimator.auto_weight.per == "recording"
 
     def change(self, readings: Readings) -> float:

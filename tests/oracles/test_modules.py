@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from lampest import InputError, Recording, Scene, Simulation, simulate
 from lampest.cli import main
 from lampest.estimate.modules import begin_stream
 from lampest.estimate.sequence import first_stream
+from lampest.estimate.weights import with_chosen_weights
 from lampest.files.document import parse_document, to_yaml, validated
 from lampest.panel.panel import EachModule, Modules
 from lampest.runs.batch import run_batch
@@ -129,19 +131,28 @@ def test_a_module_that_drops_out_is_missing_alone_and_comes_back() -> None:
     np.testing.assert_allclose(parted.cell_resistance[3], whole.cell_resistance[3], rtol=1e-5)
 
 
-def test_modules_that_are_alike_share_their_weights() -> None:
-    """Chosen from those that differ most from rest; a module with another converter has its own."""
+def test_modules_that_are_alike_share_their_weights(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Chosen from those that differ most from rest, again when one of them does more; another converter, others."""
     own = "modules: [{at: [0, 1], readout: {kind: two_point, reference_ohm: 1000, adc_bits: 10, readings: 5}}]\n"
     recording = simulated(scene_of(SCENE + "faults: {dead_modules: [[1, 2]]}\n" + own))
     estimator = lampest.Estimator((lampest.Misfit(), lampest.Gradient(weight="auto")), "reduced", error_bars=False)
-    readings = recording.readings()
+    readings, choices = recording.readings(), list[lampest.Scene]()
+
+    def choose(estimator: lampest.Estimator, scene: Scene, *more: Any) -> lampest.Estimator:
+        choices.append(scene)
+        return with_chosen_weights(estimator, scene, *more)
+
+    for room in ("batch", "methods.method", "sequence"):
+        monkeypatch.setattr(f"lampest.estimate.{room}.with_chosen_weights", choose)
     known = first_stream(recording, readings, estimator)
-    begun = begin_stream(estimator, recording.scene, 0.1, readings[recording.role == 0].mean())
-    assert begun.baseline_resistance.shape == (6, 12)
-    pushed, step = begun.push(readings[recording.measured_frames()[0]])
-    assert step.solution.solved and len(pushed.parts) == 6
     chosen = [part.estimator.terms[1].weight for part in known.parts if part is not None]
-    later = [part.weights[1] for part in pushed.parts if isinstance(part, lampest.Stream) and part.weights]
+    assert len(choices) == 2
+    stream = begin_stream(estimator, recording.scene, 0.1, readings[recording.role == 0].mean())
+    assert len(choices) == 4 and np.isfinite(stream.baseline_resistance).sum() == 60
+    for frame in recording.measured_frames():
+        stream, step = stream.push(readings[frame])
+        assert step.solution.solved and len(choices) == 6
+    later = [part.weights[1] for part in stream.parts if isinstance(part, lampest.Stream) and part.weights]
     for weights in (chosen, later):
         assert len(weights) == 5 and len(set(weights)) == 2 and weights.count(weights[1]) == 1
 
