@@ -217,9 +217,9 @@ class LeastCost:
         for term, x, rows in self.blocks(position):
             value, slope = loss(term, x, smooth)
             root = np.sqrt(np.maximum(value, 0))
-            bend = np.where(root > 0, slope / np.where(root > 0, 2 * root, 1), 1.0 if term.loss != "absolute" else 0.0)
+            half = np.where(root > 0, slope / np.where(root > 0, 2 * root, 1), 1.0 if term.loss != "absolute" else 0.0)
             residuals.append(np.sqrt(term.weight) * np.sign(x) * root)
-            slopes.append(np.sqrt(term.weight) * (np.sign(x) * np.sign(slope) * np.abs(bend))[:, None] * rows)
+            slopes.append(np.sqrt(term.weight) * (np.sign(x) * np.sign(slope) * np.abs(half))[:, None] * rows)
         return np.concatenate(residuals), np.concatenate(slopes)
 
     def minimised(self, start: Array, most: int = 100) -> Array:

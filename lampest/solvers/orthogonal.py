@@ -62,8 +62,8 @@ class Squares:
     def newton(self, matrix: Array) -> tuple[float, float, Array, float] | None:
         """(λ, δλ, s, decrement) of ∇²φ = `matrix` over the free cells; None where A has no full rank.
 
-        λ : the least eigenvalue of M = R⁻ᵀ ∇²φ R⁻¹, which is near 1 where the residuals bend little; it has the sign of
-        ∇²φ's. δλ : what rounding of ∇²φ may make of it. s = −R⁻¹ M⁻¹ Qᵀb, the Newton step, and √(bᵀQ M⁻¹ Qᵀb).
+        λ : the least eigenvalue of M = R⁻ᵀ ∇²φ R⁻¹, near 1 where the residuals are nearly linear; it has ∇²φ's sign.
+        δλ : what rounding of ∇²φ may make of it. s = −R⁻¹ M⁻¹ Qᵀb, the Newton step, and √(bᵀQ M⁻¹ Qᵀb).
         """
         upper, turned, order = self._orthogonal
         if abs(upper[-1, -1]) <= len(upper) * EPSILON * abs(upper[0, 0]):

@@ -115,11 +115,11 @@ def test_what_follows_from_the_formula_is_what_the_losses_say(loss: Loss) -> Non
 
 @pytest.mark.parametrize("loss", [PseudoHuber(CORNER), Cauchy(CORNER)], ids=lambda loss: loss.kind)
 def test_slope_is_explained_by_curvature_and_pull(loss: Loss) -> None:
-    """(ω x)² + H² = (½ρ')² wherever the loss bends upwards, ω = ½ρ'' against differences."""
+    """(ω x)² + H² = (½ρ')² wherever the loss is convex, ω = ½ρ'' against differences."""
     step = 1e-3 * CORNER
     low, here, high = (np.array([float(loss.cost(x + move)) for x in GRID]) for move in (-step, 0.0, step))
-    slope, bend = (high - low) / (4 * step), (high - 2 * here + low) / (2 * step**2)
-    assert_allclose(loss.curvature(GRID), np.maximum(bend, 0), atol=1e-5)
+    slope, curvature = (high - low) / (4 * step), (high - 2 * here + low) / (2 * step**2)
+    assert_allclose(loss.curvature(GRID), np.maximum(curvature, 0), atol=1e-5)
     assert_allclose((loss.curvature(GRID) * GRID) ** 2 + loss.steady_pull(GRID) ** 2, slope**2, rtol=1e-4)
 
 

@@ -122,12 +122,14 @@ def test_second_order_is_the_derivative_of_the_adjoint(scene: Scene) -> None:
     step, weights = np.random.default_rng(3).normal(size=(2, *scene.panel.shape))
     network = network_of(scene, logarithm, ties)
     second = network.second_order(weights)
-    forward, bent = second.products(step)
+    forward, second_order = second.products(step)
     assert_allclose(forward, network.forward(step), rtol=1e-9, atol=1e-12 * size(forward))
-    assert_allclose((second.matrix() @ step.ravel()).reshape(bent.shape), bent, atol=1e-9 * size(bent))
+    assert_allclose(
+        (second.matrix() @ step.ravel()).reshape(second_order.shape), second_order, atol=1e-9 * size(second_order)
+    )
     ends = [network_of(scene, logarithm + sign * STEP * step, ties).adjoint(weights) for sign in (1, -1)]
     expected = (ends[0] - ends[1]) / (2 * STEP)
-    assert_allclose(bent - network.adjoint(weights) * step, expected, atol=1e-5 * size(expected))
+    assert_allclose(second_order - network.adjoint(weights) * step, expected, atol=1e-5 * size(expected))
 
 
 @every_scene

@@ -165,7 +165,7 @@ def test_second_derivative_without_potentials(term: type[Term], words: dict[str,
     """∇²φ in log r, as a matrix and as a product, against central differences of ∇φ; absolute losses are smoothed."""
     cost = Cost(PANEL, (Misfit(), term(weight=0.7, loss=loss, **words)), frames)
     data, cells = example(frames)
-    rng, width, step = np.random.default_rng(4), 50.0, 2e-6  # 0.006 ohm: a loss bends within CORNER of them
+    rng, width, step = np.random.default_rng(4), 50.0, 2e-6  # 0.006 ohm: a loss curves within CORNER of them
 
     def curvature(where: Array) -> Hessian:
         at = Evaluation.at(cost, data, where)

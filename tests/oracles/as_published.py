@@ -86,9 +86,9 @@ class Quadratic:
     def along(self, direction: Array, origin: Array, low: float, high: float) -> tuple[float, Array]:
         """(least value, its step) of origin + t·direction with t between low and high."""
         image, shift = self.jacobian @ direction, self.jacobian @ origin
-        bend = image @ image + direction @ (self.curvature * direction)
+        curvature = image @ image + direction @ (self.curvature * direction)
         slope = self.gradient @ direction + image @ shift + direction @ (self.curvature * origin)
-        ends = [low, high] + ([float(np.clip(-slope / bend, low, high))] if bend > 0 else [])
+        ends = [low, high] + ([float(np.clip(-slope / curvature, low, high))] if curvature > 0 else [])
         steps = [origin + t * direction for t in ends]
         values = [self.at(step) for step in steps]
         best = int(np.argmin(values))
@@ -169,14 +169,14 @@ def _subspace_step(model: Quadratic, radius: float) -> Array:
     floor = 1e-14 * np.trace(matrix) / len(matrix)
     newton = -np.linalg.solve(matrix + floor * np.eye(len(matrix)), model.gradient)
     basis = np.linalg.qr(np.stack([model.gradient, newton], axis=1))[0]
-    bends, turn = np.linalg.eigh(basis.T @ matrix @ basis)
+    curvatures, turn = np.linalg.eigh(basis.T @ matrix @ basis)
     slope = turn.T @ (basis.T @ model.gradient)
-    bends = np.maximum(bends, 1e-300)
-    if np.linalg.norm(slope / bends) <= radius:
-        return np.asarray(-basis @ (turn @ (slope / bends)))
+    curvatures = np.maximum(curvatures, 1e-300)
+    if np.linalg.norm(slope / curvatures) <= radius:
+        return np.asarray(-basis @ (turn @ (slope / curvatures)))
     most = float(np.linalg.norm(slope)) / radius
-    shift = brentq(lambda mu: float(np.linalg.norm(slope / (bends + mu))) - radius, 0.0, most)
-    return np.asarray(-basis @ (turn @ (slope / (bends + shift))))
+    shift = brentq(lambda mu: float(np.linalg.norm(slope / (curvatures + mu))) - radius, 0.0, most)
+    return np.asarray(-basis @ (turn @ (slope / (curvatures + shift))))
 
 
 def _to_bound(point: Array, direction: Array, lower: Array) -> float:

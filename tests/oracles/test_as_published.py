@@ -17,12 +17,12 @@ from tests.oracles.as_published import Weights, left_by_solver, lsqnonlin
 PANEL = Panel(4, 5)
 
 
-def bent(point: Array) -> Array:
-    """A valley that bends twice."""
+def valley(point: Array) -> Array:
+    """A valley that is curved twice."""
     return np.concatenate([10 * (point[1:] - point[:-1] ** 2), 1 - point[:-1]])
 
 
-def bent_slopes(point: Array) -> Array:
+def valley_slopes(point: Array) -> Array:
     count = len(point) - 1
     slopes = np.zeros((2 * count, count + 1))
     for row in range(count):
@@ -34,11 +34,11 @@ def bent_slopes(point: Array) -> Array:
 def test_it_ends_where_scipy_does(lower: float) -> None:
     """Free, and with the bound beside and beyond the free minimum at one."""
     bound, start = np.full(4, lower), np.full(4, 3.0)
-    ours = lsqnonlin(bent, bent_slopes, start, bound)
-    reference = least_squares(bent, start, bent_slopes, (bound, np.inf), ftol=1e-14, xtol=1e-14, gtol=1e-14)
+    ours = lsqnonlin(valley, valley_slopes, start, bound)
+    reference = least_squares(valley, start, valley_slopes, (bound, np.inf), ftol=1e-14, xtol=1e-14, gtol=1e-14)
     assert np.all(ours.point >= bound)
     # MATLAB's default ends where a step gains less than 1e-6 of 1 + cost.
-    assert np.sum(bent(ours.point) ** 2) <= (2 * reference.cost) * (1 + 1e-4) + 1e-4
+    assert np.sum(valley(ours.point) ** 2) <= (2 * reference.cost) * (1 + 1e-4) + 1e-4
 
 
 def test_it_stops_at_a_hundred_evaluations_for_each_unknown() -> None:

@@ -171,7 +171,7 @@ def test_the_interior_point_method_leaves_no_search_for_the_bounds(
 
 
 def pressed_patch() -> Evaluation:
-    """LSR-∇CR at equal cells, of a panel with a patch of a hundredth: in log r the cost bends down there."""
+    """LSR-∇CR at equal cells, of a panel with a patch of a hundredth: in log r the cost is concave there."""
     generator = np.random.default_rng(4)
     truth = 3000 * np.exp(0.2 * generator.standard_normal((18, 20)))
     truth[4:12, 5:13] *= 0.01

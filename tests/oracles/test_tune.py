@@ -105,10 +105,10 @@ def test_what_a_held_cell_leaves_is_the_integral_of_its_density() -> None:
     expected = 0.0
     for cell in bound:
         above, below = residuals(int(cell), step), residuals(int(cell), -step)
-        bend = float(np.sum(((above - below) / (2 * step)) ** 2)) / model.scale
+        curvature = float(np.sum(((above - below) / (2 * step)) ** 2)) / model.scale
         slope = abs(float(np.sum(above**2) - np.sum(below**2)) / (2 * step)) / model.scale
-        reach = 60 / max(slope, np.sqrt(bend))
-        density, _ = quad(lambda t, g=slope, a=bend: np.exp(-(g * t + a * t * t) / 2), 0, reach, epsabs=0)
+        reach = 60 / max(slope, np.sqrt(curvature))
+        density, _ = quad(lambda t, g=slope, a=curvature: np.exp(-(g * t + a * t * t) / 2), 0, reach, epsabs=0)
         expected += np.log(2 * np.pi) - 2 * np.log(density)
     assert_allclose(bound_evidence(model), expected, rtol=1e-5)
 
@@ -119,7 +119,7 @@ def test_morozovs_weight_misses_the_readings_by_their_noise(tuned: Tuned) -> Non
 
 
 def test_l_curve_finds_the_corner_of_a_hyperbola() -> None:
-    """x = √(1 + t²) + t, y = √(1 + t²) − t with t = log(λ/10) bends most at t = 0."""
+    """x = √(1 + t²) + t, y = √(1 + t²) − t with t = log(λ/10) is curved most at t = 0."""
     weights = np.geomspace(1e-3, 1e5, 41)
     t = np.log(weights / 10)
     away = np.sqrt(1 + t**2)

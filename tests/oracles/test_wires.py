@@ -199,7 +199,7 @@ def test_joined_lines_leave_the_rest_exact(readout: Readout, lines: Lines | None
 
 @pytest.mark.parametrize("term", [LogRatio(weight=10.0), RelativeChange(weight=10.0)], ids=["log_ratio", "relative"])
 def test_shares_that_only_a_penalty_tells_are_followed_to_their_optimum(term: Term) -> None:
-    """The valley of cells that are parallel is bent: a straight step leaves it, and hundreds of them did not end."""
+    """The valley of cells that are parallel is curved: a straight step leaves it, and hundreds of them did not end."""
     recording = simulated(Scene(Panel(8, 6), READOUTS["two_point"], faults=Faults(joined_rows=((2, 3),))))
     done = solved(recording, terms=(*LSM, term))
     assert all(step.solution.status is Status.OPTIMUM for step in done.steps)
