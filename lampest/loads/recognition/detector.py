@@ -59,11 +59,7 @@ class Detector:
 
     def verdict(self, frame: Observation, before: Verdict | None = None) -> Verdict:
         """What a frame shows. before : the verdict on an earlier one, whose loads are tried, too."""
-        rest, residual = Whitening.at_rest(frame), frame.residual()
-        calm = frame.without(outliers(rest, residual))
-        errors = Whitening.at_rest(calm) @ residual
-        stands_out = unit(rest @ self.search.readings(frame)).T @ errors
-        if errors @ errors < SUSPICIOUS * errors.size and stands_out.max() < FARTHEST:
+        if (calm := self.calm(frame)) is not None:
             return self._judged(calm, ())
         (field, without), found = field_fit(frame), list[Verdict]()
         if before is not None and before.loads:
@@ -82,6 +78,14 @@ class Detector:
                 found.append(self._settled(frame, (*fits, *single.loads[:1]), field, without))
                 discs = discs_of(fits[0])
         return self._spread(frame, max(found, key=lambda one: one.evidence))
+
+    def calm(self, frame: Observation) -> Observation | None:
+        """The frame without outliers where nothing else stands out, neither by its χ² nor like a template."""
+        rest, residual = Whitening.at_rest(frame), frame.residual()
+        calm = frame.without(outliers(rest, residual))
+        errors = Whitening.at_rest(calm) @ residual
+        stands_out = unit(rest @ self.search.readings(frame)).T @ errors
+        return calm if errors @ errors < SUSPICIOUS * errors.size and stands_out.max() < FARTHEST else None
 
     def fitted(self, candidate: Candidate, frame: Observation, start: Fit | None) -> Fit:
         """One candidate whether or not anything else would do; from everywhere, unless the start of before fits."""

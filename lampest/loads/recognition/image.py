@@ -155,6 +155,22 @@ class ImageWatch:
         same = all(one.attachments is other.attachments for one, other in zip(watches, self.watches, strict=True))
         return here if same else replace(here, attachments=here._merged())
 
+    def touched(self, unloaded: Array) -> bool:
+        """As `Watch.touched`, in any window."""
+        return any(
+            watch.touched(unloaded[(..., *own.cells)]) for own, watch in zip(self.windows, self.watches, strict=True)
+        )
+
+    def ended(self) -> "ImageWatch":
+        """As `Watch.ended`."""
+        here = replace(self, watches=tuple(watch.ended() for watch in self.watches))
+        return replace(here, attachments=here._merged())
+
+    @property
+    def doubt(self) -> str:
+        """As `Watch.doubt`, of the first window that has one."""
+        return next((watch.doubt for watch in self.watches if watch.doubt), "")
+
     @property
     def stands_out(self) -> float:
         """As `Watch.stands_out`, in the window where readings differ most."""

@@ -2,22 +2,24 @@
 
 Steps are found by a matched filter on the logarithms of all readings (Page, Biometrika 41, 1954, of one). What stands
 there between two steps is recognised after 1, 2, 4 … seconds, from the median of the latest frames against the panel
-before the load came, and goes only by a step back to that. A bare panel at rest follows the readings.
+before the load came, and goes only by a step back to that, up to what the film remembers. A bare panel at rest follows
+the readings.
 """
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from itertools import combinations
+from math import exp
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cholesky, solve_triangular
 
-from lampest.loads.force import CLEAR
 from lampest.loads.recognition.attachment import Attachment, attachments_of, continued_by
 from lampest.loads.recognition.breathing import LEAST_S, WINDOW_S, breaths
-from lampest.loads.recognition.candidates import DiscSearch
+from lampest.loads.recognition.candidates import FIELD, DiscSearch
 from lampest.loads.recognition.detector import Detector
-from lampest.loads.recognition.evidence import Verdict
+from lampest.loads.recognition.evidence import CANNOT_BE, RARER, Verdict
 from lampest.loads.recognition.observation import Baseline, Observation, counting, unit
 from lampest.loads.recognition.settings import ModelErrors
 from lampest.panel.panel import Array
@@ -27,9 +29,9 @@ STEP = 6.0  # standard deviations: with some 1000 patterns normal noise passes t
 FREE = 0.1  # σ of ln r and of ln y that all cells and all readings may share: temperature, waves, supply; an assumption
 NEAR = 3.0  # pitches about a disc in which a load's pattern counts for it
 FOLLOWS_S = 20.0  # in which the mean of frames follows them
-# Of what stands there, as patterns see it: a change beyond it is another load, or one that left. And of a load's
-# ln r/r0 the most that a film keeps of it: 12 %, and 5 % for each decade.
-CHANGED, FILM_KEEPS = 0.5, 0.25
+# Of what stands there, as patterns see it: a change beyond it is another load, or one that left. And the standard
+# deviation of what a film keeps of a load that left, in its ln r/r0.
+CHANGED, FILM_KEEPS = 0.5, 0.12
 FIRST_S, FRAMES = 1.0, 3  # after which something is recognised first, and at least; breathing is judged again
 
 
@@ -60,17 +62,16 @@ class Panelled:
 
 @dataclass(frozen=True, eq=False)
 class StepTest:
-    """|t_kᵀ W δ| > STEP·v_k + tolerance of a change δ of ln y. What all cells share is free.
+    """|t_kᵀ W δ| > STEP·v_k of a change δ of ln y. What all cells share is free.
 
     patterns : (discs, cells) t_kᵀ W, those of discs, whitened and of unit length. near : (discs, discs) which are near.
-    whitening : W (cells, cells). drift : (discs) score of cells that drift by 1, each by itself. loud : (discs) v_k²,
-    the mean square in frames without a load: ripple and noise that nobody specified count.
+    whitening : W (cells, cells). loud : (discs) v_k², the mean square in frames without a load: ripple and noise that
+    nobody specified count.
     """
 
     patterns: Array
     near: NDArray[np.bool_]
     whitening: Array
-    drift: Array
     loud: Array
 
     @classmethod
@@ -87,10 +88,12 @@ class StepTest:
         patterns = unit(whitening @ (search.readings(frame) / value[:, None])).T @ whitening
         x, y = search.places.T / frame.baseline.scene.panel.pitch_mm
         near = np.hypot(x[:, None] - x, y[:, None] - y) < NEAR
-        scores = (unloaded - np.log(value)) @ patterns.T
-        spread = np.mean(scores**2) * len(scores) / (len(scores) - 1) if len(scores) > 1 else 1.0
-        drift = np.linalg.norm(patterns @ slope, axis=1)
-        return cls(patterns, near, whitening, drift, np.full(len(patterns), max(float(spread), 1.0)))
+        scores = unloaded @ patterns.T
+        spreads = [np.mean((one - other) ** 2) / 2 for one, other in combinations(scores, 2)]
+        usual = np.quantile(
+            spreads or [1.0], 0.25, method="lower"
+        )  # of pairs of frames: one with an outlier, or a touch, is in many
+        return cls(patterns, near, whitening, np.full(len(patterns), max(float(usual), 1.0)))
 
     def scores(self, change: Array) -> Array:
         """|t_kᵀ W δ| of a change of ln y (cells)."""
@@ -109,12 +112,14 @@ class StepTest:
 class Watch:
     """Where a sequence of frames stands. Readings are logarithms, (cells).
 
-    rest, rested, rest_s : the panel before a load, of how many frames it is the mean, its last. mean, begun : of the
-    frames since the last step, and when that was. recent : the last two. window : (s, ℓ) since the step, of WINDOW_S or
-    FRAMES if that is more. size : (discs) scores of the load that is there. left, left_s : the same of the last load
-    that was recognised, and when. seen, verdict : the median frame in which something was recognised since it came, and
-    as what. known : whether that was since the last step. next_s, breath_s : when it will be again, and its breathing.
-    own : (discs) about which something has to begin that is recognised here; None: all.
+    rest, rested, rest_s : the panel before a load, of how many frames it is the mean, its last. kept : (cells) standard
+    deviation of ln r0 by what the film keeps of loads that left since. mean, begun : of the frames since the last step,
+    and when that was. recent : the last two. window : (s, ℓ) since the step, of WINDOW_S or FRAMES if that is more.
+    size : (discs) scores of the load that is there. left, left_s : the same of the last load that was recognised, and
+    when. seen, verdict : the median frame in which something was recognised since it came, and as what. known : whether
+    that was since the last step. next_s, breath_s : when it will be again, and its breathing. uncovered_s : when a load
+    left that had been there before the first frame. own : (discs) about which something has to begin that is recognised
+    here; None: all.
     """
 
     panelled: Panelled
@@ -126,6 +131,7 @@ class Watch:
     mean: Array
     begun: float
     recent: tuple[Array, ...]
+    kept: Array | float = 0.0
     window: tuple[tuple[float, Array], ...] = ()
     present: bool = False
     size: Array | float = 0.0
@@ -136,6 +142,7 @@ class Watch:
     known: bool = False
     next_s: float = np.inf
     breath_s: float = np.inf
+    uncovered_s: float | None = None
     attachments: tuple[Attachment, ...] = ()
     own: NDArray[np.bool_] | None = None
 
@@ -149,7 +156,8 @@ class Watch:
         frames, sigma, rest = max(len(unloaded), 1), counting(sigma, measured), np.log(measured.ravel())
         frame = panelled.frame(measured, sigma, panelled.baseline(measured, sigma, frames), 0.0)
         own = np.log(unloaded.reshape(len(unloaded), rest.size))
-        test = StepTest.of(frame, panelled.detector.search, np.where(np.isfinite(own), own, rest))
+        own = np.where(np.isfinite(own), own, rest)
+        test = StepTest.of(frame, panelled.detector.search, own)
         return cls(panelled, test, sigma, rest, frames, time, rest, time, (rest, rest))
 
     def push(self, measured: Array, sigma: Array, time: float) -> "Watch":
@@ -161,10 +169,24 @@ class Watch:
         here = replace(self, recent=(self.recent[-1], logarithm), sigma=sigma)._stepped(shown, logarithm, time)
         if not here.present:
             return here
-        if not here.known and here._at_rest(time):
+        if not here.known and here._calm(here._frame(here.mean, time)):
             return here._gone(here.begun)
         here = here._recognised(time) if time >= here.next_s and len(here.window) >= FRAMES else here
         return here._breathed(time) if here.present and here.known and time >= here.breath_s else here
+
+    def ended(self) -> "Watch":
+        """After the last frame: what stands there is recognised although it has just come."""
+        return self._recognised(self.window[-1][0]) if self.present and not self.known else self
+
+    def touched(self, unloaded: Array) -> bool:
+        """Whether something came or left while the unloaded frames (frames, rows, columns) were taken."""
+        own = np.log(unloaded.reshape(len(unloaded), self.rest.size))
+        for three in zip(own, own[1:], own[2:], strict=False):
+            shown = np.where(np.isfinite(three).all(axis=0), np.median(three, axis=0), self.rest)
+            stepped = np.any(self.test.scores(shown - self.rest) >= self.test.least())
+            if stepped and self.panelled.detector.calm(self._frame(shown, self.rest_s)) is None:
+                return True
+        return False
 
     @property
     def stands_out(self) -> float:
@@ -176,12 +198,21 @@ class Watch:
         """(rows, columns) ln r/r0 of what was recognised last; None: nothing was."""
         return None if self.verdict is None else self.verdict.best.change
 
+    @property
+    def doubt(self) -> str:
+        """Why it is not known what the panel carries; '' where it is."""
+        if self.present and not self.known:
+            return f"something touched the panel at {self.begun:.1f} s, and has not been still for long enough"
+        if self.uncovered_s is not None:
+            return f"something stood on the panel in its unloaded frames, and left at {self.uncovered_s:.1f} s"
+        return ""
+
     def _stepped(self, shown: Array, logarithm: Array, time: float) -> "Watch":
         """With a frame among those since the last step, or the first after one."""
         before = self.window[-1][0] if self.window else self.begun
         scores = self.test.scores(shown - self.mean)
         fading = self.left / (1 + max(time - self.left_s, 0.0) / FOLLOWS_S)  # what the film may show of the last load
-        if np.any(scores >= self.test.least() + CHANGED * (self.size if self.present else fading)):
+        if np.any(scores >= np.maximum(self.test.least(), CHANGED * (self.size if self.present else fading))):
             here = replace(self, mean=shown, begun=before, window=((time, logarithm),), known=False)
             here = here if self.present else replace(here, present=True, seen=None)
             size = self.test.sizes(shown - self.rest)
@@ -196,46 +227,70 @@ class Watch:
         test = replace(self.test, loud=self.test.loud + share * (scores**2 - self.test.loud))
         return replace(here, rest=here.mean, rest_s=time, rested=max(1 / follows, self.rested), test=test)
 
-    def _at_rest(self, time: float) -> bool:
-        """Whether the readings are back to where they were before the load, up to what film and drift leave."""
-        drift = CLEAR * self.panelled.errors.resting_sd(time - self.rest_s) * self.test.drift
-        scores, least = self.test.scores(self.mean - self.rest), self.test.least() + drift
-        if np.all(scores < least):
-            return True
-        if self.change is None or not np.all(scores < least + CHANGED * self.left):
-            return False
-        left, before = self._frame(self.mean, time).map.ravel(), self.change.ravel()
-        return bool(left @ before < FILM_KEEPS * (before @ before))
-
     def _frame(self, logarithm: Array, time: float) -> Observation:
-        """Readings against the panel before the load."""
+        """Readings against the panel before the load, with what the film keeps of loads that left."""
         panelled, shape = self.panelled, self.panelled.scene.panel.shape
         rest = panelled.baseline(np.exp(self.rest).reshape(shape), self.sigma, max(self.rested, 1.0))
-        return panelled.frame(np.exp(logarithm).reshape(shape), self.sigma, rest, time - self.rest_s)
+        frame = panelled.frame(np.exp(logarithm).reshape(shape), self.sigma, rest, time - self.rest_s)
+        covariance = rest.covariance.copy()
+        cells = np.arange(logarithm.size)
+        covariance[cells, cells] += self._keeps(frame) ** 2
+        return replace(frame, baseline=replace(rest, covariance=covariance))
+
+    def _calm(self, frame: Observation) -> bool:
+        """Whether nothing stands out of a frame, nor a part of what was there that a film does not keep."""
+        return self.panelled.detector.calm(frame) is not None and self._remains(frame) < 2 * FILM_KEEPS
+
+    def _remains(self, frame: Observation) -> float:
+        """The part of what was recognised that a frame still shows, by its ln r/r0; 0 where nothing was."""
+        if self.seen is None or self.change is None:
+            return 0.0
+        return float(np.sum(frame.map * self.change) / np.sum(self.change**2))
+
+    def _keeps(self, frame: Observation) -> Array | float:
+        """`kept` once a step has changed what was recognised: by what cells have less of it than before."""
+        if self.known or self.seen is None or self.change is None:
+            return self.kept
+        less = np.abs(self.change) - np.abs(frame.map)
+        return np.asarray(np.maximum(self.kept, FILM_KEEPS * np.maximum(less, 0.0).ravel()))
 
     def _gone(self, time: float) -> "Watch":
         """Once nothing is there any more; the panel at rest is what it is now, unless nothing had been recognised."""
         closed = tuple(replace(one, until_s=time) if one.here else one for one in self.attachments)
-        here = replace(self, present=False, known=False, attachments=closed, next_s=np.inf, breath_s=np.inf)
+        here = replace(self, present=False, known=False, attachments=closed, kept=0.0, next_s=np.inf, breath_s=np.inf)
         if self.seen is None:
             return replace(here, mean=self.rest, window=())
         return replace(here, rest=self.mean, rest_s=time, rested=float(len(self.window)), left_s=time)
 
     def _recognised(self, time: float) -> "Watch":
         """With what stands there, by the frames of the window."""
-        again, change = time + max(time - self.begun, FIRST_S), self.mean - self.rest
-        size = self.test.sizes(change)
-        if not self.known and self.own is not None:
-            scores = self.test.scores(change)
-            if not np.any((scores >= size) & (scores >= self.test.least()) & self.own):
-                return replace(self, next_s=again)
-        frame = self._frame(np.median([one for _, one in self.window], axis=0), time)
-        verdict = self.panelled.detector.verdict(frame, self.verdict if self.seen else None)
-        if verdict.nothing > 0.5:
-            return replace(self, next_s=again) if self.known else replace(self, seen=frame)._gone(self.begun)
+        again, scores = time + max(time - self.begun, FIRST_S), self.test.scores(self.mean - self.rest)
+        size, clear = self.test.sizes(self.mean - self.rest), scores >= self.test.least()
+        if not self.known and self.own is not None and not np.any((scores >= size) & clear & self.own):
+            return replace(self, next_s=again)
+        median = np.median([one for _, one in self.window], axis=0)
+        frame = self._frame(median, time)
+        verdict = self.panelled.detector.verdict(frame, self.verdict if self.known else None)
+        odds = 1.0 if self.seen is None else exp(RARER)  # that nothing comes in the moment in which something leaves
+        if verdict.nothing * odds > 1 - verdict.nothing:
+            if self._remains(frame) < 2 * FILM_KEEPS and not (self.known and np.any(clear)):
+                return self._gone(time if self.known else self.begun)
+            return replace(self, known=True, next_s=again)
+        if self.seen is None and self._uncovered(verdict, median, time):
+            return replace(self, seen=frame, left=size, uncovered_s=self.begun)._gone(self.begun)
         found = attachments_of(frame, verdict, self.begun)
-        here = replace(self, seen=frame, verdict=verdict, known=True, next_s=again, left=size, left_s=time, size=size)
-        return replace(here, attachments=continued_by(self.attachments, found, self.begun, self.known))
+        here = replace(self, kept=self._keeps(frame), seen=frame, verdict=verdict, known=True, next_s=again)
+        every = continued_by(self.attachments, found, self.begun, self.known)
+        return replace(here, left=size, left_s=time, size=size, attachments=every)
+
+    def _uncovered(self, verdict: Verdict, median: Array, time: float) -> bool:
+        """Whether what came is rather a load on the unloaded panel that left: as one explains it better backwards."""
+        field = max(fit.evidence for fit in verdict.fits if fit.candidate is FIELD)
+        if field < verdict.best.evidence - CANNOT_BE:
+            return False
+        here = replace(self, rest=median, rested=float(len(self.window)), rest_s=time)
+        backwards = self.panelled.detector.verdict(here._frame(self.rest, time))
+        return backwards.evidence > verdict.evidence + RARER
 
     def _breathed(self, time: float) -> "Watch":
         """With what the window shows of breathing; judged anew until it is full, and then window after window."""

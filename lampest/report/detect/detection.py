@@ -47,7 +47,7 @@ class Known:
     resting, sigma : (rows, columns) the unloaded readings, and the noise of one frame. unloaded : (frames, rows,
     columns) those that they are the mean of, NaN where one is no value. begin : s, of the last one. reading_error : as
     `NoiseSeen` has it. noise : what readings of a frame share, or None. notes : what was assumed. patch_mm : edge of a
-    cell's film, None: not said.
+    cell's film, None: not said. specified : σ before frames have shown their noise; None: the same.
     """
 
     name: str
@@ -60,9 +60,10 @@ class Known:
     noise: FrameNoise | None
     notes: tuple[str, ...]
     patch_mm: float | None = None
+    specified: Array | None = None
 
     def watch(self) -> Watch | ImageWatch:
-        """Before the first frame. Raises ValueError where the panel cannot be watched."""
+        """Before the first frame. Raises ValueError where the panel cannot be watched, or was not free."""
         panel, layout, noise = self.scene.panel, self.scene.panel.modules, self.noise
         if (panel if layout is None else Panel(modules=window_layout(layout))).crossings > MOST_CELLS:
             what = "panels" if layout is None else "windows of 2 × 2 modules"
@@ -71,7 +72,10 @@ class Known:
         water, errors = water_pressure(panel, self.scene.water), ModelErrors().of_scene(self.scene, self.reading_error)
         panelled = Panelled(self.scene, Detector(panel, patch_of(panel, self.patch_mm)), water, errors, common)
         kind: type[Watch] | type[ImageWatch] = ImageWatch if layout else Watch
-        return kind.begin(panelled, self.resting, self.sigma, self.unloaded, self.begin)
+        known, plainly = (self.unloaded, self.begin), self.sigma if self.specified is None else self.specified
+        if kind.begin(replace(panelled, common=None), self.resting, plainly, *known).touched(self.unloaded):
+            raise ValueError("something touched the panel while its unloaded frames were taken")
+        return kind.begin(panelled, self.resting, self.sigma, *known)
 
     def answer(self, frames: Frames) -> Detected:
         """After all frames."""
@@ -85,11 +89,13 @@ class Known:
             return Detected.unknown(self.name, told_reason(error, self.name))
         if len(course) < 2:
             return Detected.unknown(self.name, "one frame shows no change; three are needed")
-        return self.detected(watch, frame_rate([time for time, _ in course]), np.array(course).T)
+        return self.detected(watch.ended(), frame_rate([time for time, _ in course]), np.array(course).T)
 
     def detected(self, watch: Watch | ImageWatch, rate: float, course: Array | None = None) -> Detected:
         """What the frames so far show, at so many frames a second; course : as `Detected` has it."""
         found, response = watch.attachments, self.scene.response
+        if watch.doubt and not found:
+            return replace(Detected.unknown(self.name, watch.doubt), frames_per_second=rate, course=course)
         if response is None:
             found = tuple(replace(one, suction_kpa=None) for one in found)
         notes = (*self.notes, BY, *(() if response else (NO_RESPONSE,)), *filter(None, (too_slow(rate),)))
@@ -160,20 +166,21 @@ def known_of(head: Recording, patch_mm: float | None = None) -> "Known | Detecte
     """What the first frames of a recording show, or why nothing can be said."""
     readings, notes = head.readings(), tuple[str, ...]()
     unloaded = np.flatnonzero(head.role == UNLOADED)
-    resting = resting_readings(head, readings)
+    seen = None if readings.sigma is None else noise_seen(head)
+    resting = resting_readings(head, readings if seen is None else seen.readings)
     if not resting.enough(head.scene):
         return Detected.unknown(head.name, "no frame has enough readings to compare with")
-    noise, error = None, 0.0
-    if readings.sigma is None:
+    noise, error, specified = None, 0.0, None
+    if seen is None or readings.sigma is None:
         if len(head.time) < 3:
             return Detected.unknown(head.name, "the noise is unknown, and too few frames show it")
         sigma, notes = _scattered(readings.plain_values)
     else:
-        seen = noise_seen(head)
         noise, error = seen.frame, seen.reading_error
-        sigma = seen.used * np.min(np.where(readings.plain, readings.sigma, np.inf), axis=0)
+        specified = np.min(np.where(readings.plain, readings.sigma, np.inf), axis=0)
+        sigma = seen.used * specified
     begin = float(head.time[unloaded[-1] if len(unloaded) else 0])
-    before = resting.value, sigma, readings.plain_values[unloaded], begin, error, noise, notes, patch_mm
+    before = resting.value, sigma, readings.plain_values[unloaded], begin, error, noise, notes, patch_mm, specified
     return Known(head.name, head.scene, *before)
 
 

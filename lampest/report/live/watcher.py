@@ -62,13 +62,14 @@ News = Unloaded | Scan | int  # the last is the wish that so many frames to come
 class Watched:
     """A panel while it is watched.
 
-    why : why nothing can be said after the last frame, or ''. known, watch : as `lampest detect` has them, None without
-    unloaded frames. times : s, of the last HEAD frames. missing, zero : how many frames of a new zero still have to
-    come, and those that came.
+    why : why nothing can be said after the last frame, or ''. scene : that of the last unloaded frames. known, watch :
+    as `lampest detect` has them, None where these are of no use. times : s, of the last HEAD frames. missing, zero :
+    how many frames of a new zero still have to come, and those that came.
     """
 
     name: str
     why: str = WAITING
+    scene: Scene | None = None
     known: Known | None = None
     watch: Watch | ImageWatch | None = None
     times: tuple[float, ...] = ()
@@ -97,15 +98,20 @@ class Watched:
         """Against unloaded frames; what was attached before has left."""
         times = np.array([scan.time for scan in news.scans])
         known = known_of(as_recording(news.scene, news.scans, times, [UNLOADED] * len(times), self.name))
+        here = Watched(self.name, "", news.scene, times=self.times)
         if isinstance(known, Detected):
-            return replace(self, why=known.why, known=None, watch=None, missing=0)
+            return replace(here, why=known.why)
+        try:
+            watch = known.watch()
+        except (ArithmeticError, ValueError) as error:
+            return replace(here, why=told_reason(error, self.name))
         before, end = () if self.watch is None else self.watch.attachments, news.scans[0].time
         closed = tuple(replace(one, until_s=end) if one.here else one for one in before)
-        return Watched(self.name, "", known, replace(known.watch(), attachments=closed), self.times)
+        return replace(here, known=known, watch=replace(watch, attachments=closed))
 
     def _zeroed(self, scan: Scan) -> "Watched":
         here = replace(self, missing=self.missing - 1, zero=(*self.zero, scan))
-        return here if here.missing or self.known is None else here._begun(Unloaded(self.known.scene, here.zero))
+        return here if here.missing or self.scene is None else here._begun(Unloaded(self.scene, here.zero))
 
     def _seen(self, scan: Scan) -> "Watched":
         if self.known is None or self.watch is None:
