@@ -69,7 +69,7 @@ def with_chosen_weights(
 def strongest(changes: Sequence[float]) -> list[int]:
     """The numbers of the networks that choose a weight for all alike: those that differ most from rest, first the most.
 
-    A network's own weight scatters by factors of 100, and hardly matters where nothing touches it.
+    A network's own weight scatters with its noise, and hardly matters where nothing touches it.
     """
     return sorted(range(len(changes)), key=lambda number: -changes[number])[: 1 + MOST_BESIDE]
 

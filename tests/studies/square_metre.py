@@ -1,4 +1,7 @@
-"""Processor time of a frame of many modules: python -m tests.studies.square_metre [MODULES ...] [--frames 8]"""
+"""Processor time of a frame of many modules: python -m tests.studies.square_metre [MODULES ...] [--frames 8]
+
+--weights: instead, errors of cells with one weight for all modules over those with a weight for each.
+"""
 
 import argparse
 import time
@@ -7,8 +10,10 @@ from dataclasses import dataclass
 import numpy as np
 
 import lampest
-from lampest.estimate.sequence import first_stream
+from lampest.estimate.modules import begin_stream
+from lampest.estimate.sequence import deciding_data, deciding_frame, first_stream, resting_readings
 from lampest.estimate.stream import Stream
+from lampest.estimate.weights import with_chosen_weights
 from lampest.panel.panel import EachModule, Modules
 
 METHODS: dict[str, tuple[lampest.Term, ...]] = {
@@ -75,12 +80,60 @@ def took(recording: lampest.Recording, terms: tuple[lampest.Term, ...], bars: bo
     return Took(1e3 * before, spent[0], float(np.median(spent[2:])), tuple(statuses))
 
 
+def with_one_weight(penalty: lampest.Term, seed: int) -> str:
+    """How own weights scatter, and the median error of cells with a shared one over theirs: of all, of one module."""
+    layout = Modules(3, 4, EachModule(10, 10)) if seed != 2 else Modules(2, 3, EachModule(6, 4))
+    panel, random = lampest.Panel(modules=layout), np.random.default_rng(seed)
+    readout = lampest.TwoPointReadout(reference_ohm=1000, adc_bits=12, readings=20, noise_lsb=0.7)
+    (_, wide), (_, high) = panel.extents_mm
+    rods = tuple(
+        lampest.Rod(centre_mm=(random.uniform(10, wide), random.uniform(10, high)), diameter_mm=30, mass_g=500)
+        for _ in range(3)
+    )
+    channels = lampest.Unmodelled(channel_spread_ohm=3.0 if seed == 3 else 0.0)
+    scene = lampest.Scene(panel, readout, 140.0)
+    made = lampest.Simulation(schema=1, seed=seed, scene=scene, frames=3, loads=rods, unmodelled=channels)
+    recording = lampest.simulate(made)
+    readings, truth = recording.readings(), recording.truth_cell_resistance
+    estimator = lampest.Estimator((lampest.Misfit(), penalty), "reduced", error_bars=False)
+    chosen: list[float] = []
+
+    def own(scene: lampest.Scene, number: int | None) -> tuple[lampest.Estimator, lampest.Readings]:
+        part, read = recording.modules[number or 0], readings.of_module(layout, number or 0)
+        resting = resting_readings(part, read)
+        frame = deciding_frame(part, read, resting)
+        assert frame is not None
+        data = deciding_data(estimator, scene, resting, read[frame])
+        found = with_chosen_weights(estimator, scene, data, None, True)
+        chosen.append(float(found.terms[1].weight))
+        return found, resting
+
+    errors = []
+    apart = begin_stream(estimator, scene, 1.0, readings[0], None, own)
+    for stream in (apart, first_stream(recording, readings, estimator)):
+        here, found = stream, []
+        for frame in recording.measured_frames():
+            here, step = here.push(readings[frame])
+            assert truth is not None
+            found.append(np.abs(np.log(step.cell_resistance / truth[frame])))
+        errors.append(np.stack(found))
+    alone, shared = (np.median(layout.split(each), axis=(0, 2, 3)) for each in errors)
+    whole = np.median(errors[1]) / np.median(errors[0])
+    return f"weights × {max(chosen) / min(chosen):4.0f}   all {whole:.3f}   worst module {(shared / alone).max():.3f}"
+
+
 def main() -> None:
     """Print a line for every number of modules and method."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("modules", nargs="*", type=int, default=[1, 10, 50, 100])
     parser.add_argument("--frames", type=int, default=8)
+    parser.add_argument("--weights", action="store_true")
     given = parser.parse_args()
+    for seed in (1, 2, 3) if given.weights else ():
+        for penalty in (lampest.CellResistance(), lampest.Gradient(), lampest.LogGradient()):
+            print(f"seed {seed} {penalty.kind:16}{with_one_weight(penalty, seed)}", flush=True)
+    if given.weights:
+        return
     print(f"{'':32}  before   first   later frames")
     for modules in given.modules:
         recording = recording_of(modules, given.frames)
