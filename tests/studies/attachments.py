@@ -64,6 +64,7 @@ class Seen:
     suction: float
     suction_sd: float
     seen_depth: float
+    depth_sd: float
     seen_hertz: float
     cpu: float
 
@@ -180,8 +181,10 @@ def seen(kind: str, rate: float, seed: int, side: int = 10, attached_s: float = 
     cpu = process_time() - begin
     first, best = full.chosen, later.chosen
     sucking = max((one.sucks for one in early.attachments if one.here), default=0.0)
-    x = np.zeros(1)
-    suction = float(min(made.suction(x + at[0], x + at[1])[0] for at in made.centres_mm)) if made.centres_mm else np.nan
+    suction, x = np.nan, np.zeros(1)
+    if first and made.centres_mm:
+        at = min(made.centres_mm, key=first.distance)
+        suction = float(made.suction(x + at[0], x + at[1])[0])
     value, sd = (first and first.suction_kpa) or (np.nan, np.nan)
     size, size_sd = (first and first.diameter_mm) or (np.nan, np.nan)
     rhythm = first.breathing_hz if first and first.breathing_hz else (np.nan, np.nan)
@@ -205,7 +208,7 @@ def seen(kind: str, rate: float, seed: int, side: int = 10, attached_s: float = 
         suction or np.nan,
         value,
         sd,
-        deep[0],
+        *deep,
         rhythm[0],
         cpu,
     )

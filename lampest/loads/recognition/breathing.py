@@ -12,10 +12,11 @@ from scipy.special import expit, logsumexp
 from lampest.loads.recognition.evidence import RARER
 from lampest.loads.recognition.fit import Fit
 from lampest.loads.recognition.observation import Observation
+from lampest.loads.response import RESPONSE_SD
 from lampest.panel.panel import Array
 
 RATES_HZ = (0.5, 2.5)  # of breathing; sea lampreys at rest 0.8 to 1.6 Hz
-LEAST_RATE = 3.8  # frames a second: those of four whose clock is slow; they show rates up to 2 Hz
+SHOWN_HZ = 2.0  # rates up to this one have to show: mouths breathe at 0.6 to 2 Hz
 # A: the amplitude of mouths is 5.4 % of their suction in the mean, of cups that leak 0.6 % (docs/studies/mouths.md)
 BREATH, STEADY = 0.045, 0.005
 WINDOW_S, LEAST_S = 8.0, 4.5  # over which a rhythm is steady; and the least that shows one
@@ -25,7 +26,17 @@ MOVES = {"suction": 0.1, "push": 0.1, "supply": 0.01, "x": 1.0, "y": 1.0, "tilt_
 
 def too_slow(rate: float) -> str:
     """Why so many frames a second show no breathing; '' where they do."""
-    return "" if rate >= LEAST_RATE else f"{rate:.3g} frames a second do not show breathing, at least four do"
+    return "" if rate >= _least_rate() else f"{rate:.3g} frames a second do not show breathing, at least four do"
+
+
+def not_excluded(rate: float) -> str:
+    """Why so many frames a second do not exclude breathing; '' where half of them is clear of SHOWN_HZ in a window."""
+    return "" if rate / 2 >= SHOWN_HZ + 1 / WINDOW_S else f"{rate:.3g} frames a second may miss {SHOWN_HZ:g} Hz"
+
+
+def _least_rate() -> float:
+    """Frames a second: the Nyquist rate of SHOWN_HZ, of a clock that may be 5 % slow."""
+    return 0.95 * 2 * SHOWN_HZ
 
 
 @dataclass(frozen=True)
@@ -93,7 +104,7 @@ def breath(times: Array, changes: Array, patterns: Patterns) -> Breath | None:
     """
     lasted = times[-1] - times[0]
     rate = (len(times) - 1) / max(lasted, 1e-9)
-    if lasted < LEAST_S or rate < LEAST_RATE:
+    if lasted < LEAST_S or rate < _least_rate():
         return None
     at = (times - times[0]) / lasted
     trend = np.linalg.qr(np.column_stack([np.ones_like(at), at, at**2, np.log1p(10 * at)]))[0]
@@ -110,15 +121,36 @@ def breath(times: Array, changes: Array, patterns: Patterns) -> Breath | None:
     power = (amplitude**2).sum(axis=1)
     freedom, best = len(times) - trend.shape[1], int(np.argmax(power))
     breathing, steady = (logsumexp(_evidence(total, amplitude, gain, sd, freedom)) for sd in (BREATH, STEADY))
-    noise, size = max(total - power[best], 1e-12) / max(freedom - 2, 1), float(np.mean(gain[best]))
-    depth = np.sqrt(max(power[best] / size, 1e-12))
-    spread = np.sqrt(6 * noise / (size * 2)) / (np.pi * lasted * depth)  # Rife and Boorstyn, IEEE Trans. IT-20, 1974
+    noise, moving = max(total - power[best], 1e-12) / max(freedom - 2, 1), axes @ (changes - trend @ (trend.T @ changes))
+    # Rife and Boorstyn, IEEE Trans. IT-20, 1974
+    spread = np.sqrt(3 * noise / max(power[best], 1e-12)) / (np.pi * lasted)
     return Breath(
         float(breathing - steady),
-        _suction(patterns, axes @ (changes - trend @ (trend.T @ changes)), best),
+        _suction(patterns, moving, best),
         (float(hertz[best]), float(np.hypot(spread, 0.25 / lasted / 12**0.5))),
-        (float(depth), float(np.sqrt(noise / size))),
+        _depth(patterns, moving[best] / sizes[best][:, None], float(np.mean(sizes[best] ** -2))),
     )
+
+
+def _depth(patterns: Patterns, swing: Array, noise: float) -> tuple[float, float]:
+    """(relative amplitude of suction and rim together, its σ), beside what the rim does more or less than that.
+
+    swing : (2, readings) of unit amplitude and phase. noise : its variance in each reading. What is beside the patterns
+    is the film's, which answers unevenly; along them there is as much, shared by the readings that suction reaches.
+    Films answer a swing by less than a load that stays, by their hysteresis.
+    """
+    apart = np.linalg.qr(patterns.others)[0]
+    basis, swing = (one - apart @ (apart.T @ one) for one in (np.column_stack([patterns.own, patterns.rim]), swing.T))
+    span = np.linalg.qr(basis)[0]
+    film = float(((swing - span @ (span.T @ swing)) ** 2).sum()) / _reached(patterns)
+    normal = basis.T @ basis / (noise + film) + np.eye(2)
+    depth = MOVES["suction"] * float(np.hypot(*np.linalg.solve(normal, basis.T @ swing)[0] / (noise + film)))
+    return depth, float(np.hypot(MOVES["suction"] * np.sqrt(np.linalg.inv(normal)[0, 0]), RESPONSE_SD * depth))
+
+
+def _reached(patterns: Patterns) -> float:
+    """How many readings suction reaches: (Σ a²)²/Σ a⁴."""
+    return float((patterns.own @ patterns.own) ** 2 / (patterns.own**4).sum())
 
 
 def _evidence(total: float, amplitude: Array, gain: Array, sd: float, freedom: int) -> Array:
@@ -150,8 +182,7 @@ def _suction(patterns: Patterns, moving: Array, at: int) -> float:
     own, rim, moves = (along(one) for one in (patterns.own[:, None], patterns.rim[:, None], patterns.moves))
     left = max(whole - rim[at], 1e-12) / max(whole - own[at], 1e-12)
     above = max(own[at] - np.median(own), 1e-12) / max(float(np.max(moves) - np.median(moves)), 1e-12)
-    reaches = (patterns.own @ patterns.own) ** 2 / (patterns.own**4).sum()
-    odds = RARER + np.log(2) + reaches / 2 * np.log([left, above])  # both together are as rare
+    odds = RARER + np.log(2) + _reached(patterns) / 2 * np.log([left, above])  # both together are as rare
     return float(expit(-logsumexp(-odds)))
 
 
