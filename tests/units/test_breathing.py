@@ -59,6 +59,15 @@ def test_a_rim_or_a_place_that_swings_is_none(seed: int, moving: dict[str, float
     assert found.odds < 0 or found.suction < 0.1
 
 
+@pytest.mark.parametrize("uneven", [0.1, 0.25])
+def test_the_depth_is_as_sure_as_it_is_said_to_be(uneven: float) -> None:
+    """Also where the rim swings by less than its pattern, as on a film that it saturates."""
+    found = [window(own=0.8, rim=rim, seed=seed, uneven=uneven).depth for rim in (0.0, -0.4) for seed in range(8)]
+    away = np.array([(value - 0.08) / error for value, error in found])
+    assert np.abs(away).max() < 3 and np.mean(np.abs(away) < 1.96) >= 0.85
+    assert np.median([error for _, error in found]) < 0.03
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_waves_are_none_and_hide_none(seed: int) -> None:
     assert window(waves=3.0, seed=seed).odds < 0

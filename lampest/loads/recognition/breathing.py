@@ -25,18 +25,14 @@ MOVES = {"suction": 0.1, "push": 0.1, "supply": 0.01, "x": 1.0, "y": 1.0, "tilt_
 
 
 def too_slow(rate: float) -> str:
-    """Why so many frames a second show no breathing; '' where they do."""
-    return "" if rate >= _least_rate() else f"{rate:.3g} frames a second do not show breathing, at least four do"
+    """Why so many frames a second show no breathing; '' from the Nyquist rate of SHOWN_HZ on, of a slow clock too."""
+    return "" if rate >= 0.95 * 2 * SHOWN_HZ else f"{rate:.3g} frames a second do not show breathing, at least four do"
 
 
 def not_excluded(rate: float) -> str:
     """Why so many frames a second do not exclude breathing; '' where half of them is clear of SHOWN_HZ in a window."""
-    return "" if rate / 2 >= SHOWN_HZ + 1 / WINDOW_S else f"{rate:.3g} frames a second may miss {SHOWN_HZ:g} Hz"
-
-
-def _least_rate() -> float:
-    """Frames a second: the Nyquist rate of SHOWN_HZ, of a clock that may be 5 % slow."""
-    return 0.95 * 2 * SHOWN_HZ
+    enough = rate / 2 >= SHOWN_HZ + 1 / WINDOW_S
+    return "" if enough else f"{rate:.3g} frames a second may miss breathing of {SHOWN_HZ:g} Hz, five do not"
 
 
 @dataclass(frozen=True)
@@ -104,7 +100,7 @@ def breath(times: Array, changes: Array, patterns: Patterns) -> Breath | None:
     """
     lasted = times[-1] - times[0]
     rate = (len(times) - 1) / max(lasted, 1e-9)
-    if lasted < LEAST_S or rate < _least_rate():
+    if lasted < LEAST_S or too_slow(rate):
         return None
     at = (times - times[0]) / lasted
     trend = np.linalg.qr(np.column_stack([np.ones_like(at), at, at**2, np.log1p(10 * at)]))[0]
@@ -121,7 +117,10 @@ def breath(times: Array, changes: Array, patterns: Patterns) -> Breath | None:
     power = (amplitude**2).sum(axis=1)
     freedom, best = len(times) - trend.shape[1], int(np.argmax(power))
     breathing, steady = (logsumexp(_evidence(total, amplitude, gain, sd, freedom)) for sd in (BREATH, STEADY))
-    noise, moving = max(total - power[best], 1e-12) / max(freedom - 2, 1), axes @ (changes - trend @ (trend.T @ changes))
+    noise, moving = (
+        max(total - power[best], 1e-12) / max(freedom - 2, 1),
+        axes @ (changes - trend @ (trend.T @ changes)),
+    )
     # Rife and Boorstyn, IEEE Trans. IT-20, 1974
     spread = np.sqrt(3 * noise / max(power[best], 1e-12)) / (np.pi * lasted)
     return Breath(

@@ -17,6 +17,7 @@ from lampest.loads.recognition.candidates import FIELD, LOADS, UNIFORM, DiscSear
 from lampest.loads.recognition.evidence import Verdict, prior_cost
 from lampest.loads.recognition.field import field_fit, states
 from lampest.loads.recognition.fit import (
+    ROUNDS,
     STEPS,
     UNLIKELY,
     CellLikelihood,
@@ -40,7 +41,7 @@ from lampest.loads.shapes.shape import Candidate
 from lampest.panel.panel import Array, Panel
 
 LEVELS = (0.5, 1.2, 2.5)  # times the response's standard deviation: from a film as published to a bent, uneven one
-ROUNDS, MOST_AT_ONCE = 4, 3  # of fits with the errors about the one before, at most; loads
+MOST_AT_ONCE = 3  # loads
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,6 +107,7 @@ class Detector:
         return Fitting(self.panel, self.patch_mm, candidate, frame)
 
     def explained(self, frame: Observation, fit: Fit) -> Explained:
+        """What a fit to a frame explains."""
         return self._fitting(fit.candidate, frame).explained(fit)
 
     def _whole(self, frame: Observation, fit: Fit, explains: Fit, calm: Observation) -> Fit:

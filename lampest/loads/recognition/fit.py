@@ -8,17 +8,16 @@ from numpy.typing import NDArray
 from scipy.special import softmax
 
 from lampest.loads.recognition.observation import FARTHEST, Explained, Observation, Whitening
+from lampest.loads.shapes.disc import POINTS
 from lampest.loads.shapes.shape import Candidate
 from lampest.panel.least_squares import LevenbergMarquardt
 from lampest.panel.panel import Array, Panel
 
 # Evaluations of the pressure with one linearised circuit; of ln P, below which a step changes nothing that is reported.
 STEPS, ENOUGH = 30, 0.3
-CIRCUITS = 4  # linearisations of the circuit in a fit, at most
+ROUNDS = 4  # linearisations of the circuit in a fit, and fits with the errors about the one before, at most
 LOOSE = 0.3  # of the prior's width: wider axes of the posterior are measured, see `Fitting._widths`
 UNLIKELY = 20.0  # of ln P: what is so far below the best does not count
-TAIL = 8.0
-PROFILE_STEP = 0.03  # of ln d, 0.9 mm at 30 mm
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,7 +157,7 @@ class Fitting:
         """
         likelihood, steps = self.about(start, whitening), 0
         parameters, least, best = start, np.inf, None
-        for _ in range(CIRCUITS):
+        for _ in range(ROUNDS):
             there, count = self.descended(parameters, likelihood, most=most)
             likelihood, steps = CellLikelihood.about(self.frame, whitening, there.change), steps + count
             parameters, exact = there.parameters, there.cost - there.misfit + likelihood.exact
@@ -241,9 +240,10 @@ def along_diameter(fitting: Fitting, fit: Fit, whitening: Whitening) -> Fit:
     place, likelihood = names.index("diameter"), fitting.about(fit.parameters, whitening)
     others = np.ix_(*2 * [np.arange(len(names)) != place])
     points = [fitting.descended(fit.parameters, likelihood, held=place)[0]]
-    for step in (1, -1) * np.array(max(PROFILE_STEP, fit.covariance[place, place] ** 0.5 / 2)):
+    apart = fitting.patch_mm / POINTS / float(np.exp(fit.parameters[place]))  # as points of a patch are
+    for step in (1, -1) * np.array(max(apart, fit.covariance[place, place] ** 0.5 / 2)):
         here = points[0]
-        while here.cost < points[0].cost + TAIL:
+        while here.cost < points[0].cost + UNLIKELY / 2:
             begin = here.parameters + step * np.eye(len(names))[place]
             here = fitting.descended(begin, likelihood, STEPS // 6, held=place)[0]
             points.append(here)
@@ -253,8 +253,8 @@ def along_diameter(fitting: Fitting, fit: Fit, whitening: Whitening) -> Fit:
     share = softmax(
         [-point.cost - np.linalg.slogdet(own)[1] / 2 for point, own in zip(points, precisions, strict=True)]
     )
-    apart = np.array([point.parameters for point in points]) - fit.parameters
-    covariance = (share[:, None] * apart).T @ apart + np.diag(fit.candidate.blind(fit.parameters) ** 2)
+    away = np.array([point.parameters for point in points]) - fit.parameters
+    covariance = (share[:, None] * away).T @ away + np.diag(fit.candidate.blind(fit.parameters) ** 2)
     covariance[others] += np.tensordot(share, np.linalg.inv(precisions), 1)
     wider = covariance[place, place] > fit.covariance[place, place]
     return replace(fit, covariance=covariance) if wider else fit

@@ -13,7 +13,6 @@ from lampest.loads.pressure import GRAVITY
 from lampest.panel.panel import Array
 
 POINTS = 5  # along either edge of a patch: 1.2 mm on a patch of 6 mm
-EACH = np.full(POINTS**2, 1 / POINTS**2)
 SOFT = 0.2  # of a patch's edge, half the width over which an edge is soft: real ones are, and points are so far apart
 
 
@@ -85,7 +84,7 @@ def _at_points(x: Array, y: Array, disc: Disc, form: Unevenness, soft: float) ->
     by_v = outward * v + (press * tilt_y / outer) * rim + turned * u
     every = [rim * level, hole, by_u, by_v, level * whole_slope, level * hole_slope, hole_slope, rim * u, rim * v]
     every += [by_v * y - by_u * x, by_u * y + by_v * x, rim * twice, rim * cross]
-    means = np.array(every) @ EACH
+    means = np.array(every) @ np.full(x.shape[1], 1 / x.shape[1])
     level, hole, by_u, by_v, by_whole, by_hole, slope, rim_u, rim_v, lengthened, turned, rim_twice, rim_cross = means
     lean = (tilt_x * rim_u + tilt_y * rim_v) / outer
     return np.array(
