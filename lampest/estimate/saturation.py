@@ -6,6 +6,7 @@ Such readings say only that the voltage lies beyond, exactly as readings at a ra
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lampest.estimate.outliers import FAR
 from lampest.panel.panel import Array
@@ -52,6 +53,7 @@ def saturated(recording: Recording) -> Saturated | None:
         return None
     width = WITHIN * readout.sigma_volt()
     plain = Readings.of(scene, recording.recorded, recording.sigma).plain
+    plain &= _differ(scene.circuit.volt_from_recorded(recording.recorded), float(np.mean(width)))
     for sign in (1.0, -1.0):
         volt = np.where(plain, sign * scene.circuit.volt_from_recorded(recording.recorded), np.nan)
         resting = _largest(volt[unloaded])
@@ -77,6 +79,17 @@ def as_passed(recording: Recording) -> Recording:
         return recording
     passes = (0.0, found.volt) if found.highest else (found.volt, readout.supply_volt)
     return replace(recording, scene=replace(recording.scene, readout=replace(readout, passes_volt=passes)))
+
+
+def _differ(volt: Array, width: float) -> NDArray[np.bool_]:
+    """(rows, columns) without lines that read as an earlier one of their side in some frames: these touch."""
+    kept, volt = [], volt[:: max(len(volt) // 8, 1)]
+    for axis in (1, 2):
+        lines = np.moveaxis(volt, axis, 0).reshape(volt.shape[axis], -1)
+        with np.errstate(invalid="ignore"):
+            alike = np.all(~(np.abs(lines[:, None] - lines) > 2 * width), axis=2)
+        kept.append(~np.tril(alike, -1).any(axis=1))
+    return np.asarray(kept[0][:, None] & kept[1])
 
 
 def _largest(volt: Array) -> Array:

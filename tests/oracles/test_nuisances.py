@@ -15,6 +15,7 @@ from lampest.estimate.noise import noise_seen
 from lampest.estimate.warnings import warnings_of
 from lampest.loads.shapes import Block
 from lampest.recording.simulation import Cells, Course, Simulation, simulate
+from lampest.report.detect.detection import Known, known_of, measured_frames
 
 Array = NDArray[np.float64]
 ROWS, COLUMNS, UNLOADED, FRAMES = 9, 10, 5, 6
@@ -99,6 +100,15 @@ def test_what_a_leak_and_a_contact_do_is_taken_off_the_frames_that_have_it(effec
     assert np.quantile(off, 0.95, axis=(1, 2)).max() < 3
     assert np.abs((panel(1, **effect).readings().value - clean.value) / open_ohm)[-1].max() > 10
     assert bool(np.any(dirty.frame.left[0])) == ("leak_from" not in effect and "contact" not in effect)
+
+
+def test_detect_looks_at_frames_without_the_leak() -> None:
+    recording = panel(1, leak_ohm=10e3, leak_from=UNLOADED + 3)
+    known = known_of(recording)
+    assert isinstance(known, Known)
+    frames = [value for value, _, _ in measured_frames(recording, known, np.ones(len(recording.role), dtype=bool))]
+    assert np.allclose(frames, noise_seen(recording).readings.value[UNLOADED:], rtol=1e-3)
+    assert not np.allclose(frames, recording.readings().value[UNLOADED:], rtol=1e-2)
 
 
 def test_noise_grows_by_what_a_leak_takes_of_the_signal() -> None:

@@ -8,6 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.estimate.noise import noise_seen
+from lampest.estimate.nuisances import Besides, taken_off
+from lampest.estimate.saturation import as_passed
 from lampest.estimate.sequence import resting_readings
 from lampest.estimate.warnings import warnings_of
 from lampest.files import hdf5
@@ -47,7 +49,8 @@ class Known:
     resting, sigma : (rows, columns) the unloaded readings, and the noise of one frame. unloaded : (frames, rows,
     columns) those that they are the mean of, NaN where one is no value. begin : s, of the last one. reading_error : as
     `NoiseSeen` has it. noise : what readings of a frame share, or None. notes : what was assumed. patch_mm : edge of a
-    cell's film, None: not said. specified : σ before frames have shown their noise; None: the same.
+    cell's film, None: not said. specified : σ before frames have shown their noise; None: the same. besides : what is
+    taken off the readings, or None.
     """
 
     name: str
@@ -61,6 +64,7 @@ class Known:
     notes: tuple[str, ...]
     patch_mm: float | None = None
     specified: Array | None = None
+    besides: Besides | None = None
 
     def watch(self) -> Watch | ImageWatch:
         """Before the first frame. Raises ValueError where the panel cannot be watched, or was not free."""
@@ -170,23 +174,25 @@ def known_of(head: Recording, patch_mm: float | None = None) -> "Known | Detecte
     resting = resting_readings(head, readings if seen is None else seen.readings)
     if not resting.enough(head.scene):
         return Detected.unknown(head.name, "no frame has enough readings to compare with")
-    noise, error, specified = None, 0.0, None
+    noise, error, specified, scene, besides = None, 0.0, None, head.scene, None
     if seen is None or readings.sigma is None:
         if len(head.time) < 3:
             return Detected.unknown(head.name, "the noise is unknown, and too few frames show it")
         sigma, notes = _scattered(readings.plain_values)
     else:
-        noise, error = seen.frame, seen.reading_error
+        noise, error, besides, scene = seen.frame, seen.reading_error, seen.besides, as_passed(head).scene
         specified = np.min(np.where(readings.plain, readings.sigma, np.inf), axis=0)
-        sigma = seen.used * specified
+        sigma, readings = seen.used * specified, seen.readings
     begin = float(head.time[unloaded[-1] if len(unloaded) else 0])
     before = resting.value, sigma, readings.plain_values[unloaded], begin, error, noise, notes, patch_mm, specified
-    return Known(head.name, head.scene, *before)
+    return Known(head.name, scene, *before, besides)
 
 
 def measured_frames(part: Recording, watched: Known, asked: NDArray[np.bool_]) -> Frames:
     """(value, sigma, s) of the measured frames that were asked for."""
-    readings = part.readings()
+    readings, besides = Readings.of(watched.scene, part.recorded, part.sigma), watched.besides
+    if besides is not None and besides.pair is not None:
+        readings = taken_off(besides.pair, readings, part.role == UNLOADED)
     for number in np.flatnonzero((part.role == MEASURED) & asked):
         yield *watched.values(readings[number]), float(part.time[number])
 
