@@ -78,7 +78,8 @@ def rested_together(streams: Sequence[Stream | None]) -> list[Stream | None]:
     resting = [there.resting if stream is None else stream.resting for stream in streams]
     kept = Kept.nothing(len(streams), there.resting.value.size)
     together = resting[0].together(*resting[1:])
-    found = _solved_together(_weighed(streams, together), together, kept, Together.rested)
+    weighed = _weighed([one and replace(one, weights=None) for one in streams], together)
+    found = _solved_together(weighed, together, kept, Together.rested)
     return [stream and stream.with_rest(found.get(number)) for number, stream in enumerate(streams)]
 
 

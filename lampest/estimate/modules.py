@@ -126,8 +126,8 @@ class ModulesStream(Stream):
     def tared(self, resting: Readings) -> "ModulesStream":
         """As `Stream.tared`, of every module."""
         every = enumerate(self.modules)
-        modules = tuple(one and one.tared(resting.of_module(self._layout, number)) for number, one in every)
-        return replace(self, resting=resting, modules=modules, track=None, baseline=None).rested_whole()
+        modules = rested_together([one and one.anew(resting.of_module(self._layout, number)) for number, one in every])
+        return replace(self, resting=resting, modules=tuple(modules), track=None, baseline=None).rested_whole()
 
     def push(self, readings: Readings) -> tuple["ModulesStream", Step]:
         """As `Stream.push`; modules of which too little was read stay as they were, and are NaN in the image."""
@@ -163,7 +163,7 @@ class ModulesStream(Stream):
     def baseline_resistance(self) -> Array:
         """(rows, columns) ohm; NaN where the baseline of a module is not solved, or the module is dead."""
         parts = [None if stream is None else stream.baseline_resistance for stream in self.modules]
-        return _joined_maps(self._layout, parts, np.nan)
+        return np.asarray(_joined_maps(self._layout, parts, np.nan))
 
     def restarted(self, first: Stream) -> "ModulesStream":
         """As `Stream.restarted`, of every module."""
@@ -199,9 +199,11 @@ class ModulesStream(Stream):
         return layout
 
 
-def _joined_maps(layout: Modules, parts: Sequence[NDArray[Any] | None], missing: float) -> NDArray[Any]:
-    """Maps (…, rows, columns) of all modules as one of the image, with a number for those that have none."""
-    first = next(part for part in parts if part is not None)
+def _joined_maps(layout: Modules, parts: Sequence[NDArray[Any] | None], missing: float) -> Any:
+    """Maps (…, rows, columns) of all modules as one of the image, with a number for those that have none, or None."""
+    first = next((part for part in parts if part is not None), None)
+    if first is None:
+        return None
     blank = np.full(first.shape, missing, dtype=first.dtype)
     return np.asarray(layout.joined(np.stack([blank if part is None else part for part in parts], axis=-3)))
 

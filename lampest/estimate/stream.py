@@ -84,11 +84,15 @@ class Stream(SequenceState):
 
         resting : the mean of frames in which nothing touched the panel. Raises InputError as `begin`.
         """
+        return self.anew(resting).with_rest()
+
+    def anew(self, resting: Readings) -> Self:
+        """The same before its baseline."""
         _check_frame(resting, self.scene)
         track = None if self.track is None else Track(self.track.shared, noise=self.track.noise)
         return replace(
             self, resting=resting, track=track, baseline=None, previous=None, previous_deviation=None, prepared=None
-        ).with_rest()
+        )
 
     def with_rest(self, solved: Step | None = None) -> Self:
         """With its baseline, where that is solved alone; solved : that, where it is there already."""
