@@ -50,6 +50,7 @@ def answered(recording: Recording) -> Detected:
     return known.answer(measured_frames(recording, known, np.ones(len(recording.time), dtype=bool)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("first", [2, 3])
 def test_unloaded_frames_that_something_touched_are_none(first: int) -> None:
     found = answered(taken((ROD, first, 12)))
@@ -114,6 +115,7 @@ def unloaded(recording: Recording) -> Unloaded:
     return Unloaded(recording.scene, tuple(scan_of(recording, frame) for frame in range(UNLOADED)))
 
 
+@pytest.mark.slow
 def test_live_takes_a_new_zero_where_the_first_was_touched() -> None:
     recording = taken((ROD, 3, 8))
     live = Watched("watched").after(unloaded(recording))

@@ -90,9 +90,7 @@ class StepTest:
         near = np.hypot(x[:, None] - x, y[:, None] - y) < NEAR
         scores = unloaded @ patterns.T
         spreads = [np.mean((one - other) ** 2) / 2 for one, other in combinations(scores, 2)]
-        usual = np.quantile(
-            spreads or [1.0], 0.25, method="lower"
-        )  # of pairs of frames: one with an outlier, or a touch, is in many
+        usual = np.quantile(spreads or [1.0], 0.25, method="lower")  # a frame with an outlier, or a touch, is in many
         return cls(patterns, near, whitening, np.full(len(patterns), max(float(usual), 1.0)))
 
     def scores(self, change: Array) -> Array:
@@ -155,9 +153,8 @@ class Watch:
         """
         frames, sigma, rest = max(len(unloaded), 1), counting(sigma, measured), np.log(measured.ravel())
         frame = panelled.frame(measured, sigma, panelled.baseline(measured, sigma, frames), 0.0)
-        own = np.log(unloaded.reshape(len(unloaded), rest.size))
-        own = np.where(np.isfinite(own), own, rest)
-        test = StepTest.of(frame, panelled.detector.search, own)
+        own = np.where(np.isnan(unloaded), measured, unloaded).reshape(len(unloaded), rest.size)
+        test = StepTest.of(frame, panelled.detector.search, np.log(own))
         return cls(panelled, test, sigma, rest, frames, time, rest, time, (rest, rest))
 
     def push(self, measured: Array, sigma: Array, time: float) -> "Watch":
@@ -180,13 +177,11 @@ class Watch:
 
     def touched(self, unloaded: Array) -> bool:
         """Whether something came or left while the unloaded frames (frames, rows, columns) were taken."""
-        own = np.log(unloaded.reshape(len(unloaded), self.rest.size))
-        for three in zip(own, own[1:], own[2:], strict=False):
-            shown = np.where(np.isfinite(three).all(axis=0), np.median(three, axis=0), self.rest)
-            stepped = np.any(self.test.scores(shown - self.rest) >= self.test.least())
-            if stepped and self.panelled.detector.calm(self._frame(shown, self.rest_s)) is None:
-                return True
-        return False
+        medians = [np.median(np.log(unloaded[first : first + 3]), axis=0).ravel() for first in range(len(unloaded) - 2)]
+        each = [np.where(np.isnan(shown), self.rest, shown) for shown in medians]
+        stepped = [shown for shown in each if np.any(self.test.scores(shown - self.rest) >= self.test.least())]
+        verdict = self.panelled.detector.verdict
+        return any(verdict(self._frame(shown, self.rest_s)).nothing < 0.5 for shown in stepped[-1:])
 
     @property
     def stands_out(self) -> float:
@@ -233,26 +228,28 @@ class Watch:
         rest = panelled.baseline(np.exp(self.rest).reshape(shape), self.sigma, max(self.rested, 1.0))
         frame = panelled.frame(np.exp(logarithm).reshape(shape), self.sigma, rest, time - self.rest_s)
         covariance = rest.covariance.copy()
-        cells = np.arange(logarithm.size)
-        covariance[cells, cells] += self._keeps(frame) ** 2
+        np.einsum("ii->i", covariance)[: logarithm.size] += self._keeps(frame) ** 2
         return replace(frame, baseline=replace(rest, covariance=covariance))
 
     def _calm(self, frame: Observation) -> bool:
         """Whether nothing stands out of a frame, nor a part of what was there that a film does not keep."""
-        return self.panelled.detector.calm(frame) is not None and self._remains(frame) < 2 * FILM_KEEPS
+        return self.panelled.detector.calm(frame) is not None and self._left(frame)
 
-    def _remains(self, frame: Observation) -> float:
-        """The part of what was recognised that a frame still shows, by its ln r/r0; 0 where nothing was."""
-        if self.seen is None or self.change is None:
-            return 0.0
-        return float(np.sum(frame.map * self.change) / np.sum(self.change**2))
+    def _left(self, frame: Observation) -> bool:
+        """Whether cells show less of the ln r/r0 that was recognised than a film may keep; true where nothing was."""
+        before = self._before
+        return bool(np.sum(frame.map * before) <= 2 * FILM_KEEPS * np.sum(before**2))
 
     def _keeps(self, frame: Observation) -> Array | float:
         """`kept` once a step has changed what was recognised: by what cells have less of it than before."""
-        if self.known or self.seen is None or self.change is None:
-            return self.kept
-        less = np.abs(self.change) - np.abs(frame.map)
-        return np.asarray(np.maximum(self.kept, FILM_KEEPS * np.maximum(less, 0.0).ravel()))
+        less = np.maximum(np.abs(self._before) - np.abs(frame.map), 0.0).ravel()
+        return self.kept if self.known else np.asarray(np.maximum(self.kept, FILM_KEEPS * less))
+
+    @property
+    def _before(self) -> Array:
+        """(rows, columns) ln r/r0 of what was recognised since something came; 0 where nothing was."""
+        change = None if self.seen is None else self.change
+        return np.zeros(self.panelled.scene.panel.shape) if change is None else change
 
     def _gone(self, time: float) -> "Watch":
         """Once nothing is there any more; the panel at rest is what it is now, unless nothing had been recognised."""
@@ -273,7 +270,7 @@ class Watch:
         verdict = self.panelled.detector.verdict(frame, self.verdict if self.known else None)
         odds = 1.0 if self.seen is None else exp(RARER)  # that nothing comes in the moment in which something leaves
         if verdict.nothing * odds > 1 - verdict.nothing:
-            if self._remains(frame) < 2 * FILM_KEEPS and not (self.known and np.any(clear)):
+            if self._left(frame) and not (self.known and np.any(clear)):
                 return self._gone(time if self.known else self.begun)
             return replace(self, known=True, next_s=again)
         if self.seen is None and self._uncovered(verdict, median, time):
