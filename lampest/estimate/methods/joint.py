@@ -29,7 +29,7 @@ from lampest.posterior.track import Bars, Change
 COMMON = 0.1  # τ, of log r: temperature and supply move all cells by some percent from frame to frame, not by more
 ROUNDING = 1e-11  # of Φ, a sum of some thousand parts
 # Share of what frames say of z that is believed: cells that move a little and are taken for still pull at it, too.
-BELIEVED = 0.1
+BELIEVED = 0.3
 
 
 @dataclass(frozen=True, eq=False)

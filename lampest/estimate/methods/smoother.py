@@ -44,7 +44,6 @@ MOST_PARTS = 5  # of the unloaded frames: enough to identify a wrong reading; mo
 WIDE = 3.0  # q at the start over the noise: as large jumps as three deviations
 MOST_ROUNDS = 40  # 15 to 40 were needed on simulated lampreys
 SETTLED = 0.3  # of a standard deviation, by which a round may still move a cell
-FROZEN = 12  # rounds after which U stays, so that Φ is one function
 JUMP_SD = 1.0  # of log r: prior standard deviation of jumps and of cells that no reading determines
 FAST, SLOW = 0.6, 0.8  # from one walk to the next; slowly where the ties make a step's variance, which then must follow
 # Of q²: the median of squared steps of still cells from where on that is so, and where ties have followed the walk.
@@ -287,8 +286,8 @@ def smoothed(frames: JointData, alone: Array, walk: Walk, settings: Settings, un
     rounds, moving = 0, True
     while rounds < MOST_ROUNDS and moving and monotonic() < until:
         before, joint = joint, joint.stepped()
-        if rounds < FROZEN:
-            joint = replace(joint, frames=joint.frames.sharing(joint.at))
+        # At the readings of the last round: those of earlier walks follow the noise, which would seem a reference's.
+        joint = replace(joint, frames=joint.frames.sharing(joint.at))
         moved = np.abs(joint.log_cells - before.log_cells).max(initial=0.0, where=~joint.pressed[:, : joint.cells])
         squares = joint.expected_squares()
         walk, on = walk.drawn_down(squares, joint.stiffness, least)
