@@ -94,10 +94,13 @@ def calibrate(
     loads: Annotated[
         Path | None, option("YAML or CSV of known weights or pressures, to calibrate the film's response.")
     ] = None,
+    from_recording: Annotated[
+        bool, option("Calibrate channels and reference from ordinary recordings under many loads.", "--from-recording")
+    ] = False,
     tolerance: Annotated[float, option("Relative tolerance of resistors or loads: 0.01 for 1 %.")] = 0.01,
     out: Annotated[Path | None, written("--out", "Scene file to write. Default: print it.")] = None,
 ) -> None:
-    """Calibrate the electronics with known resistors, or the film with known loads, and write a scene.
+    """Calibrate the electronics with known resistors or many loads, or the film with known loads, and write a scene.
 
     Every number comes with its uncertainty.
     """
@@ -108,10 +111,13 @@ def calibrate(
 
     if not 0 <= tolerance <= 0.5:
         raise InputError("--tolerance must lie between 0 and 0.5")
+    if sum((loads is not None, bool(known), from_recording)) > 1:
+        raise InputError("--known, --loads and --from-recording are different calibrations: give one of them")
     if loads is not None:
-        if known:
-            raise InputError("--known: resistors and --loads are two calibrations")
         calibrate_film(files, loads, tolerance, out)
+        return
+    if from_recording:
+        calibrate_panel(files, out)
         return
     words = known or ["0"]
     if len(words) not in (1, len(files)):
@@ -138,6 +144,18 @@ def calibrate_film(files: list[Path], loads: Path, tolerance: float, out: Path |
     for warning in found.warnings:
         warn(warning)
     _scene_out(found.text(), found.summary(), out)
+
+
+def calibrate_panel(files: list[Path], out: Path | None) -> None:
+    """Find channels and reference from ordinary recordings and write them into a scene."""
+    from lampest.estimate.panel_calibration import calibrate_from_recordings
+    from lampest.recording.recording import Recording
+
+    with progress("calibrating"):
+        found = calibrate_from_recordings([Recording.load(file) for file in files])
+    _scene_out(found.text(), found.summary(), out)
+    if found.warning:
+        warn(found.warning)
 
 
 def _scene_out(text: str, summary: str, out: Path | None) -> None:

@@ -64,6 +64,10 @@ class Chain:
         """(n, n) of the border in H⁻¹."""
         return positive_inverse(self._border_precision)
 
+    def learned(self, count: int) -> Array:
+        """(count, count) precision of the border's first unknowns, of unit variance before, from the frames alone."""
+        return np.asarray(positive_inverse(self.border_covariance[:count, :count]) - np.eye(count))
+
     def doubting(self, share: float, prior: Array) -> "Chain":
         """The same where only a share of what frames tell of the border is believed; prior : (n), its own precision."""
         learned = self._border_precision - np.diag(prior)

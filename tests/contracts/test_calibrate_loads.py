@@ -105,7 +105,10 @@ def test_loads_that_cannot_be_are_one_sentence(
 
 def test_resistors_and_loads_are_two_calibrations(rods: list[Path], lampest: Command) -> None:
     ended = lampest("calibrate", rods[0], "--loads", CONFIGS / "known_loads.csv", "--known", "1000")
-    assert (ended.code, ended.err) == (2, "lampest: --known: resistors and --loads are two calibrations\n")
+    assert (ended.code, ended.err) == (
+        2,
+        "lampest: --known, --loads and --from-recording are different calibrations: give one of them\n",
+    )
 
 
 @pytest.mark.parametrize(

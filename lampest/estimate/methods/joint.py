@@ -29,7 +29,7 @@ from lampest.posterior.track import Bars, Change
 COMMON = 0.1  # τ, of log r: temperature and supply move all cells by some percent from frame to frame, not by more
 ROUNDING = 1e-11  # of Φ, a sum of some thousand parts
 # Share of what frames say of z that is believed: cells that move a little and are taken for still pull at it, too.
-BELIEVED = 0.3
+BELIEVED = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -190,14 +190,11 @@ class Joint:
     @cached_property
     def _sizes(self) -> list[Array]:
         """√ω, ω a loss's curvature; where it has none, the weight of a squared loss with its slope there."""
-        sizes = []
-        for model in self.models:
-            loss, x = model.at.cost.terms[0].loss, model.residual
-            curvature = loss.curvature(x)
-            flat = (curvature <= 0) & (x != 0)
-            curvature[flat] = loss.steady_pull(x[flat]) / np.abs(x[flat])
-            sizes.append(np.sqrt(curvature))
-        return sizes
+        loss, x = self.frames.cost[0].terms[0].loss, [model.residual for model in self.models]
+        every = np.concatenate(x)
+        curvature = loss.curvature(every)
+        size = np.sqrt(np.where(curvature > 0, curvature, loss.stiffness(every)))
+        return np.split(size, np.cumsum([len(one) for one in x])[:-1])
 
     @cached_property
     def chain(self) -> Chain:
@@ -234,6 +231,11 @@ class Joint:
         right, corner = self._bordered(columns)
         steps = np.zeros((len(self.stiffness), columns.shape[2]))
         return self.chain.solve(right * ~self.pressed[:, :, None], np.concatenate([corner, steps]))[0][:, : self.cells]
+
+    @property
+    def shared(self) -> tuple[Array, Array]:
+        """(z, how precisely the frames determine it): (n), and (n, n) without what is known of it beforehand."""
+        return self.shift[: self._sharing], self.chain.learned(self._sharing)
 
     def expected_squares(self) -> Array:
         """E x² of the steps, (frames − 1, cells)."""

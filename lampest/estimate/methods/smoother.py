@@ -134,14 +134,9 @@ class SmootherMethod(Method):
             return state, [state.unsolved(Status.BREAKDOWN) for _ in readings]
         begin = perf_counter()
         data, start = _begun(state, resting, readings, cells, on_frame)
-        costs = [state.estimator.cost(state.scene, 1, one.partial) for one in data]
-        # What a scene does not name is no unknown: usual errors of a circuit are too many for a few frames to tell.
-        scene = state.scene if state.scene.specified_systematic else replace(state.scene, systematic="none")
-        frames = JointData.alone(costs, data, Shared.of(scene), start, state.frame_noise, len(resting))
         with delayed_interrupt(), suppress(*BROKEN), np.errstate(all="ignore"):
-            settings = state.estimator.solver
-            until = monotonic() + len(data) * (settings.time_limit_s or inf)
-            joint, rounds = smoothed(frames, start, Walk(self.walk, self.jump), settings, until)
+            until = monotonic() + len(data) * (state.estimator.solver.time_limit_s or inf)
+            joint, rounds = self._joint(state, data, start, len(resting), until)
             fault = Status.TIME if monotonic() > until else Status.UNVERIFIED
             solutions = _checked(joint, rounds, fault)[len(resting) - 1 :]
             steps = [Step(solution, (perf_counter() - begin) / len(data), (1.0,)) for solution in solutions]
@@ -150,6 +145,22 @@ class SmootherMethod(Method):
             baseline = steps[0] if steps[0].solution.solved else state.baseline
             return replace(state, baseline=baseline, previous=steps[-1].estimate(0)), steps[1:]
         return state, [state.unsolved(Status.BREAKDOWN) for _ in readings]
+
+    def least_cost(self, state: SequenceState, readings: Sequence[Readings]) -> Joint:
+        """Φ of frames alone, unloaded or not, where it is least. Raises as `smoothed`, and where a baseline failed."""
+        if not state.rested:
+            raise np.linalg.LinAlgError("the unloaded panel has no estimate")
+        return self._joint(state, *_begun(state, (), readings, (), lambda: None))[0]
+
+    def _joint(
+        self, state: SequenceState, data: Sequence[Data], start: Array, resting: int = 0, until: float = inf
+    ) -> tuple[Joint, int]:
+        """As `smoothed`, of the data of all frames, of which so many are means of unloaded ones."""
+        costs = [state.estimator.cost(state.scene, 1, one.partial) for one in data]
+        # What a scene does not name is no unknown: usual errors of a circuit are too many for a few frames to tell.
+        scene = state.scene if state.scene.specified_systematic else replace(state.scene, systematic="none")
+        frames = JointData.alone(costs, data, Shared.of(scene), start, state.frame_noise, resting)
+        return smoothed(frames, start, Walk(self.walk, self.jump), state.estimator.solver, until)
 
 
 def _begun(
@@ -283,14 +294,15 @@ def smoothed(frames: JointData, alone: Array, walk: Walk, settings: Settings, un
     frames = frames.sharing(joint.at)
     shift = np.zeros(frames.shared.shape[2] + len(start) - 1)
     joint = Joint(frames, start, shift, walk.stiffness(joint.steps**2 + variance[1:] + variance[:-1]))
-    rounds, moving = 0, True
+    rounds, moving, taken = 0, True, walk.deviation
     while rounds < MOST_ROUNDS and moving and monotonic() < until:
         before, joint = joint, joint.stepped()
-        # At the readings of the last round: those of earlier walks follow the noise, which would seem a reference's.
-        joint = replace(joint, frames=joint.frames.sharing(joint.at))
         moved = np.abs(joint.log_cells - before.log_cells).max(initial=0.0, where=~joint.pressed[:, : joint.cells])
         squares = joint.expected_squares()
         walk, on = walk.drawn_down(squares, joint.stiffness, least)
+        # Readings of a wider walk follow the noise, which would seem a reference's.
+        if not on or walk.deviation < taken / 2:
+            joint, taken = replace(joint, frames=joint.frames.sharing(joint.at)), walk.deviation
         joint, rounds = replace(joint, stiffness=walk.stiffness(squares)), rounds + 1
         moving = on or moved > SETTLED * noise
     for _ in range(settings.max_iterations):

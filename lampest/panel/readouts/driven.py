@@ -239,12 +239,16 @@ class DrivenReadout(Readout):
 
     def simulated(self, cell_resistance: Array, scene: Surroundings, row_ohm: Array, column_ohm: Array) -> Array:
         """With every line's channel in its drive or sense resistance; no sense_ohm, no channel."""
+        actual = self.with_channels(row_ohm, column_ohm)
+        return actual.to_recorded(actual.exact_reading(cell_resistance, scene.wiring), scene)
+
+    def with_channels(self, row_ohm: Array, column_ohm: Array) -> Self:
+        """The circuit with so much more in every line's channel, ohm."""
         driven, sensed = of_side(self.driven, row_ohm, column_ohm)
         changes: dict[str, Any] = {"drive_ohm": with_channels("drive_ohm", self.drive_ohm, driven)}
         if self.sense_ohm:
             changes["sense_ohm"] = with_channels("sense_ohm", self.sense_ohm, sensed)
-        actual = replace(self, **changes)
-        return actual.to_recorded(actual.exact_reading(cell_resistance, scene.wiring), scene)
+        return replace(self, **changes)
 
     def off_by(self, fraction: float) -> Self:
         """Every reference·(1 + fraction)."""

@@ -161,13 +161,13 @@ class TwoPointReadout(Readout):
     def shared_errors(
         self, cells: Array, measured: Array, scene: Surroundings, reference: float, channel: float
     ) -> Array:
-        """(R + R_series)·reference, and `channel` in every reading of the line; see `Readout.shared_errors`."""
+        """−(R + R_series)·reference, and `channel` in every reading of the line; see `Readout.shared_errors`."""
         rows, columns = measured.shape[-2:]
         lines = np.zeros((rows + columns if channel else 0, *measured.shape))
         if channel:
             np.einsum("j...jk->j...k", lines[:rows])[...] = channel
             np.einsum("k...jk->k...j", lines[rows:])[...] = channel
-        return np.concatenate([((measured + scene.series_ohm) * reference)[None], lines])
+        return np.concatenate([-((measured + scene.series_ohm) * reference)[None], lines])
 
     def off_by(self, fraction: float) -> Self:
         return replace(self, reference_ohm=self.reference_ohm * (1 + fraction))

@@ -1,0 +1,102 @@
+"""The smoother under real electronics, by an independent simulator: against LSR-ΔCR, and after `--from-recording`.
+
+Scenes are those of `tests.studies.mouth_scenes`, of eight kinds in turn: film uneven by 12 %, cells that drift by 1 % a
+minute, channels of 3 ohm, a reference within 1 %, a ripple of 0.4 LSB along the scan, one wild code in ten thousand.
+All recordings of a run have the same electronics. Run it with:
+python -m tests.studies.shared_errors --recordings 16 --seed 5000 --calibrate 8
+"""
+
+import argparse
+from dataclasses import replace
+
+import numpy as np
+
+from lampest import two_point_resistance
+from lampest.estimate.estimator import Estimator
+from lampest.estimate.panel_calibration import calibrate_from_recordings
+from lampest.estimate.sequence import reconstruct
+from lampest.panel.panel import Array, Panel
+from lampest.panel.readouts import TwoPointReadout
+from lampest.panel.scene import Scene, Systematic
+from lampest.recording.recording import Recording
+from tests.studies import mouth_scenes
+from tests.studies.limit import METHODS
+
+KINDS = ("uneven mouth", "two rods", "pressed mouth", "ring", "mouth partly off", "hand", "rock", "cup")
+RESTING, FRAMES, SIDE = 3, 20, 10
+TOLD = Systematic(reference_tolerance=0.01, channel_spread_ohm=3.0)
+
+
+def recording(seed: int, channels: Array, reference: float) -> Recording:
+    """Three unloaded frames and twenty measured ones, a second apart, with their truth."""
+    rng, panel = np.random.default_rng(seed), Panel(SIDE, SIDE)
+    load = mouth_scenes.MAKERS[KINDS[seed % len(KINDS)]](rng, panel)
+    film = replace(mouth_scenes.film(rng, "real"), scatter=0.12)
+    time = np.arange(RESTING + FRAMES, dtype=float)
+    on = int(rng.integers(RESTING + 1, RESTING + 6))
+    off = len(time) if rng.random() < 0.5 else int(rng.integers(len(time) - 6, len(time)))
+    there = ((time >= on) & (time < off)).astype(float)
+    breath = 1 + rng.uniform(0, 0.12) * np.sin(2 * np.pi * (rng.uniform(0.15, 0.45) * time + rng.random()))
+    courses = np.stack([there * breath, there * breath * np.clip((time - on + 0.2) / 2, 0, 1)], axis=1)
+    cells = mouth_scenes.cells(rng, panel, load, film, courses)
+    cells *= np.exp(0.01 / 60 * rng.standard_normal(panel.shape) * time[:, None, None])
+    total = two_point_resistance(cells) + 140.0 + channels[:SIDE, None] + channels[SIDE:]
+    volt = 1000 * (1 + reference) / (total + 1000 * (1 + reference))
+    phase = rng.uniform(0, 2 * np.pi, len(time))
+    ripple = 0.4 * np.sin(2 * np.pi * np.arange(SIDE) / SIDE + phase[:, None])[:, :, None]
+    codes = np.round(volt * 1023 + ripple + 0.7 * rng.standard_normal((20, *volt.shape)))
+    wild = rng.random(codes.shape) < 1e-4
+    mean = np.where(wild, rng.integers(0, 1024, codes.shape), codes).mean(axis=0)
+    scene = Scene(panel, TwoPointReadout(noise_lsb=0.7), 140.0, systematic=TOLD)
+    role = (time >= RESTING).astype(np.uint8)
+    return Recording(scene, 1000 * (1023 - mean) / mean, time, role, truth_cell_resistance=cells)
+
+
+def measure(made: Recording, method: str) -> Array:
+    """Median error of cells and of changes, rms error of changes, percent; coverage of cells and of changes."""
+    found = reconstruct(made, Estimator(*METHODS[method]))  # type: ignore[arg-type]
+    assert made.truth_cell_resistance is not None and found.relative_change_lower is not None
+    assert found.cell_resistance_lower is not None and found.cell_resistance_upper is not None
+    cells, resting = made.truth_cell_resistance[found.frame], made.truth_cell_resistance[RESTING - 1]
+    assert found.relative_change_upper is not None
+    solved, change = found.solved, 100 * (cells / resting - 1)
+    error = np.log(found.cell_resistance / cells)[solved]
+    of_change = (np.log(found.cell_resistance / found.baseline_resistance) - np.log(cells / resting))[solved]
+    inside = ((found.cell_resistance_lower <= cells) & (cells <= found.cell_resistance_upper))[solved]
+    kept = ((found.relative_change_lower <= change) & (change <= found.relative_change_upper))[solved]
+    sizes = np.median(np.abs(error)), np.median(np.abs(of_change)), np.sqrt(np.mean(of_change**2))
+    return 100 * np.array([*sizes, inside.mean(), kept.mean()])
+
+
+def study(count: int, seed: int, calibrate: int) -> None:
+    """Print both methods on `count` recordings, and again once `calibrate` further ones have calibrated the scene."""
+    rng = np.random.default_rng(seed)
+    board = 3.0 * rng.standard_normal(2 * SIDE), float(rng.uniform(-0.01, 0.01))
+    every = [recording(seed + number, *board) for number in range(count)]
+    of_paper = np.stack([measure(one, "LSR-dCR") for one in every])
+
+    def told(name: str, rows: Array) -> None:
+        ratios = rows[:, :3] / of_paper[:, :3]
+        shown = "; ".join(f"{np.median(ratio):.2f} / {ratio.max():.2f}" for ratio in ratios.T)
+        print(f"{name:22} {rows.mean(axis=0).round(2)}; over LSR-dCR, median / worst: {shown}", flush=True)
+
+    told("LSR-dCR", of_paper)
+    told("smoother", np.stack([measure(one, "smoother") for one in every]))
+    if not calibrate:
+        return
+    found = calibrate_from_recordings([recording(seed + 10_000 + number, *board) for number in range(calibrate)])
+    off = (found.errors[1:] - board[0]).reshape(2, SIDE)
+    left = np.sqrt(np.sum((off - off.mean(axis=1, keepdims=True)) ** 2) / (2 * SIDE - 2))
+    print(f"{found.summary()}; truly off by {left:.2f} ohm; the reference was off by {100 * board[1]:+.2f} %")
+    again = [replace(one, scene=found.calibrated) for one in every]
+    for method in ("LSR-dCR", "smoother"):
+        told(f"{method}, calibrated", np.stack([measure(one, method) for one in again]))
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--recordings", type=int, default=16)
+    parser.add_argument("--seed", type=int, default=5000)
+    parser.add_argument("--calibrate", type=int, default=8)
+    arguments = parser.parse_args()
+    study(arguments.recordings, arguments.seed, arguments.calibrate)
