@@ -1,8 +1,8 @@
-"""`weight: auto`: of one penalty with a squared loss by a rule (`lampest.posterior.spectrum`), else the evidence's.
+"""`weight: auto`: of one penalty by a rule (`lampest.posterior.spectrum`), else the fixed point of the evidence.
 
-The rule `press` takes losses with a derivative, too.
-
-The cost is linearised at an estimate; the estimate for the weight that this gives is where it is linearised next.
+A loss that is not squared is reweighted least squares at the estimate; absolute losses, which have no derivative at 0,
+and several penalties take the fixed point. The cost is linearised at an estimate; the estimate for the weight that this
+gives is where it is linearised next.
 """
 
 from collections.abc import Hashable, Sequence
@@ -51,7 +51,7 @@ def with_chosen_weights(
     search = WeightSearch(cost, data, estimator.solver, tuple(one for one in others if one.partial == data.partial))
     penalties = [number for number, term in enumerate(estimator.terms) if not term.reads_measurement]
     losses = [estimator.terms[number].loss for number in penalties]
-    single = len(losses) == 1 and (losses[0].squared or (rule == "press" and losses[0].enters != "dual"))
+    single = len(losses) == 1 and losses[0].enters != "dual"
     first = convex(data, near) if near is None else near
     with np.errstate(all="ignore"):
         if single and data.measured.size <= MOST_DENSE:
@@ -60,7 +60,7 @@ def with_chosen_weights(
             return estimator.with_weights(weights)
         if rule == "press":
             raise InputError(
-                "weight: auto of more than one penalty, or of a loss that is not squared, needs the noise: name "
+                "weight: auto of more than one penalty, or of an absolute loss, needs the noise: name "
                 "weights or add a readout to the scene or sigma to the recording"
             )
         return estimator.with_weights(search.by_evidence(penalties, first))

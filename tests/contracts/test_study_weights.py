@@ -34,7 +34,7 @@ def test_command_writes_table_curves_and_figures(
     assert done.code == 0, done.err
     assert "best" in done.out and "Morozov" in done.out
     assert "small/both left out: it has 2 penalty terms, not one" in done.err
-    assert "small/tv left out: a loss is not squared" in done.err
+    assert "small/tv left out: a loss is absolute" in done.err
     table = {(row["estimator"], row["rule"]): row for row in rows(out)}
     assert {name for name, _ in table} == {"g", "d"}
     assert table["g", "risk"]["in_use"] == "1"

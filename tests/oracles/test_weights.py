@@ -124,13 +124,18 @@ def error(estimator: Estimator, data: Data, cells: Array) -> float:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", [Gradient, CellResistance])
-@pytest.mark.parametrize("rule", ["risk", "evidence"])
-def test_the_choice_is_near_the_best_in_hindsight(kind: type[Term], rule: Rule) -> None:
+@pytest.mark.parametrize(
+    ("term", "rule"),
+    [
+        *((kind(weight=AUTO), rule) for kind in (Gradient, CellResistance) for rule in ("risk", "evidence")),
+        *((Gradient(weight=AUTO, loss=loss), "risk") for loss in (Huber(corner=200.0), Student(corner=200.0))),
+    ],
+)
+def test_the_choice_is_near_the_best_in_hindsight(term: Term, rule: Rule) -> None:
     ratios = []
     for seed, noise in enumerate((0.001, 0.003, 0.01, 0.03)):
         cells = cells_of(10 + seed)
-        open_one = Estimator((Misfit(), kind(weight=AUTO)), "reduced", auto_weight=AutoWeight(rule=rule))
+        open_one = Estimator((Misfit(), term), "reduced", auto_weight=AutoWeight(rule=rule))
         data = measured_data(open_one, cells, noise, 20 + seed)
         chosen = with_chosen_weights(open_one, Scene(Panel(*SHAPE)), data, None, True)
         weight = float(chosen.terms[1].weight)
