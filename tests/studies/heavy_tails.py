@@ -48,10 +48,8 @@ def study(count: int, seed: int) -> None:
     every = [SETTINGS[names[number % 2]].recording(seed + 7 * number) for number in range(count)]
     for term in TERMS:
         found = np.array([excess(one, Estimator((Misfit(), term), "reduced")) for one in every])
-        high, weight = np.percentile(found[:, 0], 95), np.median(found[:, 1])
-        print(
-            f"{term.kind:12} {term.loss.kind:8} {np.median(found[:, 0]):.2f} / {high:.2f}; weight {weight:.2g} times the best"
-        )
+        (middle, weight), high = np.median(found, axis=0), np.percentile(found[:, 0], 95)
+        print(f"{term.kind:12} {term.loss.kind:8} {middle:.2f} / {high:.2f}; {weight:.2g} times the best weight")
 
 
 if __name__ == "__main__":
