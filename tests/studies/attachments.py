@@ -276,6 +276,10 @@ def report(everything: Sequence[Seen]) -> None:
             of = (called >= low) & (called < high)
             share = are[of].mean() if of.any() else np.nan
             print(f"P(lamprey) {low:g} to {min(high, 1):g}: {of.sum()} recordings, {share:.0%} are mouths")
+    deep = np.array([(one.seen_depth, one.depth, one.depth_sd) for one in everything if one.depth and one.sucks > 0.5])
+    if len(deep):
+        covered = _held(deep[:, 0] - deep[:, 1], deep[:, 2])
+        print(f"breathing depth over true {_middle(deep[:, 0] / deep[:, 1])}, {covered}")
     print(f"median {np.median([one.cpu for one in everything]):.2f} s of processor time a recording")
 
 
