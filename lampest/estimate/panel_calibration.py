@@ -120,13 +120,13 @@ class PanelCalibration:
 
 
 def calibrate_from_recordings(recordings: Sequence[Recording]) -> PanelCalibration:
-    """The electronics' errors that explain the cells that nobody touches, in recordings of one scene.
+    """The electronics' errors that explain the cells that nobody touches, in recordings of one circuit.
 
     Raises InputError without a readout, for panels of modules, where scenes differ, or where no frame can be estimated.
     """
     first = recordings[0]
     for other in recordings[1:]:
-        if other.scene != first.scene:
+        if _circuit(other.scene) != _circuit(first.scene):
             raise InputError(f"{other.name}: its scene is another than that of {first.name}")
     if first.scene.readout is None:
         raise InputError(f"{first.name}: its scene names no readout, whose numbers a calibration could find")
@@ -145,6 +145,11 @@ def calibrate_from_recordings(recordings: Sequence[Recording]) -> PanelCalibrati
     errors = BELIEVED * covariance @ sum((learned + unit) @ z for z, learned in found)
     into = _in_units(scene, len(unit))
     return PanelCalibration(scene, into @ errors, into @ covariance @ into.T, into @ into.T, frames)
+
+
+def _circuit(scene: Scene) -> Scene:
+    """The scene without what touched the panel, and how the film answers."""
+    return replace(scene, subject=None, experiment=None, water=None, temperature=None, film=None, response=None)
 
 
 def _assuming(scene: Scene) -> Scene:

@@ -15,6 +15,7 @@ from lampest.estimate.panel_calibration import PanelCalibration, calibrate_from_
 from lampest.estimate.sequence import reconstruct
 from lampest.files.document import parse_document, validated
 from lampest.files.errors import InputError
+from lampest.panel.conditions import MeasuredSubject
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import LoadedColumnsReadout, TwoPointReadout
 from lampest.panel.scene import Scene, Systematic
@@ -72,9 +73,11 @@ def test_channels_come_back_within_their_deviations_and_cells_are_nearer() -> No
 
 
 def test_without_loads_it_is_said_that_nothing_is_known() -> None:
-    found = calibrate_from_recordings([recording(1, np.zeros(2 * SIDE), loads=0)])
+    made = recording(1, np.zeros(2 * SIDE), loads=0)
+    other = replace(made, scene=replace(made.scene, subject=MeasuredSubject(id="another")))
+    found = calibrate_from_recordings([made, other])
     assert found.warning.startswith("these loads determine hardly any channel")
-    assert found.apart[0] > 0.9 * SPREAD
+    assert found.apart[0] > 0.9 * SPREAD and found.frames == 10
 
 
 @pytest.mark.slow
