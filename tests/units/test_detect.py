@@ -109,6 +109,8 @@ def test_the_most_alarming_attachment_is_the_answer() -> None:
     rod = dataclasses.replace(SEEN, sucks=0.0, suction_kpa=None)
     assert Detected.of("two", (BREATHES, rod), 4.0).answer == LAMPREY
     assert Detected.of("two", (rod,), 4.0).sentence.startswith("something presses, there since 6.0 s, 35 ± 2 mm")
+    gone = dataclasses.replace(BREATHES, since_s=9.0, until_s=30.0)
+    assert "attached since 6.0 s" in Detected.of("two", (BREATHES, gone), 4.0).sentence, "what is there comes first"
     nothing = Detected.of("none", (), 4.0)
     assert nothing.sentence == "nothing" and nothing.probability < 1, "a load may be too weak for a step"
 

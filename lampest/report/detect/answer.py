@@ -80,8 +80,9 @@ class Detected:
         change: Array | None = None,
         panel: Panel | None = None,
     ) -> "Detected":
-        """The most alarming of all attachments, of these the last one; rate : frames a second."""
-        called = [answer_of(one, rate) for one in reversed(attachments)]
+        """The most alarming of all attachments, of these what is still there, the last one; rate : frames a second."""
+        loads = [*filter(lambda one: one.here, reversed(attachments)), *reversed(attachments)]
+        called = [answer_of(one, rate) for one in loads]
         chosen = min(called, key=lambda one: ANSWERS.index(one[0]), default=(NOTHING, BARE, ""))
         return cls(recording, *chosen, rate, notes, tuple(attachments), course, change, panel)
 
@@ -99,7 +100,8 @@ class Detected:
     def chosen(self) -> Attachment | None:
         """The attachment that the answer is about."""
         named = zip(self.attachments, self.called, strict=True)
-        return next((one for one, name in reversed(list(named)) if name == self.answer), None)
+        found = [one for one, name in named if name == self.answer]
+        return next((one for one in reversed(found) if one.here), found[-1] if found else None)
 
     @property
     def sentence(self) -> str:
