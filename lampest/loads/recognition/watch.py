@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cholesky, solve_triangular
 
+from lampest.loads.force import CLEAR
 from lampest.loads.recognition.attachment import Attachment, attachments_of, continued_by
 from lampest.loads.recognition.breathing import LEAST_S, WINDOW_S, breaths
 from lampest.loads.recognition.candidates import FIELD, DiscSearch
@@ -238,7 +239,7 @@ class Watch:
     def _left(self, frame: Observation) -> bool:
         """Whether cells show less of the ln r/r0 that was recognised than a film may keep; true where nothing was."""
         before = self._before
-        return bool(np.sum(frame.map * before) <= 2 * FILM_KEEPS * np.sum(before**2))
+        return bool(np.sum(frame.map * before) <= CLEAR * FILM_KEEPS * np.sum(before**2))
 
     def _keeps(self, frame: Observation) -> Array | float:
         """`kept` once a step has changed what was recognised: by what cells have less of it than before."""
@@ -269,15 +270,17 @@ class Watch:
         frame = self._frame(median, time)
         verdict = self.panelled.detector.verdict(frame, self.verdict if self.known else None)
         odds = 1.0 if self.seen is None else exp(RARER)  # that nothing comes in the moment in which something leaves
-        if verdict.nothing * odds > 1 - verdict.nothing:
+        found, before = verdict.best.change, self._before
+        memory = not self.known and np.sum(found**2) < CLEAR * FILM_KEEPS * np.sum(found * before)  # where it was
+        if verdict.nothing * odds > 1 - verdict.nothing or memory:
             if self._left(frame) and not (self.known and np.any(clear)):
                 return self._gone(time if self.known else self.begun)
             return replace(self, known=True, next_s=again)
         if self.seen is None and self._uncovered(verdict, median, time):
             return replace(self, seen=frame, left=size, uncovered_s=self.begun)._gone(self.begun)
-        found = attachments_of(frame, verdict, self.begun)
+        loads = attachments_of(frame, verdict, self.begun)
         here = replace(self, kept=self._keeps(frame), seen=frame, verdict=verdict, known=True, next_s=again)
-        every = continued_by(self.attachments, found, self.begun, self.known)
+        every = continued_by(self.attachments, loads, self.begun, self.known)
         return replace(here, left=size, left_s=time, size=size, attachments=every)
 
     def _uncovered(self, verdict: Verdict, median: Array, time: float) -> bool:
