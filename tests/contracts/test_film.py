@@ -58,8 +58,8 @@ def test_a_run_reads_the_film_and_says_what_it_took_it_for(recording: Path, lamp
     assert len(at) and not np.any((at > 15) & (at < 36))
     assert case.tared[at[0]].startswith("nothing touched the panel for 8 frames (7 s)")
     told = lampest("info", out / "results.h5")
-    assert "film      creep " in told.out and "from the recording" in told.out
-    assert "film      hysteresis 0.2, creep_per_decade auto" in lampest("info", recording).out
+    assert "film       creep " in told.out and "from the recording" in told.out
+    assert "film       hysteresis 0.2, creep_per_decade auto" in lampest("info", recording).out
 
 
 def test_tare_makes_other_frames_the_unloaded_ones_and_changes_nothing_else(recording: Path, lampest: Command) -> None:

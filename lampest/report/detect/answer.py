@@ -9,7 +9,7 @@ import numpy as np
 
 from lampest.files import hdf5
 from lampest.loads.recognition.attachment import Attachment, Pair
-from lampest.loads.recognition.breathing import LEAST_S, not_excluded, too_slow
+from lampest.loads.recognition.breathing import LEAST_S, too_slow
 from lampest.panel.panel import Array, Panel
 from lampest.report.compare import Table
 
@@ -185,9 +185,7 @@ def answer_of(one: Attachment, rate: float) -> tuple[str, float, str]:
     elif one.breathing_hz is None:
         why = f"breathing shows after {LEAST_S:g} s at the earliest"
     elif one.sucks * (1 - one.breathes) >= SURE:
-        why = not_excluded(rate)
-        if not why:
-            return CUP, one.sucks * (1 - one.breathes), ""
+        return CUP, one.sucks * (1 - one.breathes), ""
     else:
         why = f"whether it breathes is not clear (P = {one.breathes:.2f})"
     return SUCKS, one.sucks, why
