@@ -57,6 +57,13 @@ def test_unloaded_frames_that_something_touched_are_none(first: int) -> None:
     assert found.answer == CANNOT_SAY and "while its unloaded frames were taken" in found.why
 
 
+def test_what_changes_as_little_as_a_film_settles_is_no_touch() -> None:
+    """A fiftieth of what a rod does."""
+    recording, touched = taken((ROD, 8, 20)), taken((ROD, 2, 20))
+    recording.recorded[2:5] *= (touched.recorded[3] / recording.recorded[0]) ** 0.02
+    assert answered(recording).answer == PRESSES
+
+
 @pytest.mark.slow
 def test_a_load_that_was_there_before_the_first_frame_is_none_that_comes_when_it_leaves() -> None:
     """What cells show then is like suction."""

@@ -30,6 +30,7 @@ STEP = 6.0  # standard deviations: with some 1000 patterns normal noise passes t
 FREE = 0.1  # σ of ln r and of ln y that all cells and all readings may share: temperature, waves, supply; an assumption
 NEAR = 3.0  # pitches about a disc in which a load's pattern counts for it
 FOLLOWS_S = 20.0  # in which the mean of frames follows them
+SETTLES_S = 60.0  # of drift that is expected within the unloaded frames
 # Of what stands there, as patterns see it: a change beyond it is another load, or one that left. And the standard
 # deviation of what a film keeps of a load that left, in its ln r/r0.
 CHANGED, FILM_KEEPS = 0.5, 0.12
@@ -182,7 +183,7 @@ class Watch:
         each = [np.where(np.isnan(shown), self.rest, shown) for shown in medians]
         stepped = [shown for shown in each if np.any(self.test.scores(shown - self.rest) >= self.test.least())]
         verdict = self.panelled.detector.verdict
-        return any(verdict(self._frame(shown, self.rest_s)).nothing < 0.5 for shown in stepped[-1:])
+        return any(verdict(self._frame(shown, self.rest_s + SETTLES_S)).nothing < 0.5 for shown in stepped[-1:])
 
     @property
     def stands_out(self) -> float:
