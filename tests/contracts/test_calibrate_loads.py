@@ -35,6 +35,7 @@ def rods(tmp_path: Path, lampest: Command) -> list[Path]:
     return sorted((tmp_path / "rods").glob("rod_*.h5"))
 
 
+@pytest.mark.slow
 def test_the_shipped_example_makes_pressures_of_fresh_loads_better(
     rods: list[Path], tmp_path: Path, lampest: Command
 ) -> None:

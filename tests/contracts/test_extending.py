@@ -106,6 +106,7 @@ class BelowGround(Divider):
         return -super().reading(row, column, mutual)
 
 
+@pytest.mark.slow
 def test_a_readout_outside_the_range_of_the_converter_names_the_rail() -> None:
     negative = simulated(BelowGround())
     found = lampest.reconstruct(negative, [Misfit(weighting="noise")], formulation="reduced")

@@ -56,6 +56,7 @@ def test_one_load_moved_over_the_panel_makes_forces_right() -> None:
     assert np.mean(ours) < (1 - 0.269) * np.mean(naive)
 
 
+@pytest.mark.slow
 def test_several_pressures_tell_another_film() -> None:
     bench = Bench(2, response=OTHER, repeat=0.02)
     found = calibrated(bench, [1.0, 3.0, 9.0, 20.0], 17.5)

@@ -241,7 +241,7 @@ def test_bars_allow_for_static_errors_that_may_be_chance() -> None:
     assert np.mean(shares, axis=0).min() > 0.9
 
 
-@pytest.mark.parametrize("size", [0.03, 0.1])
+@pytest.mark.parametrize("size", [pytest.param(0.03, marks=pytest.mark.slow), 0.1])
 def test_static_errors_that_bend_the_answer_have_their_size_from_unloaded_cells_and_are_held(size: float) -> None:
     """So large ones press cells against their bounds; no cells give the readings of the larger."""
 

@@ -209,6 +209,7 @@ def test_what_all_readings_share_widens_the_bars_of_cells() -> None:
     assert np.median(told.cell_resistance_errors) > 2 * np.median(silent.cell_resistance_errors)
 
 
+@pytest.mark.slow
 def test_bars_reach_as_far_as_a_circuit_may_be_wrong_of_which_the_scene_says_nothing() -> None:
     """28 ohm in series that nobody told; bars of the joint cost alone held one cell in fifty."""
     held = []
