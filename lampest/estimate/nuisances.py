@@ -292,6 +292,12 @@ class Besides:
         return f"{' and '.join(names)}: taken off the readings, which error bars allow for"
 
 
+def moved_beside_channels(scene: Scene, fits: Sequence[CellsFit]) -> int:
+    """How many cells have moved between the unloaded panel and a frame, beside channels that differ."""
+    pair = FittedPair.of(scene, *fits)
+    return int(pair.explained(np.zeros((len(pair.change), 0))).moved.sum())
+
+
 def besides_the_circuit(scene: Scene, resting: CellsFit, frames: Sequence[tuple[str, CellsFit]]) -> Besides:
     """By fits of the unloaded panel and of named frames: of the frame that shows them best."""
     found, together, most = Besides(), "", 0.0

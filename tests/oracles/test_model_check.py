@@ -16,9 +16,13 @@ from lampest.estimate.model_check import recording_check
 from lampest.estimate.outliers import without_outliers
 from lampest.estimate.rivals import standing_frames
 from lampest.files.typed import members_of
+from lampest.loads.shapes import OralDisc
+from lampest.panel.conditions import Systematic
+from lampest.panel.panel import EachModule, Modules, Panel
 from lampest.panel.readouts import AnyReadout, Readout
 from lampest.panel.readouts.two_point import four_point_excess
 from lampest.recording.readings import Readings
+from lampest.recording.simulation import Unmodelled, simulate
 from lampest.report.compare import compare, model_notes
 from lampest.report.info import describe
 from lampest.report.page.page import write_report
@@ -245,6 +249,17 @@ def test_a_series_resistance_that_is_not_there_is_named(told: float) -> None:
     assert check.explains is False
     assert "series_resistance_ohm near" in check.better
     assert float(check.better.split()[-1]) < 20
+
+
+def test_channels_that_differ_are_no_other_resistance_in_series() -> None:
+    """A quarter of a mouth on a module."""
+    systematic = Systematic(reference_tolerance=0.01, channel_spread_ohm=3)
+    panel = Panel(modules=Modules(2, 2, EachModule(10, 10)))
+    scene = Scene(panel, TwoPointReadout(noise_lsb=0.7), 140.0, systematic=systematic)
+    mouth = OralDisc(centre_mm=(97, 99), diameter_mm=35, rim_width_mm=6, pressure_kpa=-12, rim_kpa=60)
+    errors = Unmodelled(channel_spread_ohm=3, reference_tolerance=0.01)
+    simulation = Simulation(1, 35, scene, frames=4, baseline_frames=5, loads=(mouth,), unmodelled=errors)
+    assert recording_check(simulate(simulation).modules[1]).better == ""
 
 
 @pytest.mark.slow
