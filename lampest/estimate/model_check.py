@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.estimate.cells_fit import LEVEL, MOST_CELLS, PRICE, CellsFit, JointFit, fitted, mostly_still, moved_score
-from lampest.estimate.nuisances import MARGIN, MOST_ASKED, Besides, Better, besides_the_circuit, moved_beside_channels
+from lampest.estimate.nuisances import MARGIN, MOST_ASKED, Besides, Better, beside_channels, besides_the_circuit
 from lampest.estimate.outliers import without_outliers
 from lampest.estimate.rivals import Question, Rival, changes_beyond_noise, rivals_of, standing_frames
 from lampest.estimate.saturation import as_passed
@@ -282,8 +282,7 @@ def better_rival(rivals: list[Rival], question: Question, specified: Explanation
     """The rival that explains the readings where the scene's circuit does not, or by MARGIN better.
 
     rivals : the scene's circuit first. specified : what that explains; None where it does not. No rival is one under
-    which most cells have moved, for nothing then shows which have not, or as many as under the scene's circuit with
-    channels that differ.
+    which most cells have moved, for nothing then shows which have not, or as many as under the scene's circuit.
     """
     if specified is None:
         tried = (with_some_in_series(rivals[0], question), *(_explanation(rival, question) for rival in rivals[1:]))
@@ -298,12 +297,9 @@ def better_rival(rivals: list[Rival], question: Question, specified: Explanation
     if best is None or not _beaten(given, best):
         return Better()
     # What moved under the rival may have moved under the specified circuit.
-    again, channels = (
-        specified.joint(question, best.moved),
-        moved_beside_channels(question.specified.scene, specified.fits),
-    )
-    count, plain = int(best.moved.sum()), int(min(given.moved.sum(), again.moved.sum(), channels))
-    if not _beaten(again, best) or count >= plain:
+    again = specified.joint(question, best.moved)
+    count, plain = int(best.moved.sum()), int(min(given.moved.sum(), again.moved.sum()))
+    if not _beaten(again, best) or count >= plain or not _beyond_channels(specified, best.rival, question):
         return Better()
     return Better(best.rival.name, question.loaded, count, plain)
 
@@ -311,6 +307,15 @@ def better_rival(rivals: list[Rival], question: Question, specified: Explanation
 def _beaten(specified: JointFit, best: JointFit) -> bool:
     """Whether a rival explains better by MARGIN, wider where even the rival leaves more than noise."""
     return bool(specified.beyond_noise > best.beyond_noise + MARGIN * best.excess)
+
+
+def _beyond_channels(specified: Explanation, rival: Rival, question: Question) -> bool:
+    """Whether a rival's resistance in series explains better by MARGIN where channels may differ, too."""
+    found = None if rival.in_series is None else _explanation(rival, question)
+    if found is None:
+        return True
+    given, other = (beside_channels(one.rival.scene, one.fits).score for one in (specified, found))
+    return given > other + MARGIN
 
 
 def _others(given: JointFit, specified: Explanation, rivals: list[Rival], question: Question) -> Iterator[JointFit]:

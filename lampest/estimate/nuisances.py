@@ -292,10 +292,10 @@ class Besides:
         return f"{' and '.join(names)}: taken off the readings, which error bars allow for"
 
 
-def moved_beside_channels(scene: Scene, fits: Sequence[CellsFit]) -> int:
-    """How many cells have moved between the unloaded panel and a frame, beside channels that differ."""
+def beside_channels(scene: Scene, fits: Sequence[CellsFit]) -> Evidence:
+    """How cells have moved between the unloaded panel and a frame, beside channels that differ."""
     pair = FittedPair.of(scene, *fits)
-    return int(pair.explained(np.zeros((len(pair.change), 0))).moved.sum())
+    return pair.explained(np.zeros((len(pair.change), 0)))
 
 
 def besides_the_circuit(scene: Scene, resting: CellsFit, frames: Sequence[tuple[str, CellsFit]]) -> Besides:

@@ -260,6 +260,9 @@ def test_channels_that_differ_are_no_other_resistance_in_series() -> None:
     errors = Unmodelled(channel_spread_ohm=3, reference_tolerance=0.01)
     simulation = Simulation(1, 35, scene, frames=4, baseline_frames=5, loads=(mouth,), unmodelled=errors)
     assert recording_check(simulate(simulation).modules[1]).better == ""
+    rod = Recording.load(Path(__file__).parents[2] / "data" / "rod.h5")
+    forgotten = replace(rod, scene=replace(rod.scene, series_resistance_ohm=0.0))
+    assert recording_check(forgotten).better == "series_resistance_ohm near 140"
 
 
 @pytest.mark.slow
