@@ -51,6 +51,8 @@ def saturated(recording: Recording) -> Saturated | None:
     readout = scene.readout
     if readout is None or readout.passes_volt is not None or scene.panel.modules is not None or not unloaded.any():
         return None
+    if min(scene.panel.shape) < 2:  # channels of a single line may all end at what it gives
+        return None
     width = WITHIN * readout.sigma_volt()
     plain = Readings.of(scene, recording.recorded, recording.sigma).plain
     plain &= _differ(scene.circuit.volt_from_recorded(recording.recorded), float(np.mean(width)))
@@ -87,8 +89,8 @@ def _differ(volt: Array, width: float) -> NDArray[np.bool_]:
     for axis in (1, 2):
         lines = np.moveaxis(volt, axis, 0).reshape(volt.shape[axis], -1)
         with np.errstate(invalid="ignore"):
-            alike = np.all(~(np.abs(lines[:, None] - lines) > 2 * width), axis=2)
-        kept.append(~np.tril(alike, -1).any(axis=1))
+            apart = [np.any(np.abs(lines[:at] - line) > 2 * width, axis=1).all() for at, line in enumerate(lines)]
+        kept.append(np.array(apart))
     return np.asarray(kept[0][:, None] & kept[1])
 
 
