@@ -18,7 +18,7 @@ from lampest.recording.recording import Recording
 from lampest.recording.stored import StoredRecording, opened
 from lampest.runs.case import CaseResult, StoredCase
 from lampest.runs.config import Case, Run, digest
-from lampest.runs.executors import Executor, LostError
+from lampest.runs.executors import Executor, LostError, Pairs
 from lampest.runs.filling import case_result
 from lampest.runs.long_case import PartFiles, parts_to_solve, solve_long, solve_part, watched
 from lampest.runs.results import read_results, stored_cases, write_results
@@ -87,14 +87,7 @@ def run_batch(
         aside: Path | None = None
         lost = ""
         try:
-            under_way = watched([(task.case, task.file) for task in waiting], on_long)
-            with ExitStack() as stack:
-                stack.enter_context(under_way)
-                long = [(task, task.case.stored) for task in waiting if task.case.stored is not None]
-                parts = [(task, n) for task, stored in long for n in parts_to_solve(task.case, stored, task.file)]
-                if parts:  # what becomes of them shows when their cases are put together
-                    deque(stack.enter_context(closing(executor.results(solve_part_of, parts))), maxlen=0)
-                outcomes = stack.enter_context(closing(executor.results(solve_case, waiting)))
+            with closing(_outcomes(executor, waiting, on_long)) as outcomes:
                 for finished, (task, outcome) in enumerate(outcomes, 1):
                     if isinstance(outcome, BaseException):
                         name = f"{task.case.recording} × {task.case.name}"
@@ -123,6 +116,17 @@ def run_batch(
         )
         results = folder / RESULTS if done else None
         return Report(results, solved, skipped, tuple(failed), aside, not_run, lost, tuple(warnings))
+
+
+def _outcomes(executor: Executor, waiting: Sequence[Task], on_long: Callable[[str], None]) -> Pairs:
+    """What becomes of every case; of those too long for memory all parts are solved first."""
+    with ExitStack() as stack:
+        stack.enter_context(watched([(task.case, task.file) for task in waiting], on_long))
+        long = [(task, task.case.stored) for task in waiting if task.case.stored is not None]
+        parts = [(task, n) for task, stored in long for n in parts_to_solve(task.case, stored, task.file)]
+        if parts:  # what becomes of them shows when their cases are put together
+            deque(stack.enter_context(closing(executor.results(solve_part_of, parts))), maxlen=0)
+        yield from stack.enter_context(closing(executor.results(solve_case, waiting)))
 
 
 def _put_aside(path: Path, done: Sequence[CaseResult | StoredCase]) -> Path | None:

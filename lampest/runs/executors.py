@@ -8,7 +8,7 @@ import signal
 from abc import abstractmethod
 from collections import Counter, deque
 from collections.abc import Callable, Generator, Iterator, Sequence
-from contextlib import ExitStack, closing, contextmanager
+from contextlib import ExitStack, closing, contextmanager, suppress
 from dataclasses import astuple, dataclass, replace
 from importlib import import_module
 from multiprocessing.connection import Connection, wait
@@ -234,6 +234,10 @@ class Dask(Executor):
                 if threads != 1:
                     raise InputError(f"executor: the worker {worker} has {threads} threads; start it with --nthreads 1")
             yield client
+            if place is None:
+                # Closed while it starts a worker anew, a nanny raises AssertionError (distributed 2026.8).
+                with suppress(TimeoutError):
+                    client.wait_for_workers(workers, timeout=self.wait_s)
 
 
 def _outcome(distributed: Any, client: Any, future: Any) -> Any:

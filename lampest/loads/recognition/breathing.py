@@ -16,9 +16,9 @@ from lampest.loads.response import RESPONSE_SD
 from lampest.panel.panel import Array
 
 RATES_HZ = (0.5, 2.5)  # of breathing; sea lampreys at rest 0.8 to 1.6 Hz
-SHOWN_HZ = 2.0  # rates up to this one have to show: mouths breathe at 0.6 to 2 Hz
-# A: the amplitude of mouths is 5.4 % of their suction in the mean (docs/studies/mouths.md). Of what does not breathe by
-# a tenth of what the faintest breathing, of 3 %, has; an assumption: cups tremble and leak, but at no single rate.
+LEAST_RATE = 3.8  # frames a second: those of four whose clock is slow; they show rates up to 2 Hz
+# A: the amplitude of mouths is 5.4 % of their suction in the mean (docs/studies/mouths.md). Of what does not breathe it
+# is an assumption: cups tremble and leak, but at no single rate.
 BREATH, STEADY = 0.045, 0.002
 WINDOW_S, LEAST_S = 8.0, 4.5  # over which a rhythm is steady; and the least that shows one
 # Standard deviations of what may move with time: suction, rim and supply, relative; mm; tilts. Assumptions.
@@ -26,8 +26,8 @@ MOVES = {"suction": 0.1, "push": 0.1, "supply": 0.01, "x": 1.0, "y": 1.0, "tilt_
 
 
 def too_slow(rate: float) -> str:
-    """Why so many frames a second show no breathing; '' from the Nyquist rate of SHOWN_HZ on, of a slow clock too."""
-    return "" if rate >= 0.95 * 2 * SHOWN_HZ else f"{rate:.3g} frames a second do not show breathing, at least four do"
+    """Why so many frames a second show no breathing; '' where they do."""
+    return "" if rate >= LEAST_RATE else f"{rate:.3g} frames a second do not show breathing, at least four do"
 
 
 @dataclass(frozen=True)
@@ -95,7 +95,7 @@ def breath(times: Array, changes: Array, patterns: Patterns) -> Breath | None:
     """
     lasted = times[-1] - times[0]
     rate = (len(times) - 1) / max(lasted, 1e-9)
-    if lasted < LEAST_S or too_slow(rate):
+    if lasted < LEAST_S or rate < LEAST_RATE:
         return None
     at = (times - times[0]) / lasted
     trend = np.linalg.qr(np.column_stack([np.ones_like(at), at, at**2, np.log1p(10 * at)]))[0]
@@ -114,8 +114,7 @@ def breath(times: Array, changes: Array, patterns: Patterns) -> Breath | None:
     breathing, steady = (logsumexp(_evidence(total, amplitude, gain, sd, freedom)) for sd in (BREATH, STEADY))
     noise = max(total - power[best], 1e-12) / max(freedom - 2, 1)
     moving = axes @ (changes - trend @ (trend.T @ changes))
-    # Rife and Boorstyn, IEEE Trans. IT-20, 1974
-    spread = np.sqrt(3 * noise / max(power[best], 1e-12)) / (np.pi * lasted)
+    spread = np.sqrt(3 * noise / max(power[best], 1e-12)) / (np.pi * lasted)  # Rife, Boorstyn, IEEE Trans. IT-20, 1974
     return Breath(
         float(breathing - steady),
         _suction(patterns, moving, best),
