@@ -79,7 +79,7 @@ def copy(tmp_path: Path) -> Path:
     for name in COPIED:
         source, target = REPOSITORY / name, tmp_path / name
         if source.is_dir():
-            shutil.copytree(source, target, ignore=shutil.ignore_patterns("__pycache__"))
+            shutil.copytree(source, target)  # with what is compiled, which stays true of the copy
         else:
             shutil.copy(source, target)
     (tmp_path / "data").symlink_to(REPOSITORY / "data")
@@ -94,7 +94,7 @@ def copy(tmp_path: Path) -> Path:
 def typed(folder: Path, command: str) -> str:
     """What a command answers in a copy of the house; it must succeed."""
     paths = os.pathsep.join((str(folder / "bin"), os.environ.get("PATH", "")))
-    environment = os.environ | {"PYTHONPATH": str(folder), "PATH": paths, "PYTHONDONTWRITEBYTECODE": "1"}
+    environment = os.environ | {"PYTHONPATH": str(folder), "PATH": paths}
     ended = subprocess.run(
         command, shell=True, cwd=folder, env=environment, capture_output=True, text=True, timeout=300
     )
