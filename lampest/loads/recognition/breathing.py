@@ -27,7 +27,7 @@ MOVES = {"suction": 0.1, "push": 0.1, "supply": 0.01, "x": 1.0, "y": 1.0, "tilt_
 
 def too_slow(rate: float) -> str:
     """Why so many frames a second show no breathing; '' where they do."""
-    return "" if rate >= LEAST_RATE else f"{rate:.3g} frames a second do not show breathing, at least four do"
+    return "" if rate >= LEAST_RATE else f"breathing shows at four frames a second or more, here there are {rate:.3g}"
 
 
 @dataclass(frozen=True)

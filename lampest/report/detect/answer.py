@@ -18,7 +18,7 @@ ANSWERS = ("lamprey", "sucks", "suction cup", "presses", "nothing", "cannot say"
 LAMPREY, SUCKS, CUP, PRESSES, NOTHING, CANNOT_SAY = ANSWERS
 BARE = 0.99  # probability that a panel is bare on which nothing stepped: weak loads make no step; an assumption
 SURE = 0.9  # from which on an attachment is called lamprey, or suction cup
-IN_WORDS = {SUCKS: "something sucks (lamprey or cup)", CUP: CUP, LAMPREY: LAMPREY, PRESSES: "something presses"}
+SOMETHING = {SUCKS: "something that sucks (lamprey or cup)", PRESSES: "something that presses"}
 PAIRS = {
     "x_mm": ("mm", "centre across the columns, column 0 at 0"),
     "y_mm": ("mm", "centre across the rows, row 0 at 0"),
@@ -114,7 +114,7 @@ class Detected:
         until = "" if one.until_s is None else f" to {one.until_s:.1f} s"
         diameter = f", {_shown(one.diameter_mm, 'mm')}" if one.diameter_mm else ""
         place = f" at ({one.x_mm[0]:.0f}, {one.y_mm[0]:.0f}) mm"
-        said = [f"{IN_WORDS[self.answer]}{words} {begun} {one.since_s:.1f} s{until}{diameter}{place}"]
+        said = [f"{SOMETHING.get(self.answer, self.answer)}{words} {begun} {one.since_s:.1f} s{until}{diameter}{place}"]
         if one.suction_kpa and one.sucks > 0.5:
             said.append(_shown(one.suction_kpa, "kPa"))
         if one.diameter_mm is None and one.area_mm2 is not None:
