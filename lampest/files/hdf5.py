@@ -30,6 +30,7 @@ FORMAT = ("v110", "v110")  # HDF5 1.10 of 2016: the oldest with checksums of all
 MOST_VALUES = 100_000_000
 MOST_TEXT_BYTES = 5_000_000
 PACKED = {"compression": "gzip", "shuffle": True, "fletcher32": True}
+CHUNK = 100_000  # values that are packed together; whole frames of them
 ALL = slice(None)
 OPEN_FOR_WRITING = ("already open for", "truncated file")
 
@@ -133,7 +134,8 @@ def write_dataset(
     """
     data = np.asarray(data)
     if data.shape and data.size > 64:  # fewer are not worth compression
-        dataset: Any = group.create_dataset(name, data=data, **PACKED)
+        length = max(1, min(len(data), CHUNK // int(np.prod(data.shape[1:]))))
+        dataset: Any = group.create_dataset(name, data=data, chunks=(length, *data.shape[1:]), **PACKED)
     else:
         dataset = write_plain(group, name, data)
     set_attributes(dataset, units=units, long_name=long_name, **further)

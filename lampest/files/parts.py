@@ -14,12 +14,13 @@ OF_AXES = ("DIMENSION_LIST", "REFERENCE_LIST", "CLASS", "NAME")  # by which HDF5
 
 
 class DatasetPlan(NamedTuple):
-    """A dataset as it is to be; scales : the paths of its axes'.
+    """A dataset as it is to be; length : of its chunks. scales : the paths of its axes'.
 
     is_scale : whether it is an axis itself. along : whether its first axis is time. owner : the last file that has it.
     """
 
     shape: tuple[int, ...]
+    length: int
     dtype: Any
     scales: tuple[str, ...]
     is_scale: bool
@@ -48,16 +49,14 @@ def join_parts(parts: Sequence[Path], target: h5py.Group, group: str) -> None:
     joined = {path: plan for path, plan in plans.items() if plan.along and len(parts) > 1}
     for path, plan in joined.items():
         shape = (_lengths(plans)[path.split("/", 1)[0]], *plan.shape[1:])
-        # A chunk that holds more than a part's frames is unpacked and packed again for every one of them.
-        length = max(1, min(100_000 // int(np.prod(shape[1:], initial=1)), plan.shape[0] // len(parts)))
-        nothing = np.nan if plan.dtype.kind == "f" else None
-        target.create_dataset(path, shape, plan.dtype, chunks=(length, *shape[1:]), fillvalue=nothing, **hdf5.PACKED)
+        nothing, chunks = np.nan if plan.dtype.kind == "f" else None, (plan.length, *shape[1:])
+        target.create_dataset(path, shape, plan.dtype, chunks=chunks, fillvalue=nothing, **hdf5.PACKED)
     for part, begin in zip(parts, begins, strict=True):
         with hdf5.existing_file(part) as file:
             for path, node in _below(file[group]):
                 if path in joined:
                     first = begin.get(path.split("/", 1)[0], 0)
-                    target[path][first : first + len(node)] = node[()]
+                    _append(target[path], node, first)
                 elif path in plans and plans[path].owner == part:
                     file.copy(node, target, path, without_attrs=True)
     for path, held in attributes.items():
@@ -68,15 +67,28 @@ def join_parts(parts: Sequence[Path], target: h5py.Group, group: str) -> None:
         hdf5.attach_scales(target, {path: tuple(scale.removeprefix(f"{group}/") for scale in plan.scales)})
 
 
+def _append(target: h5py.Dataset, part: h5py.Dataset, first: int) -> None:
+    """A part's values from frame `first` on; chunks that are the same there go over as they are packed."""
+    length, same = target.chunks[0], target.chunks == part.chunks and target.dtype == part.dtype
+    whole = len(part) - len(part) % length if same and first % length == 0 else 0
+    for begin in range(0, whole, length):
+        beside = (0,) * (target.ndim - 1)
+        mask, packed = part.id.read_direct_chunk((begin, *beside))
+        target.id.write_direct_chunk((first + begin, *beside), packed, mask)
+    if whole < len(part):
+        target[first + whole : first + len(part)] = part[whole:]
+
+
 def _planned(dataset: h5py.Dataset, owner: Path, before: DatasetPlan | None) -> DatasetPlan:
     """With the frames of this part behind those of the parts before; texts as long as the longest."""
     scales = () if dataset.is_scale else tuple(str(dim[0].name) if len(dim) else "" for dim in dataset.dims)
     along = f"{dataset.name if dataset.is_scale else (*scales, '')[0]}".endswith(f"/{TIME}")
     shape, dtype = dataset.shape, dataset.dtype
+    length = 1 if not shape else dataset.chunks[0] if dataset.chunks else max(shape[0], 1)
     if before is not None and along:
-        shape = (before.shape[0] + shape[0], *shape[1:])
+        shape, length = (before.shape[0] + shape[0], *shape[1:]), max(before.length, length)
         dtype = max(before.dtype, dtype, key=lambda kind: int(kind.itemsize))
-    return DatasetPlan(tuple(shape), dtype, scales, bool(dataset.is_scale), along, owner)
+    return DatasetPlan(tuple(shape), length, dtype, scales, bool(dataset.is_scale), along, owner)
 
 
 def _lengths(plans: Mapping[str, DatasetPlan]) -> dict[str, int]:

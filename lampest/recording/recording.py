@@ -3,7 +3,7 @@
 import re
 import sys
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from math import prod
 from pathlib import Path
 from typing import Any
@@ -270,11 +270,17 @@ class Recording(Validated):
 def head_of(file: h5py.File, path: Path) -> tuple[Scene, str, str]:
     """(scene, group of the frames, its signal). Raises InputError where there is no valid scene."""
     text = hdf5.read_text(file, "/entry/scene")
-    scene: Scene = validated(parse_document(text, f"{path}:/entry/scene"), Scene)
+    scene = _scene_of(text, f"{path}:/entry/scene")
     group, signal = f"/entry/{group_of(scene.circuit)}", scene.circuit.signal
     if len(hdf5.shape_of(file, f"{group}/{signal}")) != 3:
         raise InputError(f"{path}: {group}/{signal} must be frames × rows × columns")
     return scene, group, signal
+
+
+@lru_cache(maxsize=8)  # a recording too long for memory is opened for every part
+def _scene_of(text: str, where: str) -> Scene:
+    scene: Scene = validated(parse_document(text, where), Scene)
+    return scene
 
 
 def _check_held(file: h5py.File, signal: str, *others: str) -> None:

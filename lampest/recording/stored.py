@@ -2,6 +2,8 @@
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import pairwise, starmap
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +16,7 @@ from lampest.files.parts import join_parts
 from lampest.files.whole import folder_beside
 from lampest.panel.scene import Scene
 from lampest.recording.acquisition import undamaged_frames
-from lampest.recording.recording import MEASURED, UNLOADED, Recording, head_of
+from lampest.recording.recording import MEASURED, UNLOADED, Recording, group_of, head_of
 
 WHOLE = 2_000_000  # readings that are held at once; with error bars 1 kB is estimated of each: 2 GB
 BLOCK = 500_000  # readings of a part, where a recording has more
@@ -54,9 +56,25 @@ class StoredRecording:
         return max(16, BLOCK // self.scene.panel.crossings)
 
     def blocks(self) -> tuple[range, ...]:
-        """Frames that are estimated one after the other before they are written, part by part."""
-        begins = range(0, self.frames, self.length)
-        return tuple(range(begin, min(begin + self.length, self.frames)) for begin in begins)
+        """Frames that are estimated one after the other before they are written, part by part.
+
+        Where it can be had, a part ends with a chunk of what is written of measured frames.
+        """
+        return self._blocks
+
+    @cached_property
+    def _blocks(self) -> tuple[range, ...]:
+        chunk, ends = max(1, hdf5.CHUNK // self.scene.panel.crossings), [0]
+        with hdf5.existing_file(self.path) as file:
+            path = f"/entry/{group_of(self.scene.circuit)}/role"
+            known = hdf5.has(file, path)
+            role = hdf5.read_array(file, path, 1, part=slice(0, self.frames)) if known else np.ones(self.frames)
+        measured = np.cumsum(role == MEASURED)
+        while ends[-1] < self.frames:
+            first, end = ends[-1], min(ends[-1] + self.length, self.frames)
+            full = np.flatnonzero((measured[first:end] % chunk == 0) & (role[first:end] == MEASURED))
+            ends.append(first + int(full[-1]) + 1 if len(full) and end < self.frames else end)
+        return tuple(starmap(range, pairwise(ends)))
 
     def part(self, frames: range, beside: int = 0) -> Recording:
         """Some frames, and as many as are there of so many `beside` them. Raises InputError as `Recording.load`."""

@@ -23,7 +23,7 @@ from lampest.recording.stored import StoredRecording
 from lampest.runs.case import StoredCase
 from lampest.runs.config import Case
 from lampest.runs.filling import case_result
-from lampest.runs.results import join_case, read_results, stored_cases, write_results
+from lampest.runs.results import join_case, stored_cases, write_results
 
 CARRIED = "carried/1"
 EVERY_SECONDS = 1.0  # between two sentences on how far long cases are
@@ -53,7 +53,8 @@ class PartFiles:
         """What a part left, None where it is not whole: then it is solved again."""
         with suppress(InputError):
             if self.results(number).is_file() and self.carried(number).is_file():
-                [held] = read_results(self.results(number)).cases
+                hdf5.checked(self.results(number))
+                [held] = stored_cases(self.results(number))
                 if held.case_id == self.case.case_id:
                     return read_carried(self.carried(number))
         return None
