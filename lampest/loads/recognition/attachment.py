@@ -17,7 +17,7 @@ from lampest.panel.panel import Array
 
 # Windows in which a mouth breathes; and of ln odds, what absence of breathing, and breathing, can bring together at
 # most. Assumptions.
-OFTEN, PAUSED, SURE = 0.9, -5.0, 10.0
+OFTEN, PAUSED, SURE = 0.95, -5.0, 10.0
 
 Pair = tuple[float, float]
 

@@ -1,16 +1,19 @@
 """Whether a load's suction changes periodically: Bretthorst's odds of a sinusoid (Bayesian Spectrum Analysis, 1988).
 
-Suction is the amplitude of its pattern in the readings of a window, beside patterns of what else may move; a trend is
-taken off. Equations are in docs/theory/recognition.md.
+Suction and rim change the cells by slopes that follow from where these stand on the film's response. Their relative
+amplitude in a window is a weighted mean of the readings; a trend is taken off. Equations are in
+docs/theory/recognition.md.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.polynomial.hermite_e import hermegauss
 from scipy.special import expit, logsumexp
 
-from lampest.loads.recognition.evidence import RARER
-from lampest.loads.recognition.fit import Fit
+from lampest.loads.recognition.detector import Detector
+from lampest.loads.recognition.evidence import COUNTS, RARER
+from lampest.loads.recognition.fit import ROUNDS, Fit
 from lampest.loads.recognition.observation import Observation
 from lampest.loads.response import RESPONSE_SD
 from lampest.panel.panel import Array
@@ -21,8 +24,10 @@ LEAST_RATE = 3.8  # frames a second: those of four whose clock is slow; they sho
 # is an assumption: cups tremble and leak, but at no single rate.
 BREATH, STEADY = 0.045, 0.002
 WINDOW_S, LEAST_S = 8.0, 4.5  # over which a rhythm is steady; and the least that shows one
-# Standard deviations of what may move with time: suction, rim and supply, relative; mm; tilts. Assumptions.
-MOVES = {"suction": 0.1, "push": 0.1, "supply": 0.01, "x": 1.0, "y": 1.0, "tilt_x": 0.1, "tilt_y": 0.1}
+# Relative standard deviation of the swing of all the rim over that of suction: it may press with more than it bears.
+# And of a cell's change by a movement: where an edge crosses its film is not known. Assumptions.
+RIM, PLACE = 0.5, 0.5
+MOVES = {"x": 1.0, "y": 1.0, "tilt_x": 0.1, "tilt_y": 0.1}  # what moves alike, mm and 1
 
 
 def too_slow(rate: float) -> str:
@@ -45,9 +50,10 @@ class Breath:
 
 @dataclass(frozen=True, eq=False)
 class Patterns:
-    """What readings of unit variance do, (readings) or (readings, n), for each move of MOVES.
+    """What swings do to readings of unit variance: roots of their covariance at unit amplitude, (readings, n).
 
-    own : where suction and rim grow alike; rim : the rim alone. moves : the load's other movements. others : what else.
+    own : suction with its rim; the first column is its mean, the others are what a film may add. rim : the rim alone.
+    moves : the load's place and tilt. others : what else may change, of any size.
     """
 
     own: Array
@@ -55,36 +61,62 @@ class Patterns:
     moves: Array
     others: Array
 
+    @classmethod
+    def of(cls, by_cell: Array, rise: Array, slopes: Array, spread: Array, moves: Array, others: Array) -> "Patterns":
+        """Of a load. by_cell : (readings, cells). rise : (cells) ln r/r0, < 0 under the rim. moves : (moves, cells).
+
+        slopes : (1 + n, cells) of ln r/r0 by ln p, and n by which all cells' may differ together. spread : (cells) σ of
+        their own.
+        """
+        mean, rim = slopes[0], rise < 0
+        own = np.column_stack([mean, RIM * rim * mean, slopes[1:].T, np.diag(spread)])
+        alone = np.delete(own, 1, axis=1) * rim[:, None]
+        moving = np.column_stack([moves.T, np.diag(PLACE * np.linalg.norm(moves, axis=0))])
+        return cls(by_cell @ own, by_cell @ alone, by_cell @ moving, others)
+
+    def beside_others(self, changes: Array) -> tuple["Patterns", Array]:
+        """Without what `others` do, in the patterns and in changes (frames, readings)."""
+        span = np.linalg.qr(self.others)[0]
+        own, rim, moves, left = (one - span @ (span.T @ one) for one in (self.own, self.rim, self.moves, changes.T))
+        return Patterns(own, rim, moves, self.others), left.T
+
+    def weights(self, depth: float, noise: float) -> Array:
+        """(readings) by which they sum to the amplitude of suction, by least squares about a depth."""
+        mean, film = self.own[:, 0], depth * self.own[:, 1:]
+        weighed = np.linalg.solve(noise * np.eye(len(mean)) + film @ film.T, mean)
+        return np.asarray(weighed / max(float(mean @ weighed), 1e-300))
+
 
 def breaths(
-    times: Array, logarithms: Array, frame: Observation, fit: Fit, whitening: Array, pressure: Array
+    times: Array, logarithms: Array, frame: Observation, fit: Fit, whitening: Array, detector: Detector
 ) -> list[tuple[tuple[float, float], Breath]]:
     """(centre, breath) of every load that sucks, from the frames of a window.
 
     times : (frames) s. logarithms : (frames, readings) ln y. frame, fit : what was recognised, and of what. whitening :
-    (readings, readings). pressure : (rows, columns) kPa of the fit.
+    (readings, readings).
     """
-    model = frame.measured.ravel()
-    of_cells = frame.slope(fit.change)
-    slopes = iter((whitening @ (of_cells @ fit.by_parameter.T / model[:, None])).T)
-    centres, patterns = list[tuple[float, float]](), list[list[Array]]()
-    for part, own in fit.loads:
-        names = part.priors(frame.baseline.scene.panel)
-        by_name = dict(zip(names, slopes, strict=False))
-        disc, moved = part.disc(own), {name: sd * by_name[name] for name, sd in MOVES.items() if name in by_name}
-        if disc is not None and "suction" in moved and "push" in moved:
-            suction, rim, *moves = moved.values()
-            centres.append((disc.x_mm, disc.y_mm))
-            patterns.append([suction + rim, rim, *moves])
-    changes, found = logarithms - np.log(model), []
-    changes = changes - _of_water(changes, frame, fit, pressure)
-    for number, (centre, (own, rim, *moves)) in enumerate(zip(centres, patterns, strict=True)):
-        others = [MOVES["supply"] * whitening.sum(axis=1)]
-        for beside, _, *moving in (*patterns[:number], *patterns[number + 1 :]):
-            others += [beside, *moving]
-        seen = Patterns(own, rim, np.array(moves).T, np.array(others).T)
-        heard = breath(times, changes @ whitening.T, seen)
-        found += [] if heard is None else [(centre, heard)]
+    model, panel = frame.measured.ravel(), detector.panel
+    pressure, _ = fit.candidate.pressure(panel, detector.patch_mm, fit.parameters)
+    departure, covariance = detector.departure(frame, fit)
+    rise = fit.change + departure
+    changes = settled(logarithms - np.log(model))
+    changes = (changes - _of_water(changes, frame, fit, pressure)) @ whitening.T
+    by_cell = whitening @ (frame.slope(rise) / model[:, None])
+    slopes = _slopes(frame, rise, fit.scatter)
+    spread = np.sqrt((slopes[1:] ** 2).sum(axis=0) + slopes[0] ** 2 * (fit.scatter**2 + np.diag(covariance)))
+    loads, found = fit.loads, list[tuple[tuple[float, float], Breath]]()
+    cells = [part.pressure(panel, detector.patch_mm, own)[0].ravel() != 0 for part, own in loads]
+    by_load = np.split(fit.by_parameter, np.cumsum([len(own) for _, own in loads]))
+    for (part, own), here, by_parameter in zip(loads, cells, by_load, strict=False):
+        disc = part.disc(own)
+        if disc is not None and part.sucks:
+            names = list(part.priors(panel))
+            moving = [sd * by_parameter[names.index(name), here] for name, sd in MOVES.items() if name in names]
+            moves = np.array(moving).reshape(len(moving), -1)
+            others = np.column_stack([whitening.sum(axis=1), by_cell[:, np.any(cells, axis=0) & ~here]])
+            own_cells = by_cell[:, here], rise.ravel()[here], slopes[:, here], spread[here]
+            heard = breath(times, changes, Patterns.of(*own_cells, moves, others))
+            found += [] if heard is None else [((disc.x_mm, disc.y_mm), heard)]
     return found
 
 
@@ -99,49 +131,46 @@ def breath(times: Array, changes: Array, patterns: Patterns) -> Breath | None:
         return None
     at = (times - times[0]) / lasted
     trend = np.linalg.qr(np.column_stack([np.ones_like(at), at, at**2, np.log1p(10 * at)]))[0]
-    basis = np.column_stack([patterns.own, patterns.others])
-    together = np.linalg.solve(basis.T @ basis + np.eye(basis.shape[1]), basis.T @ changes.T)[0]
-    series = MOVES["suction"] * _calm(together)
-    series = series - trend @ (trend.T @ series)
+    patterns, changes = patterns.beside_others(changes - trend @ (trend.T @ changes))
     hertz = np.arange(RATES_HZ[0], min(RATES_HZ[1], rate / 2) + 1e-9, 0.25 / lasted)
     waves = np.exp(2j * np.pi * hertz[:, None] * times)
     waves = np.stack([waves.real, waves.imag], axis=2)
     axes, sizes, _ = np.linalg.svd(waves - trend @ (trend.T @ waves), full_matrices=False)
     axes, gain = np.swapaxes(axes, 1, 2), sizes**2
+    swings = axes @ changes  # (rates, 2, readings)
+    noise = max(1.0, float(np.median((swings**2).mean(axis=(1, 2)))))
+    series = changes @ patterns.weights(STEADY, noise / gain.mean())
     amplitude, total = axes @ series, float(series @ series)
     power = (amplitude**2).sum(axis=1)
     freedom, best = len(times) - trend.shape[1], int(np.argmax(power))
     breathing, steady = (logsumexp(_evidence(total, amplitude, gain, sd, freedom)) for sd in (BREATH, STEADY))
-    noise = max(total - power[best], 1e-12) / max(freedom - 2, 1)
-    moving = axes @ (changes - trend @ (trend.T @ changes))
-    spread = np.sqrt(3 * noise / max(power[best], 1e-12)) / (np.pi * lasted)  # Rife, Boorstyn, IEEE Trans. IT-20, 1974
+    left = max(total - power[best], 1e-12) / max(freedom - 2, 1)
+    spread = np.sqrt(3 * left / max(power[best], 1e-12)) / (np.pi * lasted)  # Rife, Boorstyn, IEEE Trans. IT-20, 1974
     return Breath(
         float(breathing - steady),
-        _suction(patterns, moving, best),
+        _suction(patterns, swings, noise),
         (float(hertz[best]), float(np.hypot(spread, 0.25 / lasted / 12**0.5))),
-        _depth(patterns, moving[best] / sizes[best][:, None], float(np.mean(sizes[best] ** -2))),
+        _depth(patterns, changes, waves[best] - trend @ (trend.T @ waves[best]), at, noise / float(gain.mean())),
     )
 
 
-def _depth(patterns: Patterns, swing: Array, noise: float) -> tuple[float, float]:
-    """(relative amplitude of suction and rim together, its σ), beside what the rim does more or less than that.
+def _depth(patterns: Patterns, changes: Array, waves: Array, at: Array, noise: float) -> tuple[float, float]:
+    """(relative amplitude of the suction, its σ), of a wave whose amplitude and phase may run linearly over the window.
 
-    swing : (2, readings) of unit amplitude and phase. noise : its variance in each reading. What is beside the patterns
-    is the film's, which answers unevenly; along them there is as much, shared by the readings that suction reaches.
-    Films answer a swing by less than a load that stays, by their hysteresis.
+    waves : (frames, 2). at : (frames) from 0 to 1. noise : variance of the amplitude in each reading.
     """
-    apart = np.linalg.qr(patterns.others)[0]
-    basis, swing = (one - apart @ (apart.T @ one) for one in (np.column_stack([patterns.own, patterns.rim]), swing.T))
-    span = np.linalg.qr(basis)[0]
-    film = float(((swing - span @ (span.T @ swing)) ** 2).sum()) / _reached(patterns)
-    normal = basis.T @ basis / (noise + film) + np.eye(2)
-    depth = MOVES["suction"] * float(np.hypot(*np.linalg.solve(normal, basis.T @ swing)[0] / (noise + film)))
-    return depth, float(np.hypot(MOVES["suction"] * np.sqrt(np.linalg.inv(normal)[0, 0]), RESPONSE_SD * depth))
-
-
-def _reached(patterns: Patterns) -> float:
-    """How many readings suction reaches: (Σ a²)²/Σ a⁴."""
-    return float((patterns.own @ patterns.own) ** 2 / (patterns.own**4).sum())
+    basis = np.hstack([waves, 12**0.5 * (at[:, None] - 0.5) * waves])
+    inverse, depth, variance = np.linalg.pinv(basis), BREATH, 0.0
+    for _ in range(ROUNDS):
+        weights = patterns.weights(depth, noise)
+        series = changes @ weights
+        found = inverse @ series
+        left = float(np.sum((series - basis @ found) ** 2)) / max(len(at) - 8, 1)  # four numbers here, four of trend
+        each = left * (inverse**2).sum(axis=1)
+        depth = max(float(found @ found - each[2:].sum()), STEADY**2) ** 0.5
+        film = float(np.sum((weights @ patterns.own[:, 1:]) ** 2)) + RESPONSE_SD**2
+        variance = depth**2 * film + float(each[:2].mean())
+    return depth / (1 - RESPONSE_SD), variance**0.5 / (1 - RESPONSE_SD)
 
 
 def _evidence(total: float, amplitude: Array, gain: Array, sd: float, freedom: int) -> Array:
@@ -154,27 +183,37 @@ def _evidence(total: float, amplitude: Array, gain: Array, sd: float, freedom: i
     return np.asarray(logsumexp(fits + volume, axis=0))
 
 
-def _suction(patterns: Patterns, moving: Array, at: int) -> float:
+def _suction(patterns: Patterns, swings: Array, noise: float) -> float:
     """How probable it is that suction oscillates with its rim, not the rim alone nor the load's place or tilt.
 
-    moving : (rates, 2, readings). at : the rate in question. Rims are compared by what they leave unexplained at that
-    rate, where errors have one unknown scale; places, at any rate, by what they explain above the median of all rates,
-    because the square of a movement oscillates twice as fast. As many readings count as suction reaches.
+    swings : (rates, 2, readings). Each cause at its own rate: the square of a movement oscillates twice as fast.
     """
-    apart = np.linalg.qr(patterns.others)[0]
-    moving = moving - moving @ apart @ apart.T
-
-    def along(columns: Array) -> Array:
-        """(rates) of the square of what moves, the part in their span beside `others`."""
-        span = np.linalg.qr(columns - apart @ (apart.T @ columns))[0]
-        return np.asarray(((moving @ span) ** 2).sum(axis=(1, 2)))
-
-    whole = float((moving[at] ** 2).sum())
-    own, rim, moves = (along(one) for one in (patterns.own[:, None], patterns.rim[:, None], patterns.moves))
-    left = max(whole - rim[at], 1e-12) / max(whole - own[at], 1e-12)
-    above = max(own[at] - np.median(own), 1e-12) / max(float(np.max(moves) - np.median(moves)), 1e-12)
-    odds = RARER + np.log(2) + _reached(patterns) / 2 * np.log([left, above])  # both together are as rare
+    own, *others = (_explained(one, swings, noise).max() for one in (patterns.own, patterns.rim, patterns.moves))
+    odds = COUNTS * (own - np.array(others)) + RARER + np.log(2)  # both together are as rare
     return float(expit(-logsumexp(-odds)))
+
+
+def _explained(root: Array, swings: Array, noise: float) -> Array:
+    """ln P of swings (rates, 2, readings) of one cause over that of noise alone, (rates), summed over its size."""
+    along, lengths, _ = np.linalg.svd(root, full_matrices=False)
+    square = (swings @ along) ** 2 / noise
+    sizes = np.geomspace(1e-4, 1.0, 13)[:, None] * (swings**2).sum(axis=(1, 2)).max() / noise
+    wide = sizes * lengths**2 / max(float(np.sum(lengths**2)), 1e-300)
+    each = np.tensordot(square.sum(axis=1), wide / (1 + wide), (1, 1)) / 2 - np.log1p(wide).sum(axis=1)
+    return np.asarray(logsumexp(each, axis=1))
+
+
+def _slopes(frame: Observation, rise: Array, scatter: float) -> Array:
+    """(6, cells) ∂x/∂ln p of cells at x = `rise`: mean and deviations, as films differ by `scatter` and are bent."""
+    response, water = frame.baseline.response, frame.water
+    points, weights = hermegauss(5)
+    gains = response.gains * np.exp(np.hypot(scatter, frame.baseline.model_errors.bent) * points[:, None, None])
+    pressure = response.pressure(rise / gains + response.logarithm(water)) - water
+    more, less = (response.logarithm(water + by * pressure) for by in (1 + BREATH, 1 - BREATH))
+    slopes = (gains * (more - less) / (2 * BREATH)).reshape(len(points), -1)
+    shares = weights / weights.sum()
+    mean = shares @ slopes
+    return np.vstack([mean, np.sqrt(shares)[:, None] * (slopes - mean)])
 
 
 def _of_water(changes: Array, frame: Observation, fit: Fit, pressure: Array) -> Array:
@@ -185,8 +224,8 @@ def _of_water(changes: Array, frame: Observation, fit: Fit, pressure: Array) -> 
     return np.outer(changes[:, free] @ slope[free] / max(float(slope[free] @ slope[free]), 1e-300), slope)
 
 
-def _calm(series: Array) -> Array:
-    """Values farther than four robust standard deviations from the median are drawn in to that: outliers."""
-    middle = np.median(series)
-    most = 4 * 1.4826 * np.median(np.abs(series - middle))
+def settled(series: Array) -> Array:
+    """(frames, …) outliers, values beyond four robust standard deviations from the median, are drawn in to that."""
+    middle = np.median(series, axis=0)
+    most = 4 * 1.4826 * np.median(np.abs(series - middle), axis=0)
     return np.asarray(np.clip(series, middle - most, middle + most))

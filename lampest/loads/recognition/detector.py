@@ -103,6 +103,21 @@ class Detector:
         calm = frame.without(self._contradicting(frame, fit))
         return calm, Whitening.of(calm, self.explained(calm, fit), fit.scatter)
 
+    def departure(self, frame: Observation, fit: Fit) -> tuple[Array, Array]:
+        """(d of ln r − ln r0 − x of a fit (rows, columns), its covariance (cells, cells)): what a frame adds to it.
+
+        With A = (∂f/∂ln r, E) and C = A P Aᵀ + σ² the mean of d and of the offsets is P Aᵀ C⁻¹ (R − f(r0·e^x) − E δ0).
+        """
+        baseline, cells = frame.baseline, fit.change.size
+        calm, whitening = self.with_errors(frame, fit)
+        resting = baseline.model_errors.resting_covariance(frame.seconds, cells)
+        spread = resting + baseline.film(self.explained(frame, fit), fit.scatter)
+        both = np.hstack([calm.slope(fit.change), calm.offsets])
+        before = baseline.covariance[:cells] @ both.T + spread @ both[:, :cells].T
+        mean = (before @ cho_solve((whitening.root, True), fit.residual)).reshape(fit.change.shape)
+        prior = baseline.covariance[:cells, :cells] + spread
+        return mean, prior - before @ cho_solve((whitening.root, True), before.T)
+
     def _fitting(self, candidate: Candidate, frame: Observation) -> Fitting:
         return Fitting(self.panel, self.patch_mm, candidate, frame)
 
@@ -269,17 +284,10 @@ def fit_oral_disc(detector: Detector, frame: Observation, start: Fit | None = No
     """argmin ‖R − f(r0·f(p(θ)))‖² over centre, diameters, suction, rim pressure and tilt, with their priors.
 
     Weighed by what films and panels depart by. The cells are those of the disc with the departures d that this leaves:
-    ln r = ln r0 + x + d. With A = (∂f/∂ln r, E), C = A P Aᵀ + σ² the mean of d and of the offsets δ is
-    (d, δ) = P Aᵀ C⁻¹ (R − f(r0·e^x) − E δ0). start : the frame before, or None: all of the panel is searched.
+    ln r = ln r0 + x + d, see `Detector.departure`. start : the frame before, or None: all of the panel is searched.
     """
-    fit, baseline = detector.fitted(OralDisc.candidate, frame, start), frame.baseline
+    fit = detector.fitted(OralDisc.candidate, frame, start)
     disc, slopes = OralDisc.candidate.disc_with_slopes(fit.parameters)
-    covariance, cells = slopes @ fit.covariance @ slopes.T, fit.change.size
-    calm, whitening = detector.with_errors(frame, fit)
-    resting = baseline.model_errors.resting_covariance(frame.seconds, cells)
-    spread = resting + baseline.film(detector.explained(frame, fit), fit.scatter)
-    both = np.hstack([calm.slope(fit.change), calm.offsets])
-    before = baseline.covariance[:cells] @ both.T + spread @ both[:, :cells].T
-    departure = (before @ cho_solve((whitening.root, True), fit.residual)).reshape(fit.change.shape)
-    resistance = np.exp(baseline.logarithm + fit.change + departure)
+    covariance, (departure, _) = slopes @ fit.covariance @ slopes.T, detector.departure(frame, fit)
+    resistance = np.exp(frame.baseline.logarithm + fit.change + departure)
     return OralDiscFit(disc, Disc(*np.sqrt(np.diag(covariance))), covariance, resistance, fit)

@@ -297,12 +297,10 @@ class Watch:
         """With what the window shows of breathing; judged anew until it is full, and then window after window."""
         assert self.seen is not None and self.verdict is not None
         times, logarithms = np.array([time for time, _ in self.window]), np.array([one for _, one in self.window])
-        best, panel = self.verdict.best, self.panelled.scene.panel
-        pressure, _ = best.candidate.pressure(panel, self.panelled.detector.patch_mm, best.parameters)
         lasted = float(times[-1] - times[0])
         full = lasted > WINDOW_S - 1.5 * lasted / max(len(times) - 1, 1)
-        attachments = list(self.attachments)
-        for place, found in breaths(times, logarithms, self.seen, best, self.test.whitening, pressure):
+        attachments, fit, detector = list(self.attachments), self.verdict.best, self.panelled.detector
+        for place, found in breaths(times, logarithms, self.seen, fit, self.test.whitening, detector):
             here = [number for number, one in enumerate(attachments) if one.here]
             number = min(here, key=lambda number: attachments[number].distance(place))
             attachments[number] = attachments[number].breathed(found, full)
