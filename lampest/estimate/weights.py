@@ -1,8 +1,8 @@
 """`weight: auto`: of one penalty by a rule (`lampest.posterior.spectrum`), else the fixed point of the evidence.
 
-A loss that is not squared is reweighted least squares at the estimate; absolute losses, which have no derivative at 0,
-and several penalties take the fixed point. The cost is linearised at an estimate; the estimate for the weight that this
-gives is where it is linearised next.
+A loss that is not squared is reweighted least squares at the estimate. Several penalties, and one of a large panel,
+take the fixed point. The cost is linearised at an estimate; the estimate for the weight that this gives is where it is
+linearised next.
 """
 
 from collections.abc import Hashable, Sequence
@@ -50,18 +50,16 @@ def with_chosen_weights(
     cost = estimator.cost(scene, len(data.measured), data.partial)
     search = WeightSearch(cost, data, estimator.solver, tuple(one for one in others if one.partial == data.partial))
     penalties = [number for number, term in enumerate(estimator.terms) if not term.reads_measurement]
-    losses = [estimator.terms[number].loss for number in penalties]
-    single = len(losses) == 1 and losses[0].enters != "dual"
     first = convex(data, near) if near is None else near
     with np.errstate(all="ignore"):
-        if single and data.measured.size <= MOST_DENSE:
+        if len(penalties) == 1 and data.measured.size <= MOST_DENSE:
             weights = search.begun
             weights[penalties[0]] = search.tried(penalties[0], rule, first)[-1]
             return estimator.with_weights(weights)
         if rule == "press":
             raise InputError(
-                "weight: auto of more than one penalty, or of an absolute loss, needs the noise: name "
-                "weights or add a readout to the scene or sigma to the recording"
+                "weight: auto of more than one penalty, or of a large panel, needs the noise: name weights or add a "
+                "readout to the scene or sigma to the recording"
             )
         return estimator.with_weights(search.by_evidence(penalties, first))
 
@@ -114,19 +112,21 @@ class WeightSearch:
         """What a rule calls the best weight at a start, and then at the estimates for each weight before.
 
         Where nothing can be linearised, because bounds decide every cell, what the start's residuals suggest. Where
-        readings are bounds, a start that takes them for values is a poor place to linearise: the estimate for what its
-        residuals suggest comes first. The start itself serves where the weight found there has no estimate.
+        readings are bounds, a start that takes them for values is a poor place to linearise, and absolute losses have
+        duals at an estimate only: the estimate for what the start's residuals suggest comes first. The start itself
+        serves where the weight found there has no estimate.
         """
+        dual = any(term.loss.enters == "dual" for term in self.cost.terms)
         with suppress(*BROKEN):
-            if self.data.bounded:
+            if self.data.bounded or dual:
                 models = []
                 for data in (self.data, *self.others):
                     weights = replace(self, data=data)._suggested((penalty,), data.uniform_start)
                     model = self._solved(weights, data.uniform_start, data)
                     models += [] if model is None else [model]
                 found, solved = self._followed(penalty, rule, models)
-                if found and solved:
-                    return found
+                if dual or (found and solved):
+                    return found or [self._suggested((penalty,), first)[penalty]]
         found = []
         with suppress(*BROKEN):
             starts = [first, *(convex(data, None) for data in self.others)]

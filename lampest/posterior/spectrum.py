@@ -49,18 +49,21 @@ class Spectrum:
     def of(cls, model: LinearModel) -> "Spectrum":
         """Of an estimate with one penalty, which reweighted least squares stand for where its loss is not squared.
 
-        Raises LinAlgError where data leave it flat.
+        A residual x̂ weighs ½ρ'(x)/x at x = x̂. Under an absolute loss x² = x̂² + v, v the mean variance of residuals
+        without a penalty: what stands at 0 would go as far. Raises LinAlgError where data leave it flat.
         """
         size = np.sqrt(model.data_curvature)
         jacobian = DenseErrors(model).jacobian * size[:, None]
         matrix = jacobian.T @ jacobian
         matrix[np.diag_indices(len(matrix))] += IGNORANCE * model.scale
         factor, _ = cho_factor(matrix, lower=True)
-        loss = model.at.cost.terms[model.penalty_term[0]].loss
-        pull = np.ones(len(model.penalty)) if loss.squared else np.sqrt(loss.stiffness(model.penalty))
-        penalty = pull * model.penalty
-        penalty_rows = pull[:, None] * model.penalty_jacobian.toarray()[:, model.free]
-        penalties = solve_triangular(factor, penalty_rows.T, lower=True)
+        loss, far = model.at.cost.terms[model.penalty_term[0]].loss, model.penalty
+        penalties = solve_triangular(factor, model.penalty_jacobian.toarray()[:, model.free].T, lower=True)
+        if loss.enters == "dual":
+            noisy = solve_triangular(factor, jacobian.T * (size * model.noise), lower=True)
+            far = np.sqrt(far**2 + np.sum((noisy.T @ penalties) ** 2) / len(far))
+        pull = np.sqrt(loss.stiffness(far))
+        penalty, penalties = pull * model.penalty, pull * penalties
         stiffness, vectors = eigh(penalties @ penalties.T)
         back = solve_triangular(factor, vectors, lower=True, trans="T")
         directions, residual = jacobian @ back, size * model.residual

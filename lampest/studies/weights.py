@@ -116,8 +116,6 @@ def why_not(estimator: Estimator, readings: int) -> str | None:
     if misfits != 1 or len(terms) != 2:
         penalties = len(terms) - misfits
         return f"it has {penalties} penalty terms, not one" if penalties else "it has no penalty to weigh"
-    if any(term.loss.enters == "dual" for term in terms):
-        return "a loss is absolute"
     if readings > MOST_DENSE:
         return f"one solve has {readings} readings, more than {MOST_DENSE}"
     return None

@@ -10,7 +10,15 @@ from lampest import two_point_resistance
 from lampest.cost.given import Background
 from lampest.cost.losses import Absolute, Huber, Student
 from lampest.cost.problem import Data
-from lampest.cost.terms import CellResistance, Gradient, GradientOfRelativeChange, Misfit, RelativeChange, Term
+from lampest.cost.terms import (
+    CellResistance,
+    Gradient,
+    GradientOfRelativeChange,
+    LogRatio,
+    Misfit,
+    RelativeChange,
+    Term,
+)
 from lampest.estimate.estimator import AutoWeight, Estimator
 from lampest.estimate.sequence import reconstruct
 from lampest.estimate.weights import with_chosen_weights
@@ -144,6 +152,22 @@ def test_the_choice_is_near_the_best_in_hindsight(term: Term, rule: Rule) -> Non
         ratios.append(error(chosen, data, cells) / best)
     assert np.median(ratios) < 1.25
     assert max(ratios) < 2
+
+
+def test_an_absolute_change_of_few_cells_is_weighed_as_well() -> None:
+    estimator = Estimator((Misfit(), LogRatio(weight=AUTO)), "reduced")
+    resting = 3050 * np.exp(0.2 * np.random.default_rng(4).standard_normal((6, 6)))
+    cells = resting.copy()
+    cells[2:4, 3:5] *= 0.5
+    exact = two_point_resistance(cells)
+    measured = exact * (1 + 0.003 * np.random.default_rng(5).standard_normal(cells.shape))
+    scene = Scene(Panel(*cells.shape))
+    behind = Background(scene, previous=resting, baseline=resting)
+    data = estimator.data(Readings.of(scene, measured[None], 0.003 * exact[None]), behind)
+    chosen = with_chosen_weights(estimator, scene, data, None, True)
+    weights = float(chosen.terms[1].weight) * np.array([1.0, 0.1, 0.3, 3.0, 10.0, 30.0])
+    errors = [error(chosen.with_weights([1.0, each]), data, cells) for each in weights]
+    assert errors[0] < 1.2 * min(errors)
 
 
 def recording(noise: float | None, frames: int = 4) -> Recording:
