@@ -253,8 +253,12 @@ class Estimates:
     @property
     def saturated(self) -> NDArray[np.bool_] | None:
         """(frames, rows, columns) where the response does not tell the pressure."""
-        known = None if self._pressed is None else self._load
-        return None if known is None else known.saturated.astype(bool)
+        return None if self.pressure is None or self._load is None else self._load.saturated.astype(bool)
+
+    @property
+    def pressing(self) -> NDArray[np.bool_] | None:
+        """(frames, rows, columns) where a load presses, beyond errors and what the film keeps of earlier loads."""
+        return None if self.pressure is None or self._load is None else self._load.pressing.astype(bool)
 
     @property
     def tared(self) -> tuple[str, ...] | None:

@@ -48,9 +48,9 @@ OWN, ALIKE = 0.05, 0.2
 # The other explanation, that something still presses: as likely beforehand, and ln r/r0 anywhere within so much.
 RANGE = 4.0
 # Of the largest ln r/r0 of a cell, what stays once the load is gone and does not fade: such shares are compared, with a
-# prior of this mean; and the mean creep beyond which what stays is no creep.
-RESIDUES = np.array([0.0, 0.005, 0.01, 0.02, 0.03, 0.045, 0.06, 0.09, 0.12, 0.18, 0.25])
-RESIDUE, MOST_LIKELY = 0.02, 0.2
+# prior of this mean; the mean creep beyond which what stays is no creep; and the share that may stay.
+RESIDUES = 0.25 * np.linspace(0, 1, 26) ** 2
+RESIDUE, MOST_LIKELY, MAY_STAY = 0.02, 0.2, 0.5
 INDEPENDENT = 3.0  # frames; errors of a cell stay from frame to frame, and all its frames count as so many
 SOONEST = 1e-3  # s between frames whose times do not increase
 MOST_ANSWER = 6.0  # of ln r/r0: beyond are open cells
@@ -156,12 +156,18 @@ class FilmMemory:
 
     def pressure(self, change: Array, seconds: float) -> Array:
         """p (...) kPa, at least an empty space, with ln(r/r_rest) = `change` after such an interval; ±∞, NaN stay."""
-        return self.plays.pressure(self._effective(change, seconds))
+        return self.plays.pressure(self.effective(change, seconds))
+
+    def effective(self, change: Array, seconds: float) -> Array:
+        """p_e (...) kPa after such an interval."""
+        at_once = self.creep.at_once(-change / self.gain, seconds)
+        on_film = self.response.pressure(self.response.logarithm(self.water) - at_once)
+        return np.asarray(np.maximum(on_film, VACUUM_KPA) - self.water)
 
     def observed(self, change: Array, seconds: float) -> "FilmMemory":
         """The film after an interval with ln(r/r_rest) = `change` at its end; a cell of NaN stands still."""
         known = np.isfinite(change)
-        effective = self._effective(np.where(known, change, 0.0), seconds)
+        effective = self.effective(np.where(known, change, 0.0), seconds)
         held = self.plays.after(self.plays.pressure(effective)).held
         crept = self.creep.after(self._at_once(effective), seconds).crept
         return replace(
@@ -180,11 +186,6 @@ class FilmMemory:
 
     def _at_once(self, effective: Array) -> Array:
         return self.response.logarithm(self.water) - self.response.logarithm(self.water + effective)
-
-    def _effective(self, change: Array, seconds: float) -> Array:
-        at_once = self.creep.at_once(-change / self.gain, seconds)
-        on_film = self.response.pressure(self.response.logarithm(self.water) - at_once)
-        return np.asarray(np.maximum(on_film, VACUUM_KPA) - self.water)
 
 
 @dataclass(frozen=True)
@@ -227,8 +228,8 @@ class FilmKnown:
         if self.film.creep_per_decade != "auto":
             return self
         usual, data = self.film.creep_strength, (self.film.answer, change, sd, time)
-        each = [_likelihood(*data, ALIKE, share).sum(axis=(1, 2)) for share in RESIDUES]
-        logarithm = np.stack(each) - RESIDUES[:, None] / RESIDUE - CREEPS / usual.mean
+        each = _likelihood(*data, ALIKE, RESIDUES).sum(axis=(2, 3))
+        logarithm = each - RESIDUES[:, None] / RESIDUE - CREEPS / usual.mean
         mean, shared = (float(number) for number in _moments(np.logaddexp.reduce(logarithm, axis=0)))
         volume = np.logaddexp.reduce(logarithm + np.log(np.gradient(CREEPS)), axis=1) + np.log(np.gradient(RESIDUES))
         weight = np.exp(volume - volume.max())
@@ -236,22 +237,23 @@ class FilmKnown:
         residue = float(np.sqrt(weight @ RESIDUES**2))
         if mean > MOST_LIKELY:
             said = "creep not estimated: what stays after loads does not fade as creep does"
-            return replace(self, creep=Strength(0.0, 0.0), residue=float(RESIDUES[-1]), sentence=said)
+            known = replace(self, creep=Strength(0.0, 0.0), residue=MAY_STAY)
+            return replace(known, sentence=known._said("", said))
         spread = float(np.hypot(shared, mean * self.film.cell_spread))
-        found = replace(self, creep=Strength(mean, spread), residue=residue)
+        found = replace(self, creep=Strength(mean, float(np.hypot(spread, ALIKE * mean))), residue=residue)
         if spread > shared:
-            own = _likelihood(*data, OWN, float(weight @ RESIDUES))
+            own = _likelihood(*data, OWN, weight[None] @ RESIDUES)[0]
             found = replace(found, cells=_moments(own - 0.5 * ((CREEPS[:, None, None] - mean) / spread) ** 2))
         said = f"estimated from the recording, and {100 * residue:.1f} % of a load may stay after it"
         return replace(found, sentence=found._said(said if shared <= 0.8 * usual.sd else "assumed"))
 
-    def _said(self, creep_from: str) -> str:
+    def _said(self, creep_from: str, instead: str = "") -> str:
         parts = []
         if self.film.hysteresis == "auto":
             parts.append(f"hysteresis {100 * self.hysteresis.mean:.0f} +- {100 * self.hysteresis.sd:.0f} %, assumed")
         if self.film.creep_per_decade == "auto":
             mean, sd = (100 * number for number in self.creep)
-            parts.append(f"creep {mean:.1f} +- {sd:.1f} % for each decade, {creep_from}")
+            parts.append(instead or f"creep {mean:.1f} +- {sd:.1f} % for each decade, {creep_from}")
         return "; ".join(parts)
 
 
@@ -264,27 +266,30 @@ def _moments(logarithm: Array) -> tuple[Array, Array]:
     return mean, np.sqrt(np.maximum(np.tensordot(CREEPS**2, weight, 1) - mean**2, 0.0))
 
 
-def _likelihood(gain: float, change: Array, sd: Array, time: Array, own: float, residue: float) -> Array:
-    """ln P(frames of a cell | c) for every c of CREEPS, up to what all share, (strengths, rows, columns).
+def _likelihood(gain: float, change: Array, sd: Array, time: Array, own: float, residues: Array) -> Array:
+    """ln P(frames of a cell | ρ, c) for every c of CREEPS, up to what all share, (residues, strengths, rows, columns).
 
-    own : relative standard deviation of a cell's predicted memory. residue : share of its largest answer that stays.
+    own : relative standard deviation of what stays of a load. residues : ρ, (residues).
     """
-    peak = np.zeros(change.shape[1:])
-    shape, last = (len(CREEPS), *change.shape[1:]), float(time[0])
-    creep = Creep.at_rest(np.broadcast_to(CREEPS[:, None, None], shape))
-    total, resting = np.zeros(shape), np.zeros(shape)
+    found = np.zeros((len(residues), len(CREEPS), *change.shape[1:]))
+    felt = np.nanmax(-change, axis=0, initial=0.0) > SETTLED  # of all others each strength explains as much
+    change, sd, share = change[:, felt], sd[:, felt], residues[:, None, None]
+    creep, last = Creep.at_rest(np.broadcast_to(CREEPS[:, None], (len(CREEPS), felt.sum()))), float(time[0])
+    total, resting = np.zeros((2, len(residues), *creep.strength.shape))
+    peak = np.zeros(change.shape[1])
     for frame, error, now in zip(change, sd, time, strict=True):
         seconds, known = max(float(now) - last, SOONEST), np.isfinite(frame) & np.isfinite(error)
         if not known.any():
             continue
-        fading = creep.answer(np.zeros(shape), seconds)
+        fading = creep.answer(np.zeros(creep.strength.shape), seconds)
         answer = np.where(known, np.clip(-frame / gain, -MOST_ANSWER, MOST_ANSWER), fading)
-        drift = np.hypot(SETTLED, DRIFT * (now - time[0]) / 60)
-        spread = np.sqrt((np.where(known, error, 0.0) / gain) ** 2 + drift**2 + (own * fading) ** 2)
-        left = answer - fading - residue * peak
-        peak = np.fmax(peak, np.where(known, np.clip(-frame / gain, 0.0, MOST_ANSWER), 0.0))
-        rest = np.exp(-0.5 * (left / spread) ** 2) / (np.sqrt(2 * np.pi) * spread)
-        total += np.where(known, np.log((rest + 1 / RANGE) / 2), 0.0)
-        resting += np.where(known, rest / (rest + 1 / RANGE), 0.0)
+        drift, stays = np.hypot(SETTLED, DRIFT * (now - time[0]) / 60), fading + share * peak
+        variance = (np.where(known, error, 0.0) / gain) ** 2 + drift**2 + (own * stays) ** 2
+        rest = np.exp(-0.5 * (answer - stays) ** 2 / variance) / np.sqrt(2 * np.pi * variance)
+        rest *= stays <= MAY_STAY * peak
+        total += known * np.log((rest + 1 / RANGE) / 2)
+        resting += known * rest / (rest + 1 / RANGE)
+        peak = np.fmax(peak, np.where(known, answer[0].clip(0.0), 0.0))
         creep, last = creep.after(creep.at_once(answer, seconds), seconds), float(now)
-    return np.asarray(total * (INDEPENDENT / np.maximum(resting.max(axis=0), INDEPENDENT)))
+    found[..., felt] = total * (INDEPENDENT / np.maximum(resting.max(axis=1, keepdims=True), INDEPENDENT))
+    return found

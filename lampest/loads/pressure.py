@@ -1,5 +1,6 @@
 """Pressure of a load on every cell, from the cell's resistance over its unloaded one; and the water's pressure."""
 
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,6 +16,7 @@ from lampest.panel.systematic import usual
 
 GRAVITY = 9.81  # m/s²
 NORMAL_95 = 1.959964  # half the 95 % interval of a normal distribution, in standard deviations
+CLEAR = 3.0  # standard deviations: less than one cell of a panel of 700 seems to be pressed by noise alone
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,7 +27,9 @@ class Pressure:
         `lower` is never below an empty space, `upper` may be infinite. errors : half the 68 % interval. own, common
         : its two parts, each cell's own and what cells share, such as the film's curve.
     saturated : 1 where the response leaves the pressure open: the interval, water included, reaches beyond `told_kpa`
-        of the response. tared : (frames) why zero was taken anew after a frame; '' where it was not.
+        of the response. pressing : 1 where a load presses: ln r/r0 without what the film remembers fell by CLEAR
+        standard deviations, those of the response aside.
+    tared : (frames) why zero was taken anew after a frame; '' where it was not.
     """
 
     pressure: Array
@@ -35,6 +39,7 @@ class Pressure:
     own: Array
     common: Array
     saturated: NDArray[np.uint8]
+    pressing: NDArray[np.uint8]
     tared: tuple[str, ...] = ()
 
 
@@ -75,7 +80,7 @@ def pressure_of(
         frames.append(track.pressure(ratio[number], lower[number], upper[number], float(at), part))
         track = track.after(ratio[number], float(at))
         tared.append(track.tared)
-    maps = ("pressure", "lower", "upper", "errors", "own", "common", "saturated")
+    maps = ("pressure", "lower", "upper", "errors", "own", "common", "saturated", "pressing")
     return Pressure(**{name: np.stack([getattr(frame, name) for frame in frames]) for name in maps}, tared=tuple(tared))
 
 
@@ -119,26 +124,37 @@ class PressureTrack:
 
         own : as `pressure_of`.
         """
-        change, below, above = self._change(ratio), *self._beside(ratio, lower, upper, time)
+        change, kept = self._change(ratio), self._kept(ratio)
         water = water_pressure(self.scene.panel, self.scene.water)
-        here, *others = self._pressures(change, time)
-        least, most = (self._pressures(end, time)[0] for end in (change + above, change - below))
-        low, high = (self._pressures(change + part / NORMAL_95, time)[0] for part in (above, -below))
-        errors = (high - low) / 2
+        answer, *answers = -self._of_films(self.films.at_once, change, time)
+        effective, *_ = self._of_films(self.films.effective, change, time)
+        here, *others = self._of_films(self.films.pressure, change, time)
+        share = np.where(effective == 0, 1.0, here / np.where(effective == 0, 1.0, effective))
+
+        def other(moved: Array) -> Array:
+            """p, were ln r another by so much all the time: the film's loops grow in proportion to the load."""
+            return np.asarray(share * self._of_films(self.films.effective, change + moved, time)[0])
+
+        shared = NORMAL_95 * np.hypot(kept, self._film_sd(answer) * answer)
+        with np.errstate(divide="ignore"):
+            fell, rose = np.log(ratio) - np.log(lower), np.log(upper) - np.log(ratio)
+        below, above = np.hypot(fell, shared), np.hypot(rose, shared)
+        least, most = other(above), other(-below)
+        errors = (other(-below / NORMAL_95) - other(above / NORMAL_95)) / 2
         if others:
-            open_kpa = np.sqrt(np.sum((np.stack(others) - here) ** 2, axis=0))
+            open_kpa = _distance(others, here)
             least = np.maximum(here - np.hypot(here - least, NORMAL_95 * open_kpa), VACUUM_KPA - water)
             most, errors = here + np.hypot(most - here, NORMAL_95 * open_kpa), np.hypot(errors, open_kpa)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            half = np.log(upper / lower) / (2 * NORMAL_95) if own is None else own
-        scatter = np.hypot(half, scatter_sd(self.scene) * self._answer(change, time))
-        ends = (self._pressures(change + sign * scatter, time)[0] for sign in (1, -1))
-        alone = np.minimum(np.abs(next(ends) - next(ends)) / 2, errors)
+        half = (fell + rose) / (2 * NORMAL_95) if own is None else own
+        scatter = np.hypot(half, scatter_sd(self.scene) * answer)
         with np.errstate(invalid="ignore"):
+            alone = np.minimum(np.abs(other(scatter) - other(-scatter)) / 2, errors)
             common = np.where(np.isinf(errors), np.inf, np.sqrt(np.maximum(errors**2 - alone**2, 0.0)))
+            clear = -answer > CLEAR * np.hypot(np.hypot(rose / NORMAL_95, kept), _distance(answers, answer))
         known = (self.scene.response or PUBLISHED).told_kpa
         saturated = (least + water < known[0]) | (most + water > known[1])
-        return Pressure(here, least, most, errors, alone, common, saturated.astype(np.uint8))
+        pressing = clear & (here > 0) & ~self.scene.broken
+        return Pressure(here, least, most, errors, alone, common, saturated.astype(np.uint8), pressing.astype(np.uint8))
 
     def after(self, ratio: Array, time: float) -> "PressureTrack":
         """Once a frame with r/r_baseline (rows, columns) has come at a time in s; where it is NaN, the film stands."""
@@ -174,25 +190,25 @@ class PressureTrack:
         warmth = self.scene.temperature
         return np.asarray(np.log(ratio) - (0.0 if warmth is None else warmth.logarithm))
 
-    def _beside(self, ratio: Array, lower: Array, upper: Array, time: float) -> tuple[Array, Array]:
-        scene, change, warming_sd = self.scene, self._change(ratio), 0.0
-        answer = self._answer(change, time)
-        kept = self.residue * np.maximum(self.peak - np.abs(change), 0.0)
-        if (warmth := scene.temperature) is not None:
-            warming_sd = abs(warmth.difference_kelvin) * warmth.coefficient_sd_per_kelvin
-        curve_sd = 0.0 if scene.film is None else scene.film.answer_sd
-        film_sd = np.hypot(response_sd(scene, answer), curve_sd) * answer
-        shared = np.hypot(film_sd, np.hypot(warming_sd, kept)) * NORMAL_95
-        with np.errstate(divide="ignore"):
-            return np.hypot(np.log(ratio) - np.log(lower), shared), np.hypot(np.log(upper) - np.log(ratio), shared)
+    def _kept(self, ratio: Array) -> Array:
+        """Standard deviation of ln r/r_rest that is there without a load: what the film keeps, and warmth."""
+        change, warmth = np.abs(self._change(ratio)), self.scene.temperature
+        kept = self.residue * np.sqrt(np.maximum(self.peak**2 - change**2, 0.0))
+        warming_sd = 0.0 if warmth is None else warmth.difference_kelvin * warmth.coefficient_sd_per_kelvin
+        return np.asarray(np.hypot(kept, warming_sd))
 
-    def _answer(self, change: Array, time: float) -> Array:
-        """ln r/r_rest without what the film crept."""
-        return -self.films.at_once(change[..., None, :, :] - self.zeros, self._seconds(time))[..., 0, :, :]
+    def _film_sd(self, answer: Array) -> Array:
+        curve_sd = 0.0 if self.scene.film is None else self.scene.film.answer_sd
+        return np.asarray(np.hypot(response_sd(self.scene, answer), curve_sd))
 
-    def _pressures(self, change: Array, time: float) -> Array:
-        """(films, …) pressures of the load under which each film shows such changes."""
-        return np.moveaxis(self.films.pressure(change[..., None, :, :] - self.zeros, self._seconds(time)), -3, 0)
+    def _of_films(self, value: Callable[[Array, float], Array], change: Array, time: float) -> Array:
+        """(films, …) of a frame's ln r/r_rest: `at_once` −ln r/r_rest without what crept, p_e or p, kPa."""
+        return np.moveaxis(value(change[..., None, :, :] - self.zeros, self._seconds(time)), -3, 0)
+
+
+def _distance(others: Iterable[Array], here: Array) -> Array:
+    """√Σ (other − here)², any shape."""
+    return np.asarray(np.sqrt(sum(((one - here) ** 2 for one in others), np.zeros(here.shape))))
 
 
 def response_sd(scene: Scene, answer: Array) -> Array:

@@ -14,7 +14,7 @@ from lampest.files.typed import Configuration, check_ranges
 MOST_HYSTERESIS, MOST_CREEP = 0.6, 0.5
 # Where a scene leaves it open: 10 to 25 % of full scale are published for velostat; data sheets of kindred films
 # (Interlink FSR 400, Tekscan FlexiForce) promise less than 5 % for each decade, of a film alone. Mean and deviation.
-OPEN_HYSTERESIS, OPEN_CREEP = (0.17, 0.07), (0.04, 0.04)
+OPEN_HYSTERESIS, OPEN_CREEP = (0.17, 0.1), (0.04, 0.04)
 
 # Bent single cells: curvature in 1/m, unloaded resistance in ohm, and ΔR/R0 at 40 kPa (paper, figure 2-a and -d).
 CURVATURES = np.array([0.0, 20.0, 30.3, 58.8])
@@ -34,7 +34,7 @@ class Film(Configuration):
     """What a film does beside its response curve. Numbers are those of all cells together.
 
     hysteresis : the largest gap between loading and unloading of a full cycle, as the response curve reads both in
-        kPa, over the cycle's largest pressure. 'auto': not known, 0.17 ± 0.07.
+        kPa, over the cycle's largest pressure. 'auto': not known, 0.17 ± 0.1.
     creep_per_decade : by which fraction of itself ln(r/r0) grows for each decade of time under a load that stays, and
         by which it fades afterwards. 'auto': not known; estimated from the recording where a load was taken off, and
         0.04 ± 0.04 where none was.

@@ -152,6 +152,11 @@ class Held(Validated):
         *("response_tells_pressure", "response_does_not_tell_pressure"),
         **col.MAYBE,
     )
+    pressing: NDArray[np.uint8] | None = col.flag(
+        "1: a load presses on the cell, beyond errors and what the film keeps of earlier loads",
+        *("no_load_presses", "load_presses"),
+        **col.MAYBE,
+    )
     tared: tuple[str, ...] | None = col.frames(
         "1", "why the zero of pressures was taken anew after the frame; empty: it was not", dtype=str, **col.MAYBE
     )

@@ -171,8 +171,8 @@ def test_what_stays_and_does_not_fade_is_no_creep(creep: float, residue: float) 
         film = film.after(now, 1.0)
     told = FilmKnown.specified(Film(creep_per_decade="auto"))
     known = told.estimated(-np.array(frames), np.full((120, 4, 4), 0.01), np.arange(120.0))
-    assert known.creep.mean == pytest.approx(creep, abs=0.02) and "estimated from the recording" in known.sentence
-    assert known.residue == pytest.approx(residue, abs=0.015)
+    assert known.creep.mean == pytest.approx(creep, abs=0.01) and "estimated from the recording" in known.sentence
+    assert known.residue == pytest.approx(residue, abs=0.01)
 
 
 def test_what_no_film_does_is_not_taken_for_creep() -> None:
@@ -180,9 +180,10 @@ def test_what_no_film_does_is_not_taken_for_creep() -> None:
     frames = np.full((60, 3, 3), -1.0)
     frames[30:] = -0.5
     frames += 0.01 * np.random.default_rng(1).standard_normal(frames.shape)
-    told = FilmKnown.specified(Film(creep_per_decade="auto"))
+    told = FilmKnown.specified(Film(hysteresis="auto", creep_per_decade="auto"))
     known = told.estimated(frames, np.full(frames.shape, 0.01), np.arange(60.0))
-    assert known.creep == (0.0, 0.0) and known.sentence.startswith("creep not estimated")
+    assert known.creep == (0.0, 0.0) and known.residue == pytest.approx(0.5)
+    assert known.sentence.startswith("hysteresis 17 +- 10 %, assumed; creep not estimated")
 
 
 def test_bars_after_a_release_know_what_the_film_may_keep() -> None:
@@ -195,3 +196,24 @@ def test_bars_after_a_release_know_what_the_film_may_keep() -> None:
     )
     assert plain.lower[1].min() > 0 > kept.lower[1].max()
     np.testing.assert_allclose((kept.upper - kept.lower)[0], (plain.upper - plain.lower)[0], rtol=0.02)
+
+
+def test_bars_of_a_load_that_stays_do_not_take_errors_of_its_cells_for_a_smaller_load() -> None:
+    """Loops grow with the load: a cell that answers otherwise does so from the beginning, and is on no other branch."""
+    time, ratio = np.arange(12.0), np.exp(np.minimum(np.arange(12.0), 6)[:, None, None] * np.full((3, 3), -0.2))
+    noisy = ratio * np.exp(1e-4 * np.random.default_rng(2).standard_normal(ratio.shape))
+    plain, held = (
+        pressure_of(noisy, noisy, noisy, Scene(Panel(3, 3), systematic=Systematic(response_sd=0.05), film=film), time)
+        for film in (None, Film(hysteresis=0.3))
+    )
+    np.testing.assert_allclose(held.own[8:], plain.own[8:], rtol=0.05)
+
+
+@pytest.mark.parametrize("stays", [0.0, 0.02])
+def test_nothing_presses_once_only_what_the_film_keeps_is_left(stays: float) -> None:
+    """A load for ten frames, then what stays of it, with errors of a thousandth; a small load later presses."""
+    ratio = np.full((30, 3, 3), 0.3)
+    ratio[:3], ratio[10:25], ratio[25:] = 1.0, 0.3**stays, 0.3 ** (0.02 + 0.2)
+    scene = Scene(Panel(3, 3), film=Film(creep_per_decade="auto"))
+    found = pressure_of(ratio, 0.998 * ratio, 1.002 * ratio, scene, np.arange(30.0))
+    assert found.pressing[3:10].all() and not found.pressing[12:25].any() and found.pressing[25:].all()

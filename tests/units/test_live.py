@@ -24,8 +24,8 @@ from lampest.estimate.estimator import AutoWeight, Bounds, Estimator
 from lampest.estimate.model_check import recording_check
 from lampest.estimate.sequence import reconstruct
 from lampest.files.errors import InputError
-from lampest.loads.force import Force, pressing_cells, total_force
-from lampest.loads.pressure import PressureTrack, water_pressure
+from lampest.loads.force import Force, total_force
+from lampest.loads.pressure import Pressure, PressureTrack, water_pressure
 from lampest.loads.response import ratio_from_pressure
 from lampest.loads.shapes import Rod
 from lampest.loads.tare import Tare
@@ -102,11 +102,9 @@ def test_what_is_left_to_another_process_reaches_the_frames_after(
         view = engine.shown.thing
     assert view.picture is not None and view.skipped == 0
     np.testing.assert_allclose(view.picture.relative_change, waited.relative_change, atol=0.05)
-    step, rest = batch.steps[-1], batch.baseline_resistance
-    ratio = step.solution.cell_resistance[-1] / rest
-    assert batch.relative_change_errors is not None and batch.saturated is not None
-    pressed = pressing_cells(lies.scene, ratio, batch.relative_change_errors[-1] / 100, batch.pressure[-1])
-    force = total_force(lies.scene, batch.pressure[-1], pressed, batch.saturated[-1], batch.pressure_errors[-1])
+    names = ("pressure", "lower", "upper", "errors", "own", "common", "saturated", "pressing")
+    last = Pressure(*(getattr(batch._load, name)[-1] for name in names))
+    force = total_force(lies.scene, last)
     assert view.deviation == pytest.approx(force.deviation, rel=0.1)
     assert json.loads(view_text(view, 0.0))["deviation"] == pytest.approx(view.deviation, abs=1e-4)
 

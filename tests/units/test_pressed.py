@@ -15,9 +15,9 @@ SHAPE = (3, 10, 10)
 
 
 def pressing(estimator: str = "LSM", **maps: np.ndarray) -> CaseResult:
-    """An estimate whose cells conduct more by 10 % a kPa, known to 1 %."""
-    change, errors = -10 * maps["pressure"], np.ones(SHAPE)
-    return invented_case(estimator, shape=SHAPE, relative_change=change, relative_change_errors=errors, **maps)
+    """An estimate in which 1 kPa presses clearly; all errors are own ones unless `maps` has common ones."""
+    known = {"pressure_common": np.zeros(SHAPE), "pressing": (maps["pressure"] > 1).astype(np.uint8)}
+    return invented_case(estimator, shape=SHAPE, **known | maps)
 
 
 def maps() -> tuple[np.ndarray, np.ndarray]:
@@ -30,7 +30,7 @@ def maps() -> tuple[np.ndarray, np.ndarray]:
 
 def test_centre_area_peak_and_force_of_any_load() -> None:
     pressure, errors = maps()
-    found = pressed_of(pressing(pressure=pressure, pressure_errors=errors))
+    found = pressed_of(pressing(pressure=pressure, pressure_own=errors))
     assert found is not None and np.isnan(found.values[0]).all()
     x, y, area, peak, force = found.values[1]
     assert (x, y, area, peak) == pytest.approx((70, 45, 600, 12))
@@ -47,26 +47,29 @@ def test_forces_of_noisy_maps_scatter_as_they_say() -> None:
     forces = []
     for _ in range(200):
         noisy = pressure + errors * rng.standard_normal(SHAPE) * (pressure > 1)
-        one = pressed_of(pressing(pressure=noisy, pressure_errors=errors))
+        one = pressed_of(pressing(pressure=noisy, pressure_own=errors))
         assert one is not None
         forces.append(one.values[1, -1])
     assert np.std(forces) == pytest.approx(one.errors[1, -1], rel=0.2)
 
 
-def test_a_film_that_answers_unevenly_is_pressed_all_the_same() -> None:
-    """Pressures known to a factor of two and more, changes to 1 %."""
+def test_common_errors_of_pressures_add_up_in_the_force() -> None:
+    """A film whose curve is known to 30 %: so is the force, and the centre is not moved."""
     pressure, errors = maps()
-    found = pressed_of(pressing(pressure=pressure, pressure_errors=errors + 0.6 * pressure))
-    assert found is not None
-    assert found.values[1, 2] == pytest.approx(600) and found.values[1, -1] == pytest.approx(6.4)
-    assert np.isnan(found.values[0]).all()
+    plain, common = (
+        pressed_of(pressing(pressure=pressure, pressure_own=errors, pressure_common=share * pressure))
+        for share in (0.0, 0.3)
+    )
+    assert plain is not None and common is not None
+    assert common.errors[1, -1] == pytest.approx(np.hypot(plain.errors[1, -1], 0.3 * 6.4))
+    np.testing.assert_allclose(common.errors[1, :3], plain.errors[1, :3])
 
 
 def test_every_frame_is_written_and_the_strongest_shown(tmp_path: Path) -> None:
     pressure, errors = maps()
     saturated = (pressure > 11).astype(np.uint8)
     cases = (
-        pressing(pressure=pressure, pressure_errors=errors, saturated=saturated),
+        pressing(pressure=pressure, pressure_own=errors, saturated=saturated),
         invented_case("bare", shape=SHAPE),
     )
     found = pressed(Results(cases))

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from lampest.loads.force import CLEAR
+from lampest.loads.pressure import CLEAR
 from lampest.loads.recognition.breathing import Breath
 from lampest.loads.recognition.candidates import under
 from lampest.loads.recognition.evidence import Verdict

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cholesky, solve_triangular
 
-from lampest.loads.force import CLEAR
+from lampest.loads.pressure import CLEAR
 from lampest.loads.recognition.attachment import Attachment, attachments_of, continued_by
 from lampest.loads.recognition.breathing import LEAST_S, WINDOW_S, breaths
 from lampest.loads.recognition.candidates import FIELD, DiscSearch

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.files.whole import write_whole
-from lampest.loads.force import KPA_MM2, determined, pressing_cells
+from lampest.loads.force import KPA_MM2, determined, sum_sd
 from lampest.panel.panel import Array, Panel
 from lampest.report.compare import Table, comma_separated
 from lampest.runs.case import CaseResult
@@ -36,20 +36,18 @@ class PressedCells:
 
 
 def pressed_of(case: CaseResult) -> PressedCells | None:
-    """Cells count whose resistance fell by more than three standard deviations, each with its whole pitch².
+    """Cells count on which a load presses, as `Pressure.pressing`, each with its whole pitch².
 
-    F = a Σ p, A = n a and x̄ = Σ p x / Σ p over the pressed cells, a the pitch squared. Errors of the cells are taken to
-    be independent; to those of area and centre comes that the load's outline lies anywhere within the cells on it,
-    a²/12 and pitch²/12 each. What lies between the films of two cells is not measured: a spot smaller than a cell has
-    the force of one that fills it. How unevenly films answer widens pressures alone: that something presses is as clear
-    as its change. None where the results hold no pressure or no change with errors.
+    F = a Σ p, A = n a and x̄ = Σ p x / Σ p over the pressed cells, a the pitch squared. Own errors of the cells are
+    independent, common ones move together; to those of area and centre comes that the load's outline lies anywhere
+    within the cells on it, a²/12 and pitch²/12 each. What lies between the films of two cells is not measured: a spot
+    smaller than a cell has the force of one that fills it. None where the results have no pressures.
     """
-    if case.pressure is None or case.pressure_errors is None or case.relative_change_errors is None:
+    if case.pressure is None or case.pressure_own is None or case.pressure_common is None or case.pressing is None:
         return None
-    ratio, deviation = 1 + case.relative_change / 100, case.relative_change_errors / 100
-    touched = pressing_cells(case.scene, ratio, deviation, case.pressure)
-    frames = zip(*determined(case.scene, case.pressure, case.pressure_errors), touched, strict=True)
-    both = [_frame(*maps, case.scene.panel) for maps in frames]
+    touched = case.pressing != 0
+    known = determined(case.scene, case.pressure, case.pressure_own, case.pressure_common)
+    both = [_frame(case.scene.panel, frame, *maps) for frame, *maps in zip(touched, *known, strict=True)]
     beyond = np.zeros(touched.shape) if case.saturated is None else case.saturated
     values, errors = (np.array([pair[part] for pair in both]) for part in (0, 1))
     counts = np.sum(touched & (beyond != 0), axis=(1, 2))
@@ -61,12 +59,14 @@ def pressed(results: Results) -> tuple[PressedCells, ...]:
     return tuple(one for case in results.cases if (one := pressed_of(case)) is not None)
 
 
-def _frame(pressure: Array, errors: Array, touched: NDArray[np.bool_], panel: Panel) -> tuple[Array, Array]:
+def _frame(
+    panel: Panel, touched: NDArray[np.bool_], pressure: Array, own_sd: Array, common_sd: Array
+) -> tuple[Array, Array]:
     """(values, errors) of one frame, each (5), of its touched cells."""
     if not touched.any():
         return np.full(5, np.nan), np.full(5, np.nan)
     pitch = panel.pitch_mm
-    p, sd, cell = pressure[touched], errors[touched], pitch**2
+    p, own, common, cell = pressure[touched], own_sd[touched], common_sd[touched], pitch**2
     first, second, _ = panel.neighbours
     both = touched.flat[first] & touched.flat[second]
     beside = np.bincount(np.concatenate([first[both], second[both]]), minlength=touched.size)
@@ -76,10 +76,11 @@ def _frame(pressure: Array, errors: Array, touched: NDArray[np.bool_], panel: Pa
     for at in panel.places_mm[:, touched]:
         centre = float(p @ at / force)
         values.append(centre)
-        variances.append(np.sum(((at - centre) * sd / force) ** 2) + pitch**2 * WITHIN * np.sum((p / force) ** 2))
+        variances.append(sum_sd((at - centre) / force, own, common) ** 2 + pitch**2 * WITHIN * np.sum((p / force) ** 2))
     peak = int(np.argmax(p))
     values += [len(p) * cell, p[peak], KPA_MM2 * cell * force]
-    variances += [outline * cell**2 * WITHIN, sd[peak] ** 2, (KPA_MM2 * cell) ** 2 * np.sum(sd**2)]
+    variances += [outline * cell**2 * WITHIN, own[peak] ** 2 + common[peak] ** 2]
+    variances += [sum_sd(KPA_MM2 * cell, own, common) ** 2]
     return np.array(values), np.sqrt(variances)
 
 

@@ -11,7 +11,7 @@ from lampest.estimate.outliers import FramesBefore
 from lampest.estimate.state import Step
 from lampest.estimate.stream import Stream
 from lampest.files.errors import InputError
-from lampest.loads.force import Force, pressing_cells, total_force
+from lampest.loads.force import Force, total_force
 from lampest.loads.pressure import Pressure, PressureTrack
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
@@ -202,13 +202,13 @@ def read_load(load: PressureTrack, ratio: Array, bars: Bars | None, time: float)
     """
     if load.scene.response is None:
         return None, Force(np.nan, np.nan)
-    found, errors, deviation = load.pressure(ratio, ratio, ratio, time), None, None
-    if bars is not None and bars.change is not None:
-        with np.errstate(over="ignore"):
-            ends = ratio * np.exp(-bars.change.below), ratio * np.exp(bars.change.above)
-            errors, deviation = load.pressure(ratio, *ends, time).errors, ratio * bars.change.deviation
-    pressed = pressing_cells(load.scene, ratio, deviation, found.pressure)
-    return found, total_force(load.scene, found.pressure, pressed, found.saturated != 0, errors)
+    found = load.pressure(ratio, ratio, ratio, time)
+    if bars is None or bars.change is None:
+        return found, total_force(load.scene, found)._replace(deviation=np.nan)
+    with np.errstate(over="ignore"):
+        ends = ratio * np.exp(-bars.change.below), ratio * np.exp(bars.change.above)
+        barred = load.pressure(ratio, *ends, time, bars.change.own)
+    return found, total_force(load.scene, replace(barred, saturated=found.saturated))
 
 
 def verdict_of(readings: Readings, resting: Readings, ratio: Array, open_cell: NDArray[np.bool_]) -> str:
