@@ -1,6 +1,6 @@
 """What a recording's own frames show of its noise, beside what the scene says, and readings that allow for it."""
 
-from collections.abc import Callable
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from lampest.estimate.cells_fit import LEVEL, fitted
 from lampest.estimate.model_check import effects_seen, recording_check
 from lampest.estimate.nuisances import Besides, left_open, taken_off
-from lampest.estimate.outliers import LEAST_FRAMES, SHARE, without_outliers
+from lampest.estimate.outliers import LEAST_FRAMES, SHARE, lawless, without_these
 from lampest.estimate.saturation import as_passed
 from lampest.estimate.scatter import LEAST_FACTOR, unloaded_scatter
 from lampest.estimate.still_cells import errors_left_possible
@@ -114,9 +114,17 @@ class NoiseSeen:
 @lru_cache(maxsize=1)  # several estimators of one recording come one after the other
 def noise_seen(recording: Recording) -> NoiseSeen:
     """Of a recording: its frames' noise, and what its still cells show. Raises InputError as `Readings.of`."""
-    if recording.scene.panel.modules is not None:
-        return _of_modules(recording, recording.scene.panel.modules, noise_seen.__wrapped__)
-    seen, sizes, scene = frame_noise_seen(recording), usual(recording.scene), recording.scene
+    layout, seen = recording.scene.panel.modules, frame_noise_seen(recording)
+    if layout is None:
+        return _with_still_cells(seen, recording)
+    parts = zip(seen.of_modules, recording.modules, strict=True)
+    every = [None if one is None else _with_still_cells(one, module) for one, module in parts]
+    return _joined(recording, layout, every)
+
+
+def _with_still_cells(seen: NoiseSeen, recording: Recording) -> NoiseSeen:
+    """With what the still cells of a single network show."""
+    sizes, scene = usual(recording.scene), recording.scene
     unloaded, measured = (np.flatnonzero(recording.role == role) for role in (UNLOADED, MEASURED))
     if not len(unloaded) or not len(measured) or sizes is None:
         return seen
@@ -157,28 +165,56 @@ def noise_seen_in_part(recording: Recording, known: NoiseSeen | None) -> Reading
 
     known : what was found of the recording before; None: before that. Raises InputError as `Readings.of`.
     """
-    layout = recording.scene.panel.modules
-    if layout is not None:
-        noises = (None,) * layout.count if known is None else known.of_modules
-        parts = [noise_seen_in_part(*pair) for pair in zip(recording.modules, noises, strict=True)]
-        return Readings.of_parts(layout, parts)
-    seen = frame_noise_seen(recording)
-    if known is not None:
-        with suppress(*BROKEN), np.errstate(all="ignore"):
-            seen = seen if known.besides is None else without_effects(seen, recording, known.besides)
-            seen = seen.with_motion(recording.scene, known.share, np.flatnonzero(recording.role == MEASURED))
+    seen, layout = frame_noise_seen(recording), recording.scene.panel.modules
+    if known is None:
+        return seen.readings
+    if layout is None:
+        return _as_known(seen, recording, known)
+    every = enumerate(zip(seen.of_modules, known.of_modules, strict=True))
+    changed = {
+        number: _as_known(own, recording.modules[number], one)
+        for number, (own, one) in every
+        if own is not None and one is not None and (one.besides is not None or one.share)
+    }
+    if not changed:
+        return seen.readings
+    given = (changed.get(number) or seen.readings.of_module(layout, number) for number in range(layout.count))
+    return Readings.of_parts(layout, list(given))
+
+
+def _as_known(seen: NoiseSeen, recording: Recording, known: NoiseSeen) -> Readings:
+    """The readings of a single network's part, with the effects and the motion that are known."""
+    with suppress(*BROKEN), np.errstate(all="ignore"):
+        seen = seen if known.besides is None else without_effects(seen, recording, known.besides)
+        seen = seen.with_motion(recording.scene, known.share, np.flatnonzero(recording.role == MEASURED))
     return seen.readings
 
 
 def frame_noise_seen(recording: Recording) -> NoiseSeen:
-    """What unloaded frames and neighbours in time show, and readings that allow for it."""
-    if recording.scene.panel.modules is not None:
-        return _of_modules(recording, recording.scene.panel.modules, frame_noise_seen)
-    recording = as_passed(recording)
-    readings, resting = recording.readings(), recording.role == UNLOADED
-    readout, unloaded = recording.scene.readout, int(resting.sum())
-    outliers, cleaned = without_outliers(recording.scene.circuit, readings, resting)
-    counted = outliers[resting] if unloaded >= LEAST_FRAMES and readings.sigma is not None else outliers
+    """What unloaded frames and neighbours in time show, and readings that allow for it; modules each by itself."""
+    layout, dead = recording.scene.panel.modules, recording.scene.dead_modules
+    living = [number for number in range(1 if layout is None else layout.count) if number not in dead]
+    resting, passed = recording.role == UNLOADED, [as_passed(recording.modules[number]) for number in living]
+    first, *others = [module.readings() for module in passed]
+    together, alike = first.together(*others, axis=-3), dict[Readout, list[int]]()
+    for place, module in enumerate(passed):
+        alike.setdefault(module.scene.circuit, []).append(place)
+    impossible = np.zeros(together.value.shape, dtype=bool)
+    for circuit, places in alike.items():
+        impossible[:, places] = lawless(circuit, together[:, places])
+    outliers, cleaned = without_these(impossible, together, resting)
+    seen = [_scatter_seen(one, outliers[:, place], cleaned[:, place]) for place, one in enumerate(passed)]
+    if layout is None:
+        return seen[0]
+    found = dict(zip(living, seen, strict=True))
+    return _joined(recording, layout, [found.get(number) for number in range(layout.count)])
+
+
+def _scatter_seen(recording: Recording, outliers: NDArray[np.bool_], cleaned: Readings) -> NoiseSeen:
+    """What the unloaded frames of a single network show."""
+    readout, resting = recording.scene.readout, recording.role == UNLOADED
+    unloaded = int(resting.sum())
+    counted = outliers[resting] if unloaded >= LEAST_FRAMES and cleaned.sigma is not None else outliers
     impossible = outliers & (cleaned.seen == 0) & ~resting[:, None, None]
     plain = NoiseSeen(outliers, float(counted.mean()), (), cleaned)
     plain = plain.warned(_impossible_in_words(int(impossible.sum())), _outliers_in_words(plain, outliers & ~impossible))
@@ -212,10 +248,8 @@ def frame_noise_seen(recording: Recording) -> NoiseSeen:
     return seen.warned(said, _shared_in_words(parts.gain, *sizes))
 
 
-def _of_modules(recording: Recording, layout: Modules, seen: Callable[[Recording], NoiseSeen]) -> NoiseSeen:
-    """What the frames of every module show, each by itself; a dead one shows nothing."""
-    dead = recording.scene.dead_modules
-    every = [None if number in dead else seen(module) for number, module in enumerate(recording.modules)]
+def _joined(recording: Recording, layout: Modules, every: Sequence[NoiseSeen | None]) -> NoiseSeen:
+    """What the frames of all modules show; a dead one shows nothing."""
     given = recording.readings()
     readings = [given.of_module(layout, n) if one is None else one.readings for n, one in enumerate(every)]
     nothing = np.zeros(recording.modules[0].recorded.shape, dtype=bool)

@@ -201,13 +201,17 @@ def four_point_excess(resistance: Array, sigma: Array) -> Array:
     Two-point resistances are distances: from row j over column q and row p to column k no path is shorter than the
     direct one. Source: effective resistance is a metric (Klein & Randić, J. Math. Chem. 12, 1993), applied three times.
     The shortest way over any q from row j to row p is taken before the shortest over any p, (rows² · columns) sums. A
-    reading with infinite σ takes no part: −∞.
+    reading with infinite σ takes no part: −∞. So has a frame without a reading that is larger than the least of its
+    row, its column and the panel together, which no way undercuts.
     """
     value = np.where(np.isfinite(sigma), resistance, np.inf)
-    variance = np.where(np.isfinite(sigma), sigma, 0.0) ** 2
-    excess, rows = np.full(value.shape, -np.inf), value.shape[1]
+    row, column = (value.min(axis=axis, keepdims=True) for axis in (2, 1))
+    long = np.isfinite(value) & (value > row + column + row.min(axis=1, keepdims=True))
+    excess, frames = np.full(value.shape, -np.inf), np.flatnonzero(long.any(axis=(1, 2)))
+    rows, value = value.shape[1], value[frames]
+    variance, found = np.where(np.isfinite(sigma[frames]), sigma[frames], 0.0) ** 2, excess[frames]
     together = max(1, AT_ONCE // max(value[:, 0].size * rows, 1))
-    for begin in range(0, rows, together):
+    for begin in range(0, rows if len(frames) else 0, together):
         some = slice(begin, begin + together)
         over = value[:, some, None] + value[:, None]
         middle = over.argmin(axis=3)[..., None]
@@ -219,5 +223,6 @@ def four_point_excess(resistance: Array, sigma: Array) -> Array:
         way = np.take_along_axis(way, last, axis=2)[:, :, 0]
         counted = np.isfinite(value[:, some]) & np.isfinite(way) & (noise > 0)
         beyond = np.subtract(value[:, some], way, out=np.zeros_like(way), where=counted)
-        excess[:, some] = np.where(counted, beyond, -np.inf) / np.sqrt(np.where(counted, noise, 1.0))
+        found[:, some] = np.where(counted, beyond, -np.inf) / np.sqrt(np.where(counted, noise, 1.0))
+    excess[frames] = found
     return excess
