@@ -6,6 +6,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache, reduce
+from multiprocessing import parent_process
 from time import perf_counter
 from typing import TypeVar
 
@@ -107,6 +108,7 @@ def _solved_together(
 def _batches(streams: Sequence[Stream | None], readings: Readings) -> "Iterator[Together]":
     """Streams that can be solved together, those of one kind of cost and one history in one batch."""
     groups: dict[tuple[object, ...], dict[int, Stream]] = {}
+    cores = 1 if parent_process() else len(os.sched_getaffinity(0))  # of several processes each has one
     partial = ((readings.side != 0) | (readings.seen < 1)).any(axis=(1, 2)).tolist()
     for number, stream in enumerate(streams):
         if stream is not None and _in_batches(stream, readings, number, partial[number]):
@@ -114,7 +116,7 @@ def _batches(streams: Sequence[Stream | None], readings: Readings) -> "Iterator[
             kind = id(estimator), stream.scene.faults, stream.first, stream.rested, partial[number]
             groups.setdefault(kind, {})[number] = stream
     for group in groups.values():
-        blocks = max(1, min(len(os.sched_getaffinity(0)), len(group) // FEWEST))
+        blocks = max(1, min(cores, len(group) // FEWEST))
         for place, numbers in enumerate(np.array_split(list(group), blocks)):
             with suppress(*BROKEN), np.errstate(all="ignore"):
                 found = Together.of(numbers, [group[number] for number in numbers.tolist()], readings[numbers], place)

@@ -72,9 +72,9 @@ def lawless(circuit: Readout, readings: Readings) -> NDArray[np.bool_]:
     """
     shape = readings.value.shape
     found = np.zeros((int(np.prod(shape[:-2])), *shape[-2:]), dtype=bool)
-    if readings.sigma is None:
+    if (sigma := readings.sigma_of_values) is None:
         return found.reshape(shape)
-    value, deviation = (part.reshape(found.shape) for part in (readings.value, readings.sigma_of_values))
+    value, deviation = readings.value.reshape(found.shape), sigma.reshape(found.shape)
     while (more := _larger_than_cells_allow(circuit, value, deviation, len(readings.value))).any():
         found, deviation = found | more, np.where(more, np.inf, deviation)
     return found.reshape(shape)

@@ -53,11 +53,13 @@ def saturated(recording: Recording) -> Saturated | None:
         return None
     if min(scene.panel.shape) < 2:  # channels of a single line may all end at what it gives
         return None
-    width = WITHIN * readout.sigma_volt()
+    width, every = WITHIN * readout.sigma_volt(), scene.circuit.volt_from_recorded(recording.recorded)
+    if not any(_may_pile(sign * every[role], width) for role in (unloaded, measured) for sign in (1.0, -1.0)):
+        return None
     plain = Readings.of(scene, recording.recorded, recording.sigma).plain
-    plain &= _differ(scene.circuit.volt_from_recorded(recording.recorded), float(np.mean(width)))
+    plain &= _differ(every, float(np.mean(width)))
     for sign in (1.0, -1.0):
-        volt = np.where(plain, sign * scene.circuit.volt_from_recorded(recording.recorded), np.nan)
+        volt = np.where(plain, sign * every, np.nan)
         resting = _largest(volt[unloaded])
         most = _largest(volt[measured]) if measured.any() else resting
         moved = np.nan_to_num(most - resting, nan=0.0) > FAR * width
@@ -81,6 +83,15 @@ def as_passed(recording: Recording) -> Recording:
         return recording
     passes = (0.0, found.volt) if found.highest else (found.volt, readout.supply_volt)
     return replace(recording, scene=replace(recording.scene, readout=replace(readout, passes_volt=passes)))
+
+
+def _may_pile(volt: Array, width: Array) -> bool:
+    """Whether several channels (frames, rows, columns) end near the largest of all, and the others extend far below."""
+    if not len(volt):
+        return False
+    ends = np.fmax.reduce(volt, axis=0)
+    below = np.nanmax(ends, initial=-np.inf) - ends
+    return bool((below <= NEAR * width).sum() >= SEVERAL and np.nanmax(below, initial=0.0) > SPREAD * np.mean(width))
 
 
 def _differ(volt: Array, width: float) -> NDArray[np.bool_]:

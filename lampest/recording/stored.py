@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import pairwise, starmap
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -60,10 +60,16 @@ class StoredRecording:
 
         Where it can be had, a part ends with a chunk of what is written of measured frames.
         """
-        return self._blocks
+        return tuple(self._blocks)
+
+    @property
+    def measured_blocks(self) -> tuple[int, ...]:
+        """The numbers of those in which some frame is measured."""
+        return tuple(number for number, count in enumerate(self._blocks.values()) if count)
 
     @cached_property
-    def _blocks(self) -> tuple[range, ...]:
+    def _blocks(self) -> dict[range, int]:
+        """Each with its number of measured frames."""
         chunk, ends = max(1, hdf5.CHUNK // self.scene.panel.crossings), [0]
         with hdf5.existing_file(self.path) as file:
             path = f"/entry/{group_of(self.scene.circuit)}/role"
@@ -74,7 +80,7 @@ class StoredRecording:
             first, end = ends[-1], min(ends[-1] + self.length, self.frames)
             full = np.flatnonzero((measured[first:end] % chunk == 0) & (role[first:end] == MEASURED))
             ends.append(first + int(full[-1]) + 1 if len(full) and end < self.frames else end)
-        return tuple(starmap(range, pairwise(ends)))
+        return {range(first, end): int((role[first:end] == MEASURED).sum()) for first, end in pairwise(ends)}
 
     def part(self, frames: range, beside: int = 0) -> Recording:
         """Some frames, and as many as are there of so many `beside` them. Raises InputError as `Recording.load`."""

@@ -82,7 +82,7 @@ class PartFiles:
 def solve_long(case: Case, stored: StoredRecording, file: Path) -> StoredCase:
     """Solve a case part by part, from the first one on that is not done, and write its result, whole or not at all."""
     files, solved = PartFiles.beside(case, file), list[int]()
-    if case.estimator.looks_back or parts_to_solve(case, stored, file):
+    if case.estimator.looks_back or not set(stored.measured_blocks) <= set(files.whole):
         parts = _parts(case.estimator, stored)
         # What stands behind a part that is solved now followed from another one, unless parts stand apart.
         for part in parts.estimates(lambda at: None if solved and not parts.apart else files.done(at)):
@@ -93,10 +93,13 @@ def solve_long(case: Case, stored: StoredRecording, file: Path) -> StoredCase:
 
 
 def parts_to_solve(case: Case, stored: StoredRecording, file: Path) -> list[int]:
-    """The numbers of the parts of a case that may be solved in any order, and are not done."""
+    """The numbers of the parts of a case that may be solved in any order, and are not done; a damaged one goes."""
     files = PartFiles.beside(case, file)
-    every = range(0 if case.estimator.looks_back else len(stored.blocks()))
-    return [number for number in every if files.done(number) is None]
+    every = () if case.estimator.looks_back else stored.measured_blocks
+    waiting = [number for number in every if files.done(number) is None]
+    for number in waiting:
+        remove_own(files.results(number))
+    return waiting
 
 
 def solve_part(case: Case, stored: StoredRecording, file: Path, number: int) -> None:
