@@ -13,6 +13,7 @@ def window(
     own: float = 0.0,
     rim: float = 0.0,
     place: float = 0.0,
+    edges: float = 0.0,
     seed: int = 0,
     uneven: float = 0.1,
     slower: float = 1.0,
@@ -22,9 +23,9 @@ def window(
 ) -> Breath:
     """8 s at four frames a second in which parts swing by so much at 1.1 Hz, on a film that answers unevenly.
 
-    Each reading is that of a cell; half of them lie under the rim. slower : by so much does the place swing more
-    slowly. waves : what all readings share swings. wild : outliers of fifty standard deviations. strong : so many times
-    the readings change with suction.
+    Each reading is that of a cell; half of them lie under the rim. edges : six cells swing, as no fit knows. slower :
+    by so much does the place swing more slowly. waves : what all readings share swings. wild : outliers of fifty
+    standard deviations. strong : so many times the readings change with suction.
     """
     rng = np.random.default_rng(seed)
     rise = np.repeat([-2.0, 1.0], READINGS // 2)
@@ -32,6 +33,7 @@ def window(
     film = 0.9 + uneven * rng.standard_normal(READINGS)  # it has a hysteresis of a tenth
     swinging = [np.sin(2 * np.pi * 1.1 * TIMES / by) for by in (1.0, slower)]
     swings = film * slopes * (own + rim * (rise < 0)), film * place * moves[0]
+    swings[0][rng.permutation(READINGS)[:6]] += edges * 60 * rng.choice([-1, 1], 6)
     changes = sum(np.outer(wave, swing) for wave, swing in zip(swinging, swings, strict=True)) + rng.standard_normal(
         (len(TIMES), READINGS)
     )
@@ -57,7 +59,13 @@ def test_suction_that_swings_with_its_rim_is_breath_on_any_film(seed: int, uneve
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize(
     "moving",
-    [{"rim": 0.08}, {"place": 2.0}, {"rim": 0.04, "place": 2.0}, {"own": 0.04, "place": 4.0, "slower": 2.0}],
+    [
+        {"rim": 0.08},
+        {"place": 2.0},
+        {"rim": 0.04, "place": 2.0},
+        {"own": 0.04, "place": 4.0, "slower": 2.0},
+        {"edges": 1.0},
+    ],
     ids=str,
 )
 def test_a_rim_or_a_place_that_swings_is_none(seed: int, moving: dict[str, float]) -> None:

@@ -24,9 +24,10 @@ LEAST_RATE = 3.8  # frames a second: those of four whose clock is slow; they sho
 # is an assumption: cups tremble and leak, but at no single rate.
 BREATH, STEADY = 0.045, 0.002
 WINDOW_S, LEAST_S = 8.0, 4.5  # over which a rhythm is steady; and the least that shows one
-# Relative standard deviation of the swing of all the rim over that of suction: it may press with more than it bears.
-# And of a cell's change by a movement: where an edge crosses its film is not known. Assumptions.
-RIM, PLACE = 0.5, 0.5
+MOST = 0.15  # relative amplitude of breathing: with more, the unevenness of a film explains what a shaken cup does
+# An assumption: relative standard deviation of the swing of all the rim over that of suction, which may press with more
+# than it bears; and of each cell's change by a movement, because where an edge crosses its film is not known.
+UNSURE = 0.5
 MOVES = {"x": 1.0, "y": 1.0, "tilt_x": 0.1, "tilt_y": 0.1}  # what moves alike, mm and 1
 
 
@@ -69,9 +70,10 @@ class Patterns:
         their own.
         """
         mean, rim = slopes[0], rise < 0
-        own = np.column_stack([mean, RIM * rim * mean, slopes[1:].T, np.diag(spread)])
+        own = np.column_stack([mean, UNSURE * rim * mean, slopes[1:].T, np.diag(spread)])
         alone = np.delete(own, 1, axis=1) * rim[:, None]
-        moving = np.column_stack([moves.T, np.diag(PLACE * np.linalg.norm(moves, axis=0))])
+        changes = np.linalg.norm(moves, axis=0)
+        moving = np.column_stack([moves.T, np.diag(UNSURE * np.hypot(changes, np.sqrt(np.mean(changes**2))))])
         return cls(by_cell @ own, by_cell @ alone, by_cell @ moving, others)
 
     def beside_others(self, changes: Array) -> tuple["Patterns", Array]:
@@ -138,7 +140,7 @@ def breath(times: Array, changes: Array, patterns: Patterns) -> Breath | None:
     axes, sizes, _ = np.linalg.svd(waves - trend @ (trend.T @ waves), full_matrices=False)
     axes, gain = np.swapaxes(axes, 1, 2), sizes**2
     swings = axes @ changes  # (rates, 2, readings)
-    noise = max(1.0, float(np.median((swings**2).mean(axis=(1, 2)))))
+    noise = max(1.0, float(np.quantile((swings**2).mean(axis=(1, 2)), 0.25)))  # a wave leaks into other rates
     series = changes @ patterns.weights(STEADY, noise / gain.mean())
     amplitude, total = axes @ series, float(series @ series)
     power = (amplitude**2).sum(axis=1)
@@ -148,7 +150,7 @@ def breath(times: Array, changes: Array, patterns: Patterns) -> Breath | None:
     spread = np.sqrt(3 * left / max(power[best], 1e-12)) / (np.pi * lasted)  # Rife, Boorstyn, IEEE Trans. IT-20, 1974
     return Breath(
         float(breathing - steady),
-        _suction(patterns, swings, noise),
+        _suction(patterns, swings, noise, float(gain.mean())),
         (float(hertz[best]), float(np.hypot(spread, 0.25 / lasted / 12**0.5))),
         _depth(patterns, changes, waves[best] - trend @ (trend.T @ waves[best]), at, noise / float(gain.mean())),
     )
@@ -183,24 +185,25 @@ def _evidence(total: float, amplitude: Array, gain: Array, sd: float, freedom: i
     return np.asarray(logsumexp(fits + volume, axis=0))
 
 
-def _suction(patterns: Patterns, swings: Array, noise: float) -> float:
+def _suction(patterns: Patterns, swings: Array, noise: float, gain: float) -> float:
     """How probable it is that suction oscillates with its rim, not the rim alone nor the load's place or tilt.
 
     swings : (rates, 2, readings). Each cause at its own rate: the square of a movement oscillates twice as fast.
+    noise : their variance. gain : square of the swings at unit amplitude.
     """
-    own, *others = (_explained(one, swings, noise).max() for one in (patterns.own, patterns.rim, patterns.moves))
+    causes = (patterns.own, MOST), (patterns.rim, 1.0), (patterns.moves, 10.0)
+    own, *others = (_explained(gain**0.5 * root, most, swings, noise).max() for root, most in causes)
     odds = COUNTS * (own - np.array(others)) + RARER + np.log(2)  # both together are as rare
     return float(expit(-logsumexp(-odds)))
 
 
-def _explained(root: Array, swings: Array, noise: float) -> Array:
-    """ln P of swings (rates, 2, readings) of one cause over that of noise alone, (rates), summed over its size."""
+def _explained(root: Array, most: float, swings: Array, noise: float) -> Array:
+    """ln P of swings (rates, 2, readings) of a cause over that of noise, (rates), summed over its size up to `most`."""
     along, lengths, _ = np.linalg.svd(root, full_matrices=False)
-    square = (swings @ along) ** 2 / noise
-    sizes = np.geomspace(1e-4, 1.0, 13)[:, None] * (swings**2).sum(axis=(1, 2)).max() / noise
-    wide = sizes * lengths**2 / max(float(np.sum(lengths**2)), 1e-300)
+    square, sizes = (swings @ along) ** 2 / noise, np.geomspace(STEADY, most, 13)
+    wide = (sizes[:, None] * lengths) ** 2 / noise
     each = np.tensordot(square.sum(axis=1), wide / (1 + wide), (1, 1)) / 2 - np.log1p(wide).sum(axis=1)
-    return np.asarray(logsumexp(each, axis=1))
+    return np.asarray(logsumexp(each, axis=1, b=1 / len(sizes)))
 
 
 def _slopes(frame: Observation, rise: Array, scatter: float) -> Array:
