@@ -78,7 +78,7 @@ def errors_left_possible(
         hint, gained = _size_of(smoothed, apart)
         size = hint if gained > HINT and hint <= linear else 0.0
     assumed = at_least(size)
-    root = None if still.mean() < FEWEST else _possible(moves, assumed.reading_error or 0.0, apart)
+    root = None if still.mean() < FEWEST else _possible(moves, assumed.reading_error or 0.0, shape)
     return Possible(assumed, root, sure)
 
 
@@ -190,8 +190,12 @@ def _mean_square(costs: Array) -> float:
     return float(np.sqrt(odds @ np.square(ERRORS) / odds.sum()))
 
 
-def _possible(moves: Moves, size: float, still: Chosen) -> Array:
-    """A root (n, n) of E[z zᵀ], given the still cells: what is left open of z, and where it seems to be."""
+def _possible(moves: Moves, size: float, shape: tuple[int, ...]) -> Array:
+    """A root (n, n) of E[z zᵀ], given the still cells: what is left open of z, and where it seems to be.
+
+    No cell stands still under a load, however smooth it is.
+    """
+    still = apart_from_moved(still_cells(moves.change, moves.covariance(size))[1], shape)
     columns = np.hstack([moves.a, size * moves.own]) if size else moves.a
     part = columns[still]
     weight = np.linalg.solve(moves.covariance(size)[np.ix_(still, still)], part)
