@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.loads.film import SOONEST, FilmKnown, FilmMemory
+from lampest.loads.film import DRIFT, SETTLED, SOONEST, FilmKnown, FilmMemory
 from lampest.loads.response import PUBLISHED, RESPONSE_SD, VACUUM_KPA
 from lampest.loads.tare import Tare, TareWatch
 from lampest.panel.film import Film
@@ -16,6 +16,7 @@ from lampest.panel.systematic import usual
 
 GRAVITY = 9.81  # m/s²
 NORMAL_95 = 1.959964  # half the 95 % interval of a normal distribution, in standard deviations
+TOUCH = 0.1  # ln r/r0: less may be drift alone, half a kPa of the published film
 CLEAR = 3.0  # standard deviations: less than one cell of a panel of 700 seems to be pressed by noise alone
 
 
@@ -90,7 +91,8 @@ class PressureTrack:
 
     films : the mean film, then one with each of its strengths by a standard deviation more, (films, rows, columns).
     zeros : (films, rows, columns) ln(r/r_rest) that counts as none beside the memory: a tare. peak : (rows, columns)
-    the largest |ln(r/r_rest)| so far, of which a share `residue` may stay. time : s, of the last frame, None before it.
+    the largest |ln(r/r_rest)| so far, of which a share `residue` may stay. time, zeroed : s, of the last frame and of
+    the zero, None before them.
     watch : whether something touches the panel; None where zero stays. tared : why zero was taken anew, or ''.
     """
 
@@ -100,6 +102,7 @@ class PressureTrack:
     peak: Array
     residue: float
     time: float | None = None
+    zeroed: float | None = None
     watch: TareWatch | None = None
     tared: str = ""
 
@@ -124,7 +127,7 @@ class PressureTrack:
 
         own : as `pressure_of`.
         """
-        change, kept = self._change(ratio), self._kept(ratio)
+        change, kept = self._change(ratio), self._kept(ratio, time)
         water = water_pressure(self.scene.panel, self.scene.water)
         answer, *answers = -self._of_films(self.films.at_once, change, time)
         effective, *_ = self._of_films(self.films.effective, change, time)
@@ -161,9 +164,10 @@ class PressureTrack:
         if not self.remembers:
             return self
         change, seconds, track = self._change(ratio), self._seconds(time), self
+        zeroed = time if self.zeroed is None else self.zeroed
         if np.isfinite(change).any():
             films, peak = self.films.observed(change - self.zeros, seconds), np.fmax(self.peak, np.abs(change))
-            track = replace(self, films=films, time=time, peak=peak)
+            track = replace(self, films=films, time=time, zeroed=zeroed, peak=peak)
         if self.watch is None:
             return track
         memory, zero = self.films.fading(seconds)[0], self.zeros[0]
@@ -180,7 +184,7 @@ class PressureTrack:
     def _zeroed(self, change: Array, time: float) -> "PressureTrack":
         """As if nothing pressed in a frame with this change: what the memory does not explain is the new zero."""
         zeros = change - self.films.fading(self._seconds(time))
-        return replace(self, zeros=np.where(np.isfinite(change), zeros, self.zeros))
+        return replace(self, zeros=np.where(np.isfinite(change), zeros, self.zeros), zeroed=time)
 
     def _seconds(self, time: float) -> float:
         """Since the last frame; a second before the first."""
@@ -190,10 +194,16 @@ class PressureTrack:
         warmth = self.scene.temperature
         return np.asarray(np.log(ratio) - (0.0 if warmth is None else warmth.logarithm))
 
-    def _kept(self, ratio: Array) -> Array:
-        """Standard deviation of ln r/r_rest that is there without a load: what the film keeps, and warmth."""
-        change, warmth = np.abs(self._change(ratio)), self.scene.temperature
-        kept = self.residue * np.sqrt(np.maximum(self.peak**2 - change**2, 0.0))
+    def _kept(self, ratio: Array, time: float) -> Array:
+        """Standard deviation of ln r/r_rest that is there without a load: what the film keeps, its drift, warmth.
+
+        What it keeps and drifts counts by √(1 − x²/peak²), as far as the largest load is gone.
+        """
+        change, kept, warmth = self._change(ratio), np.zeros(ratio.shape), self.scene.temperature
+        if self.residue and self.zeroed is not None:
+            drift = np.hypot(SETTLED, DRIFT * (time - self.zeroed) / 60)
+            gone = 1 - (change / np.maximum(self.peak, TOUCH)) ** 2
+            kept = np.hypot(self.residue * self.peak, drift) * np.sqrt(np.maximum(gone, 0.0))
         warming_sd = 0.0 if warmth is None else warmth.difference_kelvin * warmth.coefficient_sd_per_kelvin
         return np.asarray(np.hypot(kept, warming_sd))
 

@@ -28,6 +28,7 @@ NOTES = {  # what a header that begins so means
     "cell error [%]": "cell error: |estimate − truth| / truth of the cells, median / 95th percentile",
     "± own": "± own / all: standard deviations, medians over the cells: of each cell's own error / of what all cells "
     "share",
+    "pressure ±": "pressure ± own / all: the same of pressures, over the cells on which a load presses",
     "first": "first, later: the first frame, solved jointly with the baseline as the paper does, and the frames "
     "after it",
     "published": "published: of another recording, on another computer, as the run's file quotes it; figures of this "
@@ -111,6 +112,7 @@ def figures_of(case: CaseResult, chosen: NDArray[np.bool_]) -> dict[str, Any]:
     good = chosen & case.solved
     errors = None if case.truth is None else relative_error(case.cell_resistance[good], case.truth[good])
     own, common = (None if part is None else 100 * part[good] for part in (case.sigma_own, case.sigma_common))
+    own_kpa, common_kpa = case.pressed_errors(good) or (None, None)
     counts = {"missing readings": case.missing_readings, "bound readings": case.bound_readings}
     return {
         "frames": int(np.sum(chosen)),
@@ -120,6 +122,8 @@ def figures_of(case: CaseResult, chosen: NDArray[np.bool_]) -> dict[str, Any]:
         **statistics(errors, "cell error {} [%]", "median", "mean", "95th percentile"),
         **statistics(own, "own standard deviation {} [%]", "median"),
         **statistics(common, "common standard deviation {} [%]", "median"),
+        **statistics(own_kpa, "own standard deviation of pressed cells {} [kPa]", "median"),
+        **statistics(common_kpa, "common standard deviation of pressed cells {} [kPa]", "median"),
         "open cells": int(np.sum(case.open_cell[good] != 0)),
         **statistics(case.kkt_residual[good], "{} KKT residual", "worst"),
         **{name: 0 if count is None else int(count[chosen].sum()) for name, count in counts.items()},
@@ -243,6 +247,12 @@ COLUMNS: dict[str, Callable[[Row], str]] = {
     "cell error [%]": lambda row: _both(row, "cell error median [%]", "cell error 95th percentile [%]", " / "),
     "± own / all [%]": lambda row: _both(
         row, "own standard deviation median [%]", "common standard deviation median [%]", " / "
+    ),
+    "pressure ± own / all [kPa]": lambda row: _both(
+        row,
+        "own standard deviation of pressed cells median [kPa]",
+        "common standard deviation of pressed cells median [kPa]",
+        " / ",
     ),
 }
 PUBLISHED: dict[str, Callable[[Row], str]] = {

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.files.errors import InputError, extra
+from lampest.panel.panel import Array
 from lampest.panel.scene import scene_text
 from lampest.recording.recording import coordinates
 from lampest.runs.columns import CELLS, FIGURES, FRAMES, MAPS, Column, Series
@@ -77,7 +78,18 @@ class CaseResult(Held):
             return ""
         known = np.isfinite(self.sigma_own) & (self.sigma_own > 0)
         own, common = (100 * float(np.median(part[known])) for part in (self.sigma_own, self.sigma_common))
-        return f"each cell +- {own:.2g} %, all together +- {common:.2g} %"
+        said, parts = f"each cell +- {own:.2g} %, all together +- {common:.2g} %", self.pressed_errors(self.solved)
+        if parts is None or not parts[0].size:
+            return said
+        own, common = (float(np.median(part)) for part in parts)
+        return f"{said}; pressure of pressed cells: each +- {own:.2g} kPa, all together +- {common:.2g} kPa"
+
+    def pressed_errors(self, chosen: NDArray[np.bool_]) -> tuple[Array, Array] | None:
+        """(own, common) standard deviations of pressure, kPa, of the cells on which a load presses in some frames."""
+        if self.pressing is None or self.pressure_own is None or self.pressure_common is None:
+            return None
+        pressed = (self.pressing != 0) & chosen[:, None, None]
+        return self.pressure_own[pressed], self.pressure_common[pressed]
 
     @property
     def valued(self) -> NDArray[np.bool_]:

@@ -217,3 +217,15 @@ def test_nothing_presses_once_only_what_the_film_keeps_is_left(stays: float) -> 
     scene = Scene(Panel(3, 3), film=Film(creep_per_decade="auto"))
     found = pressure_of(ratio, 0.998 * ratio, 1.002 * ratio, scene, np.arange(30.0))
     assert found.pressing[3:10].all() and not found.pressing[12:25].any() and found.pressing[25:].all()
+
+
+def test_drift_of_a_film_presses_nowhere_and_is_in_its_bars() -> None:
+    """A cell that nobody touches conducts more by 1 % a minute; changes are known to a thousandth."""
+    time = np.arange(0.0, 300.0, 20.0)
+    ratio = np.exp(-0.01 * time / 60)[:, None, None] * np.ones((2, 2))
+    found, without = (
+        pressure_of(ratio, 0.998 * ratio, 1.002 * ratio, Scene(Panel(2, 2), film=film), time)
+        for film in (Film(creep_per_decade="auto"), None)
+    )
+    assert not found.pressing.any() and without.pressing[5:].all()
+    assert found.lower.max() < 0 < found.upper.min()

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from support import invented_case
 
+from lampest.report.compare import figures_of
 from lampest.report.detect.pressed import pressed, pressed_of, pressed_table, write_pressed
 from lampest.runs.case import CaseResult
 from lampest.runs.results import Results
@@ -79,3 +80,15 @@ def test_every_frame_is_written_and_the_strongest_shown(tmp_path: Path) -> None:
     assert [line["saturated cells"] for line in lines] == ["0", "2", "0"]
     (row,) = pressed_table(found).cells
     assert row[:4] == ("mouth", "LSM", "6", "6") and "≥\N{NO-BREAK SPACE}6.400 ± 0.049" in row and row[-1] == "2"
+
+
+def test_tables_give_both_parts_of_pressures_where_something_presses() -> None:
+    pressure, errors = maps()
+    sigma = np.full(SHAPE, 0.01)
+    case = pressing(
+        pressure=pressure, pressure_own=errors, pressure_common=0.3 * pressure, sigma_own=sigma, sigma_common=2 * sigma
+    )
+    figures = figures_of(case, np.ones(SHAPE[0], bool))
+    assert figures["own standard deviation of pressed cells median [kPa]"] == pytest.approx(0.2)
+    assert figures["common standard deviation of pressed cells median [kPa]"] == pytest.approx(3.0)
+    assert case.error_words.endswith("pressure of pressed cells: each +- 0.2 kPa, all together +- 3 kPa")
