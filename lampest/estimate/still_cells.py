@@ -7,6 +7,7 @@ is left possible of z. Errors too large for that have e from the unloaded panel 
 """
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +32,7 @@ from lampest.panel.scene import Scene, Systematic
 from lampest.panel.systematic import Possible, hidden_columns, recorded_share
 from lampest.posterior.frame_noise import FrameNoise
 from lampest.recording.readings import Readings
+from lampest.solvers.preconditioners import Cholesky
 
 ERRORS = np.geomspace(2.5e-4, 0.2, 30)  # of a reading's own that are tried, with equal odds for equal ratios
 SCATTERS = (0.03, 0.1, 0.2, 0.4)  # of unloaded cells: films of one batch scatter by a tenth, worn ones by 0.4
@@ -146,9 +148,14 @@ class Moves:
         reach = float(np.median(np.linalg.norm(base[1][2], axis=1)))
         return cls(np.concatenate(change), covariance + known @ known.T, hidden, own, reach)
 
+    @cached_property
+    def _parts(self) -> tuple[Array, Array]:
+        return np.asarray(self.noise + self.a @ self.a.T), np.asarray(self.own @ self.own.T)
+
     def covariance(self, size: float) -> Array:
         """Of changes of still cells, if each reading errs by so much on its own."""
-        return np.asarray(self.noise + self.a @ self.a.T + size**2 * self.own @ self.own.T)
+        shared, own = self._parts
+        return np.asarray(shared + size**2 * own)
 
 
 def _smooth_loads(shape: tuple[int, ...], frames: int) -> Array:
@@ -174,14 +181,13 @@ def _own_error(moves: Moves, shape: tuple[int, ...]) -> tuple[float, Chosen]:
 
 def _size_of(moves: Moves, still: Chosen) -> tuple[float, float]:
     """(√E[e²] of readings' own errors by the marginal likelihood of the still cells, −2 log of what it gains)."""
-    part, change = np.ix_(still, still), moves.change[still]
-
-    def cost(size: float) -> float:
-        covariance = moves.covariance(size)[part]
-        return float(change @ np.linalg.solve(covariance, change) + np.linalg.slogdet(covariance)[1])
-
-    costs = np.array([cost(size) for size in ERRORS])
-    return _mean_square(costs), cost(0.0) - float(costs.min())
+    # C₀ = LLᵀ, L⁻¹ O L⁻ᵀ = QΛQᵀ: (C₀ + e²O)⁻¹ = L⁻ᵀ Q (1 + e²Λ)⁻¹ Qᵀ L⁻¹, and |C₀ + e²O| = |C₀| Π (1 + e²λ).
+    lower = np.linalg.cholesky(moves.covariance(0.0)[np.ix_(still, still)])
+    own, change = (np.linalg.solve(lower, one[still]) for one in (moves.own, moves.change))
+    grown, turned = np.linalg.eigh(own @ own.T)
+    grows = 1 + np.square(ERRORS)[:, None] * np.maximum(grown, 0.0)
+    costs = np.sum((turned.T @ change) ** 2 / grows + np.log(grows), axis=1)
+    return _mean_square(costs), float(change @ change) - float(costs.min())
 
 
 def _mean_square(costs: Array) -> float:
@@ -220,15 +226,20 @@ def still_cells(change: Array, covariance: Array) -> tuple[float, Chosen]:
     still = (away <= np.median(away)) & (np.abs(change) < LOADED)
     best: tuple[float, Chosen] = (np.inf, still)
     while still.any():
-        within = np.linalg.inv(covariance[np.ix_(still, still)])
-        pull, moved = within @ change[still], change[~still]
-        cost = change[still] @ pull - np.linalg.slogdet(within)[1] + (moved**2).sum() + MOVED * len(moved)
+        numbers = np.flatnonzero(still)
+        factor = Cholesky.of(change, numbers, covariance[np.ix_(numbers, numbers)])
+        if factor is None:
+            raise np.linalg.LinAlgError("a covariance is not positive definite")
+        within, moved = factor.inverse(), change[~still]
+        pull, width = within @ change[still], np.diag(factor.triangle) * factor.size
+        cost = change[still] @ pull + 2 * np.log(width).sum() + (moved**2).sum() + MOVED * len(moved)
         if not cost < best[0]:
             break
-        best = float(cost), still
-        across = covariance[:, still]
-        miss, variance = change - across @ pull, np.diag(covariance) - np.einsum("ij,ij->i", across @ within, across)
+        best, across = (float(cost), still), covariance[np.ix_(~still, still)]
+        miss, variance = np.empty((2, len(change)))
         miss[still], variance[still] = pull / np.diag(within), 1 / np.diag(within)
+        miss[~still] = moved - across @ pull
+        variance[~still] = np.diag(covariance)[~still] - np.einsum("ij,ij->i", across @ within, across)
         variance = np.maximum(variance, 1e-300)
         still = (miss**2 / variance + np.log(variance) < MOVED + change**2) & (np.abs(change) < LOADED)
     return best

@@ -47,8 +47,7 @@ class Effect:
             return np.zeros(network.conductance.shape)
         rows, columns = network.conductance.shape
         more = self.size * np.isin(np.arange(rows + columns), self.lines)
-        simulated = scene.circuit.simulated(network.cell_resistance, scene, more[:rows], more[rows:])
-        return np.asarray(scene.circuit.from_recorded(simulated, scene) - network.reading())
+        return scene.circuit.beyond(network, scene, more[:rows], more[rows:])
 
 
 def disturbed(effects: Sequence[Effect], scene: Scene, network: Network) -> tuple[Network, Array]:

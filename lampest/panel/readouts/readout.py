@@ -215,6 +215,11 @@ class Readout(Converter, ABC):
         """
         return self.to_recorded(self.exact_reading(cell_resistance, scene.wiring), scene)
 
+    def beyond(self, network: Network, scene: Surroundings, row_ohm: Array, column_ohm: Array) -> Array:
+        """What so much more in the channels adds to a network's readings (rows, columns)."""
+        recorded = self.simulated(network.cell_resistance, scene, row_ohm, column_ohm)
+        return np.asarray(self.from_recorded(recorded, scene) - network.reading())
+
     def off_by(self, fraction: float) -> Self:
         """The same circuit with its reference resistor larger by a fraction."""
         return self

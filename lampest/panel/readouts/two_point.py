@@ -158,6 +158,11 @@ class TwoPointReadout(Readout):
         total = self.to_recorded(self.exact_reading(cell_resistance, scene.wiring), scene)
         return np.asarray(total + (row_ohm[:, None] + column_ohm[None, :]))
 
+    def beyond(self, network: Network, scene: Surroundings, row_ohm: Array, column_ohm: Array) -> Array:
+        """What both channels have more."""
+        total = self.to_recorded(network.reading(), scene) + (row_ohm[:, None] + column_ohm[None, :])
+        return np.asarray(self.from_recorded(total, scene) - network.reading())
+
     def shared_errors(
         self, cells: Array, measured: Array, scene: Surroundings, reference: float, channel: float
     ) -> Array:
