@@ -17,6 +17,7 @@ from lampest.loads.recognition.fit import ROUNDS, Fit
 from lampest.loads.recognition.observation import Observation
 from lampest.loads.response import RESPONSE_SD
 from lampest.panel.panel import Array
+from lampest.panel.response import PublishedResponse
 
 RATES_HZ = (0.5, 2.5)  # of breathing; sea lampreys at rest 0.8 to 1.6 Hz
 LEAST_RATE = 3.8  # frames a second: those of four whose clock is slow; they show rates up to 2 Hz
@@ -105,7 +106,7 @@ def breaths(
     changes = (changes - _of_water(changes, frame, fit, pressure)) @ whitening.T
     by_cell = whitening @ (frame.slope(rise) / model[:, None])
     slopes = _slopes(frame, rise, fit.scatter)
-    spread = np.sqrt((slopes[1:] ** 2).sum(axis=0) + slopes[0] ** 2 * (fit.scatter**2 + np.diag(covariance)))
+    spread = np.sqrt((slopes[1:-1] ** 2).sum(axis=0) + slopes[0] ** 2 * (fit.scatter**2 + np.diag(covariance)))
     loads, found = fit.loads, list[tuple[tuple[float, float], Breath]]()
     cells = [part.pressure(panel, detector.patch_mm, own)[0].ravel() != 0 for part, own in loads]
     by_load = np.split(fit.by_parameter, np.cumsum([len(own) for _, own in loads]))
@@ -207,16 +208,24 @@ def _explained(root: Array, most: float, swings: Array, noise: float) -> Array:
 
 
 def _slopes(frame: Observation, rise: Array, scatter: float) -> Array:
-    """(6, cells) ∂x/∂ln p of cells at x = `rise`: mean and deviations, as films differ by `scatter` and are bent."""
+    """(7, cells) ∂x/∂ln p of cells at x = `rise`: mean and deviations, as films differ by `scatter` and are bent.
+
+    The last deviation is that of the published curve under suction, which has one point there: uniform between an
+    exponential and a straight line of r, in logarithms.
+    """
     response, water = frame.baseline.response, frame.water
     points, weights = hermegauss(5)
     gains = response.gains * np.exp(np.hypot(scatter, frame.baseline.model_errors.bent) * points[:, None, None])
-    pressure = response.pressure(rise / gains + response.logarithm(water)) - water
+    logarithm = rise / gains + response.logarithm(water)
+    pressure = response.pressure(logarithm) - water
     more, less = (response.logarithm(water + by * pressure) for by in (1 + BREATH, 1 - BREATH))
-    slopes = (gains * (more - less) / (2 * BREATH)).reshape(len(points), -1)
+    level = np.maximum(logarithm, 1e-9) * isinstance(response, PublishedResponse) + 1e-9
+    curve = 0.5 * np.log(-np.expm1(-level) / level)
+    slopes = (gains * (more - less) / (2 * BREATH) * np.exp(curve)).reshape(len(points), -1)
     shares = weights / weights.sum()
     mean = shares @ slopes
-    return np.vstack([mean, np.sqrt(shares)[:, None] * (slopes - mean)])
+    common = shares @ (slopes * curve.reshape(slopes.shape)) / 3**0.5
+    return np.vstack([mean, np.sqrt(shares)[:, None] * (slopes - mean), common])
 
 
 def _of_water(changes: Array, frame: Observation, fit: Fit, pressure: Array) -> Array:
