@@ -4,9 +4,11 @@ Such readings say only that the voltage lies beyond, exactly as readings at a ra
 """
 
 from dataclasses import dataclass, replace
+from math import ceil, log
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import binom
 
 from lampest.estimate.outliers import FAR
 from lampest.panel.panel import Array
@@ -15,8 +17,9 @@ from lampest.recording.readings import Readings
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
 
 NEAR = 8.0 / 3.0  # of the width of voltages that count as the same: so far beyond, fewer channels end than at one
-SEVERAL = 5  # channels: a finger moves as many
 SPREAD = 10.0  # of that width: over so much the other channels extend at least, else all are alike
+CHANCE = 2.5e-4  # an accident at the end of evenly spread channels is rarer; looked for at four ends: one in a thousand
+SEVERAL = 1 + ceil(log(CHANCE) / log(1 / SPREAD))  # channels: an accident of fewer is never so rare
 
 
 @dataclass(frozen=True)
@@ -69,7 +72,9 @@ def saturated(recording: Recording) -> Saturated | None:
             piled, near = below <= width, (below > width) & (below <= NEAR * width)
             apart = end - float(np.nanmin(channels, initial=end)) > SPREAD * float(np.mean(width))
             lines = min(int(piled.any(axis=axis).sum()) for axis in (0, 1))
-            if apart and lines > 1 and piled.sum() >= SEVERAL and piled.sum() > near.sum():
+            several, around = int(piled.sum()), int((below <= SPREAD * width).sum())
+            rare = binom.sf(several - 2, around - 1, 1 / SPREAD) < CHANCE  # besides the one that defines the end
+            if apart and lines > 1 and rare and several > near.sum():
                 level = float(np.median(volt[np.broadcast_to(piled, volt.shape) & (end - volt <= 2 * width)]))
                 resting_too = int((np.abs(resting - level) <= width).sum())
                 return Saturated(sign * level, int((piled & moved).sum()), resting_too, sign > 0)

@@ -12,6 +12,7 @@ import lampest
 from lampest import Recording, Scene, TwoPointReadout
 from lampest.estimate.model_check import effects_seen
 from lampest.estimate.noise import noise_seen
+from lampest.estimate.saturation import saturated
 from lampest.estimate.warnings import warnings_of
 from lampest.loads.shapes import Block
 from lampest.recording.simulation import Cells, Course, Simulation, simulate
@@ -81,6 +82,19 @@ def test_nothing_is_said_where_nothing_is(seed: int) -> None:
 def test_what_a_panel_does_is_named(effect: dict, sentence: str) -> None:
     said = warnings_of(panel(1, **effect))
     assert sum(sentence in line for line in said) == 1, said
+
+
+def test_channels_that_end_together_by_chance_are_no_stage_that_saturates() -> None:
+    """Five of the unloaded panel's channels within the noise of the largest voltage, six a little below, others far."""
+    recording = panel(3)
+    steps = np.r_[np.linspace(0, 0.9, 5), np.linspace(3, 9, 6), np.linspace(12, 300, ROWS * COLUMNS - 11)]
+    volt = 2.97 - 0.0024 * np.random.default_rng(4).permutation(steps).reshape(ROWS, COLUMNS)
+    ends = np.broadcast_to((5 - volt) / volt * 1000, recording.recorded.shape)
+    assert saturated(replace(recording, recorded=ends)) is None
+    below = np.where(steps < 10, 0.1 * steps, steps)
+    volt = 2.97 - 0.0024 * np.random.default_rng(4).permutation(below).reshape(ROWS, COLUMNS)
+    ends = np.broadcast_to((5 - volt) / volt * 1000, recording.recorded.shape)
+    assert saturated(replace(recording, recorded=ends)) is not None
 
 
 @pytest.mark.parametrize(
