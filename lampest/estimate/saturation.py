@@ -8,7 +8,7 @@ from math import ceil, log
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import binom
+from scipy.special import bdtrc
 
 from lampest.estimate.outliers import FAR
 from lampest.panel.panel import Array
@@ -73,7 +73,7 @@ def saturated(recording: Recording) -> Saturated | None:
             apart = end - float(np.nanmin(channels, initial=end)) > SPREAD * float(np.mean(width))
             lines = min(int(piled.any(axis=axis).sum()) for axis in (0, 1))
             several, around = int(piled.sum()), int((below <= SPREAD * width).sum())
-            rare = binom.sf(several - 2, around - 1, 1 / SPREAD) < CHANCE  # besides the one that defines the end
+            rare = bdtrc(several - 2, around - 1, 1 / SPREAD) < CHANCE  # besides the one that defines the end
             if apart and lines > 1 and rare and several > near.sum():
                 level = float(np.median(volt[np.broadcast_to(piled, volt.shape) & (end - volt <= 2 * width)]))
                 resting_too = int((np.abs(resting - level) <= width).sum())
