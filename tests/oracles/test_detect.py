@@ -214,7 +214,7 @@ def test_hidden_suction_counts_less() -> None:
     verdict = seen(frames_of(recorded(MOUTH)))[-1]
     assert verdict.best.change.max() > 1 and prior_cost(PANEL, verdict.best) == pytest.approx(0, abs=0.1)
     hidden = replace(verdict.best, change=np.minimum(verdict.best.change, 0))
-    assert prior_cost(PANEL, hidden) == CANNOT_BE
+    assert prior_cost(PANEL, hidden) == prior_cost(PANEL, verdict.best, seen=hidden.change) == CANNOT_BE
     assert prior_cost(PANEL, replace(hidden, candidate=Ring.candidate)) == 0
 
 

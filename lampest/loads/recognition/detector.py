@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.linalg import cho_solve
 
 from lampest.loads.recognition.candidates import FIELD, LOADS, UNIFORM, DiscSearch, Several, under
-from lampest.loads.recognition.evidence import Verdict, prior_cost
+from lampest.loads.recognition.evidence import Verdict, prior_cost, rises
 from lampest.loads.recognition.field import field_fit, states
 from lampest.loads.recognition.fit import (
     ROUNDS,
@@ -63,10 +63,11 @@ class Detector:
         if (calm := self.calm(frame)) is not None:
             return self._judged(calm, ())
         (field, without), found = field_fit(frame), list[Verdict]()
+        kinds = tuple(load for load in self.loads if not load.sucks or rises(field.change)) or self.loads
         if before is not None and before.loads:
             found.append(self._settled(frame, before.loads, field, without))
         if not found or self._doubtful(found[0], field):
-            coarse = self._coarse(frame, field, without)
+            coarse = self._coarse(kinds, field, without)
             found.append(self._settled(frame, coarse, field, without))
         single, discs = found[-1], list[Disc]()
         for _ in range(MOST_AT_ONCE):
@@ -75,7 +76,7 @@ class Detector:
                 break
             discs.append(beside)
             if len(discs) > 1:
-                fits = self._together(without, field, discs)
+                fits = self._together(kinds, without, field, discs)
                 found.append(self._settled(frame, (*fits, *single.loads[:1]), field, without))
                 discs = discs_of(fits[0])
         return self._spread(frame, max(found, key=lambda one: one.evidence))
@@ -93,7 +94,7 @@ class Detector:
         fit = None if start is None else self._whole(frame, start, start, frame)
         if fit is None or fit.chi2 > SUSPICIOUS * frame.measured.size:
             field, calm = field_fit(frame)
-            (begin,) = replace(self, loads=(candidate,))._coarse(frame, field, calm)
+            (begin,) = self._coarse((candidate,), field, calm)
             other = self._whole(frame, begin, field, calm)
             fit = other if fit is None or other.chi2 < fit.chi2 else fit
         return fit
@@ -156,13 +157,13 @@ class Detector:
         suspicious = errors @ errors > SUSPICIOUS * len(errors)
         return outliers(whitening, fit.residual) if suspicious else np.zeros(0, dtype=np.intp)
 
-    def _coarse(self, frame: Observation, field: Fit, calm: Observation) -> list[Fit]:
-        """The best fit of every load from where templates match, with the errors about the field."""
+    def _coarse(self, kinds: Sequence[Candidate], field: Fit, calm: Observation) -> list[Fit]:
+        """The best fit of every kind from where its templates match, with the errors about the field."""
         whitening = Whitening.coarse(calm, field.change)
         likelihood = CellLikelihood.about(calm, whitening, field.change)
         starts = self.search.starts(likelihood.normal, likelihood.pull)
         fits: list[Fit] = []
-        for load in self.loads:
+        for load in kinds:
             fitting, found = self._fitting(load, calm), list[Linearisation]()
             for disc in (starts[template] for template in load.templates):
                 most = min((one.cost for one in found), default=np.inf) + UNLIKELY
@@ -205,7 +206,7 @@ class Detector:
         like = fit.candidate.like(best.candidate, best.parameters) if found.cost > most else None
         return found if like is None else best_of([found, fitting.best(like, whitening, most)])
 
-    def _together(self, calm: Observation, field: Fit, discs: Sequence[Disc]) -> list[Fit]:
+    def _together(self, kinds: Sequence[Candidate], calm: Observation, field: Fit, discs: Sequence[Disc]) -> list[Fit]:
         """Coarse fits of loads about some discs at once: each of the likeliest kind, and all that suck."""
         whitening = Whitening.coarse(calm, field.change)
         likelihood = CellLikelihood.about(calm, whitening, field.change)
@@ -217,12 +218,12 @@ class Detector:
             return fitting.found(here, likelihood, whitening, quick=True)
 
         def likely(fit: Fit) -> float:
-            return fit.evidence - prior_cost(self.panel, fit)
+            return fit.evidence - prior_cost(self.panel, fit, calm.baseline.response, field.change)
 
-        first = next((load for load in self.loads if load.sucks), self.loads[0])
+        first = next((load for load in kinds if load.sucks), kinds[0])
         sucking = best = fitted([(first, first.start(disc)) for disc in discs])
         for place in range(len(best.loads)):
-            for kind in self.loads:
+            for kind in kinds:
                 loads = best.loads
                 alike = kind.like(*loads[place])
                 if kind is not loads[place][0] and alike is not None:

@@ -13,10 +13,10 @@ import numpy as np
 from scipy.special import softmax
 
 from lampest.loads.recognition.candidates import FIELD, UNIFORM, under
-from lampest.loads.recognition.fit import Fit
+from lampest.loads.recognition.fit import UNLIKELY, Fit
 from lampest.loads.response import PUBLISHED
 from lampest.loads.shapes.disc import Disc
-from lampest.panel.panel import Panel
+from lampest.panel.panel import Array, Panel
 from lampest.panel.response import Response
 
 # Of ln P, assumptions: of every further load, or a rim that moves without its suction; and of what cannot be, hidden
@@ -47,7 +47,8 @@ class Verdict:
     @classmethod
     def of(cls, panel: Panel, fits: Sequence[Fit], readings: int, response: Response = PUBLISHED) -> "Verdict":
         """Where no candidate fits, differences of evidence count less, by χ² per reading of the best one."""
-        before = np.array([prior_cost(panel, fit, response) for fit in fits])
+        seen = next((fit.change for fit in fits if fit.candidate is FIELD), None)
+        before = np.array([prior_cost(panel, fit, response, seen) for fit in fits])
         evidence = np.array([fit.evidence for fit in fits])
         goodness = fits[int(np.argmax(evidence - before))].chi2 / readings
         counts = (COUNTS if len(fits) > len(UNIFORM) else 1.0) / max(1.0, goodness)
@@ -77,20 +78,32 @@ class Verdict:
         return sum(share for fit, share in pairs if _sucks(fit, disc)) / max(1 - self.nothing, 1e-9)
 
 
-def prior_cost(panel: Panel, fit: Fit, response: Response = PUBLISHED) -> float:
+def prior_cost(panel: Panel, fit: Fit, response: Response = PUBLISHED, seen: Array | None = None) -> float:
     """−ln P of a fit before the measurement, up to what all share; response : the scene's own.
 
-    Of further loads, of suction that raises no cell, and of loads that stand in each other.
+    Of further loads, of suction that raises no cell, and of loads that stand in each other. seen : (rows, columns)
+    ln r/r0 of the field, which has to rise as well; None: there is none.
     """
+    maps = [fit.change] if seen is None else [fit.change, seen]
     loads = [(part, part.disc(own)) for part, own in fit.loads]
     cost = sum(_overlapping(*pair) for pair in combinations([disc for _, disc in loads if disc is not None], 2))
     for part, disc in loads:
         if part.sucks:
             there = np.full(panel.shape, True) if disc is None or len(loads) == 1 else under(panel, disc)
             full = 0.0 if disc is None else float(np.mean(response.gains * response.logarithm(disc.suction_kpa)))
-            rise = float(fit.change[there].max(initial=0.0))
-            cost += exp(-((rise / max(SHOWN, SHARE * full)) ** 2))
+            rise = min(float(one[there].max(initial=0.0)) for one in maps)
+            cost += _hidden(rise, full)
     return RARER * (len(loads) - 1) + CANNOT_BE * cost
+
+
+def rises(seen: Array) -> bool:
+    """Whether ln r/r0 of the field rises enough for suction to be possible: less makes it too rare to be searched."""
+    return CANNOT_BE * _hidden(float(seen.max()), 0.0) < 2 * UNLIKELY
+
+
+def _hidden(rise: float, full: float) -> float:
+    """1 where no cell rises under suction that would raise a cell by `full`, 0 where one does; ln r/r0."""
+    return exp(-((rise / max(SHOWN, SHARE * full)) ** 2))
 
 
 def _overlapping(one: Disc, other: Disc) -> float:
