@@ -4,11 +4,10 @@ Such readings say only that the voltage lies beyond, exactly as readings at a ra
 """
 
 from dataclasses import dataclass, replace
-from math import ceil, log
+from math import ceil, lgamma, log
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import bdtrc
 
 from lampest.estimate.outliers import FAR
 from lampest.panel.panel import Array
@@ -73,7 +72,7 @@ def saturated(recording: Recording) -> Saturated | None:
             apart = end - float(np.nanmin(channels, initial=end)) > SPREAD * float(np.mean(width))
             lines = min(int(piled.any(axis=axis).sum()) for axis in (0, 1))
             several, around = int(piled.sum()), int((below <= SPREAD * width).sum())
-            rare = bdtrc(several - 2, around - 1, 1 / SPREAD) < CHANCE  # besides the one that defines the end
+            rare = several >= SEVERAL and _by_chance(several, around) < CHANCE
             if apart and lines > 1 and rare and several > near.sum():
                 level = float(np.median(volt[np.broadcast_to(piled, volt.shape) & (end - volt <= 2 * width)]))
                 resting_too = int((np.abs(resting - level) <= width).sum())
@@ -88,6 +87,14 @@ def as_passed(recording: Recording) -> Recording:
         return recording
     passes = (0.0, found.volt) if found.highest else (found.volt, readout.supply_volt)
     return replace(recording, scene=replace(recording.scene, readout=replace(readout, passes_volt=passes)))
+
+
+def _by_chance(several: int, around: int) -> float:
+    """P that of channels evenly spread over SPREAD widths so many are in the first, where the last one is: binomial."""
+    others = around - 1
+    ways = [lgamma(others + 1) - lgamma(n + 1) - lgamma(others - n + 1) for n in range(several - 1, around)]
+    outside = others - np.arange(several - 1, around)
+    return float(np.sum(np.exp(ways + outside * log(SPREAD - 1) - others * log(SPREAD))))
 
 
 def _may_pile(volt: Array, width: Array) -> bool:
