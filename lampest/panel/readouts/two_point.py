@@ -96,7 +96,7 @@ class TwoPointReadout(Readout):
         return convex_start(measured, upper, near)
 
     def least_cells(self, measured: Array, sigma: Array | None) -> Array:
-        """r ≥ R: parallel paths only lower a reading; paper, equation (12). Beside a single line there is none, r = R."""
+        """r ≥ R: parallel paths only lower a reading; paper, equation (12). A single line has none, r = R."""
         return self.nearly_shorted(measured) if 1 in measured.shape[-2:] else measured.copy()
 
     def resolution(self, measured: Array, sigma: Array) -> Array:
