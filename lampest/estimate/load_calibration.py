@@ -109,7 +109,7 @@ def calibrate_loads(recordings: Sequence[Recording], known: KnownLoads, toleranc
         with np.errstate(over="ignore"):
             response = response_of(fitted, base, scene.panel.shape, tolerance)
     except ValueError as error:
-        raise InputError(f"the loads make a curve that no film has ({error}): {UNITS}") from error
+        raise InputError(f"the loads make a curve that no film has: {UNITS}") from error
     beside = _beside(change, felt, pressure_sd, together) > BESIDE
     warnings = (
         _named("{} answers otherwise than the others let expect: is its weight right?", _odd_ones(loaded)),
@@ -192,6 +192,9 @@ def _answers(recording: Recording, loads: Sequence[KnownLoad]) -> list[tuple[Arr
             "scene must name the readout, and the panel have at most 600 cells"
         )
     (logarithm, sd), parts = known, []
+    if found.film is not None and found.film.film.creep_per_decade:
+        logarithm, open_sd = found.film.at_once(logarithm, found.time)
+        sd = np.hypot(sd, open_sd)
     for load in loads:
         inside = (found.frame >= load.frames[0]) & (found.frame <= load.frames[1])
         if inside.sum() < load.frames[1] - load.frames[0] + 1:

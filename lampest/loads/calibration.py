@@ -25,7 +25,7 @@ THIRDS = 0.5 * 2.0 ** (np.arange(19) / 3)
 ENDS = np.concatenate([-THIRDS[::-1], [0.0], THIRDS])
 # An assumption, of the logarithm: how much steeper than the base a film is from a piece to the next; as a whole σ is 1.
 # The published curve has a corner at 2.5 kPa at which it becomes twelve times as flat, and other films have none.
-WALK = 0.4
+WALK = 0.6
 LEAST_SD = 1e-3  # of ln(r/r0): no answer counts as better known
 BEGIN, RANGE = (0.2, 0.05), (1e-3, 2.0)  # spread and scatter, relative: where their search begins, and where they lie
 ROUNDS = 4  # of least squares and evidence, one after the other
@@ -117,6 +117,9 @@ def answers_by_others(loaded: Loaded) -> Array:
         expected = -(falls[number] * np.exp(fitted.gains[:, None] + fitted.pieces)).sum(axis=1)
         cells = fitted.touched & (loaded.pressure[number] != 0) & (change * expected > 0)
         if cells.any():
+            # Cells at the edge of the foot answer as the foot's place lets them.
+            place = loaded.pressure_sd[number] / np.where(cells, np.abs(loaded.pressure[number]), 1.0)
+            cells &= place <= np.median(place[cells])
             found[number] = float(np.median(np.log(change[cells] / expected[cells])))
     return found
 

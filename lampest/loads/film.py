@@ -247,6 +247,22 @@ class FilmKnown:
         said = f"estimated from the recording, and {100 * residue:.1f} % of a load may stay after it"
         return replace(found, sentence=found._said(said if shared <= 0.8 * usual.sd else "assumed"))
 
+    def at_once(self, change: Array, time: Array) -> tuple[Array, Array]:
+        """(ln r/r_rest without what crept, its deviation as creep is known), (frames, rows, columns); NaN stays.
+
+        change : (frames, rows, columns) ln r/r_rest. time : (frames) s.
+        """
+        mean, sd = self.cells or self.creep
+        strength = np.stack([np.broadcast_to(one, change.shape[1:]) for one in (mean, mean + sd)])
+        creep, found, last = Creep.at_rest(strength), list[Array](), float(time[0]) - 1.0
+        for frame, now in zip(change, time, strict=True):
+            seconds = max(float(now) - last, SOONEST)
+            found.append(creep.at_once(np.broadcast_to(frame, strength.shape), seconds))
+            after, known = creep.after(found[-1], seconds), np.isfinite(frame)
+            creep, last = replace(creep, crept=np.where(known, after.crept, creep.crept)), float(now)
+        here, other = np.stack(found, axis=1)
+        return here, np.abs(other - here)
+
     def _said(self, creep_from: str, instead: str = "") -> str:
         parts = []
         if self.film.hysteresis == "auto":

@@ -11,9 +11,12 @@ from lampest.estimate.estimator import Estimator
 from lampest.estimate.load_calibration import LoadCalibration, calibrate_loads
 from lampest.estimate.sequence import reconstruct
 from lampest.files.errors import InputError
-from lampest.loads.calibration import Loaded, fit_loads
+from lampest.loads.calibration import Loaded, answers_by_others, fit_loads, response_of
+from lampest.loads.film import Creep, FilmKnown
 from lampest.loads.known_loads import KnownLoad, KnownLoads
+from lampest.loads.pressure import pressure_of
 from lampest.loads.response import PUBLISHED
+from lampest.panel.film import Film
 from lampest.panel.panel import Array, Panel
 from lampest.panel.response import PowerResponse
 from lampest.panel.scene import Scene
@@ -91,6 +94,46 @@ def test_bars_of_gains_and_curve_hold_the_truth() -> None:
         curves.append(np.abs(np.log(curve / truth)) < 1.96 * curve_sd)
     assert np.mean(gains) > 0.9
     assert np.mean(curves) > 0.9
+
+
+def test_one_pressure_leaves_larger_pressures_of_another_film_open() -> None:
+    """Feet of 5 kPa with their edges calibrate; pressures of 1 to 16 kPa are covered, 10 films."""
+    rng, inside, kpa = np.random.default_rng(4), [], np.array([1.5, 3.0, 8.0, 12.0, 16.0])
+    pressure = np.tile([5.0, 5.0, 4.0, 3.0, 2.0, 1.0, 5.0, 5.0], (16, 2))
+    for number in range(10):
+        film = PowerResponse(exponent=0.5 + 0.06 * number, scale_kpa=float(np.exp(rng.uniform(-1, 1))))
+        change = np.exp(0.03 * rng.standard_normal(pressure.shape)) * film.logarithm(pressure)
+        fitted = fit_loads(Loaded(change, np.full(pressure.shape, 0.01), pressure, 0 * pressure, np.zeros(16)))
+        response = replace(response_of(fitted, PUBLISHED, (4, 4), 0.0), gain=None, gain_sd=((fitted.scatter,) * 5,))
+        ratio = np.exp(film.logarithm(kpa))[None, None]
+        found = pressure_of(ratio, 0.999 * ratio, 1.001 * ratio, Scene(Panel(1, 5), response=response))
+        inside.append((found.lower <= kpa) & (kpa <= found.upper))
+    assert np.mean(inside) >= 0.9
+
+
+def test_creep_is_taken_off_before_loads_calibrate() -> None:
+    """ln(r/r0) at once, of two loads that lie for 3 and 100 s on cells that creep by 8 and 10 % a decade."""
+    strength, frames = np.array([[0.08, 0.1]]), []
+    load, film = np.r_[np.zeros(2), np.ones(3), np.zeros(5), np.ones(100)][:, None, None], Creep.at_rest(strength)
+    for now in load:
+        frames.append(film.answer(now, 1.0))
+        film = film.after(now, 1.0)
+    known = FilmKnown.specified(Film(creep_per_decade=0.08, deviation=0.25))
+    frames[4][0, 1] = np.nan
+    found, sd = known.at_once(np.array(frames), np.arange(110.0))
+    np.testing.assert_allclose(found[:, :, 0], load[:, :, 0], atol=1e-12)
+    assert np.isnan(found[4, 0, 1]) and np.all(np.abs(found - load)[20:, 0, 1] < 1.3 * sd[20:, 0, 1])
+
+
+def test_cells_under_the_edge_of_a_foot_do_not_make_a_load_odd() -> None:
+    """One load of 24 stands aside: cells at its edge feel half as much, which its place leaves open."""
+    pressure = np.tile([5.0, 5.0, 2.0, 2.0], (24, 1))
+    place = np.where(pressure == 2.0, 1.0, 0.0)
+    felt = pressure.copy()
+    felt[7, 2:] = 1.0
+    change = np.exp(0.02 * np.random.default_rng(5).standard_normal(felt.shape)) * PUBLISHED.logarithm(felt)
+    away = answers_by_others(Loaded(change, np.full(felt.shape, 0.01), pressure, place, np.zeros(4)))
+    assert np.abs(away - np.median(away)).max() < 0.1
 
 
 def test_cells_without_load_have_the_common_curve_and_the_spread() -> None:
