@@ -1,8 +1,10 @@
 """HDF5 as lampest writes it: whole or not at all, under HDF5's own checksums, fixed-length ASCII, units on everything.
 
-Format v110 has checksums of all metadata, small values among it; larger values are in chunks, packed, with Fletcher-32.
+Format v110 has checksums of all metadata, small values among it; larger values are in chunks with Fletcher-32, packed
+unless they are many and noise fills their digits.
 """
 
+import zlib
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from functools import wraps
@@ -29,8 +31,10 @@ from lampest.files.whole import check_room, is_locked, note_read, whole_file
 FORMAT = ("v110", "v110")  # HDF5 1.10 of 2016: the oldest with checksums of all metadata
 MOST_VALUES = 100_000_000
 MOST_TEXT_BYTES = 5_000_000
-PACKED = {"compression": "gzip", "shuffle": True, "fletcher32": True}
+UNPACKED: Mapping[str, Any] = {"fletcher32": True}
+PACKED: Mapping[str, Any] = {**UNPACKED, "compression": "gzip", "shuffle": True}
 CHUNK = 100_000  # values that are packed together; whole frames of them
+MOST_LEFT = 2 / 3  # of a sample's bytes, above which packing takes twenty times as long as writing for little
 ALL = slice(None)
 OPEN_FOR_WRITING = ("already open for", "truncated file")
 
@@ -135,12 +139,22 @@ def write_dataset(
     data = np.asarray(data)
     if data.shape and data.size > 64:  # fewer are not worth compression
         length = max(1, min(len(data), CHUNK // int(np.prod(data.shape[1:]))))
-        dataset: Any = group.create_dataset(name, data=data, chunks=(length, *data.shape[1:]), **PACKED)
+        packing = PACKED if _shrinks(data) else UNPACKED
+        dataset: Any = group.create_dataset(name, data=data, chunks=(length, *data.shape[1:]), **packing)
     else:
         dataset = write_plain(group, name, data)
     set_attributes(dataset, units=units, long_name=long_name, **further)
     if any(scales):
         attach_scales(group, {name: scales})
+
+
+def _shrinks(data: NDArray[Any]) -> bool:
+    """Whether packing is worth its time; of more than a chunk of numbers by a sample, cells of some frames."""
+    if data.size <= CHUNK or data.dtype.kind != "f":
+        return True
+    sample = np.ascontiguousarray(data.reshape(len(data), -1)[:16, :512])
+    planes = sample.view(np.uint8).reshape(sample.size, -1).T.tobytes()
+    return len(zlib.compress(planes, 1)) < MOST_LEFT * len(planes)
 
 
 def attach_scales(group: h5py.Group, axes: Mapping[str, tuple[str, ...]]) -> None:

@@ -14,13 +14,14 @@ OF_AXES = ("DIMENSION_LIST", "REFERENCE_LIST", "CLASS", "NAME")  # by which HDF5
 
 
 class DatasetPlan(NamedTuple):
-    """A dataset as it is to be; length : of its chunks. scales : the paths of its axes'.
+    """A dataset as it is to be; length : of its chunks, packing : of these. scales : the paths of its axes'.
 
     is_scale : whether it is an axis itself. along : whether its first axis is time. owner : the last file that has it.
     """
 
     shape: tuple[int, ...]
     length: int
+    packing: Mapping[str, Any]
     dtype: Any
     scales: tuple[str, ...]
     is_scale: bool
@@ -50,7 +51,7 @@ def join_parts(parts: Sequence[Path], target: h5py.Group, group: str) -> None:
     for path, plan in joined.items():
         shape = (_lengths(plans)[path.split("/", 1)[0]], *plan.shape[1:])
         nothing, chunks = np.nan if plan.dtype.kind == "f" else None, (plan.length, *shape[1:])
-        target.create_dataset(path, shape, plan.dtype, chunks=chunks, fillvalue=nothing, **hdf5.PACKED)
+        target.create_dataset(path, shape, plan.dtype, chunks=chunks, fillvalue=nothing, **plan.packing)
     for part, begin in zip(parts, begins, strict=True):
         with hdf5.existing_file(part) as file:
             for path, node in _below(file[group]):
@@ -69,7 +70,8 @@ def join_parts(parts: Sequence[Path], target: h5py.Group, group: str) -> None:
 
 def _append(target: h5py.Dataset, part: h5py.Dataset, first: int) -> None:
     """A part's values from frame `first` on; chunks that are the same there go over as they are packed."""
-    length, same = target.chunks[0], target.chunks == part.chunks and target.dtype == part.dtype
+    length, names = target.chunks[0], ("chunks", "dtype", "compression")
+    same = all(getattr(target, name) == getattr(part, name) for name in names)
     whole = len(part) - len(part) % length if same and first % length == 0 else 0
     for begin in range(0, whole, length):
         beside = (0,) * (target.ndim - 1)
@@ -85,10 +87,12 @@ def _planned(dataset: h5py.Dataset, owner: Path, before: DatasetPlan | None) -> 
     along = f"{dataset.name if dataset.is_scale else (*scales, '')[0]}".endswith(f"/{TIME}")
     shape, dtype = dataset.shape, dataset.dtype
     length = 1 if not shape else dataset.chunks[0] if dataset.chunks else max(shape[0], 1)
+    packing = hdf5.PACKED if dataset.compression or not dataset.chunks else hdf5.UNPACKED
     if before is not None and along:
         shape, length = (before.shape[0] + shape[0], *shape[1:]), max(before.length, length)
+        packing = before.packing
         dtype = max(before.dtype, dtype, key=lambda kind: int(kind.itemsize))
-    return DatasetPlan(tuple(shape), length, dtype, scales, bool(dataset.is_scale), along, owner)
+    return DatasetPlan(tuple(shape), length, packing, dtype, scales, bool(dataset.is_scale), along, owner)
 
 
 def _lengths(plans: Mapping[str, DatasetPlan]) -> dict[str, int]:

@@ -321,6 +321,22 @@ def test_parts_are_joined_as_they_are_packed(tmp_path: Path, monkeypatch: pytest
     assert checked_sentence(tmp_path / "joined.h5").count("agree with their checksums") == 1
 
 
+def test_noise_is_not_packed_and_what_repeats_is(tmp_path: Path) -> None:
+    """Of many values; the same files when parts of either kind are joined, whichever comes first."""
+    scene, rng = lampest.Scene(lampest.Panel(10, 10), lampest.TwoPointReadout()), np.random.default_rng(1)
+    noisy, still = 900 + rng.standard_normal((1200, 10, 10)), np.full((1200, 10, 10), 900.0)
+    parts = [Recording(scene, one, np.zeros(1200), np.ones(1200, np.uint8)) for one in (noisy, still)]
+    for order in (parts, parts[::-1]):
+        stored.save_parts(tmp_path / "joined.h5", order)
+        for number, part in enumerate(order):
+            part.save(tmp_path / f"{number}.h5")
+            with h5py.File(tmp_path / f"{number}.h5") as file:
+                assert file["entry/two_point/resistance"].compression == (None if part is parts[0] else "gzip")
+        joined = Recording.load(tmp_path / "joined.h5").recorded
+        assert np.array_equal(joined, np.concatenate([part.recorded for part in order]))
+        assert checked_sentence(tmp_path / "joined.h5").count("agree with their checksums") == 1
+
+
 @pytest.mark.slow
 def test_commands_read_long_files_by_parts(tmp_path: Path, lampest: Command, monkeypatch: pytest.MonkeyPatch) -> None:
     """`info` and `check` of all; one frame is drawn, and some are compared, exported and looked at."""
