@@ -63,7 +63,7 @@ class Detector:
         if (calm := self.calm(frame)) is not None:
             return self._judged(calm, ())
         (field, without), found = field_fit(frame), list[Verdict]()
-        kinds = tuple(load for load in self.loads if not load.sucks or rises(field.change)) or self.loads
+        kinds = tuple(load for load in self.loads if not load.sucks or rises(without)) or self.loads
         if before is not None and before.loads:
             found.append(self._settled(frame, before.loads, field, without))
         if not found or self._doubtful(found[0], field):
@@ -218,7 +218,7 @@ class Detector:
             return fitting.found(here, likelihood, whitening, quick=True)
 
         def likely(fit: Fit) -> float:
-            return fit.evidence - prior_cost(self.panel, fit, calm.baseline.response, field.change)
+            return fit.evidence - prior_cost(self.panel, fit, calm)
 
         first = next((load for load in kinds if load.sucks), kinds[0])
         sucking = best = fitted([(first, first.start(disc)) for disc in discs])
@@ -235,7 +235,7 @@ class Detector:
         """The verdict on these, on nothing, and on the same pressure everywhere."""
         rest = Whitening.at_rest(frame)
         uniform = [self._fitting(kind, frame).best(kind.mean(self.panel), rest) for kind in UNIFORM]
-        return Verdict.of(self.panel, (*uniform, *fits), frame.measured.size, frame.baseline.response)
+        return Verdict.of(self.panel, (*uniform, *fits), frame)
 
     def _doubtful(self, verdict: Verdict, field: Fit) -> bool:
         """Whether another number of loads might explain more, or cells beside the best have clearly changed."""

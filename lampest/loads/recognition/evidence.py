@@ -14,10 +14,10 @@ from scipy.special import softmax
 
 from lampest.loads.recognition.candidates import FIELD, UNIFORM, under
 from lampest.loads.recognition.fit import UNLIKELY, Fit
+from lampest.loads.recognition.observation import Observation
 from lampest.loads.response import PUBLISHED
 from lampest.loads.shapes.disc import Disc
-from lampest.panel.panel import Array, Panel
-from lampest.panel.response import Response
+from lampest.panel.panel import Panel
 
 # Of ln P, assumptions: of every further load, or a rim that moves without its suction; and of what cannot be, hidden
 # suction and two loads in one place. What is no candidate is fitted by such with up to e⁶⁰ times their evidence.
@@ -45,12 +45,11 @@ class Verdict:
     evidence: float
 
     @classmethod
-    def of(cls, panel: Panel, fits: Sequence[Fit], readings: int, response: Response = PUBLISHED) -> "Verdict":
+    def of(cls, panel: Panel, fits: Sequence[Fit], frame: Observation) -> "Verdict":
         """Where no candidate fits, differences of evidence count less, by χ² per reading of the best one."""
-        seen = next((fit.change for fit in fits if fit.candidate is FIELD), None)
-        before = np.array([prior_cost(panel, fit, response, seen) for fit in fits])
+        before = np.array([prior_cost(panel, fit, frame) for fit in fits])
         evidence = np.array([fit.evidence for fit in fits])
-        goodness = fits[int(np.argmax(evidence - before))].chi2 / readings
+        goodness = fits[int(np.argmax(evidence - before))].chi2 / frame.measured.size
         counts = (COUNTS if len(fits) > len(UNIFORM) else 1.0) / max(1.0, goodness)
         shares = softmax(counts * evidence - before)
         return cls(tuple(fits), tuple(map(float, shares)), goodness, float(max(evidence - before)))
@@ -78,27 +77,28 @@ class Verdict:
         return sum(share for fit, share in pairs if _sucks(fit, disc)) / max(1 - self.nothing, 1e-9)
 
 
-def prior_cost(panel: Panel, fit: Fit, response: Response = PUBLISHED, seen: Array | None = None) -> float:
-    """−ln P of a fit before the measurement, up to what all share; response : the scene's own.
+def prior_cost(panel: Panel, fit: Fit, frame: Observation | None = None) -> float:
+    """−ln P of a fit before the measurement, up to what all share.
 
-    Of further loads, of suction that raises no cell, and of loads that stand in each other. seen : (rows, columns)
-    ln r/r0 of the field, which has to rise as well; None: there is none.
+    Of further loads, of suction that raises no cell, and of loads that stand in each other. frame : in whose cells
+    suction has to show as well; None: in none.
     """
-    maps = [fit.change] if seen is None else [fit.change, seen]
+    response = PUBLISHED if frame is None else frame.baseline.response
     loads = [(part, part.disc(own)) for part, own in fit.loads]
     cost = sum(_overlapping(*pair) for pair in combinations([disc for _, disc in loads if disc is not None], 2))
     for part, disc in loads:
         if part.sucks:
             there = np.full(panel.shape, True) if disc is None or len(loads) == 1 else under(panel, disc)
             full = 0.0 if disc is None else float(np.mean(response.gains * response.logarithm(disc.suction_kpa)))
+            maps = [fit.change] if frame is None else [fit.change, frame.highest]
             rise = min(float(one[there].max(initial=0.0)) for one in maps)
             cost += _hidden(rise, full)
     return RARER * (len(loads) - 1) + CANNOT_BE * cost
 
 
-def rises(seen: Array) -> bool:
-    """Whether ln r/r0 of the field rises enough for suction to be possible: less makes it too rare to be searched."""
-    return CANNOT_BE * _hidden(float(seen.max()), 0.0) < 2 * UNLIKELY
+def rises(frame: Observation) -> bool:
+    """Whether ln r/r0 may rise enough for suction to be possible: less makes it too rare to be searched."""
+    return CANNOT_BE * _hidden(float(frame.highest.max()), 0.0) < 2 * UNLIKELY
 
 
 def _hidden(rise: float, full: float) -> float:

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_solve, cholesky, lapack
 
+from lampest.loads.pressure import CLEAR
 from lampest.loads.recognition.settings import ModelErrors
 from lampest.loads.response import PUBLISHED
 from lampest.panel.network import Network
@@ -213,10 +214,19 @@ class Observation:
         return most_probable(model, start.ravel(), np.zeros(start.size), prior, LONGEST / 10)
 
     @cached_property
+    def _mapped(self) -> MostProbable:
+        nothing = np.zeros(self.measured.shape)
+        return self.cells(nothing, MAP_SD**2 * np.eye(nothing.size))
+
+    @property
     def map(self) -> Array:
         """ln r/r0 of every cell, (rows, columns): of independent cells with a standard deviation of MAP_SD."""
-        nothing = np.zeros(self.measured.shape)
-        return self.cells(nothing, MAP_SD**2 * np.eye(nothing.size)).state.reshape(nothing.shape)
+        return self._mapped.state.reshape(self.measured.shape)
+
+    @cached_property
+    def highest(self) -> Array:
+        """ln r/r0 that the readings do not clearly exclude, (rows, columns): the map and CLEAR standard deviations."""
+        return self.map + CLEAR * np.sqrt(np.diag(self._mapped.covariance)).reshape(self.measured.shape)
 
     @cached_property
     def target(self) -> Array:
