@@ -10,7 +10,7 @@ import numpy as np
 
 from lampest.cost.problem import Part, residuals
 from lampest.panel.panel import Array
-from lampest.posterior.certainty import Certainty
+from lampest.posterior.certainty import Certainty, alike
 from lampest.posterior.dense import positive_inverse, rank
 from lampest.posterior.linear import IGNORANCE, NEAR_BOUND
 from lampest.posterior.track import Bars, Track
@@ -71,12 +71,13 @@ class BatchErrors:
         shares = resolution, self._gain @ self._sensitivity.sum(axis=2)[..., None]
         unseen = (self._inverse**2).sum(axis=2, keepdims=True) * (IGNORANCE * self._scale**2)
         variance = self._gain**2 @ self._noise + unseen + self._of_penalties
-        shared = np.zeros(variance.shape)
+        drawn, shared = np.zeros((2, *variance.shape))
         for number, track in enumerate(self.tracks):
             if track.noise is not None:
                 columns = track.noise.columns(self.points.batch.data.measured[number][None], False)
-                shared[number] = np.sum((self._gain[number] @ columns) ** 2, axis=1, keepdims=True)
-        variance = variance + shared
+                answer = self._gain[number] @ columns
+                drawn[number], shared[number] = (answer**2).sum(axis=1, keepdims=True), alike(answer)[:, None]
+        variance = variance + drawn
         data, cells = self.points.batch.data, self.points.network.cell_resistance
         return Certainty.inside(cells, data, (variance, np.minimum(shared, variance)), shares)
 

@@ -109,6 +109,15 @@ class Certainty(LogInterval):
         return Certainty(*(getattr(self, field.name)[frame] for field in fields(self)))
 
 
+def alike(answer: Array) -> Array:
+    """Variance (…, cells) by which independent errors of variance 1 move all cells alike: Σ a² − (a − ā)², at least 0.
+
+    answer : a (…, cells, n), what each does to log r. ā is the median of the cells; a − ā is each cell's own.
+    """
+    apart = answer - np.median(answer, axis=-2, keepdims=True)
+    return np.asarray(np.maximum(answer**2 - apart**2, 0.0).sum(axis=-1))
+
+
 def own_part(deviation: Array, common: Array) -> Array:
     """√(deviation² − common²), infinite where a cell may be open; any shape."""
     return np.asarray(np.sqrt(np.maximum(deviation**2 - common**2, 0.0)))

@@ -27,7 +27,7 @@ from scipy.linalg import blas, lapack
 from lampest.cost.cost import Cost
 from lampest.cost.problem import residuals
 from lampest.panel.panel import Array
-from lampest.posterior.certainty import Certainty
+from lampest.posterior.certainty import Certainty, alike
 from lampest.posterior.interval import one_sided
 from lampest.posterior.linear import IGNORANCE, LinearModel, least_widening
 from lampest.solvers.hessian import block_diagonal
@@ -250,11 +250,15 @@ class DenseErrors:
 
     @property
     def shared_variance(self) -> Array:
-        """The part of the variance that one chance moves together in a frame."""
+        """The part of the variance by which chances of a frame move all its cells alike."""
+        size, free = self.model.at.cell_resistance[0].size, self.model.free
+        found = np.zeros(len(free))
         if self.drawn is None:
-            return np.zeros(len(self.model.free))
-        nothing = np.zeros((self.model.at.cell_resistance[0].size, self.drawn.shape[1]))
-        return np.asarray(np.minimum(np.sum(self.answer(self.drawn, nothing, nothing) ** 2, axis=1), self.variance))
+            return found
+        answer = self.answer(self.drawn, *np.zeros((2, size, self.drawn.shape[1])))
+        for frame in np.unique(free // size):
+            found[free // size == frame] = alike(answer[free // size == frame])
+        return np.asarray(np.minimum(found, self.variance))
 
     def answer(self, rows: Array, last: Array, baseline: Array) -> Array:
         """What errors of the data (rows, n), the same as those that earlier estimates have (cells, n), do to log r."""

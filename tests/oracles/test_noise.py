@@ -22,6 +22,7 @@ from lampest.panel.scene import Systematic
 from lampest.posterior.frame_noise import FrameNoise
 from lampest.recording.readings import Readings
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
+from lampest.recording.simulation import Simulation, Unmodelled, simulate
 from lampest.report.info import describe
 from lampest.studies.audit import AuditFile, AuditTask
 from lampest.studies.study import read_settings
@@ -187,6 +188,19 @@ def test_bars_hold_a_gain_of_each_frame(seed: int) -> None:
     told, cells = recorded(seed, scene_of(0.7), lambda exact, rng: converted(exact, rng, 0.7, 0.004))
     assert "gain" in noise_seen(told).sentence
     assert min(held(reconstruct(told, LSM), cells)) > 0.85
+
+
+@pytest.mark.parametrize("effect", [{"supply_ripple_lsb": 2.0}, {"gain_spread": 0.005}])
+def test_own_parts_cover_what_a_frame_does_to_cells_differently(effect: dict[str, float]) -> None:
+    """Ripple raises some cells and lowers others, and a gain moves each cell by its resistance."""
+    scene = Scene(Panel(10, 10), TwoPointReadout(noise_lsb=0.7), 140.0)
+    plain = Simulation(1, 8, scene, baseline_frames=5, frames=4, unmodelled=Unmodelled(**effect))
+    recording = simulate(plain)
+    found = reconstruct(recording, LSM)
+    error = np.log(found.cell_resistance / recording.truth_cell_resistance[found.frame])
+    error -= np.median(error, axis=(1, 2), keepdims=True)
+    assert np.mean(np.abs(error) < 1.96 * found.sigma_own) > 0.88
+    assert np.median(found.sigma_own) / (1.4826 * np.median(np.abs(error))) == pytest.approx(1, abs=0.3)
 
 
 def test_scenes_that_say_nothing_leave_usual_errors_possible_and_none_leaves_none() -> None:
