@@ -151,22 +151,29 @@ class Fitting:
         return found.at, found.evaluations
 
     def best(self, start: Array, whitening: Whitening, most: float = np.inf, quick: bool = False) -> Fit:
-        """The most probable φ; the circuit is linearised anew where the last search ended, until that changes nothing.
+        """The most probable φ. most : a cost above which it ends early. quick : widths are those of the curvature."""
+        here, likelihood, steps = self.settled(start, whitening, most)
+        return replace(self.found(here, likelihood, whitening, quick or here.cost > most), steps=steps)
 
-        most : a cost above which it ends early. quick : the widths are those of the curvature.
+    def settled(
+        self, start: Array, whitening: Whitening, most: float = np.inf, held: int | None = None
+    ) -> tuple[Linearisation, CellLikelihood, int]:
+        """(the most probable φ with its exact cost, the likelihood about it, evaluations).
+
+        The circuit is linearised anew where the last search ended, until that changes nothing. most, held : as above.
         """
         likelihood, steps = self.about(start, whitening), 0
-        parameters, least, best = start, np.inf, None
+        parameters, best = start, None
         for _ in range(ROUNDS):
-            there, count = self.descended(parameters, likelihood, most=most)
+            there, count = self.descended(parameters, likelihood, STEPS, most, held)
             likelihood, steps = CellLikelihood.about(self.frame, whitening, there.change), steps + count
             parameters, exact = there.parameters, there.cost - there.misfit + likelihood.exact
-            if best is None or exact < least:
-                best, least = (replace(there, cost=exact), likelihood), exact
+            if best is None or exact < best[0].cost:
+                best = replace(there, cost=exact), likelihood
             if abs(exact - there.cost) < ENOUGH or min(exact, there.cost) > most:
                 break
         assert best is not None
-        return replace(self.found(*best, whitening, quick or least > most), steps=steps)
+        return *best, steps
 
     def stays(self, parameters: Array, whitening: Whitening) -> Fit:
         """The fit at φ as it is."""
@@ -237,15 +244,15 @@ def along_diameter(fitting: Fitting, fit: Fit, whitening: Whitening) -> Fit:
     names = list(fit.candidate.priors(fitting.panel))
     if "diameter" not in names:
         return fit
-    place, likelihood = names.index("diameter"), fitting.about(fit.parameters, whitening)
+    place = names.index("diameter")
     others = np.ix_(*2 * [np.arange(len(names)) != place])
-    points = [fitting.descended(fit.parameters, likelihood, held=place)[0]]
+    points = [fitting.settled(fit.parameters, whitening, held=place)[0]]
     apart = fitting.patch_mm / POINTS / float(np.exp(fit.parameters[place]))  # as points of a patch are
     for step in (1, -1) * np.array(max(apart, fit.covariance[place, place] ** 0.5 / 2)):
         here = points[0]
         while here.cost < points[0].cost + UNLIKELY / 2:
             begin = here.parameters + step * np.eye(len(names))[place]
-            here = fitting.descended(begin, likelihood, STEPS // 6, held=place)[0]
+            here = fitting.settled(begin, whitening, points[0].cost + UNLIKELY / 2, place)[0]
             points.append(here)
     # A centre a pitch further on would have touched other patches.
     centred = np.diag(fitting.centred * 12 / fitting.panel.pitch_mm**2)
