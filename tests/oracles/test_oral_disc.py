@@ -17,7 +17,8 @@ from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.scene import Scene, Systematic, Water
 from lampest.recording.recording import Recording
 from lampest.recording.simulation.measure import Unmodelled
-from lampest.recording.simulation.simulation import Simulation, simulate
+from lampest.recording.simulation.simulation import Course, Simulation, simulate
+from lampest.report.detect.detection import detect_recording
 from lampest.runs.batch import run_batch
 from lampest.runs.config import read_run
 from lampest.runs.executors import local
@@ -100,6 +101,18 @@ def test_cells_depart_from_the_disc_as_readings_say() -> None:
     rim = change < -0.5  # readings determine these; a cell that is sucked open they do not
     assert rms(of_cells, rim) < 0.25 * rms(of_disc, rim)
     assert rms(of_cells, np.abs(change) > 0.5) < rms(of_disc, np.abs(change) > 0.5)
+
+
+def test_strong_suction_leaves_no_smaller_disc_possible(tmp_path: Path) -> None:
+    """Cells that suction opens change the readings by little more, but by much where they would close again."""
+    scene = Scene(Panel(10, 10), TwoPointReadout(), series_resistance_ohm=140.0)
+    load = OralDisc(centre_mm=(45.2, 51.3), diameter_mm=32.2, rim_width_mm=4.5, pressure_kpa=-20, rim_kpa=60)
+    off = Unmodelled(channel_spread_ohm=3.0, reference_tolerance=0.01, response_spread=0.25, response_loss=0.3)
+    times = {"frames": 12, "baseline_frames": 5, "frame_period_s": 0.25, "course": Course(start_s=2.0)}
+    simulate(Simulation(1, 1, scene, loads=(load,), unmodelled=off, **times)).save(tmp_path / "mouth.h5")
+    (found,) = detect_recording(tmp_path / "mouth.h5").attachments
+    assert found.diameter_mm is not None
+    assert found.diameter_mm[1] < 3 and abs(found.diameter_mm[0] - 32.2) < 2 * found.diameter_mm[1]
 
 
 def test_it_needs_the_noise_and_nothing_to_penalise() -> None:
