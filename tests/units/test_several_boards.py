@@ -57,6 +57,29 @@ def test_a_board_that_falls_silent_is_missing_alone_and_comes_back(tmp_path: Pat
     assert found.readings().enough(SCENE).any()
 
 
+@pytest.mark.slow
+def test_a_board_that_answers_without_frames_for_long_comes_back(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of one board alone that is an error; beside others it is opened anew, and its clock compared anew."""
+    monkeypatch.setattr("lampest.recording.board.stream.UNFIT_SECONDS", 0.4)
+    monkeypatch.setattr("lampest.recording.board.stream.SILENCE_SECONDS", 0.2)
+    runs = itertools.count()
+
+    def hanging(hello: Hello) -> Iterator[tuple[float, bytes]]:
+        if next(runs) == 0:
+            yield from itertools.islice(steady(hello), 10)
+            yield 60.0, b""
+        yield from steady(hello)
+
+    with ExitStack() as stack:
+        ports = [board.port for board in opened(stack, steady, hanging, steady, steady)]
+        done = record(ports, tmp_path / "r.h5", frames=140, scene=SCENE, period=PERIOD, baseline=3)
+    gone = np.isnan(LAYOUT.split(Recording.load(tmp_path / "r.h5").recorded)).all(axis=(2, 3))
+    assert done.frames == 140 and done.lost == 0 and not gone[:, [0, 2, 3]].any()
+    assert 5 <= gone[:, 1].sum() == done.parted <= 110 and not gone[-3:, 1].any()
+
+
 def test_ports_and_modules_must_be_as_many() -> None:
     dead = replace(SCENE, faults=Faults(dead_modules=((0, 1),)))
     with pytest.raises(InputError, match=r"reads 3 modules: .* order \[0, 0\], \[1, 0\], \[1, 1\]; not 2"):

@@ -19,7 +19,7 @@ from lampest.panel.panel import Modules
 from lampest.panel.scene import Scene
 from lampest.recording.acquisition import NO_SUM
 from lampest.recording.board.port import only_port
-from lampest.recording.board.stream import Sample, Samples, board_samples
+from lampest.recording.board.stream import RETRY_SECONDS, Sample, Samples, board_samples
 
 CLOCKED = 50  # newest frames of which the least delayed one sets a board's clock
 NEAR = 0.75  # periods by which a board's frame may be off a moment: half of one, and what clocks jitter
@@ -205,15 +205,25 @@ class _Boards:
 
 
 def _listen(board: int, port: str, own: Scene, period: float | None, arrived: Arrived, ended: Event) -> None:
-    """Queue a board's samples, its states, the error that ended it, and None at the end."""
+    """Queue a board's samples and states until the end, then None; an error before its first sample ends it.
+
+    One that fails later is opened anew, as often as need be: a hub that hangs is unplugged, and comes back.
+    """
 
     def said(sentence: str) -> None:
         arrived.put((board, sentence))
 
-    try:
-        with closing(board_samples(port, own, period, said, ended.is_set)) as batches:
-            for sample in (sample for batch in batches for sample in batch):
-                arrived.put((board, sample))
-    except InputError as error:
-        arrived.put((board, error))
+    sessions = 0
+    while not ended.is_set():
+        before = sessions
+        try:
+            with closing(board_samples(port, own, period, said, ended.is_set)) as batches:
+                for sample in (sample for batch in batches for sample in batch):
+                    sessions = before + sample.session + 1
+                    arrived.put((board, replace(sample, session=sessions - 1)))
+        except InputError as error:
+            arrived.put((board, str(error) if sessions else error))
+            if not sessions:
+                break
+            ended.wait(RETRY_SECONDS)
     arrived.put((board, None))
