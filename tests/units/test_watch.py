@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from lampest.loads.recognition.detector import Detector
 from lampest.loads.shapes import OralDisc, Rod
 from lampest.loads.shapes.shape import Shape
 from lampest.panel.panel import Panel
@@ -71,6 +72,19 @@ def test_a_load_that_was_there_before_the_first_frame_is_none_that_comes_when_it
     assert found.answer == CANNOT_SAY and found.why.endswith("in its unloaded frames, and left at 10.0 s")
     again = answered(taken((ROD, 0, 10), (MOUTH, 14, 20)))
     assert again.answer == SUCKS and len(again.attachments) == 1
+
+
+def test_a_load_that_never_leaves_the_unloaded_frames_is_not_nothing() -> None:
+    mouth = OralDisc(centre_mm=(44, 46), diameter_mm=35, rim_width_mm=6, pressure_kpa=-12)
+    recording = taken((mouth, -1, 9), frames=8, side=10)
+    found = answered(recording)
+    assert found.answer == CANNOT_SAY and "may lie on the panel in the unloaded frames" in found.why
+    search = Detector(recording.scene.panel, 6.0).search
+    for seed in range(60):  # uneven by 12 to 25 %, with a faulty cell
+        rng = np.random.default_rng(seed)
+        bare = rng.uniform(0.12, 0.25) * rng.standard_normal((10, 10))
+        bare[3, 4] -= 3.0
+        assert not search.lies_on(8 + bare)
 
 
 def test_an_outlier_in_an_unloaded_frame_does_not_blind(frames: int = 14) -> None:

@@ -34,6 +34,7 @@ SETTLES_S = 60.0  # of drift that is expected within the unloaded frames
 # Of what stands there, as patterns see it: a change beyond it is another load, or one that left. And the standard
 # deviation of what a film keeps of a load that left, in its ln r/r0.
 CHANGED, FILM_KEEPS = 0.5, 0.12
+UNEVENLY = "a load may lie on the panel in the unloaded frames: its cells are uneven in the shape of one"
 FIRST_S, FRAMES = 1.0, 3  # after which something is recognised first, and at least; breathing is judged again
 
 
@@ -118,8 +119,8 @@ class Watch:
     size : (discs) scores of the load that is there. left, left_s : the same of the last load that was recognised, and
     when. seen, verdict : the median frame in which something was recognised since it came, and as what. known : whether
     that was since the last step. next_s, breath_s : when it will be again, and its breathing. uncovered_s : when a load
-    left that had been there before the first frame. own : (discs) about which something has to begin that is recognised
-    here; None: all.
+    left that had been there before the first frame. uneven : whether one may be there in the unloaded frames. own :
+    (discs) about which something has to begin that is recognised here; None: all.
     """
 
     panelled: Panelled
@@ -143,6 +144,7 @@ class Watch:
     next_s: float = np.inf
     breath_s: float = np.inf
     uncovered_s: float | None = None
+    uneven: bool = False
     attachments: tuple[Attachment, ...] = ()
     own: NDArray[np.bool_] | None = None
 
@@ -157,7 +159,8 @@ class Watch:
         frame = panelled.frame(measured, sigma, panelled.baseline(measured, sigma, frames), 0.0)
         own = np.where(np.isnan(unloaded), measured, unloaded).reshape(len(unloaded), rest.size)
         test = StepTest.of(frame, panelled.detector.search, np.log(own))
-        return cls(panelled, test, sigma, rest, frames, time, rest, time, (rest, rest))
+        uneven = panelled.detector.search.lies_on(frame.baseline.logarithm)
+        return cls(panelled, test, sigma, rest, frames, time, rest, time, (rest, rest), uneven=uneven)
 
     def push(self, measured: Array, sigma: Array, time: float) -> "Watch":
         """After a frame; a reading without a finite σ does not count. All (rows, columns)."""
@@ -202,7 +205,7 @@ class Watch:
             return f"something touched the panel at {self.begun:.1f} s, and has not been still for long enough"
         if self.uncovered_s is not None:
             return f"something stood on the panel in its unloaded frames, and left at {self.uncovered_s:.1f} s"
-        return ""
+        return UNEVENLY if self.uneven else ""
 
     def _stepped(self, shown: Array, logarithm: Array, time: float) -> "Watch":
         """With a frame among those since the last step, or the first after one."""

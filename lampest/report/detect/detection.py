@@ -102,7 +102,7 @@ class Known:
             return replace(Detected.unknown(self.name, watch.doubt), frames_per_second=rate, course=course)
         if response is None:
             found = tuple(replace(one, suction_kpa=None) for one in found)
-        notes = (*self.notes, BY, *(() if response else (NO_RESPONSE,)), *filter(None, (too_slow(rate),)))
+        notes = (*self.notes, BY, *(() if response else (NO_RESPONSE,)), *filter(None, (too_slow(rate), watch.doubt)))
         return Detected.of(self.name, found, rate, notes, course, watch.change, self.scene.panel)
 
     def values(self, readings: Readings) -> tuple[Array, Array]:
