@@ -123,6 +123,15 @@ def test_a_part_that_a_later_look_does_not_see_has_not_left() -> None:
     assert [one.until_s for one in continued_by((fin, part), [fin], 9.0)] == [None, 9.0]
 
 
+def test_what_sucked_has_sucked_when_its_suction_has_leaked() -> None:
+    """A look in which a load stands out less says how it fades; one in which it stands out more says what it is."""
+    cup = dataclasses.replace(SEEN, clear=900.0)
+    for clear, sucks in ((200.0, 0.99), (2000.0, 0.01)):
+        rest = dataclasses.replace(SEEN, sucks=0.01, diameter_mm=None, clear=clear)
+        (found,) = continued_by((cup,), [rest], 400.0, True)
+        assert found.sucks == sucks and (found.diameter_mm is None) == (sucks < 0.5)
+
+
 def test_a_probability_that_rounds_to_one_is_none() -> None:
     sure = dataclasses.replace(BREATHES, sucks=1.0, breathing=9.0)
     assert Detected.of("mouth", (sure,), 4.0).sentence.endswith("(P > 0.99)")

@@ -9,7 +9,7 @@ import numpy as np
 
 from lampest.loads.pressure import CLEAR
 from lampest.loads.recognition.breathing import Breath
-from lampest.loads.recognition.candidates import under
+from lampest.loads.recognition.candidates import UNIFORM, under
 from lampest.loads.recognition.evidence import Verdict
 from lampest.loads.recognition.observation import Observation
 from lampest.loads.shapes.disc import Disc
@@ -30,7 +30,7 @@ class Attachment:
     None where it is not known. cells : how many it touches; conductance_s : what these conduct more than at rest.
     breathing, before : ln of the odds that it oscillates as breathing does, and those without the last window.
     suction : probability that this is its suction, from the last window that shows it. sucks_s, moved_s : when it began
-    to suck, None: it does not; when it moved.
+    to suck, None: it does not; when it moved. clear : ln of how much more probable it is than an unloaded panel.
     """
 
     sucks: float
@@ -50,6 +50,7 @@ class Attachment:
     suction: float = 1.0
     sucks_s: float | None = None
     moved_s: tuple[float, ...] = ()
+    clear: float = 0.0
 
     @property
     def breathes(self) -> float:
@@ -81,7 +82,9 @@ class Attachment:
         return hypot(self.place[0] - place[0], self.place[1] - place[1])
 
     def continued(self, later: "Attachment") -> "Attachment":
-        """As it was recognised later."""
+        """As it was recognised later; as before where it sucked and now shows less: leaking suction leaves no shape."""
+        if self.sucks > 0.5 > later.sucks and later.clear < self.clear:
+            return self
         far = CLEAR * max(1.0, hypot(self.x_mm[1], self.y_mm[1], later.x_mm[1], later.y_mm[1]))
         moved = (*self.moved_s, later.since_s) if self.distance(later.place) > far else self.moved_s
         began = later.since_s if self.sucks_s is None and later.sucks > 0.5 else self.sucks_s
@@ -100,10 +103,11 @@ class Attachment:
 def attachments_of(frame: Observation, verdict: Verdict, since: float) -> list[Attachment]:
     """All loads of the most probable candidate."""
     best, found, first = verdict.best, list[Attachment](), 0
+    clear = best.evidence - max(fit.evidence for fit in verdict.fits if fit.candidate in UNIFORM)
     for candidate, own in best.loads:
         disc, after = candidate.disc(own), first + len(own)
         covariance, first = best.covariance[first:after, first:after], after
-        here = replace(_touched(frame, best.change, disc), sucks=verdict.sucks_at(disc), since_s=since)
+        here = replace(_touched(frame, best.change, disc), sucks=verdict.sucks_at(disc), since_s=since, clear=clear)
         if disc is not None:
             apart = frame.baseline.scene.panel.pitch_mm / 2
             pairs: dict[str, Any] = {"x_mm": (disc.x_mm, apart), "y_mm": (disc.y_mm, apart)}
