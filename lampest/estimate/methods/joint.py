@@ -22,6 +22,7 @@ from lampest.panel.panel import Array
 from lampest.panel.systematic import Shared
 from lampest.posterior.certainty import Certainty
 from lampest.posterior.chain import Chain
+from lampest.posterior.dense import positive_inverse
 from lampest.posterior.frame_noise import FrameNoise
 from lampest.posterior.linear import IGNORANCE, LinearModel
 from lampest.posterior.track import Bars, Change
@@ -82,12 +83,16 @@ class JointData:
 
 @dataclass(frozen=True, eq=False)
 class Joint:
-    """Φ at a point. position : (u, w) (frames, cells + n). shift : (z, c). stiffness : λ (frames − 1, cells)."""
+    """Φ at a point. position : (u, w) (frames, cells + n). shift : (z, c). stiffness : λ (frames − 1, cells).
+
+    doubted : D, h of − zᵀ D z + 2 hᵀ z, what is not believed of what frames say of z; None: nothing.
+    """
 
     frames: JointData
     position: Array
     shift: Array
     stiffness: Array
+    doubted: tuple[Array, Array] | None = None
 
     @cached_property
     def at(self) -> tuple[Evaluation, ...]:
@@ -129,8 +134,15 @@ class Joint:
         """Φ."""
         misfit = sum(at.objective for at in self.at)
         stray = misfit + float(np.sum(self.shift**2 * self.certainty) + IGNORANCE * np.sum(self._strayed**2))
-        stray += float(np.sum(self.chance**2))
-        return stray + float(np.sum(self.stiffness * self.steps**2))
+        stray += float(np.sum(self.chance**2)) + float(np.sum(self.stiffness * self.steps**2))
+        matrix, pull = self._doubted
+        shift = self.shift[: self._sharing]
+        return stray + float((2 * pull - matrix @ shift) @ shift)
+
+    @property
+    def _doubted(self) -> tuple[Array, Array]:
+        """D, h."""
+        return self.doubted or (np.zeros((self._sharing,) * 2), np.zeros(self._sharing))
 
     @property
     def _strayed(self) -> Array:
@@ -207,7 +219,7 @@ class Joint:
         own[:, across, across] = np.where(free, own[:, across, across] + prior, 1.0)
         border, corner = np.zeros((*self.position.shape, len(self.shift))), np.diag(self.certainty)
         border[:, :, :sharing], corner[:sharing, :sharing] = self._bordered(self.frames.shared)
-        corner[:sharing, :sharing] += np.eye(sharing)
+        corner[:sharing, :sharing] += np.eye(sharing) - self._doubted[0]
         step = np.arange(count - 1)
         border[step, :cells, sharing + step] = self.stiffness
         border[step + 1, :cells, sharing + step] = -self.stiffness
@@ -246,9 +258,28 @@ class Joint:
     def newton(self) -> tuple[Array, Array]:
         """The Newton step of (u, w) (frames, cells + n), and of z and c."""
         shared = np.einsum("tri,tr->i", self.frames.shared, self._through)
+        matrix, pull = self._doubted
+        shared += pull - matrix @ self.shift[: self._sharing]
         slope = np.concatenate([shared, -np.sum(self.stiffness * self.steps, axis=1)]) + self.shift * self.certainty
         cells, shift = self.chain.solve(-np.where(self.pressed, 0.0, self.gradient)[..., None], -slope[:, None])
         return cells[..., 0], shift[:, 0]
+
+    def agreeing(self, others: Array) -> "Joint":
+        """With less belief in what cells near loads say of z, as far as it contradicts what all others say.
+
+        They move by little with the load, and are taken for still. Where they agree, |ẑ − ẑ'|² is tr(C' − C) in the
+        mean (Hausman, Econometrica 46, 1978), ẑ' and C' without them; where it is larger by a factor, the square of its
+        inverse is the share of what they say that is believed. others : λ where these cells are free.
+        """
+        count, alone = self._sharing, replace(self, stiffness=others)
+        covariance, without = (one.chain.border_covariance[:count, :count] for one in (self, alone))
+        here, there = (self.shift[:count] + one.newton()[1][:count] for one in (self, alone))
+        expected, apart = float(np.trace(without - covariance)), float(np.sum((there - here) ** 2))
+        if apart <= expected:
+            return self
+        precision, less = (positive_inverse(one) for one in (covariance, without))
+        doubt = 1 - (expected / apart) ** 2
+        return replace(self, doubted=(doubt * (precision - less), doubt * (precision @ here - less @ there)))
 
     def stepped(self) -> "Joint":
         """After a Newton step, halved until Φ is no larger; as it is where no halving helps."""

@@ -20,6 +20,8 @@ from time import monotonic, perf_counter
 from typing import Any, ClassVar, Literal
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
 
 from lampest.cost.losses import Squared
 from lampest.cost.problem import Data
@@ -259,6 +261,12 @@ class Walk:
         factor = 1.0 if size > FOLLOWED else SLOW if size > TIED else FAST
         return replace(self, deviation=max(self.deviation * factor, least)), True
 
+    def near_loads(self, squares: Array, shape: tuple[int, ...]) -> NDArray[np.bool_]:
+        """(frames − 1, cells) of a panel of a shape: where a cell, or one that it touches, jumps."""
+        jumps = (self._size(squares) > self.most**2).reshape(-1, *shape)
+        around = sliding_window_view(np.pad(jumps, ((0, 0), (1, 1), (1, 1))), (3, 3), axis=(1, 2))
+        return np.asarray(around.any(axis=(-2, -1)).reshape(squares.shape))
+
     @property
     def _scale(self) -> float:
         """k."""
@@ -305,6 +313,8 @@ def smoothed(frames: JointData, alone: Array, walk: Walk, settings: Settings, un
             joint, taken = replace(joint, frames=joint.frames.sharing(joint.at)), walk.deviation
         joint, rounds = replace(joint, stiffness=walk.stiffness(squares)), rounds + 1
         moving = on or moved > SETTLED * noise
+    near = walk.near_loads(joint.expected_squares(), frames.data[0].measured.shape[-2:])
+    joint = joint.agreeing(np.where(near, JUMP_SD**-2, joint.stiffness)).stepped()
     for _ in range(settings.max_iterations):
         if joint.kkt_residual.max() <= settings.tolerance or monotonic() > until:
             break
