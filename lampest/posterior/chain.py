@@ -73,6 +73,12 @@ class Chain:
         learned = self._border_precision - np.diag(prior)
         return replace(self, corner=self.corner - (1 - share) * learned)
 
+    def with_border(self, precision: Array) -> "Chain":
+        """The same where the border's first unknowns have this precision, all others unknown, (n, n)."""
+        corner, count = self.corner.copy(), len(precision)
+        corner[:count, :count] += precision - positive_inverse(self.border_covariance[:count, :count])
+        return replace(self, corner=corner)
+
     def solve(self, right: Array, border: Array) -> tuple[Array, Array]:
         """H⁻¹ x of (frames, cells, m) and (n, m)."""
         alone = self._solved(right)

@@ -97,6 +97,13 @@ def test_a_chain_is_the_inverse_of_its_matrix() -> None:
     assert_allclose(chain.doubting(0.25, prior).border_covariance, doubted, rtol=1e-10)
 
 
+def test_a_border_gets_the_precision_that_it_is_given() -> None:
+    rng = np.random.default_rng(0)
+    border, precision = 0.1 * rng.standard_normal((3, 4, 3)), np.diag([5.0, 7.0])
+    chain = Chain(np.tile(4 * np.eye(4), (3, 1, 1)), np.ones((2, 4)), border, 2 * np.eye(3)).with_border(precision)
+    assert_allclose(np.linalg.inv(chain.border_covariance[:2, :2]), precision, atol=1e-10)
+
+
 def test_stiffness_is_the_slope_of_what_the_walk_costs() -> None:
     walk, squares = Walk(0.01, 3.0), np.random.default_rng(1).uniform(0, 4e-3, (5, 4))
     slope = approx_fprime(squares.ravel(), lambda flat: walk.cost(flat.reshape(5, 4)), 1e-9)
@@ -200,6 +207,24 @@ def test_a_wrong_reading_harms_its_frame_no_more_than_it_would_alone() -> None:
     worst = np.abs(errors(found_of(replace(made, recorded=recorded), (Misfit(),)))).max()
     assert np.median(np.abs(errors(spoilt))) < 1.5 * np.median(np.abs(errors(sound)))
     assert np.abs(errors(spoilt)).max() < 0.5 * worst
+
+
+@pytest.mark.slow
+def test_cells_near_a_soft_load_that_breathes_do_not_decide_on_channels() -> None:
+    """They move by little, and are taken for still: 64 % of the cells were covered."""
+    rng, (down, across) = np.random.default_rng(1), np.indices((8, 8))
+    load = 3 * np.exp(-((down - 2.5) ** 2 / 4 + (across - 3.5) ** 2 / 6))
+    course = np.append(np.zeros(5), 1 + 0.1 * np.sin(2 * np.arange(9)))
+    cells = 3000 * np.exp(0.2 * rng.standard_normal((8, 8)) - course[:, None, None] * load)
+    sizes = Systematic(reference_tolerance=0.01, channel_spread_ohm=3.0)
+    scene, channels = Scene(Panel(8, 8), TwoPointReadout(), systematic=sizes), 3 * rng.standard_normal((2, 8))
+    exact = two_point_resistance(cells) + channels[0][:, None] + channels[1]
+    recorded = exact + scene.circuit.sigma(exact) * rng.standard_normal(exact.shape)
+    role = (np.arange(14) >= RESTING).astype(np.uint8)
+    found = found_of(Recording(scene, recorded, np.arange(14.0), role, truth_cell_resistance=cells))
+    lower, upper, truth = found.cell_resistance_lower, found.cell_resistance_upper, cells[found.frame]
+    assert lower is not None and upper is not None
+    assert np.mean((lower <= truth) & (truth <= upper)) > 0.9
 
 
 def test_what_all_readings_share_widens_the_bars_of_cells() -> None:

@@ -31,6 +31,7 @@ COMMON = 0.1  # τ, of log r: temperature and supply move all cells by some perc
 ROUNDING = 1e-11  # of Φ, a sum of some thousand parts
 # Share of what frames say of z that is believed: cells that move a little and are taken for still pull at it, too.
 BELIEVED = 0.5
+HELD = 1e8  # precision of z that is held, in standard deviations before anything is read
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,14 +86,14 @@ class JointData:
 class Joint:
     """Φ at a point. position : (u, w) (frames, cells + n). shift : (z, c). stiffness : λ (frames − 1, cells).
 
-    doubted : D, h of − zᵀ D z + 2 hᵀ z, what is not believed of what frames say of z; None: nothing.
+    held : ẑ with its precision, where z has been found; Φ holds it there. None: it is free.
     """
 
     frames: JointData
     position: Array
     shift: Array
     stiffness: Array
-    doubted: tuple[Array, Array] | None = None
+    held: tuple[Array, Array] | None = None
 
     @cached_property
     def at(self) -> tuple[Evaluation, ...]:
@@ -127,22 +128,25 @@ class Joint:
     @property
     def steps(self) -> Array:
         """u_{t+1} − u_t − c_t, (frames − 1, cells)."""
-        return np.asarray(np.diff(self.log_cells, axis=0) - self.shift[self._sharing :, None])
+        return np.asarray(np.diff(self.log_cells, axis=0) - self._common[:, None])
 
     @cached_property
     def value(self) -> float:
         """Φ."""
         misfit = sum(at.objective for at in self.at)
-        stray = misfit + float(np.sum(self.shift**2 * self.certainty) + IGNORANCE * np.sum(self._strayed**2))
-        stray += float(np.sum(self.chance**2)) + float(np.sum(self.stiffness * self.steps**2))
-        matrix, pull = self._doubted
-        shift = self.shift[: self._sharing]
-        return stray + float((2 * pull - matrix @ shift) @ shift)
+        stray = misfit + float(np.sum(self._shifted**2 * self.certainty) + IGNORANCE * np.sum(self._strayed**2))
+        stray += float(np.sum(self.chance**2))
+        return stray + float(np.sum(self.stiffness * self.steps**2))
 
     @property
-    def _doubted(self) -> tuple[Array, Array]:
-        """D, h."""
-        return self.doubted or (np.zeros((self._sharing,) * 2), np.zeros(self._sharing))
+    def _shifted(self) -> Array:
+        """(z, c) less ẑ."""
+        return self.shift if self.held is None else np.append(self.shift[: self._sharing] - self.held[0], self._common)
+
+    @property
+    def _common(self) -> Array:
+        """c."""
+        return self.shift[self._sharing :]
 
     @property
     def _strayed(self) -> Array:
@@ -151,7 +155,8 @@ class Joint:
     @property
     def certainty(self) -> Array:
         """1/variance of z and c before anything is read."""
-        return np.concatenate([np.ones(self._sharing), np.full(len(self.stiffness), COMMON**-2)])
+        known = 1.0 if self.held is None else HELD
+        return np.concatenate([np.full(self._sharing, known), np.full(len(self.stiffness), COMMON**-2)])
 
     @property
     def ties(self) -> Array:
@@ -219,7 +224,7 @@ class Joint:
         own[:, across, across] = np.where(free, own[:, across, across] + prior, 1.0)
         border, corner = np.zeros((*self.position.shape, len(self.shift))), np.diag(self.certainty)
         border[:, :, :sharing], corner[:sharing, :sharing] = self._bordered(self.frames.shared)
-        corner[:sharing, :sharing] += np.eye(sharing) - self._doubted[0]
+        corner[:sharing, :sharing] += np.diag(self.certainty[:sharing])
         step = np.arange(count - 1)
         border[step, :cells, sharing + step] = self.stiffness
         border[step + 1, :cells, sharing + step] = -self.stiffness
@@ -247,7 +252,8 @@ class Joint:
     @property
     def shared(self) -> tuple[Array, Array]:
         """(z, how precisely the frames determine it): (n), and (n, n) without what is known of it beforehand."""
-        return self.shift[: self._sharing], self.chain.learned(self._sharing)
+        learned = self.chain.learned(self._sharing) if self.held is None else self.held[1] - np.eye(self._sharing)
+        return self.shift[: self._sharing], learned
 
     def expected_squares(self) -> Array:
         """E x² of the steps, (frames − 1, cells)."""
@@ -258,9 +264,7 @@ class Joint:
     def newton(self) -> tuple[Array, Array]:
         """The Newton step of (u, w) (frames, cells + n), and of z and c."""
         shared = np.einsum("tri,tr->i", self.frames.shared, self._through)
-        matrix, pull = self._doubted
-        shared += pull - matrix @ self.shift[: self._sharing]
-        slope = np.concatenate([shared, -np.sum(self.stiffness * self.steps, axis=1)]) + self.shift * self.certainty
+        slope = np.concatenate([shared, -np.sum(self.stiffness * self.steps, axis=1)]) + self._shifted * self.certainty
         cells, shift = self.chain.solve(-np.where(self.pressed, 0.0, self.gradient)[..., None], -slope[:, None])
         return cells[..., 0], shift[:, 0]
 
@@ -268,8 +272,9 @@ class Joint:
         """With less belief in what cells near loads say of z, as far as it contradicts what all others say.
 
         They move by little with the load, and are taken for still. Where they agree, |ẑ − ẑ'|² is tr(C' − C) in the
-        mean (Hausman, Econometrica 46, 1978), ẑ' and C' without them; where it is larger by a factor, the square of its
-        inverse is the share of what they say that is believed. others : λ where these cells are free.
+        mean (Hausman, Econometrica 46, 1978), ẑ' and C' without them. Where it is ρ times that, the share of what they
+        say that is believed is (ρ exp(1 − ρ))^(n/2), n = (tr D)²/tr D², D = C' − C: Chernoff's bound of P(χ²_n > n ρ).
+        others : λ where these cells are free.
         """
         count, alone = self._sharing, replace(self, stiffness=others)
         covariance, without = (one.chain.border_covariance[:count, :count] for one in (self, alone))
@@ -278,8 +283,19 @@ class Joint:
         if apart <= expected:
             return self
         precision, less = (positive_inverse(one) for one in (covariance, without))
-        doubt = 1 - (expected / apart) ** 2
-        return replace(self, doubted=(doubt * (precision - less), doubt * (precision @ here - less @ there)))
+        ratio, between = apart / expected, without - covariance
+        share = (ratio * np.exp(1 - ratio)) ** (expected**2 / np.sum(between**2) / 2)
+        believed, pull = (
+            share * one + (1 - share) * other for one, other in ((precision, less), (precision @ here, less @ there))
+        )
+        return replace(self, held=(np.linalg.solve(believed, pull), believed))
+
+    @property
+    def uncertain(self) -> Chain:
+        """What error bars follow from: `chain` with as much of what frames say of z and c as is believed."""
+        free = replace(self, held=None)
+        chain = free.chain.doubting(BELIEVED, free.certainty)
+        return chain if self.held is None else chain.with_border(np.eye(self._sharing) + BELIEVED * self.shared[1])
 
     def stepped(self) -> "Joint":
         """After a Newton step, halved until Φ is no larger; as it is where no halving helps."""
@@ -334,7 +350,7 @@ def error_bars(joint: Joint, resting: int, beyond: Shared | None = None) -> tupl
     beyond : what all readings share, of which Φ knows nothing; or None.
     """
     answer = joint.answer(_shared(joint.at, beyond))
-    chain, own = joint.chain.doubting(BELIEVED, joint.certainty), 0 if beyond is None else beyond.own(joint.cells)
+    chain, own = joint.uncertain, 0 if beyond is None else beyond.own(joint.cells)
     numbers = range(resting - 1, len(joint.position))
     found = (_certainty(joint, chain, t).widened(answer[t], own).of_frame(0) for t in numbers)
     baseline, *certainty = (one.by_conductance() for one in found)
