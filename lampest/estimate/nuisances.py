@@ -197,6 +197,11 @@ class FittedPair:
         left = np.linalg.inv(one + own[still].T @ within)
         return Evidence(score, moved, left @ within.T @ self.change[still], np.sqrt(np.diag(left)))
 
+    def off_by_one(self, score: float) -> bool:
+        """Whether a single reading that is off explains to that score: an outlier as a load comes is hardly seen."""
+        each = PRIOR["contact"] * self._gains[1]
+        return any(self.explained(one[:, None], briefly=True).score < score for one in each.T)
+
     def with_sizes(self, sizes: Sequence[float]) -> "FittedPair | None":
         """The pair with effects of other sizes; None where no cells give the readings then."""
         effects = tuple(replace(one, size=size) for one, size in zip(self.effects, sizes, strict=True))
@@ -311,7 +316,7 @@ def besides_the_circuit(scene: Scene, resting: CellsFit, frames: Sequence[tuple[
         moved = after.moved.reshape(frame.cells.shape)
         if not (plain.score - after.score > most and mostly_still(moved)):
             continue
-        if any(_beside_a_load(one, moved) for one in whole.effects):
+        if any(_beside_a_load(one, moved) for one in whole.effects) or pair.off_by_one(after.score + MARGIN):
             continue
         most, fits_noise = plain.score - after.score, min(fit.tail for fit in whole.fits) >= LEVEL
         names = " and ".join(named(one, scene.panel.rows) for one in whole.effects)

@@ -102,7 +102,8 @@ def _may_pile(volt: Array, width: Array) -> bool:
     if not len(volt):
         return False
     ends = np.fmax.reduce(volt, axis=0)
-    below = np.nanmax(ends, initial=-np.inf) - ends
+    with np.errstate(invalid="ignore"):
+        below = np.nanmax(ends, initial=-np.inf) - ends
     return bool((below <= NEAR * width).sum() >= SEVERAL and np.nanmax(below, initial=0.0) > SPREAD * np.mean(width))
 
 

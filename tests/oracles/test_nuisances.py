@@ -97,6 +97,16 @@ def test_channels_that_end_together_by_chance_are_no_stage_that_saturates() -> N
     assert saturated(replace(recording, recorded=ends)) is not None
 
 
+@pytest.mark.parametrize("seed", [3, 4])
+def test_an_outlier_while_a_load_comes_is_no_contact(seed: int) -> None:
+    """In the only loaded frame one reading is off by 25 ohm, which neighbours in time cannot show."""
+    recording = panel(seed)
+    recorded = recording.recorded[: UNLOADED + 1].copy()
+    recorded[-1, 0, 9] = 0.7 * recorded[:-1, 0, 9].mean() + 0.3 * recording.recorded[-1, 0, 9] + 25
+    alone = {"time": recording.time[: len(recorded)], "role": recording.role[: len(recorded)]}
+    assert effects_seen(replace(recording, recorded=recorded, **alone)).better.name == ""
+
+
 @pytest.mark.parametrize(
     "effect",
     [
