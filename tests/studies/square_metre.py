@@ -1,11 +1,17 @@
 """Processor time of a frame of many modules: python -m tests.studies.square_metre [MODULES ...] [--frames 8]
 
 --weights: instead, errors of cells with one weight for all modules over those with a weight for each.
+--disk: instead, `lampest run` of recordings of so many frames of 100 modules, from disk to disk in one process.
 """
 
 import argparse
+import resource
+import subprocess
+import sys
 import time
 from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 
@@ -122,13 +128,46 @@ def with_one_weight(penalty: lampest.Term, seed: int) -> str:
     return f"weights × {max(chosen) / min(chosen):4.0f}   all {whole:.3f}   worst module {(shared / alone).max():.3f}"
 
 
+ESTIMATORS = {
+    "plain": "{terms: {misfit: {}}, error_bars: false}",
+    "cell_resistance": "{terms: {misfit: {}, cell_resistance: {weight: auto}}, error_bars: false}",
+    "plain, error bars": "{terms: {misfit: {}}}",
+}
+RUN = [sys.executable, "-c", "from lampest.cli import main; main()", "run", "run.yaml", "--jobs", "1", "--out"]
+
+
+def from_disk_to_disk(frames: int) -> dict[str, tuple[float, float]]:
+    """Method → (s of processor time, MB of peak memory) of the command on a recording of 100 modules."""
+    found = {}
+    with TemporaryDirectory() as folder:
+        recording_of(100, frames).save(Path(folder, "metre.h5"))
+        for name, estimator in ESTIMATORS.items():
+            text = f"schema: 1\nrecordings: [metre.h5]\nestimators: {{one: {estimator}}}\n"
+            Path(folder, "run.yaml").write_text(text)
+            before = resource.getrusage(resource.RUSAGE_CHILDREN)
+            subprocess.run([*RUN, name.replace(", ", "_").replace(" ", "_")], cwd=folder, check=True)
+            after = resource.getrusage(resource.RUSAGE_CHILDREN)
+            spent = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+            found[name] = spent, after.ru_maxrss / 1024
+    return found
+
+
 def main() -> None:
     """Print a line for every number of modules and method."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("modules", nargs="*", type=int, default=[1, 10, 50, 100])
     parser.add_argument("--frames", type=int, default=8)
     parser.add_argument("--weights", action="store_true")
+    parser.add_argument("--disk", type=int, nargs="+", default=())
     given = parser.parse_args()
+    runs = {frames: from_disk_to_disk(frames) for frames in given.disk}
+    for name in ESTIMATORS if runs else ():
+        (few, (short, _)), (many, (long, memory)) = ((frames, runs[frames][name]) for frames in (min(runs), max(runs)))
+        each = (long - short) / max(many - few, 1)
+        said = f"{1e3 * each:5.0f} ms a frame, {short - few * each:5.1f} s once, peak {memory:.0f} MB"
+        print(f"{name:20} {few} frames {short:5.1f} s, {many} frames {long:5.1f} s: {said}", flush=True)
+    if given.disk:
+        return
     for seed in (1, 2, 3) if given.weights else ():
         for penalty in (lampest.CellResistance(), lampest.Gradient(), lampest.LogGradient()):
             print(f"seed {seed} {penalty.kind:16}{with_one_weight(penalty, seed)}", flush=True)
