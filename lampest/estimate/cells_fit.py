@@ -358,13 +358,15 @@ def selected(slope: Array, precision: Array, briefly: bool = False) -> tuple[flo
 
 def _swept(vector: Array, matrix: Array, sign: int) -> tuple[float, NDArray[np.bool_]]:
     """(Σ v²/M, which) of cells taken one after the other: the largest down to PRICE (sign 1), or the least up to it."""
-    total, taken = 0.0, np.zeros(len(vector), dtype=bool)
-    while not taken.all():
-        size = vector**2 / np.maximum(np.diag(matrix), 1e-300)
-        cell = int(np.argmax(np.where(taken, -np.inf, sign * size)))
-        if sign * (size[cell] - PRICE) < 0:
+    total, taken, size = 0.0, np.zeros(len(vector), dtype=bool), np.diag(matrix)
+    rows = np.zeros((len(vector), len(vector)))  # of the pivoted Cholesky factor of what is taken
+    for number in range(len(vector)):
+        worth = vector**2 / np.maximum(size, 1e-300)
+        cell = int(np.argmax(np.where(taken, -np.inf, sign * worth)))
+        if sign * (worth[cell] - PRICE) < 0:
             break
-        total, taken[cell] = total + float(size[cell]), True
-        column = matrix[:, cell] / matrix[cell, cell]
-        vector, matrix = vector - column * vector[cell], matrix - np.outer(column, matrix[cell])
+        total, taken[cell] = total + float(worth[cell]), True
+        column = matrix[:, cell] - rows[:number, cell] @ rows[:number]
+        rows[number] = column / np.sqrt(column[cell])
+        vector, size = vector - column * (vector[cell] / column[cell]), size - rows[number] ** 2
     return total, taken

@@ -44,7 +44,7 @@ def _polished(value: Array, known: NDArray[np.bool_]) -> tuple[Array, Array]:
     """Median polish of log y: (m + a_j + b_k, variance of effects of unknown lines), any shape + (rows, columns)."""
     # Source: Tukey, Exploratory Data Analysis, 1977, chapter 11.
     rest = np.where(known, np.log(np.where(known, value, 1.0)), np.nan)
-    expected, between = _median(rest, (-2, -1)), np.zeros(rest.shape)
+    expected, between = _median(rest.reshape(*rest.shape[:-2], 1, -1), -1), np.zeros(rest.shape)
     rest = rest - expected
     effects = {axis: np.zeros_like(_median(rest, axis)) for axis in (-1, -2)}
     for _ in range(6):  # panels of 3 × 3 to 64 × 64 with holes change by less than their spread after two
@@ -61,10 +61,11 @@ def _polished(value: Array, known: NDArray[np.bool_]) -> tuple[Array, Array]:
     return expected, between
 
 
-def _median(values: Array, axis: int | tuple[int, int]) -> Array:
-    """Of the numbers along an axis, which is kept; 0 where there is none."""
-    blank = np.all(np.isnan(values), axis=axis, keepdims=True)
-    return np.asarray(np.nanmedian(np.where(blank, 0.0, values), axis=axis, keepdims=True))
+def _median(values: Array, axis: int) -> Array:
+    """Of the numbers along an axis, which is kept; 0 where there is none. Faster than nanmedian of short lines."""
+    ordered, count = np.sort(values, axis=axis), np.isfinite(values).sum(axis=axis, keepdims=True)
+    low, high = (np.take_along_axis(ordered, np.maximum(count - more, 0) // 2, axis) for more in (1, 0))
+    return np.where(count > 0, (low + high) / 2, 0.0)
 
 
 @dataclass(frozen=True, eq=False)
