@@ -16,6 +16,8 @@ from lampest.estimate.rivals import Question, Rival, changes_beyond_noise, rival
 from lampest.estimate.saturation import as_passed
 from lampest.estimate.scatter import LEAST_FACTOR
 from lampest.files.errors import InputError
+from lampest.loads.recognition.detector import Detector
+from lampest.loads.recognition.settings import patch_of
 from lampest.panel.panel import Modules
 from lampest.panel.scene import Scene
 from lampest.posterior.interval import chi_square_tail, largest_of
@@ -37,7 +39,8 @@ class ModelCheck:
     explains : whether nothing speaks against the specified circuit; None: not checked, because the noise is unknown or
     no fit was found. better : the circuit that explains the readings better, as a scene would name it; ''.
     noise : by how much the unloaded frames scatter beyond the specified noise; 1 where not noticeably. together : how
-    all cells changed alike, in words; ''. besides : whether effects beside the circuit are what explains best.
+    all cells changed alike, in words; ''. besides : whether effects beside the circuit are what explains best. lying :
+    whether a load may lie on the unloaded panel.
 
     >>> lampest.ModelCheck(True, "the circuit explains its readings").mark
     'yes'
@@ -49,6 +52,7 @@ class ModelCheck:
     noise: float = 1.0
     together: str = ""
     besides: bool = False
+    lying: bool = False
 
     @property
     def mark(self) -> str:
@@ -101,7 +105,8 @@ def _of_modules(recording: Recording, layout: Modules) -> ModelCheck:
     if len(found) < layout.count:
         sentence += f"; {len(found)} of {layout.count} modules were checked, those that move most"
     better = next((check.better for check in said.values() if check.better), "")
-    return ModelCheck(verdict, sentence, better, max(check.noise for check in found.values()))
+    lying = any(check.lying for check in found.values())
+    return ModelCheck(verdict, sentence, better, max(check.noise for check in found.values()), lying=lying)
 
 
 def _checked(specified: Rival, recording: Recording) -> ModelCheck:
@@ -144,7 +149,9 @@ def _checked(specified: Rival, recording: Recording) -> ModelCheck:
     if noise > 1:
         sentence += f"; the unloaded frames scatter by {noise:.2g} times the specified noise, which is allowed for"
     named_best = bool(best.name) and best is besides.better
-    return ModelCheck(not fault and not best.name, sentence, best.name, noise, besides.together, named_best)
+    return ModelCheck(
+        not fault and not best.name, sentence, best.name, noise, besides.together, named_best, besides.lying
+    )
 
 
 @lru_cache(maxsize=1)  # the check asks for it, and the noise
@@ -172,7 +179,9 @@ def effects_seen(recording: Recording) -> Besides:
             fit = fitted(scene, widened[chosen].mean(), near, patient=True)
             frames += [] if fit is None else [(replace(question, standing=chosen).loaded, fit)]
         if unloaded is not None:
-            return besides_the_circuit(scene, unloaded, frames)
+            search = Detector(scene.panel, patch_of(scene.panel)).search
+            lying = unloaded.tail >= LEVEL and search.lies_on(np.log(unloaded.cells))
+            return replace(besides_the_circuit(scene, unloaded, frames), lying=lying)
     return Besides()
 
 

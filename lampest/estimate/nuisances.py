@@ -283,11 +283,13 @@ class FittedPair:
 @dataclass(frozen=True, eq=False)
 class Besides:
     """What is there beside the circuit. better : all effects that are named. together : how all cells changed, in
-    words; ''. pair : with those effects alone that no other ones could be, or None."""
+    words; ''. pair : with those effects alone that no other ones could be, or None. lying : whether a load may lie on
+    the unloaded panel."""
 
     better: Better = field(default_factory=Better)
     together: str = ""
     pair: FittedPair | None = None
+    lying: bool = False
 
     @property
     def taken(self) -> str:

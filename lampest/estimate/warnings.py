@@ -9,6 +9,7 @@ from lampest.estimate.model_check import ModelCheck, recording_check
 from lampest.estimate.noise import NoiseSeen, frame_noise_seen
 from lampest.estimate.rivals import changes_beyond_noise
 from lampest.estimate.saturation import SEVERAL, saturated
+from lampest.loads.recognition.watch import UNEVENLY
 from lampest.recording.readings import Readings
 from lampest.recording.recording import UNLOADED, Recording
 
@@ -31,7 +32,8 @@ def warnings_of(
     circuit = check.sentence if check.mark in ("no", "not checked") else ""
     stage = saturated(recording)
     piled = "" if stage is None else stage.sentence
-    return tuple(filter(None, (*plain, piled, circuit, check.together, *noise.warnings)))
+    lying = UNEVENLY if check.lying and not less else ""
+    return tuple(filter(None, (*plain, lying, piled, circuit, check.together, *noise.warnings)))
 
 
 def unsolved(solved: NDArray[np.bool_], status: tuple[str, ...]) -> str:

@@ -21,7 +21,6 @@ from lampest.recording.recording import FORMAT as RECORDING
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
 from lampest.recording.stored import BLOCK, WHOLE, StoredRecording, opened, too_long
 from lampest.recording.touching import touching_columns, touching_rows
-from lampest.report.detect.detection import Known, known_of
 from lampest.report.strongest import mean_reading, strongest_index, strongest_readings
 from lampest.runs.results import FORMAT, CaseResult, Results, read_each, read_results, stored_cases
 
@@ -117,10 +116,6 @@ def _noise_lines(recording: Recording) -> list[str]:
         learned = frame_noise_seen(recording).learned
         lines += [_line("noise", learned)] if learned else []
         lines += [_line("warning", one) for one in warnings_of(recording)]
-    with suppress(InputError, ValueError):  # a panel that cannot be watched has no such line
-        watched = known_of(recording)
-        doubt = watched.watch().doubt if isinstance(watched, Known) else ""
-        lines += [_line("detect", f"cannot say: {doubt}")] if doubt else []
     return lines
 
 

@@ -20,7 +20,7 @@ from lampest.loads.recognition.breathing import too_slow
 from lampest.loads.recognition.detector import Detector
 from lampest.loads.recognition.image import ImageWatch, window_layout
 from lampest.loads.recognition.settings import ModelErrors, patch_of
-from lampest.loads.recognition.watch import Panelled, Watch
+from lampest.loads.recognition.watch import UNEVENLY, Panelled, Watch
 from lampest.loads.tare import OF_DIFFERENCES
 from lampest.panel.panel import Array, Panel
 from lampest.panel.scene import Scene
@@ -157,7 +157,7 @@ def detect_recording(path: Path, patch_mm: float | None = None, frames: range | 
     if not len(measured):
         raise InputError(f"{path}: no frame is measured (role 1)")
     head = stored.part(range(int(measured[-1]) + 1))
-    watched, said = known_of(head, patch_mm), warnings_of(head)
+    watched, said = known_of(head, patch_mm), tuple(one for one in warnings_of(head) if one != UNEVENLY)
     if isinstance(watched, Detected):
         return replace(watched, warnings=said)
     asked = range(stored.frames) if frames is None else frames
