@@ -2,7 +2,7 @@
 
 Scenes are those of `tests.studies.mouth_scenes`, of eight kinds in turn: film uneven by 12 %, cells that drift by 1 % a
 minute, channels of 3 ohm, a reference within 1 %, a ripple of 0.4 LSB along the scan, one wild code in ten thousand.
-All recordings of a run have the same electronics. Run it with:
+All recordings of a run have the same electronics. With --loads each has so many loads, one after the other. Run it:
 python -m tests.studies.shared_errors --recordings 16 --seed 5000 --calibrate 8
 """
 
@@ -23,7 +23,7 @@ from tests.studies import mouth_scenes
 from tests.studies.limit import METHODS
 
 KINDS = ("uneven mouth", "two rods", "pressed mouth", "ring", "mouth partly off", "hand", "rock", "cup")
-RESTING, FRAMES, SIDE = 3, 20, 10
+RESTING, FRAMES, SIDE, EACH = 3, 20, 10, 8  # EACH: frames of one load of several
 TOLD = Systematic(reference_tolerance=0.01, channel_spread_ohm=3.0)
 
 
@@ -38,8 +38,29 @@ def recording(seed: int, channels: Array, reference: float) -> Recording:
     there = ((time >= on) & (time < off)).astype(float)
     breath = 1 + rng.uniform(0, 0.12) * np.sin(2 * np.pi * (rng.uniform(0.15, 0.45) * time + rng.random()))
     courses = np.stack([there * breath, there * breath * np.clip((time - on + 0.2) / 2, 0, 1)], axis=1)
-    cells = mouth_scenes.cells(rng, panel, load, film, courses)
-    cells *= np.exp(0.01 / 60 * rng.standard_normal(panel.shape) * time[:, None, None])
+    return measured(rng, mouth_scenes.cells(rng, panel, load, film, courses), channels, reference)
+
+
+def in_turn(seed: int, channels: Array, reference: float, loads: int) -> Recording:
+    """As `recording`, with several loads of different kinds, each there for five of EACH frames."""
+    rng, panel = np.random.default_rng(seed), Panel(SIDE, SIDE)
+    film = replace(mouth_scenes.film(rng, "real"), scatter=0.12)
+    time = np.arange(RESTING + EACH * loads, dtype=float)
+    cells = np.ones((len(time), *panel.shape))
+    for number in range(loads):
+        load, on = mouth_scenes.MAKERS[KINDS[(seed + number) % len(KINDS)]](rng, panel), RESTING + EACH * number + 2
+        breath = 1 + rng.uniform(0, 0.12) * np.sin(2 * np.pi * (rng.uniform(0.15, 0.45) * time + rng.random()))
+        there = breath * ((time >= on) & (time < on + 5))
+        courses = np.stack([there, there * np.clip((time - on + 0.2) / 2, 0, 1)], axis=1)
+        alone = mouth_scenes.cells(np.random.default_rng([seed, 1]), panel, load, film, courses)
+        cells = alone if number == 0 else cells * alone / alone[0]
+    return measured(rng, cells, channels, reference)
+
+
+def measured(rng: np.random.Generator, cells: Array, channels: Array, reference: float) -> Recording:
+    """Cells (frames, rows, columns) ohm that drift, as the board reads them."""
+    time, panel = np.arange(len(cells), dtype=float), Panel(SIDE, SIDE)
+    cells = cells * np.exp(0.01 / 60 * rng.standard_normal(panel.shape) * time[:, None, None])
     total = two_point_resistance(cells) + 140.0 + channels[:SIDE, None] + channels[SIDE:]
     volt = 1000 * (1 + reference) / (total + 1000 * (1 + reference))
     phase = rng.uniform(0, 2 * np.pi, len(time))
@@ -68,11 +89,15 @@ def measure(made: Recording, method: str) -> Array:
     return 100 * np.array([*sizes, inside.mean(), kept.mean()])
 
 
-def study(count: int, seed: int, calibrate: int) -> None:
+def study(count: int, seed: int, calibrate: int, loads: int) -> None:
     """Print both methods on `count` recordings, and again once `calibrate` further ones have calibrated the scene."""
+
+    def made(number: int) -> Recording:
+        return recording(number, *board) if loads == 1 else in_turn(number, *board, loads)
+
     rng = np.random.default_rng(seed)
     board = 3.0 * rng.standard_normal(2 * SIDE), float(rng.uniform(-0.01, 0.01))
-    every = [recording(seed + number, *board) for number in range(count)]
+    every = [made(seed + number) for number in range(count)]
     of_paper = np.stack([measure(one, "LSR-dCR") for one in every])
 
     def told(name: str, rows: Array) -> None:
@@ -84,7 +109,7 @@ def study(count: int, seed: int, calibrate: int) -> None:
     told("smoother", np.stack([measure(one, "smoother") for one in every]))
     if not calibrate:
         return
-    found = calibrate_from_recordings([recording(seed + 10_000 + number, *board) for number in range(calibrate)])
+    found = calibrate_from_recordings([made(seed + 10_000 + number) for number in range(calibrate)])
     off = (found.errors[1:] - board[0]).reshape(2, SIDE)
     left = np.sqrt(np.sum((off - off.mean(axis=1, keepdims=True)) ** 2) / (2 * SIDE - 2))
     print(f"{found.summary()}; truly off by {left:.2f} ohm; the reference was off by {100 * board[1]:+.2f} %")
@@ -98,5 +123,6 @@ if __name__ == "__main__":
     parser.add_argument("--recordings", type=int, default=16)
     parser.add_argument("--seed", type=int, default=5000)
     parser.add_argument("--calibrate", type=int, default=8)
+    parser.add_argument("--loads", type=int, default=1)
     arguments = parser.parse_args()
-    study(arguments.recordings, arguments.seed, arguments.calibrate)
+    study(arguments.recordings, arguments.seed, arguments.calibrate, arguments.loads)
