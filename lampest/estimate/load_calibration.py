@@ -24,7 +24,7 @@ from lampest.recording.recording import Recording
 
 FILM_SHARE = 0.6  # of the pitch: the edge of a cell's film where nobody says
 MOST_SCATTER = 0.6  # from load to load, in ln r: films scatter by a tenth, hysteresis makes it a quarter
-CLEARLY = 5.0  # standard deviations of a cell's change
+CLEARLY, ODD = 5.0, 4.0  # standard deviations of a cell's change, and of the usual load's answer
 FEWEST_JUDGED, MOST_JUDGED = 5, 60  # loads: fewer show no usual one; each costs a fit
 ALIKE = 0.02  # of ln of an answer: so well films repeat at best
 UNLIKE = 2.0  # of ln of the first guess's steepness, two standard deviations of its prior: units are wrong more often
@@ -130,7 +130,7 @@ def _odd_ones(loaded: Loaded) -> NDArray[np.bool_]:
         return np.zeros(len(away), dtype=bool)
     away -= np.nanmedian(away)
     usual = TO_SIGMA * float(np.nanmedian(np.abs(away)))
-    return np.asarray(np.nan_to_num(np.abs(away)) > CLEARLY * max(usual, ALIKE))
+    return np.asarray(np.nan_to_num(np.abs(away)) > ODD * max(usual, ALIKE))
 
 
 def _unlike_first_guess(fitted: Fitted, pressure: Array, base: Response) -> str:
