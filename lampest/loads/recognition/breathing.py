@@ -210,8 +210,8 @@ def _explained(root: Array, most: float, swings: Array, noise: float) -> Array:
 def _slopes(frame: Observation, rise: Array, scatter: float) -> Array:
     """(7, cells) ∂x/∂ln p of cells at x = `rise`: mean and deviations, as films differ by `scatter` and are bent.
 
-    The last deviation is that of the published curve under suction, which has one point there: uniform between an
-    exponential and a straight line of r, in logarithms.
+    The last deviation is that of the published curve under suction, which has one point there: an exponential and a
+    straight line of r are one standard deviation each from their geometric mean.
     """
     response, water = frame.baseline.response, frame.water
     points, weights = hermegauss(5)
@@ -224,7 +224,7 @@ def _slopes(frame: Observation, rise: Array, scatter: float) -> Array:
     slopes = (gains * (more - less) / (2 * BREATH) * np.exp(curve)).reshape(len(points), -1)
     shares = weights / weights.sum()
     mean = shares @ slopes
-    common = shares @ (slopes * curve.reshape(slopes.shape)) / 3**0.5
+    common = shares @ (slopes * curve.reshape(slopes.shape))
     return np.vstack([mean, np.sqrt(shares)[:, None] * (slopes - mean), common])
 
 
