@@ -135,6 +135,9 @@ class Track:
             own = own.reaching(held, below, above)
         else:
             answer[model.free] = errors.answer(rows, last, baseline)
+        measured = model.at.data.measured.ravel()
+        read = model.at_lower & (model.at.data.lower.ravel() == measured)  # r ≥ R: such a bound is off as its reading
+        answer[read] = columns[read] / measured[read, None]
         return answer, own.widened(answer, self.shared.own(cells[0].size))
 
 

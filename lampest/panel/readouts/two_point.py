@@ -96,8 +96,8 @@ class TwoPointReadout(Readout):
         return convex_start(measured, upper, near)
 
     def least_cells(self, measured: Array, sigma: Array | None) -> Array:
-        """r ≥ R: parallel paths only lower a reading; paper, equation (12). A single line has none, r = R."""
-        return self.nearly_shorted(measured) if 1 in measured.shape[-2:] else measured.copy()
+        """r ≥ R: parallel paths only lower a reading; paper, equation (12)."""
+        return measured.copy()
 
     def resolution(self, measured: Array, sigma: Array) -> Array:
         """r_max = R²/σ: an open cell in its place changes R by the noise; at least twice a uniform panel's cell."""
