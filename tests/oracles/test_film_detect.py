@@ -1,6 +1,7 @@
 """Over time: a load that stays is kept however still it is, what a film remembers of one is none, and bare panels."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,6 +20,8 @@ from lampest.panel.scene import Scene
 from lampest.recording.recording import Recording
 from lampest.recording.simulation.measure import Unmodelled, measured
 from lampest.recording.simulation.simulation import Course, Simulation, simulate
+from lampest.report.detect.detection import detect_recording
+from tests.studies.attachments import recording as attached
 
 pytestmark = pytest.mark.slow
 
@@ -140,3 +143,10 @@ def test_memory_of_another_kind_is_nothing_either(minutes: float) -> None:
     recorded_ohm, _ = measured(SCENE, remembered, Unmodelled(), 5)
     (one,) = watched([replace(recording, recorded=recorded_ohm)])
     assert one.until_s == pytest.approx(16, abs=2)
+
+
+def test_a_step_of_noise_is_no_load(tmp_path: Path) -> None:
+    """A recording not made with this package, in whose first frames ripple steps: a load was 1.5 times as probable."""
+    bare, *_ = attached("nothing", 4.0, 98004)
+    bare.save(tmp_path / "bare.h5")
+    assert detect_recording(tmp_path / "bare.h5").answer == "nothing"

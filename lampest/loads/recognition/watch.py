@@ -273,10 +273,9 @@ class Watch:
         median = np.median([one for _, one in self.window], axis=0)
         frame = self._frame(median, time)
         verdict = self.panelled.detector.verdict(frame, self.verdict if self.known else None)
-        odds = 1.0 if self.seen is None else exp(RARER)  # that nothing comes in the moment in which something leaves
         found, before = verdict.best.change, self._before
         memory = not self.known and np.sum(found**2) < CLEAR * FILM_KEEPS * np.sum(found * before)  # where it was
-        if verdict.nothing * odds > 1 - verdict.nothing or memory:
+        if verdict.nothing > exp(-RARER) * (1 - verdict.nothing) or memory:  # some steps are noise, or a load's end
             if self._left(frame) and not (self.known and np.any(clear)):
                 return self._gone(time if self.known else self.begun)
             return replace(self, known=True, next_s=again)
