@@ -11,7 +11,7 @@ from lampest.loads.shapes import Rod
 from lampest.panel.panel import Array, Panel
 
 PANEL = Panel(6, 6)
-STEPS, SCALES = 10000, (0.1, 0.4, 1.0)
+STEPS, SCALES = 40000, (0.1, 0.4, 1.0)
 
 
 def walked(fitting: Fitting, whitening: Whitening, start: Array, root: Array) -> Array:
