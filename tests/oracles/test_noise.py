@@ -65,6 +65,17 @@ def test_parts_are_found_with_their_sizes() -> None:
     assert np.mean([(one.together**2).sum() / CHANNELS for one in wave]) == pytest.approx(4.5, rel=0.5)
 
 
+def test_what_few_frames_share_has_no_quiet_directions() -> None:
+    """Every column ripples by 3 σ on its own: in any direction of ten columns, also those that five frames lack."""
+    rng = np.random.default_rng(3)
+    for _ in range(20):
+        columns = 3.0 * rng.standard_normal((5, 1, CHANNELS))
+        deviation = rng.standard_normal((5, LINES, CHANNELS)) + columns
+        found = scatter(deviation - deviation.mean(axis=0), np.full((LINES, CHANNELS), 3000.0), 4).together
+        loudness = np.linalg.eigvalsh(found @ found.T)
+        assert loudness[0] > 1 and 4 < loudness.mean() < 25
+
+
 def test_a_mouth_whose_contact_comes_before_its_suction_is_no_outlier() -> None:
     """Cells under it overshoot in the first frame: by 50 σ, after a step of 1,450."""
     audit = read_settings(AuditFile)(Path(__file__).parents[2] / "configs" / "audit.yaml")
