@@ -162,15 +162,10 @@ class FittedPair:
 
     def columns(self, effects: Sequence[Effect]) -> Array:
         """(cells, effects) a of each θ in units of its prior, by secants."""
-        known: dict[Effect, tuple[Array, ...]] = {}
-        for one in effects:
-            alone = replace(one, since=False, size=SECANT * PRIOR[one.kind])
-            if alone not in known:
-                known[alone] = tuple(self._answer(number, alone) / SECANT for number in (0, 1))
-        found = [known[replace(one, since=False, size=SECANT * PRIOR[one.kind])] for one in effects]
-        return np.stack(
-            [late if one.since else late - early for one, (early, late) in zip(effects, found, strict=True)], axis=1
-        )
+        alone = [replace(one, since=False, size=SECANT * PRIOR[one.kind]) for one in effects]
+        early, late = ({one: self._answer(n, one) / SECANT for one in dict.fromkeys(alone)} for n in (0, 1))
+        pairs = zip(effects, alone, strict=True)
+        return np.stack([late[own] if one.since else late[own] - early[own] for one, own in pairs], axis=1)
 
     def _answer(self, number: int, effect: Effect) -> Array:
         """What so much of an effect more does to the log cells of a frame (cells)."""
