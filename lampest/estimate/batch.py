@@ -65,11 +65,11 @@ def _weighed(streams: Sequence[Stream | None], readings: Readings) -> list[Strea
             numbers = [list(group)[place] for place in strongest(changes)]
             one, pairs = group[numbers[0]], [group[number].given(readings[number]) for number in numbers]
             first, others = pairs[0][0].limited(one.estimator.solver.time_limit_s), [data for data, _ in pairs[1:]]
-            noisy = readings.sigma is not None
-            weighed = with_chosen_weights(one.estimator, one.scene, first, pairs[0][1], noisy, others)
+            weighed = with_chosen_weights(one.estimator, one.scene, first, pairs[0][1], others)
             weights = tuple(float(term.weight) for term in weighed.terms)
             for number, one in group.items():
-                found[number] = replace(one, weights=weights, weighed_at=max(changes))
+                sigma = weighed.weight_sigma
+                found[number] = replace(one, weights=weights, weight_sigma=sigma, weighed_at=max(changes))
     return found
 
 

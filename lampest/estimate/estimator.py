@@ -28,6 +28,7 @@ class Estimator(Objective):
     verified optima of readings whose noise is known can have them.
     auto_weight : how weights are chosen that the terms leave open.
     tare : when the zero of pressures is taken anew, because nothing touches the panel; None: never.
+    weight_sigma : see `Objective`; set where weights are chosen.
 
     Raises InputError without a data term, for a formulation that does not exist or does not fit the terms, where a
     term weighs the previous frame by its error bars and there can be none, or where a part is of another class.
@@ -43,6 +44,7 @@ class Estimator(Objective):
     error_bars: Literal["auto"] | bool = "auto"
     auto_weight: AutoWeight = AutoWeight()
     tare: Tare | None = None
+    weight_sigma: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "terms", checked_terms(self.terms))  # a list cannot be hashed

@@ -90,8 +90,8 @@ class Bounds(Validated):
 class AutoWeight(Validated):
     """How `weight: auto` is chosen.
 
-    rule : 'risk', the least expected error of log r; 'evidence', the most probable weight; 'press', the best prediction
-    of every reading from all others. By default risk; press where the noise is unknown.
+    rule : 'risk', the least expected error of log r, judged by a reference estimate; 'evidence', the most probable
+    weight. By default risk; evidence of panels with more than 1,200 cells.
     per : 'recording', one weight from its strongest frame; 'frame', one for every frame.
 
     >>> lampest.AutoWeight().per
@@ -121,28 +121,35 @@ def checked_terms(terms: Sequence[Term]) -> tuple[Term, ...]:
 class Objective:
     """What an estimator minimises, whatever the method: the part of it that methods are given.
 
-    terms : with weights, numbers or 'auto'. solver, bounds, auto_weight : as `Estimator` has them.
+    terms : with weights, numbers or 'auto'. solver, bounds, auto_weight : as `Estimator` has them. weight_sigma : of
+    every term the standard deviation of log λ where the data chose it, else NaN; () before they did.
     """
 
     terms: tuple[Term, ...]
     solver: Settings
     bounds: Bounds
     auto_weight: AutoWeight
+    weight_sigma: tuple[float, ...]
 
     def with_terms(self, terms: tuple[Term, ...]) -> "PlainObjective":
         """Other terms with the same bounds and settings."""
-        return PlainObjective(terms, self.solver, self.bounds, self.auto_weight)
+        return PlainObjective(terms, self.solver, self.bounds, self.auto_weight, self._sigma_of(terms))
+
+    def _sigma_of(self, terms: tuple[Term, ...]) -> tuple[float, ...]:
+        known = dict(zip(self.terms, self.weight_sigma, strict=False))
+        return tuple(known.get(term, np.nan) for term in terms) if known else ()
 
     @property
     def automatic(self) -> bool:
         """Whether a weight is still to be chosen."""
         return any(term.weight == "auto" for term in self.terms)
 
-    def with_weights(self, weights: Iterable[float]) -> Self:
-        """The same with these weights of the terms, in their order."""
+    def with_weights(self, weights: Iterable[float], sigma: tuple[float, ...] = ()) -> Self:
+        """Return the objective with these weights of the terms, in their order; sigma : see `weight_sigma`."""
         pairs = zip(self.terms, weights, strict=True)
         assert is_dataclass(self)
-        return replace(self, terms=tuple(replace(term, weight=float(weight)) for term, weight in pairs))
+        terms = tuple(replace(term, weight=float(weight)) for term, weight in pairs)
+        return replace(self, terms=terms, weight_sigma=sigma)
 
     @property
     def relative(self) -> bool:
@@ -206,6 +213,7 @@ class PlainObjective(Objective):
     solver: Settings
     bounds: Bounds
     auto_weight: AutoWeight
+    weight_sigma: tuple[float, ...] = ()
 
 
 def weighed(readings: Readings, scene: Scene, stand_ins: NDArray[np.bool_]) -> Readings:

@@ -16,7 +16,7 @@ from lampest.estimate.noise import NoiseSeen, noise_seen, noise_seen_in_part
 from lampest.estimate.outliers import NEAREST
 from lampest.estimate.state import CarriedOver, Step
 from lampest.estimate.stream import Stream
-from lampest.estimate.weights import MOST_BESIDE, converter_and_faults, strongest, with_chosen_weights
+from lampest.estimate.weights import MAX_NEIGHBOURS, converter_and_faults, strongest, with_chosen_weights
 from lampest.files.errors import InputError, in_words
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
@@ -118,14 +118,14 @@ def _weighted(estimator: Estimator, networks: Sequence[tuple[Recording, Readings
     if not found:
         return estimator
     if len(networks) == 1:
-        found += [(*networks[0], frame) for frame in frames_beside(*networks[0][:2], found[0][3])]
+        found += [(*networks[0], frame) for frame in frames_beside(*networks[0], found[0][3])]
         numbers: Sequence[int] = range(len(found))
     else:
         numbers = strongest([float(mean_change(read.plain_values[f], rest.value)) for _, read, rest, f in found])
     parts = (found[number] for number in numbers)
     first, *beside = [deciding_data(estimator, part.scene, rest, read[frame]) for part, read, rest, frame in parts]
-    part, read, *_ = found[numbers[0]]
-    return with_chosen_weights(estimator, part.scene, first, None, read.sigma is not None, beside)
+    part = found[numbers[0]][0]
+    return with_chosen_weights(estimator, part.scene, first, None, beside)
 
 
 def resting_readings(recording: Recording, readings: Readings) -> Readings:
@@ -143,17 +143,14 @@ def deciding_frame(recording: Recording, readings: Readings, resting: Readings) 
     return strongest_frame(readings.plain_values, resting.value, frames) if len(frames) else None
 
 
-def frames_beside(recording: Recording, readings: Readings, frame: int) -> NDArray[np.intp]:
-    """Frames that decide beside the deciding one: where some of its readings are one-sided, as in theirs.
-
-    They are spread evenly. What is left of a frame differs from frame to frame, and so does the weight that suits it.
-    """
+def frames_beside(recording: Recording, readings: Readings, resting: Readings, frame: int) -> NDArray[np.intp]:
+    """Return frames that decide with the deciding one: spread evenly over those that differ half as far from rest."""
     frames = recording.measured_frames()
-    frames = frames[readings.enough(recording.scene)[frames] & (frames != frame)]
-    one_sided = np.any(readings.side != 0, axis=(1, 2))
-    alike = frames[one_sided[frames]] if one_sided[frame] else frames[:0]
-    spread = np.linspace(0, len(alike) - 1, MOST_BESIDE if len(alike) else 0)
-    return np.asarray(alike[np.unique(spread.round().astype(int))])
+    frames = frames[readings.enough(recording.scene)[frames]]
+    change = mean_change(readings.plain_values, resting.value)
+    loaded = frames[(change[frames] >= change[frame] / 2) & (frames != frame)]
+    spread = np.linspace(0, len(loaded) - 1, MAX_NEIGHBOURS if len(loaded) else 0)
+    return np.asarray(loaded[np.unique(spread.round().astype(int))])
 
 
 def deciding_data(estimator: Estimator, scene: Scene, resting: Readings, frame: Readings) -> Data:

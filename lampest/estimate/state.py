@@ -27,7 +27,8 @@ UNKNOWN = 10.0  # standard deviation of log r0 where nothing is known of it
 class Step:
     """One solve of a sequence: the last of its frames is the frame's estimate, the first of two the baseline's.
 
-    weights : of the terms. bars : the estimate's error bars, or None; they took `bars_seconds`.
+    weights : of the terms; weight_sigma : as `Objective` has it. bars : the estimate's error bars, or None; they took
+    `bars_seconds`.
     disc : what the cells follow from, where that is a disc. sentence : the status of an image of modules; else ''.
 
     >>> step = found.steps[0]
@@ -42,6 +43,7 @@ class Step:
     bars_seconds: float = 0.0
     disc: OralDiscFit | None = None
     sentence: str = ""
+    weight_sigma: tuple[float, ...] = ()
 
     @property
     def cell_resistance(self) -> Array:
@@ -65,7 +67,9 @@ class Step:
     def surroundings(self) -> LinearModel | None:
         """What error bars follow from: a verified optimum; None of anything else."""
         at, dual = self.solution.at, self.solution.dual
-        return None if not self.solution.optimum or at is None or dual is None else LinearModel(at, dual)
+        if not self.solution.optimum or at is None or dual is None:
+            return None
+        return LinearModel(at, dual, weight_sigma=self.weight_sigma)
 
 
 @dataclass(frozen=True, eq=False)

@@ -45,11 +45,13 @@ class Stream(SequenceState):
     Parameters
     ----------
     estimator : the method too.
-    weights, weighed_at : those that the data chose for the terms, and how far that frame was from rest; None, 0 before.
+    weights, weight_sigma, weighed_at : those that the data chose for the terms, the standard deviations of their
+    logarithms, and how far that frame was from rest; None, (), 0 before.
     """
 
     estimator: Estimator
     weights: tuple[float, ...] | None = None
+    weight_sigma: tuple[float, ...] = ()
     weighed_at: float = 0.0
 
     @classmethod
@@ -117,11 +119,14 @@ class Stream(SequenceState):
         if method.compares(terms) and not self.resting.enough(self.scene):
             return self, self.unsolved(Status.UNRESTED)
         if self.chooses and self.weights is not None and not self.choosing(readings):
-            stream, step = method.push(replace(self, estimator=self.estimator.with_weights(self.weights)), readings)
+            chosen = self.estimator.with_weights(self.weights, self.weight_sigma)
+            stream, step = method.push(replace(self, estimator=chosen), readings)
             return replace(stream, estimator=self.estimator), step
         stream, step = method.push(self, readings)
         if self.chooses and step.solution.solved:
-            stream = replace(stream, weights=step.weights, weighed_at=self.change(readings))
+            stream = replace(
+                stream, weights=step.weights, weight_sigma=step.weight_sigma, weighed_at=self.change(readings)
+            )
         return stream, step
 
     def due(self, readings: Readings) -> bool:

@@ -1,13 +1,14 @@
-"""`weight: auto`: of one penalty by a rule (`lampest.posterior.spectrum`), else the fixed point of the evidence.
+"""Choice of weights (`weight: auto`): the least expected error of log r, with the reference estimate as the truth.
 
-A loss that is not squared is reweighted least squares at the estimate. Several penalties, and one of a large panel,
-take the fixed point. The cost is linearised at an estimate; the estimate for the weight that this gives is where it is
-linearised next.
+The reference estimate (`lampest.posterior.reference`) says how far readings are off, and what the cells look like that
+a penalty has to serve. The cost is linearised there, and the weight minimises `Spectrum.risk`; of several penalties one
+after the other. Beyond `MAX_DENSE` unknowns, and on request, the fixed point of the evidence is taken instead.
 """
 
 from collections.abc import Hashable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TypeVar
 
 import numpy as np
@@ -19,49 +20,52 @@ from lampest.estimate.state import NO_DUAL
 from lampest.files.errors import InputError
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
+from lampest.posterior.dense import DenseErrors
 from lampest.posterior.fixed_point import first_weights, next_weights, settled_weights
 from lampest.posterior.linear import LinearModel
-from lampest.posterior.spectrum import Rule, Spectrum, best_weight
+from lampest.posterior.reference import Reference, references
+from lampest.posterior.sampled import SampledErrors
+from lampest.posterior.spectrum import Spectrum, best_weight
 from lampest.posterior.track import MOST_DENSE
 from lampest.solvers.multistart import BROKEN, best_solution, convex, evaluated
 from lampest.solvers.projected_newton import ProjectedNewton
 from lampest.solvers.solution import Settings
 
-MOST_SOLVES, SETTLED = 4, 0.2  # of an estimate; of log λ: nothing that is reported changes by less
-MOST_BESIDE = 4  # solves that decide on a weight beside the strongest one
+MAX_SOLVES, SETTLED = 4, 0.2  # of an estimate; of log λ: no reported figure changes by less
+MAX_SWEEPS = 6  # over several penalties: each converges within a few
+MAX_NEIGHBOURS = 2  # frames or networks that decide on a weight with the strongest one
 AnyObjective = TypeVar("AnyObjective", bound=Objective)
+Weights = tuple[list[float], tuple[float, ...]]  # of the terms, and the standard deviations of log λ
 
 
 def with_chosen_weights(
-    estimator: AnyObjective,
-    scene: Scene,
-    data: Data,
-    near: Array | None,
-    noisy: bool,
-    others: Sequence[Data] = (),
+    estimator: AnyObjective, scene: Scene, data: Data, near: Array | None, others: Sequence[Data] = ()
 ) -> AnyObjective:
-    """The objective with numbers for the weights that it leaves open, from one solve's data.
+    """Return the objective with numbers for the weights that it leaves open.
 
-    near : an estimate to start from, (frames, rows, columns) ohm, or None. noisy : whether the data's σ is known.
-    others : of further solves, which a rule's weight is to suit as well, where readings are missing as in `data`.
-    Raises InputError where σ is needed and unknown.
+    Parameters
+    ----------
+    estimator : Objective
+    scene : Scene
+    data : Data
+        Of the solve that decides.
+    near : array, shape (frames, rows, columns), optional
+        Cells in ohm to start from, where the reference model cannot be fitted.
+    others : sequence of Data
+        Of further solves that the weights are to suit as well; those with bounds or gaps as in `data` count.
+
+    Raises InputError where the noise is needed and unknown.
     """
-    rule = rule_in_use(estimator, noisy)
     cost = estimator.cost(scene, len(data.measured), data.partial)
-    search = WeightSearch(cost, data, estimator.solver, tuple(one for one in others if one.partial == data.partial))
-    penalties = [number for number, term in enumerate(estimator.terms) if not term.reads_measurement]
+    alike = tuple(other for other in others if other.partial == data.partial)
+    search = WeightSearch(cost, (data, *alike), estimator.solver)
     first = convex(data, near) if near is None else near
+    rule = estimator.auto_weight.rule or ("risk" if data.measured.size <= MOST_DENSE else "evidence")
+    if rule == "evidence" and not data.noise_known:
+        reason = "auto_weight.rule: evidence" if estimator.auto_weight.rule else "weight: auto of a large panel"
+        raise InputError(f"{reason} needs the noise: a readout in the scene or sigma in the recording")
     with np.errstate(all="ignore"):
-        if len(penalties) == 1 and data.measured.size <= MOST_DENSE:
-            weights = search.begun
-            weights[penalties[0]] = search.tried(penalties[0], rule, first)[-1]
-            return estimator.with_weights(weights)
-        if rule == "press":
-            raise InputError(
-                "weight: auto of more than one penalty, or of a large panel, needs the noise: name weights or add a "
-                "readout to the scene or sigma to the recording"
-            )
-        return estimator.with_weights(search.by_evidence(penalties, first))
+        return estimator.with_weights(*(search.by_evidence(first) if rule == "evidence" else search.by_risk(first)))
 
 
 def strongest(changes: Sequence[float]) -> list[int]:
@@ -69,7 +73,7 @@ def strongest(changes: Sequence[float]) -> list[int]:
 
     A network's own weight scatters with its noise, and hardly matters where nothing touches it.
     """
-    return sorted(range(len(changes)), key=lambda number: -changes[number])[: 1 + MOST_BESIDE]
+    return sorted(range(len(changes)), key=lambda number: -changes[number])[: 1 + MAX_NEIGHBOURS]
 
 
 def converter_and_faults(scene: Scene) -> Hashable:
@@ -78,97 +82,91 @@ def converter_and_faults(scene: Scene) -> Hashable:
     return scene.faults, circuit.unit, circuit.adc_bits, circuit.readings, circuit.assumed_noise
 
 
-def rule_in_use(estimator: Objective, noisy: bool) -> Rule:
-    """The estimator's rule, or the default one. noisy : whether the data's σ is known.
-
-    Raises InputError where the rule needs σ and it is unknown.
-    """
-    rule = estimator.auto_weight.rule or ("risk" if noisy else "press")
-    if rule != "press" and not noisy:
-        raise InputError(f"auto_weight.rule: {rule} needs the noise: a readout in the scene or sigma in the recording")
-    return rule
-
-
 @dataclass(frozen=True)
 class WeightSearch:
-    """cost : with weights that are numbers or 'auto'. data : of one solve; others : of further ones."""
+    """The search for weights that a cost leaves open.
+
+    Attributes
+    ----------
+    cost : Cost
+        With weights that are numbers or 'auto'.
+    solves : tuple of Data
+        The solve that decides, and further ones that the weights are to suit as well.
+    settings : Settings
+        Of the solver.
+    """
 
     cost: Cost
-    data: Data
+    solves: tuple[Data, ...]
     settings: Settings
-    others: tuple[Data, ...] = ()
 
     @property
     def begun(self) -> list[float]:
         """The weights that are numbers, and 1 for the open ones."""
         return [1.0 if term.weight == "auto" else float(term.weight) for term in self.cost.terms]
 
+    @property
+    def open_terms(self) -> list[int]:
+        """The numbers of the terms whose weights are open."""
+        return [number for number, term in enumerate(self.cost.terms) if term.weight == "auto"]
+
     def weighted(self, weights: Sequence[float]) -> Cost:
         """The cost with numbers for all weights."""
         terms = zip(self.cost.terms, weights, strict=True)
         return replace(self.cost, terms=tuple(replace(term, weight=float(weight)) for term, weight in terms))
 
-    def tried(self, penalty: int, rule: Rule, first: Array) -> list[float]:
-        """What a rule calls the best weight at a start, and then at the estimates for each weight before.
+    @cached_property
+    def references(self) -> list[Reference]:
+        """The reference estimates of the solves. Raises one of `BROKEN` where there are none."""
+        return references(self.solves, self.cost)[1]
 
-        Where nothing can be linearised, because bounds decide every cell, what the start's residuals suggest. Where
-        readings are bounds, a start that takes them for values is a poor place to linearise, and absolute losses have
-        duals at an estimate only: the estimate for what the start's residuals suggest comes first. The start itself
-        serves where the weight found there has no estimate.
+    def models(self, weights: Sequence[float]) -> list[LinearModel]:
+        """The cost with these weights, linearised at the reference estimates."""
+        cost, pairs = self.weighted(weights), zip(self.solves, self.references, strict=True)
+        return [LinearModel(evaluated(cost, data, one.cells), NO_DUAL, deviation=one.deviation) for data, one in pairs]
+
+    def by_risk(self, first: Array) -> Weights:
+        """The weights with the least risk, one penalty after the other until all settle.
+
+        Where no reference can be fitted, the weights that the residuals at `first` suggest.
         """
-        dual = any(term.loss.enters == "dual" for term in self.cost.terms)
+        weights, sigma, several = self.suggested(first), [np.nan] * len(self.cost.terms), len(self.open_terms) > 1
         with suppress(*BROKEN):
-            if self.data.bounded or dual:
-                models = []
-                for data in (self.data, *self.others):
-                    weights = replace(self, data=data)._suggested((penalty,), data.uniform_start)
-                    model = self._solved(weights, data.uniform_start, data)
-                    models += [] if model is None else [model]
-                found, solved = self._followed(penalty, rule, models)
-                if dual or (found and solved):
-                    return found or [self._suggested((penalty,), first)[penalty]]
-        found = []
-        with suppress(*BROKEN):
-            starts = [first, *(convex(data, None) for data in self.others)]
-            cost, pairs = self.weighted(self.begun), zip((self.data, *self.others), starts, strict=True)
-            models = [LinearModel(evaluated(cost, data, start), NO_DUAL) for data, start in pairs]
-            found, _ = self._followed(penalty, rule, models)
-        return found or [self._suggested((penalty,), first)[penalty]]
-
-    def _followed(self, penalty: int, rule: Rule, models: list[LinearModel]) -> tuple[list[float], bool]:
-        """(best weights from model to model, whether the last one that was tried has an estimate)."""
-        weights, found = self.begun, list[float]()
-        while models and len(found) < MOST_SOLVES:
-            best = best_weight([Spectrum.of(model) for model in models], rule)
-            weights[penalty] = float(np.sqrt(best * found[-1])) if found and self.data.bounded else best
-            found.append(weights[penalty])
-            if len(found) == MOST_SOLVES or (len(found) > 1 and abs(np.log(found[-1] / found[-2])) < SETTLED):
-                break
-            again = (self._solved(weights, model.at.cell_resistance, model.at.data) for model in models)
-            models = [model for model in again if model is not None]
-        return found, bool(models)
-
-    def _suggested(self, penalties: Sequence[int], first: Array) -> list[float]:
-        at = evaluated(self.weighted(self.begun), self.data, first)
-        return first_weights(LinearModel(at, NO_DUAL), self.begun, penalties)
-
-    def _solved(self, weights: Sequence[float], start: Array, data: Data) -> LinearModel | None:
-        """What surrounds the estimate for these weights."""
-        found = best_solution(ProjectedNewton(self.weighted(weights), self.settings), data, start)
-        return None if found.at is None or found.dual is None else LinearModel(found.at, found.dual)
-
-    def by_evidence(self, penalties: Sequence[int], first: Array) -> list[float]:
-        """The weights that are open where the evidence has its fixed point."""
-        sought = tuple(number for number in penalties if self.cost.terms[number].weight == "auto")
-        weights, near = self._suggested(sought, first), first
-        with suppress(*BROKEN):
-            for _ in range(MOST_SOLVES):
-                model = self._solved(weights, near, self.data)
-                if model is None:
+            if several:
+                weights = first_weights(self.models(self.begun)[0], self.begun, self.open_terms)
+            for _ in range(MAX_SWEEPS if several else 1):
+                previous = list(weights)
+                for number in self.open_terms:
+                    spectra = [Spectrum.of(model, number) for model in self.models(weights)]
+                    weights[number] = best_weight(spectra, "risk")
+                    information = sum(spectrum.information(weights[number]) for spectrum in spectra)
+                    sigma[number] = information**-0.5 if information > 0 else np.nan
+                changes = np.log(np.array(weights) / np.array(previous))
+                if np.nanmax(np.abs(changes), initial=0.0) < SETTLED:
                     break
-                near, before = model.at.cell_resistance, weights
-                large = self.data.measured.size > MOST_DENSE
-                weights = (next_weights if large else settled_weights)(model, sought)
-                if max(abs(np.log(weights[number] / before[number])) for number in sought) < SETTLED:
+        return weights, tuple(sigma)
+
+    def suggested(self, first: Array) -> list[float]:
+        """The weights that the residuals at cells (frames, rows, columns) suggest."""
+        at = evaluated(self.weighted(self.begun), self.solves[0], first)
+        return first_weights(LinearModel(at, NO_DUAL), self.begun, self.open_terms)
+
+    def by_evidence(self, first: Array) -> Weights:
+        """The weights at the fixed point of the evidence; of log λ the standard deviation is √(2/γ)."""
+        weights, near, data = self.suggested(first), first, self.solves[0]
+        sigma = [np.nan] * len(weights)
+        with suppress(*BROKEN):
+            for _ in range(MAX_SOLVES):
+                found = best_solution(ProjectedNewton(self.weighted(weights), self.settings), data, near)
+                if found.at is None or found.dual is None:
                     break
-        return weights
+                model, previous = LinearModel(found.at, found.dual), weights
+                near = found.cell_resistance
+                large = data.measured.size > MOST_DENSE
+                weights = (next_weights if large else settled_weights)(model, self.open_terms)
+                for number in self.open_terms:
+                    determined = (SampledErrors if large else DenseErrors)(model).determined(number)
+                    sigma[number] = np.sqrt(2 / max(determined, 1.0))
+                if max(abs(np.log(weights[number] / previous[number])) for number in self.open_terms) < SETTLED:
+                    break
+        return weights, tuple(sigma)

@@ -3,9 +3,10 @@
 With A = Jᵀ Ω J + Zᵀ Ω Z + ε s² over the free cells (J: data, Z: penalties) and the gain K = A⁻¹ Jᵀ Ω, the error of the
 estimate is K·noise plus what the penalties pull it away from the truth:
 
-    S = K (τ² + V Vᵀ) Kᵀ + A⁻¹ (s² Zᵀ (C − B) Ω Z + Zᵀ H² Z + ε s⁴) A⁻¹ + (A⁻¹ M) S₀ (A⁻¹ M)ᵀ,   M = Zᵀ Ω Z₀
+    S = K (τ² + V Vᵀ) Kᵀ + A⁻¹ (s² Zᵀ (C − B) Ω Z + Zᵀ H² Z + W Wᵀ + ε s⁴) A⁻¹ + (A⁻¹ M) S₀ (A⁻¹ M)ᵀ,   M = Zᵀ Ω Z₀
 
-where V is what one chance moves together in a frame, and S₀ is the error of the previous frame and of the baseline, as
+where V is what one chance moves together in a frame, W = σ λ Zᵀ ½ρ' what a chosen weight's uncertainty does (Wood,
+Pya & Säfken, J. Am. Stat. Assoc. 111, 2016), and S₀ is the error of the previous frame and of the baseline, as
 far as terms read them. With C = 1 and one noise for all data this is the Laplace approximation s² A⁻¹. B is the share
 of a residual's variance that is the previous frame's error where a term weighs that (Joseph's form).
 A penalty that does not suit the data must not leave narrow bars: C of a penalised residual x̂ is the largest of 1,
@@ -159,6 +160,11 @@ class DenseErrors:
         rows = sparse.csr_array(self._of_free(self.model.penalty_jacobian))[beyond]
         return np.asarray((rows @ self.inverse).T * self.model.steady_pull[beyond])
 
+    @cached_property
+    def _reweighted(self) -> Array:
+        """A⁻¹ σ λ Zᵀ ½ρ' (free, n): what one standard deviation of log λ does to log r."""
+        return self.inverse @ self.model.weight_pulls[self.model.free]
+
     def determined(self, term: int) -> float:
         """γ_t = tr(B⁺ B_t) − tr(A⁻¹ B_t), B_t = Z_tᵀ Ω Z_t, B their sum; B⁺ B_t has B_t's rank where that is alone."""
         return self._determined[term]
@@ -190,6 +196,7 @@ class DenseErrors:
             (self._gain, model.noise**2),
             (self._pulls, model.scale * self.widening),
             (self._held, np.ones(self._held.shape[1])),
+            (self._reweighted, np.ones(self._reweighted.shape[1])),
             (moved, np.ones(moved.shape[1])),
             (self.inverse, model.scale**2 * model.ignorance),
         ]

@@ -27,11 +27,15 @@ class LinearModel:
     """at : the estimate. dual : of its absolute losses. All vectors are flat over (frames · cells) or over rows.
 
     own_error : standard deviation of what each reading is off by in all frames, as `Data.measured`, or 0.
+    deviation : standard deviation of the readings, the same shape; None: that of the data, σ. weight_sigma : of every
+    term the standard deviation of log λ where the data chose its weight, else NaN; (): none was chosen.
     """
 
     at: Evaluation
     dual: Array
     own_error: Array | float = field(default=0.0, kw_only=True)
+    deviation: Array | None = field(default=None, kw_only=True)
+    weight_sigma: tuple[float, ...] = field(default=(), kw_only=True)
 
     @cached_property
     def gradient(self) -> Array:
@@ -96,7 +100,11 @@ class LinearModel:
     @cached_property
     def noise(self) -> Array:
         """τ of the data."""
-        return self._of_rows(self.at.data.deviation)
+        return self._of_rows(self._deviation)
+
+    @property
+    def _deviation(self) -> Array:
+        return self.at.data.deviation if self.deviation is None else self.deviation
 
     def _of_rows(self, deviation: Array) -> Array:
         return np.asarray(np.sqrt(_squares(self.through) @ deviation.ravel() ** 2))
@@ -121,7 +129,7 @@ class LinearModel:
     def scale(self) -> float:
         """s², with each reading's own error in τ."""
         seen = self.data_curvature > 0
-        off = np.hypot(self.at.data.deviation, self.own_error) if np.any(self.own_error) else None
+        off = np.hypot(self._deviation, self.own_error) if np.any(self.own_error) else None
         noise = self.noise if off is None else self._of_rows(off)
         return float(np.mean(self.data_curvature[seen] * noise[seen] ** 2)) if seen.any() else 1.0
 
@@ -144,6 +152,18 @@ class LinearModel:
     def penalty_curvature(self) -> Array:
         """ω of the penalties."""
         return penalty_curvature_of(self, self.at.cost.weights)
+
+    @cached_property
+    def weight_pulls(self) -> Array:
+        """σ λ Zᵀ ½ρ'(x̂) (cells, n) of the terms whose weights the data chose: how the slope varies with log λ."""
+        columns = []
+        for number, sigma in enumerate(self.weight_sigma):
+            rows = self.penalty_term == number
+            if np.isfinite(sigma) and rows.any():
+                loss, residual = self.at.cost.terms[number].loss, self.penalty[rows]
+                slope = self.at.cost.weights[number] * loss.stiffness(residual) * residual
+                columns.append(sigma * (self.penalty_jacobian[rows].T @ slope))
+        return np.stack(columns, axis=1) if columns else np.zeros((self.at.cell_resistance.size, 0))
 
     @cached_property
     def steady_pull(self) -> Array:

@@ -125,6 +125,7 @@ class SampledErrors(DenseErrors):
                 noise = noise + self.drawn @ random.standard_normal(self.drawn.shape[1])
             right = self._adjoint(noise) + self._rows.T @ (size * pull)
             right += model.penalty_jacobian.T @ (model.steady_pull * pull)
+            right += model.weight_pulls @ random.standard_normal(model.weight_pulls.shape[1])
             if self.before is not None:
                 known = previous @ self.before.last[number] + baseline @ self.before.baseline[number]
                 right -= model.penalty_jacobian.T @ known

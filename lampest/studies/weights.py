@@ -6,7 +6,7 @@ Sources: Morozov, Soviet Math. Dokl. 7, 1966 (discrepancy principle); Hansen & O
 
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import get_args
 
@@ -19,7 +19,8 @@ from lampest.cost.terms import Term
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.methods import named_method
 from lampest.estimate.sequence import deciding_data, deciding_frame, frames_beside, resting_readings
-from lampest.estimate.weights import WeightSearch, rule_in_use
+from lampest.estimate.weights import WeightSearch, with_chosen_weights
+from lampest.files.errors import InputError
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.posterior.dense import DenseErrors
@@ -62,7 +63,7 @@ class WeightSubject:
         frame = deciding_frame(recording, readings, resting)
         if frame is None:
             return None
-        beside = [frame, *frames_beside(recording, readings, frame)]
+        beside = [frame, *frames_beside(recording, readings, resting, frame)]
         data, *others = (deciding_data(case.estimator, scene, resting, readings[one]) for one in beside)
         truth = None
         if recording.truth_cell_resistance is not None:
@@ -86,7 +87,14 @@ class WeightSubject:
     @property
     def search(self) -> WeightSearch:
         """What chooses weights for these data."""
-        return WeightSearch(self.cost, self.data, self.estimator.solver, self.others)
+        return WeightSearch(self.cost, (self.data, *self.others), self.estimator.solver)
+
+    @cached_property
+    def spectra(self) -> list[Spectrum]:
+        """The cost at the reference estimates, for all weights; none where there is no reference."""
+        with suppress(*BROKEN):
+            return [Spectrum.of(model, self.penalty) for model in self.search.models(self.search.begun)]
+        return []
 
     def with_weight(self, weight: float) -> Cost:
         """The cost with a weight of the penalty."""
@@ -101,12 +109,12 @@ class WeightSubject:
 
     @property
     def units(self) -> dict[str, str]:
-        """Of misfit and PRESS, of the penalty, squared, and of λ, which is their ratio; in ASCII."""
+        """Of misfit, of the penalty, squared, and of λ, which is their ratio; in ASCII."""
         term, penalty = self.cost.terms[1 - self.penalty], self.cost.terms[self.penalty]
         units = "1" if getattr(term, "weighting", "plain") == "noise" else term.unit, penalty.unit
         misfit, other = ("1" if unit == "1" else f"({unit})^2" if " " in unit else f"{unit}^2" for unit in units)
         ratio = "1" if misfit == other else f"{misfit}/{other}"
-        return {"misfit": "1" if self.noisy else misfit, "press": misfit, "penalty": other, "weight": ratio}
+        return {"misfit": "1" if self.noisy else misfit, "penalty": other, "weight": ratio}
 
 
 def why_not(estimator: Estimator, readings: int) -> str | None:
@@ -125,8 +133,8 @@ def why_not(estimator: Estimator, readings: int) -> str | None:
 class CurvePoint:
     """What there is at one weight λ; NaN where it was not solved or is unknown.
 
-    Evidence and risk need σ; risk is unknown, too, where bounds hold half of the cells. misfit : ρ/s² is as large as
-    the number of data where they are missed by their noise; ρ without a known σ. cells : (frames, rows, columns) ohm.
+    Evidence needs σ, and risk a reference estimate. misfit : ρ/s² is as large as the number of data where they are
+    missed by their noise; ρ without a known σ. cells : (frames, rows, columns) ohm.
     """
 
     weight: float = column("1", "weight of the penalty")
@@ -134,8 +142,7 @@ class CurvePoint:
     misfit: float = column("1", "sum of squared misfits, over the noise's mean square where that is known", np.nan)
     penalty: float = column("1", "sum of squared penalties", np.nan)
     evidence: float = column("1", "-2 log of the Laplace evidence, up to a constant", np.nan)
-    risk: float = column("1", "estimate of the sum of squared errors of log resistance, of cells not at bounds", np.nan)
-    press: float = column("1", "square of the summed sizes of the errors of readings predicted from all others", np.nan)
+    risk: float = column("1", "expected sum of squared errors of log resistance, the reference as the truth", np.nan)
     error: float = column("1", "true root-mean-square error of log resistance over the frame", np.nan)
     open_cells: float = column("1", "cells of the frame at their upper bound", np.nan)
     bound_cells: float = column("1", "cells at a bound, of all frames of the solve", np.nan)
@@ -149,13 +156,11 @@ def solve_at(subject: WeightSubject, weight: float, start: Array | None) -> Curv
     if found.at is None or found.dual is None:
         return CurvePoint(weight)
     model = LinearModel(found.at, found.dual)
-    evidence = risk = press = error = np.nan
-    with suppress(*BROKEN):  # where bounds decide every cell, these three are unknown
-        spectrum = Spectrum.of(model)
-        press = spectrum.press(weight)
+    evidence = error = np.nan
+    risk = sum(spectrum.risk(weight) for spectrum in subject.spectra) if subject.spectra else np.nan
+    with suppress(*BROKEN):  # where bounds decide every cell, the evidence is unknown
         if subject.noisy:
-            evidence = spectrum.evidence(weight) + bound_evidence(model)
-            risk = spectrum.risk(weight) if 2 * len(model.free) >= found.cell_resistance.size else np.nan
+            evidence = Spectrum.of(model).evidence(weight) + bound_evidence(model)
     if subject.truth is not None:
         error = float(np.sqrt(np.nanmean((np.log(found.cell_resistance[-1]) - subject.truth) ** 2)))
     return CurvePoint(
@@ -165,7 +170,6 @@ def solve_at(subject: WeightSubject, weight: float, start: Array | None) -> Curv
         float(model.penalty @ model.penalty),
         evidence,
         risk,
-        press,
         error,
         float(found.open_cell[-1].sum()),
         float(np.sum(model.at_lower | model.at_upper)),
@@ -256,7 +260,6 @@ class Choice:
     rule: str = column("1", "rule")
     in_use: bool = column("1", "1: the estimator's")
     weight: float | None = column("1", "the rule's weight, NaN where it has none")
-    solves: int | None = column("1", "solves that it took with the estimate, NaN where it needs the whole curve")
     error: float | None = column("1", "true root-mean-square error of log resistance", None)
     excess: float | None = column("1", "error over that of the best weight in hindsight", None)
 
@@ -276,27 +279,39 @@ def tune(subject: WeightSubject) -> Tuned:
 
     Raises InputError where the estimator's rule needs the noise and it is unknown.
     """
+    if subject.estimator.auto_weight.rule == "evidence" and not subject.noisy:
+        raise InputError("auto_weight.rule: evidence needs the noise: a readout in the scene or sigma in the recording")
     first, given = convex(subject.data, None), subject.given
-    rules = [rule for rule in get_args(Rule) if subject.noisy or rule == "press"]
-    tried = {rule: subject.search.tried(subject.penalty, rule, first) for rule in rules}
-    in_use = rule_in_use(subject.estimator, subject.noisy) if given is None else "given"
-    curves = trace(subject, [path[-1] for path in tried.values()] + ([given] if given else []), first)
-    weights: dict[str, tuple[float | None, int | None]] = {rule: (path[-1], len(path)) for rule, path in tried.items()}
+    rules = [rule for rule in get_args(Rule) if subject.noisy or rule != "evidence"]
+    weights: dict[str, float | None] = {rule: _weight_of(subject, rule) for rule in rules}
+    in_use = "given" if given is not None else subject.estimator.auto_weight.rule or "risk"
+    marks = [weight for weight in weights.values() if weight is not None]
+    curves = trace(subject, marks + ([given] if given else []), first)
     solved = [point for point in curves.points if point.solved]
-    weights["Morozov"] = (morozov(solved, subject.count) if subject.noisy else None, None)
-    weights["L-curve"] = (l_curve(solved), None)
+    weights["Morozov"] = morozov(solved, subject.count) if subject.noisy else None
+    weights["L-curve"] = l_curve(solved)
     if given:
-        weights["given"] = (given, 1)
-    curves = curves.extended(weight for weight, _ in weights.values() if weight is not None).finer().finer()
+        weights["given"] = given
+    curves = curves.extended(weight for weight in weights.values() if weight is not None).finer().finer()
     best = curves.best()
     if best is not None:
-        weights["best"] = (best.weight, None)
+        weights["best"] = best.weight
     choices = []
-    for rule, (weight, solves) in weights.items():
+    for rule, weight in weights.items():
         error = None if best is None or weight is None else curves.at(weight).error
         known = (error, error / best.error) if best is not None and error is not None and np.isfinite(error) else ()
-        choices.append(Choice(rule, rule == in_use, weight, solves, *known))
+        choices.append(Choice(rule, rule == in_use, weight, *known))
     return Tuned(subject, curves, tuple(choices))
+
+
+def _weight_of(subject: WeightSubject, rule: Rule) -> float:
+    """The penalty's weight by a rule."""
+    terms = list(subject.estimator.terms)
+    terms[subject.penalty] = replace(terms[subject.penalty], weight="auto")
+    settings = replace(subject.estimator.auto_weight, rule=rule)
+    estimator = replace(subject.estimator, terms=tuple(terms), auto_weight=settings)
+    found = with_chosen_weights(estimator, subject.scene, subject.data, None, subject.others)
+    return float(found.terms[subject.penalty].weight)
 
 
 def morozov(points: Sequence[CurvePoint], data: int) -> float | None:

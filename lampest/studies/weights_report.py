@@ -20,7 +20,6 @@ from lampest.studies.weights import Choice, Tuned, WeightSubject, tune, why_not
 LOOKS: dict[str, dict[str, Any]] = {
     "risk": {"color": "#0072B2", "ls": "-", "marker": "o"},
     "evidence": {"color": "#D55E00", "ls": (0, (5, 1.5)), "marker": "s"},
-    "press": {"color": "#009E73", "ls": (0, (4, 1.2, 1, 1.2)), "marker": "D", "name": "PRESS"},
     "Morozov": {"color": "#CC79A7", "ls": (0, (1, 1)), "marker": "^"},
     "L-curve": {"color": "#E69F00", "ls": (0, (3, 1, 1, 1, 1, 1)), "marker": "v"},
     "given": {"color": "#7A5230", "ls": (0, (8, 2)), "marker": "P", "name": "given in the file"},
@@ -33,17 +32,18 @@ LINE: dict[str, Any] = {"color": "black", "lw": 1.3, "zorder": 2.5}
 def weights_figure(one: Tuned) -> Figure:
     """Five panels over log λ, and the L-curve; a line, or a sign, for the choice of every rule.
 
-    Evidence, risk and PRESS stand above their least values; what has no known noise or truth says so.
+    Evidence and risk stand above their least values; what has no known noise or truth says so.
     """
     figure = new_figure(7.4)
     panels = figure.subplots(3, 2)
-    for axes, (title, draw), letter in zip(panels.flat, PANELS, "abcdef", strict=True):
+    panels[2, 1].remove()
+    for axes, (title, draw), letter in zip(panels.flat, PANELS, "abcde", strict=False):
         axes.set_title(f"({letter}) {title}", fontsize=TEXT_POINT, loc="left")
         draw(axes, one)
     title = f"{one.subject.recording}, frame {one.subject.frame}: {one.subject.name}"
     figure.suptitle(title, fontsize=TEXT_POINT + 1)
     look: dict[str, Any] = {"fontsize": SMALL_POINT, "frameon": False, "ncols": 3}
-    figure.legend(*panels[2, 1].get_legend_handles_labels(), loc="outside lower center", **look)
+    figure.legend(*panels[2, 0].get_legend_handles_labels(), loc="outside lower center", **look)
     return figure
 
 
@@ -79,7 +79,7 @@ def _above_least(name: str, label: str) -> Callable[[Axes, Tuned], None]:
         values = one.curves.values(name)
         weights = _over_weight(axes, one, _label(one, name, f"{label} − least"))
         if not np.isfinite(values).any():
-            _words_instead(axes, "needs the noise of the readings")
+            _words_instead(axes, "not known here")
             return
         above, least = values - np.nanmin(values), int(np.nanargmin(values))
         above[least] = np.min(above, where=above > 0, initial=np.nanmax(above))
@@ -159,7 +159,6 @@ def _logarithmic(*axes: Axis) -> None:
 PANELS: Sequence[tuple[str, Callable[[Axes, Tuned], None]]] = (
     ("evidence", _above_least("evidence", "−2 log evidence")),
     ("expected error, Σ(log r̂ − log r)²", _above_least("risk", "risk")),
-    ("prediction from all other readings", _above_least("press", "PRESS")),
     ("misfit and penalty", _misfit),
     ("error of the estimate", _error),
     ("L-curve", _l_curve),
@@ -197,7 +196,6 @@ def _row(subject: WeightSubject, choice: Choice) -> study.Row:
         in_use=int(choice.in_use),
         weight=choice.weight,
         weight_unit=subject.units["weight"],
-        solves=choice.solves,
         rms_log_error=choice.error,
         over_best=choice.excess,
     )
@@ -210,7 +208,6 @@ SCREEN: study.Screen = {
     "in use": lambda row: "*" * row.in_use,
     "λ": lambda row: study.text_of(row.weight, ".3g") or "none",
     "unit of λ": "{weight_unit}",
-    "solves": "{solves:d}",
     "true error": "{rms_log_error:.4f}",
     "over the best": "{over_best:.3f}",
 }
@@ -221,7 +218,7 @@ def _groups(found: study.Cases[Tuned]) -> Iterator[study.RecordGroup]:
     for one in found.found:
         subject, path = one.subject, f"{one.subject.recording}/{one.subject.name}"
         known = {"frame": subject.frame, "readings": subject.count, "noise_known": int(subject.noisy)}
-        signal = "evidence" if subject.noisy else "press"
+        signal = "risk"
         yield study.RecordGroup(path, one.curves.points, signal, "weight", subject.units, known)
         yield study.RecordGroup(f"{path}/choices", one.choices, "weight", units=subject.units)
 
@@ -234,7 +231,7 @@ STUDY: study.Study[Run, study.Cases[Tuned]] = study.Study(
     lambda run, on_step: study.of_cases(tuned, run, on_step, "tune"),
     rows=weight_rows,
     screen=SCREEN,
-    form="tune/2",
+    form="tune/3",
     records=_groups,
     figures=lambda found: {
         re.sub(r"[^\w.@=,+-]", "_", f"tune_{one.subject.recording}_{one.subject.name}"): weights_figure(one)

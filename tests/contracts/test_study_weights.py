@@ -46,8 +46,8 @@ def test_command_writes_table_curves_and_figures(
         assert (out / f"tune_small_{name}.png").read_bytes().startswith(b"\x89PNG")
     with h5py.File(out / "tune.h5") as file:
         group = file["entry/small/g"]
-        assert group.attrs["signal"] == b"evidence"
-        for name in ("weight", "misfit", "penalty", "evidence", "risk", "press", "error", "open_cells", "solved"):
+        assert group.attrs["signal"] == b"risk"
+        for name in ("weight", "misfit", "penalty", "evidence", "risk", "error", "open_cells", "solved"):
             assert group[name].attrs["units"], name
             assert group[name].attrs["long_name"], name
             assert len(group[name]) >= 33
@@ -67,8 +67,8 @@ def test_without_noise_and_truth_there_is_press_alone(
     done = lampest("study", "weights", disk.run(text, "tune.yaml"), "--out", tmp_path / "out")
     assert done.code == 0, done.err
     found = {row["rule"]: row for row in rows(tmp_path / "out")}
-    assert set(found) == {"press", "Morozov", "L-curve"}
-    assert found["press"]["in_use"] == "1"
+    assert set(found) == {"risk", "Morozov", "L-curve"}
+    assert found["risk"]["in_use"] == "1"
     assert found["Morozov"]["weight"] == ""
     assert {row["rms_log_error"] for row in found.values()} == {""}
 

@@ -41,7 +41,7 @@ def excess(made: Recording, estimator: Estimator) -> Array:
     assert truth is not None and frame is not None
     data = deciding_data(estimator, scene, resting, readings[frame])
     unloaded = None if estimator.relative else deciding_data(estimator, scene, resting, resting)
-    chosen = float(with_chosen_weights(estimator, scene, data, None, True).terms[1].weight)
+    chosen = float(with_chosen_weights(estimator, scene, data, None).terms[1].weight)
     errors = []
     for weight in (chosen, *(chosen * FACTORS)):
         weighted = estimator.with_weights([1.0, weight])

@@ -110,7 +110,7 @@ def with_one_weight(penalty: lampest.Term, seed: int) -> str:
         frame = deciding_frame(part, read, resting)
         assert frame is not None
         data = deciding_data(estimator, scene, resting, read[frame])
-        found = with_chosen_weights(estimator, scene, data, None, True)
+        found = with_chosen_weights(estimator, scene, data, None)
         chosen.append(float(found.terms[1].weight))
         return found, resting
 

@@ -126,8 +126,7 @@ class Method(Validated):
             begin = perf_counter()
             limit = objective.solver.time_limit_s
             if objective.automatic:
-                noisy = state.resting.sigma is not None
-                objective = with_chosen_weights(objective, state.scene, data.limited(limit), previous, noisy)
+                objective = with_chosen_weights(objective, state.scene, data.limited(limit), previous)
             choice = perf_counter() - begin
             cost = objective.cost(state.scene, len(data.measured), data.partial)
             solver = self.solver(cost, state.scene, objective.solver, state.period)
@@ -136,7 +135,7 @@ class Method(Validated):
             with ended_where_hung(limit):
                 solution = self.solution(solver, data.limited(limit), previous, state.prepared)
             weights = tuple(float(weight) for weight in solver.cost.weights)
-            return Step(solution, choice + perf_counter() - begin, weights)
+            return Step(solution, choice + perf_counter() - begin, weights, weight_sigma=objective.weight_sigma)
 
     def begin(self, state: S, solved: Step | None = None) -> S:
         """The state after its baseline, which is solved alone; solved : that, where it is there already."""

@@ -1,0 +1,336 @@
+"""Reference estimate: cells and errors of readings, both with heavy tails, judged together.
+
+    y_i = f_i(u) + s σ_i e_i,    (u_b − u_a)/d_ab = τ z_ab,    e, z of Student's t with ν degrees of freedom
+
+over the readings i and the neighbouring cells a, b of a panel, u = log r. Where terms compare a frame with a known
+baseline u₀, u_a − u₀_a = τ z_a takes the place of the steps between neighbours. The scale s says by how much more than
+their noise σ the readings are missed: the error of the model, circuit and electronics. A few large steps of log r, such
+as the edge of a load, cost little under heavy tails, so they are not mistaken for errors of all readings.
+
+For every s of a grid, the posterior of u is approximated by a normal distribution N(û, S) and τ by its most probable
+value (variational expectation–maximisation; û by Gauss–Newton steps within the bounds). The bound of the marginal
+likelihood that this leaves, −2 log p(y | s), gives the posterior of log s, of which the median is taken.
+Sources: Lange, Little & Taylor, J. Amer. Statist. Assoc. 84, 1989 (Student's t as a mixture of normal distributions);
+Tipping & Lawrence, Neurocomputing 69, 2005 (its variational bound); MacKay, Neural Computation 4, 1992 (updates of τ).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import blas, lapack
+
+from lampest.cost.cost import Cost
+from lampest.cost.problem import Data
+from lampest.panel.panel import Array
+
+FREEDOM = 3.0  # ν: the fewest degrees of freedom with a variance
+RATIO = 2.0  # of one s of the grid to the next: a factor of √2 in σ changes no weight by more than its uncertainty
+MAX_SCALES = 14  # in one direction
+IMPROBABLE = 6.0  # of −2 log p above its least value, where the search ends: a twentieth of the probability
+EXACT = 1e-4  # first s where the noise is unknown, as a fraction of the reading: no sensor is read to more digits
+MAX_STEPS, MAX_ROUNDS = 8, 4  # Gauss–Newton steps of one s; updates of the weights of one linearisation
+SETTLED_BOUND, SETTLED_STEP, SETTLED_VARIANCE = 0.5, 0.02, 0.03  # of −2 log p; of log r; of log τ²
+LONGEST = 1.4  # of log r in one step
+RIDGE = 1e-9  # of the mean curvature
+
+
+@dataclass(frozen=True, eq=False)
+class Reference:
+    """What the reference model says of one solve's data.
+
+    Attributes
+    ----------
+    cells : array, shape (frames, rows, columns)
+        Estimated cell resistance, ohm.
+    deviation : array, same shape
+        Standard deviation of each reading, noise and model error together, in the unit of the readings; larger where
+        a reading is an outlier.
+    """
+
+    cells: Array
+    deviation: Array
+
+
+@dataclass(frozen=True, eq=False)
+class ErrorScale:
+    """The scale s of the readings' errors, in units of their noise (of the readings where the noise is unknown).
+
+    Attributes
+    ----------
+    best : float
+        The median of the posterior, on the grid.
+    scales, bounds : tuples of float
+        The grid, ascending, and −2 log p(y | s) on it, up to a constant.
+    """
+
+    best: float
+    scales: tuple[float, ...]
+    bounds: tuple[float, ...]
+
+    def gain(self, scale: float) -> float:
+        """By how much −2 log p is smaller at the best s than at the one nearest to `scale`."""
+        nearest = int(np.argmin(np.abs(np.log(np.array(self.scales) / scale))))
+        return self.bounds[nearest] - min(self.bounds)
+
+
+def references(solves: Sequence[Data], cost: Cost, least: float = 1.0) -> tuple[ErrorScale, list[Reference]]:
+    """Fit the reference model to the data of several solves, with one s for all.
+
+    Parameters
+    ----------
+    solves : sequence of Data
+        Of one network each, with the same readout.
+    cost : Cost
+        Of the panel; its terms do not matter.
+    least : float
+        The smallest possible s where the noise is specified, not measured: the converter's step.
+
+    Returns
+    -------
+    scale : ErrorScale
+    references : list of Reference
+        One for every solve.
+
+    Raises LinAlgError where a network cannot be solved.
+    """
+    frames = [Fit.of(data, cost, frame) for data in solves for frame in range(len(data.measured))]
+    known = solves[0].noise_known
+    tried = _search(frames, 1.0 if known else EXACT, RATIO, MAX_SCALES)
+    if known and least < 1:
+        fewest = int(np.ceil(np.log(1 / least) / np.log(RATIO)))
+        tried |= _search(tried[1.0], 1 / RATIO, 1 / RATIO, fewest, least)
+    scales = sorted(tried)
+    bounds = np.array([_bound(tried[scale]) for scale in scales])
+    share = np.cumsum(np.exp((bounds.min() - bounds) / 2))
+    best = scales[int(np.searchsorted(share, share[-1] / 2))]
+    fits, found = iter(tried[best]), []
+    for data in solves:
+        own = [next(fits) for _ in data.measured]
+        cells, deviation = (np.stack(part) for part in zip(*(fit.result(best) for fit in own), strict=True))
+        found.append(Reference(cells, deviation))
+    return ErrorScale(best, tuple(scales), tuple(bounds.tolist())), found
+
+
+def _bound(fits: Sequence["Fit"]) -> float:
+    return sum(fit.bound for fit in fits)
+
+
+def _search(
+    frames: Sequence["Fit"], first: float, ratio: float, count: int, least: float = 0.0
+) -> dict[float, list["Fit"]]:
+    """Fits at s = first, first·ratio, …, each begun at the one before, until the bound has risen for a while."""
+    tried, fits, scale, lowest = dict[float, list[Fit]](), list(frames), first, np.inf
+    for _ in range(count):
+        fits = [fit.settled(scale**2) for fit in fits]
+        tried[scale] = fits
+        lowest = min(lowest, _bound(fits))
+        excess = np.sqrt(max(fit.residual_variance for fit in fits)) / scale if ratio > 1 else 0.0
+        if _bound(fits) > lowest + IMPROBABLE and excess <= 1:
+            break
+        skipped = int(np.log(max(excess, 1.0)) / np.log(RATIO)) // 2  # residuals that are far too large need no more
+        scale = max(scale * ratio ** (1 + skipped), least)
+    return tried
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """The reference model of one frame at one s. Readings and steps are in units of σ and of 1 per pitch.
+
+    Attributes
+    ----------
+    data, frame : Data, int
+        What is fitted.
+    shape : tuple of int
+        Rows and columns.
+    cells : array
+        The numbers of the cells that are there and not known to be faulty.
+    steps : array, shape (steps, cells)
+        Differences between neighbours over their distance, or the cells themselves.
+    origin : array, shape (steps)
+        What is taken off them: nothing, or log r of the baseline.
+    position, reading : arrays, flat over the panel
+        u = log r, and f(u).
+    jacobian : array, shape (readings, cells)
+        ∂f/∂u over σ.
+    reading_weights, step_weights : arrays
+        Expected precision of e and of z, in units of 1/s² and 1/τ².
+    variance : float
+        τ².
+    change : array, flat over the panel
+        The Gauss–Newton step to the minimum.
+    bound : float
+        −2 log p(y | s).
+    residual_variance : float
+        Weighted mean square of the residuals over the degrees of freedom that the cells leave.
+    """
+
+    data: Data
+    frame: int
+    shape: tuple[int, int]
+    cells: NDArray[np.intp]
+    steps: Array
+    origin: Array
+    position: Array
+    reading: Array
+    jacobian: Array
+    reading_weights: Array
+    step_weights: Array
+    variance: float = 0.1
+    change: Array = field(default_factory=lambda: np.zeros(0))
+    bound: float = np.inf
+    residual_variance: float = np.inf
+
+    @classmethod
+    def of(cls, data: Data, cost: Cost, frame: int) -> "Fit":
+        """Before the first step, at the readout's own start. Raises LinAlgError where no two cells are neighbours."""
+        panel = cost.panel
+        cells = np.setdiff1d(np.flatnonzero(np.ravel(panel.present)), cost.faulty)
+        if cost.needs_previous and data.given.previous is not None:
+            steps, origin = np.eye(panel.crossings)[cells], np.log(data.given.previous.ravel()[cells])
+        else:
+            first, second, distance = panel.neighbours
+            inside = np.flatnonzero(np.isin(first, cells) & np.isin(second, cells))
+            steps, pairs = np.zeros((len(inside), panel.crossings)), np.arange(len(inside))
+            steps[pairs, second[inside]], steps[pairs, first[inside]] = 1 / distance[inside], -1 / distance[inside]
+            origin = np.zeros(len(inside))
+        if not len(steps):
+            raise np.linalg.LinAlgError("no cells are neighbours")
+        start = data.readout.start(data.measured[frame], data.upper[frame], None)
+        nothing, ones = np.zeros(0), np.ones(panel.crossings)
+        fit = cls(data, frame, panel.shape, cells, steps, origin, nothing, nothing, nothing, ones, np.ones(len(steps)))
+        return fit.at(np.log(np.clip(start, data.lower[frame], data.upper[frame])).ravel())
+
+    def at(self, position: Array) -> "Fit":
+        """The same model linearised at u."""
+        network = self.data.network(self.frame, np.exp(position).reshape(self.shape))
+        jacobian = np.asarray(network.sensitivity()) / self.sigma[:, None]
+        return replace(self, position=position, reading=network.reading().ravel(), jacobian=jacobian)
+
+    @cached_property
+    def sigma(self) -> Array:
+        """σ of the readings; the readings themselves where it is unknown."""
+        known = self.data.deviation if self.data.noise_known else np.abs(self.data.measured)
+        return np.asarray(known[self.frame]).ravel()
+
+    @property
+    def step(self) -> Array:
+        """The steps of log r."""
+        return np.asarray(self.steps @ self.position - self.origin)
+
+    def residual(self, reading: Array) -> tuple[Array, NDArray[np.bool_], NDArray[np.bool_]]:
+        """(f − y over σ, the readings that count, those that are values); a bound counts where it is broken."""
+        residual = (reading - self.data.measured[self.frame].ravel()) / self.sigma
+        if not self.data.partial:
+            every = np.ones(len(residual), dtype=bool)
+            return residual, every, every
+        side, seen = (np.asarray(given[self.frame]).ravel() for given in (self.data.given.side, self.data.given.seen))
+        counted = np.where(side != 0, side * residual < 0, seen > 0)
+        return residual, counted, counted & (side == 0)
+
+    def settled(self, square: float) -> "Fit":
+        """Expectations and Gauss–Newton steps at s² until the bound stands still."""
+        fit, previous = self, np.inf
+        for _ in range(MAX_STEPS):
+            fit = fit.expected(square)
+            if abs(fit.bound - previous) < SETTLED_BOUND:
+                break
+            previous, moved = fit.bound, fit.moved(square)
+            if moved is None:
+                break
+            still = float(np.abs(moved.position - fit.position).max()) < SETTLED_STEP
+            fit = moved
+            if still:
+                break
+        return fit
+
+    def expected(self, square: float) -> "Fit":
+        """Weights and τ² at the present linearisation, and the step that they lead to."""
+        residual, counted, values = self.residual(self.reading)
+        rows, cells = np.flatnonzero(counted), self.cells
+        jacobian, steps, step = self.jacobian[np.ix_(rows, cells)], self.steps[:, cells], self.step
+        residual, value, rank = residual[rows], values[rows], min(len(steps), len(cells) - (not self.origin.any()))
+        of_readings, of_steps, variance = self.reading_weights[rows], self.step_weights, self.variance
+        for number in range(MAX_ROUNDS):
+            weights, before = (of_readings / square, of_steps / variance), variance
+            matrix = blas.dsyrk(1.0, (jacobian * np.sqrt(weights[0])[:, None]).T)
+            matrix = blas.dsyrk(1.0, (steps * np.sqrt(weights[1])[:, None]).T, 1.0, matrix, overwrite_c=True)
+            matrix[np.diag_indices(len(matrix))] += RIDGE * np.trace(matrix) / len(matrix)
+            slope = jacobian.T @ (weights[0] * residual) + steps.T @ (weights[1] * step)
+            covariance, log_volume = _inverse(matrix)
+            change = self._within(matrix, covariance, slope)
+            missed, stepped = residual + jacobian @ change, step + steps @ change
+            of_missed = missed**2 + np.sum((jacobian @ covariance) * jacobian, axis=1)
+            of_stepped = stepped**2 + np.sum((steps @ covariance) * steps, axis=1)
+            used = float(np.sum((weights[0] * (of_missed - missed**2))[value]))
+            free = max(int(value.sum()) - used, 1e-3 * len(rows))
+            determined = max(rank - float(np.sum(weights[1] * (of_stepped - stepped**2))), 0.01 * rank)
+            residual_variance = float(np.sum((of_readings * missed**2)[value])) / free
+            variance = float(np.sum(of_steps * stepped**2)) / determined or np.finfo(float).tiny
+            of_readings = (FREEDOM + 1) / (FREEDOM + of_missed / square)
+            of_steps = (FREEDOM + 1) / (FREEDOM + of_stepped / variance)
+            if number and abs(np.log(variance / before)) < SETTLED_VARIANCE:
+                break
+        every, whole = np.zeros(len(self.position)), np.zeros(len(self.position))
+        every[rows], whole[cells] = of_readings, change
+        bound = int(value.sum()) * np.log(square) + rank * np.log(variance) - log_volume
+        bound += _tails(of_missed[value], square) + _tails(of_stepped, variance)
+        return replace(
+            self,
+            reading_weights=every,
+            step_weights=of_steps,
+            variance=variance,
+            change=whole,
+            bound=float(bound),
+            residual_variance=residual_variance,
+        )
+
+    def _within(self, matrix: Array, covariance: Array, slope: Array) -> Array:
+        """The step to the minimum, with cells held that press against a bound."""
+        lower, upper = (np.ravel(bound[self.frame])[self.cells] for bound in self.data.log_bounds)
+        place = self.position[self.cells]
+        held = (upper <= lower) | ((place <= lower) & (slope > 0)) | ((place >= upper) & (slope < 0))
+        if not held.any():
+            return np.asarray(-covariance @ slope)
+        free, change = np.flatnonzero(~held), np.zeros(len(slope))
+        whole = np.triu(matrix) + np.triu(matrix, 1).T
+        change[free] = -np.linalg.solve(whole[np.ix_(free, free)], slope[free])
+        return change
+
+    def moved(self, square: float) -> "Fit | None":
+        """After as much of the step as lowers the cost; None where none does."""
+        lower, upper = (np.ravel(bound[self.frame]) for bound in self.data.log_bounds)
+        cost, change = self._cost(square), np.clip(self.change, -LONGEST, LONGEST)
+        for share in (1.0, 0.3, 0.1, 0.03):
+            trial = self.at(np.clip(self.position + share * change, lower, upper))
+            if trial._cost(square) <= cost:
+                return trial
+        return None
+
+    def _cost(self, square: float) -> float:
+        residual, counted, _ = self.residual(self.reading)
+        cost = _tails(residual[counted] ** 2, square) + _tails(self.step**2, self.variance)
+        return cost if np.isfinite(cost) else np.inf
+
+    def result(self, scale: float) -> tuple[Array, Array]:
+        """Cells in ohm and the deviation of every reading, each (rows, columns)."""
+        weights = np.where(self.reading_weights > 0, self.reading_weights, 1.0)
+        deviation = scale * self.sigma / np.sqrt(weights)
+        return tuple(part.reshape(self.shape) for part in (np.exp(self.position), deviation))  # type: ignore[return-value]
+
+
+def _tails(squares: Array, variance: float) -> float:
+    """−2 log of Student's density of squared residuals, without constants and the scale."""
+    return float((FREEDOM + 1) * np.sum(np.log1p(squares / (FREEDOM * variance))))
+
+
+def _inverse(matrix: Array) -> tuple[Array, float]:
+    """The inverse of a matrix from its upper triangle, and the logarithm of the inverse's determinant."""
+    factor, failed = lapack.dpotrf(matrix)
+    inverse, broken = lapack.dpotri(factor)
+    if failed or broken or not np.all(np.isfinite(inverse)):
+        raise np.linalg.LinAlgError("the reference model does not determine the cells")
+    inverse = np.triu(inverse) + np.triu(inverse, 1).T
+    return inverse, -2 * float(np.sum(np.log(np.diag(factor))))
