@@ -1,9 +1,8 @@
 """Whether the circuit that a scene specifies can have made the readings, and which other explains them better."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from warnings import catch_warnings, simplefilter
 
 import numpy as np
@@ -11,9 +10,7 @@ from numpy.typing import NDArray
 
 from lampest.estimate.cells_fit import LEVEL, MOST_CELLS, PRICE, CellsFit, JointFit, fitted, mostly_still, moved_score
 from lampest.estimate.nuisances import MARGIN, MOST_ASKED, Besides, Better, beside_channels, besides_the_circuit
-from lampest.estimate.outliers import without_outliers
 from lampest.estimate.rivals import Question, Rival, changes_beyond_noise, rivals_of, standing_frames
-from lampest.estimate.saturation import as_passed
 from lampest.estimate.scatter import LEAST_FACTOR
 from lampest.files.errors import InputError
 from lampest.loads.recognition.detector import Detector
@@ -62,33 +59,44 @@ class ModelCheck:
         return "no" if not self.explains else "yes" if self.noise == 1 else "noise"
 
 
-@lru_cache(maxsize=1)  # several estimators of one recording come one after the other
-def recording_check(recording: Recording) -> ModelCheck:
-    """The check of a recording's circuit, which all its estimates share. Raises InputError as `Readings.of`.
+def check_of_circuit(recording: Recording, outliers: NDArray[np.bool_], effects: Callable[[], Besides]) -> ModelCheck:
+    """Return the check of a single network's circuit. Raises InputError as `Readings.of`.
 
     The unloaded panel's mean and the frame that differs most from it are explained by cells alone, every frame is
     held against the circuit's inequalities, and other circuits are tried on the same two. Without an unloaded frame
     the first one stands in.
+
+    Parameters
+    ----------
+    recording : Recording
+        As the electronics passed it.
+    outliers : boolean array, shape (frames, rows, columns)
+        Readings that are left out.
+    effects : callable
+        Returns the effects beside the circuit, where they are needed.
     """
-    if recording.scene.panel.modules is not None:
-        return _of_modules(recording, recording.scene.panel.modules)
-    recording = as_passed(recording)
-    scene, readings = recording.scene, recording.readings()
-    if readings.sigma is None:
+    if recording.readings().sigma is None:
         return ModelCheck(None, "the circuit was not checked: the noise of the readings is unknown")
     try:
         with np.errstate(all="ignore"):
-            outliers, _ = without_outliers(scene.circuit, readings, recording.role == UNLOADED)
-            specified = Rival(scene, np.where(outliers, np.nan, recording.recorded), recording.sigma)
-            check, count = _checked(specified, recording), int(outliers.sum())
+            specified = Rival(recording.scene, np.where(outliers, np.nan, recording.recorded), recording.sigma)
+            check, count = _checked(specified, recording, effects), int(outliers.sum())
     except BROKEN:
         return ModelCheck(None, "the circuit was not checked: arithmetic broke down over its readings")
     said = f"; {count} outlier{'s' if count > 1 else ''} of one frame left out" if count else ""
     return replace(check, sentence=check.sentence + said)
 
 
-def _of_modules(recording: Recording, layout: Modules) -> ModelCheck:
-    """Of those modules whose readings move most."""
+def check_of_modules(recording: Recording, layout: Modules, of_module: Callable[[int], ModelCheck]) -> ModelCheck:
+    """Return the check of the circuits of those modules whose readings move most.
+
+    Parameters
+    ----------
+    recording : Recording
+    layout : Modules
+    of_module : callable
+        Returns the check of a module by its number.
+    """
     values, resting = layout.split(recording.readings().plain_values), recording.role == UNLOADED
     if not resting.any():
         resting[0] = True
@@ -97,7 +105,7 @@ def _of_modules(recording: Recording, layout: Modules) -> ModelCheck:
         change = np.abs(np.log(values[recording.role == MEASURED] / np.nanmean(values[resting], axis=0)))
         moved = np.nan_to_num(np.nanmean(change, axis=(2, 3))).max(0, initial=0.0)
     living = [one for one in np.argsort(moved)[::-1].tolist() if one not in recording.scene.dead_modules]
-    found = {one: recording_check.__wrapped__(recording.modules[one]) for one in sorted(living[:MOST_MODULES])}
+    found = {one: of_module(one) for one in sorted(living[:MOST_MODULES])}
     explains = [check.explains for check in found.values()]
     verdict = False if False in explains else True if True in explains else None
     said = {one: check for one, check in found.items() if check.explains is verdict}
@@ -109,7 +117,7 @@ def _of_modules(recording: Recording, layout: Modules) -> ModelCheck:
     return ModelCheck(verdict, sentence, better, max(check.noise for check in found.values()), lying=lying)
 
 
-def _checked(specified: Rival, recording: Recording) -> ModelCheck:
+def _checked(specified: Rival, recording: Recording, effects: Callable[[], Besides]) -> ModelCheck:
     """The check of readings whose noise is known, outliers left out."""
     scene, role, readings = specified.scene, recording.role, specified.readings()
     named = np.arange(len(role)) if recording.number is None else recording.number
@@ -132,7 +140,7 @@ def _checked(specified: Rival, recording: Recording) -> ModelCheck:
             lawful = f"no readings break a law of the circuit; {100 * bounded:.0f} % of them are bounds"
             return ModelCheck(True, f"{lawful}, and no cells were fitted")
         return ModelCheck(None, "the circuit was not checked: no fit of its cells was found", noise=noise)
-    best, besides = Better(), effects_seen(recording)
+    best, besides = Better(), effects()
     whole = float(compared.missing(scene).mean()) <= MOST_MISSING and (few_bounds or bool(below))
     if whole:
         change = changes_beyond_noise(scene, readings, role)
@@ -154,18 +162,23 @@ def _checked(specified: Rival, recording: Recording) -> ModelCheck:
     )
 
 
-@lru_cache(maxsize=1)  # the check asks for it, and the noise
-def effects_seen(recording: Recording) -> Besides:
-    """What is there beside the circuit, in the frames that changed most and in the last one."""
-    recording = as_passed(recording)
+def effects_beside(recording: Recording, cleaned: Readings) -> Besides:
+    """Return the effects beside the circuit of a single network, in the frames that changed most and in the last one.
+
+    Parameters
+    ----------
+    recording : Recording
+        As the electronics passed it.
+    cleaned : Readings
+        Of all its frames, without outliers.
+    """
     scene, role = recording.scene, recording.role
     resting, standing = (np.flatnonzero(role == one) for one in (UNLOADED, MEASURED))
     if not len(resting) or not len(standing) or scene.panel.crossings > MOST_CELLS or scene.readout is None:
         return Besides()
     with suppress(*BROKEN), np.errstate(all="ignore"):
-        _, readings = without_outliers(scene.circuit, recording.readings(), role == UNLOADED)
         specified = Rival(scene, recording.recorded, recording.sigma)
-        readings = replace(readings, seen=readings.seen * specified.nearly_gaussian(1))
+        readings = replace(cleaned, seen=cleaned.seen * specified.nearly_gaussian(1))
         noise, last = noise_factor(readings[resting]), standing[-1:]
         assert readings.sigma is not None
         widened = replace(readings, sigma=noise * readings.sigma)

@@ -44,6 +44,7 @@ MOST_BOUNDS = 0.02  # of the readings: cells behind bounds have no linear theory
 SURE = 5.0  # standard deviations: a common change that is said
 MOST_EFFECTS = 3  # beside each other
 LEAST_SPARED = 2  # cells that need not have moved with an effect: a converter's curve moves one
+TAKEN_OFF = "taken off the readings, which error bars allow for"
 SECANT = 1e-3  # of a prior
 LEAST_LEFT = 0.1  # of a reading, whatever is taken off
 
@@ -291,7 +292,7 @@ class Besides:
         """What is taken off the readings, in words."""
         rows = 0 if self.pair is None else self.pair.scene.panel.rows
         names = [] if self.pair is None else [named(one, rows) for one in self.pair.effects]
-        return f"{' and '.join(names)}: taken off the readings, which error bars allow for"
+        return f"{' and '.join(names)}: {TAKEN_OFF}"
 
 
 def beside_channels(scene: Scene, fits: Sequence[CellsFit]) -> Evidence:
