@@ -21,6 +21,7 @@ from lampest.estimate.outliers import lawless, without_these
 from lampest.estimate.saturation import as_passed
 from lampest.estimate.warnings import warnings_of
 from lampest.files.errors import InputError, in_words
+from lampest.files.process import ONE_BLAS_THREAD
 from lampest.panel.panel import Modules
 from lampest.panel.readouts import Readout
 from lampest.panel.systematic import usual
@@ -102,11 +103,13 @@ class Prepared:
         return scatter_seen(self.cleaned.recording, self.cleaned.outliers, self.cleaned.readings)
 
     @cached_property
+    @ONE_BLAS_THREAD
     def effects(self) -> Besides:
         """Effects beside the circuit of a single network."""
         return effects_beside(self.cleaned.recording, self.cleaned.readings)
 
     @cached_property
+    @ONE_BLAS_THREAD
     def check(self) -> ModelCheck:
         """The check of the circuit."""
         if self.layout is None:
@@ -119,6 +122,7 @@ class Prepared:
         return module
 
     @cached_property
+    @ONE_BLAS_THREAD
     def noise(self) -> NoiseSeen:
         """Noise of the frames, and errors that all frames share; its readings allow for both."""
         if self.layout is not None:

@@ -19,6 +19,7 @@ from lampest.estimate.state import CarriedOver, Step
 from lampest.estimate.stream import Stream
 from lampest.estimate.weights import MOST_BESIDE, converter_and_faults, strongest, with_chosen_weights
 from lampest.files.errors import InputError
+from lampest.files.process import ONE_BLAS_THREAD
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.recording.readings import Readings, mean_change, strongest_frame
@@ -29,6 +30,7 @@ LEAD = 500  # unloaded frames, and measured ones around the strongest, that tell
 OPENING = 10  # first frames that stand for the unloaded ones where there are none, if enough of one can be read
 
 
+@ONE_BLAS_THREAD
 def reconstruct(
     recording: Recording | Prepared, estimator: Estimator, on_frame: Callable[[], None] = lambda: None
 ) -> Estimates:
