@@ -8,7 +8,8 @@ from warnings import catch_warnings, simplefilter
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.estimate.cells_fit import LEVEL, MOST_CELLS, PRICE, CellsFit, JointFit, fitted, mostly_still, moved_score
+from lampest.estimate.cells_fit import LEVEL, MOST_CELLS, CellsFit, JointFit, fitted, moved_score
+from lampest.estimate.changed_cells import PRICE, mostly_still
 from lampest.estimate.nuisances import MARGIN, MOST_ASKED, Besides, Better, beside_channels, besides_the_circuit
 from lampest.estimate.rivals import Question, Rival, changes_beyond_noise, rivals_of, standing_frames
 from lampest.estimate.scatter import LEAST_FACTOR

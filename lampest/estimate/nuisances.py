@@ -13,17 +13,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.estimate.cells_fit import (
-    CREEP,
-    LEVEL,
-    PRICE,
-    TOGETHER,
-    CellsFit,
-    apart_from_moved,
-    fitted,
-    mostly_still,
-    selected,
-)
+from lampest.estimate.cells_fit import CREEP, LEVEL, TOGETHER, CellsFit, fitted
+from lampest.estimate.changed_cells import PRICE, apart_from_moved, mostly_still, scores_beside, selected
 from lampest.estimate.rivals import MOVED
 from lampest.panel.effects import Effect, disturbance, neighbours
 from lampest.panel.network import Network
@@ -130,7 +121,7 @@ class FittedPair:
     @cached_property
     def _covariance(self) -> Array:
         """Of d where no load is, (cells, cells)."""
-        noise = sum(np.linalg.inv(fit.normal) for fit in self.fits) + CREEP**2 * np.eye(len(self.change))
+        noise = sum(fit.covariance for fit in self.fits) + CREEP**2 * np.eye(len(self.change))
         return np.asarray(noise + self.channels @ self.channels.T)
 
     @cached_property
@@ -151,16 +142,6 @@ class FittedPair:
         networks = [self._network(number) for number in range(len(self.fits))]
         return tuple((one, disturbance(self._in_frame(n), self.scene, one)) for n, one in enumerate(networks))
 
-    @cached_property
-    def _gains(self) -> tuple[Array, ...]:
-        """K (cells, readings) of either frame."""
-        sigmas = (fit.readings.sigma for fit in self.fits)
-        return tuple(
-            np.linalg.solve(fit.normal, fit.jacobian.T / np.ravel(sigma))
-            for fit, sigma in zip(self.fits, sigmas, strict=True)
-            if sigma is not None
-        )
-
     def columns(self, effects: Sequence[Effect]) -> Array:
         """(cells, effects) a of each θ in units of its prior, by secants."""
         alone = [replace(one, since=False, size=SECANT * PRIOR[one.kind]) for one in effects]
@@ -170,33 +151,49 @@ class FittedPair:
 
     def _answer(self, number: int, effect: Effect) -> Array:
         """What so much of an effect more does to the log cells of a frame (cells)."""
-        return np.asarray(self._gains[number] @ self.more(number, effect).ravel())
+        return np.asarray(self.fits[number].gain @ self.more(number, effect).ravel())
 
     def more(self, number: int, effect: Effect) -> Array:
         """The same to its readings, (rows, columns)."""
         network, there = self._disturbances[number]
         return disturbance((*self._in_frame(number), effect), self.scene, network) - there
 
-    def explained(self, columns: Array, briefly: bool = False) -> Evidence:
-        """With a factor that all cells share, and with effects' columns (cells, n); briefly : cells are only added."""
+    @cached_property
+    def _prior_score(self) -> float:
+        """−2 log of the prior of the effects in the network."""
+        return sum(PRICE + (effect.size / PRIOR[effect.kind]) ** 2 for effect in self.effects if effect.size)
+
+    def _beside(self, columns: Array) -> tuple[Array, Array, float]:
+        """(a factor common to all cells and the columns, precision of the change with both, log det that both add)."""
         own = np.column_stack([np.full(len(self.change), TOGETHER), columns])
-        weighted, one = self._precision @ own, np.eye(own.shape[1])
-        inner = one + own.T @ weighted
+        weighted = self._precision @ own
+        inner = np.eye(own.shape[1]) + own.T @ weighted
         precision = self._precision - weighted @ np.linalg.solve(inner, weighted.T)
-        lost, moved = selected(precision @ self.change, precision, briefly)
-        score = float(self.change @ precision @ self.change) + lost + float(np.linalg.slogdet(inner)[1])
-        score += sum(PRICE + (effect.size / PRIOR[effect.kind]) ** 2 for effect in self.effects if effect.size)
-        still, nothing = apart_from_moved(~moved, self.fits[0].cells.shape), np.full(own.shape[1], np.nan)
-        if briefly or moved.all():
+        return own, precision, float(np.linalg.slogdet(inner)[1])
+
+    def explained(self, columns: Array) -> Evidence:
+        """With a factor that all cells share, and with effects' columns (cells, n)."""
+        own, precision, added = self._beside(columns)
+        lost, moved = selected(precision @ self.change, precision)
+        score = float(self.change @ precision @ self.change) + lost + added + self._prior_score
+        nothing = np.full(own.shape[1], np.nan)
+        if moved.all():
             return Evidence(score, moved, nothing, nothing)
+        still = apart_from_moved(~moved, self.fits[0].cells.shape)
         within = np.linalg.solve(self._covariance[np.ix_(still, still)], own[still])
-        left = np.linalg.inv(one + own[still].T @ within)
+        left = np.linalg.inv(np.eye(own.shape[1]) + own[still].T @ within)
         return Evidence(score, moved, left @ within.T @ self.change[still], np.sqrt(np.diag(left)))
+
+    def scores_with(self, columns: Array, candidates: Array) -> Array:
+        """−2 log evidence of `explained` with each of the candidates (cells, n) beside the columns; moved cells are
+        only added."""
+        _, precision, added = self._beside(columns)
+        return scores_beside(self.change, precision, candidates) + added + self._prior_score
 
     def off_by_one(self, score: float) -> bool:
         """Whether a single reading that is off explains to that score: an outlier as a load comes is hardly seen."""
-        each = PRIOR["contact"] * self._gains[1]
-        return any(self.explained(one[:, None], briefly=True).score < score for one in each.T)
+        nothing = np.zeros((len(self.change), 0))
+        return bool(np.any(self.scores_with(nothing, PRIOR["contact"] * self.fits[1].gain) < score))
 
     def with_sizes(self, sizes: Sequence[float]) -> "FittedPair | None":
         """The pair with effects of other sizes; None where no cells give the readings then."""
@@ -342,7 +339,7 @@ def _tried(pair: FittedPair, plain: Evidence) -> Iterator[tuple[FittedPair, Evid
     effects = list(candidates(pair.fits[0].cells.shape))
     columns = pair.columns((*pair.effects, *effects))
     before, columns = np.split(columns, [len(pair.effects)], axis=1)
-    scores = [pair.explained(np.column_stack([before, one]), briefly=True).score for one in columns.T]
+    scores = pair.scores_with(before, columns)
     for number in np.argsort(scores)[:MOST_ASKED]:
         if scores[number] > plain.score - PRICE:
             return
