@@ -127,14 +127,14 @@ def _swept(
     return total, taken
 
 
-def still_cells(change: Array, covariance: Array) -> tuple[float, Chosen]:
+def still_cells(change: Array, covariance: Array, begun: Chosen | None = None) -> tuple[float, Chosen]:
     """(−2 log likelihood, which stand still): each cell where it is likelier, given those that stand still.
 
-    A cell that moved has a change of variance 1, and costs MOVED; one beyond LOADED has. It begins with the half that
-    changed least, and ends where nothing is better than before.
+    A cell that moved has a change of variance 1, and costs MOVED; one beyond LOADED has. It ends where nothing is
+    better than before. begun : the cells that it begins with; None: the half that changed least.
     """
     away = np.abs(change - np.median(change))
-    still = (away <= np.median(away)) & (np.abs(change) < LOADED)
+    still = (away <= np.median(away)) & (np.abs(change) < LOADED) if begun is None else begun
     best: tuple[float, Chosen] = (np.inf, still)
     while still.any():
         numbers = np.flatnonzero(still)

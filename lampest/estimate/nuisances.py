@@ -72,9 +72,9 @@ def named(effect: Effect, rows: int) -> str:
     return f"a leak of {1e-3 / effect.size:.2g} kohm between {where}{since}"
 
 
-def candidates(shape: tuple[int, int]) -> Iterator[Effect]:
+def candidates(shape: tuple[int, ...]) -> Iterator[Effect]:
     """All that are tried on a panel."""
-    pairs = neighbours(*shape)
+    pairs = neighbours(shape[0], shape[1])
     for since in (True, False):
         yield from (Effect("leak", lines, since) for lines in (pairs, *((line,) for line in pairs)))
         yield from (Effect("contact", (line,), since) for line in range(sum(shape)))
@@ -92,71 +92,133 @@ class Evidence:
 
 
 @dataclass(frozen=True, eq=False)
-class FittedPair:
-    """The unloaded panel and a frame. given : their readings. fits : of these with the effects in the network.
+class FittedFrame:
+    """Cells that explain a frame whose network has effects.
 
-    channels : (cells, lines) a of each line's channel, of one standard deviation.
+    Attributes
+    ----------
+    scene : Scene
+    given : Readings
+        Of the frame, as measured.
+    fit : CellsFit
+        With the effects in the network.
+    effects : tuple of Effect
     """
 
     scene: Scene
-    given: tuple[Readings, ...]
-    fits: tuple[CellsFit, ...]
+    given: Readings
+    fit: CellsFit
+    effects: tuple[Effect, ...] = ()
+
+    @classmethod
+    def of(cls, scene: Scene, fit: CellsFit) -> "FittedFrame":
+        """Return the frame of a fit without effects."""
+        return cls(scene, fit.readings, fit)
+
+    def refitted(self, given: Readings, effects: tuple[Effect, ...]) -> "FittedFrame | None":
+        """Return the frame with other readings or effects, begun at its cells; None where no cells explain them."""
+        fit = fitted(self.scene, given, self.fit.cells, effects=effects)
+        return None if fit is None else FittedFrame(self.scene, given, fit, effects)
+
+    @cached_property
+    def network(self) -> Network:
+        """The network of its cells, without effects."""
+        circuit = self.scene.circuit
+        return circuit.network(self.fit.cells, circuit.ties(self.fit.readings.value), self.scene.wiring)
+
+    @cached_property
+    def offset(self) -> Array:
+        """What the effects do to the readings, (rows, columns)."""
+        return disturbance(self.effects, self.scene, self.network)
+
+    def more(self, effect: Effect) -> Array:
+        """What one effect more does to the readings, (rows, columns)."""
+        return disturbance((*self.effects, effect), self.scene, self.network) - self.offset
+
+    @cached_property
+    def _every_answer(self) -> dict[Effect, Array]:
+        return self._answered([_small(effect) for effect in candidates(self.fit.cells.shape)])
+
+    def _answered(self, effects: Sequence[Effect]) -> dict[Effect, Array]:
+        distinct = list(dict.fromkeys(effects))
+        changes = np.stack([self.more(effect).ravel() for effect in distinct], axis=1)
+        return dict(zip(distinct, (self.fit.gain @ changes).T / SECANT, strict=True))
+
+    def answers(self, effects: Sequence[Effect]) -> Array:
+        """Return what a unit of each θ does to the log cells, (cells, effects), by secants."""
+        known = self._answered(effects) if self.effects else self._every_answer
+        return np.stack([known[effect] for effect in effects], axis=1)
+
+    @property
+    def amplification(self) -> Array:
+        """The factor by which the readings' noise grows once the effects are taken off, (rows, columns)."""
+        if all(one.kind == "contact" for one in self.effects):
+            return np.ones(self.fit.cells.shape)
+        assert self.fit.readings.sigma is not None
+        dry = self.network.sensitivity() / self.fit.readings.sigma.reshape(-1, 1)
+        variance = np.sum((dry @ self.fit.covariance) * dry, axis=1)
+        return np.asarray(np.sqrt(np.maximum(variance, 1.0))).reshape(self.fit.cells.shape)
+
+
+def _small(effect: Effect) -> Effect:
+    """Return the effect of which a secant is taken."""
+    return replace(effect, since=False, size=SECANT * PRIOR[effect.kind])
+
+
+@dataclass(frozen=True, eq=False)
+class FittedPair:
+    """The unloaded panel and a frame.
+
+    Attributes
+    ----------
+    frames : tuple of two FittedFrame
+    channels : array, shape (cells, lines)
+        a of each line's channel, of one standard deviation.
+    effects : tuple of Effect
+        Of both frames.
+    """
+
+    frames: tuple[FittedFrame, FittedFrame]
     channels: Array
     effects: tuple[Effect, ...] = ()
 
     @classmethod
-    def of(cls, scene: Scene, *fits: CellsFit) -> "FittedPair":
-        """With channels that differ as specified, or as those of one multiplexer do."""
-        bare = cls(scene, tuple(fit.readings for fit in fits), fits, np.zeros((fits[0].cells.size, 0)))
+    def of(cls, resting: FittedFrame, frame: FittedFrame) -> "FittedPair":
+        """Return the pair with channels that differ as specified, or as those of one multiplexer do."""
+        bare, scene = cls((resting, frame), np.zeros((frame.fit.cells.size, 0))), frame.scene
         sizes = usual(scene)
         spread = CHANNEL_OHM if sizes is None else sizes.channel_spread_ohm or CHANNEL_OHM
         contacts = [Effect("contact", (line,)) for line in range(sum(scene.panel.shape))]
         return replace(bare, channels=spread / PRIOR["contact"] * bare.columns(contacts))
 
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Rows and columns of the panel."""
+        return self.frames[1].fit.cells.shape
+
     @cached_property
     def change(self) -> Array:
         """d (cells)."""
-        return np.asarray(np.log(self.fits[1].cells / self.fits[0].cells).ravel())
+        resting, frame = self.frames
+        return np.asarray(np.log(frame.fit.cells / resting.fit.cells).ravel())
 
     @cached_property
     def _covariance(self) -> Array:
         """Of d where no load is, (cells, cells)."""
-        noise = sum(fit.covariance for fit in self.fits) + CREEP**2 * np.eye(len(self.change))
+        noise = sum(frame.fit.covariance for frame in self.frames) + CREEP**2 * np.eye(len(self.change))
         return np.asarray(noise + self.channels @ self.channels.T)
 
     @cached_property
     def _precision(self) -> Array:
         return np.linalg.inv(self._covariance)
 
-    def _in_frame(self, number: int) -> tuple[Effect, ...]:
-        """The effects of the unloaded panel (0) or of the frame (1)."""
-        return tuple(one for one in self.effects if number or not one.since)
-
-    def _network(self, number: int) -> Network:
-        fit, circuit = self.fits[number], self.scene.circuit
-        return circuit.network(fit.cells, circuit.ties(fit.readings.value), self.scene.wiring)
-
-    @cached_property
-    def _disturbances(self) -> tuple[tuple[Network, Array], ...]:
-        """Each network without effects, and what these do to its readings."""
-        networks = [self._network(number) for number in range(len(self.fits))]
-        return tuple((one, disturbance(self._in_frame(n), self.scene, one)) for n, one in enumerate(networks))
-
     def columns(self, effects: Sequence[Effect]) -> Array:
-        """(cells, effects) a of each θ in units of its prior, by secants."""
-        alone = [replace(one, since=False, size=SECANT * PRIOR[one.kind]) for one in effects]
-        early, late = ({one: self._answer(n, one) / SECANT for one in dict.fromkeys(alone)} for n in (0, 1))
-        pairs = zip(effects, alone, strict=True)
-        return np.stack([late[own] if one.since else late[own] - early[own] for one, own in pairs], axis=1)
-
-    def _answer(self, number: int, effect: Effect) -> Array:
-        """What so much of an effect more does to the log cells of a frame (cells)."""
-        return np.asarray(self.fits[number].gain @ self.more(number, effect).ravel())
-
-    def more(self, number: int, effect: Effect) -> Array:
-        """The same to its readings, (rows, columns)."""
-        network, there = self._disturbances[number]
-        return disturbance((*self._in_frame(number), effect), self.scene, network) - there
+        """Return a of each θ in units of its prior, (cells, effects)."""
+        if not effects:
+            return np.zeros((len(self.change), 0))
+        small, constant = [_small(one) for one in effects], np.array([not one.since for one in effects])
+        resting, frame = (one.answers(small) for one in self.frames)
+        return np.asarray(frame - constant * resting)
 
     @cached_property
     def _prior_score(self) -> float:
@@ -179,7 +241,7 @@ class FittedPair:
         nothing = np.full(own.shape[1], np.nan)
         if moved.all():
             return Evidence(score, moved, nothing, nothing)
-        still = apart_from_moved(~moved, self.fits[0].cells.shape)
+        still = apart_from_moved(~moved, self.shape)
         within = np.linalg.solve(self._covariance[np.ix_(still, still)], own[still])
         left = np.linalg.inv(np.eye(own.shape[1]) + own[still].T @ within)
         return Evidence(score, moved, left @ within.T @ self.change[still], np.sqrt(np.diag(left)))
@@ -192,20 +254,17 @@ class FittedPair:
 
     def off_by_one(self, score: float) -> bool:
         """Whether a single reading that is off explains to that score: an outlier as a load comes is hardly seen."""
-        nothing = np.zeros((len(self.change), 0))
-        return bool(np.any(self.scores_with(nothing, PRIOR["contact"] * self.fits[1].gain) < score))
+        return bool(np.any(self.scores_with(self.columns(()), PRIOR["contact"] * self.frames[1].fit.gain) < score))
 
     def with_sizes(self, sizes: Sequence[float]) -> "FittedPair | None":
         """The pair with effects of other sizes; None where no cells give the readings then."""
         effects = tuple(replace(one, size=size) for one, size in zip(self.effects, sizes, strict=True))
-        bare, found = replace(self, effects=effects), list[CellsFit]()
-        for number, (fit, given) in enumerate(zip(self.fits, self.given, strict=True)):
-            own = bare._in_frame(number)
-            one = fitted(self.scene, given, fit.cells, effects=own) if own else fit
-            if one is None:
-                return None
-            found.append(one)
-        after = replace(bare, fits=tuple(found))
+        constant, (resting, frame) = tuple(one for one in effects if not one.since), self.frames
+        early = resting.refitted(resting.given, constant) if constant else resting
+        late = frame.refitted(frame.given, effects)
+        if early is None or late is None:
+            return None
+        after = replace(self, frames=(early, late), effects=effects)
         return after if np.all(np.isfinite(after.change)) else None
 
     def settled(self, constant: bool = True) -> "tuple[FittedPair, Evidence] | None":
@@ -227,43 +286,31 @@ class FittedPair:
             pair = after
             if np.all(np.abs(step) < SETTLED * np.maximum(sd, SETTLED)):
                 break
-        return pair, replace(pair.explained(np.zeros((len(self.change), 0))), sd=found.sd)
+        return pair, replace(pair.explained(pair.columns(())), sd=found.sd)
 
-    def offset(self, number: int) -> Array:
-        """What the effects do to the readings of the unloaded panel (0) or of the frame (1), (rows, columns)."""
-        return self._disturbances[number][1]
-
-    def amplified(self, number: int) -> Array:
-        """By what the noise of a frame's readings grows once the effects are taken off, (rows, columns)."""
-        fit, (network, _) = self.fits[number], self._disturbances[number]
-        if all(one.kind == "contact" for one in self._in_frame(number)):
-            return np.ones(fit.cells.shape)
-        assert fit.readings.sigma is not None
-        dry = network.sensitivity() / fit.readings.sigma.reshape(-1, 1)
-        variance = np.sum((dry @ np.linalg.inv(fit.normal)) * dry, axis=1)
-        return np.asarray(np.sqrt(np.maximum(variance, 1.0))).reshape(fit.cells.shape)
-
-    def _without_late(self) -> "FittedPair":
-        return replace(self, effects=tuple(replace(one, size=0.0) if one.since else one for one in self.effects))
+    def _without_late(self) -> tuple[Effect, ...]:
+        """The effects, those since the unloaded frames of no size."""
+        return tuple(replace(one, size=0.0) if one.since else one for one in self.effects)
 
     def at_rest(self) -> "FittedPair":
         """The unloaded panel twice, before effects come that it has not."""
-        return replace(self._without_late(), given=(self.given[0],) * 2, fits=(self.fits[0],) * 2)
+        return replace(self, frames=(self.frames[0],) * 2, effects=self._without_late())
 
     def of_frame(self, readings: Readings, late: bool) -> "FittedPair | None":
         """The pair with another frame (rows, columns); late : effects since the unloaded ones have another size there.
 
         They have none where the frame is no likelier with them.
         """
-        fits, near = [], self.fits[1].cells
-        for effects in (self.effects, self._without_late().effects) if late else (self.effects,):
-            if (fit := fitted(self.scene, readings, near, effects=effects)) is None:
+        pairs = []
+        for effects in (self.effects, self._without_late()) if late else (self.effects,):
+            frame = self.frames[1].refitted(readings, effects)
+            if frame is None:
                 return None
-            fits.append(replace(self, given=(self.given[0], readings), fits=(self.fits[0], fit), effects=effects))
+            pairs.append(replace(self, frames=(self.frames[0], frame), effects=effects))
         if not late:
-            return fits[0]
-        found, none = fits[0].settled(constant=False), fits[1].explained(np.zeros((near.size, 0)))
-        return fits[1] if found is None or none.score <= found[1].score else found[0]
+            return pairs[0]
+        found, none = pairs[0].settled(constant=False), pairs[1].explained(pairs[1].columns(()))
+        return pairs[1] if found is None or none.score <= found[1].score else found[0]
 
     def _stepped(self, step: Array) -> "FittedPair | None":
         """With sizes by a step (effects) in units of their priors larger; no leak is below zero."""
@@ -287,25 +334,25 @@ class Besides:
     @property
     def taken(self) -> str:
         """What is taken off the readings, in words."""
-        rows = 0 if self.pair is None else self.pair.scene.panel.rows
-        names = [] if self.pair is None else [named(one, rows) for one in self.pair.effects]
+        names = [] if self.pair is None else [named(one, self.pair.shape[0]) for one in self.pair.effects]
         return f"{' and '.join(names)}: {TAKEN_OFF}"
 
 
 def beside_channels(scene: Scene, fits: Sequence[CellsFit]) -> Evidence:
     """How cells have moved between the unloaded panel and a frame, beside channels that differ."""
-    pair = FittedPair.of(scene, *fits)
-    return pair.explained(np.zeros((len(pair.change), 0)))
+    resting, frame = (FittedFrame.of(scene, fit) for fit in fits)
+    pair = FittedPair.of(resting, frame)
+    return pair.explained(pair.columns(()))
 
 
 def besides_the_circuit(scene: Scene, resting: CellsFit, frames: Sequence[tuple[str, CellsFit]]) -> Besides:
     """By fits of the unloaded panel and of named frames: of the frame that shows them best."""
-    found, together, most = Besides(), "", 0.0
+    found, together, most, unloaded = Besides(), "", 0.0, FittedFrame.of(scene, resting)
     for name, frame in frames:
         if max(float(fit.readings.bounds.mean()) for fit in (resting, frame)) > MOST_BOUNDS:
             continue
-        pair = FittedPair.of(scene, resting, frame)
-        plain = pair.explained(np.zeros((frame.cells.size, 0)))
+        pair = FittedPair.of(unloaded, FittedFrame.of(scene, frame))
+        plain = pair.explained(pair.columns(()))
         together = _together(plain) or together
         whole, after, certain = _grown(pair, plain)
         moved = after.moved.reshape(frame.cells.shape)
@@ -313,7 +360,7 @@ def besides_the_circuit(scene: Scene, resting: CellsFit, frames: Sequence[tuple[
             continue
         if any(_beside_a_load(one, moved) for one in whole.effects) or pair.off_by_one(after.score + MARGIN):
             continue
-        most, fits_noise = plain.score - after.score, min(fit.tail for fit in whole.fits) >= LEVEL
+        most, fits_noise = plain.score - after.score, min(one.fit.tail for one in whole.frames) >= LEVEL
         names = " and ".join(named(one, scene.panel.rows) for one in whole.effects)
         better = Better(names, name, int(after.moved.sum()), int(plain.moved.sum()), fits_noise)
         found = Besides(better, "", certain if certain.effects and fits_noise else None)
@@ -336,7 +383,7 @@ def _grown(pair: FittedPair, evidence: Evidence) -> tuple[FittedPair, Evidence, 
 
 def _tried(pair: FittedPair, plain: Evidence) -> Iterator[tuple[FittedPair, Evidence]]:
     """The pair with one effect more, each of the likeliest, where fewer cells have moved with it."""
-    effects = list(candidates(pair.fits[0].cells.shape))
+    effects = list(candidates(pair.shape))
     columns = pair.columns((*pair.effects, *effects))
     before, columns = np.split(columns, [len(pair.effects)], axis=1)
     scores = pair.scores_with(before, columns)
@@ -381,17 +428,17 @@ def taken_off(pair: FittedPair, readings: Readings, unloaded: NDArray[np.bool_])
         if not unloaded[frame]:
             here, number = here.of_frame(readings[frame], late) or here, 1
         frames = frame if number else unloaded
-        value[frames] -= here.offset(number)
-        sigma[frames] *= here.amplified(number)
+        value[frames] -= here.frames[number].offset
+        sigma[frames] *= here.frames[number].amplification
     return replace(readings, value=np.maximum(value, LEAST_LEFT * readings.value), sigma=sigma)
 
 
 def left_open(pair: FittedPair) -> Array:
     """(2, effects, rows, columns) what the sizes leave open, one standard deviation each, as fractions of readings."""
     sd = pair.explained(pair.columns(pair.effects)).sd[1:]
-    found = np.zeros((2, len(sd), *pair.fits[0].cells.shape))
+    found = np.zeros((2, len(sd), *pair.shape))
     for place, (effect, one) in enumerate(zip(pair.effects, np.nan_to_num(sd), strict=True)):
         more = replace(effect, size=float(one) * PRIOR[effect.kind])
         for number in (1,) if effect.since else (0, 1):
-            found[number, place] = pair.more(number, more) / pair.given[number].value
+            found[number, place] = pair.frames[number].more(more) / pair.frames[number].given.value
     return found

@@ -149,7 +149,10 @@ def _smooth_loads(shape: tuple[int, ...], frames: int) -> Array:
 def _own_error(moves: Moves, shape: tuple[int, ...]) -> tuple[float, Chosen]:
     """(e, which cells stand still): 0 unless it gains with cells chosen anew for each size, and with the last ones."""
     sizes = (0.0, *(size for size in ERRORS[2::2] if size * moves.reach <= LINEAR))
-    costs = {size: still_cells(moves.change, moves.covariance(size)) for size in sizes}
+    costs, begun = dict[float, tuple[float, Chosen]](), None
+    for size in sizes:  # the cells that stand still change little from size to size
+        costs[size] = still_cells(moves.change, moves.covariance(size), begun)
+        begun = costs[size][1]
     size = min(costs, key=lambda size: costs[size][0])
     if costs[size][0] <= costs[0.0][0] - GAIN:
         for _ in range(3):
