@@ -1,14 +1,14 @@
 """Whether the circuit that a scene specifies can have made the readings, and which other explains them better."""
 
 from collections.abc import Callable, Iterator
-from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import cached_property
 from warnings import catch_warnings, simplefilter
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.estimate.cells_fit import LEVEL, MOST_CELLS, CellsFit, JointFit, fitted, moved_score
+from lampest.estimate.cells_fit import LEVEL, CellsFit, JointFit, fitted, moved_score
 from lampest.estimate.changed_cells import PRICE, mostly_still
 from lampest.estimate.nuisances import MARGIN, MOST_ASKED, Besides, Better, beside_channels, besides_the_circuit
 from lampest.estimate.rivals import Question, Rival, changes_beyond_noise, rivals_of, standing_frames
@@ -59,33 +59,117 @@ class ModelCheck:
             return "not checked"
         return "no" if not self.explains else "yes" if self.noise == 1 else "noise"
 
+    def without(self, outliers: int) -> "ModelCheck":
+        """Return the check with the count of outliers that were left out."""
+        said = f"; {outliers} outlier{'s' if outliers > 1 else ''} of one frame left out" if outliers else ""
+        return replace(self, sentence=self.sentence + said)
 
-def check_of_circuit(recording: Recording, outliers: NDArray[np.bool_], effects: Callable[[], Besides]) -> ModelCheck:
-    """Return the check of a single network's circuit. Raises InputError as `Readings.of`.
 
-    The unloaded panel's mean and the frame that differs most from it are explained by cells alone, every frame is
-    held against the circuit's inequalities, and other circuits are tried on the same two. Without an unloaded frame
-    the first one stands in.
+@dataclass(frozen=True, eq=False)
+class Explained:
+    """A recording as its circuit explains it.
 
-    Parameters
+    Attributes
     ----------
     recording : Recording
         As the electronics passed it.
-    outliers : boolean array, shape (frames, rows, columns)
-        Readings that are left out.
-    effects : callable
-        Returns the effects beside the circuit, where they are needed.
+    readings : Readings
+        Of all its frames; outliers are missing.
+    question : Question
+        The unloaded panel's mean, and the frames that differ most from it.
+    bounded, missing : float
+        Shares of the readings of these frames that are bounds, or missing.
+    explanation : Explanation or None
+        Cells that explain both; None where none do, or bounds are too many.
     """
-    if recording.readings().sigma is None:
-        return ModelCheck(None, "the circuit was not checked: the noise of the readings is unknown")
-    try:
-        with np.errstate(all="ignore"):
-            specified = Rival(recording.scene, np.where(outliers, np.nan, recording.recorded), recording.sigma)
-            check, count = _checked(specified, recording, effects), int(outliers.sum())
-    except BROKEN:
-        return ModelCheck(None, "the circuit was not checked: arithmetic broke down over its readings")
-    said = f"; {count} outlier{'s' if count > 1 else ''} of one frame left out" if count else ""
-    return replace(check, sentence=check.sentence + said)
+
+    recording: Recording
+    readings: Readings
+    question: Question
+    bounded: float
+    missing: float
+    explanation: "Explanation | None"
+
+    @classmethod
+    def of(cls, recording: Recording, outliers: NDArray[np.bool_]) -> "Explained":
+        """Return the explanation of a recording whose noise is known; without an unloaded frame the first stands in."""
+        scene, role = recording.scene, recording.role
+        specified = Rival(scene, np.where(outliers, np.nan, recording.recorded), recording.sigma)
+        readings, named = specified.readings(), np.arange(len(role)) if recording.number is None else recording.number
+        resting = np.flatnonzero(role == UNLOADED) if np.any(role == UNLOADED) else np.array([0])
+        standing = np.setdiff1d(np.flatnonzero(role == MEASURED), resting)
+        used = replace(readings, seen=readings.seen * specified.nearly_gaussian(1))
+        noise = noise_factor(used[resting])
+        if len(standing):
+            frame = strongest_frame(readings.plain_values, readings[resting].mean().value, standing)
+            standing = standing_frames(used, frame, standing, noise)
+        question = Question(specified, resting, standing, noise, named)
+        compared = readings[np.concatenate([resting, standing])]
+        bounded = float((compared.bounds & scene.asked).sum() / max((compared.seen > 0)[:, scene.asked].sum(), 1))
+        found = Explanation.of(specified, question, patient=True) if bounded <= MOST_MISSING else None
+        return cls(recording, readings, question, bounded, float(compared.missing(scene).mean()), found)
+
+    @cached_property
+    def fault(self) -> str:
+        """Why the circuit cannot have made the readings, in words; ''."""
+        specified, question = self.question.specified, self.question
+        used = replace(self.readings, seen=self.readings.seen * specified.nearly_gaussian(1))
+        unexplained = "" if self.explanation is None else _unexplained(self.explanation, question)
+        return unexplained or broken_law(specified.scene, used, question.widening, self._named) or self.below
+
+    @cached_property
+    def below(self) -> str:
+        """The reading below the series resistance, in words; ''."""
+        return _below_series(self.recording.scene, self.question.specified, self.readings, self._named)
+
+    @property
+    def _named(self) -> NDArray[np.intp]:
+        assert self.question.named is not None
+        return self.question.named
+
+    def check(self, besides: Besides) -> ModelCheck:
+        """Return the check of the circuit, where other circuits and these effects may explain more."""
+        question, noise, fault, found = self.question, self.question.widening, self.fault, self.explanation
+        few_bounds, scene = self.bounded <= MOST_MISSING, self.recording.scene
+        if found is None and not fault:
+            if not few_bounds:
+                lawful = f"no readings break a law of the circuit; {100 * self.bounded:.0f} % of them are bounds"
+                return ModelCheck(True, f"{lawful}, and no cells were fitted")
+            return ModelCheck(None, "the circuit was not checked: no fit of its cells was found", noise=noise)
+        best, whole = Better(), self.missing <= MOST_MISSING and (few_bounds or bool(self.below))
+        if whole:
+            change = changes_beyond_noise(scene, self.readings, self.recording.role)
+            rivals = list(rivals_of(question.specified, bool(change.max(initial=0.0) > -change.min(initial=0.0))))
+            best, effect = better_rival(rivals, question, None if fault else found), besides.better
+            if effect.name and (effect.fits_noise or not fault) and (not best.name or effect.count < best.count):
+                best = effect
+        if not whole:
+            sentence = f"{fault or EXPLAINED}; other circuits were not tried, too many readings are missing or bounds"
+        elif fault:
+            sentence = f"{fault}; {f'{best.name} does' if best.name else 'no other circuit that was tried gives them'}"
+        else:
+            sentence = f"{best.name} explains the readings better: {best.reason}" if best.name else EXPLAINED
+        if noise > 1:
+            sentence += f"; the unloaded frames scatter by {noise:.2g} times the specified noise, which is allowed for"
+        named_best = bool(best.name) and best is besides.better
+        explains = not fault and not best.name
+        return ModelCheck(explains, sentence, best.name, noise, besides.together, named_best, besides.lying)
+
+    def effects(self) -> Besides:
+        """Return the effects beside the circuit, in the frames that changed most and in the last one."""
+        scene, role, found = self.recording.scene, self.recording.role, self.explanation
+        last = np.flatnonzero(role == MEASURED)[-1:]
+        if found is None or not found.comparable or scene.readout is None or not np.any(role == UNLOADED):
+            return Besides()
+        resting, frame = found.fits
+        frames = [(self.question.loaded, frame)]
+        if last[0] not in self.question.standing:
+            question = replace(self.question, standing=last)
+            fit = fitted(scene, question.readings(question.specified)[1], resting.cells, patient=True)
+            frames += [] if fit is None else [(question.loaded, fit)]
+        search = Detector(scene.panel, patch_of(scene.panel)).search
+        lying = resting.tail >= LEVEL and search.lies_on(np.log(resting.cells))
+        return replace(besides_the_circuit(scene, resting, frames), lying=lying)
 
 
 def check_of_modules(recording: Recording, layout: Modules, of_module: Callable[[int], ModelCheck]) -> ModelCheck:
@@ -116,87 +200,6 @@ def check_of_modules(recording: Recording, layout: Modules, of_module: Callable[
     better = next((check.better for check in said.values() if check.better), "")
     lying = any(check.lying for check in found.values())
     return ModelCheck(verdict, sentence, better, max(check.noise for check in found.values()), lying=lying)
-
-
-def _checked(specified: Rival, recording: Recording, effects: Callable[[], Besides]) -> ModelCheck:
-    """The check of readings whose noise is known, outliers left out."""
-    scene, role, readings = specified.scene, recording.role, specified.readings()
-    named = np.arange(len(role)) if recording.number is None else recording.number
-    resting = np.flatnonzero(role == UNLOADED) if np.any(role == UNLOADED) else np.array([0])
-    standing = np.setdiff1d(np.flatnonzero(role == MEASURED), resting)
-    used = replace(readings, seen=readings.seen * specified.nearly_gaussian(1))
-    noise = noise_factor(used[resting])
-    if len(standing):
-        frame = strongest_frame(readings.plain_values, readings[resting].mean().value, standing)
-        standing = standing_frames(used, frame, standing, noise)
-    question = Question(specified, resting, standing, noise, named)
-    compared = readings[np.concatenate([resting, standing])]
-    bounded = float((compared.bounds & scene.asked).sum() / max((compared.seen > 0)[:, scene.asked].sum(), 1))
-    few_bounds = bounded <= MOST_MISSING
-    found = Explanation.of(specified, question, patient=True) if few_bounds else None
-    below = _below_series(scene, specified, readings, named)
-    fault = ("" if found is None else _unexplained(found, question)) or broken_law(scene, used, noise, named) or below
-    if found is None and not fault:
-        if not few_bounds:
-            lawful = f"no readings break a law of the circuit; {100 * bounded:.0f} % of them are bounds"
-            return ModelCheck(True, f"{lawful}, and no cells were fitted")
-        return ModelCheck(None, "the circuit was not checked: no fit of its cells was found", noise=noise)
-    best, besides = Better(), effects()
-    whole = float(compared.missing(scene).mean()) <= MOST_MISSING and (few_bounds or bool(below))
-    if whole:
-        change = changes_beyond_noise(scene, readings, role)
-        rivals = list(rivals_of(specified, bool(change.max(initial=0.0) > -change.min(initial=0.0))))
-        best, effect = better_rival(rivals, question, None if fault else found), besides.better
-        if effect.name and (effect.fits_noise or not fault) and (not best.name or effect.count < best.count):
-            best = effect
-    if not whole:
-        sentence = f"{fault or EXPLAINED}; other circuits were not tried, too many readings are missing or bounds"
-    elif fault:
-        sentence = f"{fault}; {best.name} does" if best.name else f"{fault}; no other circuit that was tried gives them"
-    else:
-        sentence = f"{best.name} explains the readings better: {best.reason}" if best.name else EXPLAINED
-    if noise > 1:
-        sentence += f"; the unloaded frames scatter by {noise:.2g} times the specified noise, which is allowed for"
-    named_best = bool(best.name) and best is besides.better
-    return ModelCheck(
-        not fault and not best.name, sentence, best.name, noise, besides.together, named_best, besides.lying
-    )
-
-
-def effects_beside(recording: Recording, cleaned: Readings) -> Besides:
-    """Return the effects beside the circuit of a single network, in the frames that changed most and in the last one.
-
-    Parameters
-    ----------
-    recording : Recording
-        As the electronics passed it.
-    cleaned : Readings
-        Of all its frames, without outliers.
-    """
-    scene, role = recording.scene, recording.role
-    resting, standing = (np.flatnonzero(role == one) for one in (UNLOADED, MEASURED))
-    if not len(resting) or not len(standing) or scene.panel.crossings > MOST_CELLS or scene.readout is None:
-        return Besides()
-    with suppress(*BROKEN), np.errstate(all="ignore"):
-        specified = Rival(scene, recording.recorded, recording.sigma)
-        readings = replace(cleaned, seen=cleaned.seen * specified.nearly_gaussian(1))
-        noise, last = noise_factor(readings[resting]), standing[-1:]
-        assert readings.sigma is not None
-        widened = replace(readings, sigma=noise * readings.sigma)
-        mean = widened[resting].mean()
-        unloaded = fitted(scene, mean, patient=True)
-        frame = strongest_frame(widened.plain_values, mean.value, standing)
-        standing = standing_frames(widened, frame, standing, 1.0)
-        question, frames = Question(specified, resting, standing, noise, recording.number), list[tuple[str, CellsFit]]()
-        for chosen in (standing,) if last[0] in standing else (standing, last):
-            near = None if unloaded is None else unloaded.cells
-            fit = fitted(scene, widened[chosen].mean(), near, patient=True)
-            frames += [] if fit is None else [(replace(question, standing=chosen).loaded, fit)]
-        if unloaded is not None:
-            search = Detector(scene.panel, patch_of(scene.panel)).search
-            lying = unloaded.tail >= LEVEL and search.lies_on(np.log(unloaded.cells))
-            return replace(besides_the_circuit(scene, unloaded, frames), lying=lying)
-    return Besides()
 
 
 def noise_factor(resting: Readings) -> float:

@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.estimate.model_check import ModelCheck, check_of_circuit, check_of_modules, effects_beside
+from lampest.estimate.model_check import Explained, ModelCheck, check_of_modules
 from lampest.estimate.noise import (
     NoiseSeen,
     joined_noise,
@@ -104,17 +104,33 @@ class Prepared:
 
     @cached_property
     @ONE_BLAS_THREAD
+    def explained(self) -> Explained | None:
+        """The readings of a single network as its circuit explains them; None where arithmetic breaks down."""
+        with suppress(*BROKEN), np.errstate(all="ignore"):
+            return Explained.of(self.cleaned.recording, self.cleaned.outliers)
+        return None
+
+    @cached_property
+    @ONE_BLAS_THREAD
     def effects(self) -> Besides:
         """Effects beside the circuit of a single network."""
-        return effects_beside(self.cleaned.recording, self.cleaned.readings)
+        with suppress(*BROKEN), np.errstate(all="ignore"):
+            if self.cleaned.readings.sigma is not None and self.explained is not None:
+                return self.explained.effects()
+        return Besides()
 
     @cached_property
     @ONE_BLAS_THREAD
     def check(self) -> ModelCheck:
         """The check of the circuit."""
-        if self.layout is None:
-            return check_of_circuit(self.cleaned.recording, self.cleaned.outliers, lambda: self.effects)
-        return check_of_modules(self.recording, self.layout, lambda number: self._module(number).check)
+        if self.layout is not None:
+            return check_of_modules(self.recording, self.layout, lambda number: self._module(number).check)
+        if self.cleaned.readings.sigma is None:
+            return ModelCheck(None, "the circuit was not checked: the noise of the readings is unknown")
+        with suppress(*BROKEN), np.errstate(all="ignore"):
+            if self.explained is not None:
+                return self.explained.check(self.effects).without(int(self.cleaned.outliers.sum()))
+        return ModelCheck(None, "the circuit was not checked: arithmetic broke down over its readings")
 
     def _module(self, number: int) -> "Prepared":
         module = self.modules[number]

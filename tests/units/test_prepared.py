@@ -13,7 +13,7 @@ from lampest.estimate.sequence import reconstruct
 from lampest.files.errors import InputError
 from lampest.report.detect.detection import known_of
 
-STEPS = ("cleaned_together", "scatter_seen", "effects_beside", "check_of_circuit", "with_still_cells", "warnings_of")
+STEPS = ("cleaned_together", "scatter_seen", "with_still_cells", "warnings_of")
 
 
 @pytest.fixture
