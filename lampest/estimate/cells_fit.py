@@ -311,22 +311,3 @@ def _solved(matrix: Array, wanted: Array) -> Array:
     """argmin |matrix·x − wanted|² + SPREAD·|x|²."""
     normal = matrix.T @ matrix + SPREAD * np.eye(matrix.shape[1])
     return np.asarray(np.linalg.solve(normal, matrix.T @ wanted))
-
-
-def moved_score(resting: CellsFit, frame: CellsFit) -> tuple[float, NDArray[np.bool_]]:
-    """(min over sets S of χ²(the cells outside S stand still) + PRICE·|S| + log det, S) of two fits of one circuit.
-
-    The change of all cells together (temperature, supply) is taken off. log det is that of the covariance of the change
-    against the frame's own: −2 log density of the frame's readings, so that a circuit gains nothing by being blind.
-    """
-    change = np.log(frame.cells / resting.cells).ravel()
-    change = change - np.median(change)
-    together = frame.covariance + resting.covariance
-    least, found = float(np.linalg.slogdet(frame.normal)[1]), []
-    for creep in (0.0, CREEP):
-        covariance = together + creep**2 * np.eye(len(change))
-        precision = np.linalg.inv(covariance)
-        lost, moved = selected(precision @ change, precision, briefly=True)
-        score = float(change @ precision @ change) + lost + float(np.linalg.slogdet(covariance)[1]) + least
-        found.append((score, moved.reshape(resting.cells.shape)))
-    return min(found, key=lambda one: one[0])

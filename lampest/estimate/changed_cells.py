@@ -37,14 +37,12 @@ def apart_from_moved(still: NDArray[np.bool_], shape: tuple[int, ...]) -> NDArra
     return apart if apart.mean() >= FEWEST else still
 
 
-def selected(slope: Array, precision: Array, briefly: bool = False) -> tuple[float, Chosen]:
+def selected(slope: Array, precision: Array) -> tuple[float, Chosen]:
     """(what is lost, cells that must have moved) of changes d with −2 log density dᵀ·precision·d − 2 slope·d.
 
-    briefly : cells are added one after the other; else none stays that is not needed, from both ends.
+    Cells are taken back that are not needed, from those that one after the other must have moved, and from all.
     """
-    gained, added = _swept_alone(slope, precision, 1)
-    if briefly:
-        return PRICE * int(added.sum()) - gained, added
+    _, added = _swept_alone(slope, precision, 1)
     found = []
     for begun in (added, np.ones(len(slope), dtype=bool)):
         free, moved = np.flatnonzero(begun), np.zeros(len(slope), dtype=bool)

@@ -8,9 +8,9 @@ from warnings import catch_warnings, simplefilter
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.estimate.cells_fit import LEVEL, CellsFit, JointFit, fitted, moved_score
+from lampest.estimate.cells_fit import LEVEL, CellsFit, JointFit, fitted
 from lampest.estimate.changed_cells import PRICE, mostly_still
-from lampest.estimate.nuisances import MARGIN, MOST_ASKED, Besides, Better, beside_channels, besides_the_circuit
+from lampest.estimate.nuisances import MARGIN, MOST_ASKED, Besides, Better, FittedFrame, FittedPair, besides_the_circuit
 from lampest.estimate.rivals import Question, Rival, changes_beyond_noise, rivals_of, standing_frames
 from lampest.estimate.scatter import LEAST_FACTOR
 from lampest.files.errors import InputError
@@ -159,17 +159,17 @@ class Explained:
         """Return the effects beside the circuit, in the frames that changed most and in the last one."""
         scene, role, found = self.recording.scene, self.recording.role, self.explanation
         last = np.flatnonzero(role == MEASURED)[-1:]
-        if found is None or not found.comparable or scene.readout is None or not np.any(role == UNLOADED):
+        if found is None or found.pair is None or scene.readout is None or not np.any(role == UNLOADED):
             return Besides()
-        resting, frame = found.fits
-        frames = [(self.question.loaded, frame)]
+        resting, frame = found.pair.frames
+        pairs = [(self.question.loaded, found.pair)]
         if last[0] not in self.question.standing:
             question = replace(self.question, standing=last)
-            fit = fitted(scene, question.readings(question.specified)[1], resting.cells, patient=True)
-            frames += [] if fit is None else [(question.loaded, fit)]
+            latest = frame.refitted(question.readings(question.specified)[1], ())
+            pairs += [] if latest is None else [(question.loaded, FittedPair.of(resting, latest))]
         search = Detector(scene.panel, patch_of(scene.panel)).search
-        lying = resting.tail >= LEVEL and search.lies_on(np.log(resting.cells))
-        return replace(besides_the_circuit(scene, resting, frames), lying=lying)
+        lying = resting.fit.tail >= LEVEL and search.lies_on(np.log(resting.fit.cells))
+        return replace(besides_the_circuit(pairs), lying=lying)
 
 
 def check_of_modules(recording: Recording, layout: Modules, of_module: Callable[[int], ModelCheck]) -> ModelCheck:
@@ -258,16 +258,21 @@ def broken_law(scene: Scene, readings: Readings, noise: float, named: NDArray[np
 
 @dataclass(frozen=True, eq=False)
 class Explanation:
-    """rival : the circuit. fits : of the unloaded panel and of the frame. score, moving : of `moved_score`.
+    """Cells that explain the readings under a circuit.
 
-    A reading that the circuit takes for a bound costs as much as a cell that moved: none gains by reading less.
-    Without a frame, or on a panel too large for it, the score is 0 and no cell has moved.
+    Attributes
+    ----------
+    rival : Rival
+        The circuit.
+    fits : tuple of CellsFit
+        Of the unloaded panel and of the frame.
+    pair : FittedPair or None
+        Of both, where circuits can be compared; None without a frame, or on a panel too large for it.
     """
 
     rival: Rival
     fits: tuple[CellsFit, ...]
-    score: float
-    moving: NDArray[np.bool_]
+    pair: FittedPair | None
 
     @classmethod
     def of(
@@ -285,23 +290,29 @@ class Explanation:
                 if fit is None or (not patient and fit.tail < LEVEL):
                     return None
                 fits.append(fit)
-            alone = cls(rival, tuple(fits), 0.0, np.zeros(fits[0].cells.shape, dtype=bool))
-            if not alone.comparable:
-                return alone
-            score, moving = moved_score(*fits)
+            if len(fits) < 2 or not fits[0].small:
+                return cls(rival, tuple(fits), None)
+            resting, frame = (FittedFrame.of(rival.scene, fit) for fit in fits)
+            found = cls(rival, tuple(fits), FittedPair.of(resting, frame))
+            return found if np.isfinite(found.score) else None
         except (InputError, *BROKEN):
             return None
-        bounds = sum(int(fit.readings.bounds.sum()) for fit in fits)
-        return replace(alone, score=score + PRICE * bounds, moving=moving)
+
+    @cached_property
+    def score(self) -> float:
+        """−2 log density of the frame; a bound costs as much as a moved cell: no circuit gains by reading less."""
+        bounds = sum(int(fit.readings.bounds.sum()) for fit in self.fits)
+        return 0.0 if self.pair is None else self.pair.density + PRICE * bounds
+
+    @property
+    def moving(self) -> NDArray[np.bool_]:
+        """Which cells have moved, (rows, columns); none where circuits cannot be compared."""
+        shape = self.fits[0].cells.shape
+        return np.zeros(shape, dtype=bool) if self.pair is None else self.pair.plain.moved.reshape(shape)
 
     def joint(self, question: Question, moving: NDArray[np.bool_]) -> JointFit:
         """Both frames explained by the network itself, as if these cells had moved to begin with."""
         return JointFit.of(self.rival, question, [fit.cells for fit in self.fits], moving)
-
-    @property
-    def comparable(self) -> bool:
-        """Whether there are two frames, of a panel small enough, to tell circuits apart by."""
-        return len(self.fits) == 2 and self.fits[0].small
 
 
 def better_rival(rivals: list[Rival], question: Question, specified: Explanation | None) -> Better:
@@ -314,7 +325,7 @@ def better_rival(rivals: list[Rival], question: Question, specified: Explanation
         tried = (with_some_in_series(rivals[0], question), *(_explanation(rival, question) for rival in rivals[1:]))
         found = [one for one in tried if one is not None and mostly_still(one.moving) and _lawful(one.rival, question)]
         return Better(min(((one.score, one.rival.name) for one in found), default=(0.0, ""))[1])
-    if not specified.comparable:
+    if specified.pair is None:
         return Better()
     given = specified.joint(question, specified.moving)
     if given.beyond_noise < MARGIN:
@@ -338,10 +349,9 @@ def _beaten(specified: JointFit, best: JointFit) -> bool:
 def _beyond_channels(specified: Explanation, rival: Rival, question: Question) -> bool:
     """Whether a rival's resistance in series explains better by MARGIN where channels may differ, too."""
     found = None if rival.in_series is None else _explanation(rival, question)
-    if found is None:
+    if found is None or found.pair is None or specified.pair is None:
         return True
-    given, other = (beside_channels(one.rival.scene, one.fits).score for one in (specified, found))
-    return given > other + MARGIN
+    return specified.pair.plain.score > found.pair.plain.score + MARGIN
 
 
 def _others(given: JointFit, specified: Explanation, rivals: list[Rival], question: Question) -> Iterator[JointFit]:

@@ -117,7 +117,7 @@ class FittedFrame:
 
     def refitted(self, given: Readings, effects: tuple[Effect, ...]) -> "FittedFrame | None":
         """Return the frame with other readings or effects, begun at its cells; None where no cells explain them."""
-        fit = fitted(self.scene, given, self.fit.cells, effects=effects)
+        fit = fitted(self.scene, given, self.fit.cells, patient=True, effects=effects)
         return None if fit is None else FittedFrame(self.scene, given, fit, effects)
 
     @cached_property
@@ -125,6 +125,13 @@ class FittedFrame:
         """The network of its cells, without effects."""
         circuit = self.scene.circuit
         return circuit.network(self.fit.cells, circuit.ties(self.fit.readings.value), self.scene.wiring)
+
+    @cached_property
+    def channels(self) -> Array:
+        """What an ohm more in each line's channel does to the log cells, (cells, lines)."""
+        cells, measured = self.fit.cells, self.fit.readings.value
+        errors = self.scene.circuit.shared_errors(cells, measured, self.scene, 0.0, 1.0)[1:]
+        return np.asarray(self.fit.gain @ errors.reshape(len(errors), -1).T)
 
     @cached_property
     def offset(self) -> Array:
@@ -185,11 +192,9 @@ class FittedPair:
     @classmethod
     def of(cls, resting: FittedFrame, frame: FittedFrame) -> "FittedPair":
         """Return the pair with channels that differ as specified, or as those of one multiplexer do."""
-        bare, scene = cls((resting, frame), np.zeros((frame.fit.cells.size, 0))), frame.scene
-        sizes = usual(scene)
+        sizes = usual(frame.scene)
         spread = CHANNEL_OHM if sizes is None else sizes.channel_spread_ohm or CHANNEL_OHM
-        contacts = [Effect("contact", (line,)) for line in range(sum(scene.panel.shape))]
-        return replace(bare, channels=spread / PRIOR["contact"] * bare.columns(contacts))
+        return cls((resting, frame), spread * (frame.channels - resting.channels))
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -246,6 +251,20 @@ class FittedPair:
         left = np.linalg.inv(np.eye(own.shape[1]) + own[still].T @ within)
         return Evidence(score, moved, left @ within.T @ self.change[still], np.sqrt(np.diag(left)))
 
+    @cached_property
+    def plain(self) -> Evidence:
+        """The evidence without further effects."""
+        return self.explained(self.columns(()))
+
+    @property
+    def density(self) -> float:
+        """−2 log density of the frame's readings given the unloaded ones, up to a constant of all circuits.
+
+        A circuit gains nothing by being blind: the Jacobian of its readings belongs to it.
+        """
+        seen, spread = np.linalg.slogdet(self.frames[1].fit.normal)[1], np.linalg.slogdet(self._covariance)[1]
+        return self.plain.score + float(seen + spread)
+
     def scores_with(self, columns: Array, candidates: Array) -> Array:
         """−2 log evidence of `explained` with each of the candidates (cells, n) beside the columns; moved cells are
         only added."""
@@ -286,7 +305,7 @@ class FittedPair:
             pair = after
             if np.all(np.abs(step) < SETTLED * np.maximum(sd, SETTLED)):
                 break
-        return pair, replace(pair.explained(pair.columns(())), sd=found.sd)
+        return pair, replace(pair.plain, sd=found.sd)
 
     def _without_late(self) -> tuple[Effect, ...]:
         """The effects, those since the unloaded frames of no size."""
@@ -309,7 +328,7 @@ class FittedPair:
             pairs.append(replace(self, frames=(self.frames[0], frame), effects=effects))
         if not late:
             return pairs[0]
-        found, none = pairs[0].settled(constant=False), pairs[1].explained(pairs[1].columns(()))
+        found, none = pairs[0].settled(constant=False), pairs[1].plain
         return pairs[1] if found is None or none.score <= found[1].score else found[0]
 
     def _stepped(self, step: Array) -> "FittedPair | None":
@@ -338,30 +357,22 @@ class Besides:
         return f"{' and '.join(names)}: {TAKEN_OFF}"
 
 
-def beside_channels(scene: Scene, fits: Sequence[CellsFit]) -> Evidence:
-    """How cells have moved between the unloaded panel and a frame, beside channels that differ."""
-    resting, frame = (FittedFrame.of(scene, fit) for fit in fits)
-    pair = FittedPair.of(resting, frame)
-    return pair.explained(pair.columns(()))
-
-
-def besides_the_circuit(scene: Scene, resting: CellsFit, frames: Sequence[tuple[str, CellsFit]]) -> Besides:
-    """By fits of the unloaded panel and of named frames: of the frame that shows them best."""
-    found, together, most, unloaded = Besides(), "", 0.0, FittedFrame.of(scene, resting)
-    for name, frame in frames:
-        if max(float(fit.readings.bounds.mean()) for fit in (resting, frame)) > MOST_BOUNDS:
+def besides_the_circuit(pairs: Sequence[tuple[str, FittedPair]]) -> Besides:
+    """By pairs of the unloaded panel and named frames: of the frame that shows them best."""
+    found, together, most = Besides(), "", 0.0
+    for name, pair in pairs:
+        if max(float(frame.given.bounds.mean()) for frame in pair.frames) > MOST_BOUNDS:
             continue
-        pair = FittedPair.of(unloaded, FittedFrame.of(scene, frame))
-        plain = pair.explained(pair.columns(()))
+        plain = pair.plain
         together = _together(plain) or together
         whole, after, certain = _grown(pair, plain)
-        moved = after.moved.reshape(frame.cells.shape)
+        moved = after.moved.reshape(pair.shape)
         if not (plain.score - after.score > most and mostly_still(moved)):
             continue
         if any(_beside_a_load(one, moved) for one in whole.effects) or pair.off_by_one(after.score + MARGIN):
             continue
         most, fits_noise = plain.score - after.score, min(one.fit.tail for one in whole.frames) >= LEVEL
-        names = " and ".join(named(one, scene.panel.rows) for one in whole.effects)
+        names = " and ".join(named(one, pair.shape[0]) for one in whole.effects)
         better = Better(names, name, int(after.moved.sum()), int(plain.moved.sum()), fits_noise)
         found = Besides(better, "", certain if certain.effects and fits_noise else None)
     return found if found.better.name else replace(found, together=together)
