@@ -11,12 +11,12 @@ from dataclasses import dataclass, replace
 from functools import cache, cached_property
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from lampest.cost.given import Background
 from lampest.cost.problem import Data
 from lampest.cost.terms import Misfit
+from lampest.estimate.changed_cells import PRICE, selected
 from lampest.estimate.estimator import Bounds, Estimator
 from lampest.estimate.rivals import Question, Rival
 from lampest.panel.effects import Effect, disturbed
@@ -41,12 +41,8 @@ HOPELESS = (
 MOST_CELLS = 400  # where matrices over the cells take tens of milliseconds; beyond, every reading counts as a degree
 SPREAD = 0.01  # 1/variance of log r: a cell that no reading sees may be anything within e^±10
 
-# −2 log probability, per cell that is said to move: what a cell gains at random is χ² of one degree, and the largest of
-# 400 such exceeds 12 in one case of five.
-PRICE = 12.0
 TOGETHER = 0.05  # of log r: by so much all cells may change with temperature
 CREEP = 3e-3  # of log r, by which films creep on their own in seconds
-FEWEST = 0.3  # of the cells must stand still: else a load covers the panel
 UNIT = 0.1  # of the largest resistance in series: what a step of log r by 1 is to it
 
 
@@ -54,18 +50,6 @@ UNIT = 0.1  # of the largest resistance in series: what a step of log r by 1 is 
 def cells_alone() -> Estimator:
     """Plain least squares over r > 0; made when it is asked for, because installed methods are looked for then."""
     return Estimator((Misfit(weighting="noise"),), "reduced", bounds=Bounds("none", "none"), error_bars=False)
-
-
-def mostly_still(moved: NDArray[np.bool_]) -> bool:
-    """Whether more than half of the cells are where they were."""
-    return 2 * int(moved.sum()) < moved.size
-
-
-def apart_from_moved(still: NDArray[np.bool_], shape: tuple[int, ...]) -> NDArray[np.bool_]:
-    """The still cells of all frames, flat, without those that touch one that moved: a load does not end at a cell."""
-    moved = np.pad(~still.reshape(-1, *shape), ((0, 0), (1, 1), (1, 1)))
-    apart = still & ~sliding_window_view(moved, (3, 3), axis=(1, 2)).any(axis=(-2, -1)).ravel()
-    return apart if apart.mean() >= FEWEST else still
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -102,6 +86,17 @@ class CellsFit(SumOfSquares):
     def degrees(self) -> float:
         """Readings less what the cells can follow; at least 1."""
         return max(float(np.sum(self.readings.seen)) - _followed(self.normal), 1.0)
+
+    @cached_property
+    def covariance(self) -> Array:
+        """Of the log cells, (cells, cells)."""
+        return np.asarray(np.linalg.inv(self.normal))
+
+    @cached_property
+    def gain(self) -> Array:
+        """K (cells, readings): derivative of the log cells by the readings."""
+        assert self.readings.sigma is not None
+        return np.asarray(np.linalg.solve(self.normal, self.jacobian.T / self.readings.sigma.ravel()))
 
     @property
     def tail(self) -> float:
@@ -316,57 +311,3 @@ def _solved(matrix: Array, wanted: Array) -> Array:
     """argmin |matrix·x − wanted|² + SPREAD·|x|²."""
     normal = matrix.T @ matrix + SPREAD * np.eye(matrix.shape[1])
     return np.asarray(np.linalg.solve(normal, matrix.T @ wanted))
-
-
-def moved_score(resting: CellsFit, frame: CellsFit) -> tuple[float, NDArray[np.bool_]]:
-    """(min over sets S of χ²(the cells outside S stand still) + PRICE·|S| + log det, S) of two fits of one circuit.
-
-    The change of all cells together (temperature, supply) is taken off. log det is that of the covariance of the change
-    against the frame's own: −2 log density of the frame's readings, so that a circuit gains nothing by being blind.
-    """
-    change = np.log(frame.cells / resting.cells).ravel()
-    change = change - np.median(change)
-    together = np.linalg.inv(frame.normal) + np.linalg.inv(resting.normal)
-    least, found = float(np.linalg.slogdet(frame.normal)[1]), []
-    for creep in (0.0, CREEP):
-        covariance = together + creep**2 * np.eye(len(change))
-        precision = np.linalg.inv(covariance)
-        lost, moved = selected(precision @ change, precision, briefly=True)
-        score = float(change @ precision @ change) + lost + float(np.linalg.slogdet(covariance)[1]) + least
-        found.append((score, moved.reshape(resting.cells.shape)))
-    return min(found, key=lambda one: one[0])
-
-
-def selected(slope: Array, precision: Array, briefly: bool = False) -> tuple[float, NDArray[np.bool_]]:
-    """(what is lost, cells that must have moved) of changes d with −2 log density dᵀ·precision·d − 2 slope·d.
-
-    briefly : cells are added one after the other; else none stays that is not needed, from both ends.
-    """
-    gained, added = _swept(slope, precision, 1)
-    if briefly:
-        return PRICE * int(added.sum()) - gained, added
-    found = []
-    for begun in (added, np.ones(len(slope), dtype=bool)):
-        free, moved = np.flatnonzero(begun), np.zeros(len(slope), dtype=bool)
-        covariance = np.linalg.inv(precision[np.ix_(free, free)])
-        change = covariance @ slope[free]
-        lost, tied = _swept(change, covariance, -1)
-        moved[free[~tied]] = True
-        found.append((PRICE * int(moved.sum()) + lost - float(slope[free] @ change), moved))
-    return min(found, key=lambda one: one[0])
-
-
-def _swept(vector: Array, matrix: Array, sign: int) -> tuple[float, NDArray[np.bool_]]:
-    """(Σ v²/M, which) of cells taken one after the other: the largest down to PRICE (sign 1), or the least up to it."""
-    total, taken, size = 0.0, np.zeros(len(vector), dtype=bool), np.diag(matrix)
-    rows = np.zeros((len(vector), len(vector)))  # of the pivoted Cholesky factor of what is taken
-    for number in range(len(vector)):
-        worth = vector**2 / np.maximum(size, 1e-300)
-        cell = int(np.argmax(np.where(taken, -np.inf, sign * worth)))
-        if sign * (worth[cell] - PRICE) < 0:
-            break
-        total, taken[cell] = total + float(worth[cell]), True
-        column = matrix[:, cell] - rows[:number, cell] @ rows[:number]
-        rows[number] = column / np.sqrt(column[cell])
-        vector, size = vector - column * (vector[cell] / column[cell]), size - rows[number] ** 2
-    return total, taken

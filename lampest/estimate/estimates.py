@@ -9,10 +9,11 @@ from numpy.typing import NDArray
 
 from lampest.cost.terms import term_kind
 from lampest.estimate.estimator import Estimator
-from lampest.estimate.model_check import ModelCheck, recording_check
-from lampest.estimate.noise import NoiseSeen, noise_seen
+from lampest.estimate.model_check import ModelCheck
+from lampest.estimate.noise import NoiseSeen
+from lampest.estimate.prepared import Prepared
 from lampest.estimate.state import Step
-from lampest.estimate.warnings import unsolved, warnings_of
+from lampest.estimate.warnings import unsolved
 from lampest.loads.film import FilmKnown
 from lampest.loads.pressure import NORMAL_95, Pressure, pressure_of
 from lampest.panel.panel import Array
@@ -117,8 +118,8 @@ class Estimates:
     baseline, steps : how the baseline and every frame were solved; with `joint_start` the first step holds both.
     baseline_bars : the baseline's error bars, or None.
     joint_start : whether the first frame was solved together with the baseline.
+    prepared : the recording's preparation; of a part of a long recording that of the frames which stand for all.
     contacts : of the lines, as far as they are known afterwards; None where the scene names none.
-    asked : of a part of a long recording, the frames that its noise and its circuit were asked of; None of a whole one.
 
     >>> isinstance(found, lampest.Estimates), found.cell_resistance.shape
     (True, (2, 2, 3))
@@ -134,8 +135,8 @@ class Estimates:
     baseline_bars: Certainty | None
     steps: tuple[Step, ...]
     joint_start: bool
+    prepared: Prepared
     contacts: Contacts | None = None
-    asked: Recording | None = None
 
     def __repr__(self) -> str:
         solved, status = int(self.solved.sum()), self.status[0]
@@ -268,23 +269,27 @@ class Estimates:
     @property
     def model_check(self) -> ModelCheck:
         """Whether the scene's circuit can have made the recording's readings, in a sentence."""
-        if self.asked is None:
-            return recording_check(self.recording)
-        check, number = recording_check(self.asked), self.asked.number
-        assert number is not None
+        check, number = self.prepared.check, self.prepared.recording.number
+        if not self._is_part or number is None:
+            return check
         said = f"; of a long recording {len(number)} frames between {number[0]} and {number[-1]} were asked"
         return replace(check, sentence=check.sentence + said)
 
     @property
     def noise(self) -> NoiseSeen:
         """What the recording's own frames say of its noise, beside what the scene says."""
-        return noise_seen(self.asked or self.recording)
+        return self.prepared.noise
 
     @cached_property
     def checks(self) -> tuple[str, ...]:
         """What speaks against the estimates, one line each: failed frames, roles and units, circuit, noise."""
         failed = unsolved(self.solved, self.status)
-        return (*([failed] if failed else []), *warnings_of(self.asked or self.recording, self.noise, self.model_check))
+        return (*([failed] if failed else []), *self.prepared.warnings)
+
+    @property
+    def _is_part(self) -> bool:
+        """Whether these are estimates of a part of a long recording."""
+        return self.prepared.recording is not self.recording
 
     @cached_property
     def film(self) -> FilmKnown | None:
@@ -306,7 +311,7 @@ class Estimates:
     @cached_property
     def _bars(self) -> dict[str, Array] | None:
         """None unless an estimate has error bars, and the baseline too; of a part, unless others may have some."""
-        if self.baseline_bars is None or not (self.asked or any(step.bars for step in self.steps)):
+        if self.baseline_bars is None or not (self._is_part or any(step.bars for step in self.steps)):
             return None
         return barred_maps(self.cell_resistance, self.baseline_resistance, self.steps)
 

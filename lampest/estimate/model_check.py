@@ -1,19 +1,17 @@
 """Whether the circuit that a scene specifies can have made the readings, and which other explains them better."""
 
-from collections.abc import Iterator
-from contextlib import suppress
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property
 from warnings import catch_warnings, simplefilter
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.estimate.cells_fit import LEVEL, MOST_CELLS, PRICE, CellsFit, JointFit, fitted, mostly_still, moved_score
-from lampest.estimate.nuisances import MARGIN, MOST_ASKED, Besides, Better, beside_channels, besides_the_circuit
-from lampest.estimate.outliers import without_outliers
+from lampest.estimate.cells_fit import LEVEL, CellsFit, JointFit, fitted
+from lampest.estimate.changed_cells import PRICE, mostly_still
+from lampest.estimate.nuisances import MARGIN, MOST_ASKED, Besides, Better, FittedFrame, FittedPair, besides_the_circuit
 from lampest.estimate.rivals import Question, Rival, changes_beyond_noise, rivals_of, standing_frames
-from lampest.estimate.saturation import as_passed
 from lampest.estimate.scatter import LEAST_FACTOR
 from lampest.files.errors import InputError
 from lampest.loads.recognition.detector import Detector
@@ -61,34 +59,129 @@ class ModelCheck:
             return "not checked"
         return "no" if not self.explains else "yes" if self.noise == 1 else "noise"
 
+    def without(self, outliers: int) -> "ModelCheck":
+        """Return the check with the count of outliers that were left out."""
+        said = f"; {outliers} outlier{'s' if outliers > 1 else ''} of one frame left out" if outliers else ""
+        return replace(self, sentence=self.sentence + said)
 
-@lru_cache(maxsize=1)  # several estimators of one recording come one after the other
-def recording_check(recording: Recording) -> ModelCheck:
-    """The check of a recording's circuit, which all its estimates share. Raises InputError as `Readings.of`.
 
-    The unloaded panel's mean and the frame that differs most from it are explained by cells alone, every frame is
-    held against the circuit's inequalities, and other circuits are tried on the same two. Without an unloaded frame
-    the first one stands in.
+@dataclass(frozen=True, eq=False)
+class Explained:
+    """A recording as its circuit explains it.
+
+    Attributes
+    ----------
+    recording : Recording
+        As the electronics passed it.
+    readings : Readings
+        Of all its frames; outliers are missing.
+    question : Question
+        The unloaded panel's mean, and the frames that differ most from it.
+    bounded, missing : float
+        Shares of the readings of these frames that are bounds, or missing.
+    explanation : Explanation or None
+        Cells that explain both; None where none do, or bounds are too many.
     """
-    if recording.scene.panel.modules is not None:
-        return _of_modules(recording, recording.scene.panel.modules)
-    recording = as_passed(recording)
-    scene, readings = recording.scene, recording.readings()
-    if readings.sigma is None:
-        return ModelCheck(None, "the circuit was not checked: the noise of the readings is unknown")
-    try:
-        with np.errstate(all="ignore"):
-            outliers, _ = without_outliers(scene.circuit, readings, recording.role == UNLOADED)
-            specified = Rival(scene, np.where(outliers, np.nan, recording.recorded), recording.sigma)
-            check, count = _checked(specified, recording), int(outliers.sum())
-    except BROKEN:
-        return ModelCheck(None, "the circuit was not checked: arithmetic broke down over its readings")
-    said = f"; {count} outlier{'s' if count > 1 else ''} of one frame left out" if count else ""
-    return replace(check, sentence=check.sentence + said)
+
+    recording: Recording
+    readings: Readings
+    question: Question
+    bounded: float
+    missing: float
+    explanation: "Explanation | None"
+
+    @classmethod
+    def of(cls, recording: Recording, outliers: NDArray[np.bool_]) -> "Explained":
+        """Return the explanation of a recording whose noise is known; without an unloaded frame the first stands in."""
+        scene, role = recording.scene, recording.role
+        specified = Rival(scene, np.where(outliers, np.nan, recording.recorded), recording.sigma)
+        readings, named = specified.readings(), np.arange(len(role)) if recording.number is None else recording.number
+        resting = np.flatnonzero(role == UNLOADED) if np.any(role == UNLOADED) else np.array([0])
+        standing = np.setdiff1d(np.flatnonzero(role == MEASURED), resting)
+        used = replace(readings, seen=readings.seen * specified.nearly_gaussian(1))
+        noise = noise_factor(used[resting])
+        if len(standing):
+            frame = strongest_frame(readings.plain_values, readings[resting].mean().value, standing)
+            standing = standing_frames(used, frame, standing, noise)
+        question = Question(specified, resting, standing, noise, named)
+        compared = readings[np.concatenate([resting, standing])]
+        bounded = float((compared.bounds & scene.asked).sum() / max((compared.seen > 0)[:, scene.asked].sum(), 1))
+        found = Explanation.of(specified, question, patient=True) if bounded <= MOST_MISSING else None
+        return cls(recording, readings, question, bounded, float(compared.missing(scene).mean()), found)
+
+    @cached_property
+    def fault(self) -> str:
+        """Why the circuit cannot have made the readings, in words; ''."""
+        specified, question = self.question.specified, self.question
+        used = replace(self.readings, seen=self.readings.seen * specified.nearly_gaussian(1))
+        unexplained = "" if self.explanation is None else _unexplained(self.explanation, question)
+        return unexplained or broken_law(specified.scene, used, question.widening, self._named) or self.below
+
+    @cached_property
+    def below(self) -> str:
+        """The reading below the series resistance, in words; ''."""
+        return _below_series(self.recording.scene, self.question.specified, self.readings, self._named)
+
+    @property
+    def _named(self) -> NDArray[np.intp]:
+        assert self.question.named is not None
+        return self.question.named
+
+    def check(self, besides: Besides) -> ModelCheck:
+        """Return the check of the circuit, where other circuits and these effects may explain more."""
+        question, noise, fault, found = self.question, self.question.widening, self.fault, self.explanation
+        few_bounds, scene = self.bounded <= MOST_MISSING, self.recording.scene
+        if found is None and not fault:
+            if not few_bounds:
+                lawful = f"no readings break a law of the circuit; {100 * self.bounded:.0f} % of them are bounds"
+                return ModelCheck(True, f"{lawful}, and no cells were fitted")
+            return ModelCheck(None, "the circuit was not checked: no fit of its cells was found", noise=noise)
+        best, whole = Better(), self.missing <= MOST_MISSING and (few_bounds or bool(self.below))
+        if whole:
+            change = changes_beyond_noise(scene, self.readings, self.recording.role)
+            rivals = list(rivals_of(question.specified, bool(change.max(initial=0.0) > -change.min(initial=0.0))))
+            best, effect = better_rival(rivals, question, None if fault else found), besides.better
+            if effect.name and (effect.fits_noise or not fault) and (not best.name or effect.count < best.count):
+                best = effect
+        if not whole:
+            sentence = f"{fault or EXPLAINED}; other circuits were not tried, too many readings are missing or bounds"
+        elif fault:
+            sentence = f"{fault}; {f'{best.name} does' if best.name else 'no other circuit that was tried gives them'}"
+        else:
+            sentence = f"{best.name} explains the readings better: {best.reason}" if best.name else EXPLAINED
+        if noise > 1:
+            sentence += f"; the unloaded frames scatter by {noise:.2g} times the specified noise, which is allowed for"
+        named_best = bool(best.name) and best is besides.better
+        explains = not fault and not best.name
+        return ModelCheck(explains, sentence, best.name, noise, besides.together, named_best, besides.lying)
+
+    def effects(self) -> Besides:
+        """Return the effects beside the circuit, in the frames that changed most and in the last one."""
+        scene, role, found = self.recording.scene, self.recording.role, self.explanation
+        last = np.flatnonzero(role == MEASURED)[-1:]
+        if found is None or found.pair is None or scene.readout is None or not np.any(role == UNLOADED):
+            return Besides()
+        resting, frame = found.pair.frames
+        pairs = [(self.question.loaded, found.pair)]
+        if last[0] not in self.question.standing:
+            question = replace(self.question, standing=last)
+            latest = frame.refitted(question.readings(question.specified)[1], ())
+            pairs += [] if latest is None else [(question.loaded, FittedPair.of(resting, latest))]
+        search = Detector(scene.panel, patch_of(scene.panel)).search
+        lying = resting.fit.tail >= LEVEL and search.lies_on(np.log(resting.fit.cells))
+        return replace(besides_the_circuit(pairs), lying=lying)
 
 
-def _of_modules(recording: Recording, layout: Modules) -> ModelCheck:
-    """Of those modules whose readings move most."""
+def check_of_modules(recording: Recording, layout: Modules, of_module: Callable[[int], ModelCheck]) -> ModelCheck:
+    """Return the check of the circuits of those modules whose readings move most.
+
+    Parameters
+    ----------
+    recording : Recording
+    layout : Modules
+    of_module : callable
+        Returns the check of a module by its number.
+    """
     values, resting = layout.split(recording.readings().plain_values), recording.role == UNLOADED
     if not resting.any():
         resting[0] = True
@@ -97,7 +190,7 @@ def _of_modules(recording: Recording, layout: Modules) -> ModelCheck:
         change = np.abs(np.log(values[recording.role == MEASURED] / np.nanmean(values[resting], axis=0)))
         moved = np.nan_to_num(np.nanmean(change, axis=(2, 3))).max(0, initial=0.0)
     living = [one for one in np.argsort(moved)[::-1].tolist() if one not in recording.scene.dead_modules]
-    found = {one: recording_check.__wrapped__(recording.modules[one]) for one in sorted(living[:MOST_MODULES])}
+    found = {one: of_module(one) for one in sorted(living[:MOST_MODULES])}
     explains = [check.explains for check in found.values()]
     verdict = False if False in explains else True if True in explains else None
     said = {one: check for one, check in found.items() if check.explains is verdict}
@@ -107,82 +200,6 @@ def _of_modules(recording: Recording, layout: Modules) -> ModelCheck:
     better = next((check.better for check in said.values() if check.better), "")
     lying = any(check.lying for check in found.values())
     return ModelCheck(verdict, sentence, better, max(check.noise for check in found.values()), lying=lying)
-
-
-def _checked(specified: Rival, recording: Recording) -> ModelCheck:
-    """The check of readings whose noise is known, outliers left out."""
-    scene, role, readings = specified.scene, recording.role, specified.readings()
-    named = np.arange(len(role)) if recording.number is None else recording.number
-    resting = np.flatnonzero(role == UNLOADED) if np.any(role == UNLOADED) else np.array([0])
-    standing = np.setdiff1d(np.flatnonzero(role == MEASURED), resting)
-    used = replace(readings, seen=readings.seen * specified.nearly_gaussian(1))
-    noise = noise_factor(used[resting])
-    if len(standing):
-        frame = strongest_frame(readings.plain_values, readings[resting].mean().value, standing)
-        standing = standing_frames(used, frame, standing, noise)
-    question = Question(specified, resting, standing, noise, named)
-    compared = readings[np.concatenate([resting, standing])]
-    bounded = float((compared.bounds & scene.asked).sum() / max((compared.seen > 0)[:, scene.asked].sum(), 1))
-    few_bounds = bounded <= MOST_MISSING
-    found = Explanation.of(specified, question, patient=True) if few_bounds else None
-    below = _below_series(scene, specified, readings, named)
-    fault = ("" if found is None else _unexplained(found, question)) or broken_law(scene, used, noise, named) or below
-    if found is None and not fault:
-        if not few_bounds:
-            lawful = f"no readings break a law of the circuit; {100 * bounded:.0f} % of them are bounds"
-            return ModelCheck(True, f"{lawful}, and no cells were fitted")
-        return ModelCheck(None, "the circuit was not checked: no fit of its cells was found", noise=noise)
-    best, besides = Better(), effects_seen(recording)
-    whole = float(compared.missing(scene).mean()) <= MOST_MISSING and (few_bounds or bool(below))
-    if whole:
-        change = changes_beyond_noise(scene, readings, role)
-        rivals = list(rivals_of(specified, bool(change.max(initial=0.0) > -change.min(initial=0.0))))
-        best, effect = better_rival(rivals, question, None if fault else found), besides.better
-        if effect.name and (effect.fits_noise or not fault) and (not best.name or effect.count < best.count):
-            best = effect
-    if not whole:
-        sentence = f"{fault or EXPLAINED}; other circuits were not tried, too many readings are missing or bounds"
-    elif fault:
-        sentence = f"{fault}; {best.name} does" if best.name else f"{fault}; no other circuit that was tried gives them"
-    else:
-        sentence = f"{best.name} explains the readings better: {best.reason}" if best.name else EXPLAINED
-    if noise > 1:
-        sentence += f"; the unloaded frames scatter by {noise:.2g} times the specified noise, which is allowed for"
-    named_best = bool(best.name) and best is besides.better
-    return ModelCheck(
-        not fault and not best.name, sentence, best.name, noise, besides.together, named_best, besides.lying
-    )
-
-
-@lru_cache(maxsize=1)  # the check asks for it, and the noise
-def effects_seen(recording: Recording) -> Besides:
-    """What is there beside the circuit, in the frames that changed most and in the last one."""
-    recording = as_passed(recording)
-    scene, role = recording.scene, recording.role
-    resting, standing = (np.flatnonzero(role == one) for one in (UNLOADED, MEASURED))
-    if not len(resting) or not len(standing) or scene.panel.crossings > MOST_CELLS or scene.readout is None:
-        return Besides()
-    with suppress(*BROKEN), np.errstate(all="ignore"):
-        _, readings = without_outliers(scene.circuit, recording.readings(), role == UNLOADED)
-        specified = Rival(scene, recording.recorded, recording.sigma)
-        readings = replace(readings, seen=readings.seen * specified.nearly_gaussian(1))
-        noise, last = noise_factor(readings[resting]), standing[-1:]
-        assert readings.sigma is not None
-        widened = replace(readings, sigma=noise * readings.sigma)
-        mean = widened[resting].mean()
-        unloaded = fitted(scene, mean, patient=True)
-        frame = strongest_frame(widened.plain_values, mean.value, standing)
-        standing = standing_frames(widened, frame, standing, 1.0)
-        question, frames = Question(specified, resting, standing, noise, recording.number), list[tuple[str, CellsFit]]()
-        for chosen in (standing,) if last[0] in standing else (standing, last):
-            near = None if unloaded is None else unloaded.cells
-            fit = fitted(scene, widened[chosen].mean(), near, patient=True)
-            frames += [] if fit is None else [(replace(question, standing=chosen).loaded, fit)]
-        if unloaded is not None:
-            search = Detector(scene.panel, patch_of(scene.panel)).search
-            lying = unloaded.tail >= LEVEL and search.lies_on(np.log(unloaded.cells))
-            return replace(besides_the_circuit(scene, unloaded, frames), lying=lying)
-    return Besides()
 
 
 def noise_factor(resting: Readings) -> float:
@@ -241,16 +258,21 @@ def broken_law(scene: Scene, readings: Readings, noise: float, named: NDArray[np
 
 @dataclass(frozen=True, eq=False)
 class Explanation:
-    """rival : the circuit. fits : of the unloaded panel and of the frame. score, moving : of `moved_score`.
+    """Cells that explain the readings under a circuit.
 
-    A reading that the circuit takes for a bound costs as much as a cell that moved: none gains by reading less.
-    Without a frame, or on a panel too large for it, the score is 0 and no cell has moved.
+    Attributes
+    ----------
+    rival : Rival
+        The circuit.
+    fits : tuple of CellsFit
+        Of the unloaded panel and of the frame.
+    pair : FittedPair or None
+        Of both, where circuits can be compared; None without a frame, or on a panel too large for it.
     """
 
     rival: Rival
     fits: tuple[CellsFit, ...]
-    score: float
-    moving: NDArray[np.bool_]
+    pair: FittedPair | None
 
     @classmethod
     def of(
@@ -268,23 +290,29 @@ class Explanation:
                 if fit is None or (not patient and fit.tail < LEVEL):
                     return None
                 fits.append(fit)
-            alone = cls(rival, tuple(fits), 0.0, np.zeros(fits[0].cells.shape, dtype=bool))
-            if not alone.comparable:
-                return alone
-            score, moving = moved_score(*fits)
+            if len(fits) < 2 or not fits[0].small:
+                return cls(rival, tuple(fits), None)
+            resting, frame = (FittedFrame.of(rival.scene, fit) for fit in fits)
+            found = cls(rival, tuple(fits), FittedPair.of(resting, frame))
+            return found if np.isfinite(found.score) else None
         except (InputError, *BROKEN):
             return None
-        bounds = sum(int(fit.readings.bounds.sum()) for fit in fits)
-        return replace(alone, score=score + PRICE * bounds, moving=moving)
+
+    @cached_property
+    def score(self) -> float:
+        """−2 log density of the frame; a bound costs as much as a moved cell: no circuit gains by reading less."""
+        bounds = sum(int(fit.readings.bounds.sum()) for fit in self.fits)
+        return 0.0 if self.pair is None else self.pair.density + PRICE * bounds
+
+    @property
+    def moving(self) -> NDArray[np.bool_]:
+        """Which cells have moved, (rows, columns); none where circuits cannot be compared."""
+        shape = self.fits[0].cells.shape
+        return np.zeros(shape, dtype=bool) if self.pair is None else self.pair.plain.moved.reshape(shape)
 
     def joint(self, question: Question, moving: NDArray[np.bool_]) -> JointFit:
         """Both frames explained by the network itself, as if these cells had moved to begin with."""
         return JointFit.of(self.rival, question, [fit.cells for fit in self.fits], moving)
-
-    @property
-    def comparable(self) -> bool:
-        """Whether there are two frames, of a panel small enough, to tell circuits apart by."""
-        return len(self.fits) == 2 and self.fits[0].small
 
 
 def better_rival(rivals: list[Rival], question: Question, specified: Explanation | None) -> Better:
@@ -297,7 +325,7 @@ def better_rival(rivals: list[Rival], question: Question, specified: Explanation
         tried = (with_some_in_series(rivals[0], question), *(_explanation(rival, question) for rival in rivals[1:]))
         found = [one for one in tried if one is not None and mostly_still(one.moving) and _lawful(one.rival, question)]
         return Better(min(((one.score, one.rival.name) for one in found), default=(0.0, ""))[1])
-    if not specified.comparable:
+    if specified.pair is None:
         return Better()
     given = specified.joint(question, specified.moving)
     if given.beyond_noise < MARGIN:
@@ -321,10 +349,9 @@ def _beaten(specified: JointFit, best: JointFit) -> bool:
 def _beyond_channels(specified: Explanation, rival: Rival, question: Question) -> bool:
     """Whether a rival's resistance in series explains better by MARGIN where channels may differ, too."""
     found = None if rival.in_series is None else _explanation(rival, question)
-    if found is None:
+    if found is None or found.pair is None or specified.pair is None:
         return True
-    given, other = (beside_channels(one.rival.scene, one.fits).score for one in (specified, found))
-    return given > other + MARGIN
+    return specified.pair.plain.score > found.pair.plain.score + MARGIN
 
 
 def _others(given: JointFit, specified: Explanation, rivals: list[Rival], question: Question) -> Iterator[JointFit]:

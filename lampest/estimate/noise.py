@@ -1,31 +1,26 @@
 """What a recording's own frames show of its noise, beside what the scene says, and readings that allow for it."""
 
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lampest.estimate.cells_fit import LEVEL, fitted
-from lampest.estimate.model_check import effects_seen, recording_check
 from lampest.estimate.nuisances import Besides, left_open, taken_off
-from lampest.estimate.outliers import LEAST_FRAMES, SHARE, lawless, without_these
-from lampest.estimate.saturation import as_passed
+from lampest.estimate.outliers import LEAST_FRAMES, SHARE
 from lampest.estimate.scatter import LEAST_FACTOR, unloaded_scatter
 from lampest.estimate.still_cells import errors_left_possible
 from lampest.panel.memory import in_panel_order
 from lampest.panel.panel import Array, Modules
 from lampest.panel.readouts import Readout
-from lampest.panel.scene import Scene
-from lampest.panel.systematic import SINES, Possible, usual
+from lampest.panel.scene import Scene, Systematic
+from lampest.panel.systematic import SINES, Possible
 from lampest.posterior.frame_noise import FrameNoise
 from lampest.posterior.interval import chi_square_tail
 from lampest.recording.calibration.repeats import ENDLESS, noise_of_variance, sigma_code
 from lampest.recording.readings import Readings, strongest_frame
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
-from lampest.solvers.multistart import BROKEN
 
 FEWEST_OPEN = 5  # unloaded frames from which on noise that a scene leaves open is taken from them
 MOST_NAMED = 3  # modules in one sentence
@@ -73,6 +68,11 @@ class NoiseSeen:
         return "; ".join(self.warnings)
 
     @property
+    def taken(self) -> str:
+        """The effects that are taken off the readings, in words; ''."""
+        return "" if self.besides is None else self.besides.taken
+
+    @property
     def reading_error(self) -> float:
         """Standard deviation of the logarithm of a factor on each reading, the same in all frames; 0 where not seen."""
         return 0.0 if self.hidden is None else self.hidden.sizes.reading_error or 0.0
@@ -111,106 +111,44 @@ class NoiseSeen:
         return replace(self, readings=replace(self.readings, sigma=np.hypot(sigma, moved)), share=share).warned(said)
 
 
-@lru_cache(maxsize=1)  # several estimators of one recording come one after the other
-def noise_seen(recording: Recording) -> NoiseSeen:
-    """Of a recording: its frames' noise, and what its still cells show. Raises InputError as `Readings.of`."""
-    layout, seen = recording.scene.panel.modules, frame_noise_seen(recording)
-    if layout is None:
-        return _with_still_cells(seen, recording)
-    parts = zip(seen.of_modules, recording.modules, strict=True)
-    every = [None if one is None else _with_still_cells(one, module) for one, module in parts]
-    return _joined(recording, layout, every)
+def with_still_cells(seen: NoiseSeen, recording: Recording, sizes: Systematic) -> NoiseSeen:
+    """Return the noise with what the still cells of a single network show.
 
-
-def _with_still_cells(seen: NoiseSeen, recording: Recording) -> NoiseSeen:
-    """With what the still cells of a single network show."""
-    sizes, scene = usual(recording.scene), recording.scene
-    unloaded, measured = (np.flatnonzero(recording.role == role) for role in (UNLOADED, MEASURED))
-    if not len(unloaded) or not len(measured) or sizes is None:
-        return seen
-    with suppress(*BROKEN), np.errstate(all="ignore"):
-        seen = without_effects(seen, recording)
-        resting = seen.readings[unloaded].mean()
-        still = seen.with_motion(scene, scan_share(scene, resting, seen.readings, measured), measured)
-        strongest = strongest_frame(still.readings.plain_values, resting.value, measured)
-        chosen = np.unique([strongest, measured[0] if strongest != measured[0] else measured[-1]])
-        hidden = errors_left_possible(scene, sizes, resting, still.readings[chosen], seen.frame)
-        own = hidden.sizes.reading_error or 0.0 if hidden is not None and hidden.sure else 0.0
-        said = (
-            f"cells that nobody touched seem to move as if each reading were off by {100 * own:.2g} %, the same in all "
-            "frames, which error bars allow for"
-        )
-        return replace(still, hidden=hidden).warned(said if own > (sizes.reading_error or 0.0) else "")
-    return seen
-
-
-def without_effects(seen: NoiseSeen, recording: Recording, known: Besides | None = None) -> NoiseSeen:
-    """With what leaks and contacts did taken off the readings, where nothing else explains these as well.
-
-    known : of the frames that were asked; None: those of the recording itself.
+    Parameters
+    ----------
+    seen : NoiseSeen
+    recording : Recording
+        With unloaded and with measured frames.
+    sizes : Systematic
+        Errors that the scene names, or leaves possible.
     """
-    besides = known or effects_seen(recording)
-    if besides.pair is None or not (known or recording_check(recording).besides):
+    unloaded, measured = (np.flatnonzero(recording.role == role) for role in (UNLOADED, MEASURED))
+    scene, resting = recording.scene, seen.readings[unloaded].mean()
+    still = seen.with_motion(scene, scan_share(scene, resting, seen.readings, measured), measured)
+    strongest = strongest_frame(still.readings.plain_values, resting.value, measured)
+    chosen = np.unique([strongest, measured[0] if strongest != measured[0] else measured[-1]])
+    hidden = errors_left_possible(scene, sizes, resting, still.readings[chosen], seen.frame)
+    own = hidden.sizes.reading_error or 0.0 if hidden is not None and hidden.sure else 0.0
+    said = (
+        f"cells that nobody touched seem to move as if each reading were off by {100 * own:.2g} %, the same in all "
+        "frames, which error bars allow for"
+    )
+    return replace(still, hidden=hidden).warned(said if own > (sizes.reading_error or 0.0) else "")
+
+
+def without_effects(seen: NoiseSeen, recording: Recording, besides: Besides) -> NoiseSeen:
+    """With what leaks and contacts did taken off the readings."""
+    if besides.pair is None:
         return seen
     unloaded = recording.role == UNLOADED
     frame, nothing = seen.frame, np.zeros((recording.scene.panel.shape[1 - recording.scene.circuit.by_columns], 0))
     if frame is None:
         frame = FrameNoise(recording.scene, int(unloaded.sum()), 0.0, nothing, nothing)
     readings, frame = taken_off(besides.pair, seen.readings, unloaded), replace(frame, left=left_open(besides.pair))
-    return replace(seen, readings=readings, frame=frame, besides=besides).warned("" if known else besides.taken)
+    return replace(seen, readings=readings, frame=frame, besides=besides)
 
 
-def noise_seen_in_part(recording: Recording, known: NoiseSeen | None) -> Readings:
-    """The readings of a part of a long recording, with its unloaded frames, as they are to be taken.
-
-    known : what was found of the recording before; None: before that. Raises InputError as `Readings.of`.
-    """
-    seen, layout = frame_noise_seen(recording), recording.scene.panel.modules
-    if known is None:
-        return seen.readings
-    if layout is None:
-        return _as_known(seen, recording, known)
-    every = enumerate(zip(seen.of_modules, known.of_modules, strict=True))
-    changed = {
-        number: _as_known(own, recording.modules[number], one)
-        for number, (own, one) in every
-        if own is not None and one is not None and (one.besides is not None or one.share)
-    }
-    if not changed:
-        return seen.readings
-    given = (changed.get(number) or seen.readings.of_module(layout, number) for number in range(layout.count))
-    return Readings.of_parts(layout, list(given))
-
-
-def _as_known(seen: NoiseSeen, recording: Recording, known: NoiseSeen) -> Readings:
-    """The readings of a single network's part, with the effects and the motion that are known."""
-    with suppress(*BROKEN), np.errstate(all="ignore"):
-        seen = seen if known.besides is None else without_effects(seen, recording, known.besides)
-        seen = seen.with_motion(recording.scene, known.share, np.flatnonzero(recording.role == MEASURED))
-    return seen.readings
-
-
-def frame_noise_seen(recording: Recording) -> NoiseSeen:
-    """What unloaded frames and neighbours in time show, and readings that allow for it; modules each by itself."""
-    layout, dead = recording.scene.panel.modules, recording.scene.dead_modules
-    living = [number for number in range(1 if layout is None else layout.count) if number not in dead]
-    resting, passed = recording.role == UNLOADED, [as_passed(recording.modules[number]) for number in living]
-    first, *others = [module.readings() for module in passed]
-    together, alike = first.together(*others, axis=-3), dict[Readout, list[int]]()
-    for place, module in enumerate(passed):
-        alike.setdefault(module.scene.circuit, []).append(place)
-    impossible = np.zeros(together.value.shape, dtype=bool)
-    for circuit, places in alike.items():
-        impossible[:, places] = lawless(circuit, together[:, places])
-    outliers, cleaned = without_these(impossible, together, resting)
-    seen = [_scatter_seen(one, outliers[:, place], cleaned[:, place]) for place, one in enumerate(passed)]
-    if layout is None:
-        return seen[0]
-    found = dict(zip(living, seen, strict=True))
-    return _joined(recording, layout, [found.get(number) for number in range(layout.count)])
-
-
-def _scatter_seen(recording: Recording, outliers: NDArray[np.bool_], cleaned: Readings) -> NoiseSeen:
+def scatter_seen(recording: Recording, outliers: NDArray[np.bool_], cleaned: Readings) -> NoiseSeen:
     """What the unloaded frames of a single network show."""
     readout, resting = recording.scene.readout, recording.role == UNLOADED
     unloaded = int(resting.sum())
@@ -248,7 +186,7 @@ def _scatter_seen(recording: Recording, outliers: NDArray[np.bool_], cleaned: Re
     return seen.warned(said, _shared_in_words(parts.gain, *sizes))
 
 
-def _joined(recording: Recording, layout: Modules, every: Sequence[NoiseSeen | None]) -> NoiseSeen:
+def joined_noise(recording: Recording, layout: Modules, every: Sequence[NoiseSeen | None]) -> NoiseSeen:
     """What the frames of all modules show; a dead one shows nothing."""
     given = recording.readings()
     readings = [given.of_module(layout, n) if one is None else one.readings for n, one in enumerate(every)]

@@ -13,17 +13,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.estimate.cells_fit import (
-    CREEP,
-    LEVEL,
-    PRICE,
-    TOGETHER,
-    CellsFit,
-    apart_from_moved,
-    fitted,
-    mostly_still,
-    selected,
-)
+from lampest.estimate.cells_fit import CREEP, LEVEL, TOGETHER, CellsFit, fitted
+from lampest.estimate.changed_cells import PRICE, apart_from_moved, mostly_still, scores_beside, selected
 from lampest.estimate.rivals import MOVED
 from lampest.panel.effects import Effect, disturbance, neighbours
 from lampest.panel.network import Network
@@ -44,6 +35,7 @@ MOST_BOUNDS = 0.02  # of the readings: cells behind bounds have no linear theory
 SURE = 5.0  # standard deviations: a common change that is said
 MOST_EFFECTS = 3  # beside each other
 LEAST_SPARED = 2  # cells that need not have moved with an effect: a converter's curve moves one
+TAKEN_OFF = "taken off the readings, which error bars allow for"
 SECANT = 1e-3  # of a prior
 LEAST_LEFT = 0.1  # of a reading, whatever is taken off
 
@@ -80,9 +72,9 @@ def named(effect: Effect, rows: int) -> str:
     return f"a leak of {1e-3 / effect.size:.2g} kohm between {where}{since}"
 
 
-def candidates(shape: tuple[int, int]) -> Iterator[Effect]:
+def candidates(shape: tuple[int, ...]) -> Iterator[Effect]:
     """All that are tried on a panel."""
-    pairs = neighbours(*shape)
+    pairs = neighbours(shape[0], shape[1])
     for since in (True, False):
         yield from (Effect("leak", lines, since) for lines in (pairs, *((line,) for line in pairs)))
         yield from (Effect("contact", (line,), since) for line in range(sum(shape)))
@@ -100,114 +92,198 @@ class Evidence:
 
 
 @dataclass(frozen=True, eq=False)
-class FittedPair:
-    """The unloaded panel and a frame. given : their readings. fits : of these with the effects in the network.
+class FittedFrame:
+    """Cells that explain a frame whose network has effects.
 
-    channels : (cells, lines) a of each line's channel, of one standard deviation.
+    Attributes
+    ----------
+    scene : Scene
+    given : Readings
+        Of the frame, as measured.
+    fit : CellsFit
+        With the effects in the network.
+    effects : tuple of Effect
     """
 
     scene: Scene
-    given: tuple[Readings, ...]
-    fits: tuple[CellsFit, ...]
+    given: Readings
+    fit: CellsFit
+    effects: tuple[Effect, ...] = ()
+
+    @classmethod
+    def of(cls, scene: Scene, fit: CellsFit) -> "FittedFrame":
+        """Return the frame of a fit without effects."""
+        return cls(scene, fit.readings, fit)
+
+    def refitted(self, given: Readings, effects: tuple[Effect, ...]) -> "FittedFrame | None":
+        """Return the frame with other readings or effects, begun at its cells; None where no cells explain them."""
+        fit = fitted(self.scene, given, self.fit.cells, patient=True, effects=effects)
+        return None if fit is None else FittedFrame(self.scene, given, fit, effects)
+
+    @cached_property
+    def network(self) -> Network:
+        """The network of its cells, without effects."""
+        circuit = self.scene.circuit
+        return circuit.network(self.fit.cells, circuit.ties(self.fit.readings.value), self.scene.wiring)
+
+    @cached_property
+    def channels(self) -> Array:
+        """What an ohm more in each line's channel does to the log cells, (cells, lines)."""
+        cells, measured = self.fit.cells, self.fit.readings.value
+        errors = self.scene.circuit.shared_errors(cells, measured, self.scene, 0.0, 1.0)[1:]
+        return np.asarray(self.fit.gain @ errors.reshape(len(errors), -1).T)
+
+    @cached_property
+    def offset(self) -> Array:
+        """What the effects do to the readings, (rows, columns)."""
+        return disturbance(self.effects, self.scene, self.network)
+
+    def more(self, effect: Effect) -> Array:
+        """What one effect more does to the readings, (rows, columns)."""
+        return disturbance((*self.effects, effect), self.scene, self.network) - self.offset
+
+    @cached_property
+    def _every_answer(self) -> dict[Effect, Array]:
+        return self._answered([_small(effect) for effect in candidates(self.fit.cells.shape)])
+
+    def _answered(self, effects: Sequence[Effect]) -> dict[Effect, Array]:
+        distinct = list(dict.fromkeys(effects))
+        changes = np.stack([self.more(effect).ravel() for effect in distinct], axis=1)
+        return dict(zip(distinct, (self.fit.gain @ changes).T / SECANT, strict=True))
+
+    def answers(self, effects: Sequence[Effect]) -> Array:
+        """Return what a unit of each θ does to the log cells, (cells, effects), by secants."""
+        known = self._answered(effects) if self.effects else self._every_answer
+        return np.stack([known[effect] for effect in effects], axis=1)
+
+    @property
+    def amplification(self) -> Array:
+        """The factor by which the readings' noise grows once the effects are taken off, (rows, columns)."""
+        if all(one.kind == "contact" for one in self.effects):
+            return np.ones(self.fit.cells.shape)
+        assert self.fit.readings.sigma is not None
+        dry = self.network.sensitivity() / self.fit.readings.sigma.reshape(-1, 1)
+        variance = np.sum((dry @ self.fit.covariance) * dry, axis=1)
+        return np.asarray(np.sqrt(np.maximum(variance, 1.0))).reshape(self.fit.cells.shape)
+
+
+def _small(effect: Effect) -> Effect:
+    """Return the effect of which a secant is taken."""
+    return replace(effect, since=False, size=SECANT * PRIOR[effect.kind])
+
+
+@dataclass(frozen=True, eq=False)
+class FittedPair:
+    """The unloaded panel and a frame.
+
+    Attributes
+    ----------
+    frames : tuple of two FittedFrame
+    channels : array, shape (cells, lines)
+        a of each line's channel, of one standard deviation.
+    effects : tuple of Effect
+        Of both frames.
+    """
+
+    frames: tuple[FittedFrame, FittedFrame]
     channels: Array
     effects: tuple[Effect, ...] = ()
 
     @classmethod
-    def of(cls, scene: Scene, *fits: CellsFit) -> "FittedPair":
-        """With channels that differ as specified, or as those of one multiplexer do."""
-        bare = cls(scene, tuple(fit.readings for fit in fits), fits, np.zeros((fits[0].cells.size, 0)))
-        sizes = usual(scene)
+    def of(cls, resting: FittedFrame, frame: FittedFrame) -> "FittedPair":
+        """Return the pair with channels that differ as specified, or as those of one multiplexer do."""
+        sizes = usual(frame.scene)
         spread = CHANNEL_OHM if sizes is None else sizes.channel_spread_ohm or CHANNEL_OHM
-        contacts = [Effect("contact", (line,)) for line in range(sum(scene.panel.shape))]
-        return replace(bare, channels=spread / PRIOR["contact"] * bare.columns(contacts))
+        return cls((resting, frame), spread * (frame.channels - resting.channels))
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Rows and columns of the panel."""
+        return self.frames[1].fit.cells.shape
 
     @cached_property
     def change(self) -> Array:
         """d (cells)."""
-        return np.asarray(np.log(self.fits[1].cells / self.fits[0].cells).ravel())
+        resting, frame = self.frames
+        return np.asarray(np.log(frame.fit.cells / resting.fit.cells).ravel())
 
     @cached_property
     def _covariance(self) -> Array:
         """Of d where no load is, (cells, cells)."""
-        noise = sum(np.linalg.inv(fit.normal) for fit in self.fits) + CREEP**2 * np.eye(len(self.change))
+        noise = sum(frame.fit.covariance for frame in self.frames) + CREEP**2 * np.eye(len(self.change))
         return np.asarray(noise + self.channels @ self.channels.T)
 
     @cached_property
     def _precision(self) -> Array:
         return np.linalg.inv(self._covariance)
 
-    def _in_frame(self, number: int) -> tuple[Effect, ...]:
-        """The effects of the unloaded panel (0) or of the frame (1)."""
-        return tuple(one for one in self.effects if number or not one.since)
-
-    def _network(self, number: int) -> Network:
-        fit, circuit = self.fits[number], self.scene.circuit
-        return circuit.network(fit.cells, circuit.ties(fit.readings.value), self.scene.wiring)
-
-    @cached_property
-    def _disturbances(self) -> tuple[tuple[Network, Array], ...]:
-        """Each network without effects, and what these do to its readings."""
-        networks = [self._network(number) for number in range(len(self.fits))]
-        return tuple((one, disturbance(self._in_frame(n), self.scene, one)) for n, one in enumerate(networks))
-
-    @cached_property
-    def _gains(self) -> tuple[Array, ...]:
-        """K (cells, readings) of either frame."""
-        sigmas = (fit.readings.sigma for fit in self.fits)
-        return tuple(
-            np.linalg.solve(fit.normal, fit.jacobian.T / np.ravel(sigma))
-            for fit, sigma in zip(self.fits, sigmas, strict=True)
-            if sigma is not None
-        )
-
     def columns(self, effects: Sequence[Effect]) -> Array:
-        """(cells, effects) a of each θ in units of its prior, by secants."""
-        alone = [replace(one, since=False, size=SECANT * PRIOR[one.kind]) for one in effects]
-        early, late = ({one: self._answer(n, one) / SECANT for one in dict.fromkeys(alone)} for n in (0, 1))
-        pairs = zip(effects, alone, strict=True)
-        return np.stack([late[own] if one.since else late[own] - early[own] for one, own in pairs], axis=1)
+        """Return a of each θ in units of its prior, (cells, effects)."""
+        if not effects:
+            return np.zeros((len(self.change), 0))
+        small, constant = [_small(one) for one in effects], np.array([not one.since for one in effects])
+        resting, frame = (one.answers(small) for one in self.frames)
+        return np.asarray(frame - constant * resting)
 
-    def _answer(self, number: int, effect: Effect) -> Array:
-        """What so much of an effect more does to the log cells of a frame (cells)."""
-        return np.asarray(self._gains[number] @ self.more(number, effect).ravel())
+    @cached_property
+    def _prior_score(self) -> float:
+        """−2 log of the prior of the effects in the network."""
+        return sum(PRICE + (effect.size / PRIOR[effect.kind]) ** 2 for effect in self.effects if effect.size)
 
-    def more(self, number: int, effect: Effect) -> Array:
-        """The same to its readings, (rows, columns)."""
-        network, there = self._disturbances[number]
-        return disturbance((*self._in_frame(number), effect), self.scene, network) - there
-
-    def explained(self, columns: Array, briefly: bool = False) -> Evidence:
-        """With a factor that all cells share, and with effects' columns (cells, n); briefly : cells are only added."""
+    def _beside(self, columns: Array) -> tuple[Array, Array, float]:
+        """(a factor common to all cells and the columns, precision of the change with both, log det that both add)."""
         own = np.column_stack([np.full(len(self.change), TOGETHER), columns])
-        weighted, one = self._precision @ own, np.eye(own.shape[1])
-        inner = one + own.T @ weighted
+        weighted = self._precision @ own
+        inner = np.eye(own.shape[1]) + own.T @ weighted
         precision = self._precision - weighted @ np.linalg.solve(inner, weighted.T)
-        lost, moved = selected(precision @ self.change, precision, briefly)
-        score = float(self.change @ precision @ self.change) + lost + float(np.linalg.slogdet(inner)[1])
-        score += sum(PRICE + (effect.size / PRIOR[effect.kind]) ** 2 for effect in self.effects if effect.size)
-        still, nothing = apart_from_moved(~moved, self.fits[0].cells.shape), np.full(own.shape[1], np.nan)
-        if briefly or moved.all():
+        return own, precision, float(np.linalg.slogdet(inner)[1])
+
+    def explained(self, columns: Array) -> Evidence:
+        """With a factor that all cells share, and with effects' columns (cells, n)."""
+        own, precision, added = self._beside(columns)
+        lost, moved = selected(precision @ self.change, precision)
+        score = float(self.change @ precision @ self.change) + lost + added + self._prior_score
+        nothing = np.full(own.shape[1], np.nan)
+        if moved.all():
             return Evidence(score, moved, nothing, nothing)
+        still = apart_from_moved(~moved, self.shape)
         within = np.linalg.solve(self._covariance[np.ix_(still, still)], own[still])
-        left = np.linalg.inv(one + own[still].T @ within)
+        left = np.linalg.inv(np.eye(own.shape[1]) + own[still].T @ within)
         return Evidence(score, moved, left @ within.T @ self.change[still], np.sqrt(np.diag(left)))
+
+    @cached_property
+    def plain(self) -> Evidence:
+        """The evidence without further effects."""
+        return self.explained(self.columns(()))
+
+    @property
+    def density(self) -> float:
+        """−2 log density of the frame's readings given the unloaded ones, up to a constant of all circuits.
+
+        A circuit gains nothing by being blind: the Jacobian of its readings belongs to it.
+        """
+        seen, spread = np.linalg.slogdet(self.frames[1].fit.normal)[1], np.linalg.slogdet(self._covariance)[1]
+        return self.plain.score + float(seen + spread)
+
+    def scores_with(self, columns: Array, candidates: Array) -> Array:
+        """−2 log evidence of `explained` with each of the candidates (cells, n) beside the columns; moved cells are
+        only added."""
+        _, precision, added = self._beside(columns)
+        return scores_beside(self.change, precision, candidates) + added + self._prior_score
 
     def off_by_one(self, score: float) -> bool:
         """Whether a single reading that is off explains to that score: an outlier as a load comes is hardly seen."""
-        each = PRIOR["contact"] * self._gains[1]
-        return any(self.explained(one[:, None], briefly=True).score < score for one in each.T)
+        return bool(np.any(self.scores_with(self.columns(()), PRIOR["contact"] * self.frames[1].fit.gain) < score))
 
     def with_sizes(self, sizes: Sequence[float]) -> "FittedPair | None":
         """The pair with effects of other sizes; None where no cells give the readings then."""
         effects = tuple(replace(one, size=size) for one, size in zip(self.effects, sizes, strict=True))
-        bare, found = replace(self, effects=effects), list[CellsFit]()
-        for number, (fit, given) in enumerate(zip(self.fits, self.given, strict=True)):
-            own = bare._in_frame(number)
-            one = fitted(self.scene, given, fit.cells, effects=own) if own else fit
-            if one is None:
-                return None
-            found.append(one)
-        after = replace(bare, fits=tuple(found))
+        constant, (resting, frame) = tuple(one for one in effects if not one.since), self.frames
+        early = resting.refitted(resting.given, constant) if constant else resting
+        late = frame.refitted(frame.given, effects)
+        if early is None or late is None:
+            return None
+        after = replace(self, frames=(early, late), effects=effects)
         return after if np.all(np.isfinite(after.change)) else None
 
     def settled(self, constant: bool = True) -> "tuple[FittedPair, Evidence] | None":
@@ -229,43 +305,31 @@ class FittedPair:
             pair = after
             if np.all(np.abs(step) < SETTLED * np.maximum(sd, SETTLED)):
                 break
-        return pair, replace(pair.explained(np.zeros((len(self.change), 0))), sd=found.sd)
+        return pair, replace(pair.plain, sd=found.sd)
 
-    def offset(self, number: int) -> Array:
-        """What the effects do to the readings of the unloaded panel (0) or of the frame (1), (rows, columns)."""
-        return self._disturbances[number][1]
-
-    def amplified(self, number: int) -> Array:
-        """By what the noise of a frame's readings grows once the effects are taken off, (rows, columns)."""
-        fit, (network, _) = self.fits[number], self._disturbances[number]
-        if all(one.kind == "contact" for one in self._in_frame(number)):
-            return np.ones(fit.cells.shape)
-        assert fit.readings.sigma is not None
-        dry = network.sensitivity() / fit.readings.sigma.reshape(-1, 1)
-        variance = np.sum((dry @ np.linalg.inv(fit.normal)) * dry, axis=1)
-        return np.asarray(np.sqrt(np.maximum(variance, 1.0))).reshape(fit.cells.shape)
-
-    def _without_late(self) -> "FittedPair":
-        return replace(self, effects=tuple(replace(one, size=0.0) if one.since else one for one in self.effects))
+    def _without_late(self) -> tuple[Effect, ...]:
+        """The effects, those since the unloaded frames of no size."""
+        return tuple(replace(one, size=0.0) if one.since else one for one in self.effects)
 
     def at_rest(self) -> "FittedPair":
         """The unloaded panel twice, before effects come that it has not."""
-        return replace(self._without_late(), given=(self.given[0],) * 2, fits=(self.fits[0],) * 2)
+        return replace(self, frames=(self.frames[0],) * 2, effects=self._without_late())
 
     def of_frame(self, readings: Readings, late: bool) -> "FittedPair | None":
         """The pair with another frame (rows, columns); late : effects since the unloaded ones have another size there.
 
         They have none where the frame is no likelier with them.
         """
-        fits, near = [], self.fits[1].cells
-        for effects in (self.effects, self._without_late().effects) if late else (self.effects,):
-            if (fit := fitted(self.scene, readings, near, effects=effects)) is None:
+        pairs = []
+        for effects in (self.effects, self._without_late()) if late else (self.effects,):
+            frame = self.frames[1].refitted(readings, effects)
+            if frame is None:
                 return None
-            fits.append(replace(self, given=(self.given[0], readings), fits=(self.fits[0], fit), effects=effects))
+            pairs.append(replace(self, frames=(self.frames[0], frame), effects=effects))
         if not late:
-            return fits[0]
-        found, none = fits[0].settled(constant=False), fits[1].explained(np.zeros((near.size, 0)))
-        return fits[1] if found is None or none.score <= found[1].score else found[0]
+            return pairs[0]
+        found, none = pairs[0].settled(constant=False), pairs[1].plain
+        return pairs[1] if found is None or none.score <= found[1].score else found[0]
 
     def _stepped(self, step: Array) -> "FittedPair | None":
         """With sizes by a step (effects) in units of their priors larger; no leak is below zero."""
@@ -289,34 +353,26 @@ class Besides:
     @property
     def taken(self) -> str:
         """What is taken off the readings, in words."""
-        rows = 0 if self.pair is None else self.pair.scene.panel.rows
-        names = [] if self.pair is None else [named(one, rows) for one in self.pair.effects]
-        return f"{' and '.join(names)}: taken off the readings, which error bars allow for"
+        names = [] if self.pair is None else [named(one, self.pair.shape[0]) for one in self.pair.effects]
+        return f"{' and '.join(names)}: {TAKEN_OFF}"
 
 
-def beside_channels(scene: Scene, fits: Sequence[CellsFit]) -> Evidence:
-    """How cells have moved between the unloaded panel and a frame, beside channels that differ."""
-    pair = FittedPair.of(scene, *fits)
-    return pair.explained(np.zeros((len(pair.change), 0)))
-
-
-def besides_the_circuit(scene: Scene, resting: CellsFit, frames: Sequence[tuple[str, CellsFit]]) -> Besides:
-    """By fits of the unloaded panel and of named frames: of the frame that shows them best."""
+def besides_the_circuit(pairs: Sequence[tuple[str, FittedPair]]) -> Besides:
+    """By pairs of the unloaded panel and named frames: of the frame that shows them best."""
     found, together, most = Besides(), "", 0.0
-    for name, frame in frames:
-        if max(float(fit.readings.bounds.mean()) for fit in (resting, frame)) > MOST_BOUNDS:
+    for name, pair in pairs:
+        if max(float(frame.given.bounds.mean()) for frame in pair.frames) > MOST_BOUNDS:
             continue
-        pair = FittedPair.of(scene, resting, frame)
-        plain = pair.explained(np.zeros((frame.cells.size, 0)))
+        plain = pair.plain
         together = _together(plain) or together
         whole, after, certain = _grown(pair, plain)
-        moved = after.moved.reshape(frame.cells.shape)
+        moved = after.moved.reshape(pair.shape)
         if not (plain.score - after.score > most and mostly_still(moved)):
             continue
         if any(_beside_a_load(one, moved) for one in whole.effects) or pair.off_by_one(after.score + MARGIN):
             continue
-        most, fits_noise = plain.score - after.score, min(fit.tail for fit in whole.fits) >= LEVEL
-        names = " and ".join(named(one, scene.panel.rows) for one in whole.effects)
+        most, fits_noise = plain.score - after.score, min(one.fit.tail for one in whole.frames) >= LEVEL
+        names = " and ".join(named(one, pair.shape[0]) for one in whole.effects)
         better = Better(names, name, int(after.moved.sum()), int(plain.moved.sum()), fits_noise)
         found = Besides(better, "", certain if certain.effects and fits_noise else None)
     return found if found.better.name else replace(found, together=together)
@@ -338,10 +394,10 @@ def _grown(pair: FittedPair, evidence: Evidence) -> tuple[FittedPair, Evidence, 
 
 def _tried(pair: FittedPair, plain: Evidence) -> Iterator[tuple[FittedPair, Evidence]]:
     """The pair with one effect more, each of the likeliest, where fewer cells have moved with it."""
-    effects = list(candidates(pair.fits[0].cells.shape))
+    effects = list(candidates(pair.shape))
     columns = pair.columns((*pair.effects, *effects))
     before, columns = np.split(columns, [len(pair.effects)], axis=1)
-    scores = [pair.explained(np.column_stack([before, one]), briefly=True).score for one in columns.T]
+    scores = pair.scores_with(before, columns)
     for number in np.argsort(scores)[:MOST_ASKED]:
         if scores[number] > plain.score - PRICE:
             return
@@ -383,17 +439,17 @@ def taken_off(pair: FittedPair, readings: Readings, unloaded: NDArray[np.bool_])
         if not unloaded[frame]:
             here, number = here.of_frame(readings[frame], late) or here, 1
         frames = frame if number else unloaded
-        value[frames] -= here.offset(number)
-        sigma[frames] *= here.amplified(number)
+        value[frames] -= here.frames[number].offset
+        sigma[frames] *= here.frames[number].amplification
     return replace(readings, value=np.maximum(value, LEAST_LEFT * readings.value), sigma=sigma)
 
 
 def left_open(pair: FittedPair) -> Array:
     """(2, effects, rows, columns) what the sizes leave open, one standard deviation each, as fractions of readings."""
     sd = pair.explained(pair.columns(pair.effects)).sd[1:]
-    found = np.zeros((2, len(sd), *pair.fits[0].cells.shape))
+    found = np.zeros((2, len(sd), *pair.shape))
     for place, (effect, one) in enumerate(zip(pair.effects, np.nan_to_num(sd), strict=True)):
         more = replace(effect, size=float(one) * PRIOR[effect.kind])
         for number in (1,) if effect.since else (0, 1):
-            found[number, place] = pair.more(number, more) / pair.given[number].value
+            found[number, place] = pair.frames[number].more(more) / pair.frames[number].given.value
     return found

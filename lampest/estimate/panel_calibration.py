@@ -16,8 +16,8 @@ from lampest.cost.terms import Misfit
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.methods.joint import BELIEVED
 from lampest.estimate.methods.smoother import SmootherMethod
-from lampest.estimate.noise import noise_seen
 from lampest.estimate.nuisances import CHANNEL_OHM
+from lampest.estimate.prepared import Prepared
 from lampest.estimate.sequence import first_stream
 from lampest.files.document import to_yaml
 from lampest.files.errors import InputError
@@ -161,7 +161,7 @@ def _assuming(scene: Scene) -> Scene:
 
 def _likelihoods(recording: Recording, estimator: Estimator) -> tuple[list[tuple[Array, Array]], int]:
     """(z, Λ) of every block of frames that can be estimated, and how many frames these are."""
-    noise, found, used = noise_seen(recording), [], 0
+    noise, found, used = Prepared(recording).noise, [], 0
     stream = first_stream(recording, noise.readings, estimator, noise)
     enough = np.flatnonzero(noise.readings.enough(recording.scene))
     for block in np.array_split(enough, max(round(len(enough) / BLOCK), 1)):

@@ -12,12 +12,14 @@ from lampest.cost.problem import Data
 from lampest.estimate.estimates import Estimates
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.modules import begin_stream
-from lampest.estimate.noise import NoiseSeen, noise_seen, noise_seen_in_part
+from lampest.estimate.noise import NoiseSeen
 from lampest.estimate.outliers import NEAREST
+from lampest.estimate.prepared import Prepared
 from lampest.estimate.state import CarriedOver, Step
 from lampest.estimate.stream import Stream
 from lampest.estimate.weights import MAX_NEIGHBOURS, converter_and_faults, strongest, with_chosen_weights
-from lampest.files.errors import InputError, in_words
+from lampest.files.errors import InputError
+from lampest.files.process import ONE_BLAS_THREAD
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.recording.readings import Readings, mean_change, strongest_frame
@@ -28,20 +30,22 @@ LEAD = 500  # unloaded frames, and measured ones around the strongest, that tell
 OPENING = 10  # first frames that stand for the unloaded ones where there are none, if enough of one can be read
 
 
-def reconstruct(recording: Recording, estimator: Estimator, on_frame: Callable[[], None] = lambda: None) -> Estimates:
+@ONE_BLAS_THREAD
+def reconstruct(
+    recording: Recording | Prepared, estimator: Estimator, on_frame: Callable[[], None] = lambda: None
+) -> Estimates:
     """Solve every measured frame of a recording.
 
     A frame that fails, or of which too little was read, holds NaN and a status; the frames after it continue from the
     last one that was solved. Raises InputError where the noise is needed and unknown, or what is given is no Recording.
     """
-    if not isinstance(recording, Recording):
-        raise InputError(f"recording must be a Recording, such as Recording.load('mine.h5'), not {in_words(recording)}")
-    recording.scene.panel.check_memory()
-    noise = noise_seen(recording)
+    prepared = Prepared.of(recording)
+    prepared.recording.scene.panel.check_memory()
+    recording, noise = prepared.recording, prepared.noise
     stream, frames = first_stream(recording, noise.readings, estimator, noise), recording.measured_frames()
     readings, resting = noise.readings[frames], noise.readings[recording.role == UNLOADED]
     stream, steps = stream.sequence(resting, readings, on_frame)
-    return _estimates(stream, recording, frames, readings, steps)
+    return _estimates(stream, recording, frames, readings, steps, prepared)
 
 
 def _estimates(
@@ -50,7 +54,7 @@ def _estimates(
     frames: NDArray[np.intp],
     readings: Readings,
     steps: list[Step],
-    asked: Recording | None = None,
+    prepared: Prepared,
 ) -> Estimates:
     return Estimates(
         recording,
@@ -63,8 +67,8 @@ def _estimates(
         None if stream.track is None else stream.track.baseline,
         tuple(steps),
         stream.estimator.joint_start,
+        prepared,
         stream.scene.contacts,
-        asked,
     )
 
 
@@ -181,21 +185,20 @@ class Parts:
     solver kept for speed alone begins anew.
 
     lead : the unloaded frames, or the first ones where there are none. asked : these, and frames around the strongest.
-    noise : what they tell. stream : before the first frame.
+    stream : before the first frame.
     """
 
     stored: StoredRecording
     lead: Recording
-    asked: Recording
-    noise: NoiseSeen
+    asked: Prepared
     stream: Stream
 
     @classmethod
-    def of(cls, stored: StoredRecording, estimator: Estimator, asked: tuple[Recording, Recording]) -> "Parts":
+    def of(cls, stored: StoredRecording, estimator: Estimator, asked: tuple[Recording, Prepared]) -> "Parts":
         """asked : of `asked_frames`. Raises InputError where the estimator needs all frames at once, or as `Stream`."""
         check_by_parts(estimator, stored)
-        noise, period = noise_seen(asked[1]), frame_period(stored.part(stored.blocks()[0]))
-        return cls(stored, *asked, noise, first_stream(asked[1], noise.readings, estimator, noise, period))
+        noise, period = asked[1].noise, frame_period(stored.part(stored.blocks()[0]))
+        return cls(stored, *asked, first_stream(asked[1].recording, noise.readings, estimator, noise, period))
 
     @property
     def apart(self) -> bool:
@@ -228,7 +231,7 @@ class Parts:
     def _solved(
         self, number: int, stream: Stream, recording: Recording, readings: Readings, inside: NDArray[np.intp]
     ) -> tuple[Stream, SolvedPart]:
-        stream, steps = stream.sequence(self.noise.readings[:0], readings, lambda: None)
+        stream, steps = stream.sequence(self.asked.noise.readings[:0], readings, lambda: None)
         found = _estimates(stream, recording, inside, readings, steps, self.asked)
         return stream, (number, found, CarriedOver.of(stream))
 
@@ -239,7 +242,7 @@ class Parts:
             return None
         recording = of_parts((self.lead, part))
         inside = _own_frames(recording, frames)
-        return recording, noise_seen_in_part(recording, self.noise)[inside], inside
+        return recording, Prepared(recording).readings_as(self.asked.noise)[inside], inside
 
     def _with_baseline(self, begun: Stream, readings: Readings) -> Stream:
         """A stream whose baseline is solved together with a frame once it has come to that frame."""
@@ -266,7 +269,7 @@ def check_by_parts(estimator: Estimator, stored: StoredRecording) -> None:
         )
 
 
-def asked_frames(stored: StoredRecording) -> tuple[Recording, Recording]:
+def asked_frames(stored: StoredRecording) -> tuple[Recording, Prepared]:
     """(the lead, the lead with the frames around the strongest): see `Parts`. Raises InputError where none is measured.
 
     It reads the whole recording once.
@@ -281,7 +284,7 @@ def asked_frames(stored: StoredRecording) -> tuple[Recording, Recording]:
         if part is None:
             continue
         recording = of_parts((lead, part))
-        taken, own = noise_seen_in_part(recording, None), _own_frames(recording, frames)
+        taken, own = Prepared(recording).readings_as(None), _own_frames(recording, frames)
         size: Array = np.where(
             taken.enough(stored.scene)[own], mean_change(taken.plain_values[own], resting.value), -1.0
         )
@@ -291,7 +294,7 @@ def asked_frames(stored: StoredRecording) -> tuple[Recording, Recording]:
     if best[1] < 0:
         raise InputError(f"{stored.path}: no frame is measured (role 1)")
     around = stored.part(range(best[1], best[1] + 1), min(LEAD // 2, stored.length))
-    return lead, of_parts((lead, only_frames(around, around.role == MEASURED)))
+    return lead, Prepared(of_parts((lead, only_frames(around, around.role == MEASURED))))
 
 
 def _own_frames(recording: Recording, frames: range) -> NDArray[np.intp]:

@@ -10,43 +10,26 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lampest.cost.given import Background
 from lampest.cost.problem import Data
-from lampest.estimate.cells_fit import (
-    CREEP,
-    FEWEST,
-    FIT,
-    LEVEL,
-    MOST_CELLS,
-    TOGETHER,
-    CellsFit,
-    apart_from_moved,
-    cells_alone,
-    fitted,
-)
+from lampest.estimate.cells_fit import CREEP, FIT, LEVEL, MOST_CELLS, TOGETHER, CellsFit, cells_alone, fitted
+from lampest.estimate.changed_cells import FEWEST, LINEAR, Chosen, apart_from_moved, still_cells
 from lampest.panel.least_squares import SumOfSquares
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene, Systematic
 from lampest.panel.systematic import Possible, hidden_columns, recorded_share
 from lampest.posterior.frame_noise import FrameNoise
 from lampest.recording.readings import Readings
-from lampest.solvers.preconditioners import Cholesky
 
 ERRORS = np.geomspace(2.5e-4, 0.2, 30)  # of a reading's own that are tried, with equal odds for equal ratios
 SCATTERS = (0.03, 0.1, 0.2, 0.4)  # of unloaded cells: films of one batch scatter by a tenth, worn ones by 0.4
 GAIN = 15.0  # −2 log likelihood that an error of its own must gain: a cell that moved a little gains 8 to 12
-MOVED = 2.8  # −2 log of the odds that a cell moved: one in five, and then by about 1 in the logarithm
 SURE = 6.6  # −2 log likelihood gained by chosen cells: χ² with one degree of freedom, once in a hundred
 HINT = 0.5  # the same, from which on bars allow for what may be chance: where nothing is, one in four is so large
 LARGER = 4.0  # the same, of a larger one, once something of the kind is there: two standard deviations
-LINEAR = 0.15  # of log r: so large an error moves cells by more than one per cent beside the straight line
-LOADED = 3 * LINEAR  # of log r: so far a load moves a cell, and no error that is small enough for linear theory
 CLEARLY = 4.0  # σ of a change that noise does not make
 SMOOTH, REACH = 0.3, 1.5  # of log r, and in cells: a skirt that a load has around it, or a load that covers many cells
-
-Chosen = NDArray[np.bool_]
 
 
 def errors_left_possible(
@@ -65,7 +48,7 @@ def errors_left_possible(
     fit = fitted(scene, resting, patient=True)
     if fit is None or fit.tail < LEVEL:
         return Possible(at_least(_mean_square(_unloaded_costs(scene, resting))), None)
-    moves, shape = Moves.of(scene, resting, frames, sizes, noise), resting.value.shape
+    moves, shape = Moves.of(scene, fit, frames, sizes, noise), resting.value.shape
     if moves is None:
         return None
     smoothed = replace(moves, noise=moves.noise + _smooth_loads(shape, len(frames.value)))
@@ -85,20 +68,16 @@ def errors_left_possible(
 
 
 def _of_frame(
-    scene: Scene, readings: Readings, near: Array | None, sizes: Systematic, noise: FrameNoise | None
-) -> tuple[Array, list[Array]] | None:
-    """One frame's cells (rows, columns) ohm, and by its cells the covariance of its error and what shared errors do.
+    scene: Scene, fit: CellsFit, near: Array | None, sizes: Systematic, noise: FrameNoise | None
+) -> list[Array]:
+    """By one frame's cells the covariance of its error and what shared errors do.
 
-    The latter are what `hidden_columns` has, each reading's own, channels and reference; in log r. near : cells to
-    begin at; None: it is the unloaded mean. None where it is not fitted.
+    The latter are what `hidden_columns` has, each reading's own, channels and reference; in log r. near : the unloaded
+    cells; None: it is the unloaded mean.
     """
-    fit = fitted(scene, readings, near, patient=near is None) or fitted(scene, readings, patient=True)
-    if fit is None or not fit.small:
-        return None
-    assert readings.sigma is not None
-    error = np.linalg.inv(fit.normal)
+    error = fit.covariance
     at = fit if near is None else _steadied(scene, fit, near, error)
-    gain = np.linalg.solve(at.normal, at.jacobian.T / readings.sigma.ravel())
+    gain = at.gain
     if noise is not None:
         drawn = gain @ noise.columns(at.readings.value[None], near is None)
         error = error + drawn @ drawn.T
@@ -109,7 +88,7 @@ def _of_frame(
         np.diag(recorded_share(at.readings.value, scene).ravel()),
         circuit.shared_errors(*here, scene, sizes.reference_tolerance / np.sqrt(3), sizes.channel_spread_ohm),
     )
-    return fit.cells, [error, *(gain @ one.reshape(len(one), gain.shape[1]).T for one in columns)]
+    return [error, *(gain @ one.reshape(len(one), gain.shape[1]).T for one in columns)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,25 +106,27 @@ class Moves:
 
     @classmethod
     def of(
-        cls, scene: Scene, resting: Readings, frames: Readings, sizes: Systematic, noise: FrameNoise | None
+        cls, scene: Scene, resting: CellsFit, frames: Readings, sizes: Systematic, noise: FrameNoise | None
     ) -> "Moves | None":
         """The changes of all cells from the unloaded panel to the frames; None where one is not fitted."""
-        base, size, count = _of_frame(scene, resting, None, sizes, noise), resting.value.size, len(frames.value)
+        if not resting.small:
+            return None
+        base, size, count = _of_frame(scene, resting, None, sizes, noise), resting.cells.size, len(frames.value)
         change, parts = [], []
         for number in range(count):
-            one = None if base is None else _of_frame(scene, frames[number], base[0], sizes, noise)
-            if base is None or one is None:
+            frame = frames[number]
+            fit = fitted(scene, frame, resting.cells) or fitted(scene, frame, patient=True)
+            if fit is None or not fit.small:
                 return None
-            change.append(np.log(one[0] / base[0]).ravel())
-            parts.append([one[1][0], *(there - here for there, here in zip(one[1][1:], base[1][1:], strict=True))])
-        if base is None:
-            return None
-        covariance = np.tile(base[1][0], (count, count))
+            error, *columns = _of_frame(scene, fit, resting.cells, sizes, noise)
+            change.append(np.log(fit.cells / resting.cells).ravel())
+            parts.append([error, *(there - here for there, here in zip(columns, base[1:], strict=True))])
+        covariance = np.tile(base[0], (count, count))
         for number, (error, *_) in enumerate(parts):
             part = slice(number * size, (number + 1) * size)
             covariance[part, part] += error + CREEP**2 * np.eye(size) + TOGETHER**2
         hidden, own, known = (np.vstack(columns) for columns in list(zip(*parts, strict=True))[1:])
-        reach = float(np.median(np.linalg.norm(base[1][2], axis=1)))
+        reach = float(np.median(np.linalg.norm(base[2], axis=1)))
         return cls(np.concatenate(change), covariance + known @ known.T, hidden, own, reach)
 
     @cached_property
@@ -168,7 +149,10 @@ def _smooth_loads(shape: tuple[int, ...], frames: int) -> Array:
 def _own_error(moves: Moves, shape: tuple[int, ...]) -> tuple[float, Chosen]:
     """(e, which cells stand still): 0 unless it gains with cells chosen anew for each size, and with the last ones."""
     sizes = (0.0, *(size for size in ERRORS[2::2] if size * moves.reach <= LINEAR))
-    costs = {size: still_cells(moves.change, moves.covariance(size)) for size in sizes}
+    costs, begun = dict[float, tuple[float, Chosen]](), None
+    for size in sizes:  # the cells that stand still change little from size to size
+        costs[size] = still_cells(moves.change, moves.covariance(size), begun)
+        begun = costs[size][1]
     size = min(costs, key=lambda size: costs[size][0])
     if costs[size][0] <= costs[0.0][0] - GAIN:
         for _ in range(3):
@@ -214,35 +198,6 @@ def _possible(moves: Moves, size: float, shape: tuple[int, ...]) -> Array:
     values, vectors = np.linalg.eigh((second + second.T) / 2)
     # Lower triangular: the columns behind the common errors' are what each reading's own leaves beside them.
     return np.asarray(np.linalg.qr((vectors * np.sqrt(np.maximum(values, 0.0))).T)[1].T)
-
-
-def still_cells(change: Array, covariance: Array) -> tuple[float, Chosen]:
-    """(−2 log likelihood, which stand still): each cell where it is likelier, given those that stand still.
-
-    A cell that moved has a change of variance 1, and costs MOVED; one beyond LOADED has. It begins with the half that
-    changed least, and ends where nothing is better than before.
-    """
-    away = np.abs(change - np.median(change))
-    still = (away <= np.median(away)) & (np.abs(change) < LOADED)
-    best: tuple[float, Chosen] = (np.inf, still)
-    while still.any():
-        numbers = np.flatnonzero(still)
-        factor = Cholesky.of(change, numbers, covariance[np.ix_(numbers, numbers)])
-        if factor is None:
-            raise np.linalg.LinAlgError("a covariance is not positive definite")
-        within, moved = factor.inverse(), change[~still]
-        pull, width = within @ change[still], np.diag(factor.triangle) * factor.size
-        cost = change[still] @ pull + 2 * np.log(width).sum() + (moved**2).sum() + MOVED * len(moved)
-        if not cost < best[0]:
-            break
-        best, across = (float(cost), still), covariance[np.ix_(~still, still)]
-        miss, variance = np.empty((2, len(change)))
-        miss[still], variance[still] = pull / np.diag(within), 1 / np.diag(within)
-        miss[~still] = moved - across @ pull
-        variance[~still] = np.diag(covariance)[~still] - np.einsum("ij,ij->i", across @ within, across)
-        variance = np.maximum(variance, 1e-300)
-        still = (miss**2 / variance + np.log(variance) < MOVED + change**2) & (np.abs(change) < LOADED)
-    return best
 
 
 def _steadied(scene: Scene, fit: CellsFit, near: Array, error: Array) -> CellsFit:

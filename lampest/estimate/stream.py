@@ -9,6 +9,7 @@ from lampest.estimate.estimator import Estimator
 from lampest.estimate.noise import NoiseSeen
 from lampest.estimate.state import SequenceState, Step
 from lampest.files.errors import InputError, in_words
+from lampest.files.process import ONE_BLAS_THREAD
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.panel.systematic import Shared
@@ -55,6 +56,7 @@ class Stream(SequenceState):
     weighed_at: float = 0.0
 
     @classmethod
+    @ONE_BLAS_THREAD
     def begin(
         cls, estimator: Estimator, scene: Scene, period: float, resting: Readings, noise: NoiseSeen | None = None
     ) -> Self:
@@ -106,6 +108,7 @@ class Stream(SequenceState):
         """The stream with nothing kept for speed alone but what it began with."""
         return replace(self, prepared=first.prepared)
 
+    @ONE_BLAS_THREAD
     def push(self, readings: Readings) -> tuple["Stream", Step]:
         """Solve one frame's readings (rows, columns); a failed one leaves the stream as it was.
 

@@ -5,8 +5,9 @@ from typing import get_args, get_type_hints
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.estimate.model_check import ModelCheck, recording_check
-from lampest.estimate.noise import NoiseSeen, frame_noise_seen
+from lampest.estimate.model_check import ModelCheck
+from lampest.estimate.noise import NoiseSeen
+from lampest.estimate.nuisances import TAKEN_OFF
 from lampest.estimate.rivals import changes_beyond_noise
 from lampest.estimate.saturation import SEVERAL, saturated
 from lampest.loads.recognition.watch import UNEVENLY
@@ -18,22 +19,18 @@ QUIET, LOUD = 0.1, 10.0  # of the specified noise: no converter is specified so 
 
 
 @np.errstate(all="ignore")
-def warnings_of(
-    recording: Recording, noise: NoiseSeen | None = None, check: ModelCheck | None = None
-) -> tuple[str, ...]:
-    """All of a recording, the plainest first. Raises InputError as `Readings.of`.
-
-    noise, check : where they are known; else of single frames, and of the circuit.
-    """
-    noise, check = noise or frame_noise_seen(recording), check or recording_check(recording)
+def warnings_of(recording: Recording, noise: NoiseSeen, check: ModelCheck) -> tuple[str, ...]:
+    """Return the warnings of a recording, the plainest first. Raises InputError as `Readings.of`."""
     readings = recording.readings()
     less = "" if check.better else _less_load(recording, readings)
     plain = (_roles(recording.role), _unit(recording, readings), _scatter(recording, noise), less)
-    circuit = check.sentence if check.mark in ("no", "not checked") else ""
+    circuit, taken = check.sentence if check.mark in ("no", "not checked") else "", noise.taken
+    learned = tuple(line for line in noise.warnings if not (circuit and line == taken))
+    circuit += f"; it is {TAKEN_OFF}" if circuit and taken else ""
     stage = saturated(recording)
     piled = "" if stage is None else stage.sentence
     lying = UNEVENLY if check.lying and not less else ""
-    return tuple(filter(None, (*plain, lying, piled, circuit, check.together, *noise.warnings)))
+    return tuple(filter(None, (*plain, lying, piled, circuit, check.together, *learned)))
 
 
 def unsolved(solved: NDArray[np.bool_], status: tuple[str, ...]) -> str:

@@ -8,13 +8,18 @@ import signal
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager, suppress
+from contextlib import AbstractContextManager, ContextDecorator, ExitStack, contextmanager, suppress
 from contextvars import ContextVar
+from functools import cached_property
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import psutil
 
 from lampest.files.errors import InputError
+
+if TYPE_CHECKING:
+    from threadpoolctl import ThreadpoolController
 
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")  # small matrices
 ALLOWED = "LAMPEST_MEMORY"  # the environment variable by which a user says how much may be taken, such as 8GB
@@ -30,6 +35,38 @@ BEYOND = (
     "file that LAMPEST_LOG names will hold all"
 )
 FOREIGN = (ArithmeticError, LookupError, ValueError, TypeError, AttributeError, AssertionError, MemoryError)
+
+
+class OneBlasThread(ContextDecorator):
+    """A context in which BLAS has one thread, also where several threads of this process enter and leave it.
+
+    The matrices of a panel are small: several threads of BLAS take 3 to 15 times as long over them on a busy machine.
+    The number of threads is a state of the process, so that there is one such context for all of it.
+    """
+
+    def __init__(self) -> None:
+        self._lock, self._entered, self._limit = threading.Lock(), 0, ExitStack()
+
+    @cached_property
+    def _libraries(self) -> "ThreadpoolController":
+        from threadpoolctl import ThreadpoolController  # not needed by `lampest --help`
+
+        return ThreadpoolController()
+
+    def __enter__(self) -> None:
+        with self._lock:
+            if not self._entered:
+                self._limit.enter_context(self._libraries.limit(limits=1, user_api="blas"))
+            self._entered += 1
+
+    def __exit__(self, *error: object) -> None:
+        with self._lock:
+            self._entered -= 1
+            if not self._entered:
+                self._limit.close()
+
+
+ONE_BLAS_THREAD = OneBlasThread()
 
 
 def check_memory(needed: float, what: str) -> None:

@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.estimate.noise import frame_noise_seen
-from lampest.estimate.warnings import warnings_of
+from lampest.estimate.prepared import Prepared
 from lampest.files import hdf5
 from lampest.files.document import plain_content
 from lampest.files.errors import InputError
@@ -113,9 +112,10 @@ def _noise_lines(recording: Recording) -> list[str]:
                 if not any(set(group) <= set(one) for one in known):
                     lines.append(_line("alike", f"{words}{{joined_{name}: [{list(group)}]}} says so"))
     with suppress(InputError):
-        learned = frame_noise_seen(recording).learned
+        prepared = Prepared(recording)
+        learned = prepared.frame_noise.learned
         lines += [_line("noise", learned)] if learned else []
-        lines += [_line("warning", one) for one in warnings_of(recording)]
+        lines += [_line("warning", one) for one in prepared.warnings]
     return lines
 
 

@@ -10,11 +10,11 @@ from functools import lru_cache
 from itertools import count
 from pathlib import Path
 
+from lampest.estimate.prepared import Prepared
 from lampest.estimate.sequence import reconstruct
 from lampest.files.errors import InputError
 from lampest.files.process import told_reason
 from lampest.files.whole import inner_folder, opened_for_locking, output_folder, own, remove_own, sparing
-from lampest.recording.recording import Recording
 from lampest.recording.stored import StoredRecording, opened
 from lampest.runs.case import CaseResult, StoredCase
 from lampest.runs.config import Case, Run, digest
@@ -161,12 +161,12 @@ def solve_case(task: Task) -> CaseResult | StoredCase:
 
 
 @lru_cache(maxsize=1)
-def _recording(path: Path, sha256: str) -> Recording | StoredRecording:
-    """A recording, read once for the cases in a row that need it. Raises InputError where it was replaced meanwhile."""
+def _recording(path: Path, sha256: str) -> Prepared | StoredRecording:
+    """A recording, read and prepared once for successive cases. Raises InputError where it was replaced meanwhile."""
     recording = opened(path)
     if digest(path) != sha256:
         raise InputError(f"{path}: was replaced after the run began; run again")
-    return recording
+    return recording if isinstance(recording, StoredRecording) else Prepared(recording)
 
 
 @contextmanager

@@ -13,6 +13,7 @@ from pathlib import Path
 
 from lampest.estimate.estimates import Estimates
 from lampest.estimate.estimator import Estimator
+from lampest.estimate.prepared import Prepared
 from lampest.estimate.sequence import Parts, asked_frames
 from lampest.estimate.state import CarriedOver
 from lampest.files import hdf5
@@ -114,7 +115,7 @@ def _parts(estimator: Estimator, stored: StoredRecording) -> Parts:
 
 
 @lru_cache(maxsize=1)  # several estimators of one recording come one after the other
-def _asked(stored: StoredRecording) -> tuple[Recording, Recording]:
+def _asked(stored: StoredRecording) -> tuple[Recording, Prepared]:
     return asked_frames(stored)
 
 

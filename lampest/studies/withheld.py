@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from lampest.cost.given import Background
 from lampest.estimate.estimator import Estimator
-from lampest.estimate.noise import noise_seen
 from lampest.estimate.outliers import lawless
+from lampest.estimate.prepared import Prepared
 from lampest.estimate.sequence import first_stream
 from lampest.files.errors import InputError
 from lampest.panel.panel import Array, Panel
@@ -75,7 +75,7 @@ def predictions(recording: Recording, case: Case, share: float, draws: int, seed
     Readings that no cells allow are neither predicted nor used.
     """
     scene, readings, rng = recording.scene, recording.readings(), np.random.default_rng(seed)
-    estimator = first_stream(recording, noise_seen(recording).readings, case.estimator).estimator
+    estimator = first_stream(recording, Prepared(recording).noise.readings, case.estimator).estimator
     unit = "percent" if scene.readout is None else "LSB"
     impossible, frames = lawless(scene.circuit, readings), recording.measured_frames()
     frames = frames[readings.enough(scene)[frames]]

@@ -63,6 +63,7 @@ DOORS = {
     "openpyxl": ("recording.foreign",),
     "h5py": ("files.hdf5", "files.checksums", "files.parts", "recording", "runs.results"),
     "psutil": ("files.process",),
+    "threadpoolctl": ("files.process",),
     "pydantic": ("files.document",),
     "ruamel": ("files.document",),
     "serial": ("recording.board",),

@@ -8,9 +8,8 @@ import pytest
 
 import lampest
 from lampest.cost.given import Background
-from lampest.estimate.model_check import recording_check
-from lampest.estimate.noise import noise_seen
 from lampest.estimate.outliers import lawless
+from lampest.estimate.prepared import Prepared
 from lampest.estimate.sequence import first_stream
 from lampest.loads.response import PUBLISHED
 from lampest.panel.panel import Panel
@@ -233,14 +232,14 @@ def test_a_reading_that_no_cells_allow_is_left_out() -> None:
     spoilt[:, 2, 3] *= 4
     role, scene = np.array([0, 1, 1, 1], dtype=np.uint8), Scene(panel, READOUT)
     recording = lampest.Recording(scene, spoilt, np.arange(4.0), role)
-    seen = noise_seen(recording)
+    seen = Prepared(recording).noise
     assert np.array_equal(np.argwhere(seen.outliers), [[frame, 2, 3] for frame in range(4)])
     assert any("larger than any cells allow" in one for one in seen.warnings)
-    assert recording_check(recording).mark == "yes"
+    assert Prepared(recording).check.mark == "yes"
     wrong = exact.copy()
     wrong[:, 2:4, 1:5] *= 4
     assert not lawless(scene.circuit, lampest.Readings.of(scene, wrong)).any()
-    assert recording_check(lampest.Recording(scene, wrong, np.arange(4.0), role)).mark == "no"
+    assert Prepared(lampest.Recording(scene, wrong, np.arange(4.0), role)).check.mark == "no"
 
 
 def test_a_frame_of_bounds_is_checked_by_the_laws_alone() -> None:
@@ -248,5 +247,5 @@ def test_a_frame_of_bounds_is_checked_by_the_laws_alone() -> None:
     readings = np.where(panel.present, exact_two_point_resistance(cells), np.nan)
     recorded = np.stack([np.where(readings > np.nanmedian(readings), np.inf, readings)] * 3)
     recording = lampest.Recording(Scene(panel, READOUT), recorded, np.arange(3.0), np.array([0, 1, 1], dtype=np.uint8))
-    check = recording_check(recording)
+    check = Prepared(recording).check
     assert check.mark == "yes" and "no cells were fitted" in check.sentence

@@ -12,8 +12,8 @@ import lampest
 from lampest import Misfit, Recording, Scene, Simulation, TwoPointReadout
 from lampest.cli.results import compare as compare_command
 from lampest.estimate.cells_fit import MOST_CELLS, fitted
-from lampest.estimate.model_check import recording_check
 from lampest.estimate.outliers import without_outliers
+from lampest.estimate.prepared import Prepared
 from lampest.estimate.rivals import standing_frames
 from lampest.files.typed import members_of
 from lampest.loads.shapes import OralDisc
@@ -100,7 +100,7 @@ def test_laws_of_a_circuit_hold_for_its_readings_and_not_for_others(circuit: Rea
 def test_a_right_circuit_is_not_called_wrong(seed: int) -> None:
     drawn = sound(seed)
     assert drawn is not None
-    check = recording_check(drawn[1])
+    check = Prepared(drawn[1]).check
     assert check.explains is not False, check.sentence
 
 
@@ -109,7 +109,7 @@ def test_a_right_circuit_is_not_called_wrong(seed: int) -> None:
 @pytest.mark.parametrize("seed", [0, 4])
 def test_a_wrong_circuit_is_noticed_and_the_right_one_named(seed: int) -> None:
     for what, recording in wrong(seed, side=10, bits=12):
-        check = recording_check(recording)
+        check = Prepared(recording).check
         assert check.explains is False, what
         assert named(what, check), (what, check.sentence)
 
@@ -125,12 +125,12 @@ def two_point_frames(widen: float = 1.0, frames: int = 8) -> Recording:
 
 
 def test_noise_beyond_what_is_told_is_not_taken_for_a_wrong_circuit() -> None:
-    check = recording_check(two_point_frames(widen=3.0))
+    check = Prepared(two_point_frames(widen=3.0)).check
     assert check.explains
     assert check.mark == "noise"
     assert 2.7 < check.noise < 3.3
     assert "times the specified noise" in check.sentence
-    assert recording_check(two_point_frames()).mark == "yes"
+    assert Prepared(two_point_frames()).check.mark == "yes"
 
 
 def loaded_frames(seed: int, dead_column: int | None = None) -> Recording:
@@ -155,10 +155,10 @@ def test_single_wild_readings_are_no_fault_of_the_circuit() -> None:
     wild = recording.recorded.copy()
     wild[4, 1, 5] *= 3.0
     wild[6, 5, 0] /= 2.0
-    check = recording_check(replace(recording, recorded=wild))
+    check = Prepared(replace(recording, recorded=wild)).check
     assert (check.mark, check.better) == ("yes", "")
     assert "2 outliers of one frame left out" in check.sentence
-    assert "leap" not in recording_check(recording).sentence
+    assert "leap" not in Prepared(recording).check.sentence
 
 
 def test_a_load_that_comes_for_one_frame_is_no_wild_reading() -> None:
@@ -170,10 +170,10 @@ def test_a_load_that_comes_for_one_frame_is_no_wild_reading() -> None:
 
 
 def test_dead_lines_and_missing_readings_are_no_other_circuit() -> None:
-    assert recording_check(loaded_frames(2, dead_column=4)).mark == "yes"
+    assert Prepared(loaded_frames(2, dead_column=4)).check.mark == "yes"
     recording = loaded_frames(3)
     holes = np.where(np.random.default_rng(3).random(recording.recorded.shape) < 0.5, np.nan, recording.recorded)
-    check = recording_check(replace(recording, recorded=holes))
+    check = Prepared(replace(recording, recorded=holes)).check
     assert check.mark == "yes" and "too many readings are missing" in check.sentence
 
 
@@ -185,13 +185,13 @@ def test_a_short_behind_a_large_drive_resistor_is_explained() -> None:
     noisy = exact + circuit.sigma_volt() * np.random.default_rng(5).standard_normal(exact.shape)
     role = np.array([0, 0, 0, 1], dtype=np.uint8)
     recording = Recording(Scene(lampest.Panel(6, 8, 10.0), circuit), noisy, np.arange(4.0), role)
-    check = recording_check(recording)
+    check = Prepared(recording).check
     assert check.explains, check.sentence
 
 
 def test_without_noise_there_is_no_test_and_that_is_said() -> None:
     known = two_point_frames()
-    check = recording_check(replace(known, scene=replace(known.scene, readout=None)))
+    check = Prepared(replace(known, scene=replace(known.scene, readout=None))).check
     assert check.explains is None
     assert "noise" in check.sentence
 
@@ -224,9 +224,9 @@ def test_a_large_panel_is_held_against_cells_alone() -> None:
     cells[1, 4:8, 10:14] *= 0.01
     frames = readout.exact_reading(cells)
     right = Recording(scene, frames, np.arange(2.0), np.array([0, 1], dtype=np.uint8))
-    assert recording_check(right).mark == "yes"
+    assert Prepared(right).check.mark == "yes"
     swapped = replace(scene, readout=replace(readout, driven="columns"))
-    assert recording_check(replace(right, scene=swapped)).mark == "no"
+    assert Prepared(replace(right, scene=swapped)).check.mark == "no"
 
 
 def rod_on(scene: Scene, seed: int = 3) -> Recording:
@@ -245,7 +245,7 @@ PANEL = lampest.Panel(8, 8, 10.0)
 def test_a_series_resistance_that_is_not_there_is_named(told: float) -> None:
     """Both where readings are larger than it, and where it leaves less than nothing of them."""
     recording = rod_on(Scene(PANEL, DIVIDER))
-    check = recording_check(replace(recording, scene=Scene(PANEL, DIVIDER, series_resistance_ohm=told), raw_sums=None))
+    check = Prepared(replace(recording, scene=Scene(PANEL, DIVIDER, series_resistance_ohm=told), raw_sums=None)).check
     assert check.explains is False
     assert "series_resistance_ohm near" in check.better
     assert float(check.better.split()[-1]) < 20
@@ -259,10 +259,10 @@ def test_channels_that_differ_are_no_other_resistance_in_series() -> None:
     mouth = OralDisc(centre_mm=(97, 99), diameter_mm=35, rim_width_mm=6, pressure_kpa=-12, rim_kpa=60)
     errors = Unmodelled(channel_spread_ohm=3, reference_tolerance=0.01)
     simulation = Simulation(1, 35, scene, frames=4, baseline_frames=5, loads=(mouth,), unmodelled=errors)
-    assert recording_check(simulate(simulation).modules[1]).better == ""
+    assert Prepared(simulate(simulation).modules[1]).check.better == ""
     rod = Recording.load(Path(__file__).parents[2] / "data" / "rod.h5")
     forgotten = replace(rod, scene=replace(rod.scene, series_resistance_ohm=0.0))
-    assert recording_check(forgotten).better == "series_resistance_ohm near 140"
+    assert Prepared(forgotten).check.better == "series_resistance_ohm near 140"
 
 
 @pytest.mark.slow
@@ -272,8 +272,8 @@ def test_readings_that_say_nothing_or_little_do_not_blind_the_check() -> None:
     recorded[np.random.default_rng(1).random(recorded.shape) < 0.05] = np.nan
     recorded[0, 2, 2], recorded[4, 3, 3] = np.inf, 0.0
     right = replace(recording, recorded=recorded, raw_sums=None)
-    assert recording_check(right).explains
-    check = recording_check(replace(right, scene=Scene(PANEL, replace(LOADED, driven="columns"))))
+    assert Prepared(right).check.explains
+    check = Prepared(replace(right, scene=Scene(PANEL, replace(LOADED, driven="columns")))).check
     assert check.explains is False
     assert "swapped" in check.better
 
@@ -289,7 +289,7 @@ def test_readings_that_say_nothing_or_little_do_not_blind_the_check() -> None:
 )
 @pytest.mark.parametrize("readout", [DIVIDER, LOADED], ids=lambda readout: readout.kind)
 def test_what_scenes_tell_besides_is_no_fault_of_the_circuit(readout: Readout, besides: dict) -> None:
-    assert recording_check(rod_on(Scene(PANEL, readout, **besides))).explains
+    assert Prepared(rod_on(Scene(PANEL, readout, **besides))).check.explains
 
 
 def test_frames_that_stand_are_taken_together_and_others_are_not() -> None:

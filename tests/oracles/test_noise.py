@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 
 import lampest
 from lampest import Estimator, Gradient, Misfit, Panel, Scene, two_point_resistance
-from lampest.estimate.noise import noise_seen, passing, swept
+from lampest.estimate.noise import passing, swept
 from lampest.estimate.outliers import outliers_in_time, without_outliers
+from lampest.estimate.prepared import Prepared
 from lampest.estimate.scatter import scatter
 from lampest.estimate.sequence import reconstruct
-from lampest.estimate.warnings import warnings_of
 from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout, TwoPointReadout
 from lampest.panel.scene import Systematic
@@ -99,7 +99,7 @@ def test_noise_beyond_its_sigma_makes_no_outliers() -> None:
     """σ follows the reading, so that readings over their own σ vary five times less than they scatter."""
     for seed in range(8):
         recording, _ = recorded(seed, scene_of(0.7, None), lambda exact, rng: converted(exact, rng, 3.0))
-        assert not noise_seen(recording).outliers.any()
+        assert not Prepared(recording).noise.outliers.any()
 
 
 def test_leaps_are_seen_while_a_load_breathes() -> None:
@@ -174,19 +174,19 @@ def held(found: lampest.estimate.estimates.Estimates, cells: Array, unloaded: in
 def test_noise_left_open_is_that_of_the_frames(told: str | None) -> None:
     own, _ = recorded(1, scene_of(told), lambda exact, rng: converted(exact, rng, 2.5))
     known, _ = recorded(1, scene_of(2.5), lambda exact, rng: converted(exact, rng, 2.5))
-    assert not noise_seen(own).sentence
+    assert not Prepared(own).noise.sentence
     ratio = reconstruct(own, LSM).cell_resistance_errors / reconstruct(known, LSM).cell_resistance_errors
     assert np.median(ratio) == pytest.approx(1, abs=0.1)
 
 
 def test_few_frames_leave_the_usual_noise() -> None:
     own, _ = recorded(1, scene_of(None), lambda exact, rng: converted(exact, rng, 0.7), frames=6, unloaded=3)
-    assert noise_seen(own).used == 1
+    assert Prepared(own).noise.used == 1
 
 
 def test_told_noise_that_frames_contradict_is_widened_and_said() -> None:
     wrong, cells = recorded(2, scene_of(0.7), lambda exact, rng: converted(exact, rng, 2.5))
-    seen = noise_seen(wrong)
+    seen = Prepared(wrong).noise
     expected = np.sqrt((2.5**2 + 1 / 12) / (0.7**2 + 1 / 12))
     assert seen.factor == pytest.approx(expected, rel=0.15)
     assert abs(seen.factor - expected) < 4 * seen.factor_error
@@ -197,7 +197,7 @@ def test_told_noise_that_frames_contradict_is_widened_and_said() -> None:
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_bars_hold_a_gain_of_each_frame(seed: int) -> None:
     told, cells = recorded(seed, scene_of(0.7), lambda exact, rng: converted(exact, rng, 0.7, 0.004))
-    assert "gain" in noise_seen(told).sentence
+    assert "gain" in Prepared(told).noise.sentence
     assert min(held(reconstruct(told, LSM), cells)) > 0.85
 
 
@@ -219,7 +219,7 @@ def test_scenes_that_say_nothing_leave_usual_errors_possible_and_none_leaves_non
     none = replace(silent, scene=scene_of(0.7, "none"))
     assert held(reconstruct(none, LSM), cells)[0] < 0.75
     assert held(reconstruct(silent, LSM), cells)[0] > 0.85
-    assert not noise_seen(none).sentence
+    assert not Prepared(none).noise.sentence
 
 
 @pytest.mark.parametrize(("series", "reference"), [(50, 0.0), (-50, 0.0), (0, 0.05), (0, -0.05), (30, -0.04)])
@@ -241,14 +241,14 @@ def test_the_size_of_static_errors_is_learned_from_cells_that_stand_still() -> N
     sizes, shares = [], []
     for seed in range(4):
         recording, cells = recorded(seed, scene_of(0.7, None), static)
-        hidden = noise_seen(recording).hidden
+        hidden = Prepared(recording).noise.hidden
         assert hidden is not None
         sizes.append(hidden.sizes.reading_error or 0.0)
         shares.append(held(reconstruct(recording, LSM), cells))
     assert np.median(sizes) == pytest.approx(0.01, rel=0.4)
     assert np.mean(shares, axis=0).min() > 0.85
     clean, _ = recorded(9, scene_of(0.7, None), lambda exact, rng: converted(exact, rng, 0.7))
-    hidden = noise_seen(clean).hidden
+    hidden = Prepared(clean).noise.hidden
     assert hidden is not None and not hidden.sizes.reading_error
 
 
@@ -261,7 +261,7 @@ def test_bars_allow_for_static_errors_that_may_be_chance() -> None:
     shares = []
     for seed in (40, 44, 46, 47):
         recording, cells = recorded(seed, scene_of(2.5, None), static)
-        assert not noise_seen(recording).sentence
+        assert not Prepared(recording).noise.sentence
         shares.append(held(reconstruct(recording, LSM), cells))
     assert np.mean(shares, axis=0).min() > 0.9
 
@@ -276,7 +276,7 @@ def test_static_errors_that_bend_the_answer_have_their_size_from_unloaded_cells_
     sizes, shares = [], []
     for seed in range(20, 23):
         recording, cells = recorded(seed, scene_of(0.7, None), static)
-        hidden = noise_seen(recording).hidden
+        hidden = Prepared(recording).noise.hidden
         assert hidden is not None
         sizes.append(hidden.sizes.reading_error or 0.0)
         shares.append(held(reconstruct(recording, LSM), cells))
@@ -289,7 +289,7 @@ def test_a_told_static_error_is_not_added_to_itself() -> None:
         return converted(exact * np.exp(0.005 * rng.standard_normal(exact.shape[1:])), rng, 0.7)
 
     recording, _ = recorded(0, scene_of(0.7, Systematic(reading_error=0.02)), static)
-    hidden = noise_seen(recording).hidden
+    hidden = Prepared(recording).noise.hidden
     assert hidden is not None and hidden.sizes.reading_error == 0.02
 
 
@@ -303,7 +303,7 @@ def test_loads_that_leave_their_place_between_frames_tear_them_and_bars_allow_fo
         made = lampest.simulate(
             lampest.Simulation(1, seed, scene, baseline_frames=5, frames=5, loads=(mouth,), unmodelled=moving)
         )
-        assert "motion within a scan" in noise_seen(made).sentence
+        assert "motion within a scan" in Prepared(made).noise.sentence
         found = reconstruct(made, LSM)
         truth, lower, upper = made.truth_cell_resistance, found.cell_resistance_lower, found.cell_resistance_upper
         assert truth is not None and lower is not None and upper is not None
@@ -333,14 +333,14 @@ def test_breathing_loads_are_no_outliers_no_motion_within_a_scan_and_no_static_e
     far = np.hypot(down, across)
     loads = (np.exp(-((far / 3) ** 2)), across < 0, np.exp(-((far - 1.7) ** 2) / 0.3) - 0.8 * (far < 1.2))
     for covered in loads:
-        assert noise_seen(breathing(seed, covered, 4.0)).sentence == ""
+        assert Prepared(breathing(seed, covered, 4.0)).noise.sentence == ""
 
 
 def test_a_gentle_load_is_no_resistance_in_series() -> None:
     """A body that changes few cells, smoothly and by 14 %: 15 standard deviations of it were left possible."""
     down, across = np.indices((10, 10)) - 4.5
     body = np.maximum(1 - (down / 5) ** 2 - ((across - 1) / 2) ** 2, 0)
-    hidden = noise_seen(breathing(0, body, 0.75)).hidden
+    hidden = Prepared(breathing(0, body, 0.75)).noise.hidden
     assert hidden is not None and hidden.root is not None
     assert np.linalg.norm(hidden.root[0]) < 1.5
 
@@ -375,14 +375,14 @@ def test_noisy_cells_are_not_taken_for_a_static_error(seed: int) -> None:
     """So noisy that a large error of each reading would explain the cells that moved, too."""
     rod = lampest.Rod(centre_mm=(35.0, 35.0), diameter_mm=40.0, mass_g=400.0)
     scene = Scene(Panel(8, 8), TwoPointReadout(readings=1, noise_lsb=2), 140.0)
-    hidden = noise_seen(lampest.simulate(lampest.Simulation(1, seed, scene, frames=3, loads=(rod,)))).hidden
+    hidden = Prepared(lampest.simulate(lampest.Simulation(1, seed, scene, frames=3, loads=(rod,)))).noise.hidden
     assert hidden is not None and not hidden.sizes.reading_error
 
 
 def test_still_cells_show_a_series_resistance_beyond_the_usual() -> None:
     """Twice the usual one: what is left possible of it holds that, and not nothing."""
     wrong, cells = recorded(11, scene_of(0.7, None), lambda exact, rng: converted(exact + 40, rng, 0.7))
-    hidden = noise_seen(wrong).hidden
+    hidden = Prepared(wrong).noise.hidden
     assert hidden is not None and hidden.root is not None
     assert np.sqrt((hidden.root[0] ** 2).sum()) == pytest.approx(2, rel=0.3)
     assert min(held(reconstruct(wrong, LSM), cells)) > 0.85
@@ -424,7 +424,7 @@ def test_samples_and_matrices_agree_on_what_a_frame_shares() -> None:
 def test_what_users_get_wrong_is_one_plain_line() -> None:
     """Roles, units, noise, and a load on the baseline; nothing of a recording as it should be."""
     fine, _ = recorded(6, scene_of(0.7, None), lambda exact, rng: converted(exact, rng, 0.7))
-    assert warnings_of(fine) == ()
+    assert Prepared(fine).warnings == ()
     none = replace(fine, role=np.full(8, MEASURED, dtype=np.uint8))
     alone = replace(fine, role=np.where(np.arange(8) < 1, UNLOADED, MEASURED).astype(np.uint8))
     swapped = replace(fine, role=np.where(np.arange(8) < 5, MEASURED, UNLOADED).astype(np.uint8))
@@ -437,7 +437,7 @@ def test_what_users_get_wrong_is_one_plain_line() -> None:
         (copied, "unloaded frames scatter 0 times as much"),
         (replace(fine, recorded=fine.recorded[[5, 6, 7, 5, 6, 7, 6, 5]]), "a load may lie on the panel"),
     ):
-        assert sum(line in one for one in warnings_of(wrong)) == 1
+        assert sum(line in one for one in Prepared(wrong).warnings) == 1
 
 
 @pytest.mark.parametrize(
@@ -453,6 +453,6 @@ def test_a_circuit_that_is_read_in_reverse_is_named(right: Readout, wrong: dict,
     made = lampest.simulate(lampest.Simulation(1, 1, scene, baseline_frames=5, frames=3, loads=(rod,)))
     other = replace(scene, readout=replace(right, **wrong))
     volt = right.volt_from_recorded(made.recorded)
-    said = warnings_of(replace(made, scene=other, recorded=other.circuit.recorded_from_volt(volt), raw_sums=None))
+    said = Prepared(replace(made, scene=other, recorded=other.circuit.recorded_from_volt(volt), raw_sums=None)).warnings
     assert any(f"readout.{next(iter(wrong))}: {word} (" in line for line in said)
     assert not any("did something lie" in line for line in said)

@@ -10,10 +10,8 @@ from numpy.typing import NDArray
 
 import lampest
 from lampest import Recording, Scene, TwoPointReadout
-from lampest.estimate.model_check import effects_seen
-from lampest.estimate.noise import noise_seen
+from lampest.estimate.prepared import Prepared
 from lampest.estimate.saturation import saturated
-from lampest.estimate.warnings import warnings_of
 from lampest.loads.shapes import Block
 from lampest.recording.simulation import Cells, Course, Simulation, simulate
 from lampest.report.detect.detection import Known, known_of, measured_frames
@@ -65,7 +63,7 @@ def panel(
 
 @pytest.mark.parametrize("seed", range(4))
 def test_nothing_is_said_where_nothing_is(seed: int) -> None:
-    assert warnings_of(panel(seed)) == ()
+    assert Prepared(panel(seed)).warnings == ()
 
 
 @pytest.mark.parametrize(
@@ -80,7 +78,7 @@ def test_nothing_is_said_where_nothing_is(seed: int) -> None:
     ],
 )
 def test_what_a_panel_does_is_named(effect: dict, sentence: str) -> None:
-    said = warnings_of(panel(1, **effect))
+    said = Prepared(panel(1, **effect)).warnings
     assert sum(sentence in line for line in said) == 1, said
 
 
@@ -104,7 +102,7 @@ def test_an_outlier_while_a_load_comes_is_no_contact(seed: int) -> None:
     recorded = recording.recorded[: UNLOADED + 1].copy()
     recorded[-1, 0, 9] = 0.7 * recorded[:-1, 0, 9].mean() + 0.3 * recording.recorded[-1, 0, 9] + 25
     alone = {"time": recording.time[: len(recorded)], "role": recording.role[: len(recorded)]}
-    assert effects_seen(replace(recording, recorded=recorded, **alone)).better.name == ""
+    assert Prepared(replace(recording, recorded=recorded, **alone)).effects.better.name == ""
 
 
 @pytest.mark.parametrize(
@@ -118,7 +116,7 @@ def test_an_outlier_while_a_load_comes_is_no_contact(seed: int) -> None:
 )
 def test_what_a_leak_and_a_contact_do_is_taken_off_the_frames_that_have_it(effect: dict) -> None:
     """The same noise is in both recordings; what the sizes leave open is a fraction of it."""
-    dirty, clean = noise_seen(panel(1, **effect)), panel(1).readings()
+    dirty, clean = Prepared(panel(1, **effect)).noise, panel(1).readings()
     assert clean.sigma is not None and dirty.readings.sigma is not None and dirty.frame is not None
     assert dirty.frame.left is not None and 0 < np.abs(dirty.frame.left[1]).max() < 0.01
     open_ohm = np.hypot(dirty.readings.sigma, np.linalg.norm(dirty.frame.left[1], axis=0) * clean.value)
@@ -130,42 +128,42 @@ def test_what_a_leak_and_a_contact_do_is_taken_off_the_frames_that_have_it(effec
 
 def test_detect_looks_at_frames_without_the_leak() -> None:
     recording = panel(1, leak_ohm=10e3, leak_from=UNLOADED + 3)
-    known = known_of(recording)
+    known = known_of(Prepared(recording))
     assert isinstance(known, Known)
     frames = [value for value, _, _ in measured_frames(recording, known, np.ones(len(recording.role), dtype=bool))]
-    assert np.allclose(frames, noise_seen(recording).readings.value[UNLOADED:], rtol=1e-3)
+    assert np.allclose(frames, Prepared(recording).noise.readings.value[UNLOADED:], rtol=1e-3)
     assert not np.allclose(frames, recording.readings().value[UNLOADED:], rtol=1e-2)
 
 
 def test_noise_grows_by_what_a_leak_takes_of_the_signal() -> None:
-    wet, dry = noise_seen(panel(1, leak_ohm=2e3)).readings, panel(1).readings()
+    wet, dry = Prepared(panel(1, leak_ohm=2e3)).noise.readings, panel(1).readings()
     assert wet.sigma is not None and dry.sigma is not None
     assert 1.1 < np.median(wet.sigma / dry.sigma) < 2
 
 
 def test_a_contact_that_another_one_explains_as_well_is_named_but_not_taken_off() -> None:
     recording = panel(1, contact=(3, 200.0, 0))
-    found = effects_seen(recording)
-    assert found.pair is None and noise_seen(recording).besides is None
+    found = Prepared(recording).effects
+    assert found.pair is None and Prepared(recording).noise.besides is None
 
 
 @pytest.mark.parametrize("seed", range(4))
 def test_nothing_is_taken_off_where_nothing_is(seed: int) -> None:
     recording = panel(seed)
-    assert noise_seen(recording).besides is None
-    assert np.array_equal(noise_seen(recording).readings.value, recording.readings().value)
+    assert Prepared(recording).noise.besides is None
+    assert np.array_equal(Prepared(recording).noise.readings.value, recording.readings().value)
 
 
 def test_readings_of_a_saturated_stage_are_bounds() -> None:
     recording = panel(1, saturated=0.62)
-    readings = noise_seen(recording).readings
+    readings = Prepared(recording).noise.readings
     volt = recording.scene.circuit.volt_from_recorded(recording.recorded)
     assert readings.bounds.any() and np.all(readings.bounds[volt > 3.096]) and not np.any(readings.bounds[volt < 3.094])
     assert not recording.readings().bounds.any()
 
 
 def test_a_stage_that_the_unloaded_panel_saturates_is_named() -> None:
-    said = warnings_of(panel(1, saturated=0.585))
+    said = Prepared(panel(1, saturated=0.585)).warnings
     assert sum("of the unloaded panel too" in line for line in said) == 1, said
 
 
@@ -173,20 +171,20 @@ def test_a_scene_states_what_a_stage_passes() -> None:
     recording = panel(1, saturated=0.62)
     stated = replace(recording.scene, readout=TwoPointReadout(readings=20, noise_lsb=0.7, passes_volt=(0.0, 3.098)))
     found = replace(recording, scene=stated)
-    assert np.mean(found.readings().bounds != noise_seen(recording).readings.bounds) < 0.01
-    assert not any("saturate" in line for line in warnings_of(found))
+    assert np.mean(found.readings().bounds != Prepared(recording).noise.readings.bounds) < 0.01
+    assert not any("saturate" in line for line in Prepared(found).warnings)
     with pytest.raises(ValueError, match="passes_volt must be two voltages from 0 to 5, the lower one first"):
         TwoPointReadout(passes_volt=(3.0, 1.0))
 
 
 def test_the_size_of_a_leak_is_found() -> None:
-    (line,) = (line for line in warnings_of(panel(2, leak_ohm=5e3, leak_from=UNLOADED)) if "leak" in line)
+    (line,) = (line for line in Prepared(panel(2, leak_ohm=5e3, leak_from=UNLOADED)).warnings if "leak" in line)
     assert 4 < float(line.split("a leak of ")[1].split(" kohm")[0]) < 6
 
 
 def test_the_curve_of_a_converter_is_no_leak() -> None:
     audit = read_settings(AuditFile)(Path(__file__).parents[2] / "configs" / "audit.yaml")
-    assert effects_seen(AuditTask(audit, "INL 2 LSB", 403).recording()).better.name == ""
+    assert Prepared(AuditTask(audit, "INL 2 LSB", 403).recording()).effects.better.name == ""
 
 
 def test_the_edge_of_a_load_on_half_the_panel_is_no_contact() -> None:
@@ -196,11 +194,11 @@ def test_the_edge_of_a_load_on_half_the_panel_is_no_contact() -> None:
     scene = Scene(lampest.Panel(9, 7), TwoPointReadout(readings=20, noise_lsb=0.7), 140.0)
     cells = Cells(spread=0.085013)
     found = simulate(Simulation(1, 9125, scene, cells, frames=18, frame_period_s=0.1, loads=(block,), course=course))
-    assert effects_seen(found).better.name == ""
+    assert Prepared(found).effects.better.name == ""
 
 
 @pytest.mark.parametrize("mouth", ["lamprey_25mm", "lamprey_35mm"])
 def test_channels_that_differ_are_no_contact_under_a_mouth(mouth: str) -> None:
     """Channels of 3 ohm shift the cells of a rim, which are as low as 100 ohm, by several percent."""
     shipped = Recording.load(Path(__file__).parents[2] / "data" / f"{mouth}.h5")
-    assert [line for line in warnings_of(shipped) if "outliers" not in line] == []
+    assert [line for line in Prepared(shipped).warnings if "outliers" not in line] == []

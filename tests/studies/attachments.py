@@ -19,6 +19,7 @@ from time import process_time
 import numpy as np
 
 from lampest import two_point_resistance
+from lampest.estimate.prepared import Prepared
 from lampest.loads.response import ratio_from_pressure
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import TwoPointReadout
@@ -171,7 +172,7 @@ def seen(kind: str, rate: float, seed: int, side: int = 10, attached_s: float = 
     whole, made, depth, hertz = recording(kind, rate, seed, side, attached_s)
     touch = float(whole.time[UNLOADED]) + TOUCH_S
     begin = process_time()
-    watched = known_of(whole)
+    watched = known_of(Prepared(whole))
     assert isinstance(watched, Known)
     watch, moments = watched.watch(), []
     for value, sigma, time in measured_frames(whole, watched, np.ones(len(whole.time), dtype=bool)):

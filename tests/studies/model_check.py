@@ -17,7 +17,8 @@ import numpy as np
 import lampest
 from lampest import LoadedColumnsReadout, Recording, Scene, Simulation, TwoPointReadout
 from lampest.estimate.cells_fit import LEVEL, PRICE
-from lampest.estimate.model_check import Explanation, ModelCheck, recording_check
+from lampest.estimate.model_check import Explanation, ModelCheck
+from lampest.estimate.prepared import Prepared
 from lampest.estimate.rivals import Question, Rival
 from lampest.recording.simulation.measure import measured
 
@@ -184,7 +185,7 @@ def false_alarms(first: int, count: int) -> None:
         if drawn is None:
             continue
         what, recording = drawn
-        check = recording_check(recording)
+        check = Prepared(recording).check
         seen[what] += 1
         alarms[what] += check.explains is False
         noisy[what] += check.noise > 1
@@ -205,7 +206,7 @@ def detections(first: int, count: int, sides: Sequence[int], bits: Sequence[int]
         for seed in range(first, first + count):
             both = zip(wrong(seed, side, of_bits), wrong(seed, side, of_bits, exact=True), strict=True)
             for (what, recording), (_, exact) in both:
-                check, shown = recording_check(recording), evidence(exact)
+                check, shown = Prepared(recording).check, evidence(exact)
                 for of in (what, what + SHOWN) if shown >= SHOWN_FROM else (what,):
                     tried[of] += 1
                     noticed[of] += check.explains is False

@@ -21,7 +21,7 @@ from support import live_pictures
 from lampest import two_point_resistance
 from lampest.cost.terms import Arrival, Misfit
 from lampest.estimate.estimator import AutoWeight, Bounds, Estimator
-from lampest.estimate.model_check import recording_check
+from lampest.estimate.prepared import Prepared
 from lampest.estimate.sequence import reconstruct
 from lampest.files.errors import InputError
 from lampest.loads.force import Force, total_force
@@ -230,7 +230,7 @@ def test_a_wrong_reading_and_channels_that_differ_are_no_other_circuit() -> None
     mouth = Recording.load(LAMPREY.with_name("lamprey_35mm.h5"))
     frames = np.append(np.flatnonzero(mouth.role == UNLOADED), [4, 5, 6])
     role = np.array([UNLOADED] * 3 + [MEASURED] * 3, dtype=np.uint8)
-    check = recording_check(Recording(mouth.scene, mouth.recorded[frames], np.arange(6.0), role))
+    check = Prepared(Recording(mouth.scene, mouth.recorded[frames], np.arange(6.0), role)).check
     assert check.mark == "yes"
 
 

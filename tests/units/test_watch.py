@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from lampest.estimate.prepared import Prepared
 from lampest.loads.recognition.detector import Detector
 from lampest.loads.shapes import OralDisc, Rod
 from lampest.loads.shapes.shape import Shape
@@ -46,7 +47,7 @@ def taken(
 
 def answered(recording: Recording) -> Detected:
     """As `lampest detect` does."""
-    known = known_of(recording)
+    known = known_of(Prepared(recording))
     assert isinstance(known, Known)
     return known.answer(measured_frames(recording, known, np.ones(len(recording.time), dtype=bool)))
 
@@ -90,7 +91,7 @@ def test_a_load_that_never_leaves_the_unloaded_frames_is_not_nothing() -> None:
 def test_an_outlier_in_an_unloaded_frame_does_not_blind(frames: int = 14) -> None:
     recording = taken((ROD, 7, frames), frames=frames)
     recording.recorded[2, 1, 1] *= 3
-    known = known_of(recording)
+    known = known_of(Prepared(recording))
     assert isinstance(known, Known) and np.max(known.watch().test.least()) < 10
     assert answered(recording).answer == PRESSES
 

@@ -94,6 +94,16 @@ def under(panel: Panel, disc: Disc) -> NDArray[np.bool_]:
     return np.asarray(np.hypot(across - disc.x_mm, down - disc.y_mm) < (disc.diameter_mm + panel.pitch_mm) / 2)
 
 
+def _steps_between(places: Array) -> tuple[Array, NDArray[np.intp]]:
+    """(distinct steps, which of them is taken from every place to every other), of places in mm.
+
+    Distinct places are compared, because few rows and columns have many cells and sorting all pairs takes long.
+    """
+    distinct, of_place = np.unique(places, return_inverse=True)
+    steps, of_pair = np.unique(np.round(distinct - distinct[:, None], 6), return_inverse=True)
+    return steps, of_pair.reshape(len(distinct), -1)[of_place[:, None], of_place]
+
+
 @dataclass(frozen=True, eq=False)
 class DiscSearch:
     """A matched filter: round templates about every cell's centre and between four of them.
@@ -112,8 +122,11 @@ class DiscSearch:
         """All templates laid over a panel."""
         discs, patterns = [], []
         x, y = panel.places_mm[:, panel.present]
-        apart = np.round([x - x[:, None], y - y[:, None]], 6).reshape(2, -1)  # from every cell to every other
-        ways, way = np.unique(apart, axis=1, return_inverse=True)
+        across, down = _steps_between(x), _steps_between(y)
+        numbers = across[1] * len(down[0]) + down[1]
+        used = np.flatnonzero(np.bincount(numbers.ravel()))
+        ways = np.stack([across[0][used // len(down[0])], down[0][used % len(down[0])]])
+        way = np.searchsorted(used, numbers)
         for template in templates:
             size = (template.outer_mm, template.inner_mm)
             pressures = HOLLOW_KPA if template.inner_mm else FULL_KPA

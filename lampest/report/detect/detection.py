@@ -7,11 +7,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.estimate.noise import noise_seen
 from lampest.estimate.nuisances import Besides, taken_off
+from lampest.estimate.prepared import Prepared
 from lampest.estimate.saturation import as_passed
 from lampest.estimate.sequence import resting_readings
-from lampest.estimate.warnings import warnings_of
 from lampest.files import hdf5
 from lampest.files.errors import InputError
 from lampest.files.process import told_reason
@@ -156,8 +155,8 @@ def detect_recording(path: Path, patch_mm: float | None = None, frames: range | 
     measured = np.flatnonzero(part.role == MEASURED)[:HEAD]
     if not len(measured):
         raise InputError(f"{path}: no frame is measured (role 1)")
-    head = stored.part(range(int(measured[-1]) + 1))
-    watched, said = known_of(head, patch_mm), tuple(one for one in warnings_of(head) if one != UNEVENLY)
+    head = Prepared(stored.part(range(int(measured[-1]) + 1)))
+    watched, said = known_of(head, patch_mm), tuple(one for one in head.warnings if one != UNEVENLY)
     if isinstance(watched, Detected):
         return replace(watched, warnings=said)
     asked = range(stored.frames) if frames is None else frames
@@ -166,11 +165,12 @@ def detect_recording(path: Path, patch_mm: float | None = None, frames: range | 
     return replace(watched.answer(each), warnings=said)
 
 
-def known_of(head: Recording, patch_mm: float | None = None) -> "Known | Detected":
+def known_of(prepared: Prepared, patch_mm: float | None = None) -> "Known | Detected":
     """What the first frames of a recording show, or why nothing can be said."""
+    head = prepared.recording
     readings, notes = head.readings(), tuple[str, ...]()
     unloaded = np.flatnonzero(head.role == UNLOADED)
-    seen = None if readings.sigma is None else noise_seen(head)
+    seen = None if readings.sigma is None else prepared.noise
     resting = resting_readings(head, readings if seen is None else seen.readings)
     if not resting.enough(head.scene):
         return Detected.unknown(head.name, "no frame has enough readings to compare with")

@@ -13,7 +13,7 @@ import numpy as np
 
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.outliers import without_outliers
-from lampest.estimate.warnings import warnings_of
+from lampest.estimate.prepared import Prepared
 from lampest.files.errors import InputError
 from lampest.panel.scene import Scene
 from lampest.recording.readings import Readings
@@ -191,7 +191,7 @@ def _warnings(scene: Scene, unloaded: tuple[Scan, ...], loaded: tuple[Scan, ...]
     """What speaks against frames, or why they are none."""
     role = [UNLOADED] * len(unloaded) + [MEASURED] * len(loaded)
     try:
-        return warnings_of(as_recording(scene, unloaded + loaded, np.arange(float(len(role))), role))
+        return Prepared(as_recording(scene, unloaded + loaded, np.arange(float(len(role))), role)).warnings
     except InputError as error:
         return (str(error),)
 

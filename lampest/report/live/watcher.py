@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from lampest.estimate.prepared import Prepared
 from lampest.files.errors import InputError
 from lampest.files.process import told_reason
 from lampest.loads.recognition.image import ImageWatch
@@ -97,7 +98,7 @@ class Watched:
     def _begun(self, news: Unloaded) -> "Watched":
         """Against unloaded frames; what was attached before has left."""
         times = np.array([scan.time for scan in news.scans])
-        known = known_of(as_recording(news.scene, news.scans, times, [UNLOADED] * len(times), self.name))
+        known = known_of(Prepared(as_recording(news.scene, news.scans, times, [UNLOADED] * len(times), self.name)))
         here = Watched(self.name, "", news.scene, times=self.times)
         if isinstance(known, Detected):
             return replace(here, why=known.why)

@@ -1,0 +1,207 @@
+"""Preparation of a recording: readings, noise, effects, check of the circuit and warnings, each determined once."""
+
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lampest.estimate.model_check import Explained, ModelCheck, check_of_modules
+from lampest.estimate.noise import (
+    NoiseSeen,
+    joined_noise,
+    scatter_seen,
+    with_still_cells,
+    without_effects,
+)
+from lampest.estimate.nuisances import Besides
+from lampest.estimate.outliers import lawless, without_these
+from lampest.estimate.saturation import as_passed
+from lampest.estimate.warnings import warnings_of
+from lampest.files.errors import InputError, in_words
+from lampest.files.process import ONE_BLAS_THREAD
+from lampest.panel.panel import Modules
+from lampest.panel.readouts import Readout
+from lampest.panel.systematic import usual
+from lampest.recording.readings import Readings
+from lampest.recording.recording import MEASURED, UNLOADED, Recording
+from lampest.solvers.multistart import BROKEN
+
+
+@dataclass(frozen=True, eq=False)
+class Cleaned:
+    """Readings of a single network without outliers.
+
+    Attributes
+    ----------
+    recording : Recording
+        The scene includes a saturated stage where the readings show one.
+    outliers : boolean array, shape (frames, rows, columns)
+    readings : Readings
+        Unloaded outliers are missing, measured ones are replaced by the prediction of neighbouring frames.
+    """
+
+    recording: Recording
+    outliers: NDArray[np.bool_]
+    readings: Readings
+
+
+@dataclass(frozen=True, eq=False)
+class Prepared:
+    """A recording with everything that its estimates share. Each property is computed once, when first needed.
+
+    Properties raise InputError where the readings contradict the scene, as `Readings.of` does.
+
+    Attributes
+    ----------
+    recording : Recording
+    cleaned_module : Cleaned or None
+        Of a module, the cleaned readings that were determined together with those of the other modules.
+    """
+
+    recording: Recording
+    cleaned_module: Cleaned | None = None
+
+    @classmethod
+    def of(cls, recording: "Recording | Prepared") -> "Prepared":
+        """Return the preparation of a recording. Raises InputError where it is neither."""
+        if isinstance(recording, Prepared):
+            return recording
+        if isinstance(recording, Recording):
+            return cls(recording)
+        raise InputError(f"recording must be a Recording, such as Recording.load('mine.h5'), not {in_words(recording)}")
+
+    @property
+    def layout(self) -> Modules | None:
+        """The layout of a panel of modules; None of a single network."""
+        return self.recording.scene.panel.modules
+
+    @cached_property
+    def modules(self) -> "tuple[Prepared | None, ...]":
+        """The preparation of each module, None of a dead one; () of a single network."""
+        if self.layout is None:
+            return ()
+        dead = self.recording.scene.dead_modules
+        living = [number for number in range(self.layout.count) if number not in dead]
+        parts = [self.recording.modules[number] for number in living]
+        cleaned = {n: Prepared(part, own) for n, part, own in zip(living, parts, cleaned_together(parts), strict=True)}
+        return tuple(cleaned.get(number) for number in range(self.layout.count))
+
+    @cached_property
+    def cleaned(self) -> Cleaned:
+        """The readings of a single network without outliers."""
+        return self.cleaned_module or cleaned_together([self.recording])[0]
+
+    @cached_property
+    def frame_noise(self) -> NoiseSeen:
+        """Noise of the frames, estimated from unloaded frames and from neighbours in time."""
+        if self.layout is not None:
+            every = [None if module is None else module.frame_noise for module in self.modules]
+            return joined_noise(self.recording, self.layout, every)
+        return scatter_seen(self.cleaned.recording, self.cleaned.outliers, self.cleaned.readings)
+
+    @cached_property
+    @ONE_BLAS_THREAD
+    def explained(self) -> Explained | None:
+        """The readings of a single network as its circuit explains them; None where arithmetic breaks down."""
+        with suppress(*BROKEN), np.errstate(all="ignore"):
+            return Explained.of(self.cleaned.recording, self.cleaned.outliers)
+        return None
+
+    @cached_property
+    @ONE_BLAS_THREAD
+    def effects(self) -> Besides:
+        """Effects beside the circuit of a single network."""
+        with suppress(*BROKEN), np.errstate(all="ignore"):
+            if self.cleaned.readings.sigma is not None and self.explained is not None:
+                return self.explained.effects()
+        return Besides()
+
+    @cached_property
+    @ONE_BLAS_THREAD
+    def check(self) -> ModelCheck:
+        """The check of the circuit."""
+        if self.layout is not None:
+            return check_of_modules(self.recording, self.layout, lambda number: self._module(number).check)
+        if self.cleaned.readings.sigma is None:
+            return ModelCheck(None, "the circuit was not checked: the noise of the readings is unknown")
+        with suppress(*BROKEN), np.errstate(all="ignore"):
+            if self.explained is not None:
+                return self.explained.check(self.effects).without(int(self.cleaned.outliers.sum()))
+        return ModelCheck(None, "the circuit was not checked: arithmetic broke down over its readings")
+
+    def _module(self, number: int) -> "Prepared":
+        module = self.modules[number]
+        assert module is not None
+        return module
+
+    @cached_property
+    @ONE_BLAS_THREAD
+    def noise(self) -> NoiseSeen:
+        """Noise of the frames, and errors that all frames share; its readings allow for both."""
+        if self.layout is not None:
+            every = [None if module is None else module.noise for module in self.modules]
+            return joined_noise(self.recording, self.layout, every)
+        noise, role, sizes = self.frame_noise, self.recording.role, usual(self.recording.scene)
+        if sizes is None or not (np.any(role == UNLOADED) and np.any(role == MEASURED)):
+            return noise
+        with suppress(*BROKEN), np.errstate(all="ignore"):
+            if self.effects.pair is not None and self.check.besides:
+                noise = without_effects(noise, self.recording, self.effects).warned(self.effects.taken)
+            noise = with_still_cells(noise, self.recording, sizes)
+        return noise
+
+    @cached_property
+    def warnings(self) -> tuple[str, ...]:
+        """Everything that contradicts the scene, or may mislead, one line each."""
+        return warnings_of(self.recording, self.noise, self.check)
+
+    def readings_as(self, known: NoiseSeen | None) -> Readings:
+        """Return the readings with effects and motion that are known of a longer recording.
+
+        Parameters
+        ----------
+        known : NoiseSeen or None
+            Noise of the recording that this one is a part of; None before it is known.
+        """
+        noise = self.frame_noise
+        if known is None:
+            return noise.readings
+        if self.layout is None:
+            return self._as_known(known)
+        every = enumerate(zip(self.modules, known.of_modules, strict=True))
+        changed = {
+            number: module._as_known(own)
+            for number, (module, own) in every
+            if module is not None and own is not None and (own.besides is not None or own.share)
+        }
+        if not changed:
+            return noise.readings
+        given = (
+            changed.get(number) or noise.readings.of_module(self.layout, number) for number in range(len(self.modules))
+        )
+        return Readings.of_parts(self.layout, list(given))
+
+    def _as_known(self, known: NoiseSeen) -> Readings:
+        """The readings of a single network, with effects and motion that are known."""
+        noise, recording = self.frame_noise, self.recording
+        with suppress(*BROKEN), np.errstate(all="ignore"):
+            noise = noise if known.besides is None else without_effects(noise, recording, known.besides)
+            noise = noise.with_motion(recording.scene, known.share, np.flatnonzero(recording.role == MEASURED))
+        return noise.readings
+
+
+def cleaned_together(recordings: Sequence[Recording]) -> list[Cleaned]:
+    """Return the cleaned readings of networks of one shape that were recorded together."""
+    passed = [as_passed(recording) for recording in recordings]
+    first, *others = [recording.readings() for recording in passed]
+    together, alike = first.together(*others, axis=-3), dict[Readout, list[int]]()
+    for place, recording in enumerate(passed):
+        alike.setdefault(recording.scene.circuit, []).append(place)
+    impossible = np.zeros(together.value.shape, dtype=bool)
+    for circuit, places in alike.items():
+        impossible[:, places] = lawless(circuit, together[:, places])
+    outliers, readings = without_these(impossible, together, passed[0].role == UNLOADED)
+    return [Cleaned(one, outliers[:, place], readings[:, place]) for place, one in enumerate(passed)]

@@ -1,0 +1,47 @@
+"""The threads of BLAS, which are a state of the process."""
+
+from threading import Barrier, Thread
+
+import numpy as np
+import pytest
+import scipy.linalg  # noqa: F401  (its BLAS is another one than NumPy's)
+from threadpoolctl import ThreadpoolController, threadpool_limits
+
+import lampest
+from lampest.estimate.stream import Stream
+from lampest.files.process import ONE_BLAS_THREAD
+
+
+def threads() -> set[int]:
+    """How many each BLAS of this process has."""
+    return {library["num_threads"] for library in ThreadpoolController().info() if library["user_api"] == "blas"}
+
+
+def test_an_estimate_from_python_uses_one_thread_of_blas(monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = lampest.Scene(lampest.Panel(3, 4), lampest.TwoPointReadout(), series_resistance_ohm=140.0)
+    recording = lampest.Recording(scene, np.full((3, 3, 4), 640.0), np.arange(3.0), np.array([0, 0, 1], dtype=np.uint8))
+    during, sequence = list[set[int]](), Stream.sequence
+    monkeypatch.setattr(Stream, "sequence", lambda *given: (during.append(threads()), sequence(*given))[1])
+    with threadpool_limits(2, "blas"):
+        lampest.reconstruct(recording, [lampest.Misfit()])
+        assert during == [{1}]
+        assert threads() == {2}
+
+
+def test_the_last_thread_that_leaves_restores_the_threads_of_blas() -> None:
+    entered, left, during = Barrier(2), Barrier(2), list[set[int]]()
+
+    def first() -> None:
+        with ONE_BLAS_THREAD:
+            entered.wait()
+        left.wait()
+
+    with threadpool_limits(2, "blas"):
+        worker = Thread(target=first)
+        worker.start()
+        with ONE_BLAS_THREAD:
+            entered.wait()
+            left.wait()
+            during.append(threads())
+        worker.join()
+        assert during == [{1}] and threads() == {2}
