@@ -119,6 +119,7 @@ class Estimates:
     baseline_bars : the baseline's error bars, or None.
     joint_start : whether the first frame was solved together with the baseline.
     prepared : the recording's preparation; of a part of a long recording that of the frames which stand for all.
+    noise : of the readings; it includes the model's error where readings show one.
     contacts : of the lines, as far as they are known afterwards; None where the scene names none.
 
     >>> isinstance(found, lampest.Estimates), found.cell_resistance.shape
@@ -136,6 +137,7 @@ class Estimates:
     steps: tuple[Step, ...]
     joint_start: bool
     prepared: Prepared
+    noise: NoiseSeen
     contacts: Contacts | None = None
 
     def __repr__(self) -> str:
@@ -241,6 +243,24 @@ class Estimates:
     pressure_upper = Barred("_pressed", "Upper end of the 95 % interval of the pressure, kPa.")
 
     @property
+    def reading_sigma(self) -> Array | None:
+        """Standard deviation of every reading about the model's, (frames, rows, columns) in the readout's unit.
+
+        The errors of the cells, the noise and the model's error; also of a reading that is missing. None without error
+        bars; NaN where a frame has none.
+        """
+        deviation = [None if step.bars is None else step.bars.reading for step in self.steps]
+        noise, scene = self.readings.sigma, self.recording.scene
+        if self._bars is None or noise is None or all(each is None for each in deviation):
+            return None
+        of_cells = np.stack([np.full(scene.panel.shape, np.nan) if each is None else each for each in deviation])
+        if scene.readout is not None:
+            model = np.stack([step.solution.reading[-1] for step in self.steps])
+            at_model = self.noise.used * scene.readout.sigma(scene.circuit.to_recorded(model, scene))
+            noise = np.where(self.readings.plain, noise, at_model)
+        return np.asarray(np.hypot(of_cells, noise))
+
+    @property
     def error_bar_time(self) -> Array | None:
         """Wall time of every frame's error bars, (frames) s."""
         return None if self._bars is None else np.array([step.bars_seconds for step in self.steps])
@@ -275,16 +295,11 @@ class Estimates:
         said = f"; of a long recording {len(number)} frames between {number[0]} and {number[-1]} were asked"
         return replace(check, sentence=check.sentence + said)
 
-    @property
-    def noise(self) -> NoiseSeen:
-        """What the recording's own frames say of its noise, beside what the scene says."""
-        return self.prepared.noise
-
     @cached_property
     def checks(self) -> tuple[str, ...]:
         """What speaks against the estimates, one line each: failed frames, roles and units, circuit, noise."""
         failed = unsolved(self.solved, self.status)
-        return (*([failed] if failed else []), *self.prepared.warnings)
+        return tuple(filter(None, (failed, *self.prepared.warnings, self.noise.model_error)))
 
     @property
     def _is_part(self) -> bool:

@@ -238,13 +238,15 @@ def image_step(layout: Modules, steps: Sequence[Step | None]) -> Step:
     bars = [None if step is None else step.bars for step in steps]
     frame = _joined(layout, Certainty, [None if one is None else one.frame for one in bars])
     change = _joined(layout, Change, [None if one is None else one.change for one in bars])
+    reading = _joined_maps(layout, [None if each is None else each.reading for each in bars], np.nan)
     return Step(
         solution,
         sum(step.seconds for step in there),
         tuple(float(np.mean(weights)) for weights in zip(*(step.weights for step in counted), strict=True)),
-        None if frame is None else Bars(frame, change),
+        None if frame is None else Bars(frame, change, reading),
         sum(step.bars_seconds for step in there),
         sentence=_sentence(layout, steps, status),
+        weight_sigma=counted[0].weight_sigma,
     )
 
 

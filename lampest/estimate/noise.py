@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from lampest.estimate.cells_fit import LEVEL, fitted
 from lampest.estimate.nuisances import Besides, left_open, taken_off
 from lampest.estimate.outliers import LEAST_FRAMES, SHARE
-from lampest.estimate.scatter import LEAST_FACTOR, unloaded_scatter
+from lampest.estimate.scatter import LEAST_FACTOR, repeated_scatter, unloaded_scatter
 from lampest.estimate.still_cells import errors_left_possible
 from lampest.panel.memory import in_panel_order
 from lampest.panel.panel import Array, Modules
@@ -61,6 +61,8 @@ class NoiseSeen:
     share: float = 0.0
     of_modules: tuple["NoiseSeen | None", ...] = ()
     besides: Besides | None = None
+    model_factor: float = 1.0
+    model_error: str = ""
 
     @property
     def sentence(self) -> str:
@@ -156,22 +158,24 @@ def scatter_seen(recording: Recording, outliers: NDArray[np.bool_], cleaned: Rea
     impossible = outliers & (cleaned.seen == 0) & ~resting[:, None, None]
     plain = NoiseSeen(outliers, float(counted.mean()), (), cleaned)
     plain = plain.warned(_impossible_in_words(int(impossible.sum())), _outliers_in_words(plain, outliers & ~impossible))
-    parts = unloaded_scatter(recording, cleaned[resting]) if unloaded > 1 and cleaned.sigma is not None else None
-    if parts is None or cleaned.sigma is None:
+    if cleaned.sigma is None:
         return plain
-    used, said = 1.0, ""
-    specified = readout is None or recording.sigma is not None or readout.noise_told
-    if readout is not None and not specified and unloaded >= (FEWEST_OPEN if readout.noise_lsb is None else 2):
-        used = _shown_factor(readout, parts.own)
-    # Noise that is larger than specified beyond chance, and by more than changes any verdict.
-    elif parts.own >= LEAST_FACTOR and chi_square_tail(parts.own**2 * parts.own_freedom, parts.own_freedom) < LEVEL:
+    parts = unloaded_scatter(recording, cleaned[resting]) if unloaded > 1 else None
+    if parts is None:
+        parts = repeated_scatter(cleaned[~resting])
+    if parts is None:
+        return plain
+    used, specified = 1.0, readout is None or recording.sigma is not None or readout.noise_told
+    squares, few = parts.own**2 * parts.own_freedom, FEWEST_OPEN if readout and readout.noise_lsb is None else 2
+    if readout is not None and not specified:
+        used = shown_factor(readout, parts.own) if unloaded >= few else 1.0
+    # Noise that differs from the specified one beyond chance, and by more than changes any verdict.
+    elif parts.own >= LEAST_FACTOR and chi_square_tail(squares, parts.own_freedom) < LEVEL:
         used = parts.own
+    elif parts.own <= 1 / LEAST_FACTOR and 1 - chi_square_tail(squares, parts.own_freedom) < LEVEL:
+        used = parts.own if readout is None else shown_factor(readout, parts.own)
     error = parts.own / np.sqrt(2 * parts.own_freedom)
-    if used == parts.own != 1:
-        said = (
-            f"unloaded frames scatter {parts.own:.2g} +- {error:.1g} times as much as the scene says, "
-            "and error bars are wider by that"
-        )
+    said = _noise_in_words(readout, used, unloaded > 1) if specified and used != 1 else ""
     frame, sizes = None, (0.0, 0.0)
     if readout is not None:
         volt = float(np.mean(readout.sigma_volt()))
@@ -199,12 +203,31 @@ def joined_noise(recording: Recording, layout: Modules, every: Sequence[NoiseSee
     return whole.warned(*said[:MOST_NAMED], more)
 
 
-def _shown_factor(readout: Readout, factor: float) -> float:
-    """σ of the noise that so large a scatter shows, over the assumed one: what all codes have in common is in it."""
+def shown_factor(readout: Readout, factor: float) -> float:
+    """Return σ of the noise that a scatter of `factor` times the assumed σ shows, over the assumed σ.
+
+    The part of σ that all codes have in common does not scatter; without any scatter σ is the converter's step.
+    """
+    assumed = np.mean(readout.sigma_code())
+    return float(np.mean(sigma_code(readout, _shown_noise(readout, factor))) / assumed)
+
+
+def _shown_noise(readout: Readout, factor: float) -> float:
+    """The noise of one reading in LSB that a scatter of `factor` times the assumed σ shows."""
     assumed = np.mean(readout.sigma_code())
     lasting = np.mean(sigma_code(readout, readout.assumed_noise, ENDLESS))
-    shown = noise_of_variance(readout, factor**2 * float(assumed**2 - lasting**2))
-    return float(sigma_code(readout, shown) / assumed)
+    return noise_of_variance(readout, factor**2 * float(assumed**2 - lasting**2))
+
+
+def _noise_in_words(readout: Readout | None, factor: float, unloaded: bool) -> str:
+    """Measured noise that is used in place of the specified one."""
+    where = "unloaded frames" if unloaded else "readings at rest from frame to frame"
+    if readout is None:
+        return f"noise {factor:.2g} times the recording's sigma, measured in {where}"
+    specified = float(np.mean(readout.assumed_noise))
+    return (
+        f"noise {_shown_noise(readout, factor):.2g} LSB, measured in {where}; the scene specifies {specified:.3g} LSB"
+    )
 
 
 def passing(scene: Scene, readings: Readings, measured: NDArray[np.intp]) -> Array:

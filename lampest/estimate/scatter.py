@@ -18,6 +18,9 @@ LEVEL = 1e-3  # of each of three tests: one clean recording in 300 gets a part t
 LEAST_FACTOR = 1.25  # of the noise: a smaller excess changes no verdict, and films that creep have it too
 FARTHEST = 3.0  # widths of Tracy and Widom's law beyond the edge: noise alone goes there once in thousands
 ENOUGH = 1.5  # samples for each channel, below which the smallest eigenvalues of noise come near zero
+NORMAL_MEDIAN = 0.6745  # of the size of a standard normal variable
+MEDIAN_EFFICIENCY = 0.37  # of the median size as an estimate of σ, as a share of the readings (Hampel, 1974)
+QUIETEST = 0.25  # of the triples: loads that come and go make the others restless
 UNSURE = 2.0  # standard deviations by which the mean of the other eigenvalues may tell noise too small
 
 
@@ -62,6 +65,26 @@ def unloaded_scatter(recording: Recording, resting: Readings) -> Scatter | None:
     if circuit.by_columns:
         deviation, loud = deviation.swapaxes(1, 2), loud.T
     return scatter(deviation, loud, len(value) - 1)
+
+
+def repeated_scatter(measured: Readings) -> Scatter | None:
+    """Return the scatter of readings at rest from frame to frame; None with fewer than three frames.
+
+    Of every three frames in a row the second difference (y₀ − 2 y₁ + y₂)/(√6 σ) has unit variance, whatever moves
+    evenly. Its median size over the readings is that of those at rest, and of all triples the quietest quarter counts.
+    """
+    assert measured.sigma is not None
+    value = measured.plain_values
+    if len(value) < 3:
+        return None
+    size = np.abs(value[2:] - 2 * value[1:-1] + value[:-2]) / (np.sqrt(6) * measured.sigma[1:-1])
+    enough = np.isfinite(size).sum(axis=(1, 2)) > 1
+    if not enough.any():
+        return None
+    medians = np.nanmedian(size[enough].reshape(int(enough.sum()), -1), axis=1) / NORMAL_MEDIAN
+    quiet = float(np.quantile(medians, QUIETEST, method="lower"))
+    nothing, count = np.zeros((1, 0)), int(np.isfinite(size[enough]).sum() / enough.sum() * MEDIAN_EFFICIENCY)
+    return Scatter(quiet, max(count, 1), 0.0, nothing, nothing)
 
 
 def scatter(deviation: Array, loudness: Array, repeats: int) -> Scatter:

@@ -7,10 +7,13 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
+from lampest.cost.cost import Cost
 from lampest.cost.given import Background
 from lampest.cost.problem import Data
+from lampest.cost.terms import LogGradient, Misfit, RelativeChange
 from lampest.estimate.estimates import Estimates
 from lampest.estimate.estimator import Estimator
+from lampest.estimate.model_error import with_model_error
 from lampest.estimate.modules import begin_stream
 from lampest.estimate.noise import NoiseSeen
 from lampest.estimate.outliers import NEAREST
@@ -42,10 +45,33 @@ def reconstruct(
     prepared = Prepared.of(recording)
     prepared.recording.scene.panel.check_memory()
     recording, noise = prepared.recording, prepared.noise
+    noise = _with_model_error(recording, noise, estimator)
     stream, frames = first_stream(recording, noise.readings, estimator, noise), recording.measured_frames()
     readings, resting = noise.readings[frames], noise.readings[recording.role == UNLOADED]
     stream, steps = stream.sequence(resting, readings, on_frame)
-    return _estimates(stream, recording, frames, readings, steps, prepared)
+    return _estimates(stream, recording, frames, readings, steps, prepared, noise)
+
+
+def _with_model_error(recording: Recording, noise: NoiseSeen, estimator: Estimator) -> NoiseSeen:
+    """The noise of a single network with the model's error, where error bars are to have it and a penalty judges it."""
+    readings, scene = noise.readings, recording.scene
+    if scene.panel.modules is not None or not (estimator.penalised and estimator.barred(readings)):
+        return noise
+    resting = resting_readings(recording, readings)
+    frame = deciding_frame(recording, readings, resting)
+    if frame is None:
+        return noise
+    frames = [frame, *frames_beside(recording, readings, resting, frame)]
+
+    def judges() -> Iterator[tuple[list[Data], Cost]]:
+        unloaded = bool(np.any(recording.role == UNLOADED))
+        for penalty in (LogGradient(weight=1.0), RelativeChange(weight=1.0))[: 1 + unloaded]:
+            judge = Estimator((Misfit(weighting="noise"), penalty), "reduced", error_bars=False)
+            solves = [deciding_data(judge, scene, resting, readings[number]) for number in frames]
+            alike = [data for data in solves if data.partial == solves[0].partial]
+            yield alike, judge.cost(scene, 1, solves[0].partial)
+
+    return with_model_error(noise, scene, judges())
 
 
 def _estimates(
@@ -55,6 +81,7 @@ def _estimates(
     readings: Readings,
     steps: list[Step],
     prepared: Prepared,
+    noise: NoiseSeen,
 ) -> Estimates:
     return Estimates(
         recording,
@@ -68,6 +95,7 @@ def _estimates(
         tuple(steps),
         stream.estimator.joint_start,
         prepared,
+        noise,
         stream.scene.contacts,
     )
 
@@ -185,12 +213,13 @@ class Parts:
     solver kept for speed alone begins anew.
 
     lead : the unloaded frames, or the first ones where there are none. asked : these, and frames around the strongest.
-    stream : before the first frame.
+    noise : what they tell, with the model's error. stream : before the first frame.
     """
 
     stored: StoredRecording
     lead: Recording
     asked: Prepared
+    noise: NoiseSeen
     stream: Stream
 
     @classmethod
@@ -198,7 +227,8 @@ class Parts:
         """asked : of `asked_frames`. Raises InputError where the estimator needs all frames at once, or as `Stream`."""
         check_by_parts(estimator, stored)
         noise, period = asked[1].noise, frame_period(stored.part(stored.blocks()[0]))
-        return cls(stored, *asked, first_stream(asked[1].recording, noise.readings, estimator, noise, period))
+        noise = _with_model_error(asked[1].recording, noise, estimator)
+        return cls(stored, *asked, noise, first_stream(asked[1].recording, noise.readings, estimator, noise, period))
 
     @property
     def apart(self) -> bool:
@@ -231,8 +261,8 @@ class Parts:
     def _solved(
         self, number: int, stream: Stream, recording: Recording, readings: Readings, inside: NDArray[np.intp]
     ) -> tuple[Stream, SolvedPart]:
-        stream, steps = stream.sequence(self.asked.noise.readings[:0], readings, lambda: None)
-        found = _estimates(stream, recording, inside, readings, steps, self.asked)
+        stream, steps = stream.sequence(self.noise.readings[:0], readings, lambda: None)
+        found = _estimates(stream, recording, inside, readings, steps, self.asked, self.noise)
         return stream, (number, found, CarriedOver.of(stream))
 
     def _taken(self, frames: range) -> tuple[Recording, Readings, NDArray[np.intp]] | None:
@@ -242,7 +272,10 @@ class Parts:
             return None
         recording = of_parts((self.lead, part))
         inside = _own_frames(recording, frames)
-        return recording, Prepared(recording).readings_as(self.asked.noise)[inside], inside
+        readings = Prepared(recording).readings_as(self.asked.noise)[inside]
+        if readings.sigma is not None:
+            readings = replace(readings, sigma=self.noise.model_factor * readings.sigma)
+        return recording, readings, inside
 
     def _with_baseline(self, begun: Stream, readings: Readings) -> Stream:
         """A stream whose baseline is solved together with a frame once it has come to that frame."""

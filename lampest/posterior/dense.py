@@ -255,6 +255,19 @@ class DenseErrors:
             widened[own] = np.maximum(widened[own], squares[own].sum() / max(self.determined(int(number)), 1.0))
         return np.asarray(widened - model.known_share(None if self.before is None else self.before.variance()))
 
+    def reading_deviation(self) -> Array:
+        """√diag(F S Fᵀ) of the readings f(r̂), F = ∂f/∂u, (frames, rows, columns): what the cells' errors do to them.
+
+        S without what the baseline's error adds. Of readings that count, s² F A⁻¹ Fᵀ stands for it.
+        """
+        model = self.model
+        slopes = self._of_free(block_diagonal([network.sensitivity() for network in model.at.networks]))
+        variance = model.scale * np.sum((slopes @ self.inverse) * slopes, axis=1)
+        if model.at.data.partial:
+            missing = np.flatnonzero(np.ravel(model.at.data.given.seen) == 0)
+            variance[missing] = sum((slopes[missing] @ rows) ** 2 @ size for rows, size in self._parts)
+        return np.asarray(np.sqrt(variance).reshape(model.at.cell_resistance.shape))
+
     @property
     def shared_variance(self) -> Array:
         """The part of the variance by which chances of a frame move all its cells alike."""

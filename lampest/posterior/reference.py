@@ -25,6 +25,7 @@ from scipy.linalg import blas, lapack
 from lampest.cost.cost import Cost
 from lampest.cost.problem import Data
 from lampest.panel.panel import Array
+from lampest.posterior.interval import LEVEL
 
 FREEDOM = 3.0  # ν: the fewest degrees of freedom with a variance
 RATIO = 2.0  # of one s of the grid to the next: a factor of √2 in σ changes no weight by more than its uncertainty
@@ -62,11 +63,14 @@ class ErrorScale:
     ----------
     best : float
         The median of the posterior, on the grid.
+    tail : float
+        The expected size of errors that 95 % of the readings do not exceed.
     scales, bounds : tuples of float
         The grid, ascending, and −2 log p(y | s) on it, up to a constant.
     """
 
     best: float
+    tail: float
     scales: tuple[float, ...]
     bounds: tuple[float, ...]
 
@@ -106,12 +110,14 @@ def references(solves: Sequence[Data], cost: Cost, least: float = 1.0) -> tuple[
     bounds = np.array([_bound(tried[scale]) for scale in scales])
     share = np.cumsum(np.exp((bounds.min() - bounds) / 2))
     best = scales[int(np.searchsorted(share, share[-1] / 2))]
+    errors = np.concatenate([fit.errors(best) for fit in tried[best]])
+    tail = float(np.quantile(errors, LEVEL)) if len(errors) else 0.0
     fits, found = iter(tried[best]), []
     for data in solves:
         own = [next(fits) for _ in data.measured]
         cells, deviation = (np.stack(part) for part in zip(*(fit.result(best) for fit in own), strict=True))
         found.append(Reference(cells, deviation))
-    return ErrorScale(best, tuple(scales), tuple(bounds.tolist())), found
+    return ErrorScale(best, tail, tuple(scales), tuple(bounds.tolist())), found
 
 
 def _bound(fits: Sequence["Fit"]) -> float:
@@ -313,6 +319,11 @@ class Fit:
         residual, counted, _ = self.residual(self.reading)
         cost = _tails(residual[counted] ** 2, square) + _tails(self.step**2, self.variance)
         return cost if np.isfinite(cost) else np.inf
+
+    def errors(self, scale: float) -> Array:
+        """√E e² s² of the readings that are values, from their weights."""
+        weights = self.reading_weights[self.residual(self.reading)[2]]
+        return np.asarray(scale * np.sqrt(np.maximum((FREEDOM + 1) / np.maximum(weights, 1e-12) - FREEDOM, 0.0)))
 
     def result(self, scale: float) -> tuple[Array, Array]:
         """Cells in ohm and the deviation of every reading, each (rows, columns)."""

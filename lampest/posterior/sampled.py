@@ -142,6 +142,14 @@ class SampledErrors(DenseErrors):
         """The diagonal of the averaging kernel, held within 0 and 1 against the scatter of the samples."""
         return np.clip(1 - self._samples[1], 0, 1)
 
+    def reading_deviation(self) -> Array:
+        """The standard deviation of the readings of all samples, (frames, rows, columns)."""
+        whole, squares = np.zeros(self.model.at.cell_resistance.size), np.zeros(self.model.at.cell_resistance.shape)
+        for sample in self._samples[0]:
+            whole[self.model.free] = sample
+            squares += np.reshape(self._curvature.forward(whole), squares.shape) ** 2
+        return np.sqrt(squares / SAMPLES)
+
     def memory(self) -> Memory:
         size = self.model.at.cell_resistance[0].size
         samples = np.zeros((SAMPLES, self.model.at.cell_resistance.size))

@@ -50,15 +50,19 @@ class Change(LogInterval):
 
 @dataclass(frozen=True, eq=False)
 class Bars:
-    """One frame's error bars, all (rows, columns). change : None where the baseline's are not known."""
+    """One frame's error bars, all (rows, columns). change : None where the baseline's are not known.
+
+    reading : standard deviation of the readings of the estimated cells, without their noise; None: not computed.
+    """
 
     frame: Certainty
     change: Change | None
+    reading: Array | None = None
 
     def reaching_farther(self, below: Array, above: Array) -> "Bars":
         """As `Certainty.reaching_farther`."""
         change = self.change and self.change.reaching_farther(below, above)
-        return Bars(self.frame.reaching_farther(below, above), change)
+        return replace(self, frame=self.frame.reaching_farther(below, above), change=change)
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,7 +98,8 @@ class Track:
         relative = any(term.needs_previous for term in model.at.cost.terms)
         memory = errors.memory() if relative else None
         before = replace(self, baseline=certainty.of_frame(0), answers=(answer[:size],) * 2) if joint else self
-        return before.after(certainty.of_frame(-1), errors.certainty.deviation[-1], answer[-size:], memory)
+        track, bars = before.after(certainty.of_frame(-1), errors.certainty.deviation[-1], answer[-size:], memory)
+        return track, replace(bars, reading=errors.reading_deviation()[-1])
 
     def after(
         self, frame: Certainty, deviation: Array, answer: Array, memory: Memory | None = None

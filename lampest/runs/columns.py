@@ -30,7 +30,7 @@ if TYPE_CHECKING:  # readers of results need not load the solvers
 MAPS = ("time", "row", "column")
 FRAMES, CELLS = MAPS[:1], MAPS[1:]
 # What the groups of a results file hold besides columns.
-RESERVED = (*CELLS, "x", "y", "scene", "start_time", "cost", "weight", "disc", "model_check")
+RESERVED = (*CELLS, "x", "y", "scene", "start_time", "cost", "weight", "weight_sigma", "disc", "model_check")
 
 # (values, whether an estimate is expected of each) → what is wrong: the end of a sentence that begins with their path.
 Check = Callable[[Any, NDArray[np.bool_]], str | None]
@@ -272,6 +272,13 @@ def _of_terms(done: Estimates, values: Sequence[Array] | Sequence[tuple[float, .
     return found
 
 
+def _chosen(done: Estimates) -> dict[str, Array]:
+    """Term → standard deviation of ln λ in every frame, of the terms whose weights the data chose."""
+    size = len(done.estimator.terms)
+    found = _of_terms(done, [np.array(step.weight_sigma or [np.nan] * size) for step in done.steps])
+    return {name: values for name, values in found.items() if np.isfinite(values).any()}
+
+
 def _disc(done: Estimates) -> dict[str, Array]:
     """Every number of the discs and its standard deviation; NaN where a frame failed. None without any disc."""
     discs = [step.disc for step in done.steps]
@@ -328,6 +335,12 @@ FIGURES = (
         "weight",
         lambda done: _of_terms(done, [step.weights for step in done.steps]),
         lambda name: f"weight of the term {name}",
+    ),
+    Figures(
+        "weight_sigma",
+        "weight_sigma",
+        _chosen,
+        lambda name: f"standard deviation of ln of the chosen weight of the term {name}",
     ),
     Figures("disc", "disc", _disc, lambda name: f"oral disc: {name.replace('_', ' ')}", _unit_of_disc),
     Figures("misfit", "model_check", lambda done: done.misfit, lambda name: MISFIT.get(name, name)),

@@ -97,6 +97,9 @@ class Held(Validated):
         dataset="two_point_model",
         as_volt="reading_model",
     )
+    reading_sigma: Array | None = col.maps(
+        "ohm", "standard deviation of a reading about the model's, noise and model error included", **col.MAYBE
+    )
     open_cell: NDArray[np.uint8] = col.flag(
         "1: cannot be told from an open cell", "conducts", "cannot_be_told_from_open"
     )

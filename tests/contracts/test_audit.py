@@ -54,7 +54,7 @@ def test_table_csv_and_samples_say_the_same(tmp_path: Path) -> None:
     assert (noisy["reported"], noisy["verdict"]) == ("3", "reported")
     assert float(noisy["chi_square"]) > 5 > 2 > float(nothing["chi_square"])
     assert float(noisy["cells"]) > 80
-    assert "times as much as the scene says" in done.stdout
+    assert "measured in unloaded frames; the scene specifies" in done.stdout
     with h5py.File(tmp_path / "out" / "audit.h5") as file:
         group = file["entry/recordings"]
         held, cells = group["cells_covered"][3:].sum(), group["cells"][3:].sum()

@@ -190,7 +190,7 @@ def test_told_noise_that_frames_contradict_is_widened_and_said() -> None:
     expected = np.sqrt((2.5**2 + 1 / 12) / (0.7**2 + 1 / 12))
     assert seen.factor == pytest.approx(expected, rel=0.15)
     assert abs(seen.factor - expected) < 4 * seen.factor_error
-    assert "times as much as the scene says" in seen.sentence
+    assert "LSB, measured in unloaded frames; the scene specifies" in seen.sentence
     assert held(reconstruct(wrong, LSM), cells)[0] > 0.88
 
 
@@ -401,7 +401,7 @@ def test_what_frames_told_is_one_line_in_info_and_results(tmp_path: Path) -> Non
     lines = describe(tmp_path / "results.h5")
     (learned,) = (line for line in lines if "times as specified" in line)
     assert learned.startswith("noise") and "left possible, as standard deviations: series" in learned
-    assert any("times as much as the scene says" in line for line in lines)
+    assert any("measured in unloaded frames; the scene specifies" in line for line in lines)
 
 
 def test_samples_and_matrices_agree_on_what_a_frame_shares() -> None:
