@@ -18,7 +18,6 @@ from lampest.posterior.interval import TWO_SIDED
 from lampest.posterior.reference import ErrorScale, references
 from lampest.solvers.multistart import BROKEN
 
-MIN_GAIN = 9.0  # of −2 log evidence, for an error of all readings: 1 false alarm in 90 recordings without one
 MIN_FACTOR = 1.25  # as for the noise: a smaller one changes no verdict
 STUDENT_TWO_SIDED = 3.182  # standard scales that hold 95 % of Student's t with three degrees of freedom
 
@@ -29,7 +28,7 @@ def error_factor(scale: ErrorScale) -> float:
     An error of all readings shows in the scale of Student's t, one of few readings in the tail.
     """
     tail = scale.tail / TWO_SIDED
-    whole = STUDENT_TWO_SIDED / TWO_SIDED * np.sqrt(max(scale.best**2 - 1, 0.0)) if scale.gain(1.0) >= MIN_GAIN else 0.0
+    whole = STUDENT_TWO_SIDED / TWO_SIDED * np.sqrt(scale.best**2 - 1) if scale.best > 1 else 0.0
     factor = max(tail, float(np.hypot(1.0, whole)))
     return factor if factor >= MIN_FACTOR else 1.0
 

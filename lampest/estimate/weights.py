@@ -125,6 +125,11 @@ class WeightSearch:
         cost, pairs = self.weighted(weights), zip(self.solves, self.references, strict=True)
         return [LinearModel(evaluated(cost, data, one.cells), NO_DUAL, deviation=one.deviation) for data, one in pairs]
 
+    def spectra(self, number: int, weights: Sequence[float]) -> list[Spectrum]:
+        """The cost at the reference estimates, for all weights of one penalty."""
+        pairs = zip(self.models(weights), self.references, strict=True)
+        return [Spectrum.of(model, number, reference.covariance) for model, reference in pairs]
+
     def by_risk(self, first: Array) -> Weights:
         """The weights with the least risk, one penalty after the other until all settle.
 
@@ -137,7 +142,7 @@ class WeightSearch:
             for _ in range(MAX_SWEEPS if several else 1):
                 previous = list(weights)
                 for number in self.open_terms:
-                    spectra = [Spectrum.of(model, number) for model in self.models(weights)]
+                    spectra = self.spectra(number, weights)
                     weights[number] = best_weight(spectra, "risk")
                     information = sum(spectrum.information(weights[number]) for spectrum in spectra)
                     sigma[number] = information**-0.5 if information > 0 else np.nan

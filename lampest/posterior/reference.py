@@ -20,7 +20,7 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import blas, lapack
+from scipy.linalg import blas, block_diag, lapack
 
 from lampest.cost.cost import Cost
 from lampest.cost.problem import Data
@@ -30,10 +30,12 @@ from lampest.posterior.interval import LEVEL
 FREEDOM = 3.0  # ν: the fewest degrees of freedom with a variance
 RATIO = 2.0  # of one s of the grid to the next: a factor of √2 in σ changes no weight by more than its uncertainty
 MAX_SCALES = 14  # in one direction
+MIN_GAIN = 6.0  # of −2 log p, for another s than that of the noise: e³ to one
 IMPROBABLE = 6.0  # of −2 log p above its least value, where the search ends: a twentieth of the probability
 EXACT = 1e-4  # first s where the noise is unknown, as a fraction of the reading: no sensor is read to more digits
 MAX_STEPS, MAX_ROUNDS = 8, 4  # Gauss–Newton steps of one s; updates of the weights of one linearisation
 SETTLED_BOUND, SETTLED_STEP, SETTLED_VARIANCE = 0.5, 0.02, 0.03  # of −2 log p; of log r; of log τ²
+PRIOR_VARIANCE = 0.03  # τ² that counts like one step: without it a panel that noise hides has no steps at all
 LONGEST = 1.4  # of log r in one step
 RIDGE = 1e-9  # of the mean curvature
 
@@ -49,10 +51,13 @@ class Reference:
     deviation : array, same shape
         Standard deviation of each reading, noise and model error together, in the unit of the readings; larger where
         a reading is an outlier.
+    covariance : array, shape (frames · cells, frames · cells)
+        S of log r; zero for cells that are not there.
     """
 
     cells: Array
     deviation: Array
+    covariance: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,13 +115,16 @@ def references(solves: Sequence[Data], cost: Cost, least: float = 1.0) -> tuple[
     bounds = np.array([_bound(tried[scale]) for scale in scales])
     share = np.cumsum(np.exp((bounds.min() - bounds) / 2))
     best = scales[int(np.searchsorted(share, share[-1] / 2))]
+    if known and bounds[scales.index(1.0)] - bounds.min() < MIN_GAIN:
+        best = 1.0  # what is known of the noise is believed until readings contradict it
     errors = np.concatenate([fit.errors(best) for fit in tried[best]])
     tail = float(np.quantile(errors, LEVEL)) if len(errors) else 0.0
     fits, found = iter(tried[best]), []
     for data in solves:
         own = [next(fits) for _ in data.measured]
-        cells, deviation = (np.stack(part) for part in zip(*(fit.result(best) for fit in own), strict=True))
-        found.append(Reference(cells, deviation))
+        cells = np.stack([np.exp(fit.position).reshape(fit.shape) for fit in own])
+        deviation = np.stack([fit.deviation(best).reshape(fit.shape) for fit in own])
+        found.append(Reference(cells, deviation, block_diag(*(fit.covariance for fit in own))))
     return ErrorScale(best, tail, tuple(scales), tuple(bounds.tolist())), found
 
 
@@ -165,6 +173,8 @@ class Fit:
         Expected precision of e and of z, in units of 1/s² and 1/τ².
     variance : float
         τ².
+    covariance : array, shape (cells, cells) of the panel
+        S of log r.
     change : array, flat over the panel
         The Gauss–Newton step to the minimum.
     bound : float
@@ -185,6 +195,7 @@ class Fit:
     reading_weights: Array
     step_weights: Array
     variance: float = 0.1
+    covariance: Array = field(default_factory=lambda: np.zeros((0, 0)))
     change: Array = field(default_factory=lambda: np.zeros(0))
     bound: float = np.inf
     residual_variance: float = np.inf
@@ -272,15 +283,17 @@ class Fit:
             of_stepped = stepped**2 + np.sum((steps @ covariance) * steps, axis=1)
             used = float(np.sum((weights[0] * (of_missed - missed**2))[value]))
             free = max(int(value.sum()) - used, 1e-3 * len(rows))
-            determined = max(rank - float(np.sum(weights[1] * (of_stepped - stepped**2))), 0.01 * rank)
+            determined = rank - float(np.sum(weights[1] * (of_stepped - stepped**2)))
             residual_variance = float(np.sum((of_readings * missed**2)[value])) / free
-            variance = float(np.sum(of_steps * stepped**2)) / determined or np.finfo(float).tiny
+            variance = (float(np.sum(of_steps * stepped**2)) + PRIOR_VARIANCE) / (max(determined, 0.0) + 1)
             of_readings = (FREEDOM + 1) / (FREEDOM + of_missed / square)
             of_steps = (FREEDOM + 1) / (FREEDOM + of_stepped / variance)
             if number and abs(np.log(variance / before)) < SETTLED_VARIANCE:
                 break
         every, whole = np.zeros(len(self.position)), np.zeros(len(self.position))
         every[rows], whole[cells] = of_readings, change
+        of_cells = np.zeros((len(whole), len(whole)))
+        of_cells[np.ix_(cells, cells)] = covariance
         bound = int(value.sum()) * np.log(square) + rank * np.log(variance) - log_volume
         bound += _tails(of_missed[value], square) + _tails(of_stepped, variance)
         return replace(
@@ -288,6 +301,7 @@ class Fit:
             reading_weights=every,
             step_weights=of_steps,
             variance=variance,
+            covariance=of_cells,
             change=whole,
             bound=float(bound),
             residual_variance=residual_variance,
@@ -325,11 +339,10 @@ class Fit:
         weights = self.reading_weights[self.residual(self.reading)[2]]
         return np.asarray(scale * np.sqrt(np.maximum((FREEDOM + 1) / np.maximum(weights, 1e-12) - FREEDOM, 0.0)))
 
-    def result(self, scale: float) -> tuple[Array, Array]:
-        """Cells in ohm and the deviation of every reading, each (rows, columns)."""
+    def deviation(self, scale: float) -> Array:
+        """Standard deviation of every reading, flat, in its unit."""
         weights = np.where(self.reading_weights > 0, self.reading_weights, 1.0)
-        deviation = scale * self.sigma / np.sqrt(weights)
-        return tuple(part.reshape(self.shape) for part in (np.exp(self.position), deviation))  # type: ignore[return-value]
+        return np.asarray(scale * self.sigma / np.sqrt(weights))
 
 
 def _tails(squares: Array, variance: float) -> float:

@@ -47,8 +47,8 @@ class Spectrum:
         Of the penalty.
     volume : float
         log det(A/s²).
-    gram, spread : arrays
-        Tᵀ T, and cov(q) at λ = 0 times it, element by element.
+    gram, spread, doubt : arrays
+        Tᵀ T; and times it, element by element, cov(q) at λ = 0 and the covariance of T⁻¹ u.
     """
 
     stiffness: Array
@@ -63,9 +63,10 @@ class Spectrum:
     volume: float
     gram: Array
     spread: Array
+    doubt: Array
 
     @classmethod
-    def of(cls, model: LinearModel, number: int | None = None) -> "Spectrum":
+    def of(cls, model: LinearModel, number: int | None = None, covariance: Array | None = None) -> "Spectrum":
         """Return the spectrum of one penalty of a model.
 
         A loss that is not squared is replaced by reweighted least squares: a residual x̂ weighs ½ρ'(x)/x at x = x̂. Under
@@ -76,6 +77,8 @@ class Spectrum:
         model : LinearModel
         number : int, optional
             Of the penalty's term; not needed where there is one penalty.
+        covariance : array, shape (frames · cells, frames · cells), optional
+            Of log r at the point of linearisation; none where that is exact.
 
         Raises LinAlgError where data and other penalties leave the cost flat.
         """
@@ -98,6 +101,9 @@ class Spectrum:
         basis = solve_triangular(factor, vectors, lower=True, trans="T")
         directions, residual = jacobian @ basis, size * model.residual
         gram, noise = basis.T @ basis, directions * (size * model.noise)[:, None]
+        known, back = np.zeros_like(gram), vectors.T @ np.tril(factor).T
+        if covariance is not None:
+            known = back @ covariance[np.ix_(model.free, model.free)] @ back.T
         return cls(
             np.maximum(stiffness, 0),
             directions.T @ residual,
@@ -111,6 +117,7 @@ class Spectrum:
             float(np.sum(np.log(np.diag(factor) ** 2 / model.scale))),
             gram,
             (noise.T @ noise) * gram,
+            known * gram,
         )
 
     def change(self, weight: float) -> Array:
@@ -135,13 +142,15 @@ class Spectrum:
         return fit + volume - self.rank * float(np.log(weight / self.scale))
 
     def risk(self, weight: float) -> float:
-        """E Σ (log r̂ − log r)² if the point of linearisation is the truth: ‖T f (b_o + λ d)‖² + tr cov(T q).
+        """E Σ (log r̂ − log r)² if the truth lies about the point of linearisation.
 
-        The first part is what the penalties pull the estimate away, the second the noise that they leave.
+        ‖T f (b_o + λ d)‖² + tr cov(T f q₀) + tr cov(T (1 − f) T⁻¹ u): what penalties pull the estimate away, the noise
+        that they leave, and what they pull away of the truth beyond what is known of it.
         """
         remaining = 1 / (1 + weight * self.stiffness)
         pulled = np.where(self.determined, (self.pull + weight * self.penalty_slope) * remaining, 0.0)
-        return float(pulled @ self.gram @ pulled + remaining @ self.spread @ remaining)
+        lost = np.where(self.determined, 1 - remaining, 0.0)
+        return float(pulled @ self.gram @ pulled + remaining @ self.spread @ remaining + lost @ self.doubt @ lost)
 
     def information(self, weight: float) -> float:
         """½ Σ f²: Fisher's information on log λ in the data, without the directions that the penalty leaves free."""

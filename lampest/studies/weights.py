@@ -93,7 +93,7 @@ class WeightSubject:
     def spectra(self) -> list[Spectrum]:
         """The cost at the reference estimates, for all weights; none where there is no reference."""
         with suppress(*BROKEN):
-            return [Spectrum.of(model, self.penalty) for model in self.search.models(self.search.begun)]
+            return self.search.spectra(self.penalty, self.search.begun)
         return []
 
     def with_weight(self, weight: float) -> Cost:
