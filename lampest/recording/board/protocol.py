@@ -117,6 +117,28 @@ class Hello:
     drive_milliohm: int = 0
 
     @property
+    def fault(self) -> str:
+        """A sentence about the first field that has no possible value, or ''."""
+        lines, readings, longest = MOST_ROWS, MOST_READINGS, 2**32 - 1
+        limits = {
+            "rows": (1, lines),
+            "columns": (1, lines),
+            "readings": (1, readings),
+            "most_rows": (1, lines),
+            "most_columns": (1, lines),
+            "most_readings": (1, readings),
+            "period_us": (1, longest),
+            "shortest_period_us": (1, longest),
+            "supply_millivolt": (1, 2**16 - 1),
+            "reference_milliohm": (1, longest),
+            "adc_bits": (1, MOST_CODE.bit_length()),
+        }
+        for name, (least, most) in limits.items():
+            if not least <= getattr(self, name) <= most:
+                return f"the board says that {name} is {getattr(self, name)}; {least} to {most} is possible"
+        return ""
+
+    @property
     def size(self) -> tuple[int, int, int]:
         return self.rows, self.columns, self.readings
 
