@@ -122,3 +122,13 @@ def test_error_pages_reflect_nothing_of_the_request(request_line: bytes, host: s
         answer = b"".join(iter(lambda: client.recv(4096), b""))
     assert b"script" not in answer.replace(b"script-src", b"") and b"alert" not in answer
     assert re.match(rb"(HTTP/1\.[01] )?[45]\d\d [A-Z][A-Za-z -]+\r?\n", answer), answer
+
+
+def test_a_request_with_two_names_of_the_host_is_refused() -> None:
+    with (
+        serving("127.0.0.1", 0, Newest(View("here", "LSM", "receiving"))) as server,
+        socket.create_connection(("127.0.0.1", server.server_address[1]), timeout=10) as client,
+    ):
+        client.sendall(b"GET / HTTP/1.1\r\nHost: localhost\r\nHost: evil.example\r\n\r\n")
+        answer = client.recv(4096)
+    assert answer.startswith(b"HTTP/1.0 400 "), answer

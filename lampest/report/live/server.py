@@ -143,6 +143,9 @@ class PageHandler(BaseHTTPRequestHandler):
         if self.command not in ("GET", "POST"):
             self._start("text/plain", 0, HTTPStatus.METHOD_NOT_ALLOWED, Allow="GET, POST")
             return False
+        if len(self.headers.get_all("Host", [])) > 1:
+            self.send_error(HTTPStatus.BAD_REQUEST)
+            return False
         access, header = self.server.access, self.headers.get
         self.introduced = access.shown_by(self.path, header("Authorization", ""))
         known = not access.token or self.introduced or access.remembered_by(header("Cookie", ""))
