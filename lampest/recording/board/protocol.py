@@ -119,24 +119,12 @@ class Hello:
     @property
     def fault(self) -> str:
         """A sentence about the first field that has no possible value, or ''."""
-        lines, readings, longest = MOST_ROWS, MOST_READINGS, 2**32 - 1
-        limits = {
-            "rows": (1, lines),
-            "columns": (1, lines),
-            "readings": (1, readings),
-            "most_rows": (1, lines),
-            "most_columns": (1, lines),
-            "most_readings": (1, readings),
-            "period_us": (1, longest),
-            "shortest_period_us": (1, longest),
-            "supply_millivolt": (1, 2**16 - 1),
-            "reference_milliohm": (1, longest),
-            "adc_bits": (1, MOST_CODE.bit_length()),
-        }
-        for name, (least, most) in limits.items():
-            if not least <= getattr(self, name) <= most:
-                return f"the board says that {name} is {getattr(self, name)}; {least} to {most} is possible"
-        return ""
+        limits = dict.fromkeys(("rows", "columns", "most_rows", "most_columns"), MOST_ROWS)
+        limits |= dict.fromkeys(("readings", "most_readings"), MOST_READINGS)
+        limits |= dict.fromkeys(("period_us", "shortest_period_us", "reference_milliohm"), 2**32 - 1)
+        limits |= {"supply_millivolt": 2**16 - 1, "adc_bits": MOST_CODE.bit_length()}
+        wrong = (name for name, most in limits.items() if not 1 <= getattr(self, name) <= most)
+        return next((f"the board says that {n} is {getattr(self, n)}; 1 to {limits[n]} is possible" for n in wrong), "")
 
     @property
     def size(self) -> tuple[int, int, int]:
