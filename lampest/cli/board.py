@@ -227,6 +227,8 @@ def report_recorded(done: "Recorded") -> None:
     if done.clock_jumps:
         jumps = "1 jump" if done.clock_jumps == 1 else f"{done.clock_jumps} jumps"
         warn(f"{jumps} of the board's clock; events mark where, and time goes on by the period")
+    if done.clock_stopped:
+        warn("the board's clock stood still; an event marks since when, and time goes on by this computer's clock")
     if done.parted:
         warn(
             f"{done.parted} of the {done.frames} frames lack a module; events mark which was gone, and when it was back"

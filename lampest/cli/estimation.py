@@ -1,7 +1,8 @@
 """Commands that make files to begin with and recordings, and estimate cells."""
 
+from contextlib import suppress
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -19,6 +20,13 @@ from lampest.cli.screen import (
     warn,
     written,
 )
+from lampest.files.errors import InputError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from lampest.panel.panel import Panel
+    from lampest.runs.config import Case
 
 
 def init(
@@ -57,6 +65,9 @@ def run(
         int | None, option("Processes, such as 2. Default: the file's executor, or all cores.", min=1)
     ] = None,
     fresh: Annotated[bool, option("Solve finished cases again.", "--fresh")] = False,
+    yes: Annotated[
+        bool, option("Also solve panels whose first frame takes minutes or more memory than there is.", "--yes")
+    ] = False,
 ) -> None:
     """Reconstruct recordings with every estimator of a run file; finished cases are skipped."""
     from lampest.report.words import counted
@@ -65,6 +76,8 @@ def run(
     from lampest.runs.executors import local
 
     cases = read_run(config, tuple(assign or ()))
+    if not yes:
+        refuse_large(cases.cases)
     limited = any(case.estimator.solver.time_limit_s is not None for case in cases.cases)
     for name, text in cases.assumed:
         warn(f"{name}: {text} assumed; the scene does not say")
@@ -84,6 +97,26 @@ def run(
         warn(left)
     if report.failed or report.not_run:
         raise typer.Exit(SOME_FAILED)
+
+
+def refuse_large(cases: "Sequence[Case]") -> None:
+    """Raise InputError where a case's first frame takes more than two minutes, or more memory than there is."""
+    from lampest.files.hdf5 import existing_file
+    from lampest.files.process import in_bytes, memory_limit
+    from lampest.recording.recording import head_of
+
+    panels: dict[Path, Panel | None] = {}
+    for path in {case.path for case in cases}:
+        with suppress(InputError), existing_file(path) as file:  # one that cannot be read fails when its turn comes
+            panels[path] = head_of(file, path)[0].panel
+    for case in cases:
+        panel = panels.get(case.path)
+        seconds, size = case.estimator.effort(panel) if panel else (0.0, 0.0)
+        if seconds > 120 or size > memory_limit():
+            raise InputError(
+                f"{case.path}: {case.name} takes about {seconds / 60:.0f} min and {in_bytes(size)} of memory for the "
+                "first frame; --yes solves it, and a formulation such as region or linearised takes less"
+            )
 
 
 def simulate(

@@ -142,11 +142,13 @@ def detect(
 
 def _tell(answers: "Sequence[Detected]", loads: "Sequence[PressedCells]", folder: Path, everything: bool) -> None:
     """Write the files of what was detected, and print sentences and tables."""
+    from lampest.files.whole import refuse_inputs
     from lampest.report.detect.answer import FILE, event_table, load_table, write_detections
     from lampest.report.detect.pressed import FILE as PRESSED
     from lampest.report.detect.pressed import pressed_table, write_pressed
-    from lampest.report.plots.timeline import plot_timelines
+    from lampest.report.plots.timeline import plot_timelines, timeline_files
 
+    refuse_inputs([folder / FILE, *timeline_files(answers, folder), *([folder / PRESSED] if loads else [])])
     with progress("pictures") as on_picture:
         files = [write_detections(folder / FILE, answers), *plot_timelines(answers, folder, on_picture)]
     files += [write_pressed(folder / PRESSED, loads)] if loads else []

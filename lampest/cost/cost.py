@@ -17,7 +17,7 @@ from lampest.cost.given import Given
 from lampest.cost.losses import Loss, Lowered
 from lampest.cost.terms import State, Term
 from lampest.files.errors import InputError
-from lampest.panel.compiled import Compiled
+from lampest.panel.compiled import Compiled, guarded
 from lampest.panel.panel import Array, Panel
 
 
@@ -51,9 +51,8 @@ class Cost:
         """The same cost with weights of one."""
         return replace(self, terms=tuple(replace(term, weight=1.0) for term in self.terms))
 
-    @cached_property
     def symbols(self) -> "Symbols":
-        """What the cost is a function of, beside weights and duals."""
+        """New symbols of all that the cost is a function of, beside weights and duals."""
         return Symbols.of(self.panel.crossings, self.frames, self.partial)
 
     def residuals(self, symbols: "Symbols") -> list[tuple[int, casadi.SX]]:
@@ -78,11 +77,12 @@ class Cost:
     @cached_property
     def _sound_rows(self) -> list[list[int]]:
         """Of each residual, the rows that read no faulty cell."""
+        symbols = self.symbols()
+        cells = casadi.vec(symbols.cell_resistance)
         every = [frame * self.panel.crossings + cell for frame in range(self.frames) for cell in self.faulty]
         rows = []
-        for _, residual in self._all_residuals(self.symbols):
-            reads = casadi.jacobian(residual, casadi.vec(self.symbols.cell_resistance))[:, every].sparsity()
-            touched = set(reads.row())
+        for _, residual in self._all_residuals(symbols):
+            touched = set(casadi.jacobian(residual, cells)[:, every].sparsity().row())
             rows.append([row for row in range(residual.shape[0]) if row not in touched])
         return rows
 
@@ -147,12 +147,12 @@ class CostFunctions:
     @cached_property
     def entries(self) -> "Entries":
         """Where the second derivatives of the smooth losses stand."""
-        return Entries.of(*self.hessian.pattern, self.hessian.function.size1_out(0) // 2)
+        return Entries.of(*self.hessian.pattern, self.hessian.shape[0] // 2)
 
     @classmethod
     def build(cls, cost: Cost) -> "CostFunctions":
         """Differentiate the terms symbolically; sparse."""
-        symbols, weights = cost.symbols, casadi.SX.sym("weights", len(cost.terms))
+        symbols, weights = cost.symbols(), casadi.SX.sym("weights", len(cost.terms))
         parts = summands(cost.terms, cost.residuals(symbols), weights)
         costs = [casadi.SX(0) for _ in cost.terms]
         for part in parts:
@@ -269,6 +269,7 @@ def lowered(group: Sequence[Summand], unit: casadi.SX) -> Lowered:
     return first.loss.lowered(residual, weight, unit)
 
 
+@guarded
 @lru_cache(maxsize=128)
 def _functions(cost: Cost) -> CostFunctions:
     return CostFunctions.build(cost)

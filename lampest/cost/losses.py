@@ -15,6 +15,7 @@ import casadi
 import numpy as np
 
 from lampest.files.typed import ByKind, Validated
+from lampest.panel.compiled import guarded
 from lampest.panel.panel import Array
 
 
@@ -85,7 +86,7 @@ class Loss(Validated):
 
     def curvature(self, residual: Array) -> Array:
         """ω = ½ρ''(x) (rows), 0 where it is negative: near x the cost has the second derivative of Σ ω x²."""
-        return np.maximum(_halves(self, residual)[1], 0.0)
+        return np.asarray(np.maximum(_halves(self, residual)[1], 0.0))
 
     def stiffness(self, residual: Array) -> Array:
         """½ρ'(x)/x (rows): the weights of reweighted least squares, ½ρ'' at 0."""
@@ -104,7 +105,7 @@ class Loss(Validated):
     def steady_pull(self, residual: Array) -> Array:
         """√((½ρ'(x))² − (ω x)²) (rows): the part of the slope that the curvature ω does not account for."""
         slope, second = _halves(self, residual)
-        return np.sqrt(np.maximum(slope**2 - (np.maximum(second, 0.0) * residual) ** 2, 0.0))
+        return np.asarray(np.sqrt(np.maximum(slope**2 - (np.maximum(second, 0.0) * residual) ** 2, 0.0)))
 
     def size(self, evidence: PenaltyEvidence) -> float:
         """η of the evidence's fixed point λ = s² γ/η: Σ ½ x ρ'(x); a prior exp(−λρ(x)/2s²) has E[x ρ'(x)] = 2s²/λ."""
@@ -115,7 +116,8 @@ class Loss(Validated):
         return evidence.determined
 
 
-def _halves(loss: Loss, residual: Array) -> tuple[Array, Array]:
+@guarded
+def _halves(loss: "Loss", residual: Array) -> tuple[Array, Array]:
     """(½ρ', ½ρ'') of every residual (rows)."""
     slope, second = _derivatives(loss)(residual[None])
     return np.asarray(slope).ravel(), np.asarray(second).ravel()

@@ -12,7 +12,7 @@ from scipy import sparse
 
 from lampest.cost.cost import Cost, Symbols
 from lampest.cost.given import Given
-from lampest.panel.compiled import Compiled
+from lampest.panel.compiled import Compiled, guarded
 from lampest.panel.network import Network
 from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout, TwoPointReadout
@@ -271,10 +271,10 @@ class Part:
     @cached_property
     def _structures(self) -> dict[str, sparse.csc_array]:
         names = ("by_cells", "by_model", "by_previous", "by_baseline")
-        patterns = {name: getattr(self, name).function.sparsity_out(0) for name in names}
+        functions: dict[str, Compiled] = {name: getattr(self, name) for name in names}
         return {
-            name: sparse.csc_array((np.ones(pattern.nnz()), pattern.row(), pattern.colind()), shape=pattern.shape)
-            for name, pattern in patterns.items()
+            name: sparse.csc_array((np.ones(len(part.by_columns[0])), *part.by_columns), shape=part.shape)
+            for name, part in functions.items()
         }
 
 
@@ -291,9 +291,10 @@ def residuals(cost: Cost) -> Residuals:
     return _residuals(cost.unweighted)
 
 
+@guarded
 @lru_cache(maxsize=64)
 def _residuals(cost: Cost) -> Residuals:
-    symbols = cost.symbols
+    symbols = cost.symbols()
     pairs = cost.residuals(symbols)
     stacked = casadi.vertcat(*(part for _, part in pairs))
     term = np.concatenate([np.full(part.shape[0], number, dtype=np.intp) for number, part in pairs])

@@ -23,7 +23,7 @@ def warnings_of(recording: Recording, noise: NoiseSeen, check: ModelCheck) -> tu
     """Return the warnings of a recording, the plainest first. Raises InputError as `Readings.of`."""
     readings = recording.readings()
     less = "" if check.better else _less_load(recording, readings)
-    plain = (_roles(recording.role), _unit(recording, readings), _scatter(recording, noise), less)
+    plain = (_roles(recording.role), _times(recording), _unit(recording, readings), _scatter(recording, noise), less)
     circuit, taken = check.sentence if check.mark in ("no", "not checked") else "", noise.taken
     learned = tuple(line for line in noise.warnings if not (circuit and line == taken))
     circuit += f"; it is {TAKEN_OFF}" if circuit and taken else ""
@@ -47,6 +47,17 @@ def _roles(role: NDArray[np.uint8]) -> str:
     if unloaded == 0:
         return "no frame is unloaded (role 0), so changes and pressures are against the first measured frame"
     return "only one frame is unloaded, so that nothing shows the noise: record five or more" if unloaded == 1 else ""
+
+
+def _times(recording: Recording) -> str:
+    """Times that two frames share, and whole numbers that are likelier ms than s."""
+    steps = np.diff(recording.time)
+    if np.any(steps == 0):
+        return f"{int(np.sum(steps == 0))} of {len(recording.time)} frames have the time of the frame before"
+    foreign = recording.acquisition is None and recording.simulation is None
+    if not (foreign and steps.size and np.median(steps) >= 10 and np.all(recording.time % 1 == 0)):
+        return ""
+    return f"frames are {np.median(steps):g} s apart: are times in s?"
 
 
 def _unit(recording: Recording, readings: Readings) -> str:

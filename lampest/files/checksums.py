@@ -108,6 +108,13 @@ def is_left_open(path: Path) -> bool:
     )
 
 
+def bytes_beyond(path: Path) -> int:
+    """How many bytes a closed file has behind the end that its superblock states."""
+    with path.open("rb") as stream:
+        head = SUPERBLOCK.unpack(stream.read(SUPERBLOCK.size))
+    return 0 if head[1] < 2 or head[4] & 4 else path.stat().st_size - int(head[7])
+
+
 class Closed(io.FileIO):
     """A file that was left open as if it had been closed; what is on the disk stays."""
 

@@ -129,6 +129,8 @@ def _text_of(path: Path) -> str:
         raise InputError(f"{path}: {error.strerror}") from error
     except UnicodeDecodeError as error:
         raise InputError(f"{path}: not a text in UTF-8") from error
+    except ValueError as error:  # a zero byte
+        raise InputError(f"{path}: no such file") from error
 
 
 def parse_document(text: str, source: str) -> Document:

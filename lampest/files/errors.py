@@ -5,6 +5,16 @@ from contextlib import contextmanager
 from difflib import get_close_matches
 from typing import Any
 
+# module → the package that brings it, where their names differ
+PACKAGES = {
+    "serial": "pyserial",
+    "ruamel": "ruamel.yaml",
+    "paho": "paho-mqtt",
+    "pythonosc": "python-osc",
+    "PIL": "pillow",
+    "dateutil": "python-dateutil",
+}
+
 
 class InputError(ValueError):
     """What the user gave is wrong; the message is one clear sentence. Commands end with exit code 2.
@@ -52,5 +62,6 @@ def extra(name: str = "") -> Iterator[None]:
     except ModuleNotFoundError as error:
         if error.name is None or error.name.startswith("lampest"):
             raise
-        brings = f"lampest[{name}]" if name else error.name.partition(".")[0]
+        module = error.name.partition(".")[0]
+        brings = f"lampest[{name}]" if name else PACKAGES.get(module, module)
         raise InputError(f"{error.name} is not installed; pip install '{brings}' brings it") from error

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from lampest.files.checksums import (
     DIGEST,
     Closed,
+    bytes_beyond,
     check_attribute,
     check_digest,
     digest_of,
@@ -103,6 +104,8 @@ def checked(path: Path) -> tuple[int, int]:
     """
     with existing_file(path) as file:
         datasets, vouched = read_through(file)
+    if vouched and (beyond := bytes_beyond(path)):
+        raise InputError(f"{path}: {beyond} bytes stand behind the end of what was written")
     return (path.stat().st_size, datasets) if vouched else (0, 0)
 
 

@@ -9,8 +9,10 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from dataclasses import dataclass, field
+from glob import escape
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from zlib import crc32
 
 from lampest.files.errors import InputError
 from lampest.files.process import in_bytes
@@ -105,10 +107,11 @@ def whole_file(path: Path) -> Iterator[Path]:
     """A temporary path beside `path` to write to; it takes that name once it is complete and on the disk.
 
     Raises InputError as `check_output`, and where the folder cannot be written or the disk is full; nothing is left
-    behind then.
+    behind then. What a killed process of this computer left of the same file goes.
     """
-    unfinished = path.with_name(f".{path.name}.{os.getpid()}-{secrets.token_hex(4)}.part")
     with _to_write(path):
+        _remove_abandoned(path)
+        unfinished = path.with_name(f".{path.name}.{os.getpid()}-{_host()}{secrets.token_hex(2)}.part")
         os.close(os.open(unfinished, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666))
         try:
             yield unfinished
@@ -120,6 +123,21 @@ def whole_file(path: Path) -> Iterator[Path]:
                 unfinished.unlink()
     if (touched := _TOUCHED.get()) and not touched.owns(path.absolute()):
         touched.written.add(path.absolute())
+
+
+def _host() -> str:
+    """Four signs for this computer: others may write into the same folder, and number their processes alike."""
+    return f"{crc32(os.uname().nodename.encode()) % 2**16:04x}"
+
+
+def _remove_abandoned(path: Path) -> None:
+    for part in path.parent.glob(f".{escape(path.name)}.*-{_host()}????.part"):
+        try:
+            os.kill(int(part.name.removeprefix(f".{path.name}.").partition("-")[0]), 0)
+        except ProcessLookupError:
+            part.unlink(missing_ok=True)
+        except (OSError, ValueError, OverflowError):  # somebody else's
+            continue
 
 
 @contextmanager

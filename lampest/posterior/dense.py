@@ -362,11 +362,9 @@ def positive_inverse(matrix: Array) -> Array:
 def rank(cost: Cost) -> int:
     """Of all penalties' Jacobian at cells like any others; what bounds take away is not considered."""
     function = residuals(cost).penalties.by_cells
-    shape = function.function.sparsity_out(0).shape
-    if shape[1] > MOST_RANKED:
-        return int(min(shape))
-    sizes = [function.function.size1_in(number) for number in range(function.function.n_in())]
+    if function.shape[1] > MOST_RANKED:
+        return min(function.shape)
     anywhere = np.random.default_rng(0)
-    values = function(*(anywhere.uniform(0.5, 2.0, size) for size in sizes))
-    jacobian = sparse.csr_array((values, function.pattern), shape=shape)
+    values = function(*(anywhere.uniform(0.5, 2.0, size) for size in function.sizes))
+    jacobian = sparse.csr_array((values, function.pattern), shape=function.shape)
     return int(np.linalg.matrix_rank((jacobian.T @ jacobian).toarray(), hermitian=True))

@@ -16,7 +16,7 @@ from lampest.files import hdf5
 from lampest.files.document import parse_document, validated
 from lampest.files.errors import InputError
 from lampest.files.process import check_memory
-from lampest.files.typed import Validated
+from lampest.files.typed import Validated, typed
 from lampest.panel.panel import Array, Panel, as_panels_have
 from lampest.panel.readouts import Readout, TwoPointReadout
 from lampest.panel.scene import Scene, scene_text
@@ -137,6 +137,7 @@ class Recording(Validated):
         return self.recorded
 
     @classmethod
+    @typed
     def load(cls, path: str | Path, part: slice = hdf5.ALL) -> "Recording":
         """A recording file, finished or not; of a finished one also some frames that follow each other.
 

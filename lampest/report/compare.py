@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from lampest.files.whole import write_whole
 from lampest.panel.panel import Array
-from lampest.report.words import counted, digits
+from lampest.report.words import counted, digits, no_formula
 from lampest.runs.results import CaseResult, PublishedFigures, Results, StepFigures, read_results
 
 Steps = Literal["all", "initial", "following"]
@@ -150,9 +150,9 @@ def model_notes(rows: Sequence[Row]) -> list[str]:
 
 
 def comma_separated(rows: Iterable[Iterable[object]]) -> str:
-    """Rows of values as CSV, nothing for None."""
+    """Rows of values as CSV, nothing for None; see `no_formula`."""
     stream = io.StringIO()
-    csv.writer(stream, lineterminator="\n").writerows(rows)
+    csv.writer(stream, lineterminator="\n").writerows([no_formula(value) for value in row] for row in rows)
     return stream.getvalue()
 
 

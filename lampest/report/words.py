@@ -15,6 +15,11 @@ def listed(names: Sequence[str]) -> str:
     return " and ".join(filter(None, (", ".join(names[:-1]), *names[-1:])))
 
 
+def no_formula(value: object) -> object:
+    """The value; a text that spreadsheets would take for a formula begins with an apostrophe."""
+    return f"'{value}" if isinstance(value, str) and value.startswith(("=", "+", "-", "@", "\t", "\r")) else value
+
+
 def digits(value: float, count: int = 3, like: float | None = None) -> str:
     """A number with so many significant digits, without an exponent wherever that is short: '0.0012', '3,050'.
 

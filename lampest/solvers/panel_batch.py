@@ -80,7 +80,7 @@ class PanelBatch:
 
 @lru_cache(maxsize=256)
 def _mapped(function: Compiled, panels: int, place: int) -> Compiled:
-    return Compiled(function.function.map(panels))
+    return function.mapped(panels)
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,7 +15,7 @@ import numpy as np
 from lampest.files import hdf5
 from lampest.files.document import read_document, validated
 from lampest.files.errors import InputError
-from lampest.files.whole import write_whole
+from lampest.files.whole import refuse_inputs, write_whole
 from lampest.recording.datasets import folder as shipped_folder
 from lampest.report.compare import Table, comma_separated
 from lampest.report.plots.style import save
@@ -127,12 +127,14 @@ class Study(Generic[Settings, Found]):
         return Reported(tables, self._write(found, folder, texts), remarks, self.left_out(found))
 
     def _write(self, found: Found, folder: Path, texts: Mapping[str, str]) -> list[Path]:
+        figures = {folder / f"{name}.png": figure for name, figure in self.figures(found).items()}
+        data = [folder / f"{self.name}.h5"] if self.form else []
+        files = [*(folder / name for name in texts), *data, *figures]
+        refuse_inputs(files)
         for name, text in texts.items():
             write_whole(folder / name, text)
-        files = [folder / name for name in texts]
-        if self.form:
-            files.append(folder / f"{self.name}.h5")
-            with hdf5.new_file(files[-1]) as file:
+        for path in data:
+            with hdf5.new_file(path) as file:
                 hdf5.set_attributes(file, NX_class="NXroot", default="entry", lampest_format=self.form)
                 entry = file.create_group("entry")
                 groups = list(self.records(found))
@@ -140,9 +142,8 @@ class Study(Generic[Settings, Found]):
                 hdf5.set_attributes(entry, **{f"{library}_version": version(library) for library in LIBRARIES})
                 for group in groups:
                     group.write(entry)
-        for name, figure in self.figures(found).items():
-            files.append(folder / f"{name}.png")
-            save(figure, files[-1])
+        for path, figure in figures.items():
+            save(figure, path)
         return files
 
 

@@ -59,7 +59,7 @@ def _noisy(rng: np.random.Generator, board: WildBoard, hello: Hello, jumps: list
             board.deaf = True
             yield from ((0.005, rng.bytes(int(rng.integers(1, 200)))) for _ in range(int(rng.integers(1, 150))))
             board.deaf = False
-        elif number > 5 and chance < 0.03 and (not jumps or number > jumps[-1] + 2):
+        elif number > 5 and chance < 0.03 and (not jumps or number > jumps[-1]):
             ahead += int(rng.choice((-1, 1))) * int(rng.integers(1_000, 10_000))
             jumps.append(number)
         yield 0.005, wire(hello, number, ahead + 10 * number)

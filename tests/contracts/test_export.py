@@ -1,5 +1,6 @@
 """`lampest export`: what a results file holds comes out of every format through that format's own library."""
 
+import csv
 import dataclasses
 import json
 import shutil
@@ -109,6 +110,20 @@ def test_csv_is_what_pandas_reads(lampest: Run, results: Path) -> None:
     ]
     assert told["notes"][0]["start_time"] == START and "start_time" not in told["notes"][2]
     assert "rows: 4" in told["notes"][0]["scene"] and "misfit" in told["notes"][0]["case"]
+
+
+def test_names_that_spreadsheets_would_compute_are_texts_in_csv(lampest: Run, tmp_path: Path) -> None:
+    names = {"=cmd|'C calc'!A0": "+1", "-2+3": "@SUM(A1)"}
+    cases = [invented_case(estimator, recording, (2, 3, 4)) for recording, estimator in names.items()]
+    write_results(tmp_path / "r.h5", cases)
+    table = exported(lampest, tmp_path / "r.h5", "csv")
+    assert lampest("compare", tmp_path / "r.h5", "--csv", tmp_path / "c.csv").code == 0
+    expected = {f"'{name}" for name in (*names, *names.values())}
+    for path in (table, tmp_path / "c.csv"):
+        with path.open(newline="") as lines:
+            assert expected <= {field for line in csv.reader(lines) for field in line}
+    with (tmp_path / "c.csv").open(newline="") as lines:
+        assert not [field for line in csv.reader(lines) for field in line if field.startswith(("=", "+", "@"))]
 
 
 def test_parquet_is_what_pyarrow_and_pandas_read(lampest: Run, results: Path, tmp_path: Path) -> None:

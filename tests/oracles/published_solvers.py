@@ -12,7 +12,7 @@ from scipy.optimize import least_squares, minimize
 
 from lampest.cost.cost import Cost
 from lampest.cost.problem import Data, Evaluation
-from lampest.panel.compiled import Compiled
+from lampest.panel.compiled import Compiled, guarded
 from lampest.panel.panel import Array
 from lampest.solvers.solution import Outcome, Settings, Solver, Status
 
@@ -35,7 +35,7 @@ class Trf:
 
     def prepare(self) -> None:
         """Compile residuals and their derivatives."""
-        _ = self._derivative.pattern
+        _ = self._functions[1].pattern
 
     def solve(self, data: Data, start: Evaluation) -> Outcome:
         """Minimise from `start`. Never raises for a failed solve."""
@@ -58,18 +58,14 @@ class Trf:
         return Outcome(np.exp(found.x).reshape(data.measured.shape), np.zeros(0), status, int(found.njev))
 
     @cached_property
-    def _stacked(self) -> casadi.SX:
-        pairs = self.cost.residuals(self.cost.symbols)
-        return casadi.SX(casadi.vertcat(*(np.sqrt(self.cost.weights[number]) * part for number, part in pairs)))
-
-    @cached_property
-    def _residual(self) -> Compiled:
-        return self.cost.symbols.compiled("residual", casadi.densify(self._stacked))
-
-    @cached_property
-    def _derivative(self) -> Compiled:
-        symbols = self.cost.symbols
-        return symbols.compiled("derivative", casadi.jacobian(self._stacked, symbols.unknown))
+    @guarded
+    def _functions(self) -> tuple[Compiled, Compiled]:
+        """(residuals, their derivatives)."""
+        symbols = self.cost.symbols()
+        pairs = self.cost.residuals(symbols)
+        stacked = casadi.vertcat(*(np.sqrt(self.cost.weights[number]) * part for number, part in pairs))
+        residual = symbols.compiled("residual", casadi.densify(stacked))
+        return residual, symbols.compiled("derivative", casadi.jacobian(stacked, symbols.unknown))
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,15 +82,14 @@ class _Point:
 
     def residuals(self, position: Array) -> Array:
         """f(u)."""
-        return self.scale * self._at(position).of_terms(self.solver._residual)
+        return self.scale * self._at(position).of_terms(self.solver._functions[0])
 
     def jacobian(self, position: Array) -> Array:
         """∂f/∂u = ∂f/∂r·diag(r) + ∂f/∂y·∂y/∂u, dense."""
         at = self._at(position)
-        cells, function = at.cell_resistance, self.solver._derivative
+        cells, function = at.cell_resistance, self.solver._functions[1]
         size, count = cells[0].size, cells.size
-        shape = (self.solver._residual.function.nnz_out(0), 2 * count)
-        partial = sparse.csc_array((self.scale * at.of_terms(function), function.pattern), shape=shape)
+        partial = sparse.csc_array((self.scale * at.of_terms(function), function.pattern), shape=function.shape)
         blocks = [
             partial[:, count + frame * size : count + (frame + 1) * size] @ network.sensitivity()
             for frame, network in enumerate(at.networks)

@@ -3,8 +3,9 @@
 import http.client
 import re
 import socket
+import time
 from collections.abc import Iterator
-from contextlib import closing
+from contextlib import ExitStack, closing
 
 import pytest
 
@@ -122,3 +123,31 @@ def test_error_pages_reflect_nothing_of_the_request(request_line: bytes, host: s
         answer = b"".join(iter(lambda: client.recv(4096), b""))
     assert b"script" not in answer.replace(b"script-src", b"") and b"alert" not in answer
     assert re.match(rb"(HTTP/1\.[01] )?[45]\d\d [A-Z][A-Za-z -]+\r?\n", answer), answer
+
+
+def test_a_request_with_two_names_of_the_host_is_refused() -> None:
+    with (
+        serving("127.0.0.1", 0, Newest(View("here", "LSM", "receiving"))) as server,
+        socket.create_connection(("127.0.0.1", server.server_address[1]), timeout=10) as client,
+    ):
+        client.sendall(b"GET / HTTP/1.1\r\nHost: localhost\r\nHost: evil.example\r\n\r\n")
+        answer = client.recv(4096)
+    assert answer.startswith(b"HTTP/1.0 400 "), answer
+
+
+def test_guests_that_never_read_give_their_seats_to_others(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(server_module, "MOST_STREAMS", 2)
+    monkeypatch.setattr(server_module, "TURN_SECONDS", 0.3)
+    monkeypatch.setattr(server_module, "HEARTBEAT_SECONDS", 0.1)
+    with serving("127.0.0.1", 0, Newest(View("here", "LSM", "receiving"))) as server, ExitStack() as guests:
+
+        def status() -> bytes:
+            guest = guests.enter_context(socket.create_connection(("127.0.0.1", server.server_address[1]), timeout=10))
+            guest.sendall(b"GET /views HTTP/1.1\r\nHost: localhost\r\n\r\n")
+            return guest.recv(12)[9:]
+
+        assert [status(), status(), status()] == [b"200", b"200", b"503"]
+        until = time.monotonic() + 10
+        while (answer := status()) != b"200" and time.monotonic() < until:
+            time.sleep(0.1)
+        assert answer == b"200"

@@ -182,6 +182,81 @@ def test_a_jump_of_the_clock_costs_no_frame_and_is_marked(jump_ms: int) -> None:
     assert [number for number, sample in enumerate(found) if sample.clock_jump] == [10]
 
 
+@pytest.mark.parametrize("jumps", [{10: 10_000, 11: -9_000}, {10: 5_000, 11: 5_000, 12: -3_000}, {10: -20, 11: 9_000}])
+def test_adjacent_jumps_of_the_clock_cost_neither_frames_nor_time(jumps: dict[int, int]) -> None:
+    clock = [100_000 + 10 * number + sum(ms for at, ms in jumps.items() if at <= number) for number in range(30)]
+    _, found = run_of(*enumerate(clock))
+    assert places(found) == [(number, 0, 0) for number in range(30)]
+    np.testing.assert_allclose([sample.time for sample in found], 0.01 * np.arange(30), atol=1e-9)
+
+
+@pytest.mark.parametrize("jump_ms", [10_000, 300, -5_000])
+@pytest.mark.parametrize("gone", [1, 4])
+def test_a_jump_beside_lost_frames_counts_those_that_are_lost(jump_ms: int, gone: int) -> None:
+    sent = [(number, 100_000 + 10 * number + (jump_ms if number >= 10 else 0)) for number in range(30)]
+    _, found = run_of(*sent[:10], *sent[10 + gone :])
+    assert [sample.lost for sample in found] == [0] * 10 + [gone] + [0] * (len(found) - 11)
+    assert [sample.session for sample in found] == [0] * (30 - gone)
+    assert found[-1].time == pytest.approx(0.29)
+
+
+def test_a_late_scan_before_one_in_time_is_no_jump() -> None:
+    random = np.random.default_rng(43)
+    sent = [(number, int(1000 + 10 * (number + random.uniform(0, 0.95)))) for number in range(500)]
+    _, found = run_of(*sent)
+    assert places(found) == [(number, 0, 0) for number in range(500)]
+    assert not any(sample.clock_jump or sample.events for sample in found)
+    assert found[-1].time == pytest.approx(4.99, abs=0.02)
+
+
+def test_a_clock_that_stands_still_costs_no_frame_and_is_named_once(tmp_path: Path) -> None:
+    _, found = run_of(*((number, 500 + 10 * min(number, 4)) for number in range(101)))
+    assert places(found) == [(number, 0, 0) for number in range(101)]
+    assert np.all(np.diff([sample.time for sample in found]) >= 0.01 - 1e-9)
+    assert [number for number, sample in enumerate(found) if sample.events] == [6]
+    assert not any(sample.clock_jump for sample in found)
+
+
+def frozen(hello: Hello) -> Sent:
+    """Good frames, whose clock stands still after the fifth."""
+    for number in itertools.count():
+        yield 0.01, wire(hello, number, 1000 + 10 * min(number, 5))
+
+
+def test_a_recording_names_the_clock_that_stands_still(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    done = recorded(frozen, tmp_path, frames=40)
+    found = Recording.load(tmp_path / "r.h5")
+    assert (done.frames, done.lost, done.restarts, done.clock_jumps) == (40, 0, 0, 0)
+    assert found.acquisition is not None and found.acquisition.event_label == ("clock stopped",)
+    assert 0.35 < found.time[-1] < 3
+    report_recorded(done)
+    assert "the board's clock stood still" in capsys.readouterr().err
+
+
+def test_a_storm_of_jumps_jitter_and_lost_frames_keeps_time_and_counts() -> None:
+    random = np.random.default_rng(4343)
+    sent, ahead, came = [], 100_000, []
+    for number in range(3000):
+        if random.random() < 0.05:
+            ahead += int(random.integers(-10_000, 10_000))
+        if number in (0, 1, 2, 2998, 2999) or random.random() > 0.1:
+            sent.append((number, ahead + int(10 * (number + random.uniform(0, 0.9)))))
+            came.append(number)
+    _, found = run_of(*sent)
+    numbers = [sample.frame.sequence for sample in found]
+    assert len(found) > 0.99 * len(came), "whole frames are kept"
+    assert sum(sample.lost for sample in found) == numbers[-1] + 1 - len(found)
+    assert not any(sample.session for sample in found)
+    assert found[-1].time == pytest.approx(29.99, rel=0.01)
+
+
+def test_a_plug_that_is_out_loses_no_frames() -> None:
+    _, (*_, last) = run_of((0, 500), (1, 510))
+    again = Scanning(replace(IDLE, period_us=10_000), 1, replace(last, host_time=last.host_time - 60))
+    _, (sample,) = again.taking(frame(3, 540))
+    assert (sample.lost, sample.session) == (3, 1) and sample.time == pytest.approx(60, abs=1)
+
+
 def test_a_single_wild_clock_is_no_jump() -> None:
     _, found = run_of((0, 500), (1, 510), (2, 5520), (3, 530), (4, 540))
     assert [(place, lost) for place, lost, _ in places(found)] == [(0, 0), (1, 0), (3, 1), (4, 0)]
@@ -236,7 +311,7 @@ def test_a_single_frame_out_of_order_is_dropped() -> None:
 
 
 def test_a_wrong_frame_that_was_believed_is_doubted_after_a_silence() -> None:
-    run, _ = run_of((0, 500), (1, 510), (100, 2000))
+    run, _ = run_of((0, 500), (1, 510), (149, 2000))
     run, samples = run.taking(frame(2, 520))
     assert not samples
     doubting = run.doubted()
@@ -244,3 +319,45 @@ def test_a_wrong_frame_that_was_believed_is_doubted_after_a_silence() -> None:
     assert places(list(samples)) == [(4, 2, 0)] and samples[0].time > 1.5
     assert not doubting.taking(frame(0, 500))[1], "nor is what was sent before the frame that is not in doubt"
     assert again.taking(frame(5, 550))[1]
+
+
+ABSURD = {
+    "rows": (0, 255),
+    "columns": (0, 17),
+    "readings": (0, 65),
+    "most_rows": (0,),
+    "most_readings": (0,),
+    "shortest_period_us": (0,),
+    "supply_millivolt": (0,),
+    "reference_milliohm": (0,),
+    "adc_bits": (0, 33, 255),
+}
+
+
+@pytest.mark.parametrize(("field", "value"), [(name, value) for name, values in ABSURD.items() for value in values])
+def test_a_board_that_says_what_no_board_can_be_is_refused_in_a_sentence(
+    tmp_path: Path, field: str, value: int
+) -> None:
+    said = rf"the board says that {field} is {value}; 1 to \d+ is possible \(firmware pins\.h\)"
+    with (
+        wild_board(hundred_a_second, replace(IDLE, **{field: value})) as board,
+        pytest.raises(InputError, match=said),
+    ):
+        record(board.port, tmp_path / "r.h5", frames=3)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("frames", [0, 5])
+def test_counted_frames_that_never_come_end_the_recording(
+    tmp_path: Path, frames: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("lampest.recording.board.record.UNFIT_SECONDS", 1.0)
+
+    def silent(hello: Hello) -> Sent:
+        yield from ((0.01, wire(hello, number)) for number in range(frames))
+
+    began = time.monotonic()
+    with pytest.raises(InputError, match=r"no frame came for \d s" + ("; the 5 frames" if frames else "")):
+        recorded(silent, tmp_path, frames=10)
+    assert time.monotonic() - began < 15
+    assert len(list(tmp_path.iterdir())) == (frames > 0)

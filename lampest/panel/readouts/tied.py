@@ -5,7 +5,7 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 
-from lampest.panel.compiled import Compiled
+from lampest.panel.compiled import Compiled, guarded
 from lampest.panel.network import Entries, Network, ReadCircuit
 from lampest.panel.panel import Array
 
@@ -40,6 +40,7 @@ class TiedNetwork(Network):
         return {name: self._derivatives[name] for name in CURVATURES if self._derivatives[name].any()}
 
 
+@guarded
 @lru_cache(maxsize=64)
 def equation_derivatives(readout: ReadCircuit, rows: int, columns: int) -> Compiled:
     """∂h and ∂²h of three flat (rows · columns) inputs, row by row: SLOPES and CURVATURES, flat."""
@@ -54,6 +55,7 @@ def equation_derivatives(readout: ReadCircuit, rows: int, columns: int) -> Compi
     return Compiled(casadi.Function("derivatives", list(flat.values()), [parts]))
 
 
+@guarded
 @lru_cache(maxsize=64)
 def reads_own(readout: ReadCircuit, rows: int, columns: int) -> tuple[bool, bool]:
     """Whether the reading asks for the rows' own impedances Z_jj, and for the columns' Z_kk."""

@@ -159,6 +159,8 @@ class Board:
                     f"{self._url}: the board speaks version {item.version} of the protocol and this lampest version "
                     f"{protocol.PROTOCOL_VERSION}; upload the sketch in firmware/ that belongs to it"
                 )
+            if isinstance(item, Hello) and item.fault:
+                raise InputError(f"{self._url}: {item.fault} (firmware pins.h)")
         return found
 
     def start(self, rows: int, columns: int, readings: int, period_us: int | None) -> Hello:

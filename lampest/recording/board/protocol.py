@@ -117,6 +117,16 @@ class Hello:
     drive_milliohm: int = 0
 
     @property
+    def fault(self) -> str:
+        """A sentence about the first field that has no possible value, or ''."""
+        limits = dict.fromkeys(("rows", "columns", "most_rows", "most_columns"), MOST_ROWS)
+        limits |= dict.fromkeys(("readings", "most_readings"), MOST_READINGS)
+        limits |= dict.fromkeys(("period_us", "shortest_period_us", "reference_milliohm"), 2**32 - 1)
+        limits |= {"supply_millivolt": 2**16 - 1, "adc_bits": MOST_CODE.bit_length()}
+        wrong = (name for name, most in limits.items() if not 1 <= getattr(self, name) <= most)
+        return next((f"the board says that {n} is {getattr(self, n)}; 1 to {limits[n]} is possible" for n in wrong), "")
+
+    @property
     def size(self) -> tuple[int, int, int]:
         return self.rows, self.columns, self.readings
 

@@ -25,7 +25,7 @@ from lampest.recording.acquisition import damaged_frames, whole_events
 from lampest.recording.board.journal import Journal
 from lampest.recording.board.protocol import MOST_CODE
 from lampest.recording.board.several import samples_of
-from lampest.recording.board.stream import Sample, Samples, agreed_and_recorded
+from lampest.recording.board.stream import CLOCK_STOPPED, UNFIT_SECONDS, Sample, Samples, agreed_and_recorded
 from lampest.recording.calibration.repeats import FEWEST_REPEATS, noise_of_variance
 from lampest.recording.recording import MEASURED, UNLOADED, Recording, head_of
 from lampest.recording.stored import StoredRecording, opened, save_parts
@@ -38,6 +38,7 @@ NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")  # no dot, no separator: a 
 class Recorded:
     """What `record` did: frames in the file, frames known to be missing, restarts of the board, jumps of its clock.
 
+    clock_stopped : whether its clock stood still at any time.
     parted : frames without a module that is read. behind : frames that the port held at the end. ended_by : the signal
     that ended it, such as SIGINT (Ctrl-C), or ''. noise_lsb : of one reading, as the baseline's repeats show it, or
     None where they do not suffice. silent : s at the end of those asked for without any frame.
@@ -49,6 +50,7 @@ class Recorded:
     lost: int
     restarts: int
     clock_jumps: int
+    clock_stopped: bool
     parted: int
     behind: int
     ended_by: str
@@ -107,7 +109,9 @@ def record(
                         appended(journal, batch, scene, baseline - count["frames"], keys)
                     for last in batch:
                         count.update(frames=1, lost=last.lost, clock_jumps=last.clock_jump)
-                        count.update(parted=last.missing > 0, behind=bool(asked()))
+                        count.update(
+                            clock_stopped=CLOCK_STOPPED in last.events, parted=last.missing > 0, behind=bool(asked())
+                        )
                         on_progress(Progress(last, count["frames"], count["lost"], ""))
                     if not batch and states[-1]:
                         on_progress(Progress(None, count["frames"], count["lost"], states[-1]))
@@ -124,7 +128,12 @@ def record(
         short = seconds is not None and not asked() and count["frames"] != frames
         silent = max((seconds or 0.0) - last.time - last.period, 0.0) if short else 0.0
         counts: Any = {name: count[name] for name in ("frames", "lost", "clock_jumps", "parted", "behind")}
-        counts |= {"ended_by": asked(), "noise_lsb": made[2], "silent": round(silent, 3)}
+        counts |= {
+            "clock_stopped": count["clock_stopped"] > 0,
+            "ended_by": asked(),
+            "noise_lsb": made[2],
+            "silent": round(silent, 3),
+        }
         return Recorded(path=out, scene=made[0], restarts=last.session, **counts)
 
 
@@ -239,9 +248,15 @@ def appended(
 
 
 def _wanted(batches: Samples, frames: int | None, seconds: float | None, period: float) -> Samples:
-    """Batches until so many frames, or s on the board's clock; the host's ends it 5 %, a period and 1 s later."""
-    count, began = 0, None
+    """Batches until so many frames, or s on the board's clock; the host's ends it 5 %, a period and 1 s later.
+
+    Raises InputError where frames are counted and none has come for 30 s and three periods.
+    """
+    count, began, heard = 0, None, time.monotonic()
     for batch in batches:
+        heard = time.monotonic() if batch else heard
+        if frames is not None and time.monotonic() - heard > UNFIT_SECONDS + 3 * period:
+            raise InputError(f"no frame came for {time.monotonic() - heard:.0f} s")
         ended = frames is not None and count + len(batch) >= frames
         batch = batch if frames is None else batch[: frames - count]
         if seconds is not None:

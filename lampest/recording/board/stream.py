@@ -28,6 +28,7 @@ FASTEST, AHEAD_SECONDS = 1000.0, 10.0
 UNFIT_SECONDS = 30.0
 RETRY_SECONDS = 0.2
 SILENCE_SECONDS = 2.5
+CLOCK_STOPPED = "clock stopped"  # label of the event
 
 
 def scene_of(hello: Hello, scene: Scene | None) -> Scene:
@@ -101,13 +102,16 @@ Samples = Generator[tuple[Sample, ...], None, None]
 
 @dataclass(frozen=True, eq=False)
 class Scanning:
-    """A board that was started, and how far it came: numbers grow and the clock at least as they do, modulo 2³².
+    """A board that was started, and how far it came: numbers and the clock grow alike, modulo 2³².
 
-    What came before is sent again by some lines; that is no frame. Where two frames in a row do not follow the newest
-    one, but each other, the clock has jumped if the numbers went on, and the numbers began anew if the clock did.
+    A scan may begin up to a period late. What came before is sent again by some lines; that is no frame. Where the
+    numbers of two frames in a row follow each other, but their clock does not follow the newest one, the clock has
+    jumped if the numbers went on, and the numbers began anew if the clock did. A clock that stands still costs no
+    frame.
 
     session : of the next frame. last : the recording's newest sample. before, earlier : the two newest of this run.
-    stray : a frame that followed none. since : s since 1970-01-01 UTC, when the board was started.
+    stray : a frame that followed none. stopped : whether the clock stands still. since : s since 1970-01-01 UTC, when
+    the board was started.
     """
 
     hello: Hello
@@ -116,6 +120,7 @@ class Scanning:
     before: Sample | None = None
     earlier: Sample | None = None
     stray: Frame | None = None
+    stopped: bool = False
     since: float = field(default_factory=time.time)
 
     @property
@@ -124,18 +129,17 @@ class Scanning:
 
     def taking(self, frame: Frame) -> tuple["Scanning", tuple[Sample, ...]]:
         """The run with that frame, and the samples that it makes: one, none where it does not follow, or two."""
-        stray = self.stray
-        together = stray is not None and _since(stray, frame)[0] == 1 and self._follows(frame, stray, time.time())
-        if stray and together and (sample := self._resumed(stray)) is not None:
-            run, more = self._with(sample)[0].taking(frame)
-            return run, (sample, *more)
         if self.before is None:
             return self._with(self._first(frame))
-        for before in (self.last, self.before):  # which differ where the last one is in doubt
-            if before is not None and self._follows(frame, before.frame, before.host_time):
-                steps, elapsed_ms = _since(before.frame, frame)
-                sample = self._sample(frame, before.time + elapsed_ms / 1000, steps - 1)
-                return replace(self, before=before)._with(sample)
+        for newest in (self.last or self.before, self.before):  # which differ where the last one is in doubt
+            if self._follows(frame, newest.frame, newest.host_time):
+                steps, elapsed_ms = _since(newest.frame, frame)
+                sample = self._sample(frame, newest.time + elapsed_ms / 1000, steps - 1)
+                return replace(self, before=newest)._with(self._marked(sample))
+        stray = self.stray
+        if stray and _since(stray, frame)[0] == 1 and (first := self._resumed(stray, frame)) is not None:
+            run, more = self._with(first)[0].taking(frame)
+            return run, (first, *more)
         return replace(self, stray=frame), ()
 
     def doubted(self) -> "Scanning":
@@ -144,7 +148,15 @@ class Scanning:
 
     def _with(self, sample: Sample) -> tuple["Scanning", tuple[Sample, ...]]:
         run = replace(self, session=sample.session, last=sample, before=sample, earlier=self.before, stray=None)
-        return run, (sample,)
+        return replace(run, stopped=self._stands_still(sample.frame)), (sample,)
+
+    def _stands_still(self, frame: Frame) -> bool:
+        """Whether the clock of a third frame is that of the first: a late scan explains two."""
+        return self.earlier is not None and self.period > 2e-3 and _since(self.earlier.frame, frame)[1] == 0
+
+    def _marked(self, sample: Sample) -> Sample:
+        begins = not self.stopped and self._stands_still(sample.frame)
+        return replace(sample, events=(CLOCK_STOPPED,)) if begins else sample
 
     def _sample(self, frame: Frame, at: float, lost: int, anew: int = 0, jump: bool = False) -> Sample:
         """At a time, but later than the last one; anew : 1 where the numbers began anew."""
@@ -155,33 +167,36 @@ class Scanning:
 
     def _first(self, frame: Frame) -> Sample:
         """The first of a run; numbers begin with 0, unless the clock had no time for so many frames."""
+        time_for_all = 990 * frame.sequence * self.period <= min(frame.device_ms + 2, self._most_ms(self.since))
+        lost = frame.sequence if time_for_all else 0
         if self.last is None:
-            time_for_all = 990 * frame.sequence * self.period <= min(frame.device_ms + 2, self._most_ms(self.since))
-            return self._sample(frame, 0.0, frame.sequence if time_for_all else 0)
-        moved = max(time.time() - self.last.host_time, self.period)
-        return self._sample(frame, self.last.time + moved, max(round(moved / self.period) - 1, 0))
+            return self._sample(frame, 0.0, lost)
+        return self._sample(frame, self.last.time + max(time.time() - self.last.host_time, self.period), lost)
 
     def _follows(self, frame: Frame, before: Frame, host_time: float) -> bool:
         (steps, elapsed_ms), most_ms = _since(before, frame), self._most_ms(host_time)
-        if steps == 1:  # the board counts what it missed since; a scan may begin up to a period late
-            most_ms = min(most_ms, 1010 * (2 + frame.missed) * self.period + 2)
-        return 0 < steps < ROUND // 2 and 990 * steps * self.period - 2 <= elapsed_ms <= most_ms
+        # The board counts what it missed since; either scan may begin up to a period late.
+        most_ms = min(most_ms, 1010 * (1 + steps * (1 + frame.missed)) * self.period + 2)
+        return 0 < steps < ROUND // 2 and 990 * (steps - 1) * self.period - 2 <= elapsed_ms <= most_ms
 
     def _most_ms(self, host_time: float) -> float:
         """By how much the board's clock can have advanced since a time of the host's."""
         return 1e3 * (FASTEST * max(time.time() - host_time, 0.0) + AHEAD_SECONDS + 3 * self.period)
 
-    def _resumed(self, frame: Frame) -> Sample | None:
-        """The first frame after a jump of the clock or of the numbers; None where it was sent before."""
+    def _resumed(self, frame: Frame, after: Frame) -> Sample | None:
+        """The first frame after a jump of the clock or of the numbers; None where it was sent before.
+
+        after : the frame after it, whose clock follows where the numbers began anew.
+        """
         assert self.before is not None and self.last is not None
         newest = max(self.before.time, self.last.time)
         steps, elapsed_ms = _since(self.before.frame, frame)
-        forward = 0 < elapsed_ms < ROUND // 2
-        if steps == 1 or (not forward and 0 < 1e3 * steps * self.period <= self._most_ms(self.before.host_time)):
+        if steps == 1 or 0 < 1e3 * steps * self.period <= self._most_ms(self.before.host_time):
             return self._sample(frame, newest + (steps + frame.missed) * self.period, steps - 1, jump=True)
-        if not forward:
+        if not (0 < elapsed_ms < ROUND // 2 and self._follows(after, frame, time.time())):
             return None
-        moved = min(elapsed_ms / 1000, AHEAD_SECONDS + max(time.time() - self.last.host_time, self.period))
+        # After a longer silence of the line the board is asked who it is.
+        moved = min(elapsed_ms / 1000, SILENCE_SECONDS + max(time.time() - self.last.host_time, self.period))
         return self._sample(frame, newest + moved, max(round(moved / self.period) - 1, 0), anew=1)
 
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from lampest.files.errors import extra
 from lampest.report.export.export import Export
+from lampest.report.words import no_formula
 from lampest.runs.case import CaseResult, about, places_of, series_of
 from lampest.runs.columns import FRAMES, Series
 from lampest.runs.held import all_columns
@@ -22,7 +23,7 @@ CSV_KINDS = {"f": "double", "i": "integer", "u": "integer", "b": "boolean"}  # o
 
 
 class CsvExport(Export):
-    """UTF-8, commas, one line of names; missing values are empty.
+    """UTF-8, commas, one line of names; missing values are empty; see `no_formula`.
 
     Beside it stands what a table cannot hold, in JSON by the recommendation https://www.w3.org/TR/tabular-metadata/:
     units, meanings, flags, and for every case its configuration and its scene.
@@ -36,7 +37,8 @@ class CsvExport(Export):
         """The table; what it means."""
         assert beside is not None
         table, meanings = long_table(cases)
-        table.to_csv(path, index=False, lineterminator="\n", encoding="utf-8")
+        texts = {name: table[name].map(no_formula) for name in table if table[name].dtype.kind == "O"}
+        table.assign(**texts).to_csv(path, index=False, lineterminator="\n", encoding="utf-8")
         columns: list[dict[str, Any]] = []
         for column, meaning in meanings.items():
             kind = CSV_KINDS.get(table[column].dtype.kind, "string")

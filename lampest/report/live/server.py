@@ -14,7 +14,7 @@ from http.cookies import CookieError, SimpleCookie
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from importlib.resources import files
 from ipaddress import IPv4Address, IPv6Address, ip_address
-from threading import BoundedSemaphore, Thread
+from threading import BoundedSemaphore, Event, Thread
 from urllib.parse import parse_qsl, urlsplit
 
 from lampest.files.errors import InputError
@@ -23,6 +23,7 @@ from lampest.report.live.message import View, view_text
 
 MOST_STREAMS = 16  # pages that look on at once, a thread each
 HEARTBEAT_SECONDS, FAREWELL_SECONDS = 2.0, 1.0  # between signs of life, for the last view to go out
+TURN_SECONDS = 60.0  # after which a page gives its seat to one that found none; it comes again by itself
 FEWEST_SIGNS = 16  # of a token: 10²⁸ of them
 HINT = ": open the address that lampest printed when it began, with its token if it has one"
 WISH = "X-Lampest"  # no foreign page may send a header of its own without having asked, and here nobody answers that
@@ -112,7 +113,7 @@ class PageServer(ThreadingHTTPServer):
     def __init__(self, host: str, port: int, shown: Newest[View], token: str | None, asks: Asks) -> None:
         self.shown, self.asks = shown, asks
         self.page = files("lampest.report.live").joinpath("page.html").read_bytes()
-        self.seats = BoundedSemaphore(MOST_STREAMS)
+        self.seats, self.refused = BoundedSemaphore(MOST_STREAMS), Event()
         self.address_family = socket.AF_INET6 if ":" in host else socket.AF_INET
         super().__init__((host, port), PageHandler)
         self.local = ip_address(str(self.server_address[0])).is_loopback
@@ -143,6 +144,9 @@ class PageHandler(BaseHTTPRequestHandler):
         if self.command not in ("GET", "POST"):
             self._start("text/plain", 0, HTTPStatus.METHOD_NOT_ALLOWED, Allow="GET, POST")
             return False
+        if len(self.headers.get_all("Host", [])) > 1:
+            self.send_error(HTTPStatus.BAD_REQUEST)
+            return False
         access, header = self.server.access, self.headers.get
         self.introduced = access.shown_by(self.path, header("Authorization", ""))
         known = not access.token or self.introduced or access.remembered_by(header("Cookie", ""))
@@ -160,6 +164,7 @@ class PageHandler(BaseHTTPRequestHandler):
         elif path != "/views":
             self.send_error(HTTPStatus.NOT_FOUND)
         elif not self.server.seats.acquire(blocking=False):
+            self.server.refused.set()
             self.send_error(HTTPStatus.SERVICE_UNAVAILABLE)
         else:
             try:
@@ -212,8 +217,8 @@ class PageHandler(BaseHTTPRequestHandler):
 
     def _stream(self) -> None:
         """The newest view whenever there is one that this client has not seen; a client that is slow skips views."""
-        seen, known, shown = -1, 0, self.server.shown
-        while True:
+        seen, known, shown, began = -1, 0, self.server.shown, time.monotonic()
+        while not (self.server.refused.is_set() and time.monotonic() - began > TURN_SECONDS):
             news = shown.after(seen, HEARTBEAT_SECONDS)
             if news is not None:
                 seen, view = news
@@ -223,6 +228,7 @@ class PageHandler(BaseHTTPRequestHandler):
                 return
             else:
                 self.wfile.write(b": still here\n\n")
+        self.server.refused.clear()
 
     def log_message(self, format: str, *arguments: object) -> None:  # noqa: A002
         """Requests are nothing to report."""

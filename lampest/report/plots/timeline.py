@@ -30,8 +30,12 @@ def plot_timelines(
     Raises InputError where the folder cannot be written.
     """
     shown = [answer for answer in answers if answer.course is not None]
-    files = [Path(folder) / f"timeline_{answer.recording}.png" for answer in shown]
-    return write_all([partial(timeline, one) for one in shown], files, on_picture)
+    return write_all([partial(timeline, one) for one in shown], timeline_files(answers, folder), on_picture)
+
+
+def timeline_files(answers: Sequence[Detected], folder: str | Path) -> list[Path]:
+    """The files that `plot_timelines` writes."""
+    return [Path(folder) / f"timeline_{answer.recording}.png" for answer in answers if answer.course is not None]
 
 
 def timeline(answer: Detected) -> Figure:

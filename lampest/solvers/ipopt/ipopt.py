@@ -9,7 +9,7 @@ import numpy as np
 
 from lampest.cost.cost import Cost
 from lampest.cost.problem import Data, Evaluation
-from lampest.panel.compiled import Compiled
+from lampest.panel.compiled import CasadiOwner, Compiled, guarded
 from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout
 from lampest.solvers.ipopt.formulations import Formulation
@@ -78,7 +78,6 @@ class Ipopt:
         """Minimise from `start`. Never raises for a failed solve: the outcome's status says so."""
         if data.overdue:
             return Outcome(start.cell_resistance, np.zeros_like(self.cost.slope), Status.TIME, 0)
-        solver = self._built.solver
         scale = float(np.exp(np.mean(np.log(data.apparent_resistance))))
         split = start.of_terms(self.cost.functions.split)
         split_scale = max(float(np.abs(split).max(initial=0)), 1e-12)
@@ -93,14 +92,13 @@ class Ipopt:
         lbx, ubx = np.full(len(x0), -np.inf), np.full(len(x0), np.inf)
         lbx[: least.size], ubx[: least.size], lbx[len(x0) - 2 * len(split) :] = limits.low, limits.high, 0.0
         warm = {} if len(split) else self._multipliers(start, scale, x0, parameters, limits)
-        result = solver(x0=x0, p=parameters, lbg=0, ubg=0, lbx=lbx, ubx=ubx, **warm)
-        conductance, multiplier = (np.asarray(result[name]).ravel()[: data.measured.size] for name in ("x", "lam_x"))
+        result, stats = self._built.minimise(x0=x0, p=parameters, lbg=0, ubg=0, lbx=lbx, ubx=ubx, **warm)
+        conductance, multiplier = (result[name][: data.measured.size] for name in ("x", "lam_x"))
         with np.errstate(divide="ignore"):
             cells = scale / limits.settled(conductance, multiplier)
-        multipliers = np.asarray(result["lam_g"]).ravel()
+        multipliers = result["lam_g"]
         weights = np.maximum(self.cost.slope * split_scale / start.cost_scale, np.finfo(float).tiny)
         dual = multipliers[len(multipliers) - len(weights) :] / weights
-        stats = solver.stats()
         status = STATUS.get(stats["return_status"], Status.BREAKDOWN)
         return Outcome(cells.reshape(data.measured.shape), dual, status, int(stats["iter_count"]))
 
@@ -136,14 +134,21 @@ class Ipopt:
 
 
 @dataclass(frozen=True, eq=False)
-class Built:
+class Built(CasadiOwner):
     """A program that serves all weights. parameters : their names in order. slope : ∂f/∂(potentials) of (x, p)."""
 
     solver: casadi.Function
     parameters: tuple[str, ...]
     slope: Compiled
 
+    @guarded
+    def minimise(self, **arguments: Any) -> tuple[dict[str, Array], dict[str, Any]]:
+        """(flat results by CasADi's names, statistics)."""
+        results = self.solver(**arguments)
+        return {name: np.asarray(value).ravel() for name, value in results.items()}, self.solver.stats()
 
+
+@guarded
 @lru_cache(maxsize=32)
 def _built(cost: Cost, readout: Readout, formulation: Formulation, settings: Settings) -> Built:
     program = Program.build(cost, readout, formulation)

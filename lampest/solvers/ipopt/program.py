@@ -50,7 +50,7 @@ class Program:
     @classmethod
     def build(cls, cost: Cost, readout: Readout, formulation: Formulation) -> "Program":
         """Write the program down with whole matrices."""
-        given = cost.symbols.given
+        given = cost.symbols().given
         rows, columns = cost.panel.shape
         tie = casadi.SX.sym("tie", rows + columns, cost.frames)
         scale, cost_scale, split_scale = (casadi.SX.sym(name) for name in ("scale", "cost_scale", "split_scale"))
