@@ -64,7 +64,7 @@ def hidden_columns(network: Network, measured: Array, scene: Scene, sizes: Syste
     if sizes.inl_lsb and scene.readout is not None:
         volt = circuit.volt_from_recorded(circuit.to_recorded(measured, scene))
         size = sizes.inl_lsb * circuit.lsb_volt * np.sqrt(2 / SINES)
-        waves = size * np.sin(np.pi * np.multiply.outer(np.arange(SINES) + 1, volt / circuit.supply_volt))
+        waves = size * np.sin(np.pi * np.multiply.outer(np.arange(SINES) + 1, volt / circuit.full_scale_volt))
         ends = [circuit.from_recorded(circuit.recorded_from_volt(volt + sign * waves), scene) for sign in (0.5, -0.5)]
         parts.append(ends[0] - ends[1])
     if sizes.wire_ohm_per_cell:

@@ -9,7 +9,20 @@ import numpy as np
 import pytest
 import scipy.io
 
-from lampest import InputError, Panel, Recording, Scene, SeriesPerLine, TwoPointReadout, import_file, read_scene
+from lampest import (
+    Bounds,
+    InputError,
+    Misfit,
+    Panel,
+    Recording,
+    Scene,
+    SeriesPerLine,
+    TwoPointReadout,
+    VirtualGroundReadout,
+    import_file,
+    read_scene,
+    reconstruct,
+)
 
 FRAMES = np.random.default_rng(7).uniform(250, 600, (4, 3, 5)).round(3)
 ROWS, COLUMNS = 3, 5
@@ -344,3 +357,45 @@ def test_a_series_resistance_that_no_wire_has_is_refused_where_it_stands(tmp_pat
     path.write_text(f"panel: {{rows: 3, columns: 5}}\nseries_resistance_ohm: {ohm}\n", encoding="utf-8")
     with pytest.raises(InputError, match=r"scene\.yaml:.*must lie between 1e-06 and 1e\+09 ohm"):
         read_scene(path)
+
+
+def amplifiers(**volts: float) -> Scene:
+    return Scene(Panel(ROWS, COLUMNS), VirtualGroundReadout(sense_ohm=70.0, feedback_ohm=4000.0, **volts))
+
+
+def test_the_drive_and_the_converter_of_a_virtual_ground_have_voltages_of_their_own(tmp_path: Path) -> None:
+    scene = amplifiers(drive_volt=0.5, converter_volt=2.5)
+    truth = np.random.default_rng(2).uniform(1500, 6000, (1, ROWS, COLUMNS))
+    volts = scene.circuit.exact_reading(truth)
+    path = table(tmp_path / "v.csv", volts.reshape(1, -1))
+    recording, notes = import_file(path, ROWS, COLUMNS, scene)
+    assert any(note.startswith("unit volt, guessed") for note in notes)
+    found = reconstruct(recording, [Misfit()], formulation="reduced", bounds=Bounds("none", "none"))
+    np.testing.assert_allclose(found.cell_resistance, truth, rtol=1e-2)
+    codes = np.floor(volts / 2.5 * 1024).astype(int)
+    np.save(tmp_path / "c.npy", codes)
+    np.testing.assert_allclose(import_file(tmp_path / "c.npy", scene=scene)[0].recorded, volts, atol=2.5 / 1024)
+    both = amplifiers(supply_volt=5.0).circuit.exact_reading(truth)
+    np.testing.assert_allclose(amplifiers(drive_volt=5.0).circuit.exact_reading(truth), both)
+    with pytest.raises(ValueError, match="converter_volt must lie between"):
+        amplifiers(converter_volt=0.0)
+
+
+def test_volts_beyond_a_supply_that_is_the_drive_alone_are_no_millivolts(tmp_path: Path) -> None:
+    scene = amplifiers(drive_volt=0.5, converter_volt=2.5)
+    volts = scene.circuit.exact_reading(np.full((2, ROWS, COLUMNS), 2000.0))
+    path = table(tmp_path / "v.csv", volts.reshape(2, -1))
+    with pytest.raises(InputError, match=r"fit none of volt, mV, code in this scene, whose converter ends at 0.5 V"):
+        import_file(path, scene=amplifiers(supply_volt=0.5))
+
+
+def test_readings_that_mostly_stand_at_the_rail_of_a_shorted_cell_are_refused(tmp_path: Path) -> None:
+    volts = np.full((2, ROWS, COLUMNS), 2.5)
+    volts[0, 0] = 1.0
+    path = table(tmp_path / "v.csv", volts.reshape(2, -1))
+    with pytest.raises(InputError, match=r"25 of 30 readings stand at the rail .* is readout.converter_volt, 2.5 V"):
+        import_file(path, scene=amplifiers(drive_volt=0.5, converter_volt=2.5), unit="volt")
+    volts = np.full((2, ROWS, COLUMNS), 0.0)  # open cells, which an unloaded film has
+    volts[0, 0] = 1.0
+    recording, _ = import_file(table(tmp_path / "o.csv", volts.reshape(2, -1)), scene=amplifiers(), unit="volt")
+    assert recording.recorded.shape == (2, ROWS, COLUMNS)
