@@ -100,12 +100,14 @@ if TYPE_CHECKING:
     from lampest.recording.simulation import Unmodelled as Unmodelled
     from lampest.recording.simulation import read_simulations as read_simulations
     from lampest.recording.simulation import simulate as simulate
+    from lampest.report.compare import comparison as comparison
     from lampest.report.export import Export as Export
     from lampest.report.export import export_results as export_results
     from lampest.report.plots import CertaintyPlot as CertaintyPlot
     from lampest.report.plots import ContourPlot as ContourPlot
     from lampest.report.plots import Plot as Plot
     from lampest.report.plots import PressurePlot as PressurePlot
+    from lampest.report.plots import SweepPlot as SweepPlot
     from lampest.report.plots import plot_results as plot_results
     from lampest.report.reconstruction import Reconstruction as Reconstruction
     from lampest.runs.columns import Column as Column

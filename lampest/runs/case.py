@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -30,6 +32,7 @@ class CaseResult(Held):
 
     recording, estimator : the recording's stem and the estimator's name, printable ASCII without '/'.
     case_id, case_yaml : hash and YAML text of the resolved case. versions : library → version.
+    swept_json : values of a sweep by key.
     costs, weights, disc, contacts, misfit : name → (frames), see `lampest.runs.columns.FIGURES`; with `_errors` behind
         a name its standard deviation.
     baseline_status, baseline_solve_time : how the baseline's solve ended, and its time in s (NaN: not solved apart).
@@ -62,6 +65,20 @@ class CaseResult(Held):
                 check_name(name, folder.folder)
                 self._check_shape(f"/entry/{self.recording}/{self.estimator}/{folder.folder}/{name}", values, FRAMES)
         self.check(COLUMNS)
+        self.swept  # noqa: B018
+
+    @cached_property
+    def swept(self) -> dict[str, Any]:
+        """Values by key that a sweep set for this case. Raises InputError where the file holds no such values."""
+        try:
+            return dict(json.loads(self.swept_json or "{}"))
+        except (ValueError, TypeError) as error:
+            raise InputError(f"/entry/{self.recording}/{self.estimator}@swept is no mapping in JSON") from error
+
+    @property
+    def unswept_name(self) -> str:
+        """Name of the estimator without the values of a sweep."""
+        return self.estimator.partition("@")[0] if self.swept else self.estimator
 
     @property
     def local_optima(self) -> tuple[int, int, int] | None:

@@ -15,7 +15,7 @@ import h5py
 import numpy as np
 import pytest
 
-from lampest import CaseResult, read_results, read_run, term_types
+from lampest import CaseResult, InputError, read_results, read_run, term_types
 
 ROOT = Path(__file__).parents[2]
 COMMAND = Path(sys.executable).with_name("lampest")
@@ -212,25 +212,51 @@ def test_two_runs_into_one_folder_at_once(disk: SimpleNamespace) -> None:
     assert [case.estimator for case in cases(disk.folder / "out")] == ["LSM", "LSR-CR", "LSR-dCR"]
 
 
-def test_sweep_is_every_combination_of_those_it_names(disk: SimpleNamespace) -> None:
+def test_sweep_varies_an_estimator_over_its_own_keys_and_all_over_the_others(disk: SimpleNamespace) -> None:
     sweep = "sweep: {estimators.LSR-CR.terms.cell_resistance.weight: [1e-4, 1e-2], bounds.lower: [measured, 1]}\n"
     run = read_run(disk.run(disk.text + sweep))
-    assert [case.name for case in run.cases] == [
-        f"LSR-CR@cell_resistance.weight={weight},bounds.lower={lower}"
-        for weight in ("0.0001", "0.01")
-        for lower in ("measured", "1")
+    lower = [{"bounds.lower": bound} for bound in ("measured", 1)]
+    weights = [{"cell_resistance.weight": weight} for weight in (1e-4, 1e-2)]
+    assert [case.swept for case in run.cases] == [
+        *lower,
+        *(weight | bound for weight in weights for bound in lower),
+        *lower,
     ]
-    found = [(case.estimator.terms[1].weight, case.estimator.bounds.lower) for case in run.cases]
+    assert [case.name for case in run.cases][1:4] == [
+        "LSM@bounds.lower=1",
+        "LSR-CR@cell_resistance.weight=0.0001,bounds.lower=measured",
+        "LSR-CR@cell_resistance.weight=0.0001,bounds.lower=1",
+    ]
+    varied = run.cases[2:6]
+    found = [(case.estimator.terms[1].weight, case.estimator.bounds.lower) for case in varied]
     assert found == [(1e-4, "measured"), (1e-4, 1), (1e-2, "measured"), (1e-2, 1)]
-    assert len({case.case_id for case in run.cases}) == 4
+    assert len({case.case_id for case in run.cases}) == 8
+
+
+def test_sweep_of_single_estimators_keeps_the_others_once(disk: SimpleNamespace) -> None:
+    weights, changes = [1e-4, 1e-3, 1e-2], [1, 10]
+    keys = {
+        "estimators.LSR-CR.terms.cell_resistance.weight": weights,
+        "estimators.LSR-dCR.terms.relative_change.weight": changes,
+    }
+    run = read_run(disk.run(disk.text + f"sweep: {json.dumps(keys)}\n"))
+    assert [(case.name.partition("@")[0], list(case.swept.values())) for case in run.cases] == [
+        ("LSM", []),
+        *(("LSR-CR", [weight]) for weight in weights),
+        *(("LSR-dCR", [weight]) for weight in changes),
+    ]
+    with pytest.raises(InputError, match="a sweep varies keys below, or beside, this one"):
+        read_run(disk.run(disk.text + "sweep: {estimators: [{LSM: {terms: {misfit: {}}}}]}\n"))
+    with pytest.raises(InputError, match="LSR-XX"):
+        read_run(disk.run(disk.text + "sweep: {estimators.LSR-XX.terms.misfit.weight: [1, 2]}\n"))
 
 
 def test_sweep_of_what_all_share_varies_all(disk: SimpleNamespace) -> None:
     run = read_run(disk.run(disk.text + "sweep: {formulation: [nodal, per_pixel]}\n"))
     names = ("LSM", "LSR-CR", "LSR-dCR")
     forms = ("nodal", "per_pixel")
-    assert [case.name for case in run.cases] == [f"{name}@formulation={form}" for form in forms for name in names]
-    assert [case.estimator.formulation for case in run.cases] == [form for form in forms for _ in names]
+    assert [case.name for case in run.cases] == [f"{name}@formulation={form}" for name in names for form in forms]
+    assert [case.estimator.formulation for case in run.cases] == [form for _ in names for form in forms]
 
 
 def test_estimators_override_the_run_key_by_key(disk: SimpleNamespace) -> None:
