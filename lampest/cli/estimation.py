@@ -1,7 +1,7 @@
 """Commands that make files to begin with and recordings, and estimate cells."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -109,6 +109,9 @@ def import_(
     assign: AssignToScene = None,
     unit: Annotated[str | None, option("ohm, kohm, volt, mV or code. Default: by header or values.")] = None,
     period: Annotated[float | None, option("Seconds between frames, such as 0.1. Default: the file's times.")] = None,
+    time_unit: Annotated[
+        Literal["s", "ms", "us"] | None, option("Unit of the file's times. Default: by header or values.")
+    ] = None,
     missing: Annotated[str, option("Missing readings: mark (NaN), skip-frame or refuse.")] = "mark",
     baseline: Annotated[int, option("Number of unloaded frames at the beginning, such as 3.", min=0)] = 0,
     transpose: Annotated[bool, option("Rows and columns of the file are swapped.", "--transpose")] = False,
@@ -123,7 +126,7 @@ def import_(
     agreed = scene_of(scene, assign)
     with progress("reading"):
         recording, notes = import_file(
-            file, rows, columns, agreed, unit, baseline, transpose, variable, period, missing, layout
+            file, rows, columns, agreed, unit, baseline, transpose, variable, period, missing, layout, time_unit
         )
         recording.save(out)
     for line in understood_lines(recording, notes):

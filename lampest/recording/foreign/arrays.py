@@ -29,7 +29,7 @@ FLAT = "(frames, rows·columns), row by row"
 Arrays = dict[str, NDArray[Any]]
 Shape = tuple[int, int]
 Index = NDArray[np.intp]
-Timing = Callable[[], Clock] | None
+Timing = Callable[[str | None], Clock] | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +39,7 @@ class Frames:
     numbers : all that the file holds, in any unit and order; NaN where one is missing, infinite where it says so.
     number : (frames, rows, columns) index into them; -1: the file has none for the cell.
     named : index → where in the file; -1 → the file.
-    timing : when the frames were taken, or raises InputError; None where the file has no times.
+    timing : unit or None → when the frames were taken, or raises InputError; None where the file has no times.
     notes : sentences on how it was understood. words : names of columns or arrays in which the unit may stand.
     """
 
@@ -208,9 +208,9 @@ def frames_of_arrays(path: Path, shape: Shape, variable: str | None) -> Frames:
         index = ", ".join(str(part + matlab) for part in np.unravel_index(max(at, 0), array.shape))
         return f"{where}({index})" if matlab else f"{where}[{index}]"
 
-    def clock() -> Clock:
+    def clock(unit: str | None) -> Clock:
         values = np.asarray(arrays[times[0]], dtype=float).ravel()
-        read = clock_of_numbers(values, times[0], lambda frame: f"{path}: {times[0]}[{frame}]")
+        read = clock_of_numbers(values, times[0], lambda frame: f"{path}: {times[0]}[{frame}]", unit)
         return read.said(f"array {times[0]} in ")
 
     times = [time for time in arrays if role_of(time) == "time" and arrays[time].size == len(number) and time != name]

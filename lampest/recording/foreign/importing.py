@@ -4,7 +4,7 @@ import dataclasses
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,6 +41,7 @@ def import_file(
     period: float | None = None,
     missing: str = "mark",
     layout: str | None = None,
+    time_unit: Literal["s", "ms", "us"] | None = None,
 ) -> tuple[Recording, tuple[str, ...]]:
     """A recording of rows × columns cells, and sentences on what was found out or assumed about the file.
 
@@ -53,6 +54,7 @@ def import_file(
     transpose : the file's rows are the panel's columns.
     variable : which array of a .mat or .npz file, which sheet of an .xlsx file; needed where several would do.
     period : s between frames, in place of the file's times.
+    time_unit : of times that are numbers; None: what the column's name says, else what the numbers show.
     missing : 'mark': missing readings are NaN; 'skip-frame': their frames are left out; 'refuse': they are an error.
     layout : a table's columns as a header would call them: 'time,row,column,value'; None: its header or their number.
 
@@ -73,7 +75,7 @@ def import_file(
     values[~panel.present & ~(values > 0)] = np.nan
     if not 0 <= baseline_frames <= count:
         raise InputError(f"{path}: {baseline_frames} baseline frames asked for, but the file holds {count} frames")
-    clock = _clock(frames, period)
+    clock = _clock(frames, period, time_unit, path)
     if missing == "refuse":
         for frame, row, column in np.argwhere(np.isnan(values) & panel.present)[:1].tolist():
             place = frames.place(frame, row, column)
@@ -194,16 +196,18 @@ def _of_sheets(path: Path, shape: Shape, wanted: str | None, layout: str | None)
     return next(iter(fitting.values()))
 
 
-def _clock(frames: Frames, period: float | None) -> Clock:
+def _clock(frames: Frames, period: float | None, unit: str | None, path: Path) -> Clock:
     number = np.arange(len(frames.number), dtype=float)
     if period is not None:
         if not 0 < period < float("inf"):
             raise InputError("the period must be positive and finite")
         unused = "; those of the file are not used" if frames.timing is not None else ""
         return Clock(number * period, None, f"time: a frame every {period:g} s, as specified{unused}")
+    if frames.timing is None and unit is not None:
+        raise InputError(f"{path}: holds no times that could be in {unit}; --period sets them")
     if frames.timing is None:
         return Clock(number, None, "no time in the file: one frame a second is assumed; --period says otherwise")
-    return frames.timing()
+    return frames.timing(unit)
 
 
 def _without_missing(blank: NDArray[np.bool_], missing: str, path: Path) -> tuple[NDArray[np.bool_], str]:

@@ -23,6 +23,7 @@ from lampest.recording.foreign.words import clock_of, has_decimal_comma, is_stam
 MOST_FIELDS = 10_000_000  # 50 bytes each in memory
 SAMPLED = 50_000  # characters or fields of a file's beginning that decide how it is written
 SAMPLED_LINES = 1000
+MOST_NAMED = 10  # lines that a sentence names
 DELIMITERS = {";": "semicolon", "\t": "tab", ",": "comma", " ": "blank"}
 COMMENT = re.compile(r"#(?!N/?A|DIV/0!|NUM!|VALUE!|REF!)|%|//", re.IGNORECASE)  # not where Excel has no number
 # '12:34:56.789 -> ' of the Arduino IDE, '12:34:56.789 > ' of PlatformIO, '[2025-01-31 12:34:56.789] ' of others
@@ -315,7 +316,7 @@ class ReadingsTable:
         return self._timing(texts, name, begins, None, "before each block in ")
 
     def _timing(self, texts: Sequence[str], name: str, lines: Sequence[int], field: int | None, said: str) -> Timing:
-        return lambda: clock_of(texts, name, lambda at: self.place(lines[at], field), self.comma).said(said)
+        return lambda unit: clock_of(texts, name, lambda at: self.place(lines[at], field), self.comma, unit).said(said)
 
 
 def kind_of(text: str) -> str:
@@ -362,8 +363,10 @@ def readings_table(source: FieldLines, layout: str | None = None) -> ReadingsTab
     left = np.flatnonzero(~data & other & ~comment & np.any(fields != "", axis=1))
     if len(left):
         shown = " ".join(fields[left[0]]).strip()[:40]
-        more = f" and {len(left) - 1} other{'s' if len(left) > 2 else ''}" if len(left) > 1 else ""
-        notes.append(f"left out: {source.called(left[0])} ({shown!r}){more}, no readings or cut off")
+        named = ", ".join(str(source.lines[line].number) for line in left[:MOST_NAMED])
+        named += f" and {len(left) - MOST_NAMED} more" if len(left) > MOST_NAMED else ""
+        called = f"lines {named} (the first: {shown!r})" if len(left) > 1 else f"line {named} ({shown!r})"
+        notes.append(f"left out: {called.replace('line', source.word)}, no readings or cut off")
     names = [""] * width if header is None else [text.lstrip("#% ") for text in fields[header, :width]]
     if layout is not None:
         names = [name.strip() for name in layout.split(",")]
