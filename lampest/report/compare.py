@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Any, Literal, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.files.errors import extra
 from lampest.files.whole import write_whole
 from lampest.panel.panel import Array
 from lampest.report.words import counted, digits
+from lampest.runs.case import data_frame
 from lampest.runs.results import CaseResult, PublishedFigures, Results, StepFigures, read_results
 
 if TYPE_CHECKING:
@@ -195,9 +195,7 @@ def comparison(*paths: str | Path) -> "DataFrame":
     >>> lampest.comparison("results.h5")[["recording", "estimator", "frames solved"]].values.tolist()
     [['mine', 'LSM', 2]]
     """
-    with extra("tables"):
-        from pandas import DataFrame  # takes 0.3 s
-    return DataFrame(table_lines(compare_files(paths)))
+    return data_frame(table_lines(compare_files(paths)))
 
 
 def screen_blocks(rows: Sequence[Row], published: bool = False) -> list[Table]:

@@ -148,9 +148,6 @@ class CaseResult(Held):
         One line for every cell of every frame; what only a frame or a cell has stands in each of its lines. Units are
         in `attrs["units"]`. Raises InputError as `to_xarray`.
         """
-        with extra("tables"):
-            from pandas import DataFrame  # takes 0.3 s
-
         held = series_of(self, self.described(columns))
         first = {name: held.pop(name) for name in (TIME.name, FRAME.name)} | places_of(self)
         held = first | {name: one for name, one in held.items() if "/" not in one.path}
@@ -159,7 +156,7 @@ class CaseResult(Held):
         for name, one in held.items():
             shape = [size if axis in one.axes else 1 for axis, size in sizes.items()]
             lines[name] = np.broadcast_to(np.reshape(one.values, shape), self.measured.shape).ravel()
-        table = DataFrame(lines)
+        table = data_frame(lines)
         table.attrs = about(self) | {"units": {n: one.units for n, one in held.items() if n not in CELLS}}
         return table
 
@@ -260,6 +257,14 @@ def places_of(case: CaseResult) -> dict[str, Series]:
         name: Series(name, along, values, units, words, dtype=values.dtype.type, path=name)
         for name, (along, values, units, words) in coordinates(case.scene.panel).items()
     }
+
+
+def data_frame(columns: Any) -> DataFrame:
+    """Return columns by name, or rows by column, as a pandas.DataFrame. Raises InputError where pandas is missing."""
+    with extra("tables"):
+        from pandas import DataFrame  # takes 0.3 s
+
+    return DataFrame(columns)
 
 
 def about(case: CaseResult) -> dict[str, Any]:

@@ -386,7 +386,7 @@ def test_examples_in_docstrings_run(
     name: str, known: dict[str, object], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    if name in ("read_run", "read_results", "export_results", "plot_results"):
+    if name in ("read_run", "read_results", "export_results", "plot_results", "comparison"):
         known["recording"].save("mine.h5")  # type: ignore[attr-defined]
         known["found"].save("results.h5", "LSM")  # type: ignore[attr-defined]
     found = doctest.DocTestFinder(recurse=False).find(getattr(lampest, name), name, globs=dict(known))

@@ -399,3 +399,50 @@ def test_readings_that_mostly_stand_at_the_rail_of_a_shorted_cell_are_refused(tm
     volts[0, 0] = 1.0
     recording, _ = import_file(table(tmp_path / "o.csv", volts.reshape(2, -1)), scene=amplifiers(), unit="volt")
     assert recording.recorded.shape == (2, ROWS, COLUMNS)
+
+
+def test_an_array_becomes_the_recording_that_its_file_becomes(tmp_path: Path) -> None:
+    volts = 5.0 * 1000.0 / (FRAMES + 1000.0)
+    codes = np.floor(volts / 5 * 1024).astype(int)
+    text = "panel: {rows: 3, columns: 5}\nreadout: {kind: two_point}\nseries_resistance_ohm: 140\n"
+    (tmp_path / "scene.yaml").write_text(text, encoding="utf-8")
+    for unit, values in (
+        ("ohm", FRAMES),
+        ("kohm", FRAMES / 1000),
+        ("volt", volts),
+        ("mV", 1000 * volts),
+        ("code", codes),
+    ):
+        np.save(tmp_path / "m.npy", values)
+        expected, _ = import_file(tmp_path / "m.npy", scene=SCENE, unit=unit, baseline_frames=2)
+        for scene in (SCENE, tmp_path / "scene.yaml", str(tmp_path / "scene.yaml")):
+            recording = Recording.from_array(values.tolist(), unit=unit, baseline=2, scene=scene, time=[0, 1, 2, 4])
+            np.testing.assert_array_equal(recording.recorded, expected.recorded)
+            np.testing.assert_array_equal(recording.role, [0, 0, 1, 1])
+            np.testing.assert_array_equal(recording.time, [0, 1, 2, 4])
+            assert recording.scene.panel == SCENE.panel
+    plain = Recording.from_array(FRAMES)
+    assert plain.scene == Scene(Panel(ROWS, COLUMNS)) and plain.time[-1] == 3 and np.all(plain.role == 1)
+    assert reconstruct(Recording.from_array(FRAMES, baseline=1), [Misfit()]).solved.all()
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"values": FRAMES[0]}, r"values must have the shape \(frames, rows, columns\) with at least one frame, not"),
+        ({"values": FRAMES[:, :2], "scene": SCENE}, r"values must have the shape \(frames, 3, 5\) .*not \(4, 2, 5\)"),
+        ({"values": FRAMES, "baseline": 5}, "baseline must be a number of frames from 0 to 4, not 5"),
+        ({"values": FRAMES, "unit": "V"}, "the unit 'V' is unknown; there are ohm, kohm, volt, mV, code"),
+        ({"values": FRAMES, "unit": "volt"}, "values: volt values need a scene with a readout"),
+        (
+            {"values": FRAMES, "unit": "volt", "scene": SCENE},
+            r"values\[0, 0, 0\]: 468.* lies outside 0 to 5 V, the range",
+        ),
+        ({"values": FRAMES, "time": [0, 1]}, "time must hold one finite time for each frame"),
+        ({"values": "m.csv"}, "values"),
+    ],
+)
+def test_an_array_that_does_not_fit_is_refused_in_words_of_its_arguments(given: dict[str, Any], message: str) -> None:
+    with pytest.raises(InputError, match=message) as caught:
+        Recording.from_array(**given)
+    assert "--" not in str(caught.value)

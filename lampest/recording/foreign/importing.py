@@ -1,15 +1,13 @@
 """Foreign measurements → a recording, and sentences on all that was understood or assumed."""
 
-import dataclasses
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.files.document import read_document, validated
 from lampest.files.errors import InputError, printable
 from lampest.files.typed import typed
 from lampest.files.whole import note_read
@@ -92,30 +90,6 @@ def import_file(
     recording = Recording(scene, series, time, role[kept], name=path.stem, start_time=clock.start)
     notes = (*frames.notes, reason, clock.sentence, _assumed(scene, given), gaps, *_summary(recording))
     return recording, tuple(map(printable, filter(None, notes)))
-
-
-@typed
-def read_scene(path: str | Path, assigned: tuple[str, ...] = ()) -> Scene:
-    """The scene of a YAML file, which holds nothing else or has it under `scene`; `assigned` overrides entries.
-
-    Each of them is PATH=VALUE, such as readout.noise_lsb=1.2. Raises InputError with line and column.
-
-    >>> _ = Path("scene.yaml").write_text("panel: {rows: 2, columns: 3}")
-    >>> lampest.read_scene("scene.yaml").panel.shape
-    (2, 3)
-    """
-    document = read_document(Path(path), assigned)
-    if isinstance(document.content, dict) and "scene" in document.content:
-        document = dataclasses.replace(document, content=document.content["scene"], marks=document.marks["scene"])
-    scene: Scene = validated(document, Scene)
-    parts: dict[str, Any] = {"panel": scene.panel} | ({} if scene.readout is None else {"readout": scene.readout})
-    left_open = tuple(
-        f"{name}.{entry.name}"
-        for name, part in parts.items()
-        for entry in dataclasses.fields(part)
-        if entry.name not in ("kind", *document.content[name]) and getattr(part, entry.name)
-    )
-    return dataclasses.replace(scene, assumed=scene.assumed or left_open)
 
 
 def _panel(rows: int | None, columns: int | None, scene: Scene | None) -> Panel:
