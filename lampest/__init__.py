@@ -15,7 +15,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Literal
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     __version__: str
 
@@ -162,6 +162,7 @@ def reconstruct(
     error_bars: Literal["auto"] | bool = "auto",
     auto_weight: AutoWeight | None = None,
     tare: Tare | None = None,
+    progress: bool | Callable[[int, int], None] = False,
 ) -> Reconstruction:
     """r̂ = argmin Σ weight·loss(residual) within the bounds, for every measured frame of a recording.
 
@@ -174,6 +175,8 @@ def reconstruct(
     solver, bounds, auto_weight : None stands for Settings(), Bounds() and AutoWeight().
     tare : when the zero of pressures is taken anew; None: never.
     error_bars : 'auto' gives them to panels of up to 600 cells whose noise is known.
+    progress : True draws a bar with the frames done of all and the time left; a function is called after every frame
+        with both numbers.
 
     Returns a Reconstruction; `cell_resistance` (frames, rows, columns) ohm and `relative_change` percent are arrays.
     Raises InputError where an argument is of another kind, or the recording and the estimator do not fit.
@@ -196,4 +199,9 @@ def reconstruct(
         AutoWeight() if auto_weight is None else auto_weight,
         tare,
     )
-    return Reconstruction.of(recording, estimator)
+    if progress is not True:
+        return Reconstruction.of(recording, estimator, progress or (lambda done, frames: None))
+    from lampest.cli.screen import progress as progress_bar
+
+    with progress_bar("frames", counted=True) as on_frame:
+        return Reconstruction.of(recording, estimator, on_frame)

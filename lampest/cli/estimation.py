@@ -69,9 +69,8 @@ def run(
     for name, text in cases.assumed:
         warn(f"{name}: {text} assumed; the scene does not say")
     executor = cases.executor if cases.executor and not jobs else local(jobs, len(cases.cases), limited)
-    bar = progress("cases")
-    with bar as on_case:
-        report = run_batch(cases, out or Path("results") / config.stem, executor, fresh, on_case, bar.about)
+    with progress("frames", counted=True) as on_frames:
+        report = run_batch(cases, out or Path("results") / config.stem, executor, fresh, on_frames)
     counts = f"{counted(report.done, 'case')} solved, {report.skipped} were done before, {len(report.failed)} failed"
     say(f"{counts}: {report.results or 'no results'}")
     if report.aside:
@@ -94,7 +93,7 @@ def simulate(
     """Simulate recordings with known truth from a scene."""
     from lampest.recording.simulation import run as run_simulation
 
-    with progress("frames") as on_frame:
+    with progress("frames", counted=True) as on_frame:
         written_files = run_simulation(config, out, on_frame, tuple(assign or ()))
     for path in written_files:
         say(path)

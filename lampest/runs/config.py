@@ -115,6 +115,8 @@ class Case:
         The recording, if it is too long for memory and solved part by part.
     swept : dict
         Key → value that the sweep set for this case.
+    frames : int
+        Number of frames that are solved; 0 for a recording that cannot be read.
     """
 
     path: Path
@@ -126,6 +128,7 @@ class Case:
     case_id: str
     stored: StoredRecording | None = None
     swept: Mapping[str, Any] = field(default_factory=dict)
+    frames: int = 0
 
 
 @dataclass(frozen=True)
@@ -185,8 +188,8 @@ def read_run(path: Path, settings: tuple[str, ...] = ()) -> Run:
 class _Source:
     """A recording as cases need it.
 
-    scene, readings : None where the file cannot be read, and fault : why. stored : where it is too long for memory;
-    then `readings` are its first.
+    scene, readings : None where the file cannot be read, and fault : why. frames : that are measured. stored : where it
+    is too long for memory; then `readings` are its first, and `frames` all.
     """
 
     path: Path
@@ -194,6 +197,7 @@ class _Source:
     scene: Scene | None = None
     readings: Readings | None = None
     fault: InputError | None = None
+    frames: int = 0
     stored: StoredRecording | None = None
 
     @classmethod
@@ -205,11 +209,11 @@ class _Source:
             recording = opened(path)
             if isinstance(recording, StoredRecording):
                 first = recording.part(recording.blocks()[0])
-                return cls(*names, recording.scene, first.readings(), stored=recording)
-            recording.measured_frames()
+                return cls(*names, recording.scene, first.readings(), frames=recording.frames, stored=recording)
+            frames = len(recording.measured_frames())
         except InputError as error:
             return cls(*names, fault=error)
-        return cls(*names, recording.scene, recording.readings())
+        return cls(*names, recording.scene, recording.readings(), frames=frames)
 
     def check(self, case: str, estimator: Estimator) -> None:
         """Raise InputError where an estimator needs what the recording does not say, or cannot serve its scene."""
@@ -230,7 +234,8 @@ class _Source:
         entries = {key: value for key, value in (content | plain_content(estimator)).items() if value is not None}
         # One after the other, in the order of their keys, the entries' texts are that of the mapping.
         resolved = "".join(_block(key, json.dumps(plain_content(entries[key]))) for key in sorted(entries))
-        return Case(self.path, self.sha256, recording, name, estimator, resolved, hash_of(resolved), self.stored, swept)
+        names = (self.path, self.sha256, recording, name)
+        return Case(*names, estimator, resolved, hash_of(resolved), self.stored, swept, self.frames)
 
 
 @lru_cache(maxsize=4096)

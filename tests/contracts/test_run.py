@@ -132,13 +132,13 @@ def test_processes_find_what_one_finds(disk: SimpleNamespace) -> None:
 
 @pytest.fixture
 def long(disk: SimpleNamespace) -> SimpleNamespace:
-    """Forty cases of some tenths of a second."""
+    """Forty-two cases of some tenths of a second."""
     shape = (9, 8, 8)
     disk.recording(disk.folder / "long.h5", disk.scene.replace("rows: 3, columns: 4", "rows: 8, columns: 8"), shape)
     weights = [float(f"{weight:.3g}") for weight in np.geomspace(1e-5, 1e-1, 40)]
     sweep = f"sweep: {{estimators.LSR-CR.terms.cell_resistance.weight: {json.dumps(weights)}}}\n"
     path = disk.run(disk.text.replace("small.h5", "long.h5") + sweep)
-    return SimpleNamespace(path=path, out=disk.folder / "out", count=40)
+    return SimpleNamespace(path=path, out=disk.folder / "out", count=42)
 
 
 def started(long: SimpleNamespace) -> subprocess.Popen[str]:
@@ -183,6 +183,34 @@ def test_interrupted_run_keeps_what_is_finished(long: SimpleNamespace) -> None:
     assert 2 <= len(finished) < long.count
     assert all(np.all(case.solved) for case in finished)
     assert {case.case_id for case in finished} == {path.stem for path in (long.out / "cases").glob("[!.]*.h5")}
+
+
+@pytest.mark.parametrize("executor", ["serial", "processes, workers: 1"])
+def test_a_case_that_is_broken_off_keeps_its_finished_frames(
+    executor: str, disk: SimpleNamespace, lampest: Command
+) -> None:
+    shape, out = (1502, 8, 8), disk.folder / "out"
+    disk.recording(disk.folder / "small.h5", disk.scene.replace("rows: 3, columns: 4", "rows: 8, columns: 8"), shape)
+    text = disk.text[: disk.text.index("  LSR-CR")] + f"formulation: nodal\nexecutor: {{kind: {executor}}}\n"
+    run = subprocess.Popen(
+        [COMMAND, "run", str(disk.run(text)), "--out", str(out)],
+        stderr=subprocess.PIPE,
+        text=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+    )
+    deadline = time.monotonic() + 60
+    while not list((out / "cases").glob(".*_unfinished.h5")):
+        assert run.poll() is None and time.monotonic() < deadline
+        time.sleep(0.01)
+    run.send_signal(signal.SIGINT)
+    run.communicate(timeout=60)
+    assert run.returncode == 130
+    (case,) = cases(out)
+    count = int(case.solved.sum())
+    assert 0 < count < len(case.solved) and case.solved[:count].all()
+    assert np.isnan(case.cell_resistance[count:]).all() and np.isfinite(case.cell_resistance[:count]).all()
+    assert set(case.status[count:]) == {"the run was broken off before this frame"}
+    assert not list((out / "cases").iterdir()), "an unfinished case is solved anew"
 
 
 def test_one_run_at_a_time_in_a_folder(disk: SimpleNamespace, lampest: Command) -> None:
