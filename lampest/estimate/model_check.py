@@ -20,6 +20,7 @@ from lampest.loads.recognition.detector import Detector
 from lampest.loads.recognition.settings import patch_of
 from lampest.panel.panel import Modules
 from lampest.panel.scene import Scene
+from lampest.panel.systematic import unshown_text
 from lampest.posterior.interval import chi_square_tail, largest_of
 from lampest.recording.readings import Readings, strongest_frame
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
@@ -68,8 +69,14 @@ def recording_check(recording: Recording) -> ModelCheck:
 
     The unloaded panel's mean and the frame that differs most from it are explained by cells alone, every frame is
     held against the circuit's inequalities, and other circuits are tried on the same two. Without an unloaded frame
-    the first one stands in.
+    the first one stands in. Where the circuit explains the readings, the sentence says what no frame can show.
     """
+    check, unshown = _check_of(recording), unshown_text(recording.scene)
+    return replace(check, sentence=f"{check.sentence}; {unshown}") if check.explains and unshown else check
+
+
+def _check_of(recording: Recording) -> ModelCheck:
+    """The check without what no frame can show."""
     if recording.scene.panel.modules is not None:
         return _of_modules(recording, recording.scene.panel.modules)
     recording = as_passed(recording)
@@ -97,7 +104,7 @@ def _of_modules(recording: Recording, layout: Modules) -> ModelCheck:
         change = np.abs(np.log(values[recording.role == MEASURED] / np.nanmean(values[resting], axis=0)))
         moved = np.nan_to_num(np.nanmean(change, axis=(2, 3))).max(0, initial=0.0)
     living = [one for one in np.argsort(moved)[::-1].tolist() if one not in recording.scene.dead_modules]
-    found = {one: recording_check.__wrapped__(recording.modules[one]) for one in sorted(living[:MOST_MODULES])}
+    found = {one: _check_of(recording.modules[one]) for one in sorted(living[:MOST_MODULES])}
     explains = [check.explains for check in found.values()]
     verdict = False if False in explains else True if True in explains else None
     said = {one: check for one, check in found.items() if check.explains is verdict}
