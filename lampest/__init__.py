@@ -89,6 +89,7 @@ if TYPE_CHECKING:
     from lampest.panel.scene import Water as Water
     from lampest.panel.scene import read_scene as read_scene
     from lampest.recording import datasets as datasets
+    from lampest.recording.foreign.arrays import Layout as Layout
     from lampest.recording.foreign.importing import import_file as import_file
     from lampest.recording.readings import Readings as Readings
     from lampest.recording.recording import MEASURED as MEASURED

@@ -115,7 +115,9 @@ def import_(
     baseline: Annotated[int, option("Number of unloaded frames at the beginning, such as 3.", min=0)] = 0,
     transpose: Annotated[bool, option("Rows and columns of the file are swapped.", "--transpose")] = False,
     variable: Annotated[str | None, option("The variable of a .mat or .npz file, the sheet of an .xlsx file.")] = None,
-    layout: Annotated[str | None, option("Names of a table's columns, such as time,row,column,value.")] = None,
+    layout: Annotated[
+        str | None, option("A table's columns, such as time,row,column,value, or an installed layout.")
+    ] = None,
 ) -> None:
     """Convert measurements of another program to a recording, and report how they were interpreted."""
     from lampest.recording.foreign.importing import import_file

@@ -23,6 +23,7 @@ from lampest.recording.readings import Readings
 from lampest.recording.recording import Recording
 from lampest.solvers.solution import Status
 
+OVERRULED = 5.0  # times the noise: a penalty that the data choose leaves readings within it
 AT_RAILS = {  # what stands for the solver's own sentence where readings are at or beyond a rail
     Status.HELD: "an optimum, but readings at or beyond {} keep cells at their bounds and are missed",
     Status.FLAT: "an optimum, but readings at or beyond {} leave some cells undetermined",
@@ -119,6 +120,7 @@ class Estimates:
     joint_start : whether the first frame was solved together with the baseline.
     contacts : of the lines, as far as they are known afterwards; None where the scene names none.
     asked : of a part of a long recording, the frames that its noise and its circuit were asked of; None of a whole one.
+    automatic : whether the data chose a weight.
 
     >>> isinstance(found, lampest.Estimates), found.cell_resistance.shape
     (True, (2, 2, 3))
@@ -136,6 +138,7 @@ class Estimates:
     joint_start: bool
     contacts: Contacts | None = None
     asked: Recording | None = None
+    automatic: bool = False
 
     def __repr__(self) -> str:
         solved, status = int(self.solved.sum()), self.status[0]
@@ -282,9 +285,26 @@ class Estimates:
 
     @cached_property
     def checks(self) -> tuple[str, ...]:
-        """What speaks against the estimates, one line each: failed frames, roles and units, circuit, noise."""
-        failed = unsolved(self.solved, self.status)
-        return (*([failed] if failed else []), *warnings_of(self.asked or self.recording, self.noise, self.model_check))
+        """What speaks against the estimates, one line each: failed frames, weights, roles and units, circuit, noise."""
+        own = filter(None, (unsolved(self.solved, self.status), self._overruled))
+        return (*own, *warnings_of(self.asked or self.recording, self.noise, self.model_check))
+
+    @property
+    def _overruled(self) -> str:
+        """Whether penalties whose weights the data chose keep the readings from being met, in words; ''."""
+        chi_square = self.misfit.get("chi_square", np.zeros(0)) if self.automatic else np.zeros(0)
+        known = np.isfinite(chi_square)
+        if self.sigma is None or not known.any():
+            return ""
+        count = np.isfinite(self.sigma).sum(axis=(1, 2))
+        factor = float(np.sqrt(np.median(chi_square[known] / count[known])))
+        if factor < OVERRULED:
+            return ""
+        terms = " and ".join(term_kind(term) for term in self.estimator.terms if not term.reads_measurement)
+        return (
+            f"with the weight that was chosen for {terms} readings are missed by {factor:.2g} times their noise in the "
+            "median frame: give a smaller weight, or leave the term out"
+        )
 
     @cached_property
     def film(self) -> FilmKnown | None:

@@ -62,7 +62,8 @@ def reconstruct(
 
     def so_far() -> Estimates:
         missing = [stream.unsolved(Status.BROKEN_OFF)] * (count - len(steps))
-        return _estimates(stream, recording, frames, readings, steps + missing)
+        made = _estimates(stream, recording, frames, readings, steps + missing)
+        return replace(made, automatic=estimator.automatic)
 
     if estimator.method.together:
         numbers = iter(range(1, count + 1))

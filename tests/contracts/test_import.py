@@ -2,8 +2,9 @@
 
 import os
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ import scipy.io
 from lampest import (
     Bounds,
     InputError,
+    Layout,
     Misfit,
     Panel,
     Recording,
@@ -446,3 +448,38 @@ def test_an_array_that_does_not_fit_is_refused_in_words_of_its_arguments(given: 
     with pytest.raises(InputError, match=message) as caught:
         Recording.from_array(**given)
     assert "--" not in str(caught.value)
+
+
+@dataclass(frozen=True)
+class FramesInBytes(Layout):
+    kind: ClassVar[str] = "frames_in_bytes"
+
+    def read(self, path: Path, rows: int, columns: int) -> tuple[np.ndarray, np.ndarray]:
+        values = np.fromfile(path, dtype="<u2").reshape(-1, rows, columns)
+        return values, np.arange(len(values)) * 50
+
+
+def test_a_layout_of_ones_own_reads_what_it_knows(tmp_path: Path) -> None:
+    codes = np.arange(300, 300 + 2 * ROWS * COLUMNS).astype("<u2").reshape(2, ROWS, COLUMNS)
+    (tmp_path / "m.bin").write_bytes(codes.tobytes())
+    recording, notes = import_file(tmp_path / "m.bin", scene=SCENE, unit="code", layout=FramesInBytes())
+    np.testing.assert_allclose(recording.recorded, Recording.from_array(codes, unit="code", scene=SCENE).recorded)
+    assert recording.time[-1] == 0.05 and notes[0] == "layout frames_in_bytes"
+    assert any(note.startswith("time: ms (guessed") for note in notes)
+    with pytest.raises(InputError, match=r"layout frames_in_bytes gives 2 × 5 × 3, not frames × 3 × 5"):
+        import_file(tmp_path / "m.bin", scene=SCENE, unit="code", layout=Turned())
+
+
+class Turned(FramesInBytes):
+    def read(self, path: Path, rows: int, columns: int) -> tuple[np.ndarray, np.ndarray]:
+        return super().read(path, columns, rows)
+
+
+@pytest.mark.parametrize("written", ["ROW{row}={line}", "R{row}: {line}", "row {row} = {line}"])
+def test_rows_with_names_before_a_sign(tmp_path: Path, written: str) -> None:
+    lines = [
+        written.format(row=row, line=",".join(map(str, values))) for frame in FRAMES for row, values in enumerate(frame)
+    ]
+    (tmp_path / "m.log").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    recording, _ = import_file(tmp_path / "m.log", ROWS, COLUMNS)
+    np.testing.assert_allclose(recording.resistance, FRAMES)

@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.files.errors import InputError, printable
-from lampest.files.typed import typed
+from lampest.files.typed import installed, typed
 from lampest.files.whole import note_read
 from lampest.panel.panel import Panel
 from lampest.panel.scene import Scene
-from lampest.recording.foreign.arrays import MOST_BYTES, READERS, Frames, Shape, frames_of_arrays
+from lampest.recording.foreign.arrays import MOST_BYTES, READERS, Frames, Layout, Shape, frames_of_arrays
 from lampest.recording.foreign.layouts import frames_of
 from lampest.recording.foreign.table import lines_of_sheets, lines_of_text, readings_table
 from lampest.recording.foreign.unit import check_shorted, check_unit, recorded_values, understood_unit
@@ -38,7 +38,7 @@ def import_file(
     variable: str | None = None,
     period: float | None = None,
     missing: str = "mark",
-    layout: str | None = None,
+    layout: str | Layout | None = None,
     time_unit: Literal["s", "ms", "us"] | None = None,
 ) -> tuple[Recording, tuple[str, ...]]:
     """A recording of rows × columns cells, and sentences on what was found out or assumed about the file.
@@ -54,7 +54,8 @@ def import_file(
     period : s between frames, in place of the file's times.
     time_unit : of times that are numbers; None: what the column's name says, else what the numbers show.
     missing : 'mark': missing readings are NaN; 'skip-frame': their frames are left out; 'refuse': they are an error.
-    layout : a table's columns as a header would call them: 'time,row,column,value'; None: its header or their number.
+    layout : a table's columns as a header would call them: 'time,row,column,value'; or a `Layout`, or the kind of an
+        installed one; None: its header or their number.
 
     Raises InputError with file and place where anything does not fit.
 
@@ -68,6 +69,8 @@ def import_file(
         raise InputError(f"missing readings: '{missing}' is unknown; there are {', '.join(MISSING)}")
     panel = _panel(rows, columns, scene)
     check_unit(unit, scene, path)
+    own = {each.kind: each for each in installed("lampest.layouts", Layout)}
+    layout = own.get(layout, layout) if isinstance(layout, str) else layout
     frames = _frames(path, panel, transpose, variable, layout)
     values, count = frames.values, len(frames.values)
     values[~panel.present & ~(values > 0)] = np.nan
@@ -108,7 +111,7 @@ def _panel(rows: int | None, columns: int | None, scene: Scene | None) -> Panel:
         raise InputError(f"{rows} × {columns}: {error}") from error
 
 
-def _frames(path: Path, panel: Panel, transpose: bool, variable: str | None, layout: str | None) -> Frames:
+def _frames(path: Path, panel: Panel, transpose: bool, variable: str | None, layout: str | Layout | None) -> Frames:
     """The file's frames over the panel; where it does not hold all crossings, one value for each cell of the list."""
     try:
         frames = _read_frames(path, panel.shape[::-1] if transpose else panel.shape, variable, layout)
@@ -127,7 +130,7 @@ def _frames(path: Path, panel: Panel, transpose: bool, variable: str | None, lay
     return frames
 
 
-def _read_frames(path: Path, shape: Shape, variable: str | None, layout: str | None) -> Frames:
+def _read_frames(path: Path, shape: Shape, variable: str | None, layout: str | Layout | None) -> Frames:
     """The frames of a file by its suffix. Raises InputError where it cannot be read, is too large, or does not fit."""
     kind = path.suffix.lower()
     try:
@@ -137,6 +140,8 @@ def _read_frames(path: Path, shape: Shape, variable: str | None, layout: str | N
             raise InputError(f"{path}: no file")
         if size > MOST_BYTES:
             raise InputError(f"{path}: {size} bytes, more than {MOST_BYTES} are not imported")
+        if isinstance(layout, Layout):
+            return layout.frames(path, shape)
         if kind in NOT_READ:
             raise InputError(f"{path}: {kind} files are not read; {NOT_READ[kind]}")
         if variable is not None and kind not in NAMED:

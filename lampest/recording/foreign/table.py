@@ -29,6 +29,7 @@ COMMENT = re.compile(r"#(?!N/?A|DIV/0!|NUM!|VALUE!|REF!)|%|//", re.IGNORECASE)  
 # '12:34:56.789 -> ' of the Arduino IDE, '12:34:56.789 > ' of PlatformIO, '[2025-01-31 12:34:56.789] ' of others
 DATE, TIME = r"(?:\d{4}-\d{2}-\d{2}[ T]|\d{1,2}\.\d{1,2}\.\d{4} )?", r"\d{1,2}:\d{2}:\d{2}(?:[.,:]\d+)?"
 STAMPED = re.compile(rf"\s*\[?({DATE}{TIME})\s*(?:\]|->|>|\|)\s*")
+LABELLED = re.compile(r"\s*([^\W\d]+[ _]?\d+)\s*[=:]\s*(?=[-+.\d])")  # 'ROW0=512,511', 'R0: 512 511'
 LISTED = re.compile(r"[\[{(]+\s*[-+.\d]")  # '[512, 511],' of Python and JSON, '{512, 511},' of C
 BRACKETS = str.maketrans("[]{}()", "      ")
 # 'Frame 3, t = 1250 ms', 'time: 2025-01-31 12:00:01', 'millis=123'
@@ -104,6 +105,9 @@ def lines_of_text(path: Path) -> FieldLines:
         stamped = STAMPED.match(line)
         rest = line[stamped.end() :] if stamped else line.strip(" ")
         rest = rest.translate(BRACKETS) if LISTED.match(rest) else rest
+        if labelled := LABELLED.match(rest):  # the name becomes a field
+            sign = next((sign for sign in DELIMITERS if sign in rest[labelled.end() :]), " ")
+            rest = f"{labelled[1]}{sign}{rest[labelled.end() :]}"
         if rest.strip().strip(" \t;,"):
             read.append(FieldLine(number, [rest], stamped[1] if stamped else ""))
     delimiter = _delimiter([line.texts[0] for line in read if not COMMENT.match(line.texts[0])])
