@@ -66,9 +66,9 @@ def combinations(document: Document, validate: Callable[[Document], Kind], apart
             raise document.error(("sweep", path), "a sweep varies keys below, or beside, this one")
     entries = document.content.get(apart) if apart and isinstance(document.content, dict) else None
     names = list(entries) if isinstance(entries, dict) and entries else [""]
-    others = {name: tuple(f"{apart}.{other}" for other in names if other != name) for name in names}
     own = {
-        name: {path: values for path, values in sweep.items() if not _is_below(path, others[name])} for name in names
+        name: {path: values for path, values in sweep.items() if _entry_of(path, apart, names) in (None, name)}
+        for name in names
     }
     if sum(math.prod(map(len, paths.values())) for paths in own.values()) > 10_000:
         raise document.error(("sweep",), "more than 10000 combinations")
@@ -87,9 +87,10 @@ def combinations(document: Document, validate: Callable[[Document], Kind], apart
     return found
 
 
-def _is_below(path: str, places: tuple[str, ...]) -> bool:
-    """Whether a path is one of some places, or leads to something below it."""
-    return any(path == place or path.startswith(f"{place}.") for place in places)
+def _entry_of(path: str, apart: str, names: list[str]) -> str | None:
+    """Return the entry that a path leads into; None for one that leads elsewhere."""
+    first, *others = path.split(".")
+    return others[0] if first == apart and others[0] in names else None
 
 
 def _assigned(document: Document, assignments: dict[str, Any]) -> Document:

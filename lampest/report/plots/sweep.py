@@ -24,8 +24,8 @@ DECADE = 10.0  # ratio of swept values from which their axis is logarithmic
 class SweepPlot(Plot):
     """Errors of cells (where the truth is known) and of readings over each swept number, a line for each estimator.
 
-    An estimator that was swept over further keys has a line for each of their values. Dashed: estimators that were not
-    swept. Errors below 0.001 % are drawn there. Of all solved frames.
+    An estimator that was swept over further keys has a line for each of their values. Dashed: estimators without
+    swept numbers. Errors below 0.001 % are drawn there. Of all solved frames.
 
     >>> lampest.SweepPlot().kind
     'sweep'
@@ -64,11 +64,11 @@ def swept_numbers(cases: Sequence[CaseResult]) -> tuple[str, ...]:
 
 
 def _draw_lines(axes: Axes, key: str, cases: Sequence[CaseResult], errors: Sequence[float | None]) -> None:
-    """Draw the errors of cases over the values of a key; a dashed line for an estimator that no sweep varied."""
-    estimators = list(dict.fromkeys(case.unswept_name for case in cases))
+    """Draw the errors of cases over the values of a key; a dashed line for an estimator without swept numbers."""
+    estimators, keys = list(dict.fromkeys(case.unswept_name for case in cases)), swept_numbers(cases)
     lines: dict[tuple[str, ...], list[tuple[Any, float]]] = {}
     for case, error in zip(cases, errors, strict=True):
-        if error is not None and (key in case.swept or not case.swept):
+        if error is not None and (key in case.swept or case.swept.keys().isdisjoint(keys)):
             others = (f"{other} {value}" for other, value in case.swept.items() if other != key)
             lines.setdefault((case.unswept_name, *others), []).append((case.swept.get(key), max(error, LEAST)))
     for name, points in lines.items():
