@@ -15,7 +15,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Literal
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     __version__: str
 
@@ -87,9 +87,10 @@ if TYPE_CHECKING:
     from lampest.panel.scene import Systematic as Systematic
     from lampest.panel.scene import Temperature as Temperature
     from lampest.panel.scene import Water as Water
+    from lampest.panel.scene import read_scene as read_scene
     from lampest.recording import datasets as datasets
+    from lampest.recording.foreign.arrays import Layout as Layout
     from lampest.recording.foreign.importing import import_file as import_file
-    from lampest.recording.foreign.importing import read_scene as read_scene
     from lampest.recording.readings import Readings as Readings
     from lampest.recording.recording import MEASURED as MEASURED
     from lampest.recording.recording import UNLOADED as UNLOADED
@@ -100,12 +101,14 @@ if TYPE_CHECKING:
     from lampest.recording.simulation import Unmodelled as Unmodelled
     from lampest.recording.simulation import read_simulations as read_simulations
     from lampest.recording.simulation import simulate as simulate
+    from lampest.report.compare import comparison as comparison
     from lampest.report.export import Export as Export
     from lampest.report.export import export_results as export_results
     from lampest.report.plots import CertaintyPlot as CertaintyPlot
     from lampest.report.plots import ContourPlot as ContourPlot
     from lampest.report.plots import Plot as Plot
     from lampest.report.plots import PressurePlot as PressurePlot
+    from lampest.report.plots import SweepPlot as SweepPlot
     from lampest.report.plots import plot_results as plot_results
     from lampest.report.reconstruction import Reconstruction as Reconstruction
     from lampest.runs.columns import Column as Column
@@ -160,6 +163,7 @@ def reconstruct(
     error_bars: Literal["auto"] | bool = "auto",
     auto_weight: AutoWeight | None = None,
     tare: Tare | None = None,
+    progress: bool | Callable[[int, int], None] = False,
 ) -> Reconstruction:
     """r̂ = argmin Σ weight·loss(residual) within the bounds, for every measured frame of a recording.
 
@@ -172,6 +176,8 @@ def reconstruct(
     solver, bounds, auto_weight : None stands for Settings(), Bounds() and AutoWeight().
     tare : when the zero of pressures is taken anew; None: never.
     error_bars : 'auto' gives them to panels of up to 600 cells whose noise is known.
+    progress : True draws a bar with the frames done of all and the time left; a function is called after every frame
+        with both numbers.
 
     Returns a Reconstruction; `cell_resistance` (frames, rows, columns) ohm and `relative_change` percent are arrays.
     Raises InputError where an argument is of another kind, or the recording and the estimator do not fit.
@@ -194,4 +200,9 @@ def reconstruct(
         AutoWeight() if auto_weight is None else auto_weight,
         tare,
     )
-    return Reconstruction.of(recording, estimator)
+    if progress is not True:
+        return Reconstruction.of(recording, estimator, progress or (lambda done, frames: None))
+    from lampest.cli.screen import progress as progress_bar
+
+    with progress_bar("frames", counted=True) as on_frame:
+        return Reconstruction.of(recording, estimator, on_frame)

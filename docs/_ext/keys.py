@@ -1,6 +1,7 @@
 """The keys of YAML files as a page, from the JSON schemas that the files are validated with."""
 
 import json
+import re
 from typing import Any
 
 from docstrings import markdown
@@ -20,11 +21,12 @@ def keys_page() -> str:
     for title, kind in FILES.items():
         schema = adapter(kind).json_schema()
         told.add(schema["title"])
-        parts = [f"({anchor(schema['title'])})=", f"## {title}", content(schema)]
+        labels = headings(schema)
+        parts = [f"({anchor(schema['title'])})=", f"## {title}", content(schema, labels)]
         for name, part in sorted(schema.get("$defs", {}).items()):
             if name not in told and "properties" in part:
                 told.add(name)
-                parts += [f"({anchor(name)})=", f"### {heading(name, part)}", content(part)]
+                parts += [f"({anchor(name)})=", f"### {labels[name]}", content(part, labels)]
         chapters += parts
     return "\n\n".join(part for part in chapters if part)
 
@@ -34,17 +36,27 @@ def anchor(name: str) -> str:
     return f"key-{name.lower()}"
 
 
-def heading(name: str, part: dict[str, Any]) -> str:
-    """The word by which a file chooses a part, where it does; else the part's name."""
-    kind = part["properties"].get("kind", {})
-    words = [kind["const"]] if "const" in kind else kind.get("enum", [])
-    return ", ".join(f"`{word}`" for word in words) or name
+def headings(schema: dict[str, Any]) -> dict[str, str]:
+    """Name of a part → the word by which a file chooses it, else the keys that hold it: a file names no class."""
+    parts = schema.get("$defs", {})
+    keys: dict[str, list[str]] = {}
+    for part in (schema, *parts.values()):
+        for key, value in part.get("properties", {}).items():
+            for name in re.findall(r"#/\$defs/(\w+)", json.dumps(value)):
+                keys.setdefault(name, []).append(key)
+    return {name: _label(part, keys.get(name, [name])) for name, part in parts.items()}
 
 
-def content(part: dict[str, Any]) -> str:
+def _label(part: dict[str, Any], keys: list[str]) -> str:
+    kind = part.get("properties", {}).get("kind", {})
+    chosen = [kind["const"]] if "const" in kind else kind.get("enum", [])
+    return ", ".join(f"`{word}`" for word in chosen or dict.fromkeys(keys))
+
+
+def content(part: dict[str, Any], labels: dict[str, str]) -> str:
     """What a part says of itself, and a table of its keys."""
     rows = [
-        f"| `{key}` | {words(value)} | {'required' if key in part.get('required', ()) else default(value)} |"
+        f"| `{key}` | {words(value, labels)} | {'required' if key in part.get('required', ()) else default(value)} |"
         for key, value in part["properties"].items()
     ]
     return "\n\n".join(
@@ -60,27 +72,27 @@ def default(value: dict[str, Any]) -> str:
     return f"`{text}`"
 
 
-def words(value: dict[str, Any]) -> str:
+def words(value: dict[str, Any], labels: dict[str, str]) -> str:
     """What a key may hold."""
     if "$ref" in value:
         name = value["$ref"].rpartition("/")[2]
-        return f"[{name}](#{anchor(name)})"
+        return f"[{labels[name]}](#{anchor(name)})"
     choices = value.get("anyOf") or value.get("oneOf")
     if choices:
-        return ", ".join(dict.fromkeys(words(one) for one in choices if one.get("type") != "null"))
+        return ", ".join(dict.fromkeys(words(one, labels) for one in choices if one.get("type") != "null"))
     if "const" in value or "enum" in value:
         return ", ".join(f"`{word}`" for word in value.get("enum", [value.get("const")]))
-    return container(value)
+    return container(value, labels)
 
 
-def container(value: dict[str, Any]) -> str:
+def container(value: dict[str, Any], labels: dict[str, str]) -> str:
     """A list, a mapping, or one value with its limits."""
     kind = value.get("type", "anything")
     if kind == "array":
         inside = value.get("items") or (value.get("prefixItems") or [{}])[0]
-        return f"list of {words(inside)}" if inside else "list"
+        return f"list of {words(inside, labels)}" if inside else "list"
     if kind == "object":
         inside = value.get("additionalProperties")
-        return f"mapping of names to {words(inside)}" if isinstance(inside, dict) else "mapping"
+        return f"mapping of names to {words(inside, labels)}" if isinstance(inside, dict) else "mapping"
     limits = {"minimum": "≥", "exclusiveMinimum": ">", "maximum": "≤", "exclusiveMaximum": "<"}
     return " ".join((kind, *(f"{sign} {value[limit]}" for limit, sign in limits.items() if limit in value)))

@@ -2,7 +2,7 @@
 
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -82,9 +82,8 @@ def run(
     for name, text in cases.assumed:
         warn(f"{name}: {text} assumed; the scene does not say")
     executor = cases.executor if cases.executor and not jobs else local(jobs, len(cases.cases), limited)
-    bar = progress("cases")
-    with bar as on_case:
-        report = run_batch(cases, out or Path("results") / config.stem, executor, fresh, on_case, bar.about)
+    with progress("frames", counted=True) as on_frames:
+        report = run_batch(cases, out or Path("results") / config.stem, executor, fresh, on_frames)
     counts = f"{counted(report.done, 'case')} solved, {report.skipped} were done before, {len(report.failed)} failed"
     say(f"{counts}: {report.results or 'no results'}")
     if report.aside:
@@ -127,7 +126,7 @@ def simulate(
     """Simulate recordings with known truth from a scene."""
     from lampest.recording.simulation import run as run_simulation
 
-    with progress("frames") as on_frame:
+    with progress("frames", counted=True) as on_frame:
         written_files = run_simulation(config, out, on_frame, tuple(assign or ()))
     for path in written_files:
         say(path)
@@ -142,11 +141,16 @@ def import_(
     assign: AssignToScene = None,
     unit: Annotated[str | None, option("ohm, kohm, volt, mV or code. Default: by header or values.")] = None,
     period: Annotated[float | None, option("Seconds between frames, such as 0.1. Default: the file's times.")] = None,
+    time_unit: Annotated[
+        Literal["s", "ms", "us"] | None, option("Unit of the file's times. Default: by header or values.")
+    ] = None,
     missing: Annotated[str, option("Missing readings: mark (NaN), skip-frame or refuse.")] = "mark",
     baseline: Annotated[int, option("Number of unloaded frames at the beginning, such as 3.", min=0)] = 0,
     transpose: Annotated[bool, option("Rows and columns of the file are swapped.", "--transpose")] = False,
     variable: Annotated[str | None, option("The variable of a .mat or .npz file, the sheet of an .xlsx file.")] = None,
-    layout: Annotated[str | None, option("Names of a table's columns, such as time,row,column,value.")] = None,
+    layout: Annotated[
+        str | None, option("A table's columns, such as time,row,column,value, or an installed layout.")
+    ] = None,
 ) -> None:
     """Convert measurements of another program to a recording, and report how they were interpreted."""
     from lampest.recording.foreign.importing import import_file
@@ -156,7 +160,7 @@ def import_(
     agreed = scene_of(scene, assign)
     with progress("reading"):
         recording, notes = import_file(
-            file, rows, columns, agreed, unit, baseline, transpose, variable, period, missing, layout
+            file, rows, columns, agreed, unit, baseline, transpose, variable, period, missing, layout, time_unit
         )
         recording.save(out)
     for line in understood_lines(recording, notes):

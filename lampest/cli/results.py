@@ -58,8 +58,12 @@ def plot(
     results: Annotated[Path, typer.Argument(help="A results file.")],
     out: Annotated[Path | None, written("--out", "Output folder, or one picture such as x.svg.")] = None,
     show: Annotated[
-        str, option("Such as contours, certainty or pressure; any other word lists all kinds.", metavar="KIND")
-    ] = "contours",
+        str | None,
+        option(
+            "Such as contours, sweep or pressure; any other word lists all. Default: contours, or a sweep's errors.",
+            metavar="KIND",
+        ),
+    ] = None,
     frame: Annotated[int | None, option("Frame index, such as 12. Default: a frame of strong change.", min=0)] = None,
     recording: Annotated[list[str] | None, option("Recording to plot, such as mine. Default: all. Repeatable.")] = None,
     estimator: Annotated[list[str] | None, option("Estimator to plot, such as LSM. Default: all. Repeatable.")] = None,

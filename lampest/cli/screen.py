@@ -61,7 +61,7 @@ def scene_of(path: Path | None, assigned: list[str] | None) -> "Scene | None":
 
     Raises InputError with line and column, and where entries are to be overridden of no file.
     """
-    from lampest.recording.foreign.importing import read_scene
+    from lampest.panel.scene import read_scene
 
     if path is None and assigned:
         raise InputError("--set: overrides entries of a scene; name its file with --scene")
@@ -106,13 +106,16 @@ def print_notes(notes: "Iterable[str]") -> None:
 
 
 class progress:  # noqa: N801
-    """A progress bar on stderr, which moves by itself; none where that is no terminal."""
+    """A progress bar on stderr with the time left, which moves by itself; none where that is no terminal.
 
-    def __init__(self, what: str) -> None:
+    counted : whether it says how many of how many are done, too.
+    """
+
+    def __init__(self, what: str, counted: bool = False) -> None:
         from rich.console import Console
-        from rich.progress import Progress, TimeElapsedColumn
+        from rich.progress import MofNCompleteColumn, Progress, TextColumn
 
-        columns = (*Progress.get_default_columns(), TimeElapsedColumn())
+        columns = (*Progress.get_default_columns(), TextColumn("left"), *[MofNCompleteColumn()] * counted)
         self._bar = Progress(*columns, console=Console(stderr=True), disable=not sys.stderr.isatty())
         self._task = self._bar.add_task(what, total=None)
 
@@ -123,10 +126,6 @@ class progress:  # noqa: N801
     def _advanced(self, done: int, total: int, what: str | None = None) -> None:
         """How many of how many are done, and what is next where that takes long."""
         self._bar.update(self._task, completed=done, total=total, description=what and markless(what))
-
-    def about(self, what: str) -> None:
-        """What is under way, in words that say how far it is."""
-        self._bar.update(self._task, description=markless(what))
 
     def __exit__(self, *error: Any) -> None:
         self._bar.__exit__(*error)

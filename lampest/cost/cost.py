@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from lampest.cost.given import Given
 from lampest.cost.losses import Loss, Lowered
-from lampest.cost.terms import State, Term
+from lampest.cost.terms import State, Term, term_kind
 from lampest.files.errors import InputError
 from lampest.panel.compiled import Compiled, guarded
 from lampest.panel.panel import Array, Panel
@@ -71,7 +71,7 @@ class Cost:
             state = State(panel=self.panel, cell_resistance=cells, reading=reading, **known)
             for number, term in enumerate(self.terms):
                 if frame or self.needs_previous or not term.needs_previous:
-                    pairs.append((number, term.residual(state)))
+                    pairs.append((number, _residual_of(term, state)))
         return pairs
 
     @cached_property
@@ -95,6 +95,32 @@ class Cost:
     def slope(self) -> Array:
         """The weight of every residual that enters through a dual."""
         return self.weights[self.functions.nonsmooth_terms]
+
+
+def _residual_of(term: Term, state: State) -> casadi.SX:
+    """Return a term's residual (rows, 1). Raises InputError where it is none that a cost can be made of."""
+    name = f"term {term_kind(term)}: residual(state)"
+    try:
+        residual = casadi.SX(term.residual(state))
+    except Exception as error:
+        hint = "" if term.needs_previous else "; a term that reads state.previous or state.baseline says needs_previous"
+        pairs = "" if state.panel.cells is None else ", and gradients of listed cells have a row for each pair"
+        shape = f"fields of state are columns of {state.panel.crossings} cells{pairs}{hint}"
+        raise InputError(f"{name} raises {type(error).__name__} ({str(error).splitlines()[-1]}): {shape}") from error
+    (rows, columns), unknown = residual.shape, casadi.vertcat(state.cell_resistance, state.reading)
+    if columns != 1 or (rows == 0 and len(state.panel.neighbours[2])):
+        raise InputError(
+            f"{name} is {rows} × {columns}, not a column of one or more rows; fields of state are columns, "
+            "state.grid(state.cell_resistance) is the matrix of rows × columns, and casadi.vec makes a column of one"
+        )
+    if len(state.panel.neighbours[2]) and _symbols_in(residual).isdisjoint(_symbols_in(unknown)):
+        raise InputError(f"{name} is constant: it must depend on state.cell_resistance or state.reading")
+    return residual
+
+
+def _symbols_in(expression: casadi.SX) -> set[int]:
+    """Return the hashes of all symbols that an expression holds."""
+    return {symbol.element_hash() for symbol in casadi.symvar(expression)}
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,7 +10,7 @@ import casadi
 
 from lampest.cost.given import Given
 from lampest.cost.losses import Absolute, AnyLoss, Huber, Squared
-from lampest.files.typed import ByKind, Validated, members_by_kind
+from lampest.files.typed import ByKind, Validated, kinds_of, members_by_kind, shipped
 from lampest.panel.panel import Panel, difference_matrix
 
 Reference = Literal["baseline", "previous"]
@@ -18,10 +18,19 @@ Reference = Literal["baseline", "previous"]
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class State(Given):
-    """One frame as a term sees it; columns of (cells, 1) in row-major order, symbolic or numeric.
+    """One frame as a term sees it, symbolic or numeric.
 
-    cell_resistance : r, ohm. reading : y = f(r) as the model has it, in the readout's unit; and all that `Given`
-    declares.
+    Every field is a column of (cells, 1) in row-major order, not a matrix: slices of rows and columns need `grid`.
+
+    Attributes
+    ----------
+    panel : Panel
+    cell_resistance : (cells, 1)
+        r in ohm.
+    reading : (cells, 1)
+        y = f(r) as the model has it, in the readout's unit.
+
+    All other fields are those that `Given` declares; None where they are not known.
 
     >>> [field.name for field in dataclasses.fields(lampest.State)][:2]
     ['measured', 'sigma']
@@ -44,8 +53,17 @@ class State(Given):
         first, second, distance = neighbour_operators(self.panel)
         return casadi.log((second @ values) / (first @ values)) / distance
 
+    def grid(self, values: Any) -> Any:
+        """Arrange a column of (cells, 1) as a matrix (rows, columns), symbolic or numeric."""
+        rows, columns = self.panel.shape
+        return casadi.reshape(values, columns, rows).T
+
     def gradient(self, values: Any) -> Any:
-        """(row part; column part) of ∇x, (2·cells, 1), paper, section IV.D; of listed cells by pairs of neighbours."""
+        """∇x as one column; paper, section IV.D.
+
+        Of a full rectangle (2·cells, 1): the row part, then the column part. Of listed cells (pairs, 1): the difference
+        of each pair of `Panel.neighbours`, per pitch.
+        """
         if self.panel.cells is None:
             return gradient_operator(*self.panel.shape) @ values
         first, second, distance = neighbour_operators(self.panel)
@@ -80,10 +98,13 @@ Weight = float | Literal["auto"]
 class Term(Validated):
     """A summand of the cost function: weight · loss(residual(state)).
 
-    weight : a number, or 'auto' where the data are to choose it. reads_measurement : whether it is a data term; all
-    others are penalties. needs_previous : whether it compares with the previous frame or the baseline.
-    weighs_previous : whether its variance holds the previous frame's error. convex_in_log : whether it is convex in
-    log r once those are known. Raises ValueError unless the weight is finite and not negative.
+    weight : a number, or 'auto' where the data are to choose it. unit : of the residual, required of every class.
+    reads_measurement : whether it is a data term; all others are penalties. needs_previous : whether it compares with
+    the previous frame or the baseline. weighs_previous : whether its variance holds the previous frame's error.
+    convex_in_log : whether it is convex in log r once those are known.
+
+    Raises ValueError unless the weight is finite and not negative, and for a class without a unit or with the `kind` of
+    another term.
 
     >>> issubclass(lampest.Misfit, lampest.Term)
     True
@@ -99,6 +120,7 @@ class Term(Validated):
     loss: AnyLoss = Squared()
 
     def __post_init__(self) -> None:
+        _check_class(type(self))
         if self.weight == "auto":
             return
         if not (isfinite(self.weight) and self.weight >= 0):
@@ -106,7 +128,11 @@ class Term(Validated):
 
     @abstractmethod
     def residual(self, state: State) -> Any:
-        """The column of residuals, in `unit`."""
+        """Return the residuals in `unit` as one column, (rows, 1) with any number of rows.
+
+        Every row is a function of `state.cell_resistance` or `state.reading`. A matrix becomes a column by
+        `casadi.vec`.
+        """
 
 
 @dataclass(frozen=True)
@@ -329,6 +355,18 @@ AnyTerm = Annotated[
     | Arrival,
     ByKind("lampest.terms"),
 ]
+
+
+@cache
+def _check_class(term: type[Term]) -> None:
+    """Raise ValueError unless a class of terms has a unit, and a `kind` that no other term has."""
+    if not isinstance(getattr(term, "unit", None), str):
+        raise ValueError(f"{term.__name__} has no unit: declare it in the class, such as unit: ClassVar[str] = 'ohm'")
+    for member in shipped(AnyTerm):
+        if member is not term and not set(kinds_of(member)).isdisjoint(kinds_of(term)):
+            raise ValueError(
+                f"{term.__name__} has the kind '{kinds_of(member)[0]}' of {member.__name__}: choose another"
+            )
 
 
 def term_kind(term: Term) -> str:

@@ -24,6 +24,7 @@ from lampest.recording.readings import Readings
 from lampest.recording.recording import Recording
 from lampest.solvers.solution import Status
 
+OVERRULED = 5.0  # times the noise: a penalty that the data choose leaves readings within it
 AT_RAILS = {  # what stands for the solver's own sentence where readings are at or beyond a rail
     Status.HELD: "an optimum, but readings at or beyond {} keep cells at their bounds and are missed",
     Status.FLAT: "an optimum, but readings at or beyond {} leave some cells undetermined",
@@ -121,6 +122,7 @@ class Estimates:
     prepared : the recording's preparation; of a part of a long recording that of the frames which stand for all.
     noise : of the readings; it includes the model's error where readings show one.
     contacts : of the lines, as far as they are known afterwards; None where the scene names none.
+    automatic : whether the data chose a weight.
 
     >>> isinstance(found, lampest.Estimates), found.cell_resistance.shape
     (True, (2, 2, 3))
@@ -139,6 +141,7 @@ class Estimates:
     prepared: Prepared
     noise: NoiseSeen
     contacts: Contacts | None = None
+    automatic: bool = False
 
     def __repr__(self) -> str:
         solved, status = int(self.solved.sum()), self.status[0]
@@ -297,14 +300,31 @@ class Estimates:
 
     @cached_property
     def checks(self) -> tuple[str, ...]:
-        """What speaks against the estimates, one line each: failed frames, roles and units, circuit, noise."""
+        """What speaks against the estimates, one line each: failed frames, weights, roles and units, circuit, noise."""
         failed = unsolved(self.solved, self.status)
-        return tuple(filter(None, (failed, *self.prepared.warnings, self.noise.model_error)))
+        return tuple(filter(None, (failed, self._overruled, *self.prepared.warnings, self.noise.model_error)))
 
     @property
     def _is_part(self) -> bool:
         """Whether these are estimates of a part of a long recording."""
         return self.prepared.recording is not self.recording
+
+    @property
+    def _overruled(self) -> str:
+        """Whether penalties whose weights the data chose keep the readings from being met, in words; ''."""
+        chi_square = self.misfit.get("chi_square", np.zeros(0)) if self.automatic else np.zeros(0)
+        known = np.isfinite(chi_square)
+        if self.sigma is None or not known.any():
+            return ""
+        count = np.isfinite(self.sigma).sum(axis=(1, 2))
+        factor = float(np.sqrt(np.median(chi_square[known] / count[known])))
+        if factor < OVERRULED:
+            return ""
+        terms = " and ".join(term_kind(term) for term in self.estimator.terms if not term.reads_measurement)
+        return (
+            f"with the weight that was chosen for {terms} readings are missed by {factor:.2g} times their noise in the "
+            "median frame: give a smaller weight, or leave the term out"
+        )
 
     @cached_property
     def film(self) -> FilmKnown | None:

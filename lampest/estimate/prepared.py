@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -24,7 +24,7 @@ from lampest.files.errors import InputError, in_words
 from lampest.files.process import ONE_BLAS_THREAD
 from lampest.panel.panel import Modules
 from lampest.panel.readouts import Readout
-from lampest.panel.systematic import usual
+from lampest.panel.systematic import unshown_text, usual
 from lampest.recording.readings import Readings
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
 from lampest.solvers.multistart import BROKEN
@@ -120,11 +120,17 @@ class Prepared:
         return Besides()
 
     @cached_property
-    @ONE_BLAS_THREAD
     def check(self) -> ModelCheck:
-        """The check of the circuit."""
+        """The check of the circuit; where it explains the readings, the sentence adds what no frame can show."""
+        check, unshown = self._check, unshown_text(self.recording.scene)
+        return replace(check, sentence=f"{check.sentence}; {unshown}") if check.explains and unshown else check
+
+    @cached_property
+    @ONE_BLAS_THREAD
+    def _check(self) -> ModelCheck:
+        """The check without what no frame can show."""
         if self.layout is not None:
-            return check_of_modules(self.recording, self.layout, lambda number: self._module(number).check)
+            return check_of_modules(self.recording, self.layout, lambda number: self._module(number)._check)
         if self.cleaned.readings.sigma is None:
             return ModelCheck(None, "the circuit was not checked: the noise of the readings is unknown")
         with suppress(*BROKEN), np.errstate(all="ignore"):

@@ -24,7 +24,7 @@ from lampest.recording.readings import Readings
 from lampest.recording.recording import MEASURED, UNLOADED
 
 RESISTORS = ("reference_ohm", "load_ohm", "feedback_ohm")  # what kinds call the resistor that a converter reads across
-CHANNELS = ("drive_ohm", "sense_ohm", "input_ohm")
+OWN = ("drive_ohm", "sense_ohm", "input_ohm", "drive_volt", "converter_volt")  # that some kinds have alike
 WORDS = ("kind", "driven", "sense", "polarity", "measured_across")
 CALLED = {
     "driven": "rows and columns swapped",
@@ -117,8 +117,10 @@ def _variants(kind: type[Any], specified: Readout) -> Iterator[Any]:
     """A kind with the specified readout's converter, resistor and all else that both have, in every choice of words."""
     names, hints = {field.name for field in fields(kind)}, get_type_hints(kind)
     common = [field.name for field in fields(Readout)]
-    common += [name for name in CHANNELS if name in names and hasattr(specified, name)]
+    common += [name for name in OWN if name in names and hasattr(specified, name)]
     shared = {name: getattr(specified, name) for name in common}
+    if "converter_volt" not in names:
+        shared["supply_volt"] = specified.full_scale_volt
     known = [getattr(specified, name) for name in RESISTORS if hasattr(specified, name)]
     for name in names.intersection(RESISTORS) if known else ():
         shared[name] = float(np.mean(known[0])) if hints[name] is float else known[0]

@@ -85,7 +85,7 @@ def as_passed(recording: Recording) -> Recording:
     found, readout = saturated(recording), recording.scene.readout
     if found is None or readout is None:
         return recording
-    passes = (0.0, found.volt) if found.highest else (found.volt, readout.supply_volt)
+    passes = (0.0, found.volt) if found.highest else (found.volt, readout.full_scale_volt)
     return replace(recording, scene=replace(recording.scene, readout=replace(readout, passes_volt=passes)))
 
 

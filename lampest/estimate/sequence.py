@@ -28,6 +28,7 @@ from lampest.panel.scene import Scene
 from lampest.recording.readings import Readings, mean_change, strongest_frame
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
 from lampest.recording.stored import StoredRecording, first_unloaded, measured_part, of_parts, only_frames
+from lampest.solvers.solution import Status
 
 LEAD = 500  # unloaded frames, and measured ones around the strongest, that tell of the noise; no more than a part has
 OPENING = 10  # first frames that stand for the unloaded ones where there are none, if enough of one can be read
@@ -35,12 +36,27 @@ OPENING = 10  # first frames that stand for the unloaded ones where there are no
 
 @ONE_BLAS_THREAD
 def reconstruct(
-    recording: Recording | Prepared, estimator: Estimator, on_frame: Callable[[], None] = lambda: None
+    recording: Recording | Prepared,
+    estimator: Estimator,
+    on_frame: Callable[[int, int, Callable[[], Estimates] | None], None] = lambda done, frames, so_far: None,
 ) -> Estimates:
     """Solve every measured frame of a recording.
 
     A frame that fails, or of which too little was read, holds NaN and a status; the frames after it continue from the
-    last one that was solved. Raises InputError where the noise is needed and unknown, or what is given is no Recording.
+    last one that was solved.
+
+    Parameters
+    ----------
+    recording : Recording
+    estimator : Estimator
+    on_frame : callable
+        Called after every frame with the number of frames done, the number of all, and a function that returns the
+        estimates so far, in which the other frames are not solved; None for a method that solves all frames together.
+
+    Raises
+    ------
+    InputError
+        If the noise is needed and unknown, or what is given is no Recording.
     """
     prepared = Prepared.of(recording)
     prepared.recording.scene.panel.check_memory()
@@ -48,8 +64,21 @@ def reconstruct(
     noise = _with_model_error(recording, noise, estimator)
     stream, frames = first_stream(recording, noise.readings, estimator, noise), recording.measured_frames()
     readings, resting = noise.readings[frames], noise.readings[recording.role == UNLOADED]
-    stream, steps = stream.sequence(resting, readings, on_frame)
-    return _estimates(stream, recording, frames, readings, steps, prepared, noise)
+    count, steps = len(frames), list[Step]()
+
+    def so_far() -> Estimates:
+        missing = [stream.unsolved(Status.BROKEN_OFF)] * (count - len(steps))
+        made = _estimates(stream, recording, frames, readings, steps + missing, prepared, noise)
+        return replace(made, automatic=estimator.automatic)
+
+    if estimator.method.together:
+        numbers = iter(range(1, count + 1))
+        stream, steps = stream.sequence(resting, readings, lambda: on_frame(next(numbers, count), count, None))
+    for number in range(len(steps), count):
+        stream, step = stream.push(readings[number])
+        steps.append(step)
+        on_frame(number + 1, count, so_far)
+    return so_far()
 
 
 def _with_model_error(recording: Recording, noise: NoiseSeen, estimator: Estimator) -> NoiseSeen:

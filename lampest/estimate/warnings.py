@@ -67,7 +67,7 @@ def _unit(recording: Recording, readings: Readings) -> str:
     if readout.floor_code is not None:  # codes that were not recorded say nothing of the unit
         recorded = np.where(readings.plain, recorded, np.nan)
     volt = float(np.nanmedian(circuit.volt_from_recorded(recorded)))
-    steps = min(volt, readout.supply_volt - volt) / readout.lsb_volt
+    steps = min(volt, readout.full_scale_volt - volt) / readout.lsb_volt
     if steps >= STEPS:
         return ""
     return (

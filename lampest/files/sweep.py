@@ -1,4 +1,4 @@
-"""Sweeps: one document with `sweep: {dotted.path: [values]}` → every combination as a validated object."""
+"""Sweeps: the combinations that a document with `sweep: {dotted.path: [values]}` stands for."""
 
 import dataclasses
 import itertools
@@ -16,19 +16,45 @@ Kind = TypeVar("Kind")
 
 @dataclass(frozen=True)
 class Combination(Generic[Kind]):
-    """One combination: what the sweep set, path → value, the document with it in place, and the validated object."""
+    """One combination of a sweep.
 
+    Attributes
+    ----------
+    entry : str
+        Which of the entries that are swept apart it belongs to; '' without such entries.
+    assignments : dict
+        Path → value that the sweep set.
+    document : Document
+        The document with these values in place.
+    value : object
+        The validated object.
+    """
+
+    entry: str
     assignments: dict[str, Any]
     document: Document
     value: Kind
 
 
-def combinations(document: Document, validate: Callable[[Document], Kind]) -> list[Combination[Kind]]:
-    """Every combination of the document's sweep, the last path fastest, as what `validate` makes of it.
+def combinations(document: Document, validate: Callable[[Document], Kind], apart: str = "") -> list[Combination[Kind]]:
+    """Return every combination of a document's sweep, the last path fastest.
 
-    Paths lead through mapping keys and list indices; all but the last part must exist in the document, or be mappings
-    that it leaves to their defaults. Raises InputError: at its own position for a fault of the document, at the
-    sweep's line where it is malformed or too large, for a path that names no place, or a value that does not fit there.
+    Parameters
+    ----------
+    document : Document
+        Its sweep maps paths to lists of values. A path leads through mapping keys and list indices; all but its last
+        part exist in the document, or are mappings that it leaves to their defaults.
+    validate : callable
+        Makes the validated object of a document.
+    apart : str
+        A mapping of the document whose entries are swept apart: a path below one of them varies that entry alone, and
+        every other path varies each of them. Without such a path an entry has one combination.
+
+    Raises
+    ------
+    InputError
+        At its own position for a fault of the document; at the sweep's line where the sweep is malformed or too large,
+        for a path that names no place, or for a value that does not fit there.
     """
     sweep = document.content.get("sweep", {}) if isinstance(document.content, dict) else {}
     if not isinstance(sweep, dict):
@@ -36,13 +62,19 @@ def combinations(document: Document, validate: Callable[[Document], Kind]) -> li
     for path, values in sweep.items():
         if not isinstance(values, list) or not values:
             raise document.error(("sweep", path), "must be a list of at least one value")
-        if path.split(".")[0] == "sweep":
-            raise document.error(("sweep", path), "a sweep cannot vary itself")
-    if math.prod(len(values) for values in sweep.values()) > 10_000:
+        if path.split(".")[0] == "sweep" or path == apart:
+            raise document.error(("sweep", path), "a sweep varies keys below, or beside, this one")
+    entries = document.content.get(apart) if apart and isinstance(document.content, dict) else None
+    names = list(entries) if isinstance(entries, dict) and entries else [""]
+    own = {
+        name: {path: values for path, values in sweep.items() if _entry_of(path, apart, names) in (None, name)}
+        for name in names
+    }
+    if sum(math.prod(map(len, paths.values())) for paths in own.values()) > 10_000:
         raise document.error(("sweep",), "more than 10000 combinations")
     found = []
-    for values in itertools.product(*sweep.values()):
-        assignments = dict(zip(sweep, values, strict=True))
+    for entry, values in ((name, values) for name in names for values in itertools.product(*own[name].values())):
+        assignments = dict(zip(own[entry], values, strict=True))
         varied = _assigned(document, assignments)
         try:
             value = validate(varied)
@@ -51,8 +83,14 @@ def combinations(document: Document, validate: Callable[[Document], Kind]) -> li
         for path in assignments:
             if not _is_place(document.content, value, path.split(".")):
                 raise document.error(("sweep", path), "no such place in this document")
-        found.append(Combination(assignments, varied, value))
+        found.append(Combination(entry, assignments, varied, value))
     return found
+
+
+def _entry_of(path: str, apart: str, names: list[str]) -> str | None:
+    """Return the entry that a path leads into; None for one that leads elsewhere."""
+    first, *others = path.split(".")
+    return others[0] if first == apart and others[0] in names else None
 
 
 def _assigned(document: Document, assignments: dict[str, Any]) -> Document:

@@ -37,7 +37,7 @@ def without_memory(readout: Readout, fraction: float, recorded: Array, sigma: Ar
     def slope(volt: Array) -> Array:
         """|∂recorded/∂V|, half a step of the converter within the supply where V is at its ends."""
         step = 1e-3 * readout.lsb_volt
-        inside = np.clip(volt, readout.lsb_volt / 2, readout.supply_volt - readout.lsb_volt / 2)
+        inside = np.clip(volt, readout.lsb_volt / 2, readout.full_scale_volt - readout.lsb_volt / 2)
         ends = readout.recorded_from_volt(inside + step) - readout.recorded_from_volt(inside - step)
         return np.abs(ends) / (2 * step)
 
@@ -46,8 +46,8 @@ def without_memory(readout: Readout, fraction: float, recorded: Array, sigma: Ar
     before, noise_before = before_it(volt), before_it(noise)
     unknown = ~np.isfinite(before)
     before = np.where(unknown, volt, before)
-    noise_before = np.where(unknown, readout.supply_volt / np.sqrt(12), noise_before)
-    freed = np.clip((volt - fraction * before) / (1 - fraction), 0.0, readout.supply_volt)
+    noise_before = np.where(unknown, readout.full_scale_volt / np.sqrt(12), noise_before)
+    freed = np.clip((volt - fraction * before) / (1 - fraction), 0.0, readout.full_scale_volt)
     return readout.recorded_from_volt(freed), np.hypot(noise, fraction * noise_before) / (1 - fraction) * slope(freed)
 
 

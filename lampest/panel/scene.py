@@ -2,16 +2,17 @@
 
 import warnings
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
+from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
-from lampest.files.document import to_yaml
-from lampest.files.typed import Configuration, members_of
+from lampest.files.document import read_document, to_yaml, validated
+from lampest.files.typed import Configuration, members_of, typed
 from lampest.panel.conditions import Experiment, MeasuredSubject
 from lampest.panel.conditions import Systematic as Systematic
 from lampest.panel.conditions import Temperature as Temperature
@@ -283,6 +284,30 @@ class Scene(Configuration):
         lines = self.lines or Lines()
         wired = joined or lines.resist or self.contacts is not None
         return Wiring(lines, joined, self.contacts) if wired else None
+
+
+@typed
+def read_scene(path: str | Path, assigned: tuple[str, ...] = ()) -> Scene:
+    """The scene of a YAML file, which holds nothing else or has it under `scene`; `assigned` overrides entries.
+
+    Each of them is PATH=VALUE, such as readout.noise_lsb=1.2. Raises InputError with line and column.
+
+    >>> _ = Path("scene.yaml").write_text("panel: {rows: 2, columns: 3}")
+    >>> lampest.read_scene("scene.yaml").panel.shape
+    (2, 3)
+    """
+    document = read_document(Path(path), assigned)
+    if isinstance(document.content, dict) and "scene" in document.content:
+        document = replace(document, content=document.content["scene"], marks=document.marks["scene"])
+    scene: Scene = validated(document, Scene)
+    parts: dict[str, Any] = {"panel": scene.panel} | ({} if scene.readout is None else {"readout": scene.readout})
+    left_open = tuple(
+        f"{name}.{entry.name}"
+        for name, part in parts.items()
+        for entry in fields(part)
+        if entry.name not in ("kind", *document.content[name]) and getattr(part, entry.name)
+    )
+    return replace(scene, assumed=scene.assumed or left_open)
 
 
 def scene_text(scene: Scene) -> str:

@@ -51,6 +51,25 @@ def usual(scene: Scene) -> Systematic | None:
     return USUAL if scene.circuit.series_name else replace(USUAL, series_ohm=None)
 
 
+def unshown_text(scene: Scene) -> str:
+    """Return a sentence on the numbers of a circuit that no frame shows, with the tolerances of error bars; ASCII.
+
+    '' for a scene without a readout.
+    """
+    if scene.readout is None:
+        return ""
+    sizes = usual(scene) or Systematic()
+    within = f"within {100 * sizes.reference_tolerance:.3g} %", f"within {sizes.series_ohm or 0.0:.3g} ohm"
+    known = {number.name: within[number.channel] for number in scene.circuit.line_numbers()}
+    others = {"reference_ohm": within[0], "drive_volt": "exact", "converter_volt": "exact"}
+    known |= {name: size for name, size in others.items() if hasattr(scene.readout, name)}
+    named = ", ".join(f"{name} ({size})" for name, size in known.items())
+    return (
+        f"no frame shows the numbers with which all cells scale, assumed {named}; changes in percent hardly depend on "
+        "them; lampest calibrate measures them"
+    )
+
+
 def hidden_columns(network: Network, measured: Array, scene: Scene, sizes: Systematic) -> Array:
     """U (n, …, rows, columns) in the unit of the network's readings, one axis for each error.
 
@@ -64,7 +83,7 @@ def hidden_columns(network: Network, measured: Array, scene: Scene, sizes: Syste
     if sizes.inl_lsb and scene.readout is not None:
         volt = circuit.volt_from_recorded(circuit.to_recorded(measured, scene))
         size = sizes.inl_lsb * circuit.lsb_volt * np.sqrt(2 / SINES)
-        waves = size * np.sin(np.pi * np.multiply.outer(np.arange(SINES) + 1, volt / circuit.supply_volt))
+        waves = size * np.sin(np.pi * np.multiply.outer(np.arange(SINES) + 1, volt / circuit.full_scale_volt))
         ends = [circuit.from_recorded(circuit.recorded_from_volt(volt + sign * waves), scene) for sign in (0.5, -0.5)]
         parts.append(ends[0] - ends[1])
     if sizes.wire_ohm_per_cell:

@@ -46,7 +46,7 @@ class FrameNoise:
         circuit = self.scene.circuit
         volt = circuit.volt_from_recorded(circuit.to_recorded(measured, self.scene))
         changes = np.concatenate([self.gain * volt[None], self._patterns(measured.shape)])
-        most = 0.5 * np.minimum(volt, circuit.supply_volt - volt)
+        most = 0.5 * np.minimum(volt, circuit.full_scale_volt - volt)
         changes = np.clip(changes, -most, most)
         ends = [
             circuit.from_recorded(circuit.recorded_from_volt(volt + sign * changes), self.scene) for sign in (1, -1)

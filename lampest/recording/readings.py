@@ -216,14 +216,18 @@ class Readings:
         return np.where(self.seen > 0, self.value, np.nan)
 
     def enough(self, scene: Scene) -> NDArray[np.bool_]:
-        """Whether a frame can be estimated, of the leading shape: half of the scene's asked readings are values, or
-        M + N − 1 are, which describe a panel whose lines alone differ."""
+        """Whether a frame can be estimated, of the leading shape.
+
+        Of the scene's asked readings at most half are missing, and half are values, or M + N − 1 are: these describe a
+        panel whose lines alone differ.
+        """
         if not self.partial:
             return np.ones(self.value.shape[:-2], dtype=bool)
         asked = scene.asked
         lines = int(asked.any(axis=1).sum() + asked.any(axis=0).sum())
         least = min(-(-int(asked.sum()) // 2), lines - 1)
-        return np.asarray((self.plain & asked).sum(axis=(-2, -1)) >= least)
+        missing = ((self.seen == 0) & asked).sum(axis=(-2, -1))
+        return np.asarray(((self.plain & asked).sum(axis=(-2, -1)) >= least) & (2 * missing <= asked.sum()))
 
     @cached_property
     def partial(self) -> bool:

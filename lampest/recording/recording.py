@@ -19,8 +19,9 @@ from lampest.files.process import check_memory
 from lampest.files.typed import Validated, typed
 from lampest.panel.panel import Array, Panel, as_panels_have
 from lampest.panel.readouts import Readout, TwoPointReadout
-from lampest.panel.scene import Scene, scene_text
+from lampest.panel.scene import Scene, read_scene, scene_text
 from lampest.recording.acquisition import Acquisition, undamaged_frames
+from lampest.recording.foreign.unit import check_shorted, check_unit, recorded_values
 from lampest.recording.readings import Readings, check_sigma
 
 FORMAT = "recording/1"
@@ -196,6 +197,57 @@ class Recording(Validated):
                 start_time,
                 None if part == hdf5.ALL else number,
             )
+
+    @classmethod
+    @typed
+    def from_array(
+        cls,
+        values: Array,
+        unit: str = "ohm",
+        baseline: int = 0,
+        scene: Scene | str | Path | None = None,
+        time: Array | None = None,
+    ) -> "Recording":
+        """Return the recording of an array of readings.
+
+        Parameters
+        ----------
+        values : array_like, shape (frames, rows, columns)
+            Readings; NaN where missing. Voltages and codes at a rail of the converter, and resistances of zero or
+            infinity, are bounds.
+        unit : str
+            'ohm', 'kohm', 'volt', 'mV' or 'code'.
+        baseline : int
+            Number of frames at the beginning in which nothing loads the panel.
+        scene : Scene, path of a scene's YAML file, or None
+            None: a panel of this shape with a pitch of 10 mm, and resistances alone.
+        time : array_like, shape (frames,), or None
+            Times of the frames in s; None: a frame a second.
+
+        Raises
+        ------
+        InputError
+            If shapes disagree, or a value is impossible in this unit and scene.
+
+        >>> import numpy as np
+        >>> lampest.Recording.from_array(np.full((4, 2, 3), 0.5), unit="kohm", baseline=2)
+        Recording(recording: 4 frames (2 unloaded) of 2 × 3 cells, 0 to 3 s)
+        """
+        array = values.astype(float)
+        known = read_scene(scene) if isinstance(scene, str | Path) else scene
+        wanted = ("rows", "columns") if known is None else known.panel.shape
+        if array.ndim != 3 or array.size == 0 or (known is not None and array.shape[1:] != wanted):
+            shapes = f"(frames, {wanted[0]}, {wanted[1]}) with at least one frame, not {array.shape}"
+            raise InputError(f"values must have the shape {shapes}")
+        if not 0 <= baseline <= len(array):
+            raise InputError(f"baseline must be a number of frames from 0 to {len(array)}, not {baseline}")
+        check_unit(unit, known, "values")
+        known = known or Scene(Panel(*array.shape[1:]))
+        recorded = recorded_values(array, unit, known, lambda *place: f"values[{', '.join(map(str, place))}]")
+        check_shorted(recorded, known, unit, "values")
+        role = np.where(np.arange(len(array)) < baseline, UNLOADED, MEASURED).astype(np.uint8)
+        seconds = np.arange(len(array), dtype=float) if time is None else time.astype(float)
+        return cls(known, recorded, seconds, role)
 
     def save(self, path: str | Path) -> None:
         """Write the recording, whole or not at all. Raises InputError where the place cannot be written."""

@@ -4,8 +4,9 @@ import csv
 import io
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import Any, Literal, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,12 +14,16 @@ from numpy.typing import NDArray
 from lampest.files.whole import write_whole
 from lampest.panel.panel import Array
 from lampest.report.words import counted, digits, no_formula
+from lampest.runs.case import data_frame
 from lampest.runs.results import CaseResult, PublishedFigures, Results, StepFigures, read_results
+
+if TYPE_CHECKING:
+    from lampest.runs.case import DataFrame
 
 Steps = Literal["all", "initial", "following"]
 T = TypeVar("T")
 Row = Mapping[str, Any]  # header of the CSV file → figure of a case over some of its steps, None where there is none
-ASIDE = ("label", "warnings")  # of a row, but not of the CSV file
+ASIDE = ("label", "warnings")  # of a row, but not of the table
 LEAST = 1e-3  # percent or ms: less is rounding
 STEPS = {"all": "", "initial": " first", "following": " later"}
 NOTES = {  # what a header that begins so means
@@ -99,11 +104,13 @@ def compare(results: Results, source: str = "") -> list[Row]:
         if not case.joint_start:
             parts = {"all": first | ~first}
         texts = {"model": case.model_mark, "model check": case.model_sentence, "noise check": case.noise_sentence}
-        texts |= {"label": results.label(case).replace("lambda", "λ"), "warnings": case.warnings}
+        label = case.unswept_name if case.swept else results.label(case).replace("lambda", "λ")
+        texts |= {"label": label, "warnings": case.warnings}
         for steps, chosen in parts.items():
             if np.any(chosen) or steps == "all":
                 named = {"results": source, "recording": case.recording, "estimator": case.estimator, "steps": steps}
-                rows.append(named | figures_of(case, chosen) | _quoted(published, steps) | texts)
+                figures = figures_of(case, chosen) | _quoted(published, steps)
+                rows.append(named | {"swept": case.swept} | figures | texts)
     return rows
 
 
@@ -161,8 +168,34 @@ def write_csv(path: str | Path, rows: Sequence[Row]) -> None:
 
     Raises InputError where the place cannot be written.
     """
-    lines = [{header: figure for header, figure in row.items() if header not in ASIDE} for row in rows]
+    lines = table_lines(rows)
     write_whole(Path(path), comma_separated([*lines[:1], *(line.values() for line in lines)]))
+
+
+def table_lines(rows: Sequence[Row]) -> list[dict[str, Any]]:
+    """Return the rows as one table, header → figure, with a column for each swept key."""
+    keys, lines = swept_keys(rows), list[dict[str, Any]]()
+    for row in rows:
+        swept = {key: row["swept"].get(key) for key in keys}
+        parts = (swept if header == "swept" else {header: row[header]} for header in row if header not in ASIDE)
+        lines.append({header: figure for part in parts for header, figure in part.items()})
+    return lines
+
+
+def swept_keys(rows: Iterable[Row]) -> tuple[str, ...]:
+    """Return the keys that sweeps varied, each once."""
+    return tuple(dict.fromkeys(key for row in rows for key in row["swept"]))
+
+
+def comparison(*paths: str | Path) -> "DataFrame":
+    """Return the table of `lampest compare` as a pandas.DataFrame, with a column for each swept key.
+
+    Raises InputError where a results file cannot be read, or pandas is not installed.
+
+    >>> lampest.comparison("results.h5")[["recording", "estimator", "frames solved"]].values.tolist()
+    [['mine', 'LSM', 2]]
+    """
+    return data_frame(table_lines(compare_files(paths)))
 
 
 def screen_blocks(rows: Sequence[Row], published: bool = False) -> list[Table]:
@@ -173,10 +206,23 @@ def screen_blocks(rows: Sequence[Row], published: bool = False) -> list[Table]:
     groups = _grouped(rows, "results", "recording")
     if len(groups) > 6:
         title = f"{len(groups)} recordings, medians over them (--csv FILE and --report PAGE hold all)"
-        return [_table(title, _grouped(rows, "estimator", "steps"), OVER_ALL)]
+        return [_table(title, _grouped(rows, "estimator", "steps"), _with_swept(OVER_ALL, rows))]
     several = len({row["results"] for row in rows}) > 1
-    columns = COLUMNS | (PUBLISHED if published else {})
+    columns = _with_swept(COLUMNS | (PUBLISHED if published else {}), rows)
     return [_table(_title(group, several), group, columns) for group in groups]
+
+
+def _with_swept(columns: Mapping[str, Callable[[Any], str]], rows: Sequence[Row]) -> dict[str, Callable[[Any], str]]:
+    """Return the columns of rows, or of groups of them, with one for each swept key after the estimator."""
+    first, *others = columns.items()
+    return dict([first, *((key.replace(".", " "), partial(_swept_text, key)) for key in swept_keys(rows)), *others])
+
+
+def _swept_text(key: str, thing: Row | Sequence[Row]) -> str:
+    """Return the value that a sweep gave a key in a row or in a group of rows, as text; '' where it gave none."""
+    row = thing if isinstance(thing, Mapping) else thing[0]
+    value = row["swept"].get(key, "")
+    return f"{value:g}" if isinstance(value, float) else str(value)
 
 
 def _grouped(rows: Sequence[Row], *headers: str) -> list[list[Row]]:

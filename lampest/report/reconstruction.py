@@ -3,7 +3,7 @@
 `Estimates` stands floors below, where neither results files nor pictures are known; what needs those is here.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from html import escape
 from pathlib import Path
@@ -44,9 +44,17 @@ class Reconstruction(Estimates):
     """
 
     @classmethod
-    def of(cls, recording: Recording, estimator: Estimator) -> Self:
-        """Every measured frame of a recording, solved. Raises InputError where the two do not fit."""
-        estimates = reconstruct(recording, estimator)
+    def of(
+        cls,
+        recording: Recording,
+        estimator: Estimator,
+        on_frame: Callable[[int, int], None] = lambda done, frames: None,
+    ) -> Self:
+        """Solve every measured frame of a recording. Raises InputError where the two do not fit.
+
+        on_frame : called after every frame with the number of frames done, and of all.
+        """
+        estimates = reconstruct(recording, estimator, lambda done, frames, so_far: on_frame(done, frames))
         return cls(**{part.name: getattr(estimates, part.name) for part in fields(Estimates)})
 
     @property

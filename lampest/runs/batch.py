@@ -2,6 +2,8 @@
 
 import fcntl
 import os
+import threading
+import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, closing, contextmanager, suppress
@@ -10,6 +12,7 @@ from functools import lru_cache
 from itertools import count
 from pathlib import Path
 
+from lampest.estimate.estimates import Estimates
 from lampest.estimate.prepared import Prepared
 from lampest.estimate.sequence import reconstruct
 from lampest.files.errors import InputError
@@ -20,11 +23,14 @@ from lampest.runs.case import CaseResult, StoredCase
 from lampest.runs.config import Case, Run, digest
 from lampest.runs.executors import Executor, LostError, Pairs
 from lampest.runs.filling import case_result
-from lampest.runs.long_case import PartFiles, parts_to_solve, solve_long, solve_part, watched
+from lampest.runs.long_case import PartFiles, frames_of_parts, parts_to_solve, solve_long, solve_part
 from lampest.runs.results import read_results, stored_cases, write_results
 
 RESULTS = "results.h5"
 CASES = "cases"
+EVERY_SECONDS = 1.0  # between two counts of the frames that are done
+KEPT_SECONDS = 2.0  # at least, between two files of the finished frames of a case
+KEPT_SHARE = 0.05  # of a case's time is spent on these files at most
 
 
 @dataclass(frozen=True)
@@ -58,20 +64,41 @@ class Task:
         """Where the case's result is kept."""
         return self.folder / CASES / f"{self.case.case_id}.h5"
 
+    @property
+    def unfinished(self) -> Path:
+        """Where the frames that are finished are kept while the case is solved."""
+        return self.folder / CASES / f".{self.case.case_id}_unfinished.h5"
+
+    @property
+    def count(self) -> Path:
+        """A file of as many bytes as frames are done: one that is read while it is written has a right size."""
+        return self.folder / CASES / f".{self.case.case_id}.frames"
+
+    @property
+    def frames_done(self) -> int:
+        """Number of frames that are done, of a case that may be under way in another process."""
+        if self.file.is_file():
+            return self.case.frames
+        if self.case.stored is not None:
+            return frames_of_parts(self.case, self.case.stored, self.file)
+        with suppress(OSError):
+            return self.count.stat().st_size
+        return 0
+
 
 def run_batch(
     run: Run,
     folder: Path,
     executor: Executor,
     fresh: bool = False,
-    on_case: Callable[[int, int], None] | None = None,
-    on_long: Callable[[str], None] = lambda sentence: None,
+    on_frames: Callable[[int, int], None] = lambda done, frames: None,
 ) -> Report:
     """Solve the cases that have no result in `folder` yet, then write results.h5 with all that have one.
 
-    on_case : gets how many of how many cases are done; on_long : every second, from another thread, how far those are
-    that are run part by part. A case that fails costs no other; an interruption keeps what is finished. Raises
-    InputError where the folder cannot be written, another run is using it, or its results would replace a recording.
+    on_frames : called every second, from another thread, with the numbers of frames done, and of all that are to be
+    solved. A case that fails costs no other. An interruption keeps the cases that are finished, and of one that is
+    under way the frames that are. Raises InputError where the folder cannot be written, another run is using it, or its
+    results would replace a recording.
     """
     executor.ready()
     with exclusive(folder), sparing({case.path for case in run.cases}):
@@ -87,41 +114,64 @@ def run_batch(
         aside: Path | None = None
         lost = ""
         try:
-            with closing(_outcomes(executor, waiting, on_long)) as outcomes:
-                for finished, (task, outcome) in enumerate(outcomes, 1):
+            with _counted(waiting, on_frames), closing(_outcomes(executor, waiting)) as outcomes:
+                for task, outcome in outcomes:
                     if isinstance(outcome, BaseException):
                         name = f"{task.case.recording} × {task.case.name}"
                         failed.append((name, told_reason(outcome, name)))
                     else:
                         found[task.file] = outcome
-                    if on_case:
-                        on_case(finished, len(waiting))
         except LostError as error:
             lost = str(error)
         finally:
-            _clear(folder, tasks, fresh=False)
             done = [result for task in tasks if (result := found.get(task.file) or _result(task)) is not None]
-            if done:
-                aside = _put_aside(folder / RESULTS, done)
-                write_results(folder / RESULTS, done, run.published)
+            held = [result for task in tasks if (result := found.get(task.file) or _result(task, True)) is not None]
+            _clear(folder, tasks, fresh=False)
+            if held:
+                aside = _put_aside(folder / RESULTS, held)
+                write_results(folder / RESULTS, held, run.published)
         skipped = len(tasks) - len(waiting)
         not_run = len(tasks) - len(done) - len(failed) if lost else 0
         solved = len(waiting) - len(failed) - not_run
         warnings = dict.fromkeys(
             f"{case.recording}: {line}"
-            for case in done
+            for case in held
             if isinstance(case, CaseResult)
             for line in case.warnings.split("\n")
             if line
         )
-        results = folder / RESULTS if done else None
+        results = folder / RESULTS if held else None
         return Report(results, solved, skipped, tuple(failed), aside, not_run, lost, tuple(warnings))
 
 
-def _outcomes(executor: Executor, waiting: Sequence[Task], on_long: Callable[[str], None]) -> Pairs:
+@contextmanager
+def _counted(tasks: Sequence[Task], on_frames: Callable[[int, int], None]) -> Iterator[None]:
+    """Call `on_frames` every second, and at the end, with the numbers of frames done and of all.
+
+    Files tell how far a case is, whichever process or machine solves it.
+    """
+    frames, ended = sum(task.case.frames for task in tasks), threading.Event()
+
+    def tell() -> None:
+        on_frames(sum(task.frames_done for task in tasks), frames)
+
+    def watch() -> None:
+        while not ended.wait(EVERY_SECONDS):
+            tell()
+
+    thread = threading.Thread(target=watch, daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        thread.join()
+        tell()
+
+
+def _outcomes(executor: Executor, waiting: Sequence[Task]) -> Pairs:
     """What becomes of every case; of those too long for memory all parts are solved first."""
     with ExitStack() as stack:
-        stack.enter_context(watched([(task.case, task.file) for task in waiting], on_long))
         long = [(task, task.case.stored) for task in waiting if task.case.stored is not None]
         parts = [(task, n) for task, stored in long for n in parts_to_solve(task.case, stored, task.file)]
         if parts:  # what becomes of them shows when their cases are put together
@@ -151,13 +201,33 @@ def solve_part_of(part: tuple[Task, int]) -> None:
 def solve_case(task: Task) -> CaseResult | StoredCase:
     """Solve one case and write its result, whole or not at all."""
     recording = _recording(task.case.path, task.case.sha256)
-    inner_folder(task.folder, CASES)
+    inner_folder(task.folder, CASES).mkdir(exist_ok=True)
     if isinstance(recording, StoredRecording):
         return solve_long(task.case, recording, task.file)
-    result = case_result(task.case, reconstruct(recording, task.case.estimator))
+    result = case_result(task.case, reconstruct(recording, task.case.estimator, _kept_frames(task)))
     inner_folder(task.folder, CASES)  # it may have become a link meanwhile
     write_results(task.file, [result])
     return result
+
+
+def _kept_frames(task: Task) -> Callable[[int, int, Callable[[], Estimates] | None], None]:
+    """Return a function that counts the frames of a case that are done, and now and then keeps their estimates."""
+    told = kept = time.monotonic()
+    pause = KEPT_SECONDS
+
+    def on_frame(done: int, frames: int, so_far: Callable[[], Estimates] | None) -> None:
+        nonlocal told, kept, pause
+        now = time.monotonic()
+        if now - told >= EVERY_SECONDS:
+            told = now
+            with os.fdopen(opened_for_locking(task.count, make=True), "rb+") as file:
+                file.truncate(done)
+        if so_far is not None and done < frames and now - kept >= pause:
+            write_results(task.unfinished, [case_result(task.case, so_far())])
+            kept = time.monotonic()
+            pause = max(KEPT_SECONDS, (kept - now) / KEPT_SHARE)
+
+    return on_frame
 
 
 @lru_cache(maxsize=1)
@@ -191,18 +261,22 @@ def _clear(folder: Path, tasks: Sequence[Task], fresh: bool) -> None:
     for unfinished in (*folder.glob(".*.part"), *(folder / CASES).glob(".*.part")):
         if unfinished.name[1:].rsplit(".", 2)[0] in wholes:
             remove_own(unfinished)
+    for task in tasks:
+        remove_own(task.count)
+        remove_own(task.unfinished)
     for task in tasks if fresh else ():
         remove_own(task.file)
         PartFiles.beside(task.case, task.file).clear()
 
 
-def _result(task: Task) -> CaseResult | StoredCase | None:
-    """The case's result where it is there and readable; a damaged one is solved again.
+def _result(task: Task, unfinished: bool = False) -> CaseResult | StoredCase | None:
+    """Return the case's result if it is there and readable; a damaged one is solved again.
 
-    One of a recording that is too long for memory stays where it is.
+    One of a recording that is too long for memory stays where it is. unfinished : else that of its finished frames.
     """
-    with suppress(InputError, ValueError):
-        if task.file.is_file():
-            [held] = stored_cases(task.file) if task.case.stored else read_results(task.file).cases
-            return held if held.case_id == task.case.case_id else None
+    for file in (task.file, task.unfinished)[: 1 + unfinished]:
+        with suppress(InputError, ValueError):
+            if file.is_file():
+                [held] = stored_cases(file) if task.case.stored else read_results(file).cases
+                return held if held.case_id == task.case.case_id else None
     return None

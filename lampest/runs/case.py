@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -30,6 +32,7 @@ class CaseResult(Held):
 
     recording, estimator : the recording's stem and the estimator's name, printable ASCII without '/'.
     case_id, case_yaml : hash and YAML text of the resolved case. versions : library → version.
+    swept_json : values of a sweep by key.
     costs, weights, disc, contacts, misfit : name → (frames), see `lampest.runs.columns.FIGURES`; with `_errors` behind
         a name its standard deviation.
     baseline_status, baseline_solve_time : how the baseline's solve ended, and its time in s (NaN: not solved apart).
@@ -62,6 +65,20 @@ class CaseResult(Held):
                 check_name(name, folder.folder)
                 self._check_shape(f"/entry/{self.recording}/{self.estimator}/{folder.folder}/{name}", values, FRAMES)
         self.check(COLUMNS)
+        self.swept  # noqa: B018
+
+    @cached_property
+    def swept(self) -> dict[str, Any]:
+        """Values by key that a sweep set for this case. Raises InputError where the file holds no such values."""
+        try:
+            return dict(json.loads(self.swept_json or "{}"))
+        except (ValueError, TypeError) as error:
+            raise InputError(f"/entry/{self.recording}/{self.estimator}@swept is no mapping in JSON") from error
+
+    @property
+    def unswept_name(self) -> str:
+        """Name of the estimator without the values of a sweep."""
+        return self.estimator.partition("@")[0] if self.swept else self.estimator
 
     @property
     def local_optima(self) -> tuple[int, int, int] | None:
@@ -131,9 +148,6 @@ class CaseResult(Held):
         One line for every cell of every frame; what only a frame or a cell has stands in each of its lines. Units are
         in `attrs["units"]`. Raises InputError as `to_xarray`.
         """
-        with extra("tables"):
-            from pandas import DataFrame  # takes 0.3 s
-
         held = series_of(self, self.described(columns))
         first = {name: held.pop(name) for name in (TIME.name, FRAME.name)} | places_of(self)
         held = first | {name: one for name, one in held.items() if "/" not in one.path}
@@ -142,7 +156,7 @@ class CaseResult(Held):
         for name, one in held.items():
             shape = [size if axis in one.axes else 1 for axis, size in sizes.items()]
             lines[name] = np.broadcast_to(np.reshape(one.values, shape), self.measured.shape).ravel()
-        table = DataFrame(lines)
+        table = data_frame(lines)
         table.attrs = about(self) | {"units": {n: one.units for n, one in held.items() if n not in CELLS}}
         return table
 
@@ -243,6 +257,14 @@ def places_of(case: CaseResult) -> dict[str, Series]:
         name: Series(name, along, values, units, words, dtype=values.dtype.type, path=name)
         for name, (along, values, units, words) in coordinates(case.scene.panel).items()
     }
+
+
+def data_frame(columns: Any) -> DataFrame:
+    """Return columns by name, or rows by column, as a pandas.DataFrame. Raises InputError where pandas is missing."""
+    with extra("tables"):
+        from pandas import DataFrame  # takes 0.3 s
+
+    return DataFrame(columns)
 
 
 def about(case: CaseResult) -> dict[str, Any]:

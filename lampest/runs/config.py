@@ -98,10 +98,25 @@ class RunFile(Choices):
 
 @dataclass(frozen=True)
 class Case:
-    """One recording with one estimator.
+    """One recording with one estimator, at one point of a sweep.
 
-    sha256 : the recording's. resolved : all that decides the result, as YAML text; case_id : its hash. stored : the
-    recording, where it is too long for memory and therefore run part by part.
+    Attributes
+    ----------
+    path, sha256, recording
+        File of the recording, its digest and its name.
+    name : str
+        Name of the estimator with the swept values, such as ``smooth@gradient.weight=0.001``.
+    estimator : Estimator
+    resolved : str
+        All that decides the result, as YAML text.
+    case_id : str
+        Hash of `resolved`.
+    stored : StoredRecording or None
+        The recording, if it is too long for memory and solved part by part.
+    swept : dict
+        Key → value that the sweep set for this case.
+    frames : int
+        Number of frames that are solved; 0 for a recording that cannot be read.
     """
 
     path: Path
@@ -112,6 +127,8 @@ class Case:
     resolved: str
     case_id: str
     stored: StoredRecording | None = None
+    swept: Mapping[str, Any] = field(default_factory=dict)
+    frames: int = 0
 
 
 @dataclass(frozen=True)
@@ -143,24 +160,19 @@ def read_run(path: Path, settings: tuple[str, ...] = ()) -> Run:
     cases: list[Case] = []
     published: dict[str, PublishedFigures] = {}
     executor: Executor | None = None
-    for point in sweep.combinations(document, lambda varied: validated(varied, RunFile)):
+    for point in sweep.combinations(document, lambda varied: validated(varied, RunFile), "estimators"):
         run: RunFile = point.value
         published |= run.published or {}
         executor = run.executor.beside(path.parent) if isinstance(run.executor, Dask) else run.executor
-        for swept in point.assignments:
-            if swept.split(".")[0] == "executor":
-                raise document.error(("sweep", swept), "where cases run changes no result, so it cannot be swept")
-        single = {path.split(".")[1] for path in point.assignments if path.startswith("estimators.")}
-        methods = [  # where the sweep varies single estimators, those
-            (_varied_name(name, point.assignments), resolve(point.document, run, name))
-            for name in run.estimators
-            if not single or name in single
-        ]
+        for key in point.assignments:
+            if key.split(".")[0] == "executor":
+                raise document.error(("sweep", key), "where cases run changes no result, so it cannot be swept")
+        swept = _short_keys(point.entry, point.assignments)
+        name, estimator = _varied_name(point.entry, swept), resolve(point.document, run, point.entry)
         for file in recording_paths(path, run.recordings):
             source = recordings[file] = recordings.get(file) or _Source.read(file)
-            for name, estimator in methods:
-                source.check(f"{path}: {name} × {file.stem}", estimator)
-                cases.append(source.case(name, estimator))
+            source.check(f"{path}: {name} × {file.stem}", estimator)
+            cases.append(source.case(name, estimator, swept))
     faults = [source.fault for source in recordings.values()]
     if faults[0] is not None and all(faults):
         raise faults[0]
@@ -176,8 +188,8 @@ def read_run(path: Path, settings: tuple[str, ...] = ()) -> Run:
 class _Source:
     """A recording as cases need it.
 
-    scene, readings : None where the file cannot be read, and fault : why. stored : where it is too long for memory;
-    then `readings` are its first.
+    scene, readings : None where the file cannot be read, and fault : why. frames : that are measured. stored : where it
+    is too long for memory; then `readings` are its first, and `frames` all.
     """
 
     path: Path
@@ -185,6 +197,7 @@ class _Source:
     scene: Scene | None = None
     readings: Readings | None = None
     fault: InputError | None = None
+    frames: int = 0
     stored: StoredRecording | None = None
 
     @classmethod
@@ -196,11 +209,11 @@ class _Source:
             recording = opened(path)
             if isinstance(recording, StoredRecording):
                 first = recording.part(recording.blocks()[0])
-                return cls(*names, recording.scene, first.readings(), stored=recording)
-            recording.measured_frames()
+                return cls(*names, recording.scene, first.readings(), frames=recording.frames, stored=recording)
+            frames = len(recording.measured_frames())
         except InputError as error:
             return cls(*names, fault=error)
-        return cls(*names, recording.scene, recording.readings())
+        return cls(*names, recording.scene, recording.readings(), frames=frames)
 
     def check(self, case: str, estimator: Estimator) -> None:
         """Raise InputError where an estimator needs what the recording does not say, or cannot serve its scene."""
@@ -214,14 +227,15 @@ class _Source:
             raise InputError(f"{case}: {error}") from error
         estimator.data(self.readings, Background(self.scene))
 
-    def case(self, name: str, estimator: Estimator) -> Case:
-        """With an estimator of that name."""
+    def case(self, name: str, estimator: Estimator, swept: Mapping[str, Any]) -> Case:
+        """Return the case of an estimator of that name."""
         recording = self.path.stem
         content = {"recording": recording, "recording_sha256": self.sha256, "estimator": name, "case_format": 1}
         entries = {key: value for key, value in (content | plain_content(estimator)).items() if value is not None}
         # One after the other, in the order of their keys, the entries' texts are that of the mapping.
         resolved = "".join(_block(key, json.dumps(plain_content(entries[key]))) for key in sorted(entries))
-        return Case(self.path, self.sha256, recording, name, estimator, resolved, hash_of(resolved), self.stored)
+        names = (self.path, self.sha256, recording, name)
+        return Case(*names, estimator, resolved, hash_of(resolved), self.stored, swept, self.frames)
 
 
 @lru_cache(maxsize=4096)
@@ -282,13 +296,16 @@ def resolve(document: Document, run: RunFile, name: str) -> Estimator:
         raise document.error(("estimators", name), str(error)) from error
 
 
-def _varied_name(name: str, assignments: dict[str, Any]) -> str:
-    """The estimator's name with what the sweep set: LSR-gCR@gradient.weight=0.001."""
-    parts = []
-    for path, value in assignments.items():
-        short = path.removeprefix(f"estimators.{name}.").removeprefix("terms.")
-        text = value if isinstance(value, str) else json.dumps(value)
-        parts.append(f"{short}={text}".replace("/", "|"))
+def _short_keys(name: str, assignments: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the swept values by their keys without the estimator: gradient.weight."""
+    own = f"estimators.{name}."
+    return {path.removeprefix(own).removeprefix("terms."): value for path, value in assignments.items()}
+
+
+def _varied_name(name: str, swept: Mapping[str, Any]) -> str:
+    """Return the estimator's name with the swept values: LSR-gCR@gradient.weight=0.001."""
+    texts = (value if isinstance(value, str) else json.dumps(value) for value in swept.values())
+    parts = (f"{key}={text}".replace("/", "|") for key, text in zip(swept, texts, strict=True))
     return "@".join(filter(None, (name, ",".join(parts))))
 
 

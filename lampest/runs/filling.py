@@ -1,6 +1,7 @@
 """Estimates → what their results file keeps, and back to the noise that frames share."""
 
 import hashlib
+import json
 from collections.abc import Mapping, Sequence
 from functools import cache
 from importlib.metadata import version
@@ -29,6 +30,7 @@ def case_result(case: Case, estimates: Estimates) -> CaseResult:
     Raises InputError where a column's values are of another shape than its axes, or impossible.
     """
     names = {"recording": case.recording, "estimator": case.name, "case_id": case.case_id, "case_yaml": case.resolved}
+    names |= {"swept_json": json.dumps(case.swept)} if case.swept else {}
     return _filled(estimates, (), names)
 
 

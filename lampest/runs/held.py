@@ -31,6 +31,7 @@ class Held(Validated):
     scene: Scene
     case_id: str = _attribute("case_id")
     case_yaml: str = _attribute("case")
+    swept_json: str = _attribute("swept")
     versions: dict[str, str] = field(default_factory=dict)
     baseline_status: str = _attribute("baseline_status")
     baseline_solve_time: float = _attribute("baseline_solve_time_s", float("nan"))

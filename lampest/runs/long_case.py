@@ -1,12 +1,6 @@
-"""A case of a recording too long for memory: its parts are files of their own until the last of them is done.
+"""A case of a recording too long for memory: its parts are files of their own until the last of them is done."""
 
-How far such cases are, the files of their parts tell, whichever process or machine solves them.
-"""
-
-import threading
-import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -27,7 +21,6 @@ from lampest.runs.filling import case_result
 from lampest.runs.results import join_case, stored_cases, write_results
 
 CARRIED = "carried/1"
-EVERY_SECONDS = 1.0  # between two sentences on how far long cases are
 
 
 @dataclass(frozen=True)
@@ -138,57 +131,6 @@ def read_carried(path: Path) -> CarriedOver:
         return CarriedOver({name: hdf5.read_array(file, f"/carried/{name}", (1, 2)) for name in names})
 
 
-@contextmanager
-def watched(cases: Sequence[tuple[Case, Path]], on_progress: Callable[[str], None]) -> Iterator[None]:
-    """Within it `on_progress` hears once a second how far the long ones of these cases are, from a thread of its own.
-
-    cases : each with the file that its result will be. Without a long one nothing is watched, and no thread begins.
-    """
-    long = [(PartFiles(case, file.with_suffix(".parts")), case.stored) for case, file in cases if case.stored]
-    if not long:
-        yield
-        return
-    begun, ended = [frames_done(files, stored) for files, stored in long], threading.Event()
-    since = time.monotonic()
-
-    def watch() -> None:
-        while not ended.wait(EVERY_SECONDS):
-            # Parts are there, and not yet the result that they become.
-            sentences = [
-                _how_far(files, stored, time.monotonic() - since, before)
-                for (files, stored), before in zip(long, begun, strict=True)
-                if files.folder.is_dir() and not files.folder.with_suffix(".h5").exists()
-            ]
-            if sentences:
-                on_progress("; ".join(sentences))
-
-    thread = threading.Thread(target=watch, daemon=True)
-    thread.start()
-    try:
-        yield
-    finally:
-        ended.set()
-        thread.join()
-
-
-def _how_far(files: PartFiles, stored: StoredRecording, seconds: float, before: int) -> str:
-    """'long × one: 45000 of 1000000 frames, 21 min left', so many seconds after `before` frames were done."""
-    done = frames_done(files, stored)
-    text = f"{files.case.recording} × {files.case.name}: {done} of {stored.frames} frames"
-    if done == stored.frames:
-        return f"{text}, being put together"
-    left = seconds * (stored.frames - done) / max(done - before, 1)
-    return f"{text}, {time_in_words(left)} left" if done > before else text
-
-
-def frames_done(files: PartFiles, stored: StoredRecording) -> int:
-    """Frames of the parts that are whole; one in which no frame is measured has no file."""
-    return min(stored.frames, len(files.whole) * stored.length)
-
-
-def time_in_words(seconds: float) -> str:
-    """'40 s', '21 min' or '3 h 5 min'."""
-    if seconds < 90:
-        return f"{seconds:.0f} s"
-    hours, minutes = divmod(round(seconds / 60), 60)
-    return f"{hours} h {minutes} min" if hours else f"{minutes} min"
+def frames_of_parts(case: Case, stored: StoredRecording, file: Path) -> int:
+    """Return the number of frames of the parts that are whole; one in which no frame is measured has no file."""
+    return min(stored.frames, len(PartFiles(case, file.with_suffix(".parts")).whole) * stored.length)

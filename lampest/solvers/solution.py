@@ -46,6 +46,7 @@ class Status(Enum):
     WORSE = "the solver stopped at a point that costs more than its start"
     UNREAD = "too few of the frame's readings are values: the others are missing, or bounds"
     UNRESTED = "too few of the unloaded panel's readings are values, and the method compares with them"
+    BROKEN_OFF = "the run was broken off before this frame"
     ROUNDED = "not converged: one term outweighs the others by more than the sixteen digits of double precision"
     DRIFT = "not converged: the cost keeps falling slowly while some cells run to their bounds"
     ITERATIONS = "the iteration limit was reached before an optimum"
@@ -68,6 +69,7 @@ ADVICE = {
     Status.WORSE: "Take `formulation: reduced`; if that ends so too, report the frame.",
     Status.UNREAD: "Measure the frame again; `lampest info` counts what is missing.",
     Status.UNRESTED: "Choose other unloaded frames with `lampest tare`.",
+    Status.BROKEN_OFF: "Run the same command again: it solves unfinished cases anew.",
     Status.ROUNDED: "Lower the weight of the heaviest term.",
     Status.DRIFT: "Name an upper bound in `bounds`, or solve the baseline first (`joint: false`).",
     Status.ITERATIONS: "Raise `solver: max_iterations`, or add a penalty.",

@@ -248,7 +248,7 @@ def run_tradeoff(plan: Plan, on_step: OnStep = lambda done, total: None) -> list
 def _passage(task: tuple[Estimator, Recording]) -> Passage:
     """Solve the frames of a recording in sequence."""
     (estimator, recording), clock = task, [process_time()]
-    found = reconstruct(recording, estimator, lambda: clock.append(process_time()))
+    found = reconstruct(recording, estimator, lambda *_: clock.append(process_time()))
     return found, np.diff(clock)
 
 

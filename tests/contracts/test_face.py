@@ -73,7 +73,7 @@ def test_importing_the_package_loads_nothing() -> None:
 def test_a_function_says_what_it_takes() -> None:
     signature = inspect.signature(lampest.reconstruct)
     kinds = {name: parameter.kind.name for name, parameter in signature.parameters.items()}
-    named = ("formulation", "solver", "bounds", "error_bars", "auto_weight", "tare")
+    named = ("formulation", "solver", "bounds", "error_bars", "auto_weight", "tare", "progress")
     expected = dict.fromkeys(("recording", "terms"), "POSITIONAL_OR_KEYWORD") | dict.fromkeys(named, "KEYWORD_ONLY")
     assert kinds == expected
     assert "Any" not in str(signature)
@@ -386,10 +386,21 @@ def test_examples_in_docstrings_run(
     name: str, known: dict[str, object], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    if name in ("read_run", "read_results", "export_results", "plot_results"):
+    if name in ("read_run", "read_results", "export_results", "plot_results", "comparison"):
         known["recording"].save("mine.h5")  # type: ignore[attr-defined]
         known["found"].save("results.h5", "LSM")  # type: ignore[attr-defined]
     found = doctest.DocTestFinder(recurse=False).find(getattr(lampest, name), name, globs=dict(known))
     assert found and found[0].examples, f"{name} has no example"
     for example in found:
         assert doctest.DocTestRunner(verbose=False).run(example).failed == 0
+
+
+def test_progress_counts_the_frames_of_all(known: dict[str, object]) -> None:
+    told: list[tuple[int, int]] = []
+    found = lampest.reconstruct(
+        known["recording"],  # type: ignore[arg-type]
+        [Misfit()],
+        progress=lambda *frames: told.append(frames),
+    )
+    assert told == [(1, 2), (2, 2)] and found.solved.all()
+    assert lampest.reconstruct(known["recording"], [Misfit()], progress=True).solved.all()  # type: ignore[arg-type]

@@ -166,3 +166,12 @@ def test_a_missing_reading_leaves_the_intervals_of_others_closed() -> None:
     low, high = (bound[0][others] for bound in (found.cell_resistance_lower, found.cell_resistance_upper))
     assert np.isfinite(high).all() and np.median((high - low) / cells[others]) < 2
     assert np.mean((low <= cells[others]) & (cells[others] <= high)) >= 0.9
+
+
+def test_a_frame_of_which_most_readings_are_missing_is_not_solved() -> None:
+    """156 of 256: what is left would determine lines, but not cells."""
+    truth = np.random.default_rng(0).uniform(2000, 4000, (2, 16, 16))
+    values = lampest.two_point_resistance(truth)
+    values[1].ravel()[:156] = np.nan
+    found = lampest.reconstruct(lampest.Recording.from_array(values, baseline=1), [lampest.Misfit()])
+    assert not found.solved.any() and "too few of the frame's readings are values" in found.status[0]

@@ -2,14 +2,29 @@
 
 import os
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
 import scipy.io
 
-from lampest import InputError, Panel, Recording, Scene, SeriesPerLine, TwoPointReadout, import_file, read_scene
+from lampest import (
+    Bounds,
+    InputError,
+    Layout,
+    Misfit,
+    Panel,
+    Recording,
+    Scene,
+    SeriesPerLine,
+    TwoPointReadout,
+    VirtualGroundReadout,
+    import_file,
+    read_scene,
+    reconstruct,
+)
 
 FRAMES = np.random.default_rng(7).uniform(250, 600, (4, 3, 5)).round(3)
 ROWS, COLUMNS = 3, 5
@@ -344,3 +359,127 @@ def test_a_series_resistance_that_no_wire_has_is_refused_where_it_stands(tmp_pat
     path.write_text(f"panel: {{rows: 3, columns: 5}}\nseries_resistance_ohm: {ohm}\n", encoding="utf-8")
     with pytest.raises(InputError, match=r"scene\.yaml:.*must lie between 1e-06 and 1e\+09 ohm"):
         read_scene(path)
+
+
+def amplifiers(**volts: float) -> Scene:
+    return Scene(Panel(ROWS, COLUMNS), VirtualGroundReadout(sense_ohm=70.0, feedback_ohm=4000.0, **volts))
+
+
+def test_the_drive_and_the_converter_of_a_virtual_ground_have_voltages_of_their_own(tmp_path: Path) -> None:
+    scene = amplifiers(drive_volt=0.5, converter_volt=2.5)
+    truth = np.random.default_rng(2).uniform(1500, 6000, (1, ROWS, COLUMNS))
+    volts = scene.circuit.exact_reading(truth)
+    path = table(tmp_path / "v.csv", volts.reshape(1, -1))
+    recording, notes = import_file(path, ROWS, COLUMNS, scene)
+    assert any(note.startswith("unit volt, guessed") for note in notes)
+    found = reconstruct(recording, [Misfit()], formulation="reduced", bounds=Bounds("none", "none"))
+    np.testing.assert_allclose(found.cell_resistance, truth, rtol=1e-2)
+    codes = np.floor(volts / 2.5 * 1024).astype(int)
+    np.save(tmp_path / "c.npy", codes)
+    np.testing.assert_allclose(import_file(tmp_path / "c.npy", scene=scene)[0].recorded, volts, atol=2.5 / 1024)
+    both = amplifiers(supply_volt=5.0).circuit.exact_reading(truth)
+    np.testing.assert_allclose(amplifiers(drive_volt=5.0).circuit.exact_reading(truth), both)
+    with pytest.raises(ValueError, match="converter_volt must lie between"):
+        amplifiers(converter_volt=0.0)
+
+
+def test_volts_beyond_a_supply_that_is_the_drive_alone_are_no_millivolts(tmp_path: Path) -> None:
+    scene = amplifiers(drive_volt=0.5, converter_volt=2.5)
+    volts = scene.circuit.exact_reading(np.full((2, ROWS, COLUMNS), 2000.0))
+    path = table(tmp_path / "v.csv", volts.reshape(2, -1))
+    with pytest.raises(InputError, match=r"fit none of volt, mV, code in this scene, whose converter ends at 0.5 V"):
+        import_file(path, scene=amplifiers(supply_volt=0.5))
+
+
+def test_readings_that_mostly_stand_at_the_rail_of_a_shorted_cell_are_refused(tmp_path: Path) -> None:
+    volts = np.full((2, ROWS, COLUMNS), 2.5)
+    volts[0, 0] = 1.0
+    path = table(tmp_path / "v.csv", volts.reshape(2, -1))
+    with pytest.raises(InputError, match=r"25 of 30 readings stand at the rail .* is readout.converter_volt, 2.5 V"):
+        import_file(path, scene=amplifiers(drive_volt=0.5, converter_volt=2.5), unit="volt")
+    volts = np.full((2, ROWS, COLUMNS), 0.0)  # open cells, which an unloaded film has
+    volts[0, 0] = 1.0
+    recording, _ = import_file(table(tmp_path / "o.csv", volts.reshape(2, -1)), scene=amplifiers(), unit="volt")
+    assert recording.recorded.shape == (2, ROWS, COLUMNS)
+
+
+def test_an_array_becomes_the_recording_that_its_file_becomes(tmp_path: Path) -> None:
+    volts = 5.0 * 1000.0 / (FRAMES + 1000.0)
+    codes = np.floor(volts / 5 * 1024).astype(int)
+    text = "panel: {rows: 3, columns: 5}\nreadout: {kind: two_point}\nseries_resistance_ohm: 140\n"
+    (tmp_path / "scene.yaml").write_text(text, encoding="utf-8")
+    for unit, values in (
+        ("ohm", FRAMES),
+        ("kohm", FRAMES / 1000),
+        ("volt", volts),
+        ("mV", 1000 * volts),
+        ("code", codes),
+    ):
+        np.save(tmp_path / "m.npy", values)
+        expected, _ = import_file(tmp_path / "m.npy", scene=SCENE, unit=unit, baseline_frames=2)
+        for scene in (SCENE, tmp_path / "scene.yaml", str(tmp_path / "scene.yaml")):
+            recording = Recording.from_array(values.tolist(), unit=unit, baseline=2, scene=scene, time=[0, 1, 2, 4])
+            np.testing.assert_array_equal(recording.recorded, expected.recorded)
+            np.testing.assert_array_equal(recording.role, [0, 0, 1, 1])
+            np.testing.assert_array_equal(recording.time, [0, 1, 2, 4])
+            assert recording.scene.panel == SCENE.panel
+    plain = Recording.from_array(FRAMES)
+    assert plain.scene == Scene(Panel(ROWS, COLUMNS)) and plain.time[-1] == 3 and np.all(plain.role == 1)
+    assert reconstruct(Recording.from_array(FRAMES, baseline=1), [Misfit()]).solved.all()
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"values": FRAMES[0]}, r"values must have the shape \(frames, rows, columns\) with at least one frame, not"),
+        ({"values": FRAMES[:, :2], "scene": SCENE}, r"values must have the shape \(frames, 3, 5\) .*not \(4, 2, 5\)"),
+        ({"values": FRAMES, "baseline": 5}, "baseline must be a number of frames from 0 to 4, not 5"),
+        ({"values": FRAMES, "unit": "V"}, "the unit 'V' is unknown; there are ohm, kohm, volt, mV, code"),
+        ({"values": FRAMES, "unit": "volt"}, "values: volt values need a scene with a readout"),
+        (
+            {"values": FRAMES, "unit": "volt", "scene": SCENE},
+            r"values\[0, 0, 0\]: 468.* lies outside 0 to 5 V, the range",
+        ),
+        ({"values": FRAMES, "time": [0, 1]}, "time must hold one finite time for each frame"),
+        ({"values": "m.csv"}, "values"),
+    ],
+)
+def test_an_array_that_does_not_fit_is_refused_in_words_of_its_arguments(given: dict[str, Any], message: str) -> None:
+    with pytest.raises(InputError, match=message) as caught:
+        Recording.from_array(**given)
+    assert "--" not in str(caught.value)
+
+
+@dataclass(frozen=True)
+class FramesInBytes(Layout):
+    kind: ClassVar[str] = "frames_in_bytes"
+
+    def read(self, path: Path, rows: int, columns: int) -> tuple[np.ndarray, np.ndarray]:
+        values = np.fromfile(path, dtype="<u2").reshape(-1, rows, columns)
+        return values, np.arange(len(values)) * 50
+
+
+def test_a_layout_of_ones_own_reads_what_it_knows(tmp_path: Path) -> None:
+    codes = np.arange(300, 300 + 2 * ROWS * COLUMNS).astype("<u2").reshape(2, ROWS, COLUMNS)
+    (tmp_path / "m.bin").write_bytes(codes.tobytes())
+    recording, notes = import_file(tmp_path / "m.bin", scene=SCENE, unit="code", layout=FramesInBytes())
+    np.testing.assert_allclose(recording.recorded, Recording.from_array(codes, unit="code", scene=SCENE).recorded)
+    assert recording.time[-1] == 0.05 and notes[0] == "layout frames_in_bytes"
+    assert any(note.startswith("time: ms (guessed") for note in notes)
+    with pytest.raises(InputError, match=r"layout frames_in_bytes gives 2 × 5 × 3, not frames × 3 × 5"):
+        import_file(tmp_path / "m.bin", scene=SCENE, unit="code", layout=Turned())
+
+
+class Turned(FramesInBytes):
+    def read(self, path: Path, rows: int, columns: int) -> tuple[np.ndarray, np.ndarray]:
+        return super().read(path, columns, rows)
+
+
+@pytest.mark.parametrize("written", ["ROW{row}={line}", "R{row}: {line}", "row {row} = {line}"])
+def test_rows_with_names_before_a_sign(tmp_path: Path, written: str) -> None:
+    lines = [
+        written.format(row=row, line=",".join(map(str, values))) for frame in FRAMES for row, values in enumerate(frame)
+    ]
+    (tmp_path / "m.log").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    recording, _ = import_file(tmp_path / "m.log", ROWS, COLUMNS)
+    np.testing.assert_allclose(recording.resistance, FRAMES)

@@ -60,7 +60,7 @@ def test_the_arduino_monitor_one_frame_a_line(tmp_path: Path) -> None:
     np.testing.assert_allclose(recording.recorded, VOLT_OF_CODES)
     np.testing.assert_allclose(recording.time, [0, 1, 2, 3])
     assert recording.start_time is None and said(notes, "it began at 12:34:56.789, the date is not in the file")
-    assert said(notes, "left out: line 1 ('511 600') and 1 other") and said(notes, "unit code, guessed")
+    assert said(notes, "left out: lines 1, 2 (the first: '511 600')") and said(notes, "unit code, guessed")
 
 
 def test_a_monitor_cut_at_its_end(tmp_path: Path) -> None:
@@ -374,9 +374,48 @@ def test_date_and_time_of_day_in_two_columns(tmp_path: Path) -> None:
     assert recording.start_time == "2025-01-31T12:00:00"
 
 
-def test_seconds_that_look_like_milliseconds_are_pointed_at(tmp_path: Path) -> None:
-    recording, notes = timed(tmp_path, "time", (0, 100, 200, 300))
-    assert recording.time[-1] == 300 and said(notes, "frames are 100 s apart; if these are ms, call the column time_ms")
+@pytest.mark.parametrize(
+    ("stamps", "asked", "seconds", "words"),
+    [
+        ((0, 103, 207, 310), None, 0.31, "ms (guessed: whole numbers that grow by 103; --time-unit says otherwise)"),
+        ((5, 50_005, 100_006, 150_009), None, 0.150009, "us (guessed: whole numbers that grow by 50001;"),
+        ((1.2e9, 1.2e9 + 5e4, 1.2e9 + 1e5, 1.2e9 + 1.5e5), None, 1200.15, "us (guessed"),
+        ((0, 1, 2, 3), None, 3, "s (assumed; --time-unit says otherwise)"),
+        ((0, 103.5, 207, 310), None, 310, "s (assumed"),
+        ((0, 103, 207, 310), "s", 310, "s (as specified)"),
+        ((0, 1, 2, 3), "ms", 0.003, "ms (as specified)"),
+    ],
+)
+def test_the_unit_of_times_is_guessed_and_always_said(
+    tmp_path: Path, stamps: Sequence[float], asked: str | None, seconds: float, words: str
+) -> None:
+    recording, notes = timed(tmp_path, "time", stamps, time_unit=asked)
+    assert recording.time[-1] == pytest.approx(seconds) and said(notes, f"time: column 'time' in {words}")
+
+
+def test_a_time_unit_needs_times_that_are_numbers(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="holds no times that could be in ms; --period sets them"):
+        imported(tmp_path / "m.csv", "\n".join(wide(FRAMES)), time_unit="ms")
+    with pytest.raises(InputError, match="is no number, so that it has no time unit ms"):
+        timed(tmp_path, "time", ("2025-01-01", "2025-01-02", "2025-01-03", "2025-01-04"), time_unit="ms")
+
+
+@pytest.mark.parametrize("stamp", ["1034510448", "3034510448", "7", "", "4x"])
+def test_a_line_with_a_cut_stamp_is_named_and_stops_nothing(tmp_path: Path, stamp: str) -> None:
+    stamps = [str(10_345 + 103 * number) for number in range(20)]
+    lines = [f"{time},{line}" for time, line in zip(stamps, wide(np.tile(FRAMES, (5, 1, 1))), strict=True)]
+    lines[7] = stamp + lines[7][5:30]
+    recording, notes = imported(tmp_path / "m.csv", "\n".join(lines) + "\n")
+    np.testing.assert_allclose(np.diff(recording.time), 0.103)
+    assert said(notes, "m.csv:8:1 is missing or does not grow, and is interpolated")
+    assert said(notes, "in 1 of 20 frames: NaN in the recording")
+
+
+def test_left_out_lines_are_numbered(tmp_path: Path) -> None:
+    lines = [line for frame in wide(FRAMES) for line in (frame, "DEBUG heap ok")] * 5
+    _, notes = imported(tmp_path / "m.csv", "\n".join(lines) + "\n")
+    numbers = ", ".join(map(str, range(2, 22, 2)))
+    assert said(notes, f"left out: lines {numbers} and 10 more (the first: 'DEBUG heap ok')")
 
 
 # Units.

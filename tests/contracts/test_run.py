@@ -15,7 +15,7 @@ import h5py
 import numpy as np
 import pytest
 
-from lampest import CaseResult, read_results, read_run, term_types
+from lampest import CaseResult, InputError, read_results, read_run, term_types
 
 ROOT = Path(__file__).parents[2]
 COMMAND = Path(sys.executable).with_name("lampest")
@@ -132,13 +132,13 @@ def test_processes_find_what_one_finds(disk: SimpleNamespace) -> None:
 
 @pytest.fixture
 def long(disk: SimpleNamespace) -> SimpleNamespace:
-    """Forty cases of some tenths of a second."""
+    """Forty-two cases of some tenths of a second."""
     shape = (9, 8, 8)
     disk.recording(disk.folder / "long.h5", disk.scene.replace("rows: 3, columns: 4", "rows: 8, columns: 8"), shape)
     weights = [float(f"{weight:.3g}") for weight in np.geomspace(1e-5, 1e-1, 40)]
     sweep = f"sweep: {{estimators.LSR-CR.terms.cell_resistance.weight: {json.dumps(weights)}}}\n"
     path = disk.run(disk.text.replace("small.h5", "long.h5") + sweep)
-    return SimpleNamespace(path=path, out=disk.folder / "out", count=40)
+    return SimpleNamespace(path=path, out=disk.folder / "out", count=42)
 
 
 def started(long: SimpleNamespace) -> subprocess.Popen[str]:
@@ -185,6 +185,34 @@ def test_interrupted_run_keeps_what_is_finished(long: SimpleNamespace) -> None:
     assert {case.case_id for case in finished} == {path.stem for path in (long.out / "cases").glob("[!.]*.h5")}
 
 
+@pytest.mark.parametrize("executor", ["serial", "processes, workers: 1"])
+def test_a_case_that_is_broken_off_keeps_its_finished_frames(
+    executor: str, disk: SimpleNamespace, lampest: Command
+) -> None:
+    shape, out = (1502, 8, 8), disk.folder / "out"
+    disk.recording(disk.folder / "small.h5", disk.scene.replace("rows: 3, columns: 4", "rows: 8, columns: 8"), shape)
+    text = disk.text[: disk.text.index("  LSR-CR")] + f"formulation: nodal\nexecutor: {{kind: {executor}}}\n"
+    run = subprocess.Popen(
+        [COMMAND, "run", str(disk.run(text)), "--out", str(out)],
+        stderr=subprocess.PIPE,
+        text=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+    )
+    deadline = time.monotonic() + 60
+    while not list((out / "cases").glob(".*_unfinished.h5")):
+        assert run.poll() is None and time.monotonic() < deadline
+        time.sleep(0.01)
+    run.send_signal(signal.SIGINT)
+    run.communicate(timeout=60)
+    assert run.returncode == 130
+    (case,) = cases(out)
+    count = int(case.solved.sum())
+    assert 0 < count < len(case.solved) and case.solved[:count].all()
+    assert np.isnan(case.cell_resistance[count:]).all() and np.isfinite(case.cell_resistance[:count]).all()
+    assert set(case.status[count:]) == {"the run was broken off before this frame"}
+    assert not list((out / "cases").iterdir()), "an unfinished case is solved anew"
+
+
 def test_one_run_at_a_time_in_a_folder(disk: SimpleNamespace, lampest: Command) -> None:
     out = disk.folder / "out"
     out.mkdir()
@@ -212,25 +240,51 @@ def test_two_runs_into_one_folder_at_once(disk: SimpleNamespace) -> None:
     assert [case.estimator for case in cases(disk.folder / "out")] == ["LSM", "LSR-CR", "LSR-dCR"]
 
 
-def test_sweep_is_every_combination_of_those_it_names(disk: SimpleNamespace) -> None:
+def test_sweep_varies_an_estimator_over_its_own_keys_and_all_over_the_others(disk: SimpleNamespace) -> None:
     sweep = "sweep: {estimators.LSR-CR.terms.cell_resistance.weight: [1e-4, 1e-2], bounds.lower: [measured, 1]}\n"
     run = read_run(disk.run(disk.text + sweep))
-    assert [case.name for case in run.cases] == [
-        f"LSR-CR@cell_resistance.weight={weight},bounds.lower={lower}"
-        for weight in ("0.0001", "0.01")
-        for lower in ("measured", "1")
+    lower = [{"bounds.lower": bound} for bound in ("measured", 1)]
+    weights = [{"cell_resistance.weight": weight} for weight in (1e-4, 1e-2)]
+    assert [case.swept for case in run.cases] == [
+        *lower,
+        *(weight | bound for weight in weights for bound in lower),
+        *lower,
     ]
-    found = [(case.estimator.terms[1].weight, case.estimator.bounds.lower) for case in run.cases]
+    assert [case.name for case in run.cases][1:4] == [
+        "LSM@bounds.lower=1",
+        "LSR-CR@cell_resistance.weight=0.0001,bounds.lower=measured",
+        "LSR-CR@cell_resistance.weight=0.0001,bounds.lower=1",
+    ]
+    varied = run.cases[2:6]
+    found = [(case.estimator.terms[1].weight, case.estimator.bounds.lower) for case in varied]
     assert found == [(1e-4, "measured"), (1e-4, 1), (1e-2, "measured"), (1e-2, 1)]
-    assert len({case.case_id for case in run.cases}) == 4
+    assert len({case.case_id for case in run.cases}) == 8
+
+
+def test_sweep_of_single_estimators_keeps_the_others_once(disk: SimpleNamespace) -> None:
+    weights, changes = [1e-4, 1e-3, 1e-2], [1, 10]
+    keys = {
+        "estimators.LSR-CR.terms.cell_resistance.weight": weights,
+        "estimators.LSR-dCR.terms.relative_change.weight": changes,
+    }
+    run = read_run(disk.run(disk.text + f"sweep: {json.dumps(keys)}\n"))
+    assert [(case.name.partition("@")[0], list(case.swept.values())) for case in run.cases] == [
+        ("LSM", []),
+        *(("LSR-CR", [weight]) for weight in weights),
+        *(("LSR-dCR", [weight]) for weight in changes),
+    ]
+    with pytest.raises(InputError, match="a sweep varies keys below, or beside, this one"):
+        read_run(disk.run(disk.text + "sweep: {estimators: [{LSM: {terms: {misfit: {}}}}]}\n"))
+    with pytest.raises(InputError, match="LSR-XX"):
+        read_run(disk.run(disk.text + "sweep: {estimators.LSR-XX.terms.misfit.weight: [1, 2]}\n"))
 
 
 def test_sweep_of_what_all_share_varies_all(disk: SimpleNamespace) -> None:
     run = read_run(disk.run(disk.text + "sweep: {formulation: [nodal, per_pixel]}\n"))
     names = ("LSM", "LSR-CR", "LSR-dCR")
     forms = ("nodal", "per_pixel")
-    assert [case.name for case in run.cases] == [f"{name}@formulation={form}" for form in forms for name in names]
-    assert [case.estimator.formulation for case in run.cases] == [form for form in forms for _ in names]
+    assert [case.name for case in run.cases] == [f"{name}@formulation={form}" for name in names for form in forms]
+    assert [case.estimator.formulation for case in run.cases] == [form for _ in names for form in forms]
 
 
 def test_estimators_override_the_run_key_by_key(disk: SimpleNamespace) -> None:

@@ -19,7 +19,8 @@ from fuzz.mutants import RUN, SUFFIXES, Mutant, text
 
 from lampest import cli
 from lampest.files.errors import InputError
-from lampest.recording.foreign.importing import import_file, read_scene
+from lampest.panel.scene import read_scene
+from lampest.recording.foreign.importing import import_file
 from lampest.recording.recording import Recording
 from lampest.recording.simulation import read_simulations
 from lampest.recording.simulation import run as simulate

@@ -19,7 +19,7 @@ from lampest.files.typed import members_of
 from lampest.loads.shapes import OralDisc
 from lampest.panel.conditions import Systematic
 from lampest.panel.panel import EachModule, Modules, Panel
-from lampest.panel.readouts import AnyReadout, Readout
+from lampest.panel.readouts import AnyReadout, LoadedColumnsReadout, Readout, VirtualGroundReadout
 from lampest.panel.readouts.two_point import four_point_excess
 from lampest.recording.readings import Readings
 from lampest.recording.simulation import Unmodelled, simulate
@@ -340,3 +340,26 @@ def test_a_sound_recording_keeps_its_table() -> None:
     assert found.model_check.mark == "yes"
     rows = compare(Results((found.result("LSM"),)))
     assert model_notes(rows) == []
+
+
+@pytest.mark.parametrize(
+    ("readout", "systematic", "named"),
+    [
+        (TwoPointReadout(), None, "assumed series_resistance_ohm (within 35 ohm), reference_ohm (within 6 %)"),
+        (
+            LoadedColumnsReadout(),
+            Systematic(reference_tolerance=0.01, series_ohm=5.0),
+            "assumed drive_ohm (within 5 ohm), load_ohm (within 1 %)",
+        ),
+        (VirtualGroundReadout(), None, "feedback_ohm (within 6 %), drive_volt (exact), converter_volt (exact)"),
+    ],
+    ids=lambda value: getattr(value, "kind", ""),
+)
+def test_a_circuit_that_explains_its_readings_says_what_no_frame_shows(
+    readout: Readout, systematic: Systematic | None, named: str
+) -> None:
+    scene = Scene(Panel(6, 6), readout, systematic=systematic)
+    sentence = Prepared(simulate(Simulation(1, 7, scene, frames=1))).check.sentence
+    assert sentence.isascii() and named in sentence
+    assert sentence.startswith("the circuit explains its readings; no frame shows the numbers with which all cells")
+    assert sentence.endswith("changes in percent hardly depend on them; lampest calibrate measures them")

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+import lampest
 from lampest import two_point_resistance
 from lampest.cost.given import Background
 from lampest.cost.losses import Absolute, Huber, Student
@@ -220,3 +221,18 @@ def test_without_noise_weights_are_chosen_too() -> None:
 def test_an_open_weight_needs_data() -> None:
     with pytest.raises(ValueError, match="needs the term misfit"):
         Estimator((Gradient(weight=AUTO),))
+
+
+def test_a_chosen_weight_that_keeps_readings_from_being_met_is_warned_of() -> None:
+    """A penalty on log r, where half of the cells are loaded, with a weight a thousand times too large."""
+    truth = np.where(np.indices((2, 6, 6))[2] < 3, 2000.0, 4000.0)
+    values = lampest.two_point_resistance(truth)
+    scene = lampest.Scene(lampest.Panel(6, 6), lampest.TwoPointReadout(readings=20, noise_lsb=0.7))
+    recording = lampest.Recording.from_array(values, baseline=1, scene=scene)
+    misfit = lampest.Misfit(weighting="noise")
+    found = lampest.reconstruct(recording, [misfit, lampest.LogGradient(weight=1e6)], formulation="reduced")
+    assert found.solved.all() and not any("readings are missed" in line for line in found.checks)
+    warned = replace(found, automatic=True).checks[0]
+    assert warned.startswith("with the weight that was chosen for log_gradient readings are missed by")
+    chosen = lampest.reconstruct(recording, [misfit, lampest.LogGradient()], formulation="reduced")
+    assert chosen.automatic and not any("readings are missed" in line for line in chosen.checks)

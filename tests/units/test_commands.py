@@ -2,6 +2,7 @@
 
 import re
 import shutil
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
@@ -67,6 +68,19 @@ def test_mistyped_keys_and_names(disk: SimpleNamespace, lampest: Command) -> Non
     run.write_text(run.read_text().replace("estimators:", "estimatros:"))
     ended = lampest("run", run)
     assert ended.code == 2 and "estimatros: no such key; did you mean estimators?" in ended.err
+
+
+@pytest.mark.parametrize("counted", [False, True])
+def test_progress_says_how_many_are_done_and_the_time_left(
+    counted: bool, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.setenv("COLUMNS", "100")
+    with screen.progress("frames", counted) as on_frame:
+        on_frame(3, 9)
+    drawn = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", capsys.readouterr().err)
+    assert "frames" in drawn and "33%" in drawn and "left" in drawn and ("3/9" in drawn) == counted
 
 
 def test_no_progress_where_there_is_no_terminal(capsys: pytest.CaptureFixture[str]) -> None:

@@ -2,6 +2,7 @@
 
 import csv
 import dataclasses
+import json
 from pathlib import Path
 
 import numpy as np
@@ -13,13 +14,14 @@ from lampest.files.errors import InputError
 from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.scene import Panel, Scene
 from lampest.recording.recording import Recording
-from lampest.report.compare import Table, compare, compare_files, legend, screen_blocks, write_csv
+from lampest.report.compare import Table, compare, compare_files, comparison, legend, screen_blocks, write_csv
 from lampest.report.info import describe
 from lampest.report.plots import plot_results
 from lampest.report.plots.contours import ContourPlot
 from lampest.report.plots.style import save
+from lampest.report.plots.sweep import SweepPlot
 from lampest.report.strongest import strongest_index
-from lampest.runs.results import PublishedFigures, Results, StepFigures, write_results
+from lampest.runs.results import CaseResult, PublishedFigures, Results, StepFigures, write_results
 
 PUBLISHED = {
     "LSM": PublishedFigures(all=StepFigures(16.45, 0.40, 1.33, 1.29)),
@@ -242,3 +244,56 @@ def test_a_wide_table_folds_its_texts_and_keeps_its_figures(sources: int, capsys
     assert text.count("lamprey") == sources and "or lamprey or cup" not in text
     titles = [line for line in text.splitlines() if line.endswith(":")]
     assert titles == ([f"panel_{source}:" for source in range(sources)] if sources > 1 else [])
+
+
+def swept(name: str, **values: float) -> CaseResult:
+    keys = {f"{key}.weight": value for key, value in values.items()}
+    full = "@".join(filter(None, (name, ",".join(f"{key}={value}" for key, value in keys.items()))))
+    return dataclasses.replace(invented_case(full), swept_json=json.dumps(keys) if keys else "")
+
+
+SWEPT = [
+    swept("plain"),
+    *(swept("smooth", gradient=weight) for weight in (1e-8, 1e-6, 1e-4)),
+    *(swept("both", gradient=weight, log_ratio=other) for weight in (1e-8, 1e-6) for other in (0.1, 1.0)),
+]
+
+
+def test_the_table_has_a_row_a_case_and_a_column_for_each_swept_key(tmp_path: Path) -> None:
+    write_results(tmp_path / "r.h5", SWEPT)
+    rows = compare_files([tmp_path / "r.h5"])
+    (block,) = screen_blocks(rows)
+    assert block.headers[:3] == ("estimator", "gradient weight", "log_ratio weight")
+    expected = [("plain", "", ""), *(("smooth", weight, "") for weight in ("1e-08", "1e-06", "0.0001"))]
+    assert [cells[:3] for cells in block.cells][:4] == expected and len(block.cells) == 8
+    write_csv(tmp_path / "t.csv", rows)
+    lines = list(csv.DictReader((tmp_path / "t.csv").read_text(encoding="utf-8").splitlines()))
+    assert [line["gradient.weight"] for line in lines][:3] == ["", "1e-08", "1e-06"]
+    assert [line["log_ratio.weight"] for line in lines][3:6] == ["", "0.1", "1.0"]
+    frame = comparison(tmp_path / "r.h5")
+    assert len(frame) == 8 and list(frame["gradient.weight"])[1:4] == [1e-8, 1e-6, 1e-4]
+    assert frame.columns.tolist() == list(lines[0])
+    many = [dataclasses.replace(case, recording=f"mouth{number}") for number in range(7) for case in SWEPT]
+    (summary,) = screen_blocks(compare(Results(tuple(many))))
+    assert len(summary.cells) == 8 and summary.headers[1] == "gradient weight"
+
+
+def test_results_with_swept_numbers_are_plotted_over_them(tmp_path: Path) -> None:
+    write_results(tmp_path / "r.h5", SWEPT)
+    assert [path.name for path in plot_results(tmp_path / "r.h5")] == ["sweep_mouth.png"]
+    assert [path.name for path in plot_results(tmp_path / "r.h5", frame=6)] == ["contours_mouth_frame6.png"]
+    cells, readings = (axes[0] for axes in np.reshape(SweepPlot().draw(SWEPT).axes, (2, 2)))
+    errors = [row["cell error median [%]"] for row in compare(Results(tuple(SWEPT)))]
+    names = ["plain", "smooth", "both, log_ratio.weight 0.1", "both, log_ratio.weight 1.0"]
+    lines = {str(line.get_label()): line for line in cells.get_lines()}
+    assert list(lines) == names and (cells.get_ylabel(), readings.get_xlabel()) == (
+        "cell error, median [%]",
+        "gradient.weight",
+    )
+    assert list(lines["smooth"].get_xdata()) == [1e-8, 1e-6, 1e-4]
+    assert list(lines["smooth"].get_ydata()) == errors[1:4]
+    assert cells.get_xscale() == "log"
+    write_results(tmp_path / "plain.h5", SWEPT[:1])
+    assert plot_results(tmp_path / "plain.h5")[0].name == "contours_mouth.png"
+    with pytest.raises(InputError, match="holds no sweep to draw"):
+        plot_results(tmp_path / "plain.h5", show="sweep")

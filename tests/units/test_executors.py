@@ -20,7 +20,7 @@ import pytest
 
 from lampest.files import process
 from lampest.files.errors import InputError
-from lampest.runs import executors
+from lampest.runs import batch, executors
 from lampest.runs.batch import Task, run_batch, solve_case
 from lampest.runs.config import json_schema, read_run
 from lampest.runs.executors import Dask, Processes, Serial, local
@@ -290,3 +290,13 @@ def test_dask_is_imported_only_when_it_is_used() -> None:
     )
     ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     assert ended.stdout == "set()\n"
+
+
+def test_frames_are_counted_while_cases_are_solved(disk: SimpleNamespace, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(batch, "EVERY_SECONDS", 1e-4)
+    told: list[tuple[int, int]] = []
+    run = read_run(disk.folder / "run.yaml")
+    run_batch(run, disk.folder / "out", Serial(), on_frames=lambda *frames: told.append(frames))
+    frames = sum(case.frames for case in run.cases)
+    assert told[-1] == (frames, frames) and told == sorted(told) and {whole for _, whole in told} == {frames}
+    assert not list((disk.folder / "out" / "cases").glob(".*")), "what counts them is removed"

@@ -88,7 +88,8 @@ class SmootherMethod(Method):
         if others or not fits or first.loss.squared or first.loss.enters == "dual":
             raise InputError(
                 "formulation: smoother has one term, misfit: {weighting: noise, loss: {kind: student, corner: 4}}, of "
-                "weight 1; its loss may be huber, but not squared: a wrong reading would pull at all frames"
+                "weight 1; its loss may be huber or a smooth one of your own, but not squared, with which one wrong "
+                "reading pulls at all frames, nor absolute, which is not smooth"
             )
 
     def compares(self, terms: tuple[Term, ...]) -> bool:

@@ -12,13 +12,13 @@ from lampest.panel.panel import Array
 from lampest.panel.readouts.lines import PerLine, Side, along, as_tuple, check_lines, lines_text
 
 USUAL_NOISE_LSB = 0.7  # (LSB) enough to dither: what the shipped boards show, and what averaging needs
-
+LEAST_VOLT, MOST_VOLT = 1e-3, 1e3  # V: a thermocouple's; low voltage by IEC 60038
 WITHIN = 3.0  # σ of a mean reading: as far as noise takes it from what a stage passes
 
 
 @dataclass(frozen=True, kw_only=True)
 class Converter(Configuration):
-    """Codes from 0 to 2^bits − 1 over voltages from 0 to the supply.
+    """Codes from 0 to 2^bits − 1 over voltages from 0 to full scale, which is the supply unless a kind says otherwise.
 
     supply_volt : supply of the circuit and reference of the converter in volt.
     adc_bits : resolution of the converter.
@@ -39,15 +39,21 @@ class Converter(Configuration):
     passes_volt: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
-        check_range("supply_volt", self.supply_volt, 1e-3, 1e3, " V")  # a thermocouple's; low voltage by IEC 60038
+        check_range("supply_volt", self.supply_volt, LEAST_VOLT, MOST_VOLT, " V")
         check_ranges(self, 1, 32, "adc_bits")
         check_ranges(self, 1, 65535, "readings")
         check_lines("noise_lsb", self.assumed_noise)
         if max(as_tuple(self.assumed_noise)) > 2**self.adc_bits:
             raise ValueError(f"noise_lsb must not exceed the converter's range, {2**self.adc_bits} LSB")
         check_ranges(self, 0, 2**self.adc_bits - 3, "floor_code")
-        if self.passes_volt is not None and not 0 <= self.passes_volt[0] < self.passes_volt[1] <= self.supply_volt:
-            raise ValueError(f"passes_volt must be two voltages from 0 to {self.supply_volt:g}, the lower one first")
+        if self.passes_volt is not None and not 0 <= self.passes_volt[0] < self.passes_volt[1] <= self.full_scale_volt:
+            most = f"{self.full_scale_volt:g}"
+            raise ValueError(f"passes_volt must be two voltages from 0 to {most}, the lower one first")
+
+    @property
+    def full_scale_volt(self) -> float:
+        """Voltage at the end of the converter's range."""
+        return self.supply_volt
 
     @property
     def noise_told(self) -> bool:
@@ -80,16 +86,16 @@ class Converter(Configuration):
 
     @property
     def lsb_volt(self) -> float:
-        """Vcc / 2^bits: one least significant bit in volt."""
-        return self.supply_volt / 2.0**self.adc_bits
+        """One least significant bit in volt: full scale / 2^bits."""
+        return self.full_scale_volt / 2.0**self.adc_bits
 
     def code_from_volt(self, volt: Array) -> NDArray[np.int64]:
-        """code = ⌊V/Vcc · 2^bits⌋, clipped to 0 and 2^bits − 1; any shape."""
+        """code = ⌊V/full scale · 2^bits⌋, clipped to 0 and 2^bits − 1; any shape."""
         code = np.clip(np.floor(np.asarray(volt) / self.lsb_volt), 0, 2**self.adc_bits - 1)
         return np.asarray(code, dtype=np.int64)
 
     def volt_from_code(self, mean_code: Array) -> Array:
-        """V = (code + ½)·Vcc/2^bits: the middle of what a converter calls by this code; means of codes too."""
+        """V = (code + ½)·(full scale)/2^bits: the middle of what a converter calls by this code; means of codes too."""
         return (np.asarray(mean_code, dtype=float) + 0.5) * self.lsb_volt
 
     def recorded_from_sums(self, sums: NDArray[np.integer[Any]], readings: int) -> Array:

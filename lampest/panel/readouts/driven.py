@@ -57,6 +57,11 @@ class DrivenReadout(Readout):
     input_ohm: float | None = None
 
     @property
+    def driving_volt(self) -> float:
+        """Voltage that a driven line is put to, before its resistance."""
+        return self.supply_volt
+
+    @property
     def all_loaded(self) -> bool:
         """Whether every sensed line has its load all the time."""
         return True
@@ -67,7 +72,7 @@ class DrivenReadout(Readout):
 
     def _supply(self, resistance: Any) -> Any:
         """U of a resistance D, volt; arrays and CasADi alike."""
-        return self.supply_volt
+        return self.driving_volt
 
     def _lost(self, current: Array) -> Array:
         """Vcc − U of a current through the driven line."""
@@ -131,14 +136,14 @@ class DrivenReadout(Readout):
             resistance = driven + drive
             volt = mutual * gain * self._supply(resistance) / resistance
         else:
-            volt = mutual * (self.supply_volt * gain / drive)
+            volt = mutual * (self.driving_volt * gain / drive)
         return volt if self.all_loaded else volt / (sensed * (1 / load) + 1)
 
     def apparent_resistance(self, measured: Array) -> Array:
         """Rs·((Vcc − V_d)·c/V − 1) − Rd: what the naive divider makes of a reading."""
         drive, load, gain = self._circuit(measured.shape[-2:])
-        volt = np.maximum(measured / gain, END * self.supply_volt)
-        whole = load * (self.supply_volt - self._lost(volt / load)) / volt
+        volt = np.maximum(measured / gain, END * self.driving_volt)
+        whole = load * (self.driving_volt - self._lost(volt / load)) / volt
         return np.asarray(np.maximum(whole - load - drive, LEAST_SHARE * whole))
 
     def uniform_start(self, measured: Array) -> Array:
@@ -150,7 +155,7 @@ class DrivenReadout(Readout):
             return super().uniform_start(measured)
         _, load, gain = self._circuit(measured.shape[-2:])
         driven = -3 - self._along_sensed
-        share = measured / (self.supply_volt * gain)
+        share = measured / (self.driving_volt * gain)
         share = np.maximum(share, END * share.max(axis=(-2, -1), keepdims=True))
         rest = 1 - share.sum(axis=driven, keepdims=True)
         # A rest below zero is noise, or what stands in for a dead line. Then the load counts as one more cell.
@@ -187,7 +192,7 @@ class DrivenReadout(Readout):
         """
         count = len(drive)
         impedance = inverse_of(conductance, np.concatenate([1 / drive, 1 / load if self.all_loaded else 0 * load]))
-        at_supply = impedance[:, :count] * (self.supply_volt / drive)
+        at_supply = impedance[:, :count] * (self.driving_volt / drive)
         own = np.broadcast_to(at_supply[:count].T, (len(load), count, count))
         if self.all_loaded:
             return own
@@ -200,7 +205,7 @@ class DrivenReadout(Readout):
 
     def _driven_volt(self, current: Array, drive: Array | float) -> Array:
         """Vcc − Rd I − V_d(I): where a driven line stands while it takes a current, any shape."""
-        return np.asarray(self.supply_volt - drive * current - self._lost(current))
+        return np.asarray(self.driving_volt - drive * current - self._lost(current))
 
     def free_tests(self, measured: Array, sigma: Array) -> tuple[FreeTest, ...]:
         """v_ij ≤ Vcc − Rd_i Σ_k v_ik/Rs_k with the loads k that are there at once; of idle lines at ground Σ_i v_ij ≤
@@ -223,7 +228,7 @@ class DrivenReadout(Readout):
             tests = [(law, volt.sum(axis=driven), np.sqrt((noise**2).sum(axis=driven))), *tests]
         found = []
         for law, value, spread in tests:
-            excess = np.where(spread > 0, (value - self.supply_volt) / np.where(spread > 0, spread, 1.0), -np.inf)
+            excess = np.where(spread > 0, (value - self.driving_volt) / np.where(spread > 0, spread, 1.0), -np.inf)
             found.append(FreeTest(law, excess.reshape(len(value), -1).max(axis=1), value[0].size))
         return tuple(found)
 

@@ -8,7 +8,9 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
+from lampest.files.typed import check_ranges
 from lampest.panel.panel import Array
+from lampest.panel.readouts.converter import LEAST_VOLT, MOST_VOLT
 from lampest.panel.readouts.driven import DrivenReadout
 from lampest.panel.readouts.lines import LEAST_OHM, PerLine, Side, lines_text, opposite, parallel, per_line
 
@@ -72,18 +74,20 @@ class GroundedReadout(DrivenReadout):
 
 @dataclass(frozen=True, kw_only=True)
 class VirtualGroundReadout(DrivenReadout):
-    """V = Rf_j·i_j = Vcc·Rf_j·Z_ij/(Rd_i·Rc_j): driven line i at the supply, all other lines held at ground.
+    """V = Rf_j·i_j = U·Rf_j·Z_ij/(Rd_i·Rc_j): driven line i at the voltage U, all other lines held at ground.
 
     Idle driven lines are grounded through their Rd. Every sensed line stands at the virtual ground of an amplifier, or,
     while another one is read, at ground, through its channel Rc. The amplifier inverts: its output lies Rf·i_j below
-    its reference. What is recorded is how far, a positive number, between 0 and the supply, which is its rail.
+    its reference. What is recorded is how far, a positive number, from 0 to the end of the converter's range; both ends
+    are rails.
 
     driven : the lines that are driven, one after the other.
     drive_ohm : Rd, output and channel of every driven line. sense_ohm : Rc, between every sensed line and the
         amplifier. feedback_ohm : Rf. Each a number or one for each line. Rd and Rc of zero are taken for a micro-ohm.
+    drive_volt : U, and converter_volt : the end of the converter's range, in volt; each is supply_volt if absent.
     supply_volt, adc_bits, readings, noise_lsb : see `Converter`.
 
-    No bound but r > 0 holds: other cells raise and lower a reading.
+    No bound but r > 0 holds: other cells raise and lower a reading. Raises ValueError where a number is out of range.
     Source: node analysis with Z = (L(g) + diag(t))⁻¹, t = 1/Rd at the driven and 1/Rc at the sensed lines.
 
     >>> lampest.VirtualGroundReadout(feedback_ohm=1000.0).unit
@@ -97,10 +101,25 @@ class VirtualGroundReadout(DrivenReadout):
     drive_ohm: PerLine = 50.0
     sense_ohm: PerLine = 0.0
     feedback_ohm: PerLine = 1000.0
+    drive_volt: float | None = None
+    converter_volt: float | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_ranges(self, LEAST_VOLT, MOST_VOLT, "drive_volt", "converter_volt")
+
+    @property
+    def driving_volt(self) -> float:
+        return self.supply_volt if self.drive_volt is None else self.drive_volt
+
+    @property
+    def full_scale_volt(self) -> float:
+        return self.supply_volt if self.converter_volt is None else self.converter_volt
 
     def description(self) -> str:
         return (
-            f"virtual ground, {self.driven} driven while all other lines are grounded, {self.supply_volt:g} V, "
+            f"virtual ground, {self.driven} driven to {self.driving_volt:g} V while all other lines are grounded, "
+            f"converter to {self.full_scale_volt:g} V, "
             f"drive {lines_text(self.drive_ohm)}, sense {lines_text(self.sense_ohm)}, "
             f"feedback {lines_text(self.feedback_ohm)}{self._end_text}"
         )

@@ -165,7 +165,7 @@ def _check_fit(fit: CircuitFit) -> None:
     for trial in trials:
         reads, elsewhere = trial.volt, ~trial.used & np.isfinite(trial.volt)
         missed = np.where(elsewhere, np.abs(reads - fit.problem.volt(fit.unknowns, trial.cells)), 0.0)
-        if missed.max() > 0.1 * readout.supply_volt:  # hum, and a memory of 3 %, stay below
+        if missed.max() > 0.1 * readout.full_scale_volt:  # hum, and a memory of 3 %, stay below
             row, column = (int(part) for part in np.unravel_index(missed.argmax(), missed.shape))
             raise InputError(
                 f"{trial.name}: no calibration: row {row}, column {column} reads {spoken(reads[row, column])}, but no "

@@ -125,7 +125,7 @@ class Problem:
             else:
                 each = common + sum(off.values())
                 # ln(1 + exp R) is R from some ohm on, never below zero, and always has a slope.
-                volts = self.readout.lsb_volt, self.readout.supply_volt
+                volts = self.readout.lsb_volt, self.readout.full_scale_volt
                 limits = volts if number.unit == "volt" else (SHORT_OHM, MOST_OHM)
                 each = np.clip(np.logaddexp(0, each) if off else each, *limits)
                 fields[number.name] = tuple(each.tolist()) if off else float(each)

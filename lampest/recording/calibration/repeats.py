@@ -98,7 +98,7 @@ class Trial:
 def usable_range(readout: Readout) -> tuple[float, float]:
     """V between which noise does not reach either end of the converter."""
     margin = (2 + 3 * float(np.max(readout.assumed_noise))) * readout.lsb_volt
-    return margin, readout.supply_volt - margin
+    return margin, readout.full_scale_volt - margin
 
 
 def within_rails(readout: Readout, volt: Array) -> NDArray[np.bool_]:

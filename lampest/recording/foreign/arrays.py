@@ -4,12 +4,13 @@ import struct
 import warnings
 import zipfile
 import zlib
+from abc import abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from math import prod
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.lib import format as npy
@@ -17,6 +18,7 @@ from numpy.typing import NDArray
 
 from lampest.files import hdf5
 from lampest.files.errors import InputError
+from lampest.files.typed import Validated, real_array
 from lampest.panel.panel import Array
 from lampest.recording.foreign.words import Clock, clock_of_numbers, role_of
 
@@ -29,7 +31,7 @@ FLAT = "(frames, rows·columns), row by row"
 Arrays = dict[str, NDArray[Any]]
 Shape = tuple[int, int]
 Index = NDArray[np.intp]
-Timing = Callable[[], Clock] | None
+Timing = Callable[[str | None], Clock] | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +41,7 @@ class Frames:
     numbers : all that the file holds, in any unit and order; NaN where one is missing, infinite where it says so.
     number : (frames, rows, columns) index into them; -1: the file has none for the cell.
     named : index → where in the file; -1 → the file.
-    timing : when the frames were taken, or raises InputError; None where the file has no times.
+    timing : unit or None → when the frames were taken, or raises InputError; None where the file has no times.
     notes : sentences on how it was understood. words : names of columns or arrays in which the unit may stand.
     """
 
@@ -63,6 +65,44 @@ class Frames:
     def arranged(self, number: Index, note: str) -> "Frames":
         """The same numbers as those of other cells, and a sentence on that."""
         return replace(self, number=number, notes=(*self.notes, note))
+
+
+@dataclass(frozen=True)
+class Layout(Validated):
+    """A way in which files hold readings, of a user's own.
+
+    kind : the word by which `--layout` asks for it. An installed package names an object of it in the entry point group
+    `lampest.layouts`; from Python the object itself is `import_file(..., layout=...)`.
+
+    >>> issubclass(lampest.Layout, lampest.Layout)
+    True
+    """
+
+    kind: ClassVar[str]
+
+    @abstractmethod
+    def read(self, path: Path, rows: int, columns: int) -> tuple[Array, Array | None]:
+        """Return readings (frames, rows, columns), NaN where missing, and times (frames) in the file's unit or None.
+
+        Raises InputError with the place in the file where it cannot be read.
+        """
+
+    def frames(self, path: Path, shape: Shape) -> Frames:
+        """Return what it reads as frames. Raises InputError where that has another shape."""
+        read, times = self.read(path, *shape)
+        values = real_array(read, f"{path}: layout {self.kind}").astype(float)
+        if values.ndim != 3 or values.shape[1:] != shape or not len(values):
+            raise InputError(f"{path}: layout {self.kind} gives {_by(values.shape)}, not frames × {_by(shape)}")
+
+        def named(at: int) -> str:
+            return f"{path}: reading {list(map(int, np.unravel_index(max(at, 0), values.shape)))}"
+
+        def clock(unit: str | None) -> Clock:
+            seconds = real_array(times, f"{path}: times of layout {self.kind}").astype(float)
+            return clock_of_numbers(seconds, "", lambda frame: f"{path}: time of frame {frame}", unit).said("")
+
+        number = np.arange(values.size).reshape(values.shape)
+        return Frames(values.ravel(), number, named, clock if times is not None else None, (f"layout {self.kind}",), ())
 
 
 def check_count(where: object, values: int) -> None:
@@ -208,9 +248,9 @@ def frames_of_arrays(path: Path, shape: Shape, variable: str | None) -> Frames:
         index = ", ".join(str(part + matlab) for part in np.unravel_index(max(at, 0), array.shape))
         return f"{where}({index})" if matlab else f"{where}[{index}]"
 
-    def clock() -> Clock:
+    def clock(unit: str | None) -> Clock:
         values = np.asarray(arrays[times[0]], dtype=float).ravel()
-        read = clock_of_numbers(values, times[0], lambda frame: f"{path}: {times[0]}[{frame}]")
+        read = clock_of_numbers(values, times[0], lambda frame: f"{path}: {times[0]}[{frame}]", unit)
         return read.said(f"array {times[0]} in ")
 
     times = [time for time in arrays if role_of(time) == "time" and arrays[time].size == len(number) and time != name]

@@ -1,24 +1,22 @@
 """Foreign measurements → a recording, and sentences on all that was understood or assumed."""
 
-import dataclasses
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.files.document import read_document, validated
 from lampest.files.errors import InputError, printable
-from lampest.files.typed import typed
+from lampest.files.typed import installed, typed
 from lampest.files.whole import note_read
 from lampest.panel.panel import Panel
 from lampest.panel.scene import Scene
-from lampest.recording.foreign.arrays import MOST_BYTES, READERS, Frames, Shape, frames_of_arrays
+from lampest.recording.foreign.arrays import MOST_BYTES, READERS, Frames, Layout, Shape, frames_of_arrays
 from lampest.recording.foreign.layouts import frames_of
 from lampest.recording.foreign.table import lines_of_sheets, lines_of_text, readings_table
-from lampest.recording.foreign.unit import check_unit, recorded_values, understood_unit
+from lampest.recording.foreign.unit import check_shorted, check_unit, recorded_values, understood_unit
 from lampest.recording.foreign.words import Clock, units_of
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
 
@@ -40,7 +38,8 @@ def import_file(
     variable: str | None = None,
     period: float | None = None,
     missing: str = "mark",
-    layout: str | None = None,
+    layout: str | Layout | None = None,
+    time_unit: Literal["s", "ms", "us"] | None = None,
 ) -> tuple[Recording, tuple[str, ...]]:
     """A recording of rows × columns cells, and sentences on what was found out or assumed about the file.
 
@@ -53,8 +52,10 @@ def import_file(
     transpose : the file's rows are the panel's columns.
     variable : which array of a .mat or .npz file, which sheet of an .xlsx file; needed where several would do.
     period : s between frames, in place of the file's times.
+    time_unit : of times that are numbers; None: what the column's name says, else what the numbers show.
     missing : 'mark': missing readings are NaN; 'skip-frame': their frames are left out; 'refuse': they are an error.
-    layout : a table's columns as a header would call them: 'time,row,column,value'; None: its header or their number.
+    layout : a table's columns as a header would call them: 'time,row,column,value'; or a `Layout`, or the kind of an
+        installed one; None: its header or their number.
 
     Raises InputError with file and place where anything does not fit.
 
@@ -68,12 +69,14 @@ def import_file(
         raise InputError(f"missing readings: '{missing}' is unknown; there are {', '.join(MISSING)}")
     panel = _panel(rows, columns, scene)
     check_unit(unit, scene, path)
+    own = {each.kind: each for each in installed("lampest.layouts", Layout)}
+    layout = own.get(layout, layout) if isinstance(layout, str) else layout
     frames = _frames(path, panel, transpose, variable, layout)
     values, count = frames.values, len(frames.values)
     values[~panel.present & ~(values > 0)] = np.nan
     if not 0 <= baseline_frames <= count:
         raise InputError(f"{path}: {baseline_frames} baseline frames asked for, but the file holds {count} frames")
-    clock = _clock(frames, period)
+    clock = _clock(frames, period, time_unit, path)
     if missing == "refuse":
         for frame, row, column in np.argwhere(np.isnan(values) & panel.present)[:1].tolist():
             place = frames.place(frame, row, column)
@@ -83,36 +86,13 @@ def import_file(
         kind, reason = understood_unit(values, units_of(frames.words), scene, path)
     scene, given = scene or Scene(panel), scene is not None
     recorded = recorded_values(values, kind, scene, frames.place)
+    check_shorted(recorded, scene, kind, path)
     role = np.where(np.arange(count) < baseline_frames, UNLOADED, MEASURED).astype(np.uint8)
     kept, gaps = _without_missing(np.isnan(recorded) & panel.present, missing, path)
     series, time = recorded[kept], clock.seconds[kept]
     recording = Recording(scene, series, time, role[kept], name=path.stem, start_time=clock.start)
     notes = (*frames.notes, reason, clock.sentence, _assumed(scene, given), gaps, *_summary(recording))
     return recording, tuple(map(printable, filter(None, notes)))
-
-
-@typed
-def read_scene(path: str | Path, assigned: tuple[str, ...] = ()) -> Scene:
-    """The scene of a YAML file, which holds nothing else or has it under `scene`; `assigned` overrides entries.
-
-    Each of them is PATH=VALUE, such as readout.noise_lsb=1.2. Raises InputError with line and column.
-
-    >>> _ = Path("scene.yaml").write_text("panel: {rows: 2, columns: 3}")
-    >>> lampest.read_scene("scene.yaml").panel.shape
-    (2, 3)
-    """
-    document = read_document(Path(path), assigned)
-    if isinstance(document.content, dict) and "scene" in document.content:
-        document = dataclasses.replace(document, content=document.content["scene"], marks=document.marks["scene"])
-    scene: Scene = validated(document, Scene)
-    parts: dict[str, Any] = {"panel": scene.panel} | ({} if scene.readout is None else {"readout": scene.readout})
-    left_open = tuple(
-        f"{name}.{entry.name}"
-        for name, part in parts.items()
-        for entry in dataclasses.fields(part)
-        if entry.name not in ("kind", *document.content[name]) and getattr(part, entry.name)
-    )
-    return dataclasses.replace(scene, assumed=scene.assumed or left_open)
 
 
 def _panel(rows: int | None, columns: int | None, scene: Scene | None) -> Panel:
@@ -131,7 +111,7 @@ def _panel(rows: int | None, columns: int | None, scene: Scene | None) -> Panel:
         raise InputError(f"{rows} × {columns}: {error}") from error
 
 
-def _frames(path: Path, panel: Panel, transpose: bool, variable: str | None, layout: str | None) -> Frames:
+def _frames(path: Path, panel: Panel, transpose: bool, variable: str | None, layout: str | Layout | None) -> Frames:
     """The file's frames over the panel; where it does not hold all crossings, one value for each cell of the list."""
     try:
         frames = _read_frames(path, panel.shape[::-1] if transpose else panel.shape, variable, layout)
@@ -150,7 +130,7 @@ def _frames(path: Path, panel: Panel, transpose: bool, variable: str | None, lay
     return frames
 
 
-def _read_frames(path: Path, shape: Shape, variable: str | None, layout: str | None) -> Frames:
+def _read_frames(path: Path, shape: Shape, variable: str | None, layout: str | Layout | None) -> Frames:
     """The frames of a file by its suffix. Raises InputError where it cannot be read, is too large, or does not fit."""
     kind = path.suffix.lower()
     try:
@@ -160,6 +140,8 @@ def _read_frames(path: Path, shape: Shape, variable: str | None, layout: str | N
             raise InputError(f"{path}: no file")
         if size > MOST_BYTES:
             raise InputError(f"{path}: {size} bytes, more than {MOST_BYTES} are not imported")
+        if isinstance(layout, Layout):
+            return layout.frames(path, shape)
         if kind in NOT_READ:
             raise InputError(f"{path}: {kind} files are not read; {NOT_READ[kind]}")
         if variable is not None and kind not in NAMED:
@@ -193,16 +175,18 @@ def _of_sheets(path: Path, shape: Shape, wanted: str | None, layout: str | None)
     return next(iter(fitting.values()))
 
 
-def _clock(frames: Frames, period: float | None) -> Clock:
+def _clock(frames: Frames, period: float | None, unit: str | None, path: Path) -> Clock:
     number = np.arange(len(frames.number), dtype=float)
     if period is not None:
         if not 0 < period < float("inf"):
             raise InputError("the period must be positive and finite")
         unused = "; those of the file are not used" if frames.timing is not None else ""
         return Clock(number * period, None, f"time: a frame every {period:g} s, as specified{unused}")
+    if frames.timing is None and unit is not None:
+        raise InputError(f"{path}: holds no times that could be in {unit}; --period sets them")
     if frames.timing is None:
         return Clock(number, None, "no time in the file: one frame a second is assumed; --period says otherwise")
-    return frames.timing()
+    return frames.timing(unit)
 
 
 def _without_missing(blank: NDArray[np.bool_], missing: str, path: Path) -> tuple[NDArray[np.bool_], str]:

@@ -23,11 +23,13 @@ from lampest.recording.foreign.words import clock_of, has_decimal_comma, is_stam
 MOST_FIELDS = 10_000_000  # 50 bytes each in memory
 SAMPLED = 50_000  # characters or fields of a file's beginning that decide how it is written
 SAMPLED_LINES = 1000
+MOST_NAMED = 10  # lines that a sentence names
 DELIMITERS = {";": "semicolon", "\t": "tab", ",": "comma", " ": "blank"}
 COMMENT = re.compile(r"#(?!N/?A|DIV/0!|NUM!|VALUE!|REF!)|%|//", re.IGNORECASE)  # not where Excel has no number
 # '12:34:56.789 -> ' of the Arduino IDE, '12:34:56.789 > ' of PlatformIO, '[2025-01-31 12:34:56.789] ' of others
 DATE, TIME = r"(?:\d{4}-\d{2}-\d{2}[ T]|\d{1,2}\.\d{1,2}\.\d{4} )?", r"\d{1,2}:\d{2}:\d{2}(?:[.,:]\d+)?"
 STAMPED = re.compile(rf"\s*\[?({DATE}{TIME})\s*(?:\]|->|>|\|)\s*")
+LABELLED = re.compile(r"\s*([^\W\d]+[ _]?\d+)\s*[=:]\s*(?=[-+.\d])")  # 'ROW0=512,511', 'R0: 512 511'
 LISTED = re.compile(r"[\[{(]+\s*[-+.\d]")  # '[512, 511],' of Python and JSON, '{512, 511},' of C
 BRACKETS = str.maketrans("[]{}()", "      ")
 # 'Frame 3, t = 1250 ms', 'time: 2025-01-31 12:00:01', 'millis=123'
@@ -103,6 +105,9 @@ def lines_of_text(path: Path) -> FieldLines:
         stamped = STAMPED.match(line)
         rest = line[stamped.end() :] if stamped else line.strip(" ")
         rest = rest.translate(BRACKETS) if LISTED.match(rest) else rest
+        if labelled := LABELLED.match(rest):  # the name becomes a field
+            sign = next((sign for sign in DELIMITERS if sign in rest[labelled.end() :]), " ")
+            rest = f"{labelled[1]}{sign}{rest[labelled.end() :]}"
         if rest.strip().strip(" \t;,"):
             read.append(FieldLine(number, [rest], stamped[1] if stamped else ""))
     delimiter = _delimiter([line.texts[0] for line in read if not COMMENT.match(line.texts[0])])
@@ -315,7 +320,7 @@ class ReadingsTable:
         return self._timing(texts, name, begins, None, "before each block in ")
 
     def _timing(self, texts: Sequence[str], name: str, lines: Sequence[int], field: int | None, said: str) -> Timing:
-        return lambda: clock_of(texts, name, lambda at: self.place(lines[at], field), self.comma).said(said)
+        return lambda unit: clock_of(texts, name, lambda at: self.place(lines[at], field), self.comma, unit).said(said)
 
 
 def kind_of(text: str) -> str:
@@ -362,8 +367,10 @@ def readings_table(source: FieldLines, layout: str | None = None) -> ReadingsTab
     left = np.flatnonzero(~data & other & ~comment & np.any(fields != "", axis=1))
     if len(left):
         shown = " ".join(fields[left[0]]).strip()[:40]
-        more = f" and {len(left) - 1} other{'s' if len(left) > 2 else ''}" if len(left) > 1 else ""
-        notes.append(f"left out: {source.called(left[0])} ({shown!r}){more}, no readings or cut off")
+        named = ", ".join(str(source.lines[line].number) for line in left[:MOST_NAMED])
+        named += f" and {len(left) - MOST_NAMED} more" if len(left) > MOST_NAMED else ""
+        called = f"lines {named} (the first: {shown!r})" if len(left) > 1 else f"line {named} ({shown!r})"
+        notes.append(f"left out: {called.replace('line', source.word)}, no readings or cut off")
     names = [""] * width if header is None else [text.lstrip("#% ") for text in fields[header, :width]]
     if layout is not None:
         names = [name.strip() for name in layout.split(",")]

@@ -9,9 +9,11 @@ from lampest.files.errors import InputError
 from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout
 from lampest.panel.scene import Scene
+from lampest.recording.readings import AT_LEAST, AT_MOST, Readings
 
 FACTORS = {"ohm": 1.0, "kohm": 1e3, "volt": 1.0, "mV": 1e-3, "code": 1.0}
 RESISTANCES = ("ohm", "kohm")
+LEAST_USED = 0.01  # of the converter's range: readings that use less were taken in another unit or range
 
 
 def check_unit(unit: str | None, scene: Scene | None, source: object) -> None:
@@ -42,7 +44,9 @@ def understood_unit(values: Array, said: Sequence[str], scene: Scene | None, sou
     span = f"values from {finite.min():.6g} to {finite.max():.6g}"
     fitting, reason = _fitting(finite, allowed, readout)
     if not fitting:
-        raise InputError(f"{source}: {span} fit none of {', '.join(allowed)} in this scene; --unit says what they are")
+        volt = "" if readout is None else f", whose converter ends at {readout.full_scale_volt:g} V"
+        none = f"{span} fit none of {', '.join(allowed)} in this scene{volt}"
+        raise InputError(f"{source}: {none}; --unit says what they are")
     if len(fitting) > 1:
         ways = " or ".join(f"--unit {unit}" for unit in fitting)
         raise InputError(f"{source}: {span} may be {' or '.join(fitting)}; say which with {ways}")
@@ -56,14 +60,15 @@ def _fitting(finite: Array, allowed: Sequence[str], readout: Readout | None) -> 
     if readout is None:
         fits = {"ohm": middle >= 1, "kohm": middle < 10}  # a multiplexer's channel has more than an ohm
         return [unit for unit in allowed if fits[unit]], "without a readout they are kohm below 1, ohm from 10 on"
-    top, supply = 2**readout.adc_bits - 1, readout.supply_volt
+    top, supply = 2**readout.adc_bits - 1, readout.full_scale_volt
+    lowest = 1000 * supply * LEAST_USED
     sums, slack = finite * readout.readings, max(_rounding(finite), 1e-9) * readout.readings
     code = bool(finite.max() <= top and np.all(np.abs(sums - np.round(sums)) <= slack))
     whole = code and bool(np.all(finite == np.round(finite)))  # a converter's own numbers come before rounded mV
-    fits = {"code": code, "volt": finite.max() <= supply, "mV": supply < finite.max() <= 1000 * supply and not whole}
+    fits = {"code": code, "volt": finite.max() <= supply, "mV": lowest < finite.max() <= 1000 * supply and not whole}
     for unit in RESISTANCES:
         share = float(readout.volt_from_recorded(np.array(middle * FACTORS[unit]))) / supply
-        fits[unit] = 0.01 <= share <= 1 - 0.01  # of the supply: nearer to its ends a divider hardly measures
+        fits[unit] = LEAST_USED <= share <= 1 - LEAST_USED
     units = [unit for unit in allowed if fits[unit]]
     if len(units) > 1 and readout.unit == "ohm":
         seen = {unit: _on_steps(finite, unit, readout) for unit in units}
@@ -80,8 +85,8 @@ def _fitting(finite: Array, allowed: Sequence[str], readout: Readout | None) -> 
         return ["ohm"], "no other unit is within the converter's rails"
     reasons = {
         "code": f"within 0 to {top} of a {readout.adc_bits}-bit converter",
-        "volt": f"within the supply of {supply:g} V",
-        "mV": f"within the supply of {1000 * supply:g} mV",
+        "volt": f"within the converter's range of {supply:g} V",
+        "mV": f"within the converter's range of {1000 * supply:g} mV",
     }
     return units, reasons.get(units[0], "the divider can tell such resistances") if units else ""
 
@@ -100,7 +105,7 @@ def _on_steps(finite: Array, unit: str, readout: Readout) -> bool | None:
     if len(values) < 10 or np.median(half) * 4 > readout.lsb_volt / readout.readings:
         return None
     for steps in (2.0**readout.adc_bits, 2.0**readout.adc_bits - 1):  # many programs take the latter
-        scale = steps / readout.supply_volt * readout.readings
+        scale = steps / readout.full_scale_volt * readout.readings
         for offset in (0.0, 0.5):
             sums = volt * scale - offset * readout.readings
             if np.all(np.abs(sums - np.round(sums)) <= half * scale + 1e-6 * np.maximum(1, np.abs(sums))):
@@ -135,7 +140,22 @@ def recorded_values(values: Array, unit: str, scene: Scene, place: Callable[[int
         refuse((plain < 0) | (plain > 2**readout.adc_bits - 1), f"is no code of a {readout.adc_bits}-bit converter")
         floored = plain <= (readout.floor_code or -1)
         return readout.recorded_from_volt(np.where(floored, 0.0, readout.volt_from_code(plain)))
-    supply = f"{readout.supply_volt / FACTORS[unit]:g} {'V' if unit == 'volt' else unit}"
-    outside = (plain < 0) | (np.isfinite(values) & (scaled > readout.supply_volt))
-    refuse(outside, f"lies outside 0 to {supply}, the readout's supply")
+    largest = f"{readout.full_scale_volt / FACTORS[unit]:g} {'V' if unit == 'volt' else unit}"
+    outside = (plain < 0) | (np.isfinite(values) & (scaled > readout.full_scale_volt))
+    refuse(outside, f"lies outside 0 to {largest}, the range of the readout's converter")
     return readout.recorded_from_volt(np.where(np.isnan(plain), np.nan, scaled))
+
+
+def check_shorted(recorded: Array, scene: Scene, unit: str, source: object) -> None:
+    """Raise InputError where most readings stand at the rail of a shorted cell: another unit, or another range."""
+    readout = scene.readout
+    if readout is None:
+        return
+    shorted = Readings.of(scene, recorded).side == (AT_MOST if readout.unit == "ohm" else AT_LEAST)
+    count, whole = int(shorted.sum()), int(np.isfinite(recorded).sum())
+    if 2 * count > whole:
+        key = "converter_volt" if hasattr(readout, "converter_volt") else "supply_volt"
+        raise InputError(
+            f"{source}: {count} of {whole} readings stand at the rail of the converter that a shorted cell reaches: "
+            f"are they in {unit}, and is readout.{key}, {readout.full_scale_volt:g} V, the end of its range?"
+        )

@@ -1,12 +1,14 @@
 """What words, numbers and times in a foreign file mean, however they are written."""
 
 import re
+from bisect import bisect_left
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from datetime import UTC, datetime
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lampest.files.errors import InputError
 from lampest.panel.panel import Array
@@ -67,6 +69,9 @@ NUMBER = r"[+-]?(\d+({0}\d*)?|{0}\d+|\d{{1,3}}({1}\d{{3}})+({0}\d*)?)([eE][+-]?\
 POINT, COMMA = (re.compile(NUMBER.format(*signs), re.ASCII) for signs in ((r"\.", ","), (",", r"\.")))
 
 EPOCH = 1e9  # s since 1970 begin there, in 2001; a board's own clock would have run for thirty years
+# Median steps of whole numbers from which they count ms, and us: frames come every 10 ms to 10 s.
+MILLISECONDS, MICROSECONDS = 10.0, 10_000.0
+MAX_CUT = 0.1  # of the stamps may be cut and interpolated: more are another clock, or no times
 COUNTER = 2.0**32  # where millis() and micros() of an Arduino begin again
 STAMP = re.compile(
     r"(?=\d)(?:(\d{1,4})([-/.])(\d{1,2})\2(\d{1,4})(?=[T ,]|$))?[T ,]*"
@@ -172,14 +177,31 @@ def is_stamp(text: str) -> bool:
     return STAMP.fullmatch(text.strip()) is not None
 
 
-def clock_of(texts: Sequence[str], name: str, where: Where, comma: bool) -> Clock:
-    """Times of frames from the texts of a column or of stamps before lines; `where` names the place of each.
+def clock_of(texts: Sequence[str], name: str, where: Where, comma: bool, unit: str | None) -> Clock:
+    """Return times of frames from the texts of a column or of stamps before lines.
 
-    Raises InputError where one is no time, where dates can be read in two ways, and where times do not grow.
+    Parameters
+    ----------
+    texts : sequence of str
+    name : str
+        Name of the column, in which the unit of numbers may stand.
+    where : callable
+        Number of a text → its place in the file.
+    comma : bool
+        Whether numbers have a decimal comma.
+    unit : str or None
+        's', 'ms' or 'us' for numbers; None: by the name and the numbers.
+
+    Raises
+    ------
+    InputError
+        If one is no time, if dates can be read in two ways, if times do not grow, or if a unit is given for dates.
     """
     numbers = [number_of(text, comma) for text in texts]
-    if None not in numbers:
-        return clock_of_numbers(np.array(numbers, dtype=float), name, where)
+    if numbers.count(None) <= MAX_CUT * len(numbers):
+        return clock_of_numbers(np.array(numbers, dtype=float), name, where, unit)
+    if unit is not None:
+        raise InputError(f"{where(0)}: {texts[0][:40]!r} is no number, so that it has no time unit {unit}")
     dated = any(match[1] for match in map(STAMP.fullmatch, map(str.strip, texts)) if match)
     ways: dict[str, list[str]] = {}
     for way in DATES if dated else ("time of day",):
@@ -196,11 +218,13 @@ def clock_of(texts: Sequence[str], name: str, where: Where, comma: bool) -> Cloc
     seconds = np.array([(time - zoned[0]).total_seconds() for time in zoned])
     if dated:
         zone = "" if times[0].tzinfo else ", no zone in the file"
-        return Clock(_growing(seconds, where), stamps[0], f"{way}, s from the first, which is {stamps[0]}{zone}")
+        seconds, cut = _growing(seconds, where)
+        return Clock(seconds, stamps[0], f"{way}, s from the first, which is {stamps[0]}{zone}{cut}")
     day = 24 * SECONDS["h"]
     seconds += day * np.cumsum(np.diff(seconds, prepend=0.0) < -day / 2)
     sentence = f"time of day, s from the first; it began at {texts[0]}, the date is not in the file"
-    return Clock(_growing(seconds, where), None, sentence)
+    seconds, cut = _growing(seconds, where)
+    return Clock(seconds, None, f"{sentence}{cut}")
 
 
 def _iso(text: str, way: str) -> str:
@@ -220,17 +244,24 @@ def _iso(text: str, way: str) -> str:
     return made
 
 
-def clock_of_numbers(values: Array, name: str, where: Where) -> Clock:
-    """Times of numbers in the unit that the column's name says, or in s. Raises InputError where they do not grow."""
-    _growing(np.where(np.isfinite(values), np.arange(len(values)), np.nan), where)
-    steps, whole = np.diff(values, prepend=values[0]), bool(np.all(values == np.round(values)))
-    again = np.cumsum(steps < -COUNTER / 2)
+def clock_of_numbers(values: Array, name: str, where: Where, unit: str | None) -> Clock:
+    """Return times of numbers in a unit, or in the one that the column's name or the numbers themselves show.
+
+    Raises InputError where they do not grow.
+    """
+    steps, finite = np.diff(values), values[np.isfinite(values)]
+    usual = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
+    largest = float(np.max(values[_longest_growing(values)], initial=0.0))
+    whole = bool(np.all(finite == np.round(finite)))
+    rises = np.concatenate([[False], steps[:-1] > COUNTER / 2])  # as one cut stamp does, before it falls
+    again = np.cumsum(np.concatenate([[False], (steps < -COUNTER / 2) & ~rises]))
     plain, said = parted(name)
-    unit = TIME_UNIT_OF_WORD.get(said.lower()) or TIME_UNIT_OF_WORD.get(plain)
-    if unit is None and again[-1] and whole and np.max(values) < COUNTER:  # a nameless board's counter
-        # Panels are read more often than every 10 s, so that larger steps are of a smaller unit.
-        unit = "ms" if np.median(steps[1:]) < 10 / SECONDS["ms"] else "us"
-    largest = float(np.max(values)) * SECONDS[unit or "s"]
+    named = unit or TIME_UNIT_OF_WORD.get(said.lower()) or TIME_UNIT_OF_WORD.get(plain)
+    counted = "us" if usual >= MICROSECONDS else "ms" if usual >= MILLISECONDS else None
+    how, unit = " (as specified)" if unit else "", named
+    if unit is None and counted and whole and largest < (EPOCH if counted == "ms" and not again[-1] else COUNTER):
+        unit, how = counted, f" (guessed: whole numbers that grow by {usual:g}; --time-unit says otherwise)"
+    largest *= SECONDS[unit or "s"]
     if unit is None and largest >= EPOCH:  # 1.7e9 s, 1.7e12 ms, 1.7e15 us since 1970
         unit = ("s", "ms", "us", "ns")[min(int(np.log10(largest / EPOCH) // 3), 3)]
         largest *= SECONDS[unit]
@@ -240,21 +271,45 @@ def clock_of_numbers(values: Array, name: str, where: Where) -> Clock:
             first = datetime.fromtimestamp(float(values[0]) * scale, UTC).isoformat().replace("+00:00", "Z")
         except (ValueError, OverflowError, OSError) as error:
             raise InputError(f"{where(0)}: {values[0] * scale:.6g} s since 1970 is no date") from error
-        seconds = _growing((values - values[0]) * scale, where)
-        return Clock(seconds, first, f"{unit or 's'} since 1970, s from the first, which is {first}")
+        seconds, cut = _growing((values - values[0]) * scale, where)
+        return Clock(seconds, first, f"{unit or 's'} since 1970, s from the first, which is {first}{cut}")
     wrapped = again if unit in ("ms", "us") else 0 * again
-    seconds = _growing((values + COUNTER * wrapped) * scale, where)
-    if unit is not None:
-        often = "once" if wrapped[-1] == 1 else f"{int(wrapped[-1])} times"
-        return Clock(seconds, None, f"{unit}; the counter began again {often}" if wrapped[-1] else unit)
-    step = float(np.median(np.diff(seconds))) if len(seconds) > 1 else 0.0
-    doubt = f", so that frames are {step:g} s apart; if these are ms, call the column time_ms"
-    return Clock(seconds, None, f"s, assumed{doubt if step >= 10 and whole else ''}")
+    seconds, cut = _growing((values + COUNTER * wrapped) * scale, where)
+    often = f"; the counter began again {'once' if wrapped[-1] == 1 else f'{wrapped[-1]} times'}" if wrapped[-1] else ""
+    return Clock(seconds, None, f"{unit or 's (assumed; --time-unit says otherwise)'}{often}{how}{cut}")
 
 
-def _growing(seconds: Array, where: Where) -> Array:
-    """The same times. Raises InputError with the place of the first that is not finite, or not after the one before."""
-    bad = ~np.isfinite(seconds) | (np.diff(seconds, prepend=-np.inf) <= 0)
-    if np.any(bad):
+def _growing(seconds: Array, where: Where) -> tuple[Array, str]:
+    """Return times that grow, and a sentence on those that are interpolated.
+
+    A cut line has a stamp that is missing, or that does not fit those around it.
+
+    Raises InputError with the place of the first such stamp, where they are more than a few.
+    """
+    grow = _longest_growing(seconds)
+    cut = np.flatnonzero(~grow)
+    if len(cut) > MAX_CUT * len(seconds):
+        bad = ~np.isfinite(seconds) | (np.diff(seconds, prepend=-np.inf) <= 0)
         raise InputError(f"{where(int(np.argmax(bad)))}: times must be finite and grow; --period sets them instead")
-    return seconds
+    if not len(cut):
+        return seconds, ""
+    number, known = np.arange(len(seconds)), np.flatnonzero(grow)
+    inner = np.interp(number, known, seconds[known])
+    usual = np.median(np.diff(seconds[known]) / np.diff(known)) if len(known) > 1 else 1.0
+    inner += usual * (np.minimum(number - known[0], 0) + np.maximum(number - known[-1], 0))
+    places = ", ".join(where(int(each)) for each in cut[:5]) + (", ..." if len(cut) > 5 else "")
+    return inner, f"; the time at {places} is missing or does not grow, and is interpolated"
+
+
+def _longest_growing(values: Array) -> NDArray[np.bool_]:
+    """Return which of the values are its longest growing subsequence, the last of equally long ones."""
+    ends, numbers, before = list[float](), list[int](), list[int]()
+    for number, value in enumerate(values.tolist()):
+        length = bisect_left(ends, value) if np.isfinite(value) else -1
+        before.append(numbers[length - 1] if length > 0 else -1)
+        if length >= 0:
+            ends[length : length + 1], numbers[length : length + 1] = [value], [number]
+    chosen, number = np.zeros(len(values), dtype=bool), numbers[-1] if numbers else -1
+    while number >= 0:
+        chosen[number], number = True, before[number]
+    return chosen

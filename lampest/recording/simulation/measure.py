@@ -248,7 +248,7 @@ def _disturbed(readout: Readout, volt: Array, unmodelled: Unmodelled, seed: int,
             return np.asarray(sum(waves, np.zeros_like(at)))
 
         largest = np.abs(sines(np.linspace(0, 1, 1001))).max()
-        volt = volt + unmodelled.inl_lsb * readout.lsb_volt * (sines(volt / readout.supply_volt) / largest)
+        volt = volt + unmodelled.inl_lsb * readout.lsb_volt * (sines(volt / readout.full_scale_volt) / largest)
     if unmodelled.saturation:
-        volt = np.minimum(volt, unmodelled.saturation * readout.supply_volt)
+        volt = np.minimum(volt, unmodelled.saturation * readout.full_scale_volt)
     return volt

@@ -19,12 +19,23 @@ from lampest.report.plots.contours import CertaintyPlot, ContourPlot, PressurePl
 from lampest.report.plots.maps import Tile, banded_scale, maps_figure
 from lampest.report.plots.plot import Plot
 from lampest.report.plots.style import HALF_INCH, PICTURES, SUFFIXES, save, verbatim, write_all
+from lampest.report.plots.sweep import SweepPlot, swept_numbers
 from lampest.report.strongest import strongest_readings
 from lampest.runs.columns import Column
 from lampest.runs.results import FORMAT, CaseResult, read_results, stored_cases
 
-__all__ = ["PLOTS", "CertaintyPlot", "ContourPlot", "Plot", "PressurePlot", "picture", "plot_of", "plot_results"]
-PLOTS: tuple[Plot, ...] = (ContourPlot(), CertaintyPlot(), PressurePlot(), ResistancePlot())
+__all__ = [
+    "PLOTS",
+    "CertaintyPlot",
+    "ContourPlot",
+    "Plot",
+    "PressurePlot",
+    "SweepPlot",
+    "picture",
+    "plot_of",
+    "plot_results",
+]
+PLOTS: tuple[Plot, ...] = (ContourPlot(), CertaintyPlot(), PressurePlot(), ResistancePlot(), SweepPlot())
 
 
 def plot_of(kind: str) -> Plot:
@@ -37,7 +48,7 @@ def plot_of(kind: str) -> Plot:
 def plot_results(
     path: str | Path,
     out: str | Path | None = None,
-    show: str | Plot = "contours",
+    show: str | Plot | None = None,
     columns: Sequence[Column] = (),
     on_picture: Callable[[int, int], None] = lambda done, total: None,
     *,
@@ -48,7 +59,8 @@ def plot_results(
 ) -> list[Path]:
     """Draw every recording of a results file into <kind>_<recording>.png in the folder `out`, else beside the file.
 
-    `out` may name a .png, .svg or .pdf file where there is one picture. columns, frames : as `read_results` takes them.
+    `out` may name a .png, .svg or .pdf file where there is one picture. show : None: `sweep` where numbers were swept
+    and no frame is named, else `contours`. columns, frames : as `read_results` takes them.
     frame : index into the recordings; its pictures are called so. estimators, recordings : those that are drawn, all
     where none is named. on_picture : gets how many of how many pictures are drawn. Returns the files that were written.
 
@@ -58,7 +70,7 @@ def plot_results(
     >>> lampest.plot_results("results.h5", "one.png")[0].name
     'one.png'
     """
-    plot = _chosen(show, frame)
+    plot = None if show is None else _chosen(show, frame)
     path, target = Path(path), None if out is None else Path(out)
     single = target if target is not None and target.suffix in SUFFIXES else None
     _check_form(target)
@@ -69,6 +81,8 @@ def plot_results(
         results = results.named("recording", recordings).named("estimator", estimators)
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
+    if plot is None:
+        plot = _chosen("sweep" if frame is None and swept_numbers(results.cases) else "contours", frame)
     pictures = {name: cases for name in results.recordings() if (cases := plot.drawable(results.of(name)))}
     if not pictures:
         raise InputError(f"{path}: {_lacks(plot)}")
@@ -84,7 +98,7 @@ def plot_results(
         partial(plot.draw, tuple(replace(case, estimator=results.label(case)) for case in cases))
         for cases in pictures.values()
     ]
-    return write_all(drawn, files, on_picture, here=not isinstance(show, str))
+    return write_all(drawn, files, on_picture, here=isinstance(show, Plot))
 
 
 def plot_file(path: Path, picture: Path) -> Path:

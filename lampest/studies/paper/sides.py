@@ -171,7 +171,7 @@ def all_sides(folder: Path, published: Published, jobs: int | None, on_case: OnC
         files = [recorded(mouth) for mouth in MOUTHS]
         named = f"recordings=[{', '.join(repr(str(file.resolve())) for file in files)}]"
         cases = read_run(configs / run, (FASTEST, named))
-        report = run_batch(cases, folder / word, local(jobs, len(cases.cases)), on_case=on_case)
+        report = run_batch(cases, folder / word, local(jobs, len(cases.cases)), on_frames=on_case)
         if report.results is None or report.failed:
             raise InputError(f"{configs / run}: {'; '.join(f'{case}: {why}' for case, why in report.failed)}")
         mouths = [Recording.load(file) for file in files]
