@@ -103,6 +103,7 @@ if TYPE_CHECKING:
     from lampest.report.export import Export as Export
     from lampest.report.export import export_results as export_results
     from lampest.report.plots import CertaintyPlot as CertaintyPlot
+    from lampest.report.plots import ChangePlot as ChangePlot
     from lampest.report.plots import ContourPlot as ContourPlot
     from lampest.report.plots import Plot as Plot
     from lampest.report.plots import PressurePlot as PressurePlot

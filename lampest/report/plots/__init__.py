@@ -15,7 +15,14 @@ from lampest.files import hdf5
 from lampest.files.errors import InputError, in_words
 from lampest.files.typed import installed, of_kind, typed
 from lampest.recording.stored import StoredRecording, opened, too_long
-from lampest.report.plots.contours import CertaintyPlot, ContourPlot, PressurePlot, ResistancePlot
+from lampest.report.plots.contours import (
+    CertaintyPlot,
+    ChangePlot,
+    ContourPlot,
+    PressurePlot,
+    ResidualPlot,
+    ResistancePlot,
+)
 from lampest.report.plots.maps import Tile, banded_scale, maps_figure
 from lampest.report.plots.plot import Plot
 from lampest.report.plots.style import HALF_INCH, PICTURES, SUFFIXES, save, verbatim, write_all
@@ -24,7 +31,14 @@ from lampest.runs.columns import Column
 from lampest.runs.results import FORMAT, CaseResult, read_results, stored_cases
 
 __all__ = ["PLOTS", "CertaintyPlot", "ContourPlot", "Plot", "PressurePlot", "picture", "plot_of", "plot_results"]
-PLOTS: tuple[Plot, ...] = (ContourPlot(), CertaintyPlot(), PressurePlot(), ResistancePlot())
+PLOTS: tuple[Plot, ...] = (
+    ContourPlot(),
+    ChangePlot(),
+    ResistancePlot(),
+    ResidualPlot(),
+    PressurePlot(),
+    CertaintyPlot(),
+)
 
 
 def plot_of(kind: str) -> Plot:
