@@ -14,7 +14,6 @@ from lampest.estimate.warnings import warnings_of
 from lampest.files import hdf5
 from lampest.files.document import plain_content
 from lampest.files.errors import InputError
-from lampest.loads.recognition.breathing import too_slow
 from lampest.panel.panel import Array
 from lampest.panel.scene import Faults, Scene
 from lampest.recording.recording import FORMAT as RECORDING
@@ -69,12 +68,10 @@ def _line(head: str, text: object) -> str:
 
 
 def _frames_lines(role: NDArray[np.uint8], time: Array) -> list[str]:
-    """How many frames, when, and whether there are too few a second to see breathing."""
+    """Return how many frames there are, and when they were taken."""
     unloaded, measured = int(np.sum(role == UNLOADED)), int(np.sum(role == MEASURED))
     frames = f"{len(role)}: {unloaded} unloaded, {measured} measured; {time.min():g} to {time.max():g} s"
-    step = float(np.median(np.diff(time))) if len(time) > 1 else 0.0
-    slow = too_slow(1 / step) if step > 0 else ""
-    return [_line("frames", frames), *([_line("", slow)] if slow else [])]
+    return [_line("frames", frames)]
 
 
 def _recording_lines(recording: Recording) -> list[str]:

@@ -132,9 +132,13 @@ def test_a_map_of_change_shows_rim_and_centre_with_its_error_and_the_outline_of_
     estimate = truth * 1.02
     made = replace(
         case,
-        **{"truth": 1000 * truth, "truth_baseline": base, "cell_resistance": 1000 * estimate},
-        **{"baseline_resistance": base, "relative_change": 100 * (estimate - 1)},
-        **{"measured": np.full((1, 6, 6), 660.0), "measured_baseline": base},
+        truth=1000 * truth,
+        truth_baseline=base,
+        cell_resistance=1000 * estimate,
+        baseline_resistance=base,
+        relative_change=100 * (estimate - 1),
+        measured=np.full((1, 6, 6), 660.0),
+        measured_baseline=base,
     )
     figure = plot_of("change").draw((made,))
     measured, estimated, true = maps_of(figure)

@@ -30,7 +30,17 @@ from lampest.report.strongest import strongest_readings
 from lampest.runs.columns import Column
 from lampest.runs.results import FORMAT, CaseResult, read_results, stored_cases
 
-__all__ = ["PLOTS", "CertaintyPlot", "ContourPlot", "Plot", "PressurePlot", "picture", "plot_of", "plot_results"]
+__all__ = [
+    "PLOTS",
+    "CertaintyPlot",
+    "ChangePlot",
+    "ContourPlot",
+    "Plot",
+    "PressurePlot",
+    "picture",
+    "plot_of",
+    "plot_results",
+]
 PLOTS: tuple[Plot, ...] = (
     ContourPlot(),
     ChangePlot(),

@@ -37,7 +37,9 @@ class MapsPlot(Plot):
         """One picture of all estimators. Raises InputError where the frame has no results."""
         index, title = self.shown(cases)
         scale, tiles = self.maps(cases, index)
-        tiles = [replace(tile, title=tile.title.replace("paper's lambda", "paper's\N{NO-BREAK SPACE}λ")) for tile in tiles]
+        tiles = [
+            replace(tile, title=tile.title.replace("paper's lambda", "paper's\N{NO-BREAK SPACE}λ")) for tile in tiles
+        ]
         panel = cases[0].scene.panel
         return maps.maps_figure(tiles, panel, scale, title, contoured=self.contoured, about=self.about)
 

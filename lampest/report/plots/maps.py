@@ -151,7 +151,9 @@ class MapPainter:
         if self.contoured:
             axes.plot(columns.ravel(), rows.ravel(), ".", color="0.35", ms=1, label="cell centre", clip_on=False)
         if tile.outlined is not None and np.any(tile.outlined) and min(self.panel.shape) > 1:
-            curve = axes.contour(*_refined(self.panel, tile.outlined), levels=[0.4], colors="black", linewidths=1.3)
+            curve = axes.contour(
+                *_refined(self.panel, tile.outlined.astype(float)), levels=[0.4], colors="black", linewidths=1.3
+            )
             curve.set_path_effects([withStroke(linewidth=2.8, foreground="white")])
             axes.plot([], [], color="black", lw=1.3, label=tile.outline)
         if tile.marked is not None and np.any(tile.marked):
