@@ -148,7 +148,7 @@ else:
         raise AttributeError(f"module 'lampest' has no attribute '{name}'")
 
     def __dir__() -> list[str]:
-        return sorted({*globals(), *__all__})
+        return sorted([*__all__, "__all__", "__doc__", "__version__"])
 
 
 def reconstruct(

@@ -11,7 +11,7 @@ from typing import Annotated, Any
 import typer
 
 from lampest.cli import board, estimation, results, studies
-from lampest.cli.screen import INTERRUPTED, WRONG_INPUT, is_written, say, warn
+from lampest.cli.screen import INTERRUPTED, WRONG_INPUT, as_options, is_written, say, warn
 from lampest.files.errors import InputError, extra
 from lampest.files.process import ONE_THREAD, ending_signals, libraries_to_the_log
 from lampest.files.whole import refuse_inputs, sparing
@@ -154,11 +154,11 @@ def main() -> None:
         with ending_signals(), libraries_to_the_log(), extra():
             _program()()
     except InputError as error:
-        warn(error)
+        warn(as_options(str(error)))
         sys.exit(WRONG_INPUT)
     except MemoryError as error:
-        said = " ".join(str(error).split()) or "no more is said"
-        warn(f"more memory is needed than there is ({said})")
+        said = " ".join(str(error).split()) or "no details"
+        warn(f"not enough memory ({said})")
         sys.exit(WRONG_INPUT)
     except SystemExit as end:
         if end.code == INTERRUPTED:

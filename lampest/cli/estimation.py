@@ -9,6 +9,7 @@ from lampest.cli.screen import (
     SOME_FAILED,
     Assign,
     AssignToScene,
+    as_options,
     check_positive,
     option,
     print_notes,
@@ -127,7 +128,7 @@ def import_(
         )
         recording.save(out)
     for line in understood_lines(recording, notes):
-        say(line)
+        say(as_options(line))
     say(out)
 
 

@@ -1,5 +1,6 @@
 """What all commands share: exit codes, options, notes and progress."""
 
+import re
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TextIO
@@ -82,6 +83,11 @@ def say(thing: object, to: TextIO | None = None) -> None:
 def warn(sentence: object) -> None:
     """Print a sentence on stderr, after the program's name."""
     print(printable(f"lampest: {sentence}"), file=sys.stderr, flush=True)
+
+
+def as_options(sentence: str) -> str:
+    """Return a sentence on arguments with the options of their names: `unit='mV'` becomes --unit mV."""
+    return re.sub(r"`(\w+)(?:='?([^`']*)'?)?`", lambda one: f"--{one[1]} {one[2] or ''}".rstrip(), sentence)
 
 
 def say_text(text: str) -> None:

@@ -20,7 +20,8 @@ from lampest.recording.recording import FORMAT as RECORDING
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
 from lampest.recording.stored import BLOCK, WHOLE, StoredRecording, opened, too_long
 from lampest.recording.touching import touching_columns, touching_rows
-from lampest.report.strongest import mean_reading, strongest_index, strongest_readings
+from lampest.report.strongest import as_recorded, mean_reading, strongest_index, strongest_readings
+from lampest.report.words import spanned
 from lampest.runs.results import FORMAT, CaseResult, Results, read_each, read_results, stored_cases
 
 MOST_ROWS = 48  # of a map
@@ -87,7 +88,7 @@ def _recording_lines(recording: Recording) -> list[str]:
     if recording.start_time is not None:
         lines.append(_line("start", f"{recording.start_time} at 0 s"))
     lines += [*_scene_lines(scene), *_noise_lines(recording)]
-    lines.append(_line("readings", f"{_range(recording.recorded, circuit.unit)} ({circuit.signal_name})"))
+    lines.append(_line("readings", f"{spanned(recording.recorded, circuit.unit)} ({circuit.signal_name})"))
     lines += [*(_line("", sentence) for sentence in _holes(recording)), _line("besides", held or "nothing")]
     found = strongest_readings(recording)
     if found is None:
@@ -157,11 +158,12 @@ def _results_lines(results: Results) -> list[str]:
         first = cases[0]
         frames, rows, columns = first.measured.shape
         truth = "not in" if first.truth is None else "in"
-        values = _range(first.measured, first.scene.circuit.unit)
+        taken_off = ", series resistance taken off" if first.scene.circuit.unit == "ohm" else ""
+        values = spanned(as_recorded(first.measured, first.scene), first.scene.circuit.unit)
         lines += [
             f"recording {recording}: {frames} frames, {first.time.min():g} to {first.time.max():g} s, "
             f"{rows} rows × {columns} columns, pitch {first.scene.panel.pitch_mm:g} mm, truth {truth} the file",
-            _line("readings", f"{values} (as the network is read, series resistance taken off)"),
+            _line("readings", f"{values} ({first.scene.circuit.signal_name}{taken_off})"),
         ]
         missing = np.isnan(first.measured) & first.scene.asked  # results of older versions do not say what are bounds
         bounds = np.zeros(missing.shape, bool) if first.reading_side is None else first.reading_side != 0
@@ -177,10 +179,10 @@ def _results_lines(results: Results) -> list[str]:
         width = max(len(case.estimator) for case in cases)
         for case in cases:
             solved = f"solved {int(np.sum(case.solved))}/{frames}{_starts(case)}"
-            found = f"r {_range(case.cell_resistance, 'ohm')}  case {case.case_id}"
+            found = f"r {spanned(case.cell_resistance, 'ohm')}  case {case.case_id}"
             lines.append(f"  {case.estimator:{width}}  {solved}  {found}")
             if case.error_words:
-                lines.append(f"  {'':{width}}  {case.error_words} (standard deviations, medians)")
+                lines.append(f"  {'':{width}}  {case.error_words} (medians)")
     if results.published:
         lines.append(f"published figures of {', '.join(results.published)}")
     for case in results.cases[:1]:
@@ -197,7 +199,7 @@ def _starts(case: CaseResult) -> str:
         return ""
     _, least, most = case.local_optima
     starts = f"{least}" if least == most else f"{least} to {most}"
-    return f", local optima, the lowest from {starts} start{'' if most == 1 else 's'} a frame"
+    return f", verified local optima, best of {starts} start{'' if most == 1 else 's'} a frame"
 
 
 def _holes(recording: Recording) -> list[str]:
@@ -233,11 +235,6 @@ def holes_sentence(missing: NDArray[np.bool_], bounds: NDArray[np.bool_]) -> str
 def understood_lines(recording: Recording, notes: Sequence[str]) -> list[str]:
     """The sentences of an import, and a map of mean readings, which shows rows and columns that were swapped."""
     return [*notes, f"mean reading in {recording.scene.circuit.unit}:", *text_map(mean_reading(recording.recorded))]
-
-
-def _range(values: Array, unit: str) -> str:
-    known = values[np.isfinite(values)]
-    return f"{known.min():.4g} to {known.max():.4g} {unit}" if known.size else "unknown"
 
 
 def checked_sentence(path: Path) -> str:

@@ -124,7 +124,7 @@ def _panel(rows: int | None, columns: int | None, scene: Scene | None) -> Panel:
             raise InputError(f"the scene's panel has {has[0]} × {has[1]} cells, not {asked[0]} × {asked[1]}")
         return scene.panel
     if rows is None or columns is None:
-        raise InputError("how large is the panel? Say --rows and --columns, or give a --scene")
+        raise InputError("how large is the panel? Say `rows` and `columns`, or give a `scene`")
     try:
         return Panel(rows, columns)
     except ValueError as error:
@@ -163,9 +163,9 @@ def _read_frames(path: Path, shape: Shape, variable: str | None, layout: str | N
         if kind in NOT_READ:
             raise InputError(f"{path}: {kind} files are not read; {NOT_READ[kind]}")
         if variable is not None and kind not in NAMED:
-            raise InputError(f"{path}: holds nothing by name; --variable is for {', '.join(NAMED)}")
+            raise InputError(f"{path}: holds nothing by name; `variable` is for {', '.join(NAMED)}")
         if layout is not None and kind in READERS:
-            raise InputError(f"{path}: holds arrays; --layout is for tables")
+            raise InputError(f"{path}: holds arrays; `layout` is for tables")
         if kind in READERS:
             return frames_of_arrays(path, shape, variable)
         if kind in SHEETS:
@@ -187,7 +187,7 @@ def _of_sheets(path: Path, shape: Shape, wanted: str | None, layout: str | None)
         except InputError as error:
             wrong.append(error)
     if len(fitting) > 1:
-        raise InputError(f"{path}: the sheets {', '.join(fitting)} would all fit; say which with --variable")
+        raise InputError(f"{path}: the sheets {', '.join(fitting)} would all fit; say which with `variable`")
     if not fitting:
         raise wrong[min(1, len(wrong) - 1)]
     return next(iter(fitting.values()))
@@ -201,7 +201,7 @@ def _clock(frames: Frames, period: float | None) -> Clock:
         unused = "; those of the file are not used" if frames.timing is not None else ""
         return Clock(number * period, None, f"time: a frame every {period:g} s, as specified{unused}")
     if frames.timing is None:
-        return Clock(number, None, "no time in the file: one frame a second is assumed; --period says otherwise")
+        return Clock(number, None, "no time in the file: one frame a second is assumed; `period` says otherwise")
     return frames.timing()
 
 
@@ -216,7 +216,7 @@ def _without_missing(blank: NDArray[np.bool_], missing: str, path: Path) -> tupl
     if missing == "mark":
         return np.ones_like(gaps), f"{said}: NaN in the recording"
     if np.all(gaps):
-        raise InputError(f"{path}: {said}, so that no frame would be left; --missing mark keeps them")
+        raise InputError(f"{path}: {said}, so that no frame would be left; `missing='mark'` keeps them")
     return ~gaps, f"{said}: these frames are left out"
 
 

@@ -119,7 +119,7 @@ def units_of(names: Sequence[str]) -> tuple[str, ...]:
     said: tuple[str, ...] = ()
     for units in filter(None, map(_units_of_one, names)):
         if said and not set(said) & set(units):
-            raise InputError(f"the headers name both {said[0]} and {units[0]}; --unit says which it is")
+            raise InputError(f"the headers name both {said[0]} and {units[0]}; `unit` says which it is")
         said = units if not said or len(units) < len(said) else said
     return said
 
@@ -130,7 +130,7 @@ def _units_of_one(name: str) -> tuple[str, ...]:
     if unit in ("v", "V"):
         return ("volt",)
     if unit.lower() not in UNITS_OF_WORD and ELECTRIC.fullmatch(unit):
-        raise InputError(f"the header's unit {unit!r} is none of ohm, kohm, volt, mV and code; --unit overrides")
+        raise InputError(f"the header's unit {unit!r} is none of ohm, kohm, volt, mV and code; `unit` overrides")
     ends = [word for word in (plain.split("_")[0], plain.split("_")[-1]) if len(word) > 1]  # r_0_c_1 is a cell
     return next((UNITS_OF_WORD[word] for word in (unit.lower(), plain, *ends) if word in UNITS_OF_WORD), ())
 
@@ -256,5 +256,5 @@ def _growing(seconds: Array, where: Where) -> Array:
     """The same times. Raises InputError with the place of the first that is not finite, or not after the one before."""
     bad = ~np.isfinite(seconds) | (np.diff(seconds, prepend=-np.inf) <= 0)
     if np.any(bad):
-        raise InputError(f"{where(int(np.argmax(bad)))}: times must be finite and grow; --period sets them instead")
+        raise InputError(f"{where(int(np.argmax(bad)))}: times must be finite and grow; `period` sets them instead")
     return seconds

@@ -24,15 +24,15 @@ from lampest.runs.executors import each_of
 
 CHANGED = "Relative change of resistance against the unloaded panel."
 CERTAIN = (
-    "How uncertain each cell is, one posterior standard deviation, in logarithmic colours; and the diagonal of the "
-    "averaging kernel: how much of a cell's own change its estimate follows. Where it is 0 the penalty decides alone."
+    "Posterior standard deviation of each cell, in logarithmic colours, and the resolution: the part of a cell's "
+    "change that its estimate follows. Where it is 0, the penalty alone decides."
 )
 UNEXPLAINED = (
-    "What the model leaves unexplained. A pattern means an effect that the model lacks, or too strong a penalty."
+    "Residuals of the readings. A pattern names an effect that the model lacks, or a penalty that is too strong."
 )
 DIFFERENT = (
-    "Where two estimators differ by more than their joint 95 % interval (grey: they do not); in the titles, the share "
-    "of cells over all frames. One in twenty is to be expected by chance, or fewer: both rest on the same readings."
+    "Cells in which two estimators differ by more than their joint 95 % interval; grey: they do not. The titles give "
+    "the share of such cells over all frames. Up to 5 % are expected by chance."
 )
 MOST = 6  # recordings with all figures, and estimators in them
 

@@ -99,8 +99,7 @@ def plot_results(
     if single is not None and len(pictures) > 1:
         names = ", ".join([*pictures][:3]) + ", …" * (len(pictures) > 3)
         raise InputError(
-            f"{target}: one picture cannot hold {len(pictures)} ({names}): choose with --recording and --estimator, or "
-            "name a folder"
+            f"{target}: one picture cannot hold {len(pictures)} ({names}): choose a recording, or name a folder"
         )
     ending = ("" if frame is None else f"_frame{frame}") + ".png"
     files = [single or (target or path.parent) / f"{plot.kind}_{name}{ending}" for name in pictures]
@@ -162,4 +161,5 @@ def _check_form(target: Path | None) -> None:
 
 
 def _lacks(plot: Plot) -> str:
-    return f"holds no {plot.kind} to draw" + (f", which needs {', '.join(plot.needs)}" if plot.needs else "")
+    needs = f", which needs {', '.join(plot.needs)}" if plot.needs else ""
+    return f"holds no {plot.kind} to draw{needs}{plot.hint and f'; {plot.hint}'}"

@@ -15,7 +15,7 @@ from lampest.panel.panel import Array
 from lampest.report.compare import LEAST, relative_error
 from lampest.report.plots import maps, style
 from lampest.report.plots.plot import Plot
-from lampest.report.strongest import percent_change
+from lampest.report.strongest import as_recorded, percent_change
 from lampest.report.words import digits
 from lampest.runs.case import CaseResult
 
@@ -69,7 +69,8 @@ class ChangePlot(MapsPlot):
             outlined = None if truth is None else np.abs(truth) > CHANGED
             return maps.Tile(name, change, note, crosses, outlined=outlined)
 
-        tiles = [tile("measured", percent_change(first.measured[index], first.measured_baseline))]
+        readings = (as_recorded(value, first.scene) for value in (first.measured[index], first.measured_baseline))
+        tiles = [tile("measured", percent_change(*readings))]
         for case in cases:
             change = case.relative_change[index] if case.solved[index] else None
             tiles.append(tile(estimated(case, cases), change, case.open_cell[index] != 0))
@@ -127,7 +128,7 @@ class ResistancePlot(MapsPlot):
     def maps(self, cases: Sequence[CaseResult], index: int) -> tuple[list[maps.Scale], list[maps.Tile]]:
         """Return the maps, and a scale for each."""
         first = cases[0]
-        named = [("measured", first.measured[index])]
+        named = [("measured", as_recorded(first.measured[index], first.scene))]
         named += [(estimated(case, cases), case.cell_resistance[index]) for case in cases]
         named += [] if first.truth is None else [("truth", first.truth[index])]
         relative = getattr(first.scene.readout, "reference_ohm", None) == 1
@@ -233,6 +234,7 @@ class PressurePlot(RowsPlot):
 
     kind: ClassVar[str] = "pressure"
     needs: ClassVar[tuple[str, ...]] = ("pressure", "pressure_lower", "pressure_upper", "saturated")
+    hint: ClassVar[str] = "add the film's response to the scene, such as response: {kind: published}, and run again"
     about: ClassVar[str] = "grey: no number"
 
     def rows(self, cases: Sequence[CaseResult], index: int) -> list[tuple[maps.Scale, list[maps.Tile]]]:

@@ -19,6 +19,7 @@ class Plot(Validated):
     """One kind of picture of a results file.
 
     kind : the word that asks for it. needs : the columns that a case must hold to be drawn.
+    hint : how a case gets them.
     frame : index into the recording of what is shown; None: `strongest_index` chooses.
 
     >>> issubclass(lampest.ContourPlot, lampest.Plot)
@@ -27,6 +28,7 @@ class Plot(Validated):
 
     kind: ClassVar[str]
     needs: ClassVar[tuple[str, ...]] = ()
+    hint: ClassVar[str] = ""
     frame: int | None = None
 
     @abstractmethod
