@@ -31,20 +31,21 @@ def init(
     ] = "two_mux",
     rows: Annotated[int, option("Rows of your panel, such as 16.", min=1)] = 10,
     columns: Annotated[int, option("Columns of your panel, such as 16.", min=1)] = 10,
+    purpose: Annotated[str | None, option("mat: contacts alone. Default: mouths and cups, too.")] = None,
 ) -> None:
     """Write starter files for your circuit: a scene, a run, a simulated recording and its simulation."""
     from lampest.runs.starter import RECORDING, RUN, SCENE, circuit_called, write_starter
 
     circuit = circuit_called(readout)
-    for path in write_starter(folder, readout, rows, columns):
+    for path in write_starter(folder, readout, rows, columns, purpose):
         say(path)
     run, scene = folder / RUN, folder / SCENE
-    say_text(f"\nthe wiring that {scene} describes ({circuit.kind}); if yours is another, see docs/howto/readouts.md:")
+    say_text(f"\nthe wiring that {scene} describes ({circuit.kind}); another one: lampest init --readout CIRCUIT")
     say_text(circuit.sketch)
     say(f"software: {circuit.software}")
     say_text(
         f"\nnow: lampest run {run}                    ({RECORDING}, simulated for this circuit)"
-        f"\n     lampest plot results/{run.stem}/results.h5"
+        f"\n     lampest plot results/{run.stem}/results.h5 --show change"
         f"\nthen, with the numbers of your circuit in {scene}:"
         f"\n     lampest import YOURS.csv --scene {scene} --baseline 3 --out mine.h5, and mine.h5 in {run}"
     )

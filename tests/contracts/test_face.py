@@ -319,7 +319,9 @@ def test_without_noise_there_are_no_error_bars(lamprey: Recording) -> None:
     for name in ("cell_resistance_errors", "relative_change_upper", "pressure", "saturated", "resolution"):
         assert getattr(bare, name) is None
     assert "pressure" not in bare.to_xarray()
-    hint = r"holds no pressure to draw, which needs pressure.*; add .* to the scene, such as response: \{kind: published\}"
+    hint = (
+        r"holds no pressure to draw, which needs pressure.*; add .* to the scene, such as response: \{kind: published\}"
+    )
     with pytest.raises(InputError, match=hint):
         bare.plot("pressure")
 

@@ -185,9 +185,9 @@ def advise(batch: Batch, comparison: Comparison | None) -> Advice:
     named = f"{taken.estimator}{f' ({weights})' if weights else ''}"
     headline = f"On these data take {named}."
     if len(alike) > 1:
-        why = "the smallest error" if taken is best else "the fastest"
+        why = "has the smallest error" if taken is best else "is the fastest"
         names = listed([row.estimator for row in alike])
-        headline = f"No practical difference between {names}; {named} is {why} of them."
+        headline = f"No practical difference between {names}; {named} {why} of them."
     return Advice(taken.estimator, headline, tuple(_reasons(comparison, taken, alike)), warnings)
 
 
