@@ -285,7 +285,7 @@ def maps_figure(
     bars = 1.0 if common else 0.4
 
     def wide(across: int) -> float:
-        return (width - bars) / across - (0.2 if common else 0.6)
+        return (width - bars) / across - (0.2 if common else 0.9)
 
     def height(across: int) -> float:
         return ceil(len(tiles) / across) * (wide(across) * proportion(panel) + 0.4) + 0.8
