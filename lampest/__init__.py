@@ -107,6 +107,8 @@ if TYPE_CHECKING:
     from lampest.report.plots import ContourPlot as ContourPlot
     from lampest.report.plots import Plot as Plot
     from lampest.report.plots import PressurePlot as PressurePlot
+    from lampest.report.plots import ResidualPlot as ResidualPlot
+    from lampest.report.plots import ResistancePlot as ResistancePlot
     from lampest.report.plots import plot_results as plot_results
     from lampest.report.reconstruction import Reconstruction as Reconstruction
     from lampest.runs.columns import Column as Column

@@ -135,7 +135,7 @@ def import_(
 
 def tare(
     file: Annotated[Path, typer.Argument(help="A recording.")],
-    frames: Annotated[str, option("Unloaded frames as FIRST:END: 40:50 is 40 to 49.")],
+    frames: Annotated[str, option("Range of unloaded frames: 40:50 is 40 to 49.")],
     out: Annotated[Path, written("--out", "New recording file.")],
 ) -> None:
     """Choose new baseline frames; all other frames become measured ones, and no reading changes."""

@@ -75,6 +75,13 @@ def data_error(case: CaseResult) -> Array:
     return np.where(case.valued, relative_error(case.reading_model, case.measured), np.nan)
 
 
+def weighted_residual(case: CaseResult) -> Array | None:
+    """(model − measured)/σ, (frames, rows, columns), NaN where a reading is no value; None where σ is unknown."""
+    if case.sigma is None:
+        return None
+    return np.asarray(np.where(case.valued, (case.reading_model - case.measured) / case.sigma, np.nan))
+
+
 def compare_files(paths: Sequence[str | Path], frames: range | None = None) -> list[Row]:
     """The rows of several results files, file by file; frames : as `read_results` takes them.
 

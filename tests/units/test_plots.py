@@ -161,13 +161,15 @@ def test_halves_and_doubles_are_equally_strong_and_small_changes_keep_even_bands
 
 
 def test_residuals_are_those_of_the_readings_and_name_their_size() -> None:
-    case = invented_case()
-    off = replace(case, reading_model=case.measured * 1.03)
-    (axes,) = maps_of(plot_of("residuals").draw((off,)))
+    case = replace(invented_case(), sigma=None, sigma_baseline=None)
+    (axes,) = maps_of(plot_of("residuals").draw((replace(case, reading_model=case.measured * 1.03),)))
     assert axes.get_title() == "LSM\nrms 3.0 %"
     assert_allclose(axes.collections[1].get_array(), 3.0)
-    exact = replace(case, reading_model=case.measured)
-    assert maps_of(plot_of("residuals").draw((exact,)))[0].get_title() == "LSM\nrms < 0.001 %"
+    known = replace(case, sigma=0.01 * case.measured, sigma_baseline=case.measured_baseline)
+    (axes,) = maps_of(plot_of("residuals").draw((replace(known, reading_model=case.measured * 1.03),)))
+    assert axes.get_title() == "LSM\nrms 3.0 σ"
+    (axes,) = maps_of(plot_of("residuals").draw((replace(known, reading_model=case.measured),)))
+    assert axes.get_title() == "LSM\nrms < 0.001 σ"
 
 
 @pytest.mark.parametrize("contoured", [True, False])

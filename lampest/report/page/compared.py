@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from lampest.panel.panel import Array
+from lampest.report.compare import weighted_residual
 from lampest.report.page import measures
 from lampest.report.page.batch import Batch, Matched, first_of, matched
 from lampest.report.page.template import between, weights_text
@@ -81,7 +82,7 @@ def predicted(case: CaseResult) -> Array:
     influence on their own prediction. Outliers count as five σ, lest a few of them decide. Source: Mallows,
     Technometrics 15, 1973.
     """
-    residual = measures.weighted_residual(case)
+    residual = weighted_residual(case)
     assert residual is not None and case.resolution is not None
     return np.asarray(np.minimum(residual**2, 25.0) + 2 * case.resolution)
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.panel.panel import Array
-from lampest.report.compare import figures_of, statistics
+from lampest.report.compare import figures_of, statistics, weighted_residual
 from lampest.runs.case import CaseResult
 
 DRAWS = 2000  # of which the 2.5th percentile is known to 0.06 standard deviations
@@ -86,13 +86,6 @@ def log_error(case: CaseResult) -> Array:
     assert case.truth is not None
     positive = np.maximum(case.cell_resistance, np.finfo(float).tiny)
     return np.asarray(100 * np.abs(np.log(positive / case.truth)))
-
-
-def weighted_residual(case: CaseResult) -> Array | None:
-    """(model − measured)/σ, (frames, rows, columns), NaN where a reading is no value; None where σ is unknown."""
-    if case.sigma is None:
-        return None
-    return np.asarray(np.where(case.valued, (case.reading_model - case.measured) / case.sigma, np.nan))
 
 
 class Disagreement(NamedTuple):

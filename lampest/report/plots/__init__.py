@@ -37,6 +37,8 @@ __all__ = [
     "ContourPlot",
     "Plot",
     "PressurePlot",
+    "ResidualPlot",
+    "ResistancePlot",
     "picture",
     "plot_of",
     "plot_results",

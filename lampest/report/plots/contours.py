@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from lampest.panel.panel import Array
-from lampest.report.compare import LEAST, relative_error
+from lampest.report.compare import LEAST, relative_error, weighted_residual
 from lampest.report.plots import maps, style
 from lampest.report.plots.plot import Plot
 from lampest.report.strongest import as_recorded, percent_change
@@ -141,9 +141,10 @@ class ResistancePlot(MapsPlot):
 
 @dataclass(frozen=True)
 class ResidualPlot(MapsPlot):
-    """Maps of the residuals: how far the readings of each estimator's cells are from the measured ones, in percent.
+    """Maps of the residuals: readings of each estimator's cells less the measured ones, in standard deviations.
 
-    Cells that explain the readings leave noise. A pattern names a model that is wrong, or a penalty that is too strong.
+    In percent of the reading where the noise is unknown. Cells that explain the readings leave noise of about 1. A
+    pattern names a model that is wrong, or a penalty that is too strong.
 
     >>> lampest.ResidualPlot().kind
     'residuals'
@@ -154,15 +155,18 @@ class ResidualPlot(MapsPlot):
 
     def maps(self, cases: Sequence[CaseResult], index: int) -> tuple[maps.Scale, list[maps.Tile]]:
         """Return the maps and their scale."""
+        unit, label, least = "σ", "(model − measured) / noise σ", 3.0
+        residuals = [weighted_residual(case) for case in cases]
+        if any(residual is None for residual in residuals):
+            unit, label, least = "%", "(model − measured) / measured [%]", 0.1
+            residuals = [percent_change(case.reading_model, case.measured) for case in cases]
         tiles = []
-        for case in cases:
-            residual = np.where(case.valued, percent_change(case.reading_model, case.measured), np.nan)[index]
-            known = residual[np.isfinite(residual)]
-            rms = float(np.sqrt(np.mean(known**2))) if known.size else np.inf
-            note = f"rms {digits(rms, 2)} %" if rms >= LEAST else f"rms < {LEAST} %"
-            tiles.append(maps.Tile(case.estimator, residual, note) if known.size else maps.Tile(case.estimator, None))
-        label = "model − measured [% of the reading]"
-        return maps.signed_scale(maps.values_of(tiles), label, least=0.01), tiles
+        for case, residual in zip(cases, residuals, strict=True):
+            shown = None if residual is None or not case.solved[index] else residual[index]
+            rms = None if shown is None else float(np.sqrt(np.nanmean(shown**2)))
+            note = "" if rms is None else f"rms {digits(rms, 2) if rms >= LEAST else f'< {LEAST}'} {unit}"
+            tiles.append(maps.Tile(case.estimator, shown, note))
+        return maps.signed_scale(maps.values_of(tiles), label, least), tiles
 
 
 @dataclass(frozen=True)
