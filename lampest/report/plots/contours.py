@@ -88,7 +88,7 @@ class ContourPlot(ChangePlot):
 
     kind: ClassVar[str] = "contours"
     contoured: ClassVar[bool] = True
-    about: ClassVar[str] = "bands interpolate between the cells (dots)"
+    about: ClassVar[str] = "bands interpolate between the cells"
 
 
 def estimated(case: CaseResult, cases: Sequence[CaseResult]) -> str:

@@ -150,11 +150,9 @@ class MapPainter:
         columns, rows = self.panel.places_mm
         if self.contoured:
             axes.plot(columns.ravel(), rows.ravel(), ".", color="0.35", ms=1, label="cell centre", clip_on=False)
-        if tile.outlined is not None and np.any(tile.outlined) and min(self.panel.shape) > 1:
-            curve = axes.contour(
-                *_refined(self.panel, tile.outlined.astype(float)), levels=[0.4], colors="black", linewidths=1.3
-            )
-            curve.set_path_effects([withStroke(linewidth=2.8, foreground="white")])
+        if tile.outlined is not None and np.any(tile.outlined) and self.panel.cells is None:
+            edges = axes.contour(*_cornered(self.panel, tile.outlined), levels=[0.5], colors="black", linewidths=1.3)
+            edges.set_path_effects([withStroke(linewidth=2.8, foreground="white")])
             axes.plot([], [], color="black", lw=1.3, label=tile.outline)
         if tile.marked is not None and np.any(tile.marked):
             size = float(np.clip(40 / max(self.panel.shape), 0.5, 4))
@@ -265,6 +263,16 @@ def _refined(panel: Panel, values: Array) -> tuple[Array, Array, Array]:
     fine = [np.linspace(own[0] - half, own[-1] + half, len(own) * 8 + 1) for own in (x, y)]
     across = np.array([np.interp(fine[0], x, row) for row in values])
     return fine[0], fine[1], np.array([np.interp(fine[1], y, column) for column in across.T]).T
+
+
+def _cornered(panel: Panel, chosen: NDArray[np.bool_]) -> tuple[Array, Array, Array]:
+    """Return chosen cells as ones, and zeros elsewhere, on a grid so fine that the outline has the cells' corners."""
+    x, y = (
+        np.linspace(line[0] - panel.pitch_mm, line[-1] + panel.pitch_mm, 16 * (len(line) + 1))
+        for line in panel.centres_mm()
+    )
+    inside = np.pad(np.repeat(np.repeat(chosen.astype(float), 16, axis=0), 16, axis=1), 8)
+    return x, y, inside
 
 
 def maps_figure(
