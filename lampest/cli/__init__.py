@@ -17,7 +17,7 @@ from lampest.files.process import ONE_THREAD, ending_signals, libraries_to_the_l
 from lampest.files.whole import refuse_inputs, sparing
 
 app = typer.Typer(
-    help="Cell resistances of passive resistive matrix sensors from two-point measurements.",
+    help="Estimate the cell resistances of resistive matrix sensors from readings with crosstalk.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     rich_markup_mode="rich",
@@ -66,7 +66,7 @@ def _renamed(old: str, new: str) -> Callable[..., None]:
 
     @wraps(command)
     def called(**options: Any) -> None:
-        warn(f"{old} is now: lampest {new}; the old word answers for one release more")
+        warn(f"{old} is now: lampest {new}; the old name works for one more release")
         command(**options | ({FLAGS[flag]: True} if flag else {}))
 
     return called

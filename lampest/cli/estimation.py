@@ -77,12 +77,12 @@ def run(
     counts = f"{counted(report.done, 'case')} solved, {report.skipped} were done before, {len(report.failed)} failed"
     say(f"{counts}: {report.results or 'no results'}")
     if report.aside:
-        warn(f"the results that stood there held other cases; they are kept: {report.aside}")
+        warn(f"existing results of other cases were renamed: {report.aside}")
     print_notes(f"warning: {line}" for line in report.warnings)
     for name, sentence in report.failed:
         warn(f"{name} failed: {sentence}")
     if report.lost:
-        left = f"{counted(report.not_run, 'case')} were not run: {report.lost}; the same command goes on with them"
+        left = f"{counted(report.not_run, 'case')} were not run: {report.lost}; repeat the command to run them"
         warn(left)
     if report.failed or report.not_run:
         raise typer.Exit(SOME_FAILED)
@@ -147,4 +147,4 @@ def tare(
     made.save(out)
     say(f"unloaded: frames {named[0]} to {named[-1]}: {out}")
     if change > STILL:
-        warn(f"readings change by up to {100 * change:.1f} % within these frames; did something come or go?")
+        warn(f"readings change by up to {100 * change:.1f} % within these frames; did a load come or go?")

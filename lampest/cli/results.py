@@ -60,9 +60,12 @@ def plot(
         Path | None, written("--out", "Output folder, or one picture such as x.svg. Default: beside the results.")
     ] = None,
     show: Annotated[
-        str, option("Such as contours, certainty or pressure; any other word lists all kinds.", metavar="KIND")
+        str, option("contours, change, resistance, residuals, pressure or certainty.", metavar="KIND")
     ] = "contours",
-    frame: Annotated[int | None, option("Frame index, such as 12. Default: a frame of strong change.", min=0)] = None,
+    frame: Annotated[
+        int | None,
+        option("Frame index, such as 12. Default: a frame of strong change.", min=0),
+    ] = None,
     recording: Annotated[list[str] | None, option("Recording to plot, such as mine. Default: all. Repeatable.")] = None,
     estimator: Annotated[list[str] | None, option("Estimator to plot, such as LSM. Default: all. Repeatable.")] = None,
     frames: FramesNamed = None,

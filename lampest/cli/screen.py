@@ -29,7 +29,7 @@ def written(name: str, text: str) -> Any:
 
     def checked(value: Path | None) -> Path | None:
         if value is not None and value.resolve() == Path(value.resolve().anchor):
-            raise InputError(f"{name}: neither nothing nor the root of all files is a place for output")
+            raise InputError(f"{name}: output cannot be written to an empty path or to the root of the file system")
         return value
 
     return typer.Option(name, parser=place, callback=checked, metavar="PATH", help=text)

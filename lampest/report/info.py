@@ -28,7 +28,7 @@ MOST_ROWS = 48  # of a map
 FALLS, RISES, UNKNOWN = " ░▒▓█", " .+*#", "?"
 READINGS = ("/entry/two_point/resistance", "/entry/readings/volt")
 SEALED = "as written: {bytes} bytes in {datasets} datasets agree with their checksums"
-UNSEALED = "readable, but without checksums: an older version or another program wrote it, or it was never closed"
+UNSEALED = "readable, but without checksums: written by an older version or another program, or never closed"
 
 
 def describe(path: str | Path) -> list[str]:
@@ -37,7 +37,7 @@ def describe(path: str | Path) -> list[str]:
     Of one that is too long to be held: its frames, and what the first ones say. Raises InputError where the file is
     neither a recording nor results, or is damaged.
     """
-    path, too_long_words = Path(path), "too long to be held at once; of frames {} to {}:"
+    path, too_long_words = Path(path), "too long for memory; frames {} to {}:"
     with hdf5.existing_file(path) as file:
         form = hdf5.read_attribute(file, "/", "lampest_format")
         form = form if isinstance(form, str) else None
@@ -122,7 +122,7 @@ def _scene_lines(scene: Scene) -> list[str]:
     panel, listed = scene.panel, ""
     if panel.cells is not None:
         wide, tall = (most - least for least, most in panel.extents_mm)
-        listed = f", {len(panel.cells)} cells at places of their own over {wide:g} × {tall:g} mm"
+        listed = f", {len(panel.cells)} cells at listed places over {wide:g} × {tall:g} mm"
     texts: dict[str, object] = {
         "panel": f"{panel.rows} rows × {panel.columns} columns{listed}, pitch {panel.pitch_mm:g} mm",
         "readout": "unknown, resistances alone" if scene.readout is None else scene.readout.description(),

@@ -201,7 +201,7 @@ def test_who_fails_does_not_compete() -> None:
     others = [invented_case(name, recording) for name in ("A", "B") for recording in ("second", "third")]
     match = matched(batch(*cases, *others, invented_case("A", "fourth")).recordings)
     assert match.estimators == ("A", "B") and len(match.recordings) == 3
-    assert match.left_out[0] == "C, for want of results of the same recordings"
+    assert match.left_out[0] == "C, without results of the same recordings"
     assert match.left_out[1] == "1 of 4 recordings lack some of the estimators"
     assert compared(batch(invented_case("A", "r1"), invented_case("B", "r2")), np.random.default_rng(0)) is None
     match = matched(batch(*cases).recordings)

@@ -88,7 +88,7 @@ def test_words_of_the_release_before_answer_and_say_the_new_ones(lampest: Comman
     for old, new in (("terms", "show terms"), ("schema", "show schema")):
         ended, again = lampest(old), lampest(*new.split())
         assert (ended.code, ended.out) == (0, again.out) and again.err == ""
-        assert ended.err == f"lampest: {old} is now: lampest {new}; the old word answers for one release more\n"
+        assert ended.err == f"lampest: {old} is now: lampest {new}; the old name works for one more release\n"
     for old, new in (("tune", "study weights"), ("bench", "study bench"), ("repair", "check --repair")):
         ended = lampest(old, "nowhere.x")
         assert ended.code == 2 and f"lampest {new}" in ended.err and "nowhere.x: no such file" in ended.err.lower()
@@ -128,7 +128,7 @@ def test_results_of_other_cases_are_kept_aside(disk: SimpleNamespace, lampest: C
     assert lampest("run", run, "--out", out, "--jobs", "1").err == "" and len(list(out.glob("*.h5"))) == 1
     before = (out / "results.h5").read_bytes()
     ended = lampest("run", run, "--out", out, "--jobs", "1", "--set", "solver.tolerance=1e-7")
-    assert "held other cases; they are kept" in ended.err and str(out / "results_1.h5") in ended.err
+    assert "existing results of other cases were renamed: " in ended.err and str(out / "results_1.h5") in ended.err
     assert (out / "results_1.h5").read_bytes() == before
     assert (out / "results.h5").read_bytes() != before
 

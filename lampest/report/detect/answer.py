@@ -27,13 +27,13 @@ PAIRS = {
     "breathing_hz": ("Hz", "rate at which the suction changes"),
     "breathing_depth": ("1", "relative amplitude of that"),
     "area_mm2": ("mm2", "area of the touched cells"),
-    "conductance_s": ("S", "what the touched cells conduct more than at rest"),
+    "conductance_s": ("S", "conductance of the touched cells beyond that at rest"),
 }
 NUMBERS = {
     "sucks": ("1", "probability that it sucks"),
     "breathes": ("1", "probability that its suction changes as breathing does"),
     "since_s": ("s", "time at which it came"),
-    "until_s": ("s", "time at which it left; NaN: it is there"),
+    "until_s": ("s", "time at which it left; NaN: still present"),
     "cells": ("1", "number of touched cells"),
 }
 

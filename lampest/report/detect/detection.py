@@ -177,7 +177,7 @@ def known_of(head: Recording, patch_mm: float | None = None) -> "Known | Detecte
     seen = None if readings.sigma is None else noise_seen(head)
     resting = resting_readings(head, readings if seen is None else seen.readings)
     if not resting.enough(head.scene):
-        return Detected.unknown(head.name, "no frame has enough readings to compare with")
+        return Detected.unknown(head.name, "no frame has enough readings for a comparison")
     noise, error, specified, scene, besides = None, 0.0, None, head.scene, None
     if seen is None or readings.sigma is None:
         if len(head.time) < 3:

@@ -75,7 +75,7 @@ def figures(case: CaseResult) -> dict[str, Any]:
         if case.truth is not None:
             within = ((lower <= case.truth) & (case.truth <= upper))[case.solved]
             known[COVERED] = 100 * float(np.mean(within)) if within.size else None
-    known |= statistics(case.data_share, "share of an estimate that data decide, {} [1]", "median")
+    known |= statistics(case.data_share, "share of an estimate that comes from the data, {} [1]", "median")
     known["cells at the lower bound"] = int(np.sum(case.at_lower_bound != 0))
     known["saturated cells"] = None if case.saturated is None else int(np.sum(case.saturated != 0))
     return known | statistics(case.pressure, "pressure, {} [kPa]", "smallest", "largest")

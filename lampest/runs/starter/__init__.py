@@ -64,7 +64,7 @@ def write_starter(
     chosen, paths = circuit_called(circuit), {name: folder / name for name in FILES}
     for path in paths.values():
         if path.exists():
-            raise InputError(f"{path}: is there already; name another folder, and nothing of yours is replaced")
+            raise InputError(f"{path}: is there already; name another folder: existing files are never replaced")
     if purpose not in (None, MAT):
         raise InputError(f"--purpose: there is no {purpose!r}; there is {MAT}")
     wiring = {"sketch": indent(chosen.sketch, "#   "), "software": chosen.software}
