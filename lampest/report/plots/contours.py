@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from lampest.panel.panel import Array
-from lampest.report.compare import LEAST, relative_error, weighted_residual
+from lampest.report.compare import LEAST, weighted_residual
 from lampest.report.plots import maps, style
 from lampest.report.plots.plot import Plot
 from lampest.report.strongest import as_recorded, percent_change
@@ -49,8 +49,8 @@ class ChangePlot(MapsPlot):
     """Maps of the change against the unloaded panel in percent: measured readings, each estimator's cells, the truth.
 
     All have one scale, on which halves and doubles are equally strong. Each cell is a square. Where the truth is known,
-    a line surrounds the cells that changed, and each map names its error: the mean over the cells of how far the ratio
-    of loaded to unloaded resistance is from the true one.
+    a line surrounds the cells that changed, and each map names its error in ln(r/r_unloaded) as a part of the true
+    change: 100 % is that of a map without any change.
 
     >>> lampest.ChangePlot(frame=2).kind
     'change'
@@ -106,10 +106,14 @@ def _range(change: Array | None) -> str:
 
 
 def _error(change: Array | None, truth: Array) -> str:
-    """Return the mean error of the ratio of loaded to unloaded resistance in words, such as 'error 38 %'."""
+    """Return ‖x − x_true‖/‖x_true‖ of x = ln(r/r_unloaded) over the cells in words, such as 'error 7.2 %'."""
     if change is None:
         return ""
-    return f"error {digits(float(np.nanmean(relative_error(100 + change, 100 + truth))), 2)} %"
+    with np.errstate(divide="ignore", invalid="ignore"):
+        logs, true = (np.log1p(percent / 100) for percent in (change, truth))
+        known = np.isfinite(logs) & np.isfinite(true)
+        error = 100 * np.linalg.norm((logs - true)[known]) / np.linalg.norm(true[known])
+    return f"error {digits(float(error), 2)} %"
 
 
 @dataclass(frozen=True)
