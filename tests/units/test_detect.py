@@ -167,7 +167,7 @@ def test_the_file_has_the_names_of_the_json(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_a_recording_is_enough(tmp_path: Path, lampest: Command) -> None:
     recorded(frames=56, frame_period_s=0.25, course=BREATHING).save(tmp_path / "mouth.h5")
-    said = lampest("detect", tmp_path / "mouth.h5", "--all")
+    said = lampest("detect", tmp_path / "mouth.h5", "--all", "--out", tmp_path)
     assert said.code == 0 and said.out.startswith("lamprey attached since ") and "P(breathes)" in said.out
     assert (tmp_path / "detections.h5").is_file() and (tmp_path / "timeline_mouth.png").is_file()
     (answer,) = json.loads(lampest("detect", tmp_path / "mouth.h5", "--json").out)
