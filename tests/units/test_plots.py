@@ -16,7 +16,7 @@ from support import METHODS, invented_case
 
 from lampest.files.errors import InputError
 from lampest.panel.panel import Panel
-from lampest.panel.readouts import TwoPointReadout
+from lampest.panel.readouts import LoadedColumnsReadout, TwoPointReadout
 from lampest.report.plots import PLOTS, Plot, plot_of, plot_results
 from lampest.report.plots.maps import RESOLUTION, MapPainter, Tile, banded_scale, change_scale
 from lampest.report.plots.style import change_text, new_figure
@@ -122,6 +122,15 @@ def test_a_loaded_cell_is_bright_and_every_map_of_resistance_has_its_own_scale()
     low, high = (sum(measured.cmap(measured.norm(value))[:3]) for value in measured.norm.inverse(np.array([0.1, 0.9])))
     assert low > high
     assert measured.norm.vmax < estimated.norm.vmax
+
+
+def test_readings_of_pull_ups_are_shown_as_they_were_recorded() -> None:
+    case = invented_case()
+    readout = LoadedColumnsReadout(polarity="down", supply_volt=5.0, load_ohm=35e3, drive_ohm=30)
+    scene = replace(case.scene, readout=readout, series_resistance_ohm=0.0)
+    pulled_up = replace(case, scene=scene, measured=np.full_like(case.measured, 1.5))
+    measured = maps_of(plot_of("resistance").draw((pulled_up,)))[0]
+    assert_allclose(measured.collections[1].get_array(), 3.5)
 
 
 def distance(values: Any, truth: Any) -> float:
