@@ -105,9 +105,12 @@ if TYPE_CHECKING:
     from lampest.report.export import Export as Export
     from lampest.report.export import export_results as export_results
     from lampest.report.plots import CertaintyPlot as CertaintyPlot
+    from lampest.report.plots import ChangePlot as ChangePlot
     from lampest.report.plots import ContourPlot as ContourPlot
     from lampest.report.plots import Plot as Plot
     from lampest.report.plots import PressurePlot as PressurePlot
+    from lampest.report.plots import ResidualPlot as ResidualPlot
+    from lampest.report.plots import ResistancePlot as ResistancePlot
     from lampest.report.plots import SweepPlot as SweepPlot
     from lampest.report.plots import plot_results as plot_results
     from lampest.report.reconstruction import Reconstruction as Reconstruction
@@ -150,7 +153,7 @@ else:
         raise AttributeError(f"module 'lampest' has no attribute '{name}'")
 
     def __dir__() -> list[str]:
-        return sorted({*globals(), *__all__})
+        return sorted([*__all__, "__all__", "__doc__", "__version__"])
 
 
 def reconstruct(

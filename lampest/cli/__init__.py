@@ -11,13 +11,13 @@ from typing import Annotated, Any
 import typer
 
 from lampest.cli import board, estimation, results, studies
-from lampest.cli.screen import INTERRUPTED, WRONG_INPUT, is_written, say, warn
+from lampest.cli.screen import INTERRUPTED, WRONG_INPUT, as_options, is_written, say, warn
 from lampest.files.errors import InputError, extra
 from lampest.files.process import ONE_THREAD, ending_signals, libraries_to_the_log
 from lampest.files.whole import refuse_inputs, sparing
 
 app = typer.Typer(
-    help="Cell resistances of passive resistive matrix sensors from two-point measurements.",
+    help="Estimate the cell resistances of resistive matrix sensors from readings with crosstalk.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     rich_markup_mode="rich",
@@ -66,7 +66,7 @@ def _renamed(old: str, new: str) -> Callable[..., None]:
 
     @wraps(command)
     def called(**options: Any) -> None:
-        warn(f"{old} is now: lampest {new}; the old word answers for one release more")
+        warn(f"{old} is now: lampest {new}; the old name works for one more release")
         command(**options | ({FLAGS[flag]: True} if flag else {}))
 
     return called
@@ -154,11 +154,11 @@ def main() -> None:
         with ending_signals(), libraries_to_the_log(), extra():
             _program()()
     except InputError as error:
-        warn(error)
+        warn(as_options(str(error)))
         sys.exit(WRONG_INPUT)
     except MemoryError as error:
-        said = " ".join(str(error).split()) or "no more is said"
-        warn(f"more memory is needed than there is ({said})")
+        said = " ".join(str(error).split()) or "no details"
+        warn(f"not enough memory ({said})")
         sys.exit(WRONG_INPUT)
     except SystemExit as end:
         if end.code == INTERRUPTED:

@@ -131,7 +131,7 @@ def calibrate(
         found = calibrate_recordings(recordings, tables, tolerance)
     _scene_out(calibrated_scene_text(found), summary(found), out)
     if out is not None and any(one.differ for one in found.found):
-        warn("the lines differ by more than their noise; the scene's comments say how much")
+        warn("the lines differ by more than their noise; comments in the scene state by how much")
 
 
 def calibrate_film(files: list[Path], loads: Path, tolerance: float, out: Path | None) -> None:

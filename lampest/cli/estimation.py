@@ -10,6 +10,7 @@ from lampest.cli.screen import (
     SOME_FAILED,
     Assign,
     AssignToScene,
+    as_options,
     check_positive,
     option,
     print_notes,
@@ -38,20 +39,21 @@ def init(
     ] = "two_mux",
     rows: Annotated[int, option("Rows of your panel, such as 16.", min=1)] = 10,
     columns: Annotated[int, option("Columns of your panel, such as 16.", min=1)] = 10,
+    purpose: Annotated[str | None, option("mat: contacts alone. Default: mouths and cups, too.")] = None,
 ) -> None:
     """Write starter files for your circuit: a scene, a run, a simulated recording and its simulation."""
     from lampest.runs.starter import RECORDING, RUN, SCENE, circuit_called, write_starter
 
     circuit = circuit_called(readout)
-    for path in write_starter(folder, readout, rows, columns):
+    for path in write_starter(folder, readout, rows, columns, purpose):
         say(path)
     run, scene = folder / RUN, folder / SCENE
-    say_text(f"\nthe wiring that {scene} describes ({circuit.kind}); if yours is another, see docs/howto/readouts.md:")
+    say_text(f"\nthe wiring that {scene} describes ({circuit.kind}); another one: lampest init --readout CIRCUIT")
     say_text(circuit.sketch)
     say(f"software: {circuit.software}")
     say_text(
         f"\nnow: lampest run {run}                    ({RECORDING}, simulated for this circuit)"
-        f"\n     lampest plot results/{run.stem}/results.h5"
+        f"\n     lampest plot results/{run.stem}/results.h5 --show change"
         f"\nthen, with the numbers of your circuit in {scene}:"
         f"\n     lampest import YOURS.csv --scene {scene} --baseline 3 --out mine.h5, and mine.h5 in {run}"
     )
@@ -87,12 +89,12 @@ def run(
     counts = f"{counted(report.done, 'case')} solved, {report.skipped} were done before, {len(report.failed)} failed"
     say(f"{counts}: {report.results or 'no results'}")
     if report.aside:
-        warn(f"the results that stood there held other cases; they are kept: {report.aside}")
+        warn(f"existing results of other cases were renamed: {report.aside}")
     print_notes(f"warning: {line}" for line in report.warnings)
     for name, sentence in report.failed:
         warn(f"{name} failed: {sentence}")
     if report.lost:
-        left = f"{counted(report.not_run, 'case')} were not run: {report.lost}; the same command goes on with them"
+        left = f"{counted(report.not_run, 'case')} were not run: {report.lost}; repeat the command to run them"
         warn(left)
     if report.failed or report.not_run:
         raise typer.Exit(SOME_FAILED)
@@ -164,13 +166,13 @@ def import_(
         )
         recording.save(out)
     for line in understood_lines(recording, notes):
-        say(line)
+        say(as_options(line))
     say(out)
 
 
 def tare(
     file: Annotated[Path, typer.Argument(help="A recording.")],
-    frames: Annotated[str, option("Unloaded frames as FIRST:END: 40:50 is 40 to 49.")],
+    frames: Annotated[str, option("Range of unloaded frames: 40:50 is 40 to 49.")],
     out: Annotated[Path, written("--out", "New recording file.")],
 ) -> None:
     """Choose new baseline frames; all other frames become measured ones, and no reading changes."""
@@ -182,4 +184,4 @@ def tare(
     made.save(out)
     say(f"unloaded: frames {named[0]} to {named[-1]}: {out}")
     if change > STILL:
-        warn(f"readings change by up to {100 * change:.1f} % within these frames; did something come or go?")
+        warn(f"readings change by up to {100 * change:.1f} % within these frames; did a load come or go?")

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from lampest.report.detect.answer import Detected
     from lampest.report.detect.pressed import PressedCells
 
-FramesNamed = Annotated[str | None, option("Range of frames: 40:50 is 40 to 49.", metavar="FIRST:END")]
+FramesNamed = Annotated[str | None, option("Range of frames: 40:50 is 40 to 49.", metavar="RANGE")]
 
 
 def _frames(text: str | None) -> range | None:
@@ -56,11 +56,13 @@ def compare(
 
 def plot(
     results: Annotated[Path, typer.Argument(help="A results file.")],
-    out: Annotated[Path | None, written("--out", "Output folder, or one picture such as x.svg.")] = None,
+    out: Annotated[
+        Path | None, written("--out", "Output folder, or one picture such as x.svg. Default: beside the results.")
+    ] = None,
     show: Annotated[
         str | None,
         option(
-            "Such as contours, sweep or pressure; any other word lists all. Default: contours, or a sweep's errors.",
+            "contours, change, resistance, residuals, pressure, certainty, sweep. Default: contours, of sweeps errors.",
             metavar="KIND",
         ),
     ] = None,
@@ -104,7 +106,9 @@ def export(
 
 def detect(
     file: Annotated[Path, typer.Argument(help="A recording or a results file.")],
-    out: Annotated[Path | None, written("--out", "Output folder. Default: beside the file.")] = None,
+    out: Annotated[
+        Path | None, written("--out", "Output folder. Default: results/<recording>, or beside the results.")
+    ] = None,
     as_json: Annotated[bool, option("Print the answers as JSON, and write no files.", "--json")] = False,
     everything: Annotated[
         bool, option("Also print notes and, for results, the frame of the largest force.", "--all")
@@ -117,7 +121,7 @@ def detect(
     ] = None,
     frames: FramesNamed = None,
 ) -> None:
-    """Detect lampreys: whether one is attached, since when, where, how large. One sentence per recording, then events.
+    """Detect contacts: since when, where, how large, and whether one sucks. One sentence per recording, then events.
 
     Writes detections.h5 and a timeline of each recording; of results with pressures also pressed.csv with every frame.
     """
@@ -141,7 +145,8 @@ def detect(
         content = [one.content() for one in answers]
         say_text(json.dumps(content, indent=1, allow_nan=False, ensure_ascii=False))
     else:
-        _tell(answers, loads, file.parent if out is None else out, everything)
+        folder = file.parent if results is not None else Path("results") / file.stem
+        _tell(answers, loads, folder if out is None else out, everything)
 
 
 def _tell(answers: "Sequence[Detected]", loads: "Sequence[PressedCells]", folder: Path, everything: bool) -> None:

@@ -1,5 +1,6 @@
 """What all commands share: exit codes, options, notes and progress."""
 
+import re
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TextIO
@@ -28,7 +29,7 @@ def written(name: str, text: str) -> Any:
 
     def checked(value: Path | None) -> Path | None:
         if value is not None and value.resolve() == Path(value.resolve().anchor):
-            raise InputError(f"{name}: neither nothing nor the root of all files is a place for output")
+            raise InputError(f"{name}: output cannot be written to an empty path or to the root of the file system")
         return value
 
     return typer.Option(name, parser=place, callback=checked, metavar="PATH", help=text)
@@ -82,6 +83,11 @@ def say(thing: object, to: TextIO | None = None) -> None:
 def warn(sentence: object) -> None:
     """Print a sentence on stderr, after the program's name."""
     print(printable(f"lampest: {sentence}"), file=sys.stderr, flush=True)
+
+
+def as_options(sentence: str) -> str:
+    """Return a sentence on arguments with the options of their names: `unit='mV'` becomes --unit mV."""
+    return re.sub(r"`(\w+)(?:='?([^`']*)'?)?`", lambda one: f"--{one[1]} {one[2] or ''}".rstrip(), sentence)
 
 
 def say_text(text: str) -> None:

@@ -25,8 +25,13 @@ class Checked(ABCMeta):
     """Classes whose objects are made of arguments that have their fields' types; subclasses are among them."""
 
     def __call__(cls, *args: Any, **kwargs: Any) -> Any:
-        """An object. Raises InputError where an argument has another type, is missing, or unknown."""
-        return super().__call__(**_arguments(cls, cls.__name__, args, kwargs))
+        """An object. Raises InputError where an argument has another type, is missing, unknown, or out of range."""
+        try:
+            return super().__call__(**_arguments(cls, cls.__name__, args, kwargs))
+        except InputError:
+            raise
+        except ValueError as error:
+            raise InputError(f"{cls.__name__}: {error}") from error
 
     @property
     def __signature__(cls) -> inspect.Signature:

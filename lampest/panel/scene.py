@@ -85,6 +85,8 @@ class Scene(Configuration):
     response : the film's own curve and its cells' gains, see `lampest.panel.response`; None: there are no
         pressures.
     assumed : entries that its file left open, such as readout.readings: their values are lampest's.
+    purpose : 'mat' where nothing can suck at the panel: it is watched for contacts alone, of any form. None: for mouths
+        and cups too.
     subject, experiment : who was measured and for what; None: not specified. No estimate depends on them.
     modules : of a panel of modules, what single ones have of their own; all else is the same in all of them.
 
@@ -104,6 +106,7 @@ class Scene(Configuration):
     contacts: Contacts | None = None
     film: Film | None = None
     response: AnyResponse | None = None
+    purpose: Literal["mat"] | None = None
     subject: MeasuredSubject | None = None
     experiment: Experiment | None = None
     modules: tuple[OwnOfModule, ...] | None = None

@@ -155,6 +155,8 @@ class Recording(Validated):
         if path.suffix.lower() in FOREIGN:
             raise InputError(f"{path}: is no recording; lampest.import_file (lampest import) makes one of it")
         with hdf5.existing_file(path) as file:
+            if str(hdf5.read_attribute(file, "/", "lampest_format")).startswith("results/"):
+                raise InputError(f"{path}: holds results; lampest.read_results reads them")
             scene, group, signal = head_of(file, path)
             if most is not None and prod(hdf5.shape_of(file, f"{group}/{signal}")) > most:
                 return None

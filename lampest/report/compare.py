@@ -27,17 +27,14 @@ ASIDE = ("label", "warnings")  # of a row, but not of the table
 LEAST = 1e-3  # percent or ms: less is rounding
 STEPS = {"all": "", "initial": " first", "following": " later"}
 NOTES = {  # what a header that begins so means
-    "solved": "solved: frames that converged to a local minimum, verified outside the solver; of several starts the "
-    "lowest one (lampest info has their number). Approximate formulations count as solved when they end",
+    "solved": "solved: frames at a verified local optimum, the best of all starts; approximate formulations: all "
+    "frames with an estimate",
     "data error [%]": "data error: |model − measured| / measured, mean ± standard deviation over all readings",
     "cell error [%]": "cell error: |estimate − truth| / truth of the cells, median / 95th percentile",
-    "± own": "± own / all: standard deviations, medians over the cells: of each cell's own error / of what all cells "
-    "share",
-    "pressure ±": "pressure ± own / all: the same of pressures, over the cells on which a load presses",
-    "first": "first, later: the first frame, solved jointly with the baseline as the paper does, and the frames "
-    "after it",
-    "published": "published: of another recording, on another computer, as the run's file quotes it; figures of this "
-    "recording are not expected to equal it",
+    "own / common": "own / common sd: median standard deviations of each cell's own error / of the error common to all",
+    "pressure sd": "pressure sd: the same of the pressures of pressed cells, own / common",
+    "first": "first, later: the first frame, estimated jointly with the baseline as in the paper; the frames after it",
+    "published": "published: of another recording and computer, as the run's file quotes it",
 }
 
 
@@ -81,6 +78,13 @@ def relative_error(values: Array, reference: Array) -> Array:
 def data_error(case: CaseResult) -> Array:
     """100·|model − measured|/measured, (frames, rows, columns) percent; NaN where a reading is no value."""
     return np.where(case.valued, relative_error(case.reading_model, case.measured), np.nan)
+
+
+def weighted_residual(case: CaseResult) -> Array | None:
+    """(model − measured)/σ, (frames, rows, columns), NaN where a reading is no value; None where σ is unknown."""
+    if case.sigma is None:
+        return None
+    return np.asarray(np.where(case.valued, (case.reading_model - case.measured) / case.sigma, np.nan))
 
 
 def compare_files(paths: Sequence[str | Path], frames: range | None = None) -> list[Row]:
@@ -291,10 +295,10 @@ COLUMNS: dict[str, Callable[[Row], str]] = {
     "time [ms]": lambda row: _plus_minus(row, "solve time {} [s]", 1000),
     "data error [%]": lambda row: _plus_minus(row, "data error {} [%]"),
     "cell error [%]": lambda row: _both(row, "cell error median [%]", "cell error 95th percentile [%]", " / "),
-    "± own / all [%]": lambda row: _both(
+    "own / common sd [%]": lambda row: _both(
         row, "own standard deviation median [%]", "common standard deviation median [%]", " / "
     ),
-    "pressure ± own / all [kPa]": lambda row: _both(
+    "pressure sd [kPa]": lambda row: _both(
         row,
         "own standard deviation of pressed cells median [kPa]",
         "common standard deviation of pressed cells median [kPa]",
@@ -313,5 +317,5 @@ OVER_ALL: dict[str, Callable[[Sequence[Row]], str]] = {
     "time [ms]": lambda group: _over(group, "solve time mean [s]", np.median, factor=1000),
     "data error [%], mean": lambda group: _over(group, "data error mean [%]", np.median),
     "cell error [%], median": lambda group: _over(group, "cell error median [%]", np.median),
-    "least … most of them": lambda group: _over(group, "cell error median [%]", min, max),
+    "smallest … largest": lambda group: _over(group, "cell error median [%]", min, max),
 }

@@ -13,21 +13,21 @@ from lampest.estimate.prepared import Prepared
 from lampest.files import hdf5
 from lampest.files.document import plain_content
 from lampest.files.errors import InputError
-from lampest.loads.recognition.breathing import too_slow
 from lampest.panel.panel import Array
 from lampest.panel.scene import Faults, Scene
 from lampest.recording.recording import FORMAT as RECORDING
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
 from lampest.recording.stored import BLOCK, WHOLE, StoredRecording, opened, too_long
 from lampest.recording.touching import touching_columns, touching_rows
-from lampest.report.strongest import mean_reading, strongest_index, strongest_readings
+from lampest.report.strongest import as_recorded, mean_reading, strongest_index, strongest_readings
+from lampest.report.words import spanned
 from lampest.runs.results import FORMAT, CaseResult, Results, read_each, read_results, stored_cases
 
 MOST_ROWS = 48  # of a map
 FALLS, RISES, UNKNOWN = " ░▒▓█", " .+*#", "?"
 READINGS = ("/entry/two_point/resistance", "/entry/readings/volt")
 SEALED = "as written: {bytes} bytes in {datasets} datasets agree with their checksums"
-UNSEALED = "readable, but without checksums: an older version or another program wrote it, or it was never closed"
+UNSEALED = "readable, but without checksums: written by an older version or another program, or never closed"
 
 
 def describe(path: str | Path) -> list[str]:
@@ -36,7 +36,7 @@ def describe(path: str | Path) -> list[str]:
     Of one that is too long to be held: its frames, and what the first ones say. Raises InputError where the file is
     neither a recording nor results, or is damaged.
     """
-    path, too_long_words = Path(path), "too long to be held at once; of frames {} to {}:"
+    path, too_long_words = Path(path), "too long for memory; frames {} to {}:"
     with hdf5.existing_file(path) as file:
         form = hdf5.read_attribute(file, "/", "lampest_format")
         form = form if isinstance(form, str) else None
@@ -68,12 +68,10 @@ def _line(head: str, text: object) -> str:
 
 
 def _frames_lines(role: NDArray[np.uint8], time: Array) -> list[str]:
-    """How many frames, when, and whether there are too few a second to see breathing."""
+    """Return how many frames there are, and when they were taken."""
     unloaded, measured = int(np.sum(role == UNLOADED)), int(np.sum(role == MEASURED))
     frames = f"{len(role)}: {unloaded} unloaded, {measured} measured; {time.min():g} to {time.max():g} s"
-    step = float(np.median(np.diff(time))) if len(time) > 1 else 0.0
-    slow = too_slow(1 / step) if step > 0 else ""
-    return [_line("frames", frames), *([_line("", slow)] if slow else [])]
+    return [_line("frames", frames)]
 
 
 def _recording_lines(recording: Recording) -> list[str]:
@@ -89,7 +87,7 @@ def _recording_lines(recording: Recording) -> list[str]:
     if recording.start_time is not None:
         lines.append(_line("start", f"{recording.start_time} at 0 s"))
     lines += [*_scene_lines(scene), *_noise_lines(recording)]
-    lines.append(_line("readings", f"{_range(recording.recorded, circuit.unit)} ({circuit.signal_name})"))
+    lines.append(_line("readings", f"{spanned(recording.recorded, circuit.unit)} ({circuit.signal_name})"))
     lines += [*(_line("", sentence) for sentence in _holes(recording)), _line("besides", held or "nothing")]
     found = strongest_readings(recording)
     if found is None:
@@ -124,7 +122,7 @@ def _scene_lines(scene: Scene) -> list[str]:
     panel, listed = scene.panel, ""
     if panel.cells is not None:
         wide, tall = (most - least for least, most in panel.extents_mm)
-        listed = f", {len(panel.cells)} cells at places of their own over {wide:g} × {tall:g} mm"
+        listed = f", {len(panel.cells)} cells at listed places over {wide:g} × {tall:g} mm"
     texts: dict[str, object] = {
         "panel": f"{panel.rows} rows × {panel.columns} columns{listed}, pitch {panel.pitch_mm:g} mm",
         "readout": "unknown, resistances alone" if scene.readout is None else scene.readout.description(),
@@ -160,11 +158,12 @@ def _results_lines(results: Results) -> list[str]:
         first = cases[0]
         frames, rows, columns = first.measured.shape
         truth = "not in" if first.truth is None else "in"
-        values = _range(first.measured, first.scene.circuit.unit)
+        taken_off = ", series resistance taken off" if first.scene.circuit.unit == "ohm" else ""
+        values = spanned(as_recorded(first.measured, first.scene), first.scene.circuit.unit)
         lines += [
             f"recording {recording}: {frames} frames, {first.time.min():g} to {first.time.max():g} s, "
             f"{rows} rows × {columns} columns, pitch {first.scene.panel.pitch_mm:g} mm, truth {truth} the file",
-            _line("readings", f"{values} (as the network is read, series resistance taken off)"),
+            _line("readings", f"{values} ({first.scene.circuit.signal_name}{taken_off})"),
         ]
         missing = np.isnan(first.measured) & first.scene.asked  # results of older versions do not say what are bounds
         bounds = np.zeros(missing.shape, bool) if first.reading_side is None else first.reading_side != 0
@@ -180,10 +179,10 @@ def _results_lines(results: Results) -> list[str]:
         width = max(len(case.estimator) for case in cases)
         for case in cases:
             solved = f"solved {int(np.sum(case.solved))}/{frames}{_starts(case)}"
-            found = f"r {_range(case.cell_resistance, 'ohm')}  case {case.case_id}"
+            found = f"r {spanned(case.cell_resistance, 'ohm')}  case {case.case_id}"
             lines.append(f"  {case.estimator:{width}}  {solved}  {found}")
             if case.error_words:
-                lines.append(f"  {'':{width}}  {case.error_words} (standard deviations, medians)")
+                lines.append(f"  {'':{width}}  {case.error_words} (medians)")
     if results.published:
         lines.append(f"published figures of {', '.join(results.published)}")
     for case in results.cases[:1]:
@@ -200,7 +199,7 @@ def _starts(case: CaseResult) -> str:
         return ""
     _, least, most = case.local_optima
     starts = f"{least}" if least == most else f"{least} to {most}"
-    return f", local optima, the lowest from {starts} start{'' if most == 1 else 's'} a frame"
+    return f", verified local optima, best of {starts} start{'' if most == 1 else 's'} a frame"
 
 
 def _holes(recording: Recording) -> list[str]:
@@ -236,11 +235,6 @@ def holes_sentence(missing: NDArray[np.bool_], bounds: NDArray[np.bool_]) -> str
 def understood_lines(recording: Recording, notes: Sequence[str]) -> list[str]:
     """The sentences of an import, and a map of mean readings, which shows rows and columns that were swapped."""
     return [*notes, f"mean reading in {recording.scene.circuit.unit}:", *text_map(mean_reading(recording.recorded))]
-
-
-def _range(values: Array, unit: str) -> str:
-    known = values[np.isfinite(values)]
-    return f"{known.min():.4g} to {known.max():.4g} {unit}" if known.size else "unknown"
 
 
 def checked_sentence(path: Path) -> str:

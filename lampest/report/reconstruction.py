@@ -17,8 +17,9 @@ from lampest.estimate.sequence import reconstruct
 from lampest.files.errors import extra
 from lampest.panel.panel import Array
 from lampest.recording.recording import Recording
-from lampest.report.info import shaded_map
+from lampest.report.compare import data_error
 from lampest.report.strongest import strongest_index
+from lampest.report.words import digits, spanned
 from lampest.runs.columns import FIGURES, Column
 from lampest.runs.filling import named_result
 from lampest.runs.results import CaseResult, write_results
@@ -26,6 +27,8 @@ from lampest.runs.results import CaseResult, write_results
 if TYPE_CHECKING:
     from lampest.report.plots.plot import Figure, Plot
     from lampest.runs.case import DataFrame, Dataset
+
+INTERNAL = {"of", "asked", "tared"}  # attributes that the package's own columns read
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -63,14 +66,52 @@ class Reconstruction(Estimates):
         values: Mapping[str, Array] = next(folder for folder in FIGURES if folder.name == "weights").value(self)
         return {term: weight for term, weight in values.items() if term != "misfit"}
 
+    def __dir__(self) -> list[str]:
+        return sorted({*super().__dir__()} - INTERNAL)
+
+    def fit_report(self) -> str:
+        """Return a summary of the fit in sections: model, statistics, weights, cells of the strongest frame, warnings.
+
+        Statistics are medians over the solved frames. χ² is the sum of squared residuals over their variances; its
+        reduced value is near 1 where the scene and its noise explain the readings.
+
+        >>> print(found.fit_report().splitlines()[0])
+        [[Model]]
+        """
+        case, place = self.result(), strongest_index([self.result()])
+        residual = np.sqrt(np.nanmean(data_error(case)[case.solved] ** 2)) if case.solved.any() else np.nan
+        statistics = {
+            "frames solved": f"{int(self.solved.sum())} of {len(self.steps)}",
+            "readings": f"{int(case.valued.sum())} in {len(self.steps)} frames",
+            "residual, rms": f"{digits(float(residual), 2)} % of the reading",
+            "solve time": f"{_median(1000 * case.solve_time)} ms a frame",
+        }
+        if self.misfit:
+            statistics["chi-square"] = _median(self.misfit["chi_square"])
+            statistics["reduced chi-square"] = _median(self.misfit["chi_square"] / self.misfit["degrees_of_freedom"])
+        cells = {
+            "resistance": spanned(self.cell_resistance[place], "ohm"),
+            "change": spanned(self.relative_change[place], "%"),
+            "errors": case.error_words or "unknown",
+        }
+        sections = {
+            "Model": [f"{self.recording.name}: {self.method}", f"first frame: {self.status[0]}"],
+            "Fit Statistics": [f"{name:18} = {value}" for name, value in statistics.items()],
+            "Weights": [f"{term}: {_median(weights)}" for term, weights in self.weights.items()],
+            f"Cells in frame {self.frame[place]} at {self.time[place]:g} s": [
+                f"{n:18} = {text}" for n, text in cells.items()
+            ],
+            "Warnings": list(self.checks),
+        }
+        blocks = ((f"[[{title}]]", *(f"    {line}" for line in lines)) for title, lines in sections.items() if lines)
+        return "\n".join(line for block in blocks for line in block)
+
     def _repr_html_(self) -> str:
-        """For notebooks: what was found, and a small map of the strongest frame."""
-        place = strongest_index([self.result()])
-        weights = [f"λ of {term}: {float(np.median(values)):.3g}" for term, values in self.weights.items()]
-        where = f"change of the cells in frame {self.frame[place]} at {self.time[place]:g} s:"
-        lines = "<br>".join(escape(line) for line in (repr(self), *weights, *self.checks, where))
-        drawn = escape("\n".join(shaded_map(self.relative_change[place])))
-        return f'<p>{lines}</p><pre style="line-height: 1">{drawn}</pre>'
+        """Return the report and a picture of the strongest frame, for notebooks."""
+        with extra():
+            from lampest.report.plots.style import data_uri
+        picture = f'<img alt="change of the cells" style="max-width: 100%" src="{data_uri(self.plot("change"))}">'
+        return f'<pre style="line-height: 1.3">{escape(self.fit_report())}</pre>{picture}'
 
     def result(self, name: str | None = None, columns: Sequence[Column] = ()) -> CaseResult:
         """The case that results files keep; several may go into one file with `write_results`."""
@@ -95,7 +136,7 @@ class Reconstruction(Estimates):
         return self.result(columns=columns).to_dataframe(columns)
 
     def plot(self, kind: "str | Plot" = "contours", frame: int | None = None) -> "Figure":
-        """A matplotlib Figure: `contours`, `certainty`, `pressure`, or a Plot of your own.
+        """A matplotlib Figure: a kind that `plot --show` takes, such as `change` or `residuals`, or a Plot of your own.
 
         frame : index into the recording; None: the strongest one. Raises InputError where there is no such plot or
         frame, or nothing to draw.
@@ -104,3 +145,12 @@ class Reconstruction(Estimates):
             from lampest.report.plots import picture  # matplotlib takes longer to load than a frame to solve
 
         return picture((self.result(),), kind, frame)
+
+
+def _median(values: Array | None) -> str:
+    """Return the median of the known values in digits, with their range where they differ."""
+    known = np.zeros(0) if values is None else values[np.isfinite(values)]
+    if not known.size:
+        return "unknown"
+    least, middle, largest = (digits(float(value)) for value in np.percentile(known, [0, 50, 100]))
+    return middle if least == largest else f"{middle} ({least} to {largest})"

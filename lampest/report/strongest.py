@@ -6,6 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from lampest.panel.panel import Array
+from lampest.panel.scene import Scene
 from lampest.recording.recording import UNLOADED, Recording
 from lampest.runs.case import CaseResult
 
@@ -13,6 +14,11 @@ from lampest.runs.case import CaseResult
 def percent_change(resistance: Array, baseline: Array) -> Array:
     """100·(R/R₀ − 1), any shape, in percent."""
     return 100 * (resistance / baseline - 1)
+
+
+def as_recorded(value: Array, scene: Scene) -> Array:
+    """Return readings of the network as the converter had them: with pull-ups, the supply less the load's voltage."""
+    return scene.circuit.to_recorded(value, scene) if scene.circuit.mirrored else value
 
 
 def strongest_index(cases: Sequence[CaseResult]) -> int:

@@ -4,6 +4,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from lampest.panel.panel import Array
+
 
 def counted(number: int, noun: str) -> str:
     """'1 recording', '30 recordings', '1,200 frames'."""
@@ -33,3 +35,9 @@ def digits(value: float, count: int = 3, like: float | None = None) -> str:
         return f"{mantissa}e{int(exponent)}".replace("-", "−")
     places = max(0, count - 1 - int(np.floor(np.log10(size)))) if size else 0
     return f"{value:,.{places}f}".replace("-", "−")
+
+
+def spanned(values: Array, unit: str) -> str:
+    """Return the smallest and the largest known value in words, such as '219.5 to 672.9 ohm'."""
+    known = values[np.isfinite(values)]
+    return f"{known.min():.4g} to {known.max():.4g} {unit}" if known.size else "unknown"

@@ -90,16 +90,18 @@ class CaseResult(Held):
 
     @property
     def error_words(self) -> str:
-        """'each cell +- 0.4 %, all together +- 3 %': medians of both standard deviations; '' without them."""
+        """Medians of the standard deviations, own and common, in words; '' without them."""
         if self.sigma_own is None or self.sigma_common is None or not np.isfinite(self.sigma_own).any():
             return ""
-        known = np.isfinite(self.sigma_own) & (self.sigma_own > 0)
+        known, words = np.isfinite(self.sigma_own) & (self.sigma_own > 0), "own {:.2g} {unit}, common {:.2g} {unit}"
         own, common = (100 * float(np.median(part[known])) for part in (self.sigma_own, self.sigma_common))
-        said, parts = f"each cell +- {own:.2g} %, all together +- {common:.2g} %", self.pressed_errors(self.solved)
+        said, parts = (
+            f"standard deviation of cells: {words.format(own, common, unit='%')}",
+            self.pressed_errors(self.solved),
+        )
         if parts is None or not parts[0].size:
             return said
-        own, common = (float(np.median(part)) for part in parts)
-        return f"{said}; pressure of pressed cells: each +- {own:.2g} kPa, all together +- {common:.2g} kPa"
+        return f"{said}; of pressures: {words.format(*map(np.median, parts), unit='kPa')}"
 
     def pressed_errors(self, chosen: NDArray[np.bool_]) -> tuple[Array, Array] | None:
         """(own, common) standard deviations of pressure, kPa, of the cells on which a load presses in some frames."""

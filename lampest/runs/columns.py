@@ -315,8 +315,8 @@ def _unit_of_disc(name: str) -> str:
 
 MISFIT = {
     "chi_square": "sum of squared residuals over their noise",
-    "degrees_of_freedom": "readings less what the estimate follows of them",
-    "tail": "probability of as large a chi square by noise alone",
+    "degrees_of_freedom": "readings less the trace of the resolution",
+    "tail": "probability of a chi square this large from noise alone",
     "worst_row": "row that holds most of chi square",
     "worst_row_share": "share of that row",
     "worst_column": "column that holds most of chi square",

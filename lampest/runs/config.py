@@ -288,7 +288,7 @@ def resolve(document: Document, run: RunFile, name: str) -> Estimator:
     try:
         said: EstimatorEntry = adapter(EstimatorEntry).validate_json(json.dumps(merged))
     except ValueError as error:
-        raise document.error(("estimators", name), "does not fit what the run says") from error
+        raise document.error(("estimators", name), "does not fit the run") from error
     try:
         check_name(name, "estimator")
         return Estimator(terms_of(said.terms), *(getattr(said, item.name) for item in fields(Choices)))

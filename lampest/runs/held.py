@@ -50,7 +50,7 @@ class Held(Validated):
     frame: NDArray[np.int64] = col.counts("index of the frame in the recording", value=col.frame_numbers, **col.GIVEN)
     measured: Array = col.maps(
         "ohm",
-        "reading as the network is read, series resistance taken off; NaN where it says nothing",
+        "reading between the lines without series resistance; NaN where missing",
         col.positive_or_missing,
         dataset="resistance",
         as_volt="volt",
@@ -102,7 +102,7 @@ class Held(Validated):
         "ohm", "standard deviation of a reading about the model's, noise and model error included", **col.MAYBE
     )
     open_cell: NDArray[np.uint8] = col.flag(
-        "1: cannot be told from an open cell", "conducts", "cannot_be_told_from_open"
+        "1: cannot be distinguished from an open cell", "conducts", "cannot_be_told_from_open"
     )
     at_lower_bound: NDArray[np.uint8] = col.flag(
         "1: cell resistance stands at its lower bound", "above_lower_bound", "at_lower_bound"
@@ -111,7 +111,7 @@ class Held(Validated):
     status: tuple[str, ...] = col.frames("1", "how the solve ended", dtype=str)
     iterations: NDArray[np.int64] = col.counts("iterations of the solver", value=col.of_solutions("iterations"))
     starts: NDArray[np.int64] | None = col.counts(
-        "starts of the solve; the estimate is the lowest local optimum that they reached",
+        "number of starts; the estimate is the best local optimum that they reached",
         value=col.of_solutions("starts"),
         **col.MAYBE,
     )
@@ -134,7 +134,7 @@ class Held(Validated):
     relative_change_upper: Array | None = col.end("percent", "upper")
     sigma_own: Array | None = col.deviation("1", "standard deviation of ln r: each cell's own error")
     sigma_common: Array | None = col.deviation(
-        "1", "standard deviation of ln r: what all cells share, or those of a line"
+        "1", "standard deviation of ln r: error common to all cells, or to those of a line"
     )
     resolution: Array | None = col.maps("1", "diagonal of the averaging kernel", col.known_if_solved, **col.MAYBE)
     data_share: Array | None = col.maps(
@@ -148,11 +148,13 @@ class Held(Validated):
     pressure: Array | None = col.maps("kPa", "pressure of the load on the cell", col.known_if_solved, **col.MAYBE)
     pressure_errors: Array | None = col.deviation("kPa", "standard deviation of the pressure")
     pressure_own: Array | None = col.deviation("kPa", "standard deviation of the pressure: each cell's own error")
-    pressure_common: Array | None = col.deviation("kPa", "standard deviation of the pressure: what cells share")
+    pressure_common: Array | None = col.deviation(
+        "kPa", "standard deviation of the pressure: common error of all cells"
+    )
     pressure_lower: Array | None = col.end("kPa", "lower")
     pressure_upper: Array | None = col.end("kPa", "upper")
     saturated: NDArray[np.uint8] | None = col.flag(
-        "1: the response does not tell the pressure",
+        "1: the response leaves the pressure open",
         *("response_tells_pressure", "response_does_not_tell_pressure"),
         **col.MAYBE,
     )

@@ -126,7 +126,7 @@ def read_carried(path: Path) -> CarriedOver:
     """What a part left. Raises InputError where it cannot be read."""
     with hdf5.existing_file(path) as file:
         if hdf5.read_attribute(file, "/", "lampest_format") != CARRIED:
-            raise InputError(f"{path}: is not what a part of a case left behind")
+            raise InputError(f"{path}: is not the remainder of a part of a case")
         names = hdf5.child_datasets(file, "/carried")
         return CarriedOver({name: hdf5.read_array(file, f"/carried/{name}", (1, 2)) for name in names})
 

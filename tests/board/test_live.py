@@ -174,6 +174,20 @@ def test_every_word_fits_a_wide_and_a_narrow_screen(width: int, tmp_path: Path) 
         assert max(map(int, page.strip("rgb()").split(","))) < 64, "dark where the browser is"
 
 
+def test_a_change_on_the_map_is_never_called_nothing_and_an_alarm_is_said_once(tmp_path: Path) -> None:
+    with live(tmp_path, "--recording", LAMPREY, "--speed", 50) as (window, _):
+        window.until("return document.getElementById('state').innerText == 'the recording has ended'")
+        window.run("view.alarm = ''; view.detection.answer = view.detection.sentence = 'nothing'")
+        window.run("picture.verdict = 'pressing'; answer()")
+        assert window.text("sentence") == "still deciding: the map shows a change"
+        window.run("picture.verdict = 'nothing'; answer()")
+        assert window.text("sentence") == "nothing"
+        window.run("view.alarm = view.detection.sentence; answer()")
+        assert window.run(
+            "return document.getElementById('sentence').hidden && !document.getElementById('alarm').hidden"
+        )
+
+
 @pytest.mark.slow
 def test_a_solver_that_is_too_slow_drops_frames_and_says_so(tmp_path: Path) -> None:
     words = ("--recording", LAMPREY, "--speed", 1000, "--config", ROOT / "configs" / "table1.yaml")

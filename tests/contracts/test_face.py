@@ -179,6 +179,10 @@ WRONG: dict[str, tuple[Callable[[Recording], object], str]] = {
         lambda recording: lampest.reconstruct(recording, [Misfit]),
         "terms must hold objects such as Misfit(), not the class Misfit",
     ),
+    "a negative weight": (
+        lambda recording: Gradient(weight=-1),
+        "Gradient: weight must be zero or positive, and finite",
+    ),
     "a table for a recording": (
         lambda recording: Recording.load("mine.csv"),
         "mine.csv: is no recording; lampest.import_file (lampest import) makes one of it",
@@ -270,7 +274,27 @@ def test_a_result_says_what_was_chosen_and_what_speaks_against_it(found: Reconst
     assert found.weights.keys() == {"gradient"} and np.all(found.weights["gradient"] == 1e-3)
     assert found.noise.learned and isinstance(found.checks, tuple)
     shown = found._repr_html_()
-    assert "λ of gradient: 0.001" in shown and "█" in shown and "in frame 6 at 6 s" in shown
+    assert "gradient: 0.001" in shown and "[[Cells in frame 6 at 6 s]]" in shown and 'src="data:image/' in shown
+
+
+def test_a_fit_report_has_sections_as_lmfit_has_them(found: Reconstruction, lamprey: Recording) -> None:
+    lines = found.fit_report().splitlines()
+    titles = [line for line in lines if line.startswith("[[")]
+    assert titles[:4] == ["[[Model]]", "[[Fit Statistics]]", "[[Weights]]", "[[Cells in frame 6 at 6 s]]"]
+    values = dict(line.strip().split(" = ") for line in lines if " = " in line)
+    values = {name.strip(): value for name, value in values.items()}
+    assert values["frames solved"] == "4 of 4" and values["readings"] == "400 in 4 frames"
+    assert values["resistance"].endswith(" ohm") and values["change"].endswith(" %")
+    assert values["errors"].startswith("standard deviation of cells: own ")
+    assert float(values["reduced chi-square"].split()[0].replace(",", "")) > 0
+    silent = replace(lamprey, scene=replace(lamprey.scene, readout=None))
+    bare = lampest.reconstruct(silent, MISFIT, formulation="reduced", bounds=lampest.Bounds(upper="none"))
+    assert "chi-square" not in bare.fit_report() and "[[Weights]]" not in bare.fit_report()
+
+
+def test_names_that_are_listed_are_those_a_user_needs(found: Reconstruction) -> None:
+    assert not {"ast", "annotations", "import_module", "Path"} & set(dir(lampest))
+    assert not {"of", "asked", "tared"} & set(dir(found)) and {"cell_resistance", "fit_report"} <= set(dir(found))
 
 
 def test_what_is_saved_is_what_the_arrays_hold(found: Reconstruction, tmp_path: Path) -> None:
@@ -295,7 +319,10 @@ def test_without_noise_there_are_no_error_bars(lamprey: Recording) -> None:
     for name in ("cell_resistance_errors", "relative_change_upper", "pressure", "saturated", "resolution"):
         assert getattr(bare, name) is None
     assert "pressure" not in bare.to_xarray()
-    with pytest.raises(InputError, match="lamprey_35mm: holds no pressure to draw, which needs pressure"):
+    hint = (
+        r"holds no pressure to draw, which needs pressure.*; add .* to the scene, such as response: \{kind: published\}"
+    )
+    with pytest.raises(InputError, match=hint):
         bare.plot("pressure")
 
 
@@ -331,6 +358,12 @@ def test_a_table_has_a_line_for_every_cell_of_every_frame(found: Reconstruction)
     units = table.attrs["units"]
     assert (units["cell_resistance"], units["pressure"], units["time"]) == ("ohm", "kPa", "s")
     assert set(units) == set(table.columns) - {"row", "column"}
+
+
+def test_a_results_file_is_no_recording_and_says_what_it_is(found: Reconstruction, tmp_path: Path) -> None:
+    found.save(tmp_path / "r.h5")
+    with pytest.raises(InputError, match=r"r\.h5: holds results; lampest\.read_results reads them"):
+        Recording.load(tmp_path / "r.h5")
 
 
 def test_what_is_not_installed_is_named(found: Reconstruction, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -75,7 +75,7 @@ def test_tare_makes_other_frames_the_unloaded_ones_and_changes_nothing_else(reco
 
 def test_tare_says_where_something_came_or_went(recording: Path, lampest: Command) -> None:
     ended = lampest("tare", recording, "--frames", "10:30", "--out", recording.parent / "zeroed.h5")
-    assert ended.code == 0 and "did something come or go?" in ended.err
+    assert ended.code == 0 and "did a load come or go?" in ended.err
 
 
 @pytest.mark.parametrize(

@@ -74,10 +74,10 @@ def test_layout_says_what_columns_without_a_header_are(tmp_path: Path) -> None:
 
 def test_layout_must_fit(tmp_path: Path) -> None:
     path = table(tmp_path / "m.csv", long_table(FRAMES))
-    with pytest.raises(InputError, match="4 columns, but --layout names 3"):
+    with pytest.raises(InputError, match="4 columns, but `layout` names 3"):
         import_file(path, ROWS, COLUMNS, layout="row,column,value")
     np.save(tmp_path / "m.npy", FRAMES)
-    with pytest.raises(InputError, match="--layout is for tables"):
+    with pytest.raises(InputError, match="`layout` is for tables"):
         import_file(tmp_path / "m.npy", ROWS, COLUMNS, layout="row,column,value")
 
 
@@ -136,7 +136,7 @@ def test_matlab(tmp_path: Path, array: np.ndarray, said: str, packed: bool) -> N
     np.testing.assert_array_equal(recording.resistance, FRAMES if array.ndim == 3 else FRAMES[:1])
     assert notes[0] == f"array R read as {said}"
     scipy.io.savemat(path, {"R": array, "S": array * 2})
-    with pytest.raises(InputError, match="R, S would all fit; say which with --variable"):
+    with pytest.raises(InputError, match="R, S would all fit; say which with `variable`"):
         import_file(path, ROWS, COLUMNS)
     assert import_file(path, ROWS, COLUMNS, variable="S")[0].resistance[0, 0, 0] == 2 * FRAMES[0, 0, 0]
     with pytest.raises(InputError, match="no numeric array 'T'; there are R, S"):
@@ -293,7 +293,7 @@ def boastful(path: Path) -> None:
         ("m.npy", boastful, "no readable .npy file"),
         ("m.npy", lambda path: np.save(path, np.array([{}], dtype=object), allow_pickle=True), "no readable .npy"),
         ("m.npy", lambda path: np.save(path, FRAMES.astype(complex)), "no plain array of real numbers"),
-        ("m.npy", lambda path: np.save(path, FRAMES.transpose(0, 2, 1)), "with --transpose it would"),
+        ("m.npy", lambda path: np.save(path, FRAMES.transpose(0, 2, 1)), "with `transpose` it would"),
         ("m.npy", lambda path: np.save(path, FRAMES[:, :2]), "is 4 × 2 × 5, which fits 3 × 5 cells in no way"),
         ("m.mat", lambda path: path.write_bytes(GARBAGE), "no readable .mat file"),
         ("m.mat", lambda path: path.write_bytes(b""), "no readable .mat file"),

@@ -207,7 +207,7 @@ def test_cells_by_their_names_in_any_order(tmp_path: Path, pattern: str, first: 
 
 def test_names_beyond_the_panel_or_twice(tmp_path: Path) -> None:
     table = "\n".join([names("r{c}c{r}"), *wide(FRAMES)])
-    with pytest.raises(InputError, match=r"'r3c0' is beyond the panel of 3 × 5 cells, .*; with --transpose it would"):
+    with pytest.raises(InputError, match=r"'r3c0' is beyond the panel of 3 × 5 cells, .*; with `transpose` it would"):
         imported(tmp_path / "m.csv", table)
     recording, _ = imported(tmp_path / "m.csv", table, transpose=True)
     assert recording.resistance.shape == FRAMES.shape
@@ -240,7 +240,7 @@ def test_rows_and_columns_by_their_names(tmp_path: Path, first: int) -> None:
     np.testing.assert_array_equal(recording.resistance, FRAMES)
     assert said(notes, f"rows by their names, columns by their names from {first}")
     turned = "\n\n".join(blocks).replace("r", "?").replace("c", "r").replace("?", "c")
-    with pytest.raises(InputError, match="--transpose swaps"):
+    with pytest.raises(InputError, match="`transpose` swaps"):
         imported(tmp_path / "m.csv", turned)
 
 
@@ -353,7 +353,7 @@ def test_times(tmp_path: Path, name: str, stamps: Sequence[object], times: Seque
 @pytest.mark.parametrize(
     ("stamps", "message"),
     [
-        ((0, 2, 1, 3), r"m\.csv:4:1: times must be finite and grow; --period sets them"),
+        ((0, 2, 1, 3), r"m\.csv:4:1: times must be finite and grow; `period` sets them"),
         ((0, 1, 1, 3), r"m\.csv:4:1: times must be finite and grow"),
         ((0, "", 1, 3), r"m\.csv:3:1: times must be finite and grow"),
         (("1/2/2025", "2/2/2025", "3/2/2025", "4/2/2025"), "may be day/month/year or month/day/year"),
@@ -463,12 +463,12 @@ def test_units_by_the_values(
         return
     with pytest.raises(InputError) as caught:
         import_file(tmp_path / "m.npy", ROWS, COLUMNS, scene)
-    assert not unit or f"may be {' or '.join(unit)}; say which with --unit {unit[0]} or" in str(caught.value)
+    assert not unit or f"may be {' or '.join(unit)}; say which with `unit={unit[0]!r}` or" in str(caught.value)
     assert unit or "fit none of volt, mV, code" in str(caught.value)
 
 
 def test_volt_and_ohm_that_both_fit(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="may be ohm or kohm; say which with --unit ohm or --unit kohm"):
+    with pytest.raises(InputError, match="may be ohm or kohm; say which with `unit='ohm'` or `unit='kohm'`"):
         imported(tmp_path / "m.csv", "\n".join(wide((FRAMES / 100).round(3))))
     with pytest.raises(InputError, match="may be kohm or volt"):
         imported(tmp_path / "m.csv", "\n".join(wide(VOLTS.round(2))), scene=DIVIDER)
@@ -497,7 +497,7 @@ def test_units_of_headers(tmp_path: Path, header: str, factor: float | None, uni
 
 
 def test_units_of_headers_that_are_none(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="unit 'MΩ' is none of ohm, kohm, volt, mV and code; --unit overrides"):
+    with pytest.raises(InputError, match="unit 'MΩ' is none of ohm, kohm, volt, mV and code; `unit` overrides"):
         imported(tmp_path / "m.csv", "\n".join([names("r{r}c{c} [MΩ]"), *wide(FRAMES)]))
     mixed = names("r{r}c{c} [ohm]").replace("r2c4 [ohm]", "r2c4 [kohm]")
     with pytest.raises(InputError, match="name both ohm and kohm"):
@@ -550,7 +550,7 @@ def test_nothing_is_left(tmp_path: Path) -> None:
         imported(tmp_path / "m.csv", nothing)
     holes = FRAMES.copy()
     holes[:, 0, 0] = np.nan
-    with pytest.raises(InputError, match="no frame would be left; --missing mark keeps them"):
+    with pytest.raises(InputError, match="no frame would be left; `missing='mark'` keeps them"):
         imported(tmp_path / "m.csv", "\n".join(wide(holes)), missing="skip-frame")
     with pytest.raises(InputError, match="'drop' is unknown; there are mark, skip-frame, refuse"):
         imported(tmp_path / "m.csv", "\n".join(wide(FRAMES)), missing="drop")
@@ -597,7 +597,7 @@ def test_excel(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"1 fields; 3 × 5 cells need"):
         import_file(book(tmp_path / "m.xlsx", Data=column), ROWS, COLUMNS)
     two = book(tmp_path / "m.xlsx", A=sheet_of(FRAMES), B=sheet_of(2 * FRAMES))
-    with pytest.raises(InputError, match="the sheets A, B would all fit; say which with --variable"):
+    with pytest.raises(InputError, match="the sheets A, B would all fit; say which with `variable`"):
         import_file(two, ROWS, COLUMNS)
     np.testing.assert_allclose(import_file(two, ROWS, COLUMNS, variable="B")[0].resistance, 2 * FRAMES)
     with pytest.raises(InputError, match="no sheet 'C'; there are A, B"):
@@ -625,7 +625,7 @@ def test_npz(tmp_path: Path) -> None:
     np.testing.assert_allclose(recording.time, [0, 0.25, 0.5, 0.75])
     assert said(notes, "array R_kohm read as (frames, rows, columns)") and said(notes, "time: array time_ms in ms")
     np.savez(path, a=FRAMES, b=2 * FRAMES)
-    with pytest.raises(InputError, match="a, b would all fit; say which with --variable"):
+    with pytest.raises(InputError, match="a, b would all fit; say which with `variable`"):
         import_file(path, ROWS, COLUMNS)
     np.testing.assert_array_equal(import_file(path, ROWS, COLUMNS, variable="b")[0].resistance, 2 * FRAMES)
 

@@ -10,8 +10,9 @@ from types import SimpleNamespace
 import pytest
 from typer.main import get_command
 
-from lampest import Estimator, Misfit, Recording
+from lampest import Estimator, Misfit, Recording, read_results
 from lampest.cli import app, screen
+from lampest.report.compare import compare
 from lampest.report.live.engine import Engine
 from lampest.report.live.run import from_recording
 
@@ -35,6 +36,45 @@ def test_every_option_has_help_and_every_command_an_example(name: str) -> None:
             assert FIGURES.search(parameter.help), f"{name}: {parameter.name} shows no value"
 
 
+def test_no_help_holds_an_emoji(lampest: Command) -> None:
+    """Of words between two colons the help's renderer makes a picture where it knows one."""
+    for name in ("compare", "plot", "export", "detect", "tare"):
+        ended = lampest(name, "--help")
+        assert ended.code == 0 and not re.search("[\u2600-\u27bf\U0001f000-\U0001faff]", ended.out), name
+
+
+def test_a_mat_begins_with_a_scene_of_contacts_in_which_a_penalty_wins(
+    tmp_path: Path, lampest: Command, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert lampest("init", "--readout", "pull_ups", "--purpose", "mat").code == 0
+    scene = (tmp_path / "scene.yaml").read_text()
+    assert "\npurpose: mat " in scene and "docs/" not in scene
+    assert lampest("run", "run.yaml", "--jobs", "1").code == 0
+    rows = {row["estimator"]: row["cell error median [%]"] for row in compare(read_results("results/run/results.h5"))}
+    assert rows["smooth"] < 0.7 * rows["no_penalty"]
+    ended = lampest("compare", "results/run/results.h5", "--report", "page.html")
+    assert ended.code == 0
+    headline = re.search(r'class="headline">([^<]*)', (tmp_path / "page.html").read_text())
+    assert headline is not None and "no_penalty" not in headline[1]
+    wrong = lampest("init", "other", "--purpose", "lamprey")
+    assert wrong.code == 2 and "there is no 'lamprey'; there is mat" in wrong.err and not (tmp_path / "other").exists()
+
+
+def test_detect_writes_into_results_and_leaves_the_recordings_folder_alone(
+    tmp_path: Path, lampest: Command, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "data").mkdir()
+    monkeypatch.chdir(tmp_path)
+    assert lampest("init", "start", "--purpose", "mat").code == 0
+    shutil.move("start/example.h5", "data/mine.h5")
+    ended = lampest("detect", "data/mine.h5")
+    assert ended.code == 0 and ended.out.startswith("contact since ")
+    assert [path.name for path in (tmp_path / "data").iterdir()] == ["mine.h5"]
+    written = sorted(path.name for path in (tmp_path / "results" / "mine").iterdir())
+    assert written == ["detections.h5", "timeline_mine.png"]
+
+
 @pytest.mark.parametrize(
     "name",
     ["run", "simulate", "live"]
@@ -49,7 +89,7 @@ def test_words_of_the_release_before_answer_and_say_the_new_ones(lampest: Comman
     for old, new in (("terms", "show terms"), ("schema", "show schema")):
         ended, again = lampest(old), lampest(*new.split())
         assert (ended.code, ended.out) == (0, again.out) and again.err == ""
-        assert ended.err == f"lampest: {old} is now: lampest {new}; the old word answers for one release more\n"
+        assert ended.err == f"lampest: {old} is now: lampest {new}; the old name works for one more release\n"
     for old, new in (("tune", "study weights"), ("bench", "study bench"), ("repair", "check --repair")):
         ended = lampest(old, "nowhere.x")
         assert ended.code == 2 and f"lampest {new}" in ended.err and "nowhere.x: no such file" in ended.err.lower()
@@ -102,7 +142,7 @@ def test_results_of_other_cases_are_kept_aside(disk: SimpleNamespace, lampest: C
     assert lampest("run", run, "--out", out, "--jobs", "1").err == "" and len(list(out.glob("*.h5"))) == 1
     before = (out / "results.h5").read_bytes()
     ended = lampest("run", run, "--out", out, "--jobs", "1", "--set", "solver.tolerance=1e-7")
-    assert "held other cases; they are kept" in ended.err and str(out / "results_1.h5") in ended.err
+    assert "existing results of other cases were renamed: " in ended.err and str(out / "results_1.h5") in ended.err
     assert (out / "results_1.h5").read_bytes() == before
     assert (out / "results.h5").read_bytes() != before
 

@@ -104,7 +104,7 @@ def test_many_recordings_are_summed_up() -> None:
     line = dict(zip(block.headers, block.cells[0], strict=True))
     errors = [row["cell error median [%]"] for row in rows if row["estimator"] == "LSM"]
     assert float(line["cell error [%], median"]) == pytest.approx(np.median(errors), rel=0.01)
-    assert float(line["least … most of them"].split(" … ")[1]) == pytest.approx(max(errors), rel=0.01)
+    assert float(line["smallest … largest"].split(" … ")[1]) == pytest.approx(max(errors), rel=0.01)
     assert line["solved"] == "21/21"
 
 
@@ -133,7 +133,7 @@ def test_a_picture_for_every_shape(rows: int, columns: int, truth: bool) -> None
     cases = tuple(invented_case(name, shape=(2, rows, columns), truth=truth) for name in METHODS[:2])
     figure = ContourPlot().draw(cases)
     titles = [axes.get_title().split("\n")[0] for axes in figure.axes if axes.get_title()]
-    assert titles == ["(a) measured two-point", "(b) LSM", "(c) LSR-CR"] + ["(d) truth"] * truth
+    assert titles == ["measured", "LSM", "LSR-CR"] + ["truth"] * truth
     assert "frame 6 at 6 s" in figure.get_suptitle()
 
 
@@ -166,7 +166,7 @@ def test_where_pictures_go(tmp_path: Path) -> None:
     assert plot_results(tmp_path / "one.h5", tmp_path / "x.png") == [tmp_path / "x.png"]
     names = [path.name for path in plot_results(tmp_path / "two.h5", tmp_path / "new")]
     assert names == ["contours_a.png", "contours_b.png"] and (tmp_path / "new" / "contours_b.png").exists()
-    with pytest.raises(InputError, match=r"2 \(a, b\): choose with --recording and --estimator, or name a folder"):
+    with pytest.raises(InputError, match=r"2 \(a, b\): choose a recording, or name a folder"):
         plot_results(tmp_path / "two.h5", tmp_path / "x.png")
     one = plot_results(tmp_path / "two.h5", tmp_path / "x.png", recordings=["b"])
     assert one == [tmp_path / "x.png"] and one[0].read_bytes() == (tmp_path / "new" / "contours_b.png").read_bytes()
@@ -195,7 +195,7 @@ def test_an_optimum_is_called_local_with_its_starts(tmp_path: Path) -> None:
         ],
     )
     told = "\n".join(describe(tmp_path / "r.h5"))
-    assert "solved 3/3, local optima, the lowest from 1 to 4 starts a frame  r " in told
+    assert "solved 3/3, verified local optima, best of 1 to 4 starts a frame  r " in told
     assert told.count("local optima") == 1
 
 

@@ -15,12 +15,12 @@ from support import invented_case
 from lampest.files.errors import InputError
 from lampest.loads.recognition.attachment import Attachment, continued_by
 from lampest.loads.recognition.settings import ModelErrors
-from lampest.loads.shapes import OralDisc
+from lampest.loads.shapes import Block, OralDisc, Rod
 from lampest.panel.panel import Panel
 from lampest.panel.readouts import LoadedColumnsReadout, TwoPointReadout
 from lampest.panel.scene import Faults, Scene, Systematic, Water
 from lampest.recording.recording import Recording
-from lampest.recording.simulation.simulation import Course, Simulation, simulate
+from lampest.recording.simulation.simulation import Cells, Course, Simulation, simulate
 from lampest.report.detect.answer import (
     CANNOT_SAY,
     CUP,
@@ -107,7 +107,7 @@ def test_the_answer_follows_from_two_probabilities(change: dict[str, Any], rate:
 def test_the_most_alarming_attachment_is_the_answer() -> None:
     rod = dataclasses.replace(SEEN, sucks=0.0, suction_kpa=None)
     assert Detected.of("two", (BREATHES, rod), 4.0).answer == LAMPREY
-    assert Detected.of("two", (rod,), 4.0).sentence.startswith("something that presses, there since 6.0 s, 35 ± 2 mm")
+    assert Detected.of("two", (rod,), 4.0).sentence.startswith("contact since 6.0 s, 35 ± 2 mm at (44, 46) mm")
     gone = dataclasses.replace(BREATHES, since_s=9.0, until_s=30.0)
     assert "attached since 6.0 s" in Detected.of("two", (BREATHES, gone), 4.0).sentence, "what is there comes first"
     nothing = Detected.of("none", (), 4.0)
@@ -167,7 +167,7 @@ def test_the_file_has_the_names_of_the_json(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_a_recording_is_enough(tmp_path: Path, lampest: Command) -> None:
     recorded(frames=56, frame_period_s=0.25, course=BREATHING).save(tmp_path / "mouth.h5")
-    said = lampest("detect", tmp_path / "mouth.h5", "--all")
+    said = lampest("detect", tmp_path / "mouth.h5", "--all", "--out", tmp_path)
     assert said.code == 0 and said.out.startswith("lamprey attached since ") and "P(breathes)" in said.out
     assert (tmp_path / "detections.h5").is_file() and (tmp_path / "timeline_mouth.png").is_file()
     (answer,) = json.loads(lampest("detect", tmp_path / "mouth.h5", "--json").out)
@@ -208,12 +208,56 @@ def test_other_readouts_are_watched_too(tmp_path: Path) -> None:
     assert answer.answer == SUCKS and answer.attachments[0].place == pytest.approx((48, 36), abs=2)
 
 
-@pytest.mark.parametrize(("period_s", "said"), [(1.0, True), (0.5, True), (0.25, False), (0.1, False)])
-def test_too_few_frames_a_second_are_advised_against(tmp_path: Path, period_s: float, said: bool) -> None:
+@pytest.mark.parametrize(
+    ("period_s", "loads", "said"), [(1.0, (MOUTH,), True), (0.25, (MOUTH,), False), (1.0, (), False)]
+)
+def test_too_few_frames_a_second_are_advised_against_where_something_sucks(
+    tmp_path: Path, period_s: float, loads: tuple[OralDisc, ...], said: bool
+) -> None:
     path = tmp_path / "still.h5"
-    recorded(frames=3, frame_period_s=period_s, loads=()).save(path)
-    assert any("breathing shows at four" in line for line in describe(path)) == said
+    recorded(frames=4, frame_period_s=period_s, loads=loads, course=Course(start_s=0.1)).save(path)
     assert any("breathing shows at four" in note for note in detect_recording(path).notes) == said
+    assert not any("breathing" in line for line in describe(path))
+
+
+MAT = Scene(
+    Panel(12, 12, 10.0), LoadedColumnsReadout(load_ohm=35e3, polarity="down", noise_lsb=1, readings=4), purpose="mat"
+)
+ELL = (
+    Block(centre_mm=(25, 40), length_mm=60, width_mm=20, angle_deg=90, mass_g=800),
+    Block(centre_mm=(45, 60), length_mm=30, width_mm=20, mass_g=400),
+)
+
+
+def mat_answer(tmp_path: Path, **known: Any) -> Detected:
+    """Two separate contacts on a mat, an L and a disc, or other loads."""
+    loads = (*ELL, Rod(centre_mm=(90, 90), diameter_mm=30, mass_g=600))
+    cells = Cells(resistance_ohm=30e3, spread=0.2, patch_mm=6)
+    recorded(scene=MAT, cells=cells, frame_period_s=0.25, **{"loads": loads} | known).save(tmp_path / "mat.h5")
+    return detect_recording(tmp_path / "mat.h5")
+
+
+def test_two_separate_contacts_are_two_with_place_and_area(tmp_path: Path) -> None:
+    answer = mat_answer(tmp_path)
+    assert answer.answer == PRESSES and len(answer.attachments) == 2
+    ell, disc = sorted(answer.attachments, key=lambda one: one.x_mm[0])
+    assert disc.place == pytest.approx((90, 90), abs=3) and 7 <= disc.cells <= 13
+    assert ell.place == pytest.approx((32, 47), abs=8) and 14 <= ell.cells <= 30
+    assert answer.sentence.startswith("2 contacts: since ") and answer.sentence.count(" cells, ") == 2
+
+
+def test_a_mat_speaks_of_contacts_alone(tmp_path: Path) -> None:
+    answer = mat_answer(tmp_path, loads=(MOUTH,))
+    words = json.dumps(answer.content()["sentence"]) + " ".join(answer.notes)
+    assert answer.answer == PRESSES and not any(word in words for word in ("suck", "lamprey", "breath"))
+
+
+def test_of_two_contacts_each_keeps_its_own_history() -> None:
+    """Also where a third comes that is nearer to one of them than nothing else."""
+    left, right = (dataclasses.replace(SEEN, sucks=0.0, diameter_mm=None, x_mm=(x, 1.0)) for x in (10.0, 90.0))
+    new = dataclasses.replace(left, x_mm=(60.0, 1.0), since_s=9.0)
+    found = continued_by((left, right), [new, left, right], 9.0)
+    assert sorted((one.x_mm[0], one.since_s) for one in found) == [(10.0, 6.0), (60.0, 9.0), (90.0, 6.0)]
 
 
 def test_one_frame_shows_no_change(tmp_path: Path) -> None:

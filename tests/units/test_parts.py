@@ -338,7 +338,7 @@ def test_commands_read_long_files_by_parts(tmp_path: Path, lampest: Command, mon
     for file in (tmp_path / "long.h5", results):
         assert lampest("check", file).code == 0
         told = lampest("info", file)
-        assert told.code == 0 and "too long to be held at once; of frames" in told.out
+        assert told.code == 0 and "too long for memory; frames" in told.out
     assert "60: 6 unloaded, 54 measured; 0 to 5.9 s" in lampest("info", tmp_path / "long.h5").out
     for command in (("compare",), ("detect",), ("export", "--to", "csv"), ("plot",)):
         whole = lampest(command[0], results, *command[1:])

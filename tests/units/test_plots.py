@@ -5,20 +5,22 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from numpy.testing import assert_allclose
 from support import METHODS, invented_case
 
 from lampest.files.errors import InputError
 from lampest.panel.panel import Panel
-from lampest.panel.readouts import TwoPointReadout
+from lampest.panel.readouts import LoadedColumnsReadout, TwoPointReadout
 from lampest.report.plots import PLOTS, Plot, plot_of, plot_results
-from lampest.report.plots.maps import RESOLUTION, MapPainter, Tile, banded_scale
+from lampest.report.plots.maps import RESOLUTION, MapPainter, Tile, banded_scale, change_scale
 from lampest.report.plots.style import change_text, new_figure
+from lampest.report.words import digits
 from lampest.runs.case import CaseResult
 from lampest.runs.columns import FRAMES, Column
 from lampest.runs.held import COLUMNS
@@ -66,7 +68,7 @@ def test_a_plot_of_a_package_is_asked_for_by_its_word(package: Callable[..., Non
     write_results(tmp_path / "r.h5", [invented_case(method) for method in METHODS])
     package("lampest.plots", "addon:STEPS", ADDON)
     assert [file.name for file in plot_results(tmp_path / "r.h5", show="steps")] == ["steps_mouth.png"]
-    with pytest.raises(InputError, match=r"no plot 'step'; there are contours, certainty, .*steps"):
+    with pytest.raises(InputError, match=r"no plot 'step'; there are contours, change, .*certainty, steps"):
         plot_results(tmp_path / "r.h5", show="step")
 
 
@@ -101,12 +103,87 @@ def painted(painter: MapPainter, tile: Tile) -> Axes:
     return axes
 
 
-@pytest.mark.parametrize(("reference", "unit"), [(1.0, "R_ref"), (1000.0, "ohm")])
+@pytest.mark.parametrize(("reference", "unit"), [(1.0, "in reference resistors"), (1000.0, "[ohm]")])
 def test_resistances_over_an_unknown_reference_are_in_units_of_it(reference: float, unit: str) -> None:
     case = invented_case()
     scene = replace(case.scene, readout=TwoPointReadout(reference_ohm=reference))
     figure = plot_of("resistance").draw((replace(case, scene=scene),))
-    assert f"resistance [{unit}]" in {axes.get_ylabel() for axes in figure.axes}
+    assert {f"reading {unit}", f"resistance {unit}"} <= {axes.get_ylabel() for axes in figure.axes}
+
+
+def maps_of(figure: Figure) -> list[Axes]:
+    return [axes for axes in figure.axes if axes.get_title()]
+
+
+def test_a_loaded_cell_is_bright_and_every_map_of_resistance_has_its_own_scale() -> None:
+    case = invented_case()
+    crosstalk = replace(case, measured=case.measured / 50)
+    measured, estimated, _ = (axes.collections[1] for axes in maps_of(plot_of("resistance").draw((crosstalk,))))
+    low, high = (sum(measured.cmap(measured.norm(value))[:3]) for value in measured.norm.inverse(np.array([0.1, 0.9])))
+    assert low > high
+    assert measured.norm.vmax < estimated.norm.vmax
+
+
+def test_readings_of_pull_ups_are_shown_as_they_were_recorded() -> None:
+    case = invented_case()
+    readout = LoadedColumnsReadout(polarity="down", supply_volt=5.0, load_ohm=35e3, drive_ohm=30)
+    scene = replace(case.scene, readout=readout, series_resistance_ohm=0.0)
+    pulled_up = replace(case, scene=scene, measured=np.full_like(case.measured, 1.5))
+    measured = maps_of(plot_of("resistance").draw((pulled_up,)))[0]
+    assert_allclose(measured.collections[1].get_array(), 3.5)
+
+
+def distance(values: Any, truth: Any) -> float:
+    """Of two maps, relative to the second."""
+    return float(np.sqrt(np.sum((values - truth) ** 2) / np.sum(truth**2)))
+
+
+def test_a_map_of_change_shows_rim_and_centre_with_its_error_and_the_outline_of_the_load() -> None:
+    case = invented_case(shape=(1, 6, 6))
+    truth = np.ones((1, 6, 6))
+    truth[:, 1:5, 1:5], truth[:, 2:4, 2:4] = 0.06, 10.0
+    base = np.full((6, 6), 1000.0)
+    estimate = truth * 1.02
+    made = replace(
+        case,
+        truth=1000 * truth,
+        truth_baseline=base,
+        cell_resistance=1000 * estimate,
+        baseline_resistance=base,
+        relative_change=100 * (estimate - 1),
+        measured=np.full((1, 6, 6), 660.0),
+        measured_baseline=base,
+    )
+    figure = plot_of("change").draw((made,))
+    measured, estimated, true = maps_of(figure)
+    assert [axes.get_title().split("\n") for axes in (measured, estimated, true)] == [
+        ["measured", f"error {digits(100 * distance(np.log(0.66), np.log(truth)), 2)} %"],
+        ["estimated: LSM", f"error {digits(100 * distance(np.log(1.02 * truth), np.log(truth)), 2)} %"],
+        ["truth", "−94 … +900 %"],
+    ]
+    painted = true.collections[1]
+    colours = {value: tuple(painted.cmap(painted.norm(value))) for value in (-94.0, -67.0, -20.0, 0.0, 150.0, 901.0)}
+    assert len(set(colours.values())) == len(colours)  # rim and centre stand on one scale, neither beyond its end
+    assert "true outline of the load" in {text.get_text() for text in figure.legends[0].get_texts()}
+
+
+def test_halves_and_doubles_are_equally_strong_and_small_changes_keep_even_bands() -> None:
+    large = change_scale([np.array([-80.0, 400.0, 0.0])], "change [%]")
+    down, up = (large.norm(np.array([value]))[0] for value in (-60.0, 150.0))  # factors of 2.5
+    assert down + up == pytest.approx(large.colours.N - 1, abs=1)
+    assert change_scale([np.array([-4.0, 3.0])], "change [%]").norm.vmax == 5.0
+
+
+def test_residuals_are_those_of_the_readings_and_name_their_size() -> None:
+    case = replace(invented_case(), sigma=None, sigma_baseline=None)
+    (axes,) = maps_of(plot_of("residuals").draw((replace(case, reading_model=case.measured * 1.03),)))
+    assert axes.get_title() == "LSM\nrms 3.0 %"
+    assert_allclose(axes.collections[1].get_array(), 3.0)
+    known = replace(case, sigma=0.01 * case.measured, sigma_baseline=case.measured_baseline)
+    (axes,) = maps_of(plot_of("residuals").draw((replace(known, reading_model=case.measured * 1.03),)))
+    assert axes.get_title() == "LSM\nrms 3.0 σ"
+    (axes,) = maps_of(plot_of("residuals").draw((replace(known, reading_model=case.measured),)))
+    assert axes.get_title() == "LSM\nrms < 0.001 σ"
 
 
 @pytest.mark.parametrize("contoured", [True, False])

@@ -91,4 +91,4 @@ def test_tables_give_both_parts_of_pressures_where_something_presses() -> None:
     figures = figures_of(case, np.ones(SHAPE[0], bool))
     assert figures["own standard deviation of pressed cells median [kPa]"] == pytest.approx(0.2)
     assert figures["common standard deviation of pressed cells median [kPa]"] == pytest.approx(3.0)
-    assert case.error_words.endswith("pressure of pressed cells: each +- 0.2 kPa, all together +- 3 kPa")
+    assert case.error_words.endswith("of pressures: own 0.2 kPa, common 3 kPa")

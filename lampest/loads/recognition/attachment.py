@@ -6,14 +6,16 @@ from math import exp, hypot, inf, log
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from lampest.loads.pressure import CLEAR
 from lampest.loads.recognition.breathing import Breath
 from lampest.loads.recognition.candidates import UNIFORM, under
 from lampest.loads.recognition.evidence import Verdict
-from lampest.loads.recognition.observation import Observation
-from lampest.loads.shapes.disc import Disc
-from lampest.panel.panel import Array
+from lampest.loads.recognition.observation import FARTHEST, Observation
+from lampest.panel.panel import Array, Panel
 
 # Windows in which a mouth breathes; and of ln odds, what absence of breathing, and breathing, can bring together at
 # most. Assumptions.
@@ -101,39 +103,75 @@ class Attachment:
 
 
 def attachments_of(frame: Observation, verdict: Verdict, since: float) -> list[Attachment]:
-    """All loads of the most probable candidate."""
+    """Return all loads of the most probable candidate; of no shape, a load for each group of changed cells."""
     best, found, first = verdict.best, list[Attachment](), 0
     clear = best.evidence - max(fit.evidence for fit in verdict.fits if fit.candidate in UNIFORM)
+    cells = _ChangedCells.of(frame)
     for candidate, own in best.loads:
         disc, after = candidate.disc(own), first + len(own)
         covariance, first = best.covariance[first:after, first:after], after
-        here = replace(_touched(frame, best.change, disc), sucks=verdict.sucks_at(disc), since_s=since, clear=clear)
-        if disc is not None:
-            apart = frame.baseline.scene.panel.pitch_mm / 2
-            pairs: dict[str, Any] = {"x_mm": (disc.x_mm, apart), "y_mm": (disc.y_mm, apart)}
-            for name, (value, slopes) in candidate.report(own).items():
-                pairs[name] = value, float(np.sqrt(slopes @ covariance @ slopes))
-            here = replace(here, sucks_s=since if here.sucks > 0.5 else None, **pairs)
-        found.append(here)
+        groups = cells.groups() if disc is None else [cells.moved & under(frame.baseline.scene.panel, disc)]
+        for group in groups:
+            here = replace(cells.load(group), sucks=verdict.sucks_at(disc), since_s=since, clear=clear)
+            if disc is not None:
+                apart = frame.baseline.scene.panel.pitch_mm / 2
+                pairs: dict[str, Any] = {"x_mm": (disc.x_mm, apart), "y_mm": (disc.y_mm, apart)}
+                for name, (value, slopes) in candidate.report(own).items():
+                    pairs[name] = value, float(np.sqrt(slopes @ covariance @ slopes))
+                here = replace(here, sucks_s=since if here.sucks > 0.5 else None, **pairs)
+            found.append(here)
     return found
 
 
-def _touched(frame: Observation, change: Array, disc: Disc | None) -> Attachment:
-    """Cells that differ clearly from those at rest, near a disc or anywhere: their centre, area and conductance."""
-    panel = frame.baseline.scene.panel
-    cells = frame.cells(change, np.eye(change.size))
-    found, sd = (part.reshape(change.shape) for part in (cells.state, np.sqrt(np.diag(cells.covariance))))
-    moved = np.abs(found) > CLEAR * np.hypot(sd, frame.baseline.model_errors.resting_sd(frame.seconds))
-    if disc is not None:
-        moved &= under(panel, disc)
-    weight = np.abs(found) * (moved if moved.any() else 1.0)
-    at = [(float(np.nansum(weight * line) / weight.sum()), panel.pitch_mm / 2) for line in panel.places_mm]
-    resting = np.exp(-frame.baseline.logarithm)
-    more, error = resting * np.expm1(-found), resting * np.exp(-found) * sd
-    count, square = int(moved.sum()), panel.pitch_mm**2
-    conductance = float(more[moved].sum()), float(np.sqrt((error[moved] ** 2).sum()))
-    area = count * square, square * (max(count, 1) / 3) ** 0.5
-    return Attachment(0.0, 0.0, at[0], at[1], cells=count, area_mm2=area, conductance_s=conductance)
+@dataclass(frozen=True, eq=False)
+class _ChangedCells:
+    """Cells of a frame whatever stands on them.
+
+    Attributes
+    ----------
+    change : (rows, columns), ln r/r0 of every cell.
+    moved : (rows, columns), cells that differ clearly from those at rest.
+    more, errors : (rows, columns), conductance beyond that at rest in siemens, and its standard deviation.
+    panel : the panel of the cells.
+    """
+
+    change: Array
+    moved: NDArray[np.bool_]
+    more: Array
+    errors: Array
+    panel: Panel
+
+    @classmethod
+    def of(cls, frame: Observation) -> "_ChangedCells":
+        """Estimate the cells of a frame with a Gaussian prior of standard deviation 1."""
+        shape = frame.measured.shape
+        cells = frame.cells(np.zeros(shape), np.eye(frame.measured.size))
+        change, sd = cells.state.reshape(shape), np.sqrt(np.diag(cells.covariance)).reshape(shape)
+        moved = np.abs(change) > CLEAR * np.hypot(sd, frame.baseline.model_errors.resting_sd(frame.seconds))
+        resting = np.exp(-frame.baseline.logarithm)
+        more, errors = resting * np.expm1(-change), resting * np.exp(-change) * sd
+        return cls(change, moved, more, errors, frame.baseline.scene.panel)
+
+    def groups(self) -> list[NDArray[np.bool_]]:
+        """Return the groups of neighbouring changed cells that noise cannot make; all cells where there is none."""
+        first, second, _ = self.panel.neighbours
+        linked = self.moved.flat[first] & self.moved.flat[second]
+        pairs = coo_array((linked[linked], (first[linked], second[linked])), shape=2 * (self.moved.size,))
+        _, labels = connected_components(pairs, directed=False)
+        groups = [labels.reshape(self.moved.shape) == label for label in dict.fromkeys(labels[self.moved.ravel()])]
+        sure = [
+            group for group in groups if abs(self.more[group].sum()) > FARTHEST * np.hypot.reduce(self.errors[group])
+        ]
+        return sure or [self.moved]
+
+    def load(self, group: NDArray[np.bool_]) -> Attachment:
+        """Return the centre, area and conductance of a group of cells."""
+        weight, apart = np.abs(self.change) * (group if group.any() else 1.0), self.panel.pitch_mm / 2
+        x, y = (float(np.nansum(weight * line) / weight.sum()) for line in self.panel.places_mm)
+        count, square = int(group.sum()), self.panel.pitch_mm**2
+        conductance = float(self.more[group].sum()), float(np.hypot.reduce(self.errors[group]))
+        area = count * square, square * (max(count, 1) / 3) ** 0.5
+        return Attachment(0.0, 0.0, (x, apart), (y, apart), cells=count, area_mm2=area, conductance_s=conductance)
 
 
 def continued_by(
@@ -145,7 +183,8 @@ def continued_by(
     stay, and what was seen since the step alone was a part of another.
     """
     attachments, left = list(before), [number for number, one in enumerate(before) if one.here]
-    for load in found:
+    apart = [min((attachments[number].distance(load.place) for number in left), default=inf) for load in found]
+    for load in (found[number] for number in np.argsort(apart, kind="stable")):
         near = min(left, key=lambda number: attachments[number].distance(load.place), default=None)
         if near is not None and attachments[near].distance(load.place) < max(attachments[near].size, load.size):
             attachments[near] = attachments[near].continued(load)

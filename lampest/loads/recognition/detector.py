@@ -46,11 +46,15 @@ MOST_AT_ONCE = 3  # loads
 
 @dataclass(frozen=True, eq=False)
 class Detector:
-    """A panel whose cells have films of an edge of `patch_mm`, and the loads that may stand on it."""
+    """A panel whose cells have films of an edge of `patch_mm`, and the loads that may stand on it.
+
+    any_form : contacts of any form are expected, and no shape is fitted.
+    """
 
     panel: Panel
     patch_mm: float
     loads: tuple[Candidate, ...] = LOADS
+    any_form: bool = False
 
     @cached_property
     def search(self) -> DiscSearch:
@@ -63,6 +67,8 @@ class Detector:
         if (calm := self.calm(frame)) is not None:
             return self._judged(calm, ())
         (field, without), found = field_fit(frame), list[Verdict]()
+        if self.any_form:
+            return self._judged(without, (field,))
         kinds = tuple(load for load in self.loads if not load.sucks or rises(without)) or self.loads
         if before is not None and before.loads:
             found.append(self._settled(frame, before.loads, field, without))

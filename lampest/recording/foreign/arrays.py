@@ -235,7 +235,7 @@ def frames_of_arrays(path: Path, shape: Shape, variable: str | None) -> Frames:
     name = _chosen(path, arrays, fits, shape, variable)
     array, where = arrays[name], f"{path}: {name}" if name else str(path)
     if not fits[name]:
-        hint = "; with --transpose it would" if shape[0] != shape[1] and array.shape[-2:] == shape[::-1] else ""
+        hint = "; with `transpose` it would" if shape[0] != shape[1] and array.shape[-2:] == shape[::-1] else ""
         ways = f"fits {shape[0]} × {shape[1]} cells in no way: {', '.join(layouts)}"
         raise InputError(f"{where}: is {_by(array.shape)}, which {ways}{hint}")
     check_count(where, array.size)
@@ -263,7 +263,7 @@ def _chosen(path: Path, arrays: Arrays, fits: dict[str, list[str]], shape: Shape
         raise InputError(f"{path}: no numeric array '{variable}'; there are {', '.join(arrays) or 'none'}")
     chosen = [name for name in arrays if fits[name] or name == ""] if variable is None else [variable]
     if len(chosen) > 1:
-        raise InputError(f"{path}: {', '.join(chosen)} would all fit; say which with --variable")
+        raise InputError(f"{path}: {', '.join(chosen)} would all fit; say which with `variable`")
     if not chosen:
         listed = ", ".join(f"{name} ({_by(array.shape)})" for name, array in arrays.items()) or "none"
         raise InputError(f"{path}: no array fits {shape[0]} × {shape[1]} cells; the numeric arrays are: {listed}")

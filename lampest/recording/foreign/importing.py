@@ -104,7 +104,7 @@ def _panel(rows: int | None, columns: int | None, scene: Scene | None) -> Panel:
             raise InputError(f"the scene's panel has {has[0]} × {has[1]} cells, not {asked[0]} × {asked[1]}")
         return scene.panel
     if rows is None or columns is None:
-        raise InputError("how large is the panel? Say --rows and --columns, or give a --scene")
+        raise InputError("how large is the panel? Say `rows` and `columns`, or give a `scene`")
     try:
         return Panel(rows, columns)
     except ValueError as error:
@@ -145,9 +145,9 @@ def _read_frames(path: Path, shape: Shape, variable: str | None, layout: str | L
         if kind in NOT_READ:
             raise InputError(f"{path}: {kind} files are not read; {NOT_READ[kind]}")
         if variable is not None and kind not in NAMED:
-            raise InputError(f"{path}: holds nothing by name; --variable is for {', '.join(NAMED)}")
+            raise InputError(f"{path}: holds nothing by name; `variable` is for {', '.join(NAMED)}")
         if layout is not None and kind in READERS:
-            raise InputError(f"{path}: holds arrays; --layout is for tables")
+            raise InputError(f"{path}: holds arrays; `layout` is for tables")
         if kind in READERS:
             return frames_of_arrays(path, shape, variable)
         if kind in SHEETS:
@@ -169,7 +169,7 @@ def _of_sheets(path: Path, shape: Shape, wanted: str | None, layout: str | None)
         except InputError as error:
             wrong.append(error)
     if len(fitting) > 1:
-        raise InputError(f"{path}: the sheets {', '.join(fitting)} would all fit; say which with --variable")
+        raise InputError(f"{path}: the sheets {', '.join(fitting)} would all fit; say which with `variable`")
     if not fitting:
         raise wrong[min(1, len(wrong) - 1)]
     return next(iter(fitting.values()))
@@ -183,9 +183,9 @@ def _clock(frames: Frames, period: float | None, unit: str | None, path: Path) -
         unused = "; those of the file are not used" if frames.timing is not None else ""
         return Clock(number * period, None, f"time: a frame every {period:g} s, as specified{unused}")
     if frames.timing is None and unit is not None:
-        raise InputError(f"{path}: holds no times that could be in {unit}; --period sets them")
+        raise InputError(f"{path}: holds no times that could be in {unit}; `period` sets them")
     if frames.timing is None:
-        return Clock(number, None, "no time in the file: one frame a second is assumed; --period says otherwise")
+        return Clock(number, None, "no time in the file: one frame a second is assumed; `period` says otherwise")
     return frames.timing(unit)
 
 
@@ -200,7 +200,7 @@ def _without_missing(blank: NDArray[np.bool_], missing: str, path: Path) -> tupl
     if missing == "mark":
         return np.ones_like(gaps), f"{said}: NaN in the recording"
     if np.all(gaps):
-        raise InputError(f"{path}: {said}, so that no frame would be left; --missing mark keeps them")
+        raise InputError(f"{path}: {said}, so that no frame would be left; `missing='mark'` keeps them")
     return ~gaps, f"{said}: these frames are left out"
 
 

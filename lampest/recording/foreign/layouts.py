@@ -42,7 +42,7 @@ def frames_of(table: ReadingsTable, shape: Shape) -> Frames:
     raise InputError(
         f"{table.place(0, None)}: {table.width} fields; {shape[0]} × {shape[1]} cells need {cells}, {cells + 1} with "
         f"the time, or 3 or 4 for row, column, value and frame, or {shape[1]} in a line for each row"
-        + ("; with --transpose it would fit" if turned else "")
+        + ("; with `transpose` it would fit" if turned else "")
     )
 
 
@@ -59,7 +59,7 @@ def _cells_by_name(source: str, names: Sequence[str], shape: Shape) -> tuple[Cel
             same = f"{names[seen[row, column]]!r} and {names[field]!r}"
             raise InputError(f"{source}: the header's {same} are the same cell")
         if row >= shape[0] or column >= shape[1]:
-            turned = "; with --transpose it would fit" if row < shape[1] and column < shape[0] else ""
+            turned = "; with `transpose` it would fit" if row < shape[1] and column < shape[0] else ""
             sizes = f"{shape[0]} × {shape[1]} cells, counted from {first}"
             raise InputError(f"{source}: the header's {names[field]!r} is beyond the panel of {sizes}{turned}")
     example = f"{names[min(named)]!r} is row {cells[min(named)][0]}, column {cells[min(named)][1]}"
@@ -242,7 +242,7 @@ def _before_the_row(table: ReadingsTable, extra: int, rows: int) -> tuple[Index 
     bad = (numbers < 0) | (numbers - first >= rows)
     table.refuse(bad, labelled[-1], f"{{0!r}} is none of the panel's {rows} rows")
     columns = np.array([re.fullmatch(COLUMN, word) is not None for word, _ in lines])
-    table.refuse(columns, labelled[-1], "{0!r} names a column; --transpose swaps the two")
+    table.refuse(columns, labelled[-1], "{0!r} names a column; `transpose` swaps the two")
     return numbers - first, times
 
 
@@ -254,7 +254,7 @@ def _column_order(table: ReadingsTable, extra: int, columns: int) -> tuple[list[
     if len(names) != columns or sorted(numbers) not in (list(range(columns)), list(range(1, columns + 1))):
         return list(range(columns)), "columns from left to right"
     if any(re.fullmatch(ROW, word) for word, _ in lines):
-        raise InputError(f"{table.source.source}: the header's {names[0]!r} names a row; --transpose swaps")
+        raise InputError(f"{table.source.source}: the header's {names[0]!r} names a row; `transpose` swaps")
     return [number - min(numbers) for number in numbers], f"columns by their names from {min(numbers)}"
 
 

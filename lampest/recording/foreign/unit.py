@@ -46,9 +46,9 @@ def understood_unit(values: Array, said: Sequence[str], scene: Scene | None, sou
     if not fitting:
         volt = "" if readout is None else f", whose converter ends at {readout.full_scale_volt:g} V"
         none = f"{span} fit none of {', '.join(allowed)} in this scene{volt}"
-        raise InputError(f"{source}: {none}; --unit says what they are")
+        raise InputError(f"{source}: {none}; `unit` says what they are")
     if len(fitting) > 1:
-        ways = " or ".join(f"--unit {unit}" for unit in fitting)
+        ways = " or ".join(f"`unit={unit!r}`" for unit in fitting)
         raise InputError(f"{source}: {span} may be {' or '.join(fitting)}; say which with {ways}")
     how = "assumed" if fitting[0] == "ohm" and readout is None else "guessed"
     return fitting[0], f"unit {fitting[0]}, {how}: {span} ({reason})"

@@ -124,7 +124,7 @@ def units_of(names: Sequence[str]) -> tuple[str, ...]:
     said: tuple[str, ...] = ()
     for units in filter(None, map(_units_of_one, names)):
         if said and not set(said) & set(units):
-            raise InputError(f"the headers name both {said[0]} and {units[0]}; --unit says which it is")
+            raise InputError(f"the headers name both {said[0]} and {units[0]}; `unit` says which it is")
         said = units if not said or len(units) < len(said) else said
     return said
 
@@ -135,7 +135,7 @@ def _units_of_one(name: str) -> tuple[str, ...]:
     if unit in ("v", "V"):
         return ("volt",)
     if unit.lower() not in UNITS_OF_WORD and ELECTRIC.fullmatch(unit):
-        raise InputError(f"the header's unit {unit!r} is none of ohm, kohm, volt, mV and code; --unit overrides")
+        raise InputError(f"the header's unit {unit!r} is none of ohm, kohm, volt, mV and code; `unit` overrides")
     ends = [word for word in (plain.split("_")[0], plain.split("_")[-1]) if len(word) > 1]  # r_0_c_1 is a cell
     return next((UNITS_OF_WORD[word] for word in (unit.lower(), plain, *ends) if word in UNITS_OF_WORD), ())
 
@@ -290,7 +290,7 @@ def _growing(seconds: Array, where: Where) -> tuple[Array, str]:
     cut = np.flatnonzero(~grow)
     if len(cut) > MAX_CUT * len(seconds):
         bad = ~np.isfinite(seconds) | (np.diff(seconds, prepend=-np.inf) <= 0)
-        raise InputError(f"{where(int(np.argmax(bad)))}: times must be finite and grow; --period sets them instead")
+        raise InputError(f"{where(int(np.argmax(bad)))}: times must be finite and grow; `period` sets them instead")
     if not len(cut):
         return seconds, ""
     number, known = np.arange(len(seconds)), np.flatnonzero(grow)

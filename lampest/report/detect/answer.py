@@ -18,7 +18,7 @@ ANSWERS = ("lamprey", "sucks", "suction cup", "presses", "nothing", "cannot say"
 LAMPREY, SUCKS, CUP, PRESSES, NOTHING, CANNOT_SAY = ANSWERS
 BARE = 0.99  # probability that a panel is bare on which nothing stepped: weak loads make no step; an assumption
 SURE = 0.9  # from which on an attachment is called lamprey, or suction cup
-SOMETHING = {SUCKS: "something that sucks (lamprey or cup)", PRESSES: "something that presses"}
+MAX_CONTACTS = 4  # that a sentence describes
 PAIRS = {
     "x_mm": ("mm", "centre across the columns, column 0 at 0"),
     "y_mm": ("mm", "centre across the rows, row 0 at 0"),
@@ -27,13 +27,13 @@ PAIRS = {
     "breathing_hz": ("Hz", "rate at which the suction changes"),
     "breathing_depth": ("1", "relative amplitude of that"),
     "area_mm2": ("mm2", "area of the touched cells"),
-    "conductance_s": ("S", "what the touched cells conduct more than at rest"),
+    "conductance_s": ("S", "conductance of the touched cells beyond that at rest"),
 }
 NUMBERS = {
     "sucks": ("1", "probability that it sucks"),
     "breathes": ("1", "probability that its suction changes as breathing does"),
     "since_s": ("s", "time at which it came"),
-    "until_s": ("s", "time at which it left; NaN: it is there"),
+    "until_s": ("s", "time at which it left; NaN: still present"),
     "cells": ("1", "number of touched cells"),
 }
 
@@ -105,26 +105,23 @@ class Detected:
 
     @property
     def sentence(self) -> str:
-        """The answer for people."""
+        """The answer for people: the attachment that it is about, of contacts all that are there."""
         one, why = self.chosen, f": {self.why}" if self.why else ""
         if one is None:
             return self.answer + why
-        begun = "since" if one.until_s is None else "from"
-        words = " attached" if one.sucks > 0.5 else ", there"
-        until = "" if one.until_s is None else f" to {one.until_s:.1f} s"
-        diameter = f", {_shown(one.diameter_mm, 'mm')}" if one.diameter_mm else ""
-        place = f" at ({one.x_mm[0]:.0f}, {one.y_mm[0]:.0f}) mm"
-        said = [f"{SOMETHING.get(self.answer, self.answer)}{words} {begun} {one.since_s:.1f} s{until}{diameter}{place}"]
-        if one.suction_kpa and one.sucks > 0.5:
-            said.append(_shown(one.suction_kpa, "kPa"))
-        if one.diameter_mm is None and one.area_mm2 is not None:
-            said += [f"{one.cells} cells", _shown(one.area_mm2, "mm²")]
+        odds = f"P = {self.probability:.2f}" if self.probability < 0.995 else "P > 0.99"
+        present = [load for load in self.attachments if load.here]
+        if self.answer == PRESSES and len(present) > 1:
+            shown = [_described(load) for load in present[:MAX_CONTACTS]]
+            shown += [f"{len(present) - MAX_CONTACTS} more"] if len(present) > MAX_CONTACTS else []
+            return f"{len(present)} contacts: {'; '.join(shown)} ({odds})"
+        name = {SUCKS: "something that sucks (lamprey or cup)", PRESSES: "contact"}.get(self.answer, self.answer)
+        said = [f"{name}{' attached' if one.sucks > 0.5 else ''} {_described(one)}"]
         if self.answer == LAMPREY and one.breathing_hz and one.breathing_depth:
             depth = (100 * one.breathing_depth[0], 100 * one.breathing_depth[1])
             said += [f"breathing {one.breathing_hz[0]:.1f} Hz", _shown(depth, "%")]
-        if more := sum(other.here for other in self.attachments) - one.here:
+        if more := len(present) - one.here:
             said.append(f"and {more} more")
-        odds = f"P = {self.probability:.2f}" if self.probability < 0.995 else "P > 0.99"
         return f"{', '.join(said)} ({odds}){why}"
 
     @property
@@ -196,6 +193,18 @@ def alarming(detected: Detected) -> list[float]:
     alarms = (LAMPREY, SUCKS) if too_slow(detected.frames_per_second or 0.0) else (LAMPREY,)
     pairs = zip(detected.attachments, detected.called, strict=True)
     return [one.since_s for one, name in pairs if name in alarms]
+
+
+def _described(one: Attachment) -> str:
+    """Return when an attachment was there, where, and how large it is, in words."""
+    until = "since {:.1f} s" if one.until_s is None else "from {:.1f} s to {:.1f} s"
+    diameter = f", {_shown(one.diameter_mm, 'mm')}" if one.diameter_mm else ""
+    said = [f"{until.format(one.since_s, one.until_s)}{diameter} at ({one.x_mm[0]:.0f}, {one.y_mm[0]:.0f}) mm"]
+    if one.suction_kpa and one.sucks > 0.5:
+        said.append(_shown(one.suction_kpa, "kPa"))
+    if one.diameter_mm is None and one.area_mm2 is not None:
+        said += [f"{one.cells} cells", _shown(one.area_mm2, "mm²")]
+    return ", ".join(said)
 
 
 def _round(number: float) -> float:

@@ -35,7 +35,7 @@ from lampest.runs.results import Results
 
 RESULTS = "results/"  # how the format of such a file begins
 BY = "from the readings; cells by Gauss-Newton steps with a Gaussian prior"
-NO_RESPONSE = "the scene names no response: shapes are fitted with the published one, and no pressures are given"
+NO_RESPONSE = "no pressures and forces, since the scene names no response; shapes are fitted with the published one"
 HEAD = 100  # measured frames from which the noise is learned, with those without a load
 MOST_CELLS = 1024  # patterns of loads take 64 bytes for each pair of cells: 134 MB, and 2 GB on 64 × 64
 Frames = Iterator[tuple[Array, Array, float]]
@@ -72,8 +72,11 @@ class Known:
             what = "panels" if layout is None else "windows of 2 × 2 modules"
             raise ValueError(f"loads are recognised on {what} of up to {MOST_CELLS} cells")
         common = None if noise is None or layout else lambda measured: noise.columns(measured[None], False)
+        mat = self.scene.purpose == "mat"
         water, errors = water_pressure(panel, self.scene.water), ModelErrors().of_scene(self.scene, self.reading_error)
-        panelled = Panelled(self.scene, Detector(panel, patch_of(panel, self.patch_mm)), water, errors, common)
+        panelled = Panelled(
+            self.scene, Detector(panel, patch_of(panel, self.patch_mm), any_form=mat), water, errors, common
+        )
         kind: type[Watch] | type[ImageWatch] = ImageWatch if layout else Watch
         known, plainly = (self.unloaded, self.begin), self.sigma if self.specified is None else self.specified
         if kind.begin(replace(panelled, common=None), self.resting, plainly, *known).touched(self.unloaded):
@@ -101,7 +104,8 @@ class Known:
             return replace(Detected.unknown(self.name, watch.doubt), frames_per_second=rate, course=course)
         if response is None:
             found = tuple(replace(one, suction_kpa=None) for one in found)
-        notes = (*self.notes, BY, *(() if response else (NO_RESPONSE,)), *filter(None, (too_slow(rate), watch.doubt)))
+        slow = too_slow(rate) if any(one.sucks > 0.5 for one in found) else ""
+        notes = (*self.notes, BY, *(() if response else (NO_RESPONSE,)), *filter(None, (slow, watch.doubt)))
         return Detected.of(self.name, found, rate, notes, course, watch.change, self.scene.panel)
 
     def values(self, readings: Readings) -> tuple[Array, Array]:
@@ -173,7 +177,7 @@ def known_of(prepared: Prepared, patch_mm: float | None = None) -> "Known | Dete
     seen = None if readings.sigma is None else prepared.noise
     resting = resting_readings(head, readings if seen is None else seen.readings)
     if not resting.enough(head.scene):
-        return Detected.unknown(head.name, "no frame has enough readings to compare with")
+        return Detected.unknown(head.name, "no frame has enough readings for a comparison")
     noise, error, specified, scene, besides = None, 0.0, None, head.scene, None
     if seen is None or readings.sigma is None:
         if len(head.time) < 3:

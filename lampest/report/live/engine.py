@@ -23,6 +23,7 @@ from lampest.report.live.handover import Beside, Errand, Newest
 from lampest.report.live.message import POINTS, UNKNOWN, Picture, Point, View, with_detected
 from lampest.report.live.state import Findings, PanelState, SecondLook, solved_picture
 from lampest.report.live.watcher import News, Scan, Unloaded, as_recording, watcher
+from lampest.report.strongest import as_recorded, percent_change
 
 BARS_SECONDS = 0.2  # between looks that only lack error bars: what reads them is the eye
 LOADED = 1.0  # percent by which readings have changed on average: far above noise, and what a finger does
@@ -205,7 +206,7 @@ def solved_scan(state: PanelState, scan: Scan, number: int, skipped: int) -> tup
         readings = Readings.of(scene, scan.recorded, scan.sigma)
     except InputError as error:
         return state, replace(picture, status=str(error))
-    change = 100 * (readings.shown / state.stream.resting.shown - 1)
+    change = percent_change(*(as_recorded(each.shown, scene) for each in (readings, state.stream.resting)))
     return solved_picture(state, readings, replace(picture, measured_change=change))
 
 

@@ -21,8 +21,8 @@ from lampest.report.live.handover import Beside
 
 LATEST = 16  # attachments that live remembers, beside those that are there
 MOST_WAITING = 2000  # frames; beyond, every second one is left out: a fit on 32 × 32 cells takes a minute
-WAITING = "it waits for the unloaded panel"
-DIED = "the process that recognises loads has died; begin lampest live again"
+WAITING = "waiting for frames of the unloaded panel"
+DIED = "the process that recognises loads has died; restart lampest live"
 
 
 @dataclass(frozen=True, eq=False)

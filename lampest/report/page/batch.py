@@ -128,7 +128,7 @@ def matched(recordings: Recordings) -> Matched:
     names, common = max(options, key=lambda option: (len(option[0]) - 1) * len(option[1]))
     fewer = [name for name in often if name not in names]
     if fewer:
-        left_out.append(f"{listed(fewer)}, for want of results of the same recordings")
+        left_out.append(f"{listed(fewer)}, without results of the same recordings")
     if len(common) < len(kept):
         left_out.append(f"{len(kept) - len(common)} of {len(kept)} recordings lack some of the estimators")
     for name in tuple(names) if common else ():

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from lampest.panel.panel import Array
+from lampest.report.compare import weighted_residual
 from lampest.report.page import measures
 from lampest.report.page.batch import Batch, Matched, first_of, matched
 from lampest.report.page.template import between, weights_text
@@ -81,7 +82,7 @@ def predicted(case: CaseResult) -> Array:
     influence on their own prediction. Outliers count as five σ, lest a few of them decide. Source: Mallows,
     Technometrics 15, 1973.
     """
-    residual = measures.weighted_residual(case)
+    residual = weighted_residual(case)
     assert residual is not None and case.resolution is not None
     return np.asarray(np.minimum(residual**2, 25.0) + 2 * case.resolution)
 
@@ -96,8 +97,8 @@ CELL_ERROR = Criterion(
 PREDICTION = Criterion(
     "prediction error",
     "σ²",
-    "what fresh readings are expected to deviate by from those of the estimated cells, squared and in units of their "
-    "noise (Mallows' C); the truth is unknown",
+    "expected squared deviation of new readings from those of the estimated cells, in units of their variance "
+    "(Mallows' C); the truth is unknown",
     predicted,
     np.nanmean,
 )
@@ -169,12 +170,10 @@ def advise(batch: Batch, comparison: Comparison | None) -> Advice:
     match = comparison.match if comparison else matched(batch.recordings)
     left_out = tuple(f"Not compared: {sentence}." for sentence in match.left_out)
     if comparison is None:
-        headline = "These results do not tell which estimator is nearest to the cells."
+        headline = "These results cannot rank the estimators."
         alone = "No two estimators solved the same frames."
         if len(match.estimators) > 1 and match.recordings:
-            alone = (
-                "The truth is unknown, and so is the noise of the readings or the resolution, which would replace it."
-            )
+            alone = "A ranking needs the true cells, or the noise of the readings and the resolution. Neither is known."
         return Advice(None, headline, (alone,), left_out)
     warnings = (*_few(comparison), *left_out)
     best = comparison.standings[0]
@@ -187,9 +186,9 @@ def advise(batch: Batch, comparison: Comparison | None) -> Advice:
     named = f"{taken.estimator}{f' ({weights})' if weights else ''}"
     headline = f"On these data take {named}."
     if len(alike) > 1:
-        why = "the smallest error" if taken is best else "the fastest"
+        why = "has the smallest error" if taken is best else "is the fastest"
         names = listed([row.estimator for row in alike])
-        headline = f"No practical difference between {names}; {named} is {why} of them."
+        headline = f"No practical difference between {names}; {named} {why} of them."
     return Advice(taken.estimator, headline, tuple(_reasons(comparison, taken, alike)), warnings)
 
 
@@ -202,30 +201,31 @@ def _reasons(comparison: Comparison, taken: Standing, alike: Sequence[Standing])
     yield f"{best.estimator} has the smallest {criterion.name}: {between(best.mean, criterion.unit)}, {basis}."
     others = [f"{row.estimator} ({between(row.difference, points, '+')})" for row in alike if row is not best]
     if others:
-        yield f"Within a twentieth of it: {listed(others)}."
+        yield f"Within 5 % of it: {listed(others)}."
     if taken is not best:
         slow, fast = (digits(comparison.milliseconds[row.estimator], 2) for row in (best, taken))
         yield f"{taken.estimator} takes {fast} ms a frame, {best.estimator} {slow} ms."
     worse = [row for row in comparison.standings if row not in alike]
     if worse:
         texts = [f"{row.estimator} by {between(row.difference, sign='+')}" for row in worse]
-        yield f"Larger than that of {best.estimator}, in {points}: {listed(texts)}."
-    unsure = [row.estimator for row in worse if not row.told_apart]
-    if unsure:
-        yield f"These data do not make sure that {listed(unsure)} {'is' if len(unsure) == 1 else 'are'} larger."
+        yield f"The error is larger, in {points}, with {listed(texts)}."
+    for row in worse:
+        if not row.told_apart:
+            ends = f"95 % interval {digits(row.difference.lower)} to {digits(row.difference.upper)} {points}"
+            yield f"The difference between {row.estimator} and {best.estimator} is not significant ({ends})."
     if criterion is PREDICTION:
         yield (
-            "The truth is unknown, so this rests on how well fresh readings would be predicted: the misfit, charged "
-            "for every cell that follows its reading's noise. It is as right as the noise that the results name."
+            "The truth is unknown. The ranking uses the error with which new readings would be predicted, which "
+            "depends on the noise that the results state."
         )
 
 
 def _few(comparison: Comparison) -> Iterator[str]:
     if comparison.over_frames:
-        yield "One recording only: intervals are over its frames and do not cover another animal or day."
+        yield "One recording only: the intervals describe its frames, not other subjects or days."
     if len(comparison.units) < 5:
         noun = counted(len(comparison.units), "frame" if comparison.over_frames else "recording")
-        yield f"{noun} only: intervals over fewer than 5 are unreliable, mostly too short."
+        yield f"{noun} only: intervals from fewer than 5 are unreliable, usually too short."
 
 
 def doubts(estimator: str, found: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:
@@ -240,11 +240,11 @@ def doubts(estimator: str, found: Sequence[Mapping[str, Any]]) -> tuple[str, ...
     if spread > 1.5:
         sentences.append(
             f"The residuals of {estimator} are {digits(spread, 2)} times the noise of the readings: the noise is "
-            "larger than the scene says, the model lacks an effect, or the penalty is too strong."
+            "larger than the scene states, an effect is missing in the model, or the penalty is too strong."
         )
     if coverage < 90:
         sentences.append(
-            f"The 95 % intervals of {estimator} cover the truth for {digits(coverage, 2)} % of the cells: the readings "
-            "contain more than the noise, the scene and the penalty account for."
+            f"The 95 % intervals of {estimator} contain the truth for {digits(coverage, 2)} % of the cells: an effect "
+            "is missing in the scene, or the penalty does not suit these loads."
         )
     return tuple(sentences)

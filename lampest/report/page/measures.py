@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.panel.panel import Array
-from lampest.report.compare import figures_of, statistics
+from lampest.report.compare import figures_of, statistics, weighted_residual
 from lampest.runs.case import CaseResult
 
 DRAWS = 2000  # of which the 2.5th percentile is known to 0.06 standard deviations
@@ -75,7 +75,7 @@ def figures(case: CaseResult) -> dict[str, Any]:
         if case.truth is not None:
             within = ((lower <= case.truth) & (case.truth <= upper))[case.solved]
             known[COVERED] = 100 * float(np.mean(within)) if within.size else None
-    known |= statistics(case.data_share, "share of an estimate that data decide, {} [1]", "median")
+    known |= statistics(case.data_share, "share of an estimate that comes from the data, {} [1]", "median")
     known["cells at the lower bound"] = int(np.sum(case.at_lower_bound != 0))
     known["saturated cells"] = None if case.saturated is None else int(np.sum(case.saturated != 0))
     return known | statistics(case.pressure, "pressure, {} [kPa]", "smallest", "largest")
@@ -86,13 +86,6 @@ def log_error(case: CaseResult) -> Array:
     assert case.truth is not None
     positive = np.maximum(case.cell_resistance, np.finfo(float).tiny)
     return np.asarray(100 * np.abs(np.log(positive / case.truth)))
-
-
-def weighted_residual(case: CaseResult) -> Array | None:
-    """(model − measured)/σ, (frames, rows, columns), NaN where a reading is no value; None where σ is unknown."""
-    if case.sigma is None:
-        return None
-    return np.asarray(np.where(case.valued, (case.reading_model - case.measured) / case.sigma, np.nan))
 
 
 class Disagreement(NamedTuple):

@@ -10,29 +10,29 @@ import numpy as np
 from lampest.files.whole import write_whole
 from lampest.report.page.batch import Batch, read_batch, without_copies
 from lampest.report.page.compared import advise, compared, doubts
-from lampest.report.page.measures import DRAWS, Disagreement, disagreements, figures, weighted_residual
+from lampest.report.page.measures import DRAWS, Disagreement, disagreements, figures
 from lampest.report.page.tables import case_table, failures, standing_table, unit_table
 from lampest.report.page.template import filled
-from lampest.report.plots.contours import CertaintyPlot, ContourPlot
+from lampest.report.plots.contours import CertaintyPlot, ContourPlot, ResidualPlot
 from lampest.report.plots.maps import Scale, Tile, maps_figure, signed_scale, values_of
 from lampest.report.plots.plot import Plot
 from lampest.report.plots.style import HALF_INCH, data_uri, verbatim
-from lampest.report.strongest import percent_change, strongest_index
+from lampest.report.strongest import strongest_index
 from lampest.report.words import counted, digits
 from lampest.runs.case import CaseResult
 from lampest.runs.executors import each_of
 
 CHANGED = "Relative change of resistance against the unloaded panel."
 CERTAIN = (
-    "How uncertain each cell is, one posterior standard deviation, in logarithmic colours; and the diagonal of the "
-    "averaging kernel: how much of a cell's own change its estimate follows. Where it is 0 the penalty decides alone."
+    "Posterior standard deviation of each cell, in logarithmic colours, and the resolution: the part of a cell's "
+    "change that its estimate follows. Where it is 0, the penalty alone decides."
 )
 UNEXPLAINED = (
-    "What the model leaves unexplained. A pattern means an effect that the model lacks, or too strong a penalty."
+    "Residuals of the readings. A pattern names an effect that the model lacks, or a penalty that is too strong."
 )
 DIFFERENT = (
-    "Where two estimators differ by more than their joint 95 % interval (grey: they do not); in the titles, the share "
-    "of cells over all frames. One in twenty is to be expected by chance, or fewer: both rest on the same readings."
+    "Cells in which two estimators differ by more than their joint 95 % interval; grey: they do not. The titles give "
+    "the share of such cells over all frames. Up to 5 % are expected by chance."
 )
 MOST = 6  # recordings with all figures, and estimators in them
 
@@ -91,7 +91,7 @@ def _section(task: tuple[str, Mapping[str, CaseResult], int, Sequence[str]]) -> 
     with verbatim():
         shown = [contours(cases)]
         if whole:
-            shown += [*certainty(cases, place), misfits(cases, place)]
+            shown += [*certainty(cases, place), residual_maps(cases, place)]
             shown += differences(cases, place, pairs)
     return {
         "name": name,
@@ -128,18 +128,9 @@ def certainty(cases: Sequence[CaseResult], place: int) -> list[Illustration]:
     return [_wide(plot, known, "Maps of standard deviation and resolution", CERTAIN)] if known else []
 
 
-def misfits(cases: Sequence[CaseResult], place: int) -> Illustration:
-    """Maps of the residuals in units of the noise; in percent where that is unknown of any."""
-    residuals = [weighted_residual(case) for case in cases]
-    label, least = "(model − measured)/σ", 3.0
-    if any(own is None for own in residuals):
-        residuals = [np.where(case.valued, percent_change(case.reading_model, case.measured), np.nan) for case in cases]
-        label, least = "(model − measured)/measured [%]", 0.1
-    pairs = zip(cases, residuals, strict=True)
-    tiles = [
-        Tile(case.estimator, own[place] if own is not None and case.solved[place] else None) for case, own in pairs
-    ]
-    return _maps(cases, tiles, signed_scale(values_of(tiles), label, least), "the residuals", UNEXPLAINED)
+def residual_maps(cases: Sequence[CaseResult], place: int) -> Illustration:
+    """Maps of the residuals."""
+    return _wide(ResidualPlot(int(cases[0].frame[place])), cases, "Maps of the residuals", UNEXPLAINED)
 
 
 def differences(cases: Sequence[CaseResult], place: int, found: Sequence[Disagreement]) -> list[Illustration]:

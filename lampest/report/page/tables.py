@@ -19,7 +19,7 @@ def case_table(groups: Mapping[str, Sequence[CaseResult]]) -> Table:
     """
     known = [[figures(case) for case in cases] for cases in groups.values()]
     rows = [
-        ("of the frames local optima (starts of a frame)", *map(_optima, groups.values())),
+        ("frames at a verified optimum (starts of a frame)", *map(_optima, groups.values())),
         ("weights", *(weights_text([case.weights for case in cases]) or NONE for cases in groups.values())),
     ]
     for line in dict.fromkeys(line for column in known for one in column for line in one):
@@ -64,8 +64,8 @@ def standing_table(comparison: Comparison) -> Table:
         "",
         f"{criterion.name}, mean [{criterion.unit}] (95 % interval)",
         f"difference from {best} [{criterion.difference_unit}] (95 % interval)",
-        "verdict",
-        f"smallest in, of {len(comparison.units)}",
+        "significance",
+        f"units with the smallest error, of {len(comparison.units)}",
         "time per frame [ms]",
         f"times as fast as {best}",
     )
@@ -75,7 +75,7 @@ def standing_table(comparison: Comparison) -> Table:
         difference, verdict, ratio = NONE, "smallest", NONE
         if row.estimator != best:
             difference, ratio = between(row.difference, sign="+"), digits(comparison.milliseconds[best] / speed, 2)
-            verdict = "larger" if row.told_apart else "cannot be told apart"
+            verdict = "significant" if row.told_apart else "not significant"
         rows.append((row.estimator, between(row.mean), difference, verdict, str(row.wins), digits(speed), ratio))
     return Table(headers, tuple(rows))
 

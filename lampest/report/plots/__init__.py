@@ -15,7 +15,14 @@ from lampest.files import hdf5
 from lampest.files.errors import InputError, in_words
 from lampest.files.typed import installed, of_kind, typed
 from lampest.recording.stored import StoredRecording, opened, too_long
-from lampest.report.plots.contours import CertaintyPlot, ContourPlot, PressurePlot, ResistancePlot
+from lampest.report.plots.contours import (
+    CertaintyPlot,
+    ChangePlot,
+    ContourPlot,
+    PressurePlot,
+    ResidualPlot,
+    ResistancePlot,
+)
 from lampest.report.plots.maps import Tile, banded_scale, maps_figure
 from lampest.report.plots.plot import Plot
 from lampest.report.plots.style import HALF_INCH, PICTURES, SUFFIXES, save, verbatim, write_all
@@ -27,15 +34,26 @@ from lampest.runs.results import FORMAT, CaseResult, read_results, stored_cases
 __all__ = [
     "PLOTS",
     "CertaintyPlot",
+    "ChangePlot",
     "ContourPlot",
     "Plot",
     "PressurePlot",
+    "ResidualPlot",
+    "ResistancePlot",
     "SweepPlot",
     "picture",
     "plot_of",
     "plot_results",
 ]
-PLOTS: tuple[Plot, ...] = (ContourPlot(), CertaintyPlot(), PressurePlot(), ResistancePlot(), SweepPlot())
+PLOTS: tuple[Plot, ...] = (
+    ContourPlot(),
+    ChangePlot(),
+    ResistancePlot(),
+    ResidualPlot(),
+    PressurePlot(),
+    CertaintyPlot(),
+    SweepPlot(),
+)
 
 
 def plot_of(kind: str) -> Plot:
@@ -89,8 +107,7 @@ def plot_results(
     if single is not None and len(pictures) > 1:
         names = ", ".join([*pictures][:3]) + ", …" * (len(pictures) > 3)
         raise InputError(
-            f"{target}: one picture cannot hold {len(pictures)} ({names}): choose with --recording and --estimator, or "
-            "name a folder"
+            f"{target}: one picture cannot hold {len(pictures)} ({names}): choose a recording, or name a folder"
         )
     ending = ("" if frame is None else f"_frame{frame}") + ".png"
     files = [single or (target or path.parent) / f"{plot.kind}_{name}{ending}" for name in pictures]
@@ -152,4 +169,5 @@ def _check_form(target: Path | None) -> None:
 
 
 def _lacks(plot: Plot) -> str:
-    return f"holds no {plot.kind} to draw" + (f", which needs {', '.join(plot.needs)}" if plot.needs else "")
+    needs = f", which needs {', '.join(plot.needs)}" if plot.needs else ""
+    return f"holds no {plot.kind} to draw{needs}{plot.hint and f'; {plot.hint}'}"

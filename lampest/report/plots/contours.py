@@ -2,7 +2,7 @@
 
 from abc import abstractmethod
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
@@ -12,48 +12,92 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from lampest.panel.panel import Array
+from lampest.report.compare import LEAST, weighted_residual
 from lampest.report.plots import maps, style
 from lampest.report.plots.plot import Plot
-from lampest.report.strongest import percent_change
+from lampest.report.strongest import as_recorded, percent_change
+from lampest.report.words import digits
 from lampest.runs.case import CaseResult
+
+CHANGED = 10.0  # percent: cells within the line about the load
 
 
 @dataclass(frozen=True)
-class ContourPlot(Plot):
-    """Maps of one frame side by side: measured readings, each estimator's cell resistance, the truth.
+class MapsPlot(Plot):
+    """One frame: what was measured, a map for each estimator, the truth."""
 
-    All show the change against the unloaded panel in percent on one scale that is symmetric about zero. Source: paper,
-    figure 8.
+    @abstractmethod
+    def maps(self, cases: Sequence[CaseResult], index: int) -> tuple[maps.Scale | list[maps.Scale], list[maps.Tile]]:
+        """Return the maps of the cases' frame at that index, and their scale or scales."""
+
+    contoured: ClassVar[bool] = False
+    about: ClassVar[str] = ""
+
+    def draw(self, cases: Sequence[CaseResult]) -> Figure:
+        """One picture of all estimators. Raises InputError where the frame has no results."""
+        index, title = self.shown(cases)
+        scale, tiles = self.maps(cases, index)
+        tiles = [
+            replace(tile, title=tile.title.replace("paper's lambda", "paper's\N{NO-BREAK SPACE}λ")) for tile in tiles
+        ]
+        panel = cases[0].scene.panel
+        return maps.maps_figure(tiles, panel, scale, title, contoured=self.contoured, about=self.about)
+
+
+@dataclass(frozen=True)
+class ChangePlot(MapsPlot):
+    """Maps of the change against the unloaded panel in percent: measured readings, each estimator's cells, the truth.
+
+    All have one scale, on which halves and doubles are equally strong. Each cell is a square. Where the truth is known,
+    a line surrounds the cells that changed, and each map names its error in ln(r/r_unloaded) as a part of the true
+    change: 100 % is that of a map without any change.
+
+    >>> lampest.ChangePlot(frame=2).kind
+    'change'
+    """
+
+    kind: ClassVar[str] = "change"
+
+    def maps(self, cases: Sequence[CaseResult], index: int) -> tuple[maps.Scale, list[maps.Tile]]:
+        """Return the maps and their scale."""
+        first, truth = cases[0], None
+        if first.truth is not None and first.truth_baseline is not None:
+            truth = percent_change(first.truth[index], first.truth_baseline)
+
+        def tile(name: str, change: Array | None, crosses: NDArray[np.bool_] | None = None) -> maps.Tile:
+            note = _range(change) if truth is None or change is truth else _error(change, truth)
+            outlined = None if truth is None else np.abs(truth) > CHANGED
+            return maps.Tile(name, change, note, crosses, outlined=outlined)
+
+        readings = (as_recorded(value, first.scene) for value in (first.measured[index], first.measured_baseline))
+        tiles = [tile("measured", percent_change(*readings))]
+        for case in cases:
+            change = case.relative_change[index] if case.solved[index] else None
+            tiles.append(tile(estimated(case, cases), change, case.open_cell[index] != 0))
+        tiles += [] if truth is None else [tile("truth", truth)]
+        return maps.change_scale(maps.values_of(tiles), "change of resistance [%]"), tiles
+
+
+@dataclass(frozen=True)
+class ContourPlot(ChangePlot):
+    """The maps of `ChangePlot` with contours that interpolate between the cells. Source: paper, figure 8.
 
     >>> lampest.ContourPlot(frame=2).kind
     'contours'
     """
 
     kind: ClassVar[str] = "contours"
+    contoured: ClassVar[bool] = True
+    about: ClassVar[str] = "bands interpolate between the cells"
 
-    def draw(self, cases: Sequence[CaseResult]) -> Figure:
-        """One picture of all estimators. Raises InputError where the frame has no results."""
-        index, title = self.shown(cases)
-        first, letters = cases[0], iter("abcdefghijklmnopqrstuvwxyz")
 
-        def tile(name: str, change: Array | None, crosses: NDArray[np.bool_] | None = None) -> maps.Tile:
-            letter = next(letters, "")
-            lettered = f"({letter}) {name}" if letter else name
-            return maps.Tile(lettered.replace("paper's lambda", "paper's λ"), change, _range(change), crosses)
-
-        kind = "measured two-point" if first.scene.circuit.unit == "ohm" else "measured voltage"
-        tiles = [tile(kind, percent_change(first.measured[index], first.measured_baseline))]
-        for case in cases:
-            change = case.relative_change[index] if case.solved[index] else None
-            tiles.append(tile(case.estimator, change, case.open_cell[index] != 0))
-        if first.truth is not None and first.truth_baseline is not None:
-            tiles.append(tile("truth", percent_change(first.truth[index], first.truth_baseline)))
-        scale = maps.banded_scale(maps.values_of(tiles), "relative change of resistance [%]")
-        return maps.maps_figure(tiles, first.scene.panel, scale, title, contoured=True)
+def estimated(case: CaseResult, cases: Sequence[CaseResult]) -> str:
+    """Return the title of an estimator's map; where it is alone, it says that it is an estimate."""
+    return case.estimator if len(cases) > 1 else f"estimated: {case.estimator}"
 
 
 def _range(change: Array | None) -> str:
-    """'−82 … +9.5 %'."""
+    """Return the smallest and largest value in words, such as '−82 … +9.5 %'."""
     if change is None:
         return ""
     known = change[np.isfinite(change)]
@@ -61,27 +105,72 @@ def _range(change: Array | None) -> str:
     return f"{' … '.join(ends)} %" if ends else "no number"
 
 
-@dataclass(frozen=True)
-class ResistancePlot(Plot):
-    """Maps of one frame: what was measured, each estimator's cells, the truth; r in ohm, dark where low.
+def _error(change: Array | None, truth: Array) -> str:
+    """Return ‖x − x_true‖/‖x_true‖ of x = ln(r/r_unloaded) over the cells in words, such as 'error 7.2 %'."""
+    if change is None:
+        return ""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        logs, true = (np.log1p(percent / 100) for percent in (change, truth))
+        known = np.isfinite(logs) & np.isfinite(true)
+        error = 100 * np.linalg.norm((logs - true)[known]) / np.linalg.norm(true[known])
+    return f"error {digits(float(error), 2)} %"
 
-    For recordings without unloaded frames. The scale ends at the 90th percentile: open cells reach any resistance.
-    A reference of exactly 1 ohm stands for an unknown one, R_ref: resistances are in units of it.
+
+@dataclass(frozen=True)
+class ResistancePlot(MapsPlot):
+    """Maps of the resistance: measured readings, each estimator's cells, the truth; bright where it is low.
+
+    For recordings without unloaded frames. Each map has its own scale, since crosstalk lowers all readings.
+
+    >>> lampest.ResistancePlot().kind
+    'resistance'
     """
 
     kind: ClassVar[str] = "resistance"
+    about: ClassVar[str] = "bright: low resistance, loaded"
 
-    def draw(self, cases: Sequence[CaseResult]) -> Figure:
-        """One picture. Raises InputError where the frame has no results."""
-        index, title = self.shown(cases)
+    def maps(self, cases: Sequence[CaseResult], index: int) -> tuple[list[maps.Scale], list[maps.Tile]]:
+        """Return the maps, and a scale for each."""
         first = cases[0]
-        found = [(case.estimator, case.cell_resistance[index] if case.solved[index] else None) for case in cases]
-        given = [("measured", first.measured[index])]
-        true = [] if first.truth is None else [("truth", first.truth[index])]
-        tiles = [maps.Tile(*named) for named in (*given, *found, *true)]
-        unit = "R_ref" if getattr(first.scene.readout, "reference_ohm", None) == 1 else "ohm"
-        scale = maps.log_scale(maps.values_of(tiles), f"resistance [{unit}]", 90.0, (1e-3, 1e12))
-        return maps.maps_figure(tiles, first.scene.panel, scale, title)
+        named = [("measured", as_recorded(first.measured[index], first.scene))]
+        named += [(estimated(case, cases), case.cell_resistance[index]) for case in cases]
+        named += [] if first.truth is None else [("truth", first.truth[index])]
+        relative = getattr(first.scene.readout, "reference_ohm", None) == 1
+        unit = "in reference resistors" if relative else f"[{first.scene.circuit.unit}]"
+        tiles = [maps.Tile(name, values if np.isfinite(values).any() else None) for name, values in named]
+        label = [f"reading {unit}", *(f"resistance {unit.replace('volt', 'ohm')}" for _ in tiles[1:])]
+        shown = zip(label, tiles, strict=True)
+        return [maps.log_scale(maps.values_of([one]), text, (1e-3, 1e12), "viridis_r") for text, one in shown], tiles
+
+
+@dataclass(frozen=True)
+class ResidualPlot(MapsPlot):
+    """Maps of the residuals: readings of each estimator's cells less the measured ones, in standard deviations.
+
+    In percent of the reading where the noise is unknown. Cells that explain the readings leave noise of about 1. A
+    pattern names a model that is wrong, or a penalty that is too strong.
+
+    >>> lampest.ResidualPlot().kind
+    'residuals'
+    """
+
+    kind: ClassVar[str] = "residuals"
+    about: ClassVar[str] = "grey: no value was read"
+
+    def maps(self, cases: Sequence[CaseResult], index: int) -> tuple[maps.Scale, list[maps.Tile]]:
+        """Return the maps and their scale."""
+        unit, label, least = "σ", "(model − measured) / noise σ", 3.0
+        residuals = [weighted_residual(case) for case in cases]
+        if any(residual is None for residual in residuals):
+            unit, label, least = "%", "(model − measured) / measured [%]", 0.1
+            residuals = [percent_change(case.reading_model, case.measured) for case in cases]
+        tiles = []
+        for case, residual in zip(cases, residuals, strict=True):
+            shown = None if residual is None or not case.solved[index] else residual[index]
+            rms = None if shown is None else float(np.sqrt(np.nanmean(shown**2)))
+            note = "" if rms is None else f"rms {digits(rms, 2) if rms >= LEAST else f'< {LEAST}'} {unit}"
+            tiles.append(maps.Tile(case.estimator, shown, note))
+        return maps.signed_scale(maps.values_of(tiles), label, least), tiles
 
 
 @dataclass(frozen=True)
@@ -104,7 +193,7 @@ class RowsPlot(Plot):
         grid = figure.subplots(len(rows), len(cases), squeeze=False, sharex=True, sharey=True)
         for number, (scale, tiles) in enumerate(rows):
             painter = maps.MapPainter(panel, scale)
-            painter.draw_all(grid[number : number + 1], tiles)
+            maps.draw_all(grid[number : number + 1], tiles, [painter] * len(tiles))
             painter.bar(figure, grid[number], "right")
         for axes, case in zip(grid[0], cases, strict=True):
             axes.set_title(style.short_title(case.estimator), fontsize=style.SMALL_POINT + 0.5)
@@ -153,6 +242,7 @@ class PressurePlot(RowsPlot):
 
     kind: ClassVar[str] = "pressure"
     needs: ClassVar[tuple[str, ...]] = ("pressure", "pressure_lower", "pressure_upper", "saturated")
+    hint: ClassVar[str] = "add the film's response to the scene, such as response: {kind: published}, and run again"
     about: ClassVar[str] = "grey: no number"
 
     def rows(self, cases: Sequence[CaseResult], index: int) -> list[tuple[maps.Scale, list[maps.Tile]]]:

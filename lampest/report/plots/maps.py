@@ -24,6 +24,8 @@ from lampest.report.plots import style
 SIGNED, PRESSING = "RdBu_r", "RdBu"  # what presses is blue: it lowers resistance and raises pressure
 ACROSS_LABEL, DOWN_LABEL = "x [mm]", "y [mm]"
 NO_NUMBER = "0.88"  # grey
+TALLEST = 0.75  # of a figure, in its width
+FACTORS = (1.1, 1.5, 2, 3, 5, 10, 20)  # between bands of large changes
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,16 +45,16 @@ RESOLUTION = Scale(Normalize(0, 1), colormaps["YlGnBu"], "resolution")
 
 
 def log_scale(
-    values: Sequence[Array], label: str, most: float = 99.0, ends: tuple[float, float] = (0.1, 500.0)
+    values: Sequence[Array], label: str, ends: tuple[float, float] = (0.1, 500.0), colours: str = "viridis"
 ) -> Scale:
-    """Logarithmic between round numbers that hold positive values from the 1st percentile to `most`, within `ends`."""
+    """Return a logarithmic scale between the round numbers about the 1st and 99th percentile, within `ends`."""
     numbers = _finite(values)
     numbers = numbers[numbers > 0]
-    low, high = np.percentile(numbers, [1, most]) if numbers.size else (1.0, 10.0)
+    low, high = np.percentile(numbers, [1, 99]) if numbers.size else (1.0, 10.0)
     steps = style.round_numbers(*ends)
     first = max((step for step in steps[:-1] if step <= low), default=steps[0])
     last = min((step for step in steps if step >= high and step > first), default=steps[-1])
-    return Scale(LogNorm(first, last), colormaps["viridis"], label, style.round_numbers(first, last))
+    return Scale(LogNorm(first, last), colormaps[colours], label, style.round_numbers(first, last))
 
 
 def signed_scale(values: Sequence[Array], label: str, least: float, most: float = np.inf) -> Scale:
@@ -71,6 +73,19 @@ def banded_scale(values: Sequence[Array], label: str) -> Scale:
     limit = next((step for step in style.round_numbers(1, 100) if step >= _reach(values)), 100.0)
     ticks = np.linspace(-limit, limit, 11).tolist()
     return stepped_scale((np.arange(1, 11) * limit / 10).tolist(), f"{label} (ends at ±{limit:g} %)", ticks)
+
+
+def change_scale(values: Sequence[Array], label: str) -> Scale:
+    """Return bands of relative change in percent that show falls and rises alike.
+
+    Small changes have those of `banded_scale`. From 50 % on, where a fall ends at −100 % and a rise does not end, bands
+    are factors: the colour of half the value, −50 %, is as strong as that of twice the value, +100 %.
+    """
+    if _reach(values) <= 50:
+        return banded_scale(values, label)
+    factors = np.array(FACTORS)
+    bounds = np.concatenate([100 / factors[::-1] - 100, 100 * factors - 100]).round()
+    return Scale(BoundaryNorm(bounds, colormaps[SIGNED].N, extend="both"), colormaps[SIGNED], label, bounds.tolist())
 
 
 def stepped_scale(steps: Sequence[float], label: str, ticks: Sequence[float], colours: str = SIGNED) -> Scale:
@@ -93,7 +108,8 @@ def _reach(values: Sequence[Array]) -> float:
 class Tile:
     """One map: values (rows, columns); NaN is left grey, None says 'not solved'.
 
-    note : second line of the title. marked : (rows, columns) cells with a cross, which stands for `mark`.
+    note : second line of the title. marked : (rows, columns) cells with a cross, which stands for `mark`. outlined :
+    (rows, columns) cells within a line, which stands for `outline`.
     """
 
     title: str
@@ -101,6 +117,8 @@ class Tile:
     note: str = ""
     marked: NDArray[np.bool_] | None = None
     mark: str = "open cell"
+    outlined: NDArray[np.bool_] | None = None
+    outline: str = "true outline of the load"
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,27 +142,23 @@ class MapPainter:
             axes.annotate("not solved", (0.5, 0.5), xycoords="axes fraction", ha="center", fontsize=style.SMALL_POINT)
             return
         if self.contoured and self.panel.cells is None and min(self.panel.shape) > 1:
-            axes.contourf(*_refined(self.panel, self._cut(tile.values)), **self._bands())
+            logs = np.log1p(np.maximum(self._cut(tile.values), -99.9) / 100)  # of percent: factors, as rises and falls
+            *places, logs = _refined(self.panel, logs)
+            axes.contourf(*places, 100 * np.expm1(logs), **self._bands())
         else:
             self._patches(axes, tile.values)
         columns, rows = self.panel.places_mm
         if self.contoured:
             axes.plot(columns.ravel(), rows.ravel(), ".", color="0.35", ms=1, label="cell centre", clip_on=False)
+        if tile.outlined is not None and np.any(tile.outlined) and self.panel.cells is None:
+            edges = axes.contour(*_cornered(self.panel, tile.outlined), levels=[0.5], colors="black", linewidths=1.3)
+            edges.set_path_effects([withStroke(linewidth=2.8, foreground="white")])
+            axes.plot([], [], color="black", lw=1.3, label=tile.outline)
         if tile.marked is not None and np.any(tile.marked):
             size = float(np.clip(40 / max(self.panel.shape), 0.5, 4))
             look: dict[str, Any] = {"color": "black", "ms": size, "mew": size / 4, "ls": "none", "clip_on": False}
             (cross,) = axes.plot(columns[tile.marked], rows[tile.marked], marker="x", label=tile.mark, **look)
             cross.set_path_effects([withStroke(linewidth=size / 2, foreground="white")])
-
-    def draw_all(self, grid: Any, tiles: Sequence[Tile]) -> None:
-        """Maps row by row into a grid of axes, columns numbered below the lowest; what is left over is hidden."""
-        for number, axes in enumerate(grid.flat):
-            below = number + grid.shape[1]
-            axes.set_visible(number < len(tiles))
-            if number < len(tiles):
-                self.draw(axes, tiles[number])
-            if len(tiles) <= below < grid.size:
-                axes.tick_params(labelbottom=True)
 
     def bar(self, figure: Any, axes: Any, location: Literal["right", "bottom"], aspect: float = 28) -> None:
         """The bar beside some axes of a figure, with what the colours mean."""
@@ -208,6 +222,16 @@ class MapPainter:
         return np.clip(values, -beyond, beyond)
 
 
+def draw_all(grid: Any, tiles: Sequence[Tile], painters: Sequence[MapPainter]) -> None:
+    """Draw maps row by row into a grid of axes, each by its painter, and hide the axes that remain."""
+    for axes in grid.flat[len(tiles) :]:
+        axes.set_visible(False)
+    for axes in grid.flat[max(len(tiles) - grid.shape[1], 0) : len(tiles)]:
+        axes.tick_params(labelbottom=True)
+    for axes, tile, painter in zip(grid.flat, tiles, painters, strict=False):
+        painter.draw(axes, tile)
+
+
 def values_of(tiles: Sequence[Tile]) -> list[Array]:
     """What is drawn of some tiles."""
     return [tile.values for tile in tiles if tile.values is not None]
@@ -241,18 +265,35 @@ def _refined(panel: Panel, values: Array) -> tuple[Array, Array, Array]:
     return fine[0], fine[1], np.array([np.interp(fine[1], y, column) for column in across.T]).T
 
 
+def _cornered(panel: Panel, chosen: NDArray[np.bool_]) -> tuple[Array, Array, Array]:
+    """Return chosen cells as ones, and zeros elsewhere, on a grid so fine that the outline has the cells' corners."""
+    x, y = (
+        np.linspace(line[0] - panel.pitch_mm, line[-1] + panel.pitch_mm, 16 * (len(line) + 1))
+        for line in panel.centres_mm()
+    )
+    inside = np.pad(np.repeat(np.repeat(chosen.astype(float), 16, axis=0), 16, axis=1), 8)
+    return x, y, inside
+
+
 def maps_figure(
     tiles: Sequence[Tile],
     panel: Panel,
-    scale: Scale,
+    scale: Scale | Sequence[Scale],
     title: str = "",
     width: float = style.WIDTH_INCH,
     contoured: bool = False,
+    about: str = "",
 ) -> Figure:
-    """Maps on one scale, so many abreast that the figure is about three wide to two high with few gaps."""
+    """Draw maps side by side, so many that the figure is about three wide to two high with few gaps.
+
+    scale : one for all maps, or one for each. about : a remark on the maps, behind the label of x.
+    """
+    common = isinstance(scale, Scale)
+    scales = [scale] * len(tiles) if isinstance(scale, Scale) else scale
+    bars = 1.0 if common else 0.4
 
     def wide(across: int) -> float:
-        return (width - 1.0) / across - 0.2
+        return (width - bars) / across - (0.2 if common else 0.9)
 
     def height(across: int) -> float:
         return ceil(len(tiles) / across) * (wide(across) * proportion(panel) + 0.4) + 0.8
@@ -261,12 +302,13 @@ def maps_figure(
         return abs(height(across) - width / 1.5) + 0.3 * (-len(tiles) % across)
 
     across = min(range(1, min(len(tiles), int((width - 1.0) / 0.88)) + 1), key=unfit)
-    figure = style.new_figure(min(height(across), style.TALLEST_INCH), width)
+    beyond = max(height(across) - TALLEST * width, 0.0) / proportion(panel)  # of a tall panel: the maps get narrower
+    figure = style.new_figure(min(height(across), TALLEST * width), width - beyond * across / ceil(len(tiles) / across))
     grid = figure.subplots(ceil(len(tiles) / across), across, squeeze=False, sharex=True, sharey=True)
     signs = max(10, int(17 * wide(across)))  # that fit over a map
-    painter = MapPainter(panel, scale, contoured)
-    painter.draw_all(grid, [replace(tile, title=fill(style.short_title(tile.title, 60), signs)) for tile in tiles])
-    painter.bar(figure, grid, "right", aspect=figure.get_figheight() / 0.16)
-    style.shared_legend(figure, grid, "lower right", least=2, ncols=2)
-    between = "; bands interpolate between the cells (dots)" if contoured else ""
-    return style.labelled(figure, ACROSS_LABEL + between, DOWN_LABEL, title)
+    painters = [MapPainter(panel, each, contoured) for each in scales]
+    draw_all(grid, [replace(tile, title=fill(style.short_title(tile.title, 60), signs)) for tile in tiles], painters)
+    for painter, axes in [(painters[0], grid)] if common else zip(painters, grid.flat, strict=False):
+        painter.bar(figure, axes, "right", aspect=figure.get_figheight() / 0.16)
+    style.shared_legend(figure, grid, "lower right", least=2 if contoured else 1, ncols=2)
+    return style.labelled(figure, "; ".join(filter(None, (ACROSS_LABEL, about))), DOWN_LABEL, title)

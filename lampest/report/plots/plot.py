@@ -19,6 +19,7 @@ class Plot(Validated):
     """One kind of picture of a results file.
 
     kind : the word that asks for it. needs : the columns that a case must hold to be drawn.
+    hint : how a case gets them.
     frame : index into the recording of what is shown; None: `strongest_index` chooses.
 
     >>> issubclass(lampest.ContourPlot, lampest.Plot)
@@ -27,6 +28,7 @@ class Plot(Validated):
 
     kind: ClassVar[str]
     needs: ClassVar[tuple[str, ...]] = ()
+    hint: ClassVar[str] = ""
     frame: int | None = None
 
     @abstractmethod
@@ -38,16 +40,16 @@ class Plot(Validated):
         return tuple(case for case in cases if all(case.column(name) is not None for name in self.needs))
 
     def shown(self, cases: Sequence[CaseResult]) -> tuple[int, str]:
-        """Where the shown frame stands among those of the cases, and a title: the recording, which frame, and why.
+        """Where the shown frame stands among those of the cases, and a title: the recording and its frame.
 
         Raises InputError where the frame has no results.
         """
-        first, why = cases[0], ""
+        first = cases[0]
         if self.frame is None:
-            index, why = strongest_index(cases), ", the last within 10 % of the strongest change"
+            index = strongest_index(cases)
         elif self.frame in first.frame:
             index = int(np.argmax(first.frame == self.frame))
         else:
             known = f"there are frames {first.frame.min()} to {first.frame.max()}"
             raise InputError(f"{first.recording}: frame {self.frame} has no results; {known}")
-        return index, f"{first.recording}: frame {first.frame[index]} at {first.time[index]:g} s{why}"
+        return index, f"{first.recording}: frame {first.frame[index]} at {first.time[index]:.4g} s"

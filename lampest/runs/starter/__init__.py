@@ -14,6 +14,7 @@ from lampest.runs.config import json_schema
 TEMPLATES = Path(__file__).parent
 RUN, SCENE, SIMULATION = "run.yaml", "scene.yaml", "simulation.yaml"
 RECORDING, SCHEMA = "example.h5", "lampest.schema.json"
+MAT = "mat"  # a purpose
 FILES = (SCENE, SIMULATION, SCHEMA, RECORDING, RUN)
 # A lamprey's mouth where the panel has room for it, else a weight.
 MOUTH = """\
@@ -32,14 +33,13 @@ WEIGHT = """\
 class StarterCircuit:
     """A circuit of circuits.yaml: the kind of its readout, a sketch of the wiring, YAML lines of the scene's readout.
 
-    software : the firmware's wiring, or what the user's own program does. page : where the circuit is explained.
+    software : the firmware's wiring, or what the user's own program does.
     """
 
     kind: str
     sketch: str
     readout: str
     software: str
-    page: str
 
 
 def circuit_called(word: str) -> StarterCircuit:
@@ -51,8 +51,12 @@ def circuit_called(word: str) -> StarterCircuit:
     return known[word]
 
 
-def write_starter(folder: Path, circuit: str = "two_mux", rows: int = 10, columns: int = 10) -> tuple[Path, ...]:
+def write_starter(
+    folder: Path, circuit: str = "two_mux", rows: int = 10, columns: int = 10, purpose: str | None = None
+) -> tuple[Path, ...]:
     """Write all files for a circuit and a panel into a folder, which is made where it is not there; returns them.
+
+    purpose : 'mat', for a scene with contacts alone, or None.
 
     Raises InputError where one of them is there already, before any is written, where the folder cannot be written, or
     where there is no such circuit or panel.
@@ -60,11 +64,14 @@ def write_starter(folder: Path, circuit: str = "two_mux", rows: int = 10, column
     chosen, paths = circuit_called(circuit), {name: folder / name for name in FILES}
     for path in paths.values():
         if path.exists():
-            raise InputError(f"{path}: is there already; name another folder, and nothing of yours is replaced")
-    wiring = {"page": chosen.page, "sketch": indent(chosen.sketch, "#   "), "software": chosen.software}
+            raise InputError(f"{path}: is there already; name another folder: existing files are never replaced")
+    if purpose not in (None, MAT):
+        raise InputError(f"--purpose: there is no {purpose!r}; there is {MAT}")
+    wiring = {"sketch": indent(chosen.sketch, "#   "), "software": chosen.software}
     scene = _template(SCENE, rows=str(rows), columns=str(columns), readout=chosen.readout, **wiring)
+    scene = scene.replace("# purpose: mat  ", "purpose: mat    ") if purpose else scene
     centre = f"[{max(5 * columns - 6, 0)}, {max(5 * rows - 4, 0)}]"  # the middle of the panel
-    load = (MOUTH if min(rows, columns) >= 6 else WEIGHT).replace("{centre}", centre)
+    load = (MOUTH if min(rows, columns) >= 6 and not purpose else WEIGHT).replace("{centre}", centre)
     simulation = _template(SIMULATION, load=load).replace("scene: {}\n", "scene:\n" + indent(scene, "  "))
     simulated: Simulation = validated(parse_document(simulation, SIMULATION), Simulation)
     simulate(simulated, paths[RECORDING].stem).save(paths[RECORDING])
