@@ -54,7 +54,8 @@ def test_every_kind_is_drawn_by_its_word(
 ) -> None:
     assert plot_of(plot.kind) is plot and set(plot.needs) <= {column.name for column in COLUMNS}
     disk.recording(disk.folder / "small.h5", disk.scene + "response: {kind: published}\n")
-    run = disk.run(disk.text + "  bare: {terms: {misfit: {}}, error_bars: false}\n")
+    sweep = "sweep: {estimators.bare.solver.tolerance: [1e-8, 1e-6]}\n"
+    run = disk.run(disk.text + "  bare: {terms: {misfit: {}}, error_bars: false}\n" + sweep)
     assert lampest("run", run, "--out", disk.folder / "out", "--jobs", "1").code == 0
     ended = lampest("plot", disk.folder / "out" / "results.h5", "--show", plot.kind)
     progress = [re.match(r"lampest: \d+ of \d+ ", line) for line in ended.err.splitlines()]  # of a slow machine
