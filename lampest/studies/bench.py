@@ -1,37 +1,34 @@
-"""The benchmark: every frame of simulated recordings, solved by every solver in turn for as long as there is time."""
+"""The benchmark: every frame of simulated recordings, solved by every solver in turn for as long as there is time.
+
+SciPy's solvers join in docs/studies/bench.py.
+"""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import lru_cache
 from itertools import product
 from time import perf_counter
-from typing import Any, ClassVar, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from lampest.cost.cost import Cost
-from lampest.cost.problem import Data
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.methods.method import Method, OptimalMethod
 from lampest.estimate.sequence import first_stream
 from lampest.files.typed import Configuration, check_range, check_ranges
 from lampest.loads.shapes import AnyShape, Rod
 from lampest.panel.kirchhoff import laplacian
-from lampest.panel.panel import Array, Panel
+from lampest.panel.panel import Panel
 from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.readouts.wiring import Lines
 from lampest.panel.scene import Scene
 from lampest.recording.recording import Recording
 from lampest.recording.simulation.measure import Unmodelled
 from lampest.recording.simulation.simulation import Course, Simulation, simulate
-from lampest.solvers.multistart import evaluable, starts
-from lampest.solvers.solution import Settings, Solution, Solver, check
+from lampest.solvers.solution import Settings
 from lampest.studies import common
-from lampest.studies.study import OnStep, column, published_code
+from lampest.studies.study import OnStep, column
 from lampest.studies.timing import TimedFrame, inverse_time, outcome, peak_memory, pushed
-
-OURS = ("reduced", "nodal")
-SOLVERS = (*OURS, "scipy_exact", "scipy_difference", "scipy_lbfgsb")
 
 
 def loads(number: int, shape: common.Shape) -> tuple[tuple[AnyShape, ...], Course]:
@@ -54,35 +51,6 @@ def loads(number: int, shape: common.Shape) -> tuple[tuple[AnyShape, ...], Cours
 
 
 @dataclass(frozen=True)
-class ScipyMethod(Method):
-    """One of scipy's solvers, from the cheapest of the starts that a frame has, checked as ours are.
-
-    scipy_exact, scipy_difference : trf with the closed-form Jacobian, and with finite differences. scipy_lbfgsb :
-    L-BFGS-B with the closed-form gradient.
-    """
-
-    optimum: ClassVar[bool] = True
-    kind: Literal["scipy_exact", "scipy_difference", "scipy_lbfgsb"]
-    joint: bool = False
-
-    def solver(self, cost: Cost, scene: Scene, settings: Settings, period: float) -> Solver:
-        """Kept for costs that come again."""
-        return _scipy(self.kind, cost, settings)
-
-    def solution(self, solver: Solver, data: Data, previous: Array | None, prepared: Any) -> Solution:
-        """The minimum next to that start."""
-        places = starts(solver.cost, data, previous)
-        start = min(evaluable(solver.cost, data, places), key=lambda point: point.objective)
-        return check(start, solver.solve(data, start))
-
-
-@lru_cache(maxsize=8)
-def _scipy(name: str, cost: Cost, settings: Settings) -> Solver:
-    solver: Solver = published_code("published_solvers").SOLVERS[name](cost, settings)
-    return solver
-
-
-@dataclass(frozen=True)
 class BenchLimits(Configuration):
     """The largest side, max(rows, columns), at which a solver is run; 0: not at all.
 
@@ -92,10 +60,12 @@ class BenchLimits(Configuration):
 
     reduced: int = common.LARGEST_SIDE
     nodal: int = 16
-    scipy_exact: int = 16
-    scipy_difference: int = 10
-    scipy_lbfgsb: int = 10
     joint: int = 10
+
+    @property
+    def solvers(self) -> tuple[str, ...]:
+        """The names of the solvers, in order."""
+        return tuple(one.name for one in fields(self) if one.name != "joint")
 
 
 @dataclass(frozen=True)
@@ -150,14 +120,17 @@ class BenchFile(Configuration):
     def solvers(self, shape: common.Shape) -> tuple[str, ...]:
         """The names of the solvers that run on a panel."""
         wired = self.lines is not None and self.lines.resist
-        known = (name for name in SOLVERS if not (wired and name == "nodal"))
+        known = (name for name in self.limits.solvers if not (wired and name == "nodal"))
         return tuple(name for name in known if max(shape) <= getattr(self.limits, name))
 
     def estimator(self, method: str, solver: str, shape: common.Shape) -> Estimator:
         """A method with a solver, for a panel: a large one's baseline is solved alone."""
-        known: dict[str, Any] = {"kind": solver, "joint": max(shape) <= self.limits.joint}
-        formulation = OptimalMethod(**known) if solver in OURS else ScipyMethod(**known)
+        formulation = self.formulation(solver, max(shape) <= self.limits.joint)
         return Estimator(self.estimators[method].parts, formulation, self.solver, error_bars=False)
+
+    def formulation(self, solver: Any, joint: bool) -> Method:
+        """The formulation of a solver's name."""
+        return OptimalMethod(kind=solver, joint=joint)
 
     def recording(self, shape: common.Shape, number: int = 0) -> Recording:
         """One of the recordings of a panel, its loads those of `loads`; 3 unloaded frames."""

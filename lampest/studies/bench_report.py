@@ -12,7 +12,6 @@ from lampest.studies.timing import NO_GAP
 
 ALL = "all"  # methods together
 GROWTH_FROM = 32  # rows and columns of the smallest panel of which growth is measured
-NAMES = {"scipy_exact": "trf exact", "scipy_difference": "trf 2-point", "scipy_lbfgsb": "L-BFGS-B"}  # on the screen
 
 
 def bench_rows(frames: Sequence[BenchFrame]) -> list[study.Row]:
@@ -89,7 +88,7 @@ GROWTH_SCREEN = {
 }
 SCREEN: study.Screen = {
     "panel": "{rows} × {columns}",
-    "solver": lambda row: NAMES.get(row.solver, row.solver),
+    "solver": "{solver}",
     "method": "{method}",
     "frames": "{frames}",
     "ms": "{ms:digits}",
