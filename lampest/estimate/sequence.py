@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from lampest.cost.cost import Cost
 from lampest.cost.given import Background
 from lampest.cost.problem import Data
-from lampest.cost.terms import LogGradient, Misfit, RelativeChange
+from lampest.cost.terms import LogGradient, Misfit, RelativeChange, Term
 from lampest.estimate.estimates import Estimates
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.model_error import with_model_error
@@ -32,6 +32,16 @@ from lampest.solvers.solution import Status
 
 LEAD = 500  # unloaded frames, and measured ones around the strongest, that tell of the noise; no more than a part has
 OPENING = 10  # first frames that stand for the unloaded ones where there are none, if enough of one can be read
+
+
+def default_terms(recording: Recording) -> tuple[Term, ...]:
+    """Return the terms where none are given: both are free of unit and scale.
+
+    Readings count by their noise where that is known; the penalty is of ln r between neighbours.
+    Raises InputError where what is given is no Recording.
+    """
+    known = Prepared.of(recording).recording.readings().sigma is not None
+    return Misfit(weighting="noise" if known else "plain"), LogGradient()
 
 
 @ONE_BLAS_THREAD
