@@ -245,7 +245,7 @@ class Parts:
             return None
         recording = of_parts((self.lead, part))
         inside = _own_frames(recording, frames)
-        return recording, Prepared(recording).readings_as(self.asked.noise)[inside], inside
+        return recording, Prepared(recording, self.asked.noise).noise.readings[inside], inside
 
     def _with_baseline(self, begun: Stream, readings: Readings) -> Stream:
         """A stream whose baseline is solved together with a frame once it has come to that frame."""
@@ -287,7 +287,7 @@ def asked_frames(stored: StoredRecording) -> tuple[Recording, Prepared]:
         if part is None:
             continue
         recording = of_parts((lead, part))
-        taken, own = Prepared(recording).readings_as(None), _own_frames(recording, frames)
+        taken, own = Prepared(recording).frame_noise.readings, _own_frames(recording, frames)
         size: Array = np.where(
             taken.enough(stored.scene)[own], mean_change(taken.plain_values[own], resting.value), -1.0
         )
