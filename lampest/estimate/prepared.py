@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.estimate.model_check import Explained, ModelCheck, check_of_modules
+from lampest.estimate.model_check import ExplainedRecording, ModelCheck, check_of_modules
 from lampest.estimate.noise import (
     NoiseSeen,
     joined_noise,
@@ -109,10 +109,10 @@ class Prepared:
 
     @cached_property
     @ONE_BLAS_THREAD
-    def explained(self) -> Explained | None:
+    def explained(self) -> ExplainedRecording | None:
         """The readings of a single network as its circuit explains them; None where arithmetic breaks down."""
         with suppress(*BROKEN), np.errstate(all="ignore"):
-            return Explained.of(self.cleaned.recording, self.cleaned.outliers)
+            return ExplainedRecording.of(self.cleaned.recording, self.cleaned.outliers)
         return None
 
     @cached_property
