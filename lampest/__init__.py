@@ -173,8 +173,8 @@ def reconstruct(
     Parameters
     ----------
     recording : frames and scene, as `Recording.load`, `simulate` and `import_file` give them.
-    terms : the cost terms, such as [Misfit(), Gradient(weight=1e-3)]; a penalty without a weight has 'auto'. None stands
-        for [Misfit(weighting="noise"), LogGradient()], with a plain misfit where the noise is unknown.
+    terms : the cost terms, such as [Misfit(), Gradient(weight=1e-3)]; a penalty without a weight has 'auto'. None
+        stands for [Misfit(weighting="noise"), LogGradient()], with a plain misfit where the noise is unknown.
     formulation : how the estimate is computed, a word or a method with its options: RegionMethod(significance=4);
         by default nodal or reduced, by the panel's size and the time between frames.
     solver, bounds, auto_weight : None stands for Settings(), Bounds() and AutoWeight().

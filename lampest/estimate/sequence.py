@@ -311,7 +311,7 @@ class Parts:
             return None
         recording = of_parts((self.lead, part))
         inside = _own_frames(recording, frames)
-        readings = Prepared(recording).readings_as(self.asked.noise)[inside]
+        readings = Prepared(recording, self.asked.noise).noise.readings[inside]
         if readings.sigma is not None:
             readings = replace(readings, sigma=self.noise.model_factor * readings.sigma)
         return recording, readings, inside
@@ -356,7 +356,7 @@ def asked_frames(stored: StoredRecording) -> tuple[Recording, Prepared]:
         if part is None:
             continue
         recording = of_parts((lead, part))
-        taken, own = Prepared(recording).readings_as(None), _own_frames(recording, frames)
+        taken, own = Prepared(recording).frame_noise.readings, _own_frames(recording, frames)
         size: Array = np.where(
             taken.enough(stored.scene)[own], mean_change(taken.plain_values[own], resting.value), -1.0
         )

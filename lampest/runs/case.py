@@ -33,8 +33,8 @@ class CaseResult(Held):
     recording, estimator : the recording's stem and the estimator's name, printable ASCII without '/'.
     case_id, case_yaml : hash and YAML text of the resolved case. versions : library → version.
     swept_json : values of a sweep by key.
-    costs, weights, weight_sigma, disc, contacts, misfit : name → (frames), see `lampest.runs.columns.FIGURES`; with `_errors` behind
-        a name its standard deviation.
+    costs, weights, weight_sigma, disc, contacts, misfit : name → (frames), see `lampest.runs.columns.FIGURES`; with
+        `_errors` behind a name its standard deviation.
     baseline_status, baseline_solve_time : how the baseline's solve ended, and its time in s (NaN: not solved apart).
     model_mark : whether the circuit explains the recording: 'yes', 'no', 'noise' or 'not checked'.
     reading_error : standard deviation of the logarithm of a factor on each reading, learned from still cells; 0: none.
