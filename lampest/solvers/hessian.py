@@ -127,8 +127,16 @@ class Hessian:
 
     @cached_property
     def reading_weight(self) -> Array:
-        """W = max(∂²φ/∂y², 0), (frames, rows, columns)."""
-        return np.asarray(np.maximum(self.curvature, 0.0).reshape(self.at.cell_resistance.shape))
+        """W, (frames, rows, columns): max(∂²φ/∂y², 0) of squared losses, ρ'(x)/x·(∂x/∂y)² of all others.
+
+        These weights of iteratively reweighted least squares are positive beyond a loss's corner, too.
+        """
+        weight = np.maximum(self.curvature, 0.0)
+        if not all(term.loss.squared for term in self.at.cost.terms if term.reads_measurement):
+            part = residuals(self.at.cost).data
+            _, stiffness = slopes_of(self, part, part.values(self.at))
+            weight = part.jacobian("by_model", self.at).power(2).T @ stiffness
+        return np.asarray(weight.reshape(self.at.cell_resistance.shape))
 
     @cached_property
     def penalty_matrix(self) -> sparse.csr_array:

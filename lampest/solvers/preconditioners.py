@@ -236,12 +236,18 @@ def preconditioner(hessian: Hessian, free: Free) -> Preconditioner:
         return TwoLevel.of(hessian)
     cells, chosen = hessian.at.cell_resistance, np.flatnonzero(free)
     found = Cholesky.of(cells, chosen, hessian.between(chosen))
-    if found is None:
-        matrix = hessian.gauss_newton_between(chosen)
-        matrix.flat[:: len(matrix) + 1] = floored(np.diag(matrix))
-        tried = (Cholesky.of(cells, chosen, matrix, shift) for shift in SHIFTS)
-        found = next((one for one in tried if one is not None), None)
-    return TwoLevel.of(hessian) if found is None else found
+    return found or gauss_newton_factor(hessian, free) or TwoLevel.of(hessian)
+
+
+def gauss_newton_factor(hessian: Hessian, free: Free) -> Cholesky | None:
+    """Cholesky factor of Gauss–Newton's matrix over the free cells; None on large problems, or beyond rounding."""
+    if not hessian.dense:
+        return None
+    chosen = np.flatnonzero(free)
+    matrix = hessian.gauss_newton_between(chosen)
+    matrix.flat[:: len(matrix) + 1] = floored(np.diag(matrix))
+    tried = (Cholesky.of(hessian.at.cell_resistance, chosen, matrix, shift) for shift in SHIFTS)
+    return next((factor for factor in tried if factor is not None), None)
 
 
 def floored(diagonal: Array) -> Array:

@@ -23,7 +23,7 @@ from lampest.solvers.certificate import Certificate, Definiteness, certificate
 from lampest.solvers.hessian import DENSE_STIFF_CELLS, Hessian
 from lampest.solvers.interior_point import by_interior_point
 from lampest.solvers.orthogonal import Squares
-from lampest.solvers.preconditioners import Preconditioner, preconditioner
+from lampest.solvers.preconditioners import Preconditioner, gauss_newton_factor, preconditioner
 from lampest.solvers.smoothing import Smoothing
 from lampest.solvers.solution import Outcome, Settings, Status
 
@@ -224,6 +224,7 @@ def advanced(point: Iterate) -> Iterate | None:
         convex = convex and not found.negative
         if found.negative and patience and product is exact:
             product, patience = hessian.gauss_newton_product, patience - 1
+            kept = gauss_newton_factor(hessian, free) or kept
             found = direction(point, kept, free, product, radius)
         trial = point.at_step(found.step)
         ratio = point.accepts(trial, found.predicted)
