@@ -219,13 +219,14 @@ class Hessian:
 
     def gauss_newton_between(self, chosen: Numbers) -> Array:
         """JᵀWJ + PᵀKP between some unknowns (numbers), dense."""
-        penalties = self.penalty_matrix[chosen][:, chosen].toarray()
-        if len(self.at.networks) == 1:
-            return np.asarray(self._square(chosen, self.reading_weight.ravel()) + penalties)
+        return matrix_between(self._gauss_newton_matrix, chosen)
+
+    @cached_property
+    def _gauss_newton_matrix(self) -> Array:
         weights = self.reading_weight.reshape(len(self.at.networks), -1)
         pairs = zip(self.at.networks, weights, strict=True)
         blocks = [weighted_square(network.sensitivity(), weight) for network, weight in pairs]
-        return np.asarray(matrix_between(block_diagonal(blocks), chosen) + penalties)
+        return np.asarray(block_diagonal(blocks) + self.penalty_matrix.toarray())
 
     def _add_terms(self, matrix: Array, jacobians: Sequence[Array]) -> None:
         cells = self.at.cell_resistance.ravel()

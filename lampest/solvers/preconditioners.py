@@ -239,14 +239,17 @@ def preconditioner(hessian: Hessian, free: Free) -> Preconditioner:
     return found or gauss_newton_factor(hessian, free) or TwoLevel.of(hessian)
 
 
-def gauss_newton_factor(hessian: Hessian, free: Free) -> Cholesky | None:
-    """Cholesky factor of Gauss–Newton's matrix over the free cells; None on large problems, or beyond rounding."""
+def gauss_newton_factor(hessian: Hessian, free: Free, damping: float = SHIFTS[0]) -> Cholesky | None:
+    """Cholesky factor of Gauss–Newton's matrix over the free cells, with `damping` or more on its unit diagonal.
+
+    None on large problems, or where rounding leaves no positive pivot.
+    """
     if not hessian.dense:
         return None
-    chosen = np.flatnonzero(free)
-    matrix = hessian.gauss_newton_between(chosen)
+    chosen, cells = np.flatnonzero(free), hessian.at.cell_resistance
+    matrix = hessian.gauss_newton_between(chosen).copy()
     matrix.flat[:: len(matrix) + 1] = floored(np.diag(matrix))
-    tried = (Cholesky.of(hessian.at.cell_resistance, chosen, matrix, shift) for shift in SHIFTS)
+    tried = (Cholesky.of(cells, chosen, matrix, shift) for shift in (damping, *SHIFTS) if shift >= damping)
     return next((factor for factor in tried if factor is not None), None)
 
 

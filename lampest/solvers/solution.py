@@ -48,6 +48,7 @@ class Status(Enum):
     UNRESTED = "too few of the unloaded panel's readings are values, and the method compares with them"
     ROUNDED = "not converged: one term outweighs the others by more than the sixteen digits of double precision"
     DRIFT = "not converged: the cost keeps falling slowly while some cells run to their bounds"
+    STALLED = "not converged: the cost has stopped falling; the data and penalties determine some cells too weakly"
     ITERATIONS = "the iteration limit was reached before an optimum"
     TIME = "the time limit was reached before an optimum"
     INFEASIBLE = "the solver found no point that satisfies the constraints"
@@ -70,6 +71,7 @@ ADVICE = {
     Status.UNRESTED: "Choose other unloaded frames with `lampest tare`.",
     Status.ROUNDED: "Lower the weight of the heaviest term.",
     Status.DRIFT: "Name an upper bound in `bounds`, or solve the baseline first (`joint: false`).",
+    Status.STALLED: "Raise the weight of a penalty, or the corner of its loss; check that the readout fits the data.",
     Status.ITERATIONS: "Raise `solver: max_iterations`, or add a penalty.",
     Status.TIME: "Raise `solver: time_limit_s`.",
     Status.INFEASIBLE: "Check `bounds`: they may leave no room.",
@@ -229,7 +231,9 @@ def _sharp(at: Evaluation, outcome: Outcome) -> Hessian:
 
 def _cause(at: Evaluation, gradient: Array, outcome: Outcome, fault: Status) -> Status:
     """The fault; or that digits were lost, where second derivatives are rounding."""
-    if fault not in (Status.BREAKDOWN, Status.ITERATIONS, Status.UNVERIFIED) or not np.all(np.isfinite(gradient)):
+    if fault not in (Status.BREAKDOWN, Status.ITERATIONS, Status.STALLED, Status.UNVERIFIED) or not np.all(
+        np.isfinite(gradient)
+    ):
         return fault
     hessian = _sharp(at, outcome)
     if certificate(hessian).definiteness is not Definiteness.UNDETERMINED:
