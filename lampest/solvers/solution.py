@@ -15,8 +15,7 @@ from lampest.solvers.bounds import MILLIONTH, bounds_matter, free_cells
 from lampest.solvers.certificate import Certificate, Definiteness, certificate
 from lampest.solvers.hessian import DENSE_STIFF_CELLS, Hessian
 from lampest.solvers.kinks import Unsmoothed
-from lampest.solvers.orthogonal import runs_off
-from lampest.solvers.preconditioners import Preconditioner
+from lampest.solvers.preconditioners import Preconditioner, gauss_newton_factor
 from lampest.solvers.smoothing import Smoothing
 
 VERIFIED = MILLIONTH
@@ -238,8 +237,11 @@ def _cause(at: Evaluation, gradient: Array, outcome: Outcome, fault: Status) -> 
     hessian = _sharp(at, outcome)
     if certificate(hessian).definiteness is not Definiteness.UNDETERMINED:
         return fault
-    free = np.flatnonzero(free_cells(at, gradient.ravel()))
-    return Status.DRIFT if runs_off(hessian, free) else Status.ROUNDED
+    factor = gauss_newton_factor(hessian, free_cells(at, gradient.ravel()))
+    if factor is None:
+        return Status.ROUNDED
+    longest = float(np.abs(factor.solve(gradient.ravel()[factor.cells])).max(initial=0.0))
+    return Status.DRIFT if longest > np.log(10) else Status.ROUNDED  # a tenfold step: a cell runs off
 
 
 @typed
