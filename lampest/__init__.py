@@ -158,7 +158,7 @@ else:
 
 def reconstruct(
     recording: Recording,
-    terms: Sequence[Term],
+    terms: Sequence[Term] | None = None,
     *,
     formulation: MethodName | Method = "auto",
     solver: Settings | None = None,
@@ -173,7 +173,8 @@ def reconstruct(
     Parameters
     ----------
     recording : frames and scene, as `Recording.load`, `simulate` and `import_file` give them.
-    terms : the cost terms, such as [Misfit(), Gradient(weight=1e-3)]; a penalty without a weight has 'auto'.
+    terms : the cost terms, such as [Misfit(), Gradient(weight=1e-3)]; a penalty without a weight has 'auto'. None
+        stands for [Misfit(weighting="noise"), LogGradient()], with a plain misfit where the noise is unknown.
     formulation : how the estimate is computed, a word or a method with its options: RegionMethod(significance=4);
         by default nodal or reduced, by the panel's size and the time between frames.
     solver, bounds, auto_weight : None stands for Settings(), Bounds() and AutoWeight().
@@ -191,11 +192,12 @@ def reconstruct(
     """
     from lampest.estimate.estimator import AutoWeight, Bounds, Estimator
     from lampest.estimate.objective import checked_terms
+    from lampest.estimate.sequence import default_terms
     from lampest.report.reconstruction import Reconstruction
     from lampest.solvers.solution import Settings
 
     estimator = Estimator(
-        checked_terms(terms),
+        default_terms(recording) if terms is None else checked_terms(terms),
         formulation,
         Settings() if solver is None else solver,
         Bounds() if bounds is None else bounds,

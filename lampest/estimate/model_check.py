@@ -66,7 +66,7 @@ class ModelCheck:
 
 
 @dataclass(frozen=True, eq=False)
-class Explained:
+class ExplainedRecording:
     """A recording as its circuit explains it.
 
     Attributes
@@ -91,7 +91,7 @@ class Explained:
     explanation: "Explanation | None"
 
     @classmethod
-    def of(cls, recording: Recording, outliers: NDArray[np.bool_]) -> "Explained":
+    def of(cls, recording: Recording, outliers: NDArray[np.bool_]) -> "ExplainedRecording":
         """Return the explanation of a recording whose noise is known; without an unloaded frame the first stands in."""
         scene, role = recording.scene, recording.role
         specified = Rival(scene, np.where(outliers, np.nan, recording.recorded), recording.sigma)

@@ -138,9 +138,9 @@ def with_still_cells(seen: NoiseSeen, recording: Recording, sizes: Systematic) -
     return replace(still, hidden=hidden).warned(said if own > (sizes.reading_error or 0.0) else "")
 
 
-def without_effects(seen: NoiseSeen, recording: Recording, besides: Besides) -> NoiseSeen:
+def without_effects(seen: NoiseSeen, recording: Recording, besides: Besides | None) -> NoiseSeen:
     """With what leaks and contacts did taken off the readings."""
-    if besides.pair is None:
+    if besides is None or besides.pair is None:
         return seen
     unloaded = recording.role == UNLOADED
     frame, nothing = seen.frame, np.zeros((recording.scene.panel.shape[1 - recording.scene.circuit.by_columns], 0))

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from lampest.estimate.cells_fit import CREEP, LEVEL, TOGETHER, CellsFit, fitted
 from lampest.estimate.changed_cells import PRICE, apart_from_moved, mostly_still, scores_beside, selected
 from lampest.estimate.rivals import MOVED
-from lampest.panel.effects import Effect, disturbance, neighbours
+from lampest.panel.effects import EFFECTS, Effect, LooseContact, disturbance
 from lampest.panel.network import Network
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
@@ -28,7 +28,6 @@ from lampest.recording.readings import Readings
 # 15 or less.
 MARGIN = 36.0
 MOST_ASKED = 3  # rivals or effects: those that linear theory finds best
-PRIOR = {"leak": 1 / 10e3, "contact": 100.0}  # siemens of water between lines; ohm of a contact that loosens
 CHANNEL_OHM = 3.0  # standard deviation of a multiplexer's channels (CD74HC4067, data sheet: any two differ by 10 ohm)
 STEPS, SETTLED = 12, 0.1  # of θ, each within its prior's deviation; standard deviations at which they end
 MOST_BOUNDS = 0.02  # of the readings: cells behind bounds have no linear theory
@@ -61,23 +60,10 @@ class Better:
         return f"between the unloaded panel and {self.frames} {counts}"
 
 
-def named(effect: Effect, rows: int) -> str:
-    """An effect in words, with its size."""
-    since = ", since the unloaded frames" if effect.since else ""
-    first = f"row {effect.lines[0]}" if effect.lines[0] < rows else f"column {effect.lines[0] - rows}"
-    if effect.kind == "contact":
-        more = "more" if effect.size > 0 else "less"
-        return f"{float(f'{abs(effect.size):.2g}'):g} ohm {more} at the contact of {first}{since}"
-    where = f"{first} and the next one" if len(effect.lines) == 1 else "neighbouring lines"
-    return f"a leak of {1e-3 / effect.size:.2g} kohm between {where}{since}"
-
-
-def candidates(shape: tuple[int, ...]) -> Iterator[Effect]:
-    """All that are tried on a panel."""
-    pairs = neighbours(shape[0], shape[1])
-    for since in (True, False):
-        yield from (Effect("leak", lines, since) for lines in (pairs, *((line,) for line in pairs)))
-        yield from (Effect("contact", (line,), since) for line in range(sum(shape)))
+def candidates(shape: tuple[int, ...]) -> list[Effect]:
+    """Return all effects that are tried on a panel, constant or since the unloaded frames."""
+    rows, columns = shape
+    return [kind(lines, since) for since in (True, False) for kind in EFFECTS for lines in kind.places(rows, columns)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,7 +145,7 @@ class FittedFrame:
     @property
     def amplification(self) -> Array:
         """The factor by which the readings' noise grows once the effects are taken off, (rows, columns)."""
-        if all(one.kind == "contact" for one in self.effects):
+        if all(one.changed(self.network) is self.network for one in self.effects):
             return np.ones(self.fit.cells.shape)
         assert self.fit.readings.sigma is not None
         dry = self.network.sensitivity() / self.fit.readings.sigma.reshape(-1, 1)
@@ -169,7 +155,7 @@ class FittedFrame:
 
 def _small(effect: Effect) -> Effect:
     """Return the effect of which a secant is taken."""
-    return replace(effect, since=False, size=SECANT * PRIOR[effect.kind])
+    return replace(effect, since=False, size=SECANT * effect.prior)
 
 
 @dataclass(frozen=True, eq=False)
@@ -228,7 +214,7 @@ class FittedPair:
     @cached_property
     def _prior_score(self) -> float:
         """−2 log of the prior of the effects in the network."""
-        return sum(PRICE + (effect.size / PRIOR[effect.kind]) ** 2 for effect in self.effects if effect.size)
+        return sum(PRICE + (effect.size / effect.prior) ** 2 for effect in self.effects if effect.size)
 
     def _beside(self, columns: Array) -> tuple[Array, Array, float]:
         """(a factor common to all cells and the columns, precision of the change with both, log det that both add)."""
@@ -273,7 +259,7 @@ class FittedPair:
 
     def off_by_one(self, score: float) -> bool:
         """Whether a single reading that is off explains to that score: an outlier as a load comes is hardly seen."""
-        return bool(np.any(self.scores_with(self.columns(()), PRIOR["contact"] * self.frames[1].fit.gain) < score))
+        return bool(np.any(self.scores_with(self.columns(()), LooseContact.prior * self.frames[1].fit.gain) < score))
 
     def with_sizes(self, sizes: Sequence[float]) -> "FittedPair | None":
         """The pair with effects of other sizes; None where no cells give the readings then."""
@@ -333,9 +319,9 @@ class FittedPair:
 
     def _stepped(self, step: Array) -> "FittedPair | None":
         """With sizes by a step (effects) in units of their priors larger; no leak is below zero."""
-        sizes = [one.size + PRIOR[one.kind] * float(more) for one, more in zip(self.effects, step, strict=True)]
+        sizes = [one.size + one.prior * float(more) for one, more in zip(self.effects, step, strict=True)]
         return self.with_sizes(
-            [max(size, 0.0) if one.kind == "leak" else size for one, size in zip(self.effects, sizes, strict=True)]
+            [max(size, 0.0) if one.positive else size for one, size in zip(self.effects, sizes, strict=True)]
         )
 
 
@@ -353,7 +339,7 @@ class Besides:
     @property
     def taken(self) -> str:
         """What is taken off the readings, in words."""
-        names = [] if self.pair is None else [named(one, self.pair.shape[0]) for one in self.pair.effects]
+        names = [] if self.pair is None else [one.sentence(self.pair.shape[0]) for one in self.pair.effects]
         return f"{' and '.join(names)}: {TAKEN_OFF}"
 
 
@@ -372,7 +358,7 @@ def besides_the_circuit(pairs: Sequence[tuple[str, FittedPair]]) -> Besides:
         if any(_beside_a_load(one, moved) for one in whole.effects) or pair.off_by_one(after.score + MARGIN):
             continue
         most, fits_noise = plain.score - after.score, min(one.fit.tail for one in whole.frames) >= LEVEL
-        names = " and ".join(named(one, pair.shape[0]) for one in whole.effects)
+        names = " and ".join(one.sentence(pair.shape[0]) for one in whole.effects)
         better = Better(names, name, int(after.moved.sum()), int(plain.moved.sum()), fits_noise)
         found = Besides(better, "", certain if certain.effects and fits_noise else None)
     return found if found.better.name else replace(found, together=together)
@@ -394,7 +380,7 @@ def _grown(pair: FittedPair, evidence: Evidence) -> tuple[FittedPair, Evidence, 
 
 def _tried(pair: FittedPair, plain: Evidence) -> Iterator[tuple[FittedPair, Evidence]]:
     """The pair with one effect more, each of the likeliest, where fewer cells have moved with it."""
-    effects = list(candidates(pair.shape))
+    effects = candidates(pair.shape)
     columns = pair.columns((*pair.effects, *effects))
     before, columns = np.split(columns, [len(pair.effects)], axis=1)
     scores = pair.scores_with(before, columns)
@@ -408,7 +394,7 @@ def _tried(pair: FittedPair, plain: Evidence) -> Iterator[tuple[FittedPair, Evid
 
 def _beside_a_load(effect: Effect, moved: NDArray[np.bool_]) -> bool:
     """Whether a load's edge may be taken for a better contact: most cells of a line next to it have moved."""
-    if effect.kind == "leak" or effect.size > 0:
+    if not isinstance(effect, LooseContact) or effect.size > 0:
         return False
     line, rows = effect.lines[0], len(moved)
     side, at = (moved, line) if line < rows else (moved.T, line - rows)
@@ -449,7 +435,7 @@ def left_open(pair: FittedPair) -> Array:
     sd = pair.explained(pair.columns(pair.effects)).sd[1:]
     found = np.zeros((2, len(sd), *pair.shape))
     for place, (effect, one) in enumerate(zip(pair.effects, np.nan_to_num(sd), strict=True)):
-        more = replace(effect, size=float(one) * PRIOR[effect.kind])
+        more = replace(effect, size=float(one) * effect.prior)
         for number in (1,) if effect.since else (0, 1):
             found[number, place] = pair.frames[number].more(more) / pair.frames[number].given.value
     return found

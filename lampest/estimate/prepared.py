@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.estimate.model_check import Explained, ModelCheck, check_of_modules
+from lampest.estimate.model_check import ExplainedRecording, ModelCheck, check_of_modules
 from lampest.estimate.noise import (
     NoiseSeen,
     joined_noise,
@@ -57,11 +57,14 @@ class Prepared:
     Attributes
     ----------
     recording : Recording
+    known : NoiseSeen or None
+        Of a part of a longer recording, the effects and the motion that are known of all of it.
     cleaned_module : Cleaned or None
         Of a module, the cleaned readings that were determined together with those of the other modules.
     """
 
     recording: Recording
+    known: NoiseSeen | None = None
     cleaned_module: Cleaned | None = None
 
     @classmethod
@@ -86,8 +89,10 @@ class Prepared:
         dead = self.recording.scene.dead_modules
         living = [number for number in range(self.layout.count) if number not in dead]
         parts = [self.recording.modules[number] for number in living]
-        cleaned = {n: Prepared(part, own) for n, part, own in zip(living, parts, cleaned_together(parts), strict=True)}
-        return tuple(cleaned.get(number) for number in range(self.layout.count))
+        known = self.known.of_modules if self.known else (None,) * self.layout.count
+        each = zip(living, parts, cleaned_together(parts), strict=True)
+        prepared = {number: Prepared(part, known[number], cleaned) for number, part, cleaned in each}
+        return tuple(prepared.get(number) for number in range(self.layout.count))
 
     @cached_property
     def cleaned(self) -> Cleaned:
@@ -104,10 +109,10 @@ class Prepared:
 
     @cached_property
     @ONE_BLAS_THREAD
-    def explained(self) -> Explained | None:
+    def explained(self) -> ExplainedRecording | None:
         """The readings of a single network as its circuit explains them; None where arithmetic breaks down."""
         with suppress(*BROKEN), np.errstate(all="ignore"):
-            return Explained.of(self.cleaned.recording, self.cleaned.outliers)
+            return ExplainedRecording.of(self.cleaned.recording, self.cleaned.outliers)
         return None
 
     @cached_property
@@ -150,53 +155,23 @@ class Prepared:
         if self.layout is not None:
             every = [None if module is None else module.noise for module in self.modules]
             return joined_noise(self.recording, self.layout, every)
-        noise, role, sizes = self.frame_noise, self.recording.role, usual(self.recording.scene)
-        if sizes is None or not (np.any(role == UNLOADED) and np.any(role == MEASURED)):
-            return noise
+        noise, recording = self.frame_noise, self.recording
+        unloaded, measured = (np.flatnonzero(recording.role == role) for role in (UNLOADED, MEASURED))
+        sizes = usual(recording.scene)
         with suppress(*BROKEN), np.errstate(all="ignore"):
-            if self.effects.pair is not None and self.check.besides:
-                noise = without_effects(noise, self.recording, self.effects).warned(self.effects.taken)
-            noise = with_still_cells(noise, self.recording, sizes)
+            if self.known is not None:
+                noise = without_effects(noise, recording, self.known.besides)
+                noise = noise.with_motion(recording.scene, self.known.share, measured)
+            elif sizes is not None and len(unloaded) and len(measured):
+                if self.effects.pair is not None and self.check.besides:
+                    noise = without_effects(noise, recording, self.effects).warned(self.effects.taken)
+                noise = with_still_cells(noise, recording, sizes)
         return noise
 
     @cached_property
     def warnings(self) -> tuple[str, ...]:
         """Everything that contradicts the scene, or may mislead, one line each."""
         return warnings_of(self.recording, self.noise, self.check)
-
-    def readings_as(self, known: NoiseSeen | None) -> Readings:
-        """Return the readings with effects and motion that are known of a longer recording.
-
-        Parameters
-        ----------
-        known : NoiseSeen or None
-            Noise of the recording that this one is a part of; None before it is known.
-        """
-        noise = self.frame_noise
-        if known is None:
-            return noise.readings
-        if self.layout is None:
-            return self._as_known(known)
-        every = enumerate(zip(self.modules, known.of_modules, strict=True))
-        changed = {
-            number: module._as_known(own)
-            for number, (module, own) in every
-            if module is not None and own is not None and (own.besides is not None or own.share)
-        }
-        if not changed:
-            return noise.readings
-        given = (
-            changed.get(number) or noise.readings.of_module(self.layout, number) for number in range(len(self.modules))
-        )
-        return Readings.of_parts(self.layout, list(given))
-
-    def _as_known(self, known: NoiseSeen) -> Readings:
-        """The readings of a single network, with effects and motion that are known."""
-        noise, recording = self.frame_noise, self.recording
-        with suppress(*BROKEN), np.errstate(all="ignore"):
-            noise = noise if known.besides is None else without_effects(noise, recording, known.besides)
-            noise = noise.with_motion(recording.scene, known.share, np.flatnonzero(recording.role == MEASURED))
-        return noise.readings
 
 
 def cleaned_together(recordings: Sequence[Recording]) -> list[Cleaned]:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from lampest.cost.cost import Cost
 from lampest.cost.given import Background
 from lampest.cost.problem import Data
-from lampest.cost.terms import LogGradient, Misfit, RelativeChange
+from lampest.cost.terms import LogGradient, Misfit, RelativeChange, Term
 from lampest.estimate.estimates import Estimates
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.model_error import with_model_error
@@ -32,6 +32,16 @@ from lampest.solvers.solution import Status
 
 LEAD = 500  # unloaded frames, and measured ones around the strongest, that tell of the noise; no more than a part has
 OPENING = 10  # first frames that stand for the unloaded ones where there are none, if enough of one can be read
+
+
+def default_terms(recording: Recording) -> tuple[Term, ...]:
+    """Return the terms where none are given: both are free of unit and scale.
+
+    Readings count by their noise where that is known; the penalty is of ln r between neighbours.
+    Raises InputError where what is given is no Recording.
+    """
+    known = Prepared.of(recording).recording.readings().sigma is not None
+    return Misfit(weighting="noise" if known else "plain"), LogGradient()
 
 
 @ONE_BLAS_THREAD
@@ -301,7 +311,7 @@ class Parts:
             return None
         recording = of_parts((self.lead, part))
         inside = _own_frames(recording, frames)
-        readings = Prepared(recording).readings_as(self.asked.noise)[inside]
+        readings = Prepared(recording, self.asked.noise).noise.readings[inside]
         if readings.sigma is not None:
             readings = replace(readings, sigma=self.noise.model_factor * readings.sigma)
         return recording, readings, inside
@@ -346,7 +356,7 @@ def asked_frames(stored: StoredRecording) -> tuple[Recording, Prepared]:
         if part is None:
             continue
         recording = of_parts((lead, part))
-        taken, own = Prepared(recording).readings_as(None), _own_frames(recording, frames)
+        taken, own = Prepared(recording).frame_noise.readings, _own_frames(recording, frames)
         size: Array = np.where(
             taken.enough(stored.scene)[own], mean_change(taken.plain_values[own], resting.value), -1.0
         )

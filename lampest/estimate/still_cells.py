@@ -213,26 +213,40 @@ def _steadied(scene: Scene, fit: CellsFit, near: Array, error: Array) -> CellsFi
 def _unloaded_costs(scene: Scene, resting: Readings) -> Array:
     """−2 log likelihood of ERRORS, the least of them 0: unloaded cells scatter about one value, log r ~ N(μ, s²).
 
-        −2 log p(y | e, s) ≈ Σ (y − f(u))²/τ² + Σ (u − ū)²/s² + log |A| + Σ log τ² + (m − 1) log s²,   τ² = σ² + (e y')²
+    About the most probable u, where t = y − f(u) + J u, readings are linear in the cells. With τ² = σ² + (e y')², where
+    y' is the reading's derivative by its recorded value's logarithm, and AAᵀ = QΛQᵀ of A = J/τ,
 
-    at the most probable u (Laplace), A its Hessian, y' the reading's derivative by its recorded value's logarithm.
-    Where cells are not alike, e comes out too large rather than too small. Raises what arithmetic does.
+        −2 log p(y | e, s) = Σ a²/v − (Σ a b/v)²/Σ(b²/v) + Σ log v + log Σ(b²/v) + Σ log τ²,   v = 1 + s²λ,
+
+    with a = Qᵀ t/τ and b = Qᵀ A 1. The point is that of the likeliest of a few errors first, then of all. Where cells
+    are not alike, e comes out too large rather than too small. Raises what arithmetic does.
     """
     assert resting.sigma is not None
-    data = cells_alone().data(resting.alone(), Background(scene))
-    share = np.abs(recorded_share(resting.value, scene))
-    costs = np.empty((len(ERRORS), len(SCATTERS)))
-    for column, spread in enumerate(SCATTERS):
-        cells = np.log(data.uniform_start[0])
-        for row in reversed(range(len(ERRORS))):
-            deviation = np.where(resting.plain, np.hypot(resting.sigma, ERRORS[row] * share), np.inf)
-            cells, costs[row, column] = _most_probable(data, resting.value, deviation, spread, cells)
+    data, plain = cells_alone().data(resting.alone(), Background(scene)), resting.plain.ravel()
+    share, scatters = np.abs(recorded_share(resting.value, scene)), np.square(SCATTERS)[:, None]
+    cells, costs = np.log(data.uniform_start[0]), np.zeros((1, len(SCATTERS)))
+    for errors, before in ((ERRORS[1::4], ERRORS[-1:]), (ERRORS, ERRORS[1::4])):
+        row, column = np.unravel_index(np.argmin(costs), costs.shape)
+        deviation = np.where(resting.plain, np.hypot(resting.sigma, before[row] * share), np.inf)
+        cells, jacobian = _most_probable(data, resting.value, deviation, SCATTERS[column], cells)
+        missed = resting.value - data.network(0, np.exp(cells)).reading()
+        target = missed.ravel() + jacobian @ cells.ravel()
+        costs = np.empty((len(errors), len(SCATTERS)))
+        for number, error in enumerate(errors):
+            tau = np.hypot(resting.sigma, error * share).ravel()[plain]
+            scaled = jacobian[plain] / tau[:, None]
+            values, turned = np.linalg.eigh(scaled @ scaled.T)
+            apart, ones = turned.T @ (target[plain] / tau), turned.T @ scaled.sum(axis=1)
+            grown = 1 + scatters * np.maximum(values, 0.0)
+            mean = (ones**2 / grown).sum(axis=1)
+            squares = (apart**2 / grown).sum(axis=1) - (apart * ones / grown).sum(axis=1) ** 2 / mean
+            costs[number] = squares + np.log(grown).sum(axis=1) + np.log(mean) + 2 * np.log(tau).sum()
     together = -2 * np.logaddexp.reduce(-costs / 2, axis=1)
     return np.asarray(together - together.min())
 
 
-def _most_probable(data: Data, value: Array, deviation: Array, spread: float, start: Array) -> tuple[Array, float]:
-    """(u (rows, columns), −2 log p(y | e, s)) from readings and their τ, infinite where there is none."""
+def _most_probable(data: Data, value: Array, deviation: Array, spread: float, start: Array) -> tuple[Array, Array]:
+    """(u (rows, columns), J (readings, cells)) from readings and their τ, infinite where there is none."""
     count = value.size
     unlike = (np.eye(count) - 1 / count) / spread
     free = data.lower[0] < data.upper[0]
@@ -246,7 +260,6 @@ def _most_probable(data: Data, value: Array, deviation: Array, spread: float, st
         jacobian = network.sensitivity() / deviation.reshape(-1, 1) * free.ravel()
         return SumOfSquares(np.concatenate([missed, unlike @ cells]), np.vstack([jacobian, unlike]))
 
-    found = replace(FIT, evaluations=25, share=0.0).minimum(model, start.ravel(), (lower, upper))
-    curvature = np.linalg.slogdet(found.at.normal)[1]
-    prior = 2 * np.log(deviation[np.isfinite(deviation)]).sum() + 2 * (count - 1) * np.log(spread)
-    return found.position.reshape(value.shape), 2 * found.at.cost + curvature + prior
+    found = replace(FIT, evaluations=25, share=0.0).minimum(model, start.ravel(), (lower, upper)).position
+    cells = found.reshape(value.shape)
+    return cells, data.network(0, np.exp(cells)).sensitivity() * free.ravel()

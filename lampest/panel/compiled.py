@@ -6,6 +6,7 @@ calls or frees its objects therefore is `guarded`: one thread at a time. Objects
 """
 
 import os
+import sys
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -26,8 +27,20 @@ P = ParamSpec("P")
 R = TypeVar("R")
 _LOCK = RLock()
 _DROPPED: deque[dict[str, Any]] = deque()  # contents of owners that are gone
-# A process that forks waits for the lock, so that the child never inherits a half-built node, nor a lock without owner.
-os.register_at_fork(before=_LOCK.acquire, after_in_parent=_LOCK.release, after_in_child=_LOCK.release)
+
+
+def _unlock_child() -> None:
+    """A forked child has no other threads; Python 3.11 would keep the properties locked that those were computing."""
+    _LOCK.release()
+    modules = [module for name, module in sys.modules.items() if name.startswith("lampest.")]
+    classes = {one for module in modules for one in vars(module).values() if isinstance(one, type)}
+    for member in (member for one in classes for member in vars(one).values()):
+        if isinstance(member, cached_property) and hasattr(member, "lock"):
+            member.lock = RLock()
+
+
+# A process that forks waits for the lock, so that the child inherits no half-built node.
+os.register_at_fork(before=_LOCK.acquire, after_in_parent=_LOCK.release, after_in_child=_unlock_child)
 
 
 def guarded(function: Callable[P, R]) -> Callable[P, R]:

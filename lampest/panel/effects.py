@@ -1,8 +1,9 @@
-"""Leaks and contacts that no scene names: what they make of a network's readings."""
+"""Effects that no scene names: what leaks and contacts make of a network's readings."""
 
-from collections.abc import Sequence
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import ClassVar
 
 import numpy as np
 
@@ -17,44 +18,106 @@ def neighbours(rows: int, columns: int) -> tuple[int, ...]:
 
 
 @dataclass(frozen=True)
-class Effect:
-    """A leak from each of some lines to the next one, as water makes it, or more resistance at their contacts.
+class Effect(ABC):
+    """One more parameter of the readings, which no scene names.
 
-    lines : their numbers, rows first. since : whether it came after the unloaded frames. size : siemens, or ohm.
+    Attributes
+    ----------
+    lines : tuple of int
+        Lines that it acts on, rows first.
+    since : bool
+        Whether it came after the unloaded frames.
+    size : float
+        In the unit of `prior`.
+    prior : float
+        Standard deviation of the size.
+    positive : bool
+        Whether the size is never negative.
     """
 
-    kind: Literal["leak", "contact"]
     lines: tuple[int, ...]
     since: bool = False
     size: float = 0.0
+    prior: ClassVar[float]
+    positive: ClassVar[bool] = False
 
-    def leaking(self, network: Network) -> Network:
-        """The network with the leak: Z − Z B (1/G + Bᵀ Z B)⁻¹ Bᵀ Z, B the incidence vectors of the pairs (Woodbury).
+    @classmethod
+    @abstractmethod
+    def places(cls, rows: int, columns: int) -> Iterator[tuple[int, ...]]:
+        """Return the lines of all effects of this kind that are tried on a panel."""
 
-        All derivatives follow from Z. A contact leaves the network as it is.
-        """
-        if self.kind == "contact":
-            return network
+    @abstractmethod
+    def sentence(self, rows: int) -> str:
+        """Return the effect in words, with its size; `rows` is the number of rows of the panel."""
+
+    def changed(self, network: Network) -> Network:
+        """Return the network with the effect."""
+        return network
+
+    def added(self, scene: Scene, network: Network) -> Array:
+        """Return what the effect adds to the readings of cells beside that, (rows, columns)."""
+        return np.zeros(network.conductance.shape)
+
+    def _where(self, rows: int) -> str:
+        line = self.lines[0]
+        return f"row {line}" if line < rows else f"column {line - rows}"
+
+    @property
+    def _since(self) -> str:
+        return ", since the unloaded frames" if self.since else ""
+
+
+class LineLeak(Effect):
+    """A leak from each of some lines to the next one, as water makes it, in siemens."""
+
+    prior = 1 / 10e3
+    positive = True
+
+    @classmethod
+    def places(cls, rows: int, columns: int) -> Iterator[tuple[int, ...]]:
+        pairs = neighbours(rows, columns)
+        yield from (pairs, *((line,) for line in pairs))
+
+    def sentence(self, rows: int) -> str:
+        where = f"{self._where(rows)} and the next one" if len(self.lines) == 1 else "neighbouring lines"
+        return f"a leak of {1e-3 / self.size:.2g} kohm between {where}{self._since}"
+
+    def changed(self, network: Network) -> Network:
+        """Z − Z B (1/G + Bᵀ Z B)⁻¹ Bᵀ Z, B the incidence vectors of the pairs (Woodbury); all derivatives follow."""
         each, lines = np.eye(sum(network.conductance.shape)), list(self.lines)
         across = each[:, lines] - each[:, [line + 1 for line in lines]]
         towards = network.potentials() @ across
         core = np.linalg.inv(np.eye(len(lines)) + self.size * across.T @ towards)
         return replace(network, _impedance=network.potentials() - self.size * towards @ core @ towards.T)
 
-    def contact(self, scene: Scene, network: Network) -> Array:
-        """What the contact adds to the readings of cells, (rows, columns); 0 of a leak."""
-        if self.kind == "leak":
-            return np.zeros(network.conductance.shape)
+
+class LooseContact(Effect):
+    """More resistance at the contact of a line, as one that loosens, in ohm."""
+
+    prior = 100.0
+
+    @classmethod
+    def places(cls, rows: int, columns: int) -> Iterator[tuple[int, ...]]:
+        yield from ((line,) for line in range(rows + columns))
+
+    def sentence(self, rows: int) -> str:
+        more = "more" if self.size > 0 else "less"
+        return f"{float(f'{abs(self.size):.2g}'):g} ohm {more} at the contact of {self._where(rows)}{self._since}"
+
+    def added(self, scene: Scene, network: Network) -> Array:
         rows, columns = network.conductance.shape
         more = self.size * np.isin(np.arange(rows + columns), self.lines)
         return scene.circuit.beyond(network, scene, more[:rows], more[rows:])
 
 
+EFFECTS: tuple[type[Effect], ...] = (LineLeak, LooseContact)  # all that are looked for
+
+
 def disturbed(effects: Sequence[Effect], scene: Scene, network: Network) -> tuple[Network, Array]:
-    """(the network with all leaks, what all contacts add to its readings (rows, columns))."""
-    added = sum((one.contact(scene, network) for one in effects), np.zeros(network.conductance.shape))
+    """(the network with all effects, what they add to its readings beside that (rows, columns))."""
+    added = sum((one.added(scene, network) for one in effects), np.zeros(network.conductance.shape))
     for one in effects:
-        network = one.leaking(network)
+        network = one.changed(network)
     return network, np.asarray(added)
 
 

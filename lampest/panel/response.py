@@ -8,7 +8,6 @@ from typing import Annotated, Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.interpolate import PchipInterpolator
 
 from lampest.files.typed import ByKind, Configuration, check_ranges
 from lampest.panel.panel import Array
@@ -139,6 +138,8 @@ class TableResponse(Response):
     @cached_property
     def _points(self) -> tuple[Array, Array]:
         """kPa and ln f, PARTS for each interval."""
+        from scipy.interpolate import PchipInterpolator  # 0.1 s, and few scenes have a table
+
         pressure = np.array(self.pressure_kpa)
         cubic = PchipInterpolator(pressure, np.log(self.resistance_ohm))
         steps = np.linspace(pressure[:-1], pressure[1:], PARTS, endpoint=False, axis=1)

@@ -304,11 +304,14 @@ def read_scene(path: str | Path, assigned: tuple[str, ...] = ()) -> Scene:
         document = replace(document, content=document.content["scene"], marks=document.marks["scene"])
     scene: Scene = validated(document, Scene)
     parts: dict[str, Any] = {"panel": scene.panel} | ({} if scene.readout is None else {"readout": scene.readout})
+    specified = {name: {"kind", *document.content[name]} for name in parts}
+    if scene.panel.modules is not None:  # rows, columns and pitch follow from the modules
+        specified["panel"] |= {"rows", "columns", *document.content["panel"]["modules"]["each"]}
     left_open = tuple(
         f"{name}.{entry.name}"
         for name, part in parts.items()
         for entry in fields(part)
-        if entry.name not in ("kind", *document.content[name]) and getattr(part, entry.name)
+        if entry.name not in specified[name] and getattr(part, entry.name)
     )
     return replace(scene, assumed=scene.assumed or left_open)
 

@@ -39,6 +39,7 @@ def steihaug(
     accuracy: float,
     radius: float = inf,
     admits: Callable[[Array], bool] | None = None,
+    most_products: int = MOST_PRODUCTS,
 ) -> SubproblemStep:
     """argmin gᵀs + ½ sᵀHs over ‖s‖_M ≤ radius; exact to `accuracy` where conjugate gradients end inside.
 
@@ -46,6 +47,7 @@ def steihaug(
     accuracy : ‖Hs + g‖ relative to ‖g‖, in the norm of M⁻¹, at which the iteration ends.
     radius : may be infinite. A direction of negative curvature is followed to the radius or to LONGEST.
     admits : whether a step may be taken; the iteration ends before the first but one that may not. None: any may.
+    most_products : at which the iteration ends with the step so far.
     """
     step, residual = np.zeros_like(gradient), gradient
     scaled = precondition(residual)
@@ -56,7 +58,7 @@ def steihaug(
     goal = accuracy**2 * strength
     inner, mixed, outer = 0.0, 0.0, strength  # ‖s‖², sᵀMp, ‖p‖²
     count = 0
-    while strength > goal and count < MOST_PRODUCTS:
+    while strength > goal and count < most_products:
         count += 1
         image = product(search)
         curvature = float(search @ image)

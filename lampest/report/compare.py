@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 Steps = Literal["all", "initial", "following"]
 T = TypeVar("T")
 Row = Mapping[str, Any]  # header of the CSV file → figure of a case over some of its steps, None where there is none
-ASIDE = ("label", "warnings")  # of a row, but not of the table
+ASIDE = ("label", "warnings", "chosen weights")  # of a row, but not of the table
 LEAST = 1e-3  # percent or ms: less is rounding
 STEPS = {"all": "", "initial": " first", "following": " later"}
 NOTES = {  # what a header that begins so means
@@ -109,7 +109,7 @@ def compare(results: Results, source: str = "") -> list[Row]:
             parts = {"all": first | ~first}
         texts = {"model": case.model_mark, "model check": case.model_sentence, "noise check": case.noise_sentence}
         label = case.unswept_name if case.swept else results.label(case).replace("lambda", "λ")
-        texts |= {"label": label, "warnings": case.warnings}
+        texts |= {"label": label, "warnings": case.warnings, "chosen weights": case.chosen_weights}
         for steps, chosen in parts.items():
             if np.any(chosen) or steps == "all":
                 named = {"results": source, "recording": case.recording, "estimator": case.estimator, "steps": steps}
@@ -155,9 +155,12 @@ def _quoted(published: PublishedFigures | None, steps: Steps) -> dict[str, Any]:
 
 
 def model_notes(rows: Sequence[Row]) -> list[str]:
-    """What speaks against each recording and its estimates, a line each; each once."""
+    """Return the weights that the data chose, and the warnings of each recording, a line each; each once."""
+    chosen = (
+        f"{row['recording']}, {row['estimator']}: {row['chosen weights']}" for row in rows if row["chosen weights"]
+    )
     notes = (f"warning: {row['recording']}: {line}" for row in rows for line in row["warnings"].split("\n") if line)
-    return list(dict.fromkeys(notes))
+    return list(dict.fromkeys((*chosen, *notes)))
 
 
 def comma_separated(rows: Iterable[Iterable[object]]) -> str:

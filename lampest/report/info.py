@@ -123,6 +123,9 @@ def _scene_lines(scene: Scene) -> list[str]:
     if panel.cells is not None:
         wide, tall = (most - least for least, most in panel.extents_mm)
         listed = f", {len(panel.cells)} cells at listed places over {wide:g} × {tall:g} mm"
+    if (modules := panel.modules) is not None:
+        each, seam = f"{modules.each.rows} × {modules.each.columns}", f"seams of {modules.seam_mm:g} mm"
+        listed = f", {modules.rows} × {modules.columns} modules of {each} cells with {seam}"
     texts: dict[str, object] = {
         "panel": f"{panel.rows} rows × {panel.columns} columns{listed}, pitch {panel.pitch_mm:g} mm",
         "readout": "unknown, resistances alone" if scene.readout is None else scene.readout.description(),

@@ -98,6 +98,7 @@ class Reconstruction(Estimates):
             "Model": [f"{self.recording.name}: {self.method}", f"first frame: {self.status[0]}"],
             "Fit Statistics": [f"{name:18} = {value}" for name, value in statistics.items()],
             "Weights": [f"{term}: {_median(weights)}" for term, weights in self.weights.items()],
+            "Chosen Weights": list(filter(None, case.chosen_weights.split(", "))),
             f"Cells in frame {self.frame[place]} at {self.time[place]:g} s": [
                 f"{n:18} = {text}" for n, text in cells.items()
             ],

@@ -33,8 +33,8 @@ class CaseResult(Held):
     recording, estimator : the recording's stem and the estimator's name, printable ASCII without '/'.
     case_id, case_yaml : hash and YAML text of the resolved case. versions : library → version.
     swept_json : values of a sweep by key.
-    costs, weights, disc, contacts, misfit : name → (frames), see `lampest.runs.columns.FIGURES`; with `_errors` behind
-        a name its standard deviation.
+    costs, weights, weight_sigma, disc, contacts, misfit : name → (frames), see `lampest.runs.columns.FIGURES`; with
+        `_errors` behind a name its standard deviation.
     baseline_status, baseline_solve_time : how the baseline's solve ended, and its time in s (NaN: not solved apart).
     model_mark : whether the circuit explains the recording: 'yes', 'no', 'noise' or 'not checked'.
     reading_error : standard deviation of the logarithm of a factor on each reading, learned from still cells; 0: none.
@@ -66,6 +66,16 @@ class CaseResult(Held):
                 self._check_shape(f"/entry/{self.recording}/{self.estimator}/{folder.folder}/{name}", values, FRAMES)
         self.check(COLUMNS)
         self.swept  # noqa: B018
+
+    @property
+    def chosen_weights(self) -> str:
+        """The weights that the data chose, with the standard deviation of ln λ where that is known, in words; ''."""
+        said = []
+        for term, sigma in self.weight_sigma.items():
+            known, weights = sigma[np.isfinite(sigma)], self.weights[term][np.isfinite(self.weights[term])]
+            if known.size and weights.size:
+                said.append(f"{term} λ = {np.median(weights):.3g} (ln λ ± {np.median(known):.2g})")
+        return ", ".join(said)
 
     @cached_property
     def swept(self) -> dict[str, Any]:

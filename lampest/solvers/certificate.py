@@ -18,9 +18,8 @@ from lampest.cost.problem import Evaluation
 from lampest.panel.panel import Array
 from lampest.panel.trust_region import DENSE_CELLS, restricted, steihaug
 from lampest.solvers.bounds import MILLIONTH, free_cells, lower_along, within_bounds
-from lampest.solvers.hessian import DENSE_STIFF_CELLS, Hessian
+from lampest.solvers.hessian import Hessian
 from lampest.solvers.kinks import AT_ZERO, Kinks, Unsmoothed, at_kink
-from lampest.solvers.orthogonal import Squares
 from lampest.solvers.preconditioners import Cholesky, Numbers, Preconditioner, TwoLevel
 
 SHARE = 1e-3  # of a cell's posterior deviation: what a verified estimate may still move by where the noise is known
@@ -29,7 +28,6 @@ REPRODUCED = 1e-5  # of a reading: second derivatives of readings add no larger 
 SOLVED = 0.3  # of log r: so near within the bounds, cells that reproduce all readings minimise the cost
 REPRODUCED_CELLS = 1024  # up to which a solve with J is affordable where no noise says what may be off
 ACCURACY = 0.1  # of a predicted step on large panels
-SURE = 1e-3  # of the squares' own curvature
 UNSEEN = 1e-14  # of the cost's scale, over a change of one in log r: below any digit of the cost itself
 ROUNDING = 1e-11  # of a matrix with a unit diagonal: what differences of impedances leave of 16 digits
 
@@ -194,11 +192,6 @@ def _by_factorisation(hessian: Hessian, free: Numbers) -> Certificate:
         return Certificate.of(hessian, Definiteness.POSITIVE, free, part, None, left=0.0, factor=factor)
     definiteness, part, left, lowest = newton_step(matrix, slope, least)
     definiteness, lower = _confirmed(hessian, definiteness, free, lowest)
-    if len(free) <= DENSE_STIFF_CELLS and definiteness is not Definiteness.POSITIVE:
-        # From residuals' first derivatives, which have twice the digits, where these suffice.
-        finer = Squares.of(hessian, free).newton(matrix)
-        if finer is not None and finer[0] > max(finer[1], SURE):
-            return Certificate.of(hessian, Definiteness.POSITIVE, free, *finer[2:])
     return Certificate.of(hessian, definiteness, free, part, None, left=left, factor=factor, lower=lower)
 
 

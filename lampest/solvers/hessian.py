@@ -127,8 +127,16 @@ class Hessian:
 
     @cached_property
     def reading_weight(self) -> Array:
-        """W = max(∂²φ/∂y², 0), (frames, rows, columns)."""
-        return np.asarray(np.maximum(self.curvature, 0.0).reshape(self.at.cell_resistance.shape))
+        """W, (frames, rows, columns): max(∂²φ/∂y², 0) of squared losses, ρ'(x)/x·(∂x/∂y)² of all others.
+
+        These weights of iteratively reweighted least squares are positive beyond a loss's corner, too.
+        """
+        weight = np.maximum(self.curvature, 0.0)
+        if not all(term.loss.squared for term in self.at.cost.terms if term.reads_measurement):
+            part = residuals(self.at.cost).data
+            _, stiffness = slopes_of(self, part, part.values(self.at))
+            weight = part.jacobian("by_model", self.at).power(2).T @ stiffness
+        return np.asarray(weight.reshape(self.at.cell_resistance.shape))
 
     @cached_property
     def penalty_matrix(self) -> sparse.csr_array:
@@ -211,13 +219,14 @@ class Hessian:
 
     def gauss_newton_between(self, chosen: Numbers) -> Array:
         """JᵀWJ + PᵀKP between some unknowns (numbers), dense."""
-        penalties = self.penalty_matrix[chosen][:, chosen].toarray()
-        if len(self.at.networks) == 1:
-            return np.asarray(self._square(chosen, self.reading_weight.ravel()) + penalties)
+        return matrix_between(self._gauss_newton_matrix, chosen)
+
+    @cached_property
+    def _gauss_newton_matrix(self) -> Array:
         weights = self.reading_weight.reshape(len(self.at.networks), -1)
         pairs = zip(self.at.networks, weights, strict=True)
         blocks = [weighted_square(network.sensitivity(), weight) for network, weight in pairs]
-        return np.asarray(matrix_between(block_diagonal(blocks), chosen) + penalties)
+        return np.asarray(block_diagonal(blocks) + self.penalty_matrix.toarray())
 
     def _add_terms(self, matrix: Array, jacobians: Sequence[Array]) -> None:
         cells = self.at.cell_resistance.ravel()

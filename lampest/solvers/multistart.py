@@ -20,6 +20,7 @@ from lampest.solvers.solution import MOST_STARTS, VERIFIED, Outcome, Settings, S
 
 BROKEN = (ArithmeticError, ValueError, RuntimeError)  # what numpy, LAPACK, SuperLU and CasADi raise for numbers
 FIRST_STARTS = 3
+MOST_SPENT, MOST_UNSOLVED = 100, 300  # iterations of all starts, after which a frame with, without an estimate ends
 SPREAD = 20.0  # times the apparent resistance, to which scattered starts reach
 SAME = 1e-9  # of the cost: minima that differ by less are one, reached from two sides
 LAST_STEPS = Settings(max_iterations=20)
@@ -47,14 +48,17 @@ def best_solution(solver: Solver, data: Data, previous: Array | None, kept: Prec
 
 
 def _lowest(solver: Solver, data: Data, previous: Array | None) -> Solution:
-    wanted, best, tried = solver.settings.starts, None, 0
+    wanted, best, tried, spent = solver.settings.starts, None, 0, 0
     first = previous is None or data.first
     most = wanted or (FIRST_STARTS if first and several_minima(solver.cost, data) else 1)
     places = chain(starts(solver.cost, data, previous), scattered(data) if wanted else ())
     for start in evaluable(solver.cost, data, places):
-        if tried and (data.overdue or (tried >= most and best is not None and best.solved)):
+        solved = best is not None and best.solved
+        enough = tried >= most or (wanted is None and spent > MOST_SPENT)
+        if tried and (data.overdue or (solved and enough) or (wanted is None and spent > MOST_UNSOLVED)):
             break
         found, tried = solved_from(solver, start), tried + 1
+        spent += found.iterations
         lower = best is None or not best.solved or found.objective < best.objective * (1 - SAME)
         best = found if best is None or (found.solved and lower) else best
         if wanted is None and found.strict and found.convex:

@@ -236,12 +236,21 @@ def preconditioner(hessian: Hessian, free: Free) -> Preconditioner:
         return TwoLevel.of(hessian)
     cells, chosen = hessian.at.cell_resistance, np.flatnonzero(free)
     found = Cholesky.of(cells, chosen, hessian.between(chosen))
-    if found is None:
-        matrix = hessian.gauss_newton_between(chosen)
-        matrix.flat[:: len(matrix) + 1] = floored(np.diag(matrix))
-        tried = (Cholesky.of(cells, chosen, matrix, shift) for shift in SHIFTS)
-        found = next((one for one in tried if one is not None), None)
-    return TwoLevel.of(hessian) if found is None else found
+    return found or gauss_newton_factor(hessian, free) or TwoLevel.of(hessian)
+
+
+def gauss_newton_factor(hessian: Hessian, free: Free, damping: float = SHIFTS[0]) -> Cholesky | None:
+    """Cholesky factor of Gauss–Newton's matrix over the free cells, with `damping` or more on its unit diagonal.
+
+    None on large problems, or where rounding leaves no positive pivot.
+    """
+    if not hessian.dense:
+        return None
+    chosen, cells = np.flatnonzero(free), hessian.at.cell_resistance
+    matrix = hessian.gauss_newton_between(chosen).copy()
+    matrix.flat[:: len(matrix) + 1] = floored(np.diag(matrix))
+    tried = (Cholesky.of(cells, chosen, matrix, shift) for shift in (damping, *SHIFTS) if shift >= damping)
+    return next((factor for factor in tried if factor is not None), None)
 
 
 def floored(diagonal: Array) -> Array:

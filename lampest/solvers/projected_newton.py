@@ -20,12 +20,12 @@ from lampest.panel.trust_region import Linear, restricted, steihaug
 from lampest.solvers.active_kinks import unsmoothed_minimum
 from lampest.solvers.bounds import MILLIONTH, STILL, free_cells, moved_by
 from lampest.solvers.certificate import Certificate, Definiteness, certificate
-from lampest.solvers.hessian import DENSE_STIFF_CELLS, Hessian
+from lampest.solvers.hessian import Hessian
 from lampest.solvers.interior_point import by_interior_point
-from lampest.solvers.orthogonal import Squares
-from lampest.solvers.preconditioners import Preconditioner, preconditioner
+from lampest.solvers.preconditioners import Preconditioner, gauss_newton_factor, preconditioner
 from lampest.solvers.smoothing import Smoothing
 from lampest.solvers.solution import Outcome, Settings, Status
+from lampest.solvers.termination import ProgressWindow
 
 ACCEPTED = 1e-4  # of the predicted decrease, as in Nocedal & Wright, 2006, algorithm 4.1
 SHORTER = 0.25  # of a rejected step: the radius for the next try
@@ -33,9 +33,10 @@ FARTHEST = float(np.log(4.0))  # of log r in one step: beyond, the quadratic mod
 MOST_TRIES = 15  # solves of a direction, in which cells stop at bounds; tries of a step (4⁻¹⁵ is rounding); last steps
 GAUSS_NEWTON = 3  # steps with JᵀWJ before a direction of negative curvature is followed
 WORN = {True: 5, False: 30}  # products of a step after which a kept preconditioner is made anew: dense, sparse
+MOST_PRODUCTS = {True: 40, False: 400}  # of a solve: a factor anew is cheaper on small problems
 MOVED = 0.7  # of log r: the same; without it small panels take a third more products
 NEAR = 0.01  # of log r: second derivatives change by as much; before a step of its square ∇²φ is factored
-DAMPINGS = (0.0, 1e-3, 0.1)  # of least squares by QR
+LEAST_DAMPING, DAMPED, MOST_DAMPING = 1e-15, 1e-4, 1e3  # μ: to begin with, of a second try, at most
 
 
 @dataclass(frozen=True)
@@ -54,9 +55,13 @@ class ProjectedNewton:
         """Minimise from `start`. Never raises for a failed solve: the outcome's status says so."""
         start, iteration = by_interior_point(start)
         point, unsettled, tolerance = Iterate.of(start, Smoothing.start(start), self.kept), 0, self.settings.tolerance
+        progress = ProgressWindow()
         while iteration < self.settings.max_iterations:
             if data.overdue:
                 return point.outcome(Status.TIME, iteration)
+            progress = progress.after(point.hessian.smoothing.width, point.objective, point.residual)
+            if progress.stalled:
+                return point.outcome(Status.STALLED, iteration)
             near = point.residual <= tolerance
             if near or point.residual <= point.gap / 2:
                 if not point.sharp(tolerance):
@@ -68,8 +73,8 @@ class ProjectedNewton:
                 unsettled += 1
             moved = (escaped(point) if near else None) or advanced(point)
             if moved is None or not moved.gauss_newton:
-                found = [one for one in (moved, least_squares_step(point)) if one is not None]
-                moved = min(found, key=lambda one: one.objective, default=None) or escaped(point)
+                trials = [trial for trial in (moved, damped_step(point)) if trial is not None]
+                moved = min(trials, key=lambda trial: trial.objective, default=None) or escaped(point)
             if moved is None:
                 if (ended := point.unsmoothed(iteration)) is not None:
                     return ended
@@ -96,6 +101,7 @@ class Iterate:
     convex: bool = True
     expected: float = inf
     nearby: Certificate | None = None
+    damping: float = LEAST_DAMPING
 
     @classmethod
     def of(
@@ -223,7 +229,11 @@ def advanced(point: Iterate) -> Iterate | None:
         found = direction(point, kept, free, product, radius)
         convex = convex and not found.negative
         if found.negative and patience and product is exact:
+            damped = None if len(point.at.nonsmooth) else damped_step(point)
+            if damped is not None:
+                return replace(damped, gauss_newton=patience - 1, convex=False)
             product, patience = hessian.gauss_newton_product, patience - 1
+            kept = gauss_newton_factor(hessian, free) or kept
             found = direction(point, kept, free, product, radius)
         trial = point.at_step(found.step)
         ratio = point.accepts(trial, found.predicted)
@@ -232,7 +242,7 @@ def advanced(point: Iterate) -> Iterate | None:
             patience = patience if found.negative or product is not exact else GAUSS_NEWTON
             expected = point.expects(trial) if hessian.dense else inf
             kept, nearby = None if worn else kept, None if worn else point.known
-            return Iterate(trial.hessian, trial.objective, kept, patience, convex, expected, nearby)
+            return Iterate(trial.hessian, trial.objective, kept, patience, convex, expected, nearby, point.damping)
         radius = SHORTER * found.length
         if not radius > 0:
             break
@@ -261,7 +271,8 @@ def direction(
     for _ in range(MOST_TRIES):
         chosen = np.flatnonzero(moving)
         among, precondition = restricted(product, chosen, free.size), kept.over(moving, at.cell_resistance)
-        found = steihaug(among, precondition, slope[chosen], accuracy, radius)
+        most_products = MOST_PRODUCTS[point.hessian.dense]
+        found = steihaug(among, precondition, slope[chosen], accuracy, radius, most_products=most_products)
         most, negative, length = max(most, found.products), negative or found.negative, found.length
         step = np.where(moving, 0.0, step)
         step[chosen] = found.step
@@ -286,17 +297,23 @@ def escaped(point: Iterate) -> Iterate | None:
     return None if lower is None else Iterate.of(lower, point.hessian.smoothing.moved(point.at, lower), convex=False)
 
 
-def least_squares_step(point: Iterate) -> Iterate | None:
-    """By QR, which has twice the digits: for shorts and weights that leave ∇²φ none; None where it leads no lower."""
-    free = np.flatnonzero(free_cells(point.at, point.hessian.gradient))
-    if not 0 < len(free) <= DENSE_STIFF_CELLS or not point.hessian.dense:
+def damped_step(point: Iterate) -> Iterate | None:
+    """Levenberg's step (JᵀWJ + PᵀKP + μ·diag)⁻¹·(−∇φ) in log r.
+
+    None on large problems, or where no μ lowers the cost.
+    """
+    hessian, free = point.hessian, free_cells(point.at, point.hessian.gradient)
+    if not hessian.dense or not free.any():
         return None
-    squares = Squares.of(point.hessian, free)
-    for damping in DAMPINGS:
-        whole = np.zeros(point.at.cell_resistance.size)
-        whole[free] = np.clip(squares.step(damping), -FARTHEST, FARTHEST)
-        for share in (1.0, 0.3, 0.1):
-            trial = point.at_step(share * whole)
-            if trial is not None and trial.objective < point.objective:
-                return replace(trial, kept=None)
+    slope, damping = hessian.gradient[free], point.damping
+    while damping <= MOST_DAMPING:
+        factor = gauss_newton_factor(hessian, free, damping)
+        if factor is not None:
+            step = np.zeros(free.size)
+            step[free] = np.clip(factor.solve(-slope), -FARTHEST, FARTHEST)
+            trial, predicted = point.at_step(step), -0.5 * float(step[free] @ slope)
+            if trial is not None and (gain := point.objective - trial.objective) > ACCEPTED * predicted:
+                eased = damping / 10 if gain > predicted / 2 else damping
+                return replace(trial, kept=None, damping=max(eased, LEAST_DAMPING))
+        damping = max(10 * damping, DAMPED)
     return None

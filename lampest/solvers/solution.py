@@ -15,8 +15,7 @@ from lampest.solvers.bounds import MILLIONTH, bounds_matter, free_cells
 from lampest.solvers.certificate import Certificate, Definiteness, certificate
 from lampest.solvers.hessian import DENSE_STIFF_CELLS, Hessian
 from lampest.solvers.kinks import Unsmoothed
-from lampest.solvers.orthogonal import runs_off
-from lampest.solvers.preconditioners import Preconditioner
+from lampest.solvers.preconditioners import Preconditioner, gauss_newton_factor
 from lampest.solvers.smoothing import Smoothing
 
 VERIFIED = MILLIONTH
@@ -49,6 +48,7 @@ class Status(Enum):
     BROKEN_OFF = "the run was broken off before this frame"
     ROUNDED = "not converged: one term outweighs the others by more than the sixteen digits of double precision"
     DRIFT = "not converged: the cost keeps falling slowly while some cells run to their bounds"
+    STALLED = "not converged: the cost has stopped falling; the data and penalties determine some cells too weakly"
     ITERATIONS = "the iteration limit was reached before an optimum"
     TIME = "the time limit was reached before an optimum"
     INFEASIBLE = "the solver found no point that satisfies the constraints"
@@ -72,6 +72,7 @@ ADVICE = {
     Status.BROKEN_OFF: "Run the same command again: it solves unfinished cases anew.",
     Status.ROUNDED: "Lower the weight of the heaviest term.",
     Status.DRIFT: "Name an upper bound in `bounds`, or solve the baseline first (`joint: false`).",
+    Status.STALLED: "Raise the weight of a penalty, or the corner of its loss; check that the readout fits the data.",
     Status.ITERATIONS: "Raise `solver: max_iterations`, or add a penalty.",
     Status.TIME: "Raise `solver: time_limit_s`.",
     Status.INFEASIBLE: "Check `bounds`: they may leave no room.",
@@ -231,13 +232,18 @@ def _sharp(at: Evaluation, outcome: Outcome) -> Hessian:
 
 def _cause(at: Evaluation, gradient: Array, outcome: Outcome, fault: Status) -> Status:
     """The fault; or that digits were lost, where second derivatives are rounding."""
-    if fault not in (Status.BREAKDOWN, Status.ITERATIONS, Status.UNVERIFIED) or not np.all(np.isfinite(gradient)):
+    if fault not in (Status.BREAKDOWN, Status.ITERATIONS, Status.STALLED, Status.UNVERIFIED) or not np.all(
+        np.isfinite(gradient)
+    ):
         return fault
     hessian = _sharp(at, outcome)
     if certificate(hessian).definiteness is not Definiteness.UNDETERMINED:
         return fault
-    free = np.flatnonzero(free_cells(at, gradient.ravel()))
-    return Status.DRIFT if runs_off(hessian, free) else Status.ROUNDED
+    factor = gauss_newton_factor(hessian, free_cells(at, gradient.ravel()))
+    if factor is None:
+        return Status.ROUNDED
+    longest = float(np.abs(factor.solve(gradient.ravel()[factor.cells])).max(initial=0.0))
+    return Status.DRIFT if longest > np.log(10) else Status.ROUNDED  # a tenfold step: a cell runs off
 
 
 @typed

@@ -12,7 +12,7 @@ import pytest
 
 from lampest.cost.cost import Cost
 from lampest.cost.given import Background, Given
-from lampest.cost.losses import Absolute, Huber, Squared
+from lampest.cost.losses import Absolute, Squared
 from lampest.cost.problem import Data, Evaluation
 from lampest.cost.terms import Gradient, LogRatio, Misfit, Term
 from lampest.estimate.estimator import Bounds, Estimator
@@ -25,7 +25,6 @@ from lampest.recording.readings import Readings
 from lampest.recording.recording import Recording
 from lampest.solvers.certificate import Definiteness, certificate
 from lampest.solvers.hessian import Hessian
-from lampest.solvers.orthogonal import Squares
 from lampest.solvers.projected_newton import ProjectedNewton
 from lampest.solvers.smoothing import Smoothing
 from lampest.solvers.solution import Outcome, Settings, Status, check
@@ -150,35 +149,6 @@ def test_step_is_newtons() -> None:
     assert found.definiteness is Definiteness.POSITIVE
     np.testing.assert_allclose(found.step, step, rtol=1e-5, atol=1e-7)
     assert found.decrement == pytest.approx(np.sqrt(-gradient @ step), rel=1e-5)
-
-
-PENALTIES: dict[str, Term] = {
-    "squared": Gradient(weight=1e-4),
-    "huber": Gradient(weight=1e-4, loss=Huber(corner=1000.0)),
-    "absolute": Gradient(weight=1e-2, loss=Absolute()),
-}
-
-
-@pytest.mark.parametrize("name", PENALTIES)
-def test_squares_have_the_gradient_and_newtons_step(name: str) -> None:
-    """Aᵀb is the gradient, and the step through A's factor Newton's; none where ∇²φ is indefinite."""
-    cells = usual()
-    at = evaluation((Misfit(), PENALTIES[name]), cells * 1.02, readings_of(cells))
-    curvature = Hessian(at, Smoothing.start(at))
-    squares = Squares.of(curvature, np.arange(cells.size))
-    gradient = curvature.gradient
-    np.testing.assert_allclose(
-        squares.size * (squares.matrix.T @ squares.right), gradient, atol=1e-9 * np.abs(gradient).max()
-    )
-    found = squares.newton(curvature.matrix)
-    assert found is not None
-    least, _, step, decrement = found
-    assert (least > 0) == (np.linalg.eigvalsh(curvature.matrix)[0] > 0)
-    if least < 0:
-        assert not step.any()
-        return
-    np.testing.assert_allclose(step, -np.linalg.solve(curvature.matrix, gradient), rtol=1e-6, atol=1e-9)
-    assert decrement == pytest.approx(np.sqrt(-gradient @ step), rel=1e-8)
 
 
 def test_deviations_bound_every_step() -> None:

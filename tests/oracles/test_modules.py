@@ -238,3 +238,29 @@ def test_commands_run_from_scene_to_picture(tmp_path: Path, monkeypatch: pytest.
     [case] = lampest.read_results("results/run/results.h5").cases
     assert case.cell_resistance.shape == (3, 6, 12)
     assert np.isnan(case.cell_resistance[:, 3:, 8:]).all() and np.isfinite(case.cell_resistance[:, :3]).all()
+
+
+def test_rows_and_columns_that_follow_from_modules_are_not_called_assumed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "scene.yaml").write_text(SCENE, encoding="utf-8")
+    assumed = lampest.read_scene(tmp_path / "scene.yaml").assumed
+    assert not [name for name in assumed if name.startswith("panel")]
+    simulated(scene_of(SCENE)).save(tmp_path / "modules.h5")
+    monkeypatch.setattr("sys.argv", ["lampest", "info", str(tmp_path / "modules.h5")])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert not ended.value.code
+    assert "2 × 3 modules of 3 × 4 cells with seams of 3 mm" in capsys.readouterr().out
+
+
+def test_a_module_stuck_at_the_top_rail_does_not_fail_the_others() -> None:
+    """Its readings, all alike and below the resistance in series, are no kohm."""
+    recording = simulated(scene_of(SCENE))
+    readings = recording.recorded.copy()
+    readings[:, :3, :4] = 1.5
+    found = lampest.reconstruct(replace(recording, recorded=readings), [lampest.Misfit()], formulation="reduced")
+    others = np.ones(recording.scene.panel.shape, dtype=bool)
+    others[:3, :4] = False
+    alone = lampest.reconstruct(recording, [lampest.Misfit()], formulation="reduced")
+    np.testing.assert_allclose(found.cell_resistance[:, others], alone.cell_resistance[:, others], rtol=1e-6)

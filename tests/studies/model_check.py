@@ -16,7 +16,8 @@ import numpy as np
 
 import lampest
 from lampest import LoadedColumnsReadout, Recording, Scene, Simulation, TwoPointReadout
-from lampest.estimate.cells_fit import LEVEL, PRICE
+from lampest.estimate.cells_fit import LEVEL
+from lampest.estimate.changed_cells import PRICE
 from lampest.estimate.model_check import Explanation, ModelCheck
 from lampest.estimate.prepared import Prepared
 from lampest.estimate.rivals import Question, Rival

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.files.typed import Configuration, check_not_negative, check_positive_fields, check_ranges
-from lampest.panel.effects import Effect, disturbance, neighbours
+from lampest.panel.effects import LineLeak, disturbance, neighbours
 from lampest.panel.memory import in_panel_order, with_memory
 from lampest.panel.panel import Array, Modules
 from lampest.panel.readouts import Readout
@@ -149,7 +149,7 @@ def _read(actual: Readout, scene: Scene, cells: Array, unmodelled: Unmodelled, s
     if unmodelled.leak_ohm is None:
         return whole
     reading = actual.from_recorded(whole, scene)
-    leak = Effect("leak", neighbours(*scene.panel.shape), size=1 / unmodelled.leak_ohm)
+    leak = LineLeak(neighbours(*scene.panel.shape), size=1 / unmodelled.leak_ohm)
     for frame in range(begin, len(there)):
         network = actual.network(there[frame], actual.ties(reading[frame]), scene.wiring)
         reading[frame] += disturbance((leak,), scene, network)
