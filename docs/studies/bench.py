@@ -23,7 +23,7 @@ from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.solvers.multistart import evaluable, starts
 from lampest.solvers.solution import Outcome, Settings, Solution, Solver, Status, check
-from lampest.studies import bench_report
+from lampest.studies import bench
 from lampest.studies.bench import BenchFile, BenchLimits
 from lampest.studies.study import read_settings
 
@@ -205,7 +205,7 @@ class SolversFile(BenchFile):
         return ScipyMethod(kind=solver, joint=joint) if solver in SOLVERS else super().formulation(solver, joint)
 
 
-STUDY = replace(bench_report.STUDY, read=read_settings(SolversFile))
+STUDY = replace(bench.STUDY, read=read_settings(SolversFile))
 
 if __name__ == "__main__":
     script.main(lambda options: STUDY, script.parser_of(__doc__))

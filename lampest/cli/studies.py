@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lampest.cli.screen import Assign, Folder, option, progress, say, warn
-from lampest.cli.tables import print_table
+from lampest.cli.screen import Assign, Folder, option, print_table, progress, say, warn
 
 if TYPE_CHECKING:
     from lampest.studies.study import Reported, Study
@@ -17,7 +16,7 @@ Config = Annotated[Path | None, typer.Argument(metavar="[CONFIG]", help="The stu
 # Word → the module of the study, and what it says of itself. A further study is a module with its STUDY, named here.
 STUDIES = {
     "bench": (
-        "lampest.studies.bench_report",
+        "lampest.studies.bench",
         """Compare solvers over panel sizes: time, accuracy, memory, growth; reduced and nodal.
 
         Writes bench.csv (a row for every panel, method, solver and first, joint or later frames), growth.csv,
@@ -29,7 +28,7 @@ STUDIES = {
         "Measure accuracy against speed of all formulations; table, HDF5 and figure.",
     ),
     "extremes": (
-        "lampest.studies.extremes.report",
+        "lampest.studies.extremes.run",
         "Solve scenes at the limits of measurement and report how each ended; table, HDF5 and heat map.",
     ),
     "weights": (

@@ -19,8 +19,19 @@ from lampest.recording.recording import Recording
 from lampest.runs.config import Terms
 from lampest.solvers.multistart import evaluated
 from lampest.solvers.solution import Settings
-from lampest.studies.bench import Bench, BenchFile, BenchFrame, BenchLimits, BenchPart, run_bench
-from lampest.studies.bench_report import STUDY, bench_remarks, bench_rows, growth, tables
+from lampest.studies.bench import (
+    STUDY,
+    Bench,
+    BenchFile,
+    BenchFrame,
+    BenchLimits,
+    BenchPart,
+    bench_remarks,
+    bench_rows,
+    growth,
+    run_bench,
+    tables,
+)
 from lampest.studies.common import SquaredMethod
 from lampest.studies.study import page, read_settings
 

@@ -10,11 +10,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from matplotlib.figure import Figure
 
-from lampest.loads.response import ratio_from_pressure, relative_change_from_pressure
 from lampest.panel.film import Film
 from lampest.panel.panel import Array, Panel
+from lampest.panel.response import ratio_from_pressure, relative_change_from_pressure
 from lampest.report.compare import Table
-from lampest.report.page.template import filled
+from lampest.report.page.measures import filled
 from lampest.report.plots import style
 from lampest.report.plots.maps import Tile, banded_scale, maps_figure
 from lampest.report.words import digits
