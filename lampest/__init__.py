@@ -64,8 +64,8 @@ if TYPE_CHECKING:
     from lampest.loads.shapes import SuctionCup as SuctionCup
     from lampest.loads.tare import Tare as Tare
     from lampest.panel.conditions import Experiment as Experiment
+    from lampest.panel.conditions import Faults as Faults
     from lampest.panel.conditions import MeasuredSubject as MeasuredSubject
-    from lampest.panel.faults import Faults as Faults
     from lampest.panel.film import Film as Film
     from lampest.panel.panel import Array as Array
     from lampest.panel.panel import Panel as Panel

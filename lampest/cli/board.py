@@ -137,7 +137,7 @@ def calibrate(
 def calibrate_film(files: list[Path], loads: Path, tolerance: float, out: Path | None) -> None:
     """Find the film's response from known loads and write it into a scene."""
     from lampest.estimate.load_calibration import calibrate_loads
-    from lampest.loads.known_loads import read_known_loads
+    from lampest.loads.calibration import read_known_loads
     from lampest.recording.recording import Recording
 
     found = calibrate_loads([Recording.load(file) for file in files], read_known_loads(loads), tolerance)

@@ -13,8 +13,7 @@ from lampest.estimate.outliers import TO_SIGMA
 from lampest.estimate.sequence import reconstruct
 from lampest.files.document import to_yaml
 from lampest.files.errors import InputError
-from lampest.loads.calibration import Fitted, Loaded, answers_by_others, fit_loads, response_of
-from lampest.loads.known_loads import KnownLoad, KnownLoads
+from lampest.loads.calibration import Fitted, KnownLoad, KnownLoads, Loaded, answers_by_others, fit_loads, response_of
 from lampest.loads.pressure import water_pressure
 from lampest.panel.panel import Array
 from lampest.panel.response import PUBLISHED, Response

@@ -16,7 +16,7 @@ from lampest.estimate.noise import MOST_NAMED, NoiseSeen
 from lampest.estimate.state import SequenceState, Step
 from lampest.estimate.stream import Stream
 from lampest.files.errors import InputError
-from lampest.panel.faults import Faults
+from lampest.panel.conditions import Faults
 from lampest.panel.panel import Array, Modules, Panel
 from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.readouts.blocks import ModulesReadout

@@ -9,15 +9,160 @@ no load has touched the curve and the spread remain.
 Regularised calibration by one load that is moved about: arXiv 2404.15131.
 """
 
+import csv
+import json
+import re
 from dataclasses import dataclass, replace
+from math import pi
+from pathlib import Path
+from typing import Any, ClassVar, Literal, cast
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
+from lampest.files.document import Document, parse_document, read_document, validated
+from lampest.files.errors import InputError
+from lampest.files.typed import check_not_negative, check_positive_fields
+from lampest.files.whole import note_read
+from lampest.loads.pressure import GRAVITY
+from lampest.loads.shapes import Block, Rod
+from lampest.loads.shapes.shape import Shape
 from lampest.panel.least_squares import LevenbergMarquardt, SumOfSquares
-from lampest.panel.panel import Array
+from lampest.panel.panel import Array, Panel
 from lampest.panel.response import PUBLISHED, Response, Table, TableResponse
+
+
+@dataclass(frozen=True, kw_only=True)
+class KnownLoad:
+    """One load that lay still during some frames.
+
+    frames : the first and the last, counted from 0 in the recording. recording : its file's name, without folder, or ''
+    where there is one recording. mass_g, force_newton, pressure_kpa : one of the three; a pressure may be suction.
+    diameter_mm, or length_mm and width_mm with angle_deg : its foot, with its centre at x_mm, y_mm. A pressure without
+    foot lies on the whole panel.
+
+    Raises ValueError where a number is out of range.
+    """
+
+    __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
+    frames: tuple[int, int]
+    recording: str = ""
+    mass_g: float | None = None
+    force_newton: float | None = None
+    pressure_kpa: float | None = None
+    x_mm: float | None = None
+    y_mm: float | None = None
+    diameter_mm: float | None = None
+    length_mm: float | None = None
+    width_mm: float | None = None
+    angle_deg: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.frames[0] <= self.frames[1]:
+            raise ValueError("frames must be the first and the last of the load, counted from 0")
+        check_positive_fields(self, "mass_g", "force_newton", "diameter_mm", "length_mm", "width_mm")
+        if self.pressure_kpa is not None and not 1e-6 < abs(self.pressure_kpa) < 1e4:
+            raise ValueError("pressure_kpa must not be 0, and below 1e4")
+
+    def check(self) -> None:
+        """Raise ValueError unless these numbers make one load."""
+        if sum(one is not None for one in (self.mass_g, self.force_newton, self.pressure_kpa)) != 1:
+            raise ValueError("a load needs one of mass_g, force_newton and pressure_kpa")
+        given = (self.diameter_mm is not None, self.length_mm is not None, self.width_mm is not None)
+        if given not in ((True, False, False), (False, True, True), (False, False, False)):
+            raise ValueError("a foot is diameter_mm, or length_mm and width_mm")
+        if any(given) != (self.x_mm is not None and self.y_mm is not None):
+            raise ValueError("a foot needs x_mm and y_mm, and they need a foot")
+        if not any(given) and self.pressure_kpa is None:
+            raise ValueError("a weight or force needs its foot: diameter_mm, or length_mm and width_mm")
+
+    def pressure(self, panel: Panel, patch_mm: float, along_mm: float = 0.0, down_mm: float = 0.0) -> Array:
+        """Mean on every patch, (rows, columns) kPa; of the foot elsewhere by so much. Raises ValueError as `check`."""
+        self.check()
+        if self.x_mm is None or self.y_mm is None:
+            return np.full(panel.shape, self.pressure_kpa)
+        centre, length, width = (self.x_mm + along_mm, self.y_mm + down_mm), self.length_mm or 0.0, self.width_mm or 0.0
+        foot: Shape  # under a weight of 1 g
+        if self.diameter_mm is not None:
+            foot, area = Rod(centre_mm=centre, diameter_mm=self.diameter_mm, mass_g=1.0), pi / 4 * self.diameter_mm**2
+        else:
+            foot = Block(centre_mm=centre, length_mm=length, width_mm=width, angle_deg=self.angle_deg, mass_g=1.0)
+            area = length * width
+        newton = self.force_newton or (self.mass_g or 0.0) * GRAVITY * 1e-3
+        kpa = newton / area * 1e3 if self.pressure_kpa is None else self.pressure_kpa
+        contact, _ = foot.mean_pressure(panel, patch_mm)
+        return np.asarray(kpa * contact / (GRAVITY / area))
+
+
+@dataclass(frozen=True, kw_only=True)
+class KnownLoads:
+    """All loads of a calibration. Raises ValueError where there is none, or a number is out of range.
+
+    patch_mm : edge of a cell's film; None: 0.6 of the pitch. place_mm : standard deviation of where a foot stood, along
+    x and along y.
+    """
+
+    __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
+    schema: Literal[1]
+    loads: tuple[KnownLoad, ...]
+    patch_mm: float | None = None
+    place_mm: float = 1.0
+
+    def __post_init__(self) -> None:
+        if not self.loads:
+            raise ValueError("loads: name one at least")
+        check_positive_fields(self, "patch_mm")
+        check_not_negative(self, "place_mm")
+
+
+def read_known_loads(path: Path) -> KnownLoads:
+    """From YAML, or CSV with names `first`, `last` and those of `KnownLoad`. Raises InputError with the line."""
+    if path.suffix.lower() != ".csv":
+        return _checked(read_document(path))
+    try:
+        return _checked(parse_document(_as_yaml(path), str(path)))
+    except InputError as error:  # the column is that of the YAML
+        raise InputError(re.sub(rf"^({re.escape(str(path))}:\d+):\d+", r"\1", str(error))) from error
+
+
+def _checked(document: Document) -> KnownLoads:
+    known = cast(KnownLoads, validated(document, KnownLoads))
+    for number, load in enumerate(known.loads):
+        try:
+            load.check()
+        except ValueError as error:
+            raise document.error(("loads", number), str(error)) from error
+    return known
+
+
+def _as_yaml(path: Path) -> str:
+    """The same, line by line, so that a fault is named by the line in which it stands."""
+    try:
+        lines = path.read_text(encoding="utf-8-sig").splitlines()
+        note_read(path)
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: cannot be read as text ({' '.join(str(error).split())})") from error
+    names, *rows = [[cell.strip() for cell in row] for row in csv.reader(lines)] or [[]]
+    text = ["{schema: 1, loads: ["]
+    for number, row in enumerate(rows, 2):
+        cells = {name: _scalar(cell) for name, cell in zip(names, row, strict=False) if cell}
+        if cells and not (cells.keys() >= {"first", "last"} and len(row) <= len(names)):
+            raise InputError(
+                f"{path}:{number}: each load needs a frame in the columns first and last, and no more cells"
+            )
+        text.append(json.dumps({"frames": [cells.pop("first"), cells.pop("last")]} | cells) + "," if cells else "")
+    return "\n".join([*text, "]}"])
+
+
+def _scalar(cell: str) -> float | str:
+    for kind in (int, float):
+        try:
+            return kind(cell)
+        except ValueError:
+            continue
+    return cell
+
 
 # Ends of pieces, kPa: thirds of octaves. Within one the base curve's form is taken as it is.
 THIRDS = 0.5 * 2.0 ** (np.arange(19) / 3)

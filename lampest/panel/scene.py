@@ -14,10 +14,10 @@ from scipy.sparse.csgraph import connected_components
 from lampest.files.document import read_document, to_yaml, validated
 from lampest.files.typed import Configuration, members_of, typed
 from lampest.panel.conditions import Experiment, MeasuredSubject
+from lampest.panel.conditions import Faults as Faults
 from lampest.panel.conditions import Systematic as Systematic
 from lampest.panel.conditions import Temperature as Temperature
 from lampest.panel.conditions import Water as Water
-from lampest.panel.faults import Faults as Faults
 from lampest.panel.film import Film
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import AnyReadout, Readout, TwoPointReadout

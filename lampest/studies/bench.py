@@ -29,8 +29,8 @@ from lampest.recording.simulation.simulation import Course, Simulation, simulate
 from lampest.report.compare import Table
 from lampest.solvers.solution import Settings
 from lampest.studies import common, study
+from lampest.studies.common import NO_GAP, TimedFrame, inverse_time, outcome, peak_memory, pushed
 from lampest.studies.study import OnStep, column
-from lampest.studies.timing import NO_GAP, TimedFrame, inverse_time, outcome, peak_memory, pushed
 
 
 def loads(number: int, shape: common.Shape) -> tuple[tuple[AnyShape, ...], Course]:

@@ -1,15 +1,27 @@
-"""What studies have in common in their YAML files: methods, panels of several sizes, a lamprey's mouth."""
+"""What studies share: methods, panels of several sizes, a lamprey's mouth; timed frames, clocks, peak memory."""
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import TypeVar
+from pathlib import Path
+from time import perf_counter, process_time
+from typing import Any, NamedTuple, TypeVar
+
+import numpy as np
 
 from lampest.cost.terms import CellResistance, Gradient, GradientOfRelativeChange, Misfit, RelativeChange, Term
 from lampest.estimate.estimator import Bounds
+from lampest.estimate.state import Step
+from lampest.estimate.stream import Stream
 from lampest.files.typed import Configuration, check_range
 from lampest.loads.shapes import OralDisc
+from lampest.panel.panel import Array
+from lampest.recording.readings import Readings
+from lampest.recording.recording import Recording
 from lampest.recording.simulation.simulation import Course
 from lampest.runs.config import Terms, terms_of
+from lampest.runs.executors import Processes
+from lampest.solvers.solution import STRICT
+from lampest.studies.study import column
 
 LARGEST_SIDE = 1000  # of a simulated panel
 SERIES_OHM = 140  # two multiplexer channels, as in the shipped scenes
@@ -91,3 +103,101 @@ def lamprey_mouth(centre_mm: tuple[float, float], diameter_mm: float = 35.0) -> 
         tilt=0.25,
         tilt_direction_deg=60,
     )
+
+
+Result = TypeVar("Result")
+Task = TypeVar("Task")
+NO_GAP = 1e-12  # less is rounding
+STATUS = Path("/proc/self/status")  # where Linux says how much a process holds
+
+
+@dataclass(frozen=True, kw_only=True)
+class TimedFrame:
+    """One frame of a recording, solved in sequence with one method by one solver or formulation."""
+
+    rows: int = column("1", "row lines")
+    columns: int = column("1", "column lines")
+    recording: str = column("1", "recording")
+    method: str = column("1", "method")
+    solver: str = column("1", "solver or formulation")
+    frame: int = column("1", "frame in sequence, 0: the first")
+    seconds: float = column("s", "time of the solve, wall or processor's, the least of all turns")
+    objective: float = column("1", "cost, the same function for all solvers of a frame")
+    gap: float = column("1", "objective above the best of all solvers, relative; NaN: there was no other")
+    iterations: int = column("1", "iterations of the solver")
+    solved: bool = column("1", "1: solved, 0: failed")
+    status: str = column("1", "how the solve ended")
+    memory_mb: float | None = column("10^6 byte", "peak of a fresh process, NaN: not measured", None)
+
+    @property
+    def shape(self) -> Shape:
+        """(rows, columns)."""
+        return self.rows, self.columns
+
+    @property
+    def verified(self) -> bool:
+        """Whether the optimum was verified."""
+        return self.status in {strict.value for strict in STRICT}
+
+
+class Pushed(NamedTuple):
+    """A frame pushed through a stream: the stream after it, how it was solved, seconds of the solve."""
+
+    stream: Stream
+    step: Step
+    seconds: float
+
+    @property
+    def objective(self) -> float:
+        """The cost where the solve ended; infinite where it failed."""
+        return self.step.solution.objective if self.step.solution.solved else np.inf
+
+
+def pushed(stream: Stream, readings: Readings) -> Pushed:
+    """Solve one frame's readings. Its seconds are the processor's where something else held the solve up."""
+    (after, step), seconds = clocked(lambda: stream.push(readings))
+    return Pushed(after, step, min(seconds, step.seconds))
+
+
+def outcome(recording: Recording, step: Step) -> dict[str, Any]:
+    """What the record of a frame takes from its recording and from how it was solved."""
+    rows, columns = recording.scene.panel.shape
+    ended = {name: getattr(step.solution, name) for name in ("iterations", "solved")}
+    return {"rows": rows, "columns": columns, "recording": recording.name, "status": step.status, **ended}
+
+
+def clocked(call: Callable[[], Result]) -> tuple[Result, float]:
+    """What a call returns, and its seconds: the processor's where something else held the call up."""
+    wall, cpu = perf_counter(), process_time()
+    result = call()
+    wall, cpu = perf_counter() - wall, process_time() - cpu
+    return result, min(wall, cpu)
+
+
+def inverse_time(matrix: Array) -> float:
+    """Seconds of one dense inverse, from as many as take 2 ms or more; the least of three tries."""
+
+    def inverses(count: int) -> float:
+        return clocked(lambda: [np.linalg.inv(matrix) for _ in range(count)])[1]
+
+    count = 1
+    while (spent := inverses(count)) < 2e-3:
+        count *= 2
+    return min(spent, inverses(count), inverses(count)) / count
+
+
+def peak_memory(work: Callable[[Task], object], task: Task) -> float:
+    """The largest resident size, 10⁶ bytes, of a fresh process that does some work; NaN if it died.
+
+    Not what Python has allocated: compiled costs and IPOPT's factors lie outside what tracemalloc sees.
+    """
+    ((_, megabytes),) = Processes(1).results(_peak_after, [(work, task)])
+    return float("nan") if isinstance(megabytes, Exception) else float(megabytes)
+
+
+def _peak_after(task: tuple[Callable[[Task], object], Task]) -> float:
+    """The largest resident size of this process after some work, without what its parent had before."""
+    work, argument = task
+    work(argument)
+    line = next(line for line in STATUS.read_text().splitlines() if line.startswith("VmHWM:"))
+    return float(line.split()[1]) * 1024 / 1e6

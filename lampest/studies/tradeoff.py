@@ -38,8 +38,8 @@ from lampest.runs.case import check_name
 from lampest.runs.config import recording_paths
 from lampest.solvers.solution import Settings
 from lampest.studies import common
+from lampest.studies.common import TimedFrame, outcome, peak_memory
 from lampest.studies.study import OnStep, column
-from lampest.studies.timing import TimedFrame, outcome, peak_memory
 
 REFERENCE = "reduced"
 LADDER: tuple[MethodName | AnyMethod, ...] = (

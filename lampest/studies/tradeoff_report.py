@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from lampest.report.compare import Table
 from lampest.report.plots.style import SMALL_POINT, TEXT_POINT, dressed, new_figure
 from lampest.studies import study
-from lampest.studies.timing import NO_GAP
+from lampest.studies.common import NO_GAP
 from lampest.studies.tradeoff import Plan, TradeoffFrame, read_plan, run_tradeoff
 
 COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00")

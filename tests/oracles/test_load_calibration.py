@@ -11,9 +11,8 @@ from lampest.estimate.estimator import Estimator
 from lampest.estimate.load_calibration import LoadCalibration, calibrate_loads
 from lampest.estimate.sequence import reconstruct
 from lampest.files.errors import InputError
-from lampest.loads.calibration import Loaded, answers_by_others, fit_loads, response_of
+from lampest.loads.calibration import KnownLoad, KnownLoads, Loaded, answers_by_others, fit_loads, response_of
 from lampest.loads.film import Creep, FilmKnown
-from lampest.loads.known_loads import KnownLoad, KnownLoads
 from lampest.loads.pressure import pressure_of
 from lampest.panel.film import Film
 from lampest.panel.panel import Array, Panel

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from support import invented_case
 
-from lampest.report.page.batch import Batch, matched
-from lampest.report.page.compared import PREDICTION, advise, compared, doubts, predicted
+from lampest.report.page.compared import PREDICTION, Batch, advise, compared, doubts, matched, predicted
 from lampest.report.page.measures import (
     COVERED,
     SPREAD,

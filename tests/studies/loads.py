@@ -18,7 +18,7 @@ from lampest.cost.terms import Misfit
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.load_calibration import calibrate_loads
 from lampest.estimate.sequence import reconstruct
-from lampest.loads.known_loads import KnownLoads
+from lampest.loads.calibration import KnownLoads
 from lampest.loads.shapes import Rod
 from lampest.loads.shapes.shape import Shape
 from lampest.panel.panel import Array

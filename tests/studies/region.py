@@ -20,7 +20,7 @@ from lampest.estimate.stream import Stream
 from lampest.panel.panel import Array, Panel
 from lampest.panel.scene import Scene
 from lampest.recording.readings import Readings
-from lampest.studies.timing import inverse_time
+from lampest.studies.common import inverse_time
 
 NOISE = 1e-4  # of a reading: 20 of a 14-bit converter with half a bit of noise
 FACTORS = (0.2, 2.0)  # of the logarithm by which a wild reading is off

@@ -10,7 +10,7 @@ import pytest
 from support import METHODS, invented_case
 
 from lampest.files.errors import InputError
-from lampest.report.page.batch import Batch, read_batch
+from lampest.report.page.compared import Batch, read_batch
 from lampest.report.page.page import report, write_report
 from lampest.runs.results import CaseResult, write_results
 

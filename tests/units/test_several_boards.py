@@ -11,7 +11,7 @@ import pytest
 from wild_board import IDLE, Script, WildBoard, wild_board, wire
 
 from lampest import InputError, Panel, Recording, Scene, TwoPointReadout
-from lampest.panel.faults import Faults
+from lampest.panel.conditions import Faults
 from lampest.panel.panel import EachModule, Modules
 from lampest.recording.board.protocol import Frame, Hello
 from lampest.recording.board.record import record

@@ -8,8 +8,7 @@ from typing import Any, Literal
 import numpy as np
 
 from lampest.files.whole import write_whole
-from lampest.report.page.batch import Batch, read_batch, without_copies
-from lampest.report.page.compared import advise, compared, doubts
+from lampest.report.page.compared import Batch, advise, compared, doubts, read_batch, without_copies
 from lampest.report.page.measures import DRAWS, Disagreement, disagreements, figures, filled
 from lampest.report.page.tables import case_table, failures, standing_table, unit_table
 from lampest.report.plots.contours import CertaintyPlot, ContourPlot, ResidualPlot

@@ -41,12 +41,12 @@ def labelled(figure: Figure, x: str, y: str, title: str = "") -> Figure:
     return figure
 
 
-def dressed(axes: Axes, x: str, y: str, grid: Literal["both", "x", "y"] = "both") -> None:
+def dressed(axes: Axes, x: str, y: str) -> None:
     """Labels of both axes where there are any, the size of all texts, and thin lines behind what is drawn."""
     axes.set_xlabel(x or axes.get_xlabel(), fontsize=TEXT_POINT)
     axes.set_ylabel(y or axes.get_ylabel(), fontsize=TEXT_POINT)
     axes.tick_params(labelsize=SMALL_POINT, which="both")
-    axes.grid(True, which="major", axis=grid, color="0.92", lw=0.5)
+    axes.grid(True, which="major", color="0.92", lw=0.5)
     axes.set_axisbelow(True)
 
 
