@@ -53,7 +53,7 @@ docs: $(VENV)/.installed-dev
 	@echo docs/_build/html/index.html
 
 studies: $(VENV)/.installed-dev
-	@$(BIN)/python -m tests.studies.all_pages
+	@$(BIN)/python -m docs.studies.all_pages
 
 # Everything that is installed is what the locks say, byte for byte; pyproject.toml and constraints.txt say what they may hold.
 lock: $(VENV)/.installed-supply

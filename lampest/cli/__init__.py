@@ -94,21 +94,19 @@ COMMANDS: dict[str, tuple[str, Callable[..., None], str]] = {  # name → (part 
         for word in studies.STUDIES
     },
     "study paper": ("Study", studies.paper, "--out results/paper"),
-    "study weights": ("Study", studies.weights, "run.yaml --withhold 0.1"),
-    "study starts": ("Study", studies.starts, "run.yaml --random 50"),
 }
 OLD = {  # word of the release before → new name
     "ports": "record --list",
     "repair": "check --repair",
     "tune": "study weights",
-    **{word: f"study {word}" for word in ("bench", "tradeoff", "extremes", "audit", "paper", "starts")},
+    **{word: f"study {word}" for word in ("bench", "tradeoff", "extremes", "paper")},
     **{word: f"show {word}" for word in ("terms", "schema")},
 }
 FLAGS = {"list": "listed", "repair": "repair"}  # of new names → parameters
 UNGUARDED = (results.terms, results.schema)  # they read and write no files
 GROUPS = {
     "show": "List what a run file may contain: cost terms, or its JSON schema.",
-    "study": "Measure lampest itself: solvers, formulations, extremes, error bars, weights, starts, the paper.",
+    "study": "Measure lampest itself: solvers, formulations, extremes, weights, the paper.",
 }
 
 

@@ -7,8 +7,18 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from lampest.cli.screen import WRONG_INPUT, mended, option, print_notes, progress, say, say_text, warn, written
-from lampest.cli.tables import print_table
+from lampest.cli.screen import (
+    WRONG_INPUT,
+    mended,
+    option,
+    print_notes,
+    print_table,
+    progress,
+    say,
+    say_text,
+    warn,
+    written,
+)
 from lampest.files.errors import InputError
 
 if TYPE_CHECKING:

@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lampest.cli.screen import Assign, Folder, option, progress, say, warn
-from lampest.cli.tables import print_table
+from lampest.cli.screen import Assign, Folder, option, print_table, progress, say, warn
 
 if TYPE_CHECKING:
     from lampest.studies.study import Reported, Study
@@ -17,8 +16,8 @@ Config = Annotated[Path | None, typer.Argument(metavar="[CONFIG]", help="The stu
 # Word → the module of the study, and what it says of itself. A further study is a module with its STUDY, named here.
 STUDIES = {
     "bench": (
-        "lampest.studies.bench_report",
-        """Compare solvers over panel sizes: time, accuracy, memory, growth; reduced, nodal, scipy's.
+        "lampest.studies.bench",
+        """Compare solvers over panel sizes: time, accuracy, memory, growth; reduced and nodal.
 
         Writes bench.csv (a row for every panel, method, solver and first, joint or later frames), growth.csv,
         bench.md and bench.h5 with every frame. Cases beyond the file's limits or budget are named.
@@ -29,12 +28,12 @@ STUDIES = {
         "Measure accuracy against speed of all formulations; table, HDF5 and figure.",
     ),
     "extremes": (
-        "lampest.studies.extremes.report",
+        "lampest.studies.extremes.run",
         "Solve scenes at the limits of measurement and report how each ended; table, HDF5 and heat map.",
     ),
-    "audit": (
-        "lampest.studies.audit",
-        "Measure the coverage of error bars under effects that the scene does not name.",
+    "weights": (
+        "lampest.studies.weights_report",
+        "Plot weight selection: evidence, misfit, penalty and true error over λ, with every rule's choice.",
     ),
 }
 
@@ -44,44 +43,14 @@ def study_command(word: str) -> Callable[..., None]:
     module, about = STUDIES[word]
 
     def command(config: Config = None, out: Folder = None, assign: Assign = None) -> None:
-        _run(import_module(module).STUDY, config, out, assign)
+        run_study(import_module(module).STUDY, config, out, assign)
 
     command.__name__, command.__doc__ = word, about
     return command
 
 
-def weights(
-    config: Config = None,
-    out: Folder = None,
-    withhold: Annotated[float | None, option("Fraction of the readings to withhold and predict, such as 0.1.")] = None,
-    draws: Annotated[int, option("Number of random draws of withheld readings.", min=1)] = 5,
-    seed: Annotated[int, option("Random seed of the draws.")] = 0,
-    assign: Assign = None,
-) -> None:
-    """Plot weight selection: evidence, misfit, penalty and true error over λ, with every rule's choice.
-
-    With --withhold, for recordings without a known truth: cross-validation by withheld readings.
-    """
-    from lampest.studies.weights_report import STUDY
-    from lampest.studies.withheld import withheld_study
-
-    _run(STUDY if withhold is None else withheld_study(withhold, draws, seed), config, out, assign)
-
-
-def starts(
-    config: Annotated[Path | None, typer.Argument(metavar="[CONFIG]", help="A run's YAML file; else table1's.")] = None,
-    out: Folder = None,
-    random: Annotated[int, option("Number of random starts per frame.", min=1)] = 20,
-    seed: Annotated[int, option("Random seed of the starts.")] = 0,
-    assign: Assign = None,
-) -> None:
-    """Multi-start test: how often a case of a run reaches the lowest objective of random starts; writes starts.csv."""
-    from lampest.studies.starts import starts_study
-
-    _run(starts_study(random, seed), config, out, assign)
-
-
-def _run(study: "Study[Any, Any]", config: Path | None, out: Path | None, assign: list[str] | None) -> None:
+def run_study(study: "Study[Any, Any]", config: Path | None, out: Path | None, assign: list[str] | None) -> None:
+    """Run a study and print its tables, remarks and files."""
     with progress(study.counts) as on_step:
         reported = study.run(config, out, tuple(assign or ()), on_step)
     print_reported(reported)
@@ -100,7 +69,7 @@ def paper(
     """
     from lampest.studies.paper.page import paper_study
 
-    _run(paper_study(out, jobs), config, out, None)
+    run_study(paper_study(out, jobs), config, out, None)
 
 
 def print_reported(reported: "Reported") -> None:

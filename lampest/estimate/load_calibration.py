@@ -16,9 +16,8 @@ from lampest.files.errors import InputError
 from lampest.loads.calibration import Fitted, Loaded, answers_by_others, fit_loads, response_of
 from lampest.loads.known_loads import KnownLoad, KnownLoads
 from lampest.loads.pressure import water_pressure
-from lampest.loads.response import PUBLISHED
 from lampest.panel.panel import Array
-from lampest.panel.response import Response
+from lampest.panel.response import PUBLISHED, Response
 from lampest.panel.scene import Scene
 from lampest.recording.recording import Recording
 

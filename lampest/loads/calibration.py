@@ -15,10 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
-from lampest.loads.response import PUBLISHED
 from lampest.panel.least_squares import LevenbergMarquardt, SumOfSquares
 from lampest.panel.panel import Array
-from lampest.panel.response import Response, Table, TableResponse
+from lampest.panel.response import PUBLISHED, Response, Table, TableResponse
 
 # Ends of pieces, kPa: thirds of octaves. Within one the base curve's form is taken as it is.
 THIRDS = 0.5 * 2.0 ** (np.arange(19) / 3)

@@ -2,15 +2,16 @@
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lampest.loads.film import DRIFT, SETTLED, SOONEST, FilmKnown, FilmMemory
-from lampest.loads.response import PUBLISHED, RESPONSE_SD, VACUUM_KPA
 from lampest.loads.tare import Tare, TareWatch
 from lampest.panel.film import Film
 from lampest.panel.panel import Array, Panel
+from lampest.panel.response import PUBLISHED, RESPONSE_SD, VACUUM_KPA
 from lampest.panel.scene import Scene, Water
 from lampest.panel.systematic import usual
 
@@ -242,3 +243,34 @@ def water_pressure(panel: Panel, water: Water | None) -> Array:
         return np.zeros(panel.shape)
     kpa_per_mm = 1e-6 * 1000 * GRAVITY
     return np.asarray(np.nan_to_num(kpa_per_mm * (water.top_row_depth_mm + panel.places_mm[1])))
+
+
+KPA_MM2 = 1e-3  # of one kPa on a square millimetre, newton
+
+
+class Force(NamedTuple):
+    """F and its standard deviation, newton, NaN where unknown; with saturated cells, so many, F is a lower bound."""
+
+    newton: float
+    deviation: float
+    saturated: int = 0
+
+
+def determined(scene: Scene, pressure: Array, *errors: Array) -> tuple[Array, ...]:
+    """p and its errors, (…, rows, columns) kPa; p is at most what the response determines, without error there."""
+    if scene.response is None:
+        return pressure, *errors
+    most = scene.response.told_kpa[1] - water_pressure(scene.panel, scene.water)
+    return np.minimum(pressure, most), *(np.where(pressure < most, error, 0.0) for error in errors)
+
+
+def sum_sd(weight: Array | float, own: Array, common: Array) -> float:
+    """√(Σ (w·own)² + (Σ w·common)²): standard deviation of Σ w·p over cells (n), whose common errors move together."""
+    return float(np.hypot(np.sqrt(np.sum((weight * own) ** 2)), np.sum(weight * common)))
+
+
+def total_force(scene: Scene, load: Pressure) -> Force:
+    """F of one frame."""
+    area, pressed = scene.panel.pitch_mm**2 * KPA_MM2, load.pressing != 0
+    kpa, own, common = (one[pressed] for one in determined(scene, load.pressure, load.own, load.common))
+    return Force(float(area * kpa.sum()), sum_sd(area, own, common), int(np.sum((load.saturated != 0) & pressed)))

@@ -257,3 +257,21 @@ def _straight_on(x: ArrayLike, at: Array, values: Array) -> Array:
     first = (values[PARTS] - values[0]) / (at[PARTS] - at[0])
     last = (values[-1] - values[-1 - PARTS]) / (at[-1] - at[-1 - PARTS])
     return np.asarray(inside + first * np.minimum(x - at[0], 0.0) + last * np.maximum(x - at[-1], 0.0))
+
+
+VACUUM_KPA = -101.325  # of an empty space against the standard atmosphere
+# An assumption: standard deviation of ln(r/r0) of a cell at a pressure, as a fraction of ln f(p). The curve is the mean
+# over two cells, without published scatter (section II.A). A data sheet of a kindred film (Interlink FSR 400) gives 6 %
+# from part to part, a hysteresis of 10 % and a drift of 5 % for each decade of time.
+RESPONSE_SD = 0.1
+PUBLISHED = PublishedResponse()
+
+
+def ratio_from_pressure(pressure: ArrayLike, response: Response = PUBLISHED) -> Array:
+    """r/r0 = f(p) of a cell of gain 1, any shape, kPa → 1; strictly falling."""
+    return np.exp(response.logarithm(pressure))
+
+
+def relative_change_from_pressure(pressure: ArrayLike) -> Array:
+    """ΔR/R0 = f(p) − 1 of the published curve, any shape, kPa → 1."""
+    return ratio_from_pressure(pressure) - 1.0

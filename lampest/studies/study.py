@@ -1,13 +1,11 @@
 """What every study is: settings from YAML → records, one an experiment → HDF5, CSV, Markdown, figures, tables."""
 
-import importlib.util
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import MISSING, dataclass, field, fields
-from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 from string import Formatter
-from types import ModuleType, SimpleNamespace
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 import numpy as np
@@ -188,22 +186,6 @@ def of_tasks(
         found[id(task)] = result if isinstance(result, tuple) else (lost(task, result),)
         on_step(len(found), len(tasks))
     return tuple(one for task in tasks for one in found[id(task)])
-
-
-@cache
-def published_code(name: str) -> ModuleType:
-    """A module of tests/oracles/ with solvers that others have published; a wheel carries it beside `configs/`.
-
-    Raises InputError where it is not there.
-    """
-    file = shipped_folder() / "tests" / "oracles" / f"{name}.py"
-    if not file.is_file():
-        raise InputError(f"{file}: the solvers of others, to compare with, are not there")
-    described = importlib.util.spec_from_file_location(f"lampest_{name}", file)
-    assert described is not None and described.loader is not None
-    module = importlib.util.module_from_spec(described)
-    described.loader.exec_module(module)
-    return module
 
 
 @dataclass(frozen=True, eq=False)

@@ -53,7 +53,6 @@ FOLDERS = (
     (("run", "own.yaml", "--jobs", "2", "--out", "OUT"), "small.h5", "results.h5"),
     (("study", "weights", "own.yaml", "--out", "OUT"), "small.h5", "tune.h5"),
     (("study", "weights", "OUT/tune.csv", "--out", "OUT"), "weights.yaml"),
-    (("study", "starts", "OUT/starts.csv", "--random", "1", "--out", "OUT"), "run.yaml"),
     (("detect", "OUT/detections.h5", "--out", "OUT"), "results.h5"),
     (("plot", "OUT/contours_small.png", "--out", "OUT"), "results.h5"),
 )

@@ -1,16 +1,15 @@
-"""`lampest study audit`: a table on screen, CSV and HDF5, and one sentence for what is wrong with its file."""
+"""The script of the audit's page: a table on screen, CSV and HDF5, and one sentence for a mistake in its file."""
 
 import csv
 import os
 import subprocess
 import sys
-from collections.abc import Callable
 from pathlib import Path
-from types import SimpleNamespace
 
 import h5py
 import pytest
 
+ROOT = Path(__file__).parents[2]
 FILE = """schema: 1
 simulation:
   schema: 1
@@ -35,11 +34,9 @@ executor: {kind: serial}
 def audit(folder: Path, text: str = FILE) -> subprocess.CompletedProcess[str]:
     """Run it on a file of that text."""
     (folder / "small.yaml").write_text(text)
-    program = "from lampest.cli import main; main()"
-    command = [sys.executable, "-c", program, "study", "audit", "small.yaml", "--out", "out"]
-    return subprocess.run(
-        command, cwd=folder, capture_output=True, text=True, timeout=300, env={**os.environ, "COLUMNS": "100"}
-    )
+    command = [sys.executable, "-m", "docs.studies.audit", "small.yaml", "--out", "out"]
+    environment = {**os.environ, "COLUMNS": "100", "PYTHONPATH": str(ROOT)}
+    return subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=300, env=environment)
 
 
 @pytest.mark.slow
@@ -71,11 +68,8 @@ def test_table_csv_and_samples_say_the_same(tmp_path: Path) -> None:
         ("baseline_frames: 5", "baseline_frames: 1", "small.yaml"),
     ],
 )
-def test_what_is_wrong_is_one_sentence(
-    tmp_path: Path, lampest: Callable[..., SimpleNamespace], old: str, new: str, place: str
-) -> None:
-    (tmp_path / "small.yaml").write_text(FILE.replace(old, new))
-    done = lampest("study", "audit", tmp_path / "small.yaml", "--out", tmp_path / "out")
-    assert done.code == 2
-    assert place in done.err and len(done.err.strip().splitlines()) == 1
+def test_a_mistake_in_the_file_is_one_sentence(tmp_path: Path, old: str, new: str, place: str) -> None:
+    done = audit(tmp_path, FILE.replace(old, new))
+    assert done.returncode == 2
+    assert place in done.stderr and len(done.stderr.strip().splitlines()) == 1
     assert not (tmp_path / "out").exists()

@@ -3,18 +3,23 @@
 import csv
 import os
 import re
+import shutil
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
+ROOT = Path(__file__).parents[2]
+COMMAND = ("-c", "from lampest.cli import main; main()", "study", "paper")
+SCRIPT = ("-m", "docs.studies.paper")  # of the page: the same with the paper's solver
 
-def paper(folder: Path) -> subprocess.CompletedProcess[str]:
-    """Run it as a user does."""
-    program = "from lampest.cli import main; main()"
-    command = [sys.executable, "-c", program, "study", "paper", "--out", "out", "--jobs", "1"]
-    return subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=600, env=dict(os.environ))
+
+def paper(folder: Path, *program: str) -> subprocess.CompletedProcess[str]:
+    """Run the command or the script as a user does."""
+    command = [sys.executable, *program, "--out", "out", "--jobs", "1"]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    return subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=600, env=environment)
 
 
 pytestmark = pytest.mark.slow  # the module's fixture takes half a minute
@@ -23,7 +28,7 @@ pytestmark = pytest.mark.slow  # the module's fixture takes half a minute
 @pytest.fixture(scope="module")
 def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("paper")
-    done = paper(folder)
+    done = paper(folder, *SCRIPT)
     assert done.returncode == 0, done.stderr
     assert all((folder / line).is_file() for line in done.stdout.splitlines())
     return folder / "out"
@@ -72,3 +77,14 @@ def test_the_scene_of_the_papers_panel_gives_most_of_its_numbers(written: Path) 
         for side in ("clean scenes", "paper's panel", "its solver")
     }
     assert len(rows) == 19 and good["its solver"] >= 13 > good["clean scenes"]
+
+
+def test_the_command_draws_both_panels_without_the_papers_solver(written: Path, tmp_path: Path) -> None:
+    shutil.copytree(written, tmp_path / "out")
+    for file in (tmp_path / "out").glob("*.*"):
+        file.unlink()
+    done = paper(tmp_path, *COMMAND)
+    assert done.returncode == 0, done.stderr
+    assert [Path(line).name for line in done.stdout.splitlines()][-1].endswith(".png")
+    ours, theirs = numbers(tmp_path / "out"), numbers(written)
+    assert ours == [{name: text for name, text in row.items() if name != "its solver"} for row in theirs]

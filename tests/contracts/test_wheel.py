@@ -61,7 +61,7 @@ def test_from_the_wheel_to_a_picture_in_three_commands(dist: Path, tmp_path: Pat
     entries = ("sizes=[2]", "frames=1", "repeats=1", "recordings=1", "memory=[]")
     words = [word for entry in entries for word in ("--set", entry)]
     said = typed(sys.executable, program, "study", "bench", *words)
-    assert "trf 2-point" in said and "results/bench/bench.csv" in said
+    assert "nodal" in said and "results/bench/bench.csv" in said
 
 
 def test_the_sdist_carries_tests_and_pages(dist: Path) -> None:

@@ -11,9 +11,9 @@ from lampest.cost.given import Background
 from lampest.estimate.outliers import lawless
 from lampest.estimate.prepared import Prepared
 from lampest.estimate.sequence import first_stream
-from lampest.loads.response import PUBLISHED
 from lampest.panel.panel import Panel
 from lampest.panel.readouts.star_mesh import exact_two_point_resistance
+from lampest.panel.response import PUBLISHED
 from lampest.panel.scene import Scene
 from lampest.recording.simulation import Cells, Simulation
 from lampest.report.detect.detection import detect_recording

@@ -11,15 +11,19 @@ from hypothesis import strategies as st
 from laws.samples import examples
 
 from lampest.loads.pressure import pressure_of, water_pressure
-from lampest.loads.response import (
+from lampest.panel.film import Film
+from lampest.panel.panel import Panel
+from lampest.panel.response import (
     PUBLISHED,
     RESPONSE_SD,
+    TOLD_KPA,
+    AnyResponse,
+    PowerResponse,
+    Response,
+    TableResponse,
     ratio_from_pressure,
     relative_change_from_pressure,
 )
-from lampest.panel.film import Film
-from lampest.panel.panel import Panel
-from lampest.panel.response import TOLD_KPA, AnyResponse, PowerResponse, Response, TableResponse
 from lampest.panel.scene import Scene, Water
 
 pressures = st.floats(-60, 500)

@@ -19,10 +19,10 @@ from lampest.estimate.estimator import Estimator
 from lampest.estimate.methods import MethodName
 from lampest.estimate.sequence import reconstruct
 from lampest.files.errors import InputError
-from lampest.loads.response import ratio_from_pressure
 from lampest.loads.shapes import OralDisc, Rod
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import TwoPointReadout
+from lampest.panel.response import ratio_from_pressure
 from lampest.panel.scene import Faults, Scene
 from lampest.posterior.dense import DenseErrors, DenseMemory
 from lampest.posterior.linear import LinearModel

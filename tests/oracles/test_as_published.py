@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
+from docs.studies.as_published import Weights, left_by_solver, lsqnonlin
 from lampest.cost.terms import CellResistance, Gradient, Misfit, RelativeChange
 from lampest.estimate.estimator import Bounds, Estimator
 from lampest.estimate.methods.method import OptimalMethod
@@ -12,7 +13,6 @@ from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.scene import Scene
 from lampest.recording.recording import Recording
-from tests.oracles.as_published import Weights, left_by_solver, lsqnonlin
 
 PANEL = Panel(4, 5)
 

@@ -15,10 +15,9 @@ from lampest.loads.calibration import Loaded, answers_by_others, fit_loads, resp
 from lampest.loads.film import Creep, FilmKnown
 from lampest.loads.known_loads import KnownLoad, KnownLoads
 from lampest.loads.pressure import pressure_of
-from lampest.loads.response import PUBLISHED
 from lampest.panel.film import Film
 from lampest.panel.panel import Array, Panel
-from lampest.panel.response import PowerResponse
+from lampest.panel.response import PUBLISHED, PowerResponse
 from lampest.panel.scene import Scene
 from lampest.recording.simulation.measure import random_stream
 

@@ -10,6 +10,7 @@ from numpy.testing import assert_allclose
 from numpy.typing import NDArray
 
 import lampest
+from docs.studies.audit import AuditFile, AuditTask
 from lampest import Estimator, Gradient, Misfit, Panel, Scene, two_point_resistance
 from lampest.estimate.noise import passing, swept
 from lampest.estimate.outliers import outliers_in_time, without_outliers
@@ -24,7 +25,6 @@ from lampest.recording.readings import Readings
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
 from lampest.recording.simulation import Simulation, Unmodelled, simulate
 from lampest.report.info import describe
-from lampest.studies.audit import AuditFile, AuditTask
 from lampest.studies.study import read_settings
 
 LINES, CHANNELS = 10, 10

@@ -9,13 +9,13 @@ import pytest
 from numpy.typing import NDArray
 
 import lampest
+from docs.studies.audit import AuditFile, AuditTask
 from lampest import Recording, Scene, TwoPointReadout
 from lampest.estimate.prepared import Prepared
 from lampest.estimate.saturation import saturated
 from lampest.loads.shapes import Block
 from lampest.recording.simulation import Cells, Course, Simulation, simulate
 from lampest.report.detect.detection import Known, known_of, measured_frames
-from lampest.studies.audit import AuditFile, AuditTask
 from lampest.studies.study import read_settings
 
 Array = NDArray[np.float64]

@@ -8,10 +8,10 @@ import pytest
 from lampest.files.document import parse_document, to_yaml, validated
 from lampest.files.errors import InputError
 from lampest.loads.pressure import pressure_of, water_pressure
-from lampest.loads.response import RESPONSE_SD, VACUUM_KPA, ratio_from_pressure
 from lampest.loads.shapes import SuctionCup
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import TwoPointReadout
+from lampest.panel.response import RESPONSE_SD, VACUUM_KPA, ratio_from_pressure
 from lampest.panel.scene import Scene, Systematic, Temperature, Water
 from lampest.recording.simulation import Simulation, simulate
 from lampest.recording.simulation.simulation import Cells

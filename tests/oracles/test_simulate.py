@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from lampest import two_point_resistance
-from lampest.loads.response import ratio_from_pressure
 from lampest.loads.shapes import OralDisc, Ring, Rod, Shape, SuctionCup
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.readouts.floating import uniform_factor
+from lampest.panel.response import ratio_from_pressure
 from lampest.panel.scene import Scene, Water
 from lampest.recording.recording import Recording
 from lampest.recording.simulation import Simulation, read_simulations, run, simulate

@@ -30,9 +30,9 @@ from lampest.estimate.estimates import Estimates
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.methods import MethodName
 from lampest.estimate.sequence import reconstruct
-from lampest.loads.response import ratio_from_pressure
 from lampest.loads.shapes import Rod, Shape, SuctionCup
 from lampest.panel.panel import Array, Panel
+from lampest.panel.response import ratio_from_pressure
 from lampest.panel.scene import Scene
 from lampest.posterior.dense import DenseErrors, DenseMemory
 from lampest.posterior.linear import LinearModel

@@ -6,11 +6,11 @@ from pathlib import Path
 import numpy as np
 
 import lampest
+from docs.studies.withheld import predictions
 from lampest.panel.panel import Panel
 from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.scene import Scene
 from lampest.runs.config import read_run
-from lampest.studies.withheld import predictions
 
 READOUT = TwoPointReadout(adc_bits=12, readings=1, noise_lsb=1.0, reference_ohm=500.0)
 RUN = """schema: 1

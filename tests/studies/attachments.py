@@ -20,10 +20,9 @@ import numpy as np
 
 from lampest import two_point_resistance
 from lampest.estimate.prepared import Prepared
-from lampest.loads.response import ratio_from_pressure
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import TwoPointReadout
-from lampest.panel.response import PublishedResponse
+from lampest.panel.response import PublishedResponse, ratio_from_pressure
 from lampest.panel.scene import Scene
 from lampest.recording.recording import Recording
 from lampest.report.detect.answer import Detected

@@ -17,10 +17,10 @@ from lampest.cost.terms import Arrival, LogRatio, Misfit, RelativeChange, Term, 
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.methods import SmootherMethod
 from lampest.estimate.sequence import reconstruct
-from lampest.loads.response import ratio_from_pressure
 from lampest.loads.shapes import OralDisc, Rod
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import LoadedColumnsReadout, Readout, TwoPointReadout
+from lampest.panel.response import ratio_from_pressure
 from lampest.panel.scene import Scene, Systematic
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
 from lampest.recording.simulation.measure import Unmodelled, measured

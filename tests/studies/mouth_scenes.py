@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from lampest import two_point_resistance
-from lampest.loads.response import ratio_from_pressure
 from lampest.panel.panel import Array, Panel
+from lampest.panel.response import ratio_from_pressure
 
 GRID = 11  # points along a patch's edge
 Pressure = Callable[[Array, Array], Array]  # x, y in mm → kPa

@@ -18,6 +18,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from docs.studies.as_published import METHODS, WEIGHTS, Weights, left_by_solver
 from lampest.loads.shapes import Block, OralDisc
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import TwoPointReadout
@@ -27,7 +28,6 @@ from lampest.recording.simulation.files import read_simulations
 from lampest.recording.simulation.measure import Unmodelled
 from lampest.recording.simulation.simulation import Cells, Course, Simulation, simulate
 from lampest.studies.paper.sides import FILE, read_published
-from tests.oracles.as_published import METHODS, WEIGHTS, Weights, left_by_solver
 
 # What is searched: name → least, most, and whether by its logarithm.
 BOX: Mapping[str, tuple[float, float, bool]] = {

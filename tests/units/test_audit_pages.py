@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from tests.studies.audit_pages import MARKED, PAGE, rows_of, table, with_table
+from docs.studies.audit_pages import MARKED, PAGE, rows_of, table, with_table
 
 ROWS = """effect,estimator,recordings,cells,change,pressure,alone,ratio,reported
 as specified,LSM,4,97.4,96.0,100,95.2,1.04,0

@@ -7,6 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from docs.studies.bench import SolverLimits, SolversFile, Trf, _Point
+from docs.studies.bench_pages import MARKED, PAGES, sections, with_tables
 from lampest.cost.cost import Cost
 from lampest.cost.losses import Huber
 from lampest.cost.terms import Misfit
@@ -17,15 +19,25 @@ from lampest.recording.recording import Recording
 from lampest.runs.config import Terms
 from lampest.solvers.multistart import evaluated
 from lampest.solvers.solution import Settings
-from lampest.studies.bench import SOLVERS, Bench, BenchFile, BenchFrame, BenchLimits, BenchPart, run_bench
-from lampest.studies.bench_report import STUDY, bench_remarks, bench_rows, growth, tables
+from lampest.studies.bench import (
+    STUDY,
+    Bench,
+    BenchFile,
+    BenchFrame,
+    BenchLimits,
+    BenchPart,
+    bench_remarks,
+    bench_rows,
+    growth,
+    run_bench,
+    tables,
+)
 from lampest.studies.common import SquaredMethod
 from lampest.studies.study import page, read_settings
-from tests.oracles.published_solvers import Trf, _Point
-from tests.studies.bench_pages import MARKED, PAGES, sections, with_tables
 
 ROOT = Path(__file__).parents[2]
-read_bench = read_settings(BenchFile)
+read_bench = read_settings(SolversFile)
+SOLVERS = SolverLimits().solvers
 TINY = """\
 schema: 1
 sizes: [3, [2, 4]]
@@ -49,7 +61,7 @@ def quiet(*step: object) -> None:
 
 def alone() -> BenchLimits:
     """The reduced solver alone."""
-    return replace(BenchLimits(), **dict.fromkeys(SOLVERS[1:], 0))
+    return BenchLimits(nodal=0)
 
 
 def timed(

@@ -21,7 +21,7 @@ GROUPS = ("show", "study")
 TOP = get_command(app).commands  # type: ignore[attr-defined]
 COMMANDS = {name: command for name, command in TOP.items() if not command.hidden and name not in GROUPS}
 COMMANDS |= {f"{group} {name}": command for group in GROUPS for name, command in TOP[group].commands.items()}
-OLD = ("bench", "tradeoff", "extremes", "audit", "paper", "tune", "starts", "ports", "repair", "terms", "schema")
+OLD = ("bench", "tradeoff", "extremes", "paper", "tune", "ports", "repair", "terms", "schema")
 FIGURES = re.compile(r"such as|with|\d|else", re.IGNORECASE)
 
 
@@ -77,8 +77,7 @@ def test_detect_writes_into_results_and_leaves_the_recordings_folder_alone(
 
 @pytest.mark.parametrize(
     "name",
-    ["run", "simulate", "live"]
-    + [f"study {word}" for word in ("bench", "tradeoff", "extremes", "audit", "weights", "starts")],
+    ["run", "simulate", "live"] + [f"study {word}" for word in ("bench", "tradeoff", "extremes", "weights")],
 )
 def test_what_reads_a_configuration_overrides_it(name: str) -> None:
     assert any("--set" in parameter.opts for parameter in COMMANDS[name].params)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from support import METHODS, invented_case
 
-from lampest.cli.tables import print_table
+from lampest.cli.screen import print_table
 from lampest.files.errors import InputError
 from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.scene import Panel, Scene

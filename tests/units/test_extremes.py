@@ -20,8 +20,17 @@ from lampest.recording.readings import AT_LEAST, AT_MOST
 from lampest.recording.recording import Recording
 from lampest.solvers.multistart import best_solution, evaluated
 from lampest.solvers.solution import Settings, Status
-from lampest.studies.extremes.report import atlas_remarks, atlas_rows, mild
-from lampest.studies.extremes.run import CRASHED, Solve, correct_digits, exact_residual, fifty_digits, run_atlas
+from lampest.studies.extremes.run import (
+    CRASHED,
+    Solve,
+    atlas_remarks,
+    atlas_rows,
+    correct_digits,
+    exact_residual,
+    fifty_digits,
+    mild,
+    run_atlas,
+)
 from lampest.studies.extremes.scenes import CASES, AtlasFile, AtlasSample, Grid, recording_of
 from lampest.studies.study import read_settings
 

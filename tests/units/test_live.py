@@ -24,15 +24,13 @@ from lampest.estimate.estimator import AutoWeight, Bounds, Estimator
 from lampest.estimate.prepared import Prepared
 from lampest.estimate.sequence import reconstruct
 from lampest.files.errors import InputError
-from lampest.loads.force import Force, total_force
-from lampest.loads.pressure import Pressure, PressureTrack, water_pressure
-from lampest.loads.response import ratio_from_pressure
+from lampest.loads.pressure import Force, Pressure, PressureTrack, total_force, water_pressure
 from lampest.loads.shapes import Rod
 from lampest.loads.tare import Tare
 from lampest.panel.film import Film
 from lampest.panel.panel import Array, EachModule, Modules, Panel
 from lampest.panel.readouts import TwoPointReadout, VirtualGroundReadout
-from lampest.panel.response import PublishedResponse
+from lampest.panel.response import PublishedResponse, ratio_from_pressure
 from lampest.panel.scene import Faults, Scene, Water
 from lampest.recording.readings import Readings
 from lampest.recording.recording import MEASURED, UNLOADED, Recording

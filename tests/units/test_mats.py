@@ -1,15 +1,12 @@
 """Random mats: every solver against the truth. Readings come from a network that is assembled here, node by node."""
 
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from lampest.files.errors import InputError
+from docs.studies.mats import LEAST_S, MOST_S, PUBLISHED, MatAnswer, Mats, MatSolve, solved_mats, table
 from lampest.solvers.solution import Settings
-from lampest.studies.study import published_code
-from tests.studies.mats import LEAST_S, MOST_S, PUBLISHED, MatAnswer, Mats, MatSolve, solved_mats, table
 
 SIDES = (6, 16)
 FINE = {"fixed_point": 1e-5, "krylov_fine": 1e-8, "least_squares": 1e-6}
@@ -82,14 +79,6 @@ def test_newton_krylov_knows_no_bounds(solves: list[MatSolve]) -> None:
 
 def test_a_fixed_point_that_does_not_settle_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
     fixed_point: Callable[[np.ndarray], MatAnswer] = PUBLISHED["fixed_point"]
-    monkeypatch.setattr("tests.studies.mats.MOST_STEPS", 3)
+    monkeypatch.setattr("docs.studies.mats.MOST_STEPS", 3)
     answer = fixed_point(two_point(np.full((4, 4), LEAST_S)))
     assert (answer.converged, answer.iterations) == (False, 3)
-
-
-def test_where_the_solvers_of_others_are_not_there_is_one_sentence(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    monkeypatch.setattr("lampest.studies.study.shipped_folder", lambda: tmp_path)
-    with pytest.raises(InputError, match="the solvers of others, to compare with, are not there"):
-        published_code("elsewhere")

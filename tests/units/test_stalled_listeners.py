@@ -17,7 +17,7 @@ import pytest
 from paho.mqtt.client import Client, MQTTMessage
 from paho.mqtt.enums import CallbackAPIVersion
 
-from lampest.loads.force import Force
+from lampest.loads.pressure import Force
 from lampest.panel.panel import Panel
 from lampest.report.live.message import Message, Picture, View
 from lampest.report.live.publish import publish_at, websocket

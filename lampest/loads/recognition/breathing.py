@@ -15,9 +15,8 @@ from lampest.loads.recognition.detector import Detector
 from lampest.loads.recognition.evidence import COUNTS, RARER
 from lampest.loads.recognition.fit import ROUNDS, Fit
 from lampest.loads.recognition.observation import Observation
-from lampest.loads.response import RESPONSE_SD
 from lampest.panel.panel import Array
-from lampest.panel.response import PublishedResponse
+from lampest.panel.response import RESPONSE_SD, PublishedResponse
 
 RATES_HZ = (0.5, 2.5)  # of breathing; sea lampreys at rest 0.8 to 1.6 Hz
 LEAST_RATE = 3.8  # frames a second: those of four whose clock is slow; they show rates up to 2 Hz

@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from lampest.loads.recognition.observation import FARTHEST, Observation, unit
-from lampest.loads.response import RESPONSE_SD
 from lampest.loads.shapes import shape_types
 from lampest.loads.shapes.disc import Disc, pressure_at_places
 from lampest.loads.shapes.shape import Candidate, Prior, Template
 from lampest.panel.panel import Array, Panel
+from lampest.panel.response import RESPONSE_SD
 
 AND = " and "
 # σ: of 720 bare panels, films uneven by 12 to 25 %, some alike in neighbours or with faulty cells, the largest had 6.4.

@@ -15,9 +15,9 @@ from scipy.special import softmax
 from lampest.loads.recognition.candidates import FIELD, UNIFORM, under
 from lampest.loads.recognition.fit import UNLIKELY, Fit
 from lampest.loads.recognition.observation import Observation
-from lampest.loads.response import PUBLISHED
 from lampest.loads.shapes.disc import Disc
 from lampest.panel.panel import Panel
+from lampest.panel.response import PUBLISHED
 
 # Of ln P, assumptions: of every further load, or a rim that moves without its suction; and of what cannot be, hidden
 # suction and two loads in one place. What is no candidate is fitted by such with up to e⁶⁰ times their evidence.

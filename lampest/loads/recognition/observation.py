@@ -16,10 +16,9 @@ from scipy.linalg import cho_solve, cholesky, lapack
 
 from lampest.loads.pressure import CLEAR
 from lampest.loads.recognition.settings import ModelErrors
-from lampest.loads.response import PUBLISHED
 from lampest.panel.network import Network
 from lampest.panel.panel import Array
-from lampest.panel.response import Response
+from lampest.panel.response import PUBLISHED, Response
 from lampest.panel.scene import Scene
 
 # Of ln r: the longest Gauss-Newton step; and the most a load may change, beyond which a cell is open or shorted to all

@@ -5,8 +5,8 @@ from math import hypot, log10
 
 import numpy as np
 
-from lampest.loads.response import RESPONSE_SD
 from lampest.panel.panel import Array, Panel
+from lampest.panel.response import RESPONSE_SD
 from lampest.panel.scene import Scene, Systematic
 
 PATCH_SHARE = 0.6  # edge of a cell's film over the pitch, as on the panel of the paper: 6 mm at 10 mm

@@ -10,7 +10,6 @@ from typing import ClassVar, Literal
 import numpy as np
 
 from lampest.files.typed import check_range
-from lampest.loads.response import VACUUM_KPA
 from lampest.loads.shapes.disc import (
     EVEN,
     Disc,
@@ -22,6 +21,7 @@ from lampest.loads.shapes.disc import (
 )
 from lampest.loads.shapes.shape import Candidate, Prior, Shape, Template, centre_priors
 from lampest.panel.panel import Array, Panel
+from lampest.panel.response import VACUUM_KPA
 
 CLOSED = 0.05  # d_i/d where the rim would leave no inside
 RIM_WIDTH_MM = 5.5  # an assumption: mouths have 4 to 7 mm, the paper's suction cup 4

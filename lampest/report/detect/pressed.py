@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.files.whole import write_whole
-from lampest.loads.force import KPA_MM2, determined, sum_sd
+from lampest.loads.pressure import KPA_MM2, determined, sum_sd
 from lampest.panel.panel import Array, Panel
 from lampest.report.compare import Table, comma_separated
 from lampest.runs.case import CaseResult

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.loads.force import Force
+from lampest.loads.pressure import Force
 from lampest.panel.panel import Array, Panel
 from lampest.report.detect.answer import ANSWERS, Detected, alarming
 

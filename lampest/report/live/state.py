@@ -11,8 +11,7 @@ from lampest.estimate.outliers import FramesBefore
 from lampest.estimate.state import Step
 from lampest.estimate.stream import Stream
 from lampest.files.errors import InputError
-from lampest.loads.force import Force, total_force
-from lampest.loads.pressure import Pressure, PressureTrack
+from lampest.loads.pressure import Force, Pressure, PressureTrack, total_force
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.posterior.track import Bars, Track

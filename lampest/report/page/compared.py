@@ -10,7 +10,7 @@ from lampest.panel.panel import Array
 from lampest.report.compare import weighted_residual
 from lampest.report.page import measures
 from lampest.report.page.batch import Batch, Matched, first_of, matched
-from lampest.report.page.template import between, weights_text
+from lampest.report.page.measures import between, weights_text
 from lampest.report.words import counted, digits, listed
 from lampest.runs.case import CaseResult
 

@@ -1,16 +1,19 @@
 """Figures of one case, bootstrap intervals, and where two cases differ significantly."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from importlib.resources import files
 from itertools import combinations
 from math import ceil
 from typing import Any, NamedTuple
 
 import numpy as np
+from jinja2 import Environment, FunctionLoader, StrictUndefined
 from numpy.typing import NDArray
 
 from lampest.panel.panel import Array
 from lampest.report.compare import figures_of, statistics, weighted_residual
+from lampest.report.words import digits
 from lampest.runs.case import CaseResult
 
 DRAWS = 2000  # of which the 2.5th percentile is known to 0.06 standard deviations
@@ -123,3 +126,54 @@ def _arms(case: CaseResult) -> tuple[Array, Array] | None:
     if lower is None or upper is None:
         return None
     return np.maximum(case.relative_change - lower, 0.0), np.maximum(upper - case.relative_change, 0.0)
+
+
+NONE = "–"
+HARD = "\N{NO-BREAK SPACE}"
+
+
+def filled(package: str, **values: Any) -> str:
+    """`page.html` of a package as HTML; it may take `parts.html`, the look and the tables of all pages."""
+
+    def source(name: str) -> str:
+        home = "lampest.report.page" if name == "parts.html" else package
+        return files(home).joinpath(name).read_text(encoding="utf-8")
+
+    environment = Environment(
+        loader=FunctionLoader(source), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+    return environment.get_template("page.html").render(**values)
+
+
+def between(interval: Interval, unit: str = "", sign: str = "") -> str:
+    """'2.13 (1.95 to 2.36) %': two digits of the interval's length, three of the figure at most, on one line.
+
+    sign : '+' of differences, before positive numbers.
+    """
+    length = interval.upper - interval.lower
+    like = max(length, abs(interval.value) / 10) if np.isfinite(length) else None
+    ends = (interval.value, interval.lower, interval.upper)
+    value, lower, upper = (sign * (end > 0) + digits(end, 2, like) for end in ends)
+    return f"{value} ({lower}{HARD}to{HARD}{upper}){unit and HARD + unit}"
+
+
+def weights_text(cases: Sequence[Mapping[str, Array]]) -> str:
+    """'gradient λ = 0.001' of the penalties used; median and range where they differ; empty where nothing is known."""
+    found: dict[str, list[Array]] = {}
+    for weights in cases:
+        for term, values in weights.items():
+            found.setdefault(term, []).append(values[np.isfinite(values)])
+    parts = []
+    for term, each in found.items():
+        known, text = np.concatenate(each), NONE
+        if known.size:
+            low, text, high = (f"{value:.3g}" for value in (known.min(), np.median(known), known.max()))
+            text += f" ({low} to {high})" if low != high else ""
+        parts += [f"{term.replace('_', ' ')} λ = {text}"] if term != "misfit" else []
+    return ", ".join(parts) or ("no penalty" if found else "")
+
+
+def frames_text(frames: Sequence[int]) -> str:
+    """'3, 5 to 7'."""
+    runs = np.split(np.asarray(frames), np.flatnonzero(np.diff(frames) != 1) + 1)
+    return ", ".join(f"{run[0]} to {run[-1]}" if len(run) > 2 else ", ".join(map(str, run)) for run in runs)

@@ -10,9 +10,8 @@ import numpy as np
 from lampest.files.whole import write_whole
 from lampest.report.page.batch import Batch, read_batch, without_copies
 from lampest.report.page.compared import advise, compared, doubts
-from lampest.report.page.measures import DRAWS, Disagreement, disagreements, figures
+from lampest.report.page.measures import DRAWS, Disagreement, disagreements, figures, filled
 from lampest.report.page.tables import case_table, failures, standing_table, unit_table
-from lampest.report.page.template import filled
 from lampest.report.plots.contours import CertaintyPlot, ContourPlot, ResidualPlot
 from lampest.report.plots.maps import Scale, Tile, maps_figure, signed_scale, values_of
 from lampest.report.plots.plot import Plot

@@ -6,8 +6,7 @@ import numpy as np
 
 from lampest.report.compare import LEAST, Table
 from lampest.report.page.compared import Comparison
-from lampest.report.page.measures import figures
-from lampest.report.page.template import HARD, NONE, between, frames_text, weights_text
+from lampest.report.page.measures import HARD, NONE, between, figures, frames_text, weights_text
 from lampest.report.words import digits
 from lampest.runs.case import CaseResult
 

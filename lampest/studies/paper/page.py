@@ -3,18 +3,18 @@
 In the figures published numbers stand as marks or in words beside what our scenes give.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from lampest.loads.response import ratio_from_pressure, relative_change_from_pressure
 from lampest.panel.film import Film
 from lampest.panel.panel import Array, Panel
+from lampest.panel.response import ratio_from_pressure, relative_change_from_pressure
 from lampest.report.compare import Table
-from lampest.report.page.template import filled
+from lampest.report.page.measures import filled
 from lampest.report.plots import style
 from lampest.report.plots.maps import Tile, banded_scale, maps_figure
 from lampest.report.words import digits
@@ -39,16 +39,22 @@ class Paper(NamedTuple):
     figures: dict[str, Figure]
 
 
-def paper_study(folder: Path, jobs: int | None) -> Study[Published, Paper]:
-    """The study; what was solved in the folder before is taken from it. jobs : processes, None for all cores."""
+def paper_study(
+    folder: Path, jobs: int | None, further: Callable[[Side, Published], Side] | None = None
+) -> Study[Published, Paper]:
+    """Return the study; what was solved in the folder before is taken from it.
+
+    jobs : processes, None for all cores. further : makes a third side of the paper's panel.
+    """
 
     def measured(published: Published, on_step: OnStep) -> Paper:
         sides = all_sides(folder, published, jobs, on_step)
+        sides += (further(sides[1], published),) if further else ()
         names = tuple(side.name for side in sides)
         pictures = {"fig1e": response_figure(published), "fig2": bending_figure(published)}
         for side in sides:
             for name, tiles in tiles_of(side, published).items():
-                if name != "fig6" or side.word != "solver":  # its scenes are those of the paper's panel
+                if name != "fig6" or side in sides[:2]:  # the loads of a third side are those of the paper's panel
                     pictures[f"{name}_{side.word}"] = tiles_figure(tiles, side.panel, side.name)
         return Paper(published, names, list(published_beside(sides, published)), pictures)
 

@@ -14,13 +14,13 @@ from lampest.recording.datasets import folder as shipped_folder
 from lampest.recording.readings import Readings
 from lampest.recording.recording import UNLOADED, Recording
 from lampest.recording.simulation.files import run as simulated
-from lampest.report.compare import Steps, compare, statistics
+from lampest.report.compare import Steps, compare
 from lampest.report.strongest import furthest, percent_change
 from lampest.runs.batch import run_batch
 from lampest.runs.config import read_run
 from lampest.runs.executors import local
 from lampest.runs.results import Results, read_results
-from lampest.studies.study import published_code, read_settings
+from lampest.studies.study import read_settings
 
 MEASURED = "measured"
 FASTEST = "formulation={kind: reduced, joint: true}"  # finds the optima that the files' formulations find, sooner
@@ -176,15 +176,14 @@ def all_sides(folder: Path, published: Published, jobs: int | None, on_case: OnC
             raise InputError(f"{configs / run}: {'; '.join(f'{case}: {why}' for case, why in report.failed)}")
         mouths = [Recording.load(file) for file in files]
         loads = {one.letter: _load(recorded(one.recording)) for one in published.loads}
-        return _shown(Side(name, word, mouths, loads, *_optima(read_results(report.results), mouths)))
+        return shown(Side(name, word, mouths, loads, *_optima(read_results(report.results), mouths)))
 
     clean = side("clean scenes", "clean", "table1.yaml", lambda name: data / f"{name}.h5")
     panel = side("paper's panel", "panel", "paper_run.yaml", made)
-    changes, steps = _left_by_solver(panel.mouths, published)
-    return clean, panel, _shown(replace(panel, name="its solver", word="solver", changes=changes, steps=steps))
+    return clean, panel
 
 
-def _shown(side: Side) -> Side:
+def shown(side: Side) -> Side:
     """With changes of the shown frame: of clean scenes the strongest one, of others the first; and what is measured."""
     frames = [furthest_frame(mouth) if side.word == "clean" else 0 for mouth in side.mouths]
     changes = {key: np.asarray(change[frames[key[1]]]) for key, change in side.changes.items()}
@@ -216,24 +215,6 @@ def _optima(results: Results, mouths: Sequence[Recording]) -> tuple[dict[Any, Ar
             names = ("data error mean [%]", "data error sd [%]", "solve time mean [s]")
             figures = (nan if row[name] is None else row[name] for name in names)
             steps[row["estimator"], row["steps"]] = StepsSeen(*figures)
-    return changes, steps
-
-
-def _left_by_solver(mouths: Sequence[Recording], published: Published) -> tuple[dict[Any, Array], dict[Any, StepsSeen]]:
-    """What the paper's solver leaves; times are evaluations, at what one of them took the paper."""
-    changes, steps = {}, {}
-    methods = ({one.method for one in published.ranges} | {one.method for one in published.errors}) - {MEASURED}
-    for method, number in (*((method, 0) for method in sorted(methods)), (published.mouth_method, 1)):
-        mouth = mouths[number]
-        frames, solve = mouth.recorded[mouth.measured_frames()], published_code("as_published").left_by_solver
-        found = solve(method, mouth.scene.panel, unloaded(mouth), frames)
-        changes[method, number] = found.change
-        parts = {"initial": slice(1), "following": slice(1, None)} if found.joint else {"all": slice(None)}
-        for name, part in parts.items() if not number else ():
-            mean, sd = statistics(found.data_error[part], "{}", "mean", "sd").values()
-            # Table I: LSM's 16.45 ± 0.40 s are its limit of 10,000 evaluations and one derivative.
-            time = 16.45 / 10_100 * float(found.evaluations[part].mean())
-            steps[method, name] = StepsSeen(nan if mean is None else mean, nan if sd is None else sd, time)
     return changes, steps
 
 

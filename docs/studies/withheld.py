@@ -1,5 +1,6 @@
-"""Cross-validation: readings that are withheld are predicted from all others, over a range of weights.
+"""Cross-validation: withheld readings are predicted from all others, over a range of weights.
 
+Run it with: python -m docs.studies.withheld RUN [--share 0.1] [--draws 5] [--seed 0] [--out DIR] [--set PATH=VALUE]
 For recordings whose truth nobody knows. Source: Stone, J. R. Statist. Soc. B 36, 1974.
 """
 
@@ -9,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from docs.studies import script
 from lampest.cost.given import Background
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.outliers import lawless
@@ -116,7 +118,7 @@ def _estimates(
 def withheld_study(share: float, draws: int = 5, seed: int = 0) -> study.Study[Run, study.Cases[Withheld]]:
     """The study that withholds a share of each frame's readings. Raises InputError unless 0 < share < 1."""
     if not 0 < share < 1:
-        raise InputError("--withhold must lie between 0 and 1, such as 0.1")
+        raise InputError("--share must lie between 0 and 1, such as 0.1")
 
     def predicted(case: Case) -> list[Withheld] | str:
         recording = Recording.load(case.path)
@@ -172,3 +174,11 @@ SCREEN: study.Screen = {
     "over interpolation": "{over_interpolation:.2f}",
     "cell over reading": "{cell_over_reading:.1f}",
 }
+
+
+if __name__ == "__main__":
+    parser = script.parser_of(__doc__)
+    parser.add_argument("--share", type=float, default=0.1, help="share of the readings of a frame to withhold")
+    parser.add_argument("--draws", type=int, default=5, help="random draws of withheld readings")
+    parser.add_argument("--seed", type=int, default=0, help="random seed of the draws")
+    script.main(lambda options: withheld_study(options.share, options.draws, options.seed), parser)

@@ -1,20 +1,31 @@
-"""Solvers of others on the same problem, with which `lampest study bench` compares: scipy's."""
+"""The benchmark with SciPy's solvers on the same problem beside lampest's own.
+
+Run it with: python -m docs.studies.bench [CONFIG] [--out DIR] [--set PATH=VALUE]
+The file is one of `lampest study bench`; its `limits` know SciPy's solvers too.
+"""
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from functools import cached_property, partial
-from typing import Literal
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache, partial
+from typing import Any, ClassVar, Literal
 
 import casadi
 import numpy as np
 from scipy import sparse
 from scipy.optimize import least_squares, minimize
 
+from docs.studies import script
 from lampest.cost.cost import Cost
 from lampest.cost.problem import Data, Evaluation
+from lampest.estimate.methods.method import Method
 from lampest.panel.compiled import Compiled, guarded
 from lampest.panel.panel import Array
-from lampest.solvers.solution import Outcome, Settings, Solver, Status
+from lampest.panel.scene import Scene
+from lampest.solvers.multistart import evaluable, starts
+from lampest.solvers.solution import Outcome, Settings, Solution, Solver, Status, check
+from lampest.studies import bench
+from lampest.studies.bench import BenchFile, BenchLimits
+from lampest.studies.study import read_settings
 
 STALLED = 1e-14  # scipy's own tests of a step and of a gain shall not end a solve before the gradient does
 # Iterations of L-BFGS-B for each one that a method with second derivatives may take: one is an evaluation, no matrix.
@@ -143,3 +154,58 @@ SOLVERS: dict[str, Callable[[Cost, Settings], Solver]] = {
     "scipy_difference": partial(Trf, jacobian="2-point"),
     "scipy_lbfgsb": Lbfgsb,
 }
+
+
+@dataclass(frozen=True)
+class ScipyMethod(Method):
+    """One of scipy's solvers, from the cheapest of the starts that a frame has, checked as ours are.
+
+    scipy_exact, scipy_difference : trf with the closed-form Jacobian, and with finite differences. scipy_lbfgsb :
+    L-BFGS-B with the closed-form gradient.
+    """
+
+    optimum: ClassVar[bool] = True
+    kind: Literal["scipy_exact", "scipy_difference", "scipy_lbfgsb"]
+    joint: bool = False
+
+    def solver(self, cost: Cost, scene: Scene, settings: Settings, period: float) -> Solver:
+        """Kept for costs that come again."""
+        return _scipy(self.kind, cost, settings)
+
+    def solution(self, solver: Solver, data: Data, previous: Array | None, prepared: Any) -> Solution:
+        """The minimum next to that start."""
+        places = starts(solver.cost, data, previous)
+        start = min(evaluable(solver.cost, data, places), key=lambda point: point.objective)
+        return check(start, solver.solve(data, start))
+
+
+@lru_cache(maxsize=8)
+def _scipy(name: str, cost: Cost, settings: Settings) -> Solver:
+    solver: Solver = SOLVERS[name](cost, settings)
+    return solver
+
+
+@dataclass(frozen=True)
+class SolverLimits(BenchLimits):
+    """The largest side at which each solver is run, SciPy's included."""
+
+    scipy_exact: int = 16
+    scipy_difference: int = 10
+    scipy_lbfgsb: int = 32
+
+
+@dataclass(frozen=True)
+class SolversFile(BenchFile):
+    """A benchmark's file whose limits know SciPy's solvers."""
+
+    limits: SolverLimits = SolverLimits()
+
+    def formulation(self, solver: Any, joint: bool) -> Method:
+        """The formulation of a solver's name, SciPy's included."""
+        return ScipyMethod(kind=solver, joint=joint) if solver in SOLVERS else super().formulation(solver, joint)
+
+
+STUDY = replace(bench.STUDY, read=read_settings(SolversFile))
+
+if __name__ == "__main__":
+    script.main(lambda options: STUDY, script.parser_of(__doc__))

@@ -1,6 +1,6 @@
 """Random mats of as many readings as cells, solved without bounds or penalties by our solver and by published ones.
 
-Run it with: python -m tests.studies.mats [--sides 16] [--draws 2] [--noise 0 1]; prints the table of the page.
+Run it with: python -m docs.studies.mats [--sides 16] [--draws 2] [--noise 0 1]; prints the table of the page.
 
 Conductances g with G(g) = G_m, as many readings as cells. G = 1/R are the conductances that are read between every row
 and every column. Equations and settings are those of J. A. Medrano-Sánchez et al., IEEE Sensors J., 2019, doi
@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 from scipy.optimize import NoConvergence, least_squares, newton_krylov
 
+from docs.studies.bench import ScipyMethod
 from lampest.cost.given import Background
 from lampest.cost.terms import Misfit
 from lampest.estimate.estimator import Bounds, Estimator
@@ -27,7 +28,6 @@ from lampest.panel.readouts.floating import FloatingNetwork, grounding
 from lampest.panel.scene import Scene
 from lampest.recording.readings import Readings
 from lampest.solvers.solution import Settings
-from lampest.studies.bench import ScipyMethod
 from lampest.studies.study import grouped, markdown, screen_table, text_of
 from lampest.studies.timing import clocked, inverse_time
 

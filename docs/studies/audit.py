@@ -1,4 +1,7 @@
-"""Where error bars cover the truth: effects that no scene states, on fresh recordings, by estimator."""
+"""Coverage of error bars under effects that no scene states, on fresh recordings, by estimator.
+
+Run it with: python -m docs.studies.audit [CONFIG] [--out DIR] [--set PATH=VALUE]
+"""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -8,6 +11,7 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
+from docs.studies import script
 from lampest.estimate.estimates import Estimates
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.methods import AnyMethod, MethodName
@@ -312,3 +316,7 @@ STUDY: study.Study[AuditFile, Sequence[Audited]] = study.Study(
     records=lambda found: [study.RecordGroup("recordings", found, "cells_covered")],
     remarks=audit_remarks,
 )
+
+
+if __name__ == "__main__":
+    script.main(lambda options: STUDY, script.parser_of(__doc__))

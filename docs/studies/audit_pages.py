@@ -1,6 +1,6 @@
 """The CSV file of an audit → the table of docs/studies/audit.md, between <!-- audit --> and <!-- /audit -->.
 
-Run it with: python -m tests.studies.audit_pages results/audit
+Run it with: python -m docs.studies.audit_pages results/audit
 """
 
 import argparse

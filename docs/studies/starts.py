@@ -1,10 +1,14 @@
-"""`lampest study starts`: how often a sequence's own start reaches the best minimum that random starts find."""
+"""How often a sequence's own start reaches the best minimum that random starts find.
+
+Run it with: python -m docs.studies.starts [RUN] [--random 20] [--seed 0] [--out DIR] [--set PATH=VALUE]
+"""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
+from docs.studies import script
 from lampest.estimate.methods import named_method
 from lampest.estimate.sequence import first_stream
 from lampest.recording.recording import Recording
@@ -89,3 +93,10 @@ def starts_study(random: int, seed: int) -> Study[Run, Cases[Tally]]:
         rows=lambda cases: cases.found,
         screen=SCREEN,
     )
+
+
+if __name__ == "__main__":
+    parser = script.parser_of(__doc__)
+    parser.add_argument("--random", type=int, default=20, help="random starts of each frame")
+    parser.add_argument("--seed", type=int, default=0, help="random seed of the starts")
+    script.main(lambda options: starts_study(options.random, options.seed), parser)

@@ -1,0 +1,39 @@
+"""The paper's figures and table, with a third side: the paper's panel as its solver leaves it.
+
+Run it with: python -m docs.studies.paper [--out DIR] [--jobs N]
+"""
+
+from dataclasses import replace
+from math import nan
+from pathlib import Path
+
+from docs.studies import script
+from docs.studies.as_published import left_by_solver
+from lampest.report.compare import statistics
+from lampest.studies.paper.page import paper_study
+from lampest.studies.paper.sides import MEASURED, Published, Side, StepsSeen, shown, unloaded
+
+
+def its_solver(panel: Side, published: Published) -> Side:
+    """Return the side that the paper's solver leaves; times are evaluations, at the time that one took the paper."""
+    changes, steps = {}, {}
+    methods = ({one.method for one in published.ranges} | {one.method for one in published.errors}) - {MEASURED}
+    for method, number in (*((method, 0) for method in sorted(methods)), (published.mouth_method, 1)):
+        mouth = panel.mouths[number]
+        frames = mouth.recorded[mouth.measured_frames()]
+        found = left_by_solver(method, mouth.scene.panel, unloaded(mouth), frames)
+        changes[method, number] = found.change
+        parts = {"initial": slice(1), "following": slice(1, None)} if found.joint else {"all": slice(None)}
+        for name, part in parts.items() if not number else ():
+            mean, sd = statistics(found.data_error[part], "{}", "mean", "sd").values()
+            # Table I: LSM's 16.45 ± 0.40 s are its limit of 10,000 evaluations and one derivative.
+            time = 16.45 / 10_100 * float(found.evaluations[part].mean())
+            steps[method, name] = StepsSeen(nan if mean is None else mean, nan if sd is None else sd, time)
+    return shown(replace(panel, name="its solver", word="solver", changes=changes, steps=steps))
+
+
+if __name__ == "__main__":
+    parser = script.parser_of(__doc__)
+    parser.set_defaults(out=Path("results/paper"))
+    parser.add_argument("--jobs", type=int, help="processes; default: all cores")
+    script.main(lambda options: paper_study(options.out, options.jobs, its_solver), parser)
