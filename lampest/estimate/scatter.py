@@ -20,6 +20,8 @@ FARTHEST = 3.0  # widths of Tracy and Widom's law beyond the edge: noise alone g
 ENOUGH = 1.5  # samples for each channel, below which the smallest eigenvalues of noise come near zero
 NORMAL_MEDIAN = 0.6745  # of the size of a standard normal variable
 MEDIAN_EFFICIENCY = 0.37  # of the median size as an estimate of σ, as a share of the readings (Hampel, 1974)
+PAIR_MEDIAN = 0.7960  # of the root mean square of two differences that share a frame, over √2 σ (by simulation)
+AT_REST = 1.25  # first differences over second ones: noise alone has 1.00 ± 0.06 with 100 readings
 QUIETEST = 0.25  # of the triples: loads that come and go make the others restless
 UNSURE = 2.0  # standard deviations by which the mean of the other eigenvalues may tell noise too small
 
@@ -68,22 +70,27 @@ def unloaded_scatter(recording: Recording, resting: Readings) -> Scatter | None:
 
 
 def repeated_scatter(measured: Readings) -> Scatter | None:
-    """Return the scatter of readings at rest from frame to frame; None with fewer than three frames.
+    """Return the scatter of readings at rest from frame to frame; None where there is no rest, or no three frames.
 
     Of every three frames in a row the second difference (y₀ − 2 y₁ + y₂)/(√6 σ) has unit variance, whatever moves
     evenly. Its median size over the readings is that of those at rest, and of all triples the quietest quarter counts.
+    Where motion remains, first differences /(√2 σ) are larger; then the scatter is no more than an upper bound.
     """
     assert measured.sigma is not None
-    value = measured.plain_values
+    value, sigma = measured.plain_values, measured.sigma[1:-1]
     if len(value) < 3:
         return None
-    size = np.abs(value[2:] - 2 * value[1:-1] + value[:-2]) / (np.sqrt(6) * measured.sigma[1:-1])
-    enough = np.isfinite(size).sum(axis=(1, 2)) > 1
+    second = np.abs(value[2:] - 2 * value[1:-1] + value[:-2]) / (np.sqrt(6) * sigma)
+    first = np.sqrt(((value[2:] - value[1:-1]) ** 2 + (value[1:-1] - value[:-2]) ** 2) / 4) / sigma
+    enough = np.isfinite(second).sum(axis=(1, 2)) > 1
     if not enough.any():
         return None
-    medians = np.nanmedian(size[enough].reshape(int(enough.sum()), -1), axis=1) / NORMAL_MEDIAN
-    quiet = float(np.quantile(medians, QUIETEST, method="lower"))
-    nothing, count = np.zeros((1, 0)), int(np.isfinite(size[enough]).sum() / enough.sum() * MEDIAN_EFFICIENCY)
+    of_second, of_first = (np.nanmedian(size[enough], axis=(1, 2)) for size in (second, first))
+    rest = np.argsort(of_second)[: max(1, round(QUIETEST * len(of_second)))]
+    quiet, moving = float(of_second[rest].mean()) / NORMAL_MEDIAN, float(of_first[rest].mean()) / PAIR_MEDIAN
+    if quiet > 1 and moving > AT_REST * quiet:
+        return None
+    nothing, count = np.zeros((1, 0)), int(np.isfinite(second[enough]).sum() / enough.sum() * MEDIAN_EFFICIENCY)
     return Scatter(quiet, max(count, 1), 0.0, nothing, nothing)
 
 
