@@ -18,6 +18,7 @@ from lampest.posterior.interval import TWO_SIDED
 from lampest.posterior.reference import ErrorScale, references
 from lampest.solvers.multistart import BROKEN
 
+MIN_READINGS = 100  # of which the largest twentieth says how far tails reach; with fewer, one outlier looks like all
 MIN_FACTOR = 1.25  # as for the noise: a smaller one changes no verdict
 STUDENT_TWO_SIDED = 3.182  # standard scales that hold 95 % of Student's t with three degrees of freedom
 
@@ -27,6 +28,8 @@ def error_factor(scale: ErrorScale) -> float:
 
     An error of all readings shows in the scale of Student's t, one of few readings in the tail.
     """
+    if scale.readings < MIN_READINGS:
+        return 1.0
     tail = scale.tail / TWO_SIDED
     whole = STUDENT_TWO_SIDED / TWO_SIDED * np.sqrt(scale.best**2 - 1) if scale.best > 1 else 0.0
     factor = max(tail, float(np.hypot(1.0, whole)))

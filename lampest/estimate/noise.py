@@ -172,8 +172,10 @@ def scatter_seen(recording: Recording, outliers: NDArray[np.bool_], cleaned: Rea
     # Noise that differs from the specified one beyond chance, and by more than changes any verdict.
     elif parts.own >= LEAST_FACTOR and chi_square_tail(squares, parts.own_freedom) < LEVEL:
         used = parts.own
-    elif parts.own <= 1 / LEAST_FACTOR and 1 - chi_square_tail(squares, parts.own_freedom) < LEVEL:
-        used = parts.own if readout is None else shown_factor(readout, parts.own)
+    # Only of a converter it is known how small the noise may be: its step.
+    elif readout is not None and parts.own <= 1 / LEAST_FACTOR:
+        significant = 1 - chi_square_tail(squares, parts.own_freedom) < LEVEL
+        used = shown_factor(readout, parts.own) if significant else 1.0
     error = parts.own / np.sqrt(2 * parts.own_freedom)
     said = _noise_in_words(readout, used, unloaded > 1) if specified and used != 1 else ""
     frame, sizes = None, (0.0, 0.0)

@@ -91,7 +91,7 @@ class AutoWeight(Validated):
     """How `weight: auto` is chosen.
 
     rule : 'risk', the least expected error of log r, judged by a reference estimate; 'evidence', the most probable
-    weight. By default risk; evidence of panels with more than 1,200 cells.
+    weight. By default risk; evidence of panels with more than 400 cells.
     per : 'recording', one weight from its strongest frame; 'frame', one for every frame.
 
     >>> lampest.AutoWeight().per

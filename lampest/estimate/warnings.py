@@ -82,7 +82,7 @@ def _scatter(recording: Recording, noise: NoiseSeen) -> str:
     if readout is None or not readout.noise_told or QUIET <= noise.factor <= LOUD or np.isnan(noise.factor):
         return ""
     return (
-        f"unloaded frames scatter {noise.factor:.2g} times as much as the scene's converter does: are units, "
+        f"readings at rest scatter {noise.factor:.2g} times as much as the scene's converter does: are units, "
         "readout.noise_lsb and readout.readings right, and is no frame a copy?"
     )
 

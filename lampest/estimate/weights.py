@@ -2,7 +2,8 @@
 
 The reference estimate (`lampest.posterior.reference`) says how far readings are off, and what the cells look like that
 a penalty has to serve. The cost is linearised there, and the weight minimises `Spectrum.risk`; of several penalties one
-after the other. Beyond `MAX_DENSE` unknowns, and on request, the fixed point of the evidence is taken instead.
+after the other. On panels of more than `MAX_CELLS` cells, and on request, the fixed point of the evidence is taken
+instead, with the errors that the residuals show.
 """
 
 from collections.abc import Hashable, Sequence
@@ -16,11 +17,12 @@ import numpy as np
 from lampest.cost.cost import Cost
 from lampest.cost.problem import Data
 from lampest.estimate.objective import Objective
+from lampest.estimate.scatter import NORMAL_MEDIAN
 from lampest.estimate.state import NO_DUAL
 from lampest.files.errors import InputError
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
-from lampest.posterior.dense import DenseErrors
+from lampest.posterior.dense import DenseErrors, rank
 from lampest.posterior.fixed_point import first_weights, next_weights, settled_weights
 from lampest.posterior.linear import LinearModel
 from lampest.posterior.reference import Reference, references
@@ -32,7 +34,9 @@ from lampest.solvers.projected_newton import ProjectedNewton
 from lampest.solvers.solution import Settings
 
 MAX_SOLVES, SETTLED = 4, 0.2  # of an estimate; of log λ: no reported figure changes by less
+MAX_CELLS = 400  # of the reference model: beyond, its matrices take seconds
 MAX_SWEEPS = 6  # over several penalties: each converges within a few
+MIN_FREEDOM = 0.05  # of the residuals: with less, their scale is not determined
 MAX_NEIGHBOURS = 2  # frames or networks that decide on a weight with the strongest one
 AnyObjective = TypeVar("AnyObjective", bound=Objective)
 Weights = tuple[list[float], tuple[float, ...]]  # of the terms, and the standard deviations of log λ
@@ -60,7 +64,8 @@ def with_chosen_weights(
     alike = tuple(other for other in others if other.partial == data.partial)
     search = WeightSearch(cost, (data, *alike), estimator.solver)
     first = convex(data, near) if near is None else near
-    rule = estimator.auto_weight.rule or ("risk" if data.measured.size <= MOST_DENSE else "evidence")
+    small = data.measured[0].size <= MAX_CELLS and data.measured.size <= MOST_DENSE
+    rule = estimator.auto_weight.rule or ("risk" if small else "evidence")
     if rule == "evidence" and not data.noise_known:
         reason = "auto_weight.rule: evidence" if estimator.auto_weight.rule else "weight: auto of a large panel"
         raise InputError(f"{reason} needs the noise: a readout in the scene or sigma in the recording")
@@ -157,21 +162,42 @@ class WeightSearch:
         return first_weights(LinearModel(at, NO_DUAL), self.begun, self.open_terms)
 
     def by_evidence(self, first: Array) -> Weights:
-        """The weights at the fixed point of the evidence; of log λ the standard deviation is √(2/γ)."""
-        weights, near, data = self.suggested(first), first, self.solves[0]
+        """The weights at the fixed point of the evidence; of log λ the standard deviation is √(2/γ).
+
+        Where the median residual exceeds the noise, by what the cells' degrees of freedom leave, it replaces σ.
+        """
+        weights, near, data, scale = self.suggested(first), first, self.solves[0], 1.0
         sigma = [np.nan] * len(weights)
         with suppress(*BROKEN):
-            for _ in range(MAX_SOLVES):
+            for _ in range(2 * MAX_SOLVES):
                 found = best_solution(ProjectedNewton(self.weighted(weights), self.settings), data, near)
                 if found.at is None or found.dual is None:
                     break
-                model, previous = LinearModel(found.at, found.dual), weights
-                near = found.cell_resistance
-                large = data.measured.size > MOST_DENSE
+                model = LinearModel(found.at, found.dual, deviation=scale * data.deviation)
+                large = data.measured.size > MAX_CELLS
+                errors = (SampledErrors if large else DenseErrors)(model)
+                previous, near = (*weights, scale), found.cell_resistance
                 weights = (next_weights if large else settled_weights)(model, self.open_terms)
                 for number in self.open_terms:
-                    determined = (SampledErrors if large else DenseErrors)(model).determined(number)
-                    sigma[number] = np.sqrt(2 / max(determined, 1.0))
-                if max(abs(np.log(weights[number] / previous[number])) for number in self.open_terms) < SETTLED:
+                    sigma[number] = np.sqrt(2 / max(errors.determined(number), 1.0))
+                scale = max(1.0, scale * residual_scale(errors))
+                if np.abs(np.log(np.array((*weights, scale)) / np.array(previous))).max() < SETTLED:
                     break
         return weights, tuple(sigma)
+
+
+def residual_scale(errors: DenseErrors) -> float:
+    """Return the robust standard deviation of the residuals over their noise; 1 where cells leave them no freedom.
+
+    median |x|/τ, over its value for a normal variable and √(1 − γ/n), γ the degrees of freedom that n data determine.
+    """
+    model = errors.model
+    counted = model.data_curvature > 0
+    penalties = np.unique(model.penalty_term)
+    bound = min(rank(model.at.cost.unweighted), len(model.free))
+    determined = len(model.free) - bound + sum(errors.determined(int(number)) for number in penalties)
+    freedom = 1 - determined / max(int(counted.sum()), 1)
+    if freedom < MIN_FREEDOM:
+        return 1.0
+    sizes = np.abs(model.residual[counted]) / model.noise[counted]
+    return float(np.median(sizes)) / NORMAL_MEDIAN / float(np.sqrt(freedom))

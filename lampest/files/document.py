@@ -122,15 +122,16 @@ def _text_of(path: Path) -> str:
         with path.open("rb") as stream:
             content = stream.read(MOST_BYTES + 1)
         note_read(path)
-        if len(content) > MOST_BYTES:
-            raise InputError(f"{path}: larger than {MOST_BYTES} bytes, which no configuration is")
-        return content.decode("utf-8")
     except OSError as error:
         raise InputError(f"{path}: {error.strerror}") from error
-    except UnicodeDecodeError as error:
-        raise InputError(f"{path}: not a text in UTF-8") from error
     except ValueError as error:  # a zero byte
         raise InputError(f"{path}: no such file") from error
+    if len(content) > MOST_BYTES:
+        raise InputError(f"{path}: larger than {MOST_BYTES} bytes, which no configuration is")
+    try:
+        return content.decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: not a text in UTF-8") from error
 
 
 def parse_document(text: str, source: str) -> Document:

@@ -35,7 +35,7 @@ IMPROBABLE = 6.0  # of −2 log p above its least value, where the search ends: 
 EXACT = 1e-4  # first s where the noise is unknown, as a fraction of the reading: no sensor is read to more digits
 MAX_STEPS, MAX_ROUNDS = 8, 4  # Gauss–Newton steps of one s; updates of the weights of one linearisation
 SETTLED_BOUND, SETTLED_STEP, SETTLED_VARIANCE = 0.5, 0.02, 0.03  # of −2 log p; of log r; of log τ²
-PRIOR_VARIANCE = 0.03  # τ² that counts like one step: without it a panel that noise hides has no steps at all
+PRIOR_VARIANCE = 0.003  # τ² that counts like one step: without it a panel that noise hides has no steps at all
 LONGEST = 1.4  # of log r in one step
 RIDGE = 1e-9  # of the mean curvature
 
@@ -70,12 +70,15 @@ class ErrorScale:
         The median of the posterior, on the grid.
     tail : float
         The expected size of errors that 95 % of the readings do not exceed.
+    readings : int
+        The number of readings that are values.
     scales, bounds : tuples of float
         The grid, ascending, and −2 log p(y | s) on it, up to a constant.
     """
 
     best: float
     tail: float
+    readings: int
     scales: tuple[float, ...]
     bounds: tuple[float, ...]
 
@@ -86,7 +89,7 @@ class ErrorScale:
 
 
 def references(solves: Sequence[Data], cost: Cost, least: float = 1.0) -> tuple[ErrorScale, list[Reference]]:
-    """Fit the reference model to the data of several solves, with one s for all.
+    """ReferenceFit the reference model to the data of several solves, with one s for all.
 
     Parameters
     ----------
@@ -105,7 +108,7 @@ def references(solves: Sequence[Data], cost: Cost, least: float = 1.0) -> tuple[
 
     Raises LinAlgError where a network cannot be solved.
     """
-    frames = [Fit.of(data, cost, frame) for data in solves for frame in range(len(data.measured))]
+    frames = [ReferenceFit.of(data, cost, frame) for data in solves for frame in range(len(data.measured))]
     known = solves[0].noise_known
     tried = _search(frames, 1.0 if known else EXACT, RATIO, MAX_SCALES)
     if known and least < 1:
@@ -125,18 +128,18 @@ def references(solves: Sequence[Data], cost: Cost, least: float = 1.0) -> tuple[
         cells = np.stack([np.exp(fit.position).reshape(fit.shape) for fit in own])
         deviation = np.stack([fit.deviation(best).reshape(fit.shape) for fit in own])
         found.append(Reference(cells, deviation, block_diag(*(fit.covariance for fit in own))))
-    return ErrorScale(best, tail, tuple(scales), tuple(bounds.tolist())), found
+    return ErrorScale(best, tail, len(errors), tuple(scales), tuple(bounds.tolist())), found
 
 
-def _bound(fits: Sequence["Fit"]) -> float:
+def _bound(fits: Sequence["ReferenceFit"]) -> float:
     return sum(fit.bound for fit in fits)
 
 
 def _search(
-    frames: Sequence["Fit"], first: float, ratio: float, count: int, least: float = 0.0
-) -> dict[float, list["Fit"]]:
+    frames: Sequence["ReferenceFit"], first: float, ratio: float, count: int, least: float = 0.0
+) -> dict[float, list["ReferenceFit"]]:
     """Fits at s = first, first·ratio, …, each begun at the one before, until the bound has risen for a while."""
-    tried, fits, scale, lowest = dict[float, list[Fit]](), list(frames), first, np.inf
+    tried, fits, scale, lowest = dict[float, list[ReferenceFit]](), list(frames), first, np.inf
     for _ in range(count):
         fits = [fit.settled(scale**2) for fit in fits]
         tried[scale] = fits
@@ -150,7 +153,7 @@ def _search(
 
 
 @dataclass(frozen=True, eq=False)
-class Fit:
+class ReferenceFit:
     """The reference model of one frame at one s. Readings and steps are in units of σ and of 1 per pitch.
 
     Attributes
@@ -201,7 +204,7 @@ class Fit:
     residual_variance: float = np.inf
 
     @classmethod
-    def of(cls, data: Data, cost: Cost, frame: int) -> "Fit":
+    def of(cls, data: Data, cost: Cost, frame: int) -> "ReferenceFit":
         """Before the first step, at the readout's own start. Raises LinAlgError where no two cells are neighbours."""
         panel = cost.panel
         cells = np.setdiff1d(np.flatnonzero(np.ravel(panel.present)), cost.faulty)
@@ -220,7 +223,7 @@ class Fit:
         fit = cls(data, frame, panel.shape, cells, steps, origin, nothing, nothing, nothing, ones, np.ones(len(steps)))
         return fit.at(np.log(np.clip(start, data.lower[frame], data.upper[frame])).ravel())
 
-    def at(self, position: Array) -> "Fit":
+    def at(self, position: Array) -> "ReferenceFit":
         """The same model linearised at u."""
         network = self.data.network(self.frame, np.exp(position).reshape(self.shape))
         jacobian = np.asarray(network.sensitivity()) / self.sigma[:, None]
@@ -231,6 +234,11 @@ class Fit:
         """σ of the readings; the readings themselves where it is unknown."""
         known = self.data.deviation if self.data.noise_known else np.abs(self.data.measured)
         return np.asarray(known[self.frame]).ravel()
+
+    @property
+    def prior_variance(self) -> float:
+        """The τ² that counts like one step: cells that keep their baseline are usual, panels of equal cells are not."""
+        return np.finfo(float).tiny if self.origin.any() else PRIOR_VARIANCE
 
     @property
     def step(self) -> Array:
@@ -247,7 +255,7 @@ class Fit:
         counted = np.where(side != 0, side * residual < 0, seen > 0)
         return residual, counted, counted & (side == 0)
 
-    def settled(self, square: float) -> "Fit":
+    def settled(self, square: float) -> "ReferenceFit":
         """Expectations and Gauss–Newton steps at s² until the bound stands still."""
         fit, previous = self, np.inf
         for _ in range(MAX_STEPS):
@@ -263,7 +271,7 @@ class Fit:
                 break
         return fit
 
-    def expected(self, square: float) -> "Fit":
+    def expected(self, square: float) -> "ReferenceFit":
         """Weights and τ² at the present linearisation, and the step that they lead to."""
         residual, counted, values = self.residual(self.reading)
         rows, cells = np.flatnonzero(counted), self.cells
@@ -285,7 +293,7 @@ class Fit:
             free = max(int(value.sum()) - used, 1e-3 * len(rows))
             determined = rank - float(np.sum(weights[1] * (of_stepped - stepped**2)))
             residual_variance = float(np.sum((of_readings * missed**2)[value])) / free
-            variance = (float(np.sum(of_steps * stepped**2)) + PRIOR_VARIANCE) / (max(determined, 0.0) + 1)
+            variance = (float(np.sum(of_steps * stepped**2)) + self.prior_variance) / (max(determined, 0.0) + 1)
             of_readings = (FREEDOM + 1) / (FREEDOM + of_missed / square)
             of_steps = (FREEDOM + 1) / (FREEDOM + of_stepped / variance)
             if number and abs(np.log(variance / before)) < SETTLED_VARIANCE:
@@ -319,7 +327,7 @@ class Fit:
         change[free] = -np.linalg.solve(whole[np.ix_(free, free)], slope[free])
         return change
 
-    def moved(self, square: float) -> "Fit | None":
+    def moved(self, square: float) -> "ReferenceFit | None":
         """After as much of the step as lowers the cost; None where none does."""
         lower, upper = (np.ravel(bound[self.frame]) for bound in self.data.log_bounds)
         cost, change = self._cost(square), np.clip(self.change, -LONGEST, LONGEST)

@@ -102,7 +102,7 @@ class Spectrum:
         directions, residual = jacobian @ basis, size * model.residual
         gram, noise = basis.T @ basis, directions * (size * model.noise)[:, None]
         known, back = np.zeros_like(gram), vectors.T @ np.tril(factor).T
-        if covariance is not None:
+        if covariance is not None and loss.enters != "dual":  # absolute losses hold cells where the reference cannot
             known = back @ covariance[np.ix_(model.free, model.free)] @ back.T
         return cls(
             np.maximum(stiffness, 0),
@@ -144,8 +144,8 @@ class Spectrum:
     def risk(self, weight: float) -> float:
         """E Σ (log r̂ − log r)² if the truth lies about the point of linearisation.
 
-        ‖T f (b_o + λ d)‖² + tr cov(T f q₀) + tr cov(T (1 − f) T⁻¹ u): what penalties pull the estimate away, the noise
-        that they leave, and what they pull away of the truth beyond what is known of it.
+        ‖T f (b_o + λ d)‖² + tr cov(T f q₀) + tr cov(T (1 − f) T⁻¹ u): the bias of the penalties, the noise that they
+        leave, and the bias through the uncertainty of that point.
         """
         remaining = 1 / (1 + weight * self.stiffness)
         pulled = np.where(self.determined, (self.pull + weight * self.penalty_slope) * remaining, 0.0)

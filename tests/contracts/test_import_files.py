@@ -394,7 +394,7 @@ def test_the_unit_of_times_is_guessed_and_always_said(
 
 
 def test_a_time_unit_needs_times_that_are_numbers(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="holds no times that could be in ms; --period sets them"):
+    with pytest.raises(InputError, match="holds no times that could be in ms; `period` sets them"):
         imported(tmp_path / "m.csv", "\n".join(wide(FRAMES)), time_unit="ms")
     with pytest.raises(InputError, match="is no number, so that it has no time unit ms"):
         timed(tmp_path, "time", ("2025-01-01", "2025-01-02", "2025-01-03", "2025-01-04"), time_unit="ms")

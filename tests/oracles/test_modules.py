@@ -162,7 +162,7 @@ def test_modules_that_are_alike_share_their_weights(monkeypatch: pytest.MonkeyPa
         assert step.solution.solved and len(choices) == 6
     tared = stream.tared(readings[0])
     assert len(choices) == 8
-    np.testing.assert_allclose(tared.baseline_resistance, stream.baseline_resistance, rtol=0.05)
+    np.testing.assert_allclose(tared.baseline_resistance, stream.baseline_resistance, rtol=0.12)
     later = [part.weights[1] for part in tared.parts if isinstance(part, lampest.Stream) and part.weights]
     for weights in (chosen, later):
         assert len(weights) == 5 and len(set(weights)) == 2 and weights.count(weights[1]) == 1

@@ -194,6 +194,24 @@ def test_told_noise_that_frames_contradict_is_widened_and_said() -> None:
     assert held(reconstruct(wrong, LSM), cells)[0] > 0.88
 
 
+@pytest.mark.parametrize("unloaded", [5, 0])
+@pytest.mark.parametrize(("true", "specified"), [(0.7, 8.4), (8.4, 0.7)], ids=["too large", "too small"])
+def test_noise_that_is_specified_twelve_times_too_large_or_too_small_is_measured(
+    true: float, specified: float, unloaded: int
+) -> None:
+    wrong, cells = recorded(2, scene_of(specified), lambda exact, rng: converted(exact, rng, true), unloaded=unloaded)
+    right, _ = recorded(2, scene_of(true), lambda exact, rng: converted(exact, rng, true), unloaded=unloaded)
+    noise, expected = Prepared(wrong).noise, Prepared(right).noise
+    assert np.median(noise.readings.sigma / expected.readings.sigma) == pytest.approx(1, abs=0.12)
+    where = "unloaded frames" if unloaded else "readings at rest from frame to frame"
+    assert sum("measured in" in line for line in noise.warnings) == 1
+    assert f"LSB, measured in {where}; the scene specifies {specified:g} LSB" in noise.sentence
+    found = reconstruct(wrong, LSM)
+    inside = (found.cell_resistance_lower <= cells[found.frame]) & (cells[found.frame] <= found.cell_resistance_upper)
+    assert inside.mean() > 0.88
+    assert unloaded or not any("unloaded frames scatter" in line for line in found.checks)
+
+
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_bars_hold_a_gain_of_each_frame(seed: int) -> None:
     told, cells = recorded(seed, scene_of(0.7), lambda exact, rng: converted(exact, rng, 0.7, 0.004))

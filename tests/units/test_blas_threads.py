@@ -20,8 +20,8 @@ def threads() -> set[int]:
 def test_an_estimate_from_python_uses_one_thread_of_blas(monkeypatch: pytest.MonkeyPatch) -> None:
     scene = lampest.Scene(lampest.Panel(3, 4), lampest.TwoPointReadout(), series_resistance_ohm=140.0)
     recording = lampest.Recording(scene, np.full((3, 3, 4), 640.0), np.arange(3.0), np.array([0, 0, 1], dtype=np.uint8))
-    during, sequence = list[set[int]](), Stream.sequence
-    monkeypatch.setattr(Stream, "sequence", lambda *given: (during.append(threads()), sequence(*given))[1])
+    during, push = list[set[int]](), Stream.push
+    monkeypatch.setattr(Stream, "push", lambda *given: (during.append(threads()), push(*given))[1])
     with threadpool_limits(2, "blas"):
         lampest.reconstruct(recording, [lampest.Misfit()])
         assert during == [{1}]

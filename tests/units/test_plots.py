@@ -69,7 +69,7 @@ def test_a_plot_of_a_package_is_asked_for_by_its_word(package: Callable[..., Non
     write_results(tmp_path / "r.h5", [invented_case(method) for method in METHODS])
     package("lampest.plots", "addon:STEPS", ADDON)
     assert [file.name for file in plot_results(tmp_path / "r.h5", show="steps")] == ["steps_mouth.png"]
-    with pytest.raises(InputError, match=r"no plot 'step'; there are contours, change, .*certainty, steps"):
+    with pytest.raises(InputError, match=r"no plot 'step'; there are contours, change, .*certainty, sweep, steps"):
         plot_results(tmp_path / "r.h5", show="step")
 
 

@@ -40,7 +40,7 @@ def test_detect_whose_input_bears_an_outputs_name_writes_nothing(
         (disk.folder / name).symlink_to(disk.folder / "small.h5")
         words = (disk.folder / "small.h5",)
     before = names(disk.folder)
-    done = lampest("detect", *words)
+    done = lampest("detect", *words, "--out", disk.folder)
     assert (done.code, names(disk.folder)) == (2, before), done.err
 
 

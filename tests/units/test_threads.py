@@ -94,7 +94,7 @@ def test_a_thread_whose_term_raises_or_that_is_cancelled_harms_no_other() -> Non
             try:
                 for _ in range(3):
                     found[number] = estimate(number, "squares", more=[Failing()] if number % 4 == 1 else [])
-            except (RuntimeError, Cancelled) as error:
+            except (lampest.InputError, Cancelled) as error:
                 raised.append(error)  # kept by a thread that is not the one that made the symbols
 
         threads = [threading.Thread(target=work, args=(number,)) for number in range(12)]

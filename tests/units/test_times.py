@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from lampest import Recording
-from lampest.estimate.warnings import warnings_of
+from lampest.estimate.prepared import Prepared
 
 
 @pytest.mark.parametrize(
@@ -16,5 +16,6 @@ from lampest.estimate.warnings import warnings_of
 )
 def test_equal_times_and_times_in_ms_are_named(disk: SimpleNamespace, step: float, said: str) -> None:
     small = Recording.load(disk.folder / "small.h5")
-    lines = warnings_of(replace(small, time=step * np.arange(len(small.time)), simulation=None, acquisition=None))
+    timed = replace(small, time=step * np.arange(len(small.time)), simulation=None, acquisition=None)
+    lines = Prepared(timed).warnings
     assert any(said in line for line in lines) if said else not any("time" in line for line in lines)

@@ -1,0 +1,139 @@
+"""Simulation-based calibration: error bars of cells that are drawn from the prior of a penalty.
+
+Run it with: python -m tests.studies.simulated_calibration [--draws 100] [--seed 0]; prints the table of the page.
+
+A penalty λ Σ x² beside a misfit in units of the noise is a normal prior of the cells, x ~ N(0, 1/λ). Cells are drawn
+from it, read with noise, and estimated with this λ or with `weight: auto`. If the bars are right, the posterior
+probability of values below the truth, Φ((u − û)/σ), is uniform, and every interval holds the truth as often as it says.
+Sources: Talts et al., arXiv 1804.06788, 2018 (calibration); Säilynoja, Bürkner & Vehtari, Statistics and Computing 32,
+2022 (simultaneous bands of the empirical distribution).
+"""
+
+import argparse
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.stats import binom, norm
+
+import lampest
+from lampest import two_point_resistance
+from lampest.cost.given import Background
+from lampest.panel.panel import Array
+from lampest.posterior.linear import LinearModel
+from lampest.recording.readings import Readings
+from lampest.solvers.multistart import evaluated
+
+SIDE, MEAN_OHM = 6, 3000.0
+SCENE = lampest.Scene(lampest.Panel(SIDE, SIDE))
+MISFIT = lampest.Misfit(weighting="noise")
+PRIORS: dict[str, lampest.Term] = {"log_gradient": lampest.LogGradient(), "gradient": lampest.Gradient()}
+SETTINGS = {"low noise": (0.002, 0.3), "medium noise": (0.02, 0.15), "high noise": (0.06, 0.06)}  # σ/R; sd of a step
+LEVELS = (0.5, 0.8, 0.95)
+CELLS = (0, SIDE * SIDE // 2 + 2)  # one cell of each draw: cells of the same draw are not independent
+POINTS, BAND_DRAWS = 20, 2000  # of a band
+
+
+def prior_root(penalty: lampest.Term) -> Array:
+    """A root of the covariance of u = ln(r/3 kΩ) for λ = 1; of `gradient`, u stands for r/3 kΩ − 1."""
+    estimator = lampest.Estimator((MISFIT, replace(penalty, weight=1.0)), "reduced")
+    cells = np.full((1, SIDE, SIDE), MEAN_OHM)
+    readings = two_point_resistance(cells)
+    data = estimator.data(Readings.of(SCENE, readings, 0.01 * readings), Background(SCENE))
+    model = LinearModel(evaluated(estimator.cost(SCENE, 1, False), data, cells), np.zeros(0))
+    values, vectors = np.linalg.eigh((model.penalty_jacobian.T @ model.penalty_jacobian).toarray())
+    known = values > 1e-9 * values.max()
+    return np.asarray(vectors[:, known] / np.sqrt(values[known]))
+
+
+@dataclass(frozen=True, eq=False)
+class Calibration:
+    """Standard scores z = (u − û)/σ of all cells (draws, cells), and the chosen weights over the true one (draws)."""
+
+    scores: Array
+    weights: Array
+
+    @property
+    def coverage(self) -> tuple[float, ...]:
+        """The share of cells within their intervals of each of LEVELS."""
+        return tuple(float(np.mean(np.abs(self.scores) < norm.ppf(0.5 + level / 2))) for level in LEVELS)
+
+    @property
+    def uniformity(self) -> tuple[float, ...]:
+        """The probability of a distribution this far from uniform, for each of CELLS."""
+        return tuple(uniform_tail(norm.cdf(self.scores[:, cell])) for cell in CELLS)
+
+
+def calibration(penalty: lampest.Term, noise: float, step: float, chosen: bool, draws: int, seed: int) -> Calibration:
+    """Estimate draws from the prior of a penalty.
+
+    Parameters
+    ----------
+    penalty : Term
+    noise : float
+        σ of the readings over the readings.
+    step : float
+        Standard deviation of ln r from a cell to the next.
+    chosen : bool
+        Whether the data choose the weight.
+    draws, seed : int
+    """
+    in_ohm = isinstance(penalty, lampest.Gradient)
+    weight = 1 / (step * (MEAN_OHM if in_ohm else 1.0)) ** 2
+    root, rng = prior_root(penalty) / np.sqrt(weight), np.random.default_rng(seed)
+    scores, weights = [], []
+    for _ in range(draws):
+        u = (root @ rng.standard_normal(root.shape[1])).reshape(1, SIDE, SIDE)
+        cells = MEAN_OHM * (np.maximum(1 + u, 0.1) if in_ohm else np.exp(u))
+        exact = two_point_resistance(cells)
+        readings, sigma = exact * (1 + noise * rng.standard_normal(exact.shape)), noise * exact
+        recording = lampest.Recording(SCENE, readings, np.zeros(1), np.ones(1, dtype=np.uint8), sigma=sigma)
+        terms = (MISFIT, replace(penalty, weight="auto" if chosen else weight))
+        found = lampest.reconstruct(recording, terms, bounds=lampest.Bounds("none", "none"))
+        deviation = np.asarray(found.cell_resistance_errors) / found.cell_resistance
+        scores.append((np.log(cells / found.cell_resistance) / deviation).ravel())
+        weights.append(found.steps[0].weights[1] / weight)
+    return Calibration(np.array(scores), np.array(weights))
+
+
+def uniform_tail(values: Array) -> float:
+    """The probability that the empirical distribution of uniform values leaves a narrower band than this one does."""
+    simulated = np.random.default_rng(0).uniform(size=(BAND_DRAWS, len(values)))
+    return float(np.mean(_least_tail(simulated) <= _least_tail(values[None])[0]))
+
+
+def _least_tail(values: Array) -> Array:
+    """The least pointwise probability of the empirical distribution (samples, n) over an even grid."""
+    places, count = np.arange(1, POINTS) / POINTS, values.shape[1]
+    below = np.sum(values[:, :, None] <= places, axis=1)
+    return np.minimum(binom.cdf(below, count, places), binom.sf(below - 1, count, places)).min(axis=1)
+
+
+def table(draws: int, seed: int) -> Iterator[str]:
+    """The lines of the page's table."""
+    yield "| prior | noise; sd of a step | weight | 50 % | 80 % | 95 % | rms z | uniform, p | λ over the true one |"
+    yield "|---|---|---|---|---|---|---|---|---|"
+    for name, penalty in PRIORS.items():
+        for noise, step in SETTINGS.values():
+            for chosen in (False, True):
+                found = calibration(penalty, noise, step, chosen, draws, seed)
+                quantiles = " / ".join(f"{value:.2g}" for value in np.quantile(found.weights, (0.1, 0.5, 0.9)))
+                figures = (
+                    f"`{name}`",
+                    f"{100 * noise:g} %; {100 * step:g} %",
+                    "chosen" if chosen else "known",
+                    *(f"{100 * share:.1f}" for share in found.coverage),
+                    f"{np.sqrt(np.mean(found.scores**2)):.2f}",
+                    ", ".join(f"{tail:.2f}" for tail in found.uniformity),
+                    quantiles if chosen else "",
+                )
+                yield f"| {' | '.join(figures)} |"
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--draws", type=int, default=100)
+    parser.add_argument("--seed", type=int, default=0)
+    given = parser.parse_args()
+    for line in table(given.draws, given.seed):
+        print(line, flush=True)
