@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from docs.studies.attachments import recording as attached
 from lampest.loads.recognition.attachment import Attachment
 from lampest.loads.recognition.detector import Detector
 from lampest.loads.recognition.evidence import Verdict
@@ -21,7 +22,6 @@ from lampest.recording.recording import Recording
 from lampest.recording.simulation.measure import Unmodelled, measured
 from lampest.recording.simulation.simulation import Course, Simulation, simulate
 from lampest.report.detect.detection import detect_recording
-from tests.studies.attachments import recording as attached
 
 pytestmark = pytest.mark.slow
 

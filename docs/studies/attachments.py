@@ -4,9 +4,9 @@ Pressures come from `mouth_scenes`, whose films, rims and electronics are not th
 time: touch, suction, breathing with a phase that wanders, leaks, hands that tremble, release; and films that creep and
 keep a part of their answer. Only the panel's two-point resistances are the package's.
 
-    python -m tests.studies.attachments --scenes 10 --seed 7 --rates 4 --out seen.csv
-    python -m tests.studies.attachments --read seen.csv other.csv --figure roc.png
-    python -m tests.studies.attachments --attached 3600 --rates 1 --side 6 --kinds "still mouth" cup rod
+    python -m docs.studies.attachments --scenes 10 --seed 7 --rates 4 --out seen.csv
+    python -m docs.studies.attachments --read seen.csv other.csv --figure roc.png
+    python -m docs.studies.attachments --attached 3600 --rates 1 --side 6 --kinds "still mouth" cup rod
 """
 
 import argparse
