@@ -48,7 +48,7 @@ def test_from_the_wheel_to_a_picture_in_three_commands(dist: Path, tmp_path: Pat
     (picture,) = typed(sys.executable, program, "plot", "results/run/results.h5").split()
     assert (empty / picture).read_bytes().startswith(b"\x89PNG")
     with h5py.File(empty / "results" / "run" / "results.h5") as file:
-        assert set(file["entry/example"]) >= {"LSM", "smooth", "changes"}
+        assert set(file["entry/example"]) >= {"no_penalty", "smooth", "few_changes"}
     asked = "import lampest; print(lampest.__file__); print(lampest.datasets.load('lamprey_35mm').resistance.shape)"
     where, shape = typed(sys.executable, "-c", asked).splitlines()
     assert where.startswith(str(site)) and shape == "(24, 10, 10)"
