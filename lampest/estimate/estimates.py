@@ -120,7 +120,6 @@ class Estimates:
     baseline_bars : the baseline's error bars, or None.
     joint_start : whether the first frame was solved together with the baseline.
     prepared : the recording's preparation; of a part of a long recording that of the frames which stand for all.
-    noise : of the readings; it includes the model's error where readings show one.
     contacts : of the lines, as far as they are known afterwards; None where the scene names none.
     automatic : whether the data chose a weight.
 
@@ -139,7 +138,6 @@ class Estimates:
     steps: tuple[Step, ...]
     joint_start: bool
     prepared: Prepared
-    noise: NoiseSeen
     contacts: Contacts | None = None
     automatic: bool = False
 
@@ -298,11 +296,16 @@ class Estimates:
         said = f"; of a long recording {len(number)} frames between {number[0]} and {number[-1]} were asked"
         return replace(check, sentence=check.sentence + said)
 
+    @property
+    def noise(self) -> NoiseSeen:
+        """Noise of the recording's readings; it includes the model's error where readings show one."""
+        return self.prepared.noise
+
     @cached_property
     def checks(self) -> tuple[str, ...]:
         """What speaks against the estimates, one line each: failed frames, weights, roles and units, circuit, noise."""
         failed = unsolved(self.solved, self.status)
-        return tuple(filter(None, (failed, self._overruled, *self.prepared.warnings, self.noise.model_error)))
+        return tuple(filter(None, (failed, self._overruled, *self.prepared.warnings)))
 
     @property
     def _is_part(self) -> bool:

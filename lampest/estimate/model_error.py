@@ -4,19 +4,27 @@ The reference estimate (`lampest.posterior.reference`) judges it on frames under
 strong under every description of the cells, it is part of the readings' σ, and so of weights, bounds and error bars.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
 
 from lampest.cost.cost import Cost
+from lampest.cost.given import Background
 from lampest.cost.problem import Data
+from lampest.cost.terms import LogGradient, Misfit, RelativeChange, Term
+from lampest.estimate.deciding import deciding_frame, frames_beside, resting_readings
 from lampest.estimate.noise import NoiseSeen
+from lampest.estimate.objective import AutoWeight, Bounds, PlainObjective
 from lampest.panel.scene import Scene
 from lampest.posterior.interval import TWO_SIDED
-from lampest.posterior.reference import ErrorScale, references
-from lampest.solvers.multistart import BROKEN
+from lampest.posterior.reference import MAX_CELLS, ErrorScale, references
+from lampest.recording.readings import Readings
+from lampest.recording.recording import UNLOADED, Recording
+from lampest.solvers.multistart import BROKEN, best_solution
+from lampest.solvers.projected_newton import ProjectedNewton
+from lampest.solvers.solution import Settings
 
 MIN_READINGS = 100  # of which the largest twentieth says how far tails reach; with fewer, one outlier looks like all
 MIN_FACTOR = 1.25  # as for the noise: a smaller one changes no verdict
@@ -36,29 +44,55 @@ def error_factor(scale: ErrorScale) -> float:
     return factor if factor >= MIN_FACTOR else 1.0
 
 
-def with_model_error(noise: NoiseSeen, scene: Scene, judges: Iterable[tuple[Sequence[Data], Cost]]) -> NoiseSeen:
-    """Return the noise with the model's error, where readings under load show one.
+def with_model_error(noise: NoiseSeen, recording: Recording) -> NoiseSeen:
+    """Return the noise of a single network with the model's error, where readings under load show one.
 
-    Parameters
-    ----------
-    noise : NoiseSeen
-        Of the recording; its readings have σ.
-    scene : Scene
-    judges : iterable of (Data of frames under load, Cost)
-        Descriptions of the cells: by steps between neighbours, by changes since rest. Each takes cells that it does not
-        expect for errors of the readings, so the one that needs the smallest error is believed.
+    Cells are described by steps between neighbours and by changes since rest. Each description takes cells that it does
+    not expect for errors of the readings, so the one that needs the smallest error is believed.
     """
+    readings, scene = noise.readings, recording.scene
+    if readings.sigma is None or scene.panel.crossings > MAX_CELLS:
+        return noise
     factor = np.inf
     with suppress(*BROKEN), np.errstate(all="ignore"):
-        for solves, cost in judges:
+        for solves, cost in _judges(recording, readings):
             factor = min(factor, error_factor(references(solves, cost)[0]))
             if factor == 1.0:
                 break
-    if not 1 < factor < np.inf or noise.readings.sigma is None:
+    if not 1 < factor < np.inf:
         return noise
-    readings = replace(noise.readings, sigma=factor * noise.readings.sigma)
     said = _in_words(factor, noise.used, scene)
-    return replace(noise, readings=readings, used=factor * noise.used, model_factor=factor, model_error=said)
+    return scaled(replace(noise, used=factor * noise.used), factor).warned(said)
+
+
+def scaled(noise: NoiseSeen, factor: float) -> NoiseSeen:
+    """Return the noise with σ times a factor, which is the model's error."""
+    sigma = noise.readings.sigma
+    readings = noise.readings if sigma is None else replace(noise.readings, sigma=factor * sigma)
+    return replace(noise, readings=readings, model_factor=factor)
+
+
+def _judges(recording: Recording, readings: Readings) -> Iterator[tuple[list[Data], Cost]]:
+    """Frames under load as both descriptions have them; changes since rest where there are unloaded frames."""
+    scene, resting = recording.scene, resting_readings(recording, readings)
+    frame = deciding_frame(recording, readings, resting)
+    if frame is None:
+        return
+    frames = [frame, *frames_beside(recording, readings, resting, frame)]
+
+    def posed(penalty: Term, behind: Background) -> tuple[list[Data], Cost]:
+        objective = PlainObjective((Misfit(weighting="noise"), penalty), Settings(), Bounds(), AutoWeight())
+        solves = [objective.data(readings[number].alone(), behind) for number in frames]
+        alike = [data for data in solves if data.partial == solves[0].partial]
+        return alike, objective.cost(scene, 1, solves[0].partial)
+
+    yield posed(LogGradient(weight=1.0), Background(scene))
+    if np.any(recording.role == UNLOADED):
+        plain = PlainObjective((Misfit(weighting="noise"),), Settings(), Bounds(), AutoWeight())
+        data = plain.data(resting.alone(), Background(scene))
+        solver = ProjectedNewton(plain.cost(scene, 1, data.partial), plain.solver)
+        cells = best_solution(solver, data, None).cell_resistance[0]
+        yield posed(RelativeChange(weight=1.0), Background(scene, previous=cells, baseline=cells))
 
 
 def _in_words(factor: float, used: float, scene: Scene) -> str:

@@ -62,7 +62,6 @@ class NoiseSeen:
     of_modules: tuple["NoiseSeen | None", ...] = ()
     besides: Besides | None = None
     model_factor: float = 1.0
-    model_error: str = ""
 
     @property
     def sentence(self) -> str:
@@ -177,7 +176,7 @@ def scatter_seen(recording: Recording, outliers: NDArray[np.bool_], cleaned: Rea
         significant = 1 - chi_square_tail(squares, parts.own_freedom) < LEVEL
         used = shown_factor(readout, parts.own) if significant else 1.0
     error = parts.own / np.sqrt(2 * parts.own_freedom)
-    said = _noise_in_words(readout, used, unloaded > 1) if specified and used != 1 else ""
+    said = _noise_in_words(readout, parts.own, unloaded > 1) if specified and used != 1 else ""
     frame, sizes = None, (0.0, 0.0)
     if readout is not None:
         volt = float(np.mean(readout.sigma_volt()))

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.estimate.model_check import ExplainedRecording, ModelCheck, check_of_modules
+from lampest.estimate.model_error import scaled, with_model_error
 from lampest.estimate.noise import (
     NoiseSeen,
     joined_noise,
@@ -162,10 +163,12 @@ class Prepared:
             if self.known is not None:
                 noise = without_effects(noise, recording, self.known.besides)
                 noise = noise.with_motion(recording.scene, self.known.share, measured)
-            elif sizes is not None and len(unloaded) and len(measured):
+                return scaled(noise, self.known.model_factor)
+            if sizes is not None and len(unloaded) and len(measured):
                 if self.effects.pair is not None and self.check.besides:
                     noise = without_effects(noise, recording, self.effects).warned(self.effects.taken)
                 noise = with_still_cells(noise, recording, sizes)
+            noise = with_model_error(noise, recording)
         return noise
 
     @cached_property

@@ -7,25 +7,24 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.cost.cost import Cost
 from lampest.cost.given import Background
 from lampest.cost.problem import Data
-from lampest.cost.terms import LogGradient, Misfit, RelativeChange, Term
+from lampest.cost.terms import LogGradient, Misfit, Term
+from lampest.estimate.deciding import deciding_frame, frames_beside, resting_readings
 from lampest.estimate.estimates import Estimates
 from lampest.estimate.estimator import Estimator
-from lampest.estimate.model_error import with_model_error
 from lampest.estimate.modules import begin_stream
 from lampest.estimate.noise import NoiseSeen
 from lampest.estimate.outliers import NEAREST
 from lampest.estimate.prepared import Prepared
 from lampest.estimate.state import CarriedOver, Step
 from lampest.estimate.stream import Stream
-from lampest.estimate.weights import MAX_NEIGHBOURS, converter_and_faults, strongest, with_chosen_weights
+from lampest.estimate.weights import converter_and_faults, strongest, with_chosen_weights
 from lampest.files.errors import InputError
 from lampest.files.process import ONE_BLAS_THREAD
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
-from lampest.recording.readings import Readings, mean_change, strongest_frame
+from lampest.recording.readings import Readings, mean_change
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
 from lampest.recording.stored import StoredRecording, first_unloaded, measured_part, of_parts, only_frames
 from lampest.solvers.solution import Status
@@ -71,14 +70,13 @@ def reconstruct(
     prepared = Prepared.of(recording)
     prepared.recording.scene.panel.check_memory()
     recording, noise = prepared.recording, prepared.noise
-    noise = _with_model_error(recording, noise, estimator)
     stream, frames = first_stream(recording, noise.readings, estimator, noise), recording.measured_frames()
     readings, resting = noise.readings[frames], noise.readings[recording.role == UNLOADED]
     count, steps = len(frames), list[Step]()
 
     def so_far() -> Estimates:
         missing = [stream.unsolved(Status.BROKEN_OFF)] * (count - len(steps))
-        made = _estimates(stream, recording, frames, readings, steps + missing, prepared, noise)
+        made = _estimates(stream, recording, frames, readings, steps + missing, prepared)
         return replace(made, automatic=estimator.automatic)
 
     if estimator.method.together:
@@ -91,28 +89,6 @@ def reconstruct(
     return so_far()
 
 
-def _with_model_error(recording: Recording, noise: NoiseSeen, estimator: Estimator) -> NoiseSeen:
-    """The noise of a single network with the model's error, where error bars are to have it and a penalty judges it."""
-    readings, scene = noise.readings, recording.scene
-    if scene.panel.modules is not None or not (estimator.penalised and estimator.barred(readings)):
-        return noise
-    resting = resting_readings(recording, readings)
-    frame = deciding_frame(recording, readings, resting)
-    if frame is None:
-        return noise
-    frames = [frame, *frames_beside(recording, readings, resting, frame)]
-
-    def judges() -> Iterator[tuple[list[Data], Cost]]:
-        unloaded = bool(np.any(recording.role == UNLOADED))
-        for penalty in (LogGradient(weight=1.0), RelativeChange(weight=1.0))[: 1 + unloaded]:
-            judge = Estimator((Misfit(weighting="noise"), penalty), "reduced", error_bars=False)
-            solves = [deciding_data(judge, scene, resting, readings[number]) for number in frames]
-            alike = [data for data in solves if data.partial == solves[0].partial]
-            yield alike, judge.cost(scene, 1, solves[0].partial)
-
-    return with_model_error(noise, scene, judges())
-
-
 def _estimates(
     stream: Stream,
     recording: Recording,
@@ -120,7 +96,6 @@ def _estimates(
     readings: Readings,
     steps: list[Step],
     prepared: Prepared,
-    noise: NoiseSeen,
 ) -> Estimates:
     return Estimates(
         recording,
@@ -134,7 +109,6 @@ def _estimates(
         tuple(steps),
         stream.estimator.joint_start,
         prepared,
-        noise,
         stream.scene.contacts,
     )
 
@@ -199,31 +173,6 @@ def _weighted(estimator: Estimator, networks: Sequence[tuple[Recording, Readings
     return with_chosen_weights(estimator, part.scene, first, None, beside)
 
 
-def resting_readings(recording: Recording, readings: Readings) -> Readings:
-    """The mean of the unloaded frames; the first frame of which enough was read where there is none, or too little."""
-    unloaded = np.flatnonzero(recording.role == UNLOADED)
-    mean = readings[unloaded if len(unloaded) else [0]].mean()
-    enough = np.flatnonzero(readings.enough(recording.scene))
-    return mean if mean.enough(recording.scene) or not len(enough) else readings[enough[:1]].mean()
-
-
-def deciding_frame(recording: Recording, readings: Readings, resting: Readings) -> int | None:
-    """Of the measured frames of which enough was read the one that differs most from rest; None where there is none."""
-    frames = recording.measured_frames()
-    frames = frames[readings.enough(recording.scene)[frames]]
-    return strongest_frame(readings.plain_values, resting.value, frames) if len(frames) else None
-
-
-def frames_beside(recording: Recording, readings: Readings, resting: Readings, frame: int) -> NDArray[np.intp]:
-    """Return frames that decide with the deciding one: spread evenly over those that differ half as far from rest."""
-    frames = recording.measured_frames()
-    frames = frames[readings.enough(recording.scene)[frames]]
-    change = mean_change(readings.plain_values, resting.value)
-    loaded = frames[(change[frames] >= change[frame] / 2) & (frames != frame)]
-    spread = np.linspace(0, len(loaded) - 1, MAX_NEIGHBOURS if len(loaded) else 0)
-    return np.asarray(loaded[np.unique(spread.round().astype(int))])
-
-
 def deciding_data(estimator: Estimator, scene: Scene, resting: Readings, frame: Readings) -> Data:
     """What weights are chosen from: one frame, with the baseline or against it where terms compare it with that."""
     if not estimator.relative:
@@ -252,13 +201,12 @@ class Parts:
     solver kept for speed alone begins anew.
 
     lead : the unloaded frames, or the first ones where there are none. asked : these, and frames around the strongest.
-    noise : what they tell, with the model's error. stream : before the first frame.
+    stream : before the first frame.
     """
 
     stored: StoredRecording
     lead: Recording
     asked: Prepared
-    noise: NoiseSeen
     stream: Stream
 
     @classmethod
@@ -266,8 +214,7 @@ class Parts:
         """asked : of `asked_frames`. Raises InputError where the estimator needs all frames at once, or as `Stream`."""
         check_by_parts(estimator, stored)
         noise, period = asked[1].noise, frame_period(stored.part(stored.blocks()[0]))
-        noise = _with_model_error(asked[1].recording, noise, estimator)
-        return cls(stored, *asked, noise, first_stream(asked[1].recording, noise.readings, estimator, noise, period))
+        return cls(stored, *asked, first_stream(asked[1].recording, noise.readings, estimator, noise, period))
 
     @property
     def apart(self) -> bool:
@@ -300,8 +247,8 @@ class Parts:
     def _solved(
         self, number: int, stream: Stream, recording: Recording, readings: Readings, inside: NDArray[np.intp]
     ) -> tuple[Stream, SolvedPart]:
-        stream, steps = stream.sequence(self.noise.readings[:0], readings, lambda: None)
-        found = _estimates(stream, recording, inside, readings, steps, self.asked, self.noise)
+        stream, steps = stream.sequence(self.asked.noise.readings[:0], readings, lambda: None)
+        found = _estimates(stream, recording, inside, readings, steps, self.asked)
         return stream, (number, found, CarriedOver.of(stream))
 
     def _taken(self, frames: range) -> tuple[Recording, Readings, NDArray[np.intp]] | None:
@@ -311,10 +258,7 @@ class Parts:
             return None
         recording = of_parts((self.lead, part))
         inside = _own_frames(recording, frames)
-        readings = Prepared(recording, self.asked.noise).noise.readings[inside]
-        if readings.sigma is not None:
-            readings = replace(readings, sigma=self.noise.model_factor * readings.sigma)
-        return recording, readings, inside
+        return recording, Prepared(recording, self.asked.noise).noise.readings[inside], inside
 
     def _with_baseline(self, begun: Stream, readings: Readings) -> Stream:
         """A stream whose baseline is solved together with a frame once it has come to that frame."""

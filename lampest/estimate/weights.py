@@ -16,6 +16,7 @@ import numpy as np
 
 from lampest.cost.cost import Cost
 from lampest.cost.problem import Data
+from lampest.estimate.deciding import MAX_NEIGHBOURS
 from lampest.estimate.objective import Objective
 from lampest.estimate.scatter import NORMAL_MEDIAN
 from lampest.estimate.state import NO_DUAL
@@ -25,7 +26,7 @@ from lampest.panel.scene import Scene
 from lampest.posterior.dense import DenseErrors, rank
 from lampest.posterior.fixed_point import first_weights, next_weights, settled_weights
 from lampest.posterior.linear import LinearModel
-from lampest.posterior.reference import Reference, references
+from lampest.posterior.reference import MAX_CELLS, Reference, references
 from lampest.posterior.sampled import SampledErrors
 from lampest.posterior.spectrum import Spectrum, best_weight
 from lampest.posterior.track import MOST_DENSE
@@ -34,10 +35,8 @@ from lampest.solvers.projected_newton import ProjectedNewton
 from lampest.solvers.solution import Settings
 
 MAX_SOLVES, SETTLED = 4, 0.2  # of an estimate; of log λ: no reported figure changes by less
-MAX_CELLS = 400  # of the reference model: beyond, its matrices take seconds
 MAX_SWEEPS = 6  # over several penalties: each converges within a few
 MIN_FREEDOM = 0.05  # of the residuals: with less, their scale is not determined
-MAX_NEIGHBOURS = 2  # frames or networks that decide on a weight with the strongest one
 AnyObjective = TypeVar("AnyObjective", bound=Objective)
 Weights = tuple[list[float], tuple[float, ...]]  # of the terms, and the standard deviations of log λ
 
@@ -122,8 +121,8 @@ class WeightSearch:
 
     @cached_property
     def references(self) -> list[Reference]:
-        """The reference estimates of the solves. Raises one of `BROKEN` where there are none."""
-        return references(self.solves, self.cost)[1]
+        """The reference estimates of the solves, with σ as it is. Raises one of `BROKEN` where there are none."""
+        return references(self.solves, self.cost, believed=True)[1]
 
     def models(self, weights: Sequence[float]) -> list[LinearModel]:
         """The cost with these weights, linearised at the reference estimates."""

@@ -27,6 +27,7 @@ from lampest.cost.problem import Data
 from lampest.panel.panel import Array
 from lampest.posterior.interval import LEVEL
 
+MAX_CELLS = 400  # of a panel: beyond, the matrices of the model take seconds
 FREEDOM = 3.0  # ν: the fewest degrees of freedom with a variance
 RATIO = 2.0  # of one s of the grid to the next: a factor of √2 in σ changes no weight by more than its uncertainty
 MAX_SCALES = 14  # in one direction
@@ -88,8 +89,8 @@ class ErrorScale:
         return self.bounds[nearest] - min(self.bounds)
 
 
-def references(solves: Sequence[Data], cost: Cost, least: float = 1.0) -> tuple[ErrorScale, list[Reference]]:
-    """ReferenceFit the reference model to the data of several solves, with one s for all.
+def references(solves: Sequence[Data], cost: Cost, *, believed: bool = False) -> tuple[ErrorScale, list[Reference]]:
+    """Fit the reference model to the data of several solves, with one s for all.
 
     Parameters
     ----------
@@ -97,8 +98,8 @@ def references(solves: Sequence[Data], cost: Cost, least: float = 1.0) -> tuple[
         Of one network each, with the same readout.
     cost : Cost
         Of the panel; its terms do not matter.
-    least : float
-        The smallest possible s where the noise is specified, not measured: the converter's step.
+    believed : bool
+        Whether a known noise is taken as it is, s = 1.
 
     Returns
     -------
@@ -110,10 +111,7 @@ def references(solves: Sequence[Data], cost: Cost, least: float = 1.0) -> tuple[
     """
     frames = [ReferenceFit.of(data, cost, frame) for data in solves for frame in range(len(data.measured))]
     known = solves[0].noise_known
-    tried = _search(frames, 1.0 if known else EXACT, RATIO, MAX_SCALES)
-    if known and least < 1:
-        fewest = int(np.ceil(np.log(1 / least) / np.log(RATIO)))
-        tried |= _search(tried[1.0], 1 / RATIO, 1 / RATIO, fewest, least)
+    tried = _search(frames, 1.0 if known else EXACT, 1 if known and believed else MAX_SCALES)
     scales = sorted(tried)
     bounds = np.array([_bound(tried[scale]) for scale in scales])
     share = np.cumsum(np.exp((bounds.min() - bounds) / 2))
@@ -135,20 +133,18 @@ def _bound(fits: Sequence["ReferenceFit"]) -> float:
     return sum(fit.bound for fit in fits)
 
 
-def _search(
-    frames: Sequence["ReferenceFit"], first: float, ratio: float, count: int, least: float = 0.0
-) -> dict[float, list["ReferenceFit"]]:
-    """Fits at s = first, first·ratio, …, each begun at the one before, until the bound has risen for a while."""
+def _search(frames: Sequence["ReferenceFit"], first: float, count: int) -> dict[float, list["ReferenceFit"]]:
+    """Fits at s = first, first·RATIO, …, each begun at the one before, until the bound has risen for a while."""
     tried, fits, scale, lowest = dict[float, list[ReferenceFit]](), list(frames), first, np.inf
     for _ in range(count):
         fits = [fit.settled(scale**2) for fit in fits]
         tried[scale] = fits
         lowest = min(lowest, _bound(fits))
-        excess = np.sqrt(max(fit.residual_variance for fit in fits)) / scale if ratio > 1 else 0.0
+        excess = np.sqrt(max(fit.residual_variance for fit in fits)) / scale
         if _bound(fits) > lowest + IMPROBABLE and excess <= 1:
             break
         skipped = int(np.log(max(excess, 1.0)) / np.log(RATIO)) // 2  # residuals that are far too large need no more
-        scale = max(scale * ratio ** (1 + skipped), least)
+        scale *= RATIO ** (1 + skipped)
     return tried
 
 

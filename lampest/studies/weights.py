@@ -16,9 +16,10 @@ from scipy.special import erfcx
 from lampest.cost.cost import Cost
 from lampest.cost.problem import Data
 from lampest.cost.terms import Term
+from lampest.estimate.deciding import deciding_frame, frames_beside, resting_readings
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.methods import named_method
-from lampest.estimate.sequence import deciding_data, deciding_frame, frames_beside, resting_readings
+from lampest.estimate.sequence import deciding_data
 from lampest.estimate.weights import WeightSearch, with_chosen_weights
 from lampest.files.errors import InputError
 from lampest.panel.panel import Array

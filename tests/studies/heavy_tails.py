@@ -11,9 +11,10 @@ import numpy as np
 from lampest.cost.losses import Absolute, Huber, Squared, Student
 from lampest.cost.problem import Data
 from lampest.cost.terms import Gradient, LogRatio, Misfit, TotalVariation, TotalVariationOfChange
+from lampest.estimate.deciding import deciding_frame, resting_readings
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.prepared import Prepared
-from lampest.estimate.sequence import deciding_data, deciding_frame, resting_readings
+from lampest.estimate.sequence import deciding_data
 from lampest.estimate.weights import with_chosen_weights
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene

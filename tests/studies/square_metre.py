@@ -16,8 +16,9 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 import lampest
+from lampest.estimate.deciding import deciding_frame, resting_readings
 from lampest.estimate.modules import begin_stream
-from lampest.estimate.sequence import deciding_data, deciding_frame, first_stream, resting_readings
+from lampest.estimate.sequence import deciding_data, first_stream
 from lampest.estimate.stream import Stream
 from lampest.estimate.weights import with_chosen_weights
 from lampest.panel.panel import EachModule, Modules

@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from lampest.estimate.deciding import resting_readings
 from lampest.estimate.nuisances import Besides, taken_off
 from lampest.estimate.prepared import Prepared
 from lampest.estimate.saturation import as_passed
-from lampest.estimate.sequence import resting_readings
 from lampest.files import hdf5
 from lampest.files.errors import InputError
 from lampest.files.process import told_reason
