@@ -10,9 +10,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
 LOGS = ROOT / "results" / "studies"
-COMMAND = re.compile(
-    r"^    ((?:lampest|python -m (?:docs|tests)|python docs/studies)\b[^#\n]*?) *(?:#.*)?$", re.MULTILINE
-)
+COMMAND = re.compile(r"^    ((?:lampest|python -m (?:docs|tests))\b[^#\n]*?) *(?:#.*)?$", re.MULTILINE)
 
 
 def commands(page: Path) -> list[str]:

@@ -1,6 +1,6 @@
 """Real recordings: withheld readings, predicted with every penalty and rule, and by established methods.
 
-Run it with: python docs/studies/real.py [RECORDING ...] [--share 0.1] [--seed 3]
+Run it with: python -m docs.studies.real [RECORDING ...] [--share 0.1] [--seed 3]
 
 A share of every frame's readings is withheld. Each method estimates the cells from the others and predicts them. The
 table has, for every recording, the median over frames of the rms error over that of interpolation, the share of the

@@ -452,7 +452,7 @@ def test_what_users_get_wrong_is_one_plain_line() -> None:
         (alone, "only one frame is unloaded"),
         (replace(fine, recorded=1000 * fine.recorded), "of the converter from a rail"),
         (swapped, "did something lie on the panel"),
-        (copied, "unloaded frames scatter 0 times as much"),
+        (copied, "readings at rest scatter 0 times as much"),
         (replace(fine, recorded=fine.recorded[[5, 6, 7, 5, 6, 7, 6, 5]]), "a load may lie on the panel"),
     ):
         assert sum(line in one for one in Prepared(wrong).warnings) == 1

@@ -4,8 +4,10 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 import lampest
+from docs.studies import real
 from docs.studies.withheld import predictions
 from lampest.panel.panel import Panel
 from lampest.panel.readouts import TwoPointReadout
@@ -44,3 +46,19 @@ def test_withheld_readings_are_predicted_better_than_by_interpolation(tmp_path: 
     assert len(found) == 6 and all(one.solved and one.readings == 5 for one in found)
     assert np.median([one.error / one.interpolated for one in found]) < 0.5
     assert np.median([one.hidden for one in found]) > 2
+
+
+def test_the_table_of_real_recordings_has_a_row_for_every_method(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    estimators = {name: real.ESTIMATORS[name] for name in ("`log_gradient`", "`cell_resistance`")}
+    monkeypatch.setattr(real, "ESTIMATORS", estimators)
+    study = real.Withheld.of(recorded(tmp_path), 0.1, 3)
+    rows = {row.method: row for row in real.rows(study)}
+    assert list(rows) == [*real.OTHERS, *estimators] and all(row.solved == 1 for row in rows.values())
+    assert np.isnan(study.recording.recorded[study.held]).all() and study.held.sum() == 6 * 5
+    assert rows["interpolation"].ratio == 1
+    ours = rows["`log_gradient`"]
+    assert ours.ratio < 0.5 and ours.covered > 0.8 and ours.weight_sigma < 1
+    assert all(rows[name].ratio < 1 for name in ("fixed point (Medrano-Sánchez)", "truncated inversion, best rank"))
+    assert ours.ratio < min(row.ratio for row in rows.values() if row is not ours)
