@@ -48,19 +48,21 @@ def with_model_error(noise: NoiseSeen, recording: Recording) -> NoiseSeen:
     """Return the noise of a single network with the model's error, where readings under load show one.
 
     Cells are described by steps between neighbours and by changes since rest. Each description takes cells that it does
-    not expect for errors of the readings, so the one that needs the smallest error is believed.
+    not expect for errors of the readings, so an error is believed where both need one. Its size is the larger one:
+    errors that stay from frame to frame hardly show in changes.
     """
     readings, scene = noise.readings, recording.scene
     if readings.sigma is None or scene.panel.crossings > MAX_CELLS:
         return noise
-    factor = np.inf
+    factors = list[float]()
     with suppress(*BROKEN), np.errstate(all="ignore"):
         for solves, cost in _judges(recording, readings):
-            factor = min(factor, error_factor(references(solves, cost)[0]))
-            if factor == 1.0:
-                break
-    if not 1 < factor < np.inf:
+            factors.append(error_factor(references(solves, cost)[0]))
+            if factors[-1] == 1.0:
+                return noise
+    if not factors:
         return noise
+    factor = max(factors)
     said = _in_words(factor, noise.used, scene)
     return scaled(replace(noise, used=factor * noise.used), factor).warned(said)
 

@@ -172,7 +172,7 @@ def scatter_seen(recording: Recording, outliers: NDArray[np.bool_], cleaned: Rea
     elif parts.own >= LEAST_FACTOR and chi_square_tail(squares, parts.own_freedom) < LEVEL:
         used = parts.own
     # Only of a converter it is known how small the noise may be: its step.
-    elif readout is not None and parts.own <= 1 / LEAST_FACTOR:
+    elif readout is not None and recording.sigma is None and parts.own <= 1 / LEAST_FACTOR:
         significant = 1 - chi_square_tail(squares, parts.own_freedom) < LEVEL
         used = shown_factor(readout, parts.own) if significant else 1.0
     error = parts.own / np.sqrt(2 * parts.own_freedom)

@@ -127,8 +127,9 @@ def test_the_weight_suits_readings_that_are_off_by_more_than_their_noise() -> No
     off = np.exp(np.random.default_rng(6).normal(0, 0.03, panel.shape))
     readings = np.where(panel.present, exact_two_point_resistance(cells) * off, np.nan)
     sigma = 3e-4 * np.nan_to_num(readings, nan=1e3)
-    role, scene = np.ones(1, dtype=np.uint8), Scene(panel, READOUT)
-    recording = lampest.Recording(scene, readings[None], np.zeros(1), role, sigma=sigma)
+    frames = readings + sigma * np.random.default_rng(7).standard_normal((4, *panel.shape))
+    role, scene = np.ones(4, dtype=np.uint8), Scene(panel, READOUT)
+    recording = lampest.Recording(scene, frames, np.arange(4.0), role, sigma=sigma)
     misfit = lampest.Misfit(weighting="noise")
 
     def error(weight: float | str) -> float:
