@@ -6,6 +6,7 @@ A term is a residual. This one expects the whole panel to have one mean of ln r.
 """
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import casadi as ca
 
@@ -16,6 +17,7 @@ import lampest
 class CommonLevel(lampest.Term):
     """ln r − mean(ln r): one residual for each cell."""
 
+    unit: ClassVar[str] = "1"
     kind = "common_level"
 
     def residual(self, state: lampest.State) -> ca.MX:

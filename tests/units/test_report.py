@@ -162,7 +162,7 @@ def test_the_page_says_what_verified_means_and_how_many_starts_there_were() -> N
     rough = invented_case("naive", status=("approximate, as the formulation asks",) * 3)
     text = Page(report(batch(sought, rough))).text
     assert "frames at a verified optimum (starts of a frame) 3 (1 to 7) –" in text
-    assert "that none lies lower elsewhere is not proven" in text
+    assert "no small change of any cell lowers the cost. Such an optimum is local" in text
 
 
 def test_files_are_put_together(tmp_path: Path) -> None:
