@@ -1,6 +1,9 @@
 """A batch in which a case breaks down."""
 
+import subprocess
+import sys
 from collections.abc import Callable
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -55,13 +58,15 @@ def test_a_batch_without_any_result_names_no_file(
     assert not (out / "results.h5").exists()
 
 
-def test_starts_takes_the_weights_that_were_chosen(disk: SimpleNamespace, lampest: Command) -> None:
+def test_starts_takes_the_weights_that_were_chosen(disk: SimpleNamespace) -> None:
     text = "schema: 1\nrecordings: [small.h5]\nformulation: reduced\nestimators:\n"
     text += "  one: {terms: {misfit: {}, gradient: {weight: auto}}}\n"
     text += "  pair: {terms: {misfit: {}, relative_change: {weight: auto}}}\n"
-    ended = lampest("study", "starts", disk.run(text, "starts.yaml"), "--random", "2", "--out", disk.folder / "out")
-    assert (ended.code, ended.err) == (0, "")
-    assert "one" in ended.out and "pair" in ended.out
+    words = (disk.run(text, "starts.yaml"), "--random", "2", "--out", disk.folder / "out")
+    command = [sys.executable, "-m", "docs.studies.starts", *map(str, words)]
+    ended = subprocess.run(command, cwd=Path(__file__).parents[2], capture_output=True, text=True)
+    assert ended.returncode == 0, ended.stderr
+    assert "one" in ended.stdout and "pair" in ended.stdout
     header, *rows = (disk.folder / "out" / "starts.csv").read_text().splitlines()
     assert header == "recording,estimator,frames,best,worst_excess,most_minima,random_solved,random"
     assert [row.split(",")[:2] for row in rows] == [["small", "one"], ["small", "pair"]]
