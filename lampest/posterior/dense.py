@@ -347,15 +347,18 @@ def active_bounds(
 
 def positive_inverse(matrix: Array) -> Array:
     """A⁻¹ from the upper triangle of A. Raises numpy.linalg.LinAlgError where A is not positive definite."""
-    if not matrix.size:
-        return matrix
+    return inverse_and_volume(matrix)[0] if matrix.size else matrix
+
+
+def inverse_and_volume(matrix: Array) -> tuple[Array, float]:
+    """(A⁻¹, log det A⁻¹) from the upper triangle of A. Raises as `positive_inverse`."""
     factor, failed = lapack.dpotrf(matrix)
     inverse, broken = lapack.dpotri(factor)
     if failed or broken or not np.all(np.isfinite(inverse)):
         raise np.linalg.LinAlgError("the cost is flat round the estimate")
     inverse = inverse + inverse.T  # its lower triangle is zero
     inverse[np.diag_indices(len(inverse))] /= 2
-    return np.asarray(inverse)
+    return np.asarray(inverse), -2 * float(np.sum(np.log(np.diag(factor))))
 
 
 @lru_cache(maxsize=64)

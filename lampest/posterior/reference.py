@@ -20,11 +20,12 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import blas, block_diag, lapack
+from scipy.linalg import blas, block_diag
 
 from lampest.cost.cost import Cost
 from lampest.cost.problem import Data
 from lampest.panel.panel import Array
+from lampest.posterior.dense import inverse_and_volume
 from lampest.posterior.interval import LEVEL
 
 MAX_CELLS = 400  # of a panel: beyond, the matrices of the model take seconds
@@ -280,7 +281,7 @@ class ReferenceFit:
             matrix = blas.dsyrk(1.0, (steps * np.sqrt(weights[1])[:, None]).T, 1.0, matrix, overwrite_c=True)
             matrix[np.diag_indices(len(matrix))] += RIDGE * np.trace(matrix) / len(matrix)
             slope = jacobian.T @ (weights[0] * residual) + steps.T @ (weights[1] * step)
-            covariance, log_volume = _inverse(matrix)
+            covariance, log_volume = inverse_and_volume(matrix)
             change = self._within(matrix, covariance, slope)
             missed, stepped = residual + jacobian @ change, step + steps @ change
             of_missed = missed**2 + np.sum((jacobian @ covariance) * jacobian, axis=1)
@@ -352,13 +353,3 @@ class ReferenceFit:
 def _tails(squares: Array, variance: float) -> float:
     """−2 log of Student's density of squared residuals, without constants and the scale."""
     return float((FREEDOM + 1) * np.sum(np.log1p(squares / (FREEDOM * variance))))
-
-
-def _inverse(matrix: Array) -> tuple[Array, float]:
-    """The inverse of a matrix from its upper triangle, and the logarithm of the inverse's determinant."""
-    factor, failed = lapack.dpotrf(matrix)
-    inverse, broken = lapack.dpotri(factor)
-    if failed or broken or not np.all(np.isfinite(inverse)):
-        raise np.linalg.LinAlgError("the reference model does not determine the cells")
-    inverse = np.triu(inverse) + np.triu(inverse, 1).T
-    return inverse, -2 * float(np.sum(np.log(np.diag(factor))))
