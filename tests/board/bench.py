@@ -1,5 +1,6 @@
 """The simulated board for the tests: built by firmware/Makefile, driven by a truth, behind a pseudo-terminal."""
 
+import fcntl
 import json
 import subprocess
 import sys
@@ -22,8 +23,10 @@ MULTIPLEXER_OHM = 70.0
 
 @cache
 def built(wiring: str = "two_point") -> Path:
-    """The folder with what `make` in firmware/ builds; a missing package fails the test with the sentence about it."""
-    done = subprocess.run(["make", "-s", "-C", str(FIRMWARE), "all"], capture_output=True, text=True)
+    """Build firmware/, one process at a time, and return its folder; a missing package fails the test by its name."""
+    with (FIRMWARE / "Makefile").open() as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        done = subprocess.run(["make", "-s", "-C", str(FIRMWARE), "all"], capture_output=True, text=True)
     if done.returncode:
         pytest.fail(done.stderr.strip(), pytrace=False)
     return FIRMWARE / "build" / ("" if wiring == "two_point" else wiring)

@@ -1,9 +1,14 @@
 """Results that later versions must give again: one small file for each estimator of run.yaml.
 
-Run it with: python -m tests.golden.make. Do so only where numbers are meant to change, and say in the commit why.
+python -m tests.golden.make            # results and defaults
+python -m tests.golden.make defaults   # the table of defaults alone
+
+Do so only where numbers are meant to change, and say in the commit why.
 """
 
+import dataclasses
 import io
+import json
 import shutil
 import sys
 import tempfile
@@ -13,11 +18,28 @@ from unittest.mock import patch
 
 import h5py
 
+import lampest as package
 from lampest import cli
 from lampest.runs.results import read_results, write_results
 
 HERE = Path(__file__).parent
 RECORDING = "recording.h5"
+DEFAULTS = HERE / "defaults.json"
+
+
+def defaults() -> dict[str, dict[str, str]]:
+    """Return class → field → default, as Python writes it, of every public configuration."""
+    public = {name: getattr(package, name) for name in package.__all__}
+    kinds = {name: kind for name, kind in public.items() if hasattr(kind, "__pydantic_config__")}
+    table = {
+        name: {
+            field.name: repr(field.default if field.default_factory is dataclasses.MISSING else field.default_factory())
+            for field in dataclasses.fields(kind)
+            if (field.default, field.default_factory) != (dataclasses.MISSING, dataclasses.MISSING)
+        }
+        for name, kind in sorted(kinds.items())
+    }
+    return {name: fields for name, fields in table.items() if fields}
 
 
 def lampest(*words: str | Path) -> None:
@@ -62,6 +84,9 @@ def keep(results: Path, target: Path) -> None:
 
 def main() -> None:
     """Replace the files of this folder."""
+    DEFAULTS.write_text(json.dumps(defaults(), indent=1) + "\n")
+    if sys.argv[1:] == ["defaults"]:
+        return
     with tempfile.TemporaryDirectory() as name:
         recording = simulated(HERE)
         for file in {*HERE.glob("*.h5")} - {recording}:

@@ -4,6 +4,7 @@ import dataclasses
 import itertools
 from collections.abc import Iterator
 from functools import cache
+from importlib.metadata import EntryPoint
 from typing import Any, get_args
 
 import pytest
@@ -11,6 +12,7 @@ from laws.samples import DECIDED, configurations, examples, hints, is_settled, m
 
 from lampest.cost.terms import term_types
 from lampest.estimate.methods import AnyMethod, MethodName, named_method
+from lampest.files import typed
 from lampest.files.document import Document, parse_document, plain_content, to_yaml, validated
 from lampest.files.errors import InputError
 from lampest.panel.panel import Panel
@@ -162,3 +164,11 @@ def fits(shape: tuple[int, int], readout: Any) -> Scene | None:
         return Scene(Panel(*shape), readout)
     except ValueError:  # a list of one number for each line, and so many lines there are not
         return None
+
+
+def test_installed_kinds_stand_in_the_order_of_their_names(monkeypatch: pytest.MonkeyPatch) -> None:
+    points = [
+        EntryPoint(name, f"{kind.__module__}:{kind.__name__}", "g") for name, kind in (("b", Panel), ("a", Scene))
+    ]
+    monkeypatch.setattr(typed, "entry_points", lambda group: points)
+    assert typed.installed.__wrapped__("g", type) == (Scene, Panel)

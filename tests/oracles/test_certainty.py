@@ -244,16 +244,6 @@ def test_what_nobody_sees_has_no_bounds() -> None:
     assert np.all(certainty.above[0, 0] > 2)
 
 
-def test_intervals_by_conductance_end_where_the_conductance_may_fall_to() -> None:
-    """A conductance of 10 µS ± 3 µS, and one that may be none: from above, log r is bounded by the least of it."""
-    deviation = np.array([[[0.3, 0.01, 0.6]]])
-    reach = 1.96 * deviation
-    zero = np.zeros_like(reach)
-    found = Certainty(deviation, reach, reach, zero, zero, zero).by_conductance()
-    assert_allclose(found.above[0, 0, :2], [np.log(10 / (10 - 1.96 * 3)), np.log(10 / (10 - 1.96 * 0.1))])
-    assert np.isinf(found.above[0, 0, 2]) and np.array_equal(found.below, reach)
-
-
 def test_a_reading_at_a_rail_gives_its_cell_no_width() -> None:
     """Pressed cells beyond the amplifiers' rail, a penalty that pulls them up against it: intervals still hold them."""
     readout = VirtualGroundReadout(drive_ohm=70.0, sense_ohm=70.0, feedback_ohm=1200.0, adc_bits=12, noise_lsb=1.0)

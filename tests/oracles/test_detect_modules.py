@@ -60,6 +60,21 @@ def test_a_window_is_the_network_of_its_modules() -> None:
     assert (lines[0, 0] & lines[0, 6]).sum() == 1 == (lines[0, 0] & lines[5, 0]).sum()
 
 
+def test_a_load_that_two_windows_see_is_that_of_the_window_around_it_and_loads_stand_in_order_of_time() -> None:
+    windows = Window.all_of(SCENE)
+    for nearest, window in enumerate(windows):
+        place = float(window.middle[0])
+        loads = [
+            Attachment(0.9, 1.0, (place + seen - own.x_mm, 0.5), (float(own.middle[1]), 0.5), (40.0, 1.0))
+            for seen, own in enumerate(windows)
+        ]
+        first = replace(loads[nearest], since_s=0.0, x_mm=(place - 60.0 - window.x_mm, 0.5))
+        watches: Any = [SimpleNamespace(attachments=(load,)) for load in loads]
+        watches[nearest].attachments = (loads[nearest], first)
+        merged = ImageWatch(windows, tuple(watches), SCENE.panel.shape, 0.0)._merged()
+        assert [(load.since_s, load.x_mm[0]) for load in merged] == [(0.0, place - 60.0), (1.0, place + nearest)]
+
+
 def test_one_load_hides_none_that_stands_apart_from_it_or_in_the_same_window() -> None:
     windows = Window.all_of(SCENE)
     blot = Attachment(0.0, 1.0, (40.0, 5.0), (62.0, 5.0), area_mm2=(2000.0, 400.0))  # of no shape: without a diameter

@@ -1,0 +1,50 @@
+"""Arithmetic of intervals: how far they reach at bounds, with further errors, and by conductance."""
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+from numpy.testing import assert_allclose
+
+from lampest.posterior.certainty import Certainty
+
+
+def test_an_interval_ends_at_the_bounds_but_for_the_noise_of_the_reading() -> None:
+    """Four cells of 100 Ω ± 10 %: free, near the lower and near the upper bound, and between two that are one."""
+    cells = np.full((1, 1, 4), 100.0)
+    lower, upper = np.log([[[50.0, 99.0, 50.0, 100.0]], [[500.0, 500.0, 101.0, 100.0]]])
+    data: Any = SimpleNamespace(log_bounds=(lower, upper), sigma=np.full(4, 0.5), measured=np.full(4, 100.0))
+    shares = np.full((2, 4), 0.7)
+    found = Certainty.inside(cells, data, (np.full(4, 0.01), np.full(4, 0.0036)), (shares[0], 1.3 * shares[1]))
+    assert_allclose(found.deviation, 0.1)
+    assert_allclose(found.own, 0.08)
+    noise = 1.959964 * 0.005
+    assert_allclose(found.below, [[[0.1959964, np.log(100 / 99) + noise, 0.1959964, noise]]], rtol=1e-6)
+    assert_allclose(found.above, [[[0.1959964, 0.1959964, np.inf, 0.1959964]]], rtol=1e-6)
+    assert_allclose((found.resolution, found.data_share), (shares.reshape(2, 1, 1, 4)) * [[[[1.0]]], [[[1.3]]]])
+
+
+def test_a_cell_held_at_its_bound_reaches_at_least_as_far_as_given() -> None:
+    certainty = Certainty(*np.full((6, 1, 2, 3), 0.1))
+    reaching = certainty.reaching(np.array([1, 5]), np.array([0.3, 0.05]), np.array([0.02, 0.4]))
+    assert_allclose(reaching.below, [[[0.1, 0.3, 0.1], [0.1, 0.1, 0.1]]])
+    assert_allclose(reaching.above, [[[0.1, 0.1, 0.1], [0.1, 0.1, 0.4]]])
+    assert_allclose(certainty.below, 0.1)
+
+
+def test_independent_errors_widen_intervals_by_their_squares() -> None:
+    certainty = Certainty(*np.full((6, 1, 1, 2), 0.3))
+    widened = certainty.widened(np.array([[0.4, 0.0], [0.0, 0.4]]), own=1)
+    assert_allclose(widened.deviation, [[[0.5, 0.5]]])
+    assert_allclose(widened.common, [[[0.5, 0.3]]])  # the last column is each cell's own
+    assert_allclose((widened.below, widened.above), np.hypot(0.3, 1.959964 * 0.4), rtol=1e-6)
+
+
+def test_intervals_by_conductance_end_where_the_conductance_may_fall_to() -> None:
+    """A conductance of 10 µS ± 3 µS, and one that may be none: from above, log r is bounded by the least of it."""
+    deviation = np.array([[[0.3, 0.01, 0.6]]])
+    reach = 1.96 * deviation
+    zero = np.zeros_like(reach)
+    found = Certainty(deviation, reach, reach, zero, zero, zero).by_conductance()
+    assert_allclose(found.above[0, 0, :2], [np.log(10 / (10 - 1.96 * 3)), np.log(10 / (10 - 1.96 * 0.1))])
+    assert np.isinf(found.above[0, 0, 2]) and np.array_equal(found.below, reach)
