@@ -18,6 +18,8 @@ from time import process_time
 
 import numpy as np
 
+from docs.studies.mouth_scenes import GRID, MAKERS, MOUTHS, Film, film
+from docs.studies.mouth_scenes import Scene as Made
 from lampest import two_point_resistance
 from lampest.estimate.prepared import Prepared
 from lampest.panel.panel import Array, Panel
@@ -27,8 +29,6 @@ from lampest.panel.scene import Scene
 from lampest.recording.recording import Recording
 from lampest.report.detect.answer import Detected
 from lampest.report.detect.detection import Known, known_of, measured_frames
-from tests.studies.mouth_scenes import GRID, MAKERS, MOUTHS, Film, film
-from tests.studies.mouth_scenes import Scene as Made
 
 UNLOADED, TOUCH_S, ATTACHED_S, BARE_S = 5, 2.0, 14.0, 4.0
 SWAY, SWAY_S = 0.03, 7200.0  # of the temperature: of all cells, a tenth of it different from cell to cell

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from studies.model_check import named, sound, wrong
 
 import lampest
+from docs.studies.model_check import named, sound, wrong
 from lampest import Misfit, Recording, Scene, Simulation, TwoPointReadout
 from lampest.cli.results import compare as compare_command
 from lampest.estimate.cells_fit import MOST_CELLS, fitted

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tests.studies.simulated_calibration import PRIORS, SETTINGS, calibration, prior_root, uniform_tail
+from docs.studies.simulated_calibration import PRIORS, SETTINGS, calibration, prior_root, uniform_tail
 
 DRAWS = 40
 

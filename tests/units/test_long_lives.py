@@ -1,7 +1,8 @@
-"""What runs for weeks: memory stays, and no file is left open. The long version: python -m tests.studies.long_lives."""
+"""What runs for weeks: memory stays, and no file is left open. The long version: python -m docs.studies.long_lives."""
 
 import pytest
-from studies.long_lives import live_figures, stream_figures
+
+from docs.studies.long_lives import live_figures, stream_figures
 
 # A leak of one float a frame would be 8 bytes; interpreters keep some pools of their own.
 FRAMES, LEAK_BYTES_PER_FRAME = 1000, 60.0

@@ -1,6 +1,6 @@
 """How often 95 % intervals hold the truth on fresh scenes, and how large errors are against standard deviations.
 
-Run it with: python -m tests.studies.coverage --scenes 200 --seed 101
+Run it with: python -m docs.studies.coverage --scenes 200 --seed 101
 """
 
 import argparse

@@ -1,6 +1,6 @@
 """Simulation-based calibration: error bars of cells that are drawn from the prior of a penalty.
 
-Run it with: python -m tests.studies.simulated_calibration [--draws 100] [--seed 0]; prints the table of the page.
+Run it with: python -m docs.studies.simulated_calibration [--draws 100] [--seed 0]; prints the table of the page.
 
 A penalty λ Σ x² beside a misfit in units of the noise is a normal prior of the cells, x ~ N(0, 1/λ). Cells are drawn
 from it, read with noise, and estimated with this λ or with `weight: auto`. If the bars are right, the posterior

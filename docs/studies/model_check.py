@@ -1,6 +1,6 @@
 """How often the model check calls a right circuit wrong, and how often it notices a wrong one.
 
-    python -m tests.studies.model_check [--matched N] [--wrong N] [--first SEED] [--sides N ...] [--bits N ...]
+    python -m docs.studies.model_check [--matched N] [--wrong N] [--first SEED] [--sides N ...] [--bits N ...]
 
 Scenes are drawn anew: 4 × 4 to 18 × 18 cells, both sides driven, converters of 8 to 16 bits with 0 to 3 LSB of noise,
 loads of every shape or none, faults and saturated readings among them. Truth comes from the simulation alone.

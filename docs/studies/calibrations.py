@@ -1,6 +1,6 @@
 """Random boards calibrated: how often good calibrations are refused and bad ones are not; whether intervals hold.
 
-Run it with: python -m tests.studies.calibrations --draws 200 --bad 25
+Run it with: python -m docs.studies.calibrations --draws 200 --bad 25
 """
 
 import argparse

@@ -1,7 +1,7 @@
 """What methods are good for, as the paper asks: the look of a map. Size and alarm: docs/studies/mouths.md.
 
     lampest run configs/real_run.yaml
-    python -m tests.studies.paper_ranking results/real_run
+    python -m docs.studies.paper_ranking results/real_run
 
 Look: correlation of the map as the paper draws it, clipped at ±100 %, with the truth drawn so; median over loaded
 frames.

@@ -1,12 +1,13 @@
 """Every circuit through its own converter: what noise does to cells, how far off they are, whether bars hold them.
 
-Run it with: python -m tests.studies.readouts --draws 200 --seed 101
+Run it with: python -m docs.studies.readouts --draws 200 --seed 101
 """
 
 import argparse
 
 import numpy as np
 
+from docs.studies.coverage import mouth_cells
 from lampest import (
     Diode,
     GroundedReadout,
@@ -23,7 +24,6 @@ from lampest.cost.terms import Gradient, Misfit
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.sequence import reconstruct
 from lampest.panel.panel import Array
-from tests.studies.coverage import mouth_cells
 
 CONVERTER = {"adc_bits": 12, "readings": 1, "noise_lsb": 1.0}
 SERIES = SeriesPerLine(70.0, 72.0)

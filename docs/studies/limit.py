@@ -1,7 +1,7 @@
 """How near methods come to what readings tell: recordings of 21 frames, against LSR-ΔCR and the Cramér–Rao bound.
 
 Every scene is drawn anew from the seed; nothing is what methods were tuned for but `attached`.
-Run it with: python -m tests.studies.limit --recordings 6 --seed 501
+Run it with: python -m docs.studies.limit --recordings 6 --seed 501
 """
 
 import argparse

@@ -1,6 +1,6 @@
 """What one wild reading does to a frame and to the next, with and without Huber's loss.
 
-Run it with: python -m tests.studies.wild_readings --recordings 24 --seed 101
+Run it with: python -m docs.studies.wild_readings --recordings 24 --seed 101
 """
 
 import argparse
@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from docs.studies.coverage import mouth
 from lampest import two_point_resistance
 from lampest.cost.losses import AnyLoss, Huber, Squared
 from lampest.cost.terms import Arrival, Gradient, Misfit, Term
@@ -15,7 +16,6 @@ from lampest.estimate.estimator import Estimator
 from lampest.estimate.sequence import reconstruct
 from lampest.panel.panel import Array
 from lampest.recording.recording import Recording
-from tests.studies.coverage import mouth
 
 FRAMES, STRUCK = 4, 2  # one reading in 144 to 1,024 of a recording is wild, in the third of four frames
 LOSSES: dict[str, AnyLoss] = {"squared": Squared()} | {f"huber {c:g} σ": Huber(corner=c) for c in (1.5, 3.0)}

@@ -1,7 +1,7 @@
 """How late a published message is: from the last byte of a frame to a listener in another process.
 
-python -m tests.studies.publish                       # every way, 600 frames of 10 × 10 at 30 a second
-python -m tests.studies.publish --kind mqtt --frames 300 --broker 127.0.0.1:1883
+python -m docs.studies.publish                       # every way, 600 frames of 10 × 10 at 30 a second
+python -m docs.studies.publish --kind mqtt --frames 300 --broker 127.0.0.1:1883
 
 Frames come from a recording, at 30 a second and against the clock, as a board's would; a frame counts as arrived when
 the source hands it over. mqtt needs a broker. Prints median, 99th percentile and largest latency in ms, how many of the
@@ -124,7 +124,7 @@ def measured(kind: str, where: str, frames: int, estimator: str) -> np.ndarray:
         path = Path(folder) / "long.h5"
         long_recording(path, WARM + frames)
         seconds = (WARM + frames) / RATE + 12
-        command = [sys.executable, "-m", "tests.studies.publish", "--listen", kind, where, str(seconds)]
+        command = [sys.executable, "-m", "docs.studies.publish", "--listen", kind, where, str(seconds)]
         with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as listener:
             time.sleep(2)
             live(Replay(path), http="127.0.0.1:0", frames=WARM + frames, publish=(where,), method=estimator)

@@ -1,4 +1,4 @@
-"""What a case costs beside its solving: python -m tests.studies.many_cases --recordings 40 --estimators 50.
+"""What a case costs beside its solving: python -m docs.studies.many_cases --recordings 40 --estimators 50.
 
 Processor time of one process, so that other work on the machine does not count: reading the run's file, solving (what
 the estimator does, error bars left out), what follows from estimates, writing each case and results.h5, and the same

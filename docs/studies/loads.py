@@ -1,6 +1,6 @@
 """Forces of two or three touches on panels that no calibration has seen them on: naive, and after `calibrate --loads`.
 
-Run it with: python -m tests.studies.loads --panels 6 --seed 2001
+Run it with: python -m docs.studies.loads --panels 6 --seed 2001
 
 Panels of 8 × 8 cells whose gains scatter by a fifth. A rod of 30 mm is put on places a pitch apart (one point: 5 kPa),
 or 17.5 mm apart with 1, 3, 9 and 20 kPa; it stands 0.5 mm beside its place. Fresh touches are rods of 15 to 25 mm and 2

@@ -1,13 +1,14 @@
 """`weight: auto` of losses with heavy tails against the best weight in hindsight, in the strongest frame of recordings.
 
-Recordings are `attached` and `rods, one taps` of `tests.studies.limit` in turn; with --real those of real electronics,
-whose errors are the same in all frames. Run it with: python -m tests.studies.heavy_tails --recordings 12 --seed 7100
+Recordings are `attached` and `rods, one taps` of `docs.studies.limit` in turn; with --real those of real electronics,
+whose errors are the same in all frames. Run it with: python -m docs.studies.heavy_tails --recordings 12 --seed 7100
 """
 
 import argparse
 
 import numpy as np
 
+from docs.studies.limit import RESTING, SETTINGS
 from lampest.cost.losses import Absolute, Huber, Squared, Student
 from lampest.cost.problem import Data
 from lampest.cost.terms import Gradient, LogRatio, Misfit, TotalVariation, TotalVariationOfChange
@@ -20,7 +21,6 @@ from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.recording.recording import Recording
 from lampest.solvers.multistart import best_solution
-from tests.studies.limit import RESTING, SETTINGS
 
 FACTORS = 10.0 ** np.arange(-3.0, 2.1, 1 / 3)
 TERMS = [

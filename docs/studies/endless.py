@@ -1,6 +1,6 @@
 """A recording of a million frames run from the disk, killed in the middle, resumed: memory, time, and what it finds.
 
-Run it with: python -m tests.studies.endless --frames 1000000 --formulation naive --folder results/endless
+Run it with: python -m docs.studies.endless --frames 1000000 --formulation naive --folder results/endless
 """
 
 import argparse
@@ -93,7 +93,7 @@ def main() -> None:
     save_parts(told.folder / "long.h5", parts(told.frames))
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
     print(f"{told.folder / 'long.h5'}: {told.frames} frames, made with at most {peak:.1f} MB", flush=True)
-    command = [sys.executable, "-m", "tests.studies.endless", "--run", "--folder", str(told.folder)]
+    command = [sys.executable, "-m", "docs.studies.endless", "--run", "--folder", str(told.folder)]
     killed(command, out, told.frames * 100 // BLOCK // 2)
     subprocess.run(command, check=True)
 

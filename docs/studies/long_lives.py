@@ -1,4 +1,4 @@
-"""Memory and open files of a stream and of the live page: python -m tests.studies.long_lives --frames 1000000."""
+"""Memory and open files of a stream and of the live page: python -m docs.studies.long_lives --frames 1000000."""
 
 import argparse
 import gc

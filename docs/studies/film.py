@@ -1,6 +1,6 @@
 """What a film's memory costs pressures, and how often it is taken for a lamprey after one has let go.
 
-Run it with: python -m tests.studies.film --recordings 34 --seed 1001
+Run it with: python -m docs.studies.film --recordings 34 --seed 1001
 
 Films are drawn: hysteresis 10 to 30 % (24 % for pressures), creep 0.5 to 12 % for each decade, a fifth from cell to
 cell (for pressures 5 % as well). For pressures a rod of 10 to 24 kPa is put on and taken off a 10 × 10 panel; for

@@ -4,8 +4,8 @@ Fitted are the measured map, LSR-CR, LSR-ΔCR and the error of LSM; predicted ar
 range of LSM. The rise of both relative methods has to be within the disc, as section VI.A says. Frames are simulated as
 `lampest simulate` does and solved as the paper did (`lsqnonlin` in kind).
 
-    python -m tests.studies.paper_panel --seconds 900 --seed 1      # search; prints every better scene
-    python -m tests.studies.paper_panel --check configs/paper_35mm.yaml --seeds 20      # a scene with other seeds
+    python -m docs.studies.paper_panel --seconds 900 --seed 1      # search; prints every better scene
+    python -m docs.studies.paper_panel --check configs/paper_35mm.yaml --seeds 20      # a scene with other seeds
 """
 
 import argparse

@@ -1,6 +1,6 @@
 """Does the region solver keep its gain with wild readings, and with a penalty? Against whole solves of its frames.
 
-    OMP_NUM_THREADS=1 python -m tests.studies.region --side 100 [--weight 1e-3] [--wild 0 0.001 0.01] [--seed 1]
+    OMP_NUM_THREADS=1 python -m docs.studies.region --side 100 [--weight 1e-3] [--wild 0 0.001 0.01] [--seed 1]
 
 Plain least squares, and LSR-∇CR where a weight is given, of a pressed oval of a seventh of the side, by `region` and by
 `reduced`. Times are those of the processor, the median of the frames, also in dense inverses of the panel's lines; the

@@ -1,4 +1,4 @@
-"""Processor time of a frame of many modules: python -m tests.studies.square_metre [MODULES ...] [--frames 8]
+"""Processor time of a frame of many modules: python -m docs.studies.square_metre [MODULES ...] [--frames 8]
 
 --weights: instead, errors of cells with one weight for all modules over those with a weight for each.
 --disk: instead, `lampest run` of recordings of so many frames of 100 modules, from disk to disk in one process.

@@ -1,6 +1,6 @@
 """`weight: auto` on mats whose scene is right, or wrong: its error over that of the best weight in hindsight.
 
-Run it with: python -m tests.studies.chosen_weights [--mats 3] [--seed 1]; prints the table of the page.
+Run it with: python -m docs.studies.chosen_weights [--mats 3] [--seed 1]; prints the table of the page.
 
 A mat of 10 × 10 cells with an uneven film is pressed at two places; a converter of 12 bits reads it behind a divider,
 five frames unloaded and three pressed. The error is the rms of ln r, in the strongest frame, with the weight of

@@ -1,9 +1,9 @@
 """The smoother under real electronics, by an independent simulator: against LSR-ΔCR, and after `--from-recording`.
 
-Scenes are those of `tests.studies.mouth_scenes`, of eight kinds in turn: film uneven by 12 %, cells that drift by 1 % a
+Scenes are those of `docs.studies.mouth_scenes`, of eight kinds in turn: film uneven by 12 %, cells that drift by 1 % a
 minute, channels of 3 ohm, a reference within 1 %, a ripple of 0.4 LSB along the scan, one wild code in ten thousand.
 All recordings of a run have the same electronics. With --loads each has so many loads, one after the other. Run it:
-python -m tests.studies.shared_errors --recordings 16 --seed 5000 --calibrate 8
+python -m docs.studies.shared_errors --recordings 16 --seed 5000 --calibrate 8
 """
 
 import argparse
@@ -11,6 +11,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from docs.studies import mouth_scenes
+from docs.studies.limit import METHODS
 from lampest import two_point_resistance
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.panel_calibration import calibrate_from_recordings
@@ -19,8 +21,6 @@ from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.scene import Scene, Systematic
 from lampest.recording.recording import Recording
-from tests.studies import mouth_scenes
-from tests.studies.limit import METHODS
 
 KINDS = ("uneven mouth", "two rods", "pressed mouth", "ring", "mouth partly off", "hand", "rock", "cup")
 RESTING, FRAMES, SIDE, EACH = 3, 20, 10, 8  # EACH: frames of one load of several

@@ -1,6 +1,6 @@
 """What missing readings cost the cells beside them, and whether the intervals say so.
 
-Run it with: python -m tests.studies.missing_readings --recordings 20 --seed 101
+Run it with: python -m docs.studies.missing_readings --recordings 20 --seed 101
 """
 
 import argparse
