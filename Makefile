@@ -4,7 +4,7 @@
 #   make install   set-up alone: .venv with the command .venv/bin/lampest
 #   make test      set-up with what tests need, then the tests that guard behaviour, the board's, and a choice of the rest: some minutes
 #   make test-all  all tests: those of `make test`, then the others, which carry the mark `slow`
-#   make quick     laws, golden results, the house's rules: for while you work, about 20 s; Python alone
+#   make quick     the tests that notice most in half a minute: laws, golden results, defaults, import, wrong input; Python alone
 #   make lint      style and types
 #   make docs      set-up, then the pages as a site: docs/_build/html/index.html; what they show is run for it
 #   make studies  every command of docs/studies, one after the other: hours; what they print is in results/studies/
@@ -20,7 +20,10 @@ QUIETLY = --quiet --disable-pip-version-check --no-input
 LOCKED = $(BIN)/python -m pip install $(QUIETLY) --require-hashes --no-deps --requirement
 APT = export DEBIAN_FRONTEND=noninteractive; apt-get update -qq && apt-get install -y -qq --no-install-recommends
 OUT = results/table1
-QUICK = tests/laws tests/golden tests/contracts/test_architecture.py --ignore tests/laws/test_holes.py
+# Chosen by the functions that a second of each test file calls, of a record of the fast tests (python -m tests.mutation --guards),
+# six variants of each test: laws, defaults and golden results, then import, wrong input, pressure and the detector.
+QUICK = --variants 6 tests/laws tests/golden tests/contracts/test_import.py tests/contracts/test_wrong_input.py \
+        tests/contracts/test_defaults.py tests/oracles/test_pressure.py tests/units/test_detect.py
 PYTEST = $(BIN)/python -m pytest -q
 SPREAD = --numprocesses auto --maxprocesses 4 --dist loadfile
 

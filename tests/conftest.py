@@ -19,21 +19,32 @@ FEW = 2  # variants of a test that `make test` runs where there are many
 THINNED = ("attack", "oracles", "units")  # laws and contracts keep all of theirs
 
 
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Add the option with which `make quick` thins all tests."""
+    parser.addoption("--variants", type=int, help="run this many variants of every test, spread over them")
+
+
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Of a test with many variants all but FEW, spread over them, carry the mark `slow`; `soak` runs when asked for."""
     if "soak" not in config.getoption("-m"):
         config.hook.pytest_deselected(items=[item for item in items if item.get_closest_marker("soak")])
         items[:] = [item for item in items if not item.get_closest_marker("soak")]
+    chosen = config.getoption("--variants")
+    for item in surplus([item for item in items if chosen or item.path.parent.name in THINNED], chosen or FEW):
+        item.add_marker(pytest.mark.slow)
+
+
+def surplus(items: list[pytest.Item], count: int) -> list[pytest.Item]:
+    """Return the variants of every test beyond a count that is spread over them."""
     variants: dict[tuple[Path, str], list[pytest.Item]] = {}
     for item in items:
-        if item.path.parent.name in THINNED:
-            variants.setdefault((item.path, getattr(item, "originalname", item.name)), []).append(item)
+        variants.setdefault((item.path, getattr(item, "originalname", item.name)), []).append(item)
+    beyond = []
     for several in variants.values():
-        chosen = {round(number * (len(several) - 1) / (FEW - 1)) for number in range(FEW)}
-        for number, item in enumerate(several if len(several) > FEW else ()):
-            if number not in chosen:
-                item.add_marker(pytest.mark.slow)
+        chosen = {round(number * (len(several) - 1) / (count - 1)) for number in range(count)}
+        beyond += [item for number, item in enumerate(several) if len(several) > count and number not in chosen]
+    return beyond
 
 
 @pytest.fixture

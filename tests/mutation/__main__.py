@@ -128,21 +128,18 @@ def sampled(room: str, count: int, seed: int) -> list[Mutant]:
 
 def guard_table(tests: Tests) -> Iterator[str]:
     """Yield a line of Markdown for every module: the test files that call most of its functions."""
-    shares: dict[str, Counter[str]] = {}
+    reached: dict[str, dict[str, set[str]]] = {}
     for name, test in tests.items():
         file = name.partition("::")[0].removeprefix("tests/")
-        for module in {(call.partition(":")[0], call) for call in test["functions"]}:
-            shares.setdefault(module[0], Counter())
         for call in test["functions"]:
-            shares[call.partition(":")[0]].update({f"{file}|{call}": 1})
+            module, _, function = call.partition(":")
+            reached.setdefault(module, {}).setdefault(file, set()).add(function)
     yield "| module | test files that call most of its functions |"
     yield "|---|---|"
-    for module, calls in sorted(shares.items()):
-        functions = {key.partition("|")[2] for key in calls}
-        reached = Counter(key.partition("|")[0] for key in calls)
-        most = sorted(reached, key=lambda file: (-reached[file], file))[:3]
-        named = ", ".join(f"`{file}` ({100 * reached[file] // len(functions)} %)" for file in most)
-        yield f"| `{module}` | {named} |"
+    for module, files in sorted(reached.items()):
+        total = len(set().union(*files.values()))
+        most = sorted(files, key=lambda file: (-len(files[file]), file))[:3]
+        yield f"| `{module}` | {', '.join(f'`{file}` ({100 * len(files[file]) // total} %)' for file in most)} |"
 
 
 def main() -> int:
