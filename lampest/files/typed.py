@@ -6,7 +6,6 @@ from abc import ABCMeta
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache, partial, wraps
-from importlib.metadata import entry_points
 from types import UnionType
 from typing import Any, ClassVar, ParamSpec, TypeVar
 
@@ -175,6 +174,8 @@ def installed(group: str, kind: type[Kind]) -> tuple[Kind, ...]:
 
     Raises InputError where one cannot be loaded or is of another kind.
     """
+    from importlib.metadata import entry_points  # with email and zipfile
+
     objects = []
     for point in sorted(entry_points(group=group), key=lambda point: point.name):
         try:

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.sparse.csgraph import connected_components
 
 from lampest.files.document import read_document, to_yaml, validated
 from lampest.files.typed import Configuration, members_of, typed
@@ -277,7 +277,7 @@ class Scene(Configuration):
         rows, columns = self.panel.shape
         lines = np.zeros((rows + columns,) * 2, dtype=bool)
         lines[:rows, rows:] = ~self.open_cells
-        count, parts = connected_components(lines, directed=False)
+        count, parts = scipy.sparse.csgraph.connected_components(lines, directed=False)
         return None if count == 1 else np.asarray(parts, dtype=np.intp)
 
     @cached_property

@@ -6,7 +6,7 @@ f = 1/(1 + λ κ), where b and d are the slopes of everything else and of the pe
 and traces too, is a sum over κ.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal
@@ -14,7 +14,6 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, eigh, solve_triangular
-from scipy.optimize import minimize_scalar
 
 from lampest.panel.panel import Array
 from lampest.posterior.dense import DenseErrors, rank
@@ -22,6 +21,7 @@ from lampest.posterior.linear import IGNORANCE, LinearModel
 
 Rule = Literal["risk", "evidence"]
 GRID = 80  # points in log λ, between which the minimum is refined
+PRECISION = 0.005  # of log λ
 REACH, NEGLIGIBLE = 1e4, 1e-12  # factors beyond the stiffest and softest direction; share of the stiffest that counts
 
 
@@ -182,5 +182,24 @@ def best_weight(spectra: Sequence[Spectrum], rule: Rule) -> float:
     lowest, highest = zip(*extents, strict=True)
     grid = np.linspace(min(lowest), max(highest), GRID)
     least = int(np.argmin([value(place) for place in grid]))
-    between = (grid[max(least - 1, 0)], grid[min(least + 1, GRID - 1)])
-    return float(np.exp(minimize_scalar(value, bounds=between, options={"xatol": 0.01}).x))
+    return float(np.exp(_golden_section(value, grid[max(least - 1, 0)], grid[min(least + 1, GRID - 1)])))
+
+
+def _golden_section(function: Callable[[float], float], low: float, high: float) -> float:
+    """Return the minimum of a function between two points to within PRECISION; Kiefer, 1953.
+
+    SciPy's search takes 0.2 s to import, a third of all imports of a first estimate.
+    """
+    ratio = (np.sqrt(5) - 1) / 2
+    left, right = high - ratio * (high - low), low + ratio * (high - low)
+    at_left, at_right = function(left), function(right)
+    while high - low > PRECISION:
+        if at_left < at_right:
+            high, right, at_right = right, left, at_left
+            left = high - ratio * (high - low)
+            at_left = function(left)
+        else:
+            low, left, at_left = left, right, at_right
+            right = low + ratio * (high - low)
+            at_right = function(right)
+    return (low + high) / 2

@@ -1,7 +1,7 @@
 """Lines that seem to touch each other: two rows that are one node are read alike by every column, and no others are."""
 
 import numpy as np
-from scipy.sparse.csgraph import connected_components
+import scipy
 
 from lampest.panel.panel import Panel
 from lampest.recording.readings import Readings
@@ -27,7 +27,7 @@ def touching_rows(readings: Readings) -> tuple[tuple[int, ...], ...]:
     with np.errstate(invalid="ignore"):
         # Mean square difference in σ from which other lines count as unlike.
         distinct = np.array([np.nanmedian(row) if np.any(row > 0) else 0.0 for row in others]) > 25
-    groups, group = connected_components(alike & distinct & distinct[:, None], directed=False)
+    groups, group = scipy.sparse.csgraph.connected_components(alike & distinct & distinct[:, None], directed=False)
     members = (np.flatnonzero(group == number) for number in range(groups))
     return tuple(tuple(found.tolist()) for found in members if len(found) > 1)
 

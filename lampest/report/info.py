@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.estimate.prepared import Prepared
 from lampest.files import hdf5
 from lampest.files.document import plain_content
 from lampest.files.errors import InputError
@@ -110,6 +109,8 @@ def _noise_lines(recording: Recording) -> list[str]:
                 if not any(set(group) <= set(one) for one in known):
                     lines.append(_line("alike", f"{words}{{joined_{name}: [{list(group)}]}} says so"))
     with suppress(InputError):
+        from lampest.estimate.prepared import Prepared  # with all of the estimate, which results do without
+
         prepared = Prepared(recording)
         learned = prepared.frame_noise.learned
         lines += [_line("noise", learned)] if learned else []

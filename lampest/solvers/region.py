@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from lampest.cost.cost import Cost
 from lampest.cost.problem import Data, Evaluation
@@ -157,10 +157,10 @@ def fitted_block(network: Network, block: Block, measured: Array, least: Array, 
 
 def grown(cells: NDArray[np.bool_], blocks: tuple[Block, ...]) -> tuple[Block, ...]:
     """The rectangles round neighbouring cells with a margin of one, and round earlier blocks; none overlap."""
-    touching = np.ones((3, 3))
-    covered = covered_by(blocks, cells.shape) | ndimage.binary_dilation(cells, touching)
+    touching = np.ones((3, 3))  # scipy.ndimage is imported by its first use: few estimates need it
+    covered = covered_by(blocks, cells.shape) | scipy.ndimage.binary_dilation(cells, touching)
     while True:
-        found = tuple(ndimage.find_objects(ndimage.label(covered, touching)[0]))
+        found = tuple(scipy.ndimage.find_objects(scipy.ndimage.label(covered, touching)[0]))
         filled = covered_by(found, cells.shape)
         if np.array_equal(filled, covered):
             return found

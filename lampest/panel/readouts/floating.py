@@ -7,8 +7,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.linalg import lapack
 
 from lampest.panel.kirchhoff import bipartite_matrix, line_sums
 from lampest.panel.network import Entries, Loading, Network, NormalByLines, Numbers, across, inverse_of
@@ -185,7 +185,7 @@ def _step(network: FloatingNetwork, gradient: Array, free: NDArray[np.bool_]) ->
         chosen = np.flatnonzero(free)
         transfer = network.transfer if len(chosen) == free.size else network.transfer[np.ix_(chosen, chosen)]
         curvature = (transfer * transfer).T  # symmetric, and in LAPACK's order
-        step[free] = lapack.dposv(curvature, -gradient[free], lower=1, overwrite_a=1)[1]
+        step[free] = scipy.linalg.lapack.dposv(curvature, -gradient[free], lower=1, overwrite_a=1)[1]
         return step
     stencil = Stencil.of(network.conductance, network.reading(), free)
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.stats import f as fisher
+from scipy.special import fdtrc
 
 from lampest.files.document import to_yaml
 from lampest.files.errors import InputError
@@ -176,7 +176,7 @@ def _check_fit(fit: CircuitFit) -> None:
         raise InputError(f"{trials[0].name}: no calibration: {many}; join lines by more known resistors")
     # σ itself is known from as many repeats only: χ² over its freedom follows Fisher's distribution.
     freedom, repeated = max(fit.freedom, 1), sum(BELIEF + trial.seen.sum() for trial in trials)
-    if fisher.sf(fit.chi_square / freedom, freedom, repeated) < 1e-7:  # of good calibrations may be refused
+    if fdtrc(freedom, repeated, fit.chi_square / freedom) < 1e-7:  # of good calibrations may be refused
         off = np.abs(fit.rest) / fit.sigma
         index = int(off.argmax())
         names = [trial.name for trial in trials for _ in range(trial.used.sum())]
