@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from lampest.loads.calibration import KnownLoad
+from lampest.estimate.calibration.known_loads import KnownLoad
 from lampest.loads.shapes import Rod
 from lampest.loads.shapes.shape import Shape
 from lampest.panel.panel import Array, Panel

@@ -20,8 +20,8 @@ from lampest import (
     TwoPointReadout,
     VirtualGroundReadout,
 )
+from lampest.estimate.calibration.resistors import ResistorCalibration, calibrate_resistors
 from lampest.panel.panel import Array
-from lampest.recording.calibration.calibrate import Calibration, calibrate
 from lampest.recording.simulation.measure import Unmodelled, sums_of_codes
 
 OPEN = 1e12
@@ -128,11 +128,11 @@ def resistors(kind: str, placed: str, shape: tuple[int, int], driven: str, rng: 
     return three
 
 
-def errors(found: Calibration, truth: tuple[Array, Array]) -> tuple[list[float], list[float]]:
+def errors(found: ResistorCalibration, truth: tuple[Array, Array]) -> tuple[list[float], list[float]]:
     """(found − true)/σ of means, and of what single lines add."""
     means, single = [], []
     sides = iter(truth)
-    for one in found.found:
+    for one in found.numbers:
         mean = 0.0
         for lines in one.lines:
             measured, true = np.isfinite(lines.off_ohm), next(sides)
@@ -175,7 +175,7 @@ def good(kind: str, draws: int) -> None:
     for seed in range(draws):
         one = draw(kind, np.random.default_rng([seed, KINDS.index(kind)]))
         try:
-            found = calibrate([one.recorded(one.cells, seed)], [one.printed], one.tolerance)
+            found = calibrate_resistors([one.recorded(one.cells, seed)], [one.printed], one.tolerance)
         except InputError as error:
             refused += 1
             print(f"  {seed}, {one.placed}: {error}")
@@ -202,7 +202,7 @@ def bad(kind: str, draws: int) -> None:
             cells, known = spoil(one, rng)
             count += 1
             try:
-                calibrate([one.recorded(cells, seed)], [known], one.tolerance)
+                calibrate_resistors([one.recorded(cells, seed)], [known], one.tolerance)
                 accepted.append(f"{seed} ({one.placed})")
             except InputError:
                 pass

@@ -15,10 +15,10 @@ from dataclasses import replace
 import numpy as np
 
 from lampest.cost.terms import Misfit
+from lampest.estimate.calibration.known_loads import KnownLoads
+from lampest.estimate.calibration.loads import calibrate_loads
 from lampest.estimate.estimator import Estimator
-from lampest.estimate.load_calibration import calibrate_loads
 from lampest.estimate.sequence import reconstruct
-from lampest.loads.calibration import KnownLoads
 from lampest.loads.shapes import Rod
 from lampest.loads.shapes.shape import Shape
 from lampest.panel.panel import Array

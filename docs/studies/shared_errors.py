@@ -14,8 +14,8 @@ import numpy as np
 from docs.studies import mouth_scenes
 from docs.studies.limit import METHODS
 from lampest import two_point_resistance
+from lampest.estimate.calibration.channels import calibrate_channels
 from lampest.estimate.estimator import Estimator
-from lampest.estimate.panel_calibration import calibrate_from_recordings
 from lampest.estimate.sequence import reconstruct
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import TwoPointReadout
@@ -109,11 +109,11 @@ def study(count: int, seed: int, calibrate: int, loads: int) -> None:
     told("smoother", np.stack([measure(one, "smoother") for one in every]))
     if not calibrate:
         return
-    found = calibrate_from_recordings([made(seed + 10_000 + number) for number in range(calibrate)])
+    found = calibrate_channels([made(seed + 10_000 + number) for number in range(calibrate)])
     off = (found.errors[1:] - board[0]).reshape(2, SIDE)
     left = np.sqrt(np.sum((off - off.mean(axis=1, keepdims=True)) ** 2) / (2 * SIDE - 2))
     print(f"{found.summary()}; truly off by {left:.2f} ohm; the reference was off by {100 * board[1]:+.2f} %")
-    again = [replace(one, scene=found.calibrated) for one in every]
+    again = [replace(one, scene=found.scene) for one in every]
     for method in ("LSR-dCR", "smoother"):
         told(f"{method}, calibrated", np.stack([measure(one, method) for one in again]))
 

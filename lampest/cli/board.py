@@ -25,6 +25,7 @@ from lampest.cli.screen import (
 from lampest.files.errors import InputError
 
 if TYPE_CHECKING:
+    from lampest.estimate.calibration.calibration import Calibration
     from lampest.recording.board.record import Progress, Recorded
 
 PORT = "Serial port such as /dev/ttyACM0, or a URL. Default: the Arduino. Repeat it for each module, in order."
@@ -104,69 +105,42 @@ def calibrate(
 
     Every number comes with its uncertainty.
     """
-    from lampest.recording.calibration.calibrate import calibrate as calibrate_recordings
-    from lampest.recording.calibration.calibrate import calibrated_scene_text, summary
-    from lampest.recording.calibration.repeats import known_resistors
+    from lampest.files.whole import write_whole
     from lampest.recording.recording import Recording
 
     if not 0 <= tolerance <= 0.5:
         raise InputError("--tolerance must lie between 0 and 0.5")
     if sum((loads is not None, bool(known), from_recording)) > 1:
         raise InputError("--known, --loads and --from-recording are different calibrations: give one of them")
-    if loads is not None:
-        calibrate_film(files, loads, tolerance, out)
-        return
-    if from_recording:
-        calibrate_panel(files, out)
-        return
     words = known or ["0"]
     if len(words) not in (1, len(files)):
         raise InputError(f"--known: give one for each of the {len(files)} files, or one for all")
     recordings = [Recording.load(file) for file in files]
-    tables = [
-        known_resistors(word, recording.scene.panel)
-        for recording, word in zip(recordings, words * (len(files) // len(words)), strict=True)
-    ]
+    calibration: Calibration
     with progress("calibrating"):
-        found = calibrate_recordings(recordings, tables, tolerance)
-    _scene_out(calibrated_scene_text(found), summary(found), out)
-    if out is not None and any(one.differ for one in found.found):
-        warn("the lines differ by more than their noise; comments in the scene state by how much")
+        if loads is not None:
+            from lampest.estimate.calibration.known_loads import read_known_loads
+            from lampest.estimate.calibration.loads import calibrate_loads
 
+            calibration = calibrate_loads(recordings, read_known_loads(loads), tolerance)
+        elif from_recording:
+            from lampest.estimate.calibration.channels import calibrate_channels
 
-def calibrate_film(files: list[Path], loads: Path, tolerance: float, out: Path | None) -> None:
-    """Find the film's response from known loads and write it into a scene."""
-    from lampest.estimate.load_calibration import calibrate_loads
-    from lampest.loads.calibration import read_known_loads
-    from lampest.recording.recording import Recording
+            calibration = calibrate_channels(recordings)
+        else:
+            from lampest.estimate.calibration.resistors import calibrate_resistors
+            from lampest.estimate.calibration.trials import known_resistors
 
-    found = calibrate_loads([Recording.load(file) for file in files], read_known_loads(loads), tolerance)
-    for warning in found.warnings:
-        warn(warning)
-    _scene_out(found.text(), found.summary(), out)
-
-
-def calibrate_panel(files: list[Path], out: Path | None) -> None:
-    """Find channels and reference from ordinary recordings and write them into a scene."""
-    from lampest.estimate.panel_calibration import calibrate_from_recordings
-    from lampest.recording.recording import Recording
-
-    with progress("calibrating"):
-        found = calibrate_from_recordings([Recording.load(file) for file in files])
-    _scene_out(found.text(), found.summary(), out)
-    if found.warning:
-        warn(found.warning)
-
-
-def _scene_out(text: str, summary: str, out: Path | None) -> None:
-    """Write a scene, or print it where no file is named."""
-    from lampest.files.whole import write_whole
-
+            named = zip(recordings, words * (len(files) // len(words)), strict=True)
+            tables = [known_resistors(word, recording.scene.panel) for recording, word in named]
+            calibration = calibrate_resistors(recordings, tables, tolerance)
     if out is None:
-        say_text(text.removesuffix("\n"))
+        say_text(calibration.text().removesuffix("\n"))
     else:
-        write_whole(out, text)
-        say(f"{summary}: {out}")
+        write_whole(out, calibration.text())
+        say(f"{calibration.summary}: {out}")
+    for warning in calibration.warnings:
+        warn(warning)
 
 
 def live(

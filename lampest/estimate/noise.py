@@ -18,9 +18,9 @@ from lampest.panel.scene import Scene, Systematic
 from lampest.panel.systematic import SINES, Possible
 from lampest.posterior.frame_noise import FrameNoise
 from lampest.posterior.interval import chi_square_tail
-from lampest.recording.calibration.repeats import ENDLESS, noise_of_variance, sigma_code
 from lampest.recording.readings import Readings, strongest_frame
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
+from lampest.recording.repeats import ENDLESS, noise_of_variance, sigma_code
 
 FEWEST_OPEN = 5  # unloaded frames from which on noise that a scene leaves open is taken from them
 MOST_NAMED = 3  # modules in one sentence

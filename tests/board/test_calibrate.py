@@ -9,11 +9,11 @@ from board.bench import bench, loaded_scene, scene, some_cells
 from board.commands import lampest
 
 from lampest import Misfit, Recording, Scene
+from lampest.estimate.calibration.resistors import ResistorCalibration, calibrate_resistors
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.sequence import reconstruct
 from lampest.files.document import read_document, to_yaml, validated
 from lampest.recording.board.record import record
-from lampest.recording.calibration.calibrate import Calibration, calibrate, calibrated_scene
 
 OPEN = 1e15
 
@@ -25,28 +25,28 @@ def from_board(folder: Path, cells: np.ndarray, *options: object, frames: int = 
         return Recording.load(record(board.port, folder / "r.h5", frames=frames, scene=known).path)
 
 
-def series(found: Calibration) -> float:
-    return found.found[0].value
+def series(found: ResistorCalibration) -> float:
+    return found.numbers[0].value
 
 
 def test_shorted_lines_give_the_two_multiplexers(tmp_path: Path) -> None:
-    found = calibrate([from_board(tmp_path, np.full((10, 10), 1e-6))])
+    found = calibrate_resistors([from_board(tmp_path, np.full((10, 10), 1e-6))])
     assert series(found) == pytest.approx(140, abs=0.3)
-    assert not found.found[0].differ and found.readings == 100
+    assert not found.numbers[0].differ and found.readings == 100
 
 
 def test_known_resistors_give_the_same(tmp_path: Path) -> None:
     """470 ohm at every crossing: the network stays below the reference resistor, where the divider sees best."""
-    found = calibrate([from_board(tmp_path, np.full((10, 10), 470.0))], [470.0])
+    found = calibrate_resistors([from_board(tmp_path, np.full((10, 10), 470.0))], [470.0])
     assert series(found) == pytest.approx(140, abs=0.3)
 
 
 def test_some_known_resistors_and_open_crossings_will_do(tmp_path: Path) -> None:
     cells = np.full((6, 5), np.inf)
     cells[np.arange(5), np.arange(5)] = 220.0
-    found = calibrate([from_board(tmp_path, cells)], [cells])
+    found = calibrate_resistors([from_board(tmp_path, cells)], [cells])
     assert series(found) == pytest.approx(140, abs=0.5)
-    rows = found.found[0].lines[0].off_ohm
+    rows = found.numbers[0].lines[0].off_ohm
     assert found.readings == 5
     assert np.isnan(rows[5]) and np.isfinite(rows[:5]).all()
 
@@ -54,12 +54,12 @@ def test_some_known_resistors_and_open_crossings_will_do(tmp_path: Path) -> None
 def test_channels_that_differ_are_found_and_written(tmp_path: Path) -> None:
     rows, columns = np.array([60, 70, 80, 65.0]), np.array([100, 70, 85.0])
     options = ("--row-ohm", ",".join(map(str, rows)), "--column-ohm", ",".join(map(str, columns)))
-    found = calibrate([from_board(tmp_path, np.full((4, 3), 1e-6), *options, frames=10)])
-    assert found.found[0].differ
+    found = calibrate_resistors([from_board(tmp_path, np.full((4, 3), 1e-6), *options, frames=10)])
+    assert found.numbers[0].differ
     assert series(found) == pytest.approx(rows.mean() + columns.mean(), abs=0.5)
-    for lines, true in zip(found.found[0].lines, (rows, columns), strict=True):
+    for lines, true in zip(found.numbers[0].lines, (rows, columns), strict=True):
         np.testing.assert_allclose(lines.off_ohm, true - true.mean(), atol=5 * np.max(lines.sigma_ohm))
-    np.testing.assert_allclose(calibrated_scene(found).series_ohm, rows[:, None] + columns, atol=1)
+    np.testing.assert_allclose(found.scene.series_ohm, rows[:, None] + columns, atol=1)
 
 
 @pytest.mark.slow

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from lampest import InputError, LoadedColumnsReadout, Panel, Recording, Scene, TwoPointReadout
+from lampest.estimate.calibration.resistors import ResistorCalibration, calibrate_resistors
 from lampest.files.document import parse_document, validated
 from lampest.panel.panel import Array
 from lampest.panel.readouts import AnyReadout, GroundedReadout, VirtualGroundReadout
 from lampest.panel.readouts.loaded_columns import Diode
 from lampest.panel.readouts.wiring import Lines
-from lampest.recording.calibration.calibrate import Calibration, calibrate, calibrated_scene, calibrated_scene_text
 from tests.oracles.netlist import Resistor, potentials
 
 SUPPLY, REFERENCE, SENSE = 5.0, 1000.0, 70.0
@@ -95,14 +95,14 @@ def some_resistors(shape: tuple[int, int], rng: np.random.Generator) -> tuple[Ar
     return printed, printed * rng.uniform(0.99, 1.01, shape)
 
 
-def pulls(found: Calibration, board: Board) -> list[float]:
+def pulls(found: ResistorCalibration, board: Board) -> list[float]:
     """(found − true)/σ of every mean."""
     if board.kind == "two_point":
-        (one,) = found.found
+        (one,) = found.numbers
         return [(one.value - board.rows.mean() - board.columns.mean()) / one.sigma]
     return [
         (one.value - true.mean()) / one.sigma
-        for one, true in zip(found.found, (board.rows, board.columns), strict=True)
+        for one, true in zip(found.numbers, (board.rows, board.columns), strict=True)
     ]
 
 
@@ -113,16 +113,16 @@ def test_resistors_of_several_values_tell_every_number_of_every_line(kind: str) 
     board, scene = some_board(kind, shape, rng), told(kind, shape)
     printed, _ = some_resistors(shape, rng)
     true = printed * rng.uniform(0.999, 1.001, shape)
-    found = calibrate([recording(scene, board, true, rng)], [printed], tolerance=1e-3)
+    found = calibrate_resistors([recording(scene, board, true, rng)], [printed], tolerance=1e-3)
     assert max(map(abs, pulls(found, board))) < 4
-    lines = [line for one in found.found for line in one.lines]
+    lines = [line for one in found.numbers for line in one.lines]
     for line, true_ohm in zip(lines, (board.rows, board.columns), strict=True):
         off = (line.off_ohm - (true_ohm - true_ohm.mean())) / line.sigma_ohm
         assert np.abs(off).max() < 4 and line.sigma_ohm.max() < 0.02 * true_ohm.mean() + 2
-    read = validated(parse_document(calibrated_scene_text(found), "scene.yaml"), Scene)
-    assert read == calibrated_scene(found)
+    read = validated(parse_document(found.text(), "scene.yaml"), Scene)
+    assert read == found.scene
     mean = {"two_point": lambda: read.series_ohm.mean()}.get(kind, lambda: np.mean(read.readout.drive_ohm))()  # type: ignore[union-attr]
-    assert mean == pytest.approx(found.found[0].value, abs=0.01)
+    assert mean == pytest.approx(found.numbers[0].value, abs=0.01)
 
 
 @pytest.mark.slow
@@ -137,7 +137,7 @@ def test_good_calibrations_are_never_refused_and_as_good_as_they_say(kind: str) 
         board, scene = some_board(kind, shape, rng), told(kind, shape, readings=readings, noise_lsb=noise)
         printed, true = some_resistors(shape, rng)
         frames = int(rng.integers(3, 12))
-        found += pulls(calibrate([recording(scene, board, true, rng, frames)], [printed]), board)
+        found += pulls(calibrate_resistors([recording(scene, board, true, rng, frames)], [printed]), board)
     within = np.mean(np.abs(found) < 1.96)
     assert within > 0.88
     assert 0.7 < np.std(found) < 1.25
@@ -150,8 +150,8 @@ def test_three_resistors_on_a_breadboard_tell_load_and_drive() -> None:
     printed, true = np.full((8, 8), np.inf), np.full((8, 8), OPEN)
     printed[0, :3] = [1000, 3300, 10_000]
     true[0, :3] = printed[0, :3] * rng.uniform(0.99, 1.01, 3)
-    found = calibrate([recording(told("loaded_columns", (8, 8)), board, true, rng)], [printed])
-    drive, load = found.found
+    found = calibrate_resistors([recording(told("loaded_columns", (8, 8)), board, true, rng)], [printed])
+    drive, load = found.numbers
     assert abs(drive.value - board.rows[0]) < 3 * drive.sigma < 90
     assert abs(load.value - board.columns[:3].mean()) < 3 * load.sigma < 1000
     assert np.isnan(drive.lines[0].off_ohm[1:]).all() and np.isnan(load.lines[0].off_ohm[3:]).all()
@@ -171,10 +171,10 @@ def test_the_same_resistors_moved_from_line_to_line_tell_each_line() -> None:
         cells[where], table[where] = true, printed
         recordings.append(recording(scene, board, cells, rng))
         known.append(table)
-    together = calibrate(recordings, known)
+    together = calibrate_resistors(recordings, known)
     assert max(map(abs, pulls(together, board))) < 4
-    alone = calibrate(recordings[:1], known[:1])
-    assert together.found[1].sigma < alone.found[1].sigma
+    alone = calibrate_resistors(recordings[:1], known[:1])
+    assert together.numbers[1].sigma < alone.numbers[1].sigma
 
 
 def test_noise_of_every_driven_line_is_found() -> None:
@@ -183,12 +183,12 @@ def test_noise_of_every_driven_line_is_found() -> None:
     printed, true = some_resistors(shape, rng)
     noisy = (0.7, 7.0, 0.7, 0.7, 7.0, 0.7)
     made = recording(told("loaded_columns", shape, noise_lsb=noisy, readings=4), board, true, rng, frames=40)
-    found = calibrate([replace(made, scene=told("loaded_columns", shape, readings=4))], [printed])
-    readout = calibrated_scene(found).readout
+    found = calibrate_resistors([replace(made, scene=told("loaded_columns", shape, readings=4))], [printed])
+    readout = found.scene.readout
     assert readout is not None
     np.testing.assert_allclose(readout.noise_lsb, noisy, rtol=0.25)
-    quiet = calibrate([recording(told("loaded_columns", shape), board, true, rng, frames=40)], [printed])
-    assert quiet.noise == pytest.approx(0.7, abs=0.05)
+    quiet = calibrate_resistors([recording(told("loaded_columns", shape), board, true, rng, frames=40)], [printed])
+    assert quiet.scene.circuit.noise_lsb == pytest.approx(0.7, abs=0.05)
 
 
 def test_blanks_and_wild_readings_do_no_harm() -> None:
@@ -198,7 +198,7 @@ def test_blanks_and_wild_readings_do_no_harm() -> None:
     made = recording(told("loaded_columns", shape), board, true, rng, frames=20)
     volt = made.recorded.copy()
     volt[3, 1, 1], volt[5, 2, 2] = 4.9, 0.3
-    assert max(map(abs, pulls(calibrate([replace(made, recorded=volt)], [printed]), board))) < 4
+    assert max(map(abs, pulls(calibrate_resistors([replace(made, recorded=volt)], [printed]), board))) < 4
 
 
 def panel_cells(rng: np.random.Generator, frames: int = 1) -> Array:
@@ -222,7 +222,7 @@ def test_what_is_no_calibration_is_refused_in_one_sentence(kind: str, known: str
         "swapped": printed.T,
     }
     with pytest.raises(InputError, match=r"^r: no calibration: ") as refusal:
-        calibrate([recording(scene, board, cells, rng)], [tables[known]])
+        calibrate_resistors([recording(scene, board, cells, rng)], [tables[known]])
     assert str(refusal.value).count("\n") == 0
 
 
@@ -232,7 +232,7 @@ def test_pressed_frames_are_refused(kind: str) -> None:
     cells = panel_cells(rng, 12)
     cells[:, 1:3, 1:3] *= np.exp(-0.1 * np.arange(12))[:, None, None]
     with pytest.raises(InputError, match="frame to frame, which fixed resistors do not"):
-        calibrate([recording(told(kind, (4, 4)), some_board(kind, (4, 4), rng), cells, rng)], [3050.0])
+        calibrate_resistors([recording(told(kind, (4, 4)), some_board(kind, (4, 4), rng), cells, rng)], [3050.0])
 
 
 def test_channels_farther_apart_than_a_multiplexer_has_them_are_refused() -> None:
@@ -240,16 +240,16 @@ def test_channels_farther_apart_than_a_multiplexer_has_them_are_refused() -> Non
     rows = np.array([250.0, 70, 250, 70])
     made = recording(told("two_point", (4, 4)), Board("two_point", rows, np.full(4, 70.0)), np.full((4, 4), SHORT), rng)
     with pytest.raises(InputError, match=r"rows [02] and [13] would differ by 1[78]\d.* 40 to 160 ohm"):
-        calibrate([made])
+        calibrate_resistors([made])
 
 
 def test_a_series_resistance_beyond_two_channels_is_refused_unless_the_scene_expects_it() -> None:
     rng = np.random.default_rng(12)
     board, scene = Board("two_point", np.full(4, 270.0), np.full(4, 260.0)), told("two_point", (4, 4))
     with pytest.raises(InputError, match=r"530.* ohm is more than the 320 ohm that 2 channels have at worst"):
-        calibrate([recording(scene, board, np.full((4, 4), SHORT), rng)])
+        calibrate_resistors([recording(scene, board, np.full((4, 4), SHORT), rng)])
     expected = replace(scene, series_resistance_ohm=500.0)
-    (series,) = calibrate([recording(expected, board, np.full((4, 4), SHORT), rng)]).found
+    (series,) = calibrate_resistors([recording(expected, board, np.full((4, 4), SHORT), rng)]).numbers
     assert series.value == pytest.approx(530, abs=4 * series.sigma)
 
 
@@ -259,7 +259,7 @@ def test_one_resistor_does_not_tell_load_from_drive() -> None:
     with pytest.raises(InputError, match=r"no calibration: .*known resistors"):
         cells, table = np.full((3, 3), OPEN), np.full((3, 3), np.inf)
         cells[1, 1] = table[1, 1] = 1000.0
-        calibrate([recording(scene, board, cells, rng)], [table])
+        calibrate_resistors([recording(scene, board, cells, rng)], [table])
 
 
 @pytest.mark.parametrize(("known", "sentence"), [(np.inf, "no row line is joined"), (-5.0, "zero or positive")])
@@ -267,7 +267,7 @@ def test_impossible_resistors_are_refused(known: float, sentence: str) -> None:
     rng = np.random.default_rng(14)
     board, scene = some_board("two_point", (2, 2), rng), told("two_point", (2, 2))
     with pytest.raises(InputError, match=sentence):
-        calibrate([recording(scene, board, np.full((2, 2), SHORT), rng)], [known])
+        calibrate_resistors([recording(scene, board, np.full((2, 2), SHORT), rng)], [known])
 
 
 def test_three_resistors_tell_a_diode_too() -> None:
@@ -291,13 +291,13 @@ def test_three_resistors_tell_a_diode_too() -> None:
         recorded = np.zeros((10, 2, 2))
         recorded[:, 0, 0] = readout.recorded_from_sums(np.floor(noisy).astype(int).sum(axis=1), readout.readings)
         recordings.append(Recording(scene, recorded, np.arange(10.0), np.ones(10, dtype=np.uint8), name="r"))
-    found = calibrate(recordings, known, tolerance=1e-4)
-    for one, true in zip(found.found, (drive, load, drop), strict=True):
+    found = calibrate_resistors(recordings, known, tolerance=1e-4)
+    for one, true in zip(found.numbers, (drive, load, drop), strict=True):
         assert abs(one.value - true) < 4 * one.sigma
-    assert found.found[2].sigma < 0.15
-    written = calibrated_scene(found).readout
+    assert found.numbers[2].sigma < 0.15
+    written = found.scene.readout
     assert isinstance(written, LoadedColumnsReadout) and written.diode is not None
-    assert written.diode.drop_volt == pytest.approx(found.found[2].value, abs=1e-3)
+    assert written.diode.drop_volt == pytest.approx(found.numbers[2].value, abs=1e-3)
 
 
 def test_an_open_column_tells_what_the_converter_remembers() -> None:
@@ -315,11 +315,11 @@ def test_an_open_column_tells_what_the_converter_remembers() -> None:
     draws = held.reshape(4, 5) / readout.lsb_volt + 0.7 * rng.standard_normal((4, 12, 4, 5))
     recorded = readout.recorded_from_sums(np.floor(draws).clip(0, 1023).astype(int).sum(axis=0), 4)
     made = Recording(scene, recorded, np.arange(12.0), np.ones(12, dtype=np.uint8), name="r")
-    found = calibrate([made], [printed])
-    assert max(map(abs, pulls(replace(found, found=found.found[:2]), board))) < 4
-    remembered = found.found[2]
+    found = calibrate_resistors([made], [printed])
+    assert max(map(abs, pulls(replace(found, numbers=found.numbers[:2]), board))) < 4
+    remembered = found.numbers[2]
     assert remembered.value == pytest.approx(memory, abs=4 * remembered.sigma) and remembered.sigma < 1e-3
-    assert calibrated_scene(found).converter_memory == pytest.approx(remembered.value, abs=1e-5)
+    assert found.scene.converter_memory == pytest.approx(remembered.value, abs=1e-5)
 
 
 @pytest.mark.parametrize("kind", ["two_point", "loaded_columns"])
@@ -351,9 +351,9 @@ def test_resistors_along_loaded_lines_tell_their_wire(kind: str) -> None:
     if kind == "two_point":
         # What a row's wire adds from column to column, channels of columns that differ add as well.
         with pytest.raises(InputError, match=r"do not tell lines\.row_ohm_per_cell"):
-            calibrate([made], [true], tolerance=1e-4)
+            calibrate_resistors([made], [true], tolerance=1e-4)
         return
-    *_, of_rows, of_columns = calibrate([made], [true], tolerance=1e-4).found
+    *_, of_rows, of_columns = calibrate_resistors([made], [true], tolerance=1e-4).numbers
     for one, expected in ((of_rows, along_row), (of_columns, along_column)):
         assert one.value == pytest.approx(expected, abs=4 * one.sigma)
         assert one.sigma < 1
@@ -366,5 +366,5 @@ def test_drives_of_next_to_nothing_are_found_to_be_that(kind: str) -> None:
         rng = np.random.default_rng([18, seed])
         board = replace(some_board(kind, (4, 4), rng), rows=np.full(4, 1e-3))
         printed, true = some_resistors((4, 4), rng)
-        drive, _ = calibrate([recording(told(kind, (4, 4)), board, true, rng)], [printed]).found
+        drive, _ = calibrate_resistors([recording(told(kind, (4, 4)), board, true, rng)], [printed]).numbers
         assert drive.value < 5 * drive.sigma + 1

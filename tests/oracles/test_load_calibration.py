@@ -7,11 +7,12 @@ import pytest
 from known_loads import Bench, forces, moved_over, touches
 
 from lampest.cost.terms import Misfit
+from lampest.estimate.calibration.known_loads import KnownLoad, KnownLoads
+from lampest.estimate.calibration.loads import LoadCalibration, calibrate_loads
+from lampest.estimate.calibration.response import Loaded, deviations_from_others, fit_loads, response_of
 from lampest.estimate.estimator import Estimator
-from lampest.estimate.load_calibration import LoadCalibration, calibrate_loads
 from lampest.estimate.sequence import reconstruct
 from lampest.files.errors import InputError
-from lampest.loads.calibration import KnownLoad, KnownLoads, Loaded, answers_by_others, fit_loads, response_of
 from lampest.loads.film import Creep, FilmKnown
 from lampest.loads.pressure import pressure_of
 from lampest.panel.film import Film
@@ -130,7 +131,7 @@ def test_cells_under_the_edge_of_a_foot_do_not_make_a_load_odd() -> None:
     felt = pressure.copy()
     felt[7, 2:] = 1.0
     change = np.exp(0.02 * np.random.default_rng(5).standard_normal(felt.shape)) * PUBLISHED.logarithm(felt)
-    away = answers_by_others(Loaded(change, np.full(felt.shape, 0.01), pressure, place, np.zeros(4)))
+    away = deviations_from_others(Loaded(change, np.full(felt.shape, 0.01), pressure, place, np.zeros(4)))
     assert np.abs(away - np.median(away)).max() < 0.1
 
 

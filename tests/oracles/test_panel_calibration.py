@@ -10,8 +10,8 @@ import pytest
 
 from lampest import two_point_resistance
 from lampest.cost.terms import Misfit
+from lampest.estimate.calibration.channels import ChannelCalibration, calibrate_channels
 from lampest.estimate.estimator import Estimator
-from lampest.estimate.panel_calibration import PanelCalibration, calibrate_from_recordings
 from lampest.estimate.sequence import reconstruct
 from lampest.files.document import parse_document, validated
 from lampest.files.errors import InputError
@@ -46,7 +46,7 @@ def recording(seed: int, channels: Array, reference: float = 0.0, loads: int = L
     return Recording(replace(scene, systematic=TOLD), recorded, time, role, truth_cell_resistance=cells)
 
 
-def pulls(found: PanelCalibration, channels: Array, reference: float) -> float:
+def pulls(found: ChannelCalibration, channels: Array, reference: float) -> float:
     """χ² over the number of errors."""
     off = found.errors - np.concatenate([[reference], channels])
     return float(off @ np.linalg.solve(found.covariance, off)) / len(off)
@@ -55,15 +55,15 @@ def pulls(found: PanelCalibration, channels: Array, reference: float) -> float:
 @pytest.mark.slow
 def test_channels_come_back_within_their_deviations_and_cells_are_nearer() -> None:
     channels = SPREAD * np.random.default_rng(7).standard_normal(2 * SIDE)
-    found = calibrate_from_recordings([recording(seed, channels, 0.005) for seed in (1, 2)])
-    after, before = found.apart
-    assert before == pytest.approx(SPREAD) and after < 0.6 * SPREAD and not found.warning
+    found = calibrate_channels([recording(seed, channels, 0.005) for seed in (1, 2)])
+    after, before = found.apart, found.apart_before
+    assert before == pytest.approx(SPREAD) and after < 0.6 * SPREAD and not found.warnings
     assert pulls(found, channels, 0.005) < 1.5
     centred = found.errors[1:] - channels
     centred -= np.repeat([centred[:SIDE].mean(), centred[SIDE:].mean()], SIDE)
     assert np.sqrt(np.mean(centred**2)) < 0.5 * np.std(channels)
     read = validated(parse_document(found.text(), "scene.yaml"), Scene)
-    assert read == found.calibrated and read.specified_systematic != TOLD
+    assert read == found.scene and read.specified_systematic != TOLD
     fresh, errors = recording(3, channels, 0.005), []
     assert fresh.truth_cell_resistance is not None
     for scene in (fresh.scene, read):
@@ -75,9 +75,9 @@ def test_channels_come_back_within_their_deviations_and_cells_are_nearer() -> No
 def test_without_loads_it_is_said_that_nothing_is_known() -> None:
     made = recording(1, np.zeros(2 * SIDE), loads=0)
     other = replace(made, scene=replace(made.scene, subject=MeasuredSubject(id="another")))
-    found = calibrate_from_recordings([made, other])
-    assert found.warning.startswith("these loads determine hardly any channel")
-    assert found.apart[0] > 0.9 * SPREAD and found.frames == 10
+    found = calibrate_channels([made, other])
+    assert found.warnings[0].startswith("these loads determine hardly any channel")
+    assert found.apart > 0.9 * SPREAD and found.frames == 10
 
 
 @pytest.mark.slow
@@ -88,8 +88,8 @@ def test_drives_of_loaded_columns_are_written_into_the_readout() -> None:
     recorded = readout.simulated(cells, scene, drives, np.zeros(SIDE))
     recorded = recorded + scene.circuit.sigma(recorded) * rng.standard_normal(cells.shape)
     role = (np.arange(len(cells)) >= 2).astype(np.uint8)
-    found = calibrate_from_recordings([Recording(scene, recorded, np.arange(len(cells), dtype=float), role)])
-    after = found.calibrated.readout
+    found = calibrate_channels([Recording(scene, recorded, np.arange(len(cells), dtype=float), role)])
+    after = found.scene.readout
     assert isinstance(after, LoadedColumnsReadout)
     assert np.std(np.subtract(after.drive_ohm, 100.0) - drives) < np.std(drives)
 
@@ -97,11 +97,11 @@ def test_drives_of_loaded_columns_are_written_into_the_readout() -> None:
 def test_recordings_that_tell_nothing_of_a_circuit_are_refused() -> None:
     made = recording(1, np.zeros(2 * SIDE), loads=0)
     with pytest.raises(InputError, match="names no readout"):
-        calibrate_from_recordings([replace(made, scene=Scene(made.scene.panel))])
+        calibrate_channels([replace(made, scene=Scene(made.scene.panel))])
     with pytest.raises(InputError, match="its scene is another"):
-        calibrate_from_recordings([made, replace(made, scene=replace(made.scene, series_resistance_ohm=100.0))])
+        calibrate_channels([made, replace(made, scene=replace(made.scene, series_resistance_ohm=100.0))])
     with pytest.raises(InputError, match="no frame could be estimated"):
-        calibrate_from_recordings([replace(made, recorded=np.full_like(made.recorded, np.nan))])
+        calibrate_channels([replace(made, recorded=np.full_like(made.recorded, np.nan))])
 
 
 def test_the_command_writes_a_scene(tmp_path: Path, lampest: Callable[..., SimpleNamespace]) -> None:

@@ -26,8 +26,8 @@ from lampest.recording.board.journal import Journal
 from lampest.recording.board.protocol import MOST_CODE
 from lampest.recording.board.several import samples_of
 from lampest.recording.board.stream import CLOCK_STOPPED, UNFIT_SECONDS, Sample, Samples, agreed_and_recorded
-from lampest.recording.calibration.repeats import FEWEST_REPEATS, noise_of_variance
 from lampest.recording.recording import MEASURED, UNLOADED, Recording, head_of
+from lampest.recording.repeats import MIN_REPEATS, noise_of_variance
 from lampest.recording.stored import StoredRecording, opened, save_parts
 
 CLOCK_JUMP = "clock jump"  # label of the event
@@ -338,6 +338,6 @@ def noise_from_repeats(parts: Iterable[Recording]) -> float | None:
         inside = (mean_code > 2) & (mean_code < MOST_CODE - 2)
         difference = np.diff(mean_code, axis=0)[(inside[1:] & inside[:-1]) & pairs[:, None, None]]
         total, count = total + float(np.sum(difference**2)), count + len(difference)
-    if readout is None or count < FEWEST_REPEATS:
+    if readout is None or count < MIN_REPEATS:
         return None
     return noise_of_variance(readout, total / count / 2)

@@ -1,0 +1,182 @@
+"""Known loads of a calibration: weights, forces or pressures with their feet, from YAML or CSV."""
+
+import csv
+import json
+import re
+from dataclasses import dataclass
+from math import pi
+from pathlib import Path
+from typing import Any, ClassVar, Literal, cast
+
+import numpy as np
+
+from lampest.files.document import parse_document, read_document, validated
+from lampest.files.errors import InputError
+from lampest.files.typed import check_not_negative, check_positive_fields
+from lampest.files.whole import note_read
+from lampest.loads.pressure import GRAVITY
+from lampest.loads.shapes import Block, Rod
+from lampest.loads.shapes.shape import Shape
+from lampest.panel.panel import Array, Panel
+
+FILM_SHARE = 0.6  # of the pitch: the edge of a cell's film where nobody says
+
+
+@dataclass(frozen=True, kw_only=True)
+class KnownLoad:
+    """One load that lay still during some frames.
+
+    Attributes
+    ----------
+    frames : tuple of int
+        The first and the last, counted from 0 in the recording.
+    recording : str
+        Name of its file without folder; '' where there is one recording.
+    mass_g, force_newton, pressure_kpa : float or None
+        One of the three; a pressure may be suction.
+    diameter_mm, length_mm, width_mm, angle_deg, x_mm, y_mm : float or None
+        Its foot, round or rectangular, and the foot's centre. A pressure without foot lies on the whole panel.
+
+    Raises
+    ------
+    ValueError
+        If a number is out of range.
+    """
+
+    __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
+    frames: tuple[int, int]
+    recording: str = ""
+    mass_g: float | None = None
+    force_newton: float | None = None
+    pressure_kpa: float | None = None
+    x_mm: float | None = None
+    y_mm: float | None = None
+    diameter_mm: float | None = None
+    length_mm: float | None = None
+    width_mm: float | None = None
+    angle_deg: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.frames[0] <= self.frames[1]:
+            raise ValueError("frames must be the first and the last of the load, counted from 0")
+        check_positive_fields(self, "mass_g", "force_newton", "diameter_mm", "length_mm", "width_mm")
+        if self.pressure_kpa is not None and not 1e-6 < abs(self.pressure_kpa) < 1e4:
+            raise ValueError("pressure_kpa must not be 0, and below 1e4")
+
+    def check(self) -> None:
+        """Raise ValueError unless these numbers make one load."""
+        if [self.mass_g, self.force_newton, self.pressure_kpa].count(None) != 2:
+            raise ValueError("a load needs one of mass_g, force_newton and pressure_kpa")
+        given = tuple(number is not None for number in (self.diameter_mm, self.length_mm, self.width_mm))
+        if given not in ((True, False, False), (False, True, True), (False, False, False)):
+            raise ValueError("a foot is diameter_mm, or length_mm and width_mm")
+        if any(given) != (self.x_mm is not None and self.y_mm is not None):
+            raise ValueError("a foot needs x_mm and y_mm, and they need a foot")
+        if not any(given) and self.pressure_kpa is None:
+            raise ValueError("a weight or force needs its foot: diameter_mm, or length_mm and width_mm")
+
+    def pressure(self, panel: Panel, patch_mm: float, along_mm: float = 0.0, down_mm: float = 0.0) -> Array:
+        """Return the mean on every patch, (rows, columns) kPa, of the foot moved by so much.
+
+        Raises ValueError as `check`.
+        """
+        self.check()
+        if self.x_mm is None or self.y_mm is None:
+            return np.full(panel.shape, self.pressure_kpa)
+        centre, length, width = (self.x_mm + along_mm, self.y_mm + down_mm), self.length_mm or 0.0, self.width_mm or 0.0
+        foot: Shape  # under a weight of 1 g
+        if self.diameter_mm is not None:
+            foot, area = Rod(centre_mm=centre, diameter_mm=self.diameter_mm, mass_g=1.0), pi / 4 * self.diameter_mm**2
+        else:
+            foot = Block(centre_mm=centre, length_mm=length, width_mm=width, angle_deg=self.angle_deg, mass_g=1.0)
+            area = length * width
+        newton = self.force_newton or (self.mass_g or 0.0) * GRAVITY * 1e-3
+        kpa = newton / area * 1e3 if self.pressure_kpa is None else self.pressure_kpa
+        contact, _ = foot.mean_pressure(panel, patch_mm)
+        return np.asarray(kpa * contact / (GRAVITY / area))
+
+
+@dataclass(frozen=True, kw_only=True)
+class KnownLoads:
+    """All loads of a calibration. Raises ValueError where there is none, or a number is out of range.
+
+    Attributes
+    ----------
+    patch_mm : float or None
+        Edge of a cell's film; None: 0.6 of the pitch.
+    place_mm : float
+        Standard deviation of a foot's place, along x and along y.
+    """
+
+    __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
+    schema: Literal[1]
+    loads: tuple[KnownLoad, ...]
+    patch_mm: float | None = None
+    place_mm: float = 1.0
+
+    def __post_init__(self) -> None:
+        if not self.loads:
+            raise ValueError("loads: name one at least")
+        check_positive_fields(self, "patch_mm")
+        check_not_negative(self, "place_mm")
+
+    def pressures(self, panel: Panel) -> tuple[Array, Array]:
+        """Return kPa of the loads, and its standard deviation by their places; (loads, rows, columns) each."""
+        away, patch = self.place_mm, FILM_SHARE * panel.pitch_mm if self.patch_mm is None else self.patch_mm
+
+        def moved(*step: float) -> Array:
+            return np.stack([load.pressure(panel, patch, *step) for load in self.loads])
+
+        pressure = moved()
+        if not away:
+            return pressure, np.zeros_like(pressure)
+        across, down = moved(away, 0.0) - moved(-away, 0.0), moved(0.0, away) - moved(0.0, -away)
+        return pressure, np.hypot(across, down) / 2
+
+
+def read_known_loads(path: Path) -> KnownLoads:
+    """Read from YAML, or CSV with names `first`, `last` and those of `KnownLoad`. Raises InputError with the line."""
+    table = path.suffix.lower() == ".csv"
+    try:
+        document = parse_document(_as_yaml(path), str(path)) if table else read_document(path)
+        known = cast(KnownLoads, validated(document, KnownLoads))
+        for number, load in enumerate(known.loads):
+            try:
+                load.check()
+            except ValueError as error:
+                raise document.error(("loads", number), str(error)) from error
+    except InputError as error:
+        if not table:
+            raise
+        # The column is that of the YAML.
+        raise InputError(re.sub(rf"^({re.escape(str(path))}:\d+):\d+", r"\1", str(error))) from error
+    return known
+
+
+def _as_yaml(path: Path) -> str:
+    """The table as YAML, line by line, so that a fault is named by its line."""
+    try:
+        lines = path.read_text(encoding="utf-8-sig").splitlines()
+        note_read(path)
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: cannot be read as text ({' '.join(str(error).split())})") from error
+    names, *rows = [[cell.strip() for cell in row] for row in csv.reader(lines)] or [[]]
+    text = ["{schema: 1, loads: ["]
+    for number, row in enumerate(rows, 2):
+        cells = {name: _scalar(cell) for name, cell in zip(names, row, strict=False) if cell}
+        if cells and not (cells.keys() >= {"first", "last"} and len(row) <= len(names)):
+            raise InputError(
+                f"{path}:{number}: each load needs a frame in the columns first and last, and no more cells"
+            )
+        text.append(json.dumps({"frames": [cells.pop("first"), cells.pop("last")]} | cells) + "," if cells else "")
+    return "\n".join([*text, "]}"])
+
+
+def _scalar(cell: str) -> float | str:
+    """A number where the cell holds one."""
+    for kind in (int, float):
+        try:
+            return kind(cell)
+        except ValueError:
+            continue
+    return cell

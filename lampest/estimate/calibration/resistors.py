@@ -1,0 +1,476 @@
+"""Numbers of the electronics from known resistors: weighted least squares through the circuit's equations.
+
+    minimise (y − V(θ))ᵀ C⁻¹ (y − V(θ)) + Σ e²,    covariance of θ: (JᵀJ)⁻¹ at the minimum
+
+θ: for each number of the circuit its common value q, and for its lines by how many spreads e each is off; C: noise,
+quantisation, tolerance of the resistors and of the reference.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
+from operator import attrgetter
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.linalg import solve_triangular
+from scipy.special import fdtrc
+
+from lampest.estimate.calibration.calibration import Calibration, common_scene
+from lampest.estimate.calibration.trials import BELIEF, Trial, usable_range, within_rails
+from lampest.files.errors import InputError
+from lampest.panel.least_squares import LevenbergMarquardt, SumOfSquares
+from lampest.panel.memory import with_memory
+from lampest.panel.panel import Array
+from lampest.panel.readouts import Readout
+from lampest.panel.readouts.lines import MOST_OHM, LineNumber, Side
+from lampest.panel.scene import Scene, SeriesPerLine
+from lampest.recording.recording import Recording
+from lampest.recording.repeats import MIN_REPEATS
+from lampest.recording.simulation.measure import SHORT_OHM
+
+BEST_OHM, TYPICAL_OHM, WORST_OHM = 40.0, 70.0, 160.0  # a channel of a CD74HC4067 at 5 V: its data sheet
+RESISTOR_TOLERANCE = 0.05  # of ordinary resistors, evenly
+# Numbers that are estimated where the scene names them, and typical values: 2.9 % of the channel before were seen of a
+# real board, and an ohm from cell to cell of conductive thread.
+MEMORY = LineNumber("converter_memory", (), in_scene=True, unit="1")
+WIRE = tuple(LineNumber(f"lines.{line}_ohm_per_cell", (), in_scene=True) for line in ("row", "column"))
+TYPICAL = {MEMORY: 0.03} | dict.fromkeys(WIRE, 1.0)
+STEP = 1e-5  # of an unknown, or of the logarithm of a resistor, for differences
+DIGITS, MEMORY_DIGITS = 3, 5  # of an ohm, below what any contact repeats to; of a fraction: a hundredth of a code
+SURE = 5.0  # σ by which one of 32 lines is off by chance once in 50,000 calibrations
+# σ of a determined number: 0.3 of its value, or of a channel less than channels differ by, or these.
+MAX_SIGMA = {MEMORY.name: 0.01} | {wire.name: 0.5 for wire in WIRE} | {"diode.drop_volt": 0.2}
+LIKELY = {True: "channels of a CD74HC4067 have 40 to 160 ohm", False: "resistors of 5 % differ by less"}
+SPOKEN = {MEMORY.name: "converter memory", "diode.drop_volt": "diode drop"} | dict(
+    zip((wire.name for wire in WIRE), ("wire of rows", "wire of columns"), strict=True)
+)
+
+
+class LineOffsets(NamedTuple):
+    """Lines of one side: by how much each differs from their mean, and σ of that, ohm; NaN where not measured."""
+
+    side: Side
+    off_ohm: Array
+    sigma_ohm: Array
+
+
+@dataclass(frozen=True, eq=False)
+class CircuitNumber:
+    """An estimated number of the electronics, in its unit.
+
+    Attributes
+    ----------
+    number : LineNumber
+    value, sigma : float
+        Mean over the measured lines (of two channels' sum where a reading has two), and its standard deviation.
+    lines : tuple of LineOffsets
+        Offsets of single lines; empty where the number is one for all.
+    """
+
+    number: LineNumber
+    value: float
+    sigma: float
+    lines: tuple[LineOffsets, ...]
+
+    @property
+    def differ(self) -> bool:
+        """Whether lines differ by more than chance, and more than a scene is written to."""
+        least = 10.0**-DIGITS
+        return any(bool(np.any(np.abs(lines.off_ohm) > SURE * lines.sigma_ohm + least)) for lines in self.lines)
+
+    @property
+    def label(self) -> str:
+        """'drive resistance 70.700 ± 0.300 ohm'."""
+        plain = f"{self.number.name.removesuffix('_ohm').removesuffix('_resistance')} resistance"
+        return f"{SPOKEN.get(self.number.name, plain)} {self.value:.3f} ± {self.sigma:.3f} {self.number.unit}"
+
+    def remarks(self, readings: int) -> list[str]:
+        """Return the value with its uncertainty, and the lines where they differ, a sentence each."""
+        digits, unit = (MEMORY_DIGITS, "") if self.number == MEMORY else (DIGITS, f" {self.number.unit}")
+        value = f"{self.value:.{digits}f} +- {self.sigma:.{digits}f}{unit}"
+        remarks = [f"{self.number.name}: {value} (one standard deviation), from {readings} readings"]
+        for side, off, sigma in self.lines if self.differ else ():
+            pairs = zip(off, sigma, strict=True)
+            each = ("not measured" if np.isnan(ohm) else f"{ohm:+.2f} +- {sd:.2f}" for ohm, sd in pairs)
+            remarks.append(f"{side} differ from the mean by {', '.join(each)} ohm")
+        if self.differ and len(self.lines) > 1:
+            remarks.append("rows and columns share their common part evenly, because only their sums are read")
+        return remarks
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class ResistorCalibration(Calibration):
+    """numbers : of the electronics. readings : how many took part."""
+
+    numbers: tuple[CircuitNumber, ...]
+    readings: int
+
+
+def calibrate_resistors(
+    recordings: Sequence[Recording], known: Sequence[Array | float] = (0.0,), tolerance: float = 0.01
+) -> ResistorCalibration:
+    """Estimate the circuit's numbers from known resistors in place of the cells.
+
+    Parameters
+    ----------
+    recordings : sequence of Recording
+        Of one panel and readout; the frames of each are repeats.
+    known : sequence of array or float
+        ohm, for each recording (rows, columns) or one number for all cells; 0 where row and column lines are shorted
+        together; inf or NaN where there is no resistor.
+    tolerance : float
+        Fraction by which the known resistors and the reference may be off, evenly.
+
+    Raises
+    ------
+    InputError
+        If the scene's readout has no such numbers, the readings do not determine them, or are not of these resistors.
+    """
+    scene, name = common_scene(recordings), recordings[0].name
+    if not scene.circuit.line_numbers():
+        raise InputError(f"{name}: known resistors tell nothing of this readout ({scene.circuit.description()})")
+    trials = tuple(Trial.of(recording, ohm) for recording, ohm in zip(recordings, known, strict=True))
+    fit = _fit(Problem(scene, trials, tolerance))
+    _check_fit(fit)
+    numbers, noise = tuple(map(partial(_estimated, fit), fit.problem.unknowns)), noise_of(trials)
+    remarks = [remark for number in numbers for remark in number.remarks(fit.readings)]
+    if noise is not None:
+        remarks.append(f"noise_lsb: of one reading, from {sum(trial.repeats.sum() for trial in trials):g} repeats")
+    remarks.append(
+        f"resistors taken as within {100 * tolerance:g} %; the residual is "
+        f"{fit.chi_square / max(fit.freedom, 1):.2g} times what noise and tolerances explain"
+    )
+    differ = any(number.differ for number in numbers)
+    return ResistorCalibration(
+        scene=_with_estimates(scene, numbers, noise),
+        summary=f"{', '.join(number.label for number in numbers)} from {fit.readings} readings",
+        remarks=tuple(remarks),
+        warnings=("the lines differ by more than their noise; comments in the scene state by how much",) * differ,
+        numbers=numbers,
+        readings=fit.readings,
+    )
+
+
+def noise_of(trials: Sequence[Trial]) -> float | tuple[float, ...] | None:
+    """Return the noise of one reading, LSB, from repeats: of each driven line where they differ.
+
+    Lines of few repeats have the mean; None where all have few.
+    """
+    counts = np.array([trial.repeats for trial in trials])
+    each = np.average([trial.noise_lsb**2 for trial in trials], axis=0, weights=counts + 1e-9)
+    repeats = counts.sum(axis=0)
+    enough = repeats >= MIN_REPEATS
+    if not enough.any():
+        return None
+    mean = float(np.average(each[enough], weights=repeats[enough]))
+    quantisation = 1 / 12  # LSB²: below it, lines that differ make no difference
+    off = np.abs(np.log((each[enough] + quantisation) / (mean + quantisation)))
+    if np.all(off < SURE * np.sqrt(2 / repeats[enough])):
+        return round(float(np.sqrt(mean)), DIGITS)
+    return tuple(round(float(variance) ** 0.5, DIGITS) for variance in np.where(enough, each, mean))
+
+
+@dataclass(frozen=True, eq=False)
+class Unknown:
+    """A number of the electronics: a common value at `index` of θ, and offsets of lines in spreads, at `lines`.
+
+    A line's resistance is scale·q + spread·e. e is as likely as a standard normal number, so that lines which nothing
+    measures are taken for the mean of the others. specified : the scene's value, the mean where it lists one for each
+    line.
+    """
+
+    number: LineNumber
+    index: int
+    lines: dict[Side, slice]
+    specified: float
+
+    @property
+    def scale(self) -> float:
+        """Value of q = 1, in the number's unit."""
+        return TYPICAL_OHM if self.number.channel else TYPICAL.get(self.number, self.specified)
+
+    @property
+    def start(self) -> float:
+        """q of the scene's value, channels at least typical ones."""
+        return max(self.specified / self.scale, len(self.number.sides) if self.number.channel else 1.0)
+
+    def common(self, unknowns: Array) -> float:
+        """Return the common value, in the number's unit."""
+        return self.scale * float(unknowns[self.index])
+
+    def offsets(self, unknowns: Array) -> dict[Side, Array]:
+        """Return by how much lines are off, ohm; σ of channels is a third of worst less typical, else a tolerance."""
+        spread = (WORST_OHM - TYPICAL_OHM) / 3
+        if not self.number.channel:
+            spread = RESISTOR_TOLERANCE / 3**0.5 * self.common(unknowns)
+        return {side: spread * unknowns[part] for side, part in self.lines.items()}
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """Residuals of all readings of all trials, about the unknowns of the scene's circuit.
+
+    tolerance : fraction by which resistors may be off, evenly.
+    """
+
+    scene: Scene
+    trials: tuple[Trial, ...]
+    tolerance: float
+
+    @cached_property
+    def unknowns(self) -> tuple[Unknown, ...]:
+        """Numbers that resistors determine: the readout's, and those of memory and wires that the scene names."""
+        scene, unknowns = self.scene, list[Unknown]()
+        memory = () if scene.converter_memory is None else (MEMORY,)
+        numbers = scene.circuit.line_numbers() + memory + (WIRE if scene.lines is not None else ())
+        lengths, first = dict(zip(("rows", "columns"), scene.panel.shape, strict=True)), len(numbers)
+        for index, number in enumerate(numbers):
+            lines = dict[Side, slice]()
+            for side in number.sides:
+                lines[side] = slice(first, first + lengths[side])
+                first += lengths[side]
+            of: Any = scene if number.in_scene else scene.circuit
+            value = scene.series_ohm if number.in_scene and number.channel else attrgetter(number.name)(of)
+            unknowns.append(Unknown(number, index, lines, float(np.mean(value))))
+        return tuple(unknowns)
+
+    @cached_property
+    def start(self) -> Array:
+        """θ of the scene."""
+        lines = sum(part.stop - part.start for unknown in self.unknowns for part in unknown.lines.values())
+        return np.array([unknown.start for unknown in self.unknowns] + [0.0] * lines)
+
+    @property
+    def readout(self) -> Readout:
+        """The scene's."""
+        return self.scene.circuit
+
+    def volt(self, unknowns: Array, cells: Array, reference_off: float = 0.0) -> Array:
+        """(rows, columns) at the converter, for cells in ohm and a reference resistor that is off by a fraction."""
+        rows, columns = self.scene.panel.shape
+        channels: dict[Side, Array] = {"rows": np.zeros(rows), "columns": np.zeros(columns)}
+        fields, of_scene = dict[str, Any](), dict[str, float]()
+        for unknown in self.unknowns:
+            number, common, off = unknown.number, unknown.common(unknowns), unknown.offsets(unknowns)
+            if number in TYPICAL:
+                of_scene[number.name] = min(common, 0.9) if number == MEMORY else common
+            elif number.in_scene:
+                channels |= {side: common / len(off) + ohm for side, ohm in off.items()}
+            else:
+                each = common + sum(off.values())
+                # ln(1 + exp R) is R from some ohm on, never below zero, and always has a slope.
+                volts = self.readout.lsb_volt, self.readout.full_scale_volt
+                limits = volts if number.unit == "volt" else (SHORT_OHM, MOST_OHM)
+                each = np.clip(np.logaddexp(0, each) if off else each, *limits)
+                fields[number.name] = tuple(each.tolist()) if off else float(each)
+        circuit: Any = with_numbers(self.readout, fields)
+        # Contacts and faults are the panel's, which is unplugged.
+        bare = Scene(self.scene.panel, circuit, lines=self.scene.lines, converter_memory=self.scene.converter_memory)
+        scene: Scene = with_numbers(bare, of_scene)
+        recorded = circuit.simulated(cells, scene, channels["rows"], channels["columns"])
+        volt = np.asarray(circuit.off_by(reference_off).volt_from_recorded(recorded))
+        return with_memory(circuit, scene.converter_memory, volt) if scene.converter_memory else volt
+
+    @cached_property
+    def measured(self) -> Array:
+        """(readings) V at the converter, within its rails: beyond, a reading is a bound, and any more is as good."""
+        volt = np.concatenate([trial.volt[trial.used] for trial in self.trials])
+        return np.asarray(np.clip(volt, *usable_range(self.readout)))
+
+    def expected(self, unknowns: Array, resistor: tuple[float, int] | None = None, reference: float = 0.0) -> Array:
+        """(readings) V, with one resistor larger by a factor exp(STEP), or the reference by 1 + reference."""
+        volts = []
+        for trial in self.trials:
+            cells = trial.cells.copy()
+            if resistor in trial.resistors:
+                cells[trial.resistors[resistor]] *= np.exp(STEP)
+            volts.append(self.volt(unknowns, cells, reference)[trial.used])
+        return np.asarray(np.clip(np.concatenate(volts), *usable_range(self.readout)))
+
+    def covariance(self, unknowns: Array, own_lsb: float = 0.0) -> Array:
+        """(readings, readings) V² of noise, quantisation, the converter's own error, resistors and the reference."""
+        at, names = self.expected(unknowns), dict.fromkeys(name for trial in self.trials for name in trial.resistors)
+        moved = [*(self.expected(unknowns, name) for name in names), self.expected(unknowns, reference=STEP)]
+        off = self.tolerance / np.sqrt(3) / STEP * (np.stack(moved, axis=1) - at[:, None])
+        sigma = np.concatenate([trial.sigma_volt[trial.used] for trial in self.trials])
+        own = own_lsb * self.readout.lsb_volt
+        return np.asarray(np.diag(sigma**2 + own**2) + off @ off.T)
+
+    def squares(self, root: Array, unknowns: Array) -> SumOfSquares:
+        """(y − V(θ))ᵀ C⁻¹ (y − V(θ)) + Σ e² about θ; root : Cholesky factor of C."""
+
+        def residual(at: Array) -> Array:
+            weighted = solve_triangular(root, self.measured - self.expected(at), lower=True)
+            return np.concatenate([weighted, at[len(self.unknowns) :]])
+
+        return SumOfSquares(residual(unknowns), _jacobian(residual, unknowns))
+
+
+def _jacobian(function: Callable[[Array], Array], at: Array) -> Array:
+    """(values, unknowns) by forward differences."""
+    base, steps = function(at), STEP * np.maximum(1.0, np.abs(at))
+    return np.stack([(function(at + step) - base) / step.sum() for step in np.diag(steps)], axis=1)
+
+
+def with_numbers(part: Any, values: dict[str, Any]) -> Any:
+    """Return a record with numbers of other values; 'a.b' is b of its part a."""
+    for name, value in values.items():
+        first, _, inner = name.partition(".")
+        part = replace(part, **{first: with_numbers(getattr(part, first), {inner: value}) if inner else value})
+    return part
+
+
+@dataclass(frozen=True, eq=False)
+class CircuitFit:
+    """The unknowns at the minimum and their covariance.
+
+    Attributes
+    ----------
+    chi_square, freedom : float, int
+        Of the residual, the converter's own error included; their ratio is 1 on average.
+    residual, sigma : arrays, shape (readings)
+        V, and its standard deviation.
+    readings : int
+        Number of readings that are values.
+    """
+
+    problem: Problem
+    unknowns: Array
+    covariance: Array
+    chi_square: float
+    freedom: int
+    residual: Array
+    sigma: Array
+    readings: int
+
+
+def _fit(problem: Problem) -> CircuitFit:
+    """Return the least squares with C at their minimum, and the covariance (JᵀJ)⁻¹."""
+    unknowns, commons = problem.start, len(problem.unknowns)
+    least = np.where(np.arange(len(unknowns)) < commons, 0.0, -np.inf)
+    for settled in (1.0, 1e-4):  # of ½ χ²: the last one is off by a hundredth of σ
+        root = np.linalg.cholesky(problem.covariance(unknowns))
+        # Good calibrations end after some 5 evaluations from the scene's numbers, 10 from those ten times too large.
+        minimum = LevenbergMarquardt(25, settled).minimum(partial(problem.squares, root), unknowns, (least, np.inf))
+        unknowns = minimum.position
+    # The converter's own error: ATmega2560, integral non-linearity 0.5 LSB, its data sheet.
+    residual, whole = problem.measured - problem.expected(unknowns), problem.covariance(unknowns, 0.5)
+    weighted = solve_triangular(np.linalg.cholesky(whole), residual, lower=True)
+    # Values are readings of which neither they nor their expectations lie at a rail.
+    inside = [within_rails(problem.readout, volt) for volt in (problem.measured, problem.expected(unknowns))]
+    values = int(np.sum(inside[0] | inside[1]))
+    chi_square = float(weighted @ weighted + unknowns[commons:] @ unknowns[commons:])
+    # (JᵀJ)⁻¹, nearly without end along what J does not see.
+    _, singular, right = np.linalg.svd(minimum.at.jacobian, full_matrices=False)
+    inverse = right / np.maximum(singular, np.sqrt(np.finfo(float).eps) * singular[0])[:, None]
+    sigma = np.sqrt(np.diag(whole))
+    return CircuitFit(problem, unknowns, inverse.T @ inverse, chi_square, values - commons, residual, sigma, values)
+
+
+def _estimated(fit: CircuitFit, unknown: Unknown) -> CircuitNumber:
+    """A number with its covariance to first order in the unknowns. Raises InputError as `_check_number`."""
+    trials = fit.problem.trials
+    measured = {side: np.any([trial.connected(side) for trial in trials], axis=0) for side in unknown.lines}
+
+    def values(unknowns: Array) -> Array:
+        """The mean over measured lines, then the lines' offsets from it."""
+        value, centred = unknown.common(unknowns), list[Array]()
+        for side, off in unknown.offsets(unknowns).items():
+            mean = off[measured[side]].mean()
+            value, centred = value + float(mean), [*centred, off - mean]
+        return np.concatenate([[value], *centred])
+
+    at, slopes = values(fit.unknowns), _jacobian(values, fit.unknowns)
+    sigma = np.sqrt(np.maximum(np.einsum("li,ij,lj->l", slopes, fit.covariance, slopes), 0.0))
+    ends = np.cumsum([1, *(len(lines) for lines in measured.values())])[:-1]
+    parts = zip(measured.items(), np.split(at, ends)[1:], np.split(sigma, ends)[1:], strict=True)
+    offsets = tuple(
+        LineOffsets(side, np.where(known, off, np.nan), np.where(known, sd, np.nan)) for (side, known), off, sd in parts
+    )
+    number = CircuitNumber(unknown.number, float(at[0]), float(sigma[0]), offsets)
+    _check_number(f"{trials[0].name}: no calibration: ", number, unknown.specified)
+    return number
+
+
+def _check_fit(fit: CircuitFit) -> None:
+    """Raise InputError where the readings are not those of the known resistors behind any such circuit."""
+    trials, readout = fit.problem.trials, fit.problem.readout
+
+    def spoken(volt: float) -> str:
+        return f"{float(readout.recorded_from_volt(np.array(volt))):.4g} {readout.unit}"
+
+    for trial in trials:
+        unused = ~trial.used & np.isfinite(trial.volt)
+        missed = np.where(unused, np.abs(trial.volt - fit.problem.volt(fit.unknowns, trial.cells)), 0.0)
+        if missed.max() > 0.1 * readout.full_scale_volt:  # hum, and a memory of 3 %, stay below
+            row, column = (int(part) for part in np.unravel_index(missed.argmax(), missed.shape))
+            raise InputError(
+                f"{trial.name}: no calibration: row {row}, column {column} reads {spoken(trial.volt[row, column])}, "
+                f"but no known resistor leads there; was the panel unplugged?"
+            )
+    if fit.freedom < 0 or not fit.readings:
+        many = "nothing was read across a known resistor" if not fit.readings else f"only {fit.readings} readings"
+        raise InputError(f"{trials[0].name}: no calibration: {many}; join lines by more known resistors")
+    # σ itself is known from as many repeats only: χ² over its freedom follows Fisher's distribution.
+    freedom, repeated = max(fit.freedom, 1), sum(BELIEF + trial.repeats.sum() for trial in trials)
+    if fdtrc(freedom, repeated, fit.chi_square / freedom) < 1e-7:  # of good calibrations may be refused
+        off = np.abs(fit.residual) / fit.sigma
+        index = int(off.argmax())
+        names = [trial.name for trial in trials for _ in range(trial.used.sum())]
+        row, column = np.concatenate([np.argwhere(trial.used) for trial in trials])[index]
+        measured = fit.problem.measured[index]
+        raise InputError(
+            f"{names[index]}: no calibration: row {row}, column {column} reads {spoken(measured)}, but behind the "
+            f"circuit that fits best the known resistors give {spoken(measured - fit.residual[index])}; noise and "
+            f"tolerances explain {100 * np.mean(off < 3):.0f} % of the readings"
+        )
+
+
+def _check_number(where: str, estimate: CircuitNumber, specified: float) -> None:
+    """Raise InputError where the readings do not determine a number, or no such electronics have it."""
+    number, channels = estimate.number, len(estimate.lines)
+    enough = MAX_SIGMA.get(number.name, WORST_OHM - TYPICAL_OHM if number.channel else 0.0)
+    if estimate.sigma > max(enough, 0.3 * estimate.value):
+        raise InputError(
+            f"{where}the readings do not tell {number.name} ({estimate.value:.4g} ± {estimate.sigma:.2g} "
+            f"{number.unit}); known resistors of different values, on more lines, do"
+        )
+    # Equal cells look like a larger series resistance: channels have at most what the worst have, or as much above it.
+    most = max(channels * WORST_OHM, specified + channels * (WORST_OHM - TYPICAL_OHM))
+    if number.in_scene and number.channel and estimate.value - SURE * estimate.sigma > most:
+        raise InputError(
+            f"{where}a {number.name} of {estimate.value:.4g} ohm is more than the {most:g} ohm that {channels} "
+            f"channels have at worst; were the known resistors in place of the panel, and are their values right?"
+        )
+    most = max(WORST_OHM - BEST_OHM if number.channel else 0.0, 4 * RESISTOR_TOLERANCE * estimate.value)
+    for side, off, sigma in estimate.lines:
+        high, low = int(np.nanargmax(off)), int(np.nanargmin(off))
+        apart = float(off[high] - off[low])
+        if apart - SURE * np.hypot(sigma[high], sigma[low]) > most:
+            raise InputError(
+                f"{where}{number.name} of {side} {high} and {low} would differ by {apart:.4g} ohm, and at most "
+                f"{most:.4g} ohm is likely ({LIKELY[number.channel]})"
+            )
+
+
+def _with_estimates(scene: Scene, numbers: Sequence[CircuitNumber], noise: float | tuple[float, ...] | None) -> Scene:
+    """The scene with the estimated numbers, rounded to a milliohm; a list where lines differ."""
+    readout: Any = scene.readout if noise is None else replace(scene.circuit, noise_lsb=noise)
+
+    def rounded(value: float) -> float:
+        """Not below zero, where the noise of a small number can be."""
+        return round(max(float(value), 0.0), DIGITS)
+
+    for estimate in numbers:
+        number, value = estimate.number, rounded(estimate.value)
+        # Every line's share of the sum where readings have two; the mean where it was not measured.
+        share = estimate.value / max(len(estimate.lines), 1)
+        each = {side: tuple(map(rounded, share + np.nan_to_num(off))) for side, off, _ in estimate.lines}
+        if number in TYPICAL:
+            scene = with_numbers(scene, {number.name: round(estimate.value, MEMORY_DIGITS)})
+        elif number.in_scene:
+            scene = replace(scene, series_resistance_ohm=SeriesPerLine(**each) if estimate.differ else value)
+        else:
+            readout = with_numbers(readout, {number.name: next(iter(each.values())) if estimate.differ else value})
+    return replace(scene, readout=readout)

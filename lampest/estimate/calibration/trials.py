@@ -1,0 +1,176 @@
+"""Recordings of known resistors in place of the cells."""
+
+import warnings
+from collections import Counter
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lampest.files.errors import InputError
+from lampest.files.whole import note_read
+from lampest.panel.panel import Array, Panel
+from lampest.panel.readouts import Readout
+from lampest.panel.readouts.lines import Side
+from lampest.recording.recording import Recording
+from lampest.recording.repeats import ENDLESS, averaged_variance, noise_of_variance, sigma_code
+from lampest.recording.simulation.measure import OPEN_OHM, SHORT_OHM
+
+BELIEF = 4.0  # repeats that the scene's noise counts as: few frames with equal codes do not mean no noise
+MIN_FRAMES = 5  # from which on a wild reading, or one that drifts, can be told
+CHANGE = "change from frame to frame, which fixed resistors do not"
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """One recording of known resistors: means over its frames, and the resistors.
+
+    Attributes
+    ----------
+    name : str
+        Of the recording.
+    known : array, shape (rows, columns)
+        ohm; 0 shorted, NaN no resistor.
+    volt, sigma_volt : arrays, shape (rows, columns)
+        Mean at the converter, and its standard deviation with the part that quantisation leaves.
+    noise_lsb : array, shape (driven lines)
+        Of one reading, with the scene's noise as if it had been seen BELIEF times.
+    repeats : array, shape (driven lines)
+    everywhere : bool
+        Whether readings of lines without a resistor count, because the converter remembers the channel before.
+    """
+
+    name: str
+    known: Array
+    volt: Array
+    sigma_volt: Array
+    noise_lsb: Array
+    repeats: Array
+    everywhere: bool
+
+    @classmethod
+    def of(cls, recording: Recording, known: Array | float) -> "Trial":
+        """Return means and noise over frames.
+
+        Raises InputError without a readout or a resistor, or where readings change as those of no resistor do.
+        """
+        readout, name = recording.scene.readout, recording.name
+        if readout is None:
+            raise InputError(f"{name}: its scene names no readout, whose numbers a calibration could find")
+        ohm = np.broadcast_to(np.asarray(known, dtype=float), recording.scene.panel.shape)
+        ohm = np.where(np.isinf(ohm), np.nan, ohm)
+        if np.any(ohm < 0):
+            raise InputError("known resistors must be zero or positive")
+        if not np.isfinite(ohm).any():
+            raise InputError(f"{name}: no row line is joined to a column line by a known resistor")
+        volt, across = readout.volt_from_recorded(recording.recorded), 1 if readout.noisy_side == "rows" else 0
+        valid = _valid(name, readout, volt, across)
+        counts = valid.sum(axis=0)
+        with np.errstate(invalid="ignore"):
+            mean = np.where(valid, volt, 0.0).sum(axis=0) / counts
+        inside = within_rails(readout, mean)
+        residual = np.where(valid & inside, (volt - mean) / readout.lsb_volt, 0.0)
+        _check_drift(name, readout, residual)
+        squares, freedom = (residual**2).sum(axis=(0, 1 + across)), np.where(inside, counts - 1, 0).sum(axis=across)
+        variance = (BELIEF * averaged_variance(readout, readout.assumed_noise) + squares) / (BELIEF + freedom)
+        noise = np.array([noise_of_variance(readout, value) for value in variance])
+        lasting = np.array([float(sigma_code(readout, value, ENDLESS)) for value in noise])
+        of_mean = np.expand_dims(variance, across) / np.maximum(counts, 1) + np.expand_dims(lasting, across) ** 2
+        memory = recording.scene.converter_memory is not None
+        return cls(name, ohm, mean, readout.lsb_volt * np.sqrt(of_mean), noise, freedom, memory)
+
+    @cached_property
+    def cells(self) -> Array:
+        """(rows, columns) ohm, open and shorted ones included."""
+        return np.nan_to_num(np.maximum(self.known, SHORT_OHM), nan=OPEN_OHM)
+
+    @cached_property
+    def used(self) -> NDArray[np.bool_]:
+        """(rows, columns) whether a reading is there, and both of its lines lead to a resistor."""
+        rows, columns = self.connected("rows")[:, None], self.connected("columns")[None, :]
+        return np.asarray((self.everywhere | (rows & columns)) & np.isfinite(self.volt))
+
+    def connected(self, side: Side) -> NDArray[np.bool_]:
+        """Return (lines) whether each leads to a resistor."""
+        return np.asarray(np.isfinite(self.known).any(axis=1 if side == "rows" else 0))
+
+    @cached_property
+    def resistors(self) -> dict[tuple[float, int], tuple[int, int]]:
+        """Place of each resistor by its value and its number among those of that value: the same one if moved."""
+        count, places = Counter[float](), {}
+        for row, column in np.argwhere(self.known > 0).tolist():
+            value = float(self.known[row, column])
+            places[value, count[value]] = (row, column)
+            count[value] += 1
+        return places
+
+
+def usable_range(readout: Readout) -> tuple[float, float]:
+    """Return the V between which noise does not reach either end of the converter."""
+    margin = (2 + 3 * float(np.max(readout.assumed_noise))) * readout.lsb_volt
+    return margin, readout.full_scale_volt - margin
+
+
+def within_rails(readout: Readout, volt: Array) -> NDArray[np.bool_]:
+    """Return where a mean is not drawn away from an end of the converter; any shape."""
+    low, high = usable_range(readout)
+    return np.asarray((volt > low) & (volt < high))
+
+
+def _check_drift(name: str, readout: Readout, residual: Array) -> None:
+    """Raise InputError where readings stay off from one frame to the next, which noise does not.
+
+    von Neumann, Annals of Mathematical Statistics 12(4), 1941. residual : (frames, rows, columns) LSB.
+    """
+    parts = (residual, np.diff(residual, axis=0) / np.sqrt(2))
+    total, quick = ((part**2).sum() / max(len(residual) - 1, 1) for part in parts)
+    lasting = np.sqrt(max(total - quick, 0.0) / residual[0].size) / 2.0**readout.adc_bits
+    if len(residual) >= MIN_FRAMES and quick < total / 2 and lasting > 1e-3:
+        raise InputError(
+            f"{name}: no calibration: its readings drift by {100 * lasting:.2g} % of the supply, and {CHANGE}"
+        )
+
+
+def _valid(name: str, readout: Readout, volt: Array, across: int) -> NDArray[np.bool_]:
+    """(frames, rows, columns) that were read and are not wild. Raises InputError where too many are, for spikes."""
+    valid = np.isfinite(volt)
+    if len(volt) < MIN_FRAMES:
+        return valid
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # all-NaN lines
+        deviation = (volt - np.nanmedian(volt, axis=0)) / readout.lsb_volt
+        robust = 1.4826 * np.nanmedian(np.abs(deviation), axis=(0, 1 + across))
+    # Codes come in steps, and where noise is smaller the median deviation is zero.
+    least = np.maximum(sigma_code(readout, readout.assumed_noise), 1 / readout.readings)
+    wild = np.abs(deviation) > 7.0 * np.expand_dims(np.maximum(np.nan_to_num(robust), least), across)  # robust σ
+    if wild.sum() > 0.02 * wild.size + 2:  # spikes are some in ten thousand
+        raise InputError(f"{name}: no calibration: {100 * wild.mean():.0f} % of its readings {CHANGE}")
+    return valid & ~wild
+
+
+def known_resistors(text: str, panel: Panel) -> Array:
+    """Return the resistors in place of the cells, (rows, columns) ohm, from a number or a .csv or .npy file.
+
+    In a file every row is a line of the panel; inf, nan or nothing between two commas stands for no resistor. Raises
+    InputError where it is neither a number nor such a table.
+    """
+    try:
+        return np.full(panel.shape, float(text))
+    except ValueError:
+        path = Path(text)
+    note_read(path)
+    try:
+        if path.suffix == ".npy":
+            table = np.load(path, allow_pickle=False)
+        else:
+            table = np.genfromtxt(path.read_text(encoding="utf-8-sig").splitlines(), delimiter=",", ndmin=2)
+    except FileNotFoundError as error:
+        raise InputError(f"--known: '{text}' is neither a number of ohm nor a file") from error
+    except (OSError, ValueError, EOFError) as error:
+        raise InputError(f"{path}: no table of resistances ({' '.join(str(error).split())})") from error
+    if table.dtype.kind not in "iuf" or table.shape != panel.shape:
+        size, shape = (" × ".join(map(str, lengths)) for lengths in (panel.shape, table.shape))
+        raise InputError(f"{path}: the panel has {size} cells, but the table holds {shape} numbers")
+    return np.asarray(table, dtype=float)
