@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 from laws.recognised import PATCH_MM, frame_under, verdict_on
 
+from lampest.estimate.calibration.known_loads import KnownLoad
 from lampest.files.document import adapter, parse_document, to_yaml, validated
-from lampest.loads.calibration import KnownLoad
 from lampest.loads.recognition.candidates import FIELD, LOADS, UNIFORM
 from lampest.loads.recognition.fit import Fitting
 from lampest.loads.recognition.observation import FARTHEST, Whitening

@@ -28,7 +28,7 @@ def imported(code: str) -> set[str]:
     [
         (READ, ("scipy.linalg", "scipy.sparse", "casadi", "matplotlib", "pandas")),
         ("import lampest.report.info, lampest.report.compare", ("scipy.linalg", "scipy.sparse", "lampest.estimate")),
-        ("import lampest.recording.calibration.calibrate", ("scipy.stats", "scipy.optimize")),
+        ("import lampest.estimate.calibration.resistors", ("scipy.stats", "scipy.optimize")),
         (ESTIMATE, ("scipy.optimize", "scipy.ndimage", "scipy.stats", "matplotlib", "pandas")),
     ],
 )
