@@ -19,7 +19,7 @@ def test_ten_thousand_frames_on_a_damaged_line(tmp_path: Path) -> None:
     assert wrong == 0
 
 
-def test_fifty_killed_recorders(tmp_path: Path) -> None:
+def test_fifty_killed_recorders_lose_no_frame(tmp_path: Path) -> None:
     rng = np.random.default_rng(50)
     told = kept = 0
     with bench(tmp_path, some_cells(rng, 1)) as board:

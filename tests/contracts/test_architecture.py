@@ -213,7 +213,7 @@ RULES = (doors, floors, privates, generators, variables)
 
 
 @pytest.mark.parametrize("rule", RULES, ids=lambda rule: rule.__name__)
-def test_house_keeps_the_rule(rule: Callable[[str, ast.Module], Iterator[str]]) -> None:
+def test_the_package_keeps_the_rule(rule: Callable[[str, ast.Module], Iterator[str]]) -> None:
     broken = [f"{module} {fault}" for module, tree in MODULES.items() for fault in rule(module, tree)]
     assert not broken
 
@@ -224,7 +224,7 @@ def test_no_two_of_the_house_share_a_name(names: Callable[[ast.Module], Iterator
     assert not shared
 
 
-def test_namesakes_are_seen() -> None:
+def test_namesakes_are_noticed_among_classes_and_functions() -> None:
     texts = {
         "lampest.cli.board": "def record(): pass",
         "lampest.recording.board.record": "class Row: pass\ndef record(): pass\ndef _open(): pass",

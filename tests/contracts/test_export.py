@@ -252,7 +252,7 @@ def test_nwb_is_what_pynwb_reads(lampest: Run, results: Path) -> None:
         (("--to", "csv", "--out", "r.h5"), "r.h5: is what is read; give what is written another name"),
     ],
 )
-def test_wrong_input_of_export(
+def test_wrong_input_of_export_is_one_sentence(
     lampest: Run, results: Path, monkeypatch: pytest.MonkeyPatch, words: Any, sentence: str
 ) -> None:
     monkeypatch.chdir(results.parent)

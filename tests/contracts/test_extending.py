@@ -59,7 +59,7 @@ def recording() -> Recording:
     return simulated(lampest.TwoPointReadout())
 
 
-def test_a_term(recording: Recording) -> None:
+def test_a_term_joins_with_one_file_and_one_name(recording: Recording) -> None:
     terms = [Misfit(weighting="noise"), Leash(weight=1e6, length_ohm=1234.0)]
     for formulation in ("nodal", "reduced"):
         found = lampest.reconstruct(recording, terms, formulation=formulation, bounds=lampest.Bounds("none", "none"))
@@ -69,7 +69,7 @@ def test_a_term(recording: Recording) -> None:
     assert weak.solved.all() and "misfit + leash" in repr(weak)
 
 
-def test_a_loss(recording: Recording) -> None:
+def test_a_loss_joins_with_one_file_and_one_name(recording: Recording) -> None:
     """So soft a cushion is a square; a hard one costs what it says."""
     penalty = Gradient(weight=1e-3)
     plain, soft, hard = (
@@ -84,7 +84,7 @@ def test_a_loss(recording: Recording) -> None:
     assert_allclose(hard.result().costs["misfit"], costs, rtol=1e-6)
 
 
-def test_a_readout() -> None:
+def test_a_readout_joins_with_one_file_and_one_name() -> None:
     readout = Divider(load_ohm=5000.0, readings=100)
     recording = simulated(readout)
     truth = recording.truth_cell_resistance
@@ -119,7 +119,7 @@ def test_a_readout_outside_the_range_of_the_converter_names_the_rail() -> None:
     assert found.solved.all() and np.isfinite(found.cell_resistance).all()
 
 
-def test_a_method(recording: Recording) -> None:
+def test_a_method_joins_with_one_file_and_one_name(recording: Recording) -> None:
     free = lampest.Bounds("none", "none")
     once, twice = (lampest.reconstruct(recording, [Misfit()], formulation=Even(f), bounds=free) for f in (1.0, 2.0))
     assert_allclose(twice.cell_resistance, 2 * once.cell_resistance)
@@ -127,13 +127,13 @@ def test_a_method(recording: Recording) -> None:
     assert set(once.status) == {"approximate, as the formulation asks; not an optimum"}
 
 
-def test_a_shape(recording: Recording) -> None:
+def test_a_shape_joins_with_one_file_and_one_name(recording: Recording) -> None:
     contact, _ = ELLIPSE.mean_pressure(recording.scene.panel, 6.0)
     assert recording.truth_pressure is not None and contact.max() == pytest.approx(15)
     assert_allclose(recording.truth_pressure[-1], contact)
 
 
-def test_a_column(recording: Recording, tmp_path: Path) -> None:
+def test_a_column_joins_with_one_file_and_one_name(recording: Recording, tmp_path: Path) -> None:
     found = lampest.reconstruct(recording, [Misfit()], formulation="reduced")
     found.save(tmp_path / "r.h5", "mine", columns=[CONTRAST])
     wanted = found.cell_resistance.max(axis=(1, 2)) / found.cell_resistance.min(axis=(1, 2))
@@ -147,7 +147,7 @@ def test_a_column(recording: Recording, tmp_path: Path) -> None:
         case.to_xarray()
 
 
-def test_a_plot(recording: Recording, tmp_path: Path) -> None:
+def test_a_plot_joins_with_one_file_and_one_name(recording: Recording, tmp_path: Path) -> None:
     found = lampest.reconstruct(recording, [Misfit()], formulation="reduced")
     for figure in (found.plot(Histogram()), found.plot(Histogram(), frame=3)):
         assert len(figure.axes[0].patches) == 10

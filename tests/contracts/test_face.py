@@ -372,7 +372,7 @@ def test_what_is_not_installed_is_named(found: Reconstruction, monkeypatch: pyte
         found.to_xarray()
 
 
-def test_pictures(found: Reconstruction) -> None:
+def test_pictures_of_results_are_drawn_from_python(found: Reconstruction) -> None:
     for kind in ("contours", "certainty", "pressure"):
         assert isinstance(found.plot(kind, frame=4), Figure)
     assert "frame 5 at 5 s" in found.plot(frame=5).get_suptitle()

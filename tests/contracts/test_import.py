@@ -46,7 +46,7 @@ def long_table(frames: np.ndarray, first: int = 0, frame: bool = True, swap: boo
 @pytest.mark.parametrize("delimiter", [",", ";", "\t", " ", "   "])
 @pytest.mark.parametrize("header", [False, True])
 @pytest.mark.parametrize("time", [False, True])
-def test_one_frame_a_line(tmp_path: Path, delimiter: str, header: bool, time: bool) -> None:
+def test_a_table_of_one_frame_a_line_is_read(tmp_path: Path, delimiter: str, header: bool, time: bool) -> None:
     values = FRAMES.reshape(4, -1)
     names = ["time"] * time + [f"r{row}c{column}" for row in range(3) for column in range(5)]
     if time:
@@ -72,7 +72,7 @@ def test_layout_says_what_columns_without_a_header_are(tmp_path: Path) -> None:
     np.testing.assert_allclose(recording.resistance, FRAMES)
 
 
-def test_layout_must_fit(tmp_path: Path) -> None:
+def test_a_layout_that_does_not_fit_is_refused(tmp_path: Path) -> None:
     path = table(tmp_path / "m.csv", long_table(FRAMES))
     with pytest.raises(InputError, match="4 columns, but `layout` names 3"):
         import_file(path, ROWS, COLUMNS, layout="row,column,value")
@@ -81,7 +81,7 @@ def test_layout_must_fit(tmp_path: Path) -> None:
         import_file(tmp_path / "m.npy", ROWS, COLUMNS, layout="row,column,value")
 
 
-def test_spreadsheet_ways(tmp_path: Path) -> None:
+def test_the_signs_and_commas_of_spreadsheets_are_read(tmp_path: Path) -> None:
     path = tmp_path / "m.csv"
     lines = [";".join(f"{value:.3f}".replace(".", ",") for value in frame.ravel()) for frame in FRAMES]
     path.write_bytes("\ufeff# exported\r\n\r\n".encode() + "\r\n".join(lines).encode())
@@ -94,7 +94,7 @@ def test_spreadsheet_ways(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("first", [0, 1])
 @pytest.mark.parametrize("swap", [False, True])
-def test_one_value_a_line(tmp_path: Path, first: int, swap: bool) -> None:
+def test_a_table_of_one_value_a_line_is_read(tmp_path: Path, first: int, swap: bool) -> None:
     lines = np.random.default_rng(1).permutation(long_table(FRAMES, first, swap=swap))
     path = table(tmp_path / "m.csv", lines)
     recording, notes = import_file(path, ROWS, COLUMNS, transpose=swap)
@@ -108,7 +108,7 @@ def test_one_value_a_line(tmp_path: Path, first: int, swap: bool) -> None:
     ("array", "transpose"),
     [(FRAMES, False), (FRAMES.reshape(4, -1), False), (FRAMES.transpose(0, 2, 1), True), (FRAMES.astype("f4"), False)],
 )
-def test_numpy(tmp_path: Path, array: np.ndarray, transpose: bool) -> None:
+def test_numpy_arrays_are_read(tmp_path: Path, array: np.ndarray, transpose: bool) -> None:
     np.save(tmp_path / "m.npy", array)
     recording, notes = import_file(tmp_path / "m.npy", ROWS, COLUMNS, transpose=transpose)
     np.testing.assert_allclose(recording.resistance, FRAMES, rtol=1e-6)
@@ -128,7 +128,7 @@ def test_numpy(tmp_path: Path, array: np.ndarray, transpose: bool) -> None:
         (FRAMES[0], "(rows, columns)"),
     ],
 )
-def test_matlab(tmp_path: Path, array: np.ndarray, said: str, packed: bool) -> None:
+def test_matlab_arrays_of_any_order_are_read(tmp_path: Path, array: np.ndarray, said: str, packed: bool) -> None:
     path = tmp_path / "m.mat"
     content = {"note": "text", "fs": 1.0, "s": {"a": array}, "z": array * 1j, "R": array, "i": np.arange(3)}
     scipy.io.savemat(path, content, do_compression=packed)
@@ -144,7 +144,7 @@ def test_matlab(tmp_path: Path, array: np.ndarray, said: str, packed: bool) -> N
 
 
 @pytest.mark.parametrize("packed", [False, True])
-def test_a_damaged_matlab_file(tmp_path: Path, packed: bool) -> None:
+def test_a_damaged_matlab_file_is_refused_in_one_sentence(tmp_path: Path, packed: bool) -> None:
     path = tmp_path / "m.mat"
     scipy.io.savemat(path, {"R": FRAMES.transpose(1, 2, 0)}, do_compression=packed)
     whole = path.read_bytes()
@@ -159,7 +159,7 @@ def test_a_damaged_matlab_file(tmp_path: Path, packed: bool) -> None:
             assert "\n" not in str(error)
 
 
-def test_volts_and_codes(tmp_path: Path) -> None:
+def test_volts_and_codes_become_readings_or_one_sentence(tmp_path: Path) -> None:
     volts = 5.0 * 1000.0 / (FRAMES + 1000.0)  # across the reference: R = (Vcc − V)/V·Rref
     np.save(tmp_path / "v.npy", volts)
     recording, _ = import_file(tmp_path / "v.npy", ROWS, COLUMNS, SCENE, "volt")
@@ -241,7 +241,7 @@ def lines_with(line: int, field: int, text: str) -> str:
         (",".join(["1"] * 16) + "\n" + ",".join(["1"] * 16), ":2:1: times must be finite and grow"),
     ],
 )
-def test_faults_in_tables(tmp_path: Path, text: str, message: str) -> None:
+def test_a_fault_in_a_table_is_one_sentence_with_its_place(tmp_path: Path, text: str, message: str) -> None:
     path = tmp_path / "m.csv"
     path.write_text(text, encoding="utf-8")
     with pytest.raises(InputError) as caught:
@@ -302,7 +302,9 @@ def boastful(path: Path) -> None:
         ("m.mat", lambda path: path.write_bytes(b"MATLAB 7.3 MAT-file".ljust(600)), "save it with the option -v7"),
     ],
 )
-def test_faults_in_files(tmp_path: Path, name: str, make: Callable[[Path], object], message: str) -> None:
+def test_a_fault_in_a_file_is_one_sentence(
+    tmp_path: Path, name: str, make: Callable[[Path], object], message: str
+) -> None:
     path = tmp_path / name
     make(path)
     with pytest.raises(InputError) as caught:
@@ -327,7 +329,7 @@ def test_a_series_resistance_of_each_line_is_said(tmp_path: Path) -> None:
     assert any(f"series resistance rows from 70 to {69 + ROWS} ohm, columns 71 ohm" in note for note in notes)
 
 
-def test_a_scene_file(tmp_path: Path) -> None:
+def test_a_scene_file_describes_the_panel_of_an_import(tmp_path: Path) -> None:
     path = tmp_path / "scene.yaml"
     path.write_text("panel: {rows: 3, columns: 5}\nseries_resistance_ohm: 140\n", encoding="utf-8")
     assert read_scene(path) == Scene(Panel(3, 5), None, 140.0)

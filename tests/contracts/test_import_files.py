@@ -128,14 +128,14 @@ def test_a_line_for_every_row(tmp_path: Path, text: str) -> None:
         ("millis={ms}", [0, 0.25, 0.5, 0.75]),
     ],
 )
-def test_times_before_blocks(tmp_path: Path, title: str, times: list[float]) -> None:
+def test_titles_of_blocks_give_the_times(tmp_path: Path, title: str, times: list[float]) -> None:
     blocks = [title.format(n=n, ms=250 * n) + "\n" + "\n".join(lines(frame)) for n, frame in enumerate(CODES)]
     recording, _ = imported(tmp_path / "m.log", "\n".join(blocks), scene=LOADED)
     np.testing.assert_allclose(recording.time, times)
     assert recording.start_time == ("2025-01-31T12:00:00Z" if "2025" in title else None)
 
 
-def test_blocks_that_are_cut(tmp_path: Path) -> None:
+def test_blocks_that_are_cut_leave_missing_readings(tmp_path: Path) -> None:
     blocks = ["\n".join(lines(frame)) for frame in CODES]
     blocks[0] = "\n".join(lines(CODES[0])[1:])  # the terminal was opened between two rows
     blocks[2] = "\n".join(lines(CODES[2])[:2])  # a row was lost: nobody knows which
@@ -244,7 +244,7 @@ def test_rows_and_columns_by_their_names(tmp_path: Path, first: int) -> None:
         imported(tmp_path / "m.csv", turned)
 
 
-def test_what_spreadsheets_write(tmp_path: Path) -> None:
+def test_the_encodings_and_commas_of_spreadsheets_are_read(tmp_path: Path) -> None:
     head = "Zeit [ms];" + names("Z{r}S{c} [kΩ]", 1, ";") + ";"
     body = [f"{250 * n};{line};" for n, line in enumerate(wide(FRAMES / 1000, ";", ","))]
     text = "\r\n".join(["% exported on Monday", head, *body, ";" * 17, ""])
@@ -265,7 +265,7 @@ def test_what_spreadsheets_write(tmp_path: Path) -> None:
         ("12.345.678,5", 12345678.5),
     ],
 )
-def test_thousands_apart(tmp_path: Path, written: str, number: float) -> None:
+def test_signs_between_thousands_are_read(tmp_path: Path, written: str, number: float) -> None:
     comma = written.endswith(",5")
     others = wide(FRAMES, ";", "," if comma else ".")
     recording, _ = imported(
@@ -293,7 +293,7 @@ LONG = [(frame, row, column, FRAMES[frame, row, column]) for frame, row, column 
         ("time,index,value", "{s},{index},{v}", [0, 0.1, 0.2, 0.3]),
     ],
 )
-def test_one_value_a_line(tmp_path: Path, header: str, line: str, times: list[float]) -> None:
+def test_single_values_are_read_by_their_header(tmp_path: Path, header: str, line: str, times: list[float]) -> None:
     text = [header]
     for number, (f, r, c, v) in enumerate(LONG):
         fields = {"f": f, "ms": 100 * f, "s": f / 10, "each": number / 10, "r": r, "c": c, "r1": r + 1, "c1": c + 1}
@@ -339,7 +339,9 @@ def timed(tmp_path: Path, name: str, stamps: Sequence[object], **how: Any) -> tu
         ("Uhrzeit", ("23:59:59.5", "0:00:00.5", "0:00:01.5", "0:00:02.5"), (0, 1, 2, 3), None),
     ],
 )  # fmt: skip
-def test_times(tmp_path: Path, name: str, stamps: Sequence[object], times: Sequence[float], start: str | None) -> None:
+def test_times_are_read_in_the_units_of_their_column(
+    tmp_path: Path, name: str, stamps: Sequence[object], times: Sequence[float], start: str | None
+) -> None:
     recording, notes = timed(tmp_path, name, stamps)
     np.testing.assert_allclose(recording.time, times, atol=1e-9)
     assert recording.start_time == start and said(notes, f"time: column '{name}' in ")
@@ -361,7 +363,7 @@ def test_times(tmp_path: Path, name: str, stamps: Sequence[object], times: Seque
         (("2025-02-29", "2025-03-01", "2025-03-02", "2025-03-03"), "is no time"),
     ],
 )
-def test_times_that_are_none(tmp_path: Path, stamps: Sequence[object], message: str) -> None:
+def test_a_time_that_is_none_is_refused_at_its_place(tmp_path: Path, stamps: Sequence[object], message: str) -> None:
     with pytest.raises(InputError, match=message):
         timed(tmp_path, "time", stamps)
     assert timed(tmp_path, "time", stamps, period=1.0)[0].time[-1] == 3
@@ -451,7 +453,7 @@ VOLTS = (MEANS + 0.5) * 5 / 1024
         (CODES + 9000, LOADED, ()),
     ],
 )
-def test_units_by_the_values(
+def test_the_unit_is_guessed_from_the_values(
     tmp_path: Path, values: np.ndarray, scene: Scene | None, unit: str | tuple[str, ...]
 ) -> None:
     np.save(tmp_path / "m.npy", values)
@@ -485,7 +487,7 @@ def test_volt_and_ohm_that_both_fit(tmp_path: Path) -> None:
         ("R{r}C{c} [V]", None, "volt"), ("R{r}C{c} in kOhm", 1e3, "kohm"), ("R{r}C{c}/kΩ", 1e3, "kohm"),
     ],
 )  # fmt: skip
-def test_units_of_headers(tmp_path: Path, header: str, factor: float | None, unit: str) -> None:
+def test_the_unit_is_taken_from_the_header(tmp_path: Path, header: str, factor: float | None, unit: str) -> None:
     text = "\n".join([names(header), *wide(CODES / 400 if unit == "volt" else CODES)])
     recording, notes = imported(tmp_path / "m.csv", text, scene=None if factor else LOADED)
     if factor:
@@ -512,7 +514,7 @@ def test_units_of_headers_that_are_none(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("word", ["ovf", "", "NaN", "-", "----", "null", "OL", "#N/A", "n/a", "-inf", "1.#QNAN"])
 @pytest.mark.parametrize("sign", [",", ";", "\t"])
-def test_words_for_missing_readings(tmp_path: Path, word: str, sign: str) -> None:
+def test_words_for_missing_readings_become_nan(tmp_path: Path, word: str, sign: str) -> None:
     text = [line.split(sign) for line in wide(FRAMES, sign)]
     text[1][13] = word
     text[2][0] = word
@@ -580,7 +582,7 @@ def sheet_of(frames: np.ndarray) -> list[list[Any]]:
     ]
 
 
-def test_excel(tmp_path: Path) -> None:
+def test_excel_sheets_are_read(tmp_path: Path) -> None:
     rows = sheet_of(FRAMES)
     rows[4][15] = "#DIV/0!"
     rows[5][1] = None
@@ -617,7 +619,7 @@ def test_excel_that_claims_the_whole_sheet(tmp_path: Path) -> None:
 # Archives of arrays, MATLAB 7.3.
 
 
-def test_npz(tmp_path: Path) -> None:
+def test_arrays_of_an_npz_file_are_read(tmp_path: Path) -> None:
     path = tmp_path / "m.npz"
     np.savez_compressed(path, R_kohm=FRAMES / 1000, time_ms=np.arange(4) * 250, note=np.array("text"), gain=np.ones(3))
     recording, notes = import_file(path, ROWS, COLUMNS)
@@ -630,7 +632,7 @@ def test_npz(tmp_path: Path) -> None:
     np.testing.assert_array_equal(import_file(path, ROWS, COLUMNS, variable="b")[0].resistance, 2 * FRAMES)
 
 
-def test_frames_last(tmp_path: Path) -> None:
+def test_arrays_with_frames_last_are_read(tmp_path: Path) -> None:
     np.save(tmp_path / "m.npy", FRAMES.transpose(1, 2, 0))
     recording, notes = import_file(tmp_path / "m.npy", ROWS, COLUMNS)
     np.testing.assert_array_equal(recording.resistance, FRAMES)
@@ -660,7 +662,7 @@ def matlab(path: Path, **arrays: np.ndarray) -> Path:
 
 
 @pytest.mark.parametrize("frames_last", [False, True])
-def test_matlab_73(tmp_path: Path, frames_last: bool) -> None:
+def test_matlab_files_of_version_7_3_are_read(tmp_path: Path, frames_last: bool) -> None:
     values = FRAMES.transpose(1, 2, 0) if frames_last else FRAMES
     path = matlab(tmp_path / "m.mat", R=values, t=np.arange(4.0)[None] / 2)
     recording, _ = import_file(path, ROWS, COLUMNS)
@@ -709,7 +711,9 @@ def claims(path: Path) -> None:
         ("m.csv", lambda path: path.write_bytes(b"\xff\xfe1"), "holds no values"),
     ],
 )
-def test_files_that_are_none(tmp_path: Path, name: str, make: Callable[[Path], object], message: str) -> None:
+def test_a_file_without_a_table_is_refused(
+    tmp_path: Path, name: str, make: Callable[[Path], object], message: str
+) -> None:
     make(tmp_path / name)
     with pytest.raises(InputError) as caught:
         import_file(tmp_path / name, ROWS, COLUMNS)

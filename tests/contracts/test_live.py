@@ -25,7 +25,9 @@ LAMPREY = Path(__file__).parents[2] / "data" / "lamprey_25mm.h5"
         (("--port", "/nowhere/port", "--http", "127.0.0.1:0"), "/nowhere/port: cannot be opened"),
     ],
 )
-def test_wrong_input_of_live(lampest: Callable[..., SimpleNamespace], words: Any, sentence: str) -> None:
+def test_wrong_input_of_live_is_one_sentence(
+    lampest: Callable[..., SimpleNamespace], words: Any, sentence: str
+) -> None:
     done = lampest("live", *words)
     assert done.code == 2
     assert sentence in done.err and done.err.count("\n") == 1

@@ -297,7 +297,7 @@ def test_lsl_is_a_described_stream(lampest: Run) -> None:
         ("osc://nowhere.invalid", "osc://nowhere.invalid:9000/lampest: "),
     ],
 )
-def test_wrong_input_of_publish(lampest: Run, where: str, sentence: str) -> None:
+def test_wrong_input_of_publish_is_one_sentence(lampest: Run, where: str, sentence: str) -> None:
     done = replayed(lampest, where)
     assert done.code == 2 and sentence in done.err and done.err.count("\n") == 1
     assert not done.out, "nothing began"

@@ -83,7 +83,7 @@ def test_messages_and_docstrings_are_plain() -> None:
     assert not found
 
 
-def test_spelling() -> None:
+def test_every_word_is_spelt_right() -> None:
     where = [
         "lampest",
         "docs",

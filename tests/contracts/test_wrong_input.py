@@ -96,7 +96,7 @@ RECORDINGS: dict[str, tuple[Callable[[SimpleNamespace], Any], tuple[str, ...]]] 
 
 
 @pytest.mark.parametrize(("spoil", "words"), RECORDINGS.values(), ids=RECORDINGS)
-def test_recording(
+def test_a_fault_in_a_recording_is_one_sentence(
     disk: SimpleNamespace, lampest: Command, spoil: Callable[[SimpleNamespace], Any], words: tuple[str, ...]
 ) -> None:
     spoil(disk)
@@ -148,7 +148,9 @@ FILES = {
 
 
 @pytest.mark.parametrize(("old", "new", "place", "words"), FILES.values(), ids=FILES)
-def test_file_of_a_run(disk: SimpleNamespace, lampest: Command, old: str, new: str, place: str, words: str) -> None:
+def test_a_fault_in_the_file_of_a_run_is_one_sentence(
+    disk: SimpleNamespace, lampest: Command, old: str, new: str, place: str, words: str
+) -> None:
     assert old in disk.text
     path, out = disk.run(disk.text.replace(old, new, 1)), disk.folder / "out"
     ended = lampest("run", path, "--out", out, "--jobs", "1")
@@ -158,7 +160,7 @@ def test_file_of_a_run(disk: SimpleNamespace, lampest: Command, old: str, new: s
     assert not out.exists()
 
 
-def test_no_such_run(disk: SimpleNamespace, lampest: Command) -> None:
+def test_a_run_that_does_not_exist_is_refused(disk: SimpleNamespace, lampest: Command) -> None:
     refused(lampest("run", disk.folder / "none.yaml"), "none.yaml", "No such file")
     refused(lampest("run", disk.folder), "directory")
     (disk.folder / "latin.yaml").write_bytes("schema: 1 # Größe".encode("latin-1"))
@@ -168,7 +170,7 @@ def test_no_such_run(disk: SimpleNamespace, lampest: Command) -> None:
     assert not list(disk.folder.rglob("results.h5"))
 
 
-def test_recordings_of_one_name(disk: SimpleNamespace, lampest: Command) -> None:
+def test_recordings_of_one_name_are_refused(disk: SimpleNamespace, lampest: Command) -> None:
     (disk.folder / "other").mkdir()
     disk.recording(disk.folder / "other" / "small.h5")
     path = disk.run(disk.text.replace("[small.h5]", "[small.h5, other/small.h5]"))
@@ -188,7 +190,9 @@ def test_recordings_of_one_name(disk: SimpleNamespace, lampest: Command) -> None
         ("solver.tolerance=[1", "'[1'"),
     ],
 )
-def test_setting(disk: SimpleNamespace, lampest: Command, setting: str, words: str) -> None:
+def test_a_fault_in_a_setting_is_one_sentence(
+    disk: SimpleNamespace, lampest: Command, setting: str, words: str
+) -> None:
     out = disk.folder / "out"
     refused(lampest("run", disk.folder / "run.yaml", "--out", out, "--set", setting), words)
     assert not out.exists()

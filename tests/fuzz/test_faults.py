@@ -33,7 +33,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Batch:
     "kilobytes",
     [0, pytest.param(8, marks=LONG), pytest.param(200, marks=pytest.mark.slow), pytest.param(600, marks=LONG)],
 )
-def test_disk_that_fills(made: Batch, tmp_path: Path, kilobytes: int) -> None:
+def test_a_disk_that_fills_leaves_nothing_half_written(made: Batch, tmp_path: Path, kilobytes: int) -> None:
     """One sentence for each case that could not be kept, no half file; those that were kept are readable."""
     out, kept = tmp_path / "out", tmp_path / "kept"
     out.mkdir()

@@ -58,7 +58,7 @@ FORMULATIONS: list[MethodName] = [
 @pytest.mark.slow
 @pytest.mark.parametrize("name", TERMS)
 @pytest.mark.parametrize("kind", SCENES)
-def test_any_holes(kind: str, name: str) -> None:
+def test_any_holes_leave_an_estimate_or_one_sentence(kind: str, name: str) -> None:
     scene, rng = SCENES[kind], np.random.default_rng([len(kind), len(name)])
     whole = simulate(Simulation(1, 3, SCENES["two_point"] if kind == "unknown" else scene, frames=2))
     for formulation in rng.choice(FORMULATIONS, 3, replace=False).tolist():

@@ -12,7 +12,7 @@ def test_killed_runs_resume(tmp_path: Path) -> None:
 
 
 @pytest.mark.soak
-def test_fifty_kills(tmp_path: Path) -> None:
+def test_fifty_kills_lose_and_alter_no_result(tmp_path: Path) -> None:
     made = batch(tmp_path, 8, (1e-4, 1e-3, 1e-2))
     counts = killed_again_and_again(tmp_path, made, 50, 2)
     print(f"\n{made.cases} cases; {dict(counts)}; no result lost, none altered")

@@ -55,7 +55,7 @@ def test_good_files_are_taken(good: Corpus, folder: Path, kind: str) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", SUFFIXES)
-def test_nearly_good_files(good: Corpus, folder: Path, kind: str) -> None:
+def test_nearly_good_files_are_taken_or_refused_in_one_sentence(good: Corpus, folder: Path, kind: str) -> None:
     outcomes = Counter(receive(good.mutant(number, kind), folder) for number in range(40))
     assert set(outcomes) == {FINE, REFUSED}
 
@@ -71,7 +71,7 @@ def test_numbers_stand_for_inputs(good: Corpus, folder: Path) -> None:
 @pytest.mark.slow
 @given(trees)
 @QUICK
-def test_any_tree_as_a_run(good: Corpus, folder: Path, tree: Any) -> None:
+def test_any_tree_as_a_run_is_taken_or_refused(good: Corpus, folder: Path, tree: Any) -> None:
     run = Mutant("run", json.dumps({**RUN, "estimators": tree}).encode())
     simulation = Mutant("simulation", json.dumps({"schema": 1, "seed": 1, "scene": tree}).encode())
     assert {receive(mutant, folder) for mutant in (run, simulation)} <= {FINE, REFUSED}
@@ -80,13 +80,13 @@ def test_any_tree_as_a_run(good: Corpus, folder: Path, tree: Any) -> None:
 @pytest.mark.slow
 @given(st.binary(max_size=200) | st.text(max_size=200).map(lambda text: text.encode("utf-8", "surrogatepass")))
 @FEW
-def test_any_bytes_as_any_file(good: Corpus, folder: Path, content: bytes) -> None:
+def test_any_bytes_as_any_file_are_taken_or_refused(good: Corpus, folder: Path, content: bytes) -> None:
     assert {receive(Mutant(kind, content), folder) for kind in SUFFIXES} <= {FINE, REFUSED}
 
 
 @given(st.text(max_size=40))
 @QUICK
-def test_any_name(name: str) -> None:
+def test_any_name_is_a_part_of_a_path_or_refused(name: str) -> None:
     """A name that is accepted is one part of a path and leads nowhere else."""
     try:
         check_name(name, "recording")
@@ -133,13 +133,13 @@ HOSTILE = {
 
 
 @pytest.mark.parametrize("text", HOSTILE.values(), ids=HOSTILE)
-def test_hostile_yaml(good: Corpus, folder: Path, text: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_hostile_yaml_is_refused(good: Corpus, folder: Path, text: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(folder)
     assert receive(Mutant("run", text.encode()), folder) == REFUSED
     assert not (folder / "owned").exists()
 
 
-def test_endless_file_as_a_run() -> None:
+def test_an_endless_file_as_a_run_is_refused() -> None:
     with pytest.raises(InputError, match="larger than"):
         read_run(Path("/dev/zero"))
     with pytest.raises(InputError, match="larger than"):

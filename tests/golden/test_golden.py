@@ -23,12 +23,12 @@ def test_every_estimator_has_its_file(anew: dict[str, Path]) -> None:
 
 
 @pytest.mark.parametrize("name", EXPECTED)
-def test_results_are_as_before(anew: dict[str, Path], name: str) -> None:
+def test_every_estimator_gives_its_earlier_results_again(anew: dict[str, Path], name: str) -> None:
     show(*compare(EXPECTED[name], anew[name]), CELLS)
     assert equal(EXPECTED[name], anew[name], CELLS)
 
 
-def test_recording_is_as_before(tmp_path: Path) -> None:
+def test_the_simulation_gives_its_earlier_recording_again(tmp_path: Path) -> None:
     with h5py.File(HERE / RECORDING) as before, h5py.File(simulated(tmp_path)) as after:
         for path in ("two_point/resistance", "two_point/role", "truth/cell_resistance", "truth/pressure", "raw/sums"):
             assert relative_difference(before[f"entry/{path}"][()], after[f"entry/{path}"][()]) < CELLS, path

@@ -43,7 +43,7 @@ def test_equations_hold_in_a_solved_network(kind: str, shape: tuple[int, int]) -
 
 @pytest.mark.parametrize("kind", FORMULATIONS)
 @pytest.mark.parametrize("shape", SHAPES)
-def test_equations_leave_no_freedom(kind: str, shape: tuple[int, int]) -> None:
+def test_the_equations_leave_no_freedom(kind: str, shape: tuple[int, int]) -> None:
     """As many equations as potentials, linear and regular: solved for the potentials they give R = f(r)."""
     cells, tie, _ = solved(shape)
     function = functions(kind, shape)

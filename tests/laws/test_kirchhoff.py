@@ -45,7 +45,7 @@ def complex_step(cells: Array, cell: tuple[int, ...]) -> Array:
 
 
 @pytest.mark.parametrize("shape", SHAPES)
-def test_uniform_panel(shape: tuple[int, int]) -> None:
+def test_equal_cells_have_their_closed_form(shape: tuple[int, int]) -> None:
     rows, columns = shape
     expected = 3050 * (rows + columns - 1) / (rows * columns)
     assert_allclose(two_point_resistance(np.full(shape, 3050.0)), expected, rtol=1e-13)
@@ -54,7 +54,7 @@ def test_uniform_panel(shape: tuple[int, int]) -> None:
 
 @given(st.integers(1, 9), st.integers(1, 9), st.integers(0, 2**32 - 1))
 @QUICK
-def test_rank_one_panel(rows: int, columns: int, seed: int) -> None:
+def test_a_panel_of_rank_one_has_its_closed_form(rows: int, columns: int, seed: int) -> None:
     """g = a_j·b_k: R = 1/(a_j B) + 1/(b_k A) − 1/(A B)."""
     rng = np.random.default_rng(seed)
     a, b = 10 ** rng.uniform(-1, 1, rows), 10 ** rng.uniform(-1, 1, columns)
@@ -63,7 +63,7 @@ def test_rank_one_panel(rows: int, columns: int, seed: int) -> None:
 
 
 @pytest.mark.parametrize("columns", [1, 2, 3, 8])
-def test_two_rows(columns: int) -> None:
+def test_a_panel_of_two_rows_is_a_cell_beside_a_ladder(columns: int) -> None:
     """R_1k = r_1k ∥ (r_2k + 1/Σ_{q≠k} 1/(r_1q + r_2q))."""
     cells = random_panel((2, columns), 3)
     expected = np.empty((2, columns))
@@ -83,13 +83,13 @@ def test_single_line_shows_its_cells(shape: tuple[int, int]) -> None:
 
 @given(panels)
 @QUICK
-def test_foster(cells: Array) -> None:
+def test_conductance_times_resistance_adds_up_to_lines_minus_one_as_foster_proved(cells: Array) -> None:
     """Σ g R = M + N − 1."""
     assert np.sum(two_point_resistance(cells) / cells) == pytest.approx(sum(cells.shape) - 1, rel=1e-11)
 
 
 @pytest.mark.parametrize("shape", [(1, 3), (2, 2), (3, 5), (6, 4)])
-def test_gradient_of_log_determinant(shape: tuple[int, int]) -> None:
+def test_resistances_are_the_gradient_of_the_log_determinant(shape: tuple[int, int]) -> None:
     """R = ∇_g log det C, C the Laplacian without one line; the derivative by an imaginary increment."""
     cells = random_panel(shape, 5)
     expected = np.empty(shape)
@@ -103,7 +103,7 @@ def test_gradient_of_log_determinant(shape: tuple[int, int]) -> None:
 
 @given(panels)
 @QUICK
-def test_euler(cells: Array) -> None:
+def test_the_jacobian_times_the_cells_gives_the_resistances(cells: Array) -> None:
     """J r = R, since R is homogeneous of degree one."""
     assert_allclose(jacobian(cells) @ cells.ravel(), two_point_resistance(cells).ravel(), rtol=1e-10)
 
@@ -143,7 +143,7 @@ def test_sensitivities_lie_between_zero_and_one(cells: Array) -> None:
 
 @given(panels)
 @QUICK
-def test_bounds_of_two_point_resistance(cells: Array) -> None:
+def test_a_resistance_lies_between_its_cell_and_its_cell_beside_the_rest(cells: Array) -> None:
     """1/(g + ab/(a + b)) ≤ R ≤ r, a and b the rest of the row's and of the column's conductance."""
     conductance, resistance = 1 / cells, two_point_resistance(cells)
     row = conductance.sum(axis=1, keepdims=True) - conductance
@@ -167,7 +167,7 @@ def test_way_round_is_no_shorter(cells: Array) -> None:
 
 @given(panels, st.integers(0, 2**32 - 1))
 @QUICK
-def test_rayleigh_monotonicity(cells: Array, seed: int) -> None:
+def test_larger_cells_make_no_resistance_smaller(cells: Array, seed: int) -> None:
     rng = np.random.default_rng(seed)
     larger = cells * np.where(rng.random(cells.shape) < 0.3, rng.uniform(1, 100, cells.shape), 1.0)
     assert np.all(two_point_resistance(larger) >= two_point_resistance(cells) * (1 - 1e-12))
@@ -181,7 +181,7 @@ def test_scaling_by_powers_of_two_is_exact(cells: Array, power: int) -> None:
 
 @given(panels, st.randoms(use_true_random=False))
 @QUICK
-def test_permutation_and_transposition(cells: Array, random: object) -> None:
+def test_permuted_and_transposed_panels_have_permuted_and_transposed_resistances(cells: Array, random: object) -> None:
     rng = np.random.default_rng(random.randrange(2**32))  # type: ignore[attr-defined]
     rows, columns = (rng.permutation(size) for size in cells.shape)
     resistance = two_point_resistance(cells)
@@ -190,7 +190,7 @@ def test_permutation_and_transposition(cells: Array, random: object) -> None:
 
 
 @pytest.mark.parametrize("shape", [(2, 2), (3, 5), (6, 4)])
-def test_eigenvalues_of_the_uniform_jacobian(shape: tuple[int, int]) -> None:
+def test_the_jacobian_of_equal_cells_has_its_four_eigenvalues(shape: tuple[int, int]) -> None:
     """(M+N−1)/MN once; 1/N, M − 1 times; 1/M, N − 1 times; 2/MN, (M − 1)(N − 1) times."""
     m, n = shape
     expected = [(m + n - 1) / (m * n)] + [1 / n] * (m - 1) + [1 / m] * (n - 1) + [2 / (m * n)] * ((m - 1) * (n - 1))

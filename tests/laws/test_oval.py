@@ -45,7 +45,7 @@ def test_values_are_those_of_fine_sampling(seed: int) -> None:
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_slopes_are_differences(seed: int) -> None:
+def test_the_slopes_of_an_oval_are_its_differences(seed: int) -> None:
     disc, form = drawn(100 + seed)
     slopes, step = pressure_at_places(PANEL.places_mm, 6.0, disc, form)[1], 1e-6
     for slope, apart in zip(slopes, np.eye(12) * step, strict=True):

@@ -124,7 +124,7 @@ def test_slope_is_explained_by_curvature_and_pull(loss: Loss) -> None:
 
 
 @pytest.mark.parametrize("loss", [PseudoHuber(100.0), Cauchy(300.0)], ids=lambda loss: loss.kind)
-def test_formulations_agree(loss: Loss) -> None:
+def test_formulations_agree_on_an_own_loss(loss: Loss) -> None:
     found = [estimated(with_gradient(loss, 1e-5), formulation) for formulation in ("reduced", "nodal")]
     assert_allclose(found[0].cell_resistance, found[1].cell_resistance, rtol=1e-5)
     assert_allclose(deviation(found[0]), deviation(found[1]), rtol=1e-4)

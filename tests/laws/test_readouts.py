@@ -84,12 +84,12 @@ def size(values: Array) -> float:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_some_configuration_fits(kind: type) -> None:
+def test_some_configuration_of_every_kind_fits(kind: type) -> None:
     assert any(fits((Panel(*panel), readout)) for readout in examples(kind) for panel in PANELS)
 
 
 @every_scene
-def test_adjoint_is_the_transpose(scene: Scene) -> None:
+def test_the_adjoint_is_the_transpose(scene: Scene) -> None:
     """⟨w, J·p⟩ = ⟨Jᵀ·w, p⟩."""
     network, rng = network_of(scene, cells_of(scene)), np.random.default_rng(1)
     step, weights = rng.normal(size=(2, *scene.panel.shape))
@@ -98,7 +98,7 @@ def test_adjoint_is_the_transpose(scene: Scene) -> None:
 
 
 @every_scene
-def test_forward_is_the_derivative(scene: Scene) -> None:
+def test_the_forward_product_is_the_derivative(scene: Scene) -> None:
     """y(u + h·p) − y(u) − h·J·p falls as h²: a hundredfold where h falls tenfold."""
     readout, logarithm = scene.circuit, cells_of(scene)
     ties = readout.ties(np.exp(logarithm))
@@ -115,7 +115,7 @@ def test_forward_is_the_derivative(scene: Scene) -> None:
 
 
 @every_scene
-def test_second_order_is_the_derivative_of_the_adjoint(scene: Scene) -> None:
+def test_the_second_order_is_the_derivative_of_the_adjoint(scene: Scene) -> None:
     """d(Jᵀw) along p = H·p − Jᵀw∘p, by central differences."""
     readout, logarithm = scene.circuit, cells_of(scene)
     ties = readout.ties(np.exp(logarithm))
@@ -133,7 +133,7 @@ def test_second_order_is_the_derivative_of_the_adjoint(scene: Scene) -> None:
 
 
 @every_scene
-def test_parts_of_the_sensitivity(scene: Scene) -> None:
+def test_parts_of_the_sensitivity_are_those_of_the_whole(scene: Scene) -> None:
     network, cells = network_of(scene, cells_of(scene)), np.array([2, 3, 11])
     readings = np.array([0, 5, 9])
     whole = network.sensitivity()
@@ -156,7 +156,7 @@ def test_a_changed_block_is_the_network_of_the_changed_cells(scene: Scene) -> No
 
 
 @pytest.mark.parametrize("scene", [made for made in scenes() if made.values[0].contacts is not None])
-def test_what_contacts_do_is_the_derivative(scene: Scene) -> None:
+def test_the_response_to_contacts_is_the_derivative(scene: Scene) -> None:
     """∂y/∂c by central differences of a tenth of an ohm, of every line alone."""
     assert scene.contacts is not None
     readout, logarithm, shape = scene.circuit, cells_of(scene), scene.panel.shape
@@ -170,7 +170,7 @@ def test_what_contacts_do_is_the_derivative(scene: Scene) -> None:
 
 
 @every_scene
-def test_the_equation_says_what_the_network_reads(scene: Scene) -> None:
+def test_the_symbolic_equation_gives_the_reading_of_the_network(scene: Scene) -> None:
     """The symbolic form of the reading, at the impedances of a netlist that is solved here."""
     readout, cells = scene.circuit, np.exp(cells_of(scene))
     rows, columns = scene.panel.shape
@@ -186,7 +186,7 @@ def test_the_equation_says_what_the_network_reads(scene: Scene) -> None:
 
 
 @every_scene
-def test_simulates_what_its_network_reads(scene: Scene) -> None:
+def test_a_simulation_records_the_reading_of_the_network(scene: Scene) -> None:
     """Wire, contacts and lines that touch included: a kind that makes simulations its own must hand them on."""
     rows, columns = scene.panel.shape
     cells = np.exp(cells_of(scene))
@@ -196,7 +196,7 @@ def test_simulates_what_its_network_reads(scene: Scene) -> None:
 
 
 @every_scene
-def test_there_and_back(scene: Scene) -> None:
+def test_recorded_readings_and_volts_lead_back_to_the_reading(scene: Scene) -> None:
     """network ↔ recorded ↔ volt; what is recorded moves as `direction` says; σ is positive; bounds hold the cells."""
     readout, cells = scene.circuit, np.exp(cells_of(scene))
     reading = readout.exact_reading(cells, scene.wiring)
@@ -213,7 +213,7 @@ def test_there_and_back(scene: Scene) -> None:
 
 
 @every_scene
-def test_homogeneous_as_it_says(scene: Scene) -> None:
+def test_readings_grow_with_all_cells_where_the_kind_is_homogeneous(scene: Scene) -> None:
     """Readings grow with all cells by one factor exactly where the kind says so."""
     readout, logarithm = scene.circuit, cells_of(scene)
     once, thrice = (readout.exact_reading(factor * np.exp(logarithm)) for factor in (1, 3))

@@ -33,17 +33,17 @@ pressures = st.floats(-60, 500)
     ("pressure", "change"),
     [(-10, 6.54), (0, 0), (1, -0.192), (2.5, -0.48), (10, -0.6), (28, -0.888), (40, -0.94), (235, -0.98)],
 )
-def test_published_points(pressure: float, change: float) -> None:
+def test_the_published_curve_passes_through_its_points(pressure: float, change: float) -> None:
     assert relative_change_from_pressure(pressure) == pytest.approx(change, abs=1e-12)
 
 
 @given(pressures, st.floats(1e-6, 100))
-def test_strictly_falling(pressure: float, step: float) -> None:
+def test_a_response_falls_strictly(pressure: float, step: float) -> None:
     assert ratio_from_pressure(pressure + step) < ratio_from_pressure(pressure)
 
 
 @given(pressures)
-def test_inverse(pressure: float) -> None:
+def test_a_ratio_leads_back_to_its_pressure(pressure: float) -> None:
     assert PUBLISHED.pressure(PUBLISHED.logarithm(pressure)) == pytest.approx(pressure, abs=1e-9)
 
 
@@ -52,21 +52,21 @@ def test_inverse_from_the_other_side(ratio: float) -> None:
     assert ratio_from_pressure(PUBLISHED.pressure(np.log(ratio))) == pytest.approx(ratio, rel=1e-9)
 
 
-def test_continuous_at_the_joints() -> None:
+def test_a_response_is_continuous_at_its_joints() -> None:
     joints = np.array([0.0, 2.5, 28.0, 40.0])
     np.testing.assert_allclose(ratio_from_pressure(joints - 1e-9), ratio_from_pressure(joints + 1e-9), rtol=1e-8)
 
 
-def test_any_shape() -> None:
+def test_a_response_takes_arrays_of_any_shape() -> None:
     assert ratio_from_pressure(np.zeros((2, 3, 4))).shape == (2, 3, 4)
 
 
 @given(st.floats(-700, 700))
-def test_inverse_in_logarithms(logarithm: float) -> None:
+def test_a_logarithm_leads_back_to_its_pressure(logarithm: float) -> None:
     assert PUBLISHED.logarithm(PUBLISHED.pressure(logarithm)) == pytest.approx(logarithm, abs=1e-9)
 
 
-def test_ends_of_the_logarithm() -> None:
+def test_infinite_logarithms_give_infinite_pressures() -> None:
     ends = PUBLISHED.pressure(np.array([-np.inf, np.inf, np.nan, 0.0]))
     np.testing.assert_array_equal(ends, [np.inf, -np.inf, np.nan, 0.0])
 
@@ -155,7 +155,7 @@ def test_a_table_goes_through_its_points_and_its_uncertainty_into_pressures() ->
         ({"pressure_kpa": (0, 1), "resistance_ohm": (3, 2), "gain": ((0.0,),)}, "gain must be positive"),
     ],
 )
-def test_no_response(given: dict[str, Any], words: str) -> None:
+def test_a_table_that_is_no_response_is_refused(given: dict[str, Any], words: str) -> None:
     with pytest.raises(ValueError, match=words):
         TableResponse(**given)
 

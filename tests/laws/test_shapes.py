@@ -87,7 +87,7 @@ def test_a_known_load_presses_with_its_force(
 
 
 @pytest.mark.parametrize("kind", SHAPES)
-def test_moves_with_its_centre(kind: type[Shape]) -> None:
+def test_the_pressure_of_a_shape_moves_with_its_centre(kind: type[Shape]) -> None:
     here = dataclasses.replace(load_of(kind), centre_mm=(33.0, 44.0))
     there = dataclasses.replace(here, centre_mm=(53.0, 34.0))
     for before, after in zip(here.mean_pressure(PANEL, 6), there.mean_pressure(PANEL, 6), strict=True):

@@ -204,7 +204,9 @@ def test_weight_must_be_finite_and_not_negative(kind: str, weight: float) -> Non
 @pytest.mark.parametrize("frames", [1, 2])
 @pytest.mark.parametrize("loss", LOSSES, ids=lambda loss: loss.kind)
 @pytest.mark.parametrize(("term", "words"), VARIANTS)
-def test_first_derivative(term: type[Term], words: dict[str, Any], loss: Loss, frames: int) -> None:
+def test_the_gradient_is_the_derivative_of_the_cost(
+    term: type[Term], words: dict[str, Any], loss: Loss, frames: int
+) -> None:
     """∂φ/∂log r along random directions against central differences of φ, of fourth order."""
     cost = Cost(PANEL, (term(weight=0.7, loss=loss, **words),), frames)
     data, cells = example(frames)
@@ -231,7 +233,9 @@ def test_first_derivative(term: type[Term], words: dict[str, Any], loss: Loss, f
 @pytest.mark.parametrize("formulation", FORMULATIONS)
 @pytest.mark.parametrize("loss", LOSSES, ids=lambda loss: loss.kind)
 @pytest.mark.parametrize(("term", "words"), VARIANTS)
-def test_second_derivative(term: type[Term], words: dict[str, Any], loss: Loss, formulation: str, frames: int) -> None:
+def test_the_hessian_is_the_derivative_of_the_gradient(
+    term: type[Term], words: dict[str, Any], loss: Loss, formulation: str, frames: int
+) -> None:
     """The program's Hessian of its Lagrangian against central differences of the Lagrangian's gradient."""
     program = Program.build(
         Cost(PANEL, (Misfit(), term(weight=0.7, loss=loss, **words)), frames),
@@ -262,7 +266,9 @@ def test_second_derivative(term: type[Term], words: dict[str, Any], loss: Loss, 
 @pytest.mark.parametrize("frames", [1, 2])
 @pytest.mark.parametrize("loss", LOSSES, ids=lambda loss: loss.kind)
 @pytest.mark.parametrize(("term", "words"), VARIANTS)
-def test_second_derivative_without_potentials(term: type[Term], words: dict[str, Any], loss: Loss, frames: int) -> None:
+def test_the_reduced_hessian_is_the_derivative_of_the_reduced_gradient(
+    term: type[Term], words: dict[str, Any], loss: Loss, frames: int
+) -> None:
     """∇²φ in log r, as a matrix and as a product, against central differences of ∇φ; absolute losses are smoothed."""
     cost = Cost(PANEL, (Misfit(), term(weight=0.7, loss=loss, **words)), frames)
     data, cells = example(frames)
@@ -418,7 +424,7 @@ def test_losses_are_finite_far_out(loss: Loss) -> None:
 
 
 @pytest.mark.parametrize("loss", LOSSES, ids=lambda loss: loss.kind)
-def test_lowered_is_the_loss(loss: Loss) -> None:
+def test_the_least_of_the_lowered_objective_is_the_loss(loss: Loss) -> None:
     """The least of the lowered objective over p, q ≥ 0 is weight·loss; the start lies inside; duals are slopes."""
     weight, unit, x = 0.7, 25.0, np.array([-3.0, -1.0, -0.4, 0.2, 1.7]) * CORNER
     lowered = loss.lowered(casadi.SX(x), casadi.SX(np.full(5 if loss.enters == "dual" else 1, weight)), casadi.SX(unit))

@@ -189,7 +189,7 @@ def test_samples_agree_with_matrices_along_a_sequence(monkeypatch: pytest.Monkey
     assert_allclose(sampled.cell_resistance, dense.cell_resistance, rtol=0.05)
 
 
-def test_formulations_agree() -> None:
+def test_formulations_agree_on_an_arrival() -> None:
     first, *others = (estimated(walk(3, 2.0, 3), Arrival(), formulation=name) for name in ("reduced", *FORMULATIONS))
     for other in others:
         assert_allclose(other.cell_resistance, first.cell_resistance, rtol=1e-3)
@@ -222,7 +222,7 @@ def test_bars_know_what_huber_holds_back() -> None:
     assert np.mean(inside) > 0.8
 
 
-def test_needs_the_noise() -> None:
+def test_an_arrival_needs_the_noise() -> None:
     recording = replace(scene("rod", 0, 3), sigma=None)
     for misfit in (Misfit(), Misfit(weighting="noise")):
         with pytest.raises(InputError, match="needs"):
@@ -230,12 +230,12 @@ def test_needs_the_noise() -> None:
 
 
 @pytest.mark.parametrize("options", [{"error_bars": False}, {"formulation": "region"}])
-def test_needs_error_bars(options: dict[str, Any]) -> None:
+def test_an_arrival_needs_error_bars(options: dict[str, Any]) -> None:
     with pytest.raises(ValueError, match="arrival weighs frames by their error bars"):
         Estimator((Misfit(weighting="noise"), Arrival()), **options)
 
 
-def test_needs_readings() -> None:
+def test_an_arrival_needs_readings() -> None:
     with pytest.raises(ValueError, match="arrival needs the term misfit"):
         Estimator((Arrival(),))
 

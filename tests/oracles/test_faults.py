@@ -139,7 +139,7 @@ def test_saturated_codes_are_bounds() -> None:
         (Faults(dead_rows=tuple(range(6))), "nothing is left"),
     ],
 )
-def test_impossible_faults(faults: Faults, sentence: str) -> None:
+def test_impossible_faults_are_refused(faults: Faults, sentence: str) -> None:
     with pytest.raises(ValueError, match=sentence):
         Scene(Panel(*SHAPE), None, 0.0, faults)
 

@@ -115,7 +115,7 @@ def test_joint_objective_is_the_papers(paper: SimpleNamespace, method: str, shap
 @pytest.mark.slow
 @pytest.mark.parametrize("shape", [(3, 3), (5, 8), (8, 4)])
 @pytest.mark.parametrize("method", WEIGHTS)
-def test_formulations_agree(method: str, shape: tuple[int, int]) -> None:
+def test_formulations_agree_on_the_optimum(method: str, shape: tuple[int, int]) -> None:
     recorded = recording(truth(shape, 3, 3), 2e-3, unloaded=1)
     first, *others = (reconstruct(recorded, estimator(method, formulation=name)) for name in FORMULATIONS)
     assert others

@@ -35,7 +35,7 @@ def log_change(pressure: Array, scene: Scene) -> Array:
 
 
 @pytest.mark.parametrize("name", SCENES)
-def test_round_trip(name: str) -> None:
+def test_pressures_come_back_from_their_cells(name: str) -> None:
     pressure = np.linspace(-20, 235, 2001)[:, None, None] * np.ones((4, 3))
     ratio = np.exp(log_change(pressure, SCENES[name]))
     found = pressure_of(ratio, ratio, ratio, SCENES[name])
@@ -104,7 +104,7 @@ def test_water_takes_from_the_range_and_from_the_sensitivity() -> None:
     assert np.all(unknowing.pressure < pressure)
 
 
-def test_flags() -> None:
+def test_pressures_are_flagged_where_the_curve_ends() -> None:
     pressure = np.array([-10.5, -9.0, -8.0, 0.0, 20.0, 30.9, 31.5, 200.0])[:, None, None] * np.ones((4, 3))
     ratio = np.exp(log_change(pressure, AIR))
     flags = pressure_of(ratio, ratio, ratio, AIR).saturated
@@ -140,7 +140,7 @@ def test_failed_frames_stay_empty() -> None:
 
 
 @pytest.mark.parametrize(("ratio", "lower", "upper"), [(0.0, 0.0, 1.0), (1.0, 1.1, 2.0), (np.inf, 1.0, np.inf)])
-def test_impossible_ratios(ratio: float, lower: float, upper: float) -> None:
+def test_impossible_ratios_are_refused(ratio: float, lower: float, upper: float) -> None:
     values = [np.full((1, 4, 3), value) for value in (ratio, lower, upper)]
     with pytest.raises(ValueError, match="positive, finite and within"):
         pressure_of(*values, AIR)
@@ -163,7 +163,7 @@ def test_scene_with_and_without_the_new_keys() -> None:
         ("temperature: {coefficient_per_kelvin: 0, baseline_celsius: 20, measured_celsius: -300}", "measured_celsius"),
     ],
 )
-def test_wrong_scenes(key: str, message: str) -> None:
+def test_a_scene_with_impossible_keys_is_refused(key: str, message: str) -> None:
     with pytest.raises(InputError, match=message):
         validated(parse_document(f"panel: {{rows: 4, columns: 3}}\n{key}", "scene"), Scene)
 

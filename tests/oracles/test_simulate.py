@@ -131,7 +131,7 @@ def test_force_on_a_fine_panel(load: Shape, force_mn: float) -> None:
     assert (contact + suction).sum() * area == pytest.approx(force_mn, abs=2e-3 * scale)
 
 
-def test_patches_average() -> None:
+def test_a_patch_has_the_mean_of_its_pressure() -> None:
     """A patch half under a big straight edge sees half the pressure."""
     rod = Rod(kind="rod", centre_mm=(-10_000, 10), diameter_mm=20_020, mass_g=1e6)
     contact, _ = rod.mean_pressure(Panel(3, 3), 6)

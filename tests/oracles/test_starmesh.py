@@ -241,7 +241,7 @@ def test_laws_hold_to_the_last_digits_at_any_contrast() -> None:
 
 
 @pytest.mark.parametrize("decades", [0, 15])
-def test_hundred_by_hundred(decades: float) -> None:
+def test_a_panel_of_hundred_by_hundred_keeps_its_digits(decades: float) -> None:
     """All pairs for a small multiple of one inverse, where an elimination for every pair would take minutes."""
     for name, cells in structured((100, 100), np.random.default_rng(13), decades):
         begin = time.process_time()

@@ -139,7 +139,7 @@ NEW = [
 
 
 @pytest.mark.parametrize("term", NEW, ids=lambda term: f"{term.kind}-{term.loss.kind}")
-def test_formulations_agree(term: AnyTerm) -> None:
+def test_formulations_agree_on_every_term(term: AnyTerm) -> None:
     """The baseline reaches every solver, in the joint pair and after it."""
     recorded = scene(ROD, 3, 0.3, 5)
     small = replace(

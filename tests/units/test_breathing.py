@@ -90,7 +90,7 @@ def test_waves_are_none_and_hide_none(seed: int) -> None:
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_noise_is_none(seed: int) -> None:
+def test_noise_is_no_breathing(seed: int) -> None:
     found = window(seed=seed)
     assert found.odds < 0
 

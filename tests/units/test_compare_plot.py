@@ -108,7 +108,7 @@ def test_many_recordings_are_summed_up() -> None:
     assert line["solved"] == "21/21"
 
 
-def test_csv(tmp_path: Path) -> None:
+def test_the_table_is_written_as_csv(tmp_path: Path) -> None:
     for name in ("one.h5", "two.h5"):
         write_results(tmp_path / name, [invented_case(method) for method in METHODS], PUBLISHED)
     rows = compare_files([tmp_path / "one.h5", tmp_path / "two.h5"])
@@ -158,7 +158,7 @@ def test_the_frame_that_most_estimators_solved() -> None:
 
 
 @pytest.mark.slow
-def test_where_pictures_go(tmp_path: Path) -> None:
+def test_pictures_go_where_they_are_asked_to(tmp_path: Path) -> None:
     write_results(tmp_path / "one.h5", [invented_case("LSM", shape=(1, 3, 3))])
     two = [invented_case("LSM", stem, (1, 3, 3)) for stem in ("a", "b")]
     write_results(tmp_path / "two.h5", two)
@@ -174,7 +174,7 @@ def test_where_pictures_go(tmp_path: Path) -> None:
         plot_results(tmp_path / "two.h5", tmp_path / "x.png", recordings=["c"])
 
 
-def test_all_frames_failed(tmp_path: Path) -> None:
+def test_results_without_a_solved_frame_are_compared(tmp_path: Path) -> None:
     case = invented_case("LSM", failed=(0, 1, 2))
     write_results(tmp_path / "r.h5", [dataclasses.replace(case, baseline_resistance=np.full((10, 10), np.nan))])
     assert plot_results(tmp_path / "r.h5")
@@ -199,7 +199,7 @@ def test_an_optimum_is_called_local_with_its_starts(tmp_path: Path) -> None:
     assert told.count("local optima") == 1
 
 
-def test_describe(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_description_names_the_cases(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("COLUMNS", "100")
     write_results(tmp_path / "r.h5", [invented_case(name) for name in METHODS], PUBLISHED)
     lines = describe(tmp_path / "r.h5")

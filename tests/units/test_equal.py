@@ -66,7 +66,9 @@ def gone(dataset: h5py.Dataset) -> None:
         ("cost/misfit", gone, True),
     ],
 )
-def test_what_counts(pair: tuple[Path, Path], path: str, change: Callable[[h5py.Dataset], None], alike: bool) -> None:
+def test_a_difference_of_cells_or_statuses_counts(
+    pair: tuple[Path, Path], path: str, change: Callable[[h5py.Dataset], None], alike: bool
+) -> None:
     assert equal(*pair, 0.0)
     with h5py.File(pair[1], "a") as file:
         change(file[f"{BASE}/{path}"])
@@ -94,7 +96,7 @@ def test_relative_difference_of_odd_values() -> None:
     assert relative_difference([1.0, np.nan], [1.0, 2.0]) == np.inf
 
 
-def test_exit_code(pair: tuple[Path, Path]) -> None:
+def test_the_exit_code_says_whether_all_is_equal(pair: tuple[Path, Path]) -> None:
     def code(*words: object) -> int:
         program = [sys.executable, "-m", "tests.studies.equal", *map(str, words)]
         return subprocess.run(program, cwd=Path(__file__).parents[2], capture_output=True).returncode

@@ -96,7 +96,7 @@ def test_what_is_on_the_panel_in_a_word(change: dict[tuple[int, int], float], ve
     assert verdict_of(now, resting, ratio, open_cell) == verdict
 
 
-def test_history_ends_somewhere() -> None:
+def test_the_history_keeps_its_newest_points() -> None:
     nothing = np.full((1, 1), np.nan)
     view = View("here", "LSM", "receiving", Panel(1, 1))
     for number in range(1, POINTS + 50):

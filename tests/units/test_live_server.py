@@ -192,12 +192,12 @@ def test_an_address_in_use_is_one_sentence(page: SimpleNamespace) -> None:
 
 
 @pytest.mark.parametrize("text", ["", "8137", "127.0.0.1", "127.0.0.1:x", "host:80", "127.0.0.1:70000", ":80"])
-def test_addresses_that_are_none(text: str) -> None:
+def test_an_address_that_is_none_is_refused(text: str) -> None:
     with pytest.raises(InputError, match="not of the form HOST:PORT"):
         address(text)
 
 
-def test_addresses() -> None:
+def test_an_address_is_a_host_and_a_port() -> None:
     assert address("localhost:0") == ("127.0.0.1", 0)
     assert address("[::1]:81") == ("::1", 81)
     shown = Newest(View("here", "LSM", "receiving"))

@@ -36,7 +36,7 @@ def case_with_pressure(shape: tuple[int, int, int] = (3, 10, 10), sd: float = 0.
 @pytest.mark.parametrize(
     ("shape", "sd"), [((3, 10, 10), 0.1), ((1, 1, 1), 0.0), ((1, 1, 7), np.inf), ((2, 5, 1), 0.1), ((1, 24, 16), 1.0)]
 )
-def test_every_shape(tmp_path: Path, shape: tuple[int, int, int], sd: float) -> None:
+def test_pressures_of_every_shape_are_drawn(tmp_path: Path, shape: tuple[int, int, int], sd: float) -> None:
     case = case_with_pressure(shape, sd)
     for name in ("first.png", "second.png"):
         save(PressurePlot().draw((case,)), tmp_path / name)
@@ -52,7 +52,7 @@ def test_units_and_frame_are_told() -> None:
     assert "frame 6 at 6 s" in figure.get_suptitle()
 
 
-def test_nothing_to_draw() -> None:
+def test_nothing_to_draw_is_one_sentence() -> None:
     case = case_with_pressure()
     with pytest.raises(InputError, match="frame 99 has no results"):
         PressurePlot(99).draw((case,))

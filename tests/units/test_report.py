@@ -102,7 +102,7 @@ def test_what_comes_from_files_is_text() -> None:
 
 
 @pytest.mark.parametrize("shape", [(1, 4, 4), (2, 1, 1), (2, 1, 7), (2, 7, 1), (2, 2, 30)])
-def test_every_shape(shape: tuple[int, int, int]) -> None:
+def test_a_report_of_every_shape_is_written(shape: tuple[int, int, int]) -> None:
     page = Page(report(batch(*(certain(invented_case(method, shape=shape)) for method in METHODS[:2]))))
     assert all(method in page.text for method in METHODS[:2])
 
