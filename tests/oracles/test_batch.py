@@ -141,3 +141,15 @@ def test_a_cell_at_a_bound_gets_its_bars_alone() -> None:
     lower, upper = batch.log_bounds
     at_bound = ((ended.points.position <= lower) | (ended.points.position >= upper)).any(axis=1)
     assert at_bound.any() and not BatchErrors.inside(ended.points)[at_bound].any()
+
+
+def test_inputs_that_nobody_gives_stand_as_absent_for_every_panel() -> None:
+    estimator, readings = Estimator((Misfit(),), "reduced"), frames(0.0)
+    data = estimator.data(readings, Background(SCENE, 1.0, None, None, None))
+    cost = estimator.cost(SCENE, 1, data.partial)
+    named = PanelBatch(cost, np.tile(cost.weights, (PANELS, 1)), data).named
+    sources, given = dict(data.given.sources()), dict(data.given.named())
+    missing = sources.keys() - given.keys()
+    assert missing
+    for name in missing:
+        assert named[name].size and np.all(named[name] == sources[name].absent), name

@@ -1,5 +1,6 @@
 """The preparation of a recording."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -8,6 +9,7 @@ import lampest
 from lampest.cost.terms import LogGradient, Misfit
 from lampest.estimate import prepared as preparation
 from lampest.estimate.estimator import Estimator
+from lampest.estimate.model_check import ModelCheck
 from lampest.estimate.prepared import Prepared
 from lampest.estimate.sequence import reconstruct
 from lampest.files.errors import InputError
@@ -38,6 +40,20 @@ def test_estimates_detection_and_warnings_share_one_preparation(steps: list[str]
         assert found.model_check is prepared.check
     known_of(prepared)
     assert sorted(steps) == sorted(STEPS)
+
+
+@pytest.mark.parametrize("with_readout", [True, False])
+@pytest.mark.parametrize("explains", [True, False, None])
+def test_a_check_that_explains_adds_the_numbers_that_no_frame_shows(explains: bool | None, with_readout: bool) -> None:
+    recording = lampest.Recording.load(Path("data/lamprey_35mm.h5"))
+    scene = recording.scene if with_readout else replace(recording.scene, readout=None)
+    prepared = Prepared(replace(recording, scene=scene, raw_sums=None))
+    prepared.__dict__["_check"] = ModelCheck(explains, "as it stands")
+    sentence = prepared.check.sentence
+    if explains and with_readout:
+        assert sentence.startswith("as it stands; no frame shows the numbers")
+    else:
+        assert sentence == "as it stands"
 
 
 def test_what_is_no_recording_is_refused() -> None:
