@@ -5,6 +5,7 @@
 #   make test      set-up with what tests need, then the tests that guard behaviour, the board's, and a choice of the rest: some minutes
 #   make test-all  all tests: those of `make test`, then the others, which carry the mark `slow`
 #   make quick     the tests that notice most in half a minute: laws, golden results, defaults, import, wrong input; Python alone
+#   make mutants   60 random changes of the package, and which of them no fast test notices: an hour or more
 #   make lint      style and types
 #   make docs      set-up, then the pages as a site: docs/_build/html/index.html; what they show is run for it
 #   make studies  every command of docs/studies, one after the other: hours; what they print is in results/studies/
@@ -45,6 +46,9 @@ test-all: test
 
 quick: $(VENV)/.installed-dev
 	@$(PYTEST) $(SPREAD) -m 'not slow' $(QUICK)
+
+mutants: $(VENV)/.installed-dev
+	@$(BIN)/python -m tests.mutation
 
 lint: $(VENV)/.installed-dev
 	@$(BIN)/ruff check .
@@ -102,4 +106,4 @@ clean:
 	rm -rf $(VENV) build docs/_build *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
 	@$(MAKE) --silent --no-print-directory -C firmware clean
 
-.PHONY: install run test test-all quick lint docs studies lock licences audit board-packages clean
+.PHONY: install run test test-all quick mutants lint docs studies lock licences audit board-packages clean

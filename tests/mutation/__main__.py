@@ -4,9 +4,9 @@ python -m tests.mutation                               # 60 mutants of the whole
 python -m tests.mutation --count 20 --room lampest/posterior --seed 2
 python -m tests.mutation --guards                      # which test file guards which module, as a table
 
-The fast tests first run once, in a copy of the checkout, and record the functions that each of them calls; a mutant is
-then held against the tests that call its function, the shortest of every file first, until one fails. A mutant whose
-tests take more than three times their usual time counts as noticed.
+It runs at low priority. The fast tests first run once, in a copy of the checkout, and record the functions that each
+of them calls. A mutant is then held against the tests that call its function, the shortest of every file first, until
+one fails. A mutant whose tests take more than three times their usual time counts as noticed.
 """
 
 import argparse
@@ -50,9 +50,8 @@ def run_tests(copy: Path, *options: str, seconds: float | None = None, **variabl
     """Run pytest on the copy and return its exit code, None when it takes longer than the given time."""
     environment = os.environ | {"PYTHONPATH": str(copy), "PYTHONDONTWRITEBYTECODE": "1"} | variables
     command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-m", "not slow", *options]
-    with subprocess.Popen(
-        command, cwd=copy, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True
-    ) as process:
+    silent = {"stdin": subprocess.DEVNULL, "stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    with subprocess.Popen(command, cwd=copy, env=environment, start_new_session=True, **silent) as process:
         try:
             return process.wait(seconds)
         except subprocess.TimeoutExpired:
@@ -150,6 +149,7 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--guards", action="store_true", help="print the table of guards alone")
     arguments = parser.parse_args()
+    os.nice(10)
     with copied_checkout() as copy:
         tests = recorded_tests(copy)
         if arguments.guards:
