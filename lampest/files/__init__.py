@@ -1,1 +1,1 @@
-"""Files and what every room needs of them: input errors, whole files, HDF5, YAML documents, sweeps, unions by kind."""
+"""Foundations of every room: input errors, whole files, HDF5, YAML documents, sweeps, unions by kind."""

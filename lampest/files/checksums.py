@@ -1,4 +1,4 @@
-"""Whether a file holds what was written: HDF5's own checksums, and digests where they do not reach.
+"""Integrity of HDF5 files: HDF5's own checksums, and SHA-256 digests of values that these do not cover.
 
 A file whose writer was killed says for ever that it is being written (SWMR). HDF5 would open it as one that grows, and
 wait without end for a checksum that is wrong; `Closed` shows it as if it had been closed.
@@ -26,7 +26,7 @@ SUPERBLOCK = struct.Struct("<8sBBBBQQQQI")
 
 @contextmanager
 def located(file: h5py.File, path: str) -> Iterator[None]:
-    """Turns what the library says of a damaged place into one InputError that names it."""
+    """Turn any exception of the library about a damaged object into one InputError that names the object."""
     try:
         yield
     except InputError:
@@ -37,12 +37,12 @@ def located(file: h5py.File, path: str) -> Iterator[None]:
 
 
 def digest_of(values: NDArray[Any]) -> str:
-    """SHA-256 of all bytes."""
+    """Return the SHA-256 of all bytes of an array."""
     return hashlib.sha256(values.tobytes()).hexdigest()
 
 
 def check_digest(dataset: h5py.Dataset, values: Any) -> None:
-    """Raise ValueError where all values of a dataset are not those of its digest; those in chunks have none."""
+    """Raise ValueError if the values of a contiguous dataset differ from its digest; chunks have checksums."""
     if dataset.chunks is not None or DIGEST not in dataset.attrs:
         return
     if digest_of(np.asarray(values, dataset.dtype)).encode() != dataset.attrs[DIGEST]:
@@ -50,16 +50,16 @@ def check_digest(dataset: h5py.Dataset, values: Any) -> None:
 
 
 def check_attribute(attributes: Any, name: str, value: Any) -> None:
-    """Raise ValueError where an attribute is not that of the digest beside it; small ones have none."""
+    """Raise ValueError if an attribute differs from its digest; small attributes have none."""
     beside = f"{name}_{DIGEST}"
     if beside in attributes and digest_of(np.asarray(value)).encode() != attributes[beside]:
         raise ValueError("value and checksum differ")
 
 
 def read_through(file: h5py.File) -> tuple[int, bool]:
-    """(number of datasets, whether checksums vouch for all of the file), read to the last value.
+    """Read all values of a file; return the number of datasets, and whether checksums cover all of the file.
 
-    Raises InputError with the path of the dataset that is not what was written.
+    Raises InputError with the path of the first damaged dataset.
     """
     vouched, datasets = [], 0
     for path, node in _all_below(file, "/"):
@@ -74,7 +74,7 @@ def read_through(file: h5py.File) -> tuple[int, bool]:
 
 
 def _all_below(file: h5py.File, path: str) -> Iterator[tuple[str, Any]]:
-    """(path, group or dataset) of a group and all that it holds, but for what lies in other files."""
+    """Yield (path, group or dataset) of a group and of everything within it; links to other files are not followed."""
     with located(file, path):
         group = file[path]
         links = {name: group.get(name, getlink=True) for name in group}
@@ -90,7 +90,7 @@ def _all_below(file: h5py.File, path: str) -> Iterator[tuple[str, Any]]:
 
 
 def _read_values(dataset: h5py.Dataset) -> bool:
-    """Read all values, part by part; whether a checksum vouches for them."""
+    """Read all values chunk by chunk; return whether a checksum covers them."""
     for part in dataset.iter_chunks() if dataset.chunks else ((),):
         check_digest(dataset, dataset[part])
     compact = dataset.id.get_create_plist().get_layout() == h5py.h5d.COMPACT
@@ -98,7 +98,7 @@ def _read_values(dataset: h5py.Dataset) -> bool:
 
 
 def is_left_open(path: Path) -> bool:
-    """Whether a file's superblock is whole and says that the file is being written."""
+    """Return whether a file has an intact superblock that marks it as being written."""
     with path.open("rb") as stream:
         head = stream.read(SUPERBLOCK.size)
     return (
@@ -109,14 +109,14 @@ def is_left_open(path: Path) -> bool:
 
 
 def bytes_beyond(path: Path) -> int:
-    """How many bytes a closed file has behind the end that its superblock states."""
+    """Return the number of bytes after the end that the superblock of a closed file states."""
     with path.open("rb") as stream:
         head = SUPERBLOCK.unpack(stream.read(SUPERBLOCK.size))
     return 0 if head[1] < 2 or head[4] & 4 else path.stat().st_size - int(head[7])
 
 
 class Closed(io.FileIO):
-    """A file that was left open as if it had been closed; what is on the disk stays."""
+    """A file that was left open, read as if it had been closed; the file on the disk stays unchanged."""
 
     def __init__(self, path: Path) -> None:
         super().__init__(path, "rb")
@@ -127,11 +127,11 @@ class Closed(io.FileIO):
         self._path = path
 
     def __repr__(self) -> str:
-        """What h5py calls the file."""
+        """Return the name that h5py shows for the file."""
         return str(self._path)
 
     def readinto(self, buffer: Any) -> int | None:
-        """Bytes from where the file stands, the superblock as of a closed file."""
+        """Read bytes from the current position; the superblock reads as that of a closed file."""
         begin, count = self.tell(), super().readinto(buffer)
         head = self._head[begin : begin + (count or 0)]
         memoryview(buffer).cast("B")[: len(head)] = head
@@ -139,7 +139,7 @@ class Closed(io.FileIO):
 
 
 def lookup3(superblock: bytes) -> int:
-    """HDF5's checksum of the first 44 bytes. Source: Jenkins, lookup3.c, 2006."""
+    """Return HDF5's checksum of the first 44 bytes. Source: Jenkins, lookup3.c, 2006."""
     words: tuple[int, ...] = struct.unpack("<11I", superblock[:44])
     a = b = c = 0xDEADBEEF + 44
     for first in range(0, 9, 3):

@@ -23,16 +23,16 @@ from ruamel.yaml.error import MarkedYAMLError, YAMLError
 from lampest.files.errors import InputError, in_words, meant
 from lampest.files.whole import note_read
 
-DEEPEST = 50  # brackets within brackets: the parser's time grows with their square
-MOST_BYTES = 100_000  # of a text, which take up to 4 s; and so many values at most
-# In any unit: what is smaller or larger is no measure of anything, and loses its digits as soon as it is squared.
+MAX_DEPTH = 50  # nested brackets: the parser's time grows with the square (tests/fuzz)
+MAX_SIZE = 100_000  # bytes of a text, parsed within 4 s, and values of a document (tests/fuzz)
+# Range of physical quantities in any unit: numbers beyond it lose their digits when they are squared.
 SMALLEST, LARGEST = 1e-30, 1e30
 NO_MEASURE = f"must be zero or lie between {SMALLEST:g} and {LARGEST:g}, whatever its sign"
-WITHOUT_UNIT = ("seed",)  # keys whose numbers measure nothing
+WITHOUT_UNIT = ("seed",)  # keys of numbers that are no physical quantity
 SHOULD_BE = "Input should be "
 UNKNOWN = "no such key"
-TABLES = (("panel", "cells"), ("scene", "panel", "cells"))  # which a file of their own may hold
-OF_TAGS = ("union_tag_not_found", "model_attributes_type")  # beside what says which objects are meant
+TABLES = (("panel", "cells"), ("scene", "panel", "cells"))  # entries that may name a file
+OF_TAGS = ("union_tag_not_found", "model_attributes_type")  # faults that repeat another fault of the same union
 UNKNOWN_KEY = ("extra_forbidden", "unexpected_keyword_argument")
 
 
@@ -45,7 +45,7 @@ class Document:
     marks: Any
 
     def position(self, location: tuple[int | str, ...]) -> str:
-        """'file:line:column' of the deepest part of `location` that the text holds."""
+        """Return 'file:line:column' of the deepest part of `location` that the text holds."""
         node, line, column = self.marks, 0, 0
         for part in location:
             if isinstance(node, CommentedMap) and part in node:
@@ -58,12 +58,12 @@ class Document:
         return f"{self.source}:{line + 1}:{column + 1}"
 
     def error(self, location: tuple[int | str, ...], message: str) -> InputError:
-        """The sentence for a fault at `location`, for the caller to raise."""
+        """Return the error of a fault at `location`, for the caller to raise."""
         path = ".".join(str(part) for part in location)
         return InputError(f"{self.position(location)}: {path + ': ' if path else ''}{message}")
 
     def with_value(self, path: Sequence[str | int], value: Any) -> "Document":
-        """A copy whose entry at `path` (keys of mappings, indices of lists) is `value`; missing mappings are made.
+        """Return a copy with `value` at `path` (keys of mappings, indices of lists); missing mappings are made.
 
         Raises InputError where the path leads nowhere.
         """
@@ -72,7 +72,7 @@ class Document:
         for depth, part in enumerate(path):
             index = place_in(node, part)
             if index is None or (isinstance(node, list) and index >= len(node)):
-                dotted = ".".join(str(one) for one in path)
+                dotted = ".".join(map(str, path))
                 raise self.error((), f"no such place: '{dotted}' is not found in this document")
             if depth == len(path) - 1:
                 node[index] = value
@@ -82,13 +82,13 @@ class Document:
 
 
 def place_in(node: Any, part: str | int) -> Any:
-    """`part` of a dotted path as a key of `node`: a word in a mapping, a number in a list, None elsewhere."""
+    """Return a part of a dotted path as a key of `node`: a word in a mapping, an index in a list, None elsewhere."""
     number = isinstance(node, list) and str(part).isascii() and str(part).isdigit()
     return part if isinstance(node, dict) else int(part) if number else None
 
 
 def read_document(path: Path, settings: Sequence[str] = ()) -> Document:
-    """Parse a YAML file, its tables too, and set `PATH=VALUE` entries. Raises InputError where that cannot be done."""
+    """Parse a YAML file with its tables, and set `PATH=VALUE` entries. Raises InputError."""
     document = parse_document(_text_of(path), str(path))
     for setting in settings:
         key, separator, value = setting.partition("=")
@@ -101,7 +101,7 @@ def read_document(path: Path, settings: Sequence[str] = ()) -> Document:
 
 
 def _with_table(document: Document, place: tuple[str, ...]) -> Document:
-    """The document with the rows of the table that stands at a place by its name, relative to the document."""
+    """Return the document with the table that an entry names, relative to the document, in place of its name."""
     value = document.content
     for key in place:
         value = value.get(key) if isinstance(value, dict) else None
@@ -120,14 +120,14 @@ def _with_table(document: Document, place: tuple[str, ...]) -> Document:
 def _text_of(path: Path) -> str:
     try:
         with path.open("rb") as stream:
-            content = stream.read(MOST_BYTES + 1)
+            content = stream.read(MAX_SIZE + 1)
         note_read(path)
     except OSError as error:
         raise InputError(f"{path}: {error.strerror}") from error
     except ValueError as error:  # a zero byte
         raise InputError(f"{path}: no such file") from error
-    if len(content) > MOST_BYTES:
-        raise InputError(f"{path}: larger than {MOST_BYTES} bytes, which no configuration is")
+    if len(content) > MAX_SIZE:
+        raise InputError(f"{path}: larger than {MAX_SIZE} bytes, which no configuration is")
     try:
         return content.decode("utf-8")
     except UnicodeDecodeError as error:
@@ -136,11 +136,11 @@ def _text_of(path: Path) -> str:
 
 def parse_document(text: str, source: str) -> Document:
     """Parse YAML 1.2 text; duplicate keys, tags and more than one document are errors. Raises InputError."""
-    if len(text) > MOST_BYTES:
-        raise InputError(f"{source}: larger than {MOST_BYTES} characters, which no configuration is")
+    if len(text) > MAX_SIZE:
+        raise InputError(f"{source}: larger than {MAX_SIZE} characters, which no configuration is")
     depth = np.cumsum([1 if sign in "[{" else -1 for sign in re.findall(r"[\[\]{}]", text)])
-    if depth.max(initial=0) > DEEPEST:
-        raise InputError(f"{source}: brackets within brackets more than {DEEPEST} times")
+    if depth.max(initial=0) > MAX_DEPTH:
+        raise InputError(f"{source}: brackets within brackets more than {MAX_DEPTH} times")
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of an anchor that is set twice
@@ -159,9 +159,9 @@ def parse_document(text: str, source: str) -> Document:
 
 
 def _plain(node: Any, count: Iterator[int]) -> Any:
-    """The content as plain Python objects; refuses tags and texts that unfold without end."""
-    if next(count) > MOST_BYTES:
-        raise ValueError(f"more than {MOST_BYTES} values")
+    """Return the content as plain Python objects. Raises ValueError for tags and for texts that expand without end."""
+    if next(count) > MAX_SIZE:
+        raise ValueError(f"more than {MAX_SIZE} values")
     if isinstance(node, CommentedMap | CommentedSeq) and node.tag.value is not None:
         raise ValueError(f"the tag {node.tag.value} has no place here")
     if isinstance(node, CommentedMap):
@@ -182,14 +182,14 @@ def _plain(node: Any, count: Iterator[int]) -> Any:
 
 @cache
 def adapter(kind: Any) -> TypeAdapter[Any]:
-    """The validator of a type."""
+    """Return the validator of a type."""
     return TypeAdapter(kind)
 
 
 def validated(document: Document, kind: Any) -> Any:
-    """The document's content as an object of `kind`.
+    """Return the document's content as an object of `kind`.
 
-    Raises InputError where a key is unknown, a type is wrong, or a number measures nothing.
+    Raises InputError if a key is unknown, a type is wrong, or a number is out of any physical range.
     """
     if out := next(_out_of_range(document.content, ()), None):
         raise document.error(out, NO_MEASURE)
@@ -199,13 +199,13 @@ def validated(document: Document, kind: Any) -> Any:
         location, message = _worst(error.errors(include_url=False), document.content)
         if message == UNKNOWN:
             known = _known_keys(kind, document.content, location)
-            some = f"; there are {', '.join(sorted(known))}" if 0 < len(known) <= 12 else ""
-            message += meant(str(location[-1]), known) or some
+            listed = f"; there are {', '.join(sorted(known))}" if 0 < len(known) <= 12 else ""
+            message += meant(str(location[-1]), known) or listed
         raise document.error(location, message) from error
 
 
 def _out_of_range(content: Any, place: tuple[int | str, ...]) -> Iterator[tuple[int | str, ...]]:
-    """Where numbers stand that are finite, not zero, and larger or smaller than any measure."""
+    """Yield the places of finite, nonzero numbers that no physical quantity has."""
     if isinstance(content, dict):
         for key, value in content.items():
             if key not in WITHOUT_UNIT:
@@ -218,16 +218,16 @@ def _out_of_range(content: Any, place: tuple[int | str, ...]) -> Iterator[tuple[
 
 
 def schema_of(kind: Any) -> TypeAdapter[Any] | None:
-    """The validator of a type; None where it is nothing that YAML could say."""
+    """Return the validator of a type; None if YAML cannot express the type."""
     try:
         made = adapter(kind)
-        return made if made.pydantic_complete else None  # not where it names what type checkers alone import
+        return made if made.pydantic_complete else None  # not of types that are imported for type checkers alone
     except (PydanticSchemaGenerationError, PydanticUserError):
         return None
 
 
 def conformed(validator: TypeAdapter[Any], value: Any) -> Any:
-    """A Python value as an object of the validator's type, as strictly as YAML. Raises InputError with one sentence."""
+    """Return a Python value as an object of the validator's type, as strict as YAML. Raises InputError."""
     if value == value and next(_out_of_range(value, ()), None) is not None:  # of NaN its class knows a better sentence
         raise InputError(NO_MEASURE)
     try:
@@ -235,36 +235,36 @@ def conformed(validator: TypeAdapter[Any], value: Any) -> Any:
     except ValidationError as error:
         faults = error.errors(include_url=False)
         faults = [fault for fault in faults if fault["type"] not in OF_TAGS] or faults
-        first, *others = dict.fromkeys(_sentence(fault).removeprefix("Value error, ") for fault in faults)
-        said = " or ".join([first, *(text.removeprefix(SHOULD_BE) for text in others)])
-        close = meant(value, re.findall(r"'(\w+)'", said)) if isinstance(value, str) else ""
-        raise InputError(f"{said}, not {in_words(value)}{close}") from error
+        first, *alternatives = dict.fromkeys(_sentence(fault).removeprefix("Value error, ") for fault in faults)
+        message = " or ".join([first, *(text.removeprefix(SHOULD_BE) for text in alternatives)])
+        close = meant(value, re.findall(r"'(\w+)'", message)) if isinstance(value, str) else ""
+        raise InputError(f"{message}, not {in_words(value)}{close}") from error
     except (TypeError, ValueError, ArithmeticError, AttributeError) as error:
         raise InputError(f"{in_words(value)} does not fit ({' '.join(str(error).split())})") from error
 
 
 def _known_keys(kind: Any, content: Any, location: tuple[Any, ...]) -> set[str]:
-    """The keys that could stand in place of an unknown one: of those objects of a type that look most like its own."""
+    """Return the keys that may replace an unknown key: those of the object types most similar to the content."""
     for part in location[:-1]:
         content = content[part]
-    there = {key: value for key, value in content.items() if key != location[-1]}
+    present = {key: value for key, value in content.items() if key != location[-1]}
     schema = adapter(kind).json_schema()
     objects = [item.get("properties", {}) for item in (schema, *schema.get("$defs", {}).values())]
-    # Of another kind are those with another word for one of the keys.
+    # An object of another kind has another word for a shared key.
     alike = [
-        -1 if any(known[key].get("const", there[key]) != there[key] for key in shared) else len(shared)
+        -1 if any(known[key].get("const", present[key]) != present[key] for key in shared) else len(shared)
         for known in objects
-        for shared in [known.keys() & there.keys()]
+        for shared in [known.keys() & present.keys()]
     ]
     keys = {key for known, like in zip(objects, alike, strict=True) if like == max(alike) for key in known}
-    return keys - {*there, location[-1]}
+    return keys - {*present, location[-1]}
 
 
 def _worst(faults: list[Any], content: Any) -> tuple[tuple[Any, ...], str]:
-    """Where the fault is that says most to a user, and its sentence.
+    """Return the location of the most informative fault, and its sentence.
 
-    A misspelt key also leaves its field missing; the key is what the user can see. Of a value that may be of several
-    types the deepest fault says which of them was meant.
+    A misspelt key also leaves its field missing; the key is the part that the user can see. For a value of one of
+    several types, the deepest fault belongs to the intended type.
     """
     if first := next((fault for fault in faults if fault["type"] in UNKNOWN_KEY), None):
         return _location(first, content), UNKNOWN
@@ -279,15 +279,15 @@ def _worst(faults: list[Any], content: Any) -> tuple[tuple[Any, ...], str]:
 
 
 def _sentence(fault: Any) -> str:
-    """What is wrong, without the words of the validating library for kinds."""
+    """Return the sentence of a fault, without the validating library's words for kinds."""
     if fault["type"] != "union_tag_invalid":
         return str(fault["msg"])
     known = fault["ctx"]["expected_tags"].replace("'", "")
-    return f"there is no kind {fault['ctx']['tag']} here or in an installed package; there are {known}"
+    return f"there is no kind {fault['ctx']['tag']} in lampest or an installed package; there are {known}"
 
 
 def _location(fault: Any, content: Any) -> tuple[Any, ...]:
-    """Where a fault is, without what the validator says of the alternatives of a type: keys that are not there."""
+    """Return the location of a fault without the keys by which the validator names alternatives of a type."""
     place: list[Any] = []
     parts = fault["loc"]
     for number, part in enumerate(parts):
@@ -301,7 +301,7 @@ def _location(fault: Any, content: Any) -> tuple[Any, ...]:
 
 
 def to_yaml(value: Any) -> str:
-    """YAML text of a dataclass, a mapping or a list; entries that are None are left out."""
+    """Return the YAML text of a dataclass, a mapping or a list, without entries that are None."""
     stream = io.StringIO()
     writer = YAML(typ="safe", pure=True)
     writer.default_flow_style = False
@@ -311,9 +311,9 @@ def to_yaml(value: Any) -> str:
 
 
 def plain_content(value: Any) -> Any:
-    """Dataclasses as mappings, tuples and arrays as lists, numpy's numbers as plain ones.
+    """Return dataclasses as mappings, tuples and arrays as lists, and NumPy's numbers as plain ones.
 
-    Left out are None, and empty entries that take no part in comparing.
+    Entries that are None are left out, and so are empty entries that take no part in comparisons.
     """
     if isinstance(value, np.generic | np.ndarray):
         return value.tolist()

@@ -1,4 +1,4 @@
-"""The one exception that stands for a user's mistake."""
+"""The exception for users' mistakes, and the words of its messages."""
 
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
@@ -17,10 +17,10 @@ PACKAGES = {
 
 
 class InputError(ValueError):
-    """What the user gave is wrong; the message is one clear sentence. Commands end with exit code 2.
+    """A mistake of the user, told in one clear sentence; commands end with exit code 2.
 
-    The sentence stays one printable line whatever a file's names and keys hold: other signs are written as escapes, and
-    what is too long is cut in its middle.
+    The message is one printable line whatever names and keys a file holds: control characters are written as
+    escapes, and a long message is cut in its middle.
 
     >>> issubclass(lampest.InputError, ValueError)
     True
@@ -34,18 +34,18 @@ class InputError(ValueError):
 
 
 def printable(text: str) -> str:
-    """A text on one line that does nothing to a terminal: other signs are written as escapes."""
+    """Return a text as one line without control characters, which are written as escapes."""
     return "".join(sign if sign.isprintable() else ascii(sign)[1:-1] for sign in text)
 
 
 def meant(word: str, known: Iterable[str]) -> str:
-    """'; did you mean reduced?' where one of the known words is close to what was typed, else nothing."""
+    """Return '; did you mean reduced?' if a known word is close to the typed word, else ''."""
     close = get_close_matches(word, list(known), 1, 0.65)  # one slip of the finger in four letters or more
     return f"; did you mean {close[0]}?" if close else ""
 
 
 def in_words(value: Any) -> str:
-    """What a user gave in place of something else: words and numbers as they are, of all else its class."""
+    """Return words and numbers as they are, and the class of any other value, for messages."""
     if isinstance(value, type):
         return f"the class {value.__name__}"
     return repr(value) if isinstance(value, str | int | float | None) else f"a {type(value).__name__}"
@@ -53,9 +53,9 @@ def in_words(value: Any) -> str:
 
 @contextmanager
 def extra(name: str = "") -> Iterator[None]:
-    """Imports of libraries that may be missing. Raises InputError where one is, with how it is installed.
+    """Raise InputError with the command that installs a library if an import within the block fails.
 
-    name : of the extra that brings them; '' for what every installation brings.
+    name : extra that brings the library; '' for libraries of every installation.
     """
     try:
         yield

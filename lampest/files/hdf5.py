@@ -1,4 +1,4 @@
-"""HDF5 as lampest writes it: whole or not at all, under HDF5's own checksums, fixed-length ASCII, units on everything.
+"""HDF5 in lampest's conventions: whole files, checksums everywhere, fixed-length ASCII, units on every dataset.
 
 Format v110 has checksums of all metadata, small values among it; larger values are in chunks with Fletcher-32, packed
 unless they are many and noise fills their digits.
@@ -30,12 +30,12 @@ from lampest.files.errors import InputError
 from lampest.files.whole import check_room, is_locked, note_read, whole_file
 
 FORMAT = ("v110", "v110")  # HDF5 1.10 of 2016: the oldest with checksums of all metadata
-MOST_VALUES = 100_000_000
-MOST_TEXT_BYTES = 5_000_000
+MAX_VALUES = 100_000_000  # read at once; 0.8 GB (tests/attack)
+MAX_TEXT_BYTES = 5_000_000  # of a text or an attribute (tests/attack)
 UNPACKED: Mapping[str, Any] = {"fletcher32": True}
 PACKED: Mapping[str, Any] = {**UNPACKED, "compression": "gzip", "shuffle": True}
-CHUNK = 100_000  # values that are packed together; whole frames of them
-MOST_LEFT = 2 / 3  # of a sample's bytes, above which packing takes twenty times as long as writing for little
+CHUNK = 100_000  # values of a chunk, which holds whole frames
+MAX_COMPRESSED = 2 / 3  # of a sample's bytes: above, compression takes twenty times the time of writing for little
 ALL = slice(None)
 OPEN_FOR_WRITING = ("already open for", "truncated file")
 
@@ -45,7 +45,7 @@ R = TypeVar("R")
 
 @contextmanager
 def new_file(path: Path) -> Iterator[h5py.File]:
-    """A file that appears only when it is complete and on the disk. Raises InputError as `whole_file`."""
+    """Make a file that appears once it is complete and on the disk. Raises InputError as `whole_file`."""
     # Built in memory: the HDF5 library may crash the process when it meets a full disk, Python's own files do not.
     with h5py.File(str(path), "w", libver=FORMAT, driver="core", backing_store=False, block_size=2**20) as file:
         yield file
@@ -57,8 +57,9 @@ def new_file(path: Path) -> Iterator[h5py.File]:
 
 @contextmanager
 def new_large_file(path: Path, size: int) -> Iterator[h5py.File]:
-    """The same of a file that memory should not hold: it is built on the disk. size : bytes that it may take.
+    """Make a file too large for memory, built on the disk, that appears once it is complete.
 
+    size : bytes that the file may take on the disk.
     Raises InputError as `new_file`, and beforehand where the disk has not got so many.
     """
     with whole_file(path) as unfinished:
@@ -69,11 +70,11 @@ def new_large_file(path: Path, size: int) -> Iterator[h5py.File]:
 
 @contextmanager
 def existing_file(path: Path) -> Iterator[h5py.File]:
-    """A file opened for reading. Raises InputError where it is missing, no HDF5 file, truncated or damaged."""
-    there = False
+    """Open a file for reading. Raises InputError if it is missing, no HDF5 file, truncated or damaged."""
+    exists = False
     with suppress(OSError, ValueError):  # a name that is too long, or holds a zero byte
-        there = path.is_file()
-    if not there:
+        exists = path.is_file()
+    if not exists:
         raise InputError(f"{path}: no such file")
     note_read(path)
     try:
@@ -98,28 +99,28 @@ def _opened(path: Path) -> Iterator[h5py.File]:
 
 
 def checked(path: Path) -> tuple[int, int]:
-    """(bytes, datasets) of a file that checksums vouch for, read to the last value; (0, 0) of one without.
+    """Read a file to its last value; return its bytes and datasets if checksums cover all of it, else (0, 0).
 
-    Raises InputError with the path of the dataset that is not what was written.
+    Raises InputError with the path of a damaged dataset.
     """
     with existing_file(path) as file:
         datasets, vouched = read_through(file)
     if vouched and (beyond := bytes_beyond(path)):
-        raise InputError(f"{path}: {beyond} bytes stand behind the end of what was written")
+        raise InputError(f"{path}: {beyond} bytes stand behind the end of the file as it was written")
     return (path.stat().st_size, datasets) if vouched else (0, 0)
 
 
 def ascii_array(values: Any) -> Any:
-    """Text as fixed-length ASCII; other signs are written as '?'."""
+    """Return text as fixed-length ASCII; '?' in place of other characters."""
     if isinstance(values, str):
         return np.bytes_(values.encode("ascii", "replace"))
     return np.array([value.encode("ascii", "replace") for value in values], dtype="S")
 
 
 def set_attributes(node: Any, **attributes: Any) -> None:
-    """Attributes with text as fixed-length ASCII; the same ones make the same bytes, which `attrs` does not.
+    """Write attributes, text as fixed-length ASCII; equal attributes give equal bytes, unlike with `attrs`.
 
-    Of one beyond 4,000 bytes the SHA-256 stands beside it, as `<name>_sha256`.
+    An attribute above 4,000 bytes gets its SHA-256 beside it, as `<name>_sha256`.
     """
     place = node.id
     for name, value in attributes.items():
@@ -135,9 +136,9 @@ def set_attributes(node: Any, **attributes: Any) -> None:
 def write_dataset(
     group: h5py.Group, name: str, data: Any, units: str, long_name: str, scales: tuple[str, ...] = (), **further: Any
 ) -> None:
-    """One dataset with its units, its name in words, and dimension scales from the same group ('' for none).
+    """Write a dataset with its units, its long name, and dimension scales of the same group ('' for none).
 
-    further : attributes, such as what flags mean.
+    further : other attributes, such as the meanings of flags.
     """
     data = np.asarray(data)
     if data.shape and data.size > 64:  # fewer are not worth compression
@@ -152,16 +153,16 @@ def write_dataset(
 
 
 def _shrinks(data: NDArray[Any]) -> bool:
-    """Whether packing is worth its time; of more than a chunk of numbers by a sample, cells of some frames."""
+    """Return whether compression is worth its time, judged by a sample of large floating-point data."""
     if data.size <= CHUNK or data.dtype.kind != "f":
         return True
     sample = np.ascontiguousarray(data.reshape(len(data), -1)[:16, :512])
     planes = sample.view(np.uint8).reshape(sample.size, -1).T.tobytes()
-    return len(zlib.compress(planes, 1)) < MOST_LEFT * len(planes)
+    return len(zlib.compress(planes, 1)) < MAX_COMPRESSED * len(planes)
 
 
 def attach_scales(group: h5py.Group, axes: Mapping[str, tuple[str, ...]]) -> None:
-    """Attach to each dataset, by its path in the group, the scales of its axes there; '' for an axis without one."""
+    """Attach to each dataset, by its path in the group, the scales of its axes; '' for an axis without a scale."""
     for path, names in axes.items():
         for axis, name in enumerate(names):
             if name:
@@ -169,7 +170,7 @@ def attach_scales(group: h5py.Group, axes: Mapping[str, tuple[str, ...]]) -> Non
 
 
 def write_plain(group: h5py.Group, name: str, data: NDArray[Any]) -> h5py.Dataset:
-    """A dataset that nothing packs: in the metadata, or beside them with a digest; h5py itself puts no scalar there."""
+    """Write an uncompressed dataset within the metadata, or beside them with a digest; h5py cannot for scalars."""
     properties, links = h5py.h5p.create(h5py.h5p.DATASET_CREATE), h5py.h5p.create(h5py.h5p.LINK_CREATE)
     links.set_create_intermediate_group(True)
     properties.set_obj_track_times(False)  # which would make the same cases other bytes
@@ -192,18 +193,18 @@ def _kind_and_space(data: NDArray[Any]) -> tuple[h5py.h5t.TypeID, h5py.h5s.Space
 
 
 def write_scale(group: h5py.Group, name: str, data: Any, units: str, long_name: str) -> None:
-    """An axis: a one-dimensional dataset that others attach."""
+    """Write an axis: a one-dimensional dataset that other datasets attach."""
     write_dataset(group, name, data, units, long_name)
     group[name].make_scale(name)
 
 
 def write_text(group: h5py.Group, name: str, text: str) -> None:
-    """A text as a fixed-length ASCII scalar."""
+    """Write a text as a fixed-length ASCII scalar."""
     write_plain(group, name, np.asarray(ascii_array(text)))
 
 
 def _located(function: Callable[P, R]) -> Callable[P, R]:
-    """A function of a file and a path in it, whose errors name both."""
+    """Make errors of a function of a file and a path name both."""
 
     @wraps(function)
     def called(*args: P.args, **kwargs: P.kwargs) -> R:
@@ -215,13 +216,13 @@ def _located(function: Callable[P, R]) -> Callable[P, R]:
 
 @_located
 def has(file: h5py.File, path: str) -> bool:
-    """Whether there is such a group or dataset. Raises InputError where the way there is damaged or leaves the file."""
+    """Return whether a group or dataset exists. Raises InputError if the path is damaged or leaves the file."""
     return _found(file, path) is not None
 
 
 @_located
 def shape_of(file: h5py.File, path: str) -> tuple[int, ...]:
-    """The lengths of a dataset's axes. Raises InputError where it is absent or empty."""
+    """Return the lengths of a dataset's axes. Raises InputError if it is absent or empty."""
     shape = _dataset(file, path).shape
     if shape is None:
         raise InputError(f"{file.filename}: {path} is missing")
@@ -229,7 +230,7 @@ def shape_of(file: h5py.File, path: str) -> tuple[int, ...]:
 
 
 def length_of(file: h5py.File, path: str) -> int:
-    """The length of a dataset's first axis. Raises InputError where it is absent or has no axis."""
+    """Return the length of a dataset's first axis. Raises InputError if it is absent or has no axis."""
     shape = shape_of(file, path)
     if not shape:
         raise InputError(f"{file.filename}: {path} is a single value")
@@ -245,10 +246,25 @@ def read_array(
     part: slice = ALL,
     kind: Any = None,
 ) -> Any:
-    """A numeric dataset of that many dimensions, or of either of two numbers of them; shape : of all of it.
+    """Read a numeric dataset.
 
-    part : of its first axis. kind : of integers, in which it is returned; None: as it is stored. Raises InputError
-    where it is absent, of another shape, damaged, absurdly large, or not whole numbers of that kind.
+    Parameters
+    ----------
+    file : h5py.File
+    path : str
+    dimensions : int or pair of int
+        Permitted numbers of dimensions.
+    shape : tuple of int
+        Required shape of the whole dataset; () for any.
+    part : slice
+        Part of the first axis that is read.
+    kind : integer type, or None
+        Type of the result; None for the stored one.
+
+    Raises
+    ------
+    InputError
+        If the dataset is absent, of another shape, damaged, absurdly large, or does not fit the integer type.
     """
     dataset = _dataset(file, path)
     wanted = (dimensions,) if isinstance(dimensions, int) else dimensions
@@ -256,11 +272,11 @@ def read_array(
         numbers = " or ".join(str(number) for number in wanted)
         raise InputError(f"{file.filename}: {path} must be numeric with {numbers} dimensions")
     if shape and dataset.shape != shape:
-        found, asked = (" × ".join(str(size) for size in sizes) for sizes in (dataset.shape, shape))
-        raise InputError(f"{file.filename}: {path} is {found}, not {asked}")
+        actual, required = (" × ".join(map(str, sizes)) for sizes in (dataset.shape, shape))
+        raise InputError(f"{file.filename}: {path} is {actual}, not {required}")
     size = len(range(*part.indices(len(dataset)))) * int(np.prod(dataset.shape[1:]))
-    if size > MOST_VALUES:
-        raise InputError(f"{file.filename}: {path} claims {size} values; more than {MOST_VALUES} are not read")
+    if size > MAX_VALUES:
+        raise InputError(f"{file.filename}: {path} claims {size} values; more than {MAX_VALUES} are not read")
     stored, claimed = dataset.id.get_storage_size(), dataset.size * dataset.dtype.itemsize  # a part is of a whole
     # Bytes that nothing holds; and deflate packs to a 1032nd at best.
     if claimed > max(64_000_000, 1100 * stored):
@@ -277,11 +293,11 @@ def read_array(
 
 @_located
 def read_text(file: h5py.File, path: str) -> str:
-    """A scalar text. Raises InputError where it is absent or no text."""
+    """Read a scalar text. Raises InputError if it is absent or no text."""
     dataset = _found(file, path, h5py.Dataset)
     if dataset is None or dataset.shape != () or dataset.dtype.kind not in "SO":
         raise InputError(f"{file.filename}: {path} is missing or no text")
-    if dataset.dtype.itemsize > MOST_TEXT_BYTES:
+    if dataset.dtype.itemsize > MAX_TEXT_BYTES:
         raise InputError(f"{file.filename}: {path} claims a text of {dataset.dtype.itemsize} bytes")
     value = dataset[()]
     check_digest(dataset, value)
@@ -290,29 +306,29 @@ def read_text(file: h5py.File, path: str) -> str:
 
 @_located
 def read_texts(file: h5py.File, path: str, length: int | None = None, part: slice = ALL) -> tuple[str, ...]:
-    """A list of that many texts of a fixed length, or a part of it.
+    """Read a list of fixed-length texts, or a part of it.
 
-    Raises InputError where it is absent, longer, shorter or something else.
+    Raises InputError if it is absent, of another length, or something else.
     """
     dataset = _found(file, path, h5py.Dataset)
     size = None if dataset is None or dataset.shape is None or dataset.ndim != 1 else len(dataset)
     if dataset is None or size is None or length not in (None, size) or dataset.dtype.kind != "S":
         raise InputError(f"{file.filename}: {path} is missing or not {length or 'some'} texts of a fixed length")
     claimed = dataset.dtype.itemsize * len(range(size)[part])
-    if claimed > MOST_TEXT_BYTES:
+    if claimed > MAX_TEXT_BYTES:
         raise InputError(f"{file.filename}: {path} claims texts of {claimed} bytes")
     return tuple(map(_text, dataset[part]))
 
 
 def read_attribute(file: h5py.File, path: str, name: str) -> Any:
-    """An attribute, text as str, or None where there is none. Raises InputError where it cannot be read."""
+    """Read an attribute, text as str; None if it is absent. Raises InputError if it cannot be read."""
     with located(file, f"{path}@{name}"):
         attributes = _node(file, path).attrs
         held = attributes.get_id(name) if name in attributes else None
         if held is None or held.shape is None:
             return None
-        if held.get_storage_size() > MOST_TEXT_BYTES:
-            raise InputError(f"{file.filename}: {path}@{name} is larger than {MOST_TEXT_BYTES} bytes")
+        if held.get_storage_size() > MAX_TEXT_BYTES:
+            raise InputError(f"{file.filename}: {path}@{name} is larger than {MAX_TEXT_BYTES} bytes")
         if held.dtype.kind == "O" and held.shape:
             raise InputError(f"{file.filename}: {path}@{name} is a list of texts without a fixed length")
         value = attributes[name]
@@ -321,7 +337,7 @@ def read_attribute(file: h5py.File, path: str, name: str) -> Any:
 
 
 def read_number(file: h5py.File, path: str, name: str, otherwise: float | None = None) -> float:
-    """A numeric attribute, or `otherwise` where there is none or NaN. Raises InputError where it is not finite."""
+    """Read a numeric attribute; `otherwise` if it is absent or NaN. Raises InputError if it is not finite."""
     value = read_attribute(file, path, name)
     number = np.shape(value) == () and np.asarray(value).dtype.kind in "iuf"
     if otherwise is not None and (value is None or (number and np.isnan(value))):
@@ -333,17 +349,17 @@ def read_number(file: h5py.File, path: str, name: str, otherwise: float | None =
 
 @_located
 def attribute_names(file: h5py.File, path: str) -> list[str]:
-    """The names of a node's attributes. Raises InputError where there is no such node."""
+    """Return the names of a node's attributes. Raises InputError if the node is absent."""
     return [str(name) for name in _node(file, path).attrs]
 
 
 def child_groups(file: h5py.File, path: str) -> list[str]:
-    """The names of the groups within a group, alphabetically. Raises InputError where there is no such group."""
+    """Return the names of the groups within a group, alphabetically. Raises InputError if it is no group."""
     return _children(file, path, h5py.Group)
 
 
 def child_datasets(file: h5py.File, path: str) -> list[str]:
-    """The names of the datasets within a group, alphabetically. Raises InputError where there is no such group."""
+    """Return the names of the datasets within a group, alphabetically. Raises InputError if it is no group."""
     return _children(file, path, h5py.Dataset)
 
 
@@ -363,7 +379,7 @@ def _node(file: h5py.File, path: str) -> Any:
 
 
 def _found(file: h5py.File, path: str, kind: type[Any] = object) -> Any:
-    """The group or dataset at a path, or None where none of the kind is there; no link is followed."""
+    """Return the group or dataset at a path, None if absent or of another kind. Raises InputError for links."""
     node: Any = file
     for part in filter(None, path.split("/")):
         # Raises where the group is damaged, where `get` alone would say that there is nothing.

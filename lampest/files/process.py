@@ -1,4 +1,4 @@
-"""What concerns the process as a whole: memory it may take, signals that end it, and the log of libraries' warnings."""
+"""State of the process: memory limit, BLAS threads, ending signals, and the log of libraries' warnings."""
 
 import logging
 import os
@@ -24,24 +24,21 @@ if TYPE_CHECKING:
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")  # small matrices
 ALLOWED = "LAMPEST_MEMORY"  # the environment variable by which a user says how much may be taken, such as 8GB
 SIZE = re.compile(r"(\d+(?:\.\d+)?)\s*([KMGT]?)(?:i?B)?", re.IGNORECASE)
-# What nohup has set to be ignored stays ignored; whoever sends the first two by hand means it.
+# Signals that nohup ignores stay ignored, except the first two, which are sent on purpose.
 WANTED = (signal.SIGINT, signal.SIGTERM)
 ENDING = (*WANTED, signal.SIGHUP, signal.SIGQUIT)
-HUNG_SECONDS = 120.0  # and ten times a limit: what a library does between two looks at the clock ends within this
-EXPENDABLE = ContextVar("expendable", default=False)  # whether somebody waits for this process who replaces it
+HUNG_SECONDS = 120.0  # s, and ten times a frame's limit: no library call took longer (tests/units/test_time_limit.py)
+EXPENDABLE = ContextVar("expendable", default=False)  # whether a parent process replaces this one if it is ended
 LOG = "LAMPEST_LOG"
-BEYOND = (
-    "what is left of the panel, or what its numbers say, is beyond what can be computed here; {kind}, of which the "
-    "file that LAMPEST_LOG names will hold all"
-)
+BEYOND = "cannot compute this panel: its values exceed the numerical range ({kind}; details: LAMPEST_LOG)"
 FOREIGN = (ArithmeticError, LookupError, ValueError, TypeError, AttributeError, AssertionError, MemoryError)
 
 
 class OneBlasThread(ContextDecorator):
-    """A context in which BLAS has one thread, also where several threads of this process enter and leave it.
+    """Context with one BLAS thread, also if several threads of this process enter and leave it.
 
-    The matrices of a panel are small: several threads of BLAS take 3 to 15 times as long over them on a busy machine.
-    The number of threads is a state of the process, so that there is one such context for all of it.
+    The matrices of a panel are small: with several BLAS threads they take 3 to 15 times as long on a busy machine. The
+    number of threads is a state of the process, so that all of the process shares one such context.
     """
 
     def __init__(self) -> None:
@@ -69,18 +66,18 @@ class OneBlasThread(ContextDecorator):
 ONE_BLAS_THREAD = OneBlasThread()
 
 
-def check_memory(needed: float, what: str) -> None:
-    """Raise InputError where `what`, such as 'the lines of a panel', needs more bytes than there are."""
-    if needed > (there := memory_limit()):
+def check_memory(needed: float, label: str) -> None:
+    """Raise InputError if `label`, such as 'the lines of a panel', needs more bytes than there are."""
+    if needed > (limit := memory_limit()):
         raise InputError(
-            f"{what}: {in_bytes(needed)} of memory are needed, and there are {in_bytes(there)}; {ALLOWED} allows more"
+            f"{label}: {in_bytes(needed)} of memory are needed, and there are {in_bytes(limit)}; {ALLOWED} allows more"
         )
 
 
 def memory_limit() -> float:
-    """Bytes that may be taken: what the user says, else most of what the machine, a container and `ulimit -v` leave.
+    """Return the bytes that may be taken: the user's limit, else 90 % of what machine, container and ulimit leave.
 
-    Raises InputError where what the user says is no size.
+    Raises InputError if the user's limit is no size.
     """
     if said := os.environ.get(ALLOWED):
         size = SIZE.fullmatch(said.strip())
@@ -94,11 +91,11 @@ def memory_limit() -> float:
     addresses = resource.getrlimit(resource.RLIMIT_AS)[0]
     if addresses != resource.RLIM_INFINITY:
         left.append(float(addresses - psutil.Process().memory_info().vms))
-    return 0.9 * min(left)  # the rest is for what was not counted
+    return 0.9 * min(left)  # a tenth for buffers that no estimate counts
 
 
 def in_bytes(size: float) -> str:
-    """'26.8 GiB'."""
+    """Return a size in words: '26.8 GiB'."""
     for unit in ("bytes", "KiB", "MiB"):
         if size < 1000:
             return f"{size:.3g} {unit}"
@@ -108,9 +105,9 @@ def in_bytes(size: float) -> str:
 
 @contextmanager
 def ended_where_hung(limit_s: float | None) -> Iterator[None]:
-    """In an expendable process SIGALRM ends what takes longer than HUNG_SECONDS and ten times its limit in s.
+    """End an expendable process by SIGALRM if the block takes longer than HUNG_SECONDS and ten times the limit in s.
 
-    For calls of libraries that look at no clock, or too rarely: no handler of Python's runs before they return.
+    For calls of libraries that never return to Python, so that no Python signal handler runs.
     """
     if limit_s is None or not EXPENDABLE.get():
         yield
@@ -135,10 +132,10 @@ def delayed_interrupt() -> Iterator[None]:
 
 @contextmanager
 def ending_signals(worth_finishing: Callable[[], bool] = lambda: False) -> Iterator[Callable[[], str]]:
-    """A function that names the signal that asked for the end, such as SIGTERM, or ''.
+    """Yield a function that names the signal that asked for the end, such as SIGTERM, or ''.
 
-    Where nothing is worth finishing, and at a second signal, KeyboardInterrupt is raised at once. What comes within a
-    second is the same wish: a terminal that closes says so more than once.
+    If nothing is worth finishing, and at a second signal, KeyboardInterrupt is raised at once. Signals within a second
+    are one request: a closing terminal sends several.
     """
     asked: list[tuple[str, float]] = []
 
@@ -153,20 +150,20 @@ def ending_signals(worth_finishing: Callable[[], bool] = lambda: False) -> Itera
 
 
 def interrupted(error: BaseException | None) -> bool:
-    """Whether Ctrl-C is what an error came from: machine code that is called while it comes makes another one of it."""
+    """Return whether an error was caused by Ctrl-C: compiled code may turn it into another error."""
     while error is not None and not isinstance(error, KeyboardInterrupt):
         error = error.__cause__
     return error is not None
 
 
 def deaf() -> AbstractContextManager[None]:
-    """Nothing that can be caught ends the program meanwhile: for the short while in which a file is closed."""
+    """Ignore every catchable signal within the block, for the short time in which a file is closed."""
     return handled(lambda number: None)
 
 
 @contextmanager
 def handled(handler: Callable[[int], object]) -> Iterator[None]:
-    """Every signal that ends a program goes to the handler instead; nothing changes outside the main thread."""
+    """Send every ending signal to the handler; without effect outside the main thread."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -181,18 +178,18 @@ def handled(handler: Callable[[int], object]) -> Iterator[None]:
 
 @contextmanager
 def libraries_to_the_log() -> Iterator[None]:
-    """Warnings, and what `told_reason` keeps back, go to the file that LAMPEST_LOG names; without it nowhere."""
+    """Send warnings, and errors that `told_reason` shortens, to the file that LAMPEST_LOG names."""
     path = os.environ.get(LOG)
     handler = logging.FileHandler(Path(path), delay=True) if path else logging.NullHandler()
     loggers = [logging.getLogger(name) for name in ("lampest", "py.warnings")]
-    logging.captureWarnings(True)
+    logging.captureWarnings(capture=True)
     for logger in loggers:
         logger.addHandler(handler)
         logger.propagate = False
     try:
         yield
     finally:
-        logging.captureWarnings(False)
+        logging.captureWarnings(capture=False)
         for logger in loggers:
             logger.removeHandler(handler)
             logger.propagate = True
@@ -200,9 +197,9 @@ def libraries_to_the_log() -> Iterator[None]:
 
 
 def told_reason(error: BaseException, of: str) -> str:
-    """What a user reads of an exception: its own words where they are ours, else a sentence, and a line in the log.
+    """Return the message of an exception: its own words if lampest wrote them, else a sentence and a log entry.
 
-    of : what was computed, for the log.
+    of : the computation, for the log.
     """
     trace, raised = error.__traceback__, ""
     while trace is not None:

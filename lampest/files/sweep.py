@@ -72,7 +72,7 @@ def combinations(document: Document, validate: Callable[[Document], Kind], apart
     }
     if sum(math.prod(map(len, paths.values())) for paths in own.values()) > 10_000:
         raise document.error(("sweep",), "more than 10000 combinations")
-    found = []
+    combined = []
     for entry, values in ((name, values) for name in names for values in itertools.product(*own[name].values())):
         assignments = dict(zip(own[entry], values, strict=True))
         varied = _assigned(document, assignments)
@@ -83,18 +83,18 @@ def combinations(document: Document, validate: Callable[[Document], Kind], apart
         for path in assignments:
             if not _is_place(document.content, value, path.split(".")):
                 raise document.error(("sweep", path), "no such place in this document")
-        found.append(Combination(entry, assignments, varied, value))
-    return found
+        combined.append(Combination(entry, assignments, varied, value))
+    return combined
 
 
 def _entry_of(path: str, apart: str, names: list[str]) -> str | None:
     """Return the entry that a path leads into; None for one that leads elsewhere."""
-    first, *others = path.split(".")
-    return others[0] if first == apart and others[0] in names else None
+    first, *inner = path.split(".")
+    return inner[0] if first == apart and inner[0] in names else None
 
 
 def _assigned(document: Document, assignments: dict[str, Any]) -> Document:
-    """The document without its sweep, each dotted path set to its value. Raises InputError where one leads nowhere."""
+    """Return the document without its sweep, with every assignment made. Raises InputError for a path to nowhere."""
     varied = document
     if isinstance(document.content, dict):
         content = {key: item for key, item in document.content.items() if key != "sweep"}
@@ -108,7 +108,7 @@ def _assigned(document: Document, assignments: dict[str, Any]) -> Document:
 
 
 def _is_place(content: Any, value: Any, parts: list[str]) -> bool:
-    """Whether the path leads through what the document holds or, where it is silent, through fields with defaults."""
+    """Return whether a path leads through entries of the document, or through fields with defaults."""
     for part in parts:
         try:
             content = content[place_in(content, part)]
@@ -128,7 +128,7 @@ def _is_place(content: Any, value: Any, parts: list[str]) -> bool:
 def _blamed(
     document: Document, assignments: dict[str, Any], validate: Callable[[Document], Any], error: InputError
 ) -> InputError:
-    """The error, at the sweep's line where the assignments spoil a document that is in order without them."""
+    """Return the error at the sweep's line if the assignments spoil a document that is valid without them."""
     if not assignments or _fault(_assigned(document, {}), validate):
         return error
     for path, value in assignments.items():
@@ -140,7 +140,7 @@ def _blamed(
 
 
 def _fault(document: Document, validate: Callable[[Document], Any]) -> str:
-    """What is wrong with a document; '' where nothing is."""
+    """Return the fault of a document; '' if it is valid."""
     try:
         validate(document)
     except InputError as error:

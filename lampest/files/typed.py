@@ -1,4 +1,4 @@
-"""Types in YAML and in Python: arguments checked where objects are made; unions by `kind` that packages add to."""
+"""Type checks of arguments when objects are made, and unions by `kind` that installed packages extend."""
 
 import inspect
 import typing
@@ -21,10 +21,10 @@ Kind = TypeVar("Kind")
 
 
 class Checked(ABCMeta):
-    """Classes whose objects are made of arguments that have their fields' types; subclasses are among them."""
+    """Metaclass that validates the arguments of a dataclass, and of its subclasses, by their fields' types."""
 
     def __call__(cls, *args: Any, **kwargs: Any) -> Any:
-        """An object. Raises InputError where an argument has another type, is missing, unknown, or out of range."""
+        """Make an object. Raises InputError if an argument has another type, is missing, unknown, or out of range."""
         try:
             return super().__call__(**_arguments(cls, cls.__name__, args, kwargs))
         except InputError:
@@ -34,22 +34,22 @@ class Checked(ABCMeta):
 
     @property
     def __signature__(cls) -> inspect.Signature:
-        """For editors and documentation: that of the fields."""
+        """Signature of the fields, for editors and documentation."""
         return _signature(cls)
 
 
 class Validated(metaclass=Checked):
-    """Base of dataclasses that are checked when they are made; what makes them of YAML checks by itself."""
+    """Base of dataclasses that validate their arguments in Python; YAML is validated by pydantic itself."""
 
 
 class Configuration(Validated):
-    """Base of dataclasses that YAML is validated into; unknown keys and numbers out of range are errors."""
+    """Base of dataclasses made from YAML; unknown keys and numbers out of range are errors."""
 
     __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
 
 
 def typed(function: Callable[P, R]) -> Callable[P, R]:
-    """The function, which raises InputError where an argument has not its type."""
+    """Make a function raise InputError if an argument has another type than annotated."""
 
     @wraps(function)
     def called(*args: P.args, **kwargs: P.kwargs) -> R:
@@ -60,49 +60,49 @@ def typed(function: Callable[P, R]) -> Callable[P, R]:
 
 
 def check_range(name: str, numbers: float | Iterable[float], low: float, high: float, unit: str = "") -> None:
-    """Raise ValueError unless a number, or each of several, lies between two."""
+    """Raise ValueError unless a number, or each of several, lies within a range."""
     for number in [numbers] if isinstance(numbers, int | float) else numbers:
         if not low <= number <= high:
             raise ValueError(f"{name} must lie between {low:.15g} and {high:.15g}{unit}")
 
 
 def check_ranges(owner: Any, low: float, high: float, *names: str) -> None:
-    """The same for the fields of an object that are not None."""
+    """Raise ValueError unless each named field of an object is None or lies within a range."""
     for name in names:
         if (value := getattr(owner, name)) is not None:
             check_range(name, value, low, high)
 
 
 def check_positive_fields(owner: Any, *names: str) -> None:
-    """Raise ValueError unless each of an object's fields is None, or positive and finite."""
+    """Raise ValueError unless each named field of an object is None, or positive and finite."""
     for name in names:
         if (value := getattr(owner, name)) is not None and not 0 < value < float("inf"):
             raise ValueError(f"{name} must be positive and finite")
 
 
 def check_not_negative(owner: Any, *names: str) -> None:
-    """Raise ValueError unless each of an object's fields is None, or zero or positive, and finite."""
+    """Raise ValueError unless each named field of an object is None, or zero or positive, and finite."""
     for name in names:
         if (value := getattr(owner, name)) is not None and not 0 <= value < float("inf"):
             raise ValueError(f"{name} must be zero or positive, and finite")
 
 
-def real_array(values: Any, what: str) -> NDArray[Any]:
-    """Numbers as an array. Raises InputError for lists of other things, complex, masked and ragged ones."""
+def real_array(values: Any, label: str) -> NDArray[Any]:
+    """Return numbers as an array. Raises InputError for complex, masked and ragged arrays, and for other objects."""
     if isinstance(values, np.ma.MaskedArray):
-        raise InputError(f"{what}: a masked array; fill what is masked with NaN: values.filled(numpy.nan)")
+        raise InputError(f"{label}: a masked array; fill it with NaN: values.filled(numpy.nan)")
     try:
         array = np.asarray(values)
     except ValueError as error:
-        raise InputError(f"{what}: {in_words(values)} is no array of numbers") from error
+        raise InputError(f"{label}: {in_words(values)} is no array of numbers") from error
     if array.dtype.kind not in "iufb" or values is None:
         kind = "complex numbers" if array.dtype.kind == "c" else in_words(values)
-        raise InputError(f"{what}: {kind}, where an array of real numbers is needed")
+        raise InputError(f"{label}: {kind}, where an array of real numbers is needed")
     return array
 
 
 def _arguments(owner: Any, name: str, args: Sequence[Any], kwargs: dict[str, Any]) -> dict[str, Any]:
-    """Parameter → what is given for it, of its type."""
+    """Return parameter → validated argument."""
     try:
         given = _signature(owner).bind(*args, **kwargs).arguments
     except TypeError as error:
@@ -121,7 +121,7 @@ def _signature(owner: Any) -> inspect.Signature:
 
 @cache
 def _checks(owner: Any) -> dict[str, Callable[[Any, str], Any]]:
-    """Parameter → what turns a value into its type, or raises InputError; none for a type that says nothing."""
+    """Return parameter → function that validates an argument; none for a type without a check."""
     try:
         hints = typing.get_type_hints(owner, include_extras=True)
     except NameError:  # of a class in a notebook, or types that are imported for type checkers alone
@@ -135,44 +135,44 @@ def _check_of(hint: Any) -> Callable[[Any, str], Any] | None:
     if any(typing.get_origin(part) is np.ndarray for part in parts):
         kind = np.float64 if "float64" in str(hint) else None
         optional = type(None) in parts
-        return lambda value, what: value if value is None and optional else np.asarray(real_array(value, what), kind)
+        return lambda value, label: value if value is None and optional else np.asarray(real_array(value, label), kind)
     if validator is None:
         kinds = tuple(part for part in parts if isinstance(part, type))
         return partial(_instance, kinds) if kinds and hint is not type(None) else None
     return partial(_conformed, validator)
 
 
-def _conformed(validator: Any, value: Any, what: str) -> Any:
-    plain = _plain(value, what)
+def _conformed(validator: Any, value: Any, label: str) -> Any:
+    plain = _plain(value, label)
     try:
         return conformed(validator, plain)
     except InputError as error:
-        raise InputError(f"{what}: {error}") from error
+        raise InputError(f"{label}: {error}") from error
 
 
-def _instance(kinds: tuple[type, ...], value: Any, what: str) -> Any:
+def _instance(kinds: tuple[type, ...], value: Any, label: str) -> Any:
     if not isinstance(value, kinds):
         needed = " or ".join(kind.__name__ for kind in kinds)
-        raise InputError(f"{what}: {needed} is needed, not {in_words(value)}")
+        raise InputError(f"{label}: {needed} is needed, not {in_words(value)}")
     return value
 
 
-def _plain(value: Any, what: str) -> Any:
-    """Lists and arrays as tuples, NumPy's numbers as Python's, as they come from YAML."""
+def _plain(value: Any, label: str) -> Any:
+    """Return lists and arrays as tuples, and NumPy's numbers as Python's, as they come from YAML."""
     if isinstance(value, np.ndarray):
-        return _plain(real_array(value, what).tolist(), what)
+        return _plain(real_array(value, label).tolist(), label)
     if isinstance(value, np.generic):
         return value.item()
     if type(value) in (list, tuple):
-        return tuple(_plain(item, what) for item in value)
+        return tuple(_plain(item, label) for item in value)
     return value
 
 
 @cache
 def installed(group: str, kind: type[Kind]) -> tuple[Kind, ...]:
-    """The objects of a kind that installed packages name in a group, in the order of the names.
+    """Return the objects of a kind that installed packages name in a group, ordered by name.
 
-    Raises InputError where one cannot be loaded or is of another kind.
+    Raises InputError if an object cannot be loaded or is of another kind.
     """
     from importlib.metadata import entry_points  # with email and zipfile
 
@@ -190,18 +190,18 @@ def installed(group: str, kind: type[Kind]) -> tuple[Kind, ...]:
     return tuple(objects)
 
 
-def of_kind(kind: str, what: str, known: Sequence[Kind]) -> Kind:
-    """The one object whose `kind` that is; what : 'plot'. Raises InputError where there is none or two."""
-    kinds = [str(getattr(one, "kind", "")) for one in known]
+def of_kind(kind: str, noun: str, known: Sequence[Kind]) -> Kind:
+    """Return the object with this `kind`; noun : 'plot', for the message. Raises InputError if none or two have it."""
+    kinds = [str(getattr(member, "kind", "")) for member in known]
     if kinds.count(kind) != 1:
-        there = f"there are two {what}s" if kind in kinds else f"there is no {what}"
-        raise InputError(f"{there} '{kind}'; there are {', '.join(dict.fromkeys(kinds))}")
+        count = f"there are two {noun}s" if kind in kinds else f"there is no {noun}"
+        raise InputError(f"{count} '{kind}'; there are {', '.join(dict.fromkeys(kinds))}")
     return known[kinds.index(kind)]
 
 
 @dataclass(frozen=True)
 class ByKind:
-    """Marks Annotated[A | B, ByKind()]: validation picks the member whose `kind: Literal[...]` the input names.
+    """Marker of Annotated[A | B, ByKind()]: validation picks the member whose `kind: Literal[...]` the input names.
 
     group : of entry points by which installed packages add members; '' for none. default : the kind that is meant where
     the input names none; '' where it must.
@@ -211,7 +211,7 @@ class ByKind:
     default: str = ""
 
     def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
-        """The tagged union of the members, one choice for each literal; called by the validating library."""
+        """Return the tagged union of the members, one choice for each literal; called by pydantic."""
         members = typing.get_args(source)
         choices = {
             kind: handler.generate_schema(member)
@@ -232,38 +232,38 @@ class ByKind:
 
 
 def kinds_of(member: Any) -> tuple[str, ...]:
-    """The words that a class's `kind: Literal[...]` allows; none where it has no such field."""
+    """Return the words that a class's `kind: Literal[...]` allows; () without such a field."""
     return typing.get_args(typing.get_type_hints(member).get("kind"))
 
 
 def shipped(union: Any) -> tuple[type[Any], ...]:
-    """The classes of Annotated[A | B, ByKind(group)] without those of installed packages.
+    """Return the classes of Annotated[A | B, ByKind(group)] without those of installed packages.
 
-    For what is made when a module is imported: packages import that module themselves, and cannot be loaded before it.
+    For objects made while a module is imported: packages import that module themselves, and cannot be loaded before it.
     """
     return typing.get_args(typing.get_args(union)[0])
 
 
 def members_of(union: Any) -> tuple[type[Any], ...]:
-    """The classes of Annotated[A | B, ByKind(group)], those of installed packages included.
+    """Return the classes of Annotated[A | B, ByKind(group)], those of installed packages included.
 
-    Raises InputError where a package names something else, or a class without a word of its own as `kind`.
+    Raises InputError if a package names another object, or a class without a word of its own as `kind`.
     """
     return (*shipped(union), *_installed_members(shipped(union), typing.get_args(union)[1].group))
 
 
 def members_by_kind(union: Any) -> dict[str, type[Any]]:
-    """kind → class, for every word of every member. Raises InputError as `members_of`."""
+    """Return kind → class, for every word of every member. Raises InputError as `members_of`."""
     return {kind: member for member in members_of(union) for kind in kinds_of(member)}
 
 
 def _base(members: tuple[type[Any], ...]) -> type[Any]:
-    """The nearest class that all members derive from."""
+    """Return the nearest class from which all members derive."""
     return next(kind for kind in members[0].__mro__ if all(issubclass(member, kind) for member in members))
 
 
 def _installed_members(members: tuple[type[Any], ...], group: str) -> Iterator[type[Any]]:
-    """What installed packages add to the members of a union."""
+    """Yield the members that installed packages add to a union."""
     base = _base(members)
     taken = [kind for member in members for kind in kinds_of(member)]
     for added in installed(group, type) if group else ():
@@ -272,6 +272,6 @@ def _installed_members(members: tuple[type[Any], ...], group: str) -> Iterator[t
             raise InputError(f"{named} is no {base.__name__}")
         kinds = kinds_of(added)
         if not kinds or not set(kinds).isdisjoint(taken):
-            raise InputError(f"{named} needs kind: Literal['...'] with a word other than {', '.join(taken)}")
+            raise InputError(f"{named} needs kind: Literal['...'] with a word unlike {', '.join(taken)}")
         taken += kinds
         yield added

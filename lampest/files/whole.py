@@ -1,4 +1,4 @@
-"""Files that appear whole or not at all, where a file may appear: the one door to the disk for all that is written."""
+"""Atomic writing of files: an output appears whole or not at all, and never replaces an input of the same command."""
 
 import fcntl
 import os
@@ -23,24 +23,25 @@ KINDS = {"d": "a folder", "l": "a link", "c": "a device", "b": "a device", "p": 
 
 @dataclass(frozen=True)
 class Touched:
-    """What a command has read and written so far, and what it may read and write anew; this grows."""
+    """Files that a command has read and written so far, and those it may read and write again; the sets grow."""
 
     read: set[Path] = field(default_factory=set)
     written: set[Path] = field(default_factory=set)
     own: set[Path] = field(default_factory=set)
 
     def owns(self, path: Path) -> bool:
+        """Return whether the command may read and write the file again."""
         return any(path.is_relative_to(own) for own in self.own)
 
 
-_TOUCHED: ContextVar[Touched | None] = ContextVar("what a command touches", default=None)
+_TOUCHED: ContextVar[Touched | None] = ContextVar("files touched by a command", default=None)
 
 
 @contextmanager
 def sparing(inputs: Iterable[Path] = ()) -> Iterator[None]:
-    """Within it no output takes the place of a file that was read, under whatever name, or of another output.
+    """Refuse, within the block, outputs that would replace an input, under whatever name, or another output.
 
-    inputs : what will be read. See `note_read`, `check_output`.
+    inputs : files about to be read. See `note_read`, `check_output`.
     """
     before = _TOUCHED.set(_TOUCHED.get() or Touched())
     try:
@@ -52,16 +53,16 @@ def sparing(inputs: Iterable[Path] = ()) -> Iterator[None]:
 
 
 def note_read(path: Path) -> None:
-    """Every reader of a user's files says so here; what a command owns is not noted."""
+    """Note that a file was read; every reader of a user's files calls it. Files that a command owns are not noted."""
     touched = _TOUCHED.get()
     if touched and not touched.owns(path.absolute()):
         touched.read.add(path.absolute())
 
 
 def own(path: Path) -> None:
-    """A file, or a folder's files, that a command may read and write anew. Raises InputError where it was read before.
+    """Declare a file, or a folder's files, as both input and output. Raises InputError if it was read before.
 
-    Call it before the first of both.
+    Called before the first of both.
     """
     _refuse_touched(path)
     if touched := _TOUCHED.get():
@@ -69,7 +70,7 @@ def own(path: Path) -> None:
 
 
 def refuse_inputs(outputs: Sequence[Path]) -> None:
-    """Raise InputError where one of them is what is read, or two are one."""
+    """Raise InputError if an output is an input, or two outputs are the same file."""
     for path in outputs:
         _refuse_touched(path)
     if len({path.resolve() for path in outputs}) < len(outputs):
@@ -79,21 +80,21 @@ def refuse_inputs(outputs: Sequence[Path]) -> None:
 def _refuse_touched(path: Path) -> None:
     touched = _TOUCHED.get() or Touched()
     if any(_same(path, read) for read in touched.read):
-        raise InputError(f"{path}: is what is read; give what is written another name")
+        raise InputError(f"{path}: is an input; give the output another name")
     if path.absolute() in touched.written:
         raise InputError(f"{path}: two outputs have this name; give one of them another")
 
 
-def _same(path: Path, other: Path) -> bool:
+def _same(path: Path, known: Path) -> bool:
     try:
-        return path.is_file() and path.samefile(other)
-    except (OSError, ValueError):  # the other is not there, or one of them is no name at all
+        return path.is_file() and path.samefile(known)
+    except (OSError, ValueError):  # the known file is absent, or one of the names is impossible
         return False
 
 
 @contextmanager
 def _to_write(path: Path) -> Iterator[None]:
-    """Within it the folder of an output is there. Raises InputError as `check_output`, and where the disk refuses."""
+    """Make the folder of an output. Raises InputError as `check_output`, and if the disk refuses."""
     check_output(path)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -104,10 +105,10 @@ def _to_write(path: Path) -> Iterator[None]:
 
 @contextmanager
 def whole_file(path: Path) -> Iterator[Path]:
-    """A temporary path beside `path` to write to; it takes that name once it is complete and on the disk.
+    """Yield a temporary path beside `path` to write to; it takes that name once it is complete and on the disk.
 
-    Raises InputError as `check_output`, and where the folder cannot be written or the disk is full; nothing is left
-    behind then. What a killed process of this computer left of the same file goes.
+    Raises InputError as `check_output`, and if the folder cannot be written or the disk is full; nothing is left behind
+    then. Files that killed processes of this computer left behind are removed.
     """
     with _to_write(path):
         _remove_abandoned(path)
@@ -126,7 +127,7 @@ def whole_file(path: Path) -> Iterator[Path]:
 
 
 def _host() -> str:
-    """Four signs for this computer: others may write into the same folder, and number their processes alike."""
+    """Return four characters for this computer: other computers may share the folder and number processes alike."""
     return f"{crc32(os.uname().nodename.encode()) % 2**16:04x}"
 
 
@@ -142,29 +143,29 @@ def _remove_abandoned(path: Path) -> None:
 
 @contextmanager
 def folder_beside(path: Path) -> Iterator[Path]:
-    """A new folder beside `path` for the parts of what will stand there; it goes at the end. Raises as `whole_file`."""
+    """Yield a temporary folder beside `path`, removed at the end. Raises InputError as `whole_file`."""
     with _to_write(path), TemporaryDirectory(prefix=f".{path.name}.", dir=path.parent) as folder:
         yield Path(folder)
 
 
 def write_whole(path: Path, text: str) -> None:
-    """Write a text in UTF-8; half signs, of files' names, as escapes. Raises InputError as `whole_file`."""
+    """Write a text in UTF-8, surrogates as escapes. Raises InputError as `whole_file`."""
     with whole_file(path) as unfinished:
         unfinished.write_bytes(text.encode("utf-8", "backslashreplace"))
 
 
 def check_output(path: Path) -> None:
-    """Raise InputError unless nothing stands at `path`, or a regular file that is neither read nor another output."""
+    """Raise InputError unless `path` is free, or a regular file that is neither an input nor another output."""
     if path.name in ("", ".."):
         raise InputError(f"'{path}' names no file that could be written")
     kind = _kind(path)
     if kind not in (None, "-"):
-        raise InputError(f"{path}: is {KINDS[kind]}; what is written is a regular file, and replaces nothing else")
+        raise InputError(f"{path}: is {KINDS[kind]}; an output replaces regular files alone")
     _refuse_touched(path)
 
 
 def check_room(path: Path, size: int) -> None:
-    """Raise InputError where the disk of a file that is to come has less room than `size` bytes."""
+    """Raise InputError if the disk of a future file has less than `size` bytes free."""
     folder = next(parent for parent in path.absolute().parents if parent.exists())
     free = shutil.disk_usage(folder).free
     if size > free:
@@ -172,7 +173,7 @@ def check_room(path: Path, size: int) -> None:
 
 
 def output_folder(folder: Path) -> Path:
-    """The folder, made where there is none. Raises InputError where it is the root, no folder, or cannot be made."""
+    """Return the folder, made if absent. Raises InputError if it is the root, no folder, or cannot be made."""
     if folder.resolve() == Path(folder.resolve().anchor):
         raise InputError(f"{folder}: is the root of all files, no folder for results")
     try:
@@ -183,7 +184,7 @@ def output_folder(folder: Path) -> Path:
 
 
 def inner_folder(folder: Path, name: str) -> Path:
-    """The folder of that name in a folder. Raises InputError where it is something else, or a link that leads out."""
+    """Return a folder within a folder. Raises InputError if it is no folder, or a link that leads out."""
     inner = folder / name
     kind = _kind(inner)
     if kind == "l" and not inner.resolve().is_relative_to(folder.resolve()):
@@ -193,8 +194,8 @@ def inner_folder(folder: Path, name: str) -> Path:
     return inner
 
 
-def opened_for_locking(path: Path, make: bool = False) -> int:
-    """A descriptor of a regular file that nothing is written to and no link leads to; `make` one where there is none.
+def opened_for_locking(path: Path, *, make: bool = False) -> int:
+    """Return a descriptor of a regular file, never through a link; `make` creates an absent file.
 
     Raises OSError where it cannot be opened, InputError where it is something else.
     """
@@ -210,14 +211,14 @@ def opened_for_locking(path: Path, make: bool = False) -> int:
 
 @contextmanager
 def locked(path: Path) -> Iterator[None]:
-    """A lock that readers do not mind and that ends with the process."""
+    """Hold a lock that readers do not notice and that ends with the process."""
     with os.fdopen(opened_for_locking(path), "rb") as handle:
         fcntl.flock(handle, fcntl.LOCK_SH)
         yield
 
 
 def is_locked(path: Path) -> bool:
-    """Whether a living process holds a lock on the file."""
+    """Return whether a living process holds a lock on the file."""
     with os.fdopen(opened_for_locking(path), "rb") as handle:
         try:
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -227,13 +228,13 @@ def is_locked(path: Path) -> bool:
 
 
 def remove_own(path: Path) -> None:
-    """Remove a regular file, if there is one; what else has that name stays."""
+    """Remove a regular file, if there is one; anything else of that name stays."""
     if _kind(path) == "-":
         path.unlink(missing_ok=True)
 
 
 def _kind(path: Path) -> str | None:
-    """What stands at a path: the letter that `ls` has for it, '-' for a regular file; None: nothing."""
+    """Return the type letter of `ls` for a path, '-' for a regular file; None if nothing exists."""
     try:
         return stat.filemode(path.lstat().st_mode)[0]
     except FileNotFoundError:

@@ -309,9 +309,9 @@ def _read_recording(file: h5py.File, name: str, table: Sequence[Column], part: s
     hdf5.read_array(file, path, len(MAPS), part=slice(0))  # whether it is what it claims; nothing is read
     shape, estimators = hdf5.shape_of(file, path), _estimators(file, name)
     maps = sum(column.axes == MAPS and not column.shared for column in table)
-    if len(estimators) * maps * len(range(shape[0])[part]) * prod(shape[1:]) > hdf5.MOST_VALUES:
+    if len(estimators) * maps * len(range(shape[0])[part]) * prod(shape[1:]) > hdf5.MAX_VALUES:
         raise InputError(
-            f"{file.filename}: /entry/{name} claims more than {hdf5.MOST_VALUES} values, which are not read at once; "
+            f"{file.filename}: /entry/{name} claims more than {hdf5.MAX_VALUES} values, which are not read at once; "
             f"of its {shape[0]} frames --frames 0:1000 names some"
         )
     sizes = dict(zip(MAPS, shape, strict=True))

@@ -119,7 +119,7 @@ def test_resistors_and_loads_are_two_calibrations(rods: list[Path], lampest: Com
             "response: {kind: table, pressure_kpa: [0, 5], resistance_ohm: [1, 2]}",
             "resistance_ohm must be positive, and fall",
         ),
-        ("response: {kind: spline}", "there is no kind spline here"),
+        ("response: {kind: spline}", "there is no kind spline in lampest"),
         ("response: {kind: power, exponent: 1, scale_kpa: 2, gain: [[1, 1]]}", "response.gain must have 6 rows of 6"),
     ],
 )

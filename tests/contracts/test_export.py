@@ -249,7 +249,7 @@ def test_nwb_is_what_pynwb_reads(lampest: Run, results: Path) -> None:
         (("--to", "csv", "--start", "yesterday"), "'yesterday' is no date and time"),
         (("--to", "csv", "--start", "2026-05-05"), f"mouth says itself that it began at {START}"),
         (("--to", "csv", "--recording", "third"), "no recording is called 'third'; there are mouth, other"),
-        (("--to", "csv", "--out", "r.h5"), "r.h5: is what is read; give what is written another name"),
+        (("--to", "csv", "--out", "r.h5"), "r.h5: is an input; give the output another name"),
     ],
 )
 def test_wrong_input_of_export_is_one_sentence(

@@ -115,7 +115,7 @@ def test_swept_files_go_into_a_folder(tmp_path: Path, lampest: Command) -> None:
     path = written(tmp_path, BASE + "sweep: {seed: [1, 2]}\n")
     one, same = (lampest("simulate", path, "--out", target) for target in (tmp_path / "one.h5", path))
     refused(one, r"must be a folder, because .* makes 2 recordings")
-    refused(same, "is what is read; give what is written another name")
+    refused(same, "is an input; give the output another name")
     assert made(lampest, path, tmp_path / "many") == [tmp_path / "many" / f"scene_00{case}.h5" for case in (1, 2)]
     assert sorted(made.name for made in (tmp_path / "many").iterdir()) == ["scene_001.h5", "scene_002.h5"]
 

@@ -19,7 +19,7 @@ from fuzz.readers import FINE, REFUSED, cleared, receive
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lampest.files.document import MOST_BYTES, parse_document
+from lampest.files.document import MAX_SIZE, parse_document
 from lampest.files.errors import InputError
 from lampest.recording.recording import Recording
 from lampest.runs.case import check_name
@@ -116,7 +116,7 @@ HOSTILE = {
     "brackets": "a: " + "[" * 50_000,
     "braces": "{a: " * 20_000,
     "dashes": "- " * 20_000,
-    "long": "a: [" + "1," * MOST_BYTES + "]",
+    "long": "a: [" + "1," * MAX_SIZE + "]",
     "hexadecimal": "schema: 0x" + "f" * 50_000,
     "decimal": "schema: " + "9" * 50_000,
     "anchor twice": "- &a 1\n- &a 2\n",
@@ -143,7 +143,7 @@ def test_an_endless_file_as_a_run_is_refused() -> None:
     with pytest.raises(InputError, match="larger than"):
         read_run(Path("/dev/zero"))
     with pytest.raises(InputError, match="larger than"):
-        parse_document("a" * (MOST_BYTES + 1), "text")
+        parse_document("a" * (MAX_SIZE + 1), "text")
 
 
 @pytest.mark.parametrize("frames", [10**9, 10**15])

@@ -208,5 +208,7 @@ def test_a_file_with_a_readout_that_nobody_knows_says_so_when_it_is_written_and_
     odd = replace(recording, scene=replace(recording.scene, readout=StrangerReadout()))
     with pytest.warns(UserWarning, match="stranger is not among the readouts"):
         odd.save(tmp_path / "odd.h5")
-    with pytest.raises(InputError, match="readout: there is no kind stranger here or in an installed package; there"):
+    with pytest.raises(
+        InputError, match="readout: there is no kind stranger in lampest or an installed package; there"
+    ):
         Recording.load(tmp_path / "odd.h5")

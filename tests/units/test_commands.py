@@ -152,7 +152,7 @@ def test_results_never_take_the_place_of_a_recording(disk: SimpleNamespace, lamp
     (disk.folder / "small.h5").rename(out / "results.h5")
     before = (out / "results.h5").read_bytes()
     ended = lampest("run", disk.folder / "run.yaml", "--set", "recordings=[out/results.h5]", "--out", out)
-    assert ended.code == 2 and "is what is read; give what is written another name" in ended.err
+    assert ended.code == 2 and "is an input; give the output another name" in ended.err
     assert (out / "results.h5").read_bytes() == before and list(out.glob("*.h5")) == [out / "results.h5"]
 
 

@@ -334,7 +334,7 @@ def test_commands_read_long_files_by_parts(tmp_path: Path, lampest: Command, mon
     (tmp_path / "run.yaml").write_text(RUN.replace("relative:", "r:").split("  r:")[0])
     results = tmp_path / "out" / "results.h5"
     assert lampest("run", tmp_path / "run.yaml", "--out", tmp_path / "out", "--jobs", "1").code == 0
-    monkeypatch.setattr("lampest.files.hdf5.MOST_VALUES", 15_000)
+    monkeypatch.setattr("lampest.files.hdf5.MAX_VALUES", 15_000)
     for file in (tmp_path / "long.h5", results):
         assert lampest("check", file).code == 0
         told = lampest("info", file)

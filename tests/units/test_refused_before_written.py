@@ -48,7 +48,7 @@ def test_a_study_whose_input_bears_an_outputs_name_writes_nothing(tmp_path: Path
     taken = tmp_path / "own.h5"
     taken.write_bytes(b"")
     study: Study[Any, Any] = Study("own", "things", "x.yaml", lambda *_: 0, lambda *_: 0, one_row, form="own/1")
-    with sparing((taken,)), pytest.raises(InputError, match="is what is read"):
+    with sparing((taken,)), pytest.raises(InputError, match="is an input"):
         study.run(tmp_path / "x.yaml", tmp_path, (), lambda *_: None)
     assert names(tmp_path) == {"own.h5"}
 
@@ -101,4 +101,4 @@ def test_bytes_behind_the_end_are_not_as_written(
     with path.open("ab") as file:
         file.write(path.read_bytes() if appended is None else appended)
     done = lampest("check", path)
-    assert done.code == 2 and "behind the end of what was written" in done.err
+    assert done.code == 2 and "behind the end of the file as it was written" in done.err
