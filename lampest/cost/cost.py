@@ -23,11 +23,11 @@ from lampest.panel.panel import Array, Panel
 
 @dataclass(frozen=True)
 class Cost:
-    """φ over `frames` frames of a panel, built once and evaluated for any data.
+    """Cost φ over `frames` frames of a panel, built once and evaluated for any data.
 
-    Of two the first is the baseline and the previous frame of the second; terms that need those skip it. Residuals that
-    read a `faulty` cell (numbers) are left out. With `partial`, readings may be bounds or missing. A loss without a
-    derivative at 0 enters through its dual variables z, |z| ≤ 1: weight · Σ z·x.
+    With two frames, the first is the baseline and the previous frame of the second; terms that need those skip it.
+    Residuals that read a `faulty` cell (numbers) are left out. With `partial`, readings may be bounds or missing. A
+    loss without a derivative at 0 enters through its dual variables z, |z| ≤ 1: weight · Σ z·x.
     """
 
     panel: Panel
@@ -43,7 +43,7 @@ class Cost:
 
     @cached_property
     def weights(self) -> Array:
-        """Of the terms, in their order. Raises ValueError where one is still to be chosen."""
+        """Weights of the terms, in their order. Raises ValueError if a weight is still to be chosen."""
         return np.array([float(term.weight) for term in self.terms])
 
     @cached_property
@@ -52,11 +52,11 @@ class Cost:
         return replace(self, terms=tuple(replace(term, weight=1.0) for term in self.terms))
 
     def symbols(self) -> "Symbols":
-        """New symbols of all that the cost is a function of, beside weights and duals."""
-        return Symbols.of(self.panel.crossings, self.frames, self.partial)
+        """Return new symbols of all inputs of the cost except weights and duals."""
+        return Symbols.of(self.panel.crossings, self.frames, partial=self.partial)
 
     def residuals(self, symbols: "Symbols") -> list[tuple[int, casadi.SX]]:
-        """(number of the term, residual) pairs of expressions, frame by frame."""
+        """Return (number of the term, residual) pairs of expressions, frame by frame."""
         pairs = self._all_residuals(symbols)
         if not self.faulty:
             return pairs
@@ -66,7 +66,7 @@ class Cost:
         pairs = []
         for frame in range(self.frames):
             baseline = symbols.cell_resistance[:, 0] if frame else None
-            known = symbols.given.of_frame(frame, baseline, self.needs_previous)
+            known = symbols.given.of_frame(frame, baseline, looks_back=self.needs_previous)
             cells, reading = symbols.cell_resistance[:, frame], symbols.reading[:, frame]
             state = State(panel=self.panel, cell_resistance=cells, reading=reading, **known)
             for number, term in enumerate(self.terms):
@@ -76,7 +76,7 @@ class Cost:
 
     @cached_property
     def _sound_rows(self) -> list[list[int]]:
-        """Of each residual, the rows that read no faulty cell."""
+        """Rows of each residual that read no faulty cell."""
         symbols = self.symbols()
         cells = casadi.vec(symbols.cell_resistance)
         every = [frame * self.panel.crossings + cell for frame in range(self.frames) for cell in self.faulty]
@@ -93,12 +93,12 @@ class Cost:
 
     @cached_property
     def slope(self) -> Array:
-        """The weight of every residual that enters through a dual."""
+        """Weight of every residual that enters through a dual."""
         return self.weights[self.functions.nonsmooth_terms]
 
 
 def _residual_of(term: Term, state: State) -> casadi.SX:
-    """Return a term's residual (rows, 1). Raises InputError where it is none that a cost can be made of."""
+    """Return a term's residual (rows, 1). Raises InputError if no cost can be made of it."""
     name = f"term {term_kind(term)}: residual(state)"
     try:
         residual = casadi.SX(term.residual(state))
@@ -125,17 +125,17 @@ def _symbols_in(expression: casadi.SX) -> set[int]:
 
 @dataclass(frozen=True, eq=False)
 class Symbols:
-    """cell_resistance, reading : the unknowns (cells, frames). given : all else that terms may read."""
+    """Symbols of the unknowns, cell_resistance and reading (cells, frames), and of everything given."""
 
     cell_resistance: casadi.SX
     reading: casadi.SX
     given: Given
 
     @classmethod
-    def of(cls, cells: int, frames: int, partial: bool) -> "Symbols":
-        """Symbols for that many cells and frames."""
+    def of(cls, cells: int, frames: int, *, partial: bool) -> "Symbols":
+        """Make symbols for that many cells and frames."""
         cell_resistance, reading = (casadi.SX.sym(name, cells, frames) for name in ("cell_resistance", "reading"))
-        return cls(cell_resistance, reading, Given.symbols(cells, frames, partial))
+        return cls(cell_resistance, reading, Given.symbols(cells, frames, partial=partial))
 
     @property
     def unknown(self) -> casadi.SX:
@@ -143,23 +143,35 @@ class Symbols:
         return casadi.vertcat(casadi.vec(self.cell_resistance), casadi.vec(self.reading))
 
     def inputs(self) -> dict[str, casadi.SX]:
-        """name → flat symbol: what a compiled function takes."""
+        """Return name → flat symbol of the inputs of compiled functions."""
         named: dict[str, Any] = {"cell_resistance": self.cell_resistance, "reading": self.reading}
         return {name: casadi.vec(symbol) for name, symbol in (named | dict(self.given.named())).items()}
 
     def compiled(self, name: str, output: casadi.SX, **more: casadi.SX) -> Compiled:
-        """A function of those inputs that the output reads, by their names, and of what more there is."""
+        """Return a function of those inputs that the output reads, and of further inputs, by their names."""
         inputs = {name: symbol for name, symbol in self.inputs().items() if casadi.depends_on(output, symbol)} | more
         return Compiled(casadi.Function(name, [*inputs.values()], [output], [*inputs], ["value"]))
 
 
 @dataclass(frozen=True, eq=False)
 class CostFunctions:
-    """Functions of what `Symbols.inputs` names, of the terms' weights and of the duals.
+    """Compiled functions of the inputs that `Symbols.inputs` names, of the terms' weights and of the duals.
 
-    first : the costs of each term, the same at readings of zero, and the gradient by (cells; readings) of Σ smooth +
-    Σ weight·z·x, in one call. hessian : of the same. nonsmooth, nonsmooth_jacobian : residuals x that enter through
-    duals, of `nonsmooth_terms`. split : residuals that an interior-point method splits, in blocks of so many rows.
+    Attributes
+    ----------
+    first : Compiled
+        Cost of each term, the same at readings of zero, and the gradient of Σ smooth + Σ weight·z·x with respect to
+        (cells; readings), in one call.
+    hessian : Compiled
+        Second derivatives of the same function, sparse.
+    nonsmooth, nonsmooth_jacobian : Compiled
+        Residuals x that enter through duals, and their derivatives.
+    split : Compiled
+        Residuals that an interior-point method splits.
+    nonsmooth_terms : array of int
+        Number of the term of each residual that enters through a dual.
+    split_blocks : tuple of int
+        Numbers of rows of the blocks of `split`.
     """
 
     first: Compiled
@@ -172,12 +184,12 @@ class CostFunctions:
 
     @cached_property
     def entries(self) -> "Entries":
-        """Where the second derivatives of the smooth losses stand."""
+        """Places of the nonzero second derivatives of the smooth losses."""
         return Entries.of(*self.hessian.pattern, self.hessian.shape[0] // 2)
 
     @classmethod
     def build(cls, cost: Cost) -> "CostFunctions":
-        """Differentiate the terms symbolically; sparse."""
+        """Differentiate the terms symbolically, and compile the sparse results."""
         symbols, weights = cost.symbols(), casadi.SX.sym("weights", len(cost.terms))
         parts = summands(cost.terms, cost.residuals(symbols), weights)
         costs = [casadi.SX(0) for _ in cost.terms]
@@ -214,11 +226,22 @@ class CostFunctions:
 
 @dataclass(frozen=True, eq=False)
 class Entries:
-    """Where nonzeros of the second derivatives with respect to (cells; readings) stand, count of each.
+    """Places of the nonzero second derivatives with respect to (cells; readings), `count` unknowns each.
 
-    cells, model : the numbers of the nonzeros between cells, and between readings. at_cells : (rows, columns) of the
-    former. at_model : readings of the latter, where all are on the diagonal; else None. crossed : whether any stand
-    between both. on_diagonal : numbers and places of nonzeros on the diagonal. alone : whether there are no others.
+    Attributes
+    ----------
+    cells, model : array of int
+        Numbers of the nonzeros between cells, and between readings.
+    at_cells : pair of arrays
+        Rows and columns of the nonzeros between cells.
+    at_model : array, or None
+        Readings of the nonzeros between readings if all are on the diagonal.
+    crossed : bool
+        Whether there are nonzeros between cells and readings.
+    on_diagonal : pair of arrays
+        Numbers and places of the nonzeros on the diagonal.
+    alone : bool
+        Whether all nonzeros are on the diagonal.
     """
 
     cells: NDArray[np.intp]
@@ -231,7 +254,7 @@ class Entries:
 
     @classmethod
     def of(cls, rows: NDArray[np.intp], columns: NDArray[np.intp], count: int) -> "Entries":
-        """From (rows, columns) of all nonzeros."""
+        """Return the places from (rows, columns) of all nonzeros."""
         cells = np.flatnonzero((rows < count) & (columns < count))
         model = np.flatnonzero((rows >= count) & (columns >= count))
         diagonal = np.array_equal(rows[model], columns[model])
@@ -243,7 +266,7 @@ class Entries:
 
 @dataclass(frozen=True, eq=False)
 class Summand:
-    """weight·loss(residual) of one term (number) in one frame; residual (rows, 1), weight (1, 1)."""
+    """Summand weight·loss(residual) of a term (number) in one frame; residual (rows, 1), weight (1, 1)."""
 
     term: int
     loss: Loss
@@ -252,7 +275,7 @@ class Summand:
 
     @property
     def cost(self) -> Any:
-        """Its value. Raises InputError where a loss forgets to sum over its residuals."""
+        """Value of the summand. Raises InputError if a loss does not sum over its residuals."""
         cost = self.loss.cost(self.residual)
         if cost.shape != (1, 1):
             name, shape = type(self.loss).__name__, "×".join(map(str, cost.shape))
@@ -261,35 +284,35 @@ class Summand:
 
     @property
     def rows(self) -> int:
-        """How many residuals it has."""
+        """Number of residuals."""
         return int(self.residual.shape[0])
 
     @property
     def smooth(self) -> bool:
-        """Whether it enters derivatives as it is, not through duals."""
+        """Whether the summand enters derivatives directly, not through duals."""
         return self.loss.enters != "dual"
 
 
 def summands(terms: Sequence[Term], pairs: Iterable[tuple[int, casadi.SX]], weights: casadi.SX) -> list[Summand]:
-    """Of the (number of the term, residual) pairs, in their order; weights : (terms, 1)."""
+    """Return the summands of (number of the term, residual) pairs, in their order; weights (terms, 1)."""
     return [Summand(number, terms[number].loss, residual, weights[number]) for number, residual in pairs]
 
 
 def stacked(parts: Sequence[Summand]) -> tuple[casadi.SX, casadi.SX]:
-    """(residual, weight) of all rows, (rows, 1) each."""
+    """Return the residuals and weights of all rows, (rows, 1) each."""
     weights = [casadi.repmat(part.weight, part.rows, 1) for part in parts]
     residuals = [part.residual for part in parts]
     return casadi.vertcat(casadi.SX(0, 1), *residuals), casadi.vertcat(casadi.SX(0, 1), *weights)
 
 
 def program_groups(parts: Sequence[Summand]) -> list[list[Summand]]:
-    """What a program lowers together, in its order: each that it takes whole, all with duals, each that it splits."""
+    """Return the summands that a program lowers together: each whole one, all with duals, each split one."""
     whole, dual, split = ([part for part in parts if part.loss.enters == how] for how in ("whole", "dual", "split"))
     return [*([part] for part in whole), *([dual] if dual else []), *([part] for part in split)]
 
 
 def lowered(group: Sequence[Summand], unit: casadi.SX) -> Lowered:
-    """One group for a program; to it all that enters through duals is alike. unit : of the split."""
+    """Return a group as a program takes it, all duals alike; unit : of the split."""
     first = group[0]
     residual, weight = (first.residual, first.weight) if first.smooth else stacked(group)
     return first.loss.lowered(residual, weight, unit)

@@ -1,6 +1,6 @@
-"""What a solve is given beside its unknowns, by name: arrays in data, symbols in costs and in a term's `State`.
+"""Inputs of a solve beside its unknowns, by name: arrays in data, symbols in costs and in a term's `State`.
 
-Whatever a new term must know is one more field here: where it comes from, and what stands for it where there is none.
+A further input for new terms is one more field of `Given`: where it comes from, and its value where it is absent.
 """
 
 from collections.abc import Callable, Iterable
@@ -16,33 +16,45 @@ from lampest.panel.scene import Scene
 
 
 class FrameReadings(Protocol):
-    """The readings that a solve is given, all (frames, rows, columns); see `Given` for what they are.
+    """Readings of a solve, all (frames, rows, columns); `Given` describes each.
 
-    partial : whether any is not a plain value.
+    partial : whether a reading is a bound or missing.
     """
 
     @property
-    def value(self) -> Array: ...
+    def value(self) -> Array:
+        """Readings of the network, in the readout's unit."""
 
     @property
-    def sigma(self) -> Array | None: ...
+    def sigma(self) -> Array | None:
+        """Standard deviations; None if unknown."""
 
     @property
-    def side(self) -> Array: ...
+    def side(self) -> Array:
+        """0 for a value, 1 and -1 for a bound from below and from above."""
 
     @property
-    def seen(self) -> Array: ...
+    def seen(self) -> Array:
+        """1, or 0 for a missing reading."""
 
     @property
-    def partial(self) -> bool: ...
+    def partial(self) -> bool:
+        """Whether any reading is a bound or missing."""
 
 
 @dataclass(frozen=True, eq=False)
 class Background:
-    """What stands behind a frame: the scene, and what is known from earlier frames.
+    """Knowledge behind a frame: the scene, and earlier frames.
 
-    period : s between frames; infinite where there is one only. previous, previous_deviation : (rows, columns) the last
-    estimate in ohm and the standard deviation of its logarithm. baseline : (rows, columns) ohm. None: not known.
+    Attributes
+    ----------
+    scene : Scene
+    period : float
+        Time between frames in s; infinite for a single frame.
+    previous, previous_deviation : array, shape (rows, columns), or None
+        Last estimate in ohm, and the standard deviation of its logarithm.
+    baseline : array, shape (rows, columns), or None
+        Cells of the unloaded panel in ohm.
     """
 
     scene: Scene
@@ -54,12 +66,21 @@ class Background:
 
 @dataclass(frozen=True)
 class Source:
-    """Where a field of `Given` comes from.
+    """Origin of a field of `Given`.
 
-    of : its value from the readings and the background, or None. absent : the number that stands in the arrays of a
-    compiled cost where there is none. per_frame : (frames, rows, columns) rather than (rows, columns). partial : only
-    there where readings may be bounds or missing. after : of a field of an earlier frame: what it is for a frame that
-    is solved together with the baseline, from the baseline's unknown cells (cells, 1).
+    Attributes
+    ----------
+    of : callable
+        Readings and background → value, or None.
+    absent : float
+        Number that replaces an absent value in the arrays of a compiled cost.
+    per_frame : bool
+        Whether the shape is (frames, rows, columns) rather than (rows, columns).
+    partial : bool
+        Whether the field exists only if readings may be bounds or missing.
+    after : callable, or None
+        Of a field of an earlier frame: its value for a frame that is solved together with the baseline, from the
+        baseline's unknown cells (cells, 1).
     """
 
     of: Callable[[FrameReadings, Background], Array | None]
@@ -70,7 +91,7 @@ class Source:
 
 
 def given(source: Source) -> Any:
-    """A field of `Given`, None unless it is set."""
+    """Declare a field of `Given`, None unless it is set."""
     return field(default=None, metadata={"source": source})
 
 
@@ -78,17 +99,30 @@ def given(source: Source) -> Any:
 class Given:
     """Arrays in a solve's data, symbols in a compiled cost, columns (cells, 1) in a term's `State`; None: not known.
 
-    measured, sigma : the network's readings, in the readout's unit, and their standard deviation, ones if unknown.
-    side, seen : of each reading: 0 a value, 1 or -1 where the truth is at least or at most this; 1, or 0 where it is
-    missing, between them the weight of what stands in for it. None where all readings are values.
-    previous : r0, the previous frame's (or the baseline's) cell resistance, ohm. baseline : the unloaded panel's, ohm.
-    previous_deviation : standard deviation of log r0; 0 where r0 is an unknown of the same solve.
+    Attributes
+    ----------
+    measured, sigma
+        Readings of the network in the readout's unit, and their standard deviations; ones if unknown.
+    side
+        0 for a value; 1 or -1 where the truth is at least or at most the reading. None if all readings are values.
+    seen
+        1; 0 for a missing reading, and the weight of its substitute in between. None if all readings are values.
+    previous
+        r0, the cell resistance of the previous frame or of the baseline, in ohm.
+    baseline
+        Cell resistance of the unloaded panel in ohm.
+    previous_deviation
+        Standard deviation of log r0; 0 if r0 is an unknown of the same solve.
     """
 
     measured: Any = given(Source(lambda readings, behind: readings.value, 1.0, per_frame=True))
     sigma: Any = given(Source(lambda readings, behind: _noise(readings), 1.0, per_frame=True))
-    side: Any = given(Source(lambda readings, behind: _mark(readings, readings.side), 0.0, True, partial=True))
-    seen: Any = given(Source(lambda readings, behind: _mark(readings, readings.seen), 1.0, True, partial=True))
+    side: Any = given(
+        Source(lambda readings, behind: _mark(readings, readings.side), 0.0, per_frame=True, partial=True)
+    )
+    seen: Any = given(
+        Source(lambda readings, behind: _mark(readings, readings.seen), 1.0, per_frame=True, partial=True)
+    )
     previous: Any = given(Source(lambda readings, behind: behind.previous, 1.0, after=lambda cells: cells))
     baseline: Any = given(Source(lambda readings, behind: _baseline(behind), 1.0, after=lambda cells: cells))
     previous_deviation: Any = given(
@@ -98,27 +132,27 @@ class Given:
     @staticmethod
     @cache
     def sources() -> dict[str, Source]:
-        """name → source, in the order of the fields."""
+        """Return name → source, in the order of the fields."""
         return {part.name: part.metadata["source"] for part in fields(Given)}
 
     @classmethod
     def of(cls, readings: FrameReadings, background: Background) -> Self:
-        """The arrays of a solve."""
+        """Return the arrays of a solve."""
         return cls(**{name: source.of(readings, background) for name, source in cls.sources().items()})
 
     @classmethod
-    def symbols(cls, cells: int, frames: int, partial: bool) -> Self:
-        """Symbols (cells, frames) of what every frame has, (cells, 1) of all else."""
+    def symbols(cls, cells: int, frames: int, *, partial: bool) -> Self:
+        """Make symbols (cells, frames) of fields of every frame, and (cells, 1) of all others."""
         names = {name: source for name, source in cls.sources().items() if partial or not source.partial}
         return cls(
             **{name: casadi.SX.sym(name, cells, frames if source.per_frame else 1) for name, source in names.items()}
         )
 
-    def of_frame(self, frame: int, baseline: casadi.SX | None, looks_back: bool) -> dict[str, Any]:
-        """Symbols by name as a term sees them in one frame.
+    def of_frame(self, frame: int, baseline: casadi.SX | None, *, looks_back: bool) -> dict[str, Any]:
+        """Return the symbols by name as a term sees them in one frame.
 
-        baseline : the cells of a baseline that is solved together with it, or None. looks_back : whether earlier frames
-        are given.
+        baseline : cells of a baseline that is solved together with the frame, or None. looks_back : whether earlier
+        frames are given.
         """
         parts = {}
         for name, source in self.sources().items():
@@ -132,16 +166,16 @@ class Given:
 
     @cached_property
     def flat(self) -> dict[str, Array]:
-        """Flat arrays by name, with the number that stands for what is not known."""
-        found = {}
+        """Flat arrays by name; absent values are replaced by the number of their source."""
+        values = {}
         for name, source in self.sources().items():
             value = getattr(self, name)
             if value is not None or not source.partial:
-                found[name] = np.full(self.measured[0].size, source.absent) if value is None else value.ravel()
-        return found
+                values[name] = np.full(self.measured[0].size, source.absent) if value is None else value.ravel()
+        return values
 
     def named(self) -> Iterable[tuple[str, Any]]:
-        """(name, value) of all that is there."""
+        """Yield (name, value) of every field that is known."""
         return ((name, value) for name in self.sources() if (value := getattr(self, name)) is not None)
 
 
@@ -154,5 +188,5 @@ def _mark(readings: FrameReadings, mark: Array) -> Array | None:
 
 
 def _baseline(background: Background) -> Array | None:
-    """The baseline's cells; before one is known apart, the previous frame stands for it."""
+    """Return the baseline's cells; before they are known, the previous frame's."""
     return background.previous if background.baseline is None else background.baseline

@@ -1,7 +1,7 @@
-"""How a residual becomes a cost. To add a loss: write its class here, before `AnyLoss`, and name it there.
+"""Losses: even functions ρ of residuals, summed. To add a loss: write its class before `AnyLoss`, and name it there.
 
-Losses are sums of one even function ρ of every residual, zero at 0; the squared one is ρ = x², without a half. `cost`
-is enough: all else follows from it by default, for smooth losses.
+Every loss is zero at 0; the squared one is ρ = x², without a half. For smooth losses `cost` is enough: all other
+methods follow from it.
 """
 
 from abc import abstractmethod
@@ -21,10 +21,10 @@ from lampest.panel.panel import Array
 
 @dataclass(frozen=True, eq=False)
 class Lowered:
-    """weight·loss of a column of residuals x as the least of `objective` over p, q ≥ 0 where `equation` is 0.
+    """Minimum of `objective` over p, q ≥ 0 subject to `equation` = 0, which equals weight·loss of residuals x.
 
     split : p and q, (rows, 1) each, in a unit that makes them of order one, or (). equation : (rows, 1), x in that unit
-    − p + q, whose multipliers are weight·unit·z, z the duals; None unless the loss enters through duals.
+    − p + q, with multipliers weight·unit·z, z the duals; None unless the loss enters through duals.
     """
 
     objective: casadi.SX
@@ -37,10 +37,18 @@ Entry = Literal["whole", "split", "dual"]
 
 @dataclass(frozen=True, eq=False)
 class PenaltyEvidence:
-    """What the evidence for a penalty's weight counts, over its rows with curvature.
+    """Statistics of a penalty for the evidence of its weight, over its rows with curvature.
 
-    residual : x̂ (rows) at an estimate. magnitude : Σ E|x|, x scattered about x̂ as the estimate is uncertain. count :
-    tr(B⁺ B_t), how many residuals there are, dependent ones counted once. trace : gives tr(A⁻¹ B_t), which probes cost.
+    Attributes
+    ----------
+    residual : array, shape (rows,)
+        x̂ at an estimate.
+    magnitude : float
+        Σ E|x|, x distributed about x̂ with the uncertainty of the estimate.
+    count : float
+        tr(B⁺ B_t), the number of independent residuals.
+    trace : callable
+        Returns tr(A⁻¹ B_t), which is costly.
     """
 
     residual: Array
@@ -55,17 +63,23 @@ class PenaltyEvidence:
 
     @property
     def determined(self) -> float:
-        """γ_t = tr(B⁺ B_t) − tr(A⁻¹ B_t): how many of them data determine."""
+        """γ_t = tr(B⁺ B_t) − tr(A⁻¹ B_t): number of residuals that the data determine."""
         return self.count - self.trace()
 
 
 @dataclass(frozen=True)
 class Loss(Validated):
-    """Σ ρ(x) over the residuals of a term.
+    """Sum Σ ρ(x) over the residuals of a term.
 
-    enters : how solvers take it. 'whole': as it is. 'split': its second derivative jumps, and an interior-point method
-    takes `lowered` instead. 'dual': it is Σ |x|, and its duals z stand for its derivative. squared : whether it is
-    Σ x². convex : whether ρ is; where it is not, the cost may have several minima.
+    Attributes
+    ----------
+    enters : {'whole', 'split', 'dual'}
+        Form in which solvers take the loss. 'whole': directly. 'split': an interior-point method takes `lowered`,
+        because the second derivative jumps. 'dual': Σ |x|, with duals z in place of its derivative.
+    squared : bool
+        Whether the loss is Σ x².
+    convex : bool
+        Whether ρ is convex; else the cost may have several minima.
 
     >>> issubclass(lampest.Huber, lampest.Loss)
     True
@@ -78,54 +92,54 @@ class Loss(Validated):
 
     @abstractmethod
     def cost(self, residual: Any) -> Any:
-        """Σ ρ(x), one number, of a column of residuals; symbolic or numeric."""
+        """Return Σ ρ(x), one number, of a column of residuals; symbolic or numeric."""
 
     def lowered(self, residual: casadi.SX, weight: casadi.SX, unit: casadi.SX) -> Lowered:
-        """weight·cost as an interior-point method takes it; weight (1, 1), or of every row; unit : of the split."""
+        """Return weight·cost for an interior-point method; weight (1, 1) or (rows, 1); unit : of the split."""
         return Lowered(weight * self.cost(residual))
 
     def curvature(self, residual: Array) -> Array:
-        """ω = ½ρ''(x) (rows), 0 where it is negative: near x the cost has the second derivative of Σ ω x²."""
+        """Return ω = max(½ρ''(x), 0) (rows): near x the cost has the second derivative of Σ ω x²."""
         return np.asarray(np.maximum(_halves(self, residual)[1], 0.0))
 
     def stiffness(self, residual: Array) -> Array:
-        """½ρ'(x)/x (rows): the weights of reweighted least squares, ½ρ'' at 0."""
+        """Return ½ρ'(x)/x (rows), ½ρ'' at 0: the weights of reweighted least squares."""
         slope, second = _halves(self, residual)
-        nothing = residual == 0
-        return np.where(nothing, second, slope / np.where(nothing, 1.0, residual))
+        zero = residual == 0
+        return np.where(zero, second, slope / np.where(zero, 1.0, residual))
 
     def data_curvature(self, residual: Array, noise: Array) -> Array:
-        """ω of data rows with the noise τ (rows)."""
+        """Return ω of data rows with the noise τ (rows)."""
         return self.curvature(residual)
 
     def penalty_curvature(self, residual: Array, weight: float, scale: float) -> Array:
-        """ω of penalty rows per weight, with s² = scale."""
+        """Return ω of penalty rows per weight, with s² = scale."""
         return self.curvature(residual)
 
     def steady_pull(self, residual: Array) -> Array:
-        """√((½ρ'(x))² − (ω x)²) (rows): the part of the slope that the curvature ω does not account for."""
+        """Return √((½ρ'(x))² − (ω x)²) (rows): the part of the slope beyond that of the curvature ω."""
         slope, second = _halves(self, residual)
         return np.asarray(np.sqrt(np.maximum(slope**2 - (np.maximum(second, 0.0) * residual) ** 2, 0.0)))
 
     def size(self, evidence: PenaltyEvidence) -> float:
-        """η of the evidence's fixed point λ = s² γ/η: Σ ½ x ρ'(x); a prior exp(−λρ(x)/2s²) has E[x ρ'(x)] = 2s²/λ."""
+        """Return η = Σ ½ x ρ'(x) of the fixed point λ = s² γ/η; a prior exp(−λρ(x)/2s²) has E[x ρ'(x)] = 2s²/λ."""
         return float(np.sum(evidence.residual * _halves(self, evidence.residual)[0]))
 
     def determined(self, evidence: PenaltyEvidence) -> float:
-        """γ of the same."""
+        """Return γ of the fixed point."""
         return evidence.determined
 
 
 @guarded
 def _halves(loss: "Loss", residual: Array) -> tuple[Array, Array]:
-    """(½ρ', ½ρ'') of every residual (rows)."""
+    """Return (½ρ', ½ρ'') of every residual (rows)."""
     slope, second = _derivatives(loss)(residual[None])
     return np.asarray(slope).ravel(), np.asarray(second).ravel()
 
 
 @lru_cache(maxsize=64)
 def _derivatives(loss: Loss) -> casadi.Function:
-    """x → (½ρ', ½ρ''); CasADi maps it over the columns of what it is given."""
+    """Return the function x → (½ρ', ½ρ''), which CasADi maps over columns."""
     x = casadi.SX.sym("x")
     slope = casadi.gradient(loss.cost(x), x) / 2
     return casadi.Function("halves", [x], [slope, casadi.gradient(slope, x)])
@@ -133,7 +147,7 @@ def _derivatives(loss: Loss) -> casadi.Function:
 
 @dataclass(frozen=True)
 class Squared(Loss):
-    """Σ x²; the loss of the paper's equations (11)-(24).
+    """Squares Σ x²; the loss of the paper's equations (11)-(24).
 
     >>> lampest.Misfit().loss == lampest.Squared()
     True
@@ -143,7 +157,7 @@ class Squared(Loss):
     kind: Literal["squared"] = "squared"
 
     def cost(self, residual: Any) -> Any:
-        """Σ x², symbolic or numeric."""
+        """Return Σ x², symbolic or numeric."""
         return casadi.sumsqr(residual)
 
 
@@ -171,19 +185,19 @@ class Huber(Loss):
         _check_corner(self.corner)
 
     def cost(self, residual: Any) -> Any:
-        """Σ c·(2x − c), c = x held to |c| ≤ corner; symbolic or numeric."""
+        """Return Σ c·(2x − c), c = x clipped to |c| ≤ corner; symbolic or numeric."""
         inside = casadi.fmin(casadi.fmax(residual, -self.corner), self.corner)
         return casadi.sum1(inside * (2 * residual - inside))
 
     def lowered(self, residual: casadi.SX, weight: casadi.SX, unit: casadi.SX) -> Lowered:
-        """The least of Σ (x − p + q)² + 2·corner·(p + q): what lies beyond the corner goes into p or q."""
+        """Return min over p, q ≥ 0 of Σ (x − p + q)² + 2·corner·(p + q): p and q take the part beyond the corner."""
         above, below = (casadi.SX.sym(name, residual.shape[0]) for name in ("above", "below"))
         inside = residual - unit * (above - below)
         outside = 2 * self.corner * unit * casadi.sum1(above + below)
         return Lowered(weight * (casadi.sumsqr(inside) + outside), (above, below))
 
     def size(self, evidence: PenaltyEvidence) -> float:
-        """η = Σ x² of the rows that count: where ω = 0 a residual does not inform the weight."""
+        """Return η = Σ x² over rows with curvature: a residual with ω = 0 does not inform the weight."""
         return evidence.squares
 
 
@@ -199,32 +213,33 @@ class Absolute(Loss):
     kind: Literal["absolute"] = "absolute"
 
     def cost(self, residual: Any) -> Any:
-        """Σ |x|, symbolic or numeric; for values, not for derivatives."""
+        """Return Σ |x|, symbolic or numeric; for values, not for derivatives."""
         return casadi.sum1(casadi.fabs(residual))
 
     def lowered(self, residual: casadi.SX, weight: casadi.SX, unit: casadi.SX) -> Lowered:
-        """The least of Σ p + q where p − q = x."""
+        """Return min over p, q ≥ 0 of Σ p + q with p − q = x."""
         above, below = (casadi.SX.sym(name, residual.shape[0]) for name in ("above", "below"))
         objective = unit * casadi.dot(weight, above + below)
         return Lowered(objective, (above, below), residual / unit - above + below)
 
     def data_curvature(self, residual: Array, noise: Array) -> Array:
-        """ω = √(2/π)/(2τ), half the second derivative of E|x + noise| at 0."""
+        """Return ω = √(2/π)/(2τ), half the second derivative of E|x + noise| at 0."""
         return np.asarray(np.sqrt(2 / np.pi) / 2 / np.maximum(noise, np.finfo(float).tiny))
 
     def penalty_curvature(self, residual: Array, weight: float, scale: float) -> Array:
-        """ω/weight of the normal distribution with the variance 8s⁴/w² of exp(−w|x|/2s²): w/8s²."""
+        """Return ω/weight = w/8s² of the normal distribution with the variance 8s⁴/w² of exp(−w|x|/2s²)."""
         return np.full_like(residual, weight / (8 * scale))
 
     def steady_pull(self, residual: Array) -> Array:
+        """Return zeros: ω accounts for the whole slope."""
         return np.zeros_like(residual)
 
     def size(self, evidence: PenaltyEvidence) -> float:
-        """η = ½ Σ E|x|: the prior is Laplace's."""
+        """Return η = ½ Σ E|x|: the prior is Laplace's."""
         return 0.5 * evidence.magnitude
 
     def determined(self, evidence: PenaltyEvidence) -> float:
-        """All residuals: η is an expectation, which has the share that data leave open already."""
+        """Return the number of all residuals: η, an expectation, already contains the share that data leave open."""
         return evidence.count
 
 
@@ -248,6 +263,7 @@ class Student(Loss):
         _check_corner(self.corner)
 
     def cost(self, residual: Any) -> Any:
+        """Return Σ c²·log(1 + (x/c)²), symbolic or numeric."""
         return self.corner**2 * casadi.sum1(casadi.log1p((residual / self.corner) ** 2))
 
 

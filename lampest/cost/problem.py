@@ -1,4 +1,4 @@
-"""The data of a solve, the cost and the terms' residuals at a point with derivatives, and the test of optimality."""
+"""Data of a solve, cost and residuals at a point with derivatives, and the test of optimality."""
 
 import math
 from dataclasses import dataclass, replace
@@ -18,16 +18,29 @@ from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout, TwoPointReadout
 from lampest.panel.readouts.wiring import Wiring
 
-ROUNDING = 1e-15  # of what a residual would be off by were every digit wrong: some four last bits of each
+ROUNDING = 1e-15  # relative rounding error of a residual: four last bits of double precision
 
 
 @dataclass(frozen=True, eq=False)
 class Data:
-    """What one solve is given.
+    """Data of one solve.
 
-    given : readings, noise, earlier frames. lower, upper : (frames, rows, columns) ohm. readout, wiring : how readings
-    follow from cells. noise_known : whether σ is. until : s on the clock of `time.monotonic`, when a solver gives up.
-    first : whether no frame before was solved. parts : see `Scene.parts`.
+    Attributes
+    ----------
+    given : Given
+        Readings, noise, earlier frames.
+    lower, upper : array, shape (frames, rows, columns)
+        Bounds in ohm.
+    readout, wiring
+        Circuit by which readings follow from cells.
+    noise_known : bool
+        Whether σ is known.
+    until : float
+        Time at which a solver gives up, in s on the clock of `time.monotonic`.
+    first : bool
+        Whether no earlier frame was solved.
+    parts : array, or None
+        See `Scene.parts`.
 
     >>> data = found.estimator.data(recording.readings()[2], lampest.cost.given.Background(recording.scene))
     """
@@ -43,12 +56,12 @@ class Data:
     parts: NDArray[np.intp] | None = None
 
     def limited(self, seconds: float | None) -> "Data":
-        """The same with so many s from now on to solve it, or without end."""
+        """Return the data with a time limit of that many s from now on; None: no limit."""
         return self if seconds is None else replace(self, until=monotonic() + seconds)
 
     @property
     def overdue(self) -> bool:
-        """Whether it is time to give up."""
+        """Whether the time limit has passed."""
         return self.until < math.inf and monotonic() > self.until
 
     @property
@@ -58,18 +71,18 @@ class Data:
 
     @property
     def sigma(self) -> Array:
-        """Their standard deviation; ones where unknown."""
+        """Standard deviations of the readings; ones if unknown."""
         return np.asarray(self.given.sigma)
 
     @property
     def plain(self) -> NDArray[np.bool_]:
-        """(frames, rows, columns) whether a reading is a value: no bound, not nothing, no stand-in."""
+        """(frames, rows, columns) whether a reading is a value: neither a bound nor missing nor a substitute."""
         whole = np.ones(self.measured.shape, dtype=bool)
         return np.asarray(whole & (self.given.side == 0) & (self.given.seen == 1)) if self.partial else whole
 
     @property
     def deviation(self) -> Array:
-        """σ, and σ/seen of what stands in for a reading; that of a reading without any weight does not matter."""
+        """σ of readings, and σ/seen of substitutes; irrelevant for a reading without weight."""
         return self.sigma if not self.partial else self.sigma / np.where(self.given.seen > 0, self.given.seen, 1.0)
 
     @property
@@ -79,7 +92,7 @@ class Data:
 
     @property
     def partial(self) -> bool:
-        """Whether readings may be bounds or say nothing."""
+        """Whether readings may be bounds or missing."""
         return self.given.side is not None
 
     @cached_property
@@ -94,6 +107,7 @@ class Data:
 
     @cached_property
     def log_bounds(self) -> tuple[Array, Array]:
+        """Logarithms of the bounds."""
         return np.log(self.lower), np.log(self.upper)
 
     @cached_property
@@ -102,19 +116,19 @@ class Data:
         return np.stack([self.readout.ties_of_parts(measured, self.parts) for measured in self.measured])
 
     def network(self, frame: int, cell_resistance: Array) -> Network:
-        """The solved network of one frame's cells (rows, columns) ohm."""
+        """Return the solved network of one frame's cells (rows, columns) ohm."""
         return self.readout.network(cell_resistance, self.ties[frame], self.wiring)
 
     def networks(self, cell_resistance: Array) -> tuple[Network, ...]:
-        """Those of all frames."""
+        """Return the solved networks of all frames."""
         return tuple(self.network(frame, cells) for frame, cells in enumerate(cell_resistance))
 
 
 @dataclass(frozen=True, eq=False)
 class Evaluation:
-    """φ and its derivatives at one point: cell resistance in ohm and the readings, (frames, rows, columns).
+    """Cost φ and its derivatives at one point: cell resistance in ohm and the readings, (frames, rows, columns).
 
-    solved : the networks of the frames, or None where nobody needed them yet.
+    solved : networks of the frames, or None if not yet needed.
     """
 
     cost: Cost
@@ -130,7 +144,7 @@ class Evaluation:
         return cls(cost, data, cell_resistance, np.stack([network.reading() for network in networks]), networks)
 
     def elsewhere(self, cell_resistance: Array) -> "Evaluation":
-        """The same cost and data at other cells, evaluated in the same way."""
+        """Return the evaluation of the same cost and data at other cells."""
         return Evaluation.at(self.cost, self.data, cell_resistance)
 
     @cached_property
@@ -139,28 +153,28 @@ class Evaluation:
         return self.data.networks(self.cell_resistance) if self.solved is None else self.solved
 
     def call(self, function: Compiled, dual: Array) -> Array:
-        """One of the cost's functions at this point."""
-        here = {
+        """Return a function of the cost at this point."""
+        point = {
             "cell_resistance": self.cell_resistance.ravel(),
             "reading": self.reading.ravel(),
             "weights": self.cost.weights,
             "dual": dual,
         }
         given = self.data.given.flat
-        return function(*[here[name] if name in here else given[name] for name in function.names])
+        return function(*[point[name] if name in point else given[name] for name in function.names])
 
     def of_terms(self, function: Compiled) -> Array:
-        """A function of the terms' residuals at this point, which knows no duals."""
+        """Return a function of the terms' residuals at this point, which takes no duals."""
         return self.call(function, np.zeros(len(self.cost.slope)))
 
     @cached_property
     def first(self) -> Array:
-        """The costs of the terms, here and at f(r) = 0, and their derivatives without duals."""
+        """Costs of the terms, at this point and at f(r) = 0, and their derivatives without duals."""
         return self.of_terms(self.cost.functions.first)
 
     @property
     def costs(self) -> Array:
-        """weight · loss of each term, summed over frames, in the order of the terms."""
+        """Costs weight · loss of the terms, summed over frames, in the order of the terms."""
         return self.first[: len(self.cost.terms)]
 
     @cached_property
@@ -169,13 +183,13 @@ class Evaluation:
         return float(self.costs.sum())
 
     def partials(self, dual: Array) -> tuple[Array, Array]:
-        """(∂φ/∂r at fixed readings y, ∂φ/∂y), each (frames, rows, columns)."""
+        """Return (∂φ/∂r at fixed readings y, ∂φ/∂y), each (frames, rows, columns)."""
         values = self.call(self.cost.functions.first, dual) if len(dual) else self.first
         direct, through = values[2 * len(self.cost.terms) :].reshape(2, *self.cell_resistance.shape)
         return direct, through
 
     def log_gradient(self, dual: Array) -> Array:
-        """∂φ/∂u, u = log r, (frames, rows, columns): r·∂φ/∂r + Jᵀ ∂φ/∂y, in product form; duals held to |z| ≤ 1."""
+        """Return ∂φ/∂u, u = log r, (frames, rows, columns): r·∂φ/∂r + Jᵀ ∂φ/∂y; duals clipped to |z| ≤ 1."""
         direct, through = self.partials(within_one(dual))
         gradient: Array = direct * self.cell_resistance
         for frame, network in enumerate(self.networks):
@@ -184,7 +198,7 @@ class Evaluation:
 
     @cached_property
     def cost_scale(self) -> float:
-        """φ with the terms at f(r) = 0 for one cell, plus φ here: the size against which a gradient is small."""
+        """Scale against which a gradient is small: φ with the terms at f(r) = 0 for one cell, plus φ at this point."""
         blank = self.first[len(self.cost.terms) : 2 * len(self.cost.terms)]
         return (float(blank.sum()) / self.cell_resistance.size + self.objective) or 1.0
 
@@ -195,7 +209,7 @@ class Evaluation:
 
     @cached_property
     def nonsmooth_reach(self) -> Array:
-        """Σ |∂x/∂r|·r + Σ |∂x/∂y|·|y| of those residuals: what they would be off by were every digit wrong."""
+        """Σ |∂x/∂r|·r + Σ |∂x/∂y|·|y| of those residuals: their error if every digit were wrong."""
         rows, columns = self.cost.functions.nonsmooth_jacobian.pattern
         slopes = self.of_terms(self.cost.functions.nonsmooth_jacobian)
         at = np.concatenate([self.cell_resistance.ravel(), self.reading.ravel()])
@@ -203,50 +217,56 @@ class Evaluation:
 
     @property
     def last_bits(self) -> Array:
-        """What residuals with an absolute loss that are zero may hold."""
+        """Rounding errors of residuals with an absolute loss that are zero."""
         return ROUNDING * self.nonsmooth_reach
 
     @property
     def rounding(self) -> float:
-        """What φ may be off by where residuals that are zero hold their last bits, times their weight."""
+        """Rounding error of φ: that of residuals that are zero, times their weight."""
         return float(np.sum(self.cost.slope * self.last_bits)) if len(self.cost.slope) else 0.0
 
     def dual_gap(self, dual: Array) -> float:
-        """Σ weight·(|x| − z·x) of the absolute losses: zero where z is a subgradient; rounding of x counts for none."""
-        left = np.abs(self.nonsmooth) - dual * self.nonsmooth - self.last_bits
-        return float(np.sum(self.cost.slope * np.maximum(left, 0.0)))
+        """Return Σ weight·(|x| − z·x) of the absolute losses, zero if z is a subgradient; rounding of x is ignored."""
+        gap = np.abs(self.nonsmooth) - dual * self.nonsmooth - self.last_bits
+        return float(np.sum(self.cost.slope * np.maximum(gap, 0.0)))
 
     def kkt_residual(self, dual: Array, log_gradient: Array | None = None) -> float:
-        """max |u − Π(u − ∇φ/s)| over u = log r, Π onto the bounds, s = `cost_scale`; with the dual gap φ/s added.
+        """Return max |u − Π(u − ∇φ/s)| plus the dual gap φ/s; u = log r, Π onto the bounds, s = `cost_scale`.
 
-        Zero where the first-order optimality conditions hold. log_gradient : for these duals, where it is known.
+        Zero where the first-order optimality conditions hold. log_gradient : gradient for these duals, if it is known.
         """
         gap = self.dual_gap(within_one(dual)) / self.cost_scale if len(dual) else 0.0
         return self.projected_gradient(self.log_gradient(dual) if log_gradient is None else log_gradient) + gap
 
     def projected_gradient(self, log_gradient: Array) -> float:
-        """max |u − Π(u − ∇φ/s)| for a gradient that is known already."""
+        """Return max |u − Π(u − ∇φ/s)| of a known gradient."""
         lower, upper = self.data.log_bounds
         target = np.minimum(np.maximum(self.position - log_gradient / self.cost_scale, lower), upper)
         return float(np.abs(self.position - target).max())
 
     @cached_property
     def position(self) -> Array:
-        """u = log r, (frames, rows, columns)."""
+        """Position u = log r, (frames, rows, columns)."""
         return np.log(self.cell_resistance)
 
 
 def within_one(dual: Array) -> Array:
-    """The duals of absolute losses, held to |z| ≤ 1."""
+    """Return the duals of absolute losses, clipped to |z| ≤ 1."""
     return np.clip(dual, -1, 1) if len(dual) else dual
 
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """Some rows of the residuals x, unweighted: functions of what `Evaluation` holds.
+    """Rows of the unweighted residuals x, as functions of the inputs of `Evaluation`.
 
-    value : x. by_cells, by_model, by_previous, by_baseline : ∂x/∂ cells, readings, previous and baseline, sparse.
-    term : the number of the term that every row belongs to.
+    Attributes
+    ----------
+    value : Compiled
+        x.
+    by_cells, by_model, by_previous, by_baseline : Compiled
+        ∂x/∂(cells, readings, previous frame, baseline), sparse.
+    term : array of int
+        Number of the term of each row.
     """
 
     value: Compiled
@@ -257,11 +277,11 @@ class Part:
     term: NDArray[np.intp]
 
     def values(self, at: Evaluation) -> Array:
-        """x at a point."""
+        """Return x at a point."""
         return at.of_terms(self.value)
 
     def jacobian(self, name: str, at: Evaluation) -> sparse.csc_array:
-        """One of the derivatives at a point, (rows, unknowns) sparse."""
+        """Return one of the derivatives at a point, (rows, unknowns) sparse."""
         structure = self._structures[name]
         if not structure.nnz:
             return structure
@@ -280,14 +300,14 @@ class Part:
 
 @dataclass(frozen=True, eq=False)
 class Residuals:
-    """data : the rows that read readings. penalties : all others."""
+    """Residuals of a cost: the rows that read readings, `data`, and all others, `penalties`."""
 
     data: Part
     penalties: Part
 
 
 def residuals(cost: Cost) -> Residuals:
-    """The residuals of a cost, compiled once for all weights."""
+    """Return the residuals of a cost, compiled once for all weights."""
     return _residuals(cost.unweighted)
 
 

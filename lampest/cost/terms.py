@@ -18,7 +18,7 @@ Reference = Literal["baseline", "previous"]
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class State(Given):
-    """One frame as a term sees it, symbolic or numeric.
+    """State of one frame in a term, symbolic or numeric.
 
     Every field is a column of (cells, 1) in row-major order, not a matrix: slices of rows and columns need `grid`.
 
@@ -41,15 +41,15 @@ class State(Given):
     reading: Any
 
     def relative_change(self) -> Any:
-        """100·(r − r0)/r0 in percent; paper, equation (15)."""
+        """Return 100·(r − r0)/r0 in percent; paper, equation (15)."""
         return 100 * (self.cell_resistance - self.previous) / self.previous
 
     def ratio(self, reference: Reference) -> Any:
-        """r/r0, r0 the baseline's or the previous frame's, (cells, 1)."""
+        """Return r/r0, r0 of the baseline or of the previous frame, (cells, 1)."""
         return self.cell_resistance / (self.baseline if reference == "baseline" else self.previous)
 
     def log_steps(self, values: Any) -> Any:
-        """log(x_b/x_a)/distance over all pairs of neighbours, (pairs, 1) per pitch; see `Panel.neighbours`."""
+        """Return log(x_b/x_a)/distance over all pairs of neighbours, (pairs, 1) per pitch; see `Panel.neighbours`."""
         first, second, distance = neighbour_operators(self.panel)
         return casadi.log((second @ values) / (first @ values)) / distance
 
@@ -59,7 +59,7 @@ class State(Given):
         return casadi.reshape(values, columns, rows).T
 
     def gradient(self, values: Any) -> Any:
-        """∇x as one column; paper, section IV.D.
+        """Return ∇x as one column; paper, section IV.D.
 
         Of a full rectangle (2·cells, 1): the row part, then the column part. Of listed cells (pairs, 1): the difference
         of each pair of `Panel.neighbours`, per pitch.
@@ -72,7 +72,7 @@ class State(Given):
 
 @cache
 def gradient_operator(rows: int, columns: int) -> casadi.DM:
-    """Sparse (2·cells, cells): the panel's finite differences for row-major columns."""
+    """Return the panel's finite differences of row-major columns, sparse (2·cells, cells)."""
     along_rows, along_columns = (casadi.sparsify(casadi.DM(difference_matrix(length))) for length in (rows, columns))
     return casadi.vertcat(
         casadi.kron(along_rows, casadi.DM.eye(columns)), casadi.kron(casadi.DM.eye(rows), along_columns)
@@ -81,7 +81,7 @@ def gradient_operator(rows: int, columns: int) -> casadi.DM:
 
 @cache
 def neighbour_operators(panel: Panel) -> tuple[casadi.DM, casadi.DM, casadi.DM]:
-    """Sparse (pairs, cells), twice: the first and second cell of every pair of neighbours; their distances."""
+    """Return selections of first and second cells of all pairs of neighbours, sparse (pairs, cells), and distances."""
     *cells, distance = panel.neighbours
     pairs = range(len(distance))
     first, second = (
@@ -98,10 +98,20 @@ Weight = float | Literal["auto"]
 class Term(Validated):
     """A summand of the cost function: weight · loss(residual(state)).
 
-    weight : a number, or 'auto' where the data are to choose it. unit : of the residual, required of every class.
-    reads_measurement : whether it is a data term; all others are penalties. needs_previous : whether it compares with
-    the previous frame or the baseline. weighs_previous : whether its variance holds the previous frame's error.
-    convex_in_log : whether it is convex in log r once those are known.
+    Attributes
+    ----------
+    weight : float or 'auto'
+        'auto': the data choose it.
+    unit : str
+        Unit of the residual, required of every class.
+    reads_measurement : bool
+        Whether the term is a data term; all others are penalties.
+    needs_previous : bool
+        Whether the term compares with the previous frame or the baseline.
+    weighs_previous : bool
+        Whether the term's variance contains the previous frame's error.
+    convex_in_log : bool
+        Whether the term is convex in log r for given previous frame and baseline.
 
     Raises ValueError unless the weight is finite and not negative, and for a class without a unit or with the `kind` of
     another term.
@@ -150,7 +160,7 @@ class Misfit(Term):
     weighting: Literal["plain", "noise"] = "plain"
 
     def residual(self, state: State) -> Any:
-        """Modelled minus measured readings, (cells, 1); of a bound only what breaks it."""
+        """Return modelled minus measured readings, (cells, 1); zero for a bound that holds."""
         difference = state.reading - state.measured
         if state.side is not None:
             beyond = state.side * casadi.fmin(state.side * difference, 0)
@@ -171,6 +181,7 @@ class CellResistance(Term):
     weight: Weight = "auto"
 
     def residual(self, state: State) -> Any:
+        """Return r, (cells, 1)."""
         return state.cell_resistance
 
 
@@ -188,6 +199,7 @@ class RelativeChange(Term):
     weight: Weight = "auto"
 
     def residual(self, state: State) -> Any:
+        """Return the relative change, (cells, 1)."""
         return state.relative_change()
 
 
@@ -204,7 +216,7 @@ class Gradient(Term):
     weight: Weight = "auto"
 
     def residual(self, state: State) -> Any:
-        """Finite differences of the cell resistance, (2·cells, 1)."""
+        """Return finite differences of the cell resistance, (2·cells, 1)."""
         return state.gradient(state.cell_resistance)
 
 
@@ -222,7 +234,7 @@ class GradientOfRelativeChange(Term):
     weight: Weight = "auto"
 
     def residual(self, state: State) -> Any:
-        """Finite differences of the relative change, (2·cells, 1)."""
+        """Return finite differences of the relative change, (2·cells, 1)."""
         return state.gradient(state.relative_change())
 
 
@@ -243,6 +255,7 @@ class TotalVariation(Term):
     kind: Literal["total_variation"] = "total_variation"
 
     def residual(self, state: State) -> Any:
+        """Return the logarithmic steps, (pairs, 1)."""
         return 100 * state.log_steps(state.cell_resistance)
 
 
@@ -259,6 +272,7 @@ class LogGradient(Term):
     kind: Literal["log_gradient"] = "log_gradient"
 
     def residual(self, state: State) -> Any:
+        """Return the logarithmic steps, (pairs, 1)."""
         return state.log_steps(state.cell_resistance)
 
 
@@ -282,6 +296,7 @@ class LogRatio(Term):
     reference: Reference = "baseline"
 
     def residual(self, state: State) -> Any:
+        """Return the logarithmic ratio, (cells, 1)."""
         return 100 * casadi.log(state.ratio(self.reference))
 
 
@@ -304,7 +319,7 @@ class TotalVariationOfChange(Term):
     reference: Reference = "baseline"
 
     def residual(self, state: State) -> Any:
-        """Logarithmic steps of the change between neighbouring cells, (pairs, 1)."""
+        """Return logarithmic steps of the change between neighbouring cells, (pairs, 1)."""
         return 100 * state.log_steps(state.ratio(self.reference))
 
 
@@ -338,6 +353,7 @@ class Arrival(Term):
             raise ValueError("walk_percent must be positive and finite")
 
     def residual(self, state: State) -> Any:
+        """Return the logarithmic change in standard deviations, (cells, 1)."""
         variance = state.previous_deviation**2 + (self.walk_percent / 100) ** 2
         return casadi.log(state.ratio("previous")) / casadi.sqrt(variance)
 
@@ -370,12 +386,12 @@ def _check_class(term: type[Term]) -> None:
 
 
 def term_kind(term: Term) -> str:
-    """The word that names the term in YAML and results."""
+    """Return the word that names the term in YAML and results."""
     return str(getattr(term, "kind", type(term).__name__))
 
 
 def term_types() -> dict[str, type[Term]]:
-    """kind → class, for every member of the union, in its order; then those of installed packages.
+    """Return kind → class for every member of the union in its order, then for those of installed packages.
 
     >>> sorted(lampest.term_types())[:2]
     ['arrival', 'cell_resistance']
