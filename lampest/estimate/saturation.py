@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.estimate.outliers import FAR
+from lampest.files.levels import NOISE_REACH
 from lampest.panel.panel import Array
-from lampest.panel.readouts.converter import WITHIN
 from lampest.recording.readings import Readings
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
 
@@ -55,7 +55,7 @@ def saturated(recording: Recording) -> Saturated | None:
         return None
     if min(scene.panel.shape) < 2:  # channels of a single line may all end at what it gives
         return None
-    width, every = WITHIN * readout.sigma_volt(), scene.circuit.volt_from_recorded(recording.recorded)
+    width, every = NOISE_REACH * readout.sigma_volt(), scene.circuit.volt_from_recorded(recording.recorded)
     if not any(_may_pile(sign * every[role], width) for role in (unloaded, measured) for sign in (1.0, -1.0)):
         return None
     plain = Readings.of(scene, recording.recorded, recording.sigma).plain

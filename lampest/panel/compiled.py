@@ -30,11 +30,11 @@ _DROPPED: deque[dict[str, Any]] = deque()  # contents of owners that are gone
 
 
 def _unlock_child() -> None:
-    """A forked child has no other threads; Python 3.11 would keep the properties locked that those were computing."""
+    """Release the lock in a forked child, and renew the locks of cached properties (Python 3.11)."""
     _LOCK.release()
     modules = [module for name, module in sys.modules.items() if name.startswith("lampest.")]
-    classes = {one for module in modules for one in vars(module).values() if isinstance(one, type)}
-    for member in (member for one in classes for member in vars(one).values()):
+    classes = {member for module in modules for member in vars(module).values() if isinstance(member, type)}
+    for member in (member for owner in classes for member in vars(owner).values()):
         if isinstance(member, cached_property) and hasattr(member, "lock"):
             member.lock = RLock()
 
@@ -97,19 +97,19 @@ class Compiled(CasadiOwner):
 
     @guarded
     def mapped(self, count: int) -> "Compiled":
-        """The function of `count` points at once."""
+        """Return the function of `count` points at once."""
         return Compiled(self.function.map(count))
 
     @cached_property
     @guarded
     def names(self) -> tuple[str, ...]:
-        """Of the inputs, in their order."""
+        """Names of the inputs, in their order."""
         return tuple(self.function.name_in())
 
     @cached_property
     @guarded
     def sizes(self) -> tuple[int, ...]:
-        """Of the inputs, in their order."""
+        """Numbers of nonzeros of the inputs, in their order."""
         return tuple(self.function.nnz_in(number) for number in range(self.function.n_in()))
 
     @cached_property

@@ -1,4 +1,4 @@
-"""What a scene states beside its circuit: water, temperature, shared errors, faults, subject, experiment."""
+"""Conditions of a measurement beside the circuit: water, temperature, shared errors, faults, subject, experiment."""
 
 from dataclasses import dataclass, replace
 
@@ -63,19 +63,25 @@ class Temperature(Configuration):
 
 @dataclass(frozen=True)
 class Systematic(Configuration):
-    """Errors that all readings may share; widens error bars and changes no estimate.
+    """Errors that all readings may share; they widen error bars and change no estimate. None: absent.
 
-    reference_tolerance : the reference resistor, or all loads or feedback resistors together, are off by up to this
-        fraction.
-    channel_spread_ohm : standard deviation of the resistance of each line's channel, in ohm.
-    series_ohm : of what stands in series with all driven lines alike, beside what the scene names, in ohm.
-    inl_lsb : of the converter's curve about a straight line, a smooth one, in least significant bits.
-    wire_ohm_per_cell : of the wire of rows and columns from cell to cell, beside what the scene names, in ohm.
-    reading_error : of the logarithm of a factor on each reading, the same in all frames.
-    response_sd : of a factor on each cell's answer to pressure, in the logarithm of its resistance (bent film, patches
-        that differ); widens pressures alone.
-
-    None: absent.
+    Attributes
+    ----------
+    reference_tolerance : float
+        Largest relative error of the reference resistor, or of all loads or feedback resistors together.
+    channel_spread_ohm : float
+        Standard deviation of the resistance of each line's channel, in ohm.
+    series_ohm : float, or None
+        Standard deviation of a resistance in series with all driven lines, beside that of the scene, in ohm.
+    inl_lsb : float, or None
+        Standard deviation of the converter's smooth deviation from a straight line, in least significant bits.
+    wire_ohm_per_cell : float, or None
+        Standard deviation of the wire of rows and columns from cell to cell, beside that of the scene, in ohm.
+    reading_error : float, or None
+        Standard deviation of the logarithm of a factor on each reading, the same in all frames.
+    response_sd : float, or None
+        Standard deviation of a factor on each cell's answer to pressure, in the logarithm of its resistance (bent film,
+        differing patches); widens pressures alone.
 
     >>> lampest.Systematic(reference_tolerance=0.01).reference_tolerance
     0.01
@@ -99,10 +105,20 @@ class Systematic(Configuration):
 
 @dataclass(frozen=True)
 class MeasuredSubject(Configuration):
-    """Who touched the panel.
+    """Animal, person or object that touched the panel.
 
-    id : its name in the laboratory. species : its Latin name. length_mm, mass_g : of the body. note : what else there
-    is to say. Empty or None: not known. Raises ValueError where a number is not positive.
+    Attributes
+    ----------
+    id : str
+        Name in the laboratory.
+    species : str
+        Latin name.
+    length_mm, mass_g : float, or None
+        Of the body.
+    note : str
+        Remarks.
+
+    Empty or None: not known. Raises ValueError if a number is not positive.
 
     >>> lampest.MeasuredSubject(species="Petromyzon marinus").species
     'Petromyzon marinus'
@@ -120,11 +136,19 @@ class MeasuredSubject(Configuration):
 
 @dataclass(frozen=True)
 class Experiment(Configuration):
-    """What it was measured for.
+    """Purpose and circumstances of a measurement.
 
-    title : in a few words. experimenter : who did it. institution : where. water_temperature_celsius : of the water
-    around the panel; what warmth does to the film is another key, `temperature`. note : what else there is to say.
-    Empty or None: not known. Raises ValueError where the water is no water.
+    Attributes
+    ----------
+    title : str
+        In a few words.
+    experimenter, institution : str
+    water_temperature_celsius : float, or None
+        Of the water around the panel; the scene's key `temperature` says how warmth changes the film.
+    note : str
+        Remarks.
+
+    Empty or None: not known. Raises ValueError if the temperature is outside that of water.
 
     >>> lampest.Experiment(title="attachment").title
     'attachment'
@@ -142,13 +166,21 @@ class Experiment(Configuration):
 
 @dataclass(frozen=True)
 class Faults(Configuration):
-    """What is known to be broken, by (row, column) or line; it leaves the model.
+    """Known faults by (row, column) or line; broken parts leave the model.
 
-    open : cells that carry nothing. shorted : cells that join their lines; their readings say nothing.
-    dead_rows, dead_columns : lines without contact: their readings say nothing, their cells carry nothing.
-    dead_modules : modules by (row, column) that are not read at all: nothing is known of their cells.
-    joined_rows, joined_columns : groups of lines that touch each other at their terminals: they are one node, either is
-        read alike, and of their cells on one crossing only the sum of conductances is ever seen.
+    Attributes
+    ----------
+    open : pairs of int
+        Cells that carry no current.
+    shorted : pairs of int
+        Cells that join their lines; their readings carry no information.
+    dead_rows, dead_columns : tuple of int
+        Lines without contact: no readings, no current through their cells.
+    dead_modules : pairs of int
+        Modules that are not read: nothing is known of their cells.
+    joined_rows, joined_columns : tuples of int
+        Groups of lines that touch at their terminals: they are one node with equal readings, which determine only the
+        sum of conductances of their cells on one crossing.
 
     >>> lampest.Faults(dead_rows=(1,)).open_cells(lampest.Panel(2, 3)).sum()
     np.int64(3)
@@ -163,7 +195,7 @@ class Faults(Configuration):
     dead_modules: tuple[tuple[int, int], ...] = ()
 
     def open_cells(self, panel: Panel) -> NDArray[np.bool_]:
-        """(rows, columns) where a cell carries nothing."""
+        """Return (rows, columns) whether a cell carries no current."""
         cells = np.zeros(panel.shape, dtype=bool)
         for row, column in self.open:
             cells[row, column] = True
@@ -172,18 +204,19 @@ class Faults(Configuration):
         return cells
 
     def shorted_cells(self, panel: Panel) -> NDArray[np.bool_]:
+        """Return (rows, columns) whether a cell joins its lines."""
         return Faults(open=self.shorted).open_cells(panel)
 
     def blind(self, panel: Panel) -> NDArray[np.bool_]:
-        """(rows, columns) where a reading is missing."""
+        """Return (rows, columns) whether a reading is missing."""
         return replace(self, open=self.shorted).open_cells(panel)
 
     def joined(self, panel: Panel) -> tuple[tuple[int, ...], ...]:
-        """Groups of lines that are one node, by the numbers of lines, rows first."""
+        """Return groups of lines that are one node, by the numbers of lines, rows first."""
         return (*self.joined_rows, *(tuple(panel.rows + line for line in group) for group in self.joined_columns))
 
     def check(self, panel: Panel) -> None:
-        """Raise ValueError unless every fault lies on the panel, none is two things at once, and something is left."""
+        """Raise ValueError unless all faults lie on the panel, exclude each other, and leave a part of it intact."""
         layout, lines = panel.modules, self.dead_rows or self.dead_columns or self.joined_rows or self.joined_columns
         if layout is not None and lines:
             raise ValueError(
@@ -216,7 +249,7 @@ class Faults(Configuration):
             raise ValueError("faults: nothing is left of the panel")
 
     def of_module(self, layout: Modules, number: int, own: "Faults | None") -> "Faults | None":
-        """Of one module, by its own rows and columns: what lies on it, and what only it has; None: nothing."""
+        """Return the faults of one module by its own rows and columns, with those of its own; None without any."""
         rows, columns = layout.cells(number)
         own = own or Faults()
 

@@ -11,7 +11,7 @@ from lampest.panel.panel import MANY_LINES, Array, Panel
 
 
 def current_balance(conductance: Any, row_potential: Any, column_potential: Any) -> tuple[Any, Any]:
-    """Net current out of every line: I_j = Σ_k g_jk (u_j − v_k) and I_k = Σ_j g_jk (v_k − u_j).
+    """Return the net current out of every line: I_j = Σ_k g_jk (u_j − v_k) and I_k = Σ_j g_jk (v_k − u_j).
 
     conductance : (rows, columns) siemens.
     row_potential, column_potential : (rows, patterns) and (columns, patterns) volt, one column for each pattern.
@@ -26,7 +26,7 @@ def current_balance(conductance: Any, row_potential: Any, column_potential: Any)
 
 
 def laplacian(conductance: Array) -> Array:
-    """L with L·(u, v) = current_balance(g, u, v): (…, lines, lines) siemens, singular; paper, equation (3)."""
+    """Return L with L·(u, v) = current_balance(g, u, v): (…, lines, lines) siemens, singular; paper, equation (3)."""
     rows, columns = conductance.shape[-2:]
     if rows + columns > MANY_LINES:
         Panel(rows, columns).check_memory()
@@ -34,12 +34,12 @@ def laplacian(conductance: Array) -> Array:
 
 
 def injected(conductance: Array, potentials: Array) -> Array:
-    """L·V = current_balance of arrays, rows above columns: potentials (…, lines, patterns) → currents likewise."""
+    """Return L·V, the current balance of potentials (…, lines, patterns), rows above columns; the same shape."""
     return bipartite(line_sums(conductance), -conductance, potentials)
 
 
 def bipartite_matrix(diagonal: Array, between: Array) -> Array:
-    """[[diag d, A], [Aᵀ, diag d]] (…, lines, lines): d (…, lines), A (…, rows, columns)."""
+    """Return [[diag d, A], [Aᵀ, diag d]] (…, lines, lines) of d (…, lines), A (…, rows, columns)."""
     rows, lines = between.shape[-2], diagonal.shape[-1]
     matrix = np.zeros((*diagonal.shape, lines), dtype=between.dtype)
     matrix[..., :rows, rows:], matrix[..., rows:, :rows] = between, between.swapaxes(-1, -2)
@@ -48,7 +48,7 @@ def bipartite_matrix(diagonal: Array, between: Array) -> Array:
 
 
 def bipartite(diagonal: Array, between: Array, values: Array) -> Array:
-    """That matrix times V (…, lines, patterns)."""
+    """Return bipartite_matrix(d, A) times V (…, lines, patterns)."""
     rows = between.shape[-2]
     product: Array = diagonal[..., None] * values
     product[..., :rows, :] += between @ values[..., rows:, :]
@@ -57,5 +57,5 @@ def bipartite(diagonal: Array, between: Array, values: Array) -> Array:
 
 
 def line_sums(values: Array) -> Array:
-    """(…, rows + columns) sums over every row and every column of values (…, rows, columns)."""
+    """Return sums over every row and every column of values (…, rows, columns), (…, rows + columns)."""
     return np.concatenate([np.add.reduce(values, -1), np.add.reduce(values, -2)], axis=-1)

@@ -1,9 +1,9 @@
-"""A converter that remembers the channel before: its sampling capacitor is not charged anew in full.
+"""Memory of a converter: its sampling capacitor keeps a part of the previous channel's charge.
 
     V_n = (1 − m)·U_n + m·V_(n−1)
 
-U_n : voltage of the n-th channel in scan order. m : the fraction that is remembered. The first channel of a frame
-follows the last one of the same frame. All voltages at the converter, (…, rows, columns) in the panel's order.
+U_n : voltage of the n-th channel in scan order. m : remembered fraction. The first channel of a
+frame follows the last one of the same frame. All voltages at the converter, (…, rows, columns) in the panel's order.
 """
 
 import numpy as np
@@ -25,7 +25,7 @@ def with_memory(readout: Readout, fraction: float, volt: Array) -> Array:
 
 
 def without_memory(readout: Readout, fraction: float, recorded: Array, sigma: Array) -> tuple[Array, Array]:
-    """(recorded readings as if nothing were remembered, their σ): U_n = (V_n − m·V_(n−1))/(1 − m).
+    """Return recorded readings without memory, and their σ: U_n = (V_n − m·V_(n−1))/(1 − m).
 
     recorded, sigma : of the same shape, in the readout's unit. Both voltages' noise is in U_n: (1 + m²)^½/(1 − m) times
     as much where they have the same. After a channel that says nothing (NaN), any voltage may be remembered.

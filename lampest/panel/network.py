@@ -1,4 +1,4 @@
-"""A solved network of cells: the only owner of the impedance Z = (L(g) + diag(t))⁻¹ of a panel's lines.
+"""Solved networks of cells, the only owners of the impedance Z = (L(g) + diag(t))⁻¹ of a panel's lines.
 
 A readout ties lines to ground (t, siemens) and reads y = h(p, q, t) of p = Z_jj, q = Z_kk, t = Z_jk. All derivatives
 follow from these two. They are in u = log r: with D = Z·B, B the ±1 incidence vectors of the cells, ∂Z_ab/∂u_c =
@@ -25,18 +25,20 @@ Loading = tuple[Array, Array]  # W's diagonal (…, lines) and its block between
 
 
 class ReadCircuit(Hashable, Protocol):
-    """What a network asks of the readout that it is read by; see `lampest.panel.readouts.readout.Readout`."""
+    """Readout as a network needs it; see `lampest.panel.readouts.readout.Readout`."""
 
-    def ties(self, measured: Array) -> Array: ...
+    def ties(self, measured: Array) -> Array:
+        """Return the conductances to ground, (rows + columns) siemens."""
 
-    def reading(self, row: Any, column: Any, mutual: Any) -> Any: ...
+    def reading(self, row: Any, column: Any, mutual: Any) -> Any:
+        """Return h(Z_jj, Z_kk, Z_jk)."""
 
 
 @dataclass(frozen=True, eq=False)
 class NormalByLines:
-    """diag(own) + V·mixed·Vᵀ over cells, V = [diag(v)·U for v in along], U (cells, lines) whose columns are the lines.
+    """Matrix diag(own) + V·mixed·Vᵀ over cells, V = [diag(v)·U for v in along], U (cells, lines) 1 on a line's cells.
 
-    own (rows, columns), along (k, rows, columns), mixed (k·lines)².
+    Shapes: own (rows, columns), along (k, rows, columns), mixed (k·lines)².
     """
 
     own: Array
@@ -46,10 +48,10 @@ class NormalByLines:
 
 @dataclass(frozen=True, eq=False)
 class Network(ABC):
-    """cell_resistance, conductance : (rows, columns) ohm and siemens, each other's reciprocal; of floating lines also
-    (…, rows, columns), many networks at once.
+    """Solved network of cell_resistance, ohm, and conductance, siemens, its reciprocal; (rows, columns) each.
 
-    The impedance Z (lines, lines) in ohm is the network's own affair.
+    Networks of floating lines may have leading axes, many networks at once. The impedance Z (lines, lines) in ohm is
+    private to the network.
     """
 
     cell_resistance: Array
@@ -63,50 +65,50 @@ class Network(ABC):
 
     @property
     def flat_conductance(self) -> Array:
-        """g (…, cells)."""
+        """Conductances g (…, cells)."""
         return self.conductance.reshape(*self.conductance.shape[:-2], -1)
 
     @abstractmethod
     def read(self, entries: Entries) -> Array:
-        """h(p, q, t), (rows, columns)."""
+        """Return h(p, q, t), (rows, columns)."""
 
     @property
     @abstractmethod
     def slopes(self) -> Entries:
-        """(h_p, h_q, h_t)."""
+        """First derivatives (h_p, h_q, h_t)."""
 
     @property
     def curvatures(self) -> dict[str, Array]:
-        """The second derivatives of h that are not zero: 'pp', 'pq', …, each (rows, columns)."""
+        """Nonzero second derivatives of h: 'pp', 'pq', …, each (rows, columns)."""
         return {}
 
     def reading(self) -> Array:
-        """y (rows, columns): what is read between every row and every column."""
+        """Return y (rows, columns): the readings between every row and every column."""
         return self.read(self.entries(self._impedance))
 
     def read_change(self, change: Entries) -> Array:
-        """h_p·dp + h_q·dq + h_t·dt, (rows, columns)."""
+        """Return h_p·dp + h_q·dq + h_t·dt, (rows, columns)."""
         row, column, mutual = (slope * part for slope, part in zip(self.slopes, change, strict=True))
         return np.asarray(row + column + mutual)
 
     def forward(self, step: Array) -> Array:
-        """J·p = ∂y/∂u·p for a step p of u = log r, (rows, columns); (rows + columns)³ operations."""
+        """Return J·p = ∂y/∂u·p for a step p of u = log r, (rows, columns); (rows + columns)³ operations."""
         return self.read_change(self.changes(step))
 
     def changes(self, step: Array) -> Entries:
-        """Of dZ = Z L_{g·p} Z."""
+        """Return the entries of dZ = Z L_{g·p} Z."""
         return self.entries_of_product(self._impedance, injected(step / self.cell_resistance, self._impedance))
 
     def adjoint(self, weights: Array) -> Array:
-        """Jᵀ·w = g·bᵀ(Z W Z)b for weights w of the readings, (rows, columns); (rows + columns)³ operations."""
+        """Return Jᵀ·w = g·bᵀ(Z W Z)b for weights w of the readings, (rows, columns); (rows + columns)³ operations."""
         return np.asarray(self.drawn(self.loading(weights)) / self.cell_resistance)
 
     def loading(self, weights: Array) -> Loading:
-        """W of weights (rows, columns) of the readings."""
+        """Return W of weights (rows, columns) of the readings."""
         return loading_of(*(weights * slope for slope in self.slopes))
 
     def drawn(self, loading: Loading) -> Array:
-        """bᵀ(Z W Z)b of every cell, (rows, columns)."""
+        """Return bᵀ(Z W Z)b of every cell, (rows, columns)."""
         return across(self.entries_of_product(self._impedance, bipartite(*loading, self._impedance)))
 
     @cached_property
@@ -116,14 +118,14 @@ class Network(ABC):
         return differences.reshape(*self._impedance.shape[:-1], -1)
 
     def entry_responses(self, cells: Numbers | None = None) -> Entries:
-        """g_c·(D_jc², D_kc², D_jc·D_kc): (rows, cells), (columns, cells), (rows, columns, cells) for some cells."""
+        """Return g_c·(D_jc², D_kc², D_jc·D_kc): (rows, cells), (columns, cells), (rows, columns, cells)."""
         chosen = slice(None) if cells is None else cells
         row, column = np.split(self.potential_differences[:, chosen], [self.rows])
         conductance = self.flat_conductance[chosen]
         return row**2 * conductance, column**2 * conductance, row[:, None] * (column * conductance)
 
     def sensitivity(self, cells: Numbers | None = None, readings: Numbers | None = None) -> Array:
-        """J (readings, cells); for some cells, or some readings of these, given by their numbers."""
+        """Return J (readings, cells), restricted to the numbered cells and readings if given."""
         row, column, mutual = self.entry_responses(cells)
         of_row, of_column, of_mutual = (slope[:, :, None] for slope in self.slopes)
         response = of_mutual * mutual
@@ -133,39 +135,42 @@ class Network(ABC):
         return whole if readings is None else whole[readings]
 
     def own_response(self) -> Array:
-        """The diagonal of J, (rows, columns): what a cell does to its own reading."""
+        """Return the diagonal of J, (rows, columns): the response of each cell's own reading."""
         row, column = self._own_differences()
         return np.asarray(self.conductance * self.read_change((row**2, column**2, row * column)))
 
     def _own_differences(self) -> tuple[Array, Array]:
-        """(D_jc, D_kc) of every cell c at its own row j and column k, (rows, columns)."""
+        """Return (D_jc, D_kc) of every cell c at its own row j and column k, (rows, columns)."""
         row, column, mutual = self.entries(self._impedance)
         return row - mutual, mutual - column
 
     def second_order(self, weights: Array) -> "SecondOrder":
-        """Second derivatives of Σ w·y, for weights w of the readings (rows, columns)."""
+        """Return the second derivatives of Σ w·y, for weights w of the readings (rows, columns)."""
         return SecondOrder(self, weights)
 
     def normal_by_lines(self, weight: Array) -> NormalByLines:
-        """What approximates JᵀWJ for weights w ≥ 0 of the readings (rows, columns): J's diagonal, and what lines add,
-        where a kind knows that.
+        """Return an approximation of JᵀWJ for weights w ≥ 0 of the readings (rows, columns).
+
+        Here the diagonal of J; kinds of networks may add the parts of lines.
         """
         own: Array = weight * self.own_response() ** 2
         return NormalByLines(own, np.zeros((0, *own.shape)), np.zeros((0, 0)))
 
     def potentials(self) -> Array:
-        """(lines, patterns) volt per ampere: what every line stands at while a unit current enters line `pattern`."""
+        """Return the potential of every line while a unit current enters line `pattern`, (lines, patterns) V/A."""
         return self._impedance
 
     def condition(self) -> float:
-        """Σ_l |L_ll Z_ll| over the lines: how many times the rounding of L can reappear in any reading, as an error ε_l
-        of L_ll moves bᵀZb by ε_l·v_l², v = Z·b, and v_l² ≤ Z_ll·bᵀZb. Infinite or NaN where the inverse is spoilt.
+        """Return Σ_l |L_ll Z_ll| over the lines, the amplification of the rounding of L in any reading.
+
+        An error ε_l of L_ll changes bᵀZb by ε_l·v_l², v = Z·b, and v_l² ≤ Z_ll·bᵀZb. Infinite or NaN for a broken
+        inverse.
         """
         own = self._impedance.diagonal(axis1=-2, axis2=-1)
         return float(np.abs(line_sums(self.conductance) * own).sum(axis=-1).max())
 
     def changed(self, block: Block, conductance: Array) -> Self:
-        """The network with other conductances in a block: Z − Z_S (1 + ΔL Z_SS)⁻¹ ΔL Z_Sᵀ, S the lines of the block."""
+        """Return the network with a block of new conductances: Z − Z_S (1 + ΔL Z_SS)⁻¹ ΔL Z_Sᵀ, S the block's lines."""
         rows, columns = self.conductance.shape
         lines = np.concatenate([np.arange(rows)[block[0]], rows + np.arange(columns)[block[1]]])
         change = laplacian(conductance - self.conductance[block])
@@ -177,12 +182,12 @@ class Network(ABC):
         return replace(self, cell_resistance=cells, conductance=whole, _impedance=impedance)
 
     def entries(self, matrix: Array) -> Entries:
-        """(K_jj, K_kk, K_jk) of K (…, lines, lines)."""
+        """Return (K_jj, K_kk, K_jk) of K (…, lines, lines)."""
         diagonal, rows = matrix.diagonal(axis1=-2, axis2=-1), self.rows
         return diagonal[..., :rows, None], diagonal[..., None, rows:], matrix[..., :rows, rows:]
 
-    def entries_of_product(self, left: Array, right: Array, symmetric: bool = True) -> Entries:
-        """Those of ½(P + Pᵀ), P = left·right; nothing else is multiplied out, and less where P is symmetric."""
+    def entries_of_product(self, left: Array, right: Array, *, symmetric: bool = True) -> Entries:
+        """Return the entries of ½(P + Pᵀ), P = left·right, without its other products; fewer if P is symmetric."""
         rows = self.rows
         diagonal = np.einsum("...ij,...ji->...i", left, right)
         mutual = left[..., :rows, :] @ right[..., rows:]
@@ -196,16 +201,16 @@ class Network(ABC):
         return self.between(self._impedance)
 
     def transfer_between(self, cells: Numbers | None) -> Array:
-        """∂D_ac/∂g_d = −D_ad X_dc: X = BᵀZB between some cells, given by their numbers."""
+        """Return X = BᵀZB between the numbered cells: ∂D_ac/∂g_d = −D_ad X_dc."""
         return self.transfer if cells is None else self.between(self._impedance, cells)
 
     def between(self, matrix: Array, cells: Numbers | None = None, readings: Numbers | None = None) -> Array:
-        """b_iᵀ K b_c of readings i (None: the cells) and cells c (None: all); K (…, lines, lines)."""
-        *several, rows, columns = self.conductance.shape
+        """Return b_iᵀ K b_c of readings i (None: the cells) and cells c (None: all); K (…, lines, lines)."""
+        *leading, rows, columns = self.conductance.shape
         if cells is None:
             at_cells = matrix[..., :rows, None] - matrix[..., None, rows:]
             every = at_cells[..., :rows, None, :, :] - at_cells[..., None, rows:, :, :]
-            return every.reshape(*several, rows * columns, rows * columns)
+            return every.reshape(*leading, rows * columns, rows * columns)
         lines = matrix[:, cells // columns] - matrix[:, rows + cells % columns]
         read = cells if readings is None else readings
         return np.asarray(lines[read // columns] - lines[rows + read % columns])
@@ -213,7 +218,7 @@ class Network(ABC):
 
 @dataclass(frozen=True, eq=False)
 class SecondOrder:
-    """H = diag(g)·Σ_i w_i ∂²y_i/∂g²·diag(g) for given weights w; Σ_i w_i ∂²y_i/∂u² = H − diag(Jᵀw)."""
+    """Second derivatives H = diag(g)·Σ_i w_i ∂²y_i/∂g²·diag(g) for weights w; Σ_i w_i ∂²y_i/∂u² = H − diag(Jᵀw)."""
 
     network: Network
     weights: Array
@@ -230,11 +235,11 @@ class SecondOrder:
         return impedance @ bipartite(*self.loading, impedance)
 
     def adjoint(self) -> Array:
-        """Jᵀ·w = g·bᵀ K b, (rows, columns), from what H needs anyway."""
+        """Return Jᵀ·w = g·bᵀ K b, (rows, columns), from the K that H needs."""
         return np.asarray(across(self.network.entries(self._twice)) / self.network.cell_resistance)
 
     def products(self, step: Array) -> tuple[Array, Array]:
-        """(J·p, H·p = g·(2 bᵀ K L_{g·p} Z b + bᵀ Z W' Z b)), W' from what the step p does to the slopes of h."""
+        """Return (J·p, H·p = g·(2 bᵀ K L_{g·p} Z b + bᵀ Z W' Z b)), W' from the change of the slopes of h by p."""
         network = self.network
         currents = injected(step / network.cell_resistance, network._impedance)
         change = network.entries_of_product(network._impedance, currents)
@@ -244,7 +249,7 @@ class SecondOrder:
         return network.read_change(change), second / network.cell_resistance
 
     def loading_change(self, change: Entries) -> Loading:
-        """W': what a change of Z does to W through the slopes of h."""
+        """Return W', the change of W by a change of Z through the slopes of h."""
         moved, by_entry = {name: np.zeros(self.weights.shape) for name in "pqt"}, dict(zip("pqt", change, strict=True))
         for name, curvature in self.network.curvatures.items():
             weighted = self.weights * curvature
@@ -254,7 +259,7 @@ class SecondOrder:
         return loading_of(*moved.values())
 
     def matrix(self, cells: Numbers | None = None) -> Array:
-        """H = 2 g (X ∘ BᵀKB) g, and what the curvature of h adds, (cells, cells); between some cells, by number."""
+        """Return H = 2 g (X ∘ BᵀKB) g plus the curvature of h, (cells, cells), between the numbered cells if given."""
         conductance = self.network.flat_conductance
         conductance = conductance if cells is None else conductance[cells]
         matrix: Array = self.network.transfer_between(cells) * (2 * conductance[..., None])
@@ -266,7 +271,7 @@ class SecondOrder:
         return self.network.between(self._twice, cells)
 
     def _with_curvature(self, matrix: Array, cells: Numbers | None) -> Array:
-        """A matrix over cells with Σ_i w_i (∂(p, q, t)_i)ᵀ h″_i ∂(p, q, t)_i added to it in its place."""
+        """Add Σ_i w_i (∂(p, q, t)_i)ᵀ h″_i ∂(p, q, t)_i to a matrix over cells, in place, and return it."""
         row, column, mutual = self.network.entry_responses(cells)
         flat = mutual.reshape(-1, len(matrix))
         halves: dict[str, Callable[[Array], Array]] = {  # A of every pair of entries, whose share is A + Aᵀ
@@ -284,18 +289,18 @@ class SecondOrder:
 
 
 def across(entries: Entries) -> Array:
-    """bᵀ K b of every cell's own b, (…, rows, columns)."""
+    """Return bᵀ K b of every cell's own b, (…, rows, columns)."""
     row, column, mutual = entries
     return np.asarray(row + column - 2 * mutual)
 
 
 def loading_of(row: Array, column: Array, mutual: Array) -> Loading:
-    """W from weights of Z_jj, Z_kk and Z_jk, each (…, rows, columns)."""
+    """Return W from weights of Z_jj, Z_kk and Z_jk, each (…, rows, columns)."""
     return np.concatenate([row.sum(axis=-1), column.sum(axis=-2)], axis=-1), mutual / 2
 
 
 def inverse_of(conductance: Array, ties: Array) -> Array:
-    """Z = (L(g) + diag(t))⁻¹, (…, lines, lines) ohm. Raises numpy.linalg.LinAlgError where a line is not connected."""
+    """Return Z = (L(g) + diag(t))⁻¹, (…, lines, lines) ohm. Raises LinAlgError if a line is not connected."""
     if conductance.ndim > 2:
         return _inverses(conductance, ties)
     matrix = laplacian(conductance)
@@ -304,7 +309,7 @@ def inverse_of(conductance: Array, ties: Array) -> Array:
 
 
 def _inverses(conductance: Array, ties: Array) -> Array:
-    """The same of many small networks in a third of the time: rows are eliminated, S = diag(b) − Gᵀ diag(a)⁻¹ G.
+    """Return inverses of many small networks in a third of the time: S = diag(b) − Gᵀ diag(a)⁻¹ G of eliminated rows.
 
     S⁻¹ by Gauss and Jordan's elimination, which needs no pivots as S is positive definite, for all networks at once.
     """

@@ -12,14 +12,14 @@ from lampest.files.process import check_memory
 from lampest.files.typed import Configuration, check_positive_fields, check_ranges
 
 Array = NDArray[np.floating[Any]]
-MOST_PITCH_MM = 1e6
-MANY_LINES = 2000  # fewer fit into 100 MB
+MOST_PITCH_MM = 1e6  # mm: a kilometre, beyond any panel
+MANY_LINES = 2000  # lines: matrices over fewer fit into 100 MB, and are not checked
 CellPlace = tuple[int, int, float, float]
 
 
 @dataclass(frozen=True)
 class EachModule(Configuration):
-    """What one module is: rows, columns of lines, and pitch_mm between its cells."""
+    """Size of one module: rows, columns of lines, and pitch_mm between its cells."""
 
     rows: int
     columns: int
@@ -47,6 +47,7 @@ class Modules(Configuration):
 
     @property
     def count(self) -> int:
+        """Number of modules."""
         return self.rows * self.columns
 
     @property
@@ -55,23 +56,23 @@ class Modules(Configuration):
         return self.rows * self.each.rows, self.columns * self.each.columns
 
     def place(self, number: int) -> tuple[int, int]:
-        """(row, column) of a module of that number."""
+        """Return (row, column) of the module of that number."""
         return divmod(number, self.columns)
 
     def cells(self, number: int) -> tuple[slice, slice]:
-        """Where the cells of a module stand in the image."""
+        """Return the slices of the image that hold the cells of a module."""
         row, column = self.place(number)
         rows, columns = self.each.rows, self.each.columns
         return slice(row * rows, (row + 1) * rows), slice(column * columns, (column + 1) * columns)
 
     def split(self, image: NDArray[Any]) -> NDArray[Any]:
-        """(…, rows, columns) of the image → (…, modules, rows, columns) of each."""
+        """Return the modules of an image (…, rows, columns) as (…, modules, rows, columns)."""
         each, shape = self.each, image.shape[:-2]
         blocks = image.reshape(*shape, self.rows, each.rows, self.columns, each.columns)
         return np.moveaxis(blocks, -3, -2).reshape(*shape, self.count, each.rows, each.columns)
 
     def joined(self, parts: NDArray[Any]) -> NDArray[Any]:
-        """The inverse of `split`."""
+        """Return the image of parts (…, modules, rows, columns), the inverse of `split`."""
         each, shape = self.each, parts.shape[:-3]
         blocks = parts.reshape(*shape, self.rows, self.columns, each.rows, each.columns)
         return np.moveaxis(blocks, -2, -3).reshape(*shape, *self.shape)
@@ -81,11 +82,16 @@ class Modules(Configuration):
 class Panel(Configuration):
     """A matrix of rows and columns; cell (j, k) joins row j and column k and has the number j·columns + k.
 
-    rows, columns : number of lines on either side, at least 1.
-    pitch_mm : distance between neighbouring cells in millimetre; positions and pictures use it, equations do not.
-    modules : the panels that this one is an image of, which say rows, columns and pitch; None: a panel of one network.
-    cells : [row, column, x_mm, y_mm] of every crossing that has a cell, or in a YAML file the name of a table of these;
-        None: all have one, at their pitch.
+    Attributes
+    ----------
+    rows, columns : int
+        Number of lines on either side, at least 1.
+    pitch_mm : float
+        Distance between neighbouring cells in millimetre, for positions and pictures; no equation uses it.
+    cells : [row, column, x_mm, y_mm] of every crossing that has a cell, or None
+        In a YAML file also the name of a table of these. None: every crossing has a cell, at the pitch.
+    modules : Modules, or None
+        Panels of which this one is an image; they determine rows, columns and pitch. None: a panel of one network.
 
     Raises ValueError where a number is out of range, or two cells have one crossing or one place.
 
@@ -135,7 +141,7 @@ class Panel(Configuration):
 
     @property
     def crossings(self) -> int:
-        """rows · columns."""
+        """Number of crossings, rows · columns."""
         return self.rows * self.columns
 
     @cached_property
@@ -147,14 +153,14 @@ class Panel(Configuration):
         return present
 
     def check_memory(self, matrices: int = 3) -> None:
-        """Raise InputError where there is no room for so many matrices (lines, lines) over the panel's lines."""
+        """Raise InputError if memory cannot hold so many matrices (lines, lines) over the panel's lines."""
         lines = self.rows + self.columns
         if lines > MANY_LINES:
             what = f"a panel of {self.rows} × {self.columns} cells ({lines} lines)"
             check_memory(8.0 * matrices * lines**2, what)
 
     def centres_mm(self) -> tuple[Array, Array]:
-        """x_k = k·pitch and y_j = j·pitch, and the seams before them: positions of columns and rows in millimetre."""
+        """Return positions of columns and rows in mm: x_k = k·pitch and y_j = j·pitch, and the seams before them."""
         x, y = np.arange(self.columns), np.arange(self.rows)
         if self.modules is None:
             return x * self.pitch_mm, y * self.pitch_mm
@@ -163,8 +169,8 @@ class Panel(Configuration):
 
     @property
     def extents_mm(self) -> tuple[tuple[float, float], tuple[float, float]]:
-        """The least and the largest x of all cells' centres, and y."""
-        x, y = ((float(np.nanmin(one)), float(np.nanmax(one))) for one in self.places_mm)
+        """Smallest and largest x of the cells' centres, and y, in mm."""
+        x, y = ((float(np.nanmin(axis)), float(np.nanmax(axis))) for axis in self.places_mm)
         return x, y
 
     @property
@@ -187,9 +193,9 @@ class Panel(Configuration):
 
     @cached_property
     def neighbours(self) -> tuple[NDArray[np.intp], NDArray[np.intp], Array]:
-        """(numbers of the first cells, of the second ones, distance in pitches) of all pairs of neighbours.
+        """Pairs of neighbours: numbers of first cells, of second cells, distances in pitches.
 
-        Of a full rectangle the pairs down, then those to the right. Of cells at places of their own those that have no
+        Full rectangle: pairs down, then pairs to the right. Listed cells: pairs with no
         other cell in the circle between them (the Gabriel graph, which joins all cells; Gabriel & Sokal, Systematic
         Zoology 18, 1969).
         """
@@ -200,18 +206,18 @@ class Panel(Configuration):
             return first, second, np.ones(len(first))
         cells = np.flatnonzero(self.present)
         places = self.places_mm.reshape(2, -1)[:, cells].T
-        pairs = np.array([(here, there) for here in range(len(cells)) for there in circle_neighbours(places, here)])
+        pairs = np.array([(cell, near) for cell in range(len(cells)) for near in circle_neighbours(places, cell)])
         first, second = pairs.reshape(-1, 2).astype(np.intp).T
         distance = np.hypot(*(places[first] - places[second]).T) / self.pitch_mm
         return cells[first], cells[second], distance
 
 
-def circle_neighbours(places: Array, here: int) -> NDArray[np.intp]:
-    """The cells after `here` that have none in the circle over the way from there; places (cells, 2).
+def circle_neighbours(places: Array, number: int) -> NDArray[np.intp]:
+    """Return the later cells with no cell in the circle between them and cell `number`; places (cells, 2).
 
     c lies in the circle over 0 and b where c·c ≤ c·b.
     """
-    way = places - places[here]
+    way = places - places[number]
     square = np.sum(way**2, axis=1)
     alone = square > 0
     for nearest in np.argsort(square)[1:]:
@@ -221,24 +227,24 @@ def circle_neighbours(places: Array, here: int) -> NDArray[np.intp]:
         within[nearest] = False
         alone &= ~within
     after = np.flatnonzero(alone)
-    return after[after > here]
+    return after[after > number]
 
 
 def beyond_any_panel(values: Array) -> NDArray[np.bool_]:
-    """Where a number, neither zero, infinite nor missing, is so small or so large that its square has no digits."""
+    """Return whether numbers, neither zero, infinite nor missing, are outside the range of physical quantities."""
     size = np.abs(values)
     return np.asarray(np.isfinite(values) & (values != 0) & ((size < SMALLEST) | (size > LARGEST)))
 
 
 def as_panels_have(values: Array) -> Array:
-    """Zero for numbers that are smaller than any panel's, infinity with their sign for larger ones; else themselves."""
+    """Return numbers with zero below the range of physical quantities, and ±infinity above."""
     if not np.any(beyond := beyond_any_panel(values)):
         return values
     return np.where(beyond, np.where(np.abs(values) < SMALLEST, 0.0, np.copysign(np.inf, values)), values)
 
 
 def difference_matrix(length: int) -> Array:
-    """D (length, length): central differences inside, one-sided at the border, zero for a single point.
+    """Return D (length, length): central differences inside, one-sided at the border, zero for a single point.
 
     The gradient of a matrix X is (D X, X Dᵀ). Source: MATLAB's `gradient` with unit spacing, which the paper's
     equations (19)-(24) use.

@@ -1,4 +1,4 @@
-"""What a measurement contains. An effect that a scene does not name does not exist in the model."""
+"""Scene of a measurement: panel, circuit and effects. An effect that a scene does not name is not modelled."""
 
 import warnings
 from collections.abc import Callable
@@ -28,7 +28,7 @@ from lampest.panel.response import AnyResponse
 
 @dataclass(frozen=True)
 class SeriesPerLine(Configuration):
-    """What stands in series with every line: with a reading of row j and column k, rows[j] + columns[k].
+    """Resistance in series with every line: rows[j] + columns[k] for the reading of row j and column k.
 
     rows, columns : ohm, one number for each line, or one for all of a side. Raises ValueError where one is negative.
 
@@ -45,14 +45,14 @@ class SeriesPerLine(Configuration):
         check_resistors("columns", self.columns, open_end=False)
 
     def ohm(self, panel: Panel) -> Array:
-        """(rows, columns) ohm. Raises ValueError where a list has another length."""
+        """Return (rows, columns) ohm. Raises ValueError if a list has another length."""
         row = per_line("series_resistance_ohm.rows", self.rows, panel.rows)
         return np.asarray(row[:, None] + per_line("series_resistance_ohm.columns", self.columns, panel.columns))
 
 
 @dataclass(frozen=True)
 class OwnOfModule(Configuration):
-    """What one module has of its own, in place of what the scene says of all; None: as the scene says.
+    """Deviations of one module from the scene; None: as the scene says.
 
     at : (row, column) of the module. readout : of the scene's kind. faults : by the module's own rows and columns, in
     addition to the scene's.
@@ -66,7 +66,7 @@ class OwnOfModule(Configuration):
 
 @dataclass(frozen=True)
 class Scene(Configuration):
-    """The panel, how it is read, and what stands between the two.
+    """Panel, its readout, and the effects between the two.
 
     panel : rows, columns and pitch.
     readout : the electronics; None where only resistances are known, and then their σ is unknown too.
@@ -199,6 +199,7 @@ class Scene(Configuration):
 
     @cached_property
     def shorted_cells(self) -> NDArray[np.bool_]:
+        """(rows, columns) where a cell joins its lines."""
         return self._of_faults(Faults.shorted_cells)
 
     @cached_property
@@ -234,7 +235,7 @@ class Scene(Configuration):
 
     @property
     def series_ohm(self) -> Array:
-        """What stands in series with every reading, ohm; to be broadcast to (rows, columns)."""
+        """Resistance in series with every reading, ohm; to be broadcast to (rows, columns)."""
         series = self.series_resistance_ohm
         return series.ohm(self.panel) if isinstance(series, SeriesPerLine) else np.array(series)
 
@@ -247,7 +248,7 @@ class Scene(Configuration):
         return f"rows {lines_text(series.rows)}, columns {lines_text(series.columns)}"
 
     def with_series(self, ohm: float) -> "Scene":
-        """The same with a resistance in series with the panel, which all lines are driven through.
+        """Return the scene with a resistance in series with the panel, through which all lines are driven.
 
         Itself where the readout's kind has none; see `Readout.series_name`.
         """
@@ -259,14 +260,14 @@ class Scene(Configuration):
 
     @property
     def specified_in_series(self) -> float:
-        """What the scene says of it, ohm; the mean where lines differ."""
+        """Resistance in series that the scene specifies, ohm; the mean if lines differ."""
         if self.circuit.in_series:
             return float(np.mean(self.series_ohm))
         return float(np.mean(as_tuple(getattr(self.circuit, self.circuit.series_name, 0.0))))
 
     @property
     def specified_systematic(self) -> Systematic | None:
-        """What the scene itself says of such errors; None where it says nothing, or that there are none."""
+        """Shared errors that the scene specifies; None if it specifies none, or excludes them."""
         return None if self.systematic == "none" else self.systematic
 
     @cached_property
@@ -282,7 +283,7 @@ class Scene(Configuration):
 
     @cached_property
     def wiring(self) -> Wiring | None:
-        """What lies between terminals and cells; None where there is nothing."""
+        """Wire, contacts and touching lines between terminals and cells; None without any."""
         joined = () if self.faults is None else self.faults.joined(self.panel)
         lines = self.lines or Lines()
         wired = joined or lines.resist or self.contacts is not None
@@ -291,7 +292,7 @@ class Scene(Configuration):
 
 @typed
 def read_scene(path: str | Path, assigned: tuple[str, ...] = ()) -> Scene:
-    """The scene of a YAML file, which holds nothing else or has it under `scene`; `assigned` overrides entries.
+    """Read the scene of a YAML file, which is the whole file or its entry `scene`; `assigned` overrides entries.
 
     Each of them is PATH=VALUE, such as readout.noise_lsb=1.2. Raises InputError with line and column.
 
@@ -317,7 +318,7 @@ def read_scene(path: str | Path, assigned: tuple[str, ...] = ()) -> Scene:
 
 
 def scene_text(scene: Scene) -> str:
-    """The scene as files hold it, YAML; warns where its readout is of a kind that nobody who reads the file knows."""
+    """Return the scene as YAML; warns if no reader of the file will know the kind of its readout."""
     if scene.readout is not None and type(scene.readout) not in members_of(AnyReadout):
         kind = getattr(scene.readout, "kind", type(scene.readout).__name__)
         warnings.warn(

@@ -7,15 +7,16 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse.csgraph import connected_components
 
 from lampest.files.errors import InputError, in_words
+from lampest.files.levels import ALIKE, DISTINCT, NOISE_REACH
 from lampest.files.typed import real_array
 from lampest.panel.memory import without_memory
-from lampest.panel.panel import Array, Modules, beyond_any_panel
+from lampest.panel.panel import Array, Modules, Panel, beyond_any_panel
 from lampest.panel.scene import Scene
 
 VALUE, AT_LEAST, AT_MOST = 0.0, 1.0, -1.0
-NEAR = 3.0  # σ: a resistance so near to zero is only small; a bound so near to the mean of values is their noise
 
 
 def stand_in(value: Array, known: NDArray[np.bool_]) -> Array:
@@ -122,14 +123,14 @@ class Readings:
         if not scene.whole:
             seen[..., scene.blind] = 0.0
         if scene.circuit.unit == "ohm":
-            least = np.zeros_like(network) if noise is None else NEAR * noise
+            least = np.zeros_like(network) if noise is None else NOISE_REACH * noise
             if noise is not None and scene.readout is not None:  # where nothing but the series resistance is read
                 series = scene.readout.sigma(np.broadcast_to(scene.series_ohm, scene.panel.shape))
-                least = NEAR * np.minimum(noise, series)
+                least = NOISE_REACH * np.minimum(noise, series)
             small = (network <= least) & (side != AT_LEAST)
             side = np.where(small, AT_MOST, side)
             if noise is not None:
-                network = np.where(small, np.maximum(network, 0) + NEAR * noise, network)
+                network = np.where(small, np.maximum(network, 0) + NOISE_REACH * noise, network)
         network, seen = _numbered(network, seen)
         side = np.where(seen > 0, side, VALUE)
         network = np.where((seen > 0) | scene.panel.present, network, _filled(network, seen))
@@ -182,7 +183,7 @@ class Readings:
             return None
         network, noise = scene.circuit.from_recorded(recorded, scene), _noise(scene, recorded, None)
         assert noise is not None  # of a readout
-        small = NEAR * noise if scene.circuit.unit == "ohm" else 0.0
+        small = NOISE_REACH * noise if scene.circuit.unit == "ohm" else 0.0
         if not (network > small).all() or not np.isfinite(network + noise).all():
             return None
         return cls(network, noise, np.zeros(network.shape), np.ones(network.shape))
@@ -242,14 +243,14 @@ class Readings:
     def mean(self) -> "Readings":
         """The mean over frames (frames, rows, columns), cell by cell over values.
 
-        Where bounds outnumber these or lie within NEAR σ of their mean, the mean of all is a bound. Bounds of both
+        Where bounds outnumber these or lie within the noise of their mean, the mean of all is a bound. Bounds of both
         sides alone count as missing.
         """
         value, bound = self.plain, self.bounds
         of_values, deviation = _averaged(self.value, self.sigma, value)
         among = bound.sum(axis=0) > value.sum(axis=0)
         if self.sigma is not None:
-            near = bound & (np.abs(self.value - of_values) <= NEAR * self.sigma)
+            near = bound & (np.abs(self.value - of_values) <= NOISE_REACH * self.sigma)
             among |= near.any(axis=0)
         of_all, deviation_of_all = _averaged(self.value, self.sigma, value | bound)
         side = np.where(among, np.sign(np.where(bound, self.side, 0.0).sum(axis=0)), VALUE)
@@ -353,3 +354,34 @@ def _filled(values: Array, seen: Array) -> Array:
     count = np.maximum(seen.sum(axis=(-2, -1), keepdims=True), 1)
     mean = np.exp((logarithm * seen).sum(axis=(-2, -1), keepdims=True) / count)
     return np.where(seen > 0, values, mean)
+
+
+def touching_rows(readings: Readings) -> tuple[tuple[int, ...], ...]:
+    """Return groups of rows that are read alike in all frames (frames, rows, columns); none if the noise is unknown.
+
+    Two rows that touch are one node: every column reads them alike, and no other rows.
+    """
+    sigma, rows = readings.sigma_of_values, readings.value.shape[-2]
+    if sigma is None:
+        return ()
+    Panel(rows, 1).check_memory()
+    value, noise = (part.swapaxes(-1, -2).reshape(-1, rows) for part in (readings.value, sigma))
+    unlike, count = np.zeros((rows, rows)), np.zeros((rows, rows), dtype=np.intp)
+    for row in range(rows):  # mean square difference from every other in units of their noise, of how many readings
+        spread = np.hypot(noise[:, [row]], noise)
+        plain = np.isfinite(spread)
+        square = np.where(plain, (value[:, [row]] - value) / np.where(plain, spread, 1.0), 0.0) ** 2
+        count[row] = plain.sum(axis=0)
+        unlike[row] = square.sum(axis=0) / np.maximum(count[row], 1)
+    alike = (unlike <= 1 + ALIKE * np.sqrt(2 / np.maximum(count, 1))) & (count >= 4)  # readings of two lines
+    distant = np.where(alike | (count < 4), np.nan, unlike)
+    with np.errstate(invalid="ignore"):
+        distinct = np.array([np.nanmedian(row) if np.any(row > 0) else 0.0 for row in distant]) > DISTINCT
+    groups, group = connected_components(alike & distinct & distinct[:, None], directed=False)
+    members = (np.flatnonzero(group == number) for number in range(groups))
+    return tuple(tuple(lines.tolist()) for lines in members if len(lines) > 1)
+
+
+def touching_columns(readings: Readings) -> tuple[tuple[int, ...], ...]:
+    """Return groups of columns that are read alike, as `touching_rows`."""
+    return touching_rows(readings.each(lambda part: part.swapaxes(-1, -2)))

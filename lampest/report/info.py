@@ -14,10 +14,10 @@ from lampest.files.document import plain_content
 from lampest.files.errors import InputError
 from lampest.panel.panel import Array
 from lampest.panel.scene import Faults, Scene
+from lampest.recording.readings import touching_columns, touching_rows
 from lampest.recording.recording import FORMAT as RECORDING
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
 from lampest.recording.stored import BLOCK, WHOLE, StoredRecording, opened, too_long
-from lampest.recording.touching import touching_columns, touching_rows
 from lampest.report.strongest import as_recorded, mean_reading, strongest_index, strongest_readings
 from lampest.report.words import spanned
 from lampest.runs.results import FORMAT, CaseResult, Results, read_each, read_results, stored_cases

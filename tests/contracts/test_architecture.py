@@ -42,7 +42,7 @@ DOORS = {
         "panel.scene",
         "loads",
         "cost.problem",
-        "recording.touching",
+        "recording.readings",
         "estimate.calibration",
         "solvers",
         "posterior",

@@ -20,9 +20,9 @@ from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import LoadedColumnsReadout, Readout, TwoPointReadout
 from lampest.panel.readouts.wiring import Lines, Wiring, wire_responses
 from lampest.panel.scene import Faults, Scene
+from lampest.recording.readings import touching_columns, touching_rows
 from lampest.recording.recording import Recording
 from lampest.recording.simulation import Cells, Simulation, simulate
-from lampest.recording.touching import touching_columns, touching_rows
 from lampest.runs.config import read_run
 from lampest.solvers.solution import Status
 from tests.netlist import impedance_of

@@ -18,7 +18,7 @@ from lampest.panel.readouts.wiring import Wiring
 
 @dataclass(frozen=True, kw_only=True)
 class ModulesReadout(TwoPointReadout):
-    """R_jk of each module by itself, as readings of the whole image."""
+    """Readings R_jk of each module by itself, as readings of the whole image."""
 
     layout: Modules = Modules(1, 1, EachModule(1, 1))
 
@@ -33,19 +33,19 @@ class ModulesReadout(TwoPointReadout):
         return BlockNetwork(cell_resistance, 1 / cell_resistance, inner.potentials(), self.layout, inner)
 
     def uniform_start(self, measured: Array) -> Array:
-        """Of each module; see `TwoPointReadout.uniform_start`."""
+        """Return the start of each module; see `TwoPointReadout.uniform_start`."""
         return np.asarray(measured / uniform_factor(self.layout.each.rows, self.layout.each.columns))
 
     def start(self, measured: Array, upper: Array, near: Array | None = None) -> Array:
-        """Cells that reproduce attainable readings, module by module; see `convex_start`."""
+        """Return cells that reproduce attainable readings, module by module; see `convex_start`."""
         nears = [None] * self.layout.count if near is None else self.layout.split(near)
-        three = zip(self.layout.split(measured), self.layout.split(upper), nears, strict=True)
-        return np.asarray(self.layout.joined(np.stack([convex_start(*one) for one in three])))
+        modules = zip(self.layout.split(measured), self.layout.split(upper), nears, strict=True)
+        return np.asarray(self.layout.joined(np.stack([convex_start(*module) for module in modules])))
 
 
 @dataclass(frozen=True, eq=False)
 class BlockNetwork(FloatingNetwork):
-    """Of an image (rows, columns); inner : the networks of all modules."""
+    """Network of an image (rows, columns); inner : networks of all modules."""
 
     layout: Modules
     inner: FloatingNetwork
@@ -54,11 +54,11 @@ class BlockNetwork(FloatingNetwork):
         return np.asarray(self.layout.joined(self.inner.reading()))
 
     def forward(self, step: Array) -> Array:
-        """J·p, module by module."""
+        """Return J·p, module by module."""
         return np.asarray(self.layout.joined(self.inner.forward(self.layout.split(step))))
 
     def adjoint(self, weights: Array) -> Array:
-        """Jᵀ·w, module by module."""
+        """Return Jᵀ·w, module by module."""
         return np.asarray(self.layout.joined(self.inner.adjoint(self.layout.split(weights))))
 
     def sensitivity(self, cells: Numbers | None = None, readings: Numbers | None = None) -> Array:
@@ -73,11 +73,11 @@ class BlockNetwork(FloatingNetwork):
         return Network.normal_by_lines(self, weight)
 
     def condition(self) -> float:
-        """The largest of all modules; see `Network.condition`."""
+        """Return the largest condition of all modules; see `Network.condition`."""
         return self.inner.condition()
 
     def scattered(self, blocks: Array) -> Array:
-        """(modules, cells, cells) as a matrix over the image's cells."""
+        """Return blocks (modules, cells, cells) as a matrix over the image's cells."""
         size, layout = self.conductance.size, self.layout
         numbers = layout.split(np.arange(size).reshape(layout.shape)).reshape(layout.count, -1)
         whole = np.zeros((size, size))
@@ -87,7 +87,7 @@ class BlockNetwork(FloatingNetwork):
 
 @dataclass(frozen=True, eq=False)
 class BlockSecondOrder(SecondOrder):
-    """H of all modules."""
+    """Second derivatives H of all modules."""
 
     network: BlockNetwork
 
@@ -96,13 +96,13 @@ class BlockSecondOrder(SecondOrder):
         return self.network.inner.second_order(self.network.layout.split(self.weights))
 
     def products(self, step: Array) -> tuple[Array, Array]:
-        """(J·p, H·p)."""
+        """Return (J·p, H·p)."""
         layout = self.network.layout
         change, second = self._inner.products(layout.split(step))
         return np.asarray(layout.joined(change)), np.asarray(layout.joined(second))
 
     def adjoint(self) -> Array:
-        """Jᵀ·w."""
+        """Return Jᵀ·w."""
         return np.asarray(self.network.layout.joined(self._inner.adjoint()))
 
     def matrix(self, cells: Numbers | None = None) -> Array:

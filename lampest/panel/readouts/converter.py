@@ -7,13 +7,13 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from lampest.files.levels import NOISE_REACH
 from lampest.files.typed import Configuration, check_range, check_ranges
 from lampest.panel.panel import Array
 from lampest.panel.readouts.lines import PerLine, Side, along, as_tuple, check_lines, lines_text
 
-USUAL_NOISE_LSB = 0.7  # (LSB) enough to dither: what the shipped boards show, and what averaging needs
+USUAL_NOISE_LSB = 0.7  # LSB: noise of the shipped boards, sufficient dither for averaging
 LEAST_VOLT, MOST_VOLT = 1e-3, 1e3  # V: a thermocouple's; low voltage by IEC 60038
-WITHIN = 3.0  # σ of a mean reading: as far as noise takes it from what a stage passes
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,26 +62,26 @@ class Converter(Configuration):
 
     @property
     def assumed_noise(self) -> PerLine:
-        """`noise_lsb` where it is specified; else what is taken until frames have shown it."""
+        """`noise_lsb` if it is specified, else the assumption until frames show it."""
         return USUAL_NOISE_LSB if self.noise_lsb is None or self.noise_lsb == "estimated" else self.noise_lsb
 
     @property
     def noisy_side(self) -> Side:
-        """Whose lines `noise_lsb` lists: the driven ones; rows unless a kind says otherwise."""
+        """Side whose lines `noise_lsb` lists: the driven one; rows unless a kind overrides it."""
         return "rows"
 
     def converter_description(self) -> str:
-        """The converter's numbers, for people."""
+        """Return the converter's numbers in words."""
         noise = lines_text(self.assumed_noise, "LSB") if self.noise_told else "as the unloaded frames show it"
         floor = f", codes above {self.floor_code}" if self.floor_code else ""
         return f"{self.adc_bits} bits, {self.readings} readings, noise {noise}{floor}"
 
     def recorded_from_volt(self, volt: Array) -> Array:
-        """A recorded reading from what the converter sees, any shape."""
+        """Return recorded readings of voltages at the converter, any shape."""
         return np.asarray(volt, dtype=float)
 
     def volt_from_recorded(self, recorded: Array) -> Array:
-        """What the converter sees of a recorded reading, any shape, volt."""
+        """Return the voltages at the converter of recorded readings, any shape."""
         return np.asarray(recorded, dtype=float)
 
     @property
@@ -90,25 +90,25 @@ class Converter(Configuration):
         return self.full_scale_volt / 2.0**self.adc_bits
 
     def code_from_volt(self, volt: Array) -> NDArray[np.int64]:
-        """code = ⌊V/full scale · 2^bits⌋, clipped to 0 and 2^bits − 1; any shape."""
+        """Return code = ⌊V/full scale · 2^bits⌋, clipped to 0 and 2^bits − 1; any shape."""
         code = np.clip(np.floor(np.asarray(volt) / self.lsb_volt), 0, 2**self.adc_bits - 1)
         return np.asarray(code, dtype=np.int64)
 
     def volt_from_code(self, mean_code: Array) -> Array:
-        """V = (code + ½)·(full scale)/2^bits: the middle of what a converter calls by this code; means of codes too."""
+        """Return V = (code + ½)·(full scale)/2^bits, the middle of a code's interval; also of mean codes."""
         return (np.asarray(mean_code, dtype=float) + 0.5) * self.lsb_volt
 
     def recorded_from_sums(self, sums: NDArray[np.integer[Any]], readings: int) -> Array:
-        """A recorded reading from the sum of so many codes; a rail stands for its interval's middle, and is finite."""
+        """Return recorded readings of sums of so many codes; a rail becomes its interval's middle, and is finite."""
         return self.recorded_from_volt(self.volt_from_code(sums / readings))
 
     def noise_volt(self, codes: Array | None = None) -> Array:
-        """The noise of one reading, or LSB given alike → volt, to be broadcast to (rows, columns)."""
+        """Return the noise of one reading, or a given noise in LSB, in volt, to be broadcast to (rows, columns)."""
         codes = np.array(self.assumed_noise) if codes is None else codes
         return np.asarray((along(self.noisy_side, codes) if codes.ndim else codes) * self.lsb_volt)
 
     def sigma_code(self) -> Array:
-        """σ of the mean of `readings` codes, in LSB: σ² = (noise² + 1/12 − b²)/readings + b²; as `noise_lsb` is given.
+        """Return σ of the mean of `readings` codes, in LSB: σ² = (noise² + 1/12 − b²)/readings + b².
 
         b² = Σ_h exp(−4π²h²·noise²)/(2π²h²) is what averaging cannot remove, because without noise all readings agree:
         1/12 for no noise, 0.0000 above half an LSB. Source: Widrow & Kollár, Quantization Noise, 2008 (dither).
@@ -120,11 +120,11 @@ class Converter(Configuration):
         return np.asarray(np.sqrt((noise**2 + 1 / 12 - bias) / self.readings + bias))
 
     def sigma(self, recorded: Array) -> Array:
-        """σ of recorded readings, the same shape and unit."""
+        """Return σ of recorded readings, the same shape and unit."""
         return np.broadcast_to(self.sigma_volt(), np.shape(recorded)).copy()
 
     def sigma_volt(self) -> Array:
-        """σ of a mean reading at the converter, to be broadcast to (rows, columns)."""
+        """Return σ of a mean reading at the converter, V, to be broadcast to (rows, columns)."""
         return self._sigma_volt
 
     @cached_property
@@ -132,7 +132,7 @@ class Converter(Configuration):
         return self.noise_volt(self.sigma_code())
 
     def rails(self) -> tuple[float, float]:
-        """(least, largest) recorded reading that a code between the first above the floor and the last one can mean.
+        """Return the least and largest recorded reading of a code between the first above the floor and the last one.
 
         A reading beyond is a bound, not a value: a code at a rail only says that the voltage is beyond the code's edge.
         """
@@ -143,7 +143,7 @@ class Converter(Configuration):
         top = 2.0**self.adc_bits - 1
         edges = np.array([(self.floor_code or 0) + 1.0, top]) * self.lsb_volt
         if self.passes_volt is not None:
-            within = np.add(self.passes_volt, np.array([1, -1]) * WITHIN * float(np.mean(self.sigma_volt())))
+            within = np.add(self.passes_volt, np.array([1, -1]) * NOISE_REACH * float(np.mean(self.sigma_volt())))
             edges = np.array([max(edges[0], within[0]), min(edges[1], within[1])])
         ends = self.recorded_from_volt(edges)
         return float(ends.min()), float(ends.max())

@@ -32,19 +32,31 @@ from lampest.panel.readouts.lines import (
 )
 from lampest.panel.readouts.readout import LEAST_SHARE, SHORT_SHARE, FreeTest, Readout, Surroundings
 
-END = 1e-9  # (of the supply) a reading so near to zero shows an open cell
-# Of the alternating start: rounds, the change of log g at which it ends, and the range of conductances about those of
-# the closed form, beyond which a reading no longer depends on its cell.
-MOST_ROUNDS, SETTLED, LEAST, LARGEST = 40, 1e-3, 0.02, 1e3
+END = 1e-9  # share of the supply below which a reading shows an open cell
+# Alternating start: rounds, change of log g at convergence, and range of conductances about those of the closed form,
+# beyond which a reading no longer depends on its cell (tests/oracles).
+MAX_ROUNDS, CONVERGED, LEAST, LARGEST = 40, 1e-3, 0.02, 1e3
 
 
 class DrivenReadout(Readout):
-    """driven : the side that is driven. drive_ohm : Rd, a number or one for each driven line. sense_ohm : the sensed
-    lines' channels. polarity : whether loads lead to ground ('up') or to the supply ('down'). input_ohm : what the
-    converter takes. Kinds are dataclasses and declare the keys that they have, in the order in which files have them.
+    """Base of the circuits; kinds are dataclasses that declare their keys in the order of files.
 
-    of_sensed : the keys of resistances that every sensed line has; the first is the reference of a reading.
-    idle_floats : whether idle driven lines float, or are held at ground.
+    Attributes
+    ----------
+    driven : {'rows', 'columns'}
+        Side that is driven.
+    drive_ohm : float, or one for each driven line
+        Rd.
+    sense_ohm : float, or one for each sensed line
+        Channels of the sensed lines.
+    polarity : {'up', 'down'}
+        Whether loads lead to ground or to the supply.
+    input_ohm : float, or None
+        Input resistance of the converter.
+    of_sensed : tuple of str
+        Keys of resistances of sensed lines; the first is the reference of a reading.
+    idle_floats : bool
+        Whether idle driven lines float, or are held at ground.
     """
 
     of_sensed: ClassVar[tuple[str, ...]]
@@ -157,9 +169,9 @@ class DrivenReadout(Readout):
         driven = -3 - self._along_sensed
         share = measured / (self.driving_volt * gain)
         share = np.maximum(share, END * share.max(axis=(-2, -1), keepdims=True))
-        rest = 1 - share.sum(axis=driven, keepdims=True)
-        # A rest below zero is noise, or what stands in for a dead line. Then the load counts as one more cell.
-        return np.asarray(load * np.where(rest > LEAST_SHARE, rest, 1 / (1 + share.shape[driven])) / share)
+        remainder = 1 - share.sum(axis=driven, keepdims=True)
+        # A negative remainder is noise, or the substitute of a dead line. Then the load counts as one more cell.
+        return np.asarray(load * np.where(remainder > LEAST_SHARE, remainder, 1 / (1 + share.shape[driven])) / share)
 
     def start(self, measured: Array, upper: Array, near: Array | None = None) -> Array:
         """Cells (rows, columns) ohm that reproduce the readings: potentials and cells in turn.
@@ -173,11 +185,11 @@ class DrivenReadout(Readout):
         volt, ideal = self._turned(measured / gain), self._turned(1 / self.uniform_start(measured))
         drive, load = drive.ravel(), load.ravel()
         conductance = ideal if near is None else np.clip(self._turned(1 / near), LEAST * ideal, LARGEST * ideal)
-        for _ in range(MOST_ROUNDS):
+        for _ in range(MAX_ROUNDS):
             potentials, before = self._driven_potentials(conductance, volt, drive, load), conductance
             solved = np.linalg.solve(potentials - volt.T[:, :, None], (volt / load).T[:, :, None])[:, :, 0].T
             conductance = np.clip(solved, LEAST * ideal, LARGEST * ideal)
-            if np.abs(np.log(conductance / before)).max() < SETTLED:
+            if np.abs(np.log(conductance / before)).max() < CONVERGED:
                 break
         return np.asarray(np.minimum(self._turned(1 / conductance), upper))
 
@@ -186,7 +198,7 @@ class DrivenReadout(Readout):
         return values if self.driven == "rows" else values.T
 
     def _driven_potentials(self, conductance: Array, volt: Array, drive: Array, load: Array) -> Array:
-        """u (sensed, driven, driven) volt of every driven line p, the last axis, while j is read and i is driven.
+        """Return u (sensed, driven, driven) volt of driven lines p, the last axis, while j is read and i is driven.
 
         conductance, volt : (driven, sensed) siemens, and what sensed lines stand at. drive, load : Rd and Rs.
         """
@@ -200,7 +212,7 @@ class DrivenReadout(Readout):
         return np.asarray(own - sinking[:, :, None] * impedance[count:, None, :count])
 
     def nearly_shorted(self, measured: Array) -> Array:
-        """A share of the start, too: idle lines at ground make a lone cell of each reading many times too large."""
+        """Return shorts, bounded by a share of the start: idle lines at ground make lone cells many times too large."""
         return np.asarray(np.minimum(super().nearly_shorted(measured), SHORT_SHARE * self.uniform_start(measured)))
 
     def _driven_volt(self, current: Array, drive: Array | float) -> Array:
@@ -208,8 +220,7 @@ class DrivenReadout(Readout):
         return np.asarray(self.driving_volt - drive * current - self._lost(current))
 
     def free_tests(self, measured: Array, sigma: Array) -> tuple[FreeTest, ...]:
-        """v_ij ≤ Vcc − Rd_i Σ_k v_ik/Rs_k with the loads k that are there at once; of idle lines at ground Σ_i v_ij ≤
-        Vcc.
+        """Test v_ij ≤ Vcc − Rd_i Σ_k v_ik/Rs_k over the simultaneous loads k; with idle lines at ground Σ_i v_ij ≤ Vcc.
 
         No sensed line stands above the driven one, which lies below the supply by the loads' current through its Rd.
         With all driven lines at the supply at once no sensed line stands above it (superposition: Z·t ≤ 1).
@@ -226,11 +237,11 @@ class DrivenReadout(Readout):
         if not self.idle_floats:
             law = "readings of a sensed line add up to no more than the supply"
             tests = [(law, volt.sum(axis=driven), np.sqrt((noise**2).sum(axis=driven))), *tests]
-        found = []
+        results = []
         for law, value, spread in tests:
             excess = np.where(spread > 0, (value - self.driving_volt) / np.where(spread > 0, spread, 1.0), -np.inf)
-            found.append(FreeTest(law, excess.reshape(len(value), -1).max(axis=1), value[0].size))
-        return tuple(found)
+            results.append(FreeTest(law, excess.reshape(len(value), -1).max(axis=1), value[0].size))
+        return tuple(results)
 
     def most_in_series(self, measured: Array, sigma: Array) -> float:
         """Rd ≤ min_i (Vcc − V_d − max_j v_ij)/Σ_j v_ij/Rs_j; with one load at a time, of each reading alone."""
@@ -239,8 +250,8 @@ class DrivenReadout(Readout):
         current = volt / load
         if self.all_loaded:
             volt, current = volt.max(axis=self._along_sensed), current.sum(axis=self._along_sensed)
-        left = self._driven_volt(current, 0.0) - volt
-        return float(np.min(np.where(current > 0, left / np.where(current > 0, current, 1.0), np.inf)))
+        drop = self._driven_volt(current, 0.0) - volt
+        return float(np.min(np.where(current > 0, drop / np.where(current > 0, current, 1.0), np.inf)))
 
     def simulated(self, cell_resistance: Array, scene: Surroundings, row_ohm: Array, column_ohm: Array) -> Array:
         """With every line's channel in its drive or sense resistance; no sense_ohm, no channel."""
@@ -248,7 +259,7 @@ class DrivenReadout(Readout):
         return actual.to_recorded(actual.exact_reading(cell_resistance, scene.wiring), scene)
 
     def with_channels(self, row_ohm: Array, column_ohm: Array) -> Self:
-        """The circuit with so much more in every line's channel, ohm."""
+        """Return the circuit with additional resistances in every line's channel, ohm."""
         driven, sensed = of_side(self.driven, row_ohm, column_ohm)
         changes: dict[str, Any] = {"drive_ohm": with_channels("drive_ohm", self.drive_ohm, driven)}
         if self.sense_ohm:
@@ -264,6 +275,6 @@ class DrivenReadout(Readout):
         return replace(self, **changes)
 
     def line_numbers(self) -> tuple[LineNumber, ...]:
-        """The drive resistances, which may be channels alone, and the references; sense channels are as specified."""
+        """Return the drive resistances, which may be channels alone, and the references; sense channels are fixed."""
         drive = LineNumber("drive_ohm", (self.driven,), channel=True)
         return drive, LineNumber(self.of_sensed[0], (opposite(self.driven),))

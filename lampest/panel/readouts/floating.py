@@ -15,9 +15,8 @@ from lampest.panel.network import Entries, Loading, Network, NormalByLines, Numb
 from lampest.panel.panel import Array
 from lampest.panel.trust_region import DENSE_CELLS, steihaug
 
-# of R²: where the lines alone explain a cell's own response, the stencil's diagonal must not vanish
-LEAST_SHARE = 0.05
-MOST_ITERATIONS = 30  # 6 suffice from the uniform start at 10 × 10 to 32 × 32 without noise
+LEAST_SHARE = 0.05  # of R²: smallest diagonal of the stencil, where the lines alone explain a cell's own response
+MAX_ITERATIONS = 30  # 6 suffice from the uniform start at 10 × 10 to 32 × 32 without noise
 LENGTHS = tuple(0.5**power for power in range(20))  # of a step: below, none lowers the cost in double precision
 REPRODUCED = 1e-9  # relative misfit of any reading; near a solution each step doubles the digits
 DECREASE = 1e-4  # Armijo's share, as in Nocedal & Wright, Numerical Optimization, 2006, section 3.1
@@ -57,7 +56,7 @@ class FloatingNetwork(Network):
             return cls(1 / conductance, conductance, inverse_of(conductance, tie))
 
     def some(self, numbers: Numbers | int) -> "FloatingNetwork":
-        """Some of many networks, or one of them."""
+        """Return some of many networks, or one of them."""
         return FloatingNetwork(self.cell_resistance[numbers], self.conductance[numbers], self._impedance[numbers])
 
     def read(self, entries: Entries) -> Array:
@@ -109,7 +108,7 @@ class Stencil:
 
     @classmethod
     def of(cls, conductance: Array, two_point_resistance: Array, free: NDArray[np.bool_]) -> "Stencil":
-        """The stencil over the free cells of a network; all (rows, columns), siemens and ohm."""
+        """Return the stencil over the free cells of a network; all (rows, columns), siemens and ohm."""
         cells, lines = _parts(conductance, two_point_resistance)
         diagonal = np.where(free, 1 / cells, 0.0)
         return cls(diagonal, np.linalg.inv(np.diag(1 / lines) + bipartite_matrix(line_sums(diagonal), diagonal)))
@@ -124,9 +123,9 @@ class Stencil:
 
 
 def square_by_lines(conductance: Array, two_point_resistance: Array, weight: Array) -> NormalByLines:
-    """JᵀWJ with J = S·diag(g), S = diag(d) + U K Uᵀ the stencil of D∘D: diag(g²d²w) + V M Vᵀ, V = [g·dwU, g·U],
-    M = [[0, K], [K, K UᵀwU K]]; w ≥ 0 (rows, columns).
+    """Return JᵀWJ with J = S·diag(g), S = diag(d) + U K Uᵀ the stencil of D∘D; w ≥ 0 (rows, columns).
 
+    JᵀWJ = diag(g²d²w) + V M Vᵀ with V = [g·dwU, g·U], M = [[0, K], [K, K UᵀwU K]].
     conductance, two_point_resistance : (rows, columns) siemens and ohm.
     """
     cells, lines = _parts(conductance, two_point_resistance)
@@ -161,7 +160,7 @@ def convex_start(measured: Array, upper: Array, near: Array | None = None) -> Ar
     first = measured / uniform_factor(*measured.shape) if near is None else near
     conductance = np.maximum(1 / first, least)
     value, network = at(conductance)
-    for _ in range(MOST_ITERATIONS):
+    for _ in range(MAX_ITERATIONS):
         gradient = measured - network.reading()
         free = (conductance > least * (1 + 1e-12)) | (gradient < 0)
         if np.max(np.abs(gradient[free] / measured[free]), initial=0) < REPRODUCED:

@@ -7,10 +7,11 @@ from typing import Any, ClassVar, Literal
 
 import numpy as np
 
+from lampest.files.levels import NOISE_REACH
 from lampest.files.typed import Configuration, check_ranges
 from lampest.panel.panel import Array
 from lampest.panel.readouts.driven import DrivenReadout
-from lampest.panel.readouts.lines import RELAXED, LineNumber, PerLine, Side, lines_text, opposite, parallel, per_line
+from lampest.panel.readouts.lines import LineNumber, PerLine, Side, lines_text, opposite, parallel, per_line
 
 
 @dataclass(frozen=True)
@@ -35,7 +36,7 @@ class Diode(Configuration):
         check_ranges(self, 0.015, 0.5, "slope_volt")
 
     def description(self) -> str:
-        """The drop and its slope."""
+        """Return the drop and its slope in words."""
         decade = 1e3 * np.log(10) * self.slope_volt
         return f"diode {self.drop_volt:g} V at {1e3 * self.at_ampere:g} mA, {decade:.3g} mV a decade"
 
@@ -63,7 +64,7 @@ class Diode(Configuration):
 
 
 def _logarithm(value: Any) -> Any:
-    """ln of an array, or of CasADi's matrices by their own method."""
+    """Return ln of an array, or of CasADi's matrices by their own method."""
     return value.log() if hasattr(value, "log") else np.log(value)
 
 
@@ -117,8 +118,9 @@ class LoadedColumnsReadout(DrivenReadout):
         return super()._lost(current) if self.diode is None else self.diode.drop(current)
 
     def _driven_potentials(self, conductance: Array, volt: Array, drive: Array, load: Array) -> Array:
-        """The driven line's follows from its current, Σ_j v_ij/Rs_j, and floating ones carry none: u_p Σ_j g_pj = Σ_j
-        g_pj v_ij.
+        """Return potentials from currents: Σ_j v_ij/Rs_j through the driven line, none through floating ones.
+
+        Without current u_p Σ_j g_pj = Σ_j g_pj v_ij.
         """
         potentials = (volt @ conductance.T) / conductance.sum(axis=1)
         driven = self._driven_volt((volt / load).sum(axis=1), drive)
@@ -126,15 +128,15 @@ class LoadedColumnsReadout(DrivenReadout):
         return np.asarray(potentials[None])
 
     def least_cells(self, measured: Array, sigma: Array | None) -> Array:
-        """r_ij ≥ u_i/I_i − Rs_j with the driven line's current I_i = Σ_j V_ij/Rs_j and potential u_i = Vcc − Rd_i I_i
-        − V_d.
-        Every sensed line takes at least what flows through its own cell, and I_i is all of it. RELAXED by the noise.
+        """Return r_ij ≥ u_i/I_i − Rs_j, I_i = Σ_j V_ij/Rs_j the driven line's current, u_i = Vcc − Rd_i I_i − V_d.
+
+        Every sensed line takes at least the current through its own cell, and I_i is the total, raised by the noise.
         """
         drive, load, _ = self._circuit(measured.shape[-2:])
         sensed = self._along_sensed
         noise = np.zeros_like(measured) if sigma is None else np.where(np.isfinite(sigma), sigma, measured)
         current = (measured / load).sum(axis=sensed, keepdims=True)
-        current = current + RELAXED * np.sqrt(((noise / load) ** 2).sum(axis=sensed, keepdims=True))
+        current = current + NOISE_REACH * np.sqrt(((noise / load) ** 2).sum(axis=sensed, keepdims=True))
         least = np.maximum(self._driven_volt(current, drive), 0) / current - load
         return np.asarray(np.maximum(least, super().least_cells(measured, sigma)))
 

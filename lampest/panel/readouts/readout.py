@@ -17,30 +17,40 @@ from lampest.panel.readouts.lines import LineNumber, of_side, per_line
 from lampest.panel.readouts.tied import TiedNetwork
 from lampest.panel.readouts.wiring import WiredNetwork, Wiring
 
-LEAST_SHARE = 1e-3  # (of a load) what a reading at its end leaves of the apparent resistance
-SHORT_SHARE = 1e-6  # (of the apparent resistance) from here to a dead short readings move by a millionth
+LEAST_SHARE = 1e-3  # of a load: remaining apparent resistance of a reading at its end
+SHORT_SHARE = 1e-6  # of the apparent resistance: between it and a dead short readings change by a millionth
 
 
 class Surroundings(Protocol):
-    """What a readout reads of a scene; series_ohm : in series with every reading, broadcast to (rows, columns)."""
+    """Scene as a readout needs it; series_ohm : in series with every reading, broadcast to (rows, columns)."""
 
     @property
-    def panel(self) -> Panel: ...
+    def panel(self) -> Panel:
+        """Panel that is read."""
 
     @property
-    def series_ohm(self) -> Array: ...
+    def series_ohm(self) -> Array:
+        """Resistance in series with every reading, ohm."""
 
     @property
-    def wiring(self) -> Wiring | None: ...
+    def wiring(self) -> Wiring | None:
+        """Wire, contacts and touching lines, or None."""
 
 
 @dataclass(frozen=True, eq=False)
 class FreeTest:
     """An inequality that readings of a circuit keep whatever its cells are.
 
-    law : in words. excess : by how many σ the readings of every frame break it, at worst (frames). count : how many
-    inequalities of a frame the worst was taken from. single : by how many σ each reading is too large beside the others
-    (frames, rows, columns), where the inequality bounds one reading; else None.
+    Attributes
+    ----------
+    law : str
+        The inequality in words.
+    excess : array, shape (frames,)
+        Largest violation in each frame, in standard deviations.
+    count : int
+        Number of inequalities of a frame.
+    single : array, shape (frames, rows, columns), or None
+        Violation by each reading in standard deviations, if the inequality bounds one reading.
     """
 
     law: str
@@ -51,15 +61,24 @@ class FreeTest:
 
 @dataclass(frozen=True, kw_only=True)
 class Readout(Converter, ABC):
-    """What every kind of readout must say of its circuit; its converter has fields of its own, see `Converter`.
+    """Base of readouts: the circuit that a kind states; its converter's fields are those of `Converter`.
 
     A recorded reading lies between 0 and the supply in volt at the converter; see `rails` for what lies beyond.
 
-    unit : of a reading, 'ohm' or 'volt'. signal, signal_name : its dataset in files, and that in words. homogeneous :
-    whether readings grow with all cells by one factor. unique : whether plain least squares without noise has one
-    minimum; else solvers search. in_series : whether the scene's series resistance adds to every reading. mirrored :
-    whether loads lead to the supply, so that the converter sees Vcc minus the network's reading. by_columns : whether a
-    scan goes column by column. series_name : what scenes call a resistance in series with the panel; '' without one.
+    Attributes
+    ----------
+    unit : {'ohm', 'volt'}
+        Unit of a reading.
+    signal, signal_name : str
+        Dataset in files, and its long name.
+    homogeneous : bool
+        Whether a common factor on all cells multiplies all readings.
+    unique : bool
+        Whether plain least squares without noise has one minimum; else solvers search.
+    in_series : bool
+        Whether the scene's series resistance adds to every reading.
+    series_name : str
+        Scene's key of a resistance in series with the panel; '' without one.
 
     >>> issubclass(lampest.GroundedReadout, lampest.Readout)
     True
@@ -75,14 +94,16 @@ class Readout(Converter, ABC):
 
     @property
     def mirrored(self) -> bool:
+        """Whether the converter sees Vcc minus the network's reading."""
         return False
 
     @property
     def by_columns(self) -> bool:
+        """Whether a scan goes column by column."""
         return False
 
     def check(self, scene: Surroundings) -> None:
-        """Raise ValueError where the scene says what the readout has no model of, or it does not fit the panel."""
+        """Raise ValueError if the scene has keys that the readout cannot model, or does not fit the panel."""
         per_line("noise_lsb", self.assumed_noise, of_side(self.noisy_side, *scene.panel.shape)[0])
         if np.any(scene.series_ohm) and not self.in_series:
             raise ValueError(
@@ -92,30 +113,30 @@ class Readout(Converter, ABC):
 
     @abstractmethod
     def description(self) -> str:
-        """The circuit and its numbers with their units, for people."""
+        """Return the circuit and its numbers with their units, in words."""
 
     # The circuit: what a kind must state.
 
     @abstractmethod
     def ties(self, measured: Array) -> Array:
-        """t (rows + columns) siemens: what ties every line to ground, for the readings (rows, columns) of a panel."""
+        """Return t (rows + columns) siemens, the ties of lines to ground, for a panel's readings (rows, columns)."""
 
     @abstractmethod
     def reading(self, row: Any, column: Any, mutual: Any) -> Any:
-        """y = h(Z_jj, Z_kk, Z_jk), element by element of (rows, columns) in ohm; numpy arrays and CasADi alike."""
+        """Return y = h(Z_jj, Z_kk, Z_jk) element by element, (rows, columns) ohm; NumPy arrays and CasADi alike."""
 
     @abstractmethod
     def apparent_resistance(self, measured: Array) -> Array:
-        """The cell (…, rows, columns) ohm that would give each reading if it were the only one of the panel."""
+        """Return the cells (…, rows, columns) ohm that would give each reading alone on the panel."""
 
     # What follows from the circuit.
 
     def ties_of_parts(self, measured: Array, parts: NDArray[np.intp] | None) -> Array:
-        """t of a panel whose lines (lines) belong to parts that no cell joins, or None; lines of any kind are tied."""
+        """Return t of a panel whose lines (lines) belong to parts that no cell joins, or None."""
         return self.ties(measured)
 
     def network(self, cell_resistance: Array, ties: Array, wiring: Wiring | None = None) -> Network:
-        """The solved network of cells (rows, columns) ohm; wiring : what lies between them and the terminals, or None.
+        """Return the solved network of cells (rows, columns) ohm; wiring : between cells and terminals, or None.
 
         Raises numpy.linalg.LinAlgError where a line is loose.
         """
@@ -125,30 +146,30 @@ class Readout(Converter, ABC):
         return TiedNetwork(cell_resistance, conductance, inverse_of(conductance, ties), self)
 
     def exact_reading(self, cell_resistance: Array, wiring: Wiring | None = None) -> Array:
-        """y of cells (rows, columns) or (frames, rows, columns) ohm, any contrast; the same shape."""
+        """Return y of cells (rows, columns) or (frames, rows, columns) ohm, any contrast; the same shape."""
         if cell_resistance.ndim == 3:
             return np.stack([self.exact_reading(frame, wiring) for frame in cell_resistance])
         with np.errstate(divide="ignore"):
             return self.network(cell_resistance, self.ties(cell_resistance), wiring).reading()
 
     def start(self, measured: Array, upper: Array, near: Array | None = None) -> Array:
-        """Cells (rows, columns) ohm to begin a search at, from readings, upper bounds, an earlier estimate or None."""
+        """Return cells (rows, columns) ohm to start a search from; near : an earlier estimate, or None."""
         return self.uniform_start(measured) if near is None else near
 
     def uniform_start(self, measured: Array) -> Array:
-        """Cells (…, rows, columns) ohm as if all were alike, as far as the kind knows better than apparent ones."""
+        """Return cells (…, rows, columns) ohm as if all were equal, if the kind can improve on apparent ones."""
         return self.apparent_resistance(measured)
 
     def least_cells(self, measured: Array, sigma: Array | None) -> Array:
-        """What no cell can lie below, given its readings (…, rows, columns), ohm."""
+        """Return lower bounds of cells, given their readings (…, rows, columns), ohm."""
         return self.nearly_shorted(measured)
 
     def nearly_shorted(self, measured: Array) -> Array:
-        """Cells (…, rows, columns) ohm whose readings are those of dead shorts."""
+        """Return cells (…, rows, columns) ohm with the readings of dead shorts."""
         return SHORT_SHARE * self.apparent_resistance(measured)
 
     def resolution(self, measured: Array, sigma: Array) -> Array:
-        """r_max = |∂y_c/∂g_c|/σ at the start: an open cell in its place changes its reading by just the noise σ.
+        """Return r_max = |∂y_c/∂g_c|/σ at the start: an open cell in its place changes its reading by the noise σ.
 
         (…, rows, columns) ohm. Never below twice the start.
         """
@@ -159,7 +180,7 @@ class Readout(Converter, ABC):
         return np.asarray(np.maximum(np.abs(response) * start / sigma, 2 * start))
 
     def common_step(self, measured: Array, expected: Array, chosen: NDArray[np.bool_]) -> float:
-        """The factor by which all cells seem to have grown together; 1 where readings do not show it.
+        """Return the factor by which all cells grew together; 1 if readings do not show it.
 
         measured, expected : (rows, columns) readings, and what was expected of them; chosen : those that count.
         """
@@ -168,14 +189,14 @@ class Readout(Converter, ABC):
     # What readings show of the circuit.
 
     def free_tests(self, measured: Array, sigma: Array) -> tuple[FreeTest, ...]:
-        """Inequalities that the circuit's readings (frames, rows, columns) keep whatever the cells are.
+        """Return inequalities that the circuit's readings (frames, rows, columns) satisfy for any cells.
 
         sigma : likewise, infinite where a reading is no value.
         """
         return ()
 
     def most_in_series(self, measured: Array, sigma: Array) -> float:
-        """The largest resistance that may stand in series with the panel, ohm; 0 where the kind has none.
+        """Return the largest possible resistance in series with the panel, ohm; 0 if the kind has none.
 
         measured, sigma : as above, by a circuit that has none in series.
         """
@@ -184,11 +205,11 @@ class Readout(Converter, ABC):
     # Between what is recorded and what the network is read by.
 
     def from_recorded(self, recorded: Array, scene: Surroundings) -> Array:
-        """The network's reading of a recorded one, any shape ending in (rows, columns)."""
+        """Return the network's reading of a recorded one, any shape ending in (rows, columns)."""
         return self.supply_volt - recorded if self.mirrored else recorded
 
     def to_recorded(self, reading: Array, scene: Surroundings) -> Array:
-        """The recorded reading of a network's, any shape ending in (rows, columns)."""
+        """Return the recorded reading of a network's, any shape ending in (rows, columns)."""
         return self.supply_volt - reading if self.mirrored else reading
 
     @property
@@ -197,7 +218,7 @@ class Readout(Converter, ABC):
         return -1.0 if self.mirrored else 1.0
 
     def rails_reached(self, recorded: Array) -> str:
-        """'the rail of 0.005 volt', or both, that recorded readings reach or pass; '' where none does."""
+        """Return 'the rail of 0.005 volt', or both, that recorded readings reach or pass; '' if none does."""
         least, largest = self.rails()
         beyond = ((least, recorded < least), (largest, recorded > largest))
         reached = [f"{rail:.3g}" for rail, readings in beyond if np.any(readings)]
@@ -205,44 +226,57 @@ class Readout(Converter, ABC):
         return f"the converter's rail{plural} of {' and '.join(reached)} {self.unit}" if reached else ""
 
     def sigma_of_reading(self, recorded: Array, sigma: Array) -> Array:
-        """σ of the network's readings from that of recorded ones, the same shape."""
+        """Return σ of the network's readings from that of recorded ones, the same shape."""
         return sigma
 
     def simulated(self, cell_resistance: Array, scene: Surroundings, row_ohm: Array, column_ohm: Array) -> Array:
-        """Recorded readings (frames, rows, columns) of cells, without the converter.
+        """Return recorded readings (frames, rows, columns) of cells, without the converter.
 
         row_ohm, column_ohm : what every line's channel has in series beyond what the scene specifies, ohm.
         """
         return self.to_recorded(self.exact_reading(cell_resistance, scene.wiring), scene)
 
     def beyond(self, network: Network, scene: Surroundings, row_ohm: Array, column_ohm: Array) -> Array:
-        """What so much more in the channels adds to a network's readings (rows, columns)."""
+        """Return the change of a network's readings (rows, columns) by additional channel resistance."""
         recorded = self.simulated(network.cell_resistance, scene, row_ohm, column_ohm)
         return np.asarray(self.from_recorded(recorded, scene) - network.reading())
 
     def off_by(self, fraction: float) -> Self:
-        """The same circuit with its reference resistor larger by a fraction."""
+        """Return the circuit with its reference resistor larger by a fraction."""
         return self
 
     def line_numbers(self) -> tuple[LineNumber, ...]:
-        """What known resistors in place of the cells determine of the circuit; none, unless a kind says so."""
+        """Return the numbers of the circuit that known resistors in place of the cells determine."""
         return ()
 
     def shared_errors(
         self, cells: Array, measured: Array, scene: Surroundings, reference: float, channel: float
     ) -> Array:
-        """What errors of all readings together do to them, (1 + rows + columns, rows, columns), or (1, rows, columns)
-        without `channel`: secants of the model. Of two-point readouts also of many panels, (…, rows, columns).
+        """Return the effect of shared errors on the readings, as secants of the model.
 
-        cells : the estimate, (rows, columns) ohm. measured : its readings. reference : by this fraction the reference
-        resistor is off, see `off_by`. channel : by so many ohm one line's channel is, rows first, see `simulated`.
+        Parameters
+        ----------
+        cells : array, shape (rows, columns)
+            Estimate in ohm.
+        measured : array, same shape
+            Its readings; with two-point readouts also (…, rows, columns) of many panels.
+        scene : Scene
+        reference : float
+            Relative error of the reference resistor, see `off_by`.
+        channel : float
+            Error of one line's channel in ohm, see `simulated`.
+
+        Returns
+        -------
+        array, shape (1 + rows + columns, rows, columns), or (1, rows, columns) without `channel`
+            Effect of the reference, then of the channel of each line, rows first.
         """
         rows, columns = cells.shape
-        lines, still = rows + columns if channel else 0, self.exact_reading(cells, scene.wiring)
+        lines, unchanged = rows + columns if channel else 0, self.exact_reading(cells, scene.wiring)
         errors = np.zeros((1 + lines, rows, columns))
         if reference:
-            errors[0] = self.off_by(reference).exact_reading(cells, scene.wiring) - still
-        for line, more in enumerate(channel * np.eye(lines)):
-            recorded = self.simulated(cells, scene, more[:rows], more[rows:])
-            errors[1 + line] = self.from_recorded(recorded, scene) - still
+            errors[0] = self.off_by(reference).exact_reading(cells, scene.wiring) - unchanged
+        for line, extra in enumerate(channel * np.eye(lines)):
+            recorded = self.simulated(cells, scene, extra[:rows], extra[rows:])
+            errors[1 + line] = self.from_recorded(recorded, scene) - unchanged
         return errors

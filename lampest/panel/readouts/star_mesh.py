@@ -73,33 +73,33 @@ def _all_pairs(weights: Array, rows: int) -> tuple[Array, Index, Index]:
     while weights.shape[1] > 2:
         columns = weights.shape[1] - rows
         first, size = (0, rows) if rows >= columns else (rows, columns)
-        kept = size - size // 2
+        half = size - size // 2
         places = np.arange(first, first + size)
-        others = np.setdiff1d(np.arange(rows + columns), places)
+        opposite = np.setdiff1d(np.arange(rows + columns), places)
         # Both halves are as large: of an odd number of lines the one in the middle is in either.
         parts = []
-        for stay, go in ((places[:kept], places[kept:]), (places[-kept:], places[:-kept])):
-            order = np.concatenate([stay, others, go] if first == 0 else [others, stay, go])
+        for stay, go in ((places[:half], places[half:]), (places[-half:], places[:-half])):
+            order = np.concatenate([stay, opposite, go] if first == 0 else [opposite, stay, go])
             parts.append((weights[:, order[:, None], order], lines[:, order]))
-        weights = _without_last(np.concatenate([part for part, _ in parts]), size // 2, shorted)
+        weights = _without_last(np.concatenate([part for part, _ in parts]), size // 2, shorted=shorted)
         lines = np.concatenate([part for _, part in parts])[:, : weights.shape[1]]
-        rows = kept if first == 0 else rows
+        rows = half if first == 0 else rows
     return weights[:, 0, 1], lines[:, 0], lines[:, 1] - first_column
 
 
-def _without_last(weights: Array, count: int, shorted: bool) -> Array:
-    """The networks without their last `count` lines; `weights` is used up."""
+def _without_last(weights: Array, count: int, *, shorted: bool) -> Array:
+    """Return the networks without their last `count` lines; `weights` is overwritten."""
     for last in range(weights.shape[1] - 1, weights.shape[1] - 1 - count, -1):
-        to_others, rest = weights[:, last, :last], weights[:, :last, :last]
-        total = to_others.sum(axis=1, keepdims=True)
-        share = np.divide(to_others, total, out=np.zeros_like(to_others), where=total > 0)
+        spokes, mesh = weights[:, last, :last], weights[:, :last, :last]
+        total = spokes.sum(axis=1, keepdims=True)
+        share = np.divide(spokes, total, out=np.zeros_like(spokes), where=total > 0)
         if not shorted:
-            rest += to_others[:, :, None] * share[:, None, :]
+            mesh += spokes[:, :, None] * share[:, None, :]
             continue
         # The limit of one large conductance for all shorts: they share what comes in, and nothing else gets any.
-        endless = np.isinf(to_others)
+        endless = np.isinf(spokes)
         among = endless / np.maximum(endless.sum(axis=1, keepdims=True), 1)
         share = np.where(np.isinf(total), among, share)
-        gain = to_others[:, :, None] * share[:, None, :]
-        rest += np.fmax(gain, gain.transpose(0, 2, 1))
+        gain = spokes[:, :, None] * share[:, None, :]
+        mesh += np.fmax(gain, gain.transpose(0, 2, 1))
     return weights[:, : weights.shape[1] - count, : weights.shape[1] - count]

@@ -96,7 +96,7 @@ class TwoPointReadout(Readout):
         return convex_start(measured, upper, near)
 
     def least_cells(self, measured: Array, sigma: Array | None) -> Array:
-        """r ≥ R: parallel paths only lower a reading; paper, equation (12)."""
+        """Return r ≥ R: parallel paths only lower a reading; paper, equation (12)."""
         return measured.copy()
 
     def resolution(self, measured: Array, sigma: Array) -> Array:
@@ -104,7 +104,7 @@ class TwoPointReadout(Readout):
         return np.asarray(np.maximum(measured**2 / sigma, 2 * self.uniform_start(measured)))
 
     def common_step(self, measured: Array, expected: Array, chosen: NDArray[np.bool_]) -> float:
-        """The mean of the shortest half of log R_m/R, so that a load on some lines does not count.
+        """Return the mean of the shortest half of log R_m/R, so that a load on some lines does not count.
 
         Two-point resistances are homogeneous: with all cells they grow by one factor. 1 without readings. Source:
         Andrews et al., Robust Estimates of Location, 1972 (the shorth).
@@ -139,7 +139,7 @@ class TwoPointReadout(Readout):
         return np.asarray(total * (1 + self.reference_ohm / self.input_ohm))
 
     def _between_lines(self, recorded: Array) -> Array:
-        """What is between the divider's ends without the converter; open where a sensor seems no less than that."""
+        """Return the resistance between the divider's ends without the converter's input; open beyond the input."""
         if self.input_ohm is None:
             return recorded
         if self.measured_across == "sensor":
@@ -159,7 +159,7 @@ class TwoPointReadout(Readout):
         return np.asarray(total + (row_ohm[:, None] + column_ohm[None, :]))
 
     def beyond(self, network: Network, scene: Surroundings, row_ohm: Array, column_ohm: Array) -> Array:
-        """What both channels have more."""
+        """Return the additional resistance of both channels."""
         total = self.to_recorded(network.reading(), scene) + (row_ohm[:, None] + column_ohm[None, :])
         return np.asarray(self.from_recorded(total, scene) - network.reading())
 
@@ -214,7 +214,7 @@ def four_point_excess(resistance: Array, sigma: Array) -> Array:
     long = np.isfinite(value) & (value > row + column + row.min(axis=1, keepdims=True))
     excess, frames = np.full(value.shape, -np.inf), np.flatnonzero(long.any(axis=(1, 2)))
     rows, value = value.shape[1], value[frames]
-    variance, found = np.where(np.isfinite(sigma[frames]), sigma[frames], 0.0) ** 2, excess[frames]
+    variance, worst = np.where(np.isfinite(sigma[frames]), sigma[frames], 0.0) ** 2, excess[frames]
     together = max(1, AT_ONCE // max(value[:, 0].size * rows, 1))
     for begin in range(0, rows if len(frames) else 0, together):
         some = slice(begin, begin + together)
@@ -228,6 +228,6 @@ def four_point_excess(resistance: Array, sigma: Array) -> Array:
         way = np.take_along_axis(way, last, axis=2)[:, :, 0]
         counted = np.isfinite(value[:, some]) & np.isfinite(way) & (noise > 0)
         beyond = np.subtract(value[:, some], way, out=np.zeros_like(way), where=counted)
-        found[:, some] = np.where(counted, beyond, -np.inf) / np.sqrt(np.where(counted, noise, 1.0))
-    excess[frames] = found
+        worst[:, some] = np.where(counted, beyond, -np.inf) / np.sqrt(np.where(counted, noise, 1.0))
+    excess[frames] = worst
     return excess

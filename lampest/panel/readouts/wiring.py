@@ -11,11 +11,12 @@ from typing import Literal
 
 import numpy as np
 
+from lampest.files.levels import NOISE_REACH
 from lampest.files.typed import Configuration
 from lampest.panel.kirchhoff import bipartite
 from lampest.panel.network import Block, Entries, Loading, Network, Numbers, ReadCircuit, SecondOrder
 from lampest.panel.panel import Array
-from lampest.panel.readouts.lines import RELAXED, PerLine, check_lines, per_line
+from lampest.panel.readouts.lines import PerLine, check_lines, per_line
 from lampest.panel.readouts.tied import TiedNetwork
 
 
@@ -118,7 +119,7 @@ class Wiring:
         wire = self.lines.row_ohm_per_cell * along + self.lines.column_ohm_per_cell * down[:, None]
         if self.contacts is None:
             return np.asarray(wire)
-        most = self.contacts.mean(shape) + RELAXED * self.contacts.deviation(shape)
+        most = self.contacts.mean(shape) + NOISE_REACH * self.contacts.deviation(shape)
         return np.asarray(wire + most[:rows, None] + most[rows:])
 
     def nodes(self, count: int) -> Array:
@@ -179,7 +180,7 @@ class Ladder:
         return cls(swapped, outer, inner, rung, passed, shown, segment)
 
     def solve(self, differences: Array) -> Array:
-        """i = K⁻¹·e: currents through the cells for e (rows, columns, patterns) volt, the same shape, ampere."""
+        """Return i = K⁻¹·e: currents through the cells for e (rows, columns, patterns) volt, the same shape, ampere."""
         turned = (differences.swapaxes(0, 1) if self.swapped else differences)[self.outer, self.inner]
         own = self.rung @ turned
         source, potential = np.empty_like(own), np.empty_like(own)
@@ -304,15 +305,17 @@ def contact_responses(networks: Sequence[Network]) -> Array:
 
 
 def wire_responses(network: Network, lines: Lines) -> Array:
-    """∂y/∂ρ of the wire of all rows and of all columns from cell to cell, (2, …, rows, columns): ∂Z_ab/∂ρ = Σ I_a I_b
-    over its segments, I_a the current through one, and so through all cells beyond it, for a unit current into a.
+    """Return ∂y/∂ρ of the wire of all rows and of all columns from cell to cell, (2, …, rows, columns).
+
+    ∂Z_ab/∂ρ = Σ I_a I_b over its segments, I_a the current through a segment, and so through all cells beyond it, for
+    a unit current into a.
     """
     currents = network.potential_differences * network.flat_conductance[..., None, :]
-    maps, found = currents.reshape(*currents.shape[:-1], *network.conductance.shape[-2:]), []
+    maps, responses = currents.reshape(*currents.shape[:-1], *network.conductance.shape[-2:]), []
     for axis, near_first in ((-1, lines.rows_enter == "left"), (-2, lines.columns_leave == "top")):
         beyond = np.cumsum(np.flip(maps, axis) if near_first else maps, axis).reshape(currents.shape)
-        found.append(network.read_change(network.entries(beyond @ beyond.swapaxes(-1, -2))))
-    return np.stack(found)
+        responses.append(network.read_change(network.entries(beyond @ beyond.swapaxes(-1, -2))))
+    return np.stack(responses)
 
 
 def incidence(rows: int, columns: int) -> Array:

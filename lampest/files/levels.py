@@ -1,0 +1,18 @@
+"""Statistical levels: how improbable under noise a deviation must be before a rule acts.
+
+Each level says its unit, the false alarms that it admits, and the tests that fail without it. Rooms import levels; no
+room states one of its own where a level of this table has the same meaning.
+"""
+
+# Standard deviations of a reading. Gaussian noise exceeds it once in 370 readings, on one side once in 740. Bounds of
+# cells and rails give way by it: with 1 % noise the truth itself violates exact bounds in a third of cases
+# (tests/laws/test_readouts.py); a resistance below it is indistinguishable from zero (tests/laws/test_holes.py).
+NOISE_REACH = 3.0
+
+# Standard deviations of the mean square difference of two lines, below which they are read alike: once in 15,000 pairs
+# two lines that touch seem apart (tests/oracles/test_wires.py).
+ALIKE = 4.0
+
+# Mean square difference of two lines in units of their noise, from which a line counts as distinct (five standard
+# deviations): panels whose lines are all nearly equal name no touching lines (tests/oracles/test_wires.py).
+DISTINCT = 25.0
