@@ -162,7 +162,18 @@ def import_(
     agreed = scene_of(scene, assign)
     with progress("reading"):
         recording, notes = import_file(
-            file, rows, columns, agreed, unit, baseline, transpose, variable, period, missing, layout, time_unit
+            file,
+            rows,
+            columns,
+            agreed,
+            unit,
+            baseline,
+            transpose=transpose,
+            variable=variable,
+            period=period,
+            missing=missing,
+            layout=layout,
+            time_unit=time_unit,
         )
         recording.save(out)
     for line in understood_lines(recording, notes):

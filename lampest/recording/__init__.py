@@ -1,1 +1,1 @@
-"""Recordings and the only way from file, board or simulation to readings."""
+"""Recordings: their files, imports, boards and simulations, and the only way from these to readings."""

@@ -1,4 +1,4 @@
-"""What a board adds to a recording's frames: clocks, numbers, gaps, events, and checksums until the file is closed.
+"""Acquisition data of a board: clocks, numbers, gaps, events, and checksums until the file is closed.
 
 A recorder appends rows, and after them the checksum of each.
 """
@@ -34,18 +34,26 @@ FRAME_FIELDS = (
 FRAME_CHECKSUM, EVENT_CHECKSUM = "acquisition/crc32", "acquisition/event_crc32"
 EVENT_PATHS = ("acquisition/event_time", "acquisition/event_label")
 SUMS = "raw/sums"
-NO_SUM = 0xFFFF  # in the place of a sum that no board has sent: one of 64 readings of 10 bit is 65,472 at most
-AT_ONCE = 1000  # frames that are looked at together
+NO_SUM = 0xFFFF  # marks a missing sum: 64 readings of 10 bits sum to at most 65,472
+AT_ONCE = 1000  # frames of a block that is checked at once, to bound memory
 
 
 @dataclass(frozen=True, eq=False)
 class Acquisition(Validated):
-    """Where each frame came from.
+    """Origin of each frame of a recording from a board.
 
-    host_time : (frames) s since 1970-01-01 UTC, when the frame arrived.
-    device_ms : (frames) ms, the board's clock at the start of the scan; begins again after a reset.
-    sequence, missed, lost, session : (frames) as `FRAME_FIELDS` says.
-    event_time, event_label : (events) s on the recording's time axis; texts of at most 16 ASCII characters.
+    Attributes
+    ----------
+    host_time : array, shape (frames,)
+        Arrival of the frame in s since 1970-01-01 UTC.
+    device_ms : array, shape (frames,)
+        Board's clock at the start of the scan in ms; starts again after a reset.
+    sequence, missed, lost, session : array, shape (frames,)
+        See `FRAME_FIELDS`.
+    event_time : array, shape (events,)
+        In s on the recording's time axis.
+    event_label : tuple of str
+        At most 16 ASCII characters each.
 
     Raises InputError where the lengths disagree.
     """
@@ -78,7 +86,7 @@ class Acquisition(Validated):
             hdf5.write_dataset(group, "event_label", labels, "1", "what was marked")
 
     def start(self, first: float) -> str | None:
-        """Date and time at 0 s by the host's clock, ISO 8601 in UTC, or None; first : time of the first frame, s."""
+        """Return the host's date and time at 0 s, ISO 8601 in UTC, or None; first : time of the first frame, s."""
         seconds = float(self.host_time[0]) - first
         try:
             return datetime.fromtimestamp(seconds, UTC).isoformat(timespec="milliseconds") if seconds > 0 else None
@@ -87,7 +95,7 @@ class Acquisition(Validated):
 
     @classmethod
     def read(cls, file: h5py.File, kept: slice) -> "Acquisition | None":
-        """The group of an open file, the kept frames of it; None where there is none. Raises InputError."""
+        """Read some frames of the group of an open file; None without the group. Raises InputError."""
         if not hdf5.has(file, PATH):
             return None
         fields: dict[str, Any] = {
@@ -103,13 +111,13 @@ class Acquisition(Validated):
 
 
 def frame_paths(group: str, signal: str) -> tuple[str, ...]:
-    """What every frame has a row in, below /entry, in the order of its checksum."""
+    """Return the datasets with a row for every frame, below /entry, in the order of its checksum."""
     acquired = (f"acquisition/{name}" for name, *_ in FRAME_FIELDS)
     return (f"{group}/{signal}", f"{group}/time", f"{group}/role", SUMS, *acquired)
 
 
 def checksums(columns: Sequence[NDArray[Any]]) -> NDArray[np.uint32]:
-    """CRC-32 of each row over all columns."""
+    """Return the CRC-32 of each row over all columns."""
     count = len(columns[0])
     if not count:
         return np.zeros(0, dtype=np.uint32)
@@ -118,7 +126,7 @@ def checksums(columns: Sequence[NDArray[Any]]) -> NDArray[np.uint32]:
 
 
 def undamaged_frames(file: h5py.File, scene: Scene, group: str) -> slice:
-    """All frames of a finished file, the written ones of an unfinished one. Raises InputError where one is damaged."""
+    """Return the frames of a finished file, or those written so far. Raises InputError if one is damaged."""
     if "lampest_unfinished" not in file.attrs:
         return hdf5.ALL
     frames, damaged = damaged_frames(file, scene, group)
@@ -131,7 +139,7 @@ def undamaged_frames(file: h5py.File, scene: Scene, group: str) -> slice:
 
 
 def damaged_frames(file: h5py.File, scene: Scene, group: str) -> tuple[int, NDArray[np.intp]]:
-    """(frames written, numbers of the damaged ones) of an unfinished file."""
+    """Return (frames written, numbers of the damaged ones) of an unfinished file."""
     paths = frame_paths(group.removeprefix("/entry/"), scene.circuit.signal)
     readings = int(hdf5.read_number(file, "/entry/raw", "readings"))
     if scene.readout is None or readings < 1:
@@ -160,7 +168,7 @@ def damaged_frames(file: h5py.File, scene: Scene, group: str) -> tuple[int, NDAr
 
 
 def whole_events(file: h5py.File) -> NDArray[np.bool_]:
-    """Which events are what was written; all, where there are no checksums."""
+    """Return which events are undamaged; all if there are no checksums."""
     paths = [f"/entry/{path}" for path in EVENT_PATHS]
     events = min(hdf5.length_of(file, path) if hdf5.has(file, path) else 0 for path in paths)
     if not hdf5.has(file, f"/entry/{EVENT_CHECKSUM}"):
@@ -173,7 +181,7 @@ def whole_events(file: h5py.File) -> NDArray[np.bool_]:
 
 
 def stored_rows(file: h5py.File, paths: Sequence[str], part: slice) -> list[NDArray[Any]]:
-    """Some rows of datasets below /entry, as they stand in the file. Raises InputError where one cannot be read."""
+    """Read some rows of datasets below /entry. Raises InputError if one cannot be read."""
 
     def rows(path: str) -> NDArray[Any]:
         if not path.endswith("label"):
@@ -185,7 +193,7 @@ def stored_rows(file: h5py.File, paths: Sequence[str], part: slice) -> list[NDAr
 
 
 def recorded_of_sums(scene: Scene, sums: NDArray[Any], readings: int) -> Array:
-    """What the readout, or that of each module, makes of sums (…, rows, columns) of codes; NaN of what is NO_SUM."""
+    """Return recorded readings of sums of codes (…, rows, columns), by the readout of each module; NaN for NO_SUM."""
     layout = scene.panel.modules
     parts = sums[..., None, :, :] if layout is None else layout.split(sums)
     found = np.full(parts.shape, np.nan)

@@ -1,4 +1,4 @@
-"""Recordings and files that travel with lampest: in a checkout `configs/` and `data/`, in a wheel `lampest/shipped/`.
+"""Recordings and files shipped with lampest: in a checkout `configs/` and `data/`, in a wheel `lampest/shipped/`.
 
 >>> lampest.datasets.names()[-2:]
 ('ring', 'rod')
@@ -13,18 +13,18 @@ PACKAGE = Path(__file__).parents[1]
 
 
 def folder() -> Path:
-    """Where `configs/` and `data/` stand: `lampest run` takes a file of the first as it takes one of your own."""
+    """Return the folder of `configs/` and `data/`, whose files `lampest run` takes like any other."""
     inside = PACKAGE / "shipped"
     return inside if inside.is_dir() else PACKAGE.parent
 
 
 def names() -> tuple[str, ...]:
-    """The recordings that `load` knows, in alphabetical order."""
+    """Return the names of the recordings that `load` knows, in alphabetical order."""
     return tuple(sorted(file.stem for file in (folder() / "data").glob("*.h5")))
 
 
 def load(name: str) -> Recording:
-    """A shipped recording: simulated, with its scene and its truth. Raises InputError where there is none of that name.
+    """Load a shipped recording: simulated, with its scene and its truth. Raises InputError for an unknown name.
 
     >>> lampest.datasets.load("lamprey_35mm").resistance.shape  # frames, rows, columns; ohm
     (24, 10, 10)

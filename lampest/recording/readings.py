@@ -1,4 +1,4 @@
-"""What recorded values, of a file or not, say to an estimator: numbers, bounds, or nothing."""
+"""Readings of a network from recorded values: numbers, bounds, or missing."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -20,12 +20,12 @@ VALUE, AT_LEAST, AT_MOST = 0.0, 1.0, -1.0
 
 
 def stand_in(value: Array, known: NDArray[np.bool_]) -> Array:
-    """exp(m + a_j + b_k) (…, rows, columns): what the known values of a frame let expect; 1 where nothing is known."""
+    """Return exp(m + a_j + b_k) (…, rows, columns), the median polish of the known values; 1 if nothing is known."""
     return np.exp(_polished(value, known)[0])
 
 
 def stand_in_spread(value: Array, known: NDArray[np.bool_]) -> Array:
-    """Standard deviation of its logarithm, of one frame (rows, columns); 1 throughout where nothing is known.
+    """Return the standard deviation of the stand-in's logarithm, of one frame (rows, columns); 1 if nothing is known.
 
     Cross-validated, one diagonal left out after the other: the rms, or more where that does not cover 95 % of them.
     A line without any known reading has the variance of the others' effects on top.
@@ -42,7 +42,7 @@ def stand_in_spread(value: Array, known: NDArray[np.bool_]) -> Array:
 
 
 def _polished(value: Array, known: NDArray[np.bool_]) -> tuple[Array, Array]:
-    """Median polish of log y: (m + a_j + b_k, variance of effects of unknown lines), any shape + (rows, columns)."""
+    """Return the median polish of log y: (m + a_j + b_k, variance of effects of unknown lines), (…, rows, columns)."""
     # Source: Tukey, Exploratory Data Analysis, 1977, chapter 11.
     rest = np.where(known, np.log(np.where(known, value, 1.0)), np.nan)
     expected, between = _median(rest.reshape(*rest.shape[:-2], 1, -1), -1), np.zeros(rest.shape)
@@ -63,7 +63,7 @@ def _polished(value: Array, known: NDArray[np.bool_]) -> tuple[Array, Array]:
 
 
 def _median(values: Array, axis: int) -> Array:
-    """Of the numbers along an axis, which is kept; 0 where there is none. Faster than nanmedian of short lines."""
+    """Return medians along an axis, which stays; 0 without numbers. Faster than nanmedian for short lines."""
     ordered, count = np.sort(values, axis=axis), np.isfinite(values).sum(axis=axis, keepdims=True)
     low, high = (np.take_along_axis(ordered, np.maximum(count - more, 0) // 2, axis) for more in (1, 0))
     return np.where(count > 0, (low + high) / 2, 0.0)
@@ -88,7 +88,7 @@ class Readings:
 
     @classmethod
     def of(cls, scene: Scene, recorded: Array, sigma: Array | None = None) -> "Readings":
-        """The network's readings of recorded values, and what each of them says; one frame (rows, columns) or many.
+        """Return the network's readings of recorded values; one frame (rows, columns) or many.
 
         Missing: NaN, a reading whose σ is not finite, what the scene's faults make blind. A bound: what lies at or
         beyond a rail of the converter, infinity, and a resistance that is below three σ once the series resistance is
@@ -139,7 +139,7 @@ class Readings:
 
     @classmethod
     def _of_modules(cls, scene: Scene, layout: Modules, recorded: Array, sigma: Array | None) -> "Readings":
-        """The same of a panel of modules, of which each is a network with its own scene; a dead one says nothing."""
+        """Return the readings of a panel of modules, each with its own scene; those of dead ones are missing."""
         values = layout.split(recorded).copy()
         values[..., list(scene.dead_modules), :, :] = np.nan
         noise = None if sigma is None else np.broadcast_to(layout.split(sigma), values.shape)
@@ -150,21 +150,21 @@ class Readings:
         return cls.of_parts(layout, [parts[number] for number in range(layout.count)])
 
     def each(self, change: Callable[[Array], Array]) -> "Readings":
-        """The readings with all four arrays changed alike, such as `layout.split`."""
+        """Return the readings with the same change of all four arrays, such as `layout.split`."""
         sigma = None if self.sigma is None else change(self.sigma)
         return Readings(change(self.value), sigma, change(self.side), change(self.seen))
 
     def of_module(self, layout: Modules, number: int) -> "Readings":
-        """Those of one module of the image."""
+        """Return the readings of one module of the image."""
         return self[(..., *layout.cells(number))]
 
     @classmethod
     def of_parts(cls, layout: Modules, parts: Sequence["Readings"]) -> "Readings":
-        """The readings of the whole image from those of its modules, in the order of their numbers."""
+        """Return the readings of the whole image from those of its modules, in the order of their numbers."""
         return parts[0].together(*parts[1:], axis=-3).each(layout.joined)
 
     def together(self, *others: "Readings", axis: int = 0) -> "Readings":
-        """Frames (rows, columns) as (frames, rows, columns); σ is unknown where one of theirs is."""
+        """Return frames (rows, columns) as (frames, rows, columns); σ is unknown if it is for one of them."""
         parts = (self, *others)
         value, side, seen = (
             np.stack([getattr(part, name) for part in parts], axis) for name in ("value", "side", "seen")
@@ -174,7 +174,7 @@ class Readings:
 
     @classmethod
     def _plain(cls, scene: Scene, recorded: Array) -> "Readings | None":
-        """The same where every value is one, which most frames are, at a fifth of the time; None where any is not."""
+        """Return readings that are all plain values, at a fifth of the time; None if any is not."""
         readout = scene.readout
         if readout is None or not scene.whole or scene.converter_memory is not None:
             return None
@@ -189,7 +189,7 @@ class Readings:
         return cls(network, noise, np.zeros(network.shape), np.ones(network.shape))
 
     def __getitem__(self, frames: Any) -> "Readings":
-        """The readings of some frames."""
+        """Return the readings of some frames."""
         return self.each(lambda part: part[frames])
 
     @property
@@ -199,25 +199,25 @@ class Readings:
 
     @property
     def plain_values(self) -> Array:
-        """The values alone, NaN where a reading is a bound or missing."""
+        """Values, NaN for bounds and missing readings."""
         return np.where(self.plain, self.value, np.nan)
 
     @property
     def bounds(self) -> NDArray[np.bool_]:
-        """Whether a reading only bounds the truth."""
+        """Whether a reading is a bound."""
         return np.asarray((self.seen > 0) & (self.side != VALUE))
 
     def missing(self, scene: Scene) -> NDArray[np.bool_]:
-        """Whether a reading is missing of a cell, though the scene's faults do not make it blind."""
+        """Return whether readings of cells are missing, except where the scene's faults make them blind."""
         return np.asarray((self.seen == 0) & scene.asked)
 
     @property
     def shown(self) -> Array:
-        """The values and bounds, NaN where it is missing."""
+        """Values and bounds, NaN for missing readings."""
         return np.where(self.seen > 0, self.value, np.nan)
 
     def enough(self, scene: Scene) -> NDArray[np.bool_]:
-        """Whether a frame can be estimated, of the leading shape.
+        """Return whether frames can be estimated, (…).
 
         Of the scene's asked readings at most half are missing, and half are values, or M + N − 1 are: these describe a
         panel whose lines alone differ.
@@ -237,11 +237,11 @@ class Readings:
 
     @property
     def sigma_of_values(self) -> Array | None:
-        """σ, infinite where a reading is a bound or missing."""
+        """σ, infinite for bounds and missing readings."""
         return None if self.sigma is None else np.where(self.plain, self.sigma, np.inf)
 
     def mean(self) -> "Readings":
-        """The mean over frames (frames, rows, columns), cell by cell over values.
+        """Return the mean over frames (frames, rows, columns), cell by cell over values.
 
         Where bounds outnumber these or lie within the noise of their mean, the mean of all is a bound. Bounds of both
         sides alone count as missing.
@@ -261,12 +261,12 @@ class Readings:
         return Readings(mean, _filled(np.where(among, deviation_of_all, deviation), seen), side, seen)
 
     def alone(self) -> "Readings":
-        """One frame (rows, columns) as (1, rows, columns)."""
+        """Return one frame (rows, columns) as (1, rows, columns)."""
         return self[None]
 
 
 def mean_change(value: Array, resting: Array) -> Array:
-    """mean |log y/y₀| of each frame (…, rows, columns), resting (rows, columns) of the network; NaN does not count."""
+    """Return mean |log y/y₀| of each frame (…, rows, columns), resting (rows, columns); NaN is left out."""
     with np.errstate(divide="ignore", invalid="ignore"):
         change = np.abs(np.log(value / resting))
     known = np.isfinite(change)
@@ -275,7 +275,7 @@ def mean_change(value: Array, resting: Array) -> Array:
 
 
 def strongest_frame(value: Array, resting: Array, frames: NDArray[np.intp]) -> int:
-    """argmax of mean |log y/y₀| over those of the frames: where readings differ most from the unloaded ones."""
+    """Return the frame with the largest mean |log y/y₀|, where readings differ most from the unloaded ones."""
     change = mean_change(value[frames], resting)
     return int(frames[np.flatnonzero(change == change.max())[-1]])
 
@@ -298,7 +298,7 @@ def check_sigma(scene: Scene, recorded: Array, sigma: Array | None) -> None:
 
 
 def _noise(scene: Scene, recorded: Array, sigma: Array | None) -> Array | None:
-    """σ of every reading of the network: from the one that is given, else the readout's, else None."""
+    """Return σ of every reading of the network, from the given one, else the readout's; None if unknown."""
     if sigma is not None:
         return scene.circuit.sigma_of_reading(recorded, np.broadcast_to(sigma, recorded.shape))
     if scene.readout is None:
@@ -307,7 +307,7 @@ def _noise(scene: Scene, recorded: Array, sigma: Array | None) -> Array | None:
 
 
 def _within_rails(scene: Scene, recorded: Array) -> tuple[Array, Array]:
-    """Values put within the converter's rails, and the side on which those beyond them bound the truth."""
+    """Return values clipped to the converter's rails, and the side on which those beyond bound the truth."""
     side = np.zeros(recorded.shape)
     least, largest = (0.0, np.inf) if scene.readout is None else scene.readout.rails()
     side[recorded < least], side[recorded > largest] = AT_MOST, AT_LEAST
@@ -316,7 +316,7 @@ def _within_rails(scene: Scene, recorded: Array) -> tuple[Array, Array]:
 
 
 def _numbered(network: Array, seen: Array) -> tuple[Array, Array]:
-    """Bounds without a number get the largest and the smallest value of their frame; where it has none, seen is 0."""
+    """Return bounds with the largest or smallest value of their frame for a missing number; `seen` is 0 without one."""
     known = (seen > 0) & np.isfinite(network) & (network > 0)
     if np.all(known | (seen == 0)):
         return network, seen
@@ -327,7 +327,7 @@ def _numbered(network: Array, seen: Array) -> tuple[Array, Array]:
 
 
 def _averaged(value: Array, sigma: Array | None, counted: NDArray[np.bool_]) -> tuple[Array, Array | None]:
-    """The mean over the counted frames and its σ, (rows, columns); 1 where no frame counts."""
+    """Return the mean over the counted frames and its σ, (rows, columns); 1 if no frame counts."""
     count, blank = np.maximum(counted.sum(axis=0), 1), ~counted.any(axis=0)
     mean = np.where(counted, value, 0.0).sum(axis=0) / count + blank
     noise = None if sigma is None else np.sqrt(np.where(counted, sigma**2, 0.0).sum(axis=0)) / count + blank
@@ -335,7 +335,7 @@ def _averaged(value: Array, sigma: Array | None, counted: NDArray[np.bool_]) -> 
 
 
 def _standing_in(value: Array, side: Array, whole: Array, seen: Array | None = None) -> Array:
-    """Each frame with what stands in where it is not whole (0); bounds and what is not seen say nothing of others."""
+    """Return frames with stand-ins where they are not whole (0); bounds and missing readings predict no others."""
     if np.all(whole):
         return value
     known = ((whole if seen is None else seen) > 0) & (side == VALUE)
@@ -347,7 +347,7 @@ def _standing_in(value: Array, side: Array, whole: Array, seen: Array | None = N
 
 
 def _filled(values: Array, seen: Array) -> Array:
-    """Each frame with its geometric mean where nothing is seen; 1 throughout where a frame shows nothing."""
+    """Return frames with their geometric mean for missing readings; 1 throughout if a frame shows none."""
     if np.all(seen):
         return values
     logarithm = np.log(np.where(seen > 0, values, 1.0))

@@ -1,4 +1,4 @@
-"""A recording: frames of two-point resistance, the scene they were taken in, and, for simulated ones, the truth."""
+"""Recordings: frames of readings, the scene they were taken in, and, if simulated, the truth."""
 
 import re
 import sys
@@ -76,9 +76,9 @@ class Recording(Validated):
         shape = self.scene.panel.shape
         frames = len(self.recorded) if self.recorded.ndim else 0
         if self.recorded.shape[1:] != shape or frames == 0:
-            found = " × ".join(str(size) for size in self.recorded.shape)
+            actual = " × ".join(str(size) for size in self.recorded.shape)
             raise InputError(
-                f"{self.name}: {self.path} is {found}, but the scene's panel asks for frames × "
+                f"{self.name}: {self.path} is {actual}, but the scene's panel asks for frames × "
                 f"{shape[0]} × {shape[1]} with at least one frame"
             )
         where = f"{self.name}: {self._group}/"
@@ -103,7 +103,7 @@ class Recording(Validated):
             raise InputError(f"{self.name}: /entry/acquisition has another length than the frames")
 
     def __repr__(self) -> str:
-        """In one line: '24 frames (3 unloaded) of 10 × 10 cells'."""
+        """Return a description in one line: '24 frames (3 unloaded) of 10 × 10 cells'."""
         unloaded, (rows, columns) = int(np.sum(self.role == UNLOADED)), self.scene.panel.shape
         frames, span = f"{len(self.role)} frames ({unloaded} unloaded)", f"{self.time.min():g} to {self.time.max():g} s"
         return f"Recording({self.name}: {frames} of {rows} × {columns} cells, {span})"
@@ -128,12 +128,12 @@ class Recording(Validated):
 
     @property
     def path(self) -> str:
-        """Of the recorded values in a file."""
+        """Path of the recorded values in a file."""
         return f"{self._group}/{self.scene.circuit.signal}"
 
     @property
     def resistance(self) -> Array:
-        """`recorded` of a two-point readout, ohm. Raises InputError of any other."""
+        """Values `recorded` of a two-point readout, ohm. Raises InputError for other readouts."""
         if self.scene.circuit.unit != "ohm":
             raise InputError(f"{self.name}: its readout gives {self.scene.circuit.unit}, not resistances")
         return self.recorded
@@ -141,17 +141,17 @@ class Recording(Validated):
     @classmethod
     @typed
     def load(cls, path: str | Path, part: slice = hdf5.ALL) -> "Recording":
-        """A recording file, finished or not; of a finished one also some frames that follow each other.
+        """Load a recording file, finished or not; of a finished one also a range of frames.
 
         Raises InputError with the dataset's path where it is wrong.
         """
-        found = cls.load_up_to(path, None, part)
-        assert found is not None
-        return found
+        recording = cls.load_up_to(path, None, part)
+        assert recording is not None
+        return recording
 
     @classmethod
     def load_up_to(cls, path: str | Path, most: int | None, part: slice = hdf5.ALL) -> "Recording | None":
-        """The same; None where it holds more than so many readings."""
+        """Load a recording file; return None if it holds more than so many readings."""
         path = Path(path)
         if path.suffix.lower() in FOREIGN:
             raise InputError(f"{path}: is no recording; lampest.import_file (lampest import) makes one of it")
@@ -161,27 +161,27 @@ class Recording(Validated):
             scene, group, signal = head_of(file, path)
             if most is not None and prod(hdf5.shape_of(file, f"{group}/{signal}")) > most:
                 return None
-            kept = part
+            chosen = part
             if part == hdf5.ALL:
-                kept = undamaged_frames(file, scene, group)
+                chosen = undamaged_frames(file, scene, group)
                 _check_held(file, f"{group}/{signal}", f"{group}/sigma", *TRUTHS)
 
             def read(path: str, dimensions: int | tuple[int, int] = 3) -> Array | None:
-                """Of the frames kept; None where the file has none."""
+                """Read the chosen frames; None if the file has none."""
                 if not hdf5.has(file, path):
                     return None
                 flat = dimensions == (2, 3) and len(hdf5.shape_of(file, path)) == 2
-                values = hdf5.read_array(file, path, dimensions, part=hdf5.ALL if flat else kept)
+                values = hdf5.read_array(file, path, dimensions, part=hdf5.ALL if flat else chosen)
                 return np.asarray(values, dtype=None if path.endswith("/role") else float)
 
             def text(path: str) -> str | None:
                 return hdf5.read_text(file, path) if hdf5.has(file, path) else None
 
-            recorded = np.asarray(hdf5.read_array(file, f"{group}/{signal}", 3, part=kept), dtype=float)
-            time, number = read(f"{group}/time", 1), (kept.start or 0) + np.arange(len(recorded))
+            recorded = np.asarray(hdf5.read_array(file, f"{group}/{signal}", 3, part=chosen), dtype=float)
+            time, number = read(f"{group}/time", 1), (chosen.start or 0) + np.arange(len(recorded))
             role: Any = read(f"{group}/role", 1)
             raw = hdf5.has(file, "/entry/raw/sums")
-            acquisition, start_time = Acquisition.read(file, kept), text("/entry/start_time")
+            acquisition, start_time = Acquisition.read(file, chosen), text("/entry/start_time")
             if acquisition is not None and start_time is None and len(recorded) and time is not None:
                 start_time = acquisition.start(float(time[0]))
             return cls(
@@ -192,7 +192,7 @@ class Recording(Validated):
                 read(f"{group}/sigma", (2, 3)),
                 read(TRUTHS[0]),
                 read(TRUTHS[1]),
-                hdf5.read_array(file, "/entry/raw/sums", 3, part=kept, kind=np.uint16) if raw else None,
+                hdf5.read_array(file, "/entry/raw/sums", 3, part=chosen, kind=np.uint16) if raw else None,
                 int(hdf5.read_number(file, "/entry/raw", "readings", 0)) if raw else None,
                 path.stem,
                 text("/entry/truth/simulation"),
@@ -300,7 +300,7 @@ class Recording(Validated):
 
     @cached_property
     def modules(self) -> tuple["Recording", ...]:
-        """Each module's frames as a recording of its own; itself, where the panel has none."""
+        """Each module's frames as a recording of its own; the recording itself without modules."""
         layout = self.scene.panel.modules
         if layout is None:
             return (self,)
@@ -312,11 +312,11 @@ class Recording(Validated):
         )
 
     def readings(self) -> Readings:
-        """What the frames say to an estimator."""
+        """Return the readings of the frames, for an estimator."""
         return Readings.of(self.scene, self.recorded, self.sigma)
 
     def measured_frames(self) -> NDArray[np.intp]:
-        """Indices of the frames with role 1. Raises InputError where there is none."""
+        """Return the indices of the frames with role 1. Raises InputError if there is none."""
         frames = np.flatnonzero(self.role == MEASURED)
         if len(frames) == 0:
             raise InputError(f"{self.name}: {self._group}/role has no measured frame (role 1)")
@@ -324,7 +324,7 @@ class Recording(Validated):
 
 
 def head_of(file: h5py.File, path: Path) -> tuple[Scene, str, str]:
-    """(scene, group of the frames, its signal). Raises InputError where there is no valid scene."""
+    """Return (scene, group of the frames, its signal). Raises InputError if there is no valid scene."""
     text = hdf5.read_text(file, "/entry/scene")
     scene = _scene_of(text, f"{path}:/entry/scene")
     group, signal = f"/entry/{group_of(scene.circuit)}", scene.circuit.signal
@@ -339,36 +339,36 @@ def _scene_of(text: str, where: str) -> Scene:
     return scene
 
 
-def _check_held(file: h5py.File, signal: str, *others: str) -> None:
+def _check_held(file: h5py.File, signal: str, *datasets: str) -> None:
     """Raise InputError where a recording is more than the machine can hold, with what the readings become at work."""
     shape = hdf5.shape_of(file, signal)
-    held = sum(prod(hdf5.shape_of(file, path)) for path in others if hdf5.has(file, path))
+    held = sum(prod(hdf5.shape_of(file, path)) for path in datasets if hdf5.has(file, path))
     what = f"{file.filename}: {shape[0]} frames of {prod(shape[1:])} cells at once"
     check_memory(8.0 * (6 * prod(shape) + held), what)  # copies at work: 49 bytes a reading were counted at 100,000,000
 
 
 def coordinates(panel: Panel) -> dict[str, tuple[tuple[str, ...], NDArray[Any], str, str]]:
-    """row, column, y and x → (axes, values, unit, long name), as files and labelled arrays have them.
+    """Return row, column, y and x → (axes, values, unit, long name), for files and labelled arrays.
 
     y goes by the row and x by the column; both by the cell where cells are listed, NaN where there is none.
     """
     lines = zip(("row", "column"), map(np.arange, panel.shape), strict=True)
-    found = {line: ((line,), number, "1", f"{line} line") for line, number in lines}
+    axes = {line: ((line,), number, "1", f"{line} line") for line, number in lines}
     if panel.cells is not None:
         places = zip("xy", panel.places_mm, strict=True)
-        return found | {name: (("row", "column"), at, "mm", "position of the cell") for name, at in places}
+        return axes | {name: (("row", "column"), at, "mm", "position of the cell") for name, at in places}
     x, y = panel.centres_mm()
-    axes = (("y", "row", y), ("x", "column", x))
-    return found | {name: ((line,), at, "mm", f"position of the {line}") for name, line, at in axes}
+    centres = (("y", "row", y), ("x", "column", x))
+    return axes | {name: ((line,), at, "mm", f"position of the {line}") for name, line, at in centres}
 
 
 def group_of(circuit: Readout) -> str:
-    """The group of a recording that holds the recorded values: two-point resistances have one of their own."""
+    """Return the group of the recorded values: two-point resistances have one of their own."""
     return "two_point" if circuit.unit == "ohm" else "readings"
 
 
 def frames_named(text: str, frames: int | None = None) -> range:
-    """'40:50' → frames 40 to 49 as Python counts, from 0 on; either side may be left out.
+    """Return frames 40 to 49 for '40:50', counted from 0; either side may be omitted.
 
     Raises InputError unless the text names frames, of a recording with so many where that is known.
     """
@@ -382,7 +382,7 @@ def frames_named(text: str, frames: int | None = None) -> range:
 
 
 def tared(recording: Recording, frames: range) -> tuple[Recording, float]:
-    """(the recording whose unloaded frames are these and no others, how much its readings change within them).
+    """Return the recording with these frames as the only unloaded ones, and the change of readings within them.
 
     The change is the largest over the cells, relative, from the first half of the frames to the second; 0 for a single
     frame. Raises InputError where no frame would be left to measure.

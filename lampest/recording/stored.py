@@ -1,4 +1,4 @@
-"""A recording on the disk that is read by parts, so that what is in memory does not grow with its frames."""
+"""Recordings on the disk, read by parts, so that memory does not grow with the number of frames."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -18,13 +18,13 @@ from lampest.panel.scene import Scene
 from lampest.recording.acquisition import undamaged_frames
 from lampest.recording.recording import MEASURED, UNLOADED, Recording, group_of, head_of
 
-WHOLE = 2_000_000  # readings that are held at once; with error bars 1 kB is estimated of each: 2 GB
+WHOLE = 2_000_000  # readings of a recording that is held at once: 2 GB, as error bars take 1 kB of each
 BLOCK = 500_000  # readings of a part, where a recording has more
 
 
 @dataclass(frozen=True, eq=False)
 class StoredRecording:
-    """path : of its file, finished or not. frames : how many. length : of a part. start_time : as of `Recording`."""
+    """Head of a recording file: path, scene, number of frames, and start_time as of `Recording`."""
 
     path: Path
     scene: Scene
@@ -33,30 +33,30 @@ class StoredRecording:
 
     @classmethod
     def of(cls, path: Path) -> "StoredRecording":
-        """What stands at the head of a file. Raises InputError where it is no recording, or its frames disagree."""
+        """Read the head of a file. Raises InputError if it is no recording, or its frames disagree."""
         with hdf5.existing_file(path) as file:
             scene, group, signal = head_of(file, path)
             shape = hdf5.shape_of(file, f"{group}/{signal}")
             if not shape[0]:
                 raise InputError(f"{path}: {group}/{signal} holds no frame")
-            kept = undamaged_frames(file, scene, group).stop
-            for axis in (f"{group}/time", f"{group}/role") if kept is None else ():
+            end = undamaged_frames(file, scene, group).stop
+            for axis in (f"{group}/time", f"{group}/role") if end is None else ():
                 if hdf5.has(file, axis) and hdf5.shape_of(file, axis) != shape[:1]:
                     raise InputError(f"{path}: {axis} does not have one value for each of the {shape[0]} frames")
-        return cls(path, scene, shape[0] if kept is None else kept, Recording.load(path, slice(0, 1)).start_time)
+        return cls(path, scene, shape[0] if end is None else end, Recording.load(path, slice(0, 1)).start_time)
 
     @property
     def name(self) -> str:
-        """What results call it."""
+        """Name of the recording in results."""
         return self.path.stem
 
     @property
     def length(self) -> int:
-        """Frames of a part."""
+        """Number of frames of a part."""
         return max(16, BLOCK // self.scene.panel.crossings)
 
     def blocks(self) -> tuple[range, ...]:
-        """Frames that are estimated one after the other before they are written, part by part.
+        """Return the ranges of frames that are estimated and written part by part.
 
         Where it can be had, a part ends with a chunk of what is written of measured frames.
         """
@@ -64,12 +64,12 @@ class StoredRecording:
 
     @property
     def measured_blocks(self) -> tuple[int, ...]:
-        """The numbers of those in which some frame is measured."""
+        """Numbers of the blocks with measured frames."""
         return tuple(number for number, count in enumerate(self._blocks.values()) if count)
 
     @cached_property
     def _blocks(self) -> dict[range, int]:
-        """Each with its number of measured frames."""
+        """Blocks → number of measured frames."""
         chunk, ends = max(1, hdf5.CHUNK // self.scene.panel.crossings), [0]
         with hdf5.existing_file(self.path) as file:
             path = f"/entry/{group_of(self.scene.circuit)}/role"
@@ -83,18 +83,18 @@ class StoredRecording:
         return {range(first, end): int((role[first:end] == MEASURED).sum()) for first, end in pairwise(ends)}
 
     def part(self, frames: range, beside: int = 0) -> Recording:
-        """Some frames, and as many as are there of so many `beside` them. Raises InputError as `Recording.load`."""
+        """Load some frames, and up to so many `beside` them on either side. Raises InputError as `Recording.load`."""
         within = slice(max(frames.start - beside, 0), min(frames.stop + beside, self.frames))
         return replace(Recording.load(self.path, within), start_time=self.start_time)
 
 
 def only_frames(recording: Recording, frames: NDArray[np.bool_]) -> Recording:
-    """Some frames of a part (frames); what a board adds, and raw sums, are left out."""
+    """Return some frames of a part (frames), without acquisition data and raw sums."""
     return _each_frame((recording,), frames)
 
 
 def of_parts(parts: Sequence[Recording]) -> Recording:
-    """Parts of one recording in the order of its frames, each frame once; the same is left out."""
+    """Return parts of one recording as one, each frame once, without acquisition data and raw sums."""
     numbers = np.concatenate([part.number for part in parts if part.number is not None])
     return _each_frame(parts, np.unique(numbers, return_index=True)[1])
 
@@ -109,21 +109,21 @@ def _each_frame(parts: Sequence[Recording], chosen: NDArray[Any]) -> Recording:
 
 
 def first_unloaded(stored: StoredRecording, most: int) -> Recording | None:
-    """The first unloaded frames, up to so many; None where there is none."""
-    found: list[Recording] = []
+    """Return the first unloaded frames, up to so many; None if there is none."""
+    chosen: list[Recording] = []
     for frames in stored.blocks():
         part = stored.part(frames)
         resting = part.role == UNLOADED
         resting &= np.cumsum(resting) <= most
         most -= int(resting.sum())
-        found += [only_frames(part, resting)] if resting.any() else []
+        chosen += [only_frames(part, resting)] if resting.any() else []
         if not most:
             break
-    return of_parts(found) if found else None
+    return of_parts(chosen) if chosen else None
 
 
 def measured_part(stored: StoredRecording, frames: range, beside: int) -> Recording | None:
-    """The measured ones of some frames and of those beside them; None where none of the frames is measured."""
+    """Return the measured frames of a range and beside it; None if the range has none."""
     part = stored.part(frames, beside)
     assert part.number is not None
     measured = part.role == MEASURED
@@ -148,10 +148,10 @@ def save_parts(path: Path, parts: Iterable[Recording]) -> None:
 
 
 def too_long(frames: int, cells: int) -> bool:
-    """Whether so many frames are more than is held at once."""
+    """Return whether so many frames are too many to hold at once."""
     return frames * cells > WHOLE
 
 
 def opened(path: Path) -> Recording | StoredRecording:
-    """A recording, whole where it is not too long for that. Raises InputError as `Recording.load`."""
+    """Open a recording, whole unless it is too long. Raises InputError as `Recording.load`."""
     return Recording.load_up_to(path, WHOLE) or StoredRecording.of(path)

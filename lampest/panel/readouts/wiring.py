@@ -50,7 +50,7 @@ class Lines(Configuration):
 
 @dataclass(frozen=True)
 class ContactPrior(Configuration):
-    """What is known beforehand of the contacts of one side's lines, in ohm: a number, or one for each line.
+    """Prior of the contacts of one side's lines, in ohm: a number, or one for each line.
 
     mean_ohm, sd_ohm : mean and standard deviation. sd_ohm 0: known.
 

@@ -1,4 +1,4 @@
-"""The file while it is being recorded: appended frame by frame so that others can read along and a crash loses nothing.
+"""Journal: the file of a running recording, appended frame by frame; others can read along, and a crash loses nothing.
 
 Its layout is the recording's. Single writer, multiple readers (SWMR): what was flushed stays readable after kill -9.
 """
@@ -23,12 +23,12 @@ from lampest.recording import acquisition
 from lampest.recording.board.stream import Sample
 from lampest.recording.recording import FORMAT, group_of
 
-CHUNK_FRAMES = 16
+CHUNK_FRAMES = 16  # frames of a chunk of sums, written anew with every frame
 
 
 @dataclass(frozen=True)
 class Journal:
-    """An open, growing recording file; group and signal are those of the frames in it."""
+    """Open, growing recording file; group and signal are those of its frames."""
 
     file: h5py.File
     group: str
@@ -57,28 +57,29 @@ class Journal:
 
     def append(self, samples: Sequence[Sample], recorded: Array, roles: Sequence[int]) -> None:
         """Add frames, which then survive; recorded (frames, rows, columns). Raises InputError: the disk is full."""
-        each = [vars(sample.frame) | vars(sample) for sample in samples]
+        fields = [vars(sample.frame) | vars(sample) for sample in samples]
         names = ("time", "sums", *(name for name, *_ in acquisition.FRAME_FIELDS))
-        time, sums, *acquired = ([one[name] for one in each] for name in names)
+        time, sums, *acquired = ([field[name] for field in fields] for name in names)
         self._push(self._paths, (recorded, time, roles, sums, *acquired), acquisition.FRAME_CHECKSUM)
 
     def mark(self, time: float, label: str) -> None:
+        """Add an event, whose label is cut to LABEL_BYTES."""
         text = np.bytes_(label.encode("ascii", "replace")[: acquisition.LABEL_BYTES])
         self._push(acquisition.EVENT_PATHS, ([time], [text]), acquisition.EVENT_CHECKSUM)
 
-    def keep(self, other: h5py.File, damaged: NDArray[np.intp], frames: int) -> None:
-        """Add what is whole of another journal like this; its damaged frames count as lost before the next one."""
+    def keep(self, source: h5py.File, damaged: NDArray[np.intp], frames: int) -> None:
+        """Add the undamaged frames and events of another journal; damaged frames count as lost before the next one."""
         paths, whole = self._paths, np.setdiff1d(np.arange(frames), damaged)
         dropped = np.diff(whole, prepend=-1) - 1
         for begin in range(0, len(whole), acquisition.AT_ONCE):
             numbers = whole[begin : begin + acquisition.AT_ONCE]
-            rows = acquisition.stored_rows(other, paths, slice(int(numbers[0]), int(numbers[-1]) + 1))
+            rows = acquisition.stored_rows(source, paths, slice(int(numbers[0]), int(numbers[-1]) + 1))
             values = [column[numbers - numbers[0]] for column in rows]
             lost = paths.index("acquisition/lost")
             values[lost] = values[lost] + dropped[begin : begin + acquisition.AT_ONCE]
             self._push(paths, values, acquisition.FRAME_CHECKSUM)
-        events = acquisition.whole_events(other)
-        rows = acquisition.stored_rows(other, acquisition.EVENT_PATHS, slice(len(events)))
+        events = acquisition.whole_events(source)
+        rows = acquisition.stored_rows(source, acquisition.EVENT_PATHS, slice(len(events)))
         self._push(acquisition.EVENT_PATHS, [column[events] for column in rows], acquisition.EVENT_CHECKSUM)
 
     def _push(self, paths: Sequence[str], values: Sequence[Sequence[Any] | Array], checksum: str) -> None:

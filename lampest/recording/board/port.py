@@ -1,4 +1,4 @@
-"""The serial port with a board behind it: find, open, wait for HELLO, set, start, read; keys pressed meanwhile.
+"""Serial port with a board behind it: find, open, wait for HELLO, set, start, read; keys pressed meanwhile.
 
 The one place with pyserial.
 """
@@ -27,11 +27,11 @@ ARDUINO_VENDORS = (0x2341, 0x2A03, 0x1A86, 0x0403)
 
 
 class NoBoardError(InputError):
-    """The port is there or not, but no board answers at it."""
+    """No board answers at the port, which may be absent."""
 
 
 class PortName(NamedTuple):
-    """A serial port of this computer: what to open, what the system calls it, and whether it looks like an Arduino."""
+    """Serial port of this computer: URL to open, the system's description, and whether it looks like an Arduino."""
 
     url: str
     description: str
@@ -39,13 +39,15 @@ class PortName(NamedTuple):
 
 
 def ports() -> tuple[PortName, ...]:
-    """All serial ports, those that look like an Arduino first."""
-    found = (PortName(one.device, one.description or "", one.vid in ARDUINO_VENDORS) for one in list_ports.comports())
-    return tuple(sorted(found, key=lambda port: (not port.likely, port.url)))
+    """Return all serial ports, those that look like an Arduino first."""
+    names = (
+        PortName(port.device, port.description or "", port.vid in ARDUINO_VENDORS) for port in list_ports.comports()
+    )
+    return tuple(sorted(names, key=lambda port: (not port.likely, port.url)))
 
 
 def only_port() -> str:
-    """The one port that looks like an Arduino. Raises InputError where there is none or more than one."""
+    """Return the only port that looks like an Arduino. Raises InputError if there is none or more than one."""
     likely = [port.url for port in ports() if port.likely]
     if len(likely) == 1:
         return likely[0]
@@ -54,7 +56,7 @@ def only_port() -> str:
 
 
 class Board:
-    """An open port; its state is what has arrived and not been read, and how many bytes have arrived.
+    """Open port; its state is the unread messages and the number of bytes received.
 
     Every method raises OSError where the board is unplugged.
     """
@@ -89,12 +91,12 @@ class Board:
                 port.close()
 
     def messages(self) -> tuple[Message, ...]:
-        """What became complete; waits at most 0.05 s for a byte. Raises InputError for another protocol version."""
+        """Return complete messages; waits at most 0.05 s for a byte. Raises InputError for another protocol version."""
         waiting, self._waiting = tuple(self._waiting), []
         return waiting or self._arrived()
 
     def last_messages(self) -> tuple[Message, ...]:
-        """Stop the board; all that it sent before, up to its answer, as far as that comes within 2 s."""
+        """Stop the board; return all messages up to its answer, as far as they arrive within 2 s."""
         self.stop()
         waiting, self._waiting = tuple(self._waiting), []
         return waiting
@@ -104,12 +106,12 @@ class Board:
         began = time.monotonic()
         asked = began - ANSWER_SECONDS
         while time.monotonic() < began + HELLO_SECONDS:
-            found = self.messages()
-            for item in found:
+            messages = self.messages()
+            for item in messages:
                 if isinstance(item, Hello) and not item.running:
                     return item
             # Whatever talks without a HELLO was not reset by opening the port.
-            patient = 0.3 if any(isinstance(item, Frame) for item in found) else BOOT_SECONDS
+            patient = 0.3 if any(isinstance(item, Frame) for item in messages) else BOOT_SECONDS
             if time.monotonic() > max(began + patient, asked + ANSWER_SECONDS):
                 self._port.write(command(Kind.STOP) + command(Kind.IDENTIFY))
                 asked = time.monotonic()
@@ -137,14 +139,14 @@ class Board:
         return hello
 
     def _ask(self, wire: bytes, wanted: Callable[[Message], bool], name: str) -> Any:
-        """Send until the wanted message comes; what else comes, but garbage, waits to be read."""
+        """Send until the wanted message comes; other messages, except garbage, wait to be read."""
         for _ in range(TRIES):
             self._port.write(wire)
             until = time.monotonic() + ANSWER_SECONDS
             while time.monotonic() < until:
-                found = [item for item in self._arrived() if not isinstance(item, Garbage)]
-                answers = [item for item in found if wanted(item)]
-                self._waiting += [item for item in found if item not in answers[:1]]
+                arrived = [item for item in self._arrived() if not isinstance(item, Garbage)]
+                answers = [item for item in arrived if wanted(item)]
+                self._waiting += [item for item in arrived if item not in answers[:1]]
                 if answers:
                     return answers[0]
         raise NoBoardError(f"{self._url}: the board does not answer {name}")
@@ -152,8 +154,8 @@ class Board:
     def _arrived(self) -> tuple[Message, ...]:
         data = self._port.read(self._port.in_waiting or 1)
         self.heard += len(data)
-        self._receiver, found = self._receiver.feed(data)
-        for item in found:
+        self._receiver, messages = self._receiver.feed(data)
+        for item in messages:
             if isinstance(item, Foreign):
                 raise InputError(
                     f"{self._url}: the board speaks version {item.version} of the protocol and this lampest version "
@@ -161,7 +163,7 @@ class Board:
                 )
             if isinstance(item, Hello) and item.fault:
                 raise InputError(f"{self._url}: {item.fault} (firmware pins.h)")
-        return found
+        return messages
 
     def start(self, rows: int, columns: int, readings: int, period_us: int | None) -> Hello:
         """Set the board and start it; period None: 1 s or the shortest. Returns its settings. Raises InputError."""
@@ -185,13 +187,14 @@ class Board:
         return settings
 
     def stop(self) -> None:
+        """Stop the board; a board that is gone or does not answer is ignored."""
         with contextlib.suppress(OSError, InputError):
             self.order(Kind.STOP)
 
 
 @contextmanager
 def pressed_keys() -> Iterator[Callable[[], str]]:
-    """A function that gives the keys pressed since it was last called, '' for none; the terminal is restored after."""
+    """Yield a function that returns the keys pressed since its last call; the terminal is restored at the end."""
     try:
         import termios
         import tty
@@ -205,8 +208,8 @@ def pressed_keys() -> Iterator[Callable[[], str]]:
         return
 
     def pressed() -> str:
-        there = select.select([descriptor], [], [], 0)[0]
-        return os.read(descriptor, 64).decode("ascii", "ignore") if there else ""
+        ready = select.select([descriptor], [], [], 0)[0]
+        return os.read(descriptor, 64).decode("ascii", "ignore") if ready else ""
 
     try:
         tty.setcbreak(descriptor)

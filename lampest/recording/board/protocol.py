@@ -1,4 +1,4 @@
-"""Messages between board and host: bytes in, messages out, and back; no I/O.
+"""Protocol between board and host: bytes in, messages out, and back; no I/O.
 
 The same layouts and numbers stand in firmware/lampest_board/protocol.h; tests hold the two together.
 """
@@ -27,12 +27,12 @@ WIRINGS: tuple[Literal["two_point"], Literal["loaded_columns"]] = ("two_point", 
 
 
 def crc16(data: bytes) -> int:
-    """CRC-16/CCITT-FALSE: polynomial 0x1021, start 0xFFFF, neither reflected nor inverted."""
+    """Return CRC-16/CCITT-FALSE: polynomial 0x1021, start 0xFFFF, neither reflected nor inverted."""
     return crc_hqx(data, 0xFFFF)
 
 
 def stuffed(body: bytes) -> bytes:
-    """COBS: the body without zeros. Source: Cheshire & Baker, IEEE/ACM Trans. Networking 7(2), 1999."""
+    """Return a body without zeros (COBS). Source: Cheshire & Baker, IEEE/ACM Trans. Networking 7(2), 1999."""
     pieces = []
     *runs, last = body.split(b"\0")
     for run in runs:
@@ -43,7 +43,7 @@ def stuffed(body: bytes) -> bytes:
 
 
 def unstuffed(data: bytes) -> bytes | None:
-    """The body that COBS made `data` of, or None where its codes do not end with the data."""
+    """Return the body that COBS encoded, or None if its codes do not end with the data."""
     pieces, place = [], 0
     while place < len(data):
         code, end = data[place], place + data[place]
@@ -55,7 +55,7 @@ def unstuffed(data: bytes) -> bytes | None:
 
 
 def message(body: bytes) -> bytes:
-    """A body as it goes over the wire."""
+    """Return the bytes of a body on the wire."""
     return b"\0" + stuffed(body + struct.pack(">H", crc16(body))) + b"\0"
 
 
@@ -64,7 +64,7 @@ MOST_STUFFED = MOST_BODY + 2 + (MOST_BODY + 2) // 254 + 1  # bytes of the longes
 
 
 class Kind(IntEnum):
-    """Messages: up to 15 from the board, above to the board."""
+    """Kinds of messages: up to 15 from the board, above to the board."""
 
     HELLO = 1
     FRAME = 2
@@ -80,6 +80,8 @@ class Kind(IntEnum):
 
 
 class Result(Enum):
+    """Results of a command, by the sentence for the user."""
+
     DONE = "done"
     REFUSED_UNKNOWN = "the board does not know this command"
     REFUSED_RANGE = "the value is outside what the board can do"
@@ -93,7 +95,7 @@ RESULT_CODES = tuple(Result)
 
 @dataclass(frozen=True)
 class Hello:
-    """What the board is and how it is set: after a reset, once a second while idle, and when asked.
+    """Identity and settings of a board, sent after a reset, once a second while idle, and on request.
 
     With loaded columns reference_milliohm is the load of every column, and drive_milliohm what stands before each row.
     """
@@ -118,7 +120,7 @@ class Hello:
 
     @property
     def fault(self) -> str:
-        """A sentence about the first field that has no possible value, or ''."""
+        """Sentence about the first field with an impossible value, or ''."""
         limits = dict.fromkeys(("rows", "columns", "most_rows", "most_columns"), MOST_ROWS)
         limits |= dict.fromkeys(("readings", "most_readings"), MOST_READINGS)
         limits |= dict.fromkeys(("period_us", "shortest_period_us", "reference_milliohm"), 2**32 - 1)
@@ -128,12 +130,13 @@ class Hello:
 
     @property
     def size(self) -> tuple[int, int, int]:
+        """Rows, columns and readings."""
         return self.rows, self.columns, self.readings
 
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """One scan: sums (rows, columns) uint16 of `readings` codes each; device_ms at its start; ticks missed before."""
+    """Frame of one scan: sums (rows, columns) of `readings` codes each, device_ms at its start, ticks missed before."""
 
     readings: int
     sequence: int
@@ -144,7 +147,7 @@ class Frame:
 
 @dataclass(frozen=True)
 class Answer:
-    """The board's answer to the command with this tag, and the value that now holds."""
+    """Answer of the board to the command with this tag, and the value in force."""
 
     command: int
     tag: int
@@ -154,7 +157,7 @@ class Answer:
 
 @dataclass(frozen=True)
 class Foreign:
-    """An undamaged message of another version of the protocol."""
+    """Undamaged message of another version of the protocol."""
 
     version: int
 
@@ -171,19 +174,19 @@ Message = Hello | Frame | Answer | Foreign | Garbage
 
 @dataclass(frozen=True)
 class Receiver:
-    """What has arrived since the last zero. Feeding it gives the next receiver and the messages now complete."""
+    """Bytes since the last zero; feeding it gives the next receiver and the messages now complete."""
 
     pending: bytes = b""
 
     def feed(self, data: bytes) -> tuple["Receiver", tuple[Message, ...]]:
-        """Cut at zeros and read each piece; never raises, whatever the bytes."""
-        *pieces, rest = (self.pending + data).split(b"\0")
+        """Cut data at zeros and read each piece; never raises, whatever the bytes."""
+        *pieces, pending = (self.pending + data).split(b"\0")
         # One byte too many is enough to know that a piece is no message.
-        return Receiver(rest[: MOST_STUFFED + 1]), tuple(_read_piece(piece) for piece in pieces if piece)
+        return Receiver(pending[: MOST_STUFFED + 1]), tuple(_read_piece(piece) for piece in pieces if piece)
 
 
 def command(kind: Kind, tag: int = 0, value: int = 0) -> bytes:
-    """A command as it goes over the wire; tag 0 to 255, value 0 to 2³² − 1."""
+    """Return the bytes of a command on the wire; tag 0 to 255, value 0 to 2³² − 1."""
     return message(_COMMAND.pack(PROTOCOL_VERSION, kind, tag, value))
 
 
@@ -222,7 +225,7 @@ def _read_frame(body: bytes) -> Frame:
 
 
 def _read_answer(body: bytes) -> Answer:
-    _, what, kind, tag, result, value = _ANSWER.unpack(body)
-    if what != Kind.ANSWER:
+    _, message_kind, kind, tag, result, value = _ANSWER.unpack(body)
+    if message_kind != Kind.ANSWER:
         raise ValueError("no message from a board")
     return Answer(kind, tag, RESULT_CODES[result], value)

@@ -1,4 +1,4 @@
-"""Record a board into a file: frame by frame while it runs, rewritten as a clean recording at the end.
+"""Recording of a board into a file: frame by frame while it runs, rewritten as a clean recording at the end.
 
 `record` does it from a port; a `Recorder`, whenever it is asked, of what a port delivers while somebody watches it.
 """
@@ -36,12 +36,30 @@ NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")  # no dot, no separator: a 
 
 @dataclass(frozen=True, kw_only=True)
 class Recorded:
-    """What `record` did: frames in the file, frames known to be missing, restarts of the board, jumps of its clock.
+    """Result of `record`.
 
-    clock_stopped : whether its clock stood still at any time.
-    parted : frames without a module that is read. behind : frames that the port held at the end. ended_by : the signal
-    that ended it, such as SIGINT (Ctrl-C), or ''. noise_lsb : of one reading, as the baseline's repeats show it, or
-    None where they do not suffice. silent : s at the end of those asked for without any frame.
+    Attributes
+    ----------
+    path : Path
+    scene : Scene
+    frames : int
+        Frames in the file.
+    lost : int
+        Frames known to be missing.
+    restarts, clock_jumps : int
+        Restarts of the board, and jumps of its clock.
+    clock_stopped : bool
+        Whether the board's clock stood still at any time.
+    parted : int
+        Frames that lack a module.
+    behind : int
+        Frames that the port still held at the end.
+    ended_by : str
+        Signal that ended the recording, such as SIGINT (Ctrl-C), or ''.
+    noise_lsb : float, or None
+        Noise of one reading from the baseline's repeats, if these suffice.
+    silent : float
+        Time without frames at the end of the requested duration, in s.
     """
 
     path: Path
@@ -60,7 +78,7 @@ class Recorded:
 
 @dataclass(frozen=True)
 class Progress:
-    """Where a recording stands: newest sample (None while waiting), frames and lost ones so far, a sentence or ''."""
+    """Progress of a recording: newest sample (None while waiting), frames and lost ones so far, a sentence or ''."""
 
     sample: Sample | None
     frames: int
@@ -68,7 +86,7 @@ class Progress:
     state: str
 
 
-def record(
+def record(  # noqa: PLR0913 # the options of a command
     ports: str | Sequence[str] | None,
     out: Path,
     *,
@@ -80,16 +98,36 @@ def record(
     on_progress: Callable[[Progress], None] = lambda progress: None,
     keys: Callable[[], str] = lambda: "",
 ) -> Recorded:
-    """Frames from a board into the recording `out`: what the readout makes of sum/readings, ohm or volt.
+    """Record frames from a board into the file `out`, in ohm or volt as the readout gives them.
 
-    ports : port name or pyserial URL, or of a panel of modules those of all boards in the order of the modules; None
-    for the only port that looks like an Arduino. frames, seconds : when to end. scene : what the board must fit, and is
-    set to; by default what the board says. baseline : the first so many frames are unloaded. period : s between frames;
-    by default 1 s, or the shortest possible where that is longer. on_progress : called after every frame, and when the
-    board comes or goes. keys : gives the keys pressed since it was last called; each marks an event.
+    Ctrl-C, SIGTERM, SIGHUP and SIGQUIT end it, with all frames that the port has delivered by then.
 
-    Ctrl-C, SIGTERM, SIGHUP and SIGQUIT end it, with all that the port has delivered by then. Raises InputError where
-    the board does not answer or fit, `out` exists, or no frame came; what came before is in the file then.
+    Parameters
+    ----------
+    ports : str, sequence of str, or None
+        Port name or pyserial URL; for a panel of modules those of all boards in the order of the modules. None: the
+        only port that looks like an Arduino.
+    out : Path
+        File that must not exist yet.
+    frames : int, or None
+        Number of frames after which to end.
+    seconds : float, or None
+        Time after which to end.
+    scene : Scene, or None
+        Scene that the board must fit, and is set to; by default the board's own.
+    baseline : int
+        Number of unloaded frames at the beginning.
+    period : float, or None
+        Time between frames in s; by default 1 s, or the shortest possible if that is longer.
+    on_progress : callable
+        Called after every frame, and when the board comes or goes.
+    keys : callable
+        Returns the keys pressed since its last call; each marks an event.
+
+    Raises
+    ------
+    InputError
+        If the board does not answer or fit, `out` exists, or no frame came. Earlier frames are in the file.
     """
     check_output(out)
     if out.exists():
@@ -138,7 +176,7 @@ def record(
 
 
 class Recorder:
-    """Takes every sample from one thread; any other may ask for the next recording's beginning or end.
+    """Recorder on request: takes every sample from one thread; any thread may start or end a recording.
 
     The unloaded frames with which a watch began, or the last zero that was asked for, come first in every file.
     folder : of the files. baseline : so many frames are unloaded. say : gets a sentence, and whether a recording runs.
@@ -154,17 +192,17 @@ class Recorder:
         self._finishing: list[Thread] = []
 
     def ask(self, name: str) -> None:
-        """From any thread: begin a recording of that name, '' for the time; or end one that runs. Raises InputError."""
+        """Start a recording of that name, '' for the time, or end a running one; from any thread. Raises InputError."""
         if name and not NAME.fullmatch(name):
             raise InputError("a recording's name has up to 64 letters, digits, - and _")
         self._asked.append(name)
 
     def zero(self) -> None:
-        """The next frames are unloaded: those of the next recordings, and an event in one that runs."""
+        """Declare the next frames unloaded, for the next recordings; an event in a running one."""
         self._zeroed.set()
 
     def take(self, sample: Sample) -> None:
-        """A sample has come; a recording begins once there are unloaded ones."""
+        """Take a sample; a recording starts once there are unloaded ones."""
         try:
             if self._zeroed.is_set():
                 self._zeroed.clear()
@@ -184,7 +222,7 @@ class Recorder:
             self._end(str(error))
 
     def close(self) -> None:
-        """End what runs; every file is closed then, whatever signals come."""
+        """End a running recording; every file is closed afterwards, whatever signals come."""
         if self._journal is not None:
             self._end()
         with deaf():
@@ -203,31 +241,32 @@ class Recorder:
     def _grow(self, journal: Journal, samples: tuple[Sample, ...], unloaded: int) -> None:
         appended(journal, samples, self._scene, unloaded)
         self._frames += len(samples)
-        self._say(f"recording {self._path}: {self._frames} frames", True)
+        self._say(f"recording {self._path}: {self._frames} frames", self._journal is not None)
 
     def _end(self, trouble: str = "") -> None:
         """Close the journal here, and make a clean file of it beside: frames go on."""
         if self._journal is None:
-            self._say(f"not recorded: {trouble}", False)
+            self._say(f"not recorded: {trouble}", self._journal is not None)
             return
         path, frames, self._journal = self._path, self._frames, None
         self._open.close()
-        self._say(f"closing {path}", False)
+        self._say(f"closing {path}", self._journal is not None)
 
         def finish() -> None:
             try:
                 finished(path)
-                self._say(f"recorded {frames} frames: {path}" + (f"; {trouble}" if trouble else ""), False)
+                done = f"recorded {frames} frames: {path}" + (f"; {trouble}" if trouble else "")
             except InputError as error:
-                self._say(f"{error}; lampest check --repair makes a clean file of it", False)
+                done = f"{error}; lampest check --repair makes a clean file of it"
+            self._say(done, self._journal is not None)
 
         thread = Thread(target=finish, name="lampest-recorder")
         thread.start()
-        self._finishing = [*(one for one in self._finishing if one.is_alive()), thread]
+        self._finishing = [*(running for running in self._finishing if running.is_alive()), thread]
 
 
 def journal_of(out: Path, sample: Sample, scene: Scene | None) -> contextlib.AbstractContextManager[Journal]:
-    """A file that grows, for samples like that one. Raises InputError as `Journal.create`."""
+    """Create a growing file for samples like the given one. Raises InputError as `Journal.create`."""
     agreed, _ = agreed_and_recorded(sample, scene)
     return Journal.create(out, agreed, sample.hello.readings)
 
@@ -248,7 +287,7 @@ def appended(
 
 
 def _wanted(batches: Samples, frames: int | None, seconds: float | None, period: float) -> Samples:
-    """Batches until so many frames, or s on the board's clock; the host's ends it 5 %, a period and 1 s later.
+    """Yield batches until so many frames, or s on the board's clock; the host's ends it 5 %, a period and 1 s later.
 
     Raises InputError where frames are counted and none has come for 30 s and three periods.
     """
@@ -261,7 +300,7 @@ def _wanted(batches: Samples, frames: int | None, seconds: float | None, period:
         batch = batch if frames is None else batch[: frames - count]
         if seconds is not None:
             began = began or time.monotonic()
-            late = (number for number, one in enumerate(batch, 1) if one.time + one.period > seconds - 1e-3)
+            late = (number for number, item in enumerate(batch, 1) if item.time + item.period > seconds - 1e-3)
             until = next(late, None)
             batch = batch[:until]
             ended = until is not None or time.monotonic() - began > 1.05 * seconds + period + 1
@@ -301,7 +340,7 @@ def repair(path: Path) -> tuple[int, int]:
 
 
 def finished(path: Path, journal: Path | None = None) -> tuple[Scene, int, float | None]:
-    """Rewrite a journal, the one at `path` or another, as a clean recording: its scene, frames and baseline's noise."""
+    """Rewrite the journal at `path`, or another one, as a clean recording; return scene, frames and noise."""
     own(path)
     with deaf():
         recording = opened(journal or path)
@@ -316,7 +355,7 @@ def finished(path: Path, journal: Path | None = None) -> tuple[Scene, int, float
 
 
 def _with_sigma(recording: Recording, noise: float | None) -> Recording:
-    """With σ of every reading, from the noise that repeats showed where they did."""
+    """Return the recording with σ of every reading, from the noise of its repeats if known."""
     readout = recording.scene.readout
     if readout is None or recording.scene.panel.modules is not None:  # whose modules have their own
         return recording
@@ -325,7 +364,7 @@ def _with_sigma(recording: Recording, noise: float | None) -> Recording:
 
 
 def noise_from_repeats(parts: Iterable[Recording]) -> float | None:
-    """LSB of one reading, from differences of mean codes of successive unloaded frames; None below 50 of them."""
+    """Return the noise of a reading in LSB, by differences of successive unloaded codes; None below 50."""
     total, count, readout = 0.0, 0, None
     for part in parts:
         readout, sums = part.scene.readout, part.raw_sums

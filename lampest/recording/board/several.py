@@ -1,4 +1,4 @@
-"""Several boards as one: each scans a module, and what they measured at one moment is a frame of the whole image.
+"""Several boards as one: each scans a module, and their simultaneous frames are one frame of the whole image.
 
 A board's time on the host's clock is its own plus the least delay of its newest frames, s = min(arrival − time). The
 first module's board leads, or while it is gone the next one: its frames are the moments, and of every other board that
@@ -36,7 +36,7 @@ def samples_of(
     on_state: Callable[[str], None] = lambda sentence: None,
     ending: Callable[[], bool] = lambda: False,
 ) -> Samples:
-    """As `board_samples`, of one board (none named: the only one), or one for each module that is read, in order."""
+    """Yield samples as `board_samples`, of one board (none named: the only one) or of one for each module, in order."""
     if scene is None or scene.panel.modules is None:
         if len(ports) > 1:
             raise InputError("--port: several boards need a scene with panel: {modules: ...}, a board for each module")
@@ -57,7 +57,7 @@ def samples_of(
 
 @dataclass(frozen=True, eq=False)
 class Alignment:
-    """Where boards stand: of each the frames that wait, oldest first, the one that was shown last, and recent delays.
+    """State of the alignment: of each board the waiting frames, oldest first, the last one shown, and recent delays.
 
     moment, began : of the image's newest and first frame, s on the host's clock. missing : boards not in the newest.
     """
@@ -72,14 +72,16 @@ class Alignment:
 
     @property
     def gone(self) -> list[int]:
+        """Numbers of the missing boards, in order."""
         return sorted(self.missing)
 
     @classmethod
     def of(cls, boards: int) -> "Alignment":
+        """Return the state before the first frame."""
         return cls(((),) * boards, (None,) * boards, ((),) * boards)
 
     def taking(self, board: int, sample: Sample) -> "Alignment":
-        """With one frame more of a board; after a restart its clock is compared anew."""
+        """Return the state with one more frame of a board; after a restart its clock is compared anew."""
         known = [*filter(None, [self.shown[board]]), *self.waiting[board]]
         before = self.delays[board] if known and known[-1][1].session == sample.session else ()
         delays, waiting = list(self.delays), list(self.waiting)
@@ -88,40 +90,40 @@ class Alignment:
         return replace(self, waiting=tuple(waiting), delays=tuple(delays))
 
     def frame(self, now: float) -> "tuple[Alignment, dict[int, Sample]] | None":
-        """What is after the image's next frame, and that, board → sample; None while a board that is there may send."""
+        """Return the next state and its frame, board → sample; None while a present board may still send its part."""
         led = self._led(now)
         if led is None:
             return None
         at, period = led[0], led[1].period
-        late, found = now > at + 1.5 * period + LATE_SECONDS, dict[int, Stamped]()
+        late, parts = now > at + 1.5 * period + LATE_SECONDS, dict[int, Stamped]()
         for board, waiting in enumerate(self.waiting):
             known = [*filter(None, [self.shown[board]]), *waiting]
             if not (late or board in self.missing) and (not known or known[-1][0] < at - period / 2):
                 return None
-            nearest = min(known, key=lambda one: abs(one[0] - at), default=None)
+            nearest = min(known, key=lambda stamped: abs(stamped[0] - at), default=None)
             if nearest is not None and abs(nearest[0] - at) <= NEAR * period:
-                found[board] = nearest
-        left = [
-            tuple(one for one in waiting if one[0] > (found[board][0] if board in found else at - period))
+                parts[board] = nearest
+        remaining = [
+            tuple(part for part in waiting if part[0] > (parts[board][0] if board in parts else at - period))
             for board, waiting in enumerate(self.waiting)
         ]
-        shown = tuple(found.get(board, last) for board, last in enumerate(self.shown))
-        missing = frozenset(range(len(shown))) - found.keys()
+        shown = tuple(parts.get(board, last) for board, last in enumerate(self.shown))
+        missing = frozenset(range(len(shown))) - parts.keys()
         began, frames = at if self.began is None else self.began, self.frames + 1
-        after = Alignment(tuple(left), shown, self.delays, at, missing, frames, began)
-        return after, {board: sample for board, (_, sample) in found.items()}
+        after = Alignment(tuple(remaining), shown, self.delays, at, missing, frames, began)
+        return after, {board: sample for board, (_, sample) in parts.items()}
 
     def _led(self, now: float) -> Stamped | None:
-        """The frame that is the next moment: of the first board that is there; None where it has not come yet."""
+        """Return the frame that defines the next moment, from the first present board; None if it has not come."""
         if self.moment is None:
             if not all(self.waiting):
                 return None
             begin = max(waiting[0][0] for waiting in self.waiting)
-            return next((one for one in self.waiting[0] if one[0] > begin - one[1].period / 2), None)
+            return next((led for led in self.waiting[0] if led[0] > begin - led[1].period / 2), None)
         for board, waiting in enumerate(self.waiting):
-            for one in waiting:
-                if one[0] > self.moment + one[1].period / 2:
-                    return one
+            for led in waiting:
+                if led[0] > self.moment + led[1].period / 2:
+                    return led
             last = self.shown[board]
             if board not in self.missing and last and now < self.moment + 2.5 * last[1].period + LATE_SECONDS:
                 return None
@@ -138,12 +140,12 @@ class _Boards:
     ports: Sequence[str]
 
     def samples(self, period: float | None, on_state: Callable[[str], None], ending: Callable[[], bool]) -> Samples:
-        here, ended, arrived = Alignment.of(len(self.ports)), Event(), Arrived()
+        current, ended, arrived = Alignment.of(len(self.ports)), Event(), Arrived()
         states, listening = [""] * len(self.ports), set(range(len(self.ports)))
         modules = [self.scene.of_modules[number] for number in self.numbers]
         threads = [
-            Thread(target=_listen, args=(*one, period, arrived, ended), daemon=True)
-            for one in zip(range(len(modules)), self.ports, modules, strict=True)
+            Thread(target=_listen, args=(*listener, period, arrived, ended), daemon=True)
+            for listener in zip(range(len(modules)), self.ports, modules, strict=True)
         ]
         for thread in threads:
             thread.start()
@@ -154,21 +156,19 @@ class _Boards:
                 with suppress(Empty):
                     board, item = arrived.get(timeout=POLL_SECONDS)
                     if isinstance(item, Sample):
-                        here, states[board] = here.taking(board, item), ""
-                    elif isinstance(item, InputError) and (here.moment is None or len(listening) == 1):
+                        current, states[board] = current.taking(board, item), ""
+                    elif isinstance(item, InputError) and (current.moment is None or len(listening) == 1):
                         raise item
                     elif item is None:
                         listening.discard(board)
                     else:
                         states[board] = str(item)
                 made = list[Sample]()
-                while (found := here.frame(time() if listening else np.inf)) is not None:
-                    made.append(self._image(found[1], here, found[0]))
-                    here = found[0]
+                while (step := current.frame(time() if listening else np.inf)) is not None:
+                    made.append(self._image(step[1], current, step[0]))
+                    current = step[0]
                 yield tuple(made)
-                gone = [
-                    f"{self._place(one)} at {self.ports[one]}: {states[one] or 'no frame came'}" for one in here.gone
-                ]
+                gone = [f"{self._place(board)} at {self.ports[board]}: {states[board] or 'no frame came'}"]
                 if made and gone:
                     on_state("module " + "; module ".join(gone))
                     yield ()
@@ -178,7 +178,7 @@ class _Boards:
                 thread.join()
 
     def _image(self, parts: dict[int, Sample], before: Alignment, after: Alignment) -> Sample:
-        """The boards' frames as one: it has the first board's clock, and the restarts of all."""
+        """Return the boards' frames as one, with the first board's clock and the restarts of all."""
         every, first = list(parts.values()), next(iter(parts.values()))
         each, (rows, columns) = self.layout.each, self.layout.shape
         sums = np.full((self.layout.count, each.rows, each.columns), NO_SUM, dtype=np.uint16)

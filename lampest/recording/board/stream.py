@@ -32,7 +32,7 @@ CLOCK_STOPPED = "clock stopped"  # label of the event
 
 
 def scene_of(hello: Hello, scene: Scene | None) -> Scene:
-    """The scene on which HELLO and the user's scene agree; None: what the board says. Raises InputError."""
+    """Return the scene on which HELLO and the user's scene agree; None: the board's own. Raises InputError."""
     declared = declared_readout(hello)
     if scene is None:
         return Scene(Panel(hello.rows, hello.columns), declared)
@@ -64,6 +64,7 @@ def scene_of(hello: Hello, scene: Scene | None) -> Scene:
 
 
 def declared_readout(hello: Hello) -> TwoPointReadout | LoadedColumnsReadout:
+    """Return the readout that a board declares."""
     reference, drive = hello.reference_milliohm / 1000, hello.drive_milliohm / 1000
     known: dict[str, Any] = {"supply_volt": hello.supply_millivolt / 1000, "adc_bits": hello.adc_bits}
     known["readings"] = hello.readings
@@ -74,7 +75,7 @@ def declared_readout(hello: Hello) -> TwoPointReadout | LoadedColumnsReadout:
 
 @dataclass(frozen=True, eq=False)
 class Sample:
-    """A frame with its place in the recording.
+    """Frame with its place in the recording.
 
     time : s since the first frame, by the board's clock; across a restart of the board by the host's. host_time : s
     since 1970-01-01 UTC. lost : frames missing before this one. session : number of restarts and reconnections before
@@ -94,6 +95,7 @@ class Sample:
 
     @property
     def period(self) -> float:
+        """Time between frames in s."""
         return self.hello.period_us * 1e-6
 
 
@@ -102,7 +104,7 @@ Samples = Generator[tuple[Sample, ...], None, None]
 
 @dataclass(frozen=True, eq=False)
 class Scanning:
-    """A board that was started, and how far it came: numbers and the clock grow alike, modulo 2³².
+    """Run of a started board: its numbers and its clock grow together, modulo 2³².
 
     A scan may begin up to a period late. What came before is sent again by some lines; that is no frame. Where the
     numbers of two frames in a row follow each other, but their clock does not follow the newest one, the clock has
@@ -125,10 +127,11 @@ class Scanning:
 
     @property
     def period(self) -> float:
+        """Time between frames in s."""
         return self.hello.period_us * 1e-6
 
     def taking(self, frame: Frame) -> tuple["Scanning", tuple[Sample, ...]]:
-        """The run with that frame, and the samples that it makes: one, none where it does not follow, or two."""
+        """Return the run with a further frame, and its samples: one, two, or none if the frame does not follow."""
         if self.before is None:
             return self._with(self._first(frame))
         for newest in (self.last or self.before, self.before):  # which differ where the last one is in doubt
@@ -143,7 +146,7 @@ class Scanning:
         return replace(self, stray=frame), ()
 
     def doubted(self) -> "Scanning":
-        """After a silence: should a wrong frame have been believed, nothing else would ever follow it."""
+        """Return the run after a silence: had it accepted a wrong frame, no other frame would ever follow."""
         return replace(self, before=self.earlier, stray=None)
 
     def _with(self, sample: Sample) -> tuple["Scanning", tuple[Sample, ...]]:
@@ -151,22 +154,22 @@ class Scanning:
         return replace(run, stopped=self._stands_still(sample.frame)), (sample,)
 
     def _stands_still(self, frame: Frame) -> bool:
-        """Whether the clock of a third frame is that of the first: a late scan explains two."""
+        """Return whether the clock of a third frame is that of the first: a late scan explains two."""
         return self.earlier is not None and self.period > 2e-3 and _since(self.earlier.frame, frame)[1] == 0
 
     def _marked(self, sample: Sample) -> Sample:
         begins = not self.stopped and self._stands_still(sample.frame)
         return replace(sample, events=(CLOCK_STOPPED,)) if begins else sample
 
-    def _sample(self, frame: Frame, at: float, lost: int, anew: int = 0, jump: bool = False) -> Sample:
-        """At a time, but later than the last one; anew : 1 where the numbers began anew."""
+    def _sample(self, frame: Frame, at: float, lost: int, anew: int = 0, *, jump: bool = False) -> Sample:
+        """Return a sample at a time, but later than the last one; anew : 1 if the numbers started again."""
         now = time.time()
         if self.last is not None and at <= self.last.time:
             at = self.last.time + max(now - self.last.host_time, self.period)
         return Sample(frame, self.hello, at, now, lost, self.session + anew, jump)
 
     def _first(self, frame: Frame) -> Sample:
-        """The first of a run; numbers begin with 0, unless the clock had no time for so many frames."""
+        """Return the first sample of a run; numbers start with 0, unless the clock had no time for so many frames."""
         time_for_all = 990 * frame.sequence * self.period <= min(frame.device_ms + 2, self._most_ms(self.since))
         lost = frame.sequence if time_for_all else 0
         if self.last is None:
@@ -180,11 +183,11 @@ class Scanning:
         return 0 < steps < ROUND // 2 and 990 * (steps - 1) * self.period - 2 <= elapsed_ms <= most_ms
 
     def _most_ms(self, host_time: float) -> float:
-        """By how much the board's clock can have advanced since a time of the host's."""
+        """Return the largest possible advance of the board's clock since a time of the host's, in ms."""
         return 1e3 * (FASTEST * max(time.time() - host_time, 0.0) + AHEAD_SECONDS + 3 * self.period)
 
     def _resumed(self, frame: Frame, after: Frame) -> Sample | None:
-        """The first frame after a jump of the clock or of the numbers; None where it was sent before.
+        """Return the first sample after a jump of the clock or of the numbers; None if the frame is a repetition.
 
         after : the frame after it, whose clock follows where the numbers began anew.
         """
@@ -201,12 +204,12 @@ class Scanning:
 
 
 def _since(before: Frame, frame: Frame) -> tuple[int, int]:
-    """Frames and ms from one to the other."""
+    """Return the frames and ms from one frame to another."""
     return (frame.sequence - before.sequence) % ROUND, (frame.device_ms - before.device_ms) % ROUND
 
 
 def agreed_and_recorded(sample: Sample, scene: Scene | None) -> tuple[Scene, Array]:
-    """The scene as `scene_of`, and (rows, columns) what its readout makes of the mean code: ohm or volt."""
+    """Return the scene as `scene_of`, and its readings (rows, columns) of the mean codes, ohm or volt."""
     agreed = scene if scene and scene.panel.modules else scene_of(sample.hello, scene)  # modules agreed one by one
     return agreed, recorded_of_sums(agreed, sample.frame.sums, sample.frame.readings)
 
@@ -218,7 +221,7 @@ def board_samples(
     on_state: Callable[[str], None] = lambda sentence: None,
     ending: Callable[[], bool] = lambda: False,
 ) -> Samples:
-    """Samples as they come, several at once where they wait, and none now and then. Close it to stop the board.
+    """Yield samples as they come, in batches, which may be empty. Close the generator to stop the board.
 
     on_state : called with a sentence when the board is gone. ending : asked again and again; once it says so, what the
     port has delivered comes as one last batch. Raises InputError where no board answers at first, where it does not fit
@@ -251,7 +254,7 @@ def board_samples(
 
 
 class _Line:
-    """What is asked of a board; state: the newest sample, since when nothing has fitted, and what came instead."""
+    """Line to a board: its settings, the newest sample, the time since one fitted, and unfit items since then."""
 
     def __init__(self, url: str, scene: Scene | None, period: float | None, ending: Callable[[], bool]) -> None:
         self._url, self._scene, self._period, self._ending = url, scene, period, ending
@@ -259,7 +262,7 @@ class _Line:
         self.renew()
 
     def renew(self) -> None:
-        """A frame fitted, or nobody is there."""
+        """Start the time of unfit items anew: a frame fitted, or no board is present."""
         self._since, self._unfit = time.monotonic(), Counter[str]()
 
     def check(self, period_us: int = 0) -> None:
@@ -270,7 +273,7 @@ class _Line:
             raise InputError(f"{self._url}: nothing fit for {waited:.0f} s, though the line is not silent ({came})")
 
     def connection(self, board: Board) -> Samples:
-        """Samples until the board is gone or the end is asked for; a board that restarts is set and started again."""
+        """Yield samples until the board is gone or the end is requested; a restarted board is set and started again."""
         hello = board.hello()
         try:
             while True:

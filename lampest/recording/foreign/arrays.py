@@ -1,4 +1,4 @@
-"""What a foreign file is turned into, and the arrays of .npy, .npz and .mat files as such frames."""
+"""Frames of foreign files, and the arrays of .npy, .npz and .mat files as such frames."""
 
 import struct
 import warnings
@@ -36,13 +36,22 @@ Timing = Callable[[str | None], Clock] | None
 
 @dataclass(frozen=True, eq=False)
 class Frames:
-    """Which numbers of a file are the readings of which cells, and what else it says.
+    """Readings of the cells among the numbers of a file, with times and notes.
 
-    numbers : all that the file holds, in any unit and order; NaN where one is missing, infinite where it says so.
-    number : (frames, rows, columns) index into them; -1: the file has none for the cell.
-    named : index → where in the file; -1 → the file.
-    timing : unit or None → when the frames were taken, or raises InputError; None where the file has no times.
-    notes : sentences on how it was understood. words : names of columns or arrays in which the unit may stand.
+    Attributes
+    ----------
+    numbers : array
+        All numbers of the file, in its unit and order; NaN if missing, infinite if the file says so.
+    number : array, shape (frames, rows, columns)
+        Index into `numbers`; -1: no number for the cell.
+    named : callable
+        Index → place in the file; -1 → the file.
+    timing : callable, or None
+        Unit or None → times of the frames; may raise InputError. None: no times in the file.
+    notes : tuple of str
+        Sentences on the interpretation of the file.
+    words : tuple of str
+        Names of columns or arrays in which the unit may stand.
     """
 
     numbers: Array
@@ -54,22 +63,22 @@ class Frames:
 
     @property
     def values(self) -> Array:
-        """(frames, rows, columns) in the file's unit."""
+        """Readings (frames, rows, columns) in the file's unit."""
         return np.where(self.number < 0, np.nan, self.numbers[self.number])
 
     def place(self, frame: int, row: int, column: int) -> str:
-        """Where in the file a reading stands."""
+        """Return the place of a reading in the file."""
         number = int(self.number[frame, row, column])
         return self.named(number) if number >= 0 else f"{self.named(-1)}: row {row}, column {column} of frame {frame}"
 
     def arranged(self, number: Index, note: str) -> "Frames":
-        """The same numbers as those of other cells, and a sentence on that."""
+        """Return the frames with another arrangement of the same numbers, and a note on it."""
         return replace(self, number=number, notes=(*self.notes, note))
 
 
 @dataclass(frozen=True)
 class Layout(Validated):
-    """A way in which files hold readings, of a user's own.
+    """Base of users' own file layouts.
 
     kind : the word by which `--layout` asks for it. An installed package names an object of it in the entry point group
     `lampest.layouts`; from Python the object itself is `import_file(..., layout=...)`.
@@ -121,7 +130,7 @@ def check_archive(path: Path) -> None:
 
 @contextmanager
 def reading(path: Path) -> Iterator[None]:
-    """Around a parser: of a damaged file it may raise whatever it meets, which becomes one InputError."""
+    """Turn any exception of a parser into one InputError: damaged files raise arbitrary ones."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
@@ -156,7 +165,7 @@ def _of_npz(path: Path) -> Arrays:
 
 
 def _of_mat(path: Path) -> Arrays:
-    """Arrays in MATLAB's shape, in the file's order."""
+    """Read arrays in MATLAB's shape, in the file's order."""
     # Source: MATLAB, MAT-File Format, 2020. Damaged files end SciPy's reader in a segmentation fault.
     data = path.read_bytes()
     if data.startswith((b"MATLAB 7.3", b"\x89HDF")):
@@ -178,7 +187,7 @@ def _of_mat(path: Path) -> Arrays:
 
 
 def _element(view: memoryview, at: int, order: str) -> tuple[int, memoryview, int]:
-    """Kind and content of the data element that begins there, and where the next one does."""
+    """Return kind and content of the data element at a position, and the position of the next one."""
     kind, size = struct.unpack_from(order + "II", view, at)
     begin, after = at + 8, at + 8 + size + (0 if kind == COMPRESSED else -size % 8)
     if kind >> 16:  # a small one holds both in eight bytes
@@ -189,7 +198,7 @@ def _element(view: memoryview, at: int, order: str) -> tuple[int, memoryview, in
 
 
 def _matrix(body: memoryview, order: str) -> tuple[str, NDArray[Any] | None]:
-    """A matrix element's name and values; None of texts, structures, cells and complex values."""
+    """Return name and values of a matrix element; None for texts, structures, cells and complex values."""
     _, flags, at = _element(body, 0, order)
     _, size, at = _element(body, at, order)
     _, name, at = _element(body, at, order)
@@ -203,7 +212,7 @@ def _matrix(body: memoryview, order: str) -> tuple[str, NDArray[Any] | None]:
 
 
 def _of_level_7(path: Path) -> Arrays:
-    """HDF5 has MATLAB's axes in reverse."""
+    """Read arrays of MATLAB's HDF5 files, whose axes are reversed."""
     arrays = {}
     try:
         with hdf5.existing_file(path) as file:
@@ -222,7 +231,7 @@ READERS = {".npy": _of_npy, ".npz": _of_npz, ".mat": _of_mat}  # what is no arra
 
 
 def frames_of_arrays(path: Path, shape: Shape, variable: str | None) -> Frames:
-    """Frames (frames, rows, columns) of the one array that fits, or of the variable, in the first order that does.
+    """Return frames (frames, rows, columns) of the only array that fits, or of the variable, in the first fitting way.
 
     Raises InputError where the file is damaged, claims too much, or none or several fit.
     """
@@ -239,10 +248,11 @@ def frames_of_arrays(path: Path, shape: Shape, variable: str | None) -> Frames:
         ways = f"fits {shape[0]} × {shape[1]} cells in no way: {', '.join(layouts)}"
         raise InputError(f"{where}: is {_by(array.shape)}, which {ways}{hint}")
     check_count(where, array.size)
-    layout, *others = fits[name]
+    layout, *alternatives = fits[name]
     every: Index = np.arange(array.size).reshape(array.shape)
     number = (every.transpose(2, 0, 1) if layout == STACKED else every).reshape(-1, *shape)
-    note = f"{f'array {name} ' if name else ''}read as {layout}{f' ({others[0]} would fit, too)' if others else ''}"
+    second = f" ({alternatives[0]} would fit, too)" if alternatives else ""
+    note = f"{f'array {name} ' if name else ''}read as {layout}{second}"
 
     def named(at: int) -> str:
         index = ", ".join(str(part + matlab) for part in np.unravel_index(max(at, 0), array.shape))
@@ -258,7 +268,7 @@ def frames_of_arrays(path: Path, shape: Shape, variable: str | None) -> Frames:
 
 
 def _chosen(path: Path, arrays: Arrays, fits: dict[str, list[str]], shape: Shape, variable: str | None) -> str:
-    """The array that is asked for, or the one that fits."""
+    """Return the name of the requested array, or of the only one that fits."""
     if variable is not None and variable not in arrays:
         raise InputError(f"{path}: no numeric array '{variable}'; there are {', '.join(arrays) or 'none'}")
     chosen = [name for name in arrays if fits[name] or name == ""] if variable is None else [variable]

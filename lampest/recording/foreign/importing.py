@@ -1,4 +1,4 @@
-"""Foreign measurements → a recording, and sentences on all that was understood or assumed."""
+"""Import of foreign measurements as recordings, with notes on everything inferred or assumed."""
 
 from collections.abc import Iterator
 from contextlib import suppress
@@ -27,13 +27,14 @@ MISSING = ("mark", "skip-frame", "refuse")
 
 
 @typed
-def import_file(
+def import_file(  # noqa: PLR0913 # the options of a command
     path: str | Path,
     rows: int | None = None,
     columns: int | None = None,
     scene: Scene | None = None,
     unit: str | None = None,
     baseline_frames: int = 0,
+    *,
     transpose: bool = False,
     variable: str | None = None,
     period: float | None = None,
@@ -41,23 +42,45 @@ def import_file(
     layout: str | Layout | None = None,
     time_unit: Literal["s", "ms", "us"] | None = None,
 ) -> tuple[Recording, tuple[str, ...]]:
-    """A recording of rows × columns cells, and sentences on what was found out or assumed about the file.
+    r"""Import a file as a recording of rows × columns cells.
 
-    The suffix says what the file is: .xlsx, .npy, .npz, .mat, and a text table for every other; docs/howto/import.md.
+    The suffix determines the format: .xlsx, .npy, .npz, .mat, and a text table for any other; docs/howto/import.md.
 
-    rows, columns : of the panel; None: the scene's.
-    scene : None: this panel and resistances alone.
-    unit : 'ohm', 'kohm', 'volt', 'mV' or 'code'; None: what the header says, else what values and scene leave.
-    baseline_frames : the first so many frames were taken without load.
-    transpose : the file's rows are the panel's columns.
-    variable : which array of a .mat or .npz file, which sheet of an .xlsx file; needed where several would do.
-    period : s between frames, in place of the file's times.
-    time_unit : of times that are numbers; None: what the column's name says, else what the numbers show.
-    missing : 'mark': missing readings are NaN; 'skip-frame': their frames are left out; 'refuse': they are an error.
-    layout : a table's columns as a header would call them: 'time,row,column,value'; or a `Layout`, or the kind of an
-        installed one; None: its header or their number.
+    Parameters
+    ----------
+    path : str or Path
+    rows, columns : int, or None
+        Size of the panel; None: the scene's.
+    scene : Scene, or None
+        None: a panel of this size, and resistances alone.
+    unit : {'ohm', 'kohm', 'volt', 'mV', 'code'}, or None
+        None: by the header, else by the values and the scene.
+    baseline_frames : int
+        Number of unloaded frames at the beginning.
+    transpose : bool
+        Whether the file's rows are the panel's columns.
+    variable : str, or None
+        Array of a .mat or .npz file, or sheet of an .xlsx file; required if several fit.
+    period : float, or None
+        Time between frames in s, in place of the file's times.
+    missing : {'mark', 'skip-frame', 'refuse'}
+        Missing readings become NaN, their frames are left out, or they are an error.
+    layout : str, Layout, or None
+        Columns of a table as a header would call them, 'time,row,column,value'; or a `Layout`, or the kind of an
+        installed one. None: by the header, or by the number of columns.
+    time_unit : {'s', 'ms', 'us'}, or None
+        Unit of times that are numbers; None: by the column's name, else by the numbers.
 
-    Raises InputError with file and place where anything does not fit.
+    Returns
+    -------
+    recording : Recording
+    notes : tuple of str
+        Sentences on everything inferred or assumed about the file.
+
+    Raises
+    ------
+    InputError
+        With file and place, if anything does not fit.
 
     >>> _ = Path("mine.csv").write_text("500,510,490\\n505,515,250\\n")
     >>> mine, notes = lampest.import_file("mine.csv", rows=1, columns=3)
@@ -69,9 +92,9 @@ def import_file(
         raise InputError(f"missing readings: '{missing}' is unknown; there are {', '.join(MISSING)}")
     panel = _panel(rows, columns, scene)
     check_unit(unit, scene, path)
-    own = {each.kind: each for each in installed("lampest.layouts", Layout)}
+    own = {known.kind: known for known in installed("lampest.layouts", Layout)}
     layout = own.get(layout, layout) if isinstance(layout, str) else layout
-    frames = _frames(path, panel, transpose, variable, layout)
+    frames = _frames(path, panel, transpose=transpose, variable=variable, layout=layout)
     values, count = frames.values, len(frames.values)
     values[~panel.present & ~(values > 0)] = np.nan
     if not 0 <= baseline_frames <= count:
@@ -88,15 +111,15 @@ def import_file(
     recorded = recorded_values(values, kind, scene, frames.place)
     check_shorted(recorded, scene, kind, path)
     role = np.where(np.arange(count) < baseline_frames, UNLOADED, MEASURED).astype(np.uint8)
-    kept, gaps = _without_missing(np.isnan(recorded) & panel.present, missing, path)
-    series, time = recorded[kept], clock.seconds[kept]
-    recording = Recording(scene, series, time, role[kept], name=path.stem, start_time=clock.start)
-    notes = (*frames.notes, reason, clock.sentence, _assumed(scene, given), gaps, *_summary(recording))
+    chosen, gaps = _without_missing(np.isnan(recorded) & panel.present, missing, path)
+    series, time = recorded[chosen], clock.seconds[chosen]
+    recording = Recording(scene, series, time, role[chosen], name=path.stem, start_time=clock.start)
+    notes = (*frames.notes, reason, clock.sentence, _assumed(scene, given=given), gaps, *_summary(recording))
     return recording, tuple(map(printable, filter(None, notes)))
 
 
 def _panel(rows: int | None, columns: int | None, scene: Scene | None) -> Panel:
-    """The panel that is asked for, or the scene's; both must agree."""
+    """Return the requested panel, or the scene's; both must agree."""
     if scene is not None:
         has = scene.panel.shape
         asked = (has[0] if rows is None else rows, has[1] if columns is None else columns)
@@ -111,8 +134,8 @@ def _panel(rows: int | None, columns: int | None, scene: Scene | None) -> Panel:
         raise InputError(f"{rows} × {columns}: {error}") from error
 
 
-def _frames(path: Path, panel: Panel, transpose: bool, variable: str | None, layout: str | Layout | None) -> Frames:
-    """The file's frames over the panel; where it does not hold all crossings, one value for each cell of the list."""
+def _frames(path: Path, panel: Panel, *, transpose: bool, variable: str | None, layout: str | Layout | None) -> Frames:
+    """Return the file's frames over the panel, or with one value for each listed cell."""
     try:
         frames = _read_frames(path, panel.shape[::-1] if transpose else panel.shape, variable, layout)
     except InputError:
@@ -131,7 +154,7 @@ def _frames(path: Path, panel: Panel, transpose: bool, variable: str | None, lay
 
 
 def _read_frames(path: Path, shape: Shape, variable: str | None, layout: str | Layout | None) -> Frames:
-    """The frames of a file by its suffix. Raises InputError where it cannot be read, is too large, or does not fit."""
+    """Read the frames of a file by its suffix. Raises InputError if it is unreadable, too large, or does not fit."""
     kind = path.suffix.lower()
     try:
         note_read(path)
@@ -160,7 +183,7 @@ def _read_frames(path: Path, shape: Shape, variable: str | None, layout: str | L
 
 
 def _of_sheets(path: Path, shape: Shape, wanted: str | None, layout: str | None) -> Frames:
-    """The one sheet that fits; where none does, what is wrong with the first."""
+    """Return the frames of the only sheet that fits; if none fits, raise the error of the first."""
     fitting: dict[str, Frames] = {}
     wrong = [InputError(f"{path}: holds no values")]
     for title, lines in lines_of_sheets(path, wanted, min(2, shape[1])).items():
@@ -190,7 +213,7 @@ def _clock(frames: Frames, period: float | None, unit: str | None, path: Path) -
 
 
 def _without_missing(blank: NDArray[np.bool_], missing: str, path: Path) -> tuple[NDArray[np.bool_], str]:
-    """(frames) which are kept, and a sentence on missing readings. Raises InputError where none would be left."""
+    """Return which frames stay, (frames), and a note on missing readings. Raises InputError if none would stay."""
     gaps = np.asarray(blank.any(axis=(1, 2)))
     if not np.any(gaps):
         return ~gaps, "no reading is missing"
@@ -204,7 +227,7 @@ def _without_missing(blank: NDArray[np.bool_], missing: str, path: Path) -> tupl
     return ~gaps, f"{said}: these frames are left out"
 
 
-def _assumed(scene: Scene, given: bool) -> str:
+def _assumed(scene: Scene, *, given: bool) -> str:
     series = f"series resistance {scene.series_text}" if scene.circuit.unit == "ohm" else ""
     pitch = "" if "panel.pitch_mm" in scene.assumed else f"pitch {scene.panel.pitch_mm:g} mm"
     both = " and ".join(filter(None, (series, pitch)))
@@ -214,7 +237,7 @@ def _assumed(scene: Scene, given: bool) -> str:
 
 
 def _summary(recording: Recording) -> Iterator[str]:
-    """How many readings lie at the converter's rails, which are kept as bounds, and how many frames there are."""
+    """Yield notes on readings at the converter's rails, which count as bounds, and on the number of frames."""
     scene, recorded = recording.scene, recording.recorded
     least, largest = (0.0, np.inf) if scene.readout is None else scene.readout.rails()
     beyond = int(np.sum((recorded < least) | (recorded > largest) | (recorded == 0) | np.isposinf(recorded)))

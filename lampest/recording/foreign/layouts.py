@@ -1,4 +1,4 @@
-"""The ways in which a table or an array holds a panel: which of a file's numbers is the reading of which cell."""
+"""Layouts of panels in tables and arrays: which number of a file is the reading of which cell."""
 
 import re
 from collections import Counter
@@ -19,7 +19,7 @@ Cells = dict[int, tuple[int, int]]
 
 
 def frames_of(table: ReadingsTable, shape: Shape) -> Frames:
-    """The frames (frames, rows, columns) of a table by its header, and by how many fields its lines have.
+    """Return the frames (frames, rows, columns) of a table, by its header and the number of fields of its lines.
 
     Raises InputError where neither determines it, or something does not fit.
     """
@@ -28,10 +28,10 @@ def frames_of(table: ReadingsTable, shape: Shape) -> Frames:
     if order is not None:
         return _frames_of_single_values(table, shape, order)
     named = _cells_by_name(table.source.source, names, shape) or _cells_by_number(names, shape)
-    others = sum(role_of(name) in ("time", "date", "frame", "row") for name in names)
-    if named is not None or table.width in (cells, cells + 1, cells + others):
+    extra = sum(role_of(name) in ("time", "date", "frame", "row") for name in names)
+    if named is not None or table.width in (cells, cells + 1, cells + extra):
         return _frames_in_lines(table, shape, named)
-    if table.width in (shape[1], shape[1] + 1, shape[1] + others):
+    if table.width in (shape[1], shape[1] + 1, shape[1] + extra):
         return _frames_in_blocks(table, shape)
     filled = np.any(table.fields != "", axis=0)
     if any(names) and not np.all(filled):
@@ -47,7 +47,7 @@ def frames_of(table: ReadingsTable, shape: Shape) -> Frames:
 
 
 def _cells_by_name(source: str, names: Sequence[str], shape: Shape) -> tuple[Cells, str] | None:
-    """Column → (row, column) of the cell that its name holds, and a sentence; None where names hold no cells."""
+    """Return column → (row, column) of the cell in its name, and a sentence; None if names hold no cells."""
     named = {field: cell for field, name in enumerate(names) if (cell := cell_of(name)) and not role_of(name)}
     if not named:
         return None
@@ -63,14 +63,14 @@ def _cells_by_name(source: str, names: Sequence[str], shape: Shape) -> tuple[Cel
             sizes = f"{shape[0]} × {shape[1]} cells, counted from {first}"
             raise InputError(f"{source}: the header's {names[field]!r} is beyond the panel of {sizes}{turned}")
     example = f"{names[min(named)]!r} is row {cells[min(named)][0]}, column {cells[min(named)][1]}"
-    left = shape[0] * shape[1] - len(cells)
-    rest = f"; {left} cells have no column and are missing" if left else ""
+    unnamed = shape[0] * shape[1] - len(cells)
+    gap = f"; {unnamed} cells have no column and are missing" if unnamed else ""
     order = ", row by row" if list(cells.values()) == sorted(cells.values()) else ""
-    return cells, f"cells by their names{order}, which count from {first} ({example}){rest}"
+    return cells, f"cells by their names{order}, which count from {first} ({example}){gap}"
 
 
 def _cells_by_number(names: Sequence[str], shape: Shape) -> tuple[Cells, str] | None:
-    """Columns that are called by one word and all numbers of the panel's cells."""
+    """Return columns named by one word and all numbers of the panel's cells; None without these."""
     lines = {field: line for field, name in enumerate(names) if (line := line_of(name)) and not role_of(name)}
     first = min((number for _, number in lines.values()), default=0)
     cells = {field: divmod(number - first, shape[1]) for field, (_, number) in lines.items()}
@@ -81,17 +81,17 @@ def _cells_by_number(names: Sequence[str], shape: Shape) -> tuple[Cells, str] | 
 
 
 def _frames_in_lines(table: ReadingsTable, shape: Shape, named: tuple[Cells, str] | None) -> Frames:
-    """One frame a line, its cells by name or, where `named` is None, row by row in the order of the fields."""
+    """Return frames of one line each; cells by name or, if `named` is None, row by row in the order of the fields."""
     names = table.names
     roles = [role_of(name) for name in names]
     times = [field for field, role in enumerate(roles) if role in ("date", "time")]
     if named is None:
         cells = shape[0] * shape[1]
-        rest = [field for field, role in enumerate(roles) if role not in ("date", "time", "frame")]
-        rest = (rest if len(rest) >= cells else list(range(table.width)))[-cells:]
-        if not times and rest[0] == 1 and roles[0] != "frame" and (names[0] or not any(names)):
+        values = [field for field, role in enumerate(roles) if role not in ("date", "time", "frame")]
+        values = (values if len(values) >= cells else list(range(table.width)))[-cells:]
+        if not times and values[0] == 1 and roles[0] != "frame" and (names[0] or not any(names)):
             times = [0]  # one field more than cells; where a header leaves it without a name it is a counter
-        named = dict(zip(rest, np.ndindex(shape), strict=True)), "cells row by row"
+        named = dict(zip(values, np.ndindex(shape), strict=True)), "cells row by row"
     fields = sorted(named[0])
     rows, columns = np.transpose([named[0][field] for field in fields])
     unused = [names[field] for field in range(table.width) if field not in fields and field not in times]
@@ -102,7 +102,7 @@ def _frames_in_lines(table: ReadingsTable, shape: Shape, named: tuple[Cells, str
 
 
 def _single_values(table: ReadingsTable, shape: Shape) -> dict[str, int] | None:
-    """Which field is row, column, value, frame, time or date in a table of single values; None for other tables."""
+    """Return role → field in a table of single values: row, column, value, frame, time, date; None for other tables."""
     cells = shape[0] * shape[1]
     if any(table.names):
         roles = [role_of(name) for name in table.names]
@@ -122,7 +122,7 @@ def _single_values(table: ReadingsTable, shape: Shape) -> dict[str, int] | None:
 
 
 def _line_numbers(table: ReadingsTable, field: int) -> Array:
-    """Row or column numbers of all lines: 3, R3 or 'row 3'; NaN for any other text."""
+    """Return row or column numbers of all lines: 3, R3 or 'row 3'; NaN for any other text."""
     values, unread = table.values[:, field].copy(), table.words[:, field]
     texts = table.fields[unread, field]
     lines = {text: line_of(text) or ("", np.nan) for text in set(texts)}
@@ -131,7 +131,7 @@ def _line_numbers(table: ReadingsTable, field: int) -> Array:
 
 
 def _indices(table: ReadingsTable, field: int) -> Index:
-    """The same as whole numbers. Raises InputError where one is none."""
+    """Return row or column numbers as integers. Raises InputError if one is none."""
     values = _line_numbers(table, field)
     bad = ~np.isfinite(values) | (values != np.round(values)) | (np.abs(values) > np.iinfo(np.int32).max)
     table.refuse(bad, field, "{0} is no index")
@@ -139,7 +139,7 @@ def _indices(table: ReadingsTable, field: int) -> Index:
 
 
 def _frames_of_single_values(table: ReadingsTable, shape: Shape, order: dict[str, int]) -> Frames:
-    """Frames from lines that hold row, column and value, and the frame's number or time; others are missing."""
+    """Return frames from lines with row, column and value, and the frame's number or time; other cells are missing."""
     rows, columns, first = _cells_of_lines(table, order, shape)
     cells = rows * shape[1] + columns
     frames, how = _frame_numbers(table, cells, order)
@@ -158,7 +158,7 @@ def _frames_of_single_values(table: ReadingsTable, shape: Shape, order: dict[str
 
 
 def _cells_of_lines(table: ReadingsTable, order: dict[str, int], shape: Shape) -> tuple[Index, Index, int]:
-    """Row and column of all lines from 0, and where the file counts from; one field may name or number the cell."""
+    """Return row and column of all lines from 0, and the file's first index; one field may name or number the cell."""
     if "cell" in order and not {"row", "column"} <= set(order):
         texts = table.fields[:, order["cell"]]
         cells = {text: cell_of(text) for text in set(texts)}
@@ -178,7 +178,7 @@ def _cells_of_lines(table: ReadingsTable, order: dict[str, int], shape: Shape) -
 
 
 def _frame_numbers(table: ReadingsTable, cells: Index, order: dict[str, int]) -> tuple[Index, str]:
-    """Each line's frame from 0, and how frames are distinguished; nothing where all lines are one frame."""
+    """Return each line's frame from 0, and a note on how frames are distinguished; '' if all lines are one frame."""
     if "frame" in order:
         return np.unique(_indices(table, order["frame"]), return_inverse=True)[1], ""
     if "time" not in order:
@@ -193,7 +193,7 @@ def _frame_numbers(table: ReadingsTable, cells: Index, order: dict[str, int]) ->
 
 
 def _begins_again(numbers: Index, ended: Sequence[bool]) -> NDArray[np.bool_]:
-    """(lines) whether a frame begins there, after the first: its number comes again, or what stands before ends one."""
+    """Return (lines) whether a frame begins at a line: its number comes again, or a title stands before it."""
     seen, begins = set[int](), np.zeros(len(numbers), dtype=bool)
     for line, number in enumerate(numbers.tolist()):
         if number in seen or (ended[line] and line):
@@ -203,7 +203,7 @@ def _begins_again(numbers: Index, ended: Sequence[bool]) -> NDArray[np.bool_]:
 
 
 def _frames_in_blocks(table: ReadingsTable, shape: Shape) -> Frames:
-    """Frames from lines that hold a row each; one field more is the row's name or the time."""
+    """Return frames from lines with a row each; one more field is the row's name or the time."""
     alone, titles = table.source.counts[table.lines] == 1, ""
     if table.width > 2 and np.any(alone) and not np.all(alone):
         table, titles = table.only(~alone), "; a number alone in a line is taken as a title"
@@ -227,7 +227,7 @@ def _frames_in_blocks(table: ReadingsTable, shape: Shape) -> Frames:
 
 
 def _before_the_row(table: ReadingsTable, extra: int, rows: int) -> tuple[Index | None, list[int]]:
-    """(lines) row numbers from 0 by the lines' names, or None; and the columns that hold times."""
+    """Return (lines) row numbers from 0 by the lines' names, or None; and the columns that hold times."""
     roles = [role_of(name) for name in table.names[:extra]]
     times = [field for field, role in enumerate(roles) if role in ("time", "date")]
     labelled = [field for field, role in enumerate(roles) if role not in ("time", "date", "frame")]
@@ -247,7 +247,7 @@ def _before_the_row(table: ReadingsTable, extra: int, rows: int) -> tuple[Index 
 
 
 def _column_order(table: ReadingsTable, extra: int, columns: int) -> tuple[list[int], str]:
-    """Which column of the panel each field of a line is, by names that number them, else in order."""
+    """Return the column of the panel of each field, by names that number them, else in order; and a note."""
     names = table.names[extra:]
     lines = [line for name in names if (line := line_of(name))]
     numbers = [number for _, number in lines]
@@ -259,7 +259,7 @@ def _column_order(table: ReadingsTable, extra: int, columns: int) -> tuple[list[
 
 
 def _blocks(table: ReadingsTable, rows: int) -> tuple[Index, Index, list[int], str, str | None]:
-    """(lines) frame, -1 for none, and row; where frames begin; a sentence on cut and skipped lines; kind of titles."""
+    """Return (lines) frame (-1: none) and row, first lines of frames, a note on skipped lines, kind of titles."""
     groups, title = _grouped(table, rows)
     frame, row = np.full(len(table.lines), -1), np.zeros(len(table.lines), dtype=np.intp)
     begins: list[int] = []
@@ -282,7 +282,7 @@ def _blocks(table: ReadingsTable, rows: int) -> tuple[Index, Index, list[int], s
 
 
 def _grouped(table: ReadingsTable, rows: int) -> tuple[list[range], str | None]:
-    """Lines frame by frame, and the kind of what stands between frames; None: anything, or nothing."""
+    """Return lines by frame, and the kind of the titles between frames; None: any, or none."""
     kinds = table.kinds
     apart = [line for line in range(1, len(kinds)) if kinds[line]]
     often = Counter(kind for line in apart for kind in kinds[line])
@@ -291,7 +291,7 @@ def _grouped(table: ReadingsTable, rows: int) -> tuple[list[range], str | None]:
         return [range(first, end) for first, end in pairwise([0, *begins, len(kinds)])]
 
     def whole(groups: Sequence[range]) -> int:
-        """How many frames are whole; lines of one group may be cut at their end."""
+        """Return the number of complete frames; lines of a single group may be cut at the end."""
         return sum(len(group) // rows for group in groups if len(group) % rows == 0 or len(groups) == 1)
 
     options: list[tuple[list[range], str | None]] = [(split(apart), None)]

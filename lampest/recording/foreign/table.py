@@ -1,4 +1,4 @@
-"""Texts and sheets as lines of fields, and those lines and columns of them that hold readings."""
+"""Lines and fields of texts and sheets, and the lines and columns among them that hold readings."""
 
 import csv
 import datetime
@@ -42,7 +42,7 @@ NUMBER = re.compile(r"\d+(?:[.,:]\d+)*")
 
 
 class FieldLine(NamedTuple):
-    """A line that holds anything: its number in the file, its fields, a terminal's time before it or ''."""
+    """Nonempty line: its number in the file, its fields, a terminal's time before it or ''."""
 
     number: int
     texts: Sequence[str]
@@ -51,7 +51,7 @@ class FieldLine(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class FieldLines:
-    """The lines of a text or of a sheet that hold anything; comments, too.
+    """Nonempty lines of a text or of a sheet, comments included.
 
     word : 'line' or 'row'. at : a line's number and a field or None → where in the file. fields : (lines, width) texts,
     '' where a line ends earlier. counts : (lines) fields of each. comment, blank : (lines) whether it is a comment,
@@ -69,16 +69,16 @@ class FieldLines:
     blank: NDArray[np.bool_]
 
     def called(self, line: int) -> str:
-        """'line 3'."""
+        """Return the name of a line: 'line 3'."""
         return f"{self.word} {self.lines[line].number}"
 
 
 def _lines(
-    source: str, word: str, at: Callable[[int, int | None], str], notes: Iterable[str], found: Iterable[FieldLine]
+    source: str, word: str, at: Callable[[int, int | None], str], notes: Iterable[str], lines: Iterable[FieldLine]
 ) -> FieldLines:
-    """The lines as a table. Raises InputError where it is larger than what is imported."""
+    """Return lines as a table. Raises InputError if it is larger than imports may be."""
     read, total, width = list[FieldLine](), 0, 0
-    for line in found:
+    for line in lines:
         read.append(line)
         total, width = total + len(line.texts), max(width, len(line.texts))
         if max(total, len(read) * width // 2) > MOST_FIELDS:
@@ -93,7 +93,7 @@ def _lines(
 
 
 def lines_of_text(path: Path) -> FieldLines:
-    """The lines of a text file, whose fields are separated by the sign that gives most numbers.
+    """Read the lines of a text file; the separator of fields is the sign that gives most numbers.
 
     Raises InputError with the line where the file is no text, is too large, or a quotation mark is not closed.
     """
@@ -103,13 +103,13 @@ def lines_of_text(path: Path) -> FieldLines:
         if len(line) > 1_000_000:
             raise InputError(f"{path}:{number}: longer than 1000000 characters, which no table is")
         stamped = STAMPED.match(line)
-        rest = line[stamped.end() :] if stamped else line.strip(" ")
-        rest = rest.translate(BRACKETS) if LISTED.match(rest) else rest
-        if labelled := LABELLED.match(rest):  # the name becomes a field
-            sign = next((sign for sign in DELIMITERS if sign in rest[labelled.end() :]), " ")
-            rest = f"{labelled[1]}{sign}{rest[labelled.end() :]}"
-        if rest.strip().strip(" \t;,"):
-            read.append(FieldLine(number, [rest], stamped[1] if stamped else ""))
+        content = line[stamped.end() :] if stamped else line.strip(" ")
+        content = content.translate(BRACKETS) if LISTED.match(content) else content
+        if labelled := LABELLED.match(content):  # the name becomes a field
+            sign = next((sign for sign in DELIMITERS if sign in content[labelled.end() :]), " ")
+            content = f"{labelled[1]}{sign}{content[labelled.end() :]}"
+        if content.strip().strip(" \t;,"):
+            read.append(FieldLine(number, [content], stamped[1] if stamped else ""))
     delimiter = _delimiter([line.texts[0] for line in read if not COMMENT.match(line.texts[0])])
     notes.insert(0, f"fields separated by {DELIMITERS[delimiter]}")
     notes += ["a terminal's time before the lines"] if any(line.stamp for line in read) else []
@@ -127,7 +127,7 @@ def lines_of_text(path: Path) -> FieldLines:
 
 
 def _decoded(path: Path) -> tuple[str, list[str]]:
-    """The text in UTF-8, or in UTF-16 by its mark or its zero bytes; a sentence on the latter."""
+    """Return the text in UTF-8, or in UTF-16 by its mark or its zero bytes, and a note on the latter."""
     data = path.read_bytes()
     count = max(data.count(b"\n"), data.count(b"\r"))
     if count > MOST_FIELDS:
@@ -148,13 +148,13 @@ def _decoded(path: Path) -> tuple[str, list[str]]:
 
 
 def _delimiter(lines: Sequence[str]) -> str:
-    """The sign that leaves most fields that are numbers, in the first lines; the earlier in the list of equal ones."""
+    """Return the sign that gives most numeric fields in the first lines; of equal signs the earlier in the list."""
     sample = "\n".join(lines[:SAMPLED_LINES])[:SAMPLED].split("\n")
 
     def numbers(sign: str) -> tuple[int, bool]:
         fields = [field.strip(' "') for line in sample for field in line.split(None if sign == " " else sign)]
         comma = has_decimal_comma(fields)
-        read = sum(field != "" and number_of(field, comma) is not None for field in fields)
+        read = sum(field != "" and number_of(field, comma=comma) is not None for field in fields)
         return read, any(sign in line for line in sample)
 
     return max(DELIMITERS, key=numbers)
@@ -173,7 +173,7 @@ def _split(place: str, line: str, delimiter: str) -> list[str]:
 
 
 def lines_of_sheets(path: Path, wanted: str | None, least: int) -> dict[str, FieldLines]:
-    """Name → lines of every sheet that holds anything, or of the wanted one, in the file's order.
+    """Return name → lines of every nonempty sheet, or of the wanted one, in the file's order.
 
     Read row by row, because a few bytes may claim 10¹⁰ cells. least : fields that a line of any table must have.
     Raises InputError where the file is no readable .xlsx, has no such sheet, or a sheet is too large.
@@ -189,7 +189,7 @@ def lines_of_sheets(path: Path, wanted: str | None, least: int) -> dict[str, Fie
         sheets = {str(sheet.title): sheet for sheet in book.worksheets}
         if wanted is not None and wanted not in sheets:
             raise InputError(f"{path}: no sheet '{wanted}'; there are {', '.join(sheets) or 'none'}")
-        found: dict[str, FieldLines] = {}
+        tables: dict[str, FieldLines] = {}
         for title in sheets if wanted is None else [wanted]:
 
             def at(number: int, field: int | None, title: str = title) -> str:
@@ -197,12 +197,12 @@ def lines_of_sheets(path: Path, wanted: str | None, least: int) -> dict[str, Fie
                 return f"{path}: {title}!{letters}{number}"
 
             rows = _rows_of_sheet(sheets[title], least)
-            found[title] = _lines(f"{path}: sheet {title}", "row", at, [f"sheet {title}"], rows)
-    return {title: lines for title, lines in found.items() if lines.lines}
+            tables[title] = _lines(f"{path}: sheet {title}", "row", at, [f"sheet {title}"], rows)
+    return {title: lines for title, lines in tables.items() if lines.lines}
 
 
 def _rows_of_sheet(sheet: Any, least: int) -> Iterator[FieldLine]:
-    """The rows that hold anything; what comes after the last value of a row counts for nothing."""
+    """Yield the nonempty rows, without empty cells at their end."""
     sheet.reset_dimensions()  # what a file says of its size may be wrong
     count = width = 0
     for number, row in enumerate(sheet.iter_rows(values_only=True), 1):
@@ -217,7 +217,7 @@ def _rows_of_sheet(sheet: Any, least: int) -> Iterator[FieldLine]:
 
 
 def _text_of_cell(value: Any) -> str:
-    """A cell as a text file would have it; all digits of a number."""
+    """Return a cell as a text file would have it, with all digits of a number."""
     if isinstance(value, datetime.timedelta):
         value = value.total_seconds()
     return "" if value is None else str(value).strip().removesuffix(".0" if isinstance(value, float) else "")
@@ -225,7 +225,7 @@ def _text_of_cell(value: Any) -> str:
 
 @dataclass(frozen=True, eq=False)
 class ReadingsTable:
-    """Those lines and columns of a file that hold readings.
+    """Lines and columns of a file that hold readings.
 
     lines : of the file. columns : its fields. fields : (lines, columns) texts. values : their numbers, NaN for none.
     words : whether a text is neither a number nor a missing reading. comma : whether numbers have a decimal comma.
@@ -244,37 +244,37 @@ class ReadingsTable:
 
     @property
     def width(self) -> int:
-        """How many fields a line has."""
+        """Number of fields of a line."""
         return len(self.columns)
 
     @cached_property
     def before(self) -> list[dict[str, str]]:
-        """(lines) text → 'line 3' of what stands between each and the one before; both empty for a blank one."""
-        found = []
+        """(lines) text → 'line 3' of the lines between each line and the previous one; both empty for a blank line."""
+        between = []
         for last, line in pairwise([-1, *self.lines.tolist()]):
-            passed = {"": ""} if self.source.blank[last + 1 : line + 1].any() else {}
-            others = range(last + 1, line)
-            found.append(passed | {" ".join(self.source.fields[at]).strip(): self.source.called(at) for at in others})
-        return found
+            blank = {"": ""} if self.source.blank[last + 1 : line + 1].any() else {}
+            texts = {" ".join(self.source.fields[at]).strip(): self.source.called(at) for at in range(last + 1, line)}
+            between.append(blank | texts)
+        return between
 
     @cached_property
     def kinds(self) -> list[set[str]]:
-        """(lines) the kinds of what stands between each and the one before: titles without their numbers are alike."""
+        """(lines) kinds of the lines between each line and the previous one; titles alike but for numbers agree."""
         return [set(map(kind_of, passed)) for passed in self.before]
 
     def place(self, line: int, field: int | None) -> str:
-        """Where in the file."""
+        """Return the place of a field in the file."""
         number = self.source.lines[self.lines[line]].number
         return self.source.at(number, None if field is None else int(self.columns[field]))
 
     def only(self, lines: Any = slice(None), columns: Any = slice(None)) -> "ReadingsTable":
-        """The table with some of its lines and columns; other lines are what stands before the next one."""
+        """Return the table with some of its lines and columns; other lines count as titles of the next one."""
         parts = {name: getattr(self, name)[lines][:, columns] for name in ("fields", "values", "words")}
         names = tuple(np.array(self.names, dtype=object)[columns])
         return replace(self, lines=self.lines[lines], columns=self.columns[columns], names=names, **parts)
 
     def frames(self, at: Sequence[Any], fields: Sequence[int], shape: Shape, timing: Timing, note: str) -> Frames:
-        """Frames of which these fields are readings, those in frame -1 left out. Raises InputError where one is a word.
+        """Return frames of the readings in some fields, without those in frame -1. Raises InputError if one is a word.
 
         at : frame, row and column of each, to broadcast to (lines, fields).
         """
@@ -284,8 +284,8 @@ class ReadingsTable:
         frame, row, column = (np.broadcast_to(part, index.shape) for part in at)
         check_count(self.source.source, (int(frame.max()) + 1) * shape[0] * shape[1])
         number = np.full((int(frame.max()) + 1, *shape), -1)
-        kept = frame >= 0
-        number[frame[kept], row[kept], column[kept]] = index[kept]
+        chosen = frame >= 0
+        number[frame[chosen], row[chosen], column[chosen]] = index[chosen]
         names = tuple(self.names[field] for field in fields)
 
         def named(at: int) -> str:
@@ -299,7 +299,7 @@ class ReadingsTable:
             raise InputError(f"{self.place(line, field)}: {why.format(self.fields[line, field][:40] or 'nothing')}")
 
     def timing(self, columns: Sequence[int], lines: Sequence[int]) -> Timing:
-        """Times of frames from columns (a date and a time of day may be two), in these lines, else from stamps."""
+        """Return times of frames from columns (date and time of day may be two) of these lines, else from stamps."""
         if not columns:
             stamps = [self.source.lines[self.lines[line]].stamp for line in lines]
             return self._timing(stamps, "", lines, None, "the terminal's, ") if all(stamps) else None
@@ -309,7 +309,7 @@ class ReadingsTable:
         return self._timing(texts, name, lines, chosen[-1], f"column {name!r} in " if name else "first field in ")
 
     def title_timing(self, begins: Sequence[int], title: str | None) -> Timing:
-        """Times in the lines before blocks, where they stand before each of them; title : the kind of these lines."""
+        """Return times from titles before blocks, if each block has one; title : kind of these lines."""
         before = [self.before[line] for line in begins]
         own = [" ".join(text for text in passed if title in (None, kind_of(text))) for passed in before]
         matches = [TITLE_TIME.search(text or " ".join(passed)) for text, passed in zip(own, before, strict=True)]
@@ -320,16 +320,18 @@ class ReadingsTable:
         return self._timing(texts, name, begins, None, "before each block in ")
 
     def _timing(self, texts: Sequence[str], name: str, lines: Sequence[int], field: int | None, said: str) -> Timing:
-        return lambda unit: clock_of(texts, name, lambda at: self.place(lines[at], field), self.comma, unit).said(said)
+        return lambda unit: clock_of(
+            texts, name, lambda at: self.place(lines[at], field), comma=self.comma, unit=unit
+        ).said(said)
 
 
 def kind_of(text: str) -> str:
-    """A line without its numbers: titles of all frames are alike."""
+    """Return a line without its numbers, in which titles of all frames agree."""
     return NUMBER.sub("#", text)
 
 
 def readings_table(source: FieldLines, layout: str | None = None) -> ReadingsTable:
-    """The lines with readings, the header before them, and sentences on what was left out.
+    """Return the lines with readings, their header, and notes on lines left out.
 
     layout : the columns' names, separated by commas, in place of the file's own. Raises InputError where there are
     none, a line has more fields than the others, or the layout another number.
@@ -338,7 +340,7 @@ def readings_table(source: FieldLines, layout: str | None = None) -> ReadingsTab
     if fields.size == 0 or np.all(comment):
         raise InputError(f"{source.source}: holds no values")
     comma = has_decimal_comma([text for text in fields[~comment].ravel()[:SAMPLED] if text])
-    numbers = [number_of(text, comma) for text in fields.flat]
+    numbers = [number_of(text, comma=comma) for text in fields.flat]
     values = np.array(numbers, dtype=float).reshape(fields.shape)
     words = np.array([number is None for number in numbers], dtype=bool).reshape(fields.shape)
     data = _data_lines(source, values, words)
@@ -350,11 +352,11 @@ def readings_table(source: FieldLines, layout: str | None = None) -> ReadingsTab
     header = _header_line(fields, data, ~np.isnan(values), width)
     if header is not None:
         width = max(width, min(usual, 1 + int(np.flatnonzero(fields[header] != "")[-1])))
-        other = np.any(fields != fields[header], axis=1)  # it is repeated where a board began anew
-        data &= other
+        differs = np.any(fields != fields[header], axis=1)  # a restarted board repeats the header
+        data &= differs
     else:
         data[: int(np.argmax(data & (counts == usual)))] = False  # a terminal opened in the middle of a line
-        other = np.ones(len(data), dtype=bool)
+        differs = np.ones(len(data), dtype=bool)
     if not np.any(data):
         raise InputError(f"{source.source}: holds a header but no values")
     long = data & np.any(fields[:, width:] != "", axis=1)
@@ -364,7 +366,7 @@ def readings_table(source: FieldLines, layout: str | None = None) -> ReadingsTab
         raise InputError(f"{source.at(source.lines[line].number, None)}: {said}")
     notes = [", ".join((*source.notes, *(["decimal commas"] if comma else [])))]
     notes += [] if header is None else [f"{source.called(header)} taken as header"]
-    left = np.flatnonzero(~data & other & ~comment & np.any(fields != "", axis=1))
+    left = np.flatnonzero(~data & differs & ~comment & np.any(fields != "", axis=1))
     if len(left):
         shown = " ".join(fields[left[0]]).strip()[:40]
         named = ", ".join(str(source.lines[line].number) for line in left[:MOST_NAMED])
@@ -382,18 +384,18 @@ def readings_table(source: FieldLines, layout: str | None = None) -> ReadingsTab
 
 
 def _data_lines(source: FieldLines, values: Array, words: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Lines that hold a number or a word for a missing one, and fewer other words than these."""
+    """Return lines that hold a number or a word for a missing one, and few other words."""
     fields, filled = source.fields, source.fields != ""
     strange = {text for text in set(fields[words].tolist()) if not is_stamp(text) and line_of(text) is None}
-    others, most = np.zeros(len(fields), dtype=int), filled.sum(axis=1)
-    np.add.at(others, np.nonzero(words)[0], [text in strange for text in fields[words]])
-    few = ((others <= 1) & (2 * others < most)) | (4 * others < most)
+    foreign, total = np.zeros(len(fields), dtype=int), filled.sum(axis=1)
+    np.add.at(foreign, np.nonzero(words)[0], [text in strange for text in fields[words]])
+    few = ((foreign <= 1) & (2 * foreign < total)) | (4 * foreign < total)
     few &= (source.counts > 1) | ~np.isnan(values[:, 0]) | words[:, 0] | (source.counts.max() == 1)  # dashes alone
     return np.asarray(few & ~source.comment & (filled & ~words).any(axis=1))
 
 
 def _header_line(fields: NDArray[Any], data: NDArray[np.bool_], numeric: NDArray[np.bool_], width: int) -> int | None:
-    """The first data where it counts columns; the line before where it names as many fields."""
+    """Return the first data line if it counts columns; else the line before if it names as many fields; else None."""
     if not np.any(data):
         return None
     first = int(np.argmax(data))

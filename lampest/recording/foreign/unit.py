@@ -1,4 +1,4 @@
-"""What unit foreign numbers are in: as given, as their header says, or as their values and the scene leave no other."""
+"""Unit of foreign numbers: as specified, by their header, or the only one that values and scene permit."""
 
 from collections.abc import Callable, Sequence
 
@@ -27,7 +27,7 @@ def check_unit(unit: str | None, scene: Scene | None, source: object) -> None:
 
 
 def understood_unit(values: Array, said: Sequence[str], scene: Scene | None, source: object) -> tuple[str, str]:
-    """The unit of values (any shape, NaN where missing), and a sentence on why.
+    """Return the unit of values (any shape, NaN if missing), and a sentence on the reason.
 
     said : what the header leaves, nothing where it does not speak of a unit. Raises InputError where no unit fits, or
     two do.
@@ -55,7 +55,7 @@ def understood_unit(values: Array, said: Sequence[str], scene: Scene | None, sou
 
 
 def _fitting(finite: Array, allowed: Sequence[str], readout: Readout | None) -> tuple[list[str], str]:
-    """The allowed units that values may be in so that their median makes sense, and why."""
+    """Return the allowed units in which the median of the values makes sense, and the reason."""
     middle = float(np.median(finite))
     if readout is None:
         fits = {"ohm": middle >= 1, "kohm": middle < 10}  # a multiplexer's channel has more than an ohm
@@ -75,11 +75,9 @@ def _fitting(finite: Array, allowed: Sequence[str], readout: Readout | None) -> 
         stepped = [unit for unit in units if seen[unit] is True]
         if len(stepped) == 1:
             return stepped, "as such they lie on the converter's steps"
-        rest = [unit for unit in units if unit in RESISTANCES or seen[unit] is not False]  # they may be filtered
-        return (
-            rest,
-            f"as {' or '.join(unit for unit in units if unit not in rest)} they would miss the converter's steps",
-        )
+        fitting = [unit for unit in units if unit in RESISTANCES or seen[unit] is not False]  # they may be filtered
+        missed = " or ".join(unit for unit in units if unit not in fitting)
+        return fitting, f"as {missed} they would miss the converter's steps"
     least, largest = readout.rails()
     if not units and "ohm" in allowed and least <= middle <= largest:
         return ["ohm"], "no other unit is within the converter's rails"
@@ -92,7 +90,7 @@ def _fitting(finite: Array, allowed: Sequence[str], readout: Readout | None) -> 
 
 
 def _on_steps(finite: Array, unit: str, readout: Readout) -> bool | None:
-    """Whether values, were they in this unit, are means of the converter's codes; None where that cannot be seen."""
+    """Return whether values in this unit would be means of the converter's codes; None if undecidable."""
     values = np.unique(finite)
     ends = [(values + sign * _rounding(values)) * FACTORS[unit] for sign in (-1, 0, 1)]
     if unit in RESISTANCES:
@@ -114,14 +112,14 @@ def _on_steps(finite: Array, unit: str, readout: Readout) -> bool | None:
 
 
 def _rounding(values: Array) -> float:
-    """Half of the last digit with which values are written, as far as that can be seen."""
+    """Return half of the last written digit of values, as far as it is visible."""
     slack = 1e-12 * np.maximum(1.0, np.abs(values))
     digits = (digit for digit in range(9) if np.all(np.abs(values - np.round(values, digit)) <= slack))
     return 0.5 * 10.0 ** -next(digits, 9)
 
 
 def recorded_values(values: Array, unit: str, scene: Scene, place: Callable[[int, int, int], str]) -> Array:
-    """Values in their unit → what a recording of this readout holds, (frames, rows, columns); NaN stays NaN.
+    """Convert values in their unit to the recorded quantity of the readout, (frames, rows, columns); NaN stays NaN.
 
     A code or a voltage at a rail, an infinite resistance and one of zero stay what they are: bounds. Raises InputError
     with the place (frame, row, column) of a value that is impossible.

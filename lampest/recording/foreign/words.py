@@ -1,4 +1,4 @@
-"""What words, numbers and times in a foreign file mean, however they are written."""
+"""Meaning of names, numbers and times in foreign files."""
 
 import re
 from bisect import bisect_left
@@ -85,7 +85,7 @@ Where = Callable[[int], str]
 
 
 def parted(name: str) -> tuple[str, str]:
-    """A name in small letters, its words joined by underscores, and the unit at its end as written or ''."""
+    """Return a name in small letters, its words joined by underscores, and the unit at its end as written or ''."""
     text, unit = name[:LONGEST].strip(), ""
     match = PARTED.fullmatch(text)
     if match and (match[2].strip(" _") in BRACKETS or match[3].lower() in UNITS or ELECTRIC.fullmatch(match[3])):
@@ -94,13 +94,13 @@ def parted(name: str) -> tuple[str, str]:
 
 
 def role_of(name: str) -> str | None:
-    """'row', 'column', 'cell', 'value', 'frame', 'date' or 'time'; None for any other name. Units are left aside."""
+    """Return 'row', 'column', 'cell', 'value', 'frame', 'date' or 'time'; None for any other name. Ignores units."""
     plain, unit = parted(name)
     return ROLE_OF_WORD.get(plain) or ("time" if unit.lower() in TIME_UNIT_OF_WORD else None)
 
 
 def cell_of(name: str) -> tuple[int, int] | None:
-    """(row, column) as written in r0c0, R1C1, 'row 0 col 3', c3_r0, Z1S1, cell_0_3, (0, 3), [0][3]; None in others."""
+    """Return (row, column) of r0c0, R1C1, 'row 0 col 3', c3_r0, Z1S1, cell_0_3, (0, 3), [0][3]; else None."""
     plain, _ = parted(name)
     for pattern in (ROW_FIRST, COLUMN_FIRST, TWO_NUMBERS):
         match = pattern.fullmatch(plain)
@@ -111,13 +111,13 @@ def cell_of(name: str) -> tuple[int, int] | None:
 
 
 def line_of(name: str) -> tuple[str, int] | None:
-    """Word and number of R3, 'row 3', 3, col_3: ('r', 3); None in any other name."""
+    """Return word and number of R3, 'row 3', 3, col_3, such as ('r', 3); None for any other name."""
     match = ONE_NUMBER.fullmatch(parted(name)[0])
     return (match[1].strip("_"), int(match[2])) if match and len(match[2]) < 10 else None
 
 
 def units_of(names: Sequence[str]) -> tuple[str, ...]:
-    """Electrical units that the names of columns or arrays leave; none where they say nothing.
+    """Return the electrical units that the names of columns or arrays permit; () if they name none.
 
     Raises InputError where they name a unit that is not imported, or contradict each other.
     """
@@ -130,7 +130,7 @@ def units_of(names: Sequence[str]) -> tuple[str, ...]:
 
 
 def _units_of_one(name: str) -> tuple[str, ...]:
-    """Of the unit, else of the whole name, else of its first or last word."""
+    """Return the units of the unit, else of the whole name, else of its first or last word."""
     plain, unit = parted(name)
     if unit in ("v", "V"):
         return ("volt",)
@@ -141,14 +141,14 @@ def _units_of_one(name: str) -> tuple[str, ...]:
 
 
 def has_decimal_comma(fields: Sequence[str]) -> bool:
-    """Whether that reads more of these fields than a point; where both read the same, whether a comma stands alone."""
+    """Return whether a comma reads more of these fields than a point; if equal, whether only commas occur."""
     comma, point = ([field for field in fields if pattern.fullmatch(field)] for pattern in (COMMA, POINT))
     text = "".join(comma)
     return len(comma) > len(point) or (len(comma) == len(point) and "," in text and "." not in text)
 
 
-def number_of(text: str, comma: bool) -> float | None:
-    """The number that a text stands for, NaN where it says that one is missing, None for any other word.
+def number_of(text: str, *, comma: bool) -> float | None:
+    """Return the number of a text; NaN for words for a missing one, None for any other word.
 
     comma : whether it is decimal; the other sign may set thousands apart.
     """
@@ -161,23 +161,23 @@ def number_of(text: str, comma: bool) -> float | None:
 
 
 class Clock(NamedTuple):
-    """Times of frames in s; date and time of the first one, ISO 8601, where the file names it; a sentence on both."""
+    """Times of frames in s; date and time of the first one, ISO 8601, if the file names it; a sentence on both."""
 
     seconds: Array
     start: str | None
     sentence: str
 
     def said(self, where: str) -> "Clock":
-        """The same with where the times stand in the file."""
+        """Return the clock with the place of the times in its sentence."""
         return self._replace(sentence=f"time: {where}{self.sentence}")
 
 
 def is_stamp(text: str) -> bool:
-    """Whether a text is a date, a time of day, or both."""
+    """Return whether a text is a date, a time of day, or both."""
     return STAMP.fullmatch(text.strip()) is not None
 
 
-def clock_of(texts: Sequence[str], name: str, where: Where, comma: bool, unit: str | None) -> Clock:
+def clock_of(texts: Sequence[str], name: str, where: Where, *, comma: bool, unit: str | None) -> Clock:
     """Return times of frames from the texts of a column or of stamps before lines.
 
     Parameters
@@ -197,7 +197,7 @@ def clock_of(texts: Sequence[str], name: str, where: Where, comma: bool, unit: s
     InputError
         If one is no time, if dates can be read in two ways, if times do not grow, or if a unit is given for dates.
     """
-    numbers = [number_of(text, comma) for text in texts]
+    numbers = [number_of(text, comma=comma) for text in texts]
     if numbers.count(None) <= MAX_CUT * len(numbers):
         return clock_of_numbers(np.array(numbers, dtype=float), name, where, unit)
     if unit is not None:
@@ -228,7 +228,7 @@ def clock_of(texts: Sequence[str], name: str, where: Where, comma: bool, unit: s
 
 
 def _iso(text: str, way: str) -> str:
-    """A stamp in ISO 8601 by the order of its date's parts. Raises ValueError where it is none in this order."""
+    """Return a stamp in ISO 8601 by the order of its date's parts. Raises ValueError if it does not fit the order."""
     match = STAMP.fullmatch(text.strip())
     if match is None or (match[2] or "none") not in DATES.get(way, "none"):
         raise ValueError

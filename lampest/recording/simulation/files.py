@@ -56,7 +56,7 @@ def run(
 
 @typed
 def read_simulations(path: Path, settings: tuple[str, ...] = ()) -> list[tuple[str, Simulation]]:
-    """Every combination of a file's sweep: (output path as the file names it, simulation).
+    """Return every combination of a file's sweep: (output path as the file names it, simulation).
 
     settings : PATH=VALUE entries that override the file's. Raises InputError with line and column.
 
@@ -77,7 +77,7 @@ def read_simulations(path: Path, settings: tuple[str, ...] = ()) -> list[tuple[s
 
 
 def _drawn(document: Document) -> Document:
-    """A copy in which every `{uniform: [low, high]}` is a number drawn from the seed. Raises InputError there."""
+    """Return a copy with a drawn number for every `{uniform: [low, high]}`, by the seed. Raises InputError."""
     content = document.content
     seed = content.get("seed") if isinstance(content, dict) else None
     if type(seed) is not int or seed < 0:
@@ -100,14 +100,14 @@ def _drawn(document: Document) -> Document:
 
 
 def _filled(document: Document, template: str, seed: int, number: int, assignments: dict[str, Any]) -> str:
-    """The output's name with {seed}, {case} and the last words of the swept paths filled in; also {word:03d}."""
+    """Return the output's name with {seed}, {case} and the last words of swept paths filled in; also {word:03d}."""
     values = {path.split(".")[-1]: value for path, value in assignments.items()} | {"seed": seed, "case": number}
 
     def value(match: re.Match[str]) -> str:
         if match[1] not in values:
             raise document.error(("output",), f"{{{match[1]}}} is none of {', '.join(sorted(values))}")
-        found = values[match[1]]
-        return f"{found:0{match[2]}d}" if match[2] and isinstance(found, int) else str(found)
+        part = values[match[1]]
+        return f"{part:0{match[2]}d}" if match[2] and isinstance(part, int) else str(part)
 
     name = FIELD.sub(value, template)
     if "{" in name or "}" in name or not name.endswith(".h5"):
@@ -116,7 +116,7 @@ def _filled(document: Document, template: str, seed: int, number: int, assignmen
 
 
 def _targets(path: Path, out: Path | None, names: list[str]) -> list[Path]:
-    """Where the recordings go. Raises InputError where `out` is a file for several, or a folder for one."""
+    """Return the paths of the recordings. Raises InputError if `out` is a file for several, or a folder for one."""
     if out is None:
         return [(path.parent / name).parent.resolve() / Path(name).name for name in names]
     if len(names) == 1:

@@ -1,4 +1,4 @@
-"""What the electronics make of cells: circuit, multiplexers, converter, and effects that no scene names → readings."""
+"""Simulated electronics: circuit, multiplexers, converter, and effects that no scene names, from cells to readings."""
 
 import zlib
 from collections.abc import Callable, Sequence
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from lampest.files.typed import Configuration, check_not_negative, check_positive_fields, check_ranges
 from lampest.panel.effects import LineLeak, disturbance, neighbours
 from lampest.panel.memory import in_panel_order, with_memory
-from lampest.panel.panel import Array, Modules
+from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout
 from lampest.panel.readouts.lines import of_side
 from lampest.panel.readouts.wiring import Contacts, Lines
@@ -78,13 +78,14 @@ class Unmodelled(Configuration):
 
     @property
     def needs_converter(self) -> tuple[str, ...]:
+        """Names of the present effects that need a readout in the scene."""
         of_readings = ("reference_tolerance", "outlier_probability", "noise_factor", "saturation")
         names = (*of_readings, "supply_ripple_lsb", "gain_spread", "inl_lsb")
         return tuple(name for name in names if getattr(self, name))
 
 
 def random_stream(seed: int, purpose: str) -> np.random.Generator:
-    """Random numbers for one purpose, whatever is drawn for others."""
+    """Return a random generator for one purpose, independent of draws for others."""
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(zlib.crc32(purpose.encode()),)))
 
 
@@ -97,7 +98,7 @@ def measured(
     scanned: Sequence[Array] = (),
     on_frame: Callable[[], None] = lambda: None,
 ) -> tuple[Array, NDArray[np.int64] | None]:
-    """(recorded readings, Σ code): what the readout's equation gives, and the sums of the converter's codes.
+    """Return (recorded readings, Σ code): the readout's readings, and the sums of the converter's codes.
 
     Both (frames, rows, columns). Readings come from the mean code with the nominal reference; the codes from the true
     one. Without a readout readings are exact and there are no sums. Raises ValueError where the spread of the channels
@@ -107,7 +108,7 @@ def measured(
     on_frame : called after each frame was converted.
     """
     if scene.panel.modules is not None:
-        return _of_modules(scene, scene.panel.modules, cells, unmodelled, seed, period_s, scanned, on_frame)
+        return _of_modules(scene, cells, unmodelled, seed, period_s, scanned, on_frame)
     off = unmodelled.reference_tolerance * random_stream(seed, "reference").uniform(-1, 1)
     actual = scene.circuit.off_by(off)
     if scene.contacts is not None:
@@ -140,7 +141,7 @@ def measured(
 
 
 def _read(actual: Readout, scene: Scene, cells: Array, unmodelled: Unmodelled, seed: int, period_s: float) -> Array:
-    """Readings of cells (frames, rows, columns) ohm, with a leak and a contact from their begin on."""
+    """Return readings of cells (frames, rows, columns) ohm, with a leak and a contact from their begin on."""
     begin, there = int(np.ceil((unmodelled.begins_s or 0.0) / period_s)), np.where(scene.panel.present, cells, np.inf)
     whole = actual.simulated(there, scene, *_channel_errors(scene, unmodelled, seed, late=False))
     if unmodelled.contact_ohm:
@@ -158,7 +159,6 @@ def _read(actual: Readout, scene: Scene, cells: Array, unmodelled: Unmodelled, s
 
 def _of_modules(
     scene: Scene,
-    layout: Modules,
     cells: Array,
     unmodelled: Unmodelled,
     seed: int,
@@ -166,8 +166,9 @@ def _of_modules(
     scanned: Sequence[Array],
     on_frame: Callable[[], None],
 ) -> tuple[Array, NDArray[np.int64] | None]:
-    """The same of a panel of modules, each with random numbers of its own; NaN where one is dead."""
-    recorded, sums = [], []
+    """Measure a panel of modules, each with random numbers of its own; NaN if one is dead."""
+    layout, recorded, sums = scene.panel.modules, [], []
+    assert layout is not None
     for number, own in enumerate(scene.of_modules):
         inside = (..., *layout.cells(number))
         drawn = int(random_stream(seed, f"module {number}").integers(2**63))
@@ -181,15 +182,15 @@ def _of_modules(
 
 
 def true_contacts(scene: Scene, seed: int) -> Contacts:
-    """Contacts drawn as the scene specifies them; none is below zero."""
+    """Draw contacts as the scene specifies them; none is below zero."""
     contacts, shape = scene.contacts or Contacts(), scene.panel.shape
     normal = random_stream(seed, "contacts").standard_normal(sum(shape))
     ohm = np.maximum(contacts.mean(shape) + contacts.deviation(shape) * normal, 0.0)
     return Contacts.of(ohm, np.zeros(len(ohm)), shape[0])
 
 
-def _channel_errors(scene: Scene, unmodelled: Unmodelled, seed: int, late: bool) -> tuple[Array, Array]:
-    """δ_j of rows and δ_k of columns, ohm, beyond the scene; what it is silent about stands on the driven side.
+def _channel_errors(scene: Scene, unmodelled: Unmodelled, seed: int, *, late: bool) -> tuple[Array, Array]:
+    """Return δ_j of rows and δ_k of columns, ohm, beyond the scene; unnamed series resistance is on the driven side.
 
     late : with what a contact has more once it has.
     """
@@ -204,7 +205,7 @@ def _channel_errors(scene: Scene, unmodelled: Unmodelled, seed: int, late: bool)
 def sums_of_codes(
     readout: Readout, total: Array, unmodelled: Unmodelled, seed: int, on_frame: Callable[[], None] = lambda: None
 ) -> NDArray[np.int64]:
-    """Σ over the readings of code(V + noise), recorded readings (frames, rows, columns) → 1; outliers are random."""
+    """Return Σ over the readings of code(V + noise), recorded readings (frames, rows, columns) → 1; outliers random."""
     noise, outliers = random_stream(seed, "noise"), random_stream(seed, "outliers")
     sigma = readout.noise_volt() * (1.0 if unmodelled.noise_factor is None else unmodelled.noise_factor)
     sums = np.empty(total.shape, dtype=np.int64)
@@ -222,14 +223,14 @@ def sums_of_codes(
 
 
 def raw_sums(readout: Readout | None, sums: NDArray[np.int64] | None) -> NDArray[np.uint16] | None:
-    """The sums as a recording holds them; None where readings · (2^bits − 1) does not fit into 16 bits."""
+    """Return the sums as a recording holds them; None if readings · (2^bits − 1) does not fit into 16 bits."""
     if readout is None or sums is None or readout.readings * (2**readout.adc_bits - 1) >= 2**16:
         return None
     return sums.astype(np.uint16)
 
 
 def _disturbed(readout: Readout, volt: Array, unmodelled: Unmodelled, seed: int, period_s: float) -> Array:
-    """V·(1 + gain) + ripple + INL(V), and no more than a stage passes, (frames, rows, columns) V at the converter."""
+    """Return V·(1 + gain) + ripple + INL(V), clipped to the stage's range, (frames, rows, columns) V."""
     if unmodelled.gain_spread:
         gain = unmodelled.gain_spread * random_stream(seed, "gain").standard_normal(len(volt))
         volt = volt * (1 + gain[:, None, None])

@@ -1,4 +1,4 @@
-"""A simulation: what is on the panel and how it is measured → a recording with its truth."""
+"""Simulated recordings with their truth, from the loads on a panel and its electronics."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields, replace
@@ -26,7 +26,7 @@ MOMENTS, AT_ONCE = 8, 64  # within a frame's period at which the film feels the 
 
 @dataclass(frozen=True)
 class Course(Configuration):
-    """Factors of contact and suction over time; the defaults are a load that is fully there from the first moment.
+    """Factors of contact and suction over time; by default the load is complete from the first moment.
 
     start_s : first touch, in seconds after the first measured frame; negative: before it, after the last unloaded one.
     approach_s, attachment_s : how long the contact grows to its full pressure, and then the suction; 0: at once.
@@ -53,7 +53,7 @@ class Course(Configuration):
             raise ValueError("breathing_depth must be below 1")
 
     def contact_and_suction(self, time: Array) -> tuple[Array, Array]:
-        """Factors of contact pressure and suction, (frames) s → 1; the suction begins when the approach is over."""
+        """Return factors of contact pressure and suction, (frames) s → 1; suction starts when the approach is over."""
         touched = time - self.start_s
         factor = 1 + self.breathing_depth * np.sin(2 * np.pi * self.breathing_hz * touched)
         if self.release_at_s is not None:
@@ -63,7 +63,7 @@ class Course(Configuration):
 
 
 def _ramp(time: Array, length: float) -> Array:
-    """3x² − 2x³ with x = time/length held within 0 and 1; a step at 0 for no length."""
+    """Return 3x² − 2x³ with x = time/length clipped to 0 and 1; a step at 0 for no length."""
     if length == 0:
         return (time >= 0).astype(float)
     part = np.clip(time / length, 0, 1)
@@ -72,7 +72,7 @@ def _ramp(time: Array, length: float) -> Array:
 
 @dataclass(frozen=True)
 class Cells(Configuration):
-    """r0 = resistance_ohm · exp(spread · z), z standard normal: the unloaded cells; patch_mm is the edge of their film.
+    """Unloaded cells r0 = resistance_ohm · exp(spread · z), z standard normal; patch_mm is the edge of their film.
 
     >>> lampest.Cells(resistance_ohm=3000.0).resistance_ohm
     3000.0
@@ -89,7 +89,7 @@ class Cells(Configuration):
 
 @dataclass(frozen=True)
 class Simulation(Configuration):
-    """All that makes a simulated recording.
+    """Definition of a simulated recording.
 
     seed : every random number follows from it. scene : what the estimator gets. cells : the unloaded cells.
     baseline_frames, frames : unloaded frames (role 0), then measured ones (role 1). frame_period_s : between frames.
@@ -142,16 +142,18 @@ class Simulation(Configuration):
 
     @property
     def values(self) -> int:
+        """Number of readings of the recording."""
         return self.all_frames * self.scene.panel.crossings
 
     @property
     def all_frames(self) -> int:
+        """Number of unloaded and measured frames."""
         return self.baseline_frames + self.frames
 
 
 @typed
 def simulate(simulation: Simulation, name: str = "simulated", on_frame: Callable[[], None] = lambda: None) -> Recording:
-    """r = r0·e^drift·f(p)·e^(α(T − T_b)), y = network(r), measured: the recording with its truth, all from the seed.
+    """Simulate r = r0·e^drift·f(p)·e^(α(T − T_b)) and its measured readings: a recording with its truth, by the seed.
 
     on_frame : called after each frame was converted.
     Raises ValueError where a cell's or a measured resistance leaves its range.
@@ -188,7 +190,7 @@ def simulate(simulation: Simulation, name: str = "simulated", on_frame: Callable
 
 
 def pressure_at(simulation: Simulation, time: Array, later_s: float = 0.0) -> Array:
-    """p(t) = contact(t)·p_contact + suction(t)·p_suction + p_water, means over patches, (frames, rows, columns) kPa.
+    """Return p(t) = contact(t)·p_contact + suction(t)·p_suction + p_water over patches, (frames, rows, columns) kPa.
 
     time : (frames) s after the first measured frame; loads are absent before it. later_s : from the middle of the scan;
     loads that travel TRAVEL_MM along x and back are elsewhere then, and press as much.
@@ -207,7 +209,7 @@ def pressure_at(simulation: Simulation, time: Array, later_s: float = 0.0) -> Ar
 
 
 def cells_under(simulation: Simulation, time: Array, later_s: float = 0.0) -> Array:
-    """r = r0·e^drift·f(p)·e^(α(T − T_b)), (frames, rows, columns) ohm; later_s : as `pressure_at` has it.
+    """Return r = r0·e^drift·f(p)·e^(α(T − T_b)), (frames, rows, columns) ohm; later_s : see `pressure_at`.
 
     r0 is log-normal, and each cell drifts at its own rate, beside one that all share. Raises ValueError where a cell
     leaves its range.
@@ -234,7 +236,7 @@ def cells_under(simulation: Simulation, time: Array, later_s: float = 0.0) -> Ar
 
 
 def _film_ratio(simulation: Simulation, time: Array, later_s: float) -> Array:
-    """r over that of a film that is flat, in air and unloaded, (frames, rows, columns); drawn as is known of it."""
+    """Return r relative to a flat, unloaded film in air, (frames, rows, columns), with drawn film parameters."""
     scene, first, step = simulation.scene, time[simulation.baseline_frames], simulation.frame_period_s / MOMENTS
     response, film = simulation.response or scene.response or PUBLISHED, simulation.film or scene.film
     if film is None:
