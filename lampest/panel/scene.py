@@ -68,27 +68,42 @@ class OwnOfModule(Configuration):
 class Scene(Configuration):
     """Panel, its readout, and the effects between the two.
 
-    panel : rows, columns and pitch.
-    readout : the electronics; None where only resistances are known, and then their σ is unknown too.
-    series_resistance_ohm : resistance in series with every two-point resistance (two multiplexer channels) in ohm; a
-        number for all, or one for each line.
-    faults : what is known to be broken, or None.
-    water : how deep the panel stands under water; None: in air, or not known.
-    temperature : of the film, and what it does to its resistance; None: the same throughout, or not known.
-    systematic : errors that all readings may share; 'none': not at all; None: not said, then as electronics of
-        the readout's kind usually are, see `lampest.panel.systematic`.
-    lines : the resistance of rows and columns themselves; None: none.
-    converter_memory : the fraction of the channel converted before that is left in a reading, in volt at the converter;
-        see `lampest.panel.memory`. None: nothing.
-    contacts : resistance between the lines and their terminals, estimated beside the cells; None: none.
-    film : what the film does beside its response curve: hysteresis, creep, bending; None: nothing.
-    response : the film's own curve and its cells' gains, see `lampest.panel.response`; None: there are no
-        pressures.
-    assumed : entries that its file left open, such as readout.readings: their values are lampest's.
-    purpose : 'mat' where nothing can suck at the panel: it is watched for contacts alone, of any form. None: for mouths
-        and cups too.
-    subject, experiment : who was measured and for what; None: not specified. No estimate depends on them.
-    modules : of a panel of modules, what single ones have of their own; all else is the same in all of them.
+    Attributes
+    ----------
+    panel : Panel
+        Rows, columns and pitch.
+    readout : AnyReadout, or None
+        Electronics; None if only resistances are known, whose σ is then unknown.
+    series_resistance_ohm : float or SeriesPerLine
+        Resistance in series with every two-point resistance (two multiplexer channels) in ohm, for all or each line.
+    faults : Faults, or None
+        Known faults.
+    water : Water, or None
+        Depth of the panel under water; None: in air, or unknown.
+    temperature : Temperature, or None
+        Temperature of the film and its effect on resistance; None: constant, or unknown.
+    systematic : Systematic or {'none'}, or None
+        Errors that all readings may share. 'none': excluded. None: those usual for the readout's kind, see
+        `lampest.panel.systematic`.
+    lines : Lines, or None
+        Resistance of rows and columns themselves; None: zero.
+    converter_memory : float, or None
+        Fraction of the previously converted channel that remains in a reading, in volt at the converter; see
+        `lampest.panel.memory`. None: zero.
+    contacts : Contacts, or None
+        Resistance between the lines and their terminals, estimated beside the cells; None: none.
+    film : Film, or None
+        Hysteresis, creep and bending of the film; None: absent.
+    response : AnyResponse, or None
+        Response curve of the film and gains of its cells, see `lampest.panel.response`; None: no pressures.
+    assumed : tuple of str
+        Entries that the scene's file leaves to lampest's defaults, such as readout.readings.
+    purpose : {'mat'}, or None
+        'mat': contacts of any form, no suction. None: mouths and cups too.
+    subject, experiment : MeasuredSubject, or None
+        Measured subject and purpose; None: unspecified. No estimate depends on them.
+    modules : tuple of OwnOfModule, or None
+        Deviations of single modules of a panel of modules.
 
     >>> lampest.Scene(lampest.Panel(2, 3), lampest.TwoPointReadout(), 140.0).series_text
     '140 ohm'

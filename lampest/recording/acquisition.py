@@ -94,12 +94,12 @@ class Acquisition(Validated):
             return None
 
     @classmethod
-    def read(cls, file: h5py.File, kept: slice) -> "Acquisition | None":
+    def read(cls, file: h5py.File, part: slice) -> "Acquisition | None":
         """Read some frames of the group of an open file; None without the group. Raises InputError."""
         if not hdf5.has(file, PATH):
             return None
         fields: dict[str, Any] = {
-            name: hdf5.read_array(file, f"{PATH}/{name}", 1, part=kept, kind=None if kind == "f8" else kind)
+            name: hdf5.read_array(file, f"{PATH}/{name}", 1, part=part, kind=None if kind == "f8" else kind)
             for name, kind, *_ in FRAME_FIELDS
         }
         times, labels = np.zeros(0), tuple[str, ...]()
@@ -196,9 +196,9 @@ def recorded_of_sums(scene: Scene, sums: NDArray[Any], readings: int) -> Array:
     """Return recorded readings of sums of codes (…, rows, columns), by the readout of each module; NaN for NO_SUM."""
     layout = scene.panel.modules
     parts = sums[..., None, :, :] if layout is None else layout.split(sums)
-    found = np.full(parts.shape, np.nan)
+    recorded = np.full(parts.shape, np.nan)
     for own, numbers in ((scene, (0,)),) if layout is None else scene.alike:
         assert own.readout is not None
-        found[..., numbers, :, :] = own.readout.recorded_from_sums(parts[..., numbers, :, :], readings)
-    found[parts == NO_SUM] = np.nan
-    return found[..., 0, :, :] if layout is None else layout.joined(found)
+        recorded[..., numbers, :, :] = own.readout.recorded_from_sums(parts[..., numbers, :, :], readings)
+    recorded[parts == NO_SUM] = np.nan
+    return recorded[..., 0, :, :] if layout is None else layout.joined(recorded)

@@ -44,19 +44,19 @@ def stand_in_spread(value: Array, known: NDArray[np.bool_]) -> Array:
 def _polished(value: Array, known: NDArray[np.bool_]) -> tuple[Array, Array]:
     """Return the median polish of log y: (m + a_j + b_k, variance of effects of unknown lines), (…, rows, columns)."""
     # Source: Tukey, Exploratory Data Analysis, 1977, chapter 11.
-    rest = np.where(known, np.log(np.where(known, value, 1.0)), np.nan)
-    expected, between = _median(rest.reshape(*rest.shape[:-2], 1, -1), -1), np.zeros(rest.shape)
-    rest = rest - expected
-    effects = {axis: np.zeros_like(_median(rest, axis)) for axis in (-1, -2)}
+    residual = np.where(known, np.log(np.where(known, value, 1.0)), np.nan)
+    expected, between = _median(residual.reshape(*residual.shape[:-2], 1, -1), -1), np.zeros(residual.shape)
+    residual = residual - expected
+    effects = {axis: np.zeros_like(_median(residual, axis)) for axis in (-1, -2)}
     for _ in range(6):  # panels of 3 × 3 to 64 × 64 with holes change by less than their spread after two
         for axis in effects:
-            step = _median(rest, axis)
-            effects[axis], rest = effects[axis] + step, rest - step
+            step = _median(residual, axis)
+            effects[axis], residual = effects[axis] + step, residual - step
     for axis, effect in effects.items():
-        some, other = known.any(axis=axis, keepdims=True), -3 - axis
-        count = np.maximum(some.sum(axis=other, keepdims=True), 1)
-        mean = np.where(some, effect, 0.0).sum(axis=other, keepdims=True) / count
-        square = np.where(some, (effect - mean) ** 2, 0.0).sum(axis=other, keepdims=True) / count
+        some, across = known.any(axis=axis, keepdims=True), -3 - axis
+        count = np.maximum(some.sum(axis=across, keepdims=True), 1)
+        mean = np.where(some, effect, 0.0).sum(axis=across, keepdims=True) / count
+        square = np.where(some, (effect - mean) ** 2, 0.0).sum(axis=across, keepdims=True) / count
         expected = expected + np.where(some, effect, mean)
         between = between + np.where(some, 0.0, square)
     return expected, between
@@ -73,9 +73,16 @@ def _median(values: Array, axis: int) -> Array:
 class Readings:
     """Readings of the network alone, any leading shape + (rows, columns), in the readout's unit (ohm or volt).
 
-    value : positive; where nothing is seen, what its row and column let expect (`stand_in`).
-    sigma : the same unit, or None; where nothing is seen the frame's geometric mean.
-    side : 0 a value, 1 the truth is at least this, -1 at most. seen : 1, or 0 where it is missing.
+    Attributes
+    ----------
+    value : array
+        Positive; a missing reading has the stand-in from its row and column (`stand_in`).
+    sigma : array, or None
+        Standard deviations; those of missing readings are the frame's geometric mean.
+    side : array
+        0 for a value, 1 if the truth is at least this, -1 if at most.
+    seen : array
+        1, or 0 for a missing reading.
 
     >>> lampest.Readings.of(recording.scene, recording.recorded).value.shape
     (4, 2, 3)
@@ -163,9 +170,9 @@ class Readings:
         """Return the readings of the whole image from those of its modules, in the order of their numbers."""
         return parts[0].together(*parts[1:], axis=-3).each(layout.joined)
 
-    def together(self, *others: "Readings", axis: int = 0) -> "Readings":
+    def together(self, *frames: "Readings", axis: int = 0) -> "Readings":
         """Return frames (rows, columns) as (frames, rows, columns); σ is unknown if it is for one of them."""
-        parts = (self, *others)
+        parts = (self, *frames)
         value, side, seen = (
             np.stack([getattr(part, name) for part in parts], axis) for name in ("value", "side", "seen")
         )
@@ -340,9 +347,9 @@ def _standing_in(value: Array, side: Array, whole: Array, seen: Array | None = N
         return value
     known = ((whole if seen is None else seen) > 0) & (side == VALUE)
     shape = (-1, *value.shape[-2:])
-    filled, plain, there = value.copy().reshape(shape), known.reshape(shape), (whole > 0).reshape(shape)
-    odd = ~there.all(axis=(1, 2))
-    filled[odd] = np.where(there[odd], filled[odd], stand_in(filled[odd], plain[odd]))
+    filled, plain, present = value.copy().reshape(shape), known.reshape(shape), (whole > 0).reshape(shape)
+    odd = ~present.all(axis=(1, 2))
+    filled[odd] = np.where(present[odd], filled[odd], stand_in(filled[odd], plain[odd]))
     return filled.reshape(value.shape)
 
 

@@ -20,15 +20,23 @@ LEAST_VOLT, MOST_VOLT = 1e-3, 1e3  # V: a thermocouple's; low voltage by IEC 600
 class Converter(Configuration):
     """Codes from 0 to 2^bits − 1 over voltages from 0 to full scale, which is the supply unless a kind says otherwise.
 
-    supply_volt : supply of the circuit and reference of the converter in volt.
-    adc_bits : resolution of the converter.
-    readings : conversions that are averaged for one cell.
-    noise_lsb : standard deviation of one reading before quantisation, in least significant bits; a number or one for
-        each driven line (`noisy_side`). 'estimated': as the unloaded frames show it. None: not said; then as five or
-        more unloaded frames show it, else USUAL_NOISE_LSB.
-    floor_code : codes at or below it were not recorded: such a reading, zero or infinite by its unit, says only that.
-    passes_volt : the least and the largest voltage that a stage before the converter passes: a reading within its noise
-        of either says only that. None: as frames show it.
+    Attributes
+    ----------
+    supply_volt : float
+        Supply of the circuit and reference of the converter in volt.
+    adc_bits : int
+        Resolution of the converter.
+    readings : int
+        Conversions that are averaged for one cell.
+    noise_lsb : PerLine or {'estimated'}, or None
+        Standard deviation of one reading before quantisation, in least significant bits; a number or one for each
+        driven line (`noisy_side`). 'estimated': from the unloaded frames. None: from five or more unloaded frames, else
+        USUAL_NOISE_LSB.
+    floor_code : int, or None
+        Codes at or below it were not recorded: such a reading, zero or infinite by its unit, is a bound.
+    passes_volt : tuple[float, float], or None
+        Smallest and largest voltage that a stage before the converter passes; a reading within its noise of either is
+        a bound. None: from the frames.
     """
 
     supply_volt: float = 5.0

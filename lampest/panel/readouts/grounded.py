@@ -24,14 +24,26 @@ class GroundedReadout(DrivenReadout):
     idle ones floating: ties 1/Rd_i and none, and k_j = 1 + Z_jj/(Rc_j + Rs_j) is what the load does to the line that
     is read.
 
-    driven : the lines that are driven, one after the other. sense : see above.
-    polarity : 'up': the driven line is put to the supply, idle ones and loads lead to ground; 'down': the driven line
-        is put to ground, idle ones and loads (internal pull-ups) to the supply; the converter then sees Vcc − V.
-    load_ohm : Rs, a number or one for each sensed line. drive_ohm : Rd, output and channel of every driven line; a
-        number or one for each driven line. Zero is taken for a micro-ohm. sense_ohm : Rc, the channel between every
-        sensed line and its load; a number or one for each sensed line.
-    input_ohm : input resistance of the converter, parallel to the load; None: none that matters.
-    supply_volt, adc_bits, readings, noise_lsb : see `Converter`.
+    Attributes
+    ----------
+    driven : Side
+        Side whose lines are driven, one after the other.
+    sense : {'all', 'one'}
+        Loads that are connected at a time, see above.
+    polarity : {'up', 'down'}
+        'up': the driven line is put to the supply, idle ones and loads lead to ground; 'down': the driven line is put
+        to ground, idle ones and loads (internal pull-ups) to the supply; the converter then sees Vcc − V.
+    load_ohm : PerLine
+        Rs, a number or one for each sensed line.
+    drive_ohm : PerLine
+        Rd, output and channel of every driven line; a number or one for each driven line. Zero is taken for a
+        micro-ohm.
+    sense_ohm : PerLine
+        Rc, the channel between every sensed line and its load; a number or one for each sensed line.
+    input_ohm : float, or None
+        Input resistance of the converter, parallel to the load; None: none that matters.
+    supply_volt, adc_bits, readings, noise_lsb
+        See `Converter`.
 
     The network's reading is the voltage across the load, for either polarity. No bound but r > 0 holds: other cells
     raise and lower a reading. Raises ValueError where a number is out of range. Source: node analysis with Z =
@@ -81,11 +93,22 @@ class VirtualGroundReadout(DrivenReadout):
     its reference. What is recorded is how far, a positive number, from 0 to the end of the converter's range; both ends
     are rails.
 
-    driven : the lines that are driven, one after the other.
-    drive_ohm : Rd, output and channel of every driven line. sense_ohm : Rc, between every sensed line and the
-        amplifier. feedback_ohm : Rf. Each a number or one for each line. Rd and Rc of zero are taken for a micro-ohm.
-    drive_volt : U, and converter_volt : the end of the converter's range, in volt; each is supply_volt if absent.
-    supply_volt, adc_bits, readings, noise_lsb : see `Converter`.
+    Attributes
+    ----------
+    driven : Side
+        Side whose lines are driven, one after the other.
+    drive_ohm : PerLine
+        Rd, output and channel of every driven line.
+    sense_ohm : PerLine
+        Rc, between every sensed line and the amplifier.
+    feedback_ohm : PerLine
+        Rf. Each is a number or one for each line; Rd and Rc of zero count as a micro-ohm.
+    drive_volt : float, or None
+        U in volt; None: supply_volt.
+    converter_volt : float, or None
+        End of the converter's range in volt; None: supply_volt.
+    supply_volt, adc_bits, readings, noise_lsb
+        See `Converter`.
 
     No bound but r > 0 holds: other cells raise and lower a reading. Raises ValueError where a number is out of range.
     Source: node analysis with Z = (L(g) + diag(t))⁻¹, t = 1/Rd at the driven and 1/Rc at the sensed lines.

@@ -17,9 +17,16 @@ LEAST_OHM, MOST_OHM = 1e-6, 1e9
 class LineNumber:
     """A number of the electronics that known resistors in place of the cells determine.
 
-    name : its key in a scene, dotted where it is a part's. sides : whose lines have one each; where both have, a
-    reading has their sum; none: it is one for all. channel : whether it is a multiplexer's channel, or with one, rather
-    than a resistor. in_scene : whether the key is the scene's, and not the readout's.
+    Attributes
+    ----------
+    name : str
+        Key in a scene, dotted if it belongs to a part.
+    sides : tuple of Side
+        Sides whose lines have one number each; with both, a reading has their sum. (): one number for all.
+    channel : bool
+        Whether the number is, or includes, the resistance of a multiplexer's channel.
+    in_scene : bool
+        Whether the key is the scene's, and not the readout's.
     """
 
     name: str

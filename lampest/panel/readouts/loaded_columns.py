@@ -74,14 +74,23 @@ class LoadedColumnsReadout(DrivenReadout):
 
     Behind a diode it is V = U·Z_ij/(Rd_i + Z_ii), U what the diode leaves of Vcc; see `Diode.left`.
 
-    driven : the lines that are driven, one after the other.
-    polarity : 'up': the driven line is put to the supply and loads lead to ground; 'down': the driven line is put to
-        ground and loads lead to the supply (internal pull-ups), so that the converter sees Vcc − V.
-    load_ohm : Rs, a number or one for each sensed line. drive_ohm : Rd, between the supply and the driven line, the
-        channel included; a number or one for each driven line.
-    diode : in series with Rd, or None. input_ohm : input resistance of the converter, parallel to every load; None:
-        none that matters.
-    supply_volt, adc_bits, readings, noise_lsb : see `Converter`.
+    Attributes
+    ----------
+    driven : Side
+        Side whose lines are driven, one after the other.
+    polarity : {'up', 'down'}
+        'up': the driven line is put to the supply and loads lead to ground; 'down': the driven line is put to ground
+        and loads lead to the supply (internal pull-ups), so that the converter sees Vcc − V.
+    load_ohm : PerLine
+        Rs, a number or one for each sensed line.
+    drive_ohm : PerLine
+        Rd, between the supply and the driven line, the channel included; a number or one for each driven line.
+    diode : Diode, or None
+        In series with Rd, or None.
+    input_ohm : float, or None
+        Input resistance of the converter, parallel to every load; None: none that matters.
+    supply_volt, adc_bits, readings, noise_lsb
+        See `Converter`.
 
     The network's reading is the voltage across the load, for either polarity. Raises ValueError where a number is out
     of range. Source: node analysis with Z = (L(g) + diag(t))⁻¹, t = 1/Rs at the sensed lines.

@@ -138,11 +138,20 @@ class Ladder:
     lines of one side are rungs, the others' wire the rails. The rungs passed so far are a source with an internal
     conductance, to which each rung adds its own and each segment of the rails its resistance. Costs long·short³.
 
-    swapped : whether the columns are the rungs. outer, inner : steps that put rungs and their cells in order; rungs
-    enter at their first cell, rails leave at the last. rung : (rungs, n, n) siemens, of every rung's own K⁻¹.
-    passed : (rungs, n, n), the share of the current that gets through the next segment of the rails. shown : (rungs, n,
-    n) siemens, the conductance of all rungs so far beyond that segment. segment_ohm : (rungs, n) of the rails, the
-    contacts in the last.
+    Attributes
+    ----------
+    swapped : bool
+        Whether the columns are the rungs.
+    outer, inner : slice
+        Steps that put rungs and their cells in order; rungs enter at their first cell, rails leave at the last.
+    rung : array
+        (rungs, n, n) siemens, of every rung's own K⁻¹.
+    passed : array
+        (rungs, n, n), the share of the current that gets through the next segment of the rails.
+    shown : array
+        (rungs, n, n) siemens, the conductance of all rungs so far beyond that segment.
+    segment_ohm : array
+        (rungs, n) of the rails, the contacts in the last.
     """
 
     swapped: bool

@@ -77,10 +77,22 @@ def declared_readout(hello: Hello) -> TwoPointReadout | LoadedColumnsReadout:
 class Sample:
     """Frame with its place in the recording.
 
-    time : s since the first frame, by the board's clock; across a restart of the board by the host's. host_time : s
-    since 1970-01-01 UTC. lost : frames missing before this one. session : number of restarts and reconnections before
-    it, and of times the board's numbers began anew. clock_jump : whether the board's clock jumped before it.
-    missing : of an image of modules, how many that are read are not in it. events : what is marked at its time.
+    Attributes
+    ----------
+    time : float
+        Time since the first frame in s, by the board's clock; across a restart of the board by the host's.
+    host_time : float
+        Arrival in s since 1970-01-01 UTC.
+    lost : int
+        Frames missing before this one.
+    session : int
+        Number of restarts, reconnections and new starts of the board's numbers before the frame.
+    clock_jump : bool
+        Whether the board's clock jumped before it.
+    missing : int
+        Number of modules that are read but absent from the image.
+    events : tuple of str
+        Labels marked at this time.
     """
 
     frame: Frame
@@ -111,9 +123,20 @@ class Scanning:
     jumped if the numbers went on, and the numbers began anew if the clock did. A clock that stands still costs no
     frame.
 
-    session : of the next frame. last : the recording's newest sample. before, earlier : the two newest of this run.
-    stray : a frame that followed none. stopped : whether the clock stands still. since : s since 1970-01-01 UTC, when
-    the board was started.
+    Attributes
+    ----------
+    session : int
+        Session of the next frame.
+    last : Sample, or None
+        The recording's newest sample.
+    before, earlier : Sample, or None
+        The two newest samples of this run.
+    stray : Frame, or None
+        Frame that followed no other.
+    stopped : bool
+        Whether the clock stands still.
+    since : float
+        Start of the board in s since 1970-01-01 UTC.
     """
 
     hello: Hello
@@ -319,9 +342,9 @@ class _Line:
                         raise
                 heard = time.monotonic()
 
-    def _taken(self, run: Scanning, found: Sequence[Message]) -> tuple[Scanning, tuple[Sample, ...], bool]:
+    def _taken(self, run: Scanning, messages: Sequence[Message]) -> tuple[Scanning, tuple[Sample, ...], bool]:
         samples: tuple[Sample, ...] = ()
-        for item in found:
+        for item in messages:
             more, instead = tuple[Sample, ...](), "answers"
             if isinstance(item, Frame):
                 fits = (*item.sums.shape, item.readings) == run.hello.size

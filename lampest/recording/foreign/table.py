@@ -53,9 +53,18 @@ class FieldLine(NamedTuple):
 class FieldLines:
     """Nonempty lines of a text or of a sheet, comments included.
 
-    word : 'line' or 'row'. at : a line's number and a field or None → where in the file. fields : (lines, width) texts,
-    '' where a line ends earlier. counts : (lines) fields of each. comment, blank : (lines) whether it is a comment,
-    whether an empty line stands before.
+    Attributes
+    ----------
+    word : str
+        'line' or 'row'.
+    at : callable
+        Line number and field or None → place in the file.
+    fields : array
+        (lines, width) texts, '' beyond the end of a line.
+    counts : array of int
+        (lines) number of fields.
+    comment, blank : array
+        (lines) whether a line is a comment, and whether an empty line stands before it.
     """
 
     source: str
@@ -227,9 +236,22 @@ def _text_of_cell(value: Any) -> str:
 class ReadingsTable:
     """Lines and columns of a file that hold readings.
 
-    lines : of the file. columns : its fields. fields : (lines, columns) texts. values : their numbers, NaN for none.
-    words : whether a text is neither a number nor a missing reading. comma : whether numbers have a decimal comma.
-    names : of the columns, '' without a header.
+    Attributes
+    ----------
+    lines : array of int
+        Lines of the file.
+    columns : array of int
+        Fields of these lines.
+    fields : array
+        (lines, columns) texts.
+    values : array
+        Numbers of the texts, NaN for none.
+    words : array
+        Whether a text is neither a number nor a missing reading.
+    comma : bool
+        Whether numbers have a decimal comma.
+    names : tuple of str
+        Names of the columns, '' without a header.
     """
 
     source: FieldLines

@@ -65,15 +65,15 @@ def read_simulations(path: Path, settings: tuple[str, ...] = ()) -> list[tuple[s
     1
     """
     document = read_document(path, settings)
-    found: dict[str, Simulation] = {}
+    simulations: dict[str, Simulation] = {}
     planned = combinations(document, lambda varied: cast(Simulation, validated(_drawn(varied), Simulation)))
     for number, case in enumerate(planned, start=1):
         template = case.value.output or f"{path.stem}{'_{case:03d}' if len(planned) > 1 else ''}.h5"
         name = _filled(document, template, case.value.seed, number, case.assignments)
-        if name in found:
+        if name in simulations:
             raise document.error(("output",), f"two recordings would be written to {name}; name the swept values in it")
-        found[name] = dataclasses.replace(case.value, output=name)
-    return list(found.items())
+        simulations[name] = dataclasses.replace(case.value, output=name)
+    return list(simulations.items())
 
 
 def _drawn(document: Document) -> Document:

@@ -24,26 +24,48 @@ SHORT_OHM, OPEN_OHM = 1e-3, 1e12  # a strip of copper tape, and the insulation b
 class Unmodelled(Configuration):
     """Effects that enter the data but not the recording's scene. Zero or None: absent.
 
-    series_resistance_ohm : series resistance that the scene is silent about, on top of the one it names.
-    channel_spread_ohm : standard deviation of the on-resistance of a multiplexer's channels, one for each line.
-    reference_tolerance : the reference resistor is off by up to this fraction, drawn uniformly.
-    drift_per_minute : standard deviation of the rate at which the logarithm of a cell's resistance drifts;
-        common_drift_per_minute : the rate of all cells alike, beside that.
-    leak_ohm : resistance between each line and the next one. contact_ohm : so much more in series with one row, which
-        is drawn. begins_s : when these two begin, after the first frame; None: with it.
-    saturation : the share of the supply beyond which a stage before the converter passes no voltage.
-    outlier_probability : chance that one reading is a random code instead of a conversion.
-    noise_factor : the noise of one reading is so many times what the scene says.
-    supply_ripple_lsb, supply_ripple_hz : amplitude and frequency of a sine on what the converter sees, its phase drawn
-        for every frame. Without a frequency one period is as long as the scan of a line.
-    gain_spread : standard deviation of a frame's gain, drawn for every frame: all its voltages by one factor.
-    load_speed_mm_s : loads travel along x by TRAVEL_MM to and fro, also while the lines are scanned one after the
-        other; the truth is that of the middle of the scan.
-    inl_lsb : the largest deviation of the converter's curve from a straight line, smooth, in least significant bits.
-    wire_ohm_per_cell : resistance of rows and columns from cell to cell, on top of what the scene says, in ohm.
-    reading_error : standard deviation of the logarithm of a factor on each recorded reading, the same in all frames.
-    response_loss : a film answers by this fraction less, in the logarithm of its resistance; response_spread : standard
-        deviation of the logarithm of a factor on each cell's answer.
+    Attributes
+    ----------
+    series_resistance_ohm : float
+        Series resistance in addition to the scene's.
+    channel_spread_ohm : float
+        Standard deviation of the on-resistance of a multiplexer's channels, one for each line.
+    reference_tolerance : float
+        Largest relative error of the reference resistor, drawn uniformly.
+    drift_per_minute : float
+        Standard deviation of the drift rates of cells, of the logarithm of their resistance.
+    common_drift_per_minute : float, or None
+        Drift rate of all cells, in addition.
+    leak_ohm : float, or None
+        Resistance between each line and the next one.
+    contact_ohm : float, or None
+        Additional resistance in series with one row, which is drawn.
+    begins_s : float, or None
+        Time after the first frame at which leak and contact begin; None: 0.
+    saturation : float, or None
+        Share of the supply at which a stage before the converter clips.
+    outlier_probability : float
+        Chance that one reading is a random code instead of a conversion.
+    noise_factor : float, or None
+        Factor on the scene's noise of one reading.
+    supply_ripple_lsb, supply_ripple_hz : float, or None
+        Amplitude and frequency of a sine at the converter, with a random phase in every frame. None: one period is as
+        long as the scan of a line.
+    gain_spread : float, or None
+        Standard deviation of a factor on all voltages of a frame, drawn for every frame.
+    load_speed_mm_s : float, or None
+        Speed of loads along x, to and fro over TRAVEL_MM, also during a scan; the truth is that of the middle of the
+        scan.
+    inl_lsb : float, or None
+        Largest, smooth deviation of the converter's curve from a straight line, in least significant bits.
+    wire_ohm_per_cell : float, or None
+        Resistance of rows and columns from cell to cell, in addition to the scene's, in ohm.
+    reading_error : float, or None
+        Standard deviation of the logarithm of a factor on each recorded reading, the same in all frames.
+    response_loss : float, or None
+        Fraction by which the film's answer is smaller, in the logarithm of its resistance.
+    response_spread : float, or None
+        Standard deviation of the logarithm of a factor on each cell's answer.
 
     >>> lampest.Unmodelled(channel_spread_ohm=3.0).channel_spread_ohm
     3.0
@@ -142,17 +164,17 @@ def measured(
 
 def _read(actual: Readout, scene: Scene, cells: Array, unmodelled: Unmodelled, seed: int, period_s: float) -> Array:
     """Return readings of cells (frames, rows, columns) ohm, with a leak and a contact from their begin on."""
-    begin, there = int(np.ceil((unmodelled.begins_s or 0.0) / period_s)), np.where(scene.panel.present, cells, np.inf)
-    whole = actual.simulated(there, scene, *_channel_errors(scene, unmodelled, seed, late=False))
+    begin, cells = int(np.ceil((unmodelled.begins_s or 0.0) / period_s)), np.where(scene.panel.present, cells, np.inf)
+    whole = actual.simulated(cells, scene, *_channel_errors(scene, unmodelled, seed, late=False))
     if unmodelled.contact_ohm:
-        late = actual.simulated(there, scene, *_channel_errors(scene, unmodelled, seed, late=True))
+        late = actual.simulated(cells, scene, *_channel_errors(scene, unmodelled, seed, late=True))
         whole[begin:] = late[begin:]
     if unmodelled.leak_ohm is None:
         return whole
     reading = actual.from_recorded(whole, scene)
     leak = LineLeak(neighbours(*scene.panel.shape), size=1 / unmodelled.leak_ohm)
-    for frame in range(begin, len(there)):
-        network = actual.network(there[frame], actual.ties(reading[frame]), scene.wiring)
+    for frame in range(begin, len(cells)):
+        network = actual.network(cells[frame], actual.ties(reading[frame]), scene.wiring)
         reading[frame] += disturbance((leak,), scene, network)
     return actual.to_recorded(reading, scene)
 

@@ -28,10 +28,16 @@ MOMENTS, AT_ONCE = 8, 64  # within a frame's period at which the film feels the 
 class Course(Configuration):
     """Factors of contact and suction over time; by default the load is complete from the first moment.
 
-    start_s : first touch, in seconds after the first measured frame; negative: before it, after the last unloaded one.
-    approach_s, attachment_s : how long the contact grows to its full pressure, and then the suction; 0: at once.
-    breathing_hz, breathing_depth : rhythm and relative amplitude by which contact and suction swing together.
-    release_at_s, release_s : when the release begins, and how long it takes; None: never.
+    Attributes
+    ----------
+    start_s : float
+        First touch, in seconds after the first measured frame; negative: before it, after the last unloaded one.
+    approach_s, attachment_s : float
+        Duration of the growth of contact pressure, and then of suction; 0: a step.
+    breathing_hz, breathing_depth : float
+        Frequency and relative amplitude of the common oscillation of contact and suction.
+    release_at_s, release_s : float, or None
+        Start and duration of the release; None: never.
 
     >>> lampest.Course(start_s=1.0).start_s
     1.0
@@ -91,13 +97,28 @@ class Cells(Configuration):
 class Simulation(Configuration):
     """Definition of a simulated recording.
 
-    seed : every random number follows from it. scene : what the estimator gets. cells : the unloaded cells.
-    baseline_frames, frames : unloaded frames (role 0), then measured ones (role 1). frame_period_s : between frames.
-    loads, course : what touches the panel, and when; absent in the unloaded frames.
-    water, film, response : how deep the panel truly stands, what the film truly does beside its response, and how it
-        answers to pressure, where the scene leaves that open or is wrong; None: as the scene says.
-    unmodelled : effects that the scene does not name.
-    output : where the recording goes, relative to the file that says so.
+    Attributes
+    ----------
+    seed : int
+        Seed of all random numbers.
+    scene : Scene
+        Scene that the estimator gets.
+    cells : Cells
+        The unloaded cells.
+    baseline_frames, frames : int
+        Unloaded frames (role 0), then measured ones (role 1).
+    frame_period_s : float
+        Time between frames.
+    loads : tuple of AnyShape
+        Loads on the panel, absent in the unloaded frames.
+    course : Course
+        Contact and suction over time.
+    water, film, response : Water, Film, AnyResponse, or None
+        True depth, film and response, where the scene leaves them open or is wrong; None: as the scene says.
+    unmodelled : Unmodelled
+        Effects that the scene does not name.
+    output : str, or None
+        Path of the recording, relative to the simulation's file.
 
     >>> lampest.Simulation(schema=1, seed=1, scene=recording.scene, frames=2).frames
     2
