@@ -97,13 +97,22 @@ class Readings:
     def of(cls, scene: Scene, recorded: Array, sigma: Array | None = None) -> "Readings":
         """Return the network's readings of recorded values; one frame (rows, columns) or many.
 
-        Missing: NaN, a reading whose σ is not finite, what the scene's faults make blind. A bound: what lies at or
-        beyond a rail of the converter, infinity, and a resistance that is below three σ once the series resistance is
-        off. Bounds without a number are the largest or smallest value of their frame.
+        Missing are NaN, readings whose σ is not finite, and those that the scene's faults make blind. Bounds are values
+        at or beyond a rail of the converter, infinity, and resistances below NOISE_REACH σ without the series
+        resistance. Bounds without a number are the largest or smallest value of their frame.
 
-        recorded : what the readout's equation gives: ohm of two-point readouts, series resistance included; else volt.
-        sigma : same shape or (rows, columns), same unit, or None: then the readout's.
-        Raises InputError where shapes disagree, or a σ is zero or negative.
+        Parameters
+        ----------
+        scene : Scene
+        recorded : array, shape (rows, columns) or (frames, rows, columns)
+            In ohm for two-point readouts, series resistance included; else in volt.
+        sigma : array, same shape or (rows, columns), or None
+            Standard deviations in the same unit; None: the readout's.
+
+        Raises
+        ------
+        InputError
+            If shapes disagree, or a σ is not positive.
         """
         if not isinstance(scene, Scene):
             raise InputError(f"Readings.of: scene must be a Scene, not {in_words(scene)}")

@@ -37,21 +37,34 @@ class Recording(Validated):
 
     Parameters
     ----------
-    scene : panel, readout and series resistance as the estimator gets them.
-    recorded : (frames, rows, columns) ohm of two-point readouts, series resistance included; else volt at the
-        converter. Missing: NaN. For bounds see `Readings.of`.
-    time : (frames) s.
-    role : (frames) 0 unloaded baseline, 1 measured.
-    sigma : (frames, rows, columns) or (rows, columns), the same unit, or None: then the readout's.
-    truth_cell_resistance, truth_pressure : (frames, rows, columns) ohm and kPa, or None.
-    raw_sums, raw_readings : (frames, rows, columns) sums of that many ADC codes, or None.
-    name : what results call it (the file's stem).
-    simulation : of simulated ones, all that made them, as YAML text, or None.
-    acquisition : of those from a board, its clocks, gaps and events, or None.
-    start_time : date and time at 0 s, ISO 8601, with its zone where that is known, or None.
-    number : (frames) which of a longer recording's frames these are; None: all there are.
+    scene : Scene
+        Scene that the estimator gets.
+    recorded : array, shape (frames, rows, columns)
+        In ohm for two-point readouts, series resistance included; else in volt at the converter. NaN if missing; for
+        bounds see `Readings.of`.
+    time : array, shape (frames,)
+        Times of the frames in s.
+    role : array, shape (frames,)
+        0 for the unloaded baseline, 1 for measured frames.
+    sigma : array, shape (frames, rows, columns) or (rows, columns), or None
+        Standard deviations in the same unit; None: the readout's.
+    truth_cell_resistance, truth_pressure : array, shape (frames, rows, columns), or None
+        Truth of simulated recordings, in ohm and kPa.
+    raw_sums : array, shape (frames, rows, columns), or None
+        Sums of `raw_readings` codes of the converter.
+    raw_readings : int, or None
+    name : str
+        Name in results; the file's stem.
+    simulation : str, or None
+        Definition of a simulated recording as YAML.
+    acquisition : Acquisition, or None
+        Clocks, gaps and events of a recording from a board.
+    start_time : str, or None
+        Date and time at 0 s, ISO 8601, with the zone if it is known.
+    number : array, shape (frames,), or None
+        Indices of the frames in a longer recording; None: these are all frames.
 
-    Raises InputError where shapes disagree, times decrease, or a σ is zero or negative.
+    Raises InputError if shapes disagree, times decrease, or a σ is not positive.
 
     >>> recording
     Recording(mine: 4 frames (2 unloaded) of 2 × 3 cells, 0 to 3 s)

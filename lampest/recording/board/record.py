@@ -165,14 +165,10 @@ def record(  # noqa: PLR0913 # the options of a command
             raise InputError(f"{out}: ended before the first frame; nothing is written")
         short = seconds is not None and not asked() and count["frames"] != frames
         silent = max((seconds or 0.0) - last.time - last.period, 0.0) if short else 0.0
-        counts: Any = {name: count[name] for name in ("frames", "lost", "clock_jumps", "parted", "behind")}
-        counts |= {
-            "clock_stopped": count["clock_stopped"] > 0,
-            "ended_by": asked(),
-            "noise_lsb": made[2],
-            "silent": round(silent, 3),
-        }
-        return Recorded(path=out, scene=made[0], restarts=last.session, **counts)
+        counts: Any = {**count, "clock_stopped": count["clock_stopped"] > 0}
+        scene, _, noise = made
+        ending: Any = {"ended_by": asked(), "noise_lsb": noise, "silent": round(silent, 3)}
+        return Recorded(path=out, scene=scene, restarts=last.session, **counts, **ending)
 
 
 class Recorder:
