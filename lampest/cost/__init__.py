@@ -1,1 +1,1 @@
-"""The cost function: terms, losses, what a term is given, the compiled cost, the estimation problem."""
+"""The cost function: terms, losses, given inputs, the compiled cost, the estimation problem."""

@@ -1,7 +1,7 @@
 """The cost function: terms over one frame, or over a baseline and its first frame jointly, with sparse derivatives.
 
 φ = Σ_terms weight · loss(residual). This module is symbolic; values and the way from potentials to cells are elsewhere.
-Weights are parameters of what is compiled: costs that differ in nothing else share it.
+Weights are parameters of the compiled functions: costs that differ in nothing else share these.
 """
 
 from collections.abc import Iterable, Sequence

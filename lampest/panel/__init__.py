@@ -1,1 +1,1 @@
-"""The panel and its circuit: numbering, what a scene names, the network of cells, the electronics that read it."""
+"""The panel and its circuit: numbering, scene, network of cells, readout electronics."""

@@ -77,7 +77,7 @@ class Compiled(CasadiOwner):
 
     @cached_property
     def _buffer(self) -> tuple[Any, Any, list[Array], Array]:
-        """(buffer, what evaluates it, its arguments, its result): arrays that stay where they are."""
+        """Buffer, trigger of the evaluation, arguments and result: arrays with fixed addresses."""
         buffer: Any
         buffer, trigger = self.function.buffer()
         held: list[Array] = [np.empty(self.function.nnz_in(number)) for number in range(self.function.n_in())]

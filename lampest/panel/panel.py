@@ -30,7 +30,7 @@ class EachModule(Configuration):
 class Modules(Configuration):
     """rows · columns modules, each as `each` says; module (j, k) has the number j·columns + k.
 
-    seam_mm : what lies between neighbouring cells of two modules beside the pitch, in millimetre. coupled : whether
+    seam_mm : additional distance between neighbouring cells of two modules, in millimetre. coupled : whether
     terms that compare neighbours go over the seams; the image is one problem then.
     """
 
@@ -156,8 +156,8 @@ class Panel(Configuration):
         """Raise InputError if memory cannot hold so many matrices (lines, lines) over the panel's lines."""
         lines = self.rows + self.columns
         if lines > MANY_LINES:
-            what = f"a panel of {self.rows} × {self.columns} cells ({lines} lines)"
-            check_memory(8.0 * matrices * lines**2, what)
+            label = f"a panel of {self.rows} × {self.columns} cells ({lines} lines)"
+            check_memory(8.0 * matrices * lines**2, label)
 
     def centres_mm(self) -> tuple[Array, Array]:
         """Return positions of columns and rows in mm: x_k = k·pitch and y_j = j·pitch, and the seams before them."""

@@ -21,7 +21,7 @@ from lampest.panel.scene import Scene
 
 PATH = "/entry/acquisition"
 LABEL_BYTES = 16
-# name, type, units, what it is; for every frame
+# Fields of every frame: name, type, units, long name.
 FRAME_FIELDS = (
     ("host_time", "f8", "s", "host clock when the frame arrived, since 1970-01-01 UTC"),
     ("device_ms", "u4", "ms", "board clock at the start of the scan"),
@@ -83,7 +83,7 @@ class Acquisition(Validated):
         if self.event_label:
             hdf5.write_dataset(group, "event_time", self.event_time, "s", "time of the event")
             labels = hdf5.ascii_array([label or "?" for label in self.event_label])
-            hdf5.write_dataset(group, "event_label", labels, "1", "what was marked")
+            hdf5.write_dataset(group, "event_label", labels, "1", "label of the event")
 
     def start(self, first: float) -> str | None:
         """Return the host's date and time at 0 s, ISO 8601 in UTC, or None; first : time of the first frame, s."""
@@ -131,9 +131,9 @@ def undamaged_frames(file: h5py.File, scene: Scene, group: str) -> slice:
         return hdf5.ALL
     frames, damaged = damaged_frames(file, scene, group)
     if len(damaged) or not np.all(whole_events(file)):
-        what = f"{len(damaged)} of {frames} frames are damaged, first frame {damaged[0]}" if len(damaged) else ""
+        fault = f"{len(damaged)} of {frames} frames are damaged, first frame {damaged[0]}" if len(damaged) else ""
         raise InputError(
-            f"{file.filename}: {what or 'an event is damaged'}; lampest check --repair keeps what is whole"
+            f"{file.filename}: {fault or 'an event is damaged'}; lampest check --repair keeps the undamaged rest"
         )
     return slice(frames)
 
@@ -158,7 +158,7 @@ def damaged_frames(file: h5py.File, scene: Scene, group: str) -> tuple[int, NDAr
         differs = np.any((expected != recorded) & ~(np.isnan(expected) & np.isnan(recorded)), axis=(1, 2))
         if checked:
             differs |= checksums(columns) != stored_rows(file, (FRAME_CHECKSUM,), part)[0]
-        # Zero is what HDF5 returns for what was never written; a board's codes stand for the middle of their interval.
+        # HDF5 returns zero for unwritten values; a board's codes stand for the middle of their interval.
         elif len(unwritten := np.flatnonzero(np.any(recorded == 0, axis=(1, 2)))):
             frames = begin + int(unwritten[0])
             wrong.append(begin + np.flatnonzero(differs[: unwritten[0]]))

@@ -27,7 +27,7 @@ from lampest.recording.readings import Readings, check_sigma
 FORMAT = "recording/1"
 UNLOADED, MEASURED = ROLES = 0, 1
 TRUTHS = ("/entry/truth/cell_resistance", "/entry/truth/pressure")
-FOREIGN = (".csv", ".txt", ".log", ".tsv", ".xlsx", ".xlsm", ".npy", ".npz", ".mat")  # what `import_file` reads
+FOREIGN = (".csv", ".txt", ".log", ".tsv", ".xlsx", ".xlsm", ".npy", ".npz", ".mat")  # suffixes of `import_file`
 STILL = 0.01  # relative change of readings beyond which a load may have come or gone: far above drift
 
 
@@ -353,11 +353,11 @@ def _scene_of(text: str, where: str) -> Scene:
 
 
 def _check_held(file: h5py.File, signal: str, *datasets: str) -> None:
-    """Raise InputError where a recording is more than the machine can hold, with what the readings become at work."""
+    """Raise InputError if memory cannot hold a recording with the working copies of its readings."""
     shape = hdf5.shape_of(file, signal)
     held = sum(prod(hdf5.shape_of(file, path)) for path in datasets if hdf5.has(file, path))
-    what = f"{file.filename}: {shape[0]} frames of {prod(shape[1:])} cells at once"
-    check_memory(8.0 * (6 * prod(shape) + held), what)  # copies at work: 49 bytes a reading were counted at 100,000,000
+    label = f"{file.filename}: {shape[0]} frames of {prod(shape[1:])} cells at once"
+    check_memory(8.0 * (6 * prod(shape) + held), label)  # 49 bytes a reading were counted at 100,000,000 readings
 
 
 def coordinates(panel: Panel) -> dict[str, tuple[tuple[str, ...], NDArray[Any], str, str]]:

@@ -58,7 +58,7 @@ class StoredRecording:
     def blocks(self) -> tuple[range, ...]:
         """Return the ranges of frames that are estimated and written part by part.
 
-        Where it can be had, a part ends with a chunk of what is written of measured frames.
+        If possible, a part ends with a chunk of the measured frames in results.
         """
         return tuple(self._blocks)
 

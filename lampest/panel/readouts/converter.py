@@ -118,8 +118,8 @@ class Converter(Configuration):
     def sigma_code(self) -> Array:
         """Return σ of the mean of `readings` codes, in LSB: σ² = (noise² + 1/12 − b²)/readings + b².
 
-        b² = Σ_h exp(−4π²h²·noise²)/(2π²h²) is what averaging cannot remove, because without noise all readings agree:
-        1/12 for no noise, 0.0000 above half an LSB. Source: Widrow & Kollár, Quantization Noise, 2008 (dither).
+        b² = Σ_h exp(−4π²h²·noise²)/(2π²h²) is the part that averaging cannot remove: without noise all readings agree.
+        It is 1/12 for no noise, 0.0000 above half an LSB. Source: Widrow & Kollár, Quantization Noise, 2008 (dither).
         """
         # The tail beyond 2000 harmonics is 1/(2π²·2000), and matters only where there is no noise.
         harmonic, noise = np.arange(1, 2001, dtype=float), np.array(self.assumed_noise)

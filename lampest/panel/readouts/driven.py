@@ -4,7 +4,7 @@
 
 U_i : the supply. Idle driven lines are held at ground through their Rd, ties 1/Rd and D_i = Rd_i, or float, no ties and
 D_i = Rd_i + Z_ii. All sensed lines have their loads all the time, ties 1/Rs and k_j = 1, or the one that is read alone,
-no ties and k_j = 1 + Z_jj/Rs_j (Sherman and Morrison). c_j : what the converter sees of a sensed line's voltage.
+no ties and k_j = 1 + Z_jj/Rs_j (Sherman and Morrison). c_j : share of a sensed line's voltage at the converter.
 """
 
 from abc import abstractmethod
@@ -152,7 +152,7 @@ class DrivenReadout(Readout):
         return volt if self.all_loaded else volt / (sensed * (1 / load) + 1)
 
     def apparent_resistance(self, measured: Array) -> Array:
-        """Rs·((Vcc − V_d)·c/V − 1) − Rd: what the naive divider makes of a reading."""
+        """Return Rs·((Vcc − V_d)·c/V − 1) − Rd, the naive divider's resistance of a reading."""
         drive, load, gain = self._circuit(measured.shape[-2:])
         volt = np.maximum(measured / gain, END * self.driving_volt)
         whole = load * (self.driving_volt - self._lost(volt / load)) / volt
@@ -200,7 +200,7 @@ class DrivenReadout(Readout):
     def _driven_potentials(self, conductance: Array, volt: Array, drive: Array, load: Array) -> Array:
         """Return u (sensed, driven, driven) volt of driven lines p, the last axis, while j is read and i is driven.
 
-        conductance, volt : (driven, sensed) siemens, and what sensed lines stand at. drive, load : Rd and Rs.
+        conductance, volt : (driven, sensed) siemens, and voltages of sensed lines. drive, load : Rd and Rs.
         """
         count = len(drive)
         impedance = inverse_of(conductance, np.concatenate([1 / drive, 1 / load if self.all_loaded else 0 * load]))

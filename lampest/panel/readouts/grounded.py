@@ -1,6 +1,6 @@
 """Circuits whose idle driven lines are held at a potential all the time, each through its resistance Rd.
 
-A resistance of zero has no tie; a micro-ohm in its place moves readings by some 1e-8, below what any converter sees.
+A resistance of zero has no tie; a micro-ohm in its place changes readings by 1e-8, below any converter's resolution.
 """
 
 from dataclasses import dataclass

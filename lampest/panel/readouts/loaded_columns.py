@@ -18,8 +18,8 @@ from lampest.panel.readouts.lines import LineNumber, PerLine, Side, lines_text, 
 class Diode(Configuration):
     """V_d = s·ln(1 + I/I_s), I_s such that V_d is drop_volt at at_ampere; Shockley's law.
 
-    drop_volt : at the current at_ampere, as a data sheet says. slope_volt : s = n·kT/q, what an e-fold of current adds
-        to the drop; 2.303 s is a decade's.
+    drop_volt : at the current at_ampere, as in a data sheet. slope_volt : s = n·kT/q, the increase of
+        the drop by an e-fold of current; a decade's is 2.303 s.
 
     >>> lampest.Diode(drop_volt=0.6, at_ampere=1e-3, slope_volt=0.05).drop_volt
     0.6

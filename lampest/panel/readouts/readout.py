@@ -63,7 +63,7 @@ class FreeTest:
 class Readout(Converter, ABC):
     """Base of readouts: the circuit that a kind states; its converter's fields are those of `Converter`.
 
-    A recorded reading lies between 0 and the supply in volt at the converter; see `rails` for what lies beyond.
+    A recorded reading lies between 0 and the supply in volt at the converter; `rails` describes readings beyond.
 
     Attributes
     ----------
@@ -115,7 +115,7 @@ class Readout(Converter, ABC):
     def description(self) -> str:
         """Return the circuit and its numbers with their units, in words."""
 
-    # The circuit: what a kind must state.
+    # The circuit, which every kind states.
 
     @abstractmethod
     def ties(self, measured: Array) -> Array:
@@ -129,7 +129,7 @@ class Readout(Converter, ABC):
     def apparent_resistance(self, measured: Array) -> Array:
         """Return the cells (…, rows, columns) ohm that would give each reading alone on the panel."""
 
-    # What follows from the circuit.
+    # Consequences of the circuit.
 
     def ties_of_parts(self, measured: Array, parts: NDArray[np.intp] | None) -> Array:
         """Return t of a panel whose lines (lines) belong to parts that no cell joins, or None."""
@@ -182,11 +182,11 @@ class Readout(Converter, ABC):
     def common_step(self, measured: Array, expected: Array, chosen: NDArray[np.bool_]) -> float:
         """Return the factor by which all cells grew together; 1 if readings do not show it.
 
-        measured, expected : (rows, columns) readings, and what was expected of them; chosen : those that count.
+        measured, expected : (rows, columns) readings and their prediction; chosen : those that count.
         """
         return 1.0
 
-    # What readings show of the circuit.
+    # Information of readings on the circuit.
 
     def free_tests(self, measured: Array, sigma: Array) -> tuple[FreeTest, ...]:
         """Return inequalities that the circuit's readings (frames, rows, columns) satisfy for any cells.
@@ -202,7 +202,7 @@ class Readout(Converter, ABC):
         """
         return 0.0
 
-    # Between what is recorded and what the network is read by.
+    # Between recorded values and the network's readings.
 
     def from_recorded(self, recorded: Array, scene: Surroundings) -> Array:
         """Return the network's reading of a recorded one, any shape ending in (rows, columns)."""
@@ -232,7 +232,7 @@ class Readout(Converter, ABC):
     def simulated(self, cell_resistance: Array, scene: Surroundings, row_ohm: Array, column_ohm: Array) -> Array:
         """Return recorded readings (frames, rows, columns) of cells, without the converter.
 
-        row_ohm, column_ohm : what every line's channel has in series beyond what the scene specifies, ohm.
+        row_ohm, column_ohm : additional series resistance of every line's channel, ohm.
         """
         return self.to_recorded(self.exact_reading(cell_resistance, scene.wiring), scene)
 

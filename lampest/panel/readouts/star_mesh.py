@@ -96,7 +96,7 @@ def _without_last(weights: Array, count: int, *, shorted: bool) -> Array:
         if not shorted:
             mesh += spokes[:, :, None] * share[:, None, :]
             continue
-        # The limit of one large conductance for all shorts: they share what comes in, and nothing else gets any.
+        # The limit of one large conductance for all shorts: they share all incoming current.
         endless = np.isinf(spokes)
         among = endless / np.maximum(endless.sum(axis=1, keepdims=True), 1)
         share = np.where(np.isinf(total), among, share)

@@ -25,11 +25,11 @@ class TwoPointReadout(Readout):
     supply_volt : divider supply and ADC reference in volt.
     reference_ohm : reference resistor in ohm.
     measured_across : 'reference': R = (Vcc − V)/V · Rref; 'sensor': R = V/(Vcc − V) · Rref.
-    input_ohm : input resistance of the converter, parallel to what it is across; None: none that matters.
+    input_ohm : input resistance of the converter, parallel to the measured resistor; None: none that matters.
     adc_bits, readings, noise_lsb : see `Converter`.
 
-    Recorded is what the divider equation gives, as if the converter took no current, the series resistance of the scene
-    included. Raises ValueError where a number is out of range. Source: paper, equation (1) (across the sensor) and
+    Recorded is the value of the divider equation, as if the converter took no current, with the scene's series
+    resistance. Raises ValueError if a number is out of range. Source: paper, equation (1) (across the sensor) and
     section V.B (across the reference).
 
     >>> lampest.TwoPointReadout(adc_bits=12).unit
@@ -154,7 +154,7 @@ class TwoPointReadout(Readout):
         return np.asarray(sigma * slope ** (2 if self.measured_across == "sensor" else 1))
 
     def simulated(self, cell_resistance: Array, scene: Surroundings, row_ohm: Array, column_ohm: Array) -> Array:
-        """R + R_series + what both channels have more."""
+        """Return R + R_series + the additional resistance of both channels."""
         total = self.to_recorded(self.exact_reading(cell_resistance, scene.wiring), scene)
         return np.asarray(total + (row_ohm[:, None] + column_ohm[None, :]))
 

@@ -211,7 +211,7 @@ class WiredNetwork(TiedNetwork):
     −D_ac D_bc as without wire. With X = diag(r) − r K⁻¹ r + DᵀCᵀ r, those for a unit current through every cell,
     ∂D_ac/∂g_d = −D_ad X_dc. Without wire X = BᵀZB.
 
-    ties : (lines) siemens. wiring, ladder : what lies between terminals and cells, and its K⁻¹. currents : C (cells,
+    ties : (lines) siemens. wiring, ladder : wire between terminals and cells, and its K⁻¹. currents : C (cells,
     lines) siemens.
     """
 
@@ -295,7 +295,7 @@ class WiredSecondOrder(SecondOrder):
         return np.asarray(self.network.conductance * self.network.drawn(self.loading))
 
     def products(self, step: Array) -> tuple[Array, Array]:
-        """(J·p, g·(2 diag(Dᵀ W dD) + diag(Dᵀ W' D))), dDᵀ = X·(g·p·Dᵀ), W' from what p does to the slopes of h."""
+        """Return (J·p, g·(2 diag(Dᵀ W dD) + diag(Dᵀ W' D))), dDᵀ = X·(g·p·Dᵀ), W' from the slopes' change."""
         network, change = self.network, self.network.changes(step)
         differences = network.potential_differences
         moved = network.driven_through((differences * (network.conductance * step).ravel()).T).T

@@ -1,6 +1,6 @@
 """Journal: the file of a running recording, appended frame by frame; others can read along, and a crash loses nothing.
 
-Its layout is the recording's. Single writer, multiple readers (SWMR): what was flushed stays readable after kill -9.
+Its layout is the recording's. Single writer, multiple readers (SWMR): flushed frames stay readable after kill -9.
 """
 
 from collections.abc import Iterator, Sequence
@@ -124,7 +124,7 @@ def _lay_out(file: h5py.File, scene: Scene, readings: int) -> None:
     _grow(entry, acquisition.FRAME_CHECKSUM, "u4", "1", "CRC-32 of all that belongs to the frame")
     _grow(entry, acquisition.EVENT_CHECKSUM, "u4", "1", "CRC-32 of all that belongs to the event")
     _grow(acquired, "event_time", "f8", "s", "time of the event")
-    _grow(acquired, "event_label", f"S{acquisition.LABEL_BYTES}", "1", "what was marked")
+    _grow(acquired, "event_label", f"S{acquisition.LABEL_BYTES}", "1", "label of the event")
 
 
 def _grow(group: h5py.Group, name: str, kind: str, units: str, long_name: str, shape: tuple[int, ...] = ()) -> None:

@@ -20,10 +20,10 @@ from lampest.files.errors import InputError
 from lampest.recording.board import protocol
 from lampest.recording.board.protocol import Answer, Foreign, Frame, Garbage, Hello, Kind, Message, command
 
-BOOT_SECONDS = 2.0  # a Mega's bootloader listens for about one after a reset; what is sent then may confuse it
-HELLO_SECONDS = 8.0
-ANSWER_SECONDS, TRIES = 0.5, 4
-ARDUINO_VENDORS = (0x2341, 0x2A03, 0x1A86, 0x0403)
+BOOT_SECONDS = 2.0  # a Mega's bootloader listens for one second after a reset, and must not be confused
+HELLO_SECONDS = 8.0  # longest wait for a board: a slow bootloader, and HELLOs a second apart
+ANSWER_SECONDS, TRIES = 0.5, 4  # wait for an answer, and repetitions of a command on a disturbed line
+ARDUINO_VENDORS = (0x2341, 0x2A03, 0x1A86, 0x0403)  # USB: Arduino (two), WCH and FTDI, whose chips clones have
 
 
 class NoBoardError(InputError):

@@ -97,7 +97,7 @@ RESULT_CODES = tuple(Result)
 class Hello:
     """Identity and settings of a board, sent after a reset, once a second while idle, and on request.
 
-    With loaded columns reference_milliohm is the load of every column, and drive_milliohm what stands before each row.
+    With loaded columns reference_milliohm is the load of every column, and drive_milliohm in series with each row.
     """
 
     rows: int

@@ -1,6 +1,6 @@
 """Recording of a board into a file: frame by frame while it runs, rewritten as a clean recording at the end.
 
-`record` does it from a port; a `Recorder`, whenever it is asked, of what a port delivers while somebody watches it.
+`record` reads from a port; a `Recorder` takes the samples of a watched port, on request.
 """
 
 import contextlib

@@ -21,10 +21,10 @@ from lampest.recording.acquisition import NO_SUM
 from lampest.recording.board.port import only_port
 from lampest.recording.board.stream import RETRY_SECONDS, Sample, Samples, board_samples
 
-CLOCKED = 50  # newest frames of which the least delayed one sets a board's clock
-NEAR = 0.75  # periods by which a board's frame may be off a moment: half of one, and what clocks jitter
-LATE_SECONDS = 0.3  # and 1.5 periods after a moment, a board that has sent nothing is missing
-POLL_SECONDS = 0.02
+CLOCKED = 50  # newest frames, of which the least delayed one sets a board's clock
+NEAR = 0.75  # periods between a board's frame and a moment: half a period, and the jitter of clocks
+LATE_SECONDS = 0.3  # s, and 1.5 periods, after which a silent board counts as missing
+POLL_SECONDS = 0.02  # s: longest wait for a sample before states are updated
 Stamped = tuple[float, Sample]  # s on the host's clock, when the scan began
 Arrived = SimpleQueue[tuple[int, Sample | str | InputError | None]]  # by board
 

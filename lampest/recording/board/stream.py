@@ -15,7 +15,7 @@ from lampest.recording.acquisition import recorded_of_sums
 from lampest.recording.board.port import Board, NoBoardError
 from lampest.recording.board.protocol import Frame, Garbage, Hello, Message
 
-# What a board and a scene must say alike, by the board's wiring.
+# Keys on which a board and a scene must agree, by the board's wiring.
 SHARED = {
     "two_point": ("supply_volt", "reference_ohm", "measured_across", "adc_bits"),
     "loaded_columns": ("driven", "polarity", "supply_volt", "adc_bits", "load_ohm"),
@@ -25,9 +25,9 @@ LOAD_TOLERANCE = 0.1
 ROUND = 2**32  # numbers and the board's clock begin anew after so many
 # A board's clock is not further ahead of the host's than this; a simulated board runs 300 times as fast as a real one.
 FASTEST, AHEAD_SECONDS = 1000.0, 10.0
-UNFIT_SECONDS = 30.0
-RETRY_SECONDS = 0.2
-SILENCE_SECONDS = 2.5
+UNFIT_SECONDS = 30.0  # s without a fitting frame on a line that is not silent
+RETRY_SECONDS = 0.2  # s between attempts to open a port
+SILENCE_SECONDS = 2.5  # s of silence after which a board is asked who it is
 CLOCK_STOPPED = "clock stopped"  # label of the event
 
 
@@ -201,7 +201,7 @@ class Scanning:
 
     def _follows(self, frame: Frame, before: Frame, host_time: float) -> bool:
         (steps, elapsed_ms), most_ms = _since(before, frame), self._most_ms(host_time)
-        # The board counts what it missed since; either scan may begin up to a period late.
+        # The board counts its missed scans; either scan may begin up to a period late.
         most_ms = min(most_ms, 1010 * (1 + steps * (1 + frame.missed)) * self.period + 2)
         return 0 < steps < ROUND // 2 and 990 * (steps - 1) * self.period - 2 <= elapsed_ms <= most_ms
 

@@ -22,7 +22,7 @@ from lampest.files.typed import Validated, real_array
 from lampest.panel.panel import Array
 from lampest.recording.foreign.words import Clock, clock_of_numbers, role_of
 
-MOST_BYTES = 500_000_000  # of a file, of what it unpacks to, and of its values in memory
+MOST_BYTES = 500_000_000  # of a file, unpacked, and of its values in memory (tests/attack)
 COMPRESSED, MATRIX = 15, 14  # data elements of a .mat file
 NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
 ONE, STACKED, FRAMES = "(rows, columns)", "(rows, columns, frames)", "(frames, rows, columns)"
@@ -97,7 +97,7 @@ class Layout(Validated):
         """
 
     def frames(self, path: Path, shape: Shape) -> Frames:
-        """Return what it reads as frames. Raises InputError where that has another shape."""
+        """Return the layout's readings as frames. Raises InputError if they have another shape."""
         read, times = self.read(path, *shape)
         values = real_array(read, f"{path}: layout {self.kind}").astype(float)
         if values.ndim != 3 or values.shape[1:] != shape or not len(values):
@@ -227,7 +227,7 @@ def _of_level_7(path: Path) -> Arrays:
     return arrays
 
 
-READERS = {".npy": _of_npy, ".npz": _of_npz, ".mat": _of_mat}  # what is no array of real numbers is left out
+READERS = {".npy": _of_npy, ".npz": _of_npz, ".mat": _of_mat}  # arrays of other values than real numbers are left out
 
 
 def frames_of_arrays(path: Path, shape: Shape, variable: str | None) -> Frames:

@@ -212,7 +212,7 @@ def lines_of_sheets(path: Path, wanted: str | None, least: int) -> dict[str, Fie
 
 def _rows_of_sheet(sheet: Any, least: int) -> Iterator[FieldLine]:
     """Yield the nonempty rows, without empty cells at their end."""
-    sheet.reset_dimensions()  # what a file says of its size may be wrong
+    sheet.reset_dimensions()  # a file's own statement of its size may be wrong
     count = width = 0
     for number, row in enumerate(sheet.iter_rows(values_only=True), 1):
         texts = [_text_of_cell(value) for value in row]
@@ -222,7 +222,7 @@ def _rows_of_sheet(sheet: Any, least: int) -> Iterator[FieldLine]:
             count, width = count + 1, max(width, len(texts))
             yield FieldLine(number, texts)
         if count == SAMPLED_LINES and width < least:
-            return  # no table: what follows is not waited for
+            return  # no table
 
 
 def _text_of_cell(value: Any) -> str:

@@ -17,7 +17,7 @@ LEAST_USED = 0.01  # of the converter's range: readings that use less were taken
 
 
 def check_unit(unit: str | None, scene: Scene | None, source: object) -> None:
-    """Raise InputError where a unit is unknown, or the scene does not say how it becomes what a recording holds."""
+    """Raise InputError if a unit is unknown, or the scene cannot convert it to recorded values."""
     if unit is not None and unit not in FACTORS:
         raise InputError(f"the unit '{unit}' is unknown; there are {', '.join(FACTORS)}")
     if unit is not None and unit not in RESISTANCES and (scene is None or scene.readout is None):
@@ -29,7 +29,7 @@ def check_unit(unit: str | None, scene: Scene | None, source: object) -> None:
 def understood_unit(values: Array, said: Sequence[str], scene: Scene | None, source: object) -> tuple[str, str]:
     """Return the unit of values (any shape, NaN if missing), and a sentence on the reason.
 
-    said : what the header leaves, nothing where it does not speak of a unit. Raises InputError where no unit fits, or
+    said : units that the header permits, () if it names none. Raises InputError where no unit fits, or
     two do.
     """
     readout = None if scene is None else scene.readout
@@ -121,7 +121,7 @@ def _rounding(values: Array) -> float:
 def recorded_values(values: Array, unit: str, scene: Scene, place: Callable[[int, int, int], str]) -> Array:
     """Convert values in their unit to the recorded quantity of the readout, (frames, rows, columns); NaN stays NaN.
 
-    A code or a voltage at a rail, an infinite resistance and one of zero stay what they are: bounds. Raises InputError
+    A code or a voltage at a rail, an infinite resistance and one of zero stay unchanged: bounds. Raises InputError
     with the place (frame, row, column) of a value that is impossible.
     """
     scaled, readout = values * FACTORS[unit], scene.readout

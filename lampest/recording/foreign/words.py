@@ -78,7 +78,7 @@ STAMP = re.compile(
     r"(?:(\d{1,2}):(\d{2})(?::(\d{2})(?:[.,:](\d+))?)?\s*([AP]M\b)?)?\s*(Z|UTC|[+-]\d{2}:?\d{2})?",
     re.IGNORECASE,
 )
-# Order of a date's parts → what stands between them.
+# Order of a date's parts → separators.
 DATES = {"year-month-day": "-/.", "day.month.year": ".", "day/month/year": "/-", "month/day/year": "/-"}
 
 Where = Callable[[int], str]

@@ -1,7 +1,7 @@
 """Simulation files: YAML with an optional sweep and drawn numbers → recordings on the disk.
 
 A number may be given as `{uniform: [low, high]}`: it is drawn from the seed and by the place where it stands, so that
-other drawn numbers do not change it. A recording keeps what was drawn, in /entry/truth/simulation.
+other drawn numbers do not change it. A recording keeps the drawn numbers, in /entry/truth/simulation.
 """
 
 import dataclasses

@@ -214,7 +214,7 @@ def true_contacts(scene: Scene, seed: int) -> Contacts:
 def _channel_errors(scene: Scene, unmodelled: Unmodelled, seed: int, *, late: bool) -> tuple[Array, Array]:
     """Return δ_j of rows and δ_k of columns, ohm, beyond the scene; unnamed series resistance is on the driven side.
 
-    late : with what a contact has more once it has.
+    late : with the additional resistance of a contact.
     """
     rows, columns = scene.panel.shape
     channel = unmodelled.channel_spread_ohm * random_stream(seed, "channels").standard_normal(rows + columns)
