@@ -41,19 +41,11 @@ def digest_of(values: NDArray[Any]) -> str:
     return hashlib.sha256(values.tobytes()).hexdigest()
 
 
-def check_digest(dataset: h5py.Dataset, values: Any) -> None:
-    """Raise ValueError if the values of a contiguous dataset differ from its digest; chunks have checksums."""
-    if dataset.chunks is not None or DIGEST not in dataset.attrs:
-        return
-    if digest_of(np.asarray(values, dataset.dtype)).encode() != dataset.attrs[DIGEST]:
+def check_digest(attributes: Any, value: Any, name: str = "") -> None:
+    """Raise ValueError if a value differs from its digest: of an attribute, by its name, or of its dataset, ''."""
+    digest = attributes.get(f"{name}_{DIGEST}" if name else DIGEST)
+    if digest is not None and digest_of(np.asarray(value)).encode() != digest:
         raise ValueError("values and checksum differ")
-
-
-def check_attribute(attributes: Any, name: str, value: Any) -> None:
-    """Raise ValueError if an attribute differs from its digest; small attributes have none."""
-    beside = f"{name}_{DIGEST}"
-    if beside in attributes and digest_of(np.asarray(value)).encode() != attributes[beside]:
-        raise ValueError("value and checksum differ")
 
 
 def read_through(file: h5py.File) -> tuple[int, bool]:
@@ -66,7 +58,7 @@ def read_through(file: h5py.File) -> tuple[int, bool]:
         with located(file, path):
             vouched.append(h5py.h5o.get_info(node.id).hdr.version > 1)
             for name, value in node.attrs.items():
-                check_attribute(node.attrs, name, value)
+                check_digest(node.attrs, value, name)
             if isinstance(node, h5py.Dataset) and node.size:
                 vouched.append(_read_values(node))
                 datasets += 1
@@ -91,8 +83,10 @@ def _all_below(file: h5py.File, path: str) -> Iterator[tuple[str, Any]]:
 
 def _read_values(dataset: h5py.Dataset) -> bool:
     """Read all values chunk by chunk; return whether a checksum covers them."""
-    for part in dataset.iter_chunks() if dataset.chunks else ((),):
-        check_digest(dataset, dataset[part])
+    for chunk in dataset.iter_chunks() if dataset.chunks else ():
+        dataset[chunk]
+    if not dataset.chunks:
+        check_digest(dataset.attrs, dataset[()])
     compact = dataset.id.get_create_plist().get_layout() == h5py.h5d.COMPACT
     return compact or dataset.fletcher32 or DIGEST in dataset.attrs
 

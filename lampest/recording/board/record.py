@@ -146,10 +146,8 @@ def record(  # noqa: PLR0913 # the options of a command
                         journal = journal or stack.enter_context(journal_of(out, batch[0], scene))
                         appended(journal, batch, scene, baseline - count["frames"], keys)
                     for last in batch:
-                        count.update(frames=1, lost=last.lost, clock_jumps=last.clock_jump)
-                        count.update(
-                            clock_stopped=CLOCK_STOPPED in last.events, parted=last.missing > 0, behind=bool(asked())
-                        )
+                        count.update(frames=1, lost=last.lost, clock_jumps=last.clock_jump, parted=last.missing > 0)
+                        count.update(clock_stopped=CLOCK_STOPPED in last.events, behind=bool(asked()))
                         on_progress(Progress(last, count["frames"], count["lost"], ""))
                     if not batch and states[-1]:
                         on_progress(Progress(None, count["frames"], count["lost"], states[-1]))
