@@ -6,8 +6,8 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.sparse.csgraph import connected_components
 
 from lampest.files.errors import InputError, in_words
 from lampest.files.levels import ALIKE, DISTINCT, NOISE_REACH
@@ -393,7 +393,7 @@ def touching_rows(readings: Readings) -> tuple[tuple[int, ...], ...]:
     distant = np.where(alike | (count < 4), np.nan, unlike)
     with np.errstate(invalid="ignore"):
         distinct = np.array([np.nanmedian(row) if np.any(row > 0) else 0.0 for row in distant]) > DISTINCT
-    groups, group = connected_components(alike & distinct & distinct[:, None], directed=False)
+    groups, group = scipy.sparse.csgraph.connected_components(alike & distinct & distinct[:, None], directed=False)
     members = (np.flatnonzero(group == number) for number in range(groups))
     return tuple(tuple(lines.tolist()) for lines in members if len(lines) > 1)
 

@@ -20,7 +20,6 @@ NOT_YET = (
     "lampest.panel.response",
     "lampest.panel.trust_region",
     "lampest.panel.least_squares",
-    "lampest.recording.calibration",
 )
 MODULES = [
     name
