@@ -1,6 +1,7 @@
 """The preparation of a recording."""
 
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 
 import pytest
@@ -42,18 +43,17 @@ def test_estimates_detection_and_warnings_share_one_preparation(steps: list[str]
     assert sorted(steps) == sorted(STEPS)
 
 
-@pytest.mark.parametrize("with_readout", [True, False])
-@pytest.mark.parametrize("explains", [True, False, None])
-def test_a_check_that_explains_adds_the_numbers_that_no_frame_shows(explains: bool | None, with_readout: bool) -> None:
-    recording = lampest.Recording.load(Path("data/lamprey_35mm.h5"))
-    scene = recording.scene if with_readout else replace(recording.scene, readout=None)
-    prepared = Prepared(replace(recording, scene=scene, raw_sums=None))
-    prepared.__dict__["_check"] = ModelCheck(explains, "as it stands")
-    sentence = prepared.check.sentence
-    if explains and with_readout:
-        assert sentence.startswith("as it stands; no frame shows the numbers")
-    else:
-        assert sentence == "as it stands"
+def test_a_check_that_explains_adds_the_numbers_that_no_frame_shows() -> None:
+    recording = replace(lampest.Recording.load(Path("data/lamprey_35mm.h5")), raw_sums=None)
+    silent = replace(recording, scene=replace(recording.scene, readout=None))
+    for explains, taken in product((True, False, None), (recording, silent)):
+        prepared = Prepared(taken)
+        prepared.__dict__["_check"] = ModelCheck(explains, "as it stands")
+        sentence = prepared.check.sentence
+        if explains and taken is recording:
+            assert sentence.startswith("as it stands; no frame shows the numbers")
+        else:
+            assert sentence == "as it stands"
 
 
 def test_what_is_no_recording_is_refused() -> None:
