@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lampest import Faults, OralDisc, Panel, Rod, Scene, Simulation, TwoPointReadout, simulate
+from lampest import Course, Faults, OralDisc, Panel, Rod, Scene, Simulation, TwoPointReadout, simulate
 from lampest.loads.recognition.attachment import Attachment
+from lampest.loads.recognition.detector import Detector
 from lampest.loads.recognition.image import ImageWatch, Window
 from lampest.loads.recognition.settings import ModelErrors
 from lampest.panel.panel import EachModule, Modules
@@ -44,8 +45,8 @@ def test_a_bare_panel_of_modules_shows_nothing(tmp_path: Path) -> None:
 
 def test_a_window_is_the_network_of_its_modules() -> None:
     """By differences: cells of other modules change nothing, and lines are each module's own."""
-    own = next(window for window in Window.all_of(SCENE) if window.x_mm > 0)
-    assert (own.cells[1].start, own.x_mm, own.y_mm) == (7, 74.0, 0.0) and len(Window.all_of(SCENE)) == 2
+    own = Window.about(SCENE, np.array([140.0, 60.0]))
+    assert (own.cells[1].start, own.x_mm, own.y_mm, own.numbers) == (7, 74.0, 0.0, (1, 2, 4, 5))
     cells = np.exp(np.random.default_rng(1).uniform(6, 7, own.scene.panel.shape))
     circuit = own.scene.circuit
     slopes = circuit.network(cells, circuit.ties(cells), None).sensitivity(np.array([3, 100]))
@@ -76,12 +77,77 @@ def test_a_load_that_two_windows_see_is_that_of_the_window_around_it_and_loads_s
 
 
 def test_one_load_hides_none_that_stands_apart_from_it_or_in_the_same_window() -> None:
-    windows = Window.all_of(SCENE)
+    windows = [Window.about(SCENE, np.array(place)) for place in ([69.0, 57.0], [143.0, 57.0])]
     blot = Attachment(0.0, 1.0, (40.0, 5.0), (62.0, 5.0), area_mm2=(2000.0, 400.0))  # of no shape: without a diameter
     mouth, rod = (Attachment(0.9, 1.0, (x, 0.5), (62.0, 0.5), (30.0, 1.0)) for x in (150.0, 175.0))
     again = replace(mouth, x_mm=(150.0 - windows[1].x_mm, 0.5))
-    watches: Any = [SimpleNamespace(attachments=found) for found in ((blot, mouth), (again,))]
-    assert [load.x_mm[0] for load in ImageWatch(windows, tuple(watches), SCENE.panel.shape, 0.0)._merged()] == [150, 40]
-    watches[0].attachments = (mouth, rod)
-    watches[1].attachments = ()
-    assert len(ImageWatch(windows, tuple(watches), SCENE.panel.shape, 0.0)._merged()) == 2
+    assert [load.x_mm[0] for load in merged(windows, (blot, mouth), (again,))] == [150, 40]
+    assert len(merged(windows, (mouth, rod), ())) == 2
+
+
+def merged(windows: list[Window], *loads: tuple[Attachment, ...]) -> tuple[Attachment, ...]:
+    """The loads of several windows, each once."""
+    watches: Any = [SimpleNamespace(attachments=own) for own in loads]
+    opened = tuple((window, watch, 0.0) for window, watch in zip(windows, watches, strict=True))
+    return ImageWatch(None, (), opened)._merged()  # type: ignore[arg-type]
+
+
+def test_a_window_covers_the_modules_that_a_load_may_reach() -> None:
+    """Cells of 10 × 10 modules are at 0 to 90, 104 to 194 … mm."""
+    layout = Modules(4, 4, EachModule(10, 10), 4.0)
+    scene = replace(SCENE, panel=Panel(modules=layout))
+    for place, numbers in (
+        ((45, 45), (0,)),
+        ((80, 45), (0, 1)),
+        ((45, 97), (0, 4)),
+        ((97, 97), (0, 1, 4, 5)),
+        ((150, 150), (5,)),
+        ((-5, 400), (12,)),
+    ):
+        assert Window.about(scene, np.array(place, dtype=float)).numbers == numbers
+
+
+@pytest.mark.slow
+def test_recognition_looks_where_something_changed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of 36 modules one carries a rod: one window opens, a bounded number of looks is taken, all at this module."""
+    looks = list[tuple[int, ...]]()
+    verdict = Detector.verdict
+
+    def counted(self: Detector, *given: Any) -> Any:
+        looks.append(self.panel.shape)
+        return verdict(self, *given)
+
+    monkeypatch.setattr(Detector, "verdict", counted)
+    scene = replace(SCENE, panel=Panel(modules=Modules(6, 6, EachModule(10, 10), 4.0)))
+    rod = Rod(centre_mm=(150, 255), diameter_mm=30, mass_g=500)
+    course = Course(start_s=1.0)
+    made = Simulation(schema=1, seed=6, scene=scene, frames=20, frame_period_s=0.25, loads=(rod,), course=course)
+    simulate(made).save(tmp_path / "mat.h5")
+    answer = detect_recording(tmp_path / "mat.h5")
+    assert len(answer.attachments) == 1 and answer.attachments[0].distance((150, 255)) < 5
+    assert set(looks) == {(10, 10)} and len(looks) <= 5
+
+
+@pytest.mark.slow
+def test_a_window_closes_when_it_has_been_calm_and_the_modules_go_on(tmp_path: Path) -> None:
+    """Two visits at one place, two minutes apart, each counted once; no window is open in the end."""
+    rod = Rod(centre_mm=(30, 30), diameter_mm=30, mass_g=500)
+    course = Course(start_s=1.0, release_at_s=6.0)
+    made = Simulation(schema=1, seed=7, scene=SCENE, frames=110, frame_period_s=1.0, loads=(rod,), course=course)
+    recording = simulate(made)
+    values = recording.recorded.copy()
+    values[-20:-5] = values[5:20]
+    replace(recording, recorded=values).save(tmp_path / "mat.h5")
+    found = list[ImageWatch]()
+    ended = ImageWatch.ended
+
+    def noted(self: ImageWatch) -> ImageWatch:
+        found.append(self)
+        return ended(self)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(ImageWatch, "ended", noted)
+        answer = detect_recording(tmp_path / "mat.h5")
+    assert len(answer.attachments) == 2, answer.attachments
+    assert all(load.distance((30, 30)) < 6 for load in answer.attachments)
+    assert [len(watch.opened) for watch in found] == [1]

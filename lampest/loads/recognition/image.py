@@ -1,28 +1,28 @@
-"""Loads on a panel of modules: windows of up to 2 × 2 modules, each watched as one panel, and what they saw together.
+"""Loads on a panel of modules, recognised where something changed.
 
-No current crosses a seam, so that the window's circuit falls into blocks; loads lie over them. Windows overlap by one
-module: what is smaller than a module lies whole in at least one, and counts where it stands nearest to the middle.
+Every module is followed by a step test of its own. Where one finds a step, a window opens over the modules that the
+load may reach, is watched as one panel, and closes after it has been calm for CALM_S. No current crosses a seam, so
+that the circuit of a window falls into blocks; loads lie over them. A load that several windows see counts where it
+stands nearest to the middle of one.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import inf
-from typing import Any, cast
+from typing import Any, TypeAlias, cast
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lampest.loads.recognition.attachment import Attachment
-from lampest.loads.recognition.detector import Detector
 from lampest.loads.recognition.watch import Panelled, Watch
 from lampest.panel.panel import Array, Modules, Panel
 from lampest.panel.response import Response
 from lampest.panel.scene import Scene
 
-
-def window_layout(layout: Modules) -> Modules:
-    """Of one window."""
-    return replace(layout, rows=min(2, layout.rows), columns=min(2, layout.columns))
+REACH = 3.0  # pitches from a load's place to a module on which it may lie: half of the widest mouth, and a cell
+CALM_S = 60.0  # s: three times as long as the mean of frames takes to follow them
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,127 +79,247 @@ class WindowScene:
 
     def network(self, cells: Array, ties: Array, wiring: None) -> WindowNetwork:
         """Of all modules."""
-        parts = zip(self.scenes, self._layout.split(cells), strict=True)
+        parts = zip(self.scenes, self.layout.split(cells), strict=True)
         solved = (own.circuit.network(part, own.circuit.ties(part), own.wiring) for own, part in parts)
-        return WindowNetwork(self._layout, tuple(solved))
+        return WindowNetwork(self.layout, tuple(solved))
 
     @property
-    def _layout(self) -> Modules:
+    def layout(self) -> Modules:
+        """Of its modules."""
         assert self.panel.modules is not None
         return self.panel.modules
 
     def _joined(self, part: Callable[[Scene, Array], Array], image: Array) -> Array:
-        pairs = zip(self.scenes, self._layout.split(image), strict=True)
-        return np.asarray(self._layout.joined(np.stack([part(*pair) for pair in pairs])))
+        pairs = zip(self.scenes, self.layout.split(image), strict=True)
+        return np.asarray(self.layout.joined(np.stack([part(*pair) for pair in pairs])))
 
 
 @dataclass(frozen=True, eq=False)
 class Window:
-    """Where a window lies in the image. cells : of the image. x_mm, y_mm : of its first cell. middle : x, y in mm."""
+    """A rectangle of modules.
+
+    Attributes
+    ----------
+    scene : WindowScene
+    numbers : tuple of int
+        Of the modules, row after row.
+    cells : pair of slices
+        In the image.
+    x_mm, y_mm : float
+        Place of the first cell.
+    middle : array, shape (2,)
+        x and y in mm.
+    """
 
     scene: WindowScene
+    numbers: tuple[int, ...]
     cells: tuple[slice, slice]
     x_mm: float
     y_mm: float
     middle: Array
 
     @classmethod
-    def all_of(cls, scene: Scene) -> "tuple[Window, ...]":
-        """All windows of an image in which a module is read."""
-        layout, found = scene.panel.modules, list[Window]()
+    def about(cls, scene: Scene, place: Array) -> "Window":
+        """Return the window of the modules that a load about a place, x and y in mm, may reach."""
+        layout, spans = scene.panel.modules, list[NDArray[np.intp]]()
         assert layout is not None
-        part = window_layout(layout)
-        for row, column in np.ndindex(layout.rows - part.rows + 1, layout.columns - part.columns + 1):
-            numbers = [(row + j) * layout.columns + column + k for j, k in np.ndindex(part.rows, part.columns)]
-            (top, left), (bottom, right) = layout.cells(numbers[0]), layout.cells(numbers[-1])
-            cells = slice(top.start, bottom.stop), slice(left.start, right.stop)
-            if not set(numbers) <= set(scene.dead_modules):
-                response, scenes = scene.response, tuple(scene.of_modules[number] for number in numbers)
-                own = WindowScene(Panel(modules=part), response and response.of_cells(cells), scenes)
-                places = scene.panel.places_mm[:, *cells]
-                corner, middle = places[:, 0, 0], places.mean(axis=(1, 2))
-                found.append(cls(own, cells, float(corner[0]), float(corner[1]), middle))
-        return tuple(found)
+        sizes = layout.each.columns, layout.each.rows
+        for at, axis, size in zip(place, scene.panel.centres_mm(), sizes, strict=True):
+            first, last = axis[::size], axis[size - 1 :: size]
+            reach = min(REACH * scene.panel.pitch_mm, float(last[0] - first[0]) / 2)
+            away = np.maximum(first - at, at - last)
+            spans.append(np.flatnonzero((away <= reach) | (away == away.min())))
+        columns, rows = spans
+        numbers = tuple(int(j * layout.columns + k) for j in rows for k in columns)
+        (top, left), (bottom, right) = layout.cells(numbers[0]), layout.cells(numbers[-1])
+        cells = slice(top.start, bottom.stop), slice(left.start, right.stop)
+        part, response = replace(layout, rows=len(rows), columns=len(columns)), scene.response
+        scenes = tuple(scene.of_modules[number] for number in numbers)
+        own = WindowScene(Panel(modules=part), response and response.of_cells(cells), scenes)
+        places = scene.panel.places_mm[:, *cells]
+        x, y = places[:, 0, 0]
+        return cls(own, numbers, cells, float(x), float(y), places.mean(axis=(1, 2)))
+
+
+Opened: TypeAlias = tuple[Window, Watch, float]
 
 
 @dataclass(frozen=True, eq=False)
 class ImageWatch:
-    """As `Watch`, of a panel of modules. watches : of the windows. began : s. attachments : those of all, each once."""
+    """As `Watch`, of a panel of modules.
 
-    windows: tuple[Window, ...]
-    watches: tuple[Watch, ...]
-    shape: tuple[int, int]
-    began: float
+    Attributes
+    ----------
+    panelled : Panelled
+        Of the whole image.
+    modules : tuple of Watch or None
+        The step test of each module, and the panel at rest; None of one that is not read. Those under a window stay
+        as they were when it opened.
+    opened : tuple of (Window, Watch, float)
+        The open windows, and when each was last touched, s.
+    attachments : tuple of Attachment
+        Those of all windows, each once.
+    """
+
+    panelled: Panelled
+    modules: tuple[Watch | None, ...]
+    opened: tuple[Opened, ...] = ()
     attachments: tuple[Attachment, ...] = ()
 
     @classmethod
     def begin(cls, panelled: Panelled, measured: Array, sigma: Array, unloaded: Array, time: float) -> "ImageWatch":
-        """As `Watch.begin`. A load is recognised where it begins near a window's middle."""
-        windows, watches, pitch = Window.all_of(panelled.scene), list[Watch](), panelled.scene.panel.pitch_mm
-        read, middles = np.isfinite(sigma), np.stack([window.middle for window in windows])
-        detector = Detector(windows[0].scene.panel, panelled.detector.patch_mm)
-        for window in windows:
-            cells, places = window.cells, detector.search.places + np.array([window.x_mm, window.y_mm])
-            own = replace(panelled, scene=cast(Scene, window.scene), detector=detector, water=panelled.water[cells])
-            rest = np.where(read[cells], measured[cells], np.median(measured[cells][read[cells]]))
-            apart = np.linalg.norm(places[:, None] - middles, axis=2).min(axis=1) + pitch
-            begun = Watch.begin(own, rest, sigma[cells], unloaded[(..., *cells)], time)
-            watches.append(replace(begun, own=np.linalg.norm(places - window.middle, axis=1) <= apart))
-        return cls(windows, tuple(watches), panelled.scene.panel.shape, time)
+        """As `Watch.begin`."""
+        scene, modules = panelled.scene, list[Watch | None]()
+        detector = replace(panelled.detector, panel=scene.panel.network)
+        for number, own in enumerate(scene.of_modules):
+            cells = _layout(scene).cells(number)
+            read = np.isfinite(sigma[cells]) & np.isfinite(measured[cells])
+            part = replace(panelled, scene=own, detector=detector, water=panelled.water[cells])
+            at_rest = np.where(read, measured[cells], np.median(measured[cells][read])) if read.any() else None
+            given = sigma[cells], unloaded[(..., *cells)], time
+            modules.append(None if at_rest is None else Watch.begin(part, at_rest, *given))
+        return cls(panelled, tuple(modules))
 
     def push(self, measured: Array, sigma: Array, time: float) -> "ImageWatch":
         """As `Watch.push`."""
-        pairs = zip(self.windows, self.watches, strict=True)
-        watches = tuple(watch.push(measured[own.cells], sigma[own.cells], time) for own, watch in pairs)
-        here = replace(self, watches=watches)
-        same = all(one.attachments is other.attachments for one, other in zip(watches, self.watches, strict=True))
-        return here if same else replace(here, attachments=here._merged())
+        modules, opened, stepped = list(self.modules), list(self.opened), dict[int, float]()
+        for number in set(range(len(modules))) - covered_by(opened):
+            if (module := modules[number]) is not None:
+                cells = self._layout.cells(number)
+                modules[number] = module = module.followed(measured[cells], sigma[cells], time)
+                if module.present:
+                    stepped[number] = module.stands_out
+        for number in sorted(stepped, key=stepped.__getitem__, reverse=True):
+            if number not in covered_by(opened):
+                window = Window.about(self.panelled.scene, self._place(number, modules[number]))
+                opened.append((window, self._begun(window, sigma), time))
+        for number in covered_by(opened):
+            modules[number] = self.modules[number]
+        pushed = list[Opened]()
+        for window, watch, touched_s in opened:
+            watch = watch.push(measured[window.cells], sigma[window.cells], time)
+            pushed.append((window, watch, time if watch.present else touched_s))
+        image = replace(self, modules=tuple(modules), opened=tuple(pushed))
+        return replace(image, attachments=image._merged())._closed(time) if pushed else image
 
     def touched(self, unloaded: Array) -> bool:
-        """As `Watch.touched`, in any window."""
-        return any(
-            watch.touched(unloaded[(..., *own.cells)]) for own, watch in zip(self.windows, self.watches, strict=True)
-        )
+        """As `Watch.touched`, of any module."""
+        each = self._layout.split(unloaded)
+        return any(watch is not None and watch.touched(each[:, n]) for n, watch in enumerate(self.modules))
 
     def ended(self) -> "ImageWatch":
         """As `Watch.ended`."""
-        here = replace(self, watches=tuple(watch.ended() for watch in self.watches))
+        here = replace(self, opened=tuple((window, watch.ended(), at) for window, watch, at in self.opened))
         return replace(here, attachments=here._merged())
 
     @property
     def doubt(self) -> str:
-        """As `Watch.doubt`, of the first window that has one."""
-        return next((watch.doubt for watch in self.watches if watch.doubt), "")
+        """As `Watch.doubt`, of the first window or module that has one."""
+        return next((watch.doubt for watch in self._watches if watch.doubt), "")
 
     @property
     def stands_out(self) -> float:
-        """As `Watch.stands_out`, in the window where readings differ most."""
-        return max(watch.stands_out for watch in self.watches)
+        """As `Watch.stands_out`, where readings differ most."""
+        return max(watch.stands_out for watch in self._watches)
 
     @cached_property
     def change(self) -> Array | None:
         """(rows, columns) ln r/r0 of what windows recognised last; 0 where nothing was; None: nowhere was anything."""
-        whole = np.zeros(self.shape)
-        for window, watch in zip(self.windows, self.watches, strict=True):
+        whole = np.zeros(self.panelled.scene.panel.shape)
+        for window, watch, _ in self.opened:
             if watch.change is not None:
                 here = whole[window.cells]
                 whole[window.cells] = np.where(np.abs(watch.change) > np.abs(here), watch.change, here)
         return whole if whole.any() else None
 
+    @property
+    def _layout(self) -> Modules:
+        return _layout(self.panelled.scene)
+
+    @property
+    def _watches(self) -> list[Watch]:
+        """Of the windows, and of the modules that are under none."""
+        covered = covered_by(self.opened)
+        alone = (watch for number, watch in enumerate(self.modules) if watch is not None and number not in covered)
+        return [*(watch for _, watch, _ in self.opened), *alone]
+
+    def _place(self, number: int, watch: Watch | None) -> Array:
+        """Where in the image a module's readings have changed most, x and y in mm."""
+        assert watch is not None
+        corner = self.panelled.scene.panel.places_mm[:, *self._layout.cells(number)][:, 0, 0]
+        scores = watch.test.scores(watch.mean - watch.rest)
+        return np.asarray(corner + watch.panelled.detector.search.places[int(np.argmax(scores))])
+
+    def _begun(self, window: Window, sigma: Array) -> Watch:
+        """A watch over modules that stands where theirs do."""
+        panelled, layout = self.panelled, window.scene.layout
+        parts = [self.modules[number] for number in window.numbers]
+        known = [part for part in parts if part is not None]
+        begun_s = max(part.window[-1][0] if part.window else part.begun for part in known)
+        blank = known[0].rest * 0 + np.median([np.median(part.rest) for part in known])
+
+        def whole(of: Callable[[Watch], Array]) -> Array:
+            each = [blank if part is None else of(part) for part in parts]
+            return np.asarray(layout.joined(np.reshape(each, (len(each), layout.each.rows, layout.each.columns))))
+
+        shape, rest = window.scene.panel.shape, whole(lambda part: part.rest)
+        detector = replace(panelled.detector, panel=window.scene.panel)
+        own = replace(panelled, scene=cast(Scene, window.scene), detector=detector, water=panelled.water[window.cells])
+        begun = Watch.begin(own, np.exp(rest), sigma[window.cells], np.zeros((0, *shape)), known[0].rest_s)
+        loud = np.full(len(begun.test.loud), max(float(part.test.loud.mean()) for part in known))
+        return replace(
+            begun,
+            test=replace(begun.test, loud=loud),
+            rested=min(part.rested for part in known),
+            rest_s=max(part.rest_s for part in known),
+            mean=whole(lambda part: part.mean).ravel(),
+            begun=begun_s,
+            recent=tuple(whole(lambda part, n=n: part.recent[n]).ravel() for n in (0, 1)),  # type: ignore[misc]
+            window=((begun_s, rest.ravel()),),
+            uneven=False,
+        )
+
+    def _closed(self, time: float) -> "ImageWatch":
+        """Without the windows that have been calm for long; their modules go on from there."""
+        opened = tuple(one for one in self.opened if time - one[2] < CALM_S)
+        modules, covered = list(self.modules), covered_by(opened)
+        for window, watch, _ in set(self.opened) - set(opened):
+            shape, layout = window.scene.panel.shape, window.scene.layout
+            images = np.reshape([watch.rest, watch.mean, *watch.recent], (4, *shape))
+            for place, number in enumerate(window.numbers):
+                module = modules[number]
+                if module is not None and number not in covered:
+                    rest, mean, *recent = layout.split(images)[:, place].reshape(4, -1)
+                    at_rest = replace(module, rest=rest, rest_s=watch.rest_s, rested=watch.rested, mean=mean)
+                    again = replace(at_rest, recent=tuple(recent), begun=watch.begun, window=watch.window)
+                    modules[number] = replace(again, uncovered_s=watch.uncovered_s)
+        return replace(self, modules=tuple(modules), opened=opened)
+
     def _merged(self) -> tuple[Attachment, ...]:
         """Those of all windows: of two that are one, the one that stands nearer to its window's middle."""
         every = list[tuple[Window, Attachment]]()
-        for window, watch in zip(self.windows, self.watches, strict=True):
+        for window, watch, _ in self.opened:
             for load in watch.attachments:
                 x, y = (load.x_mm[0] + window.x_mm, load.x_mm[1]), (load.y_mm[0] + window.y_mm, load.y_mm[1])
                 every.append((window, replace(load, x_mm=x, y_mm=y)))
         every.sort(key=lambda pair: pair[1].distance((pair[0].middle[0], pair[0].middle[1])))
-        ended = [one for one in self.attachments if one.until_s is not None and one.until_s <= self.began]
         kept: list[tuple[Window, Attachment]] = []
         for window, load in every:
             if not any(window is not other and _one(load, seen) for other, seen in kept):
                 kept.append((window, load))
-        return tuple(sorted([*ended, *(load for _, load in kept)], key=lambda load: load.since_s))
+        ended = [load for load in self.attachments if load.until_s is not None]
+        past = [load for load in ended if not any(_one(load, seen) for _, seen in kept)]
+        return tuple(sorted([*past, *(load for _, load in kept)], key=lambda load: load.since_s))
+
+
+def covered_by(opened: Sequence[Opened]) -> set[int]:
+    """Return the numbers of the modules under windows."""
+    return {number for window, *_ in opened for number in window.numbers}
+
+
+def _layout(scene: Scene) -> Modules:
+    assert scene.panel.modules is not None
+    return scene.panel.modules
 
 
 def _one(load: Attachment, other: Attachment) -> bool:

@@ -119,8 +119,7 @@ class Watch:
     size : (discs) scores of the load that is there. left, left_s : the same of the last load that was recognised, and
     when. seen, verdict : the median frame in which something was recognised since it came, and as what. known : whether
     that was since the last step. next_s, breath_s : when it will be again, and its breathing. uncovered_s : when a load
-    left that had been there before the first frame. uneven : whether one may be there in the unloaded frames. own :
-    (discs) about which something has to begin that is recognised here; None: all.
+    left that had been there before the first frame. uneven : whether one may be there in the unloaded frames.
     """
 
     panelled: Panelled
@@ -146,7 +145,6 @@ class Watch:
     uncovered_s: float | None = None
     uneven: bool = False
     attachments: tuple[Attachment, ...] = ()
-    own: NDArray[np.bool_] | None = None
 
     @classmethod
     def begin(cls, panelled: Panelled, measured: Array, sigma: Array, unloaded: Array, time: float) -> "Watch":
@@ -164,17 +162,21 @@ class Watch:
 
     def push(self, measured: Array, sigma: Array, time: float) -> "Watch":
         """After a frame; a reading without a finite σ does not count. All (rows, columns)."""
-        counts = np.isfinite(sigma).ravel()
-        logarithm = np.where(counts, np.log(np.where(counts, measured.ravel(), 1.0)), self.mean)
-        shown = np.median([*self.recent, logarithm], axis=0)
-        sigma = counting(sigma, np.exp(self.rest).reshape(sigma.shape))
-        here = replace(self, recent=(self.recent[-1], logarithm), sigma=sigma)._stepped(shown, logarithm, time)
+        here = self.followed(measured, sigma, time)
         if not here.present:
             return here
         if not here.known and here._calm(here._frame(here.mean, time)):
             return here._gone(here.begun)
         here = here._recognised(time) if time >= here.next_s and len(here.window) >= FRAMES else here
         return here._breathed(time) if here.present and here.known and time >= here.breath_s else here
+
+    def followed(self, measured: Array, sigma: Array, time: float) -> "Watch":
+        """After a frame, as `push`, but nothing is recognised."""
+        counts = np.isfinite(sigma).ravel()
+        logarithm = np.where(counts, np.log(np.where(counts, measured.ravel(), 1.0)), self.mean)
+        shown = np.median([*self.recent, logarithm], axis=0)
+        sigma = counting(sigma, np.exp(self.rest).reshape(sigma.shape))
+        return replace(self, recent=(self.recent[-1], logarithm), sigma=sigma)._stepped(shown, logarithm, time)
 
     def ended(self) -> "Watch":
         """After the last frame: what stands there is recognised although it has just come."""
@@ -268,8 +270,6 @@ class Watch:
         """With what stands there, by the frames of the window."""
         again, scores = time + max(time - self.begun, FIRST_S), self.test.scores(self.mean - self.rest)
         size, clear = self.test.sizes(self.mean - self.rest), scores >= self.test.least()
-        if not self.known and self.own is not None and not np.any((scores >= size) & clear & self.own):
-            return replace(self, next_s=again)
         median = np.median([one for _, one in self.window], axis=0)
         frame = self._frame(median, time)
         verdict = self.panelled.detector.verdict(frame, self.verdict if self.known else None)

@@ -8,20 +8,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.estimate.deciding import resting_readings
+from lampest.estimate.noise import NoiseSeen
 from lampest.estimate.nuisances import Besides, taken_off
 from lampest.estimate.prepared import Prepared
 from lampest.estimate.saturation import as_passed
+from lampest.estimate.warnings import warnings_of
 from lampest.files import hdf5
 from lampest.files.errors import InputError
-from lampest.files.process import told_reason
+from lampest.files.process import ONE_BLAS_THREAD, told_reason
 from lampest.loads.pressure import water_pressure
 from lampest.loads.recognition.breathing import too_slow
 from lampest.loads.recognition.detector import Detector
-from lampest.loads.recognition.image import ImageWatch, window_layout
+from lampest.loads.recognition.image import ImageWatch
 from lampest.loads.recognition.settings import ModelErrors, patch_of
 from lampest.loads.recognition.watch import UNEVENLY, Panelled, Watch
 from lampest.loads.tare import OF_DIFFERENCES
-from lampest.panel.panel import Array, Panel
+from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.posterior.frame_noise import FrameNoise
 from lampest.recording.readings import Readings, stand_in
@@ -65,12 +67,12 @@ class Known:
     specified: Array | None = None
     besides: Besides | None = None
 
+    @ONE_BLAS_THREAD
     def watch(self) -> Watch | ImageWatch:
         """Before the first frame. Raises ValueError where the panel cannot be watched, or was not free."""
         panel, layout, noise = self.scene.panel, self.scene.panel.modules, self.noise
-        if (panel if layout is None else Panel(modules=window_layout(layout))).crossings > MOST_CELLS:
-            what = "panels" if layout is None else "windows of 2 × 2 modules"
-            raise ValueError(f"loads are recognised on {what} of up to {MOST_CELLS} cells")
+        if panel.network.crossings > MOST_CELLS:
+            raise ValueError(f"loads are recognised on panels and modules of up to {MOST_CELLS} cells")
         common = None if noise is None or layout else lambda measured: noise.columns(measured[None], False)
         mat = self.scene.purpose == "mat"
         water, errors = water_pressure(panel, self.scene.water), ModelErrors().of_scene(self.scene, self.reading_error)
@@ -83,6 +85,7 @@ class Known:
             raise ValueError("something touched the panel while its unloaded frames were taken")
         return kind.begin(panelled, self.resting, self.sigma, *known)
 
+    @ONE_BLAS_THREAD
     def answer(self, frames: Frames) -> Detected:
         """After all frames."""
         course = list[tuple[float, float]]()
@@ -160,7 +163,8 @@ def detect_recording(path: Path, patch_mm: float | None = None, frames: range | 
     if not len(measured):
         raise InputError(f"{path}: no frame is measured (role 1)")
     head = Prepared(stored.part(range(int(measured[-1]) + 1)))
-    watched, said = known_of(head, patch_mm), tuple(one for one in head.warnings if one != UNEVENLY)
+    watched, warnings = known_of(head, patch_mm), warnings_of(head.recording, noise_of(head), head.check)
+    said = tuple(one for one in warnings if one != UNEVENLY)
     if isinstance(watched, Detected):
         return replace(watched, warnings=said)
     asked = range(stored.frames) if frames is None else frames
@@ -174,7 +178,7 @@ def known_of(prepared: Prepared, patch_mm: float | None = None) -> "Known | Dete
     head = prepared.recording
     readings, notes = head.readings(), tuple[str, ...]()
     unloaded = np.flatnonzero(head.role == UNLOADED)
-    seen = None if readings.sigma is None else prepared.noise
+    seen = None if readings.sigma is None else noise_of(prepared)
     resting = resting_readings(head, readings if seen is None else seen.readings)
     if not resting.enough(head.scene):
         return Detected.unknown(head.name, "no frame has enough readings for a comparison")
@@ -190,6 +194,11 @@ def known_of(prepared: Prepared, patch_mm: float | None = None) -> "Known | Dete
     begin = float(head.time[unloaded[-1] if len(unloaded) else 0])
     before = resting.value, sigma, readings.plain_values[unloaded], begin, error, noise, notes, patch_mm, specified
     return Known(head.name, scene, *before, besides)
+
+
+def noise_of(prepared: Prepared) -> NoiseSeen:
+    """Return the noise that recognition allows for; of modules that of their frames, which needs no fits."""
+    return prepared.noise if prepared.layout is None else prepared.frame_noise
 
 
 def measured_frames(part: Recording, watched: Known, asked: NDArray[np.bool_]) -> Frames:
