@@ -145,9 +145,9 @@ def detect(
     if results is None and estimator is not None:
         raise InputError(f"{file}: --estimator: a recording has none; name a results file")
     loads: Sequence[PressedCells] = ()
-    with progress("recordings") as on_case:
+    with progress("recordings" if results else "frames") as on_case:
         if results is None:
-            answers = [detect_recording(file, patch, _frames(frames))]
+            answers = [detect_recording(file, patch, _frames(frames), on_case)]
         else:
             answers = detect_results(results, patch, on_case)
             loads = pressed(results.named("estimator", (estimator or results.estimators()[0],)))

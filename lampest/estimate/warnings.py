@@ -5,7 +5,7 @@ from typing import get_args, get_type_hints
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.estimate.model_check import ModelCheck
+from lampest.estimate.model_check import ModelCheck, module_factors
 from lampest.estimate.noise import NoiseSeen
 from lampest.estimate.nuisances import TAKEN_OFF
 from lampest.estimate.rivals import changes_beyond_noise
@@ -15,6 +15,7 @@ from lampest.recording.readings import Readings
 from lampest.recording.recording import UNLOADED, Recording
 
 STEPS = 16  # of the converter: a median reading that close to a rail is known to 6 % at best
+OWN = "is its reference, series resistance or film another one? The scene's `modules` says what a module has of its own"
 QUIET, LOUD = 0.1, 10.0  # of the specified noise: no converter is specified so badly, units are
 
 
@@ -23,7 +24,8 @@ def warnings_of(recording: Recording, noise: NoiseSeen, check: ModelCheck) -> tu
     """Return the warnings of a recording, the plainest first. Raises InputError as `Readings.of`."""
     readings = recording.readings()
     less = "" if check.better else _less_load(recording, readings)
-    plain = (_roles(recording.role), _times(recording), _unit(recording, readings), _scatter(recording, noise), less)
+    frames = _roles(recording.role), _times(recording), _unit(recording, readings), _scatter(recording, noise)
+    plain = (*frames, *_modules(recording, readings), less)
     circuit, taken = check.sentence if check.mark in ("no", "not checked") else "", noise.taken
     learned = tuple(line for line in noise.warnings if not (circuit and line == taken))
     circuit += f"; it is {TAKEN_OFF}" if circuit and taken else ""
@@ -74,6 +76,23 @@ def _unit(recording: Recording, readings: Readings) -> str:
         f"the median reading, {np.nanmedian(recorded):.3g} {circuit.unit}, is {max(steps, 0.0):.2g} "
         f"steps of the converter from a rail: are readings in {circuit.unit}, and is the scene's readout right?"
     )
+
+
+def _modules(recording: Recording, readings: Readings) -> tuple[str, ...]:
+    """Modules that the scene calls dead, that read nothing, and whose readings differ from those of the others."""
+    scene, layout = recording.scene, recording.scene.panel.modules
+    if layout is None:
+        return ()
+    factors, dead, sides = module_factors(recording, layout), scene.dead_modules, layout.split(readings.side)
+    groups: dict[str, list[int]] = {}
+    for number, factor in factors.items():
+        stuck = "every reading is at a rail of the converter, or beyond: is it connected?"
+        unread = stuck if sides[:, number].any() else "no reading is a value: is it connected?"
+        differs = f"readings at rest are {factor:.3g} times those of the other modules: {OWN}"
+        text = "dead, as the scene says" if number in dead else differs if np.isfinite(factor) else unread
+        groups.setdefault(text, []).append(number)
+    named = {text: ", ".join(str(list(layout.place(n))) for n in numbers) for text, numbers in groups.items()}
+    return tuple(f"{'modules' if len(groups[text]) > 1 else 'module'} {at}: {text}" for text, at in named.items())
 
 
 def _scatter(recording: Recording, noise: NoiseSeen) -> str:

@@ -63,6 +63,8 @@ class Recording(Validated):
         Date and time at 0 s, ISO 8601, with the zone if it is known.
     number : array, shape (frames,), or None
         Indices of the frames in a longer recording; None: these are all frames.
+    of_module : bool
+        Whether this is one module of a panel; the unit is checked on the readings of all modules.
 
     Raises InputError if shapes disagree, times decrease, or a σ is not positive.
 
@@ -84,6 +86,7 @@ class Recording(Validated):
     acquisition: Acquisition | None = None
     start_time: str | None = None
     number: NDArray[np.intp] | None = None
+    of_module: bool = False
 
     def __post_init__(self) -> None:
         shape = self.scene.panel.shape
@@ -124,7 +127,7 @@ class Recording(Validated):
     def _check_unit(self) -> None:
         """Raise InputError where kohm were meant: all readings are below the resistance in series, without raw sums."""
         circuit, plain = self.scene.circuit, self.recorded[np.isfinite(self.recorded) & (self.recorded > 0)]
-        if not isinstance(circuit, TwoPointReadout) or self.raw_sums is not None or not plain.size:
+        if not isinstance(circuit, TwoPointReadout) or self.raw_sums is not None or self.of_module or not plain.size:
             return
         series = float(np.min(self.scene.series_ohm))
         code = circuit.code_from_volt(circuit.volt_from_recorded(np.array(1000 * np.median(plain))))
@@ -319,9 +322,10 @@ class Recording(Validated):
             return (self,)
         names = ("recorded", "sigma", "truth_cell_resistance", "truth_pressure", "raw_sums")
         maps = {name: values for name in names if (values := getattr(self, name)) is not None}
+        cells = [(..., *layout.cells(number)) for number in range(layout.count)]
         return tuple(
-            replace(self, scene=scene, **{name: each[(..., *layout.cells(number))] for name, each in maps.items()})
-            for number, scene in enumerate(self.scene.of_modules)
+            replace(self, scene=scene, of_module=True, **{name: each[own] for name, each in maps.items()})
+            for own, scene in zip(cells, self.scene.of_modules, strict=True)
         )
 
     def readings(self) -> Readings:

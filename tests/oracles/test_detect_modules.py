@@ -123,7 +123,9 @@ def test_recognition_looks_where_something_changed(tmp_path: Path, monkeypatch: 
     course = Course(start_s=1.0)
     made = Simulation(schema=1, seed=6, scene=scene, frames=20, frame_period_s=0.25, loads=(rod,), course=course)
     simulate(made).save(tmp_path / "mat.h5")
-    answer = detect_recording(tmp_path / "mat.h5")
+    progress = list[tuple[int, int]]()
+    answer = detect_recording(tmp_path / "mat.h5", on_frame=lambda *counts: progress.append(counts))
+    assert progress == [*((done, 23) for done in range(20)), (23, 23)]
     assert len(answer.attachments) == 1 and answer.attachments[0].distance((150, 255)) < 5
     assert set(looks) == {(10, 10)} and len(looks) <= 5
 

@@ -11,6 +11,7 @@ import lampest
 from lampest import InputError, Recording, Scene, Simulation, simulate
 from lampest.cli import main
 from lampest.estimate.modules import begin_stream
+from lampest.estimate.prepared import Prepared
 from lampest.estimate.sequence import first_stream
 from lampest.estimate.weights import with_chosen_weights
 from lampest.files.document import parse_document, to_yaml, validated
@@ -264,3 +265,55 @@ def test_a_module_stuck_at_the_top_rail_does_not_fail_the_others() -> None:
     others[:3, :4] = False
     alone = lampest.reconstruct(recording, [lampest.Misfit()], formulation="reduced")
     np.testing.assert_allclose(found.cell_resistance[:, others], alone.cell_resistance[:, others], rtol=1e-6)
+
+
+def disturbed(change: str) -> Recording:
+    """Four modules of 6 × 6, of which [0, 1] is not as the scene says."""
+    readout = lampest.TwoPointReadout(reference_ohm=1000, adc_bits=10, readings=20, noise_lsb=0.7)
+    scene = Scene(lampest.Panel(modules=Modules(2, 2, EachModule(6, 6), 4.0)), readout, 140.0)
+    rods = [lampest.Rod(centre_mm=(x, 30), diameter_mm=30, mass_g=500) for x in (30, 94)]
+    made = simulate(Simulation(schema=1, seed=5, scene=scene, frames=2, baseline_frames=5, loads=tuple(rods)))
+    recorded, own = made.recorded.copy(), (..., *scene.panel.modules.cells(1)) if scene.panel.modules else ...
+    volt = scene.circuit.volt_from_recorded(recorded[own])
+    stuck = np.random.default_rng(1).normal(1022.6, 0.1, volt.shape)  # codes
+    recorded[own] = {
+        "stuck": scene.circuit.recorded_from_volt(np.minimum(stuck, 1023) * readout.lsb_volt),
+        "missing": np.full(volt.shape, np.nan),
+        "scaled": 1.2 * recorded[own],
+        "reference": recorded[own] / 1.2,
+    }.get(change, recorded[own])
+    return replace(made, recorded=recorded, raw_sums=None, raw_readings=None)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ("stuck", "module [0, 1]: every reading is at a rail of the converter, or beyond: is it connected?"),
+        ("missing", "module [0, 1]: no reading is a value: is it connected?"),
+        ("scaled", "module [0, 1]: readings at rest are 1.18 times those of the other modules"),
+        ("reference", "module [0, 1]: readings at rest are 0.772 times those of the other modules"),
+        ("nothing", ""),
+    ],
+)
+def test_a_module_that_is_stuck_or_miscalibrated_is_named_and_the_others_are_estimated(change: str, said: str) -> None:
+    recording = disturbed(change)
+    prepared = Prepared(recording)
+    assert [line for line in prepared.warnings if "module [0, 1]" in line] == [
+        line for line in prepared.warnings if said and line.startswith(said)
+    ]
+    assert not said or any(line.startswith(said) for line in prepared.warnings)
+    found = lampest.reconstruct(recording, [lampest.Misfit()], formulation="reduced")
+    missing = np.isnan(found.cell_resistance[:, :6, 6:]).all()
+    assert missing == (change in ("stuck", "missing"))
+    assert np.isfinite(np.delete(found.cell_resistance, np.s_[6:12], axis=2)).all()
+
+
+def test_a_recording_of_few_modules_in_kohm_is_still_refused() -> None:
+    made = disturbed("nothing")
+    with pytest.raises(InputError, match="are these kohm"):
+        replace(made, recorded=made.recorded / 1000)
+
+
+def test_dead_modules_are_named_among_the_warnings() -> None:
+    lines = Prepared(simulated(scene_of(SCENE + FAULTS))).warnings
+    assert "module [1, 2]: dead, as the scene says" in lines

@@ -183,17 +183,17 @@ class ImageWatch:
     def push(self, measured: Array, sigma: Array, time: float) -> "ImageWatch":
         """As `Watch.push`."""
         modules, opened, stepped = list(self.modules), list(self.opened), dict[int, float]()
-        for number in set(range(len(modules))) - covered_by(opened):
+        for number in set(range(len(modules))) - under_windows(opened):
             if (module := modules[number]) is not None:
                 cells = self._layout.cells(number)
                 modules[number] = module = module.followed(measured[cells], sigma[cells], time)
                 if module.present:
                     stepped[number] = module.stands_out
         for number in sorted(stepped, key=stepped.__getitem__, reverse=True):
-            if number not in covered_by(opened):
+            if number not in under_windows(opened):
                 window = Window.about(self.panelled.scene, self._place(number, modules[number]))
                 opened.append((window, self._begun(window, sigma), time))
-        for number in covered_by(opened):
+        for number in under_windows(opened):
             modules[number] = self.modules[number]
         pushed = list[Opened]()
         for window, watch, touched_s in opened:
@@ -239,7 +239,7 @@ class ImageWatch:
     @property
     def _watches(self) -> list[Watch]:
         """Of the windows, and of the modules that are under none."""
-        covered = covered_by(self.opened)
+        covered = under_windows(self.opened)
         alone = (watch for number, watch in enumerate(self.modules) if watch is not None and number not in covered)
         return [*(watch for _, watch, _ in self.opened), *alone]
 
@@ -282,7 +282,7 @@ class ImageWatch:
     def _closed(self, time: float) -> "ImageWatch":
         """Without the windows that have been calm for long; their modules go on from there."""
         opened = tuple(one for one in self.opened if time - one[2] < CALM_S)
-        modules, covered = list(self.modules), covered_by(opened)
+        modules, covered = list(self.modules), under_windows(opened)
         for window, watch, _ in set(self.opened) - set(opened):
             shape, layout = window.scene.panel.shape, window.scene.layout
             images = np.reshape([watch.rest, watch.mean, *watch.recent], (4, *shape))
@@ -312,7 +312,7 @@ class ImageWatch:
         return tuple(sorted([*past, *(load for _, load in kept)], key=lambda load: load.since_s))
 
 
-def covered_by(opened: Sequence[Opened]) -> set[int]:
+def under_windows(opened: Sequence[Opened]) -> set[int]:
     """Return the numbers of the modules under windows."""
     return {number for window, *_ in opened for number in window.numbers}
 

@@ -155,8 +155,16 @@ def _of_case(task: tuple[CaseResult, float | None]) -> Detected:
     return replace(Known(case.recording, case.scene, *before).answer(values), warnings=said)
 
 
-def detect_recording(path: Path, patch_mm: float | None = None, frames: range | None = None) -> Detected:
-    """What a recording shows, read part by part. Raises InputError where it cannot be read."""
+def detect_recording(
+    path: Path,
+    patch_mm: float | None = None,
+    frames: range | None = None,
+    on_frame: Callable[[int, int], None] = lambda done, total: None,
+) -> Detected:
+    """What a recording shows, read part by part. Raises InputError where it cannot be read.
+
+    on_frame : called with the number of frames that were looked at, and that of all.
+    """
     stored = StoredRecording.of(path)
     part = stored.part(stored.blocks()[0])
     measured = np.flatnonzero(part.role == MEASURED)[:HEAD]
@@ -169,8 +177,15 @@ def detect_recording(path: Path, patch_mm: float | None = None, frames: range | 
         return replace(watched, warnings=said)
     asked = range(stored.frames) if frames is None else frames
     blocks = stored.blocks()
-    each = (one for block in blocks for one in measured_frames(stored.part(block), watched, np.isin(block, asked)))
-    return replace(watched.answer(each), warnings=said)
+
+    def looked_at() -> Frames:
+        for block in blocks:
+            for done, frame in enumerate(measured_frames(stored.part(block), watched, np.isin(block, asked)), block[0]):
+                on_frame(done, stored.frames)
+                yield frame
+            on_frame(block[-1] + 1, stored.frames)
+
+    return replace(watched.answer(looked_at()), warnings=said)
 
 
 def known_of(prepared: Prepared, patch_mm: float | None = None) -> "Known | Detected":
