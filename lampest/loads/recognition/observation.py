@@ -195,9 +195,10 @@ class Observation:
 
         Of each reading, of all in a frame, of the baseline, and of cells at rest; cells : added to T, of ln r.
         """
-        both = np.hstack([slope, self.offsets])
-        resting = self.baseline.model_errors.resting_covariance(self.seconds, len(slope)) + cells
-        total = both @ self.baseline.covariance @ both.T + slope @ resting @ slope.T
+        both, errors = np.hstack([slope, self.offsets]), self.baseline.covariance.copy()
+        errors[: len(slope), : len(slope)] += self.baseline.model_errors.resting_covariance(self.seconds, len(slope))
+        errors[: len(slope), : len(slope)] += cells
+        total = both @ errors @ both.T
         if self.common is not None:
             total += self.common @ self.common.T
         return np.asarray(total + np.diag(self.sigma.ravel() ** 2))

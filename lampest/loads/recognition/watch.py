@@ -244,13 +244,17 @@ class Watch:
 
     def _left(self, frame: Observation) -> bool:
         """Whether cells show less of the ln r/r0 that was recognised than a film may keep; true where nothing was."""
+        if self.seen is None:
+            return True
         before = self._before
         return bool(np.sum(frame.map * before) <= CLEAR * FILM_KEEPS * np.sum(before**2))
 
     def _keeps(self, frame: Observation) -> Array | float:
         """`kept` once a step has changed what was recognised: by what cells have less of it than before."""
+        if self.known or self.seen is None:
+            return self.kept
         less = np.maximum(np.abs(self._before) - np.abs(frame.map), 0.0).ravel()
-        return self.kept if self.known else np.asarray(np.maximum(self.kept, FILM_KEEPS * less))
+        return np.asarray(np.maximum(self.kept, FILM_KEEPS * less))
 
     @property
     def _before(self) -> Array:
