@@ -62,7 +62,7 @@ def test_a_window_is_the_network_of_its_modules() -> None:
 
 
 def test_a_load_that_two_windows_see_is_that_of_the_window_around_it_and_loads_stand_in_order_of_time() -> None:
-    windows = Window.all_of(SCENE)
+    windows = [Window.about(SCENE, np.array(place)) for place in ([69.0, 57.0], [143.0, 57.0])]
     for nearest, window in enumerate(windows):
         place = float(window.middle[0])
         loads = [
@@ -70,10 +70,9 @@ def test_a_load_that_two_windows_see_is_that_of_the_window_around_it_and_loads_s
             for seen, own in enumerate(windows)
         ]
         first = replace(loads[nearest], since_s=0.0, x_mm=(place - 60.0 - window.x_mm, 0.5))
-        watches: Any = [SimpleNamespace(attachments=(load,)) for load in loads]
-        watches[nearest].attachments = (loads[nearest], first)
-        merged = ImageWatch(windows, tuple(watches), SCENE.panel.shape, 0.0)._merged()
-        assert [(load.since_s, load.x_mm[0]) for load in merged] == [(0.0, place - 60.0), (1.0, place + nearest)]
+        seen_by = [(load, first) if number == nearest else (load,) for number, load in enumerate(loads)]
+        every = merged(windows, *seen_by)
+        assert [(load.since_s, load.x_mm[0]) for load in every] == [(0.0, place - 60.0), (1.0, place + nearest)]
 
 
 def test_one_load_hides_none_that_stands_apart_from_it_or_in_the_same_window() -> None:

@@ -171,7 +171,7 @@ def detect_recording(
     if not len(measured):
         raise InputError(f"{path}: no frame is measured (role 1)")
     head = Prepared(stored.part(range(int(measured[-1]) + 1)))
-    watched, warnings = known_of(head, patch_mm), warnings_of(head.recording, noise_of(head), head.check)
+    watched, warnings = known_of(head, patch_mm), warnings_of(head.recording, recognition_noise(head), head.check)
     said = tuple(one for one in warnings if one != UNEVENLY)
     if isinstance(watched, Detected):
         return replace(watched, warnings=said)
@@ -193,7 +193,7 @@ def known_of(prepared: Prepared, patch_mm: float | None = None) -> "Known | Dete
     head = prepared.recording
     readings, notes = head.readings(), tuple[str, ...]()
     unloaded = np.flatnonzero(head.role == UNLOADED)
-    seen = None if readings.sigma is None else noise_of(prepared)
+    seen = None if readings.sigma is None else recognition_noise(prepared)
     resting = resting_readings(head, readings if seen is None else seen.readings)
     if not resting.enough(head.scene):
         return Detected.unknown(head.name, "no frame has enough readings for a comparison")
@@ -211,7 +211,7 @@ def known_of(prepared: Prepared, patch_mm: float | None = None) -> "Known | Dete
     return Known(head.name, scene, *before, besides)
 
 
-def noise_of(prepared: Prepared) -> NoiseSeen:
+def recognition_noise(prepared: Prepared) -> NoiseSeen:
     """Return the noise that recognition allows for; of modules that of their frames, which needs no fits."""
     return prepared.noise if prepared.layout is None else prepared.frame_noise
 
