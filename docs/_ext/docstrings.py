@@ -7,7 +7,7 @@ from typing import Any
 
 def markdown(text: str) -> str:
     """A cleaned docstring with its parameters as a list, its examples as code, nothing else as markup."""
-    text = re.sub(r"^(Parameters|Attributes|Returns|Yields|Raises)\n-{3,}\n", "", text, flags=re.MULTILINE)
+    text = re.sub(r"^(Parameters|Attributes|Returns|Yields|Raises|Examples)\n-{3,}\n", "", text, flags=re.MULTILINE)
     blocks = [_block(block) for block in re.split(r"\n{2,}", text.strip("\n"))]
     return "\n\n".join(blocks)
 

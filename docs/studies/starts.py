@@ -90,7 +90,7 @@ def starts_study(random: int, seed: int) -> Study[Run, Cases[Tally]]:
         "table1.yaml",
         read_run,
         lambda run, on_step: of_cases(lambda case: [tally(case, random, seed)], run, on_step),
-        rows=lambda cases: cases.found,
+        rows=lambda cases: cases.measured,
         screen=SCREEN,
     )
 

@@ -136,7 +136,7 @@ def withheld_study(share: float, draws: int = 5, seed: int = 0) -> study.Study[R
         "insole.yaml",
         read_run,
         lambda run, on_step: study.of_cases(predicted, run, on_step, "predict"),
-        rows=lambda cases: withheld_rows(cases.found),
+        rows=lambda cases: withheld_rows(cases.measured),
         screen=SCREEN,
         left_out=lambda found: found.left_out,
     )

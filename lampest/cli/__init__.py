@@ -39,11 +39,11 @@ def _about(
         bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version and end.")
     ] = False,
 ) -> None:
-    """What stands before a command."""
+    """Accept the options that precede a command."""
 
 
 def _guarded(command: Callable[..., None]) -> Callable[..., None]:
-    """The command; it writes over no file that it reads."""
+    """Return the command with a check that it overwrites none of its input files."""
     signature = inspect.signature(command, eval_str=True)
     outputs = {name for name, each in signature.parameters.items() if is_written(each.annotation)}
 
@@ -60,7 +60,7 @@ def _guarded(command: Callable[..., None]) -> Callable[..., None]:
 
 
 def _renamed(old: str, new: str) -> Callable[..., None]:
-    """A command of the release before, which says its new name; a flag of that name is set."""
+    """Return a command under its name of the previous release; it prints the new name and sets the flag in it."""
     name, _, flag = new.partition(" --")
     command = COMMANDS[name][1]
 
@@ -130,7 +130,7 @@ def _build() -> None:
 
 
 def _program() -> Any:
-    """The program, whose help names no type for options that take no value."""
+    """Return the program; its help names no type for options without a value."""
     program = typer.main.get_command(app)
     waiting = [program]
     while waiting:

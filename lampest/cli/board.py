@@ -54,10 +54,10 @@ def record(
     if listed:
         from lampest.recording.board.port import ports
 
-        found = ports()
-        for each in found:
+        available = ports()
+        for each in available:
             say(f"{each.url}  {each.description}{'  (looks like an Arduino)' if each.likely else ''}")
-        if not found:
+        if not available:
             say("there is no serial port", to=sys.stderr)
         return
     if out is None:
@@ -165,7 +165,7 @@ def live(
 ) -> None:
     """Reconstruct frames as they arrive and show them in the browser."""
     from lampest.files.process import ending_signals
-    from lampest.report.live.run import LiveBoard, Replay
+    from lampest.report.live.run import LiveBoard, Outlets, Replay, chosen
     from lampest.report.live.run import live as run_live
 
     check_positive("--speed", speed)
@@ -180,14 +180,10 @@ def live(
     with ending_signals():  # a board gets its command to stop, however live ends
         done = run_live(
             source,
-            estimator,
-            config,
-            http,
+            chosen(estimator, config, tuple(assign or ())),
+            Outlets(http, token, publish or ()),
             count,
-            token,
             lambda url: say(f"{url}  (Ctrl-C ends)" if url.startswith("http") else url),
-            tuple(assign or ()),
-            publish or (),
             warn,
         )
     if done is not None:

@@ -83,9 +83,9 @@ def run(
     limited = any(case.estimator.solver.time_limit_s is not None for case in cases.cases)
     for name, text in cases.assumed:
         warn(f"{name}: {text} assumed; the scene does not say")
-    executor = cases.executor if cases.executor and not jobs else local(jobs, len(cases.cases), limited)
+    executor = cases.executor if cases.executor and not jobs else local(jobs, len(cases.cases), separate=limited)
     with progress("frames", counted=True) as on_frames:
-        report = run_batch(cases, out or Path("results") / config.stem, executor, fresh, on_frames)
+        report = run_batch(cases, out or Path("results") / config.stem, executor, fresh=fresh, on_frames=on_frames)
     counts = f"{counted(report.done, 'case')} solved, {report.skipped} were done before, {len(report.failed)} failed"
     say(f"{counts}: {report.results or 'no results'}")
     if report.aside:

@@ -31,7 +31,7 @@ FramesNamed = Annotated[str | None, option("Range of frames: 40:50 is 40 to 49."
 
 
 def _frames(text: str | None) -> range | None:
-    """The frames that an option names; None: all. Raises InputError unless it names some."""
+    """Return the frames that an option names, or None for all. Raises InputError unless it names some."""
     from lampest.recording.recording import frames_named
 
     return None if text is None else frames_named(text)
@@ -57,7 +57,7 @@ def compare(
             from lampest.report.page.page import write_report
 
             write_report(results, report, on_recording, _frames(frames))
-    blocks = screen_blocks(rows, published)
+    blocks = screen_blocks(rows, published=published)
     for block in blocks:
         say(block.title)
         print_table(block)
@@ -152,14 +152,14 @@ def detect(
             answers = detect_results(results, patch, on_case)
             loads = pressed(results.named("estimator", (estimator or results.estimators()[0],)))
     if as_json:
-        content = [one.content() for one in answers]
+        content = [answer.content() for answer in answers]
         say_text(json.dumps(content, indent=1, allow_nan=False, ensure_ascii=False))
     else:
         folder = file.parent if results is not None else Path("results") / file.stem
-        _tell(answers, loads, folder if out is None else out, everything)
+        _tell(answers, loads, folder if out is None else out, everything=everything)
 
 
-def _tell(answers: "Sequence[Detected]", loads: "Sequence[PressedCells]", folder: Path, everything: bool) -> None:
+def _tell(answers: "Sequence[Detected]", loads: "Sequence[PressedCells]", folder: Path, *, everything: bool) -> None:
     """Write the files of what was detected, and print sentences and tables."""
     from lampest.files.whole import refuse_inputs
     from lampest.report.detect.answer import FILE, event_table, load_table, write_detections
@@ -171,14 +171,14 @@ def _tell(answers: "Sequence[Detected]", loads: "Sequence[PressedCells]", folder
     with progress("pictures") as on_picture:
         files = [write_detections(folder / FILE, answers), *plot_timelines(answers, folder, on_picture)]
     files += [write_pressed(folder / PRESSED, loads)] if loads else []
-    for one in answers:
-        say(f"{one.recording}: {one.sentence}" if len(answers) > 1 else one.sentence)
-    print_notes(f"warning: {one.recording}: {line}" for one in answers for line in one.warnings)
+    for answer in answers:
+        say(f"{answer.recording}: {answer.sentence}" if len(answers) > 1 else answer.sentence)
+    print_notes(f"warning: {answer.recording}: {line}" for answer in answers for line in answer.warnings)
     print_table(event_table(answers))
     if everything:
         print_table(load_table(answers))
         print_table(pressed_table(loads))
-        print_notes(tuple(f"{one.recording}: {note}" for one in answers for note in one.notes))
+        print_notes(tuple(f"{answer.recording}: {note}" for answer in answers for note in answer.notes))
     for path in files:
         say(path)
 
@@ -249,6 +249,6 @@ def _repaired(file: Path) -> str:
     from lampest.recording.board.record import repair
 
     frames, dropped = repair(file)
-    one = dropped == 1
-    damage = f"; {dropped} damaged frame{' is' if one else 's are'} dropped and count{'s' if one else ''} as lost"
+    single = dropped == 1
+    damage = f"; {dropped} damaged frame{' is' if single else 's are'} dropped and count{'s' if single else ''} as lost"
     return f"{frames} frames: {file}{damage if dropped else ''}"

@@ -1,4 +1,4 @@
-"""Options, notes, progress and tables of all commands, and their exit codes."""
+"""Options, messages, progress bar, tables and exit codes of all commands."""
 
 import re
 import sys
@@ -29,9 +29,9 @@ WIDTH = 100  # columns of a terminal that every table and note fits
 
 
 def written(name: str, text: str) -> Any:
-    """The option of that name, of which the value is where a command writes: neither nothing nor the root of all files.
+    """Return an option of that name for an output path.
 
-    Raises InputError where a user gives one of these.
+    Raises InputError for an empty path and for the root of the file system.
     """
 
     def place(value: str) -> Path:
@@ -46,17 +46,17 @@ def written(name: str, text: str) -> Any:
 
 
 def mended(name: str, text: str) -> Any:
-    """The argument of files that a command may write anew in their own place."""
+    """Return an argument for files that a command may replace."""
     return typer.Argument(parser=Path, metavar=name, help=text)
 
 
 def is_written(annotation: Any) -> bool:
-    """Whether an option is one of `written` or `mended`: no other has a parser of its own."""
+    """Return whether an option was made by `written` or `mended`, which alone set a parser."""
     return any(getattr(each, "parser", None) is not None for each in getattr(annotation, "__metadata__", ()))
 
 
 def option(text: str, *names: str, **further: Any) -> Any:
-    """An option with its help; it is called as its parameter is, or by other names."""
+    """Return an option with its help text, called like its parameter unless names are given."""
     return typer.Option(*names, help=text, **further)
 
 
@@ -68,9 +68,9 @@ Folder = Annotated[Path | None, written("--out", "Output folder. Default: result
 
 
 def scene_of(path: Path | None, assigned: list[str] | None) -> "Scene | None":
-    """The scene of a YAML file with some of its entries overridden; None where no file is named.
+    """Return the scene of a YAML file with some entries overridden, or None if no file is named.
 
-    Raises InputError with line and column, and where entries are to be overridden of no file.
+    Raises InputError with line and column, and for overrides without a file.
     """
     from lampest.panel.scene import read_scene
 
@@ -86,7 +86,7 @@ def check_positive(name: str, value: float | None) -> None:
 
 
 def say(thing: object, to: TextIO | None = None) -> None:
-    """Print one line; signs that would do anything to a terminal are written as escapes, whatever names hold."""
+    """Print one line with control characters escaped."""
     print(printable(str(thing)), file=to, flush=True)
 
 
@@ -97,7 +97,7 @@ def warn(sentence: object) -> None:
 
 def as_options(sentence: str) -> str:
     """Return a sentence on arguments with the options of their names: `unit='mV'` becomes --unit mV."""
-    return re.sub(r"`(\w+)(?:='?([^`']*)'?)?`", lambda one: f"--{one[1]} {one[2] or ''}".rstrip(), sentence)
+    return re.sub(r"`(\w+)(?:='?([^`']*)'?)?`", lambda word: f"--{word[1]} {word[2] or ''}".rstrip(), sentence)
 
 
 def say_text(text: str) -> None:
@@ -107,14 +107,14 @@ def say_text(text: str) -> None:
 
 
 def markless(text: str) -> str:
-    """A text in which rich finds no marks, and a terminal no signs."""
+    """Escape markup of rich and control characters of terminals."""
     from rich.markup import escape
 
     return escape(printable(text))
 
 
 def print_notes(notes: "Iterable[str]") -> None:
-    """Print sentences within 100 columns, what follows a sentence's first line indented."""
+    """Print sentences within 100 columns with hanging indents."""
     from textwrap import fill
 
     for note in notes:
@@ -122,26 +122,31 @@ def print_notes(notes: "Iterable[str]") -> None:
 
 
 class progress:  # noqa: N801
-    """A progress bar on stderr with the time left, which moves by itself; none where that is no terminal.
+    """Progress bar with the remaining time on stderr, hidden unless stderr is a terminal.
 
-    counted : whether it says how many of how many are done, too.
+    Parameters
+    ----------
+    label : str
+        Name of the things that are counted.
+    counted : bool
+        Whether the numbers of finished and of all parts are shown.
     """
 
-    def __init__(self, what: str, counted: bool = False) -> None:
+    def __init__(self, label: str, *, counted: bool = False) -> None:
         from rich.console import Console
         from rich.progress import MofNCompleteColumn, Progress, TextColumn
 
         columns = (*Progress.get_default_columns(), TextColumn("left"), *[MofNCompleteColumn()] * counted)
         self._bar = Progress(*columns, console=Console(stderr=True), disable=not sys.stderr.isatty())
-        self._task = self._bar.add_task(what, total=None)
+        self._task = self._bar.add_task(label, total=None)
 
     def __enter__(self) -> Any:
         self._bar.__enter__()
         return self._advanced
 
-    def _advanced(self, done: int, total: int, what: str | None = None) -> None:
-        """How many of how many are done, and what is next where that takes long."""
-        self._bar.update(self._task, completed=done, total=total, description=what and markless(what))
+    def _advanced(self, done: int, total: int, label: str | None = None) -> None:
+        """Show the number of finished parts, their total, and the name of the next one."""
+        self._bar.update(self._task, completed=done, total=total, description=label and markless(label))
 
     def __exit__(self, *error: Any) -> None:
         self._bar.__exit__(*error)
@@ -151,11 +156,10 @@ TOGETHER = re.compile(r" (?=[±/…] )|(?<= [±/…]) ")  # blanks within a figu
 
 
 def print_table(table: "Table") -> None:
-    """Draw rows of text and figures within 100 columns, or as many as the terminal has where they are more.
+    """Print a table within 100 columns, or within the width of a wider terminal.
 
-    Columns in which no row has anything are left out, and a table without rows altogether. Where it is too wide,
-    headers and texts take several lines and figures stay on one; where that is not enough, rows of one name in the
-    first column stand together under it.
+    Empty columns and empty tables are omitted. In a table that is too wide, headers and texts are folded, figures are
+    not. If that is insufficient, rows that share the name in the first column are printed under that name.
     """
     filled = [number for number in range(len(table.headers)) if any(cells[number] for cells in table.cells)]
     if not filled:
@@ -170,20 +174,20 @@ def print_table(table: "Table") -> None:
         return
     for name, block in groupby(rows, key=lambda cells: cells[0]):
         say(f"{name}:")
-        others = [cells[1:] for cells in block]
-        _draw(headers[1:], others, *_layout(headers[1:], others, room))
+        remaining = [cells[1:] for cells in block]
+        _draw(headers[1:], remaining, *_layout(headers[1:], remaining, room))
 
 
 def _whole(widths: Sequence[int], gap: int) -> int:
-    """The table's width; one blank more stands at each end."""
+    """Return the width of a table, including one blank at each end."""
     return sum(widths) + gap * (len(widths) - 1) + 2
 
 
 def _layout(headers: Sequence[str], rows: Sequence[Sequence[str]], room: int) -> tuple[list[int], int]:
-    """The columns' widths and the blanks between them: the widest column is narrowed as long as all are too wide.
+    """Return the widths of the columns and the number of blanks between them.
 
-    Headers give way first, then texts, then the blanks between columns, then names in the first column; no other column
-    is narrower than the longest of its words and figures.
+    The widest column is narrowed until the table fits. Headers are folded first, then texts, then the blanks between
+    columns shrink, then names in the first column are cut. All other columns keep the width of their longest word.
     """
     columns = list(zip(*rows, strict=True))
     words = [_longest_word(header) for header in headers]

@@ -39,7 +39,7 @@ STUDIES = {
 
 
 def study_command(word: str) -> Callable[..., None]:
-    """The command of a study."""
+    """Return the command of a study."""
     module, about = STUDIES[word]
 
     def command(config: Config = None, out: Folder = None, assign: Assign = None) -> None:
@@ -73,7 +73,7 @@ def paper(
 
 
 def print_reported(reported: "Reported") -> None:
-    """Tables, remarks and files of a study; what was left out on stderr."""
+    """Print tables, remarks and files of a study, and omissions on stderr."""
     for title, table in reported.tables:
         if title:
             say(title)

@@ -1,1 +1,1 @@
-"""What results say: tables, detections, pictures, pages."""
+"""Tables, detections, pictures and pages of results."""

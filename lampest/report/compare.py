@@ -1,4 +1,4 @@
-"""Tables over recordings and estimators: time, data error, cell error, and what a publication gives beside them."""
+"""Comparison tables of recordings and estimators: solve time, data error, cell error, published figures."""
 
 import csv
 import io
@@ -40,9 +40,18 @@ NOTES = {  # what a header that begins so means
 
 @dataclass(frozen=True)
 class Table:
-    """Headers with units and rows of text, ready to be drawn.
+    """Table of texts.
 
-    title : the line above it. best : (row, column) of the cells that a page sets off.
+    Attributes
+    ----------
+    headers : tuple of str
+        Column headers with units.
+    cells : tuple of tuple of str
+        Rows.
+    title : str
+        Line above the table.
+    best : frozenset of (row, column)
+        Cells that a page highlights.
     """
 
     headers: tuple[str, ...]
@@ -63,7 +72,7 @@ STATISTICS: dict[str, Callable[[Array], float | None]] = {
 
 
 def statistics(values: Array | None, header: str, *names: str) -> dict[str, float | None]:
-    """Header → statistic of the finite values, any shape; None where there are none. header : 'time {} [s]'."""
+    """Map headers such as 'time {} [s]' to statistics of the finite values, None if there are no such values."""
     known = np.zeros(0) if values is None else values[np.isfinite(values)]
     with np.errstate(over="ignore", invalid="ignore"):
         return {header.format(name): STATISTICS[name](known) if known.size else None for name in names}
@@ -88,17 +97,18 @@ def weighted_residual(case: CaseResult) -> Array | None:
 
 
 def compare_files(paths: Sequence[str | Path], frames: range | None = None) -> list[Row]:
-    """The rows of several results files, file by file; frames : as `read_results` takes them.
+    """Return the rows of several results files, restricted to `frames` if given.
 
-    Raises InputError where one cannot be read.
+    Raises InputError for an unreadable file.
     """
     return [row for path in paths for row in compare(read_results(path, frames=frames), str(path))]
 
 
 def compare(results: Results, source: str = "") -> list[Row]:
-    """The rows of one results file: one for each case, two where its first frame was solved with the baseline.
+    """Return the rows of one results file.
 
-    steps : 'all', or 'initial' and 'following'. A failed frame counts in `frames` and nowhere else.
+    A case has one row, with `steps` equal to 'all'. A case whose first frame was solved jointly with the baseline has
+    two, 'initial' and 'following'. Failed frames count in `frames` only.
     """
     rows: list[Row] = []
     for case in results.cases:
@@ -119,7 +129,7 @@ def compare(results: Results, source: str = "") -> list[Row]:
 
 
 def figures_of(case: CaseResult, chosen: NDArray[np.bool_]) -> dict[str, Any]:
-    """Header → what the solved ones of some frames say, and how many of all their readings are no values."""
+    """Map headers to figures of the solved frames among the chosen ones, and to counts of their missing readings."""
     good = chosen & case.solved
     errors = None if case.truth is None else relative_error(case.cell_resistance[good], case.truth[good])
     own, common = (None if part is None else 100 * part[good] for part in (case.sigma_own, case.sigma_common))
@@ -142,15 +152,15 @@ def figures_of(case: CaseResult, chosen: NDArray[np.bool_]) -> dict[str, Any]:
 
 
 def _quoted(published: PublishedFigures | None, steps: Steps) -> dict[str, Any]:
-    """Published figures of these steps; those of all and of following ones replace each other where one is missing."""
+    """Return published figures of these steps; figures of all steps and of following steps substitute each other."""
     known = published or PublishedFigures()
     later = (known.all, known.following) if steps == "all" else (known.following, known.all)
-    found = next(filter(None, (known.initial,) if steps == "initial" else later), StepFigures())
+    figures = next(filter(None, (known.initial,) if steps == "initial" else later), StepFigures())
     return {
-        "published time [s]": found.time_s,
-        "published time sd [s]": found.time_sd_s,
-        "published data error [%]": found.error_percent,
-        "published data error sd [%]": found.error_sd_percent,
+        "published time [s]": figures.time_s,
+        "published time sd [s]": figures.time_sd_s,
+        "published data error [%]": figures.error_percent,
+        "published data error sd [%]": figures.error_sd_percent,
     }
 
 
@@ -164,7 +174,7 @@ def model_notes(rows: Sequence[Row]) -> list[str]:
 
 
 def comma_separated(rows: Iterable[Iterable[object]]) -> str:
-    """Rows of values as CSV, nothing for None; see `no_formula`."""
+    """Return rows of values as CSV, empty for None; see `no_formula`."""
     stream = io.StringIO()
     csv.writer(stream, lineterminator="\n").writerows([no_formula(value) for value in row] for row in rows)
     return stream.getvalue()
@@ -205,10 +215,10 @@ def comparison(*paths: str | Path) -> "DataFrame":
     return data_frame(table_lines(compare_files(paths)))
 
 
-def screen_blocks(rows: Sequence[Row], published: bool = False) -> list[Table]:
-    """A table for each recording; of more than six recordings one that sums them up.
+def screen_blocks(rows: Sequence[Row], *, published: bool = False) -> list[Table]:
+    """Return a table for each recording, or one with medians over more than six recordings.
 
-    published : with the figures that a run's file quotes.
+    published : whether the figures quoted in the run file are included.
     """
     groups = _grouped(rows, "results", "recording")
     if len(groups) > 6:
@@ -216,13 +226,13 @@ def screen_blocks(rows: Sequence[Row], published: bool = False) -> list[Table]:
         return [_table(title, _grouped(rows, "estimator", "steps"), _with_swept(OVER_ALL, rows))]
     several = len({row["results"] for row in rows}) > 1
     columns = _with_swept(COLUMNS | (PUBLISHED if published else {}), rows)
-    return [_table(_title(group, several), group, columns) for group in groups]
+    return [_table(_title(group, several=several), group, columns) for group in groups]
 
 
 def _with_swept(columns: Mapping[str, Callable[[Any], str]], rows: Sequence[Row]) -> dict[str, Callable[[Any], str]]:
     """Return the columns of rows, or of groups of them, with one for each swept key after the estimator."""
-    first, *others = columns.items()
-    return dict([first, *((key.replace(".", " "), partial(_swept_text, key)) for key in swept_keys(rows)), *others])
+    first, *remaining = columns.items()
+    return dict([first, *((key.replace(".", " "), partial(_swept_text, key)) for key in swept_keys(rows)), *remaining])
 
 
 def _swept_text(key: str, thing: Row | Sequence[Row]) -> str:
@@ -240,13 +250,13 @@ def _grouped(rows: Sequence[Row], *headers: str) -> list[list[Row]]:
 
 
 def legend(rows: Sequence[Row], blocks: Sequence[Table]) -> list[str]:
-    """What the headers of the blocks mean, a sentence each."""
+    """Return a sentence for each header of the tables that needs an explanation."""
     headers = [header for block in blocks for header in block.headers]
     headers += ["first"] * any(row["steps"] != "all" for row in rows)
     return [note for start, note in NOTES.items() if any(header.startswith(start) for header in headers)]
 
 
-def _title(group: Sequence[Row], several: bool) -> str:
+def _title(group: Sequence[Row], *, several: bool) -> str:
     """'lamprey_35mm: 21 frames, 12 readings missing'."""
     first = group[0]
     own = [row for row in group if row["estimator"] == first["estimator"]]
@@ -260,7 +270,7 @@ def _title(group: Sequence[Row], several: bool) -> str:
 
 
 def _table(title: str, things: Sequence[T], columns: Mapping[str, Callable[[T], str]]) -> Table:
-    """A row for each of the things; a column in which none has anything is left out."""
+    """Return a table with a row for each item, without empty columns."""
     texts = {header: [text(thing) for thing in things] for header, text in columns.items()}
     filled = {header: column for header, column in texts.items() if any(column)}
     return Table(tuple(filled), tuple(zip(*filled.values(), strict=True)), title)
@@ -277,7 +287,7 @@ def _plus_minus(row: Row, header: str, factor: float = 1.0) -> str:
 
 
 def _both(row: Row, first: str, second: str, between: str, text: Callable[[float], str] = digits) -> str:
-    """Two figures, as far as there are any: '5.10 / 16.7'."""
+    """Join two figures, such as '5.10 / 16.7', omitting missing ones."""
     return between.join(text(figure) for header in (first, second) if (figure := row[header]) is not None)
 
 
@@ -287,7 +297,7 @@ def _solved(group: Sequence[Row]) -> str:
 
 
 def _over(group: Sequence[Row], header: str, *functions: Callable[[Any], float], factor: float = 1.0) -> str:
-    """What functions make of the figures of a group, '2.1 … 3.5'; nothing where there are none."""
+    """Return statistics of a group's figures, such as '2.1 … 3.5', or '' if there are no figures."""
     known = [factor * row[header] for row in group if row[header] is not None]
     return " … ".join(digits(float(function(known))) for function in functions if known)
 

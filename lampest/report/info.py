@@ -1,4 +1,4 @@
-"""What a recording, a results file or an import holds, in a few lines of text with a small map."""
+"""Descriptions of recordings, results files and imports as text with a small map."""
 
 import shutil
 from collections.abc import Iterator, Sequence
@@ -30,10 +30,10 @@ UNSEALED = "readable, but without checksums: written by an older version or anot
 
 
 def describe(path: str | Path) -> list[str]:
-    """Lines on a file: format, frames, panel, scene, times, roles, range of readings, and the strongest change.
+    """Describe a file: format, frames, panel, scene, times, roles, range of readings, and the strongest change.
 
-    Of one that is too long to be held: its frames, and what the first ones say. Raises InputError where the file is
-    neither a recording nor results, or is damaged.
+    Of a file that exceeds the memory, all frames are counted and the first ones are described. Raises InputError for a
+    damaged file and for one that is neither a recording nor results.
     """
     path, too_long_words = Path(path), "too long for memory; frames {} to {}:"
     with hdf5.existing_file(path) as file:
@@ -62,7 +62,7 @@ def describe(path: str | Path) -> list[str]:
 
 
 def _line(head: str, text: object) -> str:
-    """As a screen shows what files hold in ASCII."""
+    """Return a line with a heading; files hold ± as ASCII."""
     return f"{head:10} {text}".replace("+-", "±")
 
 
@@ -88,25 +88,25 @@ def _recording_lines(recording: Recording) -> list[str]:
     lines += [*_scene_lines(scene), *_noise_lines(recording)]
     lines.append(_line("readings", f"{spanned(recording.recorded, circuit.unit)} ({circuit.signal_name})"))
     lines += [*(_line("", sentence) for sentence in _holes(recording)), _line("besides", held or "nothing")]
-    found = strongest_readings(recording)
-    if found is None:
+    strongest = strongest_readings(recording)
+    if strongest is None:
         return [*lines, f"readings of frame 0 in {circuit.unit}:", *text_map(recording.recorded[0])]
-    where = f"frame {found[0]} at {recording.time[found[0]]:g} s"
-    return [*lines, f"readings of {where}, the strongest change against the unloaded ones:", *shaded_map(found[1])]
+    where = f"frame {strongest[0]} at {recording.time[strongest[0]]:g} s"
+    return [*lines, f"readings of {where}, the strongest change against the unloaded ones:", *shaded_map(strongest[1])]
 
 
 def _noise_lines(recording: Recording) -> list[str]:
-    """Which lines seem to touch that the scene does not name, and what the frames alone say of their noise."""
+    """Return sentences on lines that seem to touch, on the noise of the frames, and warnings."""
     lines = []
     with suppress(InputError):  # said where an estimate is asked for; a look at the file is free
         readings, faults = recording.readings(), recording.scene.faults or Faults()
-        for name, known, found in (
+        for name, known, groups in (
             ("rows", faults.joined_rows, touching_rows(readings)),
             ("columns", faults.joined_columns, touching_columns(readings)),
         ):
-            for group in found:
+            for group in groups:
                 words = f"{name} {', '.join(map(str, group))} in every frame: if they touch, faults: "
-                if not any(set(group) <= set(one) for one in known):
+                if not any(set(group) <= set(joined) for joined in known):
                     lines.append(_line("alike", f"{words}{{joined_{name}: [{list(group)}]}} says so"))
     with suppress(InputError):
         from lampest.estimate.prepared import Prepared  # with all of the estimate, which results do without
@@ -114,12 +114,12 @@ def _noise_lines(recording: Recording) -> list[str]:
         prepared = Prepared(recording)
         learned = prepared.frame_noise.learned
         lines += [_line("noise", learned)] if learned else []
-        lines += [_line("warning", one) for one in prepared.warnings]
+        lines += [_line("warning", joined) for joined in prepared.warnings]
     return lines
 
 
 def _scene_lines(scene: Scene) -> list[str]:
-    """Panel, readout and what is in series in words; all else by the keys of its file."""
+    """Describe panel, readout and series resistance in words, and other entries by their keys."""
     panel, listed = scene.panel, ""
     if panel.cells is not None:
         wide, tall = (most - least for least, most in panel.extents_mm)
@@ -139,7 +139,7 @@ def _scene_lines(scene: Scene) -> list[str]:
 
 
 def _in_words(part: Any) -> str:
-    """'hysteresis 0.2, creep_per_decade auto'; of many numbers the least and the largest."""
+    """Return an entry as text, such as 'hysteresis 0.2, creep_per_decade auto'; of many numbers, the range."""
     if isinstance(part, dict):
         return ", ".join(f"{key} {words}" for key, value in part.items() if (words := _in_words(value)))
     if isinstance(part, list) and (numbers := [*_numbers(part)]):
@@ -175,7 +175,7 @@ def _results_lines(results: Results) -> list[str]:
         sentences = [
             ("", holes_sentence(missing, bounds)),
             ("model", shown and f"{first.model_mark}: {first.model_sentence}"),
-            *(("warning", one) for one in first.warnings.split("\n")),
+            *(("warning", line) for line in first.warnings.split("\n")),
             ("film", first.film_sentence),
             ("noise", first.noise_learned),
         ]
@@ -183,8 +183,8 @@ def _results_lines(results: Results) -> list[str]:
         width = max(len(case.estimator) for case in cases)
         for case in cases:
             solved = f"solved {int(np.sum(case.solved))}/{frames}{_starts(case)}"
-            found = f"r {spanned(case.cell_resistance, 'ohm')}  case {case.case_id}"
-            lines.append(f"  {case.estimator:{width}}  {solved}  {found}")
+            cells = f"r {spanned(case.cell_resistance, 'ohm')}  case {case.case_id}"
+            lines.append(f"  {case.estimator:{width}}  {solved}  {cells}")
             if case.error_words:
                 lines.append(f"  {'':{width}}  {case.error_words} (medians)")
     if results.published:
@@ -198,7 +198,7 @@ def _results_lines(results: Results) -> list[str]:
 
 
 def _starts(case: CaseResult) -> str:
-    """'', or of how many starts the estimates of the solved frames are the lowest local optimum."""
+    """Return the number of starts of which the estimates are the lowest verified optima, or ''."""
     if case.local_optima is None:
         return ""
     _, least, most = case.local_optima
@@ -207,7 +207,7 @@ def _starts(case: CaseResult) -> str:
 
 
 def _holes(recording: Recording) -> list[str]:
-    """What is missing or only a bound, readings of faulty cells aside, and what follows from it."""
+    """Return sentences on missing and bounded readings, except those of faulty cells, and on their consequences."""
     readings, scene = recording.readings(), recording.scene
     sentences = [holes_sentence(readings.missing(scene), readings.bounds)]
     enough, unloaded = readings.enough(scene), recording.role == UNLOADED
@@ -219,9 +219,9 @@ def _holes(recording: Recording) -> list[str]:
 
 
 def holes_sentence(missing: NDArray[np.bool_], bounds: NDArray[np.bool_]) -> str:
-    """`12 readings missing (0.4 %), 30 at a rail, zero or below the series resistance (1 %), in 7 of 40 frames`.
+    """Return a sentence such as `12 readings missing (0.4 %), 30 at a rail, ... (1 %), in 7 of 40 frames`.
 
-    missing, bounds : (frames, rows, columns). Lines that have no reading are named. Empty where every one is a value.
+    missing, bounds : (frames, rows, columns). Lines without readings are named. Empty if every reading is a value.
     """
     kinds = (missing, "missing"), (bounds, "at a rail, zero or below the series resistance")
     counts = [(int(np.sum(kind)), words) for kind, words in kinds if np.any(kind)]
@@ -237,14 +237,14 @@ def holes_sentence(missing: NDArray[np.bool_], bounds: NDArray[np.bool_]) -> str
 
 
 def understood_lines(recording: Recording, notes: Sequence[str]) -> list[str]:
-    """The sentences of an import, and a map of mean readings, which shows rows and columns that were swapped."""
+    """Return the notes of an import and a map of mean readings, in which swapped rows and columns show."""
     return [*notes, f"mean reading in {recording.scene.circuit.unit}:", *text_map(mean_reading(recording.recorded))]
 
 
 def checked_sentence(path: Path) -> str:
-    """Reads all of a file, and says what vouches for it.
+    """Read a whole file and return a sentence on its integrity.
 
-    Raises InputError where a dataset is not what was written, with its path, or the file cannot be read.
+    Raises InputError with the path of a damaged dataset.
     """
     with hdf5.existing_file(path) as file:
         form = hdf5.read_attribute(file, "/", "lampest_format")
@@ -261,7 +261,7 @@ def checked_sentence(path: Path) -> str:
 
 
 def text_map(values: Array) -> list[str]:
-    """A matrix (rows, columns) as numbers, row 0 on top and columns to the right; what is cropped is said below."""
+    """Return a matrix (rows, columns) as lines of numbers, cropped to the screen."""
     columns = values.shape[1]
     texts = [["-" if np.isnan(value) else f"{value:.4g}" for value in row] for row in values[:MOST_ROWS]]
     lines = [[*map(str, range(columns))], *texts]
@@ -277,10 +277,10 @@ def text_map(values: Array) -> list[str]:
 
 
 def shaded_map(change: Array) -> list[str]:
-    """Changes (rows, columns) in percent as shades, row 0 on top and columns to the right.
+    """Return changes (rows, columns) in percent as shaded characters.
 
-    Falls are blocks, rises signs; each reaches its full shade at the largest of its own. A cell is two signs wide where
-    that leaves room for all columns, else one.
+    Falls are blocks and rises are signs; each has its own scale up to its largest value. A cell is two characters wide
+    if all columns fit, else one.
     """
     rows, columns = change.shape
     label = max(3, len(str(rows - 1)) + 1)

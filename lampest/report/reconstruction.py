@@ -1,7 +1,4 @@
-"""What a notebook gets: estimates that can be drawn, kept, and turned into labelled arrays and tables.
-
-`Estimates` stands floors below, where neither results files nor pictures are known; what needs those is here.
-"""
+"""Estimates for notebooks: with plots, files, labelled arrays and tables."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
@@ -33,14 +30,14 @@ INTERNAL = {"of", "asked", "tared"}  # attributes that the package's own columns
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Reconstruction(Estimates):
-    """Cell resistances of a recording's measured frames as arrays, as a file, as a table, and as pictures.
+    """Estimated cell resistances of the measured frames of a recording.
 
-    Arrays are those of `Estimates`: `cell_resistance` (frames, rows, columns) ohm, `relative_change` in percent of the
-    unloaded panel, `pressure` in kPa, each with `_errors`, `_lower` and `_upper`; `status` says how each frame ended.
+    Arrays are those of `Estimates`: `cell_resistance` (frames, rows, columns) in ohm, `relative_change` in percent of
+    the unloaded panel, `pressure` in kPa, each with `_errors`, `_lower` and `_upper`. `status` says how each solve
+    ended.
 
-    `name` is what files and pictures call the estimator; by default its terms, `misfit + gradient`. `columns` are those
-    of your own, besides those of lampest and of installed packages. All methods that take them raise InputError where
-    the name cannot stand in a file, or a column's values do not fit it.
+    Methods take `name`, the name of the estimator in files and plots (by default its terms, `misfit + gradient`), and
+    `columns`, your own columns. They raise InputError for an unfit name and for values that do not fit their column.
 
     >>> found
     Reconstruction(mine: misfit, auto, 2 of 2 frames solved, the first: optimum verified)
@@ -53,16 +50,16 @@ class Reconstruction(Estimates):
         estimator: Estimator,
         on_frame: Callable[[int, int], None] = lambda done, frames: None,
     ) -> Self:
-        """Solve every measured frame of a recording. Raises InputError where the two do not fit.
+        """Solve every measured frame of a recording. Raises InputError if estimator and recording do not fit.
 
-        on_frame : called after every frame with the number of frames done, and of all.
+        on_frame : receives the numbers of solved and of all frames.
         """
         estimates = reconstruct(recording, estimator, lambda done, frames, so_far: on_frame(done, frames))
         return cls(**{part.name: getattr(estimates, part.name) for part in fields(Estimates)})
 
     @property
     def weights(self) -> dict[str, Array]:
-        """Term → (frames) λ of every penalty, the number that was given or the one that the data chose."""
+        """Penalty → λ (frames), given or chosen by the data."""
         values: Mapping[str, Array] = next(folder for folder in FIGURES if folder.name == "weights").value(self)
         return {term: weight for term, weight in values.items() if term != "misfit"}
 
@@ -115,32 +112,32 @@ class Reconstruction(Estimates):
         return f'<pre style="line-height: 1.3">{escape(self.fit_report())}</pre>{picture}'
 
     def result(self, name: str | None = None, columns: Sequence[Column] = ()) -> CaseResult:
-        """The case that results files keep; several may go into one file with `write_results`."""
+        """Return the case for a results file; `write_results` writes several into one file."""
         return named_result(self, name, columns)
 
     def save(self, path: str | Path, name: str | None = None, columns: Sequence[Column] = ()) -> None:
-        """Write a results file, whole or not at all; `read_results` reads it, and every command takes it.
+        """Write a results file atomically, for `read_results` and the commands.
 
-        Raises InputError where the place cannot be written.
+        Raises InputError if the place cannot be written.
         """
         write_results(path, [self.result(name, columns)], columns=columns)
 
     def to_xarray(self, columns: Sequence[Column] = ()) -> "Dataset":
-        """An xarray.Dataset over time (s), row and column, with x and y in mm; units in every variable's `attrs`.
+        """Return an xarray.Dataset over time (s), row and column, with x and y in mm and units in `attrs`.
 
-        Raises InputError where xarray is not installed.
+        Raises InputError if xarray is not installed.
         """
         return self.result(columns=columns).to_xarray(columns)
 
     def to_dataframe(self, columns: Sequence[Column] = ()) -> "DataFrame":
-        """A pandas.DataFrame of one line for every cell of every frame; units in `attrs["units"]`."""
+        """Return a pandas.DataFrame with a line for every cell of every frame; units are in `attrs["units"]`."""
         return self.result(columns=columns).to_dataframe(columns)
 
     def plot(self, kind: "str | Plot" = "contours", frame: int | None = None) -> "Figure":
-        """A matplotlib Figure: a kind that `plot --show` takes, such as `change` or `residuals`, or a Plot of your own.
+        """Return a Matplotlib figure of a kind such as `change` or `residuals`, or of your own Plot.
 
-        frame : index into the recording; None: the strongest one. Raises InputError where there is no such plot or
-        frame, or nothing to draw.
+        frame : index into the recording; by default a frame of strong change. Raises InputError for an unknown kind or
+        frame and if there is nothing to draw.
         """
         with extra():
             from lampest.report.plots import picture  # matplotlib takes longer to load than a frame to solve

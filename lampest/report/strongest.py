@@ -1,4 +1,4 @@
-"""The frame of a recording that shows most: of many, that in which the cells have moved furthest."""
+"""Selection of the frame with the strongest change."""
 
 import warnings
 from collections.abc import Sequence
@@ -12,7 +12,7 @@ from lampest.runs.case import CaseResult
 
 
 def percent_change(resistance: Array, baseline: Array) -> Array:
-    """100·(R/R₀ − 1), any shape, in percent."""
+    """Return 100·(R/R₀ − 1), any shape, in percent."""
     return 100 * (resistance / baseline - 1)
 
 
@@ -22,16 +22,16 @@ def as_recorded(value: Array, scene: Scene) -> Array:
 
 
 def strongest_index(cases: Sequence[CaseResult]) -> int:
-    """Of the frames that most of the cases solved, the one whose cells have moved furthest."""
+    """Return the index of the strongest frame among those that most cases solved."""
     solved = np.sum([case.solved for case in cases], axis=0)
     frames = np.flatnonzero(solved == solved.max())
     return int(frames[furthest(cases[0].measured[frames], cases[0].measured_baseline)])
 
 
 def furthest(value: Array, resting: Array) -> int:
-    """The last of some frames (frames, rows, columns) whose rms `likely_change` reaches 90 % of the largest.
+    """Return the index of the last frame whose rms `likely_change` reaches 90 % of the largest.
 
-    The last one, because a load settles after it has set in.
+    The last one, because loads settle after their onset. value : (frames, rows, columns).
     """
     change = likely_change(value, resting)
     known = np.isfinite(change)
@@ -40,12 +40,11 @@ def furthest(value: Array, resting: Array) -> int:
 
 
 def likely_change(value: Array, resting: Array) -> Array:
-    """ln(r/r₀) ≈ K·(x̄/K + a/M + b/N + w/2), x = ln(y/y₀) = x̄ + a + b + w, K = M + N − 1; (frames, rows, columns).
+    """Approximate ln(r/r₀) by K·(x̄/K + a/M + b/N + w/2) with x = ln(y/y₀) = x̄ + a + b + w, K = M + N − 1.
 
-    The inverse of the derivative of a uniform panel's two-point resistances: mean, effects of rows, of columns, and
-    what is left of a cell are each mixed in by a factor of their own. Readings alone fall less as suction lets cells
-    rise amid others that a rim presses; cells do not, so that suction counts. A measure to choose by, no estimate.
-    value : (frames, rows, columns), resting : (rows, columns), in any unit; NaN where a reading is missing.
+    This inverts the derivative of the two-point resistances of a uniform panel, for which mean, row effects, column
+    effects and residuals are eigenvectors. Unlike readings, it also responds to suction within a pressed rim. It serves
+    to choose frames only. value : (frames, rows, columns), resting : (rows, columns), in any unit; NaN if missing.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         moved = np.log(value / resting)
@@ -60,9 +59,9 @@ def likely_change(value: Array, resting: Array) -> Array:
 
 
 def strongest_readings(recording: Recording) -> tuple[int, Array] | None:
-    """The frame whose readings have moved furthest, and their change in percent of the mean unloaded ones.
+    """Return the strongest frame and the change of its readings in percent of the mean unloaded ones.
 
-    None where the recording has no unloaded frames, or no others.
+    None without unloaded frames or without measured ones.
     """
     unloaded = recording.role == UNLOADED
     if not np.any(unloaded) or np.all(unloaded):
@@ -74,7 +73,7 @@ def strongest_readings(recording: Recording) -> tuple[int, Array] | None:
 
 
 def mean_reading(recorded: Array) -> Array:
-    """Of (frames, rows, columns) over the frames that have one, (rows, columns)."""
+    """Return the mean over the frames, shape (rows, columns), ignoring missing readings."""
     known = np.isfinite(recorded)
     total = np.where(known, recorded, 0.0).sum(axis=0)
     return np.where(known.any(axis=0), total / np.maximum(known.sum(axis=0), 1), np.nan)

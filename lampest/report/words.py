@@ -1,4 +1,4 @@
-"""Numbers and lists as a reader expects them."""
+"""Formatting of numbers and lists."""
 
 from collections.abc import Sequence
 
@@ -8,24 +8,24 @@ from lampest.panel.panel import Array
 
 
 def counted(number: int, noun: str) -> str:
-    """'1 recording', '30 recordings', '1,200 frames'."""
+    """Return a count with its noun, such as '1 recording' or '1,200 frames'."""
     return f"{number:,} {noun}{'' if number == 1 else 's'}"
 
 
 def listed(names: Sequence[str]) -> str:
-    """'A', 'A and B', 'A, B and C'."""
+    """Join names, such as 'A, B and C'."""
     return " and ".join(filter(None, (", ".join(names[:-1]), *names[-1:])))
 
 
 def no_formula(value: object) -> object:
-    """The value; a text that spreadsheets would take for a formula begins with an apostrophe."""
+    """Return the value; texts that spreadsheets would evaluate as formulas get a leading apostrophe."""
     return f"'{value}" if isinstance(value, str) and value.startswith(("=", "+", "-", "@", "\t", "\r")) else value
 
 
 def digits(value: float, count: int = 3, like: float | None = None) -> str:
-    """A number with so many significant digits, without an exponent wherever that is short: '0.0012', '3,050'.
+    """Format a number with `count` significant digits, without an exponent if possible: '0.0012', '3,050'.
 
-    like : another number, which takes so many digits; the value gets as many decimals.
+    like : a number that gets `count` digits; the value then has the same decimals.
     """
     if not np.isfinite(value):
         return "not a number" if np.isnan(value) else ("−∞" if value < 0 else "∞")

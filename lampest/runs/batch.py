@@ -1,4 +1,4 @@
-"""Runs cases: finished ones are skipped, failures isolated, each result kept as a file of its own as it comes."""
+"""Batches of cases: finished ones are skipped, failures are isolated, each result is a file of its own."""
 
 import fcntl
 import os
@@ -35,11 +35,22 @@ KEPT_SHARE = 0.05  # of a case's time is spent on these files at most
 
 @dataclass(frozen=True)
 class Report:
-    """How a batch went.
+    """Outcome of a batch.
 
-    results : the file, None where no case has a result. done, skipped : cases solved now and before. failed : (case,
-    sentence). aside : where results of other cases went. not_run : cases without an executor to run them; lost : why.
-    warnings : what speaks against the results, a line each.
+    Attributes
+    ----------
+    results : Path or None
+        The results file; None if no case has a result.
+    done, skipped : int
+        Numbers of cases solved now and before.
+    failed : tuple of (str, str)
+        Case and reason.
+    aside : Path or None
+        New name of a file with results of other cases.
+    not_run : int
+        Number of cases that no executor ran; `lost` says why.
+    warnings : tuple of str
+        Warnings about the results.
     """
 
     results: Path | None
@@ -61,17 +72,17 @@ class Task:
 
     @property
     def file(self) -> Path:
-        """Where the case's result is kept."""
+        """File of the result."""
         return self.folder / CASES / f"{self.case.case_id}.h5"
 
     @property
     def unfinished(self) -> Path:
-        """Where the frames that are finished are kept while the case is solved."""
+        """File of the finished frames while the case is solved."""
         return self.folder / CASES / f".{self.case.case_id}_unfinished.h5"
 
     @property
     def count(self) -> Path:
-        """A file of as many bytes as frames are done: one that is read while it is written has a right size."""
+        """File with as many bytes as frames are done; its size is right even while it is written."""
         return self.folder / CASES / f".{self.case.case_id}.frames"
 
     @property
@@ -90,26 +101,39 @@ def run_batch(
     run: Run,
     folder: Path,
     executor: Executor,
+    *,
     fresh: bool = False,
     on_frames: Callable[[int, int], None] = lambda done, frames: None,
 ) -> Report:
-    """Solve the cases that have no result in `folder` yet, then write results.h5 with all that have one.
+    """Solve the cases without a result in `folder`, then write results.h5 with all results.
 
-    on_frames : called every second, from another thread, with the numbers of frames done, and of all that are to be
-    solved. A case that fails costs no other. An interruption keeps the cases that are finished, and of one that is
-    under way the frames that are. Raises InputError where the folder cannot be written, another run is using it, or its
-    results would replace a recording.
+    Failed cases do not affect other cases. An interruption keeps finished cases, and finished frames of running ones.
+
+    Parameters
+    ----------
+    run : Run
+    folder : Path
+    executor : Executor
+    fresh : bool
+        Whether finished cases are solved again.
+    on_frames : callable
+        Receives the numbers of solved and of all frames every second, from another thread.
+
+    Raises
+    ------
+    InputError
+        If the folder cannot be written, is used by another run, or holds a recording under the name of the results.
     """
     executor.ready()
     with exclusive(folder), sparing({case.path for case in run.cases}):
         own(folder / RESULTS)
         own(folder / CASES)
         tasks = [Task(case, folder.absolute()) for case in run.cases]
-        _clear(folder, tasks, fresh)
-        found: dict[Path, CaseResult | StoredCase] = {
+        _clear(folder, tasks, fresh=fresh)
+        finished: dict[Path, CaseResult | StoredCase] = {
             task.file: result for task in tasks if (result := _result(task)) is not None
         }
-        waiting = [task for task in tasks if task.file not in found]
+        waiting = [task for task in tasks if task.file not in finished]
         failed: list[tuple[str, str]] = []
         aside: Path | None = None
         lost = ""
@@ -120,12 +144,16 @@ def run_batch(
                         name = f"{task.case.recording} × {task.case.name}"
                         failed.append((name, told_reason(outcome, name)))
                     else:
-                        found[task.file] = outcome
+                        finished[task.file] = outcome
         except LostError as error:
             lost = str(error)
         finally:
-            done = [result for task in tasks if (result := found.get(task.file) or _result(task)) is not None]
-            held = [result for task in tasks if (result := found.get(task.file) or _result(task, True)) is not None]
+            done = [result for task in tasks if (result := finished.get(task.file) or _result(task)) is not None]
+            held = [
+                result
+                for task in tasks
+                if (result := finished.get(task.file) or _result(task, unfinished=True)) is not None
+            ]
             _clear(folder, tasks, fresh=False)
             if held:
                 aside = _put_aside(folder / RESULTS, held)
@@ -146,9 +174,9 @@ def run_batch(
 
 @contextmanager
 def _counted(tasks: Sequence[Task], on_frames: Callable[[int, int], None]) -> Iterator[None]:
-    """Call `on_frames` every second, and at the end, with the numbers of frames done and of all.
+    """Call `on_frames` every second, and at the end, with the numbers of solved and of all frames.
 
-    Files tell how far a case is, whichever process or machine solves it.
+    Progress is read from files, whichever process or machine solves the cases.
     """
     frames, ended = sum(task.case.frames for task in tasks), threading.Event()
 
@@ -170,7 +198,7 @@ def _counted(tasks: Sequence[Task], on_frames: Callable[[int, int], None]) -> It
 
 
 def _outcomes(executor: Executor, waiting: Sequence[Task]) -> Pairs:
-    """What becomes of every case; of those too long for memory all parts are solved first."""
+    """Return the outcomes of all cases; the parts of cases that exceed the memory are solved first."""
     with ExitStack() as stack:
         long = [(task, task.case.stored) for task in waiting if task.case.stored is not None]
         parts = [(task, n) for task, stored in long for n in parts_to_solve(task.case, stored, task.file)]
@@ -180,7 +208,7 @@ def _outcomes(executor: Executor, waiting: Sequence[Task]) -> Pairs:
 
 
 def _put_aside(path: Path, done: Sequence[CaseResult | StoredCase]) -> Path | None:
-    """Give a file that holds other cases, or is no results file, another name: results_1.h5 and so on; returns it."""
+    """Rename a file of other cases, or of another format, to results_1.h5 and so on; return the new name."""
     if path.is_symlink() or not path.is_file():
         return None
     with suppress(InputError):
@@ -199,7 +227,7 @@ def solve_part_of(part: tuple[Task, int]) -> None:
 
 
 def solve_case(task: Task) -> CaseResult | StoredCase:
-    """Solve one case and write its result, whole or not at all."""
+    """Solve a case and write its result atomically."""
     recording = _recording(task.case.path, task.case.sha256)
     inner_folder(task.folder, CASES).mkdir(exist_ok=True)
     if isinstance(recording, StoredRecording):
@@ -212,27 +240,27 @@ def solve_case(task: Task) -> CaseResult | StoredCase:
 
 def _kept_frames(task: Task) -> Callable[[int, int, Callable[[], Estimates] | None], None]:
     """Return a function that counts the frames of a case that are done, and now and then keeps their estimates."""
-    told = kept = time.monotonic()
+    told = written = time.monotonic()
     pause = KEPT_SECONDS
 
     def on_frame(done: int, frames: int, so_far: Callable[[], Estimates] | None) -> None:
-        nonlocal told, kept, pause
+        nonlocal told, written, pause
         now = time.monotonic()
         if now - told >= EVERY_SECONDS:
             told = now
             with os.fdopen(opened_for_locking(task.count, make=True), "rb+") as file:
                 file.truncate(done)
-        if so_far is not None and done < frames and now - kept >= pause:
+        if so_far is not None and done < frames and now - written >= pause:
             write_results(task.unfinished, [case_result(task.case, so_far())])
-            kept = time.monotonic()
-            pause = max(KEPT_SECONDS, (kept - now) / KEPT_SHARE)
+            written = time.monotonic()
+            pause = max(KEPT_SECONDS, (written - now) / KEPT_SHARE)
 
     return on_frame
 
 
 @lru_cache(maxsize=1)
 def _recording(path: Path, sha256: str) -> Prepared | StoredRecording:
-    """A recording, read and prepared once for successive cases. Raises InputError where it was replaced meanwhile."""
+    """Read and prepare a recording once for successive cases. Raises InputError if it was replaced meanwhile."""
     recording = opened(path)
     if digest(path) != sha256:
         raise InputError(f"{path}: was replaced after the run began; run again")
@@ -241,7 +269,7 @@ def _recording(path: Path, sha256: str) -> Prepared | StoredRecording:
 
 @contextmanager
 def exclusive(folder: Path) -> Iterator[None]:
-    """Hold the folder for one run. Raises InputError where it cannot be written or another run holds it."""
+    """Lock the folder for one run. Raises InputError if it cannot be written or another run uses it."""
     inner_folder(output_folder(folder), CASES)
     try:
         descriptor = opened_for_locking(folder / ".lock", make=True)
@@ -255,8 +283,8 @@ def exclusive(folder: Path) -> Iterator[None]:
         yield
 
 
-def _clear(folder: Path, tasks: Sequence[Task], fresh: bool) -> None:
-    """Remove what killed processes left of these tasks unfinished, and their results where they are solved afresh."""
+def _clear(folder: Path, tasks: Sequence[Task], *, fresh: bool) -> None:
+    """Remove unfinished files of these tasks that killed processes left, and with `fresh` their results."""
     wholes = {RESULTS, *(task.file.name for task in tasks)}
     for unfinished in (*folder.glob(".*.part"), *(folder / CASES).glob(".*.part")):
         if unfinished.name[1:].rsplit(".", 2)[0] in wholes:
@@ -269,7 +297,7 @@ def _clear(folder: Path, tasks: Sequence[Task], fresh: bool) -> None:
         PartFiles.beside(task.case, task.file).clear()
 
 
-def _result(task: Task, unfinished: bool = False) -> CaseResult | StoredCase | None:
+def _result(task: Task, *, unfinished: bool = False) -> CaseResult | StoredCase | None:
     """Return the case's result if it is there and readable; a damaged one is solved again.
 
     One of a recording that is too long for memory stays where it is. unfinished : else that of its finished frames.

@@ -1,4 +1,4 @@
-"""One case's result: what an estimator made of a recording, with everything that a results file says about it."""
+"""Result of a case, with all that a results file holds of it."""
 
 from __future__ import annotations
 
@@ -28,24 +28,38 @@ SHARED = "recording"  # the group beside the estimators that holds what they wer
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class CaseResult(Held):
-    """One case: a recording's measured frames as one estimator understands them.
+    """Result of a case: the estimates of a recording's measured frames by an estimator.
 
-    recording, estimator : the recording's stem and the estimator's name, printable ASCII without '/'.
-    case_id, case_yaml : hash and YAML text of the resolved case. versions : library → version.
-    swept_json : values of a sweep by key.
-    costs, weights, weight_sigma, disc, contacts, misfit : name → (frames), see `lampest.runs.columns.FIGURES`; with
-        `_errors` behind a name its standard deviation.
-    baseline_status, baseline_solve_time : how the baseline's solve ended, and its time in s (NaN: not solved apart).
-    model_mark : whether the circuit explains the recording: 'yes', 'no', 'noise' or 'not checked'.
-    reading_error : standard deviation of the logarithm of a factor on each reading, learned from still cells; 0: none.
-    frame_noise : what the readings of a frame share by chance; empty: nothing.
-    start_time : date and time at 0 s, ISO 8601, with its zone where that is known; '' where it is not.
-    sentences and warnings : '' where there is nothing to say.
-    the other arrays : as the columns of their names say; None where nobody asked. NaN where a frame failed.
-    extra : name → values of the columns that installed packages or scripts add.
+    Raises InputError for unfit names, wrong shapes and impossible values. Arrays that are not listed are described by
+    the columns of their names; they are None if not computed, and NaN in failed frames.
 
-    Raises InputError where a name is unfit, shapes disagree, or a value is impossible.
+    Attributes
+    ----------
+    recording, estimator : str
+        Stem of the recording and name of the estimator, printable ASCII without '/'.
+    case_id, case_yaml : str
+        Hash and YAML text of the resolved case.
+    versions : mapping
+        Library → version.
+    swept_json : str
+        Values of a sweep by key.
+    costs, weights, weight_sigma, disc, contacts, misfit : mapping
+        Name → values (frames), see `lampest.runs.columns.FIGURES`; names with `_errors` are standard deviations.
+    baseline_status, baseline_solve_time : str, float
+        How the solve of the baseline ended, and its time in s (NaN: not solved separately).
+    model_mark : str
+        Whether the circuit explains the recording: 'yes', 'no', 'noise' or 'not checked'.
+    reading_error : float
+        Standard deviation of the logarithm of a factor on each reading, learned from still cells; 0: none.
+    frame_noise : mapping
+        Noise that the readings of a frame share; empty: none.
+    start_time : str
+        Date and time at 0 s (ISO 8601), with time zone if known; '' if unknown.
+    extra : mapping
+        Name → values of columns of installed packages or scripts.
 
+    Examples
+    --------
     >>> found.result().estimator
     'misfit'
     """
@@ -69,7 +83,7 @@ class CaseResult(Held):
 
     @property
     def chosen_weights(self) -> str:
-        """The weights that the data chose, with the standard deviation of ln λ where that is known, in words; ''."""
+        """Weights chosen by the data with the standard deviation of ln λ, as text."""
         said = []
         for term, sigma in self.weight_sigma.items():
             known, weights = sigma[np.isfinite(sigma)], self.weights[term][np.isfinite(self.weights[term])]
@@ -79,7 +93,7 @@ class CaseResult(Held):
 
     @cached_property
     def swept(self) -> dict[str, Any]:
-        """Values by key that a sweep set for this case. Raises InputError where the file holds no such values."""
+        """Values by key that a sweep set for this case. Raises InputError for an invalid text."""
         try:
             return dict(json.loads(self.swept_json or "{}"))
         except (ValueError, TypeError) as error:
@@ -92,7 +106,7 @@ class CaseResult(Held):
 
     @property
     def local_optima(self) -> tuple[int, int, int] | None:
-        """How many frames end at a local optimum, and from how few and how many starts; None where unknown."""
+        """Number of frames at a local optimum, and least and largest number of their starts; None if unknown."""
         optima = np.array([status.startswith(("optimum", "an optimum,")) for status in self.status])
         if self.starts is None or not optima.any():
             return None
@@ -100,7 +114,7 @@ class CaseResult(Held):
 
     @property
     def error_words(self) -> str:
-        """Medians of the standard deviations, own and common, in words; '' without them."""
+        """Medians of own and common standard deviations as text; '' if unknown."""
         if self.sigma_own is None or self.sigma_common is None or not np.isfinite(self.sigma_own).any():
             return ""
         known, words = np.isfinite(self.sigma_own) & (self.sigma_own > 0), "own {:.2g} {unit}, common {:.2g} {unit}"
@@ -114,7 +128,7 @@ class CaseResult(Held):
         return f"{said}; of pressures: {words.format(*map(np.median, parts), unit='kPa')}"
 
     def pressed_errors(self, chosen: NDArray[np.bool_]) -> tuple[Array, Array] | None:
-        """(own, common) standard deviations of pressure, kPa, of the cells on which a load presses in some frames."""
+        """Return own and common standard deviations of pressure in kPa of the pressed cells in some frames."""
         if self.pressing is None or self.pressure_own is None or self.pressure_common is None:
             return None
         pressed = (self.pressing != 0) & chosen[:, None, None]
@@ -122,60 +136,60 @@ class CaseResult(Held):
 
     @property
     def valued(self) -> NDArray[np.bool_]:
-        """(frames, rows, columns) whether a reading is a value, neither a bound nor missing."""
+        """Mask (frames, rows, columns) of readings that are values, neither bounds nor missing."""
         valued = np.isfinite(self.measured)
         valued &= True if self.sigma is None else np.isfinite(self.sigma)
         valued &= True if self.reading_side is None else self.reading_side == 0
         return np.asarray(valued)
 
     @classmethod
-    def of(cls, values: Mapping[str, Any], **rest: Any) -> CaseResult:
-        """From the values of columns, those without an attribute as `extra`, and the rest."""
+    def of(cls, values: Mapping[str, Any], **further: Any) -> CaseResult:
+        """Return a case with values of columns; those without an attribute become `extra`."""
         extra = {name: value for name, value in values.items() if name not in NAMES}
-        return cls(**{name: value for name, value in values.items() if name in NAMES}, **rest, extra=extra)
+        return cls(**{name: value for name, value in values.items() if name in NAMES}, **further, extra=extra)
 
     def column(self, name: str) -> Any:
-        """The values of a column, or None where the case has none."""
+        """Return the values of a column, or None."""
         return getattr(self, name) if name in NAMES else self.extra.get(name)
 
     def to_xarray(self, columns: Sequence[Column] = ()) -> Dataset:
-        """The case as an xarray.Dataset over time (s), row and column, with x and y in mm; units in every `attrs`.
+        """Return an xarray.Dataset over time (s), row and column, with x and y in mm and units in `attrs`.
 
-        columns : of `extra`, as `read_results` takes them. Raises InputError where an extra has no column, or xarray is
-        not installed.
+        columns : descriptions of `extra`, as in `read_results`. Raises InputError for an extra without column and if
+        xarray is not installed.
         """
         with extra("xarray"):
             from xarray import Dataset
         held = series_of(self, self.described(columns))
         axes = {name: held.pop(name) for name in (TIME.name, FRAME.name)} | places_of(self)
         parts = [
-            {name: (one.axes, np.asarray(one.values), one.attributes) for name, one in part.items()}
+            {name: (series.axes, np.asarray(series.values), series.attributes) for name, series in part.items()}
             for part in (held, axes)
         ]
         return Dataset(*parts, about(self))
 
     def to_dataframe(self, columns: Sequence[Column] = ()) -> DataFrame:
-        """The case as a long pandas.DataFrame: time, frame, row, column, and a column for each of the case's.
+        """Return a long pandas.DataFrame with a line for every cell of every frame.
 
-        One line for every cell of every frame; what only a frame or a cell has stands in each of its lines. Units are
-        in `attrs["units"]`. Raises InputError as `to_xarray`.
+        Its columns are time, frame, row, column and those of the case; values of frames and of cells are repeated.
+        Units are in `attrs["units"]`. Raises InputError as `to_xarray`.
         """
         held = series_of(self, self.described(columns))
         first = {name: held.pop(name) for name in (TIME.name, FRAME.name)} | places_of(self)
-        held = first | {name: one for name, one in held.items() if "/" not in one.path}
+        held = first | {name: series for name, series in held.items() if "/" not in series.path}
         sizes = dict(zip(MAPS, self.measured.shape, strict=True))
         lines = {}
-        for name, one in held.items():
-            shape = [size if axis in one.axes else 1 for axis, size in sizes.items()]
-            lines[name] = np.broadcast_to(np.reshape(one.values, shape), self.measured.shape).ravel()
+        for name, series in held.items():
+            shape = [size if axis in series.axes else 1 for axis, size in sizes.items()]
+            lines[name] = np.broadcast_to(np.reshape(series.values, shape), self.measured.shape).ravel()
         table = data_frame(lines)
-        table.attrs = about(self) | {"units": {n: one.units for n, one in held.items() if n not in CELLS}}
+        table.attrs = about(self) | {"units": {n: series.units for n, series in held.items() if n not in CELLS}}
         return table
 
     def described(self, columns: Sequence[Column] = ()) -> tuple[Column, ...]:
-        """All columns: those of lampest, of installed packages, and further ones.
+        """Return all columns: those of lampest, of installed packages, and the given ones.
 
-        Raises InputError where values do not fit them, or an extra is none of them.
+        Raises InputError for values that do not fit and for an extra without column.
         """
         table = all_columns(columns)
         self.check(table)
@@ -185,7 +199,7 @@ class CaseResult(Held):
         return table
 
     def check(self, columns: Sequence[Column]) -> None:
-        """Raise InputError where the values of a column have another shape than its axes or are impossible."""
+        """Raise InputError for wrong shapes and impossible values."""
         values = {column: self.column(column.name) for column in columns}
         filled = {column: held for column, held in values.items() if column.name in REQUIRED or held is not None}
         for column, held in filled.items():
@@ -200,7 +214,7 @@ class CaseResult(Held):
                     raise InputError(f"{self._path(column)} {fault}")
 
     def _estimated(self) -> NDArray[np.bool_]:
-        """(frames, rows, columns) whether an estimate is expected: of solved frames, in modules that have any."""
+        """Return a mask (frames, rows, columns) of expected estimates: solved frames, in modules that have any."""
         estimated, layout = np.broadcast_to(self.solved[:, None, None], self.measured.shape), self.scene.panel.modules
         if layout is None:
             return estimated
@@ -222,7 +236,7 @@ class CaseResult(Held):
 
 @dataclass(frozen=True)
 class StoredCase:
-    """A case in a file that holds it alone, or with others; too long a one is known by no more than this."""
+    """Reference to a case in a file, for cases that exceed the memory."""
 
     path: Path
     recording: str
@@ -242,10 +256,10 @@ def check_name(name: str, what: str) -> None:
         )
 
 
-def series_of(case: CaseResult, columns: Sequence[Column], raw: bool = False) -> dict[str, Series]:
-    """Every column and figure that the case holds, by name, in its readout's unit; a cost is called cost_misfit.
+def series_of(case: CaseResult, columns: Sequence[Column], *, raw: bool = False) -> dict[str, Series]:
+    """Return every column and figure of a case by name, in the unit of its readout; costs are called cost_misfit.
 
-    raw : as files have it; otherwise a flag is NaN where a cell has no estimate.
+    raw : whether flags are as in files; otherwise they are NaN for cells without an estimate.
     """
     held: dict[str, Series] = {}
     missing = np.isnan(case.cell_resistance)
@@ -264,7 +278,7 @@ def series_of(case: CaseResult, columns: Sequence[Column], raw: bool = False) ->
 
 
 def places_of(case: CaseResult) -> dict[str, Series]:
-    """row and column, y and x in mm."""
+    """Return the coordinates row and column, y and x in mm."""
     return {
         name: Series(name, along, values, units, words, dtype=values.dtype.type, path=name)
         for name, (along, values, units, words) in coordinates(case.scene.panel).items()
@@ -272,7 +286,7 @@ def places_of(case: CaseResult) -> dict[str, Series]:
 
 
 def data_frame(columns: Any) -> DataFrame:
-    """Return columns by name, or rows by column, as a pandas.DataFrame. Raises InputError where pandas is missing."""
+    """Return columns by name, or rows by column, as a pandas.DataFrame. Raises InputError if pandas is missing."""
     with extra("tables"):
         from pandas import DataFrame  # takes 0.3 s
 
@@ -280,7 +294,7 @@ def data_frame(columns: Any) -> DataFrame:
 
 
 def about(case: CaseResult) -> dict[str, Any]:
-    """What is no column: names, the resolved case and the scene as YAML, sentences; texts all."""
+    """Return the texts of a case: names, resolved case and scene as YAML, sentences."""
     names = {"recording": case.recording, "estimator": case.estimator, "scene": scene_text(case.scene)}
     held = {name: getattr(case, field) for name, (field, _) in ATTRIBUTES.items()}
     texts = {name: text for name, text in held.items() if text and isinstance(text, str)}

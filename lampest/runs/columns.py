@@ -1,4 +1,4 @@
-"""A column of results: where it stands in the file, what it means, how it is filled and when it is wrong.
+"""Columns of results: dataset, meaning, values and validation.
 
 Those of lampest are the fields of `lampest.runs.case.CaseResult`. A package adds further ones by naming them in the
 entry point group `lampest.columns`, a script by handing them to `named_result`, `write_results` and `read_results`.
@@ -41,13 +41,13 @@ def _unless(right: Callable[[Array, NDArray[np.bool_]], Any], said: str) -> Chec
 
 
 def possible(values: Array, solved: NDArray[np.bool_]) -> str | None:
-    """No number is beyond any panel's."""
+    """Return a fault if a number exceeds that of any panel."""
     beyond = np.asarray(values)[beyond_any_panel(values)]
     return f"holds {beyond[0]:.6g}, which no panel has" if beyond.size else None
 
 
 def _physical(right: Callable[[Array, NDArray[np.bool_]], Any], said: str) -> Check:
-    """The same of what is measured, or compared with it."""
+    """Return a check of measured or comparable values, which must be possible, too."""
     return lambda values, solved: possible(values, solved) or _unless(right, said)(values, solved)
 
 
@@ -119,30 +119,30 @@ class Column(Validated):
 
     @property
     def path(self) -> str:
-        """The name of the dataset."""
+        """Name of the dataset."""
         return self.dataset or self.name
 
     @property
     def label(self) -> str:
-        """The name in labelled arrays, tables and exports: the dataset's, but for what was measured."""
+        """Name in labelled arrays, tables and exports: that of the dataset, except for measurements."""
         return self.name if self.shared else self.path
 
     def of(self, readout: Readout) -> Column:
-        """The same column as a readout's unit, 'ohm' or 'volt', asks for it."""
+        """Return the column in the unit of a readout, 'ohm' or 'volt'."""
         follows = self.as_volt and readout.unit == "volt"
         return replace(self, dataset=self.as_volt, units=readout.unit) if follows else self
 
     def filled(self, estimates: Estimates) -> Any:
-        """The values as a case holds them: an array, a tuple of texts, or None where there are none."""
+        """Return the values for a case: an array, a tuple of texts, or None."""
         values = getattr(estimates, self.name) if self.value is None else self.value(estimates)
         if values is None:
             return None
         return tuple(np.asarray(values).tolist()) if self.dtype is str else np.asarray(values, self.dtype)
 
     def read(self, file: Any, group: str, sizes: Mapping[str, int], part: slice = hdf5.ALL) -> Any:
-        """The values in a group of a file, as a case holds them; sizes : axis → length. part : of the frames.
+        """Read the values in a group of a file. sizes : axis → length. part : of the frames.
 
-        Raises InputError where they are missing, damaged, of another shape or no such values.
+        Raises InputError for missing, damaged and unfit values.
         """
         path, shape = f"{group}/{self.path}", tuple(sizes[axis] for axis in self.axes)
         part = part if self.axes[:1] == FRAMES else hdf5.ALL
@@ -154,10 +154,22 @@ class Column(Validated):
 
 @dataclass(frozen=True, eq=False)
 class Series:
-    """One thing that a case holds, as files, labelled arrays, tables and exports have it.
+    """Values of a case with their description, for files, labelled arrays, tables and exports.
 
-    axes : time, row, column. values : an array over them, or texts. flags : what each value means where values are no
-    amounts. shared : True for what was measured. path : of the dataset in its group.
+    Attributes
+    ----------
+    name, units, long_name : str
+    axes : tuple of str
+        Some of time, row, column.
+    values : array or texts
+        Values over the axes.
+    flags : tuple of (int, str)
+        Values of a flag and their meanings.
+    shared : bool
+        True for measurements.
+    dtype : type
+    path : str
+        Dataset in its group.
     """
 
     name: str
@@ -172,14 +184,14 @@ class Series:
 
     @property
     def stored(self) -> Any:
-        """The values with texts in ASCII, and 0 and 1 for truth values."""
+        """Values for a file: texts in ASCII, truth values as 0 and 1."""
         if self.dtype is str:
             return hdf5.ascii_array(self.values)
         return np.asarray(self.values).astype(np.uint8 if self.dtype is bool else self.dtype)
 
     @property
     def meaning(self) -> str:
-        """The long name, with what each value of a flag means."""
+        """Long name with the meanings of a flag's values."""
         flags = "; ".join(f"{value}: {word.replace('_', ' ')}" for value, word in self.flags)
         return f"{self.long_name} ({flags})" if flags else self.long_name
 
@@ -194,7 +206,7 @@ class Series:
 
 
 def declared(axes: tuple[str, ...], units: str, words: str, *checks: Check, default: Any = MISSING, **more: Any) -> Any:
-    """A field of a case that is a column; default : None where a case need not have it. more : as `Column`."""
+    """Return a dataclass field that is a column; default : None if it is optional. more : as in `Column`."""
     about = {"axes": axes, "units": units, "long_name": words, "checks": checks} | more
     return field(default=default, metadata={"column": about})
 
@@ -206,53 +218,61 @@ MAYBE: dict[str, Any] = {"default": None}  # not every case has it
 
 
 def flag(words: str, unset: str, then: str, **more: Any) -> Any:
-    """Cells of which something is true."""
+    """Return a field of flags of cells."""
     return maps("1", words, dtype=np.uint8, flags=((0, unset), (1, then)), **more)
 
 
 def deviation(units: str, words: str) -> Any:
-    """A standard deviation of each cell."""
+    """Return a field of standard deviations of cells."""
     return maps(units, words, not_negative, known_if_solved, **MAYBE)
 
 
 def end(units: str, which: str) -> Any:
-    """An end of each cell's interval."""
+    """Return a field of interval ends of cells."""
     return maps(units, f"95 % interval, {which} end", known_if_solved, **MAYBE)
 
 
 def of_steps(value: Callable[[Step], ArrayLike]) -> Callable[[Estimates], Array]:
-    """(frames, ...) of what every step says."""
+    """Return a function that stacks values of all steps, shape (frames, ...)."""
     return lambda estimates: np.stack([np.asarray(value(step)) for step in estimates.steps])
 
 
 def of_solutions(name: str) -> Callable[[Estimates], Array]:
-    """(frames) an attribute of every step's solution."""
+    """Return a function that stacks an attribute of all solutions, shape (frames,)."""
     return of_steps(lambda step: getattr(step.solution, name))
 
 
 def frame_numbers(done: Estimates) -> NDArray[np.intp]:
-    """Index into the recording, of which a part alone may have been read."""
+    """Return indices into the recording, of which only a part may have been read."""
     return done.frame if done.recording.number is None else done.recording.number[done.frame]
 
 
 def truth(done: Estimates) -> Array | None:
-    """(frames, rows, columns) ohm."""
+    """Return true cells, (frames, rows, columns) ohm, or None."""
     cells = done.recording.truth_cell_resistance
     return None if cells is None else cells[done.frame]
 
 
 def truth_baseline(done: Estimates) -> Array | None:
-    """(rows, columns) ohm: mean of the unloaded frames."""
+    """Return the mean of true unloaded cells, (rows, columns) ohm, or None."""
     cells, unloaded = done.recording.truth_cell_resistance, done.recording.role == UNLOADED
     return cells[unloaded].mean(axis=0) if cells is not None and np.any(unloaded) else None
 
 
 @dataclass(frozen=True)
 class Figures:
-    """Columns over the frames whose names only a case knows, in a folder of their own.
+    """Columns over the frames whose names depend on the case, in a group of their own.
 
-    name : what a case calls them. folder : the file. value : estimates → name → (frames).
-    long_name, units : of the figure of a name.
+    Attributes
+    ----------
+    name : str
+        Attribute of a case.
+    folder : str
+        Group in the file.
+    value : callable
+        Estimates → name → values (frames).
+    long_name, units : callable
+        Name → description and unit.
     """
 
     name: str
@@ -263,24 +283,24 @@ class Figures:
 
 
 def _of_terms(done: Estimates, values: Sequence[Array] | Sequence[tuple[float, ...]]) -> dict[str, Array]:
-    """Term → values of every step's terms; further ones of a kind, which a script can give, are `kind_2` and so on."""
-    found: dict[str, Array] = {}
+    """Map terms to values of all steps; repeated kinds, which scripts can give, are `kind_2` and so on."""
+    by_term: dict[str, Array] = {}
     for number, term in enumerate(done.estimator.terms):
         kind = term_kind(term)
         names = itertools.chain([kind], (f"{kind}_{count}" for count in itertools.count(2)))
-        found[next(name for name in names if name not in found)] = np.array([one[number] for one in values])
-    return found
+        by_term[next(name for name in names if name not in by_term)] = np.array([step[number] for step in values])
+    return by_term
 
 
 def _chosen(done: Estimates) -> dict[str, Array]:
-    """Term → standard deviation of ln λ in every frame, of the terms whose weights the data chose."""
+    """Map terms with weights chosen by the data to the standard deviation of ln λ in every frame."""
     size = len(done.estimator.terms)
-    found = _of_terms(done, [np.array(step.weight_sigma or [np.nan] * size) for step in done.steps])
-    return {name: values for name, values in found.items() if np.isfinite(values).any()}
+    by_term = _of_terms(done, [np.array(step.weight_sigma or [np.nan] * size) for step in done.steps])
+    return {name: values for name, values in by_term.items() if np.isfinite(values).any()}
 
 
 def _disc(done: Estimates) -> dict[str, Array]:
-    """Every number of the discs and its standard deviation; NaN where a frame failed. None without any disc."""
+    """Return parameters of the discs and their standard deviations, NaN for failed frames; empty without discs."""
     discs = [step.disc for step in done.steps]
     first = next((disc for disc in discs if disc is not None), None)
     numbers = {}
@@ -292,7 +312,7 @@ def _disc(done: Estimates) -> dict[str, Array]:
 
 
 def _contacts(done: Estimates) -> dict[str, Array]:
-    """Every line's contact and its standard deviation, the same in every frame; none where the scene names none."""
+    """Return contact resistances of the lines and their standard deviations, equal in all frames; empty if unknown."""
     if done.contacts is None:
         return {}
     shape, every = done.recording.scene.panel.shape, np.ones(len(done.steps))

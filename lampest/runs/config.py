@@ -1,4 +1,4 @@
-"""A run's YAML file → cases: every recording with every estimator, at every point of the sweep."""
+"""Run files (YAML): cases of every recording with every estimator at every point of the sweep."""
 
 import hashlib
 import json
@@ -33,7 +33,7 @@ FORBID: dict[str, Any] = {"extra": "forbid"}
 
 
 def terms_class(kinds: Mapping[str, type[Term]], *bases: type[Any]) -> type[Any]:
-    """A dataclass with a field for every kind of term, None by default."""
+    """Return a dataclass with a field for every kind of term, None by default."""
     said = "The cost terms of an estimator, by kind."
     space = {"__pydantic_config__": FORBID, "__module__": __name__, "__doc__": said}
     terms = [(kind, term | None, field(default=None)) for kind, term in kinds.items()]
@@ -41,11 +41,11 @@ def terms_class(kinds: Mapping[str, type[Term]], *bases: type[Any]) -> type[Any]
 
 
 class _WithInstalled:
-    """What is validated as these terms may name those of installed packages, too."""
+    """Base class whose validation also accepts terms of installed packages."""
 
     @classmethod
     def __get_pydantic_core_schema__(cls, source: Any, handler: Any) -> Any:
-        """The schema of a class with fields for them; called by the validating library."""
+        """Return the schema of a class with fields for these terms; called by pydantic."""
         further = {kind: term for kind, term in term_types().items() if kind not in source.__dataclass_fields__}
         return handler.generate_schema(terms_class(further, source)) if further else handler(source)
 
@@ -54,13 +54,13 @@ Terms = terms_class({kind: term for term in shipped(AnyTerm) for kind in kinds_o
 
 
 def terms_of(terms: Any) -> tuple[Term, ...]:
-    """The terms that an object of `Terms` names, in order."""
+    """Return the terms of an object of `Terms`, in order."""
     return tuple(term for kind in term_types() if (term := getattr(terms, kind, None)) is not None)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Choices:
-    """What a run's file says for all estimators, or an estimator for itself: there solver and bounds key by key."""
+    """Options of a run file for all estimators, or of an estimator; the latter override solver and bounds by key."""
 
     __pydantic_config__: ClassVar[Any] = FORBID
     formulation: MethodName | AnyMethod = "auto"
@@ -73,14 +73,14 @@ class Choices:
 
 @dataclass(frozen=True, kw_only=True)
 class EstimatorEntry(Choices):
-    """An estimator as a run's file writes it."""
+    """An estimator in a run file."""
 
     terms: Terms  # type: ignore[valid-type]
 
 
 @dataclass(frozen=True, kw_only=True)
 class RunFile(Choices):
-    """The content of a run's file. Raises ValueError where recordings or estimators are missing."""
+    """Content of a run file. Raises ValueError for missing recordings or estimators."""
 
     schema: Literal[1]
     recordings: list[str]
@@ -133,9 +133,18 @@ class Case:
 
 @dataclass(frozen=True)
 class Run:
-    """The cases of a run's file in its order, figures published elsewhere, and where the cases run (None: not said).
+    """Content of a run file.
 
-    assumed : (recording, what its scene leaves open, with the values that stand for it), where it leaves anything open.
+    Attributes
+    ----------
+    cases : tuple of Case
+        Cases in the order of the file.
+    published : dict
+        Estimator → published figures.
+    executor : Executor or None
+        Executor, if the file names one.
+    assumed : tuple of (str, str)
+        Recordings and the values that are assumed for missing entries of their scenes.
     """
 
     cases: tuple[Case, ...]
@@ -146,10 +155,10 @@ class Run:
 
 @typed
 def read_run(path: Path, settings: tuple[str, ...] = ()) -> Run:
-    """Cases of a run's file with `PATH=VALUE` settings applied.
+    """Read the cases of a run file with `PATH=VALUE` settings applied.
 
-    Raises InputError for any fault, before any solve. One of several recordings that is there and cannot be read is
-    none: its cases fail when their turn comes, so that it costs no other.
+    Raises InputError for any fault before the first solve. An unreadable recording among several is no fault here: its
+    cases fail later, without effect on the others.
 
     >>> _ = Path("run.yaml").write_text("{schema: 1, recordings: [mine.h5], estimators: {LSM: {terms: {misfit: {}}}}}")
     >>> len(lampest.read_run(Path("run.yaml")).cases)
@@ -186,10 +195,17 @@ def read_run(path: Path, settings: tuple[str, ...] = ()) -> Run:
 
 @dataclass(frozen=True, eq=False)
 class _Source:
-    """A recording as cases need it.
+    """A recording of a run.
 
-    scene, readings : None where the file cannot be read, and fault : why. frames : that are measured. stored : where it
-    is too long for memory; then `readings` are its first, and `frames` all.
+    Attributes
+    ----------
+    path, sha256 : Path, str
+    scene, readings
+        None if the file is unreadable; `fault` says why.
+    frames : int
+        Number of measured frames.
+    stored : StoredRecording or None
+        The recording, if it exceeds the memory; `readings` are then its first ones.
     """
 
     path: Path
@@ -216,7 +232,7 @@ class _Source:
         return cls(*names, recording.scene, recording.readings(), frames=frames)
 
     def check(self, case: str, estimator: Estimator) -> None:
-        """Raise InputError where an estimator needs what the recording does not say, or cannot serve its scene."""
+        """Raise InputError if an estimator does not fit the recording."""
         if self.scene is None or self.readings is None:
             return
         try:
@@ -240,17 +256,17 @@ class _Source:
 
 @lru_cache(maxsize=4096)
 def _block(key: str, value: str) -> str:
-    """The YAML text of an entry, given as JSON: most cases of a sweep share most of them, and YAML takes its time."""
+    """Return the YAML text of an entry given as JSON; cached, since YAML is slow and cases share most entries."""
     return to_yaml({key: json.loads(value)})
 
 
 def hash_of(resolved: str) -> str:
-    """The name of a case: a hash of all that decides its result."""
+    """Return the identifier of a case: a hash of all that decides its result."""
     return hashlib.sha256(resolved.encode()).hexdigest()[:24]
 
 
 def digest(path: Path) -> str:
-    """SHA-256 of a file. Raises InputError where it may not be read."""
+    """Return the SHA-256 of a file. Raises InputError if it is unreadable."""
     try:
         with path.open("rb") as stream:
             return hashlib.file_digest(stream, "sha256").hexdigest()
@@ -259,20 +275,20 @@ def digest(path: Path) -> str:
 
 
 def recording_paths(config: Path, patterns: list[str]) -> list[Path]:
-    """The files that the patterns name, relative to the run's file; `*` stands for any part of a name.
+    """Return the files that the patterns name, relative to the run file; `*` stands for any part of a name.
 
-    Raises InputError where a pattern matches nothing or two files share a stem.
+    Raises InputError if a pattern matches nothing or two files share a stem.
     """
     files: dict[str, Path] = {}
     for pattern in patterns:
-        target, found = config.parent / pattern, list[Path]()
+        target, matches = config.parent / pattern, list[Path]()
         with suppress(OSError, ValueError):  # a name that is too long
             # Two stars would walk through all folders below.
             several = "*" in target.name and "**" not in pattern
-            found = sorted(target.parent.glob(target.name)) if several else [target]
-        if not found or (len(found) == 1 and "*" in found[0].name):
+            matches = sorted(target.parent.glob(target.name)) if several else [target]
+        if not matches or (len(matches) == 1 and "*" in matches[0].name):
             raise InputError(f"{config}: recordings: no file matches {pattern}")
-        for file in found:
+        for file in matches:
             note_read(file)
             check_name(file.stem, "recording")
             if files.setdefault(file.stem, file) is not file:
@@ -281,7 +297,7 @@ def recording_paths(config: Path, patterns: list[str]) -> list[Path]:
 
 
 def resolve(document: Document, run: RunFile, name: str) -> Estimator:
-    """An estimator with what the run says where its own entry is silent."""
+    """Return an estimator, with options of the run as defaults."""
     shared = {item.name: document.content[item.name] for item in fields(Choices) if item.name in document.content}
     own = document.content["estimators"][name]
     merged = shared | own | {part: shared.get(part, {}) | own.get(part, {}) for part in ("solver", "bounds")}
@@ -310,6 +326,6 @@ def _varied_name(name: str, swept: Mapping[str, Any]) -> str:
 
 
 def json_schema() -> dict[str, Any]:
-    """JSON schema of a run's file, for editors; examples in Python are none of YAML and are left out."""
+    """Return the JSON schema of a run file for editors, without the Python examples."""
     text = json.dumps(adapter(RunFile).json_schema())
     return dict(json.loads(re.sub(r"\\n\\n>>> (?:[^\"\\]|\\.)*", "", text)))

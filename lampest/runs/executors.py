@@ -1,6 +1,7 @@
-"""Where the cases of a batch run: here, in processes of this machine, or on a Dask cluster.
+"""Executors of batches: this process, processes of this machine, or a Dask cluster.
 
-An executor calls a function once for every argument, hands out one call at a time, and yields what comes of them.
+An executor calls a function once for every argument, one call at a time on each worker, and yields the results.
+Pools of the standard library and of loky do not serve: a worker that dies breaks the whole pool there.
 """
 
 import logging
@@ -28,13 +29,14 @@ Function = Callable[[Any], Any]
 
 @dataclass(frozen=True, eq=False)
 class Worker:
-    """A fresh process with one BLAS thread, which knows one function, and this end of the pipe to it."""
+    """Fresh process with one BLAS thread that calls one function, and the pipe to it."""
 
     process: SpawnProcess
     connection: Connection
 
     @classmethod
     def start(cls, function: Function) -> "Worker":
+        """Start a process."""
         context = get_context("spawn")
         ours, theirs = context.Pipe()
         process = context.Process(target=_work, args=(function, theirs))
@@ -44,24 +46,24 @@ class Worker:
         return cls(process, ours)
 
     def send(self, argument: Any) -> None:
-        """Hand over a task; a process that is dead already shows when its result is awaited."""
+        """Hand over a task; the death of the process is noticed when its result is awaited."""
         with suppress(BrokenPipeError):
             self.connection.send(argument)
 
     @property
     def hung(self) -> bool:
-        """Whether a process that has stopped was ended by `ended_where_hung`."""
+        """True if a stopped process was ended by `ended_where_hung`."""
         return self.process.exitcode == -signal.SIGALRM
 
     def kill(self) -> None:
-        """End the process, whatever it is at."""
+        """Kill the process."""
         self.connection.close()
         self.process.kill()
         self.process.join()
 
 
 def _work(function: Function, connection: Connection) -> None:
-    """The life of a worker: until nobody is at the other end."""
+    """Answer tasks until the other end of the pipe is closed."""
     EXPENDABLE.set(True)
     with suppress(EOFError, OSError), libraries_to_the_log():
         while True:
@@ -69,7 +71,7 @@ def _work(function: Function, connection: Connection) -> None:
 
 
 def _answer(function: Function, argument: Any) -> bytes:
-    """The pickled result, or the pickled exception; where that cannot travel, its text."""
+    """Return the pickled result, the pickled exception, or the text of an exception that cannot be pickled."""
     try:
         return pickle.dumps(function(argument))
     except Exception as error:
@@ -81,7 +83,7 @@ def _answer(function: Function, argument: Any) -> bytes:
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """Processes that are started within have one BLAS thread: numpy reads the environment when it is imported."""
+    """Give processes that start in this context one BLAS thread; numpy reads the environment on import."""
     before = {name: os.environ.pop(name, None) for name in ONE_THREAD}
     os.environ.update(ONE_THREAD)
     try:
@@ -94,7 +96,7 @@ def one_thread() -> Iterator[None]:
 
 @contextmanager
 def without_interrupts() -> Iterator[None]:
-    """Processes started here never see Ctrl-C and its kin, not even while they import; here it comes a moment later."""
+    """Block Ctrl-C and similar signals in processes that start in this context, even during their imports."""
     # Starting the tracker unblocks them again, so it must be running before.
     resource_tracker.ensure_running()
     before = signal.pthread_sigmask(signal.SIG_BLOCK, ENDING)
@@ -105,7 +107,7 @@ def without_interrupts() -> Iterator[None]:
 
 
 def cores() -> int:
-    """How many cores this process may use."""
+    """Return the number of cores that this process may use."""
     return len(os.sched_getaffinity(0))
 
 
@@ -127,28 +129,28 @@ Pairs = Generator[tuple[Any, Any], None, None]
 
 
 class LostError(RuntimeError):
-    """Whoever hands out the tasks is gone: those without a result have not failed, they were not run."""
+    """The scheduler is gone: tasks without a result did not fail but were not run."""
 
 
 @dataclass(frozen=True)
 class Executor(Configuration):
-    """Something that calls a function once for every argument."""
+    """Base of executors, which call a function once for every argument."""
 
     def ready(self) -> None:
-        """Raise InputError where this executor cannot run here."""
+        """Raise InputError if this executor cannot run here."""
 
     @abstractmethod
     def results(self, function: Function, arguments: Sequence[Any]) -> Pairs:
-        """(argument, result) pairs as they are finished; the result is an exception where the call raised one.
+        """Yield pairs of argument and result as they finish; the result may be the exception of the call.
 
-        Raises LostError where no further result will come. When the generator is closed, no further call starts; one
-        under way dies, and leaves no half file under a file's name.
+        Raises LostError if no further results will come. After the generator is closed no call starts, and running
+        ones are killed.
         """
 
 
 @dataclass(frozen=True)
 class Serial(Executor):
-    """One call after the other in this process, in the order of the arguments."""
+    """Sequential calls in this process, in the order of the arguments."""
 
     kind: Literal["serial"] = "serial"
 
@@ -166,11 +168,10 @@ class Serial(Executor):
 
 @dataclass(frozen=True)
 class Processes(Executor):
-    """`workers` fresh processes with one BLAS thread each, or as many as there are cores.
+    """Fresh processes with one BLAS thread each, by default as many as there are cores.
 
-    A process that dies costs the task it was at one of a few more tries, and no other task anything. One that
-    hangs beyond the time limit of a frame is ended, and its task with it.
-    Raises ValueError where the number of workers is out of range.
+    If a process dies, its task is tried again a few times, and no other task is affected. A process that hangs beyond
+    the time limit of a frame is ended, and its task fails. Raises ValueError if the number of workers is out of range.
     """
 
     workers: int | None = None
@@ -227,7 +228,7 @@ class Tls(Configuration):
     key_file: str
 
     def beside(self, folder: Path) -> "Tls":
-        """The same with paths from that folder on. Raises InputError where a file cannot be read."""
+        """Return the files with paths relative to a folder. Raises InputError for unreadable files."""
         names = ("ca_file", "cert_file", "key_file")
         return Tls(*(_readable(folder / getattr(self, name), f"tls.{name}") for name in names))
 
@@ -265,12 +266,12 @@ class Dask(Executor):
         check_not_negative(self, "wait_s")
 
     def beside(self, folder: Path) -> "Dask":
-        """The same with its files taken from that folder. Raises InputError where one cannot be read."""
+        """Return the executor with files relative to a folder. Raises InputError for unreadable files."""
         file = self.scheduler_file and _readable(folder / self.scheduler_file, "scheduler_file")
         return replace(self, scheduler_file=file, tls=self.tls and self.tls.beside(folder))
 
     def ready(self) -> None:
-        """Raise InputError where the extra is not installed, or files for encryption stand without a use for them."""
+        """Raise InputError if the extra is not installed or encryption does not fit the address."""
         if self.address is not None and (self.tls is not None) != self.address.startswith("tls://"):
             raise InputError("executor: tls goes with an address that begins with tls://, and such an address with tls")
         if self.tls is not None and not (self.address or self.scheduler_file):
@@ -278,7 +279,7 @@ class Dask(Executor):
         _library("distributed")
 
     def results(self, function: Function, arguments: Sequence[Any]) -> Pairs:
-        """As `Executor`. Raises InputError also where no fit worker answers."""
+        """As `Executor`. Raises InputError also if no suitable worker answers."""
         if not arguments:
             return
         distributed = _library("distributed")
@@ -297,7 +298,7 @@ class Dask(Executor):
 
     @contextmanager
     def _client(self, distributed: Any, tasks: int) -> Iterator[Any]:
-        """A client whose cluster is closed with it unless it ran before."""
+        """Yield a client; a cluster that was started for it is closed with it."""
         with ExitStack() as stack:
             stack.enter_context(_silence())
             stack.enter_context(_library("dask").config.set(SCHEDULING))
@@ -329,7 +330,7 @@ class Dask(Executor):
 
 
 def _outcome(distributed: Any, client: Any, future: Any) -> Any:
-    """The result of a call that has ended, or its exception. Raises LostError."""
+    """Return the result or the exception of a finished call. Raises LostError."""
     try:
         return future.result()
     except distributed.CancelledError as error:
@@ -354,7 +355,7 @@ def _of_this_machine(distributed: Any, workers: int) -> Any:
 
 
 def dask_setup(worker: Any) -> None:
-    """Leave Ctrl-C and a closed terminal to the process that collects the results; Dask calls this by its name."""
+    """Ignore Ctrl-C and a closed terminal, which concern the collecting process; Dask calls this by its name."""
     for number in ENDING:
         if number != signal.SIGTERM:
             signal.signal(number, signal.SIG_IGN)
@@ -362,7 +363,7 @@ def dask_setup(worker: Any) -> None:
 
 @contextmanager
 def _silence() -> Iterator[None]:
-    """Dask reports a lost scheduler in dozens of lines of its own; a user reads one sentence."""
+    """Silence Dask, which reports a lost scheduler in dozens of lines."""
     names = {*NOISY, *(name for name in logging.root.manager.loggerDict if name.partition(".")[0] in NOISY)}
     before = {logging.getLogger(name): logging.getLogger(name).level for name in names}
     try:
@@ -375,7 +376,7 @@ def _silence() -> Iterator[None]:
 
 
 def _readable(path: Path, key: str) -> str:
-    """The absolute path of a file that an executor names. Raises InputError where it cannot be read."""
+    """Return the absolute path of a file of an executor. Raises InputError if it is unreadable."""
     try:
         path.open("rb").close()
     except OSError as error:
@@ -384,7 +385,7 @@ def _readable(path: Path, key: str) -> str:
 
 
 def _library(name: str) -> Any:
-    """A module of the extra, imported where it is used. Raises InputError where it is missing."""
+    """Import a module of the extra. Raises InputError if it is missing."""
     with extra("cluster"):
         return import_module(name)
 
@@ -392,36 +393,37 @@ def _library(name: str) -> Any:
 AnyExecutor = Annotated[Serial | Processes | Dask, ByKind()]
 
 
-def local(workers: int | None, tasks: int, apart: bool = False) -> Executor:
-    """The executor of this machine for that many workers (None: one for each core), no more than there are tasks.
+def local(workers: int | None, tasks: int, *, separate: bool = False) -> Executor:
+    """Return the executor of this machine for some workers (None: one for each core), at most one for each task.
 
-    apart : not in this process even if there is one worker, so that one that hangs can be ended.
+    separate : whether a single worker is another process, too, so that it can be ended when it hangs.
     """
     workers = min(workers or cores(), tasks)
-    return Processes(workers) if workers > 1 or (apart and tasks) else Serial()
+    return Processes(workers) if workers > 1 or (separate and tasks) else Serial()
 
 
 def each_of(
     function: Function,
     things: Sequence[Any],
     on_done: Callable[[int, int], None] = lambda done, total: None,
-    here: bool = False,
+    *,
+    in_process: bool = False,
 ) -> list[Any]:
-    """What a function makes of every thing, in their order; the first exception that a call raised is raised here.
+    """Return the results of a function for all items in order; raises the first exception of a call.
 
-    function : one that a process can import. on_done : called with how many of how many are done.
-    here : in this process however many there are, because another could not import what the things are of.
+    function : importable by other processes. on_done : receives the numbers of finished and of all items. in_process :
+    whether all calls are made in this process, for items whose classes others cannot import.
     """
-    executor: Executor = Processes() if len(things) > FEW and not here else Serial()
-    found: dict[int, Any] = {}
+    executor: Executor = Processes() if len(things) > FEW and not in_process else Serial()
+    results: dict[int, Any] = {}
     tasks = [(function, number, thing) for number, thing in enumerate(things)]
     with closing(executor.results(_numbered, tasks)) as ends:
         for (_, number, _), outcome in ends:
             if isinstance(outcome, BaseException):
                 raise outcome
-            found[number] = outcome
-            on_done(len(found), len(things))
-    return [found[number] for number in range(len(things))]
+            results[number] = outcome
+            on_done(len(results), len(things))
+    return [results[number] for number in range(len(things))]
 
 
 def _numbered(task: tuple[Function, int, Any]) -> Any:

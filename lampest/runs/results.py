@@ -1,4 +1,4 @@
-"""Results files: what estimators made of recordings, case by case; their one writer and reader."""
+"""Results files: writer and reader of cases."""
 
 import json
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
@@ -31,7 +31,7 @@ POSITIONS = "y x"  # by this the CF conventions, and so xarray, know them for co
 class StepFigures(Configuration):
     """Published figures of some steps: mean and standard deviation of solve time (s) and of data error (percent).
 
-    Raises ValueError where a figure is negative or not finite.
+    Raises ValueError for negative and infinite figures.
 
     >>> lampest.StepFigures(error_percent=1.33).error_percent
     1.33
@@ -48,7 +48,7 @@ class StepFigures(Configuration):
 
 @dataclass(frozen=True)
 class PublishedFigures(Configuration):
-    """An estimator's figures in a publication: over all steps, or apart where the first is solved with the baseline.
+    """Published figures of an estimator: over all steps, or separately for a joint first step and the following ones.
 
     >>> lampest.PublishedFigures(all=lampest.StepFigures(time_s=16.45)).all.time_s
     16.45
@@ -61,7 +61,7 @@ class PublishedFigures(Configuration):
 
 @dataclass(frozen=True, eq=False)
 class Results:
-    """The cases of one file in the order they were given, and published figures by estimator.
+    """Cases of a file in their order, and published figures by estimator.
 
     >>> lampest.Results((found.result("LSM"),)).estimators()
     ('LSM',)
@@ -71,34 +71,34 @@ class Results:
     published: Mapping[str, PublishedFigures] = field(default_factory=dict)
 
     def recordings(self) -> tuple[str, ...]:
-        """The recordings' names in order, each once."""
+        """Return the names of the recordings in order."""
         return tuple(dict.fromkeys(case.recording for case in self.cases))
 
     def of(self, recording: str) -> tuple[CaseResult, ...]:
-        """The cases of one recording. Raises InputError where there is none."""
+        """Return the cases of a recording. Raises InputError if there are none."""
         return self.named("recording", (recording,)).cases
 
     def estimators(self) -> tuple[str, ...]:
-        """The estimators' names in order, each once."""
+        """Return the names of the estimators in order."""
         return tuple(dict.fromkeys(case.estimator for case in self.cases))
 
     def label(self, case: CaseResult) -> str:
-        """The estimator's name; of one with published figures and weights of its own `LSR-CR, paper's lambda`."""
+        """Return the estimator's name, `LSR-CR, paper's lambda` with published figures and fixed weights."""
         chosen = "weight: auto" in case.case_yaml or not case.weights.keys() - {"misfit"}
         return case.estimator if chosen or case.estimator not in self.published else f"{case.estimator}, paper's lambda"
 
     def named(self, what: Literal["recording", "estimator"], names: Collection[str]) -> "Results":
-        """The results of these recordings or estimators, in the file's order; all where none is named.
+        """Return the results of these recordings or estimators in the order of the file; all if none is named.
 
-        Raises InputError where one is unknown.
+        Raises InputError for an unknown name.
         """
         known = list(dict.fromkeys(str(getattr(case, what)) for case in self.cases))
         for name in names:
             if name not in known:
                 close = meant(name, known)
                 raise InputError(f"no {what} is called {name!r}; there are {', '.join(known) or 'none'}{close}")
-        kept = names or known
-        return replace(self, cases=tuple(case for case in self.cases if getattr(case, what) in kept))
+        chosen = names or known
+        return replace(self, cases=tuple(case for case in self.cases if getattr(case, what) in chosen))
 
 
 @typed
@@ -108,11 +108,10 @@ def write_results(
     published: Mapping[str, PublishedFigures] | None = None,
     columns: Sequence[Column] = (),
 ) -> None:
-    """Write all cases into one file, whole or not at all; the same cases give the same bytes.
+    """Write cases into one file, atomically and reproducibly.
 
-    columns : of what the cases hold as `extra`, besides those of installed packages. Raises InputError where a case
-    appears twice, where two different recordings share a name, where an extra has no column or does not fit it, or
-    where the place cannot be written.
+    columns : descriptions of `extra`, besides those of installed packages. Raises InputError for repeated cases,
+    different recordings of one name, an extra without column or unfit values, and a place that cannot be written.
 
     >>> lampest.write_results("results.h5", [found.result("LSM")])
     """
@@ -141,16 +140,16 @@ def write_results(
 
 
 def join_case(path: Path, parts: Sequence[Path], recording: str) -> None:
-    """Write the case whose parts are these files, one after the other in time, whole or not at all.
+    """Join the parts of a case, in temporal order, into one file atomically.
 
-    Raises InputError where a part cannot be read, or as `write_results`.
+    Raises InputError for an unreadable part, and as `write_results`.
     """
     with hdf5.new_large_file(path, sum(part.stat().st_size for part in parts)) as file:
         join_parts(parts, _begun(file, recording).create_group(recording), f"/entry/{recording}")
 
 
 def _begun(file: h5py.File, first: str) -> h5py.Group:
-    """The entry of a file, whose first recording that is."""
+    """Create the entry of a file with its first recording as the default."""
     hdf5.set_attributes(file, NX_class="NXroot", default="entry", lampest_format=FORMAT)
     entry = file.create_group("entry")
     hdf5.set_attributes(entry, NX_class="NXentry", **({"default": first} if first else {}))
@@ -158,7 +157,7 @@ def _begun(file: h5py.File, first: str) -> h5py.Group:
 
 
 def _check_together(cases: Sequence[CaseResult], columns: Sequence[Column]) -> None:
-    """Cases of one recording must have been given the same."""
+    """Raise InputError unless all cases of a recording have the same measurement."""
     seen: set[str] = set()
     for case in cases:
         first = cases[0]
@@ -179,8 +178,8 @@ def _check_together(cases: Sequence[CaseResult], columns: Sequence[Column]) -> N
                 )
 
 
-def _write_case(group: h5py.Group, case: CaseResult, table: Sequence[Column], with_given: bool) -> None:
-    """An estimate, and what it was given where no other case of the recording has written that."""
+def _write_case(group: h5py.Group, case: CaseResult, table: Sequence[Column], *, with_given: bool) -> None:
+    """Write an estimate and, with the first case of a recording, the measurement."""
     series = series_of(case, table, raw=True).values()
     if with_given:
         given = _group_of_data(group, SHARED, MEASURED.of(case.scene.circuit).path)
@@ -189,7 +188,7 @@ def _write_case(group: h5py.Group, case: CaseResult, table: Sequence[Column], wi
             texts["start_time"] = case.start_time, "date and time at 0 s of the time axis, ISO 8601"
         for name, (text, words) in texts.items():
             hdf5.write_dataset(given, name, hdf5.ascii_array(text), "1", words)
-        _write_series(given, case, [one for one in series if one.shared])
+        _write_series(given, case, [column for column in series if column.shared])
     estimate = _group_of_data(group, case.estimator, "cell_resistance")
     held = {name: (getattr(case, item), default) for name, (item, default) in ATTRIBUTES.items()}
     attributes = {name: value for name, (value, default) in held.items() if value != default}
@@ -197,7 +196,8 @@ def _write_case(group: h5py.Group, case: CaseResult, table: Sequence[Column], wi
     attributes |= {f"frame_{name}": noise for name, noise in case.frame_noise.items()}
     attributes["joint_start"] = np.uint8(case.joint_start)
     hdf5.set_attributes(estimate, **attributes)
-    _write_series(estimate, case, [one for one in series if not one.shared or one.name in (TIME.name, FRAME.name)])
+    axes = (TIME.name, FRAME.name)
+    _write_series(estimate, case, [column for column in series if not column.shared or column.name in axes])
 
 
 def _group_of_data(parent: h5py.Group, name: str, signal: str) -> h5py.Group:
@@ -207,18 +207,18 @@ def _group_of_data(parent: h5py.Group, name: str, signal: str) -> h5py.Group:
 
 
 def _write_series(group: h5py.Group, case: CaseResult, series: Iterable[Series]) -> None:
-    """Axes, positions, columns and figures of a case in a group, and then which of them lie along which axes."""
+    """Write axes, positions, columns and figures of a case into a group, then attach the axes."""
     axes: dict[str, tuple[str, ...]] = {}
     places = places_of(case)
-    for one in (*places.values(), *series):
-        attributes = one.attributes
-        if one.name not in places and one.axes != FRAMES:
+    for part in (*places.values(), *series):
+        attributes = part.attributes
+        if part.name not in places and part.axes != FRAMES:
             attributes["coordinates"] = POSITIONS
-        hdf5.write_dataset(group, one.path, one.stored, **attributes)
-        if one.axes == (one.name,):
-            group[one.path].make_scale(one.name)
+        hdf5.write_dataset(group, part.path, part.stored, **attributes)
+        if part.axes == (part.name,):
+            group[part.path].make_scale(part.name)
         else:
-            axes[one.path] = one.axes
+            axes[part.path] = part.axes
     for folder in {path.partition("/")[0] for path in axes if "/" in path}:
         hdf5.set_attributes(group[folder], NX_class="NXcollection")
     hdf5.attach_scales(group, axes)
@@ -226,11 +226,27 @@ def _write_series(group: h5py.Group, case: CaseResult, series: Iterable[Series])
 
 @typed
 def read_results(path: str | Path, columns: Sequence[Column] = (), frames: range | None = None) -> Results:
-    """Read a results file; columns : of what it holds besides those of lampest and of installed packages.
+    """Read a results file.
 
-    frames : of the recordings, those that are read; None: all. A recording that has none of them is left out.
-    Raises InputError with the dataset's path where something is wrong, or no recording has any of the frames.
+    Parameters
+    ----------
+    path : path
+    columns : sequence of Column
+        Columns besides those of lampest and of installed packages.
+    frames : range, optional
+        Frames of the recordings that are read; recordings without any of them are left out.
 
+    Returns
+    -------
+    Results
+
+    Raises
+    ------
+    InputError
+        With the path of a faulty dataset, or if no recording has any of the frames.
+
+    Examples
+    --------
     >>> lampest.read_results("results.h5").recordings()
     ('mine',)
     """
@@ -247,7 +263,7 @@ def read_results(path: str | Path, columns: Sequence[Column] = (), frames: range
 
 
 def read_each(path: Path, most: int) -> Iterator[CaseResult]:
-    """Every case of a results file, its frames by parts of so many readings. Raises InputError as `read_results`."""
+    """Yield every case of a results file in parts of `most` readings. Raises InputError as `read_results`."""
     with _results_file(path) as file:
         _read_published(file)
         for name in _in_order(file, "/entry"):
@@ -258,14 +274,14 @@ def read_each(path: Path, most: int) -> Iterator[CaseResult]:
 
 
 def stored_cases(path: Path) -> tuple[StoredCase, ...]:
-    """The cases of a results file without their values. Raises InputError as `read_results`."""
+    """Return references to the cases of a results file. Raises InputError as `read_results`."""
     with _results_file(path) as file:
-        found = []
+        cases = []
         for recording in _in_order(file, "/entry"):
             for name in _estimators(file, recording):
                 identity = hdf5.read_attribute(file, f"/entry/{recording}/{name}", "case_id")
-                found.append(StoredCase(path, recording, name, str(identity), *_sizes(file, recording)))
-        return tuple(found)
+                cases.append(StoredCase(path, recording, name, str(identity), *_sizes(file, recording)))
+        return tuple(cases)
 
 
 @contextmanager
@@ -287,15 +303,15 @@ def _estimators(file: h5py.File, recording: str) -> list[str]:
 
 
 def _sizes(file: h5py.File, recording: str) -> tuple[int, int]:
-    """How many frames and cells a recording has."""
+    """Return the numbers of frames and cells of a recording."""
     frames, rows, columns = (hdf5.length_of(file, f"/entry/{recording}/{SHARED}/{axis}") for axis in MAPS)
     return frames, rows * columns
 
 
 def _part(file: h5py.File, recording: str, frames: range) -> slice | None:
-    """Which of the frames that are kept are these ones of the recording; None where none is."""
-    kept = hdf5.read_array(file, f"/entry/{recording}/{_estimators(file, recording)[0]}/{FRAME.path}", 1)
-    begin, end = np.searchsorted(kept, (frames.start, frames.stop))
+    """Return the slice of the stored frames that belong to a range; None if it is empty."""
+    stored = hdf5.read_array(file, f"/entry/{recording}/{_estimators(file, recording)[0]}/{FRAME.path}", 1)
+    begin, end = np.searchsorted(stored, (frames.start, frames.stop))
     return slice(int(begin), int(end)) if begin < end else None
 
 
@@ -317,7 +333,7 @@ def _read_recording(file: h5py.File, name: str, table: Sequence[Column], part: s
     sizes = dict(zip(MAPS, shape, strict=True))
 
     def held(group: str, columns: Iterable[Column]) -> dict[str, Any]:
-        """Column → values, of those that the file holds or cannot be without."""
+        """Return the values of columns that are required or in the file."""
         return {
             column.name: column.read(file, group, sizes, part)
             for column in columns
@@ -343,15 +359,15 @@ def _read_recording(file: h5py.File, name: str, table: Sequence[Column], part: s
 
 
 def _read_figures(file: h5py.File, path: str, shape: tuple[int, ...], part: slice) -> dict[str, Array]:
-    """name → (frames)."""
+    """Return figures by name, each of shape (frames,)."""
     names = hdf5.child_datasets(file, path) if hdf5.has(file, path) else []
     return {name: hdf5.read_array(file, f"{path}/{name}", 1, shape, part) for name in names}
 
 
 def _read_attributes(file: h5py.File, path: str) -> dict[str, Any]:
-    """What a case says beside its columns."""
+    """Return the attributes of a case."""
     texts = {name: hdf5.read_attribute(file, path, name) for name in hdf5.attribute_names(file, path)}
-    found: dict[str, Any] = {
+    attributes: dict[str, Any] = {
         "versions": {key.removesuffix("_version"): str(texts[key]) for key in texts if key.endswith("_version")},
         "frame_noise": {
             key.removeprefix("frame_"): np.asarray(texts[key]) for key in texts if key.startswith("frame_")
@@ -359,10 +375,10 @@ def _read_attributes(file: h5py.File, path: str) -> dict[str, Any]:
     }
     for name, (item, default) in ATTRIBUTES.items():
         if isinstance(default, str):
-            found[item] = str(texts.get(name, ""))
+            attributes[item] = str(texts.get(name, ""))
         else:
-            found[item] = type(default)(hdf5.read_number(file, path, name, default))
-    return found
+            attributes[item] = type(default)(hdf5.read_number(file, path, name, default))
+    return attributes
 
 
 def _read_published(file: h5py.File) -> dict[str, PublishedFigures]:

@@ -1,1 +1,1 @@
-"""Studies of lampest itself: timings, trade-offs, extremes, starts, weights; each with its figure."""
+"""Studies of solvers and estimators: timings, trade-offs, extremes, weights, the paper."""

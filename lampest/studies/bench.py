@@ -1,7 +1,4 @@
-"""The benchmark: every frame of simulated recordings, solved by every solver in turn for as long as there is time.
-
-SciPy's solvers join in docs/studies/bench.py.
-"""
+"""Benchmark of solvers on simulated recordings; docs/studies/bench.py adds SciPy's solvers."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, fields, replace
@@ -34,10 +31,10 @@ from lampest.studies.study import OnStep, column
 
 
 def loads(number: int, shape: common.Shape) -> tuple[tuple[AnyShape, ...], Course]:
-    """What touches the panel in recording `number`, and when; recordings 0, 1, 2 differ, then they come again.
+    """Return loads and time course of recording `number`, periodic in 3.
 
-    0 : a mouth over a third of the shorter side, sucking ever harder, breathing. 1 : three rods that stand. 2 : a mouth
-    of 35 mm that presses ever harder, then sucks, beside a rod.
+    0: a breathing mouth over a third of the shorter side, with increasing suction. 1: three standing rods. 2: a mouth
+    of 35 mm that presses, then sucks, beside a rod.
     """
     pitch = Panel(*shape).pitch_mm
     height, width = (pitch * (side - 1) for side in shape)
@@ -54,10 +51,9 @@ def loads(number: int, shape: common.Shape) -> tuple[tuple[AnyShape, ...], Cours
 
 @dataclass(frozen=True)
 class BenchLimits(Configuration):
-    """The largest side, max(rows, columns), at which a solver is run; 0: not at all.
+    """Largest side, max(rows, columns), of panels for each solver; 0: none.
 
-    joint : no solver, but the first pair of relative methods: on larger panels their first frame starts from a baseline
-    that was solved alone.
+    joint : largest side on which relative methods solve the first frame jointly with the baseline.
     """
 
     reduced: int = common.LARGEST_SIDE
@@ -66,24 +62,36 @@ class BenchLimits(Configuration):
 
     @property
     def solvers(self) -> tuple[str, ...]:
-        """The names of the solvers, in order."""
-        return tuple(one.name for one in fields(self) if one.name != "joint")
+        """Names of the solvers in order."""
+        return tuple(limit.name for limit in fields(self) if limit.name != "joint")
 
 
 @dataclass(frozen=True)
 class BenchFile(Configuration):
-    """What is compared.
+    """Settings of the benchmark.
 
-    sizes : sides of square panels, or [rows, columns].
-    estimators : methods by name, their terms as in a run's file; the paper's five by default.
-    recordings : simulated recordings of every panel, each with loads and noise of its own.
-    frames, repeats : frames after the first, solved in sequence, and how often each is solved by every solver.
-    budget_s : no solve is begun that would probably not end within so many seconds; what is left out is named.
-    seed, readout, unmodelled : of the simulated recordings, as in a simulation's file.
-    lines : of their scenes; nodal does not know wire and is left out then.
-    solver : tolerance and iterations, the same for all.
-    limits : the largest side for each solver.
-    memory : sides of panels on which the peak memory of a fresh process is measured.
+    Attributes
+    ----------
+    sizes
+        Sides of square panels, or [rows, columns].
+    estimators
+        Methods by name, their terms as in a run file; by default the five of the paper.
+    recordings
+        Number of simulated recordings of every panel, each with its own loads and noise.
+    frames, repeats
+        Number of frames after the first, and of solves of each by every solver.
+    budget_s
+        Time limit in s; solves that would exceed it are left out and named.
+    seed, readout, unmodelled
+        Of the simulated recordings, as in a simulation file.
+    lines
+        Lines of their scenes; nodal is left out if they resist.
+    solver
+        Tolerance and iterations of all solvers.
+    limits
+        Largest side for each solver.
+    memory
+        Sides of panels on which the peak memory of a fresh process is measured.
     """
 
     schema: Literal[1]
@@ -116,26 +124,26 @@ class BenchFile(Configuration):
 
     @property
     def shapes(self) -> tuple[common.Shape, ...]:
-        """(rows, columns) of every panel."""
+        """Shapes (rows, columns) of the panels."""
         return common.shapes_of(self.sizes)
 
     def solvers(self, shape: common.Shape) -> tuple[str, ...]:
-        """The names of the solvers that run on a panel."""
+        """Return the names of the solvers that run on a panel."""
         wired = self.lines is not None and self.lines.resist
         known = (name for name in self.limits.solvers if not (wired and name == "nodal"))
         return tuple(name for name in known if max(shape) <= getattr(self.limits, name))
 
     def estimator(self, method: str, solver: str, shape: common.Shape) -> Estimator:
-        """A method with a solver, for a panel: a large one's baseline is solved alone."""
-        formulation = self.formulation(solver, max(shape) <= self.limits.joint)
+        """Return a method with a solver for a panel; the baseline of a large one is solved separately."""
+        formulation = self.formulation(solver, joint=max(shape) <= self.limits.joint)
         return Estimator(self.estimators[method].parts, formulation, self.solver, error_bars=False)
 
-    def formulation(self, solver: Any, joint: bool) -> Method:
-        """The formulation of a solver's name."""
+    def formulation(self, solver: Any, *, joint: bool) -> Method:
+        """Return the formulation of a solver."""
         return OptimalMethod(kind=solver, joint=joint)
 
     def recording(self, shape: common.Shape, number: int = 0) -> Recording:
-        """One of the recordings of a panel, its loads those of `loads`; 3 unloaded frames."""
+        """Simulate a recording of a panel with 3 unloaded frames and the loads of `loads`."""
         touching, course = loads(number, shape)
         scene = Scene(Panel(*shape), self.readout, common.SERIES_OHM, lines=self.lines)
         known: dict[str, Any] = {"frames": self.frames + 1, "loads": touching, "unmodelled": self.unmodelled}
@@ -155,7 +163,7 @@ class BenchFrame(TimedFrame):
 
 
 def solve_two_frames(task: tuple[BenchFile, common.Shape, str, str]) -> None:
-    """A first frame and the next, for the memory that they take."""
+    """Solve a first frame and the next, for a measurement of memory."""
     bench, shape, method, solver = task
     recording = bench.recording(shape)
     readings = recording.readings()
@@ -165,20 +173,21 @@ def solve_two_frames(task: tuple[BenchFile, common.Shape, str, str]) -> None:
 
 
 class BenchPart(NamedTuple):
-    """A method on one recording of a panel."""
+    """A method on a recording of a panel."""
 
     recording: int
     shape: common.Shape
     method: str
 
     def expected_s(self, bench: BenchFile, done: Sequence[BenchFrame]) -> float:
-        """As on another recording of the panel; else as on the largest one that is smaller, growing as (M + N)³."""
+        """Predict the time from the largest panel up to this size, growing as (M + N)³."""
         solvers, lines = bench.solvers(self.shape), sum(self.shape)
-        alike = [one for one in done if one.method == self.method and one.solver in solvers and sum(one.shape) <= lines]
-        nearest = max((sum(one.shape) for one in alike), default=lines)
-        alike = [one for one in alike if sum(one.shape) == nearest]
-        recordings = len({(one.shape, one.recording) for one in alike}) or 1
-        return sum(one.seconds for one in alike) / recordings * (lines / nearest) ** 3
+        alike = [frame for frame in done if frame.method == self.method and frame.solver in solvers]
+        alike = [frame for frame in alike if sum(frame.shape) <= lines]
+        nearest = max((sum(frame.shape) for frame in alike), default=lines)
+        alike = [frame for frame in alike if sum(frame.shape) == nearest]
+        recordings = len({(frame.shape, frame.recording) for frame in alike}) or 1
+        return sum(frame.seconds for frame in alike) / recordings * (lines / nearest) ** 3
 
 
 LeftOut = tuple[common.Shape, str, str]  # a panel, a method, and what of them there was no time for
@@ -193,37 +202,36 @@ class Bench(NamedTuple):
 
 
 def run_bench(bench: BenchFile, on_step: OnStep) -> Bench:
-    """Measure everything, as far as the budget goes; on_step is called with how many of how many parts are done, and
-    what is next.
+    """Measure as much as the budget allows: the first recordings of all panels first, small panels before large ones.
 
-    All panels' first recordings come first, smallest panels before larger ones, with the memory that they take.
+    on_step : receives the numbers of finished and of all parts, and the name of the next one.
     """
-    end, found, missed = perf_counter() + bench.budget_s, list[BenchFrame](), list[LeftOut]()
+    end, frames, missed = perf_counter() + bench.budget_s, list[BenchFrame](), list[LeftOut]()
     parts = [BenchPart(*part) for part in product(range(bench.recordings), bench.shapes, bench.estimators)]
     simulated = lru_cache(maxsize=1)(bench.recording)
     for number, part in enumerate(parts):
         shape, method, name = part.shape, part.method, f"recording {part.recording + 1}"
         on_step(number, len(parts), f"{shape[0]} × {shape[1]} {method}, {name}")
-        if part.expected_s(bench, found) > end - perf_counter():
+        if part.expected_s(bench, frames) > end - perf_counter():
             missed.append((shape, method, name))
             continue
         own = list(_frames(bench, simulated(shape, part.recording), part, end))
-        if (frames := own[-1].frame + 1) <= bench.frames:
-            missed.append((shape, method, f"{name} after {frames} of {bench.frames + 1} frames"))
-        measured = not part.recording and shape[0] == shape[1] and shape[0] in bench.memory
-        for solver in bench.solvers(shape) if measured else ():
+        if (count := own[-1].frame + 1) <= bench.frames:
+            missed.append((shape, method, f"{name} after {count} of {bench.frames + 1} frames"))
+        with_memory = not part.recording and shape[0] == shape[1] and shape[0] in bench.memory
+        for solver in bench.solvers(shape) if with_memory else ():
             # A fresh process takes some 3 s to begin.
-            if 3.0 + sum(one.seconds for one in own if one.solver == solver) > end - perf_counter():
+            if 3.0 + sum(frame.seconds for frame in own if frame.solver == solver) > end - perf_counter():
                 missed.append((shape, method, f"memory of {solver}"))
                 continue
             peak = peak_memory(solve_two_frames, (bench, shape, method, solver))
-            own = [replace(one, memory_mb=peak) if one.solver == solver else one for one in own]
-        found += own
-    return Bench(bench, tuple(found), tuple(missed))
+            own = [replace(frame, memory_mb=peak) if frame.solver == solver else frame for frame in own]
+        frames += own
+    return Bench(bench, tuple(frames), tuple(missed))
 
 
 def _frames(bench: BenchFile, recording: Recording, part: BenchPart, end: float) -> Iterator[BenchFrame]:
-    """Every frame by all solvers; later ones are left out once there is less time than the last one took."""
+    """Solve every frame by all solvers, until less time is left than the last frame took."""
     estimators = {name: bench.estimator(part.method, name, part.shape) for name in bench.solvers(part.shape)}
     readings, matrix = recording.readings(), laplacian(np.ones(part.shape))[1:, 1:]
     stream = first_stream(recording, readings, bench.estimator(part.method, "reduced", part.shape))
@@ -234,20 +242,20 @@ def _frames(bench: BenchFile, recording: Recording, part: BenchPart, end: float)
         begin, turns = perf_counter(), []
         for _ in range(bench.repeats if number else 1):
             turns.append({name: pushed(own, readings[frame]) for name, own in streams.items()})
-            if sum(one.seconds for one in turns[-1].values()) > 1.0:  # disturbances are small beside so many s
+            if sum(turn.seconds for turn in turns[-1].values()) > 1.0:  # disturbances are small beside so many s
                 break
-        reached = {name: one.objective for name, one in turns[0].items()}
+        reached = {name: turn.objective for name, turn in turns[0].items()}
         best = min(reached, key=lambda name: reached[name])
         size = reached[best] + 1e-9 * float(np.sum(readings[frame].value ** 2))
-        for name, one in turns[0].items():
-            gap = (one.objective - reached[best]) / size if one.step.solution.solved else np.inf
+        for name, turn in turns[0].items():
+            gap = (turn.objective - reached[best]) / size if turn.step.solution.solved else np.inf
             yield BenchFrame(
-                **outcome(recording, one.step),
+                **outcome(recording, turn.step),
                 method=part.method,
                 solver=name,
                 frame=number,
                 seconds=min(turn[name].seconds for turn in turns),
-                objective=one.step.solution.objective,
+                objective=turn.step.solution.objective,
                 gap=gap if len(streams) > 1 else np.nan,
                 kind="later" if number else kind,
                 inverse_s=inverse_time(matrix),
@@ -266,17 +274,17 @@ GROWTH_FROM = 32  # rows and columns of the smallest panel of which growth is me
 
 
 def bench_rows(frames: Sequence[BenchFrame]) -> list[study.Row]:
-    """By panel, then all methods together and each of them, then by solver, then first and later frames.
+    """Return rows by panel, method (all together first), solver, and first or later frames.
 
-    Where a method was left out on a panel, there is no row of all: it would be one of other methods than elsewhere.
+    Panels on which a method was left out have no row of all methods.
     """
-    methods = {one.method for one in frames}
+    methods = {frame.method for frame in frames}
     rows: list[study.Row] = []
-    for here in study.grouped(frames, lambda one: one.shape).values():
-        for name, chosen in ((ALL, here), *study.grouped(here, lambda one: one.method).items()):
-            for several in study.grouped(chosen, lambda one: one.solver).values():
-                kinds = study.grouped(several, lambda one: one.frame > 0).values()
-                rows += [_row(name, own) for own in kinds if name != ALL or {one.method for one in own} == methods]
+    for panel in study.grouped(frames, lambda frame: frame.shape).values():
+        for name, chosen in ((ALL, panel), *study.grouped(panel, lambda frame: frame.method).items()):
+            for several in study.grouped(chosen, lambda frame: frame.solver).values():
+                kinds = study.grouped(several, lambda frame: frame.frame > 0).values()
+                rows += [_row(name, own) for own in kinds if name != ALL or {frame.method for frame in own} == methods]
     reduced = {_problem(row): row.ms for row in rows if row.solver == "reduced"}
     for row in rows:
         row.ratio = row.ms / reduced[_problem(row)] if _problem(row) in reduced else None
@@ -288,9 +296,9 @@ def _problem(row: study.Row) -> tuple[int, int, str, str]:
 
 
 def _row(method: str, own: Sequence[BenchFrame]) -> study.Row:
-    """The figures of frames of one kind by one solver; ms : median, gap : the largest, infinite of a failed frame."""
-    low, middle, high = (float(one) for one in np.quantile([1e3 * one.seconds for one in own], (0.25, 0.5, 0.75)))
-    kinds = {one.kind for one in own}
+    """Summarise frames of one kind by one solver; ms : median, gap : the largest, infinite of a failed frame."""
+    low, middle, high = np.quantile([1e3 * frame.seconds for frame in own], (0.25, 0.5, 0.75)).tolist()
+    kinds = {frame.kind for frame in own}
     return study.Row(
         rows=own[0].rows,
         columns=own[0].columns,
@@ -301,32 +309,32 @@ def _row(method: str, own: Sequence[BenchFrame]) -> study.Row:
         ms_quartile_1=low,
         ms_quartile_3=high,
         ratio=None,
-        inverses=middle / 1e3 / float(np.median([one.inverse_s for one in own])),
-        iterations=float(np.median([one.iterations for one in own])),
-        gap=max((one.gap for one in own if not np.isnan(one.gap)), default=None),
+        inverses=middle / 1e3 / float(np.median([frame.inverse_s for frame in own])),
+        iterations=float(np.median([frame.iterations for frame in own])),
+        gap=max((frame.gap for frame in own if not np.isnan(frame.gap)), default=None),
         count=len(own),
-        verified=sum(one.verified for one in own),
-        solved=sum(one.solved for one in own),
-        memory_mb=max((one.memory_mb for one in own if one.memory_mb is not None), default=None),
+        verified=sum(frame.verified for frame in own),
+        solved=sum(frame.solved for frame in own),
+        memory_mb=max((frame.memory_mb for frame in own if frame.memory_mb is not None), default=None),
     )
 
 
 def growth(rows: Sequence[study.Row]) -> list[study.Row]:
-    """Time ∝ side^exponent, side = (rows + columns)/2, by solver, method and kind of frames.
+    """Fit time ∝ side^exponent, side = (rows + columns)/2, by solver, method and kind of frames.
 
-    A least-squares line through the logarithms of `ms`, on two or more panels of which no side is below 32.
-    standard_error : of the slope, from the scatter about the line; None with two panels. largest : the largest side.
+    A least-squares line through the logarithms of `ms` of two or more panels with sides of at least 32.
+    standard_error : of the exponent; None with two panels. largest : the largest side.
     """
     large = [row for row in rows if min(row.rows, row.columns) >= GROWTH_FROM and row.method != ALL]
-    found = []
+    exponents = []
     for (solver, method, frames), own in study.grouped(large, lambda row: (row.solver, row.method, row.frames)).items():
         sides = [(row.rows + row.columns) / 2 for row in own]
         if len(own) > 1:
             line = linregress(np.log(sides), np.log([row.ms for row in own]))
             error = float(line.stderr) if len(own) > 2 else None
             figures = (solver, method, frames, float(line.slope), error, len(own), max(sides))
-            found.append(study.Row(**dict(zip(GROWTH, figures, strict=True))))
-    return found
+            exponents.append(study.Row(**dict(zip(GROWTH, figures, strict=True))))
+    return exponents
 
 
 GROWTH = ("solver", "method", "frames", "exponent", "standard_error", "panels", "largest")
@@ -356,7 +364,7 @@ SCREEN: study.Screen = {
 
 
 def tables(bench: Bench) -> list[tuple[str, Table]]:
-    """Titled tables for the screen, those without any row left out."""
+    """Return titled tables for the screen, without empty ones."""
     rows = bench_rows(bench.frames)
     together = [row for row in rows if row.method == ALL]
     ours = [row for row in rows if row.method != ALL and row.solver == "reduced"]
@@ -373,13 +381,13 @@ def _without(*titles: str) -> study.Screen:
 
 
 def bench_remarks(bench: Bench) -> list[str]:
-    """Limits, and what there was no time for."""
+    """Return sentences on limits and on parts that were left out."""
     settings = bench.settings
     largest = max(max(shape) for shape in settings.shapes)
     limited = [f"{name} {limit}" for name, limit in vars(settings.limits).items() if limit < largest]
     lines = [f"not run beyond these sides (limits): {', '.join(limited)}"] if limited else []
     panels: dict[tuple[str, str], list[str]] = {}  # of which the same was left out
-    for (shape, what), own in study.grouped(bench.left_out, lambda one: (one[0], one[2])).items():
+    for (shape, what), own in study.grouped(bench.left_out, lambda left_out: (left_out[0], left_out[2])).items():
         methods = [method for _, method, _ in own]
         named = "all methods" if methods == list(settings.estimators) else ", ".join(methods)
         panels.setdefault((what, named), []).append(f"{shape[0]} × {shape[1]}")

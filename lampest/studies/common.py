@@ -1,4 +1,4 @@
-"""What studies share: methods, panels of several sizes, a lamprey's mouth; timed frames, clocks, peak memory."""
+"""Common parts of studies: methods, panels, a lamprey's mouth, timed frames, clocks, peak memory."""
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -39,7 +39,7 @@ BREATHING = Course(start_s=-0.8, approach_s=0.6, attachment_s=2, breathing_hz=1.
 
 @dataclass(frozen=True)
 class StudyMethod(Configuration):
-    """The terms of one method, as in a run's file. Raises ValueError without a term."""
+    """Terms of a method, as in a run file. Raises ValueError without a term."""
 
     terms: Terms  # type: ignore[valid-type]
 
@@ -49,13 +49,13 @@ class StudyMethod(Configuration):
 
     @property
     def parts(self) -> tuple[Term, ...]:
-        """The terms, in order."""
+        """Terms in order."""
         return terms_of(self.terms)
 
 
 @dataclass(frozen=True)
 class SquaredMethod(StudyMethod):
-    """Squared losses alone. Raises ValueError for a loss that is no least-squares problem."""
+    """Method with squared losses only. Raises ValueError for other losses."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -65,7 +65,7 @@ class SquaredMethod(StudyMethod):
 
 @dataclass(frozen=True)
 class BoundedMethod(StudyMethod):
-    """Terms, and bounds of its own."""
+    """Method with bounds."""
 
     bounds: Bounds = Bounds()
 
@@ -74,17 +74,17 @@ Method = TypeVar("Method", bound=StudyMethod)
 
 
 def paper_methods(kind: type[Method]) -> dict[str, Method]:
-    """The five methods of the paper with its weights."""
+    """Return the five methods of the paper with its weights."""
     return {name: kind(Terms(**{term.kind: term for term in terms})) for name, terms in PAPER.items()}  # type: ignore[attr-defined]
 
 
 def shapes_of(sizes: Sizes) -> tuple[Shape, ...]:
-    """(rows, columns) of every panel."""
+    """Return (rows, columns) of every panel."""
     return tuple((size, size) if isinstance(size, int) else size for size in sizes)
 
 
 def check_sides(shapes: Iterable[Shape], low: int, high: int) -> None:
-    """Raise ValueError unless all rows and columns lie in a range and no panel comes twice."""
+    """Raise ValueError unless all rows and columns are in a range and all panels differ."""
     shapes = list(shapes)
     check_range("a panel's side", [side for shape in shapes for side in shape], low, high)
     if len(set(shapes)) < len(shapes):
@@ -92,7 +92,7 @@ def check_sides(shapes: Iterable[Shape], low: int, high: int) -> None:
 
 
 def lamprey_mouth(centre_mm: tuple[float, float], diameter_mm: float = 35.0) -> OralDisc:
-    """That of the shipped recording of a lamprey, 35 mm wide with a rim of 6 mm, of any size at any place."""
+    """Return the mouth of the shipped lamprey, 35 mm wide with a rim of 6 mm, scaled and moved."""
     return OralDisc(
         kind="oral_disc",
         centre_mm=centre_mm,
@@ -136,12 +136,12 @@ class TimedFrame:
 
     @property
     def verified(self) -> bool:
-        """Whether the optimum was verified."""
+        """True if the optimum was verified."""
         return self.status in {strict.value for strict in STRICT}
 
 
 class Pushed(NamedTuple):
-    """A frame pushed through a stream: the stream after it, how it was solved, seconds of the solve."""
+    """Result of a frame pushed through a stream: next stream, step, seconds of the solve."""
 
     stream: Stream
     step: Step
@@ -149,25 +149,25 @@ class Pushed(NamedTuple):
 
     @property
     def objective(self) -> float:
-        """The cost where the solve ended; infinite where it failed."""
+        """Final cost; infinite for a failed solve."""
         return self.step.solution.objective if self.step.solution.solved else np.inf
 
 
 def pushed(stream: Stream, readings: Readings) -> Pushed:
-    """Solve one frame's readings. Its seconds are the processor's where something else held the solve up."""
+    """Solve the readings of a frame, timed as by `clocked`."""
     (after, step), seconds = clocked(lambda: stream.push(readings))
     return Pushed(after, step, min(seconds, step.seconds))
 
 
 def outcome(recording: Recording, step: Step) -> dict[str, Any]:
-    """What the record of a frame takes from its recording and from how it was solved."""
+    """Return the fields of a frame's record that come from its recording and its step."""
     rows, columns = recording.scene.panel.shape
     ended = {name: getattr(step.solution, name) for name in ("iterations", "solved")}
     return {"rows": rows, "columns": columns, "recording": recording.name, "status": step.status, **ended}
 
 
 def clocked(call: Callable[[], Result]) -> tuple[Result, float]:
-    """What a call returns, and its seconds: the processor's where something else held the call up."""
+    """Return the result of a call and its seconds: the lesser of wall and processor time."""
     wall, cpu = perf_counter(), process_time()
     result = call()
     wall, cpu = perf_counter() - wall, process_time() - cpu
@@ -175,7 +175,7 @@ def clocked(call: Callable[[], Result]) -> tuple[Result, float]:
 
 
 def inverse_time(matrix: Array) -> float:
-    """Seconds of one dense inverse, from as many as take 2 ms or more; the least of three tries."""
+    """Return the seconds of one dense inverse, the least of three measurements of 2 ms or more."""
 
     def inverses(count: int) -> float:
         return clocked(lambda: [np.linalg.inv(matrix) for _ in range(count)])[1]
@@ -187,16 +187,16 @@ def inverse_time(matrix: Array) -> float:
 
 
 def peak_memory(work: Callable[[Task], object], task: Task) -> float:
-    """The largest resident size, 10⁶ bytes, of a fresh process that does some work; NaN if it died.
+    """Return the peak resident size, 10⁶ bytes, of a fresh process that does some work; NaN if it died.
 
-    Not what Python has allocated: compiled costs and IPOPT's factors lie outside what tracemalloc sees.
+    Unlike tracemalloc, this includes compiled costs and IPOPT's factors.
     """
     ((_, megabytes),) = Processes(1).results(_peak_after, [(work, task)])
     return float("nan") if isinstance(megabytes, Exception) else float(megabytes)
 
 
 def _peak_after(task: tuple[Callable[[Task], object], Task]) -> float:
-    """The largest resident size of this process after some work, without what its parent had before."""
+    """Return the peak resident size of this process after some work, 10⁶ bytes."""
     work, argument = task
     work(argument)
     line = next(line for line in STATUS.read_text().splitlines() if line.startswith("VmHWM:"))

@@ -1,4 +1,4 @@
-"""What every study is: settings from YAML → records, one an experiment → HDF5, CSV, Markdown, figures, tables."""
+"""Framework of studies: settings from YAML, records of experiments, HDF5, CSV, Markdown, figures, tables."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import MISSING, dataclass, field, fields
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Settings = TypeVar("Settings")
-Found = TypeVar("Found")
+Measured = TypeVar("Measured")
 Kind = TypeVar("Kind")
 Task = TypeVar("Task")
 OnStep = Callable[..., None]
@@ -35,16 +35,25 @@ LIBRARIES = ("lampest", "casadi", "numpy", "scipy", "h5py")
 
 
 def column(unit: str, meaning: str, default: Any = MISSING) -> Any:
-    """A field of a record that becomes a dataset with that unit and meaning."""
+    """Return a field of a record that becomes a dataset with that unit and meaning."""
     return field(default=default, metadata={"unit": unit, "meaning": meaning})
 
 
 @dataclass(frozen=True)
 class RecordGroup:
-    """Records of one dataclass as a group of the HDF5 file, with a dataset for every field that is a `column`.
+    """Records of a dataclass as a group of an HDF5 file, with a dataset for every field that is a `column`.
 
-    path : in /entry. signal : what a viewer draws. axis : the column along which it does; '': the records' number.
-    units : in place of those of the columns. attributes : of the group.
+    Attributes
+    ----------
+    path : str
+        Group in /entry.
+    records : sequence
+    signal, axis : str
+        Columns that a viewer draws, and along which; axis '' is the number of the record.
+    units : mapping
+        Units that replace those of the columns.
+    attributes : mapping
+        Attributes of the group.
     """
 
     path: str
@@ -55,27 +64,27 @@ class RecordGroup:
     attributes: Mapping[str, Any] = field(default_factory=dict)
 
     def write(self, entry: Any) -> None:
-        """Truth values become 0 and 1, text ASCII, None NaN."""
+        """Write the records; truth values become 0 and 1, None becomes NaN."""
         group, axis = entry.create_group(self.path), self.axis or "record"
         hdf5.set_attributes(group, NX_class="NXdata", signal=self.signal, axes=[axis], **self.attributes)
         if not self.axis:
             hdf5.write_scale(group, axis, np.arange(len(self.records)), "1", "number of the record")
-        columns = [one for one in fields(self.records[0]) if one.metadata]
-        for one in sorted(columns, key=lambda one: one.name != axis):  # the scale is there before others need it
-            values = np.array([getattr(record, one.name) for record in self.records])
+        columns = [column for column in fields(self.records[0]) if column.metadata]
+        for column in sorted(columns, key=lambda column: column.name != axis):  # the scale comes first
+            values = np.array([getattr(record, column.name) for record in self.records])
             if values.dtype.kind in "bO":
                 values = values.astype(np.uint8 if values.dtype.kind == "b" else float)
             data = hdf5.ascii_array(values) if values.dtype.kind == "U" else values
-            unit, meaning = self.units.get(one.name, one.metadata["unit"]), one.metadata["meaning"]
-            if one.name == axis:
+            unit, meaning = self.units.get(column.name, column.metadata["unit"]), column.metadata["meaning"]
+            if column.name == axis:
                 hdf5.write_scale(group, axis, data, unit, meaning)
             else:
-                hdf5.write_dataset(group, one.name, data, unit, meaning, (axis,))
+                hdf5.write_dataset(group, column.name, data, unit, meaning, (axis,))
 
 
 @dataclass(frozen=True)
 class Reported:
-    """What a study leaves. tables : with their titles, '' for none. remarks, left_out : sentences. files : written."""
+    """Report of a study: titled tables, files, and sentences of remarks and omissions."""
 
     tables: Sequence[tuple[str, Table]]
     files: Sequence[Path]
@@ -84,48 +93,66 @@ class Reported:
 
 
 @dataclass(frozen=True)
-class Study(Generic[Settings, Found]):
-    """A study as a declaration; `run` makes files, tables and figures of it.
+class Study(Generic[Settings, Measured]):
+    """Declaration of a study; `run` makes files, tables and figures of it.
 
-    name : of its files. counts : what the progress bar counts. config : the shipped file, where none is named.
-    read : (file, overriding entries) → settings; raises InputError with line and column.
-    measure : (settings, on_step) → what was found. All others take what was found:
-    rows : of the CSV file, at least one; screen : their table. tables : further ones, with their titles.
-    form, records : of the HDF5 file; none without.
-    figures : by name of the file. texts : of further files, by their names. remarks, left_out : sentences.
+    Attributes
+    ----------
+    name : str
+        Stem of its files.
+    counts : str
+        Things that the progress bar counts.
+    config : str
+        The shipped settings.
+    read : callable
+        (file, overrides) → settings; raises InputError with line and column.
+    measure : callable
+        (settings, on_step) → measurements, the argument of all following functions.
+    rows : callable
+        Rows of the CSV file, at least one.
+    screen : mapping
+        Columns of the table of the rows.
+    tables : callable
+        Further titled tables.
+    form, records : str, callable
+        Format and groups of the HDF5 file; '' for none.
+    figures, texts : callable
+        Figures and texts of further files, by name.
+    remarks, left_out : callable
+        Sentences.
     """
 
     name: str
     counts: str
     config: str
     read: Callable[[Path, tuple[str, ...]], Settings]
-    measure: Callable[[Settings, OnStep], Found]
-    rows: Callable[[Found], Sequence[Any]]
+    measure: Callable[[Settings, OnStep], Measured]
+    rows: Callable[[Measured], Sequence[Any]]
     screen: Screen = field(default_factory=dict)
-    tables: Callable[[Found], Sequence[tuple[str, Table]]] = lambda found: ()
+    tables: Callable[[Measured], Sequence[tuple[str, Table]]] = lambda measured: ()
     form: str = ""
-    records: Callable[[Found], Iterable[RecordGroup]] = lambda found: ()
-    figures: "Callable[[Found], Mapping[str, Figure]]" = lambda found: {}
-    texts: Callable[[Found], Mapping[str, str]] = lambda found: {}
-    remarks: Callable[[Found], Sequence[str]] = lambda found: ()
-    left_out: Callable[[Found], Sequence[str]] = lambda found: ()
+    records: Callable[[Measured], Iterable[RecordGroup]] = lambda measured: ()
+    figures: "Callable[[Measured], Mapping[str, Figure]]" = lambda measured: {}
+    texts: Callable[[Measured], Mapping[str, str]] = lambda measured: {}
+    remarks: Callable[[Measured], Sequence[str]] = lambda measured: ()
+    left_out: Callable[[Measured], Sequence[str]] = lambda measured: ()
 
     def run(self, config: Path | None, out: Path | None, assigned: tuple[str, ...], on_step: OnStep) -> Reported:
         """Read, measure and write into a folder, results/<config> by default.
 
-        Raises InputError where the file is at fault or the folder cannot be written.
+        Raises InputError for a faulty file and a folder that cannot be written.
         """
         file = config or shipped_folder() / "configs" / self.config
-        found = self.measure(self.read(file, assigned), on_step)
-        rows, remarks, folder = self.rows(found), self.remarks(found), out or Path("results") / file.stem
+        measured = self.measure(self.read(file, assigned), on_step)
+        rows, remarks, folder = self.rows(measured), self.remarks(measured), out or Path("results") / file.stem
         tables = [("", screen_table(rows, self.screen))] if self.screen else []
-        tables += self.tables(found)
-        texts = {f"{self.name}.csv": csv_of(rows), **self.texts(found)}
+        tables += self.tables(measured)
+        texts = {f"{self.name}.csv": csv_of(rows), **self.texts(measured)}
         texts |= {f"{self.name}.md": page(self.name, tables, remarks)} if tables else {}
-        return Reported(tables, self._write(found, folder, texts), remarks, self.left_out(found))
+        return Reported(tables, self._write(measured, folder, texts), remarks, self.left_out(measured))
 
-    def _write(self, found: Found, folder: Path, texts: Mapping[str, str]) -> list[Path]:
-        figures = {folder / f"{name}.png": figure for name, figure in self.figures(found).items()}
+    def _write(self, measured: Measured, folder: Path, texts: Mapping[str, str]) -> list[Path]:
+        figures = {folder / f"{name}.png": figure for name, figure in self.figures(measured).items()}
         data = [folder / f"{self.name}.h5"] if self.form else []
         files = [*(folder / name for name in texts), *data, *figures]
         refuse_inputs(files)
@@ -135,7 +162,7 @@ class Study(Generic[Settings, Found]):
             with hdf5.new_file(path) as file:
                 hdf5.set_attributes(file, NX_class="NXroot", default="entry", lampest_format=self.form)
                 entry = file.create_group("entry")
-                groups = list(self.records(found))
+                groups = list(self.records(measured))
                 hdf5.set_attributes(entry, NX_class="NXentry", default=groups[0].path)
                 hdf5.set_attributes(entry, **{f"{library}_version": version(library) for library in LIBRARIES})
                 for group in groups:
@@ -146,106 +173,107 @@ class Study(Generic[Settings, Found]):
 
 
 def page(name: str, tables: Sequence[tuple[str, Table]], remarks: Sequence[str]) -> str:
-    """Tables and remarks as sections of Markdown."""
+    """Return tables and remarks as sections of Markdown."""
     sections = [f"## {title or name}\n\n{markdown(table)}" for title, table in tables]
     sections += ["## remarks\n\n" + "".join(f"- {line}\n" for line in remarks)] if remarks else []
     return "\n".join(sections)
 
 
 def markdown(table: Table) -> str:
-    """A table as GitHub's Markdown."""
+    """Return a table as GitHub's Markdown."""
     lines = (table.headers, tuple("---" for _ in table.headers), *table.cells)
     return "".join(f"| {' | '.join(cells)} |\n" for cells in lines)
 
 
 def read_settings(kind: type[Kind]) -> Callable[..., Kind]:
-    """What reads a YAML file as a dataclass, with entries overridden; raises InputError with line and column."""
+    """Return a reader of YAML files for a dataclass; it raises InputError with line and column."""
 
     def read(path: Path, assigned: tuple[str, ...] = ()) -> Kind:
-        found: Kind = validated(read_document(path, assigned), kind)
-        return found
+        measured: Kind = validated(read_document(path, assigned), kind)
+        return measured
 
     return read
 
 
 def of_tasks(
-    function: Callable[[Task], tuple[Found, ...]],
+    function: Callable[[Task], tuple[Measured, ...]],
     tasks: Sequence[Task],
     executor: Executor | None,
-    lost: Callable[[Task, object], Found],
+    lost: Callable[[Task, object], Measured],
     on_step: OnStep,
-) -> tuple[Found, ...]:
-    """What a function finds of every task, in order, on an executor or all cores; `lost` stands for a task that died.
+) -> tuple[Measured, ...]:
+    """Return the results of a function for all tasks in order; `lost` makes a result for a task that died.
 
-    on_step is called with how many of how many are done. Raises InputError where the executor cannot run here.
+    executor : by default all cores. on_step : receives the numbers of finished and of all tasks. Raises InputError if
+    the executor cannot run here.
     """
     executor = executor or local(None, len(tasks))
     executor.ready()
-    found: dict[int, tuple[Found, ...]] = {}
+    measured: dict[int, tuple[Measured, ...]] = {}
     for task, result in executor.results(function, tasks):
-        found[id(task)] = result if isinstance(result, tuple) else (lost(task, result),)
-        on_step(len(found), len(tasks))
-    return tuple(one for task in tasks for one in found[id(task)])
+        measured[id(task)] = result if isinstance(result, tuple) else (lost(task, result),)
+        on_step(len(measured), len(tasks))
+    return tuple(result for task in tasks for result in measured[id(task)])
 
 
 @dataclass(frozen=True, eq=False)
-class Cases(Generic[Found]):
-    """What was found in the cases of a run. left_out : 'recording/estimator left out: why'."""
+class Cases(Generic[Measured]):
+    """Measurements of the cases of a run; left_out : sentences on omitted cases."""
 
-    found: Sequence[Found]
+    measured: Sequence[Measured]
     left_out: Sequence[str]
 
 
 def of_cases(
-    function: Callable[[Case], Sequence[Found] | str], run: Run, on_step: OnStep, purpose: str = "measure"
-) -> Cases[Found]:
-    """What a function finds in every case of a run, in order; a text says why one is left out.
+    function: Callable[[Case], Sequence[Measured] | str], run: Run, on_step: OnStep, purpose: str = "measure"
+) -> Cases[Measured]:
+    """Return the measurements of a function for all cases of a run in order; a text is the reason of an omission.
 
-    on_step is called with how many of how many are done. Raises InputError where there is nothing for the purpose.
+    on_step : receives the numbers of finished and of all cases. Raises InputError if all cases are omitted.
     """
-    found: list[Found] = []
+    measured: list[Measured] = []
     left_out = {}
     for number, case in enumerate(run.cases, 1):
         found_here = function(case)
         if isinstance(found_here, str):
             left_out[f"{case.recording}/{case.name}"] = found_here
         else:
-            found += found_here
+            measured += found_here
         on_step(number, len(run.cases))
-    if not found:
+    if not measured:
         raise InputError(f"nothing to {purpose}: {'; '.join(f'{name}: {why}' for name, why in left_out.items())}")
-    return Cases(found, [f"{name} left out: {why}" for name, why in left_out.items()])
+    return Cases(measured, [f"{name} left out: {why}" for name, why in left_out.items()])
 
 
 def grouped(records: Iterable[Any], key: Callable[[Any], Any]) -> dict[Any, list[Any]]:
-    """Records by what the key says of them, in the order in which that first appears."""
-    found: dict[Any, list[Any]] = {}
+    """Group records by a key, in order of first appearance."""
+    measured: dict[Any, list[Any]] = {}
     for record in records:
-        found.setdefault(key(record), []).append(record)
-    return found
+        measured.setdefault(key(record), []).append(record)
+    return measured
 
 
 def rows_by(key: Callable[[Any], Any], row: Callable[[Any], Row]) -> Callable[[Iterable[Any]], list[Row]]:
-    """What makes a row of each group of records."""
+    """Return a function that makes a row of each group of records."""
     return lambda records: [row(own) for own in grouped(records, key).values()]
 
 
 def text_of(value: Any, form: str = "digits") -> str:
-    """A number as text, nothing for None and NaN; digits : three of them, with commas."""
+    """Format a number, '' for None and NaN; the form `digits` has three digits, with commas."""
     if value is None or value != value:
         return ""
     return digits(value) if form == "digits" else format(value, form)
 
 
 class _Texts(Formatter):
-    """Templates over the values of a row."""
+    """Formatter of templates over the values of a row."""
 
     def format_field(self, value: Any, format_spec: str) -> str:
         return text_of(value, format_spec)
 
 
 def screen_table(rows: Iterable[Any], columns: Screen) -> Table:
-    """Rows for the screen; columns in which no row has anything are left out."""
+    """Return a table of rows for the screen, without empty columns."""
     rows, texts = list(rows), _Texts()
     shown = {
         title: [of(row) if callable(of) else texts.vformat(of, (), vars(row)).strip(" ±") for row in rows]
@@ -256,7 +284,7 @@ def screen_table(rows: Iterable[Any], columns: Screen) -> Table:
 
 
 def csv_of(rows: Sequence[Any], names: Iterable[str] = ()) -> str:
-    """Rows as CSV, a column for each name, by default those of the first row; empty where there is no number."""
+    """Return rows as CSV with a column for each name, by default those of the first row; empty for NaN."""
     names = list(names or vars(rows[0]))
     table = ([getattr(row, name) for name in names] for row in rows)
-    return comma_separated([names, *([None if one != one else one for one in line] for line in table)])
+    return comma_separated([names, *([None if value != value else value for value in line] for line in table)])

@@ -57,9 +57,9 @@ Passage = tuple[Estimates, Array]  # through a recording: estimates, and the pro
 
 @dataclass(frozen=True)
 class TradeoffLimits(Configuration):
-    """The largest side, max(rows, columns), on which a rung is measured; 0: not at all. `reduced` always is.
+    """Largest side, max(rows, columns), of panels for each formulation; 0: none. `reduced` is always measured.
 
-    joint : no rung, but the methods that compare frames; on larger panels their joint first pair takes minutes.
+    joint : largest side for methods that compare frames, whose joint first pair takes minutes on larger panels.
     """
 
     naive: int = common.LARGEST_SIDE
@@ -74,10 +74,18 @@ class TradeoffLimits(Configuration):
 
 @dataclass(frozen=True)
 class Simulated(Configuration):
-    """Recordings of one lamprey of a fixed size on panels of 10 mm pitch, for every size, noise and scene.
+    """Simulated recordings of a lamprey on panels of 10 mm pitch, for every size, noise and scene.
 
-    sizes : sides of square panels, or [rows, columns]. noise : readouts by name. scenes : unmodelled effects by name.
-    diameter_mm : of the mouth.
+    Attributes
+    ----------
+    sizes
+        Sides of square panels, or [rows, columns].
+    noise
+        Readouts by name.
+    scenes
+        Unmodelled effects by name.
+    diameter_mm
+        Diameter of the mouth.
     """
 
     sizes: common.Sizes
@@ -96,7 +104,7 @@ class Simulated(Configuration):
         check_ranges(self, 0, 2**64 - 1, "seed")
 
     def recordings(self, frames: int) -> Iterator[Recording]:
-        """<panel>_<scene>_<noise>, in order of size; frames measured frames after three unloaded ones."""
+        """Yield recordings <panel>_<scene>_<noise> in order of size, with three unloaded and some measured frames."""
         for rows, columns in common.shapes_of(self.sizes):
             mouth = common.lamprey_mouth((10 * (columns // 2) - 6, 10 * (rows // 2) - 4), self.diameter_mm)
             known: dict[str, Any] = {"frames": frames, "loads": (mouth,), "course": common.BREATHING}
@@ -109,15 +117,28 @@ class Simulated(Configuration):
 
 @dataclass(frozen=True)
 class TradeoffFile(Configuration):
-    """What is measured. Raises ValueError where something is missing or a number is out of range.
+    """Settings of a trade-off. Raises ValueError for missing entries and numbers out of range.
 
-    recordings : files, relative to this one. simulated : recordings made for the purpose.
-    estimators : methods by name; the paper's five by default.
-    formulations : the rungs; all by default. `reduced` must be among them: it is what others are compared with.
-    frames : of each recording at most so many measured frames, in sequence, from the first.
-    repeats, patience_s : how often every rung runs through a recording; no further time once that has taken so long.
-    memory : the method with which the peak memory of a fresh process is measured; None: it is not.
-    solver : tolerance and iterations, the same for all. limits : the largest side for each rung.
+    Attributes
+    ----------
+    recordings
+        Files, relative to this one.
+    simulated
+        Simulated recordings.
+    estimators
+        Methods by name; by default the five of the paper.
+    formulations
+        Formulations, by default all. They must include `reduced`, the reference.
+    frames
+        Maximal number of measured frames of each recording.
+    repeats, patience_s
+        Number of passes of every formulation through a recording; none begins after `patience_s`.
+    memory
+        Method for the measurement of peak memory, if any.
+    solver
+        Tolerance and iterations of all solvers.
+    limits
+        Largest side for each formulation.
     """
 
     schema: Literal[1]
@@ -155,41 +176,41 @@ class TradeoffFile(Configuration):
 
     @property
     def ladder(self) -> tuple[Method, ...]:
-        """The formulations; words as what they stand for."""
+        """Formulations as methods."""
         return tuple(named_method(formulation) for formulation in self.formulations)
 
     def rungs(self, shape: common.Shape) -> dict[str, Method]:
-        """The rungs that are measured on a panel, by label."""
+        """Return the formulations that are measured on a panel, by label."""
         allowed = (rung for rung in self.ladder if max(shape) <= getattr(self.limits, rung.kind, common.LARGEST_SIDE))
         return {label(rung): rung for rung in allowed}
 
     def methods(self, shape: common.Shape) -> list[str]:
-        """The methods that are measured on a panel."""
+        """Return the methods that are measured on a panel."""
         compared = {
             name for name, method in self.estimators.items() if any(term.needs_previous for term in method.parts)
         }
         return [name for name in self.estimators if max(shape) <= self.limits.joint or name not in compared]
 
     def estimator(self, method: str, formulation: Method) -> Estimator:
-        """A method in a formulation."""
+        """Return a method in a formulation."""
         chosen = self.estimators[method]
         return Estimator(chosen.parts, formulation, self.solver, chosen.bounds)
 
 
 class Plan(NamedTuple):
-    """A trade-off's file with its recordings at hand, cut to their first frames."""
+    """Settings of a trade-off with its recordings, cut to their first frames."""
 
     settings: TradeoffFile
     recordings: list[Recording]
 
 
 def label(formulation: Method) -> str:
-    """The rung's name in tables and figures: its word, with the number of steps where there is one."""
+    """Return the name of a formulation in tables and figures, with its number of steps if it has one."""
     return f"{formulation.kind} {formulation.steps}" if isinstance(formulation, TruncatedMethod) else formulation.kind
 
 
 def read_plan(path: Path, assigned: tuple[str, ...] = ()) -> Plan:
-    """A trade-off's file and its recordings. Raises InputError, with line and column where the file is at fault."""
+    """Read the settings of a trade-off and its recordings. Raises InputError with line and column."""
     settings = cast(TradeoffFile, validated(read_document(path, assigned), TradeoffFile))
     files = recording_paths(path, list(settings.recordings))
     recordings = [first_frames(Recording.load(file), settings.frames) for file in files]
@@ -205,7 +226,7 @@ def read_plan(path: Path, assigned: tuple[str, ...] = ()) -> Plan:
 
 
 def first_frames(recording: Recording, count: int) -> Recording:
-    """The unloaded frames and the first measured ones. Raises InputError where fewer than two are measured."""
+    """Return the unloaded and the first measured frames. Raises InputError with fewer than two measured ones."""
     measured = recording.measured_frames()[:count]
     if len(measured) < 2:
         raise InputError(f"{recording.name}: a trade-off needs at least two measured frames")
@@ -216,10 +237,10 @@ def first_frames(recording: Recording, count: int) -> Recording:
 
 @dataclass(frozen=True, kw_only=True)
 class TradeoffFrame(TimedFrame):
-    """One frame with one method on one rung.
+    """A frame of a method and a formulation.
 
-    objective : as the module says; NaN of a failed frame. gap : (φ − φ_best)/(φ_best + what missing every reading by
-    its noise costs): a gap far below 1 cannot be seen in the readings.
+    objective : cost as in the module's docstring; NaN of a failed frame. gap : (φ − φ_best)/(φ_best + φ_noise), where
+    φ_noise is the cost of residuals of one standard deviation; a gap far below 1 is invisible in the readings.
     """
 
     baseline_s: float = column("s", "time of the unloaded baseline; 0 where it is solved with the first frame")
@@ -228,11 +249,12 @@ class TradeoffFrame(TimedFrame):
 
 
 def run_tradeoff(plan: Plan, on_step: OnStep = lambda done, total: None) -> list[TradeoffFrame]:
-    """Measure everything. on_step is called with how many of how many parts are done."""
+    """Measure everything; on_step : receives the numbers of finished and of all parts."""
     settings, done = plan.settings, count(1)
     first = {recording.scene.panel.shape: recording for recording in reversed(plan.recordings)}
     fresh = [(shape, name) for shape in first if settings.memory for name in settings.rungs(shape)]
-    chosen = [(one, method) for one in plan.recordings for method in settings.methods(one.scene.panel.shape)]
+    methods = {shape: settings.methods(shape) for shape in first}
+    chosen = [(record, method) for record in plan.recordings for method in methods[record.scene.panel.shape]]
     measured: list[TradeoffFrame] = []
     for recording, method in chosen:
         measured += _measure(settings, recording, method)
@@ -242,18 +264,18 @@ def run_tradeoff(plan: Plan, on_step: OnStep = lambda done, total: None) -> list
         estimator = settings.estimator(str(settings.memory), settings.rungs(shape)[name])
         memory[shape, name] = peak_memory(_passage, (estimator, first_frames(first[shape], 2)))
         on_step(next(done), len(chosen) + len(fresh))
-    return [replace(one, memory_mb=memory.get((one.shape, one.solver))) for one in measured]
+    return [replace(frame, memory_mb=memory.get((frame.shape, frame.solver))) for frame in measured]
 
 
 def _passage(task: tuple[Estimator, Recording]) -> Passage:
     """Solve the frames of a recording in sequence."""
     (estimator, recording), clock = task, [process_time()]
-    found = reconstruct(recording, estimator, lambda *_: clock.append(process_time()))
-    return found, np.diff(clock)
+    estimates = reconstruct(recording, estimator, lambda *_: clock.append(process_time()))
+    return estimates, np.diff(clock)
 
 
 def _measure(settings: TradeoffFile, recording: Recording, method: str) -> Iterator[TradeoffFrame]:
-    """All rungs with one method on one recording."""
+    """Measure all formulations with a method on a recording."""
     rungs, begin = settings.rungs(recording.scene.panel.shape), perf_counter()
     runs: dict[str, list[Passage]] = {name: [] for name in rungs}
     for turn in range(settings.repeats):
@@ -270,7 +292,8 @@ def _measure(settings: TradeoffFile, recording: Recording, method: str) -> Itera
     gaps = {name: (own - least) / (least + [_noise_cost(*cost) for cost in costs]) for name, own in objective.items()}
     for name, run in runs.items():
         first = run[0][0]
-        seconds = np.min([np.minimum([step.seconds for step in found.steps], cpu) for found, cpu in run], axis=0)
+        turns = [np.minimum([step.seconds for step in estimates.steps], cpu) for estimates, cpu in run]
+        seconds = np.min(turns, axis=0)
         for number, (step, cell, changed) in enumerate(zip(first.steps, *errors(first), strict=True)):
             yield TradeoffFrame(
                 **outcome(recording, step),
@@ -280,28 +303,28 @@ def _measure(settings: TradeoffFile, recording: Recording, method: str) -> Itera
                 seconds=float(seconds[number]),
                 objective=objective[name][number],
                 gap=float(gaps[name][number]),
-                baseline_s=0.0 if first.joint_start else min(found.baseline.seconds for found, _ in run),
+                baseline_s=0.0 if first.joint_start else min(estimates.baseline.seconds for estimates, _ in run),
                 cell_error=float(cell),
                 changed_error=float(changed),
             )
 
 
-def errors(found: Estimates) -> tuple[Array, Array]:
-    """(frames) median error of all cells and of the changed ones, percent; NaN where there is nothing to compare."""
-    recording, frames = found.recording, len(found.frame)
+def errors(estimates: Estimates) -> tuple[Array, Array]:
+    """Return median errors of all cells and of changed ones in percent, shape (frames,); NaN if unknown."""
+    recording, frames = estimates.recording, len(estimates.frame)
     truth = recording.truth_cell_resistance
     if truth is None:
         return np.full(frames, np.nan), np.full(frames, np.nan)
     unloaded = np.flatnonzero(recording.role == UNLOADED)
     resting = np.median(truth[unloaded], axis=0) if len(unloaded) else truth[0]
-    error = relative_error(found.cell_resistance, truth[found.frame])
-    changed = np.abs(truth[found.frame] / resting - 1) > 0.05  # as `TradeoffFrame.changed_error` says
+    error = relative_error(estimates.cell_resistance, truth[estimates.frame])
+    changed = np.abs(truth[estimates.frame] / resting - 1) > 0.05  # as `TradeoffFrame.changed_error` says
     inside = [np.median(part[which]) if which.any() else np.nan for part, which in zip(error, changed, strict=True)]
     return np.median(error, axis=(1, 2)), np.array(inside)
 
 
 def _costs(reference: Estimates) -> Iterator[tuple[Cost, Data]]:
-    """Every frame's cost and data, with the reference's estimate of the frame before."""
+    """Yield cost and data of every frame, with the reference's estimate of the previous frame."""
     recording, estimator = reference.recording, reference.estimator
     readings = recording.readings()
     stream = replace(first_stream(recording, readings, estimator), baseline=reference.baseline)
@@ -319,6 +342,6 @@ def _objective(cost: Cost, data: Data, cells: Array) -> float:
 
 
 def _noise_cost(cost: Cost, data: Data) -> float:
-    """The misfit terms where every reading is missed by its standard deviation."""
+    """Return the misfit terms for residuals of one standard deviation."""
     costs = Evaluation(cost, data, data.apparent_resistance, data.measured + data.sigma, ()).costs
     return float(sum(value for term, value in zip(cost.terms, costs, strict=True) if term.reads_measurement))

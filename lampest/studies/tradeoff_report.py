@@ -1,4 +1,4 @@
-"""The trade between speed and accuracy: rows, table, and a figure with the Pareto fronts."""
+"""Report of a trade-off between speed and accuracy: rows, table, and a figure with Pareto fronts."""
 
 from collections.abc import Sequence
 from string import ascii_lowercase
@@ -32,60 +32,61 @@ SCREEN: study.Screen = {
 
 
 def ladder_rows(frames: Sequence[TradeoffFrame], *names: str) -> list[study.Row]:
-    """A row for each panel size and rung, and whatever else is named; all other frames together."""
-    return study.rows_by(lambda one: (one.shape, one.solver, *(getattr(one, name) for name in names)), _row)(frames)
+    """Return a row for each panel size, formulation and further named fields."""
+    by = ("shape", "solver", *names)
+    return study.rows_by(lambda frame: tuple(getattr(frame, name) for name in by), _row)(frames)
 
 
 def _row(own: Sequence[TradeoffFrame]) -> study.Row:
-    """Medians over frames. first_ms : with the baseline. reached : share of frames with a gap up to 1e-6."""
+    """Return medians over frames. first_ms : with the baseline. reached : share of frames with a gap up to 1e-6."""
 
     def common(name: str) -> str:
-        different = list(dict.fromkeys(getattr(one, name) for one in own))
+        different = list(dict.fromkeys(getattr(frame, name) for frame in own))
         return different[0] if len(different) == 1 else "all"
 
     def median(name: str) -> float | None:
-        known = [value for one in own if np.isfinite(value := getattr(one, name))]
+        known = [value for frame in own if np.isfinite(value := getattr(frame, name))]
         return float(np.median(known)) if known else None
 
-    gaps = [one.gap if np.isfinite(one.gap) else np.inf for one in own]
+    gaps = [frame.gap if np.isfinite(frame.gap) else np.inf for frame in own]
     return study.Row(
         rows=own[0].rows,
         columns=own[0].columns,
         **{name: common(name) for name in ("recording", "method")},
         formulation=own[0].solver,
-        first_ms=1e3 * float(np.median([one.baseline_s + one.seconds for one in own if not one.frame])),
-        frame_ms=1e3 * float(np.median([one.seconds for one in own if one.frame])),
+        first_ms=1e3 * float(np.median([frame.baseline_s + frame.seconds for frame in own if not frame.frame])),
+        frame_ms=1e3 * float(np.median([frame.seconds for frame in own if frame.frame])),
         cell_error=median("cell_error"),
         changed_error=median("changed_error"),
         gap=float(np.median(gaps)),
         worst_gap=max(gaps),
         reached=float(np.mean(np.array(gaps) <= 1e-6)),
         frames=len(own),
-        failed=sum(not one.solved for one in own),
+        failed=sum(not frame.solved for frame in own),
         memory_mb=own[0].memory_mb,
     )
 
 
 def front(points: Sequence[tuple[float, float]]) -> list[int]:
-    """Indices of the points that no other beats in both coordinates, smaller being better, by the first one."""
-    best, kept = float("inf"), []
+    """Return the indices of the Pareto front, smaller being better, ordered by the first coordinate."""
+    best, indices = float("inf"), []
     for index in sorted(range(len(points)), key=lambda index: points[index]):
         if points[index][1] < best:
             best = points[index][1]
-            kept.append(index)
-    return kept
+            indices.append(index)
+    return indices
 
 
 def on_front(rows: Sequence[study.Row]) -> list[str]:
-    """Rungs of one size that no other beats, in time together with cell error, or in time together with the gap."""
-    kept = set(front([(row.frame_ms, row.gap) for row in rows]))
+    """Return the formulations on the front of time and cell error, or of time and gap."""
+    fastest = set(front([(row.frame_ms, row.gap) for row in rows]))
     errors = [(row.frame_ms, float("inf") if row.changed_error is None else row.changed_error) for row in rows]
-    return [rows[index].formulation for index in sorted(kept | set(front(errors)))]
+    return [rows[index].formulation for index in sorted(fastest | set(front(errors)))]
 
 
 def tradeoff_table(frames: Sequence[TradeoffFrame]) -> Table:
-    """The first method's rows, those on a front marked."""
-    rows = ladder_rows([one for one in frames if one.method == frames[0].method])
+    """Return the rows of the first method, with marks on those on a front."""
+    rows = ladder_rows([frame for frame in frames if frame.method == frames[0].method])
     for own in study.grouped(rows, _shape).values():
         best = on_front(own)
         for row in own:
@@ -98,10 +99,10 @@ def _shape(row: study.Row) -> tuple[int, int]:
 
 
 def tradeoff_figure(rows: Sequence[study.Row]) -> Figure:
-    """A row of panels for every size: time against the changed cells' error, and against the gap.
+    """Draw the error of changed cells and the gap over time, for every panel size.
 
-    rows : of all methods, all recordings of a size together. The numbers are the first method's rungs, the line is
-    their Pareto front, and small dots are the other methods' rungs. Gaps below 1e-12 are drawn there.
+    Numbers are the formulations of the first method, the line is their Pareto front, small dots are further methods.
+    Gaps below 1e-12 are drawn there. rows : of all methods, recordings of a size together.
     """
     sizes = study.grouped(rows, _shape)
     methods, rungs = (list(dict.fromkeys(getattr(row, name) for row in rows)) for name in ("method", "formulation"))

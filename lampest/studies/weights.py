@@ -1,4 +1,4 @@
-"""What `weight: auto` does: true curves over the weight of a penalty, and every rule's choice on them.
+"""Selection of weights: true curves over the weight of a penalty, and the choice of every rule.
 
 Sources: Morozov, Soviet Math. Dokl. 7, 1966 (discrepancy principle); Hansen & O'Leary, SIAM J. Sci. Comput. 14, 1993
 (L-curve).
@@ -36,11 +36,24 @@ from lampest.studies.study import column
 
 @dataclass(frozen=True, eq=False)
 class WeightSubject:
-    """One case: a frame of a recording with an estimator that has one penalty.
+    """A frame of a recording with an estimator that has one penalty.
 
-    frame : index into the recording. noisy : whether σ is known. cost, data : of the solves; the last of their frames
-    is the measured one. truth : log r (rows, columns) of that frame, NaN in cells that are known to be broken; None
-    where it is unknown. others : data of further frames that a rule's weight is to suit.
+    Attributes
+    ----------
+    recording, name : str
+        Names of recording and estimator.
+    estimator : Estimator
+    scene : Scene
+    frame : int
+        Index into the recording.
+    noisy : bool
+        Whether σ is known.
+    cost, data : Cost, Data
+        Of the solves; the last of their frames is the measured one.
+    truth : array, shape (rows, columns), or None
+        True log r of that frame, NaN in cells that are known to be broken.
+    further : tuple of Data
+        Data of further frames for which the weight is chosen.
     """
 
     recording: str
@@ -52,74 +65,72 @@ class WeightSubject:
     cost: Cost
     data: Data
     truth: Array | None
-    others: tuple[Data, ...]
+    further: tuple[Data, ...]
 
     @classmethod
     def of(cls, case: Case, recording: Recording) -> "WeightSubject | None":
-        """The recording's strongest frame, with the baseline where terms compare it with that; None where too little
-        was read of every frame.
-        """
+        """Return the deciding frame of a recording, with the baseline if terms need it; None without usable frames."""
         readings, scene = recording.readings(), recording.scene
         resting = resting_readings(recording, readings)
         frame = deciding_frame(recording, readings, resting)
         if frame is None:
             return None
         beside = [frame, *frames_beside(recording, readings, resting, frame)]
-        data, *others = (deciding_data(case.estimator, scene, resting, readings[one]) for one in beside)
+        data, *further = (deciding_data(case.estimator, scene, resting, readings[number]) for number in beside)
         truth = None
         if recording.truth_cell_resistance is not None:
             truth = np.log(recording.truth_cell_resistance[frame])
             truth[scene.broken] = np.nan
         cost, noisy = case.estimator.cost(scene, len(data.measured), data.partial), readings.sigma is not None
         names = case.recording, case.name
-        return cls(*names, case.estimator, scene, frame, noisy, cost, data, truth, tuple(others))
+        return cls(*names, case.estimator, scene, frame, noisy, cost, data, truth, tuple(further))
 
     @cached_property
     def penalty(self) -> int:
-        """The penalty's number among the terms."""
+        """Index of the penalty among the terms."""
         return next(number for number, term in enumerate(self.cost.terms) if not term.reads_measurement)
 
     @property
     def given(self) -> float | None:
-        """The penalty's weight if the estimator has a number for it."""
+        """Weight of the penalty, or None for `auto`."""
         weight = self.cost.terms[self.penalty].weight
         return None if weight == "auto" else float(weight)
 
     @property
     def search(self) -> WeightSearch:
-        """What chooses weights for these data."""
-        return WeightSearch(self.cost, (self.data, *self.others), self.estimator.solver)
+        """Search for weights with these data."""
+        return WeightSearch(self.cost, (self.data, *self.further), self.estimator.solver)
 
     @cached_property
     def spectra(self) -> list[Spectrum]:
-        """The cost at the reference estimates, for all weights; none where there is no reference."""
+        """Spectra at the reference estimates; empty without a reference."""
         with suppress(*BROKEN):
             return self.search.spectra(self.penalty, self.search.begun)
         return []
 
     def with_weight(self, weight: float) -> Cost:
-        """The cost with a weight of the penalty."""
+        """Return the cost with a weight of the penalty."""
         return self.search.weighted(
             [float(term.weight) if term.reads_measurement else weight for term in self.cost.terms]
         )
 
     @property
     def count(self) -> int:
-        """The number of readings that are values."""
+        """Number of readings that are values."""
         return int(np.sum(self.data.plain))
 
     @property
     def units(self) -> dict[str, str]:
-        """Of misfit, of the penalty, squared, and of λ, which is their ratio; in ASCII."""
-        term, penalty = self.cost.terms[1 - self.penalty], self.cost.terms[self.penalty]
-        units = "1" if getattr(term, "weighting", "plain") == "noise" else term.unit, penalty.unit
-        misfit, other = ("1" if unit == "1" else f"({unit})^2" if " " in unit else f"{unit}^2" for unit in units)
-        ratio = "1" if misfit == other else f"{misfit}/{other}"
-        return {"misfit": "1" if self.noisy else misfit, "penalty": other, "weight": ratio}
+        """Units of squared misfit and penalty, and of λ, their ratio, in ASCII."""
+        data_term, term = self.cost.terms[1 - self.penalty], self.cost.terms[self.penalty]
+        units = "1" if getattr(data_term, "weighting", "plain") == "noise" else data_term.unit, term.unit
+        misfit, penalty = ("1" if unit == "1" else f"({unit})^2" if " " in unit else f"{unit}^2" for unit in units)
+        ratio = "1" if misfit == penalty else f"{misfit}/{penalty}"
+        return {"misfit": "1" if self.noisy else misfit, "penalty": penalty, "weight": ratio}
 
 
 def why_not(estimator: Estimator, readings: int) -> str | None:
-    """Why an estimator cannot be tuned on so many readings in one solve; None where it can."""
+    """Return why an estimator cannot be tuned with that number of readings, or None."""
     terms: tuple[Term, ...] = estimator.terms
     misfits = sum(term.reads_measurement for term in terms)
     if misfits != 1 or len(terms) != 2:
@@ -132,10 +143,10 @@ def why_not(estimator: Estimator, readings: int) -> str | None:
 
 @dataclass(frozen=True, eq=False)
 class CurvePoint:
-    """What there is at one weight λ; NaN where it was not solved or is unknown.
+    """Figures at a weight λ, NaN if not solved or unknown.
 
-    Evidence needs σ, and risk a reference estimate. misfit : ρ/s² is as large as the number of data where they are
-    missed by their noise; ρ without a known σ. cells : (frames, rows, columns) ohm.
+    Evidence requires σ, risk a reference estimate. misfit : ρ/s², equal to the number of data for residuals of one
+    standard deviation; ρ if σ is unknown. cells : (frames, rows, columns) ohm.
     """
 
     weight: float = column("1", "weight of the penalty")
@@ -153,17 +164,17 @@ class CurvePoint:
 def solve_at(subject: WeightSubject, weight: float, start: Array | None) -> CurvePoint:
     """Solve with a weight, from an estimate near it (frames, rows, columns) ohm; from all starts where it is None."""
     solver = named_method("reduced").solver(subject.with_weight(weight), subject.scene, subject.estimator.solver, 1.0)
-    found = best_solution(solver, subject.data, start)
-    if found.at is None or found.dual is None:
+    solution = best_solution(solver, subject.data, start)
+    if solution.at is None or solution.dual is None:
         return CurvePoint(weight)
-    model = LinearModel(found.at, found.dual)
+    model = LinearModel(solution.at, solution.dual)
     evidence = error = np.nan
     risk = sum(spectrum.risk(weight) for spectrum in subject.spectra) if subject.spectra else np.nan
     with suppress(*BROKEN):  # where bounds decide every cell, the evidence is unknown
         if subject.noisy:
             evidence = Spectrum.of(model).evidence(weight) + bound_evidence(model)
     if subject.truth is not None:
-        error = float(np.sqrt(np.nanmean((np.log(found.cell_resistance[-1]) - subject.truth) ** 2)))
+        error = float(np.sqrt(np.nanmean((np.log(solution.cell_resistance[-1]) - subject.truth) ** 2)))
     return CurvePoint(
         weight,
         1,
@@ -172,17 +183,17 @@ def solve_at(subject: WeightSubject, weight: float, start: Array | None) -> Curv
         evidence,
         risk,
         error,
-        float(found.open_cell[-1].sum()),
+        float(solution.open_cell[-1].sum()),
         float(np.sum(model.at_lower | model.at_upper)),
-        found.cell_resistance,
+        solution.cell_resistance,
     )
 
 
 def bound_evidence(model: LinearModel) -> float:
-    """Σ −2·log ∫₀^∞ exp(−(g t + a t²)/2) dt + log 2π over cells at a bound, one by one, t the way from it.
+    """Return Σ −2·log ∫₀^∞ exp(−(g t + a t²)/2) dt + log 2π over cells at a bound, at a distance t from it.
 
-    g and a : slope and curvature of cost/s². What a Gaussian over the other cells leaves out, so that evidences can be
-    compared where cells come to a bound and leave it.
+    g and a : slope and curvature of cost/s². This complements the Gaussian over free cells, so that evidences with
+    different active sets are comparable.
     """
     bound = np.flatnonzero(model.at_lower | model.at_upper)
     weighted = DenseErrors(model).sensitivity[:, bound] ** 2 * model.data_curvature[:, None]
@@ -196,21 +207,21 @@ def bound_evidence(model: LinearModel) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Curves:
-    """points : in the order of their weights."""
+    """Curves of a subject; points : in the order of their weights."""
 
     subject: WeightSubject
     points: tuple[CurvePoint, ...]
 
     def values(self, name: str) -> Array:
-        """One of a point's figures, at all points."""
+        """Return a figure at all points."""
         return np.array([getattr(point, name) for point in self.points], dtype=float)
 
     def at(self, weight: float) -> CurvePoint:
-        """The point at a weight that is on the curves."""
+        """Return the point at a weight of the curves."""
         return next(point for point in self.points if point.weight == weight)
 
     def extended(self, weights: Iterable[float]) -> "Curves":
-        """With further weights, each solved from its nearest neighbour."""
+        """Return the curves with further weights, each solved from its nearest neighbour."""
         points = {point.weight: point for point in self.points}
         solved = [point for point in self.points if point.solved]
         for weight in sorted(set(weights) - set(points)):
@@ -219,12 +230,12 @@ class Curves:
         return Curves(self.subject, tuple(points[weight] for weight in sorted(points)))
 
     def best(self) -> CurvePoint | None:
-        """The point with the least true error."""
+        """Return the point of least true error."""
         known = [point for point in self.points if np.isfinite(point.error)]
         return min(known, key=lambda point: point.error, default=None)
 
     def finer(self) -> "Curves":
-        """With points round the least true error, half as far apart in log λ."""
+        """Return the curves with half the spacing in log λ around the least true error."""
         if (best := self.best()) is None:
             return self
         weights = [point.weight for point in self.points]
@@ -233,10 +244,10 @@ class Curves:
 
 
 def trace(subject: WeightSubject, marks: list[float], first: Array) -> Curves:
-    """Curves over 33 weights, even in log λ, solved from the first mark outwards: all weights that make a difference,
-    at most four decades beyond the marks.
+    """Trace curves over 33 weights, equally spaced in log λ, solved from the first mark outwards.
 
-    first : an estimate to start from (frames, rows, columns) ohm.
+    They cover all weights that matter, at most four decades beyond the marks. first : initial estimate (frames, rows,
+    columns) ohm.
     """
     low, high = min(marks) / 1e4, max(marks) * 1e4
     with suppress(*BROKEN):  # where bounds decide every cell, nothing says which weights matter
@@ -256,7 +267,7 @@ def trace(subject: WeightSubject, marks: list[float], first: Array) -> Curves:
 
 @dataclass(frozen=True)
 class Choice:
-    """One rule's weight; None where it has none, as the others where it has no truth."""
+    """Weight of a rule, or None; errors are None without the truth."""
 
     rule: str = column("1", "rule")
     in_use: bool = column("1", "1: the estimator's")
@@ -267,7 +278,7 @@ class Choice:
 
 @dataclass(frozen=True, eq=False)
 class Tuned:
-    """One case: its curves and every rule's choice on them."""
+    """A subject with its curves and the choice of every rule."""
 
     subject: WeightSubject
     curves: Curves
@@ -276,9 +287,9 @@ class Tuned:
 
 @np.errstate(all="ignore")
 def tune(subject: WeightSubject) -> Tuned:
-    """Every rule's choice for a subject, and the true curves round them.
+    """Return the choice of every rule for a subject, and the true curves.
 
-    Raises InputError where the estimator's rule needs the noise and it is unknown.
+    Raises InputError if the rule of the estimator requires an unknown noise.
     """
     if subject.estimator.auto_weight.rule == "evidence" and not subject.noisy:
         raise InputError("auto_weight.rule: evidence needs the noise: a readout in the scene or sigma in the recording")
@@ -306,17 +317,17 @@ def tune(subject: WeightSubject) -> Tuned:
 
 
 def _weight_of(subject: WeightSubject, rule: Rule) -> float:
-    """The penalty's weight by a rule."""
+    """Return the weight of the penalty by a rule."""
     terms = list(subject.estimator.terms)
     terms[subject.penalty] = replace(terms[subject.penalty], weight="auto")
     settings = replace(subject.estimator.auto_weight, rule=rule)
     estimator = replace(subject.estimator, terms=tuple(terms), auto_weight=settings)
-    found = with_chosen_weights(estimator, subject.scene, subject.data, None, subject.others)
-    return float(found.terms[subject.penalty].weight)
+    estimator = with_chosen_weights(estimator, subject.scene, subject.data, None, subject.further)
+    return float(estimator.terms[subject.penalty].weight)
 
 
 def morozov(points: Sequence[CurvePoint], data: int) -> float | None:
-    """The largest λ at which data are missed by no more than their noise, ρ/s² = number of data; None if there is none.
+    """Return the λ at which residuals equal the noise, ρ/s² = number of data, or None (discrepancy principle).
 
     Interpolated between the points, log ρ over log λ.
     """
@@ -328,7 +339,7 @@ def morozov(points: Sequence[CurvePoint], data: int) -> float | None:
 
 
 def l_curve(points: Sequence[CurvePoint]) -> float | None:
-    """λ of the greatest curvature of log η over log ρ, κ = (x′y″ − x″y′)/(x′² + y′²)^(3/2); None where κ ≤ 0."""
+    """Return λ at the greatest curvature κ = (x′y″ − x″y′)/(x′² + y′²)^(3/2) of log η over log ρ; None if κ ≤ 0."""
     if len(points) < 5 or min(min(point.misfit, point.penalty) for point in points) <= 0:
         return None
     weight, across, up = np.log([(point.weight, point.misfit, point.penalty) for point in points]).T

@@ -1,4 +1,4 @@
-"""`lampest study weights`: every case of a run that has one penalty, its rules' choices, the curves, a figure."""
+"""Report of `lampest study weights`: table, curves and figure of every case with one penalty."""
 
 import re
 from collections.abc import Callable, Iterator, Sequence
@@ -29,43 +29,44 @@ PENALTY = "#56738C"  # the colour of its axis
 LINE: dict[str, Any] = {"color": "black", "lw": 1.3, "zorder": 2.5}
 
 
-def weights_figure(one: Tuned) -> Figure:
-    """Five panels over log λ, and the L-curve; a line, or a sign, for the choice of every rule.
+def weights_figure(tuned: Tuned) -> Figure:
+    """Draw evidence, risk, misfit, penalty and error over λ, and the L-curve, with the choice of every rule.
 
-    Evidence and risk stand above their least values; what has no known noise or truth says so.
+    Evidence and risk are drawn above their least values.
     """
     figure = new_figure(7.4)
     panels = figure.subplots(3, 2)
     panels[2, 1].remove()
     for axes, (title, draw), letter in zip(panels.flat, PANELS, "abcde", strict=False):
         axes.set_title(f"({letter}) {title}", fontsize=TEXT_POINT, loc="left")
-        draw(axes, one)
-    title = f"{one.subject.recording}, frame {one.subject.frame}: {one.subject.name}"
+        draw(axes, tuned)
+    title = f"{tuned.subject.recording}, frame {tuned.subject.frame}: {tuned.subject.name}"
     figure.suptitle(title, fontsize=TEXT_POINT + 1)
     look: dict[str, Any] = {"fontsize": SMALL_POINT, "frameon": False, "ncols": 3}
     figure.legend(*panels[2, 0].get_legend_handles_labels(), loc="outside lower center", **look)
     return figure
 
 
-def _label(one: Tuned, what: str, name: str) -> str:
-    """A name with its unit in print."""
-    unit = one.subject.units.get(what, "1")
+def _label(tuned: Tuned, what: str, name: str) -> str:
+    """Return a label with its unit."""
+    unit = tuned.subject.units.get(what, "1")
     return f"{name} [{unit.replace('^2', '²').replace('ohm', 'Ω').replace('percent', '%').replace('/', ' / ')}]"
 
 
-def _labels(one: Tuned) -> tuple[str, str]:
-    return _label(one, "misfit", f"misfit ρ{'/s²' if one.subject.noisy else ''}"), _label(one, "penalty", "penalty η")
+def _labels(tuned: Tuned) -> tuple[str, str]:
+    scaled = "/s²" if tuned.subject.noisy else ""
+    return _label(tuned, "misfit", f"misfit ρ{scaled}"), _label(tuned, "penalty", "penalty η")
 
 
-def _over_weight(axes: Axes, one: Tuned, label: str) -> Any:
-    """The axis of λ with every choice; returns λ at all points."""
-    weights, subject = one.curves.values("weight"), one.subject
+def _over_weight(axes: Axes, tuned: Tuned, label: str) -> Any:
+    """Draw the axis of λ with every choice; return λ at all points."""
+    weights, subject = tuned.curves.values("weight"), tuned.subject
     axes.set_xscale("log")
     axes.set_xlim(weights[0] / 1.6, weights[-1] * 1.6)
     axes.xaxis.set_major_locator(LogLocator(numticks=9))
     axes.xaxis.set_minor_locator(NullLocator())
-    dressed(axes, _label(one, "weight", f"weight λ of {term_kind(subject.cost.terms[subject.penalty])}"), label)
-    for choice in one.choices:
+    dressed(axes, _label(tuned, "weight", f"weight λ of {term_kind(subject.cost.terms[subject.penalty])}"), label)
+    for choice in tuned.choices:
         if choice.weight is not None:
             look, wide = LOOKS[choice.rule], 1.6 if choice.in_use else 0.9
             axes.axvline(choice.weight, color=look["color"], ls=look["ls"], lw=wide, alpha=0.9, zorder=1.5)
@@ -73,11 +74,11 @@ def _over_weight(axes: Axes, one: Tuned, label: str) -> Any:
 
 
 def _above_least(name: str, label: str) -> Callable[[Axes, Tuned], None]:
-    """A panel of a rule's function, less its least value, which a dot marks."""
+    """Return a function that draws a criterion above its least value, which a dot marks."""
 
-    def draw(axes: Axes, one: Tuned) -> None:
-        values = one.curves.values(name)
-        weights = _over_weight(axes, one, _label(one, name, f"{label} − least"))
+    def draw(axes: Axes, tuned: Tuned) -> None:
+        values = tuned.curves.values(name)
+        weights = _over_weight(axes, tuned, _label(tuned, name, f"{label} − least"))
         if not np.isfinite(values).any():
             _words_instead(axes, "not known here")
             return
@@ -97,28 +98,28 @@ def _words_instead(axes: Axes, words: str) -> None:
     axes.set_yticks([])
 
 
-def _misfit(axes: Axes, one: Tuned) -> None:
-    """ρ and η, on two axes."""
-    misfit, penalty = _labels(one)
-    weights = _over_weight(axes, one, misfit)
-    axes.plot(weights, one.curves.values("misfit"), **LINE)
-    if one.subject.noisy:
-        axes.axhline(one.subject.count, color="0.4", lw=0.8, ls=":")
+def _misfit(axes: Axes, tuned: Tuned) -> None:
+    """Draw ρ and η on two axes."""
+    misfit, penalty = _labels(tuned)
+    weights = _over_weight(axes, tuned, misfit)
+    axes.plot(weights, tuned.curves.values("misfit"), **LINE)
+    if tuned.subject.noisy:
+        axes.axhline(tuned.subject.count, color="0.4", lw=0.8, ls=":")
         look: dict[str, Any] = {"fontsize": SMALL_POINT, "va": "bottom", "color": "0.3"}
-        axes.text(0.02, one.subject.count, "number of readings", transform=axes.get_yaxis_transform(), **look)
+        axes.text(0.02, tuned.subject.count, "number of readings", transform=axes.get_yaxis_transform(), **look)
     other = axes.twinx()
     other.tick_params(labelsize=SMALL_POINT, which="both", colors=PENALTY)
     other.set_ylabel(f"{penalty} (dashed)", fontsize=TEXT_POINT, color=PENALTY)
-    other.plot(weights, one.curves.values("penalty"), **LINE | {"color": PENALTY, "ls": "--"})
+    other.plot(weights, tuned.curves.values("penalty"), **LINE | {"color": PENALTY, "ls": "--"})
     _logarithmic(axes.yaxis, other.yaxis)
 
 
-def _error(axes: Axes, one: Tuned) -> None:
-    """The true error, and the expected one."""
-    values, risk = (one.curves.values(name) for name in ("error", "risk"))
-    free = one.subject.data.measured.size - one.curves.values("bound_cells")
+def _error(axes: Axes, tuned: Tuned) -> None:
+    """Draw the true and the expected error."""
+    values, risk = (tuned.curves.values(name) for name in ("error", "risk"))
+    free = tuned.subject.data.measured.size - tuned.curves.values("bound_cells")
     expected = np.sqrt(np.maximum(risk, 0) / np.maximum(free, 1))
-    weights = _over_weight(axes, one, "rms error of log r")
+    weights = _over_weight(axes, tuned, "rms error of log r")
     if np.isfinite(values).any():
         axes.plot(weights, values, label="true", **LINE)
     if np.any(expected > 0):
@@ -131,12 +132,12 @@ def _error(axes: Axes, one: Tuned) -> None:
     axes.legend(fontsize=SMALL_POINT, edgecolor="none", framealpha=0.9, loc="best")
 
 
-def _l_curve(axes: Axes, one: Tuned) -> None:
-    misfit, penalty = _labels(one)
+def _l_curve(axes: Axes, tuned: Tuned) -> None:
+    misfit, penalty = _labels(tuned)
     dressed(axes, misfit, penalty)
-    axes.plot(one.curves.values("misfit"), one.curves.values("penalty"), **LINE)
-    for choice in one.choices:
-        point = None if choice.weight is None else one.curves.at(choice.weight)
+    axes.plot(tuned.curves.values("misfit"), tuned.curves.values("penalty"), **LINE)
+    for choice in tuned.choices:
+        point = None if choice.weight is None else tuned.curves.at(choice.weight)
         place = ([], []) if point is None else ([point.misfit], [point.penalty])
         look = LOOKS[choice.rule] | {"lw": 1.6 if choice.in_use else 0.9, "ms": 5 if choice.rule != "best" else 8}
         excess = "" if choice.excess is None or choice.rule == "best" else f", error × {choice.excess:.3g}"
@@ -147,7 +148,7 @@ def _l_curve(axes: Axes, one: Tuned) -> None:
 
 
 def _logarithmic(*axes: Axis) -> None:
-    """Ticks at 1, 2, 5 where there are few powers of ten, else at those."""
+    """Set logarithmic scales with ticks at powers of ten, or at 1, 2, 5 within two decades."""
     for axis in axes:
         (axis.axes.set_xscale if isinstance(axis, XAxis) else axis.axes.set_yscale)("log")
         low, high = axis.get_view_interval()
@@ -166,9 +167,9 @@ PANELS: Sequence[tuple[str, Callable[[Axes, Tuned], None]]] = (
 
 
 def tuned(case: Case) -> list[Tuned] | str:
-    """A case that has one penalty with a squared loss; else why it cannot be tuned.
+    """Tune a case with one penalty, or return why it cannot be tuned.
 
-    Raises InputError where a rule needs the noise and it is unknown.
+    Raises InputError if a rule requires an unknown noise.
     """
     recording = Recording.load(case.path)
     frames = 2 if case.estimator.relative else 1
@@ -178,13 +179,13 @@ def tuned(case: Case) -> list[Tuned] | str:
     subject = WeightSubject.of(case, recording)
     if subject is None:
         return "too little was read of every measured frame"
-    found = tune(subject)
-    return [found] if any(point.solved for point in found.curves.points) else "it was solved for no weight"
+    cases = tune(subject)
+    return [cases] if any(point.solved for point in cases.curves.points) else "it was solved for no weight"
 
 
-def weight_rows(found: study.Cases[Tuned]) -> list[study.Row]:
-    """A row for every case and rule."""
-    return [_row(one.subject, choice) for one in found.found for choice in one.choices]
+def weight_rows(cases: study.Cases[Tuned]) -> list[study.Row]:
+    """Return a row for every case and rule."""
+    return [_row(tuned.subject, choice) for tuned in cases.measured for choice in tuned.choices]
 
 
 def _row(subject: WeightSubject, choice: Choice) -> study.Row:
@@ -213,14 +214,14 @@ SCREEN: study.Screen = {
 }
 
 
-def _groups(found: study.Cases[Tuned]) -> Iterator[study.RecordGroup]:
-    """/entry/<recording>/<estimator>: everything over the weight; `choices` beside it."""
-    for one in found.found:
-        subject, path = one.subject, f"{one.subject.recording}/{one.subject.name}"
+def _groups(cases: study.Cases[Tuned]) -> Iterator[study.RecordGroup]:
+    """Yield the groups /entry/<recording>/<estimator>, with the curves, and their subgroups `choices`."""
+    for tuned in cases.measured:
+        subject, path = tuned.subject, f"{tuned.subject.recording}/{tuned.subject.name}"
         known = {"frame": subject.frame, "readings": subject.count, "noise_known": int(subject.noisy)}
         signal = "risk"
-        yield study.RecordGroup(path, one.curves.points, signal, "weight", subject.units, known)
-        yield study.RecordGroup(f"{path}/choices", one.choices, "weight", units=subject.units)
+        yield study.RecordGroup(path, tuned.curves.points, signal, "weight", subject.units, known)
+        yield study.RecordGroup(f"{path}/choices", tuned.choices, "weight", units=subject.units)
 
 
 STUDY: study.Study[Run, study.Cases[Tuned]] = study.Study(
@@ -233,9 +234,9 @@ STUDY: study.Study[Run, study.Cases[Tuned]] = study.Study(
     screen=SCREEN,
     form="tune/3",
     records=_groups,
-    figures=lambda found: {
-        re.sub(r"[^\w.@=,+-]", "_", f"tune_{one.subject.recording}_{one.subject.name}"): weights_figure(one)
-        for one in found.found
+    figures=lambda cases: {
+        re.sub(r"[^\w.@=,+-]", "_", f"tune_{tuned.subject.recording}_{tuned.subject.name}"): weights_figure(tuned)
+        for tuned in cases.measured
     },
-    left_out=lambda found: found.left_out,
+    left_out=lambda cases: cases.left_out,
 )

@@ -116,7 +116,7 @@ def test_progress_says_how_many_are_done_and_the_time_left(
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
     monkeypatch.setenv("TERM", "xterm")
     monkeypatch.setenv("COLUMNS", "100")
-    with screen.progress("frames", counted) as on_frame:
+    with screen.progress("frames", counted=counted) as on_frame:
         on_frame(3, 9)
     drawn = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", capsys.readouterr().err)
     assert "frames" in drawn and "33%" in drawn and "left" in drawn and ("3/9" in drawn) == counted

@@ -280,7 +280,7 @@ def test_defaults_are_of_this_machine() -> None:
     assert local(4, 9) == Processes(4)
     assert local(4, 3) == Processes(3)
     assert local(None, 1) == Serial()
-    assert local(1, 9, apart=True) == Processes(1)
+    assert local(1, 9, separate=True) == Processes(1)
     assert '"executor"' in str(json_schema()).replace("'", '"')
 
 

@@ -33,15 +33,36 @@ def export_results(
     start: str | None = None,
     frames: range | None = None,
 ) -> tuple[Path, ...]:
-    """Write a results file in another format, whole or not at all: the files that were written.
+    """Write a results file in another format, atomically.
 
-    to : csv, parquet, mat, zarr, nwb, or an Export of your own. out : the file; by default beside the results, with the
-    format's suffix. recording : this one alone. start : date and time at 0 s, ISO 8601, of recordings that do not say.
-    frames : as `read_results` takes them.
+    Parameters
+    ----------
+    results : path
+        The results file.
+    to : str or Export
+        ``csv``, ``parquet``, ``mat``, ``zarr``, ``nwb``, or an own `Export`.
+    out : path, optional
+        The new file; by default beside the results with the suffix of the format.
+    recording : str, optional
+        The only recording to export.
+    start : str, optional
+        Date and time at 0 s (ISO 8601) for recordings without one.
+    frames : range, optional
+        Frames to export, as in `read_results`.
 
-    Raises InputError where the results are damaged, hold no such recording, do not fit the format, or the place cannot
-    be written, and where a library is missing.
+    Returns
+    -------
+    tuple of Path
+        The files that were written.
 
+    Raises
+    ------
+    InputError
+        For damaged results, an unknown recording, results that do not fit the format, a missing library, or a place
+        that cannot be written.
+
+    Examples
+    --------
     >>> lampest.export_results("results.h5", "mat")[0].name
     'results.mat'
     """
@@ -56,13 +77,13 @@ def export_results(
         cases = _started(read.cases if recording is None else read.of(recording), start)
         if not cases:
             raise InputError(f"{source}: holds no case that could be exported")
-        unfinished = [files.enter_context(whole_file(one)) for one in written[::-1]]
+        unfinished = [files.enter_context(whole_file(file)) for file in written[::-1]]
         export.write(cases, path.name, unfinished[-1], unfinished[0] if export.beside else None)
     return written
 
 
 def _started(cases: Sequence[CaseResult], start: str | None) -> tuple[CaseResult, ...]:
-    """The cases, with a start where they have none. Raises InputError where they say another, or it is no date."""
+    """Return the cases with a start time. Raises InputError for an invalid date or a different recorded start."""
     if start is None:
         return tuple(cases)
     try:

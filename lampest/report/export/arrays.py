@@ -1,4 +1,4 @@
-"""Cases as labelled arrays: MATLAB 5, read by MATLAB, Octave and scipy; and Zarr, as xarray has it."""
+"""Export as labelled arrays: MATLAB 5 (for MATLAB, Octave and SciPy) and Zarr (for xarray)."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -25,7 +25,7 @@ class MatlabExport(Export):
     suffix: ClassVar[str] = ".mat"
 
     def write(self, cases: Sequence[CaseResult], name: str, path: Path, beside: Path | None) -> None:
-        """A cell of structs, for cases need not hold the same."""
+        """Write a cell array of structs, since cases may hold different columns."""
         from scipy.io import savemat
         from scipy.io.matlab import MatWriteError
 
@@ -39,17 +39,17 @@ class MatlabExport(Export):
 
 def _struct(case: CaseResult) -> dict[str, Any]:
     held, places = series_of(case, all_columns()), places_of(case)
-    words = {name: zip(*one.flags, strict=True) for name, one in held.items() if one.flags}
+    words = {name: zip(*series.flags, strict=True) for name, series in held.items() if series.flags}
     flags = {name: {"values": np.array(numbers), "meanings": _cells(texts)} for name, (numbers, texts) in words.items()}
-    values = {name: _cells(one.values) if one.dtype is str else one.stored for name, one in held.items()}
-    units = {name: one.units for name, one in (held | places).items() if name not in ("row", "column")}
-    names = {name: one.long_name for name, one in held.items()}
-    where = {name: one.values for name, one in places.items()}
+    values = {name: _cells(series.values) if series.dtype is str else series.stored for name, series in held.items()}
+    units = {name: series.units for name, series in (held | places).items() if name not in ("row", "column")}
+    names = {name: series.long_name for name, series in held.items()}
+    where = {name: series.values for name, series in places.items()}
     return about(case) | values | where | {"units": units, "long_name": names, "flags": flags}
 
 
 def _cells(things: Sequence[Any]) -> NDArray[Any]:
-    """(things, 1) a cell each, whatever they are."""
+    """Return a MATLAB cell array of shape (items, 1)."""
     cells = np.empty((len(things), 1), dtype=np.object_)
     cells[:, 0] = [*things]
     return cells
@@ -66,7 +66,7 @@ class ZarrExport(Export):
     suffix: ClassVar[str] = ".zarr.zip"
 
     def write(self, cases: Sequence[CaseResult], name: str, path: Path, beside: Path | None) -> None:
-        """The archive."""
+        """Write the zip archive."""
         with extra("export"):
             from xarray import DataTree
             from zarr.storage import MemoryStore

@@ -1,4 +1,4 @@
-"""What a format for other programs is."""
+"""Interface of export formats."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
@@ -11,10 +11,16 @@ from lampest.runs.case import CaseResult
 
 @dataclass(frozen=True)
 class Export(ABC):
-    """One format.
+    """An export format.
 
-    kind : the word that asks for it. suffix : of its files. beside : the suffix of a second file for what the first
-    cannot hold; '' for none.
+    Attributes
+    ----------
+    kind : str
+        Name on the command line.
+    suffix : str
+        Suffix of the file.
+    beside : str
+        Suffix of a second file for metadata; '' for none.
 
     >>> from lampest.report.export.tables import CsvExport
     >>> issubclass(CsvExport, lampest.Export)
@@ -27,8 +33,7 @@ class Export(ABC):
 
     @abstractmethod
     def write(self, cases: Sequence[CaseResult], name: str, path: Path, beside: Path | None) -> None:
-        """Write the cases into the empty file `path`, and what that cannot hold into `beside`.
+        """Write the cases into the empty file `path`, and metadata into `beside`.
 
-        name : that `path` will have once it is whole. Raises InputError where a library is missing, or the cases do not
-        fit the format.
+        name : final name of `path`. Raises InputError for a missing library or cases that do not fit the format.
         """

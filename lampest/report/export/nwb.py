@@ -19,17 +19,17 @@ from lampest.runs.held import TIME, all_columns
 
 
 class NwbExport(Export):
-    """What was measured stands under acquisition, what an estimator made of it in the module of its name.
+    """Neurodata Without Borders: measurements under acquisition, each estimator in a processing module.
 
-    Maps and numbers of frames are TimeSeries (time × rows × columns), sentences stand in a table of frames, maps that
-    have no time in a table of cells with their positions in mm. The format holds one session that knows when it began.
+    Maps and figures of frames are TimeSeries (time × rows × columns). Texts are in a table of frames. Maps without time
+    are in a table of cells with positions in mm. A file holds one session with a start time.
     """
 
     kind: ClassVar[str] = "nwb"
     suffix: ClassVar[str] = ".nwb"
 
     def write(self, cases: Sequence[CaseResult], name: str, path: Path, beside: Path | None) -> None:
-        """The session. Raises InputError also where there are several recordings, or none says when it began."""
+        """Write the session. Raises InputError also for several recordings and for an unknown start."""
         with extra("export"):
             from pynwb import NWBHDF5IO
         recordings = dict.fromkeys(case.recording for case in cases)
@@ -49,7 +49,7 @@ class NwbExport(Export):
 
 
 def _session(cases: Sequence[CaseResult]) -> Any:
-    """Who was measured, when and for what. Raises InputError where nobody says when it began, or not in which zone."""
+    """Return subject, time and purpose of the session. Raises InputError without a start time in a time zone."""
     from pynwb import NWBFile
     from pynwb.file import Subject
 
@@ -89,29 +89,31 @@ def _described(subject: MeasuredSubject) -> dict[str, str | None]:
     }
 
 
-def _elements(case: CaseResult, shared: bool) -> Iterator[Any]:
-    """A series for every number over time, a table of frames for texts, a table of cells for what has no time."""
+def _elements(case: CaseResult, *, shared: bool) -> Iterator[Any]:
+    """Yield time series of numbers, a table of frames with texts, and a table of cells for columns without time."""
     from hdmf.common import DynamicTable, VectorData
     from pynwb import TimeSeries
 
     every = series_of(case, all_columns()).values()
-    held = [one for one in every if one.shared == shared and one.name != TIME.name]
-    for one in held:
-        if one.dtype is not str and one.axes != CELLS:
-            known = {"name": one.name, "unit": one.units, "description": one.meaning}
-            yield TimeSeries(data=one.stored, timestamps=case.time, **known)
+    held = [series for series in every if series.shared == shared and series.name != TIME.name]
+    for series in held:
+        if series.dtype is not str and series.axes != CELLS:
+            known = {"name": series.name, "unit": series.units, "description": series.meaning}
+            yield TimeSeries(data=series.stored, timestamps=case.time, **known)
     (rows, lines), (x, y) = np.indices(case.scene.panel.shape), case.scene.panel.places_mm
     places = [("row", "row line", rows), ("column", "column line", lines)]
     places += [("y_mm", "position of the cell, mm", y), ("x_mm", "position of the cell, mm", x)]
     time = [("time", "time of the frame, s", case.time)]
     for name, words, first, wanted in (
-        ("frames", "what frames say in words", time, [one for one in held if one.dtype is str]),
-        ("cells", "what has no time", places, [one for one in held if one.axes == CELLS]),
+        ("frames", "what frames say in words", time, [series for series in held if series.dtype is str]),
+        ("cells", "what has no time", places, [series for series in held if series.axes == CELLS]),
     ):
-        columns = [*first, *((one.name, f"{one.meaning}, {one.units}", one.values) for one in wanted)]
+        columns = [*first, *((series.name, f"{series.meaning}, {series.units}", series.values) for series in wanted)]
         vectors = [
-            VectorData(name=called, description=text, data=list(one) if isinstance(one, tuple) else np.ravel(one))
-            for called, text, one in columns
+            VectorData(
+                name=called, description=text, data=list(values) if isinstance(values, tuple) else np.ravel(values)
+            )
+            for called, text, values in columns
         ]
         if wanted:
             yield DynamicTable(name=name, description=words, columns=vectors)

@@ -34,7 +34,7 @@ class CsvExport(Export):
     beside: ClassVar[str] = "-metadata.json"
 
     def write(self, cases: Sequence[CaseResult], name: str, path: Path, beside: Path | None) -> None:
-        """The table; what it means."""
+        """Write the table and its metadata."""
         assert beside is not None
         table, meanings = long_table(cases)
         texts = {name: table[name].map(no_formula) for name in table if table[name].dtype.kind == "O"}
@@ -60,7 +60,7 @@ class ParquetExport(Export):
     suffix: ClassVar[str] = ".parquet"
 
     def write(self, cases: Sequence[CaseResult], name: str, path: Path, beside: Path | None) -> None:
-        """The table."""
+        """Write the table."""
         with extra("export"):
             import pyarrow
             from pyarrow import parquet
@@ -97,7 +97,7 @@ def long_table(cases: Sequence[CaseResult]) -> tuple["DataFrame", Mapping[str, S
             table.insert(place, word, text)
             known[word] = Series(word, FRAMES, None, "1", f"name of the {word}")
         kinds = {name: kind.name for name, kind in table.dtypes.items()}
-        kinds |= {one.label: np.dtype(one.dtype).name for one in all_columns() if one.label in kinds}
+        kinds |= {column.label: np.dtype(column.dtype).name for column in all_columns() if column.label in kinds}
         whole = {name: WHOLE[kind] for name, kind in kinds.items() if kind in WHOLE}
         names = {name: name if known[name].units == "1" else f"{name}_{known[name].units}" for name in table.columns}
         meanings |= {names[name]: known[name] for name in table.columns}

@@ -1,4 +1,4 @@
-"""Frames in, pictures out: the baseline from the first frames, then always the newest frame, in one solving thread."""
+"""Live estimation: baseline from the first frames, then always the newest frame, in one solver thread."""
 
 import time
 from collections.abc import Sequence
@@ -32,10 +32,15 @@ LOADED_FRAMES = 3  # with which the circuit is checked: one alone may have a wro
 
 @dataclass(frozen=True)
 class FrameSource:
-    """Where frames come from.
+    """Source of frames.
 
-    scene : what they are taken in, and how. period : s between them when they were taken, however fast they are
-    replayed. state : the sentence that holds while they come.
+    Attributes
+    ----------
+    scene : Scene
+    period : float
+        Seconds between frames when they were recorded.
+    state : str
+        Sentence shown while frames arrive.
     """
 
     scene: Scene
@@ -44,14 +49,14 @@ class FrameSource:
 
 
 class Engine:
-    """Takes frames from one thread, solves the newest in another, and keeps what is to be shown in `shown`.
+    """Live estimator: accepts frames from one thread and solves the newest in another; `shown` holds the current view.
 
-    One thread solves, because a CasADi solver must not be shared between threads. beside : whether weights, searches
-    for lower minima, error bars and the check of the circuit are left to another process, else every frame waits; and
-    whether one more process recognises loads.
+    A single thread solves, because CasADi solvers must not be shared between threads. With `beside`, a second process
+    computes weights, searches for lower minima, error bars and the check of the circuit, and a third recognises loads.
+    Otherwise every frame waits for these.
     """
 
-    def __init__(self, name: str, method: str, estimator: Estimator, baseline: int, beside: bool = False) -> None:
+    def __init__(self, name: str, method: str, estimator: Estimator, baseline: int, *, beside: bool = False) -> None:
         self.shown = Newest(View(name, method, "starting"))
         self._estimator, self._baseline = estimator, baseline
         self._unloaded: list[Scan] = []
@@ -74,7 +79,7 @@ class Engine:
                 process.close()
 
     def finish(self) -> None:
-        """Solve the frame that waits, and watch all that came; no other may come. Raises what stopped the solver."""
+        """Solve the waiting frame, watch all frames and accept no more. Raises the error that stopped the solver."""
         self._arrivals.close()
         self._pool.shutdown()
         if self._solving is not None:
@@ -91,7 +96,7 @@ class Engine:
         self.show(state=sentence)
 
     def tare(self) -> None:
-        """The mean of the next frames, as many as the first baseline had, is the new one; called from any thread."""
+        """Replace the baseline by the mean of the next frames, as many as the first one had. Thread-safe."""
         self._zero_asked.set()
         self._watch(self._baseline)
 
@@ -99,23 +104,23 @@ class Engine:
         if self._watcher is not None:
             self._watcher.ask([news])
 
-    def _take_detected(self, found: Detected) -> None:
-        self.shown.change(partial(with_detected, detected=found))
+    def _take_detected(self, detected: Detected) -> None:
+        self.shown.change(partial(with_detected, detected=detected))
 
     def begin(self, source: FrameSource, unloaded: Sequence[Scan]) -> None:
         """Solve against the mean of unloaded frames without outliers. Raises InputError where one has no readings."""
         try:
-            first, *others = (Readings.of(source.scene, scan.recorded, scan.sigma) for scan in unloaded)
+            first, *following = (Readings.of(source.scene, scan.recorded, scan.sigma) for scan in unloaded)
         except InputError as error:
             raise InputError(f"the unloaded panel is no baseline: {error}; check the scene's readout") from error
-        every = first.together(*others)
+        every = first.together(*following)
         resting = without_outliers(source.scene.circuit, every, np.ones(len(every.value), dtype=bool))[1].mean()
         self.show(panel=source.scene.panel, state=source.state, frames=len(unloaded))
         self._watch(Unloaded(source.scene, tuple(unloaded)))
         self._solving = self._pool.submit(self._solve, source, resting, tuple(unloaded))
 
     def take(self, source: FrameSource, scan: Scan) -> None:
-        """A frame has come. Never waits for the solver; raises what stopped it."""
+        """Accept a frame without waiting for the solver. Raises the error that stopped the solver."""
         if self._solving is not None and self._solving.done():
             self._solving.result()
         self.shown.change(lambda view: replace(view, frames=view.frames + 1, lost=view.lost + scan.lost))
@@ -132,7 +137,7 @@ class Engine:
 
     def _solve(self, source: FrameSource, resting: Readings, unloaded: tuple[Scan, ...]) -> None:
         """Solve the newest frame until no more come; check the circuit before and with the first loaded frames."""
-        state = PanelState.begin(self._estimator, source.scene, source.period, resting, self._beside is not None)
+        state = PanelState.begin(self._estimator, source.scene, source.period, resting, hasty=self._beside is not None)
         self._check(source.scene, unloaded, ())
         seen, loaded = 0, tuple[Scan, ...]()
         while (news := self._arrivals.after(seen)) is not None:
@@ -153,43 +158,43 @@ class Engine:
             self._check(source.scene, unloaded, loaded)
 
     def _with_findings(self, state: PanelState) -> PanelState:
-        """With what second looks have found meanwhile; without them from here on, should their process have died."""
+        """Return the state with the findings of second looks, or without second looks if their process died."""
         while not self._found.empty():
-            found = self._found.get()
-            if isinstance(found, Exception):
-                raise found
-            state = replace(state, stream=found.into(state.stream))
+            findings = self._found.get()
+            if isinstance(findings, Exception):
+                raise findings
+            state = replace(state, stream=findings.into(state.stream))
         if self._beside is not None and self._beside.gone and state.stream.hasty:
             track = state.track or state.stream.track
             return replace(state, stream=replace(state.stream, hasty=False, track=track), track=None)
         return state
 
     def _look_again(self, look: SecondLook | None) -> None:
-        """Once the other process is free; weights and searches are not pushed aside by what only lacks error bars."""
+        """Request a second look; requests for error bars alone are rationed, since weights and searches come first."""
         now = time.monotonic()
         if look is not None and self._beside is not None and (look.due or now - self._looked >= BARS_SECONDS):
             self._looked = now
             self._beside.ask(Errand("look", look.findings, look.due))
 
     def _check(self, scene: Scene, unloaded: tuple[Scan, ...], loaded: tuple[Scan, ...]) -> None:
-        """Show what speaks against the frames."""
+        """Show warnings about the frames."""
         check = Errand("check", partial(_warnings, scene, unloaded, loaded))
         if self._beside is None or self._beside.gone:
             self._take_answer(check, check.done())
         else:
             self._beside.ask(check)
 
-    def _take_answer(self, errand: Errand, found: Any) -> None:
-        if errand.kind == "check" and not isinstance(found, Exception):
-            self.show(model="\n".join(found))
+    def _take_answer(self, errand: Errand, answer: Any) -> None:
+        if errand.kind == "check" and not isinstance(answer, Exception):
+            self.show(model="\n".join(answer))
             return
-        self._found.put(found)
-        if isinstance(found, Findings) and found.force is not None:
-            self.show(deviation=found.force.deviation, deviation_of=found.number)
+        self._found.put(answer)
+        if isinstance(answer, Findings) and answer.force is not None:
+            self.show(deviation=answer.force.deviation, deviation_of=answer.number)
 
 
 def _warnings(scene: Scene, unloaded: tuple[Scan, ...], loaded: tuple[Scan, ...]) -> tuple[str, ...]:
-    """What speaks against frames, or why they are none."""
+    """Return warnings about frames, or the reason why they cannot be read."""
     role = [UNLOADED] * len(unloaded) + [MEASURED] * len(loaded)
     try:
         return Prepared(as_recording(scene, unloaded + loaded, np.arange(float(len(role))), role)).warnings
@@ -198,7 +203,7 @@ def _warnings(scene: Scene, unloaded: tuple[Scan, ...], loaded: tuple[Scan, ...]
 
 
 def solved_scan(state: PanelState, scan: Scan, number: int, skipped: int) -> tuple[PanelState, Picture]:
-    """Solve one frame; where that cannot be, the picture holds NaN and says why."""
+    """Solve one frame; the picture of an unreadable one holds NaN and the reason."""
     state, scene = replace(state, look=None), state.stream.scene
     nothing, flags = np.full(scene.panel.shape, np.nan), np.zeros(scene.panel.shape, dtype=bool)
     picture = Picture(number, scan.time, scan.arrived, nothing, nothing, flags, UNKNOWN, "", 0.0, skipped)
@@ -211,7 +216,7 @@ def solved_scan(state: PanelState, scan: Scan, number: int, skipped: int) -> tup
 
 
 def with_picture(view: View, picture: Picture, zeroed: str = "") -> View:
-    """The view with a new picture, its force added to the history; zeroed : why zero was taken anew after it, or ''."""
+    """Return the view with a new picture and its force in the history; zeroed : reason of a new zero, or ''."""
     point = Point(picture.number, picture.time, picture.force.newton)
     zero = f"taken anew after frame {picture.number}: {zeroed}" if zeroed else view.zero
     skipped, history = view.skipped + picture.skipped, (*view.history, point)[-POINTS:]

@@ -1,4 +1,4 @@
-"""What threads hand over: the newest of a series, and work for another process."""
+"""Hand-over between threads: the newest item of a series, and tasks for another process."""
 
 import os
 from collections.abc import Callable
@@ -12,14 +12,14 @@ T = TypeVar("T")
 
 
 class News(NamedTuple, Generic[T]):
-    """A thing and its number in the series, from 1 on: a reader that saw n before skipped number − n − 1 things."""
+    """Item and its number in the series, from 1 on; a reader that saw n before skipped number − n − 1 items."""
 
     number: int
     thing: T
 
 
 class Newest(Generic[T]):
-    """One place that holds one thing. What it holds, and whether more will come (`closed`), is its only state."""
+    """Holder of the newest item of a series; `closed` says that no more will come."""
 
     def __init__(self, first: T) -> None:
         self._changed = Condition()
@@ -27,38 +27,48 @@ class Newest(Generic[T]):
         self.closed = False
 
     def put(self, thing: T) -> None:
-        """Let `thing` take the place."""
+        """Replace the item."""
         self.change(lambda _: thing)
 
     def change(self, changed: Callable[[T], T]) -> None:
-        """Let `changed(thing)` take the place; no other change comes between."""
+        """Replace the item by `changed(item)` atomically."""
         with self._changed:
             self._news = News(self._news.number + 1, changed(self._news.thing))
             self._changed.notify_all()
 
     def close(self) -> None:
-        """Nothing more will come."""
+        """Declare that no more items will come."""
         with self._changed:
             self.closed = True
             self._changed.notify_all()
 
     @property
     def thing(self) -> T:
-        """What it holds now."""
+        """The current item."""
         return self._news.thing
 
     def after(self, number: int, timeout: float | None = None) -> News[T] | None:
-        """Wait for something newer than that number; None after so many s, or where nothing more will come."""
+        """Wait for an item newer than that number; return None after `timeout` s or at the end of the series."""
         with self._changed:
             self._changed.wait_for(lambda: self._news.number > number or self.closed, timeout)
             return self._news if self._news.number > number else None
 
 
 class Beside(Generic[T]):
-    """One process, polite to others, in which `desk` answers one task after the other, and a thread that waits for it.
+    """Process of low priority that answers tasks one after the other, with a thread that waits for the answers.
 
-    queued : (one more, those that wait) → those that wait then. on_answer : gets task and answer or exception, from
-    that thread. A process that dies takes its tasks with it: nothing is answered any more; `gone` says so, and on_gone.
+    If the process dies, its tasks are lost, `gone` becomes True and `on_gone` is called.
+
+    Parameters
+    ----------
+    desk : callable
+        Task → answer, called in the process.
+    queued : callable
+        (new task, waiting tasks) → waiting tasks.
+    on_answer : callable
+        Receives task and answer, or an exception, from the thread.
+    on_gone : callable
+        Called when the process has died.
     """
 
     def __init__(
@@ -76,20 +86,20 @@ class Beside(Generic[T]):
         self._thread.start()
 
     def ask(self, task: T) -> None:
-        """Never waits."""
+        """Queue a task without waiting."""
         with self._changed:
             self._waiting = self._queued(task, self._waiting)
             self._changed.notify_all()
 
     def finish(self) -> None:
-        """Wait for the answer to all that came."""
+        """Wait until all tasks are answered."""
         with self._changed:
             self._ending = True
             self._changed.notify_all()
         self._thread.join()
 
     def close(self) -> None:
-        """Drop what waits."""
+        """Drop waiting tasks and end the process."""
         with self._changed:
             self._waiting = []
         self._worker.process.kill()
@@ -113,31 +123,32 @@ class Beside(Generic[T]):
 
 
 class Polite(Generic[T]):
-    """A function of one argument, called by a process that lets others go first."""
+    """Function of one argument that lowers the priority of its process."""
 
     def __init__(self, function: Callable[[T], Any]) -> None:
         self._function = function
 
     def __call__(self, argument: T) -> Any:
+        """Call the function."""
         with suppress(AttributeError, OSError):  # Linux alone has it
             os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
         return self._function(argument)
 
 
 class Errand(NamedTuple):
-    """Something to run; of each kind the newest waits, an urgent one is replaced by urgent ones alone."""
+    """Task of a kind; the newest of each kind waits, and an urgent one is replaced by urgent ones only."""
 
     kind: str
     run: Callable[[], Any]
     urgent: bool = False
 
     def queued(self, waiting: "list[Errand]") -> "list[Errand]":
-        """Those that wait with this one."""
-        same = [one for one in waiting if one.kind == self.kind]
-        if any(one.urgent and not self.urgent for one in same):
+        """Return the waiting tasks with this one."""
+        same = [errand for errand in waiting if errand.kind == self.kind]
+        if any(errand.urgent and not self.urgent for errand in same):
             return waiting
-        return [self if one in same else one for one in waiting] if same else [*waiting, self]
+        return [self if errand in same else errand for errand in waiting] if same else [*waiting, self]
 
     def done(self) -> Any:
-        """What running it gives."""
+        """Run the task."""
         return self.run()

@@ -1,7 +1,4 @@
-"""One frame for those who look on: what a picture holds, and the one text of it for programs and for the page.
-
-docs/reference/stream.md explains the message.
-"""
+"""Messages of live frames, for other programs and for the page; see docs/reference/stream.md."""
 
 import json
 import time
@@ -30,7 +27,7 @@ NOTHING, PRESSING, SUCKING, BOTH, UNSOLVED = VERDICTS
 
 
 class Channel(NamedTuple):
-    """One number of a frame; place : (x, y) of its cell, m."""
+    """A number of a frame; place : (x, y) of its cell, m."""
 
     label: str
     unit: str
@@ -38,7 +35,7 @@ class Channel(NamedTuple):
 
 
 class Point(NamedTuple):
-    """One frame in the history: its number, its time in s, and the total force in newton, NaN where it is not known."""
+    """Frame of the history: number, time in s, and total force in newton (NaN if unknown)."""
 
     number: int
     time: float
@@ -47,15 +44,36 @@ class Point(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Picture:
-    """One reconstructed frame.
+    """A reconstructed frame.
 
-    number : of the frame, from 1 on. time : s, on the recording's axis. arrived : s since 1970-01-01 UTC.
-    measured_change, relative_change : (rows, columns) percent of the baseline; the latter NaN where the frame failed.
-    open_cell, saturated : (rows, columns) where a cell cannot be told from an open one, where the response leaves the
-    pressure open. force : total force, unknown where the frame failed or the scene names no response; its deviation may
-    come later. status : how the solve ended, a sentence. seconds : how long it took. skipped : frames passed over for
-    this one. cell_resistance, pressure : (rows, columns) ohm and kPa; None where they are not known. verdict : one of
-    VERDICTS. outliers : single-frame ones among the readings, each replaced by what the frames before say.
+    Attributes
+    ----------
+    number : int
+        Number of the frame, from 1 on.
+    time : float
+        Seconds on the time axis of the recording.
+    arrived : float
+        Seconds since 1970-01-01 UTC.
+    measured_change, relative_change : array, shape (rows, columns)
+        Percent of the baseline; the latter NaN if the frame failed.
+    open_cell : boolean array, shape (rows, columns)
+        Cells that cannot be distinguished from open ones.
+    force : Force
+        Total force, unknown if the frame failed or the scene has no response; its deviation may follow later.
+    status : str
+        How the solve ended.
+    seconds : float
+        Duration of the solve.
+    skipped : int
+        Frames skipped before this one.
+    cell_resistance, pressure : array, shape (rows, columns), or None
+        Ohm and kPa.
+    saturated : array, shape (rows, columns), or None
+        Cells whose pressure the response cannot determine.
+    verdict : str
+        One of VERDICTS.
+    outliers : int
+        Single-frame outliers, replaced by predictions from the previous frames.
     """
 
     number: int
@@ -77,16 +95,34 @@ class Picture:
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """All that the page shows.
+    """Content of the page.
 
-    source, method : where frames come from, and what reconstructs them. state : of the port or recording, a sentence.
-    frames, lost, skipped : that arrived, were lost on the way here, and were not reconstructed.
-    model, zero : what speaks against the scene or its frames, a line each; when zero was taken anew last and why, a
-    sentence; or empty. deviation, deviation_of : standard deviation of the total force, newton, and the newest frame of
-    which it is known. recording : state of one that the page may begin and end, and whether it runs; None: without a
-    port. detected : the answer of `lampest detect` after the newest frame that was watched; None: nothing watches.
-    alarm : the last sentence on what nobody has acknowledged, or ''. acknowledged : since when attachments are there
-    that somebody has, s.
+    Attributes
+    ----------
+    source, method : str
+        Source of the frames and name of the estimator.
+    state : str
+        State of the port or the recording.
+    panel : Panel or None
+    frames, lost, skipped : int
+        Frames that arrived, were lost before arrival, and were not reconstructed.
+    picture : Picture or None
+        The newest reconstructed frame.
+    history : tuple of Point
+    model : str
+        Warnings about the scene or the frames, one a line.
+    zero : str
+        When the zero was last renewed, and why.
+    deviation, deviation_of : float, int
+        Standard deviation of the total force in newton, and the newest frame for which it is known.
+    recording : (str, bool) or None
+        State of a recording that the page controls, and whether it runs; None without a port.
+    detected : Detected or None
+        Answer of `lampest detect` after the newest watched frame; None if nothing watches.
+    alarm : str
+        Sentence that nobody has acknowledged, or ''.
+    acknowledged : frozenset of float
+        Start times in s of acknowledged attachments.
     """
 
     source: str
@@ -109,22 +145,22 @@ class View:
 
 
 def with_detected(view: View, detected: Detected) -> View:
-    """The view with a new answer; a lamprey that nobody acknowledged raises an alarm, which stays when it leaves."""
+    """Return the view with a new answer; an attached lamprey raises an alarm that stays until acknowledged."""
     raised = any(since not in view.acknowledged for since in alarming(detected))
     return replace(view, detected=detected, alarm=detected.sentence if raised else view.alarm)
 
 
 def acknowledged(view: View) -> View:
-    """The view without its alarm: what is there now raises none again."""
+    """Return the view without its alarm; present attachments raise no further one."""
     seen = frozenset() if view.detected is None else frozenset(alarming(view.detected))
     return replace(view, alarm="", acknowledged=seen)
 
 
 @dataclass(frozen=True, eq=False)
 class Message:
-    """One frame for other programs, or the same one again once the answer or the alarm has changed.
+    """A frame for other programs, sent again after a change of the answer or the alarm.
 
-    picture : the frame. view : what was shown when it was solved.
+    picture : the frame. view : the view when it was solved.
     """
 
     panel: Panel
@@ -133,43 +169,44 @@ class Message:
 
     @classmethod
     def of(cls, view: View) -> "Message | None":
-        """The newest frame of a view; None where there is none yet."""
+        """Return the newest frame of a view, or None."""
         return None if view.panel is None or view.picture is None else cls(view.panel, view.picture, view)
 
     @property
     def signature(self) -> tuple[int, str, str]:
-        """What makes it new: its frame, the answer's sentence, the alarm."""
+        """Frame number, sentence of the answer and alarm; equal signatures are not sent twice."""
         detected = self.view.detected
         return self.picture.number, "" if detected is None else detected.sentence, self.view.alarm
 
     @property
     def maps(self) -> dict[str, Array]:
-        """In the order of MAP_UNITS, each (rows, columns), NaN where the frame failed."""
+        """Maps (rows, columns) in the order of MAP_UNITS, NaN if the frame failed."""
         known = self.picture.relative_change, self.picture.pressure, self.picture.cell_resistance
         failed = np.full(self.panel.shape, np.nan)
         return {name: failed if values is None else values for name, values in zip(MAP_UNITS, known, strict=True)}
 
     @property
     def solved(self) -> bool:
-        """Whether the frame has cells."""
+        """True if the frame was solved."""
         return self.picture.verdict != UNSOLVED
 
     def row(self) -> Array:
-        """The frame as one row of numbers, in the order of `channels`; NaN where one is not known."""
+        """Return the frame as a row of numbers in the order of `channels`; unknown ones are NaN."""
         picture, detected, answer = self.picture, self.view.detected, dict[str, float]()
         head = [float(picture.number), picture.force.newton, float(VERDICTS.index(picture.verdict)), float(self.solved)]
         if detected is not None:
             answer = {"answer": ANSWERS.index(detected.answer), "probability": detected.probability}
             answer["alarm"] = bool(self.view.alarm)
-            if (one := detected.chosen) is not None:
-                pairs = {name: getattr(one, name) for name in PAIRS}
+            if (attachment := detected.chosen) is not None:
+                pairs = {name: getattr(attachment, name) for name in PAIRS}
                 answer |= {name: pair[0] for name, pair in pairs.items() if pair is not None}
-                answer |= {"since_s": one.since_s, "until_s": np.nan if one.until_s is None else one.until_s}
+                answer["since_s"] = attachment.since_s
+                answer["until_s"] = np.nan if attachment.until_s is None else attachment.until_s
         tail = [self.view.deviation, *(float(answer.get(name, np.nan)) for name in ANSWER)]
         return np.concatenate([head, *(values.ravel() for values in self.maps.values()), tail])
 
     def channels(self) -> list[Channel]:
-        """What the numbers of `row` are."""
+        """Return the descriptions of the numbers of `row`."""
         head = [Channel("sequence", "1"), Channel("force", "newton"), Channel("verdict", "1"), Channel("solved", "1")]
         places, present = self.panel.places_mm / 1000, self.panel.present
         cells = [
@@ -180,7 +217,7 @@ class Message:
         return [*head, *cells, Channel("force_sd", "newton"), *(Channel(name, unit) for name, unit in ANSWER.items())]
 
     def content(self, sent_at: float) -> dict[str, Any]:
-        """As docs/reference/stream.schema.json has it; what is no number is None. sent_at : s since 1970-01-01 UTC."""
+        """Return the content by docs/reference/stream.schema.json; sent_at : s since 1970-01-01 UTC."""
         picture, view, maps = self.picture, self.view, self.maps
         saturated = () if picture.saturated is None else np.flatnonzero(picture.saturated).tolist()
         return {
@@ -210,12 +247,12 @@ class Message:
         }
 
     def text(self) -> str:
-        """One line of JSON."""
+        """Return the message as a line of JSON."""
         return json.dumps(self.content(time.time()), **COMPACT)
 
 
 def view_text(view: View, sent_at: float, known: int = 0) -> str:
-    """One line of JSON for the page: the view, its message and its history as far as newer than frame `known`.
+    """Return a line of JSON for the page: view, message, and history after frame `known`.
 
     The message is that of other programs without `cells` and `pressure`, with `measured` (percent), `passed` (frames
     skipped for this one) and `centre`; `detection` and `alarm` stand in the view. sent_at : s since 1970-01-01 UTC.
@@ -241,7 +278,7 @@ def view_text(view: View, sent_at: float, known: int = 0) -> str:
 
 
 def _centre(message: Message) -> list[float] | None:
-    """x and y in mm, Σ p x/Σ p over the cells that press; None where nothing does."""
+    """Return the centre of pressure Σ p x/Σ p in mm over the pressed cells, or None."""
     picture = message.picture
     if picture.pressure is None or "pressing" not in picture.verdict:
         return None

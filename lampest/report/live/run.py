@@ -1,4 +1,4 @@
-"""`lampest live`: frames of a board or a recording, an engine and a server, put together."""
+"""The command `lampest live`: frames of a board or a recording, an engine and a server."""
 
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -44,11 +44,20 @@ METHODS = {name: Estimator((Misfit(), *terms), "reduced", tare=Tare()) for name,
 
 @dataclass(frozen=True)
 class LiveBoard:
-    """Live from a board.
+    """A board as the source.
 
-    ports : its port or a pyserial URL, of a panel of modules those of all boards; none: the only one that looks like an
-    Arduino. scene : what it must fit. baseline : the first so many frames are unloaded. period : s between frames.
-    out : a recording to make as well.
+    Attributes
+    ----------
+    ports : tuple of str
+        Serial ports or pyserial URLs, one for each module; by default the only port that looks like an Arduino.
+    scene : Scene or None
+        Expected scene.
+    baseline : int
+        Number of unloaded frames at the beginning.
+    period : float or None
+        Seconds between frames.
+    out : Path or None
+        Recording to write as well.
     """
 
     ports: tuple[str, ...] = ()
@@ -60,49 +69,76 @@ class LiveBoard:
 
 @dataclass(frozen=True)
 class Replay:
-    """Live from a recording: `speed` times as fast as it was taken; `baseline` as above where no frame is unloaded."""
+    """A recording as the source, replayed at `speed` times its rate; `baseline` as above if no frame is unloaded."""
 
     path: Path
     speed: float = 1.0
     baseline: int = 3
 
 
+@dataclass(frozen=True)
+class Outlets:
+    """Where live frames are shown and published.
+
+    Attributes
+    ----------
+    http : str
+        HOST:PORT of the page; port 0 for any free one.
+    token : str or None
+        Required of visitors; by default none on the loopback address and a generated one elsewhere.
+    publish : sequence of str
+        Addresses such as ``mqtt://localhost:1883/lampest``.
+    """
+
+    http: str = "127.0.0.1:8137"
+    token: str | None = None
+    publish: Sequence[str] = ()
+
+
 def live(
     source: LiveBoard | Replay,
-    method: str | None = None,
-    config: Path | None = None,
-    http: str = "127.0.0.1:8137",
+    estimator: tuple[str, Estimator],
+    outlets: Outlets = Outlets(),
     frames: int | None = None,
-    token: str | None = None,
     on_url: Callable[[str], None] = lambda url: None,
-    settings: tuple[str, ...] = (),
-    publish: Sequence[str] = (),
     on_trouble: Callable[[str], None] = lambda sentence: None,
 ) -> Recorded | None:
-    """Reconstruct each frame as it comes and show it in the browser, until `frames` have come or Ctrl-C.
+    """Reconstruct frames as they arrive and show them in the browser, until `frames` have come or Ctrl-C.
 
     Parameters
     ----------
-    method, config : an estimator of a run's file, the first by default; without a file, one of METHODS.
-    http : HOST:PORT to listen at; port 0 for any that is free.
-    token : asked of visitors of the page; where others can reach it, one is made up if none is given.
-    on_url : gets the page's address once it can be opened, and then where frames are published.
-    settings : PATH=VALUE entries that override the file's. publish : where frames go, such as
-        'mqtt://localhost:1883/lampest'. on_trouble : gets sentences on what fails there.
+    source : LiveBoard or Replay
+    estimator : (str, Estimator)
+        Name and estimator, as returned by `chosen`.
+    outlets : Outlets
+    frames : int, optional
+        Number of frames; by default all.
+    on_url : callable
+        Receives the address of the page once it can be opened, then the addresses of published frames.
+    on_trouble : callable
+        Receives sentences on failures of publishing.
 
-    Returns what was recorded, if anything was. Raises InputError where the source, the estimator or the address fail.
+    Returns
+    -------
+    Recorded or None
+        The recording, if one was written.
+
+    Raises
+    ------
+    InputError
+        If the source or an address fails.
     """
-    name, estimator = chosen(method, config, settings)
+    name, method = estimator
     recording = Recording.load(source.path) if isinstance(source, Replay) else None
     if isinstance(source, LiveBoard) and not source.ports:
         source = replace(source, ports=(only_port(),))
     port = ", ".join(source.ports) if isinstance(source, LiveBoard) else ""
-    ways, done = [publish_at(where, token) for where in publish], None
+    ways, done = [publish_at(where, outlets.token) for where in outlets.publish], None
     with (
-        Engine(port if recording is None else recording.name, name, estimator, source.baseline, True) as engine,
+        Engine(port if recording is None else recording.name, name, method, source.baseline, beside=True) as engine,
         publishing(ways, engine.shown, on_trouble) as published,
         recorder_of(source, engine) as (recorder, asks),
-        serving(*address(http), engine.shown, token, asks) as server,
+        serving(*address(outlets.http), engine.shown, outlets.token, asks) as server,
     ):
         for where in (server.url, *published):
             on_url(where)
@@ -127,26 +163,26 @@ def live(
 
 @contextmanager
 def recorder_of(source: LiveBoard | Replay, engine: Engine) -> Iterator[tuple[Recorder | None, Asks]]:
-    """What the page's button records with, into the working folder, or None; and what the page may ask for."""
+    """Yield the recorder of the page's button, or None, and the requests that the page may send."""
     asks = Asks(engine.tare, lambda: engine.shown.change(acknowledged))
     if isinstance(source, Replay) or source.out is not None:
         yield None, asks
         return
 
-    def say(sentence: str, on: bool) -> None:
-        engine.show(recording=(sentence, on))
+    def say(*state: Any) -> None:
+        engine.show(recording=state)
 
     def tare() -> None:
         recorder.zero()
         engine.tare()
 
-    say("", False)
+    engine.show(recording=("", False))
     with closing(Recorder(Path(), source.scene, source.baseline, say)) as recorder:
         yield recorder, replace(asks, tare=tare, record=recorder.ask)
 
 
 def chosen(name: str | None, config: Path | None, settings: tuple[str, ...] = ()) -> tuple[str, Estimator]:
-    """An estimator and its name; the first where none is named. Raises InputError where there is none of that name."""
+    """Return the name and the estimator, the first one by default. Raises InputError for an unknown name."""
     if config is None:
         known, where = tuple(METHODS), "there are"
     else:
@@ -161,7 +197,7 @@ def chosen(name: str | None, config: Path | None, settings: tuple[str, ...] = ()
 
 
 def from_board(engine: Engine, board: LiveBoard, frames: int | None, on_sample: Callable[[Sample], None]) -> None:
-    """Every frame of a board, until `frames` have come or for ever; on_sample : given each of them, too.
+    """Pass `frames` frames of a board, or all, to the engine and to `on_sample`.
 
     Raises InputError as `lampest.recording.board.stream.stream`.
     """
@@ -173,7 +209,7 @@ def from_board(engine: Engine, board: LiveBoard, frames: int | None, on_sample: 
 
 
 def recorded_from_board(engine: Engine, board: LiveBoard, frames: int | None) -> Recorded:
-    """The same while every frame goes into the recording `board.out` first. Raises InputError as `record`."""
+    """Record frames of a board into `board.out` and pass them to the engine. Raises InputError as `record`."""
     assert board.out is not None
     engine.say(f"waiting for the board at {', '.join(board.ports)}")
 
@@ -188,7 +224,7 @@ def recorded_from_board(engine: Engine, board: LiveBoard, frames: int | None) ->
 
 
 def take_sample(engine: Engine, sample: Sample, scene: Scene | None) -> None:
-    """Hand a board's frame on, as a recording would hold it."""
+    """Pass a frame of a board to the engine, in the form of a recording."""
     agreed, recorded = agreed_and_recorded(sample, scene)
     source = FrameSource(agreed, sample.hello.period_us * 1e-6, "receiving")
     engine.take(source, Scan(recorded, None, sample.time, sample.host_time, sample.lost))
@@ -197,7 +233,7 @@ def take_sample(engine: Engine, sample: Sample, scene: Scene | None) -> None:
 def from_recording(
     engine: Engine, recording: Recording, speed: float, frames: int | None, wait: Callable[[float], None] = time.sleep
 ) -> None:
-    """A recording's measured frames, `speed` times as fast as they were taken; its unloaded frames are the baseline."""
+    """Replay the measured frames of a recording at `speed` times its rate, against its unloaded frames."""
     source = FrameSource(recording.scene, frame_period(recording), f"replaying at {speed:g} times its speed")
     unloaded = [scan_of(recording, int(frame)) for frame in np.flatnonzero(recording.role == UNLOADED)]
     if unloaded:
@@ -210,7 +246,7 @@ def from_recording(
 
 
 def scan_of(recording: Recording, frame: int) -> Scan:
-    """One frame of a recording, as if it arrived now."""
+    """Return a frame of a recording as if it arrived now."""
     sigma, recorded, origin = recording.sigma, recording.recorded, recording.acquisition
     of_frame = None if sigma is None else np.broadcast_to(sigma, recorded.shape)[frame]
     lost = 0 if origin is None else int(origin.lost[frame])

@@ -1,4 +1,4 @@
-"""The page and its stream of views (server-sent events) over HTTP: GET of two paths, POST of three wishes, no more."""
+"""HTTP server of the live page and its views (server-sent events): GET of two paths, POST of three requests."""
 
 import os
 import re
@@ -38,9 +38,18 @@ HEADERS = {
 
 @dataclass(frozen=True)
 class Access:
-    """A token and the cookie for it, which this server alone gets; without a token everybody may see the page.
+    """Access control by a token and a cookie; without a token everybody may see the page.
 
-    token : at least 16 letters, digits or any of - _ . ~, or ''. name : of the cookie. Raises InputError for another.
+    Raises InputError for an invalid token.
+
+    Attributes
+    ----------
+    token : str
+        At least 16 letters, digits or any of - _ . ~; '' for none.
+    name : str
+        Name of the cookie.
+    secret : str
+        Value of the cookie.
     """
 
     token: str = ""
@@ -53,37 +62,37 @@ class Access:
             raise InputError(f"--token: give {signs} (or none: one is made up)")
 
     @classmethod
-    def of(cls, token: str | None, local: bool, port: int) -> "Access":
-        """With the given token; without one, nobody but this computer comes in without a token that is made up here."""
+    def of(cls, token: str | None, port: int, *, local: bool) -> "Access":
+        """Return access by the given token; without one, visitors from elsewhere need a generated token."""
         return cls(token or ("" if local else secrets.token_urlsafe(24)), f"lampest-{port}")
 
     @property
     def query(self) -> str:
-        """What an address ends with that brings the token."""
+        """Query string with the token."""
         return f"?token={self.token}" if self.token else ""
 
     def shown_by(self, target: str, authorization: str) -> bool:
-        """Whether the address asked for, or the header Authorization, has the token."""
+        """Return whether the requested address or the header Authorization has the token."""
         kind, _, word = authorization.partition(" ")
         brought = [value for name, value in _query(target) if name == "token"] + [word] * (kind in ("Bearer", "token"))
         return bool(self.token) and any(_same(text, self.token) for text in brought)
 
     def remembered_by(self, cookie: str) -> bool:
-        """Whether the header Cookie has what was given for the token."""
+        """Return whether the header Cookie has the secret."""
         try:
-            found = SimpleCookie(cookie).get(self.name)
+            morsel = SimpleCookie(cookie).get(self.name)
         except CookieError:
             return False
-        return found is not None and _same(found.value, self.secret)
+        return morsel is not None and _same(morsel.value, self.secret)
 
 
-def _same(one: str, other: str) -> bool:
-    """Whether two texts are equal, in a time that does not depend on where they differ."""
-    return compare_digest(one.encode("utf-8", "surrogatepass"), other.encode("utf-8", "surrogatepass"))
+def _same(first: str, second: str) -> bool:
+    """Compare two texts in constant time."""
+    return compare_digest(first.encode("utf-8", "surrogatepass"), second.encode("utf-8", "surrogatepass"))
 
 
 def _query(target: str) -> list[tuple[str, str]]:
-    """The (name, value) pairs behind the question mark of what a request asks for."""
+    """Return the (name, value) pairs of the query of a request."""
     try:
         return parse_qsl(urlsplit(target).query, keep_blank_values=True, max_num_fields=8)
     except ValueError:
@@ -92,10 +101,16 @@ def _query(target: str) -> list[tuple[str, str]]:
 
 @dataclass(frozen=True)
 class Asks:
-    """What visitors of the page may ask for; called from any thread.
+    """Requests of visitors of the page, called from any thread.
 
-    tare : a new zero. acknowledge : the end of an alarm. record : a recording of that name, or '', or its end; raises
-    InputError where that is no name. None where there is nothing to record.
+    Attributes
+    ----------
+    tare : callable
+        Renew the zero.
+    acknowledge : callable
+        End the alarm.
+    record : callable or None
+        Begin a recording of the given name, or end it; raises InputError for an invalid name. None without a board.
     """
 
     tare: Callable[[], None] = lambda: None
@@ -104,7 +119,7 @@ class Asks:
 
 
 class PageServer(ThreadingHTTPServer):
-    """Shows the views of `shown`, and passes on what visitors ask for. local : only this computer can reach it."""
+    """Server of the views of `shown` and of visitors' requests; local : whether only this computer can reach it."""
 
     daemon_threads, block_on_close = True, False
     request_queue_size = 64
@@ -117,21 +132,21 @@ class PageServer(ThreadingHTTPServer):
         self.address_family = socket.AF_INET6 if ":" in host else socket.AF_INET
         super().__init__((host, port), PageHandler)
         self.local = ip_address(str(self.server_address[0])).is_loopback
-        self.access = Access.of(token, self.local, int(self.server_address[1]))
+        self.access = Access.of(token, int(self.server_address[1]), local=self.local)
 
     @property
     def url(self) -> str:
-        """What to open in a browser on this computer, with the token where one is asked for."""
+        """Address for a browser on this computer, with the token if one is required."""
         host, port = self.server_address[:2]
         name = {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(str(host), str(host))
         return f"http://{f'[{name}]' if ':' in name else name}:{port}/{self.access.query}"
 
     def handle_error(self, request: object, client_address: object) -> None:
-        """A client that went away is none of our business."""
+        """Ignore clients that disconnect."""
 
 
 class PageHandler(BaseHTTPRequestHandler):
-    """One request."""
+    """Handler of one request."""
 
     server: PageServer
     introduced, timeout, disable_nagle_algorithm = False, 10.0, True
@@ -156,7 +171,7 @@ class PageHandler(BaseHTTPRequestHandler):
         return True
 
     def do_GET(self) -> None:
-        """The page at /, the views at /views; all else is not there."""
+        """Serve the page at / and the views at /views."""
         path = self.path if not self.introduced else urlsplit(self.path).path
         if path == "/":
             self._start("text/html; charset=utf-8", len(self.server.page))
@@ -174,9 +189,9 @@ class PageHandler(BaseHTTPRequestHandler):
                 self.server.seats.release()
 
     def do_POST(self) -> None:
-        """A new zero at /zero, the end of an alarm at /acknowledge, a recording or its end at /record.
+        """Renew the zero at /zero, end the alarm at /acknowledge, begin or end a recording at /record.
 
-        For who sends the header WISH: no page from elsewhere may.
+        Requires the header WISH, which pages from elsewhere cannot send.
         """
         asks, wish = self.server.asks, urlsplit(self.path).path.removeprefix("/")
         record, name = asks.record, dict(_query(self.path)).get("name", "")
@@ -216,7 +231,7 @@ class PageHandler(BaseHTTPRequestHandler):
         self.end_headers()
 
     def _stream(self) -> None:
-        """The newest view whenever there is one that this client has not seen; a client that is slow skips views."""
+        """Send the newest view whenever it changes; slow clients skip views."""
         seen, known, shown, began = -1, 0, self.server.shown, time.monotonic()
         while not (self.server.refused.is_set() and time.monotonic() - began > TURN_SECONDS):
             news = shown.after(seen, HEARTBEAT_SECONDS)
@@ -231,17 +246,17 @@ class PageHandler(BaseHTTPRequestHandler):
         self.server.refused.clear()
 
     def log_message(self, format: str, *arguments: object) -> None:  # noqa: A002
-        """Requests are nothing to report."""
+        """Log no requests."""
 
 
 def is_local_name(host: str) -> bool:
-    """Whether a Host header names this computer itself: localhost or a loopback address, with or without a port."""
-    found = ip_named(host.rsplit(":", 1)[0] if host.rpartition(":")[2].isdigit() else host)
-    return found is not None and found.is_loopback
+    """Return whether a Host header names this computer: localhost or a loopback address, with or without a port."""
+    ip = ip_named(host.rsplit(":", 1)[0] if host.rpartition(":")[2].isdigit() else host)
+    return ip is not None and ip.is_loopback
 
 
 def ip_named(name: str) -> IPv4Address | IPv6Address | None:
-    """An address, in brackets or not, or localhost; None where it is another name."""
+    """Return the address of localhost or of an IP literal, in brackets or not; None for other names."""
     try:
         return ip_address("127.0.0.1" if name == "localhost" else name.removeprefix("[").removesuffix("]"))
     except ValueError:
@@ -249,22 +264,22 @@ def ip_named(name: str) -> IPv4Address | IPv6Address | None:
 
 
 def address(text: str) -> tuple[str, int]:
-    """HOST:PORT, such as 127.0.0.1:8137, [::1]:0 or 0.0.0.0:8137. Raises InputError where it is something else."""
+    """Parse HOST:PORT, such as 127.0.0.1:8137, [::1]:0 or 0.0.0.0:8137. Raises InputError for other texts."""
     host, separator, port = text.rpartition(":")
-    found = ip_named(host)
-    if found is None or not separator or not (port.isascii() and port.isdigit() and int(port) < 65536):
+    ip = ip_named(host)
+    if ip is None or not separator or not (port.isascii() and port.isdigit() and int(port) < 65536):
         raise InputError(f"--http: '{text}' is not of the form HOST:PORT with an address, such as 127.0.0.1:8137")
-    return str(found), int(port)
+    return str(ip), int(port)
 
 
 @contextmanager
 def serving(
     host: str, port: int, shown: Newest[View], token: str | None = None, asks: Asks | None = None
 ) -> Iterator[PageServer]:
-    """A server that runs beside; at the end everybody gets the last view.
+    """Run a server in a thread; at the end all clients get the last view.
 
-    token : asked of visitors; None for one that is made up, or for none on the loopback address. asks : what they may
-    ask for; None: nothing. Raises InputError where it cannot listen, or the token is too short.
+    token : required of visitors; by default none on the loopback address and a generated one elsewhere. asks : requests
+    that visitors may send. Raises InputError if the server cannot listen or the token is too short.
     """
     Access(token or "")
     try:

@@ -1,4 +1,4 @@
-"""State of a live panel between frames, one frame solved with it, its load, and the second look at it."""
+"""State of a live panel between frames: estimate, load, and the second look at a frame."""
 
 from dataclasses import dataclass, replace
 
@@ -28,10 +28,18 @@ SHARE = 0.3  # of the strongest |ln r/r₀|: what penalties leave beside a load 
 
 @dataclass(frozen=True, eq=False)
 class Findings:
-    """What a second look at frame `number` gives to later frames.
+    """Findings of a second look at a frame, for later frames.
 
-    weights, weighed_at : as `Stream` has them. lower : cells (rows, columns) ohm of a lower minimum, or of other
-    weights, or None. force : with its error, or None.
+    Attributes
+    ----------
+    number : int
+        Number of the frame.
+    weights, weighed_at
+        As in `Stream`.
+    lower : array, shape (rows, columns), or None
+        Cells in ohm of a lower minimum, or of other weights.
+    force : Force or None
+        Total force with its error.
     """
 
     number: int
@@ -41,17 +49,26 @@ class Findings:
     force: Force | None
 
     def into(self, stream: Stream) -> Stream:
-        """The stream as the next frame takes it."""
+        """Return the stream with these findings applied."""
         stream = replace(stream, weights=self.weights, weighed_at=self.weighed_at)
         return stream if self.lower is None else replace(stream, previous=self.lower)
 
 
 @dataclass(frozen=True, eq=False)
 class SecondLook:
-    """A frame to be solved again: by weights of its own, from all starts, and with error bars.
+    """A frame that is to be solved again with its own weights, from all starts, and with error bars.
 
-    stream, load : before it. objective : of the minimum that was found in haste. due : whether weights or starts were
-    left open.
+    Attributes
+    ----------
+    number, time : int, float
+        Frame and its time in s.
+    stream, load
+        State before the frame.
+    readings : Readings
+    objective : float
+        Cost of the minimum of the first solve.
+    due : bool
+        Whether weights or starts were left open.
     """
 
     number: int
@@ -63,24 +80,37 @@ class SecondLook:
     due: bool
 
     def findings(self) -> Findings:
-        """Solve the frame once more."""
+        """Solve the frame again."""
         stream, step = self.stream.push(self.readings)
-        found, lower, force = step.estimate(-1), None, None
-        if found is not None:
+        cells, lower, force = step.estimate(-1), None, None
+        if cells is not None:
             same = stream.weights == self.stream.weights
-            lower = None if same and step.solution.objective > self.objective * (1 - SAME) else found
+            lower = None if same and step.solution.objective > self.objective * (1 - SAME) else cells
             if step.bars is not None and not np.isnan(stream.baseline_resistance).any():
-                force = read_load(self.load, found / stream.baseline_resistance, step.bars, self.time)[1]
+                force = read_load(self.load, cells / stream.baseline_resistance, step.bars, self.time)[1]
         return Findings(self.number, stream.weights, stream.weighed_at, lower, force)
 
 
 @dataclass(frozen=True, eq=False)
 class PanelState:
-    """What is carried from frame to frame.
+    """State carried from frame to frame.
 
-    recent : the newest readings. missing : frames that still have to come for a zero that was asked for, or None.
-    zeroed : why the last frame led to a new zero, or ''. track : what error bars of second looks need, where frames are
-    solved in haste. look : what is still to be found out of the last frame. before : the frames before, as they came.
+    Attributes
+    ----------
+    stream : Stream
+    load : PressureTrack
+    recent : tuple of Readings
+        The newest readings.
+    missing : int or None
+        Frames still required for a requested zero.
+    zeroed : str
+        Why the last frame led to a new zero, or ''.
+    track : Track or None
+        Data for the error bars of second looks, if frames are solved in haste.
+    look : SecondLook or None
+        Second look that the last frame requires.
+    before : FramesBefore
+        Previous frames as they arrived.
     """
 
     stream: Stream
@@ -94,11 +124,11 @@ class PanelState:
 
     @classmethod
     def begin(
-        cls, estimator: Estimator, scene: Scene, period: float, resting: Readings, hasty: bool = False
+        cls, estimator: Estimator, scene: Scene, period: float, resting: Readings, *, hasty: bool = False
     ) -> "PanelState":
-        """Against the unloaded readings; hasty : see `in_haste`. Raises InputError as `Stream.begin`.
+        """Return the state for unloaded readings; hasty : see `in_haste`. Raises InputError as `Stream.begin`.
 
-        Modules by themselves are solved together, and leave nothing to second looks; they get error bars if asked for.
+        Modules are solved together and without second looks; they get error bars on request only.
         """
         if scene.panel.modules is not None and estimator.error_bars == "auto":
             estimator = replace(estimator, error_bars=False)
@@ -106,9 +136,9 @@ class PanelState:
         return begun.in_haste() if hasty and not begun.stream.parts else begun
 
     def in_haste(self) -> "PanelState":
-        """Frames take no longer than they must, and leave the rest open for a second look.
+        """Return a state that solves frames as fast as possible and leaves error bars and weights to second looks.
 
-        The first weights are the baseline's. Error bars are left to second looks, but those that the next frame needs.
+        The first weights are those of the baseline.
         """
         stream, baseline = self.stream, self.stream.baseline
         if stream.weights is None and baseline is not None and len(baseline.weights) == len(stream.estimator.terms):
@@ -117,20 +147,20 @@ class PanelState:
         return replace(self, stream=replace(stream, hasty=True, track=None if track else stream.track), track=track)
 
     def after(self, readings: Readings, ratio: Array | None, time: float) -> "PanelState":
-        """Once a frame was solved: its zero is new where enough frames have come, or nothing touches the panel."""
+        """Return the state after a solved frame; a requested zero, or an untouched panel, renews the zero."""
         tare = self.stream.estimator.tare
         most = max(0 if tare is None else tare.frames, len(self.recent) + 1 if self.missing else 0)
-        here = replace(self, zeroed="", recent=(*self.recent, readings)[-most:] if most else ())
-        here = here if ratio is None else replace(here, load=self.load.after(ratio, time))
+        state = replace(self, zeroed="", recent=(*self.recent, readings)[-most:] if most else ())
+        state = state if ratio is None else replace(state, load=self.load.after(ratio, time))
         if self.missing is not None:
-            here = replace(here, missing=self.missing - 1)
-            return here if here.missing else here._zeroed(here.recent, time, ASKED)
-        if ratio is None or not here.load.tared or tare is None:
-            return here
-        return here._zeroed(here.recent[: tare.frames // 2], time, here.load.tared)
+            state = replace(state, missing=self.missing - 1)
+            return state if state.missing else state._zeroed(state.recent, time, ASKED)
+        if ratio is None or not state.load.tared or tare is None:
+            return state
+        return state._zeroed(state.recent[: tare.frames // 2], time, state.load.tared)
 
     def second_look(self, number: int, time: float, readings: Readings, step: Step) -> SecondLook | None:
-        """At the frame that comes next, once it was solved in haste; None where it left nothing open."""
+        """Return the second look at a frame that was solved in haste, or None if nothing is open."""
         stream, due = self.stream, self.stream.due(readings)
         if not stream.hasty or not step.solution.solved or not (due or self.track is not None):
             return None
@@ -139,18 +169,18 @@ class PanelState:
         return SecondLook(number, time, stream, self.load, readings, step.solution.objective, due)
 
     def ratio(self, step: Step) -> Array | None:
-        """r/r_baseline (rows, columns) of a frame; None where it was not solved, or there is no baseline."""
+        """Return r/r_baseline (rows, columns) of a frame, or None without a solution or a baseline."""
         baseline = self.stream.baseline_resistance
         if not step.solution.solved or np.isnan(baseline[~self.stream.scene.broken]).any():
             return None
         return np.asarray(step.solution.cell_resistance[-1] / baseline)
 
     def _zeroed(self, frames: tuple[Readings, ...], time: float, why: str) -> "PanelState":
-        """Against the mean of some frames from now on; as it was where too little of them was read."""
-        first, *others = frames
+        """Return the state with the mean of some frames as its zero, unchanged if they have too few readings."""
+        first, *following = frames
         try:
             stream = replace(self.stream, track=self.track or self.stream.track)
-            stream = stream.tared(first.together(*others).mean())
+            stream = stream.tared(first.together(*following).mean())
         except InputError:
             return replace(self, missing=None, recent=())
         begun = PanelState(stream, self.load.rebased(time), zeroed=why)
@@ -158,7 +188,7 @@ class PanelState:
 
 
 def solved_picture(state: PanelState, readings: Readings, picture: Picture) -> tuple[PanelState, Picture]:
-    """Solve one frame without its outliers: the state after it, and the picture, with NaN where that cannot be."""
+    """Solve a frame without its outliers; return the next state and the picture, with NaN if the solve failed."""
     stream, before, outliers = state.stream, state.before, 0
     if not stream.parts:
         state = replace(state, before=before.after(readings))
@@ -170,10 +200,10 @@ def solved_picture(state: PanelState, readings: Readings, picture: Picture) -> t
     except InputError as error:
         return state, replace(picture, status=str(error))
     look = state.second_look(picture.number, picture.time, readings, step)
-    here, solution = replace(state, stream=stream, look=look), step.solution
-    picture, ratio = replace(picture, status=step.status, seconds=step.seconds), here.ratio(step)
+    solved, solution = replace(state, stream=stream, look=look), step.solution
+    picture, ratio = replace(picture, status=step.status, seconds=step.seconds), solved.ratio(step)
     if ratio is not None:
-        pressed, force = read_load(here.load, ratio, step.bars, picture.time)
+        pressed, force = read_load(solved.load, ratio, step.bars, picture.time)
         verdict = verdict_of(readings, stream.resting, ratio, np.asarray(solution.open_cell[-1], dtype=bool))
         if step.bars is None and pressed is not None and "pressing" not in verdict:
             force = Force(0.0, np.nan)
@@ -190,24 +220,24 @@ def solved_picture(state: PanelState, readings: Readings, picture: Picture) -> t
     elif solution.solved:
         assert stream.baseline is not None
         picture = replace(picture, status=f"no baseline: {stream.baseline.solution.status.value}")
-    return here.after(readings, ratio, picture.time), picture
+    return solved.after(readings, ratio, picture.time), picture
 
 
 def read_load(load: PressureTrack, ratio: Array, bars: Bars | None, time: float) -> tuple[Pressure | None, Force]:
-    """Pressures of a frame's cells, and their total force; none where the scene names no response.
+    """Return pressures of the cells of a frame and their total force, or None and NaN without a response.
 
-    The estimate's own errors do not decide which cells are saturated. ratio : r/r_baseline (rows, columns).
-    bars : of the estimate, or None. time : s.
+    Cells are saturated regardless of the errors of the estimate. ratio : r/r_baseline (rows, columns). bars : error
+    bars of the estimate, or None. time : s.
     """
     if load.scene.response is None:
         return None, Force(np.nan, np.nan)
-    found = load.pressure(ratio, ratio, ratio, time)
+    pressure = load.pressure(ratio, ratio, ratio, time)
     if bars is None or bars.change is None:
-        return found, total_force(load.scene, found)._replace(deviation=np.nan)
+        return pressure, total_force(load.scene, pressure)._replace(deviation=np.nan)
     with np.errstate(over="ignore"):
         ends = ratio * np.exp(-bars.change.below), ratio * np.exp(bars.change.above)
         barred = load.pressure(ratio, *ends, time, bars.change.own)
-    return found, total_force(load.scene, replace(barred, saturated=found.saturated))
+    return pressure, total_force(load.scene, replace(barred, saturated=pressure.saturated))
 
 
 def verdict_of(readings: Readings, resting: Readings, ratio: Array, open_cell: NDArray[np.bool_]) -> str:

@@ -1,4 +1,4 @@
-"""Every live frame watched as `lampest detect` watches a recording, in a process of its own: fits wait for nobody."""
+"""Recognition of loads in live frames, as in `lampest detect`, in a separate process."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -27,10 +27,18 @@ DIED = "the process that recognises loads has died; restart lampest live"
 
 @dataclass(frozen=True, eq=False)
 class Scan:
-    """One frame as it arrives.
+    """A frame as it arrives.
 
-    recorded, sigma : (rows, columns) ohm or volt, as `Readings.of` takes them; σ may be None.
-    time : s, on the recording's axis. arrived : s since 1970-01-01 UTC. lost : frames missing before this one.
+    Attributes
+    ----------
+    recorded, sigma : array, shape (rows, columns)
+        Ohm or volt, as in `Readings.of`; sigma may be None.
+    time : float
+        Seconds on the time axis of the recording.
+    arrived : float
+        Seconds since 1970-01-01 UTC.
+    lost : int
+        Frames missing before this one.
     """
 
     recorded: Array
@@ -41,7 +49,7 @@ class Scan:
 
 
 def as_recording(scene: Scene, scans: tuple[Scan, ...], times: Array, role: list[int], name: str = "") -> Recording:
-    """Frames as a recording, at these times in s; σ is known where it is of all."""
+    """Return frames as a recording at these times in s; σ is None unless all frames have it."""
     known = [scan.sigma for scan in scans if scan.sigma is not None]
     sigma = np.stack(known) if len(known) == len(scans) else None
     recorded = np.stack([scan.recorded for scan in scans])
@@ -50,7 +58,7 @@ def as_recording(scene: Scene, scans: tuple[Scan, ...], times: Array, role: list
 
 @dataclass(frozen=True, eq=False)
 class Unloaded:
-    """Frames of the unloaded panel, with which watching begins anew."""
+    """Frames of the unloaded panel, with which watching starts again."""
 
     scene: Scene
     scans: tuple[Scan, ...]
@@ -61,11 +69,24 @@ News = Unloaded | Scan | int  # the last is the wish that so many frames to come
 
 @dataclass(frozen=True, eq=False)
 class Watched:
-    """A panel while it is watched.
+    """State of a watched panel.
 
-    why : why nothing can be said after the last frame, or ''. scene : that of the last unloaded frames. known, watch :
-    as `lampest detect` has them, None where these are of no use. times : s, of the last HEAD frames. missing, zero :
-    how many frames of a new zero still have to come, and those that came.
+    Attributes
+    ----------
+    name : str
+        Name of the recording.
+    why : str
+        Why there is no answer after the last frame, or ''.
+    scene : Scene or None
+        Scene of the last unloaded frames.
+    known, watch
+        As in `lampest detect`, None if the unloaded frames are unusable.
+    times : tuple of float
+        Times in s of the last HEAD frames.
+    missing : int
+        Frames still required for a new zero.
+    zero : tuple of Scan
+        Frames received for it.
     """
 
     name: str
@@ -78,7 +99,7 @@ class Watched:
     zero: tuple[Scan, ...] = ()
 
     def after(self, news: News) -> "Watched":
-        """After unloaded frames, one frame, or a wish."""
+        """Return the state after unloaded frames, a frame, or a request for a zero."""
         try:
             if isinstance(news, int):
                 return replace(self, missing=news, zero=())
@@ -90,66 +111,67 @@ class Watched:
 
     @property
     def detected(self) -> Detected:
-        """The answer after the last frame."""
+        """Answer after the last frame."""
         if self.why or self.known is None or self.watch is None:
             return Detected.unknown(self.name, self.why)
         return self.known.detected(self.watch, frame_rate(self.times))
 
     def _begun(self, news: Unloaded) -> "Watched":
-        """Against unloaded frames; what was attached before has left."""
+        """Return the state for new unloaded frames; previous attachments have ended."""
         times = np.array([scan.time for scan in news.scans])
         known = known_of(Prepared(as_recording(news.scene, news.scans, times, [UNLOADED] * len(times), self.name)))
-        here = Watched(self.name, "", news.scene, times=self.times)
+        begun = Watched(self.name, "", news.scene, times=self.times)
         if isinstance(known, Detected):
-            return replace(here, why=known.why)
+            return replace(begun, why=known.why)
         try:
             watch = known.watch()
         except (ArithmeticError, ValueError) as error:
-            return replace(here, why=told_reason(error, self.name))
+            return replace(begun, why=told_reason(error, self.name))
         before, end = () if self.watch is None else self.watch.attachments, news.scans[0].time
-        closed = tuple(replace(one, until_s=end) if one.here else one for one in before)
-        return replace(here, known=known, watch=replace(watch, attachments=closed))
+        closed = tuple(replace(attachment, until_s=end) if attachment.here else attachment for attachment in before)
+        return replace(begun, known=known, watch=replace(watch, attachments=closed))
 
     def _zeroed(self, scan: Scan) -> "Watched":
-        here = replace(self, missing=self.missing - 1, zero=(*self.zero, scan))
-        return here if here.missing or self.scene is None else here._begun(Unloaded(self.scene, here.zero))
+        zeroed = replace(self, missing=self.missing - 1, zero=(*self.zero, scan))
+        return zeroed if zeroed.missing or self.scene is None else zeroed._begun(Unloaded(self.scene, zeroed.zero))
 
     def _seen(self, scan: Scan) -> "Watched":
         if self.known is None or self.watch is None:
             return self
         readings = Readings.of(self.known.scene, scan.recorded, scan.sigma)
         watch = self.watch.push(*self.known.values(readings), scan.time)
-        ended = [one for one in watch.attachments if not one.here][-LATEST:]
-        watch = replace(watch, attachments=tuple(one for one in watch.attachments if one.here or one in ended))
+        ended = [attachment for attachment in watch.attachments if not attachment.here][-LATEST:]
+        remembered = (each for each in watch.attachments if each.here or each in ended)
+        watch = replace(watch, attachments=tuple(remembered))
         return replace(self, why="", watch=watch, times=(*self.times[-HEAD:], scan.time))
 
 
 class Desk:
-    """Where a panel is watched: in the other process, batch after batch."""
+    """Watch of a panel, called in the other process with one batch after the other."""
 
     def __init__(self, name: str) -> None:
         self._watched = Watched(name)
 
     def __call__(self, batch: list[News]) -> Detected:
-        """The answer after a batch of news."""
+        """Return the answer after a batch of news."""
         for news in batch:
             self._watched = self._watched.after(news)
         return self._watched.detected
 
 
 def watcher(name: str, on_answer: Callable[[Detected], None]) -> Beside[list[News]]:
-    """What takes lists of news, never waits, and hands its answers on from a thread of its own."""
+    """Return a process that watches lists of news; answers come from a thread of its own."""
 
-    def answered(batch: list[News], found: Any) -> None:
-        on_answer(found if isinstance(found, Detected) else Detected.unknown(name, told_reason(found, name)))
+    def answered(batch: list[News], answer: Any) -> None:
+        on_answer(answer if isinstance(answer, Detected) else Detected.unknown(name, told_reason(answer, name)))
 
     return Beside(Desk(name), in_one_batch, answered, lambda: on_answer(Detected.unknown(name, DIED)))
 
 
 def in_one_batch(more: list[News], waiting: list[list[News]]) -> list[list[News]]:
-    """All that waits as one batch; of more than MOST_WAITING every second frame is left out, but the last."""
+    """Merge waiting news into one batch; beyond MOST_WAITING every second frame is dropped, except the last."""
     batch = [*(waiting[0] if waiting else []), *more]
     if len(batch) > MOST_WAITING:
         odd = len(batch) % 2
-        batch = [one for number, one in enumerate(batch, odd) if number % 2 or not isinstance(one, Scan)]
+        batch = [news for number, news in enumerate(batch, odd) if number % 2 or not isinstance(news, Scan)]
     return [batch]

@@ -1,4 +1,4 @@
-"""Estimators against each other: by which criterion, how far apart with bootstrap intervals, and which to take."""
+"""Comparison of estimators by a criterion with bootstrap intervals, and a recommendation."""
 
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -23,14 +23,14 @@ Recordings = Mapping[str, Mapping[str, CaseResult]]  # name → estimator → ca
 
 @dataclass(frozen=True, eq=False)
 class Batch:
-    """sources : the files as they were named."""
+    """Cases of one or several results files; sources : their names."""
 
     sources: tuple[str, ...]
     recordings: Recordings
 
     @classmethod
     def of(cls, sources: Sequence[str], cases: Sequence[CaseResult]) -> "Batch":
-        """Cases of one recording together; no two have the same names."""
+        """Group cases by recording; no two have the same names."""
         recordings: dict[str, dict[str, CaseResult]] = {}
         for case in cases:
             recordings.setdefault(case.recording, {})[case.estimator] = case
@@ -38,19 +38,28 @@ class Batch:
 
     @property
     def estimators(self) -> tuple[str, ...]:
-        """All names in order, each once."""
+        """Names in order, each once."""
         return tuple(dict.fromkeys(name for cases in self.recordings.values() for name in cases))
 
     @property
     def frames(self) -> int:
+        """Number of frames."""
         return sum(len(first_of(cases).time) for cases in self.recordings.values())
 
 
 @dataclass(frozen=True, eq=False)
 class Matched:
-    """Estimators that can be compared: the same frames of the same recordings, solved by all of them.
+    """Estimators that can be compared on the same frames of the same recordings.
 
-    chosen : for each recording (frames) which of its frames. left_out : sentences on those that cannot.
+    Attributes
+    ----------
+    estimators : tuple of str
+    recordings : mapping
+        Name → estimator → case.
+    chosen : tuple of boolean array, shape (frames,)
+        Frames of each recording that all estimators solved.
+    left_out : tuple of str
+        Sentences on estimators and recordings that are not compared.
     """
 
     estimators: tuple[str, ...]
@@ -60,23 +69,24 @@ class Matched:
 
     @property
     def frames(self) -> int:
+        """Number of compared frames."""
         return int(sum(np.sum(frames) for frames in self.chosen))
 
     def cases(self, estimator: str) -> list[CaseResult]:
-        """The estimator's case of each recording."""
+        """Return the cases of an estimator, one for each recording."""
         return [cases[estimator] for cases in self.recordings.values()]
 
 
 def first_of(cases: Mapping[str, CaseResult]) -> CaseResult:
-    """One of a recording's cases, for what all of them were given."""
+    """Return a case of a recording, for the measurement that all of them share."""
     return next(iter(cases.values()))
 
 
 def read_batch(paths: Sequence[Path], frames: range | None = None) -> Batch:
-    """The cases of all files; those of one recording stand together wherever they were made.
+    """Return the cases of all files, grouped by recording.
 
-    frames : as `read_results` takes them. Where two files hold the same name for different things, the name gets the
-    file's number: 'LSM [2]'. Raises InputError where a file cannot be read, is named twice, or all are empty.
+    If two files use a name for different cases, the number of the file is added: 'LSM [2]'. frames : as in
+    `read_results`. Raises InputError for unreadable, repeated and empty files.
     """
     if len({path.resolve() for path in paths}) < len(paths):
         raise InputError("a results file is named twice")
@@ -89,29 +99,30 @@ def read_batch(paths: Sequence[Path], frames: range | None = None) -> Batch:
 
 
 def _renamed(case: CaseResult, before: Sequence[CaseResult], number: int) -> CaseResult:
-    """The case under names that those before do not have."""
-    same = [other for other in before if other.recording == case.recording]
+    """Return the case under names that no earlier case has."""
+    same = [second for second in before if second.recording == case.recording]
     given = ("frame", "time", "measured", "measured_baseline", "truth", "truth_baseline")
     pairs = [(getattr(case, name), getattr(same[0], name)) for name in given] if same else []
-    arrays = [(one, other) for one, other in pairs if one is not None or other is not None]
+    arrays = [(first, second) for first, second in pairs if first is not None or second is not None]
     if not all(np.array_equal(*pair, equal_nan=pair[0] is not None and pair[1] is not None) for pair in arrays):
         return replace(case, recording=f"{case.recording} [{number}]")
-    if any(other.estimator == case.estimator for other in same):
+    if any(second.estimator == case.estimator for second in same):
         return replace(case, estimator=f"{case.estimator} [{number}]")
     return case
 
 
 def without_copies(recordings: Recordings) -> tuple[Recordings, list[str]]:
-    """The recordings that are no copies, and a sentence on each of the others.
+    """Return the recordings without copies, and a sentence on each copy.
 
-    One is a copy of an earlier one where more than half of its frames have that one's readings, to the seven digits of
-    single precision: its frames would count twice.
+    In a copy, more than half of the frames have the readings of an earlier recording in single precision. Its frames
+    would count twice.
     """
     seen: dict[str, set[bytes]] = {}
     copies: list[str] = []
     for name, cases in recordings.items():
         own = [np.float32(frame).tobytes() for frame in first_of(cases).measured if np.isfinite(frame).any()]
-        before = next((one for one, held in seen.items() if sum(frame in held for frame in own) > len(own) / 2), None)
+        copied = (earlier for earlier, held in seen.items() if sum(frame in held for frame in own) > len(own) / 2)
+        before = next(copied, None)
         if before is None:
             seen[name] = set(own)
         else:
@@ -120,23 +131,23 @@ def without_copies(recordings: Recordings) -> tuple[Recordings, list[str]]:
 
 
 def matched(recordings: Recordings) -> Matched:
-    """Who can be compared on what: as many estimators on as many recordings as possible, each on all of them.
+    """Match estimators with recordings so that the number of paired differences is largest.
 
-    They have the most differences that can be paired. One that failed in more than a twentieth of the frames is left
-    out, so that it does not profit from having skipped what is hard; of the others, the frames count that all solved.
+    An estimator that failed in more than 5 % of the frames is left out, since it would profit from skipping hard ones.
+    Of the remaining ones, frames count that all solved.
     """
-    kept, left_out = without_copies(recordings)
-    often = Counter(name for cases in kept.values() for name in cases)
+    originals, left_out = without_copies(recordings)
+    often = Counter(name for cases in originals.values() for name in cases)
     options = []
     for least in sorted(set(often.values()), reverse=True):
         known = [name for name, count in often.items() if count >= least]
-        options.append((known, {name: cases for name, cases in kept.items() if {*known} <= cases.keys()}))
+        options.append((known, {name: cases for name, cases in originals.items() if {*known} <= cases.keys()}))
     names, common = max(options, key=lambda option: (len(option[0]) - 1) * len(option[1]))
     fewer = [name for name in often if name not in names]
     if fewer:
         left_out.append(f"{listed(fewer)}, without results of the same recordings")
-    if len(common) < len(kept):
-        left_out.append(f"{len(kept) - len(common)} of {len(kept)} recordings lack some of the estimators")
+    if len(common) < len(originals):
+        left_out.append(f"{len(originals) - len(common)} of {len(originals)} recordings lack some of the estimators")
     for name in tuple(names) if common else ():
         solved = np.concatenate([cases[name].solved for cases in common.values()])
         if np.mean(solved) < 0.95:
@@ -147,15 +158,15 @@ def matched(recordings: Recordings) -> Matched:
         for recording, cases in (common.items() if names else ())
     }
     chosen = {recording: frames for recording, frames in solved_by_all.items() if np.any(frames)}
-    found = {recording: common[recording] for recording in chosen}
-    return Matched(tuple(names), found, tuple(chosen.values()), tuple(left_out))
+    compared = {recording: common[recording] for recording in chosen}
+    return Matched(tuple(names), compared, tuple(chosen.values()), tuple(left_out))
 
 
 @dataclass(frozen=True)
 class Standing:
-    """An estimator's mean over the units, and how it differs from the smallest of all, in pairs.
+    """Mean of an estimator over the units and its paired difference from the smallest mean.
 
-    wins : units in which none is smaller.
+    wins : number of units in which no estimator is better.
     """
 
     estimator: str
@@ -165,16 +176,22 @@ class Standing:
 
     @property
     def told_apart(self) -> bool:
-        """Whether the interval of the difference excludes zero."""
+        """True if the interval of the difference excludes zero."""
         return not self.difference.lower <= 0 <= self.difference.upper
 
 
 @dataclass(frozen=True)
 class Criterion:
-    """What estimators are ranked by; smaller is better.
+    """Criterion by which estimators are ranked; smaller is better.
 
-    name : fits 'the smallest …'. unit : of the figure. meaning : how it is defined. per_cell : (frames, rows, columns)
-    of a case. average : over cells and frames.
+    Attributes
+    ----------
+    name, unit, meaning : str
+        Name (as in 'the smallest …'), unit and definition.
+    per_cell : callable
+        Case → values, shape (frames, rows, columns).
+    average : callable
+        Average over cells and frames.
     """
 
     name: str
@@ -185,16 +202,28 @@ class Criterion:
 
     @property
     def difference_unit(self) -> str:
+        """Unit of differences."""
         return "percentage points" if self.unit == "%" else self.unit
 
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """Estimators in pairs.
+    """Paired comparison of estimators.
 
-    units : names of recordings, or of the frames of a single one. values : (units, estimators of the match), smaller is
-    better. block : so many neighbouring units are drawn together, 1 for recordings. standings : best first.
-    milliseconds : median time per frame, geometric mean over the units.
+    Attributes
+    ----------
+    criterion : Criterion
+    match : Matched
+    units : tuple of str
+        Recordings, or the frames of a single one.
+    values : array, shape (units, estimators)
+        Criterion of each unit.
+    block : int
+        Number of neighbouring units that the bootstrap draws together; 1 for recordings.
+    standings : tuple of Standing
+        Best first.
+    milliseconds : mapping
+        Estimator → median time per frame, geometric mean over the units.
     """
 
     criterion: Criterion
@@ -207,6 +236,7 @@ class Comparison:
 
     @property
     def over_frames(self) -> bool:
+        """True if the units are frames of one recording."""
         return len(self.match.recordings) == 1
 
 
@@ -241,10 +271,10 @@ PREDICTION = Criterion(
 
 
 def compared(batch: Batch, generator: np.random.Generator) -> Comparison | None:
-    """The comparison by the best criterion that the results allow.
+    """Compare estimators by the best criterion that the results allow.
 
-    Truth first: the recordings that know theirs. Else the prediction of fresh readings, which needs their noise and
-    the resolution. None where neither is known, for a data error grows with every penalty, good or bad; or where no two
+    This is the error against the truth, or else the predicted error of new readings, which requires their noise and the
+    resolution. None if neither is known, since the data error grows with every penalty, good or bad; or if no two
     estimators share a frame.
     """
     known = {name: cases for name, cases in batch.recordings.items() if first_of(cases).truth is not None}
@@ -266,7 +296,7 @@ def compared(batch: Batch, generator: np.random.Generator) -> Comparison | None:
 
 
 def _values(match: Matched, per_cell: Callable[[CaseResult], Array], average: Callable[..., Any]) -> Array:
-    """(units, estimators) averages over the cells of the matched frames: of recordings, or frames of a single one."""
+    """Return averages over the cells of the matched frames, shape (units, estimators)."""
     columns = []
     for name in match.estimators:
         pairs_of = zip(match.cases(name), match.chosen, strict=True)
@@ -277,19 +307,19 @@ def _values(match: Matched, per_cell: Callable[[CaseResult], Array], average: Ca
 
 
 def _standings(estimators: Sequence[str], values: Array, drawn: measures.Picks) -> tuple[Standing, ...]:
-    """Every estimator against the one with the smallest mean, that one first; all are drawn together, so in pairs."""
+    """Compare every estimator with the one of smallest mean, listed first; all use the same bootstrap draws."""
     order = np.argsort(values.mean(axis=0), kind="stable")
     wins, rows = np.sum(values == values.min(axis=1, keepdims=True), axis=0), []
-    for one in order:
-        own, best = values[:, one], values[:, order[0]]
+    for number in order:
+        own, best = values[:, number], values[:, order[0]]
         intervals = measures.mean_interval(own, drawn), measures.mean_interval(own - best, drawn)
-        rows.append(Standing(estimators[one], *intervals, int(wins[one])))
+        rows.append(Standing(estimators[number], *intervals, int(wins[number])))
     return tuple(rows)
 
 
 @dataclass(frozen=True)
 class Advice:
-    """headline : what to take, or that nothing decides. reasons, warnings : sentences. estimator : None if open."""
+    """Recommendation of an estimator, or None; headline, reasons and warnings are sentences."""
 
     estimator: str | None
     headline: str
@@ -298,10 +328,9 @@ class Advice:
 
 
 def advise(batch: Batch, comparison: Comparison | None) -> Advice:
-    """Error first, then time: of those with practically the smallest criterion the fastest.
+    """Recommend the fastest of the estimators whose criterion is within 5 % of the smallest one.
 
-    Practically the same is what lies within a twentieth of the smallest one, however sure that difference is; one that
-    is larger is not made up for by speed.
+    This margin does not depend on the significance of the difference. A larger error is not outweighed by speed.
     """
     match = comparison.match if comparison else matched(batch.recordings)
     left_out = tuple(f"Not compared: {sentence}." for sentence in match.left_out)
@@ -335,9 +364,9 @@ def _reasons(comparison: Comparison, taken: Standing, alike: Sequence[Standing])
     if comparison.over_frames:
         basis = f"mean over {counted(units, 'frame')} of one recording, drawn in blocks of {comparison.block}"
     yield f"{best.estimator} has the smallest {criterion.name}: {between(best.mean, criterion.unit)}, {basis}."
-    others = [f"{row.estimator} ({between(row.difference, points, '+')})" for row in alike if row is not best]
-    if others:
-        yield f"Within 5 % of it: {listed(others)}."
+    differences = [f"{row.estimator} ({between(row.difference, points, '+')})" for row in alike if row is not best]
+    if differences:
+        yield f"Within 5 % of it: {listed(differences)}."
     if taken is not best:
         slow, fast = (digits(comparison.milliseconds[row.estimator], 2) for row in (best, taken))
         yield f"{taken.estimator} takes {fast} ms a frame, {best.estimator} {slow} ms."
@@ -364,13 +393,13 @@ def _few(comparison: Comparison) -> Iterator[str]:
         yield f"{noun} only: intervals from fewer than 5 are unreliable, usually too short."
 
 
-def doubts(estimator: str, found: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:
-    """What is wrong with the recommended estimator: residuals beyond the noise, error bars that are wrong.
+def doubts(estimator: str, recordings: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:
+    """Return warnings about the recommended estimator: residuals beyond the noise and wrong error bars.
 
-    found : its `figures` of each recording.
+    recordings : its `figures` of each recording.
     """
     lines = measures.SPREAD, measures.COVERED
-    spreads, coverages = ([own[line] for own in found if own.get(line) is not None] for line in lines)
+    spreads, coverages = ([own[line] for own in recordings if own.get(line) is not None] for line in lines)
     spread, coverage = float(np.median(spreads or [1.0])), float(np.mean(coverages or [100.0]))
     sentences = []
     if spread > 1.5:

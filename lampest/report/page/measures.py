@@ -31,7 +31,7 @@ class Interval:
 
 
 def block_length(values: Array) -> int:
-    """Frames that are drawn together: n^(1/3), or as many as their memory lasts, at most n/3.
+    """Return the block length of a bootstrap: n^(1/3), or the correlation length if longer, at most n/3.
 
     values : (frames, estimators). Memory is the first lag at which the autocorrelation of the estimators' differences
     is below 1/e. Source of n^(1/3): Hall, Horowitz, Jing, Biometrika 82, 1995.
@@ -47,7 +47,7 @@ def block_length(values: Array) -> int:
 
 
 def picks(count: int, block: int, generator: np.random.Generator) -> Picks:
-    """(draws, count) numbers of units: circular blocks of neighbours; a block of 1 is the ordinary bootstrap.
+    """Draw units in circular blocks of neighbours, shape (draws, count); blocks of 1 are the ordinary bootstrap.
 
     Source: Politis and Romano, in LePage and Billard (eds.), Exploring the Limits of Bootstrap, 1992.
     """
@@ -56,15 +56,15 @@ def picks(count: int, block: int, generator: np.random.Generator) -> Picks:
 
 
 def mean_interval(values: Array, drawn: Picks) -> Interval:
-    """The mean of (units) values and its interval."""
+    """Return the mean of values, shape (units,), with its interval."""
     return Interval(float(np.mean(values)), *np.percentile(values[drawn].mean(axis=1), (2.5, 97.5)).tolist())
 
 
 @np.errstate(over="ignore")
 def figures(case: CaseResult) -> dict[str, Any]:
-    """Line of a table → what it says of a case: the figures of `lampest compare`, and those of noise and intervals.
+    """Map lines of a table to figures of a case: those of `lampest compare`, of noise and of intervals.
 
-    Counts are int; None where the results do not say.
+    Counts are int; None if unknown.
     """
     residual, lower, upper = weighted_residual(case), case.cell_resistance_lower, case.cell_resistance_upper
     spread = None if residual is None else 1.4826 * np.abs(residual)  # 1/Φ⁻¹(3/4): from median deviation to σ
@@ -85,17 +85,17 @@ def figures(case: CaseResult) -> dict[str, Any]:
 
 
 def log_error(case: CaseResult) -> Array:
-    """100·|ln(r/r_true)|, (frames, rows, columns) percent; NaN where a frame failed. The case must know its truth."""
+    """Return 100·|ln(r/r_true)|, (frames, rows, columns) percent; NaN for failed frames. Requires the truth."""
     assert case.truth is not None
     positive = np.maximum(case.cell_resistance, np.finfo(float).tiny)
     return np.asarray(100 * np.abs(np.log(positive / case.truth)))
 
 
 class Disagreement(NamedTuple):
-    """Two estimators of one recording.
+    """Significant differences between two estimators of a recording.
 
-    significant : (frames, rows, columns) relative change of the first − second in percentage points where that is
-    significant, else NaN. share : of the cells of the frames that both solved where it is, percent.
+    significant : (frames, rows, columns) difference of relative change in percentage points, NaN if not significant.
+    share : percentage of cells with a significant difference, in frames that both solved.
     """
 
     title: str
@@ -104,24 +104,24 @@ class Disagreement(NamedTuple):
 
 
 def disagreements(cases: Sequence[CaseResult]) -> tuple[Disagreement, ...]:
-    """Every two cases with error bars that both solved something, those that disagree most first.
+    """Compare each pair of cases with error bars; the pairs that differ most come first.
 
     a − b > √((a − a_low)² + (b_high − b)²) for a > b: Zou and Donner, Stat. Med. 27, 2008; exact if independent.
     """
     known = [(case, arms) for case in cases if (arms := _arms(case)) is not None]
     pairs = []
-    for (one, (below, above)), (other, (other_below, other_above)) in combinations(known, 2):
-        both, difference = one.solved & other.solved, one.relative_change - other.relative_change
-        reach = np.where(difference > 0, np.hypot(below, other_above), np.hypot(above, other_below))
+    for (first, (first_below, first_above)), (second, (second_below, second_above)) in combinations(known, 2):
+        both, difference = first.solved & second.solved, first.relative_change - second.relative_change
+        reach = np.where(difference > 0, np.hypot(first_below, second_above), np.hypot(first_above, second_below))
         significant = np.where(np.abs(difference) > reach, difference, np.nan)
         if np.any(both):
             share = 100 * float(np.mean(np.isfinite(significant[both])))
-            pairs.append(Disagreement(f"{one.estimator} − {other.estimator}", significant, share))
+            pairs.append(Disagreement(f"{first.estimator} − {second.estimator}", significant, share))
     return tuple(sorted(pairs, key=lambda pair: -pair.share))
 
 
 def _arms(case: CaseResult) -> tuple[Array, Array] | None:
-    """Distances from the estimate to the lower and the upper end of its interval, percentage points, never negative."""
+    """Return distances from the estimate to the ends of its interval, percentage points, never negative."""
     lower, upper = case.relative_change_lower, case.relative_change_upper
     if lower is None or upper is None:
         return None
@@ -133,7 +133,7 @@ HARD = "\N{NO-BREAK SPACE}"
 
 
 def filled(package: str, **values: Any) -> str:
-    """`page.html` of a package as HTML; it may take `parts.html`, the look and the tables of all pages."""
+    """Render the template `page.html` of a package, which may import `parts.html`."""
 
     def source(name: str) -> str:
         home = "lampest.report.page" if name == "parts.html" else package
@@ -146,9 +146,9 @@ def filled(package: str, **values: Any) -> str:
 
 
 def between(interval: Interval, unit: str = "", sign: str = "") -> str:
-    """'2.13 (1.95 to 2.36) %': two digits of the interval's length, three of the figure at most, on one line.
+    """Format an interval, such as '2.13 (1.95 to 2.36) %', with two digits of its length.
 
-    sign : '+' of differences, before positive numbers.
+    sign : '+' for differences, printed before positive numbers.
     """
     length = interval.upper - interval.lower
     like = max(length, abs(interval.value) / 10) if np.isfinite(length) else None
@@ -158,22 +158,22 @@ def between(interval: Interval, unit: str = "", sign: str = "") -> str:
 
 
 def weights_text(cases: Sequence[Mapping[str, Array]]) -> str:
-    """'gradient λ = 0.001' of the penalties used; median and range where they differ; empty where nothing is known."""
-    found: dict[str, list[Array]] = {}
+    """Return the weights of the penalties, such as 'gradient λ = 0.001', as median and range if they differ."""
+    by_term: dict[str, list[Array]] = {}
     for weights in cases:
         for term, values in weights.items():
-            found.setdefault(term, []).append(values[np.isfinite(values)])
+            by_term.setdefault(term, []).append(values[np.isfinite(values)])
     parts = []
-    for term, each in found.items():
+    for term, each in by_term.items():
         known, text = np.concatenate(each), NONE
         if known.size:
             low, text, high = (f"{value:.3g}" for value in (known.min(), np.median(known), known.max()))
             text += f" ({low} to {high})" if low != high else ""
         parts += [f"{term.replace('_', ' ')} λ = {text}"] if term != "misfit" else []
-    return ", ".join(parts) or ("no penalty" if found else "")
+    return ", ".join(parts) or ("no penalty" if by_term else "")
 
 
 def frames_text(frames: Sequence[int]) -> str:
-    """'3, 5 to 7'."""
+    """Return frame numbers such as '3, 5 to 7'."""
     runs = np.split(np.asarray(frames), np.flatnonzero(np.diff(frames) != 1) + 1)
     return ", ".join(f"{run[0]} to {run[-1]}" if len(run) > 2 else ", ".join(map(str, run)) for run in runs)

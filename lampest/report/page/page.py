@@ -1,4 +1,4 @@
-"""The page itself: everything put in order, and written as one HTML file that needs nothing else."""
+"""Report page: one self-contained HTML file."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -50,7 +50,7 @@ def write_report(
 
 
 def report(batch: Batch, on_recording: Callable[[int, int], None] = lambda done, total: None) -> str:
-    """The page as HTML; on_recording as `write_report` has it."""
+    """Return the page as HTML; on_recording : as in `write_report`."""
     own, _ = without_copies(batch.recordings)
     comparison = compared(batch, np.random.default_rng(20190604).spawn(1)[0])  # always the same draws
     advice = advise(batch, comparison)
@@ -81,7 +81,7 @@ def report(batch: Batch, on_recording: Callable[[int, int], None] = lambda done,
 
 
 def _section(task: tuple[str, Mapping[str, CaseResult], int, Sequence[str]]) -> dict[str, Any]:
-    """What the template says of a recording: contours and a table; of the first ones every other figure, too."""
+    """Return the content of a recording's section: contours and a table; for the first ones, all figures."""
     name, every, number, drawn = task
     whole = number < MOST
     cases = [case for estimator, case in every.items() if estimator in drawn] or [*every.values()][:1]
@@ -105,7 +105,7 @@ def _section(task: tuple[str, Mapping[str, CaseResult], int, Sequence[str]]) -> 
 
 @dataclass(frozen=True)
 class Illustration:
-    """An image as text, what it shows in words, its caption; wide : over the whole page."""
+    """Image as a data URI with alternative text and caption; wide : whether it spans the page."""
 
     uri: str
     alternative: str
@@ -114,37 +114,37 @@ class Illustration:
 
 
 def contours(cases: Sequence[CaseResult]) -> Illustration:
-    """Maps of relative change."""
+    """Draw maps of relative change."""
     words = f"Maps of relative change of {cases[0].recording}: measured, by every estimator, and true where known"
     return _wide(ContourPlot(), cases, words, CHANGED)
 
 
 def certainty(cases: Sequence[CaseResult], place: int) -> list[Illustration]:
-    """Standard deviation, resolution, and errors where the truth is known; none where no case has error bars."""
+    """Draw standard deviation, resolution, and errors if the truth is known; none without error bars."""
     plot = CertaintyPlot(int(cases[0].frame[place]))
     known = plot.drawable(cases)
     return [_wide(plot, known, "Maps of standard deviation and resolution", CERTAIN)] if known else []
 
 
 def residual_maps(cases: Sequence[CaseResult], place: int) -> Illustration:
-    """Maps of the residuals."""
+    """Draw maps of the residuals."""
     return _wide(ResidualPlot(int(cases[0].frame[place])), cases, "Maps of the residuals", UNEXPLAINED)
 
 
-def differences(cases: Sequence[CaseResult], place: int, found: Sequence[Disagreement]) -> list[Illustration]:
-    """Maps of the pairs that disagree most, those first; none of no pairs."""
-    tiles = [Tile(pair.title, pair.significant[place], f"{digits(pair.share, 2)} %") for pair in found[:9]]
-    most = f" The 9 of {len(found)} pairs that differ most." if len(found) > 9 else ""
+def differences(cases: Sequence[CaseResult], place: int, pairs: Sequence[Disagreement]) -> list[Illustration]:
+    """Draw maps of the pairs that differ most."""
+    tiles = [Tile(pair.title, pair.significant[place], f"{digits(pair.share, 2)} %") for pair in pairs[:9]]
+    most = f" The 9 of {len(pairs)} pairs that differ most." if len(pairs) > 9 else ""
     scale = signed_scale(values_of(tiles), "difference of relative change [percentage points]", 1.0, 100.0)
     return [_maps(cases, tiles, scale, "significant differences", DIFFERENT + most)] if tiles else []
 
 
 def _wide(plot: Plot, cases: Sequence[CaseResult], words: str, caption: str) -> Illustration:
-    return Illustration(data_uri(plot.draw(cases), "png"), words, caption, True)
+    return Illustration(data_uri(plot.draw(cases), "png"), words, caption, wide=True)
 
 
 def _maps(cases: Sequence[CaseResult], tiles: list[Tile], scale: Scale, of_what: str, caption: str) -> Illustration:
-    """Half as wide. Lines stay sharp at any size; points where cells would make them heavy."""
+    """Draw maps of half the width, as SVG, or as PNG if there are many cells."""
     panel = cases[0].scene.panel
     kind: Literal["svg", "png"] = "svg" if panel.crossings * len(tiles) <= 1500 else "png"
     figure = maps_figure(tiles, panel, scale, width=HALF_INCH)

@@ -12,17 +12,17 @@ from lampest.runs.case import CaseResult
 
 
 def case_table(groups: Mapping[str, Sequence[CaseResult]]) -> Table:
-    """A column for each estimator's cases, a line for each figure: medians over the cases, sums of counts.
+    """Return a table with a column for each estimator and a line for each figure.
 
-    Lines of which nothing is known are left out.
+    Figures are medians over the cases, counts are sums. Lines without figures are omitted.
     """
     known = [[figures(case) for case in cases] for cases in groups.values()]
     rows = [
         ("frames at a verified optimum (starts of a frame)", *map(_optima, groups.values())),
         ("weights", *(weights_text([case.weights for case in cases]) or NONE for cases in groups.values())),
     ]
-    for line in dict.fromkeys(line for column in known for one in column for line in one):
-        values = [[one[line] for one in column if isinstance(one.get(line), int | float)] for column in known]
+    for line in dict.fromkeys(line for column in known for case in column for line in case):
+        values = [[case[line] for case in column if isinstance(case.get(line), int | float)] for column in known]
         rows.append((line, *map(_figure, values)))
     return Table(("", *groups), tuple(row for row in rows if set(row[1:]) != {NONE}))
 
@@ -37,27 +37,27 @@ def _figure(values: Sequence[float]) -> str:
 
 
 def _optima(cases: Sequence[CaseResult]) -> str:
-    """'21 (1 to 7)': how many frames end at a local optimum, the lowest that so many starts reached."""
+    """Return the number of frames at a verified optimum and the number of starts, such as '21 (1 to 7)'."""
     known = [case.local_optima for case in cases if case.local_optima is not None]
     if not known:
         return NONE
-    least, most = min(one[1] for one in known), max(one[2] for one in known)
-    return f"{sum(one[0] for one in known):,} ({least if least == most else f'{least} to {most}'})"
+    least, most = min(optima[1] for optima in known), max(optima[2] for optima in known)
+    return f"{sum(optima[0] for optima in known):,} ({least if least == most else f'{least} to {most}'})"
 
 
 def failures(cases: Sequence[CaseResult]) -> list[str]:
-    """A sentence for each way in which an estimator failed."""
+    """Return a sentence for each way in which an estimator failed."""
     sentences = []
     for case in cases:
         for status in dict.fromkeys(case.status[index] for index in np.flatnonzero(~case.solved)):
-            frames = case.frame[[one == status for one in case.status]]
+            frames = case.frame[[text == status for text in case.status]]
             noun = "frame" if len(frames) == 1 else "frames"
             sentences.append(f"{case.estimator}, {noun} {frames_text(frames.tolist())}: {status}")
     return sentences
 
 
 def standing_table(comparison: Comparison) -> Table:
-    """Every estimator against the best one: criterion, difference, wins, time."""
+    """Compare every estimator with the best one: criterion, difference, wins, time."""
     criterion, best = comparison.criterion, comparison.standings[0].estimator
     headers = (
         "",
@@ -80,7 +80,7 @@ def standing_table(comparison: Comparison) -> Table:
 
 
 def unit_table(comparison: Comparison) -> Table:
-    """The criterion of every unit, the smallest of each set off."""
+    """Return a table of the criterion by unit, with the smallest values highlighted."""
     rows = [(unit, *map(digits, values)) for unit, values in zip(comparison.units, comparison.values, strict=True)]
     smallest = np.argwhere(comparison.values == comparison.values.min(axis=1, keepdims=True))
     best = frozenset((int(row), int(column) + 1) for row, column in smallest)

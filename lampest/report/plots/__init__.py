@@ -57,7 +57,7 @@ PLOTS: tuple[Plot, ...] = (
 
 
 def plot_of(kind: str) -> Plot:
-    """The plot of that kind, of lampest or of an installed package. Raises InputError where there is none or two."""
+    """Return the plot of a kind, of lampest or an installed package. Raises InputError for none and for two."""
     plots: tuple[Plot, ...] = (*PLOTS, *installed("lampest.plots", Plot))
     return of_kind(kind, "plot", plots)
 
@@ -75,16 +75,40 @@ def plot_results(
     frames: range | None = None,
     recordings: Sequence[str] = (),
 ) -> list[Path]:
-    """Draw every recording of a results file into <kind>_<recording>.png in the folder `out`, else beside the file.
+    """Draw every recording of a results file into ``<kind>_<recording>.png``.
 
-    `out` may name a .png, .svg or .pdf file where there is one picture. show : None: `sweep` where numbers were swept
-    and no frame is named, else `contours`. columns, frames : as `read_results` takes them.
-    frame : index into the recordings; its pictures are called so. estimators, recordings : those that are drawn, all
-    where none is named. on_picture : gets how many of how many pictures are drawn. Returns the files that were written.
+    Parameters
+    ----------
+    path : path
+        The results file.
+    out : path, optional
+        Folder, by default that of the results, or a .png, .svg or .pdf file for a single picture.
+    show : str or Plot, optional
+        Kind of plot; by default ``sweep`` after a sweep of numbers, unless a frame is named, and else ``contours``.
+    columns : sequence of Column
+        As in `read_results`.
+    on_picture : callable
+        Receives the numbers of drawn and of all pictures.
+    frame : int, optional
+        Index into the recordings; by default a frame of strong change.
+    estimators, recordings : sequence of str
+        Those that are drawn; by default all.
+    frames : range, optional
+        As in `read_results`.
 
-    Raises InputError where there is no such plot, frame, recording or estimator, the results cannot be read or hold
-    nothing to draw, or the place cannot be written.
+    Returns
+    -------
+    list of Path
+        The files that were written.
 
+    Raises
+    ------
+    InputError
+        For an unknown plot, frame, recording or estimator, unreadable results, nothing to draw, or a place that cannot
+        be written.
+
+    Examples
+    --------
     >>> lampest.plot_results("results.h5", "one.png")[0].name
     'one.png'
     """
@@ -115,13 +139,13 @@ def plot_results(
         partial(plot.draw, tuple(replace(case, estimator=results.label(case)) for case in cases))
         for cases in pictures.values()
     ]
-    return write_all(drawn, files, on_picture, here=isinstance(show, Plot))
+    return write_all(drawn, files, on_picture, in_process=isinstance(show, Plot))
 
 
 def plot_file(path: Path, picture: Path) -> Path:
-    """The strongest frame of a recording or of results as one picture; returns its file.
+    """Draw the strongest frame of a recording or of results; return the file of the picture.
 
-    Raises InputError where the file cannot be read or has nothing to compare, or the place cannot be written.
+    Raises InputError for an unreadable file, a recording without unloaded frames, or a place that cannot be written.
     """
     with hdf5.existing_file(path) as file:
         form = hdf5.read_attribute(file, "/", "lampest_format")
@@ -130,10 +154,10 @@ def plot_file(path: Path, picture: Path) -> Path:
     recording = opened(path)
     if isinstance(recording, StoredRecording):
         recording = recording.part(recording.blocks()[0])
-    found = strongest_readings(recording)
-    if found is None:
+    strongest = strongest_readings(recording)
+    if strongest is None:
         raise InputError(f"{path}: has no unloaded frames to compare with; lampest tare names some")
-    frame, change = found
+    frame, change = strongest
     tile = Tile(recording.name, change, f"readings of frame {frame} at {recording.time[frame]:g} s")
     scale = banded_scale([change], "change [%]")
     save(maps_figure([tile], recording.scene.panel, scale, width=HALF_INCH), picture)
@@ -141,10 +165,10 @@ def plot_file(path: Path, picture: Path) -> Path:
 
 
 def picture(cases: Sequence[CaseResult], show: str | Plot, frame: int | None = None) -> Figure:
-    """One picture of a recording's cases.
+    """Draw the cases of a recording.
 
-    frame : index into the recording; None: what the plot says. Raises InputError where there is no such plot or frame,
-    or nothing to draw.
+    frame : index into the recording; by default that of the plot. Raises InputError for an unknown plot or frame and if
+    there is nothing to draw.
     """
     plot = _chosen(show, frame)
     drawable = plot.drawable(cases)

@@ -34,7 +34,7 @@ class MapsPlot(Plot):
     about: ClassVar[str] = ""
 
     def draw(self, cases: Sequence[CaseResult]) -> Figure:
-        """One picture of all estimators. Raises InputError where the frame has no results."""
+        """Draw all estimators. Raises InputError if the frame has no results."""
         index, title = self.shown(cases)
         scale, tiles = self.maps(cases, index)
         tiles = [
@@ -140,7 +140,7 @@ class ResistancePlot(MapsPlot):
         tiles = [maps.Tile(name, values if np.isfinite(values).any() else None) for name, values in named]
         label = [f"reading {unit}", *(f"resistance {unit.replace('volt', 'ohm')}" for _ in tiles[1:])]
         shown = zip(label, tiles, strict=True)
-        return [maps.log_scale(maps.values_of([one]), text, (1e-3, 1e12), "viridis_r") for text, one in shown], tiles
+        return [maps.log_scale(maps.values_of([tile]), text, (1e-3, 1e12), "viridis_r") for text, tile in shown], tiles
 
 
 @dataclass(frozen=True)
@@ -181,10 +181,10 @@ class RowsPlot(Plot):
 
     @abstractmethod
     def rows(self, cases: Sequence[CaseResult], index: int) -> list[tuple[maps.Scale, list[maps.Tile]]]:
-        """Scale and maps of every row."""
+        """Return scale and maps of every row."""
 
     def draw(self, cases: Sequence[CaseResult]) -> Figure:
-        """One picture of all estimators. Raises InputError where the frame has no results."""
+        """Draw all estimators. Raises InputError if the frame has no results."""
         cases = cases[: int(style.WIDTH_INCH)]
         index, title = self.shown(cases)
         rows, panel = self.rows(cases, index), cases[0].scene.panel
@@ -203,8 +203,9 @@ class RowsPlot(Plot):
 
 @dataclass(frozen=True)
 class CertaintyPlot(RowsPlot):
-    """Of every estimator with error bars: standard deviation of the cells [%], resolution, and, where the truth is
-    known, the error in units of the standard deviation.
+    """Maps of standard deviation [%] and resolution of every estimator with error bars.
+
+    If the truth is known, the error in units of the standard deviation is drawn, too.
 
     >>> lampest.CertaintyPlot().needs
     ('cell_resistance_errors', 'resolution')
@@ -215,7 +216,7 @@ class CertaintyPlot(RowsPlot):
     about: ClassVar[str] = "grey: no number (failed frame or open cell); 95 % intervals reach 1.96 sd"
 
     def rows(self, cases: Sequence[CaseResult], index: int) -> list[tuple[maps.Scale, list[maps.Tile]]]:
-        """Standard deviations, resolutions, and errors."""
+        """Return rows of standard deviations, resolutions, and errors."""
         cells = [case.cell_resistance[index] for case in cases]
         errors, resolutions = ([case.column(name)[index] for case in cases] for name in self.needs)
         deviations = [100 * error / own for error, own in zip(errors, cells, strict=True)]
@@ -224,17 +225,19 @@ class CertaintyPlot(RowsPlot):
         if truth is not None:
             with np.errstate(divide="ignore", invalid="ignore"):
                 logs = [100 * np.log(own / truth[index]) for own in cells]
-                ratios = [one / deviation for one, deviation in zip(logs, deviations, strict=True)]
+                ratios = [error / deviation for error, deviation in zip(logs, deviations, strict=True)]
             rows.append((maps.signed_scale(ratios, "error / standard deviation", least=3.0, most=5.0), ratios))
         return [
-            (scale, [maps.Tile("", np.where(np.isfinite(one), one, np.nan)) for one in each]) for scale, each in rows
+            (scale, [maps.Tile("", np.where(np.isfinite(own), own, np.nan)) for own in values])
+            for scale, values in rows
         ]
 
 
 @dataclass(frozen=True)
 class PressurePlot(RowsPlot):
-    """Of every estimator: pressure, and half its 95 % interval. Crosses mark cells whose pressure the response leaves
-    open. The scales are the same for all frames and recordings.
+    """Maps of pressure and of half its 95 % interval of every estimator.
+
+    Crosses mark cells whose pressure the response cannot determine. The scales are the same for all recordings.
 
     >>> lampest.PressurePlot().kind
     'pressure'
@@ -246,7 +249,7 @@ class PressurePlot(RowsPlot):
     about: ClassVar[str] = "grey: no number"
 
     def rows(self, cases: Sequence[CaseResult], index: int) -> list[tuple[maps.Scale, list[maps.Tile]]]:
-        """Pressures, and half the widths of their intervals."""
+        """Return rows of pressures and half widths of their intervals."""
         steps, ticks = (0.5, 1, 2, 5, 10, 20, 40), (-40, -10, -2, -0.5, 1, 5, 20)
         signed = maps.stepped_scale(steps, "pressure [kPa]: suction − contact +", ticks, maps.PRESSING)
         norm, label = LogNorm(0.1, 100), "half the 95 % interval [kPa]"

@@ -1,4 +1,4 @@
-"""Maps of a panel: colour scales, and the one painter of cells in millimetre, with crosses and grey for no number."""
+"""Maps of a panel: colour scales, and a painter of cells."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -30,9 +30,16 @@ FACTORS = (1.1, 1.5, 2, 3, 5, 10, 20)  # between bands of large changes
 
 @dataclass(frozen=True, eq=False)
 class Scale:
-    """Colours of a set of maps. label : what they mean, with its unit. ticks : of the bar, None for usual ones.
+    """Colour scale of maps; values beyond an end have the colour of that end.
 
-    Values beyond an end have its colour, or that of the arrow there.
+    Attributes
+    ----------
+    norm, colours
+        Normalisation and colour map of Matplotlib.
+    label : str
+        Label of the colour bar, with unit.
+    ticks : sequence of float, optional
+        Ticks of the bar.
     """
 
     norm: Normalize
@@ -58,7 +65,7 @@ def log_scale(
 
 
 def signed_scale(values: Sequence[Array], label: str, least: float, most: float = np.inf) -> Scale:
-    """A scale symmetric about zero that holds 98 % of the values, ±least at least and ±most at most."""
+    """Return a scale symmetric about zero that covers 98 % of the values, from ±least to ±most."""
     reach = min(max(least, _reach(values)), most)
     power = 10.0 ** np.floor(np.log10(reach))
     limit = float(power * np.ceil(reach / power * (1 - 1e-9)))
@@ -66,9 +73,9 @@ def signed_scale(values: Sequence[Array], label: str, least: float, most: float 
 
 
 def banded_scale(values: Sequence[Array], label: str) -> Scale:
-    """Bands of a tenth of the limit, the middle one from −1/10 to +1/10 so that noise about zero stays white.
+    """Return a scale of bands of a tenth of its limit, white from −1/10 to +1/10, where noise is.
 
-    The limit is the smallest round number that holds 98 % of all values, 100 at most.
+    The limit is the smallest round number that covers 98 % of all values, 100 at most.
     """
     limit = next((step for step in style.round_numbers(1, 100) if step >= _reach(values)), 100.0)
     ticks = np.linspace(-limit, limit, 11).tolist()
@@ -89,7 +96,7 @@ def change_scale(values: Sequence[Array], label: str) -> Scale:
 
 
 def stepped_scale(steps: Sequence[float], label: str, ticks: Sequence[float], colours: str = SIGNED) -> Scale:
-    """Bands between ±steps, white within the first; the same whatever is shown."""
+    """Return a scale of bands between ±steps, white within the first."""
     bounds = np.concatenate([np.negative(steps)[::-1], steps])
     return Scale(BoundaryNorm(bounds, colormaps[colours].N, extend="both"), colormaps[colours], label, ticks)
 
@@ -99,17 +106,25 @@ def _finite(values: Sequence[Array]) -> Array:
 
 
 def _reach(values: Sequence[Array]) -> float:
-    """What 98 % of the values do not exceed."""
+    """Return the 98th percentile of the absolute values."""
     numbers = np.abs(_finite(values))
     return float(np.percentile(numbers, 98)) if numbers.size else 0.0
 
 
 @dataclass(frozen=True, eq=False)
 class Tile:
-    """One map: values (rows, columns); NaN is left grey, None says 'not solved'.
+    """A map.
 
-    note : second line of the title. marked : (rows, columns) cells with a cross, which stands for `mark`. outlined :
-    (rows, columns) cells within a line, which stands for `outline`.
+    Attributes
+    ----------
+    title, note : str
+        First and second line of the title.
+    values : array, shape (rows, columns), or None
+        NaN is grey; None is drawn as 'not solved'.
+    marked, mark
+        Cells (rows, columns) with a cross, and its label.
+    outlined, outline
+        Cells (rows, columns) within a line, and its label.
     """
 
     title: str
@@ -123,10 +138,9 @@ class Tile:
 
 @dataclass(frozen=True, eq=False)
 class MapPainter:
-    """Draws maps of one panel on one scale.
+    """Painter of maps of a panel on a scale.
 
-    contoured : bands of a banded scale over interpolated values, with dots at the cells; else one patch for a cell,
-    for values that are not to be drawn as if they were known in between.
+    contoured : whether interpolated bands are drawn, with dots at the cells, instead of one patch for each cell.
     """
 
     panel: Panel
@@ -134,7 +148,7 @@ class MapPainter:
     contoured: bool = False
 
     def draw(self, axes: Axes, tile: Tile) -> None:
-        """One map, rows downwards."""
+        """Draw a map, rows downwards."""
         self._frame(axes)
         title = "\n".join(filter(None, (tile.title, tile.note)))
         axes.set_title(title, fontsize=style.SMALL_POINT + 0.5, linespacing=1.3)
@@ -161,7 +175,7 @@ class MapPainter:
             cross.set_path_effects([withStroke(linewidth=size / 2, foreground="white")])
 
     def bar(self, figure: Any, axes: Any, location: Literal["right", "bottom"], aspect: float = 28) -> None:
-        """The bar beside some axes of a figure, with what the colours mean."""
+        """Draw the colour bar beside some axes of a figure."""
         ticks = self.scale.ticks
         bar = figure.colorbar(
             ScalarMappable(self.scale.norm, self.scale.colours),
@@ -180,7 +194,7 @@ class MapPainter:
         bar.ax.tick_params(labelsize=style.SMALL_POINT)
 
     def _frame(self, axes: Axes) -> None:
-        """The panel's extent, to the cells' edges."""
+        """Set the limits of the axes to the edges of the cells."""
         (left, right), (top, bottom) = self.panel.extents_mm
         beyond = self.panel.pitch_mm * (0.5 if self.panel.cells is None else 0.93)  # 1.3/√2: turned
         axes.set_facecolor(NO_NUMBER if self.panel.cells is None else "white")
@@ -191,7 +205,7 @@ class MapPainter:
         axes.locator_params(nbins=5, steps=[1, 2, 5, 10])
 
     def _patches(self, axes: Axes, values: Array) -> None:
-        """Squares at the cells' places; listed ones on a dark outline, with contours where they are neighbours."""
+        """Draw squares at the cells; listed cells have a dark outline, and contours between neighbours."""
         places, values = self.panel.places_mm[:, self.panel.present].T, values[self.panel.present]
         corners, centres, listed = _squares(self.panel, places), places[:, None], self.panel.cells is not None
         outlines = list(centres + 1.3 * (corners - centres)) if listed else []
@@ -217,7 +231,7 @@ class MapPainter:
         return look | {"levels": self.scale.norm.boundaries}
 
     def _cut(self, values: Array) -> Array:
-        """A cell far beyond the scale must not spread its colour over its neighbours: it is drawn as just beyond."""
+        """Clip values to just beyond the scale, so that no cell spreads its colour over its neighbours."""
         beyond = 1.1 * float(self.scale.norm.vmax or 0.0)
         return np.clip(values, -beyond, beyond)
 
@@ -233,31 +247,31 @@ def draw_all(grid: Any, tiles: Sequence[Tile], painters: Sequence[MapPainter]) -
 
 
 def values_of(tiles: Sequence[Tile]) -> list[Array]:
-    """What is drawn of some tiles."""
+    """Return the values of tiles."""
     return [tile.values for tile in tiles if tile.values is not None]
 
 
 def proportion(panel: Panel) -> float:
-    """Height over width of all cells."""
+    """Return height over width of all cells."""
     wide, tall = (most - least + panel.pitch_mm for least, most in panel.extents_mm)
     return tall / wide
 
 
 def _squares(panel: Panel, places: Array) -> Array:
-    """(cells, 4, 2) corners in millimetre: each square along the way to the cell's nearest neighbour."""
+    """Return corners in millimetre, shape (cells, 4, 2); squares point to the nearest neighbour."""
     first, second, distance = panel.neighbours
     number = np.cumsum(panel.present.ravel()) - 1
-    here, there = np.concatenate([number[[first, second]], number[[second, first]]], axis=1)
+    cell, neighbour = np.concatenate([number[[first, second]], number[[second, first]]], axis=1)
     nearest_last = np.argsort(np.tile(distance, 2), kind="stable")[::-1]
     way = np.tile([1.0, 0.0], (len(places), 1))
     apart = (np.tile(distance, 2) * panel.pitch_mm)[:, None]
-    way[here[nearest_last]] = ((places[there] - places[here]) / apart)[nearest_last]
+    way[cell[nearest_last]] = ((places[neighbour] - places[cell]) / apart)[nearest_last]
     across, half = np.stack([-way[:, 1], way[:, 0]], axis=1), panel.pitch_mm / 2
     return np.stack([places + half * (a * way + b * across) for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))], axis=1)
 
 
 def _refined(panel: Panel, values: Array) -> tuple[Array, Array, Array]:
-    """Bilinear interpolation at eight points a cell, constant beyond the outer centres: no corners between cells."""
+    """Interpolate bilinearly at eight points a cell, constant beyond the outer centres."""
     x, y = panel.centres_mm()
     half = panel.pitch_mm / 2
     fine = [np.linspace(own[0] - half, own[-1] + half, len(own) * 8 + 1) for own in (x, y)]
@@ -281,6 +295,7 @@ def maps_figure(
     scale: Scale | Sequence[Scale],
     title: str = "",
     width: float = style.WIDTH_INCH,
+    *,
     contoured: bool = False,
     about: str = "",
 ) -> Figure:

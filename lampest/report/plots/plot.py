@@ -1,4 +1,4 @@
-"""What a kind of picture is, and which frame it shows."""
+"""Interface of plots of results files."""
 
 from abc import abstractmethod
 from collections.abc import Sequence
@@ -16,12 +16,21 @@ from lampest.runs.case import CaseResult
 
 @dataclass(frozen=True)
 class Plot(Validated):
-    """One kind of picture of a results file.
+    """A kind of plot of a results file.
 
-    kind : the word that asks for it. needs : the columns that a case must hold to be drawn.
-    hint : how a case gets them.
-    frame : index into the recording of what is shown; None: `strongest_index` chooses.
+    Attributes
+    ----------
+    kind : str
+        Name on the command line.
+    needs : tuple of str
+        Columns that a case must have.
+    hint : str
+        How to obtain them.
+    frame : int or None
+        Index into the recording; None for the frame chosen by `strongest_index`.
 
+    Examples
+    --------
     >>> issubclass(lampest.ContourPlot, lampest.Plot)
     True
     """
@@ -33,16 +42,16 @@ class Plot(Validated):
 
     @abstractmethod
     def draw(self, cases: Sequence[CaseResult]) -> Figure:
-        """The picture of a recording's cases that hold what it needs."""
+        """Draw the cases of a recording that have the needed columns."""
 
     def drawable(self, cases: Sequence[CaseResult]) -> tuple[CaseResult, ...]:
-        """The cases that hold what it needs."""
+        """Return the cases that have the needed columns."""
         return tuple(case for case in cases if all(case.column(name) is not None for name in self.needs))
 
     def shown(self, cases: Sequence[CaseResult]) -> tuple[int, str]:
-        """Where the shown frame stands among those of the cases, and a title: the recording and its frame.
+        """Return the index of the shown frame among those of the cases, and a title.
 
-        Raises InputError where the frame has no results.
+        Raises InputError if the frame has no results.
         """
         first = cases[0]
         if self.frame is None:

@@ -1,4 +1,4 @@
-"""What all pictures share: sizes, colours, texts, how they are begun, and how they become files."""
+"""Style of all figures: sizes, colours, texts, files."""
 
 from base64 import b64encode
 from collections.abc import Callable, Iterator, Sequence
@@ -26,14 +26,14 @@ RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
 def new_figure(height: float, width: float = WIDTH_INCH) -> Figure:
-    """An empty figure of that many inches; HALF_INCH wide ones fit a phone, too."""
+    """Return an empty figure; sizes in inches. A width of HALF_INCH fits a phone."""
     figure = Figure(figsize=(width, height), layout="constrained")
     FigureCanvasAgg(figure)
     return figure
 
 
 def labelled(figure: Figure, x: str, y: str, title: str = "") -> Figure:
-    """The figure with labels of all its axes together, and a title where there is one."""
+    """Add common axis labels and a title to a figure."""
     figure.supxlabel(x, fontsize=TEXT_POINT)
     figure.supylabel(y, fontsize=TEXT_POINT)
     if title:
@@ -42,16 +42,16 @@ def labelled(figure: Figure, x: str, y: str, title: str = "") -> Figure:
 
 
 def dressed(axes: Axes, x: str, y: str) -> None:
-    """Labels of both axes where there are any, the size of all texts, and thin lines behind what is drawn."""
+    """Set axis labels, text sizes and a thin grid."""
     axes.set_xlabel(x or axes.get_xlabel(), fontsize=TEXT_POINT)
     axes.set_ylabel(y or axes.get_ylabel(), fontsize=TEXT_POINT)
     axes.tick_params(labelsize=SMALL_POINT, which="both")
-    axes.grid(True, which="major", color="0.92", lw=0.5)
+    axes.grid(visible=True, which="major", color="0.92", lw=0.5)
     axes.set_axisbelow(True)
 
 
 def shared_legend(figure: Figure, grid: Any, location: str = "upper center", least: int = 1, **look: Any) -> None:
-    """One legend for all axes, each label once, unless there are fewer labels than `least`."""
+    """Add one legend for all axes, unless there are fewer labels than `least`."""
     handles: dict[str, Any] = {}
     for axes in grid.flat:
         handles = dict(zip(*reversed(axes.get_legend_handles_labels()), strict=True)) | handles
@@ -61,9 +61,9 @@ def shared_legend(figure: Figure, grid: Any, location: str = "upper center", lea
 
 
 def save(figure: Figure, path: str | Path) -> None:
-    """Write a figure as .png, .svg or .pdf, whole or not at all; the same figure gives the same bytes.
+    """Write a figure as .png, .svg or .pdf, atomically and reproducibly.
 
-    Raises InputError for another suffix or where the place cannot be written.
+    Raises InputError for other suffixes and for a place that cannot be written.
     """
     path = Path(path)
     if path.suffix not in SUFFIXES:
@@ -75,14 +75,15 @@ def write_all(
     figures: Sequence[Callable[[], Figure]],
     files: Sequence[Path],
     on_picture: Callable[[int, int], None],
-    here: bool = False,
+    *,
+    in_process: bool = False,
 ) -> list[Path]:
-    """Draw each of the figures, in processes, into its file: the files. here : in this process.
+    """Draw figures into files, in processes unless `in_process`; return the files.
 
-    on_picture : gets how many of how many pictures are drawn. Raises InputError where a place cannot be written.
+    on_picture : receives the numbers of drawn and of all pictures. Raises InputError if a file cannot be written.
     """
     tasks = list(zip(figures, files, strict=True))
-    for file, image in zip(files, each_of(_image, tasks, on_picture, here=here), strict=True):
+    for file, image in zip(files, each_of(_image, tasks, on_picture, in_process=in_process), strict=True):
         _write(image, file)
     return list(files)
 
@@ -99,13 +100,13 @@ def _write(image: bytes, path: Path) -> None:
 
 
 def data_uri(figure: Figure, kind: Literal["png", "svg"] = "svg") -> str:
-    """The figure as the address of an image that holds it; the same figure gives the same text."""
+    """Return a figure as a data URI, reproducibly."""
     form = "png" if kind == "png" else "svg+xml"
     return f"data:image/{form};base64,{b64encode(_drawn(figure, kind)).decode('ascii')}"
 
 
 def _drawn(figure: Figure, kind: str) -> bytes:
-    """The same figure gives the same bytes; words are drawn, so that no font is missing elsewhere."""
+    """Render a figure reproducibly; texts become paths, so that no fonts are needed."""
     stream = BytesIO()
     dated = {"png": ("Software",), "svg": ("Date", "Creator"), "pdf": ("CreationDate",)}[kind]
     with rc_context({"svg.hashsalt": "lampest", "svg.fonttype": "path"}):
@@ -115,29 +116,29 @@ def _drawn(figure: Figure, kind: str) -> bytes:
 
 @contextmanager
 def verbatim() -> Iterator[None]:
-    """Texts of figures made herein are no formulas, whatever signs a name holds."""
+    """Draw texts verbatim, without formulas, in figures made within this context."""
     with rc_context({"text.parse_math": False}):
         yield
 
 
 def plain_number(value: float, _: int | None = None) -> str:
-    """A tick's number without powers of ten."""
+    """Format the number of a tick without powers of ten."""
     return f"{value:g}".replace("-", "−")
 
 
 def round_numbers(low: float, high: float) -> list[float]:
-    """1, 2, 5, 10, 20 … and their fractions from low to high, both positive."""
+    """Return the numbers 1, 2, 5 times powers of ten from low to high, both positive."""
     powers = range(floor(log10(low)), ceil(log10(high)) + 1)
-    return [step for power in powers for one in (1, 2, 5) if low <= (step := float(f"{one}e{power}")) <= high]
+    return [step for power in powers for digit in (1, 2, 5) if low <= (step := float(f"{digit}e{power}")) <= high]
 
 
 def short_title(name: str, longest: int = 22) -> str:
-    """A name that fits."""
+    """Shorten a name."""
     return name if len(name) <= longest else f"{name[: longest - 1]}…"
 
 
 def change_text(value: float, whole: float) -> str:
-    """'+3.7', '−82', '+9.5·10⁹': whole numbers from `whole` on, powers of ten where there would be six digits."""
+    """Format a change, such as '+3.7', '−82', '+9.5·10⁹'; numbers from `whole` on are rounded to integers."""
     if abs(value) >= 1e5:
         digits, power = f"{value:+.1e}".split("e")
         text = f"{digits}·10{str(int(power)).translate(RAISED)}"

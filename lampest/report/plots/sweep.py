@@ -69,8 +69,8 @@ def _draw_lines(axes: Axes, key: str, cases: Sequence[CaseResult], errors: Seque
     lines: dict[tuple[str, ...], list[tuple[Any, float]]] = {}
     for case, error in zip(cases, errors, strict=True):
         if error is not None and (key in case.swept or case.swept.keys().isdisjoint(keys)):
-            others = (f"{other} {value}" for other, value in case.swept.items() if other != key)
-            lines.setdefault((case.unswept_name, *others), []).append((case.swept.get(key), max(error, LEAST)))
+            further = (f"{swept} {value}" for swept, value in case.swept.items() if swept != key)
+            lines.setdefault((case.unswept_name, *further), []).append((case.swept.get(key), max(error, LEAST)))
     for name, points in lines.items():
         look: dict[str, Any] = {"color": f"C{estimators.index(name[0]) % 10}", "lw": 1, "label": ", ".join(name)}
         if points[0][0] is None:

@@ -1,4 +1,4 @@
-"""What was attached, over time: how much the readings stood out, from when to when, and a map with the circles."""
+"""Timelines of detections: change of the readings over time, attachments, and a map."""
 
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -25,21 +25,21 @@ def plot_timelines(
     folder: str | Path,
     on_picture: Callable[[int, int], None] = lambda done, total: None,
 ) -> list[Path]:
-    """Draw every recording into timeline_<recording>.png in a folder: the files; on_picture as `write_all`.
+    """Draw every recording into timeline_<recording>.png in a folder; return the files.
 
-    Raises InputError where the folder cannot be written.
+    on_picture : as in `write_all`. Raises InputError if the folder cannot be written.
     """
     shown = [answer for answer in answers if answer.course is not None]
-    return write_all([partial(timeline, one) for one in shown], timeline_files(answers, folder), on_picture)
+    return write_all([partial(timeline, answer) for answer in shown], timeline_files(answers, folder), on_picture)
 
 
 def timeline_files(answers: Sequence[Detected], folder: str | Path) -> list[Path]:
-    """The files that `plot_timelines` writes."""
+    """Return the files that `plot_timelines` writes."""
     return [Path(folder) / f"timeline_{answer.recording}.png" for answer in answers if answer.course is not None]
 
 
 def timeline(answer: Detected) -> Figure:
-    """One recording: how far the readings are from those at rest, with a band for each attachment; and a map."""
+    """Draw the difference of the readings from rest over time, a band for each attachment, and a map."""
     figure = new_figure(3.4)
     halves: Any = figure.subfigures(1, 2, width_ratios=(1.45, 1))
     _course(halves[0].subplots(), answer)
@@ -52,12 +52,12 @@ def _course(axes: Axes, answer: Detected) -> None:
     assert answer.course is not None
     time, loudness = answer.course
     axes.semilogy(time, np.maximum(loudness, 0.1), color="#222222", lw=0.9)
-    for number, one in enumerate(answer.attachments):
-        name = answer_of(one, answer.frames_per_second or 0.0)[0]
-        end = time[-1] if one.until_s is None else one.until_s
-        axes.axvspan(one.since_s, end, color=COLOURS[name], alpha=0.35, lw=0)
+    for number, attachment in enumerate(answer.attachments):
+        name = answer_of(attachment, answer.frames_per_second or 0.0)[0]
+        end = time[-1] if attachment.until_s is None else attachment.until_s
+        axes.axvspan(attachment.since_s, end, color=COLOURS[name], alpha=0.35, lw=0)
         look: dict[str, Any] = {"fontsize": SMALL_POINT, "va": "top", "transform": axes.get_xaxis_transform()}
-        mark = axes.text(one.since_s, 0.98 - 0.07 * (number % 4), f" {name}", **look)
+        mark = axes.text(attachment.since_s, 0.98 - 0.07 * (number % 4), f" {name}", **look)
         mark.set_path_effects([withStroke(linewidth=2, foreground="white")])
     axes.set_xlim(time[0], time[-1])
     axes.yaxis.set_major_formatter(FuncFormatter(plain_number))
@@ -65,7 +65,7 @@ def _course(axes: Axes, answer: Detected) -> None:
 
 
 def _map(axes: Axes, answer: Detected) -> None:
-    """Relative change of the cells when something was recognised last, and the circles of what was seen."""
+    """Draw the relative change of the cells at the last recognition, with circles of the attachments."""
     if answer.change is None or answer.panel is None:
         axes.set_axis_off()
         axes.text(0.5, 0.5, "nothing was there", ha="center", va="center", fontsize=SMALL_POINT)
@@ -76,9 +76,9 @@ def _map(axes: Axes, answer: Detected) -> None:
     painter.bar(axes.figure, axes, "bottom")
     axes.set_xlabel(ACROSS_LABEL, fontsize=TEXT_POINT)
     axes.set_ylabel(DOWN_LABEL, fontsize=TEXT_POINT)
-    for one in [one for one in answer.attachments if one.here] or answer.attachments:
-        if one.diameter_mm is not None:  # the outer edge of a load that is round
-            circle = Circle(one.place, one.diameter_mm[0] / 2, fill=False, color="black", lw=1.1)
+    for attachment in [attachment for attachment in answer.attachments if attachment.here] or answer.attachments:
+        if attachment.diameter_mm is not None:  # the outer edge of a load that is round
+            circle = Circle(attachment.place, attachment.diameter_mm[0] / 2, fill=False, color="black", lw=1.1)
             circle.set_path_effects([withStroke(linewidth=2.6, foreground="white")])
             axes.add_patch(circle)
-        axes.plot(*one.place, "+", color="black", ms=5, mew=0.9)
+        axes.plot(*attachment.place, "+", color="black", ms=5, mew=0.9)

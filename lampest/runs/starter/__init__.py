@@ -43,7 +43,7 @@ class StarterCircuit:
 
 
 def circuit_called(word: str) -> StarterCircuit:
-    """The circuit of that word. Raises InputError where there is none."""
+    """Return the circuit of a name. Raises InputError for an unknown name."""
     document = parse_document(_template("circuits.yaml"), "circuits.yaml")
     known: dict[str, StarterCircuit] = validated(document, dict[str, StarterCircuit])
     if word not in known:
@@ -82,7 +82,7 @@ def write_starter(
 
 
 def _template(name: str, **values: str) -> str:
-    """A template's text with {name} replaced; other braces are YAML's."""
+    """Return the text of a template with {name} replaced; further braces belong to YAML."""
     text = (TEMPLATES / name).read_text(encoding="utf-8")
     for word, value in values.items():
         text = text.replace(f"{{{word}}}", value)

@@ -1,6 +1,6 @@
-"""The measurement: every scene by every method; of each solve how it ended, and how right it is.
+"""Atlas of extreme scenes: how each solve ends, judged by arithmetic of 50 digits and a second test of optimality.
 
-The judges share no code with the solvers: 50 digits, and another test of optimality.
+The judges share no code with the solvers.
 """
 
 from collections import Counter
@@ -39,7 +39,7 @@ CRASHED, REFUSED = "crashed: ", "refused: "
 
 @dataclass(frozen=True)
 class Solve(AtlasSample):
-    """One solve of the atlas; digits are log relative errors (NIST StRD)."""
+    """A solve of the atlas; digits are log relative errors (NIST StRD)."""
 
     method: str = column("1", "method")
     formulation: str = column("1", "formulation")
@@ -55,24 +55,24 @@ class Solve(AtlasSample):
 
     @property
     def doubtful(self) -> bool:
-        """An estimate that the second test of optimality does not confirm."""
+        """True for an estimate that the second test of optimality does not confirm."""
         return self.solved and self.audited > 10 * VERIFIED  # of a residual by differences
 
     @property
     def verified(self) -> bool:
-        """An estimate, and nothing speaks against it."""
+        """True for an estimate without objections."""
         return self.solved and not self.doubtful
 
     @property
     def crashed(self) -> bool:
-        """No estimate, and no sentence that says why."""
+        """True without an estimate and a reason."""
         return self.status.startswith(CRASHED)
 
 
 def run_atlas(atlas: AtlasFile, on_step: OnStep = lambda done, total: None) -> tuple[Solve, ...]:
-    """Measure everything, in the order of the atlas. on_step is called with how many of how many scenes are done.
+    """Solve all scenes in the order of the atlas. on_step : receives the numbers of finished and of all scenes.
 
-    Raises InputError where mpmath is not installed.
+    Raises InputError if mpmath is not installed.
     """
     fifty_digits(np.ones((1, 1)))
 
@@ -83,7 +83,7 @@ def run_atlas(atlas: AtlasFile, on_step: OnStep = lambda done, total: None) -> t
 
 
 def solves_of(task: AtlasTask) -> tuple[Solve, ...]:
-    """All solves of one scene."""
+    """Return all solves of a scene."""
     sample, atlas = task.sample, task.atlas
     recording, scene = recording_of(sample)
     forward = min(correct_digits(two_point_resistance(cells), fifty_digits(cells)) for cells in scene.cells)
@@ -108,7 +108,7 @@ def _failed(sample: AtlasSample, method: str, formulation: str, part: str, statu
 
 
 class _Part(NamedTuple):
-    """One solve of a sequence with its data; frames : which of the scene's; estimator : whose cost it minimises."""
+    """Solve of a sequence with its data; frames : slice of the scene's; estimator : that of its cost."""
 
     name: str
     frames: slice
@@ -118,7 +118,7 @@ class _Part(NamedTuple):
 
 
 def _parts(estimator: Estimator, recording: Recording) -> Iterator[_Part]:
-    """The baseline and the frame, or the pair of both."""
+    """Yield the solves of baseline and frame, or of the pair."""
     readings = recording.readings()
     stream = first_stream(recording, readings, estimator)
     if stream.baseline is not None:
@@ -132,7 +132,7 @@ def _parts(estimator: Estimator, recording: Recording) -> Iterator[_Part]:
 
 
 def _judged(task: AtlasTask, method: str, part: _Part, recording: Recording, cells: Array) -> Solve:
-    """What a solve came to, beside the scene's cells (2, rows, columns) ohm."""
+    """Judge a solve by the cells of the scene, (2, rows, columns) ohm."""
     solution, data, estimator = part.step.solution, part.data, part.estimator
     cost = estimator.cost(recording.scene, len(data.measured), data.partial)
     solve = Solve(
@@ -147,32 +147,32 @@ def _judged(task: AtlasTask, method: str, part: _Part, recording: Recording, cel
     )
     if not solution.solved:
         return solve
-    found, truth = solution.cell_resistance, np.clip(cells[part.frames], data.lower, data.upper)
+    cells, truth = solution.cell_resistance, np.clip(cells[part.frames], data.lower, data.upper)
     return replace(
         solve,
-        audited=exact_residual(cost, data, found) if found[0].size <= task.atlas.audit_cells else nan,
-        excess=(exact_cost(cost, data, found) - exact_cost(cost, data, truth)) / exact_scale(cost, data, found),
-        model_digits=correct_digits(solution.reading, exact_two_point_resistance(found)),
+        audited=exact_residual(cost, data, cells) if cells[0].size <= task.atlas.audit_cells else nan,
+        excess=(exact_cost(cost, data, cells) - exact_cost(cost, data, truth)) / exact_scale(cost, data, cells),
+        model_digits=correct_digits(solution.reading, exact_two_point_resistance(cells)),
     )
 
 
-def correct_digits(found: Array, certified: Array) -> float:
-    """LRE = −log10(|found − certified|/|certified|), the least of all entries, between 0 and 15.
+def correct_digits(values: Array, certified: Array) -> float:
+    """Return LRE = −log10(|values − certified|/|certified|), the least of all entries, from 0 to 15.
 
-    Entries that are infinite or zero in both are right; NaN where anything is no number. Source: NIST StRD.
+    Entries that are infinite or zero in both are right; NaN if anything is NaN. Source: NIST StRD.
     """
-    if np.any(np.isnan(found)) or np.any(np.isnan(certified)):
+    if np.any(np.isnan(values)) or np.any(np.isnan(certified)):
         return float("nan")
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        error = np.where(found == certified, 0.0, np.abs(found / certified - 1))
+        error = np.where(values == certified, 0.0, np.abs(values / certified - 1))
         worst = float(np.max(np.where(np.isnan(error), np.inf, error), initial=0.0))
         return float(np.clip(-np.log10(worst), 0.0, 15.0))
 
 
 def fifty_digits(cells: Array) -> Array:
-    """R = f(r) of (rows, columns) ohm in 50 digits; cells positive, infinite ones open, zeros shorts.
+    """Return R = f(r), (rows, columns) ohm, with 50 digits; infinite cells are open, zeros are shorts.
 
-    Lines that nothing connects have R = inf. Raises InputError where mpmath is not installed.
+    Unconnected lines have R = inf. Raises InputError if mpmath is not installed.
     """
     with extra("extremes"):
         import mpmath
@@ -199,24 +199,23 @@ def fifty_digits(cells: Array) -> Array:
 
 
 def exact_cost(cost: Cost, data: Data, cells: Array, two_point: Array | None = None) -> float:
-    """φ(r) with f(r) by elimination that never subtracts; cells (frames, rows, columns) ohm."""
+    """Return φ(r) with f(r) by elimination without subtractions; cells (frames, rows, columns) ohm."""
     two_point = exact_two_point_resistance(cells) if two_point is None else two_point
     at = Evaluation(cost, data, cells, two_point, ())
     return at.objective
 
 
 def exact_scale(cost: Cost, data: Data, cells: Array) -> float:
-    """The size against which a cost or a gradient is small: φ at f(r) = 0 per cell + φ(r)."""
+    """Return the scale of costs and gradients: φ at f(r) = 0 per cell + φ(r)."""
     blank = exact_cost(cost, data, cells, np.zeros_like(cells))
     return (blank / cells.size + exact_cost(cost, data, cells)) or 1.0
 
 
 def exact_residual(cost: Cost, data: Data, cells: Array) -> float:
-    """max |u − Π(u − ∇φ/s)| as `Evaluation.kkt_residual`, with ∂R/∂u by central differences in u = log r.
+    """Return max |u − Π(u − ∇φ/s)| as `Evaluation.kkt_residual`, with ∂R/∂u by central differences in u = log r.
 
-    Of the package's derivatives only those of the terms themselves are used; only
-    for costs without an absolute loss. What the last bits of u make of the terms' part is taken off: under a
-    penalty of 10¹² no u in double precision is nearer to an optimum than that.
+    Of the package's derivatives only those of the terms are used. Not for absolute losses. The rounding error of u in
+    the terms' part is subtracted: under a penalty of 10¹² no u in double precision is closer to an optimum.
     """
     step, readings = 1e-4, exact_two_point_resistance(cells)
     direct, through = Evaluation(cost, data, cells, readings, ()).partials(np.zeros(0))
@@ -242,9 +241,10 @@ COLOURS = "YlGnBu"
 
 
 def _row(own: Sequence[Solve]) -> study.Row:
-    """verified : estimates of which the audit says nothing bad; named : a sentence instead; doubtful : estimates that
-    the audit does not confirm; crashed : neither; worse : estimates that cost more than the truth. Digits are the
-    least, residuals the largest.
+    """Summarise solves; digits are the least, residuals the largest.
+
+    verified : confirmed estimates; named : failures with a reason; doubtful : estimates that the audit does not
+    confirm; crashed : failures without a reason; worse : estimates that cost more than the truth.
     """
     solved = [solve for solve in own if solve.solved]
     statuses = Counter(solve.status for solve in own).most_common()
@@ -269,15 +269,15 @@ def _row(own: Sequence[Solve]) -> study.Row:
 
 
 def _of(reduce: Callable[[Any], float], solves: Sequence[Solve], what: str) -> float:
-    """The reduction of all numbers; NaN where there is none."""
+    """Return a reduction of all numbers, or NaN."""
     known = [value for solve in solves if np.isfinite(value := getattr(solve, what))]
     return float(reduce(known)) if known else float("nan")
 
 
 atlas_rows = study.rows_by(  # for each cell of the atlas
-    lambda one: (one.case, one.decades, one.shape, one.noise, one.method, one.formulation), _row
+    lambda solve: (solve.case, solve.decades, solve.shape, solve.noise, solve.method, solve.formulation), _row
 )
-case_rows = study.rows_by(lambda one: (one.case, one.decades), _row)  # all methods, sizes and noises together
+case_rows = study.rows_by(lambda solve: (solve.case, solve.decades), _row)  # all methods, sizes and noises together
 SCREEN: study.Screen = {
     "case": "{case}",
     "decades": lambda row: f"{row.decades:g}" if CASES[row.case].contrasted else "",
@@ -295,13 +295,13 @@ SCREEN: study.Screen = {
 
 
 def mild(solve: Solve) -> bool:
-    """Whether a verified optimum is promised: noise up to 1 %, and a contrast up to 10⁶ or a single fault."""
+    """Return whether a verified optimum is promised: noise up to 1 %, and a contrast up to 10⁶ or a single fault."""
     case = CASES[solve.case]
     return ((case.contrasted and solve.decades <= 6) or case.single_fault) and solve.noise <= 0.01
 
 
 def atlas_remarks(solves: Sequence[Solve]) -> list[str]:
-    """The promise in numbers, and how the others ended."""
+    """Return the share of verified optima, and the counts of other endings."""
     named = sum(not solve.crashed and not solve.doubtful for solve in solves)
     tame = [solve for solve in solves if mild(solve)]
     lines = [_share(named, len(solves), "solves end with a verified optimum or a sentence")]
@@ -321,21 +321,21 @@ def _share(part: int, whole: int, what: str) -> str:
     return f"{part} of {whole} {what} ({f'{100 * part / whole:.2f} %' if whole else 'none tried'})"
 
 
-def extremes_figure(found: Sequence[Solve]) -> Figure:
-    """Cases × formulation and noise, for every method, random panels by size and decades first.
+def extremes_figure(solves: Sequence[Solve]) -> Figure:
+    """Draw cases × formulation and noise for every method.
 
-    A number is how many solves have no verified optimum; orange where any of them gives no reason or a wrong estimate.
-    White: not tried.
+    Numbers count solves without a verified optimum, orange with a crash or a doubtful estimate. White: not tried.
     """
-    methods = list(dict.fromkeys(solve.method for solve in found if solve.method))
-    titles = list(dict.fromkeys(map(_title, found)))
+    methods = list(dict.fromkeys(solve.method for solve in solves if solve.method))
+    titles = list(dict.fromkeys(map(_title, solves)))
     columns = sorted(
-        {_column(solve) for solve in found if solve.formulation}, key=lambda one: (one[0] != "reduced", one)
+        {_column(solve) for solve in solves if solve.formulation}, key=lambda solve: (solve[0] != "reduced", solve)
     )
     figure = new_figure(0.165 * len(titles) + 1.5)
     grid = figure.subplots(1, len(methods), squeeze=False, sharey=True)[0]
     for axes, method in zip(grid, methods, strict=True):
-        cells = study.grouped([one for one in found if one.method == method], lambda one: (_title(one), *_column(one)))
+        own = [solve for solve in solves if solve.method == method]
+        cells = study.grouped(own, lambda solve: (_title(solve), *_column(solve)))
         _fill(axes, [[cells.get((title, *column), []) for column in columns] for title in titles])
         axes.set_xticks(np.arange(len(columns)), [f"{100 * noise:g}" for _, noise in columns])
         axes.set_yticks(np.arange(len(titles)), titles)
@@ -363,8 +363,8 @@ def _column(solve: Solve) -> tuple[str, float]:
 
 
 def _fill(axes: Axes, table: list[list[list[Solve]]]) -> None:
-    """A square for every cell of the table, coloured by its share, with a number where that is not all."""
-    share = [[np.mean([one.verified for one in solves]) if solves else np.nan for solves in line] for line in table]
+    """Draw a square for every cell of the table, coloured by its share, with the number of failures."""
+    share = [[np.mean([solve.verified for solve in solves]) if solves else np.nan for solves in line] for line in table]
     shown: dict[str, Any] = {"shading": "nearest", "edgecolors": "white", "linewidth": 0.4}
     axes.pcolormesh(np.array(share, dtype=float), cmap=COLOURS, vmin=0, vmax=1, **shown)
     axes.set_ylim(len(table) - 0.5, -0.5)
@@ -385,9 +385,9 @@ STUDY: study.Study[AtlasFile, Sequence[Solve]] = study.Study(
     study.read_settings(AtlasFile),
     run_atlas,
     rows=atlas_rows,
-    tables=lambda found: [("", study.screen_table(case_rows(found), SCREEN))],
+    tables=lambda solves: [("", study.screen_table(case_rows(solves), SCREEN))],
     form="extremes/2",
-    records=lambda found: [study.RecordGroup("solves", found, "solved", attributes={"verified_below": VERIFIED})],
-    figures=lambda found: {"extremes": extremes_figure(found)},
+    records=lambda solves: [study.RecordGroup("solves", solves, "solved", attributes={"verified_below": VERIFIED})],
+    figures=lambda solves: {"extremes": extremes_figure(solves)},
     remarks=atlas_remarks,
 )

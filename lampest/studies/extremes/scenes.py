@@ -1,4 +1,4 @@
-"""What the atlas measures, and its YAML file: panels at the edge of what a sensor, a fault or a file can do."""
+"""Scenes of the atlas and its YAML file: panels at the limits of sensors, faults and files."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
@@ -27,7 +27,7 @@ Generator = np.random.Generator
 
 @dataclass(frozen=True)
 class AtlasSample:
-    """One scene of the atlas."""
+    """A scene of the atlas."""
 
     case: str = column("1", "name of the scene")
     rows: int = column("1", "row lines")
@@ -38,14 +38,14 @@ class AtlasSample:
 
     @property
     def shape(self) -> Shape:
-        """(rows, columns)."""
+        """Rows and columns."""
         return self.rows, self.columns
 
 
 class Made(NamedTuple):
-    """Cells (2, rows, columns) ohm, unloaded and loaded, with what the scene states of them.
+    """Cells (2, rows, columns) ohm, unloaded and loaded, with statements of the scene about them.
 
-    still : both frames are the same, noise included. weight : of all penalties in place of their own, or None.
+    still : whether both frames are equal, including noise. weight : of all penalties, instead of their own.
     """
 
     cells: Array
@@ -57,8 +57,10 @@ class Made(NamedTuple):
 
 
 class Extreme(NamedTuple):
-    """How a scene is made from the usual cells. single_fault : one cell or line is broken. contrasted : its contrast is
-    the sample's. shapes : the panels that it is about, in place of the atlas' own.
+    """Kind of scene.
+
+    make : usual cells → scene. single_fault : whether one cell or line is broken. contrasted : whether it has the
+    contrast of the sample. shapes : its panels, instead of those of the atlas.
     """
 
     make: Callable[[Array, AtlasSample, Generator], Made]
@@ -68,8 +70,9 @@ class Extreme(NamedTuple):
 
 
 def recording_of(sample: AtlasSample) -> tuple[Recording, Made]:
-    """The scene, whose cells are the same for every noise, and its readings: exact ones, times 1 + noise, through the
-    converter where there is one.
+    """Return a recording of a scene, and the scene.
+
+    Cells are equal for every noise. Readings are exact ones times 1 + noise, digitised if there is a converter.
     """
     rng = np.random.default_rng([sample.seed, sample.rows, sample.columns, 1])
     usual = USUAL_OHM * 10 ** rng.uniform(-0.15, 0.15, sample.shape)
@@ -100,8 +103,8 @@ def _cell(sample: AtlasSample) -> tuple[int, int]:
     return sample.rows // 2, sample.columns // 3
 
 
-def _times(factor: float, part: str, known: bool = False) -> Extreme:
-    """A cell, row or column times a factor; known : the scene states it."""
+def _times(factor: float, part: str, *, known: bool = False) -> Extreme:
+    """Return a case with a cell, row or column times a factor; known : whether the scene states it."""
 
     def make(cells: Array, sample: AtlasSample, rng: Generator) -> Made:
         row, column = _cell(sample)
@@ -116,7 +119,7 @@ def _times(factor: float, part: str, known: bool = False) -> Extreme:
 
 
 def _contrasted(pattern: Callable[[Array, Array, AtlasSample, Generator], Array]) -> Extreme:
-    """Cells times 10^pattern(row, column), the same in both frames, around the usual resistance."""
+    """Return a case with cells times 10^pattern(row, column) around the usual resistance."""
 
     def make(cells: Array, sample: AtlasSample, rng: Generator) -> Made:
         row, column = np.indices(sample.shape, dtype=float)
@@ -132,12 +135,12 @@ def _milliohm_to_gigaohm(cells: Array, sample: AtlasSample, rng: Generator) -> M
 
 
 def _usual(*shapes: Shape, scale: float = 1.0, **stated: Any) -> Extreme:
-    """The usual cells, of some shapes alone where there are any, and what the scene states of them."""
+    """Return a case with the usual cells, with its own shapes if given, and statements of the scene."""
     return Extreme(lambda cells, sample, rng: Made(scale * cells, **stated), shapes=shapes)
 
 
 def _rails(cells: Array, sample: AtlasSample, rng: Generator) -> Made:
-    """A row of readings beyond one end of the converter, a cell beyond the other."""
+    """Make a row of readings beyond one end of the converter, and a cell beyond the other."""
     cells = cells.copy()
     cells[:, sample.rows // 2] *= 1e6
     cells[:, 0, 0] *= 1e-6
@@ -145,7 +148,7 @@ def _rails(cells: Array, sample: AtlasSample, rng: Generator) -> Made:
 
 
 def _at_series(cells: Array, sample: AtlasSample, rng: Generator) -> Made:
-    """One cell that is nothing beside the resistance in series with it."""
+    """Make a cell that is negligible against the series resistance."""
     cells = cells.copy()
     cells[(slice(None), *_cell(sample))] = 1e-3
     return Made(cells, series_ohm=140.0)
@@ -182,10 +185,18 @@ CASES: dict[str, Extreme] = {
 
 @dataclass(frozen=True)
 class Grid(Configuration):
-    """Panels of random cells, uniform in the logarithm: every size with every number of decades, noise and seed.
+    """Panels of random cells, log-uniform: every size with every number of decades, noise and seed.
 
-    sizes : sides of square panels, or [rows, columns]. decades : between the least and the largest cell.
-    noise : relative standard deviation of a reading, percent. seeds : how many panels of each kind.
+    Attributes
+    ----------
+    sizes
+        Sides of square panels, or [rows, columns].
+    decades
+        Decades between the least and the largest cell.
+    noise
+        Relative standard deviation of a reading in percent.
+    seeds
+        Number of panels of each kind.
     """
 
     sizes: Sizes
@@ -201,11 +212,11 @@ class Grid(Configuration):
 
     @property
     def shapes(self) -> tuple[Shape, ...]:
-        """(rows, columns) of every panel."""
+        """Shapes (rows, columns) of the panels."""
         return shapes_of(self.sizes)
 
     def samples(self, name: str) -> Iterator[AtlasSample]:
-        """Those of a case."""
+        """Yield the samples of a case."""
         case = CASES[name]
         shapes = (case.shapes or self.shapes) if self.sizes else ()
         decades = self.decades if case.contrasted else (0.0,)
@@ -215,14 +226,24 @@ class Grid(Configuration):
 
 @dataclass(frozen=True)
 class AtlasFile(Configuration):
-    """What is tried.
+    """Settings of the atlas.
 
-    grid : panels of random cells. structured : sizes, contrasts and noise of all other cases.
-    nodal : the part of both that the nodal formulation solves too: sizes, decades and noise.
-    estimators : methods by name; the paper's five by default.
-    solver : tolerance and iterations. audit_cells : the largest panel on which the optimality of every estimate is
-    tested a second time, by differences of the exact forward map.
-    executor : where the scenes are solved; all cores by default.
+    Attributes
+    ----------
+    grid
+        Panels of random cells.
+    structured
+        Sizes, contrasts and noise of all other cases.
+    nodal
+        Sizes, decades and noise of the scenes that the nodal formulation solves, too.
+    estimators
+        Methods by name; by default the five of the paper.
+    solver
+        Tolerance and iterations.
+    audit_cells
+        Largest panel on which optimality is tested by differences of the exact forward map.
+    executor
+        Where the scenes are solved; by default on all cores.
     """
 
     schema: Literal[1]

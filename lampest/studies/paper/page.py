@@ -31,7 +31,7 @@ COLOURS = ("#222222", "#0072B2", "#E69F00", "#009E73")
 
 
 class Paper(NamedTuple):
-    """Everything that stands side by side. figures : by the names of their files."""
+    """Published numbers and ours; figures : by the names of their files."""
 
     published: Published
     names: tuple[str, ...]
@@ -71,19 +71,20 @@ def paper_study(
 
 
 def rows(paper: Paper) -> list[Row]:
-    """Every published number with ours, a column for each side."""
-    beside = [dict(zip(paper.names, one.ours, strict=True)) for one in paper.numbers]
+    """Return every published number with ours, a column for each side."""
+    beside = [dict(zip(paper.names, number.ours, strict=True)) for number in paper.numbers]
     places = [
-        {name: getattr(one, name) for name in ("figure", "quantity", "unit", "published")} for one in paper.numbers
+        {name: getattr(number, name) for name in ("figure", "quantity", "unit", "published")}
+        for number in paper.numbers
     ]
     return [Row(**place, **ours) for place, ours in zip(places, beside, strict=True)]
 
 
 def page_of(paper: Paper) -> str:
-    """The page, which needs no other file."""
+    """Return the self-contained page."""
     names = paper.names
 
-    def of(figure: str, times: bool = False) -> list[PublishedNumber]:
+    def of(figure: str, *, times: bool = False) -> list[PublishedNumber]:
         chosen = [row for row in paper.numbers if row.quantity.endswith(": time") == times]
         return [row for row in chosen if row.figure.startswith(figure)]
 
@@ -102,7 +103,7 @@ def page_of(paper: Paper) -> str:
 
 
 class PublishedNumber(NamedTuple):
-    """A published number and ours. ours : one for each side, NaN where it is not to be had."""
+    """A published number and ours; ours : one for each side, NaN if unavailable."""
 
     figure: str
     quantity: str
@@ -111,7 +112,7 @@ class PublishedNumber(NamedTuple):
     ours: tuple[float, ...]
 
     def reproduced(self, number: int) -> bool:
-        """Whether ours lies within a quarter of the published number."""
+        """Return whether ours lies within a quarter of the published number."""
         return abs(self.ours[number] - self.published) <= 0.25 * abs(self.published)
 
 
@@ -125,10 +126,10 @@ def published_beside(sides: Sequence[Side], published: Published) -> Iterator[Pu
         each = ours if len(ours) == len(sides) else ours * len(sides)
         return PublishedNumber(place, name, unit, float(number), tuple(map(float, each)))
 
-    for one in published.ranges:
-        place, changes = f"Fig. 8-{one.letter}", [side.change(one.method) for side in sides]
-        yield row(place, f"{one.method}, smallest change", "%", one.low, *map(np.nanmin, changes))
-        yield row(place, f"{one.method}, largest change", "%", one.high, *map(np.nanmax, changes))
+    for extremes in published.ranges:
+        place, changes = f"Fig. 8-{extremes.letter}", [side.change(extremes.method) for side in sides]
+        yield row(place, f"{extremes.method}, smallest change", "%", extremes.low, *map(np.nanmin, changes))
+        yield row(place, f"{extremes.method}, largest change", "%", extremes.high, *map(np.nanmax, changes))
     for at, mouth in enumerate(published.mouths):
         seen = [covered(side.change(published.mouth_method, at)) for side in sides]
         for axis, ours in zip(("rows", "columns"), zip(*seen, strict=True), strict=True):
@@ -139,7 +140,7 @@ def published_beside(sides: Sequence[Side], published: Published) -> Iterator[Pu
             taken = [side.steps.get((step.method, step.steps), StepsSeen()) for side in sides]
             for what, unit, theirs, our in kinds:
                 name = f"{step.method}, {step.steps} steps: {what}"
-                yield row("Table I", name, unit, getattr(step, theirs), *(getattr(one, our) for one in taken))
+                yield row("Table I", name, unit, getattr(step, theirs), *(getattr(steps, our) for steps in taken))
     for point in published.changes:
         name = f"ΔR/R₀ at {point.kpa:g} kPa".replace("-", "−")
         yield row("Fig. 1-e", name, "%", point.percent, 100 * _change(point.kpa))
@@ -162,7 +163,7 @@ def sheet(rows: Sequence[PublishedNumber], names: Sequence[str]) -> Table:
     """Rows as texts; set off are those of ours that lie within a quarter of the published number."""
     headers, texts, best = ("", "place", "published", *names), [], set()
     for place, row in enumerate(rows):
-        ours = ["–" if np.isnan(one) else digits(one) for one in row.ours[: len(names)]]
+        ours = ["–" if np.isnan(number) else digits(number) for number in row.ours[: len(names)]]
         texts.append((f"{row.quantity} [{row.unit}]", row.figure, digits(row.published), *ours))
         best |= {(place, 3 + number) for number in range(len(names)) if row.reproduced(number)}
     return Table(headers, tuple(texts), best=frozenset(best))
@@ -203,7 +204,8 @@ def bending_figure(published: Published) -> Figure:
     figure = style.new_figure(2.9)
     left, right = figure.subplots(1, 2)
     curvature = np.linspace(0, published.bent_cells[-1].curvature_per_m, 120)
-    unloaded = published.bent_cells[0].ohm * np.array([Film(curvature_per_m=float(one)).lowering for one in curvature])
+    lowering = [Film(curvature_per_m=float(value)).lowering for value in curvature]
+    unloaded = published.bent_cells[0].ohm * np.array(lowering)
     left.plot(curvature, unloaded, color=style.BLUE, lw=1.2, label="lampest")
     points = [(cell.curvature_per_m, cell.ohm) for cell in published.bent_cells]
     left.plot(*zip(*points, strict=True), "o", color=style.ORANGE, ms=4.5, label="published")
@@ -231,10 +233,11 @@ def tiles_of(side: Side, published: Published) -> dict[str, list[Tile]]:
         change, felt = side.loads[load.letter]
         note = f"measured {_span(change)} %\nfilm feels {_span(np.array(felt))} kPa"
         tiles["fig6"].append(Tile(f"({load.letter}) {load.condition}", change, note))
-    for one in published.ranges:
-        change, method = side.change(one.method), one.method.replace(MEASURED, "measured two-point")
-        note = f"ours {_span(change)} %\npaper {_span(np.array([one.low, one.high]))} %"
-        tiles["fig8"].append(Tile(f"({one.letter}) {method}", change, note))
+    for extremes in published.ranges:
+        change = side.change(extremes.method)
+        method = extremes.method.replace(MEASURED, "measured two-point")
+        note = f"ours {_span(change)} %\npaper {_span(np.array([extremes.low, extremes.high]))} %"
+        tiles["fig8"].append(Tile(f"({extremes.letter}) {method}", change, note))
     for number, mouth in enumerate(published.mouths):
         change = side.change(published.mouth_method, number)
         title = f"({mouth.letter}) mouth of {mouth.diameter_mm:g} mm, {published.mouth_method}"

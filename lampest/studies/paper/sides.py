@@ -1,4 +1,4 @@
-"""What the paper publishes as numbers, and what stands beside: shipped scenes, and what five methods make of them."""
+"""Numbers published in the paper, and the shipped scenes solved by the five methods."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -108,14 +108,14 @@ read_published = read_settings(Published)
 
 
 class LoadSeen(NamedTuple):
-    """What was measured of one load: relative change in percent, (rows, columns); felt : (lowest, highest) kPa."""
+    """Measurement of a load: relative change in percent, (rows, columns); felt : lowest and highest pressure in kPa."""
 
     change: Array
     felt: tuple[float, float]
 
 
 class StepsSeen(NamedTuple):
-    """Of some steps: mean and standard deviation of the data error in percent, mean time in s; NaN: none."""
+    """Mean and standard deviation of the data error in percent, and mean time in s of some steps; NaN: none."""
 
     error: float = nan
     error_sd: float = nan
@@ -124,12 +124,21 @@ class StepsSeen(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Side:
-    """One set of scenes that stands beside the paper.
+    """A set of scenes that is compared with the paper.
 
-    name, word : for the page, for files. mouths : the large and the small one. loads : letter of figure 6 → what was
-    seen. changes : (method, number of the mouth) → relative change in percent of the shown frame, (rows, columns); what
-    is measured keeps its series resistance, as the paper's does. steps : (method, steps) → what they took with the
-    large mouth.
+    Attributes
+    ----------
+    name, word : str
+        Name on the page and in files.
+    mouths : sequence of Recording
+        The large and the small one.
+    loads : mapping
+        Letter of figure 6 → measurement.
+    changes : mapping
+        (method, number of the mouth) → relative change in percent of the shown frame, (rows, columns). Measured ones
+        include the series resistance, as in the paper.
+    steps : mapping
+        (method, steps) → figures of the large mouth.
     """
 
     name: str
@@ -141,25 +150,25 @@ class Side:
 
     @property
     def panel(self) -> Panel:
-        """Of all its recordings."""
+        """Panel of the recordings."""
         return self.mouths[0].scene.panel
 
     def change(self, method: str, number: int = 0) -> Array:
-        """One of the changes. Raises InputError where there is none."""
+        """Return a relative change. Raises InputError if there is none."""
         if (method, number) not in self.changes:
             raise InputError(f"{self.name}: there are no results of {method}")
         return self.changes[method, number]
 
 
 def all_sides(folder: Path, published: Published, jobs: int | None, on_case: OnCase) -> tuple[Side, ...]:
-    """Simulate, solve and read; what was solved in the folder before is taken from it.
+    """Simulate and solve all scenes, reusing results in the folder.
 
-    Raises InputError where a shipped file is missing, a case fails, or the folder cannot be written.
+    Raises InputError for a missing shipped file, a failed case, and a folder that cannot be written.
     """
     configs, data = shipped_folder() / "configs", shipped_folder() / "data"
 
     def made(name: str) -> Path:
-        """The recording as the paper's panel measures it; simulated once."""
+        """Return the recording of the paper's panel, simulated once."""
         word = MOUTHS.get(name, f"real_{name}")
         file = folder / "recordings" / f"{word}.h5"
         if not file.is_file():
@@ -175,7 +184,7 @@ def all_sides(folder: Path, published: Published, jobs: int | None, on_case: OnC
         if report.results is None or report.failed:
             raise InputError(f"{configs / run}: {'; '.join(f'{case}: {why}' for case, why in report.failed)}")
         mouths = [Recording.load(file) for file in files]
-        loads = {one.letter: _load(recorded(one.recording)) for one in published.loads}
+        loads = {load.letter: _load(recorded(load.recording)) for load in published.loads}
         return shown(Side(name, word, mouths, loads, *_optima(read_results(report.results), mouths)))
 
     clean = side("clean scenes", "clean", "table1.yaml", lambda name: data / f"{name}.h5")
@@ -184,7 +193,7 @@ def all_sides(folder: Path, published: Published, jobs: int | None, on_case: OnC
 
 
 def shown(side: Side) -> Side:
-    """With changes of the shown frame: of clean scenes the strongest one, of others the first; and what is measured."""
+    """Return the side with changes of its shown frame (clean: the strongest, else the first) and measured ones."""
     frames = [furthest_frame(mouth) if side.word == "clean" else 0 for mouth in side.mouths]
     changes = {key: np.asarray(change[frames[key[1]]]) for key, change in side.changes.items()}
     for number, (mouth, frame) in enumerate(zip(side.mouths, frames, strict=True)):
@@ -193,7 +202,7 @@ def shown(side: Side) -> Side:
 
 
 def _load(file: Path) -> LoadSeen:
-    """The frame of a simulated recording in which cells have moved furthest."""
+    """Return the measurement of the strongest frame of a simulated recording."""
     recording = Recording.load(file)
     assert recording.truth_pressure is not None
     frame = int(recording.measured_frames()[furthest_frame(recording)])
@@ -203,7 +212,7 @@ def _load(file: Path) -> LoadSeen:
 
 
 def _optima(results: Results, mouths: Sequence[Recording]) -> tuple[dict[Any, Array], dict[Any, StepsSeen]]:
-    """Verified optima, from a results file with a case of every method; steps are those of `lampest compare`."""
+    """Return changes and figures of all methods from a results file; steps are those of `lampest compare`."""
     changes = {
         (case.estimator, number): np.asarray(case.relative_change)
         for number, mouth in enumerate(mouths)
@@ -219,12 +228,12 @@ def _optima(results: Results, mouths: Sequence[Recording]) -> tuple[dict[Any, Ar
 
 
 def unloaded(recording: Recording) -> Array:
-    """The mean of the unloaded frames as recorded, (rows, columns) ohm."""
+    """Return the mean of the unloaded frames as recorded, (rows, columns) ohm."""
     return np.asarray(recording.recorded[recording.role == UNLOADED].mean(axis=0))
 
 
 def furthest_frame(recording: Recording) -> int:
-    """Of the measured frames the one whose cells have moved furthest."""
+    """Return the index of the strongest measured frame."""
     readings = Readings.of(recording.scene, recording.recorded, recording.sigma)
     resting = readings[recording.role == UNLOADED].mean().value
     return furthest(readings.value[recording.measured_frames()], resting)

@@ -13,16 +13,16 @@ WAYS: tuple[type[Publish], ...] = (LslPublish, OscPublish, MqttPublish, Websocke
 
 
 def publish_at(where: str, token: str | None = None) -> Publish:
-    """`mqtt://localhost:1883/lampest` or `mqtt` alone: where frames go. token : asked of listeners.
+    """Parse an address such as `mqtt://localhost:1883/lampest` or `mqtt`. token : required of listeners.
 
-    Raises InputError where there is no such way, or the address is none.
+    Raises InputError for an unknown protocol and an invalid address.
     """
-    kind, _, rest = where.partition("://")
+    kind, _, address = where.partition("://")
     ways = {way.kind: way for way in WAYS}
     if kind not in ways:
         raise InputError(f"--publish: '{where}' begins with none of {', '.join(ways)}")
     try:
-        parts = urlsplit(f"//{rest}", allow_fragments=False)
+        parts = urlsplit(f"//{address}", allow_fragments=False)
         if parts.query or parts.port == -1:  # whatever is no port raises
             raise ValueError("what follows a question mark means nothing there")
     except ValueError as error:

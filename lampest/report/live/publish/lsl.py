@@ -27,10 +27,12 @@ class LslPublish(Publish):
 
     @classmethod
     def at(cls, where: SplitResult, token: str | None) -> Self:
+        """As `Publish`."""
         return cls(path=where.netloc or cls.path)
 
     @contextmanager
     def opened(self, say: Say) -> Iterator[tuple[str, Send]]:
+        """As `Publish`."""
         with extra("streams"):
             try:
                 import pylsl
@@ -46,7 +48,7 @@ class LslPublish(Publish):
                 _describe(number.desc(), message)
                 name = f"{self.path}-answer"
                 text = pylsl.StreamInfo(name, "Markers", 1, pylsl.IRREGULAR_RATE, "string", name)
-                outlets.extend(pylsl.StreamOutlet(one) for one in (number, text))
+                outlets.extend(pylsl.StreamOutlet(info) for info in (number, text))
             sent.append(message.signature)
             if message.picture.number != frame:
                 outlets[0].push_sample(row, pylsl.local_clock() - (time.time() - message.picture.arrived))

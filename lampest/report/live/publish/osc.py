@@ -22,6 +22,7 @@ class OscPublish(Publish):
 
     @contextmanager
     def opened(self, say: Say) -> Iterator[tuple[str, Send]]:
+        """As `Publish`."""
         with extra("streams"):
             from pythonosc.udp_client import UDPClient
         try:

@@ -1,4 +1,4 @@
-"""What a way to publish frames is, and how all ways get every frame."""
+"""Interface of protocols that publish live frames, and the threads that feed them."""
 
 import time
 from abc import ABC, abstractmethod
@@ -18,9 +18,9 @@ Say = Callable[[str], None]
 
 @dataclass(frozen=True)
 class Publish(ABC):
-    """One way, with its address `KIND://USER:PASSWORD@HOST:PORT/PATH`; token : asked of listeners.
+    """A protocol with its address `KIND://USER:PASSWORD@HOST:PORT/PATH`; token : required of listeners.
 
-    A way has defaults of its own for what an address leaves away.
+    Subclasses have their own defaults for missing parts of the address.
     """
 
     kind: ClassVar[str]
@@ -33,27 +33,27 @@ class Publish(ABC):
 
     @classmethod
     def at(cls, where: SplitResult, token: str | None) -> Self:
-        """With the parts of an address. Raises InputError where it is none."""
+        """Return the protocol with the parts of an address. Raises InputError for an invalid one."""
         user, password = (None if part is None else unquote(part) for part in (where.username, where.password))
         port = cls.port if where.port is None else where.port
         return cls(where.hostname or cls.host, port, where.path.strip("/") or cls.path, user, password, token)
 
     @property
     def where(self) -> str:
-        """For people."""
+        """Address as text."""
         return f"{self.kind}://{self.host}:{self.port}/{self.path}"
 
     @abstractmethod
     def opened(self, say: Say) -> AbstractContextManager[tuple[str, Send]]:
-        """(where others find it, what sends a message); open as long as the context lasts.
+        """Yield the public address and a function that sends a message.
 
-        Sending never waits for listeners: slow ones miss messages. say : gets sentences about the connection.
-        Raises InputError where a library is missing or nobody is there.
+        Sending never waits for listeners: slow ones miss messages. say : receives sentences about the connection.
+        Raises InputError for a missing library and an unreachable peer.
         """
 
 
 def waited(done: Callable[[], bool], seconds: float) -> bool:
-    """Whether something came true within so many s."""
+    """Wait until a condition holds, at most for some seconds; return whether it holds."""
     until = time.monotonic() + seconds
     while not done() and time.monotonic() < until:
         time.sleep(0.01)
@@ -62,10 +62,10 @@ def waited(done: Callable[[], bool], seconds: float) -> bool:
 
 @contextmanager
 def publishing(ways: Sequence[Publish], shown: Newest[View], say: Say) -> Iterator[tuple[str, ...]]:
-    """Send every new picture, answer and alarm each way, in a thread of its own, until nothing more will come.
+    """Send new pictures, answers and alarms by each protocol, in a thread of its own, until the series ends.
 
-    Yields the ways' addresses. say : gets a sentence when a way fails first. Raises InputError where one cannot be
-    opened.
+    Yields the public addresses. say : receives a sentence at the first failure of a protocol. Raises InputError if one
+    cannot be opened.
     """
     with ExitStack() as opened:
         outlets = [opened.enter_context(way.opened(say)) for way in ways]
@@ -81,7 +81,7 @@ def publishing(ways: Sequence[Publish], shown: Newest[View], say: Say) -> Iterat
 
 
 def _forward(shown: Newest[View], send: Send, where: str, say: Say) -> None:
-    """Send the newest picture, those that came meanwhile are left out; a failure is said once until it works again."""
+    """Send the newest picture, skipping older ones; report a failure once until sending works again."""
     seen, sent, failed = 0, (0, "", ""), False
     while (news := shown.after(seen)) is not None:
         seen, message = news.number, Message.of(news.thing)

@@ -33,17 +33,18 @@ class WebsocketPublish(Publish):
 
     @contextmanager
     def opened(self, say: Say) -> Iterator[tuple[str, Send]]:
+        """As `Publish`."""
         with extra("streams"):
             from websockets.exceptions import ConnectionClosed
             from websockets.sync.server import serve
         host = ip_named(self.host)
         if host is None:
             raise InputError(f"--publish: websocket: '{self.host}' is no address such as 127.0.0.1 or 0.0.0.0")
-        newest, access = Newest(""), Access.of(self.token, host.is_loopback, self.port)
+        newest, access = Newest(""), Access.of(self.token, self.port, local=host.is_loopback)
         listeners = dict[Any, float]()  # when the message that each has not yet taken was sent; else infinite
 
         def cut_off(before: float) -> None:
-            for connection in [one for one, sent in tuple(listeners.items()) if sent <= before]:
+            for connection in [listener for listener, sent in tuple(listeners.items()) if sent <= before]:
                 with suppress(OSError):
                     connection.socket.shutdown(socket.SHUT_RDWR)
 
