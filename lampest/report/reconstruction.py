@@ -22,7 +22,7 @@ from lampest.runs.filling import named_result
 from lampest.runs.results import CaseResult, write_results
 
 if TYPE_CHECKING:
-    from lampest.report.plots.plot import Figure, Plot
+    from lampest.report.plots.contours import Figure, Plot
     from lampest.runs.case import DataFrame, Dataset
 
 INTERNAL = {"of", "asked", "tared"}  # attributes that the package's own columns read

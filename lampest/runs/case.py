@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -174,17 +174,22 @@ class CaseResult(Held):
         Its columns are time, frame, row, column and those of the case; values of frames and of cells are repeated.
         Units are in `attrs["units"]`. Raises InputError as `to_xarray`.
         """
+        held = self.long_columns(columns)
+        table = data_frame({name: series.values for name, series in held.items()})
+        table.attrs = about(self) | {"units": {n: series.units for n, series in held.items() if n not in CELLS}}
+        return table
+
+    def long_columns(self, columns: Sequence[Column] = ()) -> dict[str, Series]:
+        """Return the columns of `to_dataframe`, without need of pandas. Raises InputError as `to_xarray`."""
         held = series_of(self, self.described(columns))
         first = {name: held.pop(name) for name in (TIME.name, FRAME.name)} | places_of(self)
         held = first | {name: series for name, series in held.items() if "/" not in series.path}
         sizes = dict(zip(MAPS, self.measured.shape, strict=True))
-        lines = {}
         for name, series in held.items():
             shape = [size if axis in series.axes else 1 for axis, size in sizes.items()]
-            lines[name] = np.broadcast_to(np.reshape(series.values, shape), self.measured.shape).ravel()
-        table = data_frame(lines)
-        table.attrs = about(self) | {"units": {n: series.units for n, series in held.items() if n not in CELLS}}
-        return table
+            values = np.broadcast_to(np.reshape(series.values, shape), self.measured.shape).ravel()
+            held[name] = replace(series, values=values)
+        return held
 
     def described(self, columns: Sequence[Column] = ()) -> tuple[Column, ...]:
         """Return all columns: those of lampest, of installed packages, and the given ones.

@@ -112,6 +112,18 @@ def test_csv_is_what_pandas_reads(lampest: Run, results: Path) -> None:
     assert "rows: 4" in told["notes"][0]["scene"] and "misfit" in told["notes"][0]["case"]
 
 
+def test_csv_needs_no_pandas(results: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    table, _ = export_results(results, "csv")
+    with table.open(encoding="utf-8", newline="") as file:
+        lines = list(csv.DictReader(file))
+    assert len(lines) == 2 * 3 * 4 * 5 + 2 * 3 * 6
+    assert {line["saturated"] for line in lines if line["recording"] == "mouth"} == {"0", "1", ""}
+    assert {line["frame"] for line in lines if line["recording"] == "other"} == {"5", "6"}
+    first = read_results(results).cases[0]
+    assert [float(line["cell_resistance_ohm"]) for line in lines[:20]] == first.cell_resistance[0].ravel().tolist()
+
+
 def test_names_that_spreadsheets_would_compute_are_texts_in_csv(lampest: Run, tmp_path: Path) -> None:
     names = {"=cmd|'C calc'!A0": "+1", "-2+3": "@SUM(A1)"}
     cases = [invented_case(estimator, recording, (2, 3, 4)) for recording, estimator in names.items()]

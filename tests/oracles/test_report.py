@@ -18,7 +18,7 @@ from lampest.report.page.measures import (
     mean_interval,
     picks,
 )
-from lampest.report.page.tables import failures
+from lampest.report.page.page import failures
 from lampest.runs.results import CaseResult
 
 pytestmark = pytest.mark.slow

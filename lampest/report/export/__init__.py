@@ -13,10 +13,8 @@ from pathlib import Path
 from lampest.files.errors import InputError
 from lampest.files.typed import installed, of_kind, typed
 from lampest.files.whole import refuse_inputs, sparing, whole_file
-from lampest.report.export.arrays import MatlabExport, ZarrExport
-from lampest.report.export.export import Export
+from lampest.report.export.formats import CsvExport, Export, MatlabExport, ParquetExport, ZarrExport
 from lampest.report.export.nwb import NwbExport
-from lampest.report.export.tables import CsvExport, ParquetExport
 from lampest.runs.case import CaseResult
 from lampest.runs.results import read_results
 

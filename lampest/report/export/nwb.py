@@ -12,7 +12,7 @@ import numpy as np
 
 from lampest.files.errors import InputError, extra
 from lampest.panel.conditions import Experiment, MeasuredSubject
-from lampest.report.export.export import Export
+from lampest.report.export.formats import Export
 from lampest.runs.case import CaseResult, about, series_of
 from lampest.runs.columns import CELLS
 from lampest.runs.held import TIME, all_columns

@@ -19,12 +19,12 @@ from lampest.report.plots.contours import (
     CertaintyPlot,
     ChangePlot,
     ContourPlot,
+    Plot,
     PressurePlot,
     ResidualPlot,
     ResistancePlot,
 )
 from lampest.report.plots.maps import Tile, banded_scale, maps_figure
-from lampest.report.plots.plot import Plot
 from lampest.report.plots.style import HALF_INCH, PICTURES, SUFFIXES, save, verbatim, write_all
 from lampest.report.plots.sweep import SweepPlot, swept_numbers
 from lampest.report.strongest import strongest_readings

@@ -10,7 +10,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator
 
 from lampest.report.compare import LEAST, figures_of
 from lampest.report.plots import style
-from lampest.report.plots.plot import Plot
+from lampest.report.plots.contours import Plot
 from lampest.runs.case import CaseResult
 
 QUANTITIES = {  # figure of a case → label of its axis

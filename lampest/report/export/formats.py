@@ -1,0 +1,217 @@
+"""Export formats: one long table (CSV, Parquet) and labelled arrays (MATLAB 5, Zarr)."""
+
+import csv
+import json
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import repeat
+from pathlib import Path
+from typing import Any, ClassVar
+from zipfile import ZipFile, ZipInfo
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lampest.files.errors import InputError, extra
+from lampest.report.words import no_formula
+from lampest.runs.case import CaseResult, about, places_of, series_of
+from lampest.runs.columns import FRAMES, Series
+from lampest.runs.held import all_columns
+
+CSV_KINDS = {"f": "double", "i": "integer", "u": "integer", "b": "boolean"}  # of XML Schema, by numpy's letter
+NAMES = ("recording", "estimator")
+Values = np.ma.MaskedArray[Any, Any]
+Table = Mapping[str, Values]  # name → values, masked where they are missing
+
+
+@dataclass(frozen=True)
+class Export(ABC):
+    """An export format.
+
+    Attributes
+    ----------
+    kind : str
+        Name on the command line.
+    suffix : str
+        Suffix of the file.
+    beside : str
+        Suffix of a second file for metadata; '' for none.
+
+    >>> from lampest.report.export.formats import CsvExport
+    >>> issubclass(CsvExport, lampest.Export)
+    True
+    """
+
+    kind: ClassVar[str]
+    suffix: ClassVar[str]
+    beside: ClassVar[str] = ""
+
+    @abstractmethod
+    def write(self, cases: Sequence[CaseResult], name: str, path: Path, beside: Path | None) -> None:
+        """Write the cases into the empty file `path`, and metadata into `beside`.
+
+        name : final name of `path`. Raises InputError for a missing library or cases that do not fit the format.
+        """
+
+
+class CsvExport(Export):
+    """UTF-8, commas, one line of names; missing values are empty; see `no_formula`.
+
+    Metadata are in a second file, in JSON by the recommendation https://www.w3.org/TR/tabular-metadata/: units,
+    meanings, flags, and the configuration and scene of every case.
+    """
+
+    kind: ClassVar[str] = "csv"
+    suffix: ClassVar[str] = ".csv"
+    beside: ClassVar[str] = "-metadata.json"
+
+    def write(self, cases: Sequence[CaseResult], name: str, path: Path, beside: Path | None) -> None:
+        """Write the table and its metadata."""
+        assert beside is not None
+        tables, meanings = long_tables(cases)
+        with path.open("w", encoding="utf-8", newline="") as file:
+            writer = csv.writer(file, lineterminator="\n")
+            writer.writerow(meanings)
+            for table in tables:
+                known = [_texts(table[column]) if column in table else repeat("") for column in meanings]
+                writer.writerows(zip(*known, strict=False))  # the repeated ones have no end
+        columns = [
+            {"name": column, "datatype": CSV_KINDS.get(np.dtype(meaning.dtype).kind, "string")}
+            | {"dc:description": meaning.long_name, "schema:unitText": meaning.units}
+            | ({"schema:valueReference": _words(meaning)} if meaning.flags else {})
+            for column, meaning in meanings.items()
+        ]
+        head = {"@context": "http://www.w3.org/ns/csvw", "url": name, "tableSchema": {"columns": columns}}
+        content = head | {"notes": [about(case) for case in cases]}
+        beside.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+
+
+class ParquetExport(Export):
+    """The table with its types; units, meanings and flags are metadata of the columns.
+
+    The metadata of the schema hold the cases as JSON under `lampest`.
+    """
+
+    kind: ClassVar[str] = "parquet"
+    suffix: ClassVar[str] = ".parquet"
+
+    def write(self, cases: Sequence[CaseResult], name: str, path: Path, beside: Path | None) -> None:
+        """Write the table."""
+        with extra("export"):
+            import pyarrow
+            from pyarrow import parquet
+        tables, meanings = long_tables(cases)
+        parts = [
+            pyarrow.table({name: pyarrow.array(v.data, mask=np.ma.getmaskarray(v)) for name, v in each.items()})
+            for each in tables
+        ]
+        table = pyarrow.concat_tables(parts, promote_options="default")
+        fields = []
+        for field in table.schema:
+            meaning = meanings[field.name]
+            flags = {"flags": json.dumps(_words(meaning))} if meaning.flags else {}
+            fields.append(field.with_metadata({"units": meaning.units, "long_name": meaning.long_name} | flags))
+        known = {b"lampest": json.dumps([about(case) for case in cases]).encode()}
+        parquet.write_table(table.cast(pyarrow.schema(fields, known)), path, compression="zstd")
+
+
+def _words(meaning: Series) -> dict[str, str]:
+    """Return value → word of a flag."""
+    return {str(value): word for value, word in meaning.flags}
+
+
+def _texts(values: Values) -> list[object]:
+    """Return values for CSV, '' for missing ones."""
+    hidden = np.ma.getmaskarray(values).tolist()
+    return ["" if masked else no_formula(value) for value, masked in zip(values.data.tolist(), hidden, strict=True)]
+
+
+def long_tables(cases: Sequence[CaseResult]) -> tuple[list[Table], dict[str, Series]]:
+    """Return a table of each case, with a line for every cell of every frame, and the meanings of all columns.
+
+    Names end in their unit: time_s, x_mm, cell_resistance_ohm; those of counts, flags and texts have none. So readings
+    in ohm and in volt are two columns. Whole numbers stay whole numbers where some are missing.
+    """
+    dtypes = {column.label: np.dtype(column.dtype) for column in all_columns() if column.dtype is not str}
+    tables, meanings = list[Table](), dict[str, Series]()
+    for case in cases:
+        words = {word: Series(word, FRAMES, None, "1", f"name of the {word}", dtype=str) for word in NAMES}
+        table: dict[str, Values] = {
+            word: np.ma.masked_array(np.full(case.measured.size, getattr(case, word), object)) for word in NAMES
+        }
+        meanings |= words
+        for label, series in case.long_columns().items():
+            name = label if series.units == "1" else f"{label}_{series.units}"
+            values = np.asarray(series.values)
+            missing = np.isnan(values) if values.dtype.kind == "f" else np.zeros(len(values), dtype=bool)
+            dtype = dtypes.get(label, values.dtype)
+            filled = np.where(missing, 0, values) if missing.any() else values
+            table[name] = np.ma.masked_array(filled.astype(dtype), missing)
+            meanings[name] = replace(series, dtype=dtype.type)
+        tables.append(table)
+    return tables, meanings
+
+
+class MatlabExport(Export):
+    """`cases{1}.cell_resistance` is frames × rows × columns; `cases{1}.units.cell_resistance` says 'ohm'.
+
+    `long_name` has the meanings in words; `flags.open_cell.values` and `.meanings` what the values of a flag say; `y`
+    and `x` the positions in mm of the lines in `row` and `column`; texts of frames are cells of texts.
+    """
+
+    kind: ClassVar[str] = "mat"
+    suffix: ClassVar[str] = ".mat"
+
+    def write(self, cases: Sequence[CaseResult], name: str, path: Path, beside: Path | None) -> None:
+        """Write a cell array of structs, since cases may hold different columns."""
+        from scipy.io import savemat
+        from scipy.io.matlab import MatWriteError
+
+        held = {"cases": _cells([_struct(case) for case in cases]).reshape(1, -1)}
+        try:
+            with path.open("wb") as file:
+                savemat(file, held, long_field_names=True, do_compression=True, oned_as="column")
+        except (ValueError, MatWriteError) as error:
+            raise InputError(f"{name}: does not fit a MATLAB 5 file ({error})") from error
+
+
+def _struct(case: CaseResult) -> dict[str, Any]:
+    held, places = series_of(case, all_columns()), places_of(case)
+    words = {name: zip(*series.flags, strict=True) for name, series in held.items() if series.flags}
+    flags = {name: {"values": np.array(numbers), "meanings": _cells(texts)} for name, (numbers, texts) in words.items()}
+    values = {name: _cells(series.values) if series.dtype is str else series.stored for name, series in held.items()}
+    units = {name: series.units for name, series in (held | places).items() if name not in ("row", "column")}
+    names = {name: series.long_name for name, series in held.items()}
+    where = {name: series.values for name, series in places.items()}
+    return about(case) | values | where | {"units": units, "long_name": names, "flags": flags}
+
+
+def _cells(things: Sequence[Any]) -> NDArray[Any]:
+    """Return a MATLAB cell array of shape (items, 1)."""
+    cells = np.empty((len(things), 1), dtype=np.object_)
+    cells[:, 0] = [*things]
+    return cells
+
+
+class ZarrExport(Export):
+    """`xarray.open_datatree(zarr.storage.ZipStore(path), engine="zarr")`: groups recording/estimator.
+
+    Version 2 of the format, which every library for zarr reads; one zip archive, because a folder of thousands of files
+    cannot appear whole.
+    """
+
+    kind: ClassVar[str] = "zarr"
+    suffix: ClassVar[str] = ".zarr.zip"
+
+    def write(self, cases: Sequence[CaseResult], name: str, path: Path, beside: Path | None) -> None:
+        """Write the zip archive."""
+        with extra("export"):
+            from xarray import DataTree
+            from zarr.storage import MemoryStore
+        tree = DataTree.from_dict({f"/{case.recording}/{case.estimator}": case.to_xarray() for case in cases})
+        held: dict[str, Any] = {}  # zarr writes some keys several times, and an archive would keep them all
+        tree.to_zarr(MemoryStore(held), mode="w", zarr_format=2)
+        with ZipFile(path, "w") as archive:
+            for key in sorted(held):
+                archive.writestr(ZipInfo(key), held[key].to_bytes())
