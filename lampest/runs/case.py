@@ -67,8 +67,6 @@ class CaseResult(Held):
     def __post_init__(self) -> None:
         check_name(self.recording, "recording")
         check_name(self.estimator, "estimator")
-        if self.estimator == SHARED:
-            raise InputError(f"an estimator cannot be called '{SHARED}': results keep the measurement under that name")
         if self.measured.ndim != 3 or self.measured.size == 0:
             raise InputError(f"{self._path(MEASURED)} must be frames × rows × columns with at least one frame")
         if self.measured.shape[1:] != self.scene.panel.shape:
@@ -252,13 +250,15 @@ class StoredCase:
 
 
 def check_name(name: str, what: str) -> None:
-    """Raise InputError unless `name` can name a group: printable ASCII without '/', not '.' or '..', trimmed."""
+    """Raise InputError unless `name` can name a group: printable ASCII without '/', trimmed, not reserved."""
     fit = name.isascii() and name.isprintable() and "/" not in name and name == name.strip()
     if not fit or name in ("", ".", "..") or len(name) > 200:
         raise InputError(
-            f"{name[:200]!r} cannot name a {what}: 1 to 200 printable ASCII characters without '/' "
+            f"{name[:200]!r} cannot name this {what}: 1 to 200 printable ASCII characters without '/' "
             "or blanks at the ends are needed, other than '.' and '..'"
         )
+    if (what, name) == ("estimator", SHARED):
+        raise InputError(f"an estimator cannot be called '{SHARED}': results keep the measurement under that name")
 
 
 def series_of(case: CaseResult, columns: Sequence[Column], *, raw: bool = False) -> dict[str, Series]:

@@ -377,6 +377,8 @@ def _silence() -> Iterator[None]:
 
 def _readable(path: Path, key: str) -> str:
     """Return the absolute path of a file of an executor. Raises InputError if it is unreadable."""
+    if path.exists() and not path.is_file():
+        raise InputError(f"executor.{key}: {path}: is no regular file")
     try:
         path.open("rb").close()
     except OSError as error:

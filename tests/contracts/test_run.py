@@ -67,6 +67,16 @@ def test_run_writes_what_it_found(disk: SimpleNamespace, lampest: Command) -> No
     assert [case.joint_start for case in found] == [False, False, False]
 
 
+def test_an_estimator_named_like_a_group_of_the_file_is_refused_before_any_solve(
+    disk: SimpleNamespace, lampest: Command
+) -> None:
+    terms = "{terms: {misfit: {}}}"
+    path = disk.run(f"schema: 1\nrecordings: [small.h5]\nestimators: {{recording: {terms}, LSM: {terms}}}\n")
+    done = lampest("run", path, "--out", disk.folder / "out")
+    assert done.code == 2 and "an estimator cannot be called 'recording'" in done.err
+    assert not (disk.folder / "out").exists()
+
+
 def test_second_run_does_nothing_and_fresh_solves_again(disk: SimpleNamespace, lampest: Command) -> None:
     run, out = disk.folder / "run.yaml", disk.folder / "out"
     lampest("run", run, "--out", out, "--jobs", "1")

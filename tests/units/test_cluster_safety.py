@@ -75,6 +75,11 @@ def test_files_are_taken_from_beside_the_run(disk: SimpleNamespace, keys: Path) 
         read_run(disk.run(disk.text + entry))
 
 
+def test_a_device_is_no_scheduler_file(disk: SimpleNamespace) -> None:
+    with pytest.raises(InputError, match=r"executor\.scheduler_file: /dev/zero: is no regular file"):
+        read_run(disk.run(disk.text + "executor: {kind: dask, scheduler_file: /dev/zero}\n"))
+
+
 @pytest.mark.parametrize(
     ("given", "sentence"),
     [
