@@ -2,7 +2,11 @@
 
 import re
 import sys
+from collections.abc import Iterable, Iterator, Sequence
+from itertools import groupby
 from pathlib import Path
+from shutil import get_terminal_size
+from textwrap import fill, wrap
 from typing import TYPE_CHECKING, Annotated, Any, TextIO
 
 import typer
@@ -10,17 +14,7 @@ import typer
 from lampest.files.errors import InputError, printable
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
-
     from lampest.panel.scene import Scene
-
-from collections.abc import Iterator, Sequence
-from itertools import groupby
-from shutil import get_terminal_size
-from textwrap import wrap
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
     from lampest.report.compare import Table
 
 
@@ -113,10 +107,8 @@ def markless(text: str) -> str:
     return escape(printable(text))
 
 
-def print_notes(notes: "Iterable[str]") -> None:
+def print_notes(notes: Iterable[str]) -> None:
     """Print sentences within 100 columns with hanging indents."""
-    from textwrap import fill
-
     for note in notes:
         print(fill(printable(note), WIDTH, subsequent_indent="    ", break_long_words=False, break_on_hyphens=False))
 

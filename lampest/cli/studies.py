@@ -29,7 +29,7 @@ STUDIES = {
     ),
     "extremes": (
         "lampest.studies.extremes.run",
-        "Solve scenes at the limits of measurement and report how each ended; table, HDF5 and heat map.",
+        "Solve scenes at the limits of measurement and report how each ended; table and HDF5.",
     ),
     "weights": (
         "lampest.studies.weights_report",

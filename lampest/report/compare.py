@@ -67,7 +67,6 @@ STATISTICS: dict[str, Callable[[Array], float | None]] = {
     "95th percentile": lambda values: float(np.percentile(values, 95)),
     "smallest": lambda values: float(np.min(values)),
     "largest": lambda values: float(np.max(values)),
-    "worst": lambda values: float(np.max(values)),
 }
 
 
@@ -146,7 +145,7 @@ def figures_of(case: CaseResult, chosen: NDArray[np.bool_]) -> dict[str, Any]:
         **statistics(own_kpa, "own standard deviation of pressed cells {} [kPa]", "median"),
         **statistics(common_kpa, "common standard deviation of pressed cells {} [kPa]", "median"),
         "open cells": int(np.sum(case.open_cell[good] != 0)),
-        **statistics(case.kkt_residual[good], "{} KKT residual", "worst"),
+        **statistics(case.kkt_residual[good], "worst KKT residual", "largest"),
         **{name: 0 if count is None else int(count[chosen].sum()) for name, count in counts.items()},
     }
 

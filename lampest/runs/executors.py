@@ -418,16 +418,10 @@ def each_of(
     """
     executor: Executor = Processes() if len(things) > FEW and not in_process else Serial()
     results: dict[int, Any] = {}
-    tasks = [(function, number, thing) for number, thing in enumerate(things)]
-    with closing(executor.results(_numbered, tasks)) as ends:
-        for (_, number, _), outcome in ends:
+    with closing(executor.results(function, things)) as ends:
+        for count, (thing, outcome) in enumerate(ends, 1):
             if isinstance(outcome, BaseException):
                 raise outcome
-            results[number] = outcome
-            on_done(len(results), len(things))
-    return [results[number] for number in range(len(things))]
-
-
-def _numbered(task: tuple[Function, int, Any]) -> Any:
-    function, _, thing = task
-    return function(thing)
+            results[id(thing)] = outcome
+            on_done(count, len(things))
+    return [results[id(thing)] for thing in things]

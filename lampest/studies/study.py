@@ -189,8 +189,8 @@ def read_settings(kind: type[Kind]) -> Callable[..., Kind]:
     """Return a reader of YAML files for a dataclass; it raises InputError with line and column."""
 
     def read(path: Path, assigned: tuple[str, ...] = ()) -> Kind:
-        measured: Kind = validated(read_document(path, assigned), kind)
-        return measured
+        settings: Kind = validated(read_document(path, assigned), kind)
+        return settings
 
     return read
 
@@ -209,11 +209,11 @@ def of_tasks(
     """
     executor = executor or local(None, len(tasks))
     executor.ready()
-    measured: dict[int, tuple[Measured, ...]] = {}
+    results: dict[int, tuple[Measured, ...]] = {}
     for task, result in executor.results(function, tasks):
-        measured[id(task)] = result if isinstance(result, tuple) else (lost(task, result),)
-        on_step(len(measured), len(tasks))
-    return tuple(result for task in tasks for result in measured[id(task)])
+        results[id(task)] = result if isinstance(result, tuple) else (lost(task, result),)
+        on_step(len(results), len(tasks))
+    return tuple(result for task in tasks for result in results[id(task)])
 
 
 @dataclass(frozen=True, eq=False)
@@ -234,11 +234,11 @@ def of_cases(
     measured: list[Measured] = []
     left_out = {}
     for number, case in enumerate(run.cases, 1):
-        found_here = function(case)
-        if isinstance(found_here, str):
-            left_out[f"{case.recording}/{case.name}"] = found_here
+        result = function(case)
+        if isinstance(result, str):
+            left_out[f"{case.recording}/{case.name}"] = result
         else:
-            measured += found_here
+            measured += result
         on_step(number, len(run.cases))
     if not measured:
         raise InputError(f"nothing to {purpose}: {'; '.join(f'{name}: {why}' for name, why in left_out.items())}")
@@ -247,10 +247,10 @@ def of_cases(
 
 def grouped(records: Iterable[Any], key: Callable[[Any], Any]) -> dict[Any, list[Any]]:
     """Group records by a key, in order of first appearance."""
-    measured: dict[Any, list[Any]] = {}
+    groups: dict[Any, list[Any]] = {}
     for record in records:
-        measured.setdefault(key(record), []).append(record)
-    return measured
+        groups.setdefault(key(record), []).append(record)
+    return groups
 
 
 def rows_by(key: Callable[[Any], Any], row: Callable[[Any], Row]) -> Callable[[Iterable[Any]], list[Row]]:

@@ -161,7 +161,7 @@ def test_the_page_says_what_verified_means_and_how_many_starts_there_were() -> N
     sought = invented_case(status=("optimum verified",) * 3, starts=np.array([1, 7, 3]))
     rough = invented_case("naive", status=("approximate, as the formulation asks",) * 3)
     text = Page(report(batch(sought, rough))).text
-    assert "frames at a verified optimum (starts of a frame) 3 (1 to 7) –" in text
+    assert "frames at a verified optimum 3 of 3 (1 to 7 starts each) –" in text
     assert "no small change of any cell lowers the cost. Such an optimum is local" in text
 
 

@@ -3,6 +3,7 @@
 import os
 from collections.abc import Callable
 from contextlib import suppress
+from functools import partial
 from threading import Condition, Thread
 from typing import Any, Generic, NamedTuple, TypeVar
 
@@ -81,7 +82,7 @@ class Beside(Generic[T]):
         self._queued, self._on_answer, self._on_gone = queued, on_answer, on_gone
         self._changed, self._ending, self.gone = Condition(), False, False
         self._waiting: list[T] = []
-        self._worker = Worker.start(Polite(desk))
+        self._worker = Worker.start(partial(_politely, desk))
         self._thread = Thread(target=self._serve, name="lampest-beside", daemon=True)
         self._thread.start()
 
@@ -122,17 +123,11 @@ class Beside(Generic[T]):
             return self._waiting.pop(0) if self._waiting else None
 
 
-class Polite(Generic[T]):
-    """Function of one argument that lowers the priority of its process."""
-
-    def __init__(self, function: Callable[[T], Any]) -> None:
-        self._function = function
-
-    def __call__(self, argument: T) -> Any:
-        """Call the function."""
-        with suppress(AttributeError, OSError):  # Linux alone has it
-            os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
-        return self._function(argument)
+def _politely(function: Callable[[T], Any], argument: T) -> Any:
+    """Call a function with the priority of this process lowered."""
+    with suppress(AttributeError, OSError):  # Linux alone has it
+        os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
+    return function(argument)
 
 
 class Errand(NamedTuple):

@@ -23,7 +23,7 @@ from lampest.report.page.measures import (
     weights_text,
 )
 from lampest.report.plots.contours import CertaintyPlot, ContourPlot, Plot, ResidualPlot
-from lampest.report.plots.maps import Scale, Tile, maps_figure, signed_scale, values_of
+from lampest.report.plots.maps import Tile, maps_figure, signed_scale, values_of
 from lampest.report.plots.style import HALF_INCH, data_uri, verbatim
 from lampest.report.strongest import strongest_index
 from lampest.report.words import counted, digits
@@ -97,9 +97,12 @@ def _section(task: tuple[str, Mapping[str, CaseResult], int, Sequence[str]]) -> 
     cases = [case for estimator, case in every.items() if estimator in drawn] or [*every.values()][:1]
     place, pairs = strongest_index(cases), disagreements(cases) if whole else ()
     with verbatim():
-        shown = [contours(cases)]
+        words = f"Maps of relative change of {name}: measured, by every estimator, and true where known"
+        shown = wide(ContourPlot(), cases, words, CHANGED)
         if whole:
-            shown += [*certainty(cases, place), residual_maps(cases, place)]
+            frame = int(cases[0].frame[place])
+            shown += wide(CertaintyPlot(frame), cases, "Maps of standard deviation and resolution", CERTAIN)
+            shown += wide(ResidualPlot(frame), cases, "Maps of the residuals", UNEXPLAINED)
             shown += differences(cases, place, pairs)
     return {
         "name": name,
@@ -123,42 +126,23 @@ class Illustration:
     wide: bool = False
 
 
-def contours(cases: Sequence[CaseResult]) -> Illustration:
-    """Draw maps of relative change."""
-    words = f"Maps of relative change of {cases[0].recording}: measured, by every estimator, and true where known"
-    return _wide(ContourPlot(), cases, words, CHANGED)
-
-
-def certainty(cases: Sequence[CaseResult], place: int) -> list[Illustration]:
-    """Draw standard deviation, resolution, and errors if the truth is known; none without error bars."""
-    plot = CertaintyPlot(int(cases[0].frame[place]))
-    known = plot.drawable(cases)
-    return [_wide(plot, known, "Maps of standard deviation and resolution", CERTAIN)] if known else []
-
-
-def residual_maps(cases: Sequence[CaseResult], place: int) -> Illustration:
-    """Draw maps of the residuals."""
-    return _wide(ResidualPlot(int(cases[0].frame[place])), cases, "Maps of the residuals", UNEXPLAINED)
+def wide(plot: Plot, cases: Sequence[CaseResult], words: str, caption: str) -> list[Illustration]:
+    """Draw a plot over the whole page; empty if no case has its columns."""
+    drawable = plot.drawable(cases)
+    return [Illustration(data_uri(plot.draw(drawable), "png"), words, caption, wide=True)] if drawable else []
 
 
 def differences(cases: Sequence[CaseResult], place: int, pairs: Sequence[Disagreement]) -> list[Illustration]:
-    """Draw maps of the pairs that differ most."""
+    """Draw maps of the pairs that differ most, of half the width: as SVG, or as PNG if there are many cells."""
     tiles = [Tile(pair.title, pair.significant[place], f"{digits(pair.share, 2)} %") for pair in pairs[:9]]
+    if not tiles:
+        return []
     most = f" The 9 of {len(pairs)} pairs that differ most." if len(pairs) > 9 else ""
     scale = signed_scale(values_of(tiles), "difference of relative change [percentage points]", 1.0, 100.0)
-    return [_maps(cases, tiles, scale, "significant differences", DIFFERENT + most)] if tiles else []
-
-
-def _wide(plot: Plot, cases: Sequence[CaseResult], words: str, caption: str) -> Illustration:
-    return Illustration(data_uri(plot.draw(cases), "png"), words, caption, wide=True)
-
-
-def _maps(cases: Sequence[CaseResult], tiles: list[Tile], scale: Scale, of_what: str, caption: str) -> Illustration:
-    """Draw maps of half the width, as SVG, or as PNG if there are many cells."""
     panel = cases[0].scene.panel
     kind: Literal["svg", "png"] = "svg" if panel.crossings * len(tiles) <= 1500 else "png"
-    figure = maps_figure(tiles, panel, scale, width=HALF_INCH)
-    return Illustration(data_uri(figure, kind), f"Maps of {of_what}", caption)
+    uri = data_uri(maps_figure(tiles, panel, scale, width=HALF_INCH), kind)
+    return [Illustration(uri, "Maps of significant differences", DIFFERENT + most)]
 
 
 def case_table(groups: Mapping[str, Sequence[CaseResult]]) -> Table:
@@ -168,7 +152,7 @@ def case_table(groups: Mapping[str, Sequence[CaseResult]]) -> Table:
     """
     known = [[figures(case) for case in cases] for cases in groups.values()]
     rows = [
-        ("frames at a verified optimum (starts of a frame)", *map(_optima, groups.values())),
+        ("frames at a verified optimum", *map(_optima, groups.values())),
         ("weights", *(weights_text([case.weights for case in cases]) or NONE for cases in groups.values())),
     ]
     for line in dict.fromkeys(line for column in known for case in column for line in case):
@@ -187,12 +171,14 @@ def _figure(values: Sequence[float]) -> str:
 
 
 def _optima(cases: Sequence[CaseResult]) -> str:
-    """Return the number of frames at a verified optimum and the number of starts, such as '21 (1 to 7)'."""
+    """Return the number of frames at a verified optimum, such as '21 of 22 (1 to 7 starts each)'."""
     known = [case.local_optima for case in cases if case.local_optima is not None]
     if not known:
         return NONE
-    least, most = min(optima[1] for optima in known), max(optima[2] for optima in known)
-    return f"{sum(optima[0] for optima in known):,} ({least if least == most else f'{least} to {most}'})"
+    optima, frames = sum(each[0] for each in known), sum(len(case.time) for case in cases)
+    least, most = min(each[1] for each in known), max(each[2] for each in known)
+    starts = counted(most, "start") if least == most else f"{least} to {most} starts"
+    return f"{optima:,} of {frames:,} ({starts} each)"
 
 
 def failures(cases: Sequence[CaseResult]) -> list[str]:
