@@ -1,12 +1,14 @@
 """What a stranger gets: the wheel alone, in an empty folder, and the sdist with all that proves it."""
 
 import os
+import re
 import subprocess
 import sys
 import tarfile
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
+from zipfile import ZipFile
 
 import h5py
 import pytest
@@ -62,6 +64,15 @@ def test_from_the_wheel_to_a_picture_in_three_commands(dist: Path, tmp_path: Pat
     words = [word for entry in entries for word in ("--set", entry)]
     said = typed(sys.executable, program, "study", "bench", *words)
     assert "nodal" in said and "results/bench/bench.csv" in said
+
+
+def test_the_page_of_a_package_index_has_no_dead_links(dist: Path) -> None:
+    (wheel,) = dist.glob("*.whl")
+    with ZipFile(wheel) as held:
+        (name,) = (name for name in held.namelist() if name.endswith(".dist-info/METADATA"))
+        text = held.read(name).decode()
+    assert "removes crosstalk" in text and "Quick overview" in text and "Measured: a cross" in text
+    assert [link for link in re.findall(r"\]\(([^)]*)\)", text) if not link.startswith("http")] == []
 
 
 def test_the_sdist_carries_tests_and_pages(dist: Path) -> None:
