@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from docs.studies.extremes import extremes_figure
 from lampest import two_point_resistance
 from lampest.cost.given import Background, Given
 from lampest.cost.problem import Data
@@ -30,6 +31,7 @@ from lampest.studies.extremes.run import (
     fifty_digits,
     mild,
     run_atlas,
+    solves_of,
 )
 from lampest.studies.extremes.scenes import CASES, AtlasFile, AtlasSample, Grid, recording_of
 from lampest.studies.study import read_settings
@@ -177,3 +179,15 @@ def read_tiny() -> AtlasFile:
     from lampest.runs.executors import Serial
 
     return AtlasFile(1, Grid((2,), (1.0,), (0.0,)), Grid(()), solver=Settings(), executor=Serial())
+
+
+def test_heat_map_has_a_square_for_every_scene_and_counts_failures(disk: SimpleNamespace) -> None:
+    text = "schema: 1\ngrid: {sizes: [2], decades: [1, 2], noise: [0]}\nstructured: {sizes: []}\n"
+    text += "estimators: {mine: {terms: {misfit: {}}}}\n"
+    atlas = read_settings(AtlasFile)(disk.run(text, "edge.yaml"))
+    solves = [solve for task in atlas.tasks for solve in solves_of(task)]
+    failed = [replace(solve, solved=False, status="crashed: no") if solve.decades == 2 else solve for solve in solves]
+    map_axes, bar = extremes_figure(failed).axes
+    assert [label.get_text() for label in map_axes.get_yticklabels()] == ["2 × 2, 10¹", "2 × 2, 10²"]
+    assert [text.get_text() for text in map_axes.texts] == ["2", "reduced"]
+    assert "verified optimum" in bar.get_xlabel()
