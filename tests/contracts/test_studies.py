@@ -81,7 +81,7 @@ CHECKS = {
     "weights": ("small/g", check_weights),
 }
 STEMS = {"weights": "tune"}  # of the files, where it is not the study's name
-PICTURED = ("extremes", "tradeoff", "weights")
+PICTURED = ("tradeoff", "weights")
 SLOW = {"bench": pytest.mark.slow}
 
 

@@ -20,7 +20,7 @@ from lampest.files.errors import InputError
 from lampest.report.live import server as server_module
 from lampest.report.live.handover import Newest
 from lampest.report.live.message import View
-from lampest.report.live.run import Replay, live
+from lampest.report.live.run import Outlets, Replay, chosen, live
 from lampest.report.live.server import Asks, PageServer, address, is_local_name, serving
 
 LAMPREY = Path(__file__).parents[2] / "data" / "lamprey_25mm.h5"
@@ -188,7 +188,7 @@ def test_the_last_view_reaches_everybody_and_nobody_holds_up_the_end() -> None:
 def test_an_address_in_use_is_one_sentence(page: SimpleNamespace) -> None:
     host, port = page.server.server_address[:2]
     with pytest.raises(InputError, match=rf"cannot listen at 127\.0\.0\.1:{port} \(Address already in use\)"):
-        live(Replay(LAMPREY), http=f"{host}:{port}")
+        live(Replay(LAMPREY), chosen(None, None), Outlets(f"{host}:{port}"))
 
 
 @pytest.mark.parametrize("text", ["", "8137", "127.0.0.1", "127.0.0.1:x", "host:80", "127.0.0.1:70000", ":80"])
