@@ -266,7 +266,7 @@ class DenseErrors:
         if model.at.data.partial:
             missing = np.flatnonzero(np.ravel(model.at.data.given.seen) == 0)
             variance[missing] = sum((slopes[missing] @ rows) ** 2 @ size for rows, size in self._parts)
-        return np.asarray(np.sqrt(variance).reshape(model.at.cell_resistance.shape))
+        return np.asarray(np.sqrt(np.maximum(variance, 0.0)).reshape(model.at.cell_resistance.shape))
 
     @property
     def shared_variance(self) -> Array:

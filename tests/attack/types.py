@@ -4,6 +4,7 @@ import dataclasses
 import datetime
 import inspect
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -50,11 +51,11 @@ def _functions(rng: np.random.Generator, folder: Path, count: int) -> Iterator[s
         function = getattr(lampest, name)
         if not inspect.isfunction(function) or not inspect.signature(function).parameters:
             continue
-        first, *others = inspect.signature(function).parameters.values()
+        _, *others = inspect.signature(function).parameters.values()
         given = {each.name: None for each in others if each.default is each.empty}
         for index in rng.permutation(len(WRONG))[:count]:
             if not isinstance(WRONG[index], str | Path | np.ndarray):
-                yield _refused(function, name, given | {first.name: WRONG[index]})
+                yield _refused(partial(function, WRONG[index]), name, given)
 
 
 def _meant(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:

@@ -355,7 +355,6 @@ def test_commands_read_long_files_by_parts(tmp_path: Path, lampest: Command, mon
     [
         ("live", "--recording", "long.h5", "--estimator", "LSM"),
         ("study", "weights", "run.yaml"),
-        ("study", "starts", "run.yaml"),
         ("tare", "long.h5", "--frames", "0:5", "--out", "tared.h5"),
     ],
 )
