@@ -45,12 +45,10 @@ if TYPE_CHECKING:
     from lampest.estimate.estimator import Estimator as Estimator
     from lampest.estimate.methods import MethodName
     from lampest.estimate.methods.approximate import LinearisedMethod as LinearisedMethod
-    from lampest.estimate.methods.approximate import RegionMethod as RegionMethod
     from lampest.estimate.methods.approximate import TruncatedMethod as TruncatedMethod
     from lampest.estimate.methods.approximate import UncorrectedMethod as UncorrectedMethod
     from lampest.estimate.methods.method import Method as Method
     from lampest.estimate.methods.method import OptimalMethod as OptimalMethod
-    from lampest.estimate.methods.oral_disc import OralDiscMethod as OralDiscMethod
     from lampest.estimate.methods.smoother import SmootherMethod as SmootherMethod
     from lampest.estimate.model_check import ModelCheck as ModelCheck
     from lampest.estimate.state import Step as Step
@@ -175,7 +173,7 @@ def reconstruct(
     recording : frames and scene, as `Recording.load`, `simulate` and `import_file` give them.
     terms : the cost terms, such as [Misfit(), Gradient(weight=1e-3)]; a penalty without a weight has 'auto'. None
         stands for [Misfit(weighting="noise"), LogGradient()], with a plain misfit where the noise is unknown.
-    formulation : how the estimate is computed, a word or a method with its options: RegionMethod(significance=4);
+    formulation : how the estimate is computed, a word or a method with its options: TruncatedMethod(steps=4);
         by default nodal or reduced, by the panel's size and the time between frames.
     solver, bounds, auto_weight : None stands for Settings(), Bounds() and AutoWeight().
     tare : when the zero of pressures is taken anew; None: never.

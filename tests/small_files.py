@@ -31,7 +31,7 @@ simulated:
 estimators:
   LSM: {terms: {misfit: {}}}
   LSR-dCR: {terms: {misfit: {}, relative_change: {weight: 10}}}
-formulations: [naive, scaled, linearised, {kind: truncated, steps: 2}, region, reduced, nodal]
+formulations: [naive, scaled, linearised, {kind: truncated, steps: 2}, reduced, nodal]
 frames: 3
 repeats: 2
 limits: {nodal: 8}

@@ -116,7 +116,7 @@ def refuse_large(cases: "Sequence[Case]") -> None:
         if seconds > 120 or size > memory_limit():
             raise InputError(
                 f"{case.path}: {case.name} takes about {seconds / 60:.0f} min and {in_bytes(size)} of memory for the "
-                "first frame; --yes solves it, and a formulation such as region or linearised takes less"
+                "first frame; --yes solves it, and a formulation such as linearised takes less"
             )
 
 

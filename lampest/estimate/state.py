@@ -8,7 +8,6 @@ import numpy as np
 
 from lampest.cost.given import Background
 from lampest.estimate.objective import Objective
-from lampest.loads.recognition.detector import OralDiscFit
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.posterior.dense import DenseMemory
@@ -29,7 +28,7 @@ class Step:
 
     weights : of the terms; weight_sigma : as `Objective` has it. bars : the estimate's error bars, or None; they took
     `bars_seconds`.
-    disc : what the cells follow from, where that is a disc. sentence : the status of an image of modules; else ''.
+    sentence : the status of an image of modules; else ''.
 
     >>> step = found.steps[0]
     >>> step.cell_resistance.shape, step.status
@@ -41,7 +40,6 @@ class Step:
     weights: tuple[float, ...]
     bars: Bars | None = None
     bars_seconds: float = 0.0
-    disc: OralDiscFit | None = None
     sentence: str = ""
     weight_sigma: tuple[float, ...] = ()
 

@@ -43,7 +43,7 @@ class CaseResult(Held):
         Library → version.
     swept_json : str
         Values of a sweep by key.
-    costs, weights, weight_sigma, disc, contacts, misfit : mapping
+    costs, weights, weight_sigma, contacts, misfit : mapping
         Name → values (frames), see `lampest.runs.columns.FIGURES`; names with `_errors` are standard deviations.
     baseline_status, baseline_solve_time : str, float
         How the solve of the baseline ended, and its time in s (NaN: not solved separately).

@@ -30,7 +30,7 @@ if TYPE_CHECKING:  # readers of results need not load the solvers
 MAPS = ("time", "row", "column")
 FRAMES, CELLS = MAPS[:1], MAPS[1:]
 # What the groups of a results file hold besides columns.
-RESERVED = (*CELLS, "x", "y", "scene", "start_time", "cost", "weight", "weight_sigma", "disc", "model_check")
+RESERVED = (*CELLS, "x", "y", "scene", "start_time", "cost", "weight", "weight_sigma", "model_check")
 
 # (values, whether an estimate is expected of each) → what is wrong: the end of a sentence that begins with their path.
 Check = Callable[[Any, NDArray[np.bool_]], str | None]
@@ -299,18 +299,6 @@ def _chosen(done: Estimates) -> dict[str, Array]:
     return {name: values for name, values in by_term.items() if np.isfinite(values).any()}
 
 
-def _disc(done: Estimates) -> dict[str, Array]:
-    """Return parameters of the discs and their standard deviations, NaN for failed frames; empty without discs."""
-    discs = [step.disc for step in done.steps]
-    first = next((disc for disc in discs if disc is not None), None)
-    numbers = {}
-    for name in () if first is None else first.disc._fields:
-        for end, part in (("", "disc"), ("_errors", "disc_errors")):
-            values = [np.nan if disc is None else getattr(getattr(disc, part), name) for disc in discs]
-            numbers[name + end] = np.array(values, dtype=float)
-    return numbers
-
-
 def _contacts(done: Estimates) -> dict[str, Array]:
     """Return contact resistances of the lines and their standard deviations, equal in all frames; empty if unknown."""
     if done.contacts is None:
@@ -327,10 +315,6 @@ def _of_contact(name: str) -> str:
     line = name.removesuffix("_errors")
     deviation = "" if name == line else "standard deviation of the "
     return f"{deviation}contact resistance of {line.replace('_', ' ')}"
-
-
-def _unit_of_disc(name: str) -> str:
-    return {"mm": "mm", "kpa": "kPa"}.get(name.removesuffix("_errors").rpartition("_")[2], "1")
 
 
 MISFIT = {
@@ -362,6 +346,5 @@ FIGURES = (
         _chosen,
         lambda name: f"standard deviation of ln of the chosen weight of the term {name}",
     ),
-    Figures("disc", "disc", _disc, lambda name: f"oral disc: {name.replace('_', ' ')}", _unit_of_disc),
     Figures("misfit", "model_check", lambda done: done.misfit, lambda name: MISFIT.get(name, name)),
 )

@@ -170,7 +170,6 @@ class Held(Validated):
     costs: dict[str, Array] = field(default_factory=dict)
     weights: dict[str, Array] = field(default_factory=dict)
     weight_sigma: dict[str, Array] = field(default_factory=dict)
-    disc: dict[str, Array] = field(default_factory=dict)
     misfit: dict[str, Array] = field(default_factory=dict)
     extra: Mapping[str, Array] = field(default_factory=dict)
 

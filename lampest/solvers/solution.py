@@ -25,7 +25,7 @@ SHARP = 1e-8  # of the largest residual with an absolute loss: the width of its 
 
 
 class Status(Enum):
-    """Sentences; only the first six stand for an estimate.
+    """Sentences; only the first five stand for an estimate.
 
     >>> found.steps[0].solution.status.value
     'optimum verified'
@@ -39,7 +39,6 @@ class Status(Enum):
     FLAT = "an optimum, but a plateau: the data and penalties leave some cells undetermined"
     FAINT = "an optimum, but some cells are determined so weakly that they may still move"
     APPROXIMATE = "approximate, as the formulation asks; not an optimum"
-    FITTED = "a load's few numbers fitted; an optimum over those, not over the cells"
     SADDLE = "the optimality conditions hold, but at a saddle: the cost falls from there"
     UNVERIFIED = "the solver reported an optimum, but the optimality conditions do not hold"
     WORSE = "the solver stopped at a point that costs more than its start"
@@ -63,7 +62,6 @@ ADVICE = {
     Status.FLAT: "Add a penalty, or a weight to the one there is; do not interpret the undetermined cells.",
     Status.FAINT: "Add a penalty, lower `solver: tolerance`, or read the error bars before these cells.",
     Status.APPROXIMATE: "Take a formulation that ends at an optimum where a frame matters.",
-    Status.FITTED: "Take `formulation: reduced` for the cells themselves.",
     Status.SADDLE: "Begin at more places: `solver: {starts: 10}`.",
     Status.UNVERIFIED: "Take `formulation: reduced`; if that ends so too, report the frame.",
     Status.WORSE: "Take `formulation: reduced`; if that ends so too, report the frame.",
@@ -162,7 +160,7 @@ class Solution:
     @property
     def solved(self) -> bool:
         """Whether there is an estimate."""
-        return self.optimum or self.status in (Status.APPROXIMATE, Status.FITTED)
+        return self.optimum or self.status is Status.APPROXIMATE
 
     @property
     def strict(self) -> bool:

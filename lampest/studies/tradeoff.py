@@ -47,7 +47,6 @@ LADDER: tuple[MethodName | AnyMethod, ...] = (
     "scaled",
     "linearised",
     *(TruncatedMethod(steps=steps) for steps in (1, 2, 4)),
-    "region",
     "reduced",
     "nodal",
     "per_pixel",
@@ -66,7 +65,6 @@ class TradeoffLimits(Configuration):
     scaled: int = common.LARGEST_SIDE
     linearised: int = common.LARGEST_SIDE
     truncated: int = common.LARGEST_SIDE
-    region: int = common.LARGEST_SIDE
     nodal: int = 16
     per_pixel: int = 10
     joint: int = 16

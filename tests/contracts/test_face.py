@@ -152,8 +152,8 @@ WRONG: dict[str, tuple[Callable[[Recording], object], str]] = {
         "formulation: there is no 'fast'; there are per_pixel, nodal, reduced, auto, naive, scaled, linearised, ",
     ),
     "a method's class": (
-        lambda recording: lampest.reconstruct(recording, MISFIT, formulation=lampest.RegionMethod),
-        "formulation must be a word or a method such as RegionMethod(), not the class RegionMethod",
+        lambda recording: lampest.reconstruct(recording, MISFIT, formulation=lampest.TruncatedMethod),
+        "formulation must be a word or a method such as TruncatedMethod(), not the class TruncatedMethod",
     ),
     "solver": (
         lambda recording: lampest.reconstruct(recording, MISFIT, solver={"tolerance": 1e-3}),

@@ -50,8 +50,6 @@ FORMULATIONS: list[MethodName] = [
     "scaled",
     "linearised",
     "truncated",
-    "region",
-    "oral_disc",
 ]
 
 

@@ -21,7 +21,7 @@ from lampest.recording.readings import Readings
 from lampest.recording.recording import Recording
 
 SHAPE = (4, 5)
-FORMULATIONS = [name for name in MethodName.__args__ if name not in ("auto", "oral_disc")]
+FORMULATIONS = [name for name in MethodName.__args__ if name != "auto"]
 ROBUST = (Misfit(weighting="noise", loss=Student(corner=4.0)),)  # what the smoother takes
 READOUTS = [kind() for kind in members_by_kind(AnyReadout).values()]
 ROLE = np.array([0, 0, 1, 1], dtype=np.uint8)

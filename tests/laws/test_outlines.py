@@ -161,14 +161,6 @@ def test_frames_of_like_loads_choose_the_weight_together() -> None:
     assert chosen(bounds) != chosen(bounds[[0, 3]])
 
 
-def test_a_region_is_refused_where_crossings_have_no_cell() -> None:
-    """Its blocks are rectangles of crossings, and a load in a glove of strips went unseen."""
-    panel, cells = drawn("glove", 1)
-    readings = np.where(panel.present, exact_two_point_resistance(cells), np.nan)
-    with pytest.raises(lampest.InputError, match="formulation: region needs a cell at every crossing"):
-        solved(panel, np.stack([readings, readings]), lampest.Misfit(), formulation="region")
-
-
 @pytest.mark.parametrize("outline", ["glove", "ring"])
 def test_results_and_pictures_of_an_outline(outline: str, tmp_path: Path) -> None:
     """They are written, read and drawn; an absent crossing has no number."""

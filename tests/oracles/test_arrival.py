@@ -229,7 +229,7 @@ def test_an_arrival_needs_the_noise() -> None:
             reconstruct(recording, Estimator((misfit, Arrival()), "reduced"))
 
 
-@pytest.mark.parametrize("options", [{"error_bars": False}, {"formulation": "region"}])
+@pytest.mark.parametrize("options", [{"error_bars": False}, {"formulation": "scaled"}])
 def test_an_arrival_needs_error_bars(options: dict[str, Any]) -> None:
     with pytest.raises(ValueError, match="arrival weighs frames by their error bars"):
         Estimator((Misfit(weighting="noise"), Arrival()), **options)

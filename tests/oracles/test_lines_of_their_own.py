@@ -184,13 +184,11 @@ def test_series_per_line_is_one_number_where_all_are_alike() -> None:
         Scene(Panel(3, 4), TwoPointReadout(), SeriesPerLine((80.0,) * 2, 60.0))
 
 
-@pytest.mark.parametrize("formulation", ["per_pixel", "oral_disc"])
-def test_a_formulation_that_cannot_serve_a_readout_is_refused_before_anything(formulation: str, tmp_path: Path) -> None:
+def test_a_formulation_that_cannot_serve_a_readout_is_refused_before_anything(tmp_path: Path) -> None:
     scene = Scene(Panel(*SHAPE), LOADED)
     simulate(Simulation(1, 5, scene, frames=2)).save(tmp_path / "volt.h5")
     (tmp_path / "run.yaml").write_text(
-        "schema: 1\nrecordings: [volt.h5]\n"
-        f"estimators: {{LSM: {{terms: {{misfit: {{}}}}}}}}\nformulation: {formulation}\n"
+        "schema: 1\nrecordings: [volt.h5]\nestimators: {LSM: {terms: {misfit: {}}}}\nformulation: per_pixel\n"
     )
     with pytest.raises(InputError, match=r"run.yaml: LSM × volt: formulation: .* knows readout.kind: two_point only"):
         read_run(tmp_path / "run.yaml")

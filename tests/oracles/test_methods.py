@@ -13,7 +13,7 @@ from lampest.cost.terms import CellResistance, Gradient, Misfit, RelativeChange,
 from lampest.estimate.estimates import Estimates
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.methods import Method
-from lampest.estimate.methods.approximate import LinearisedMethod, RegionMethod, TruncatedMethod, UncorrectedMethod
+from lampest.estimate.methods.approximate import LinearisedMethod, TruncatedMethod, UncorrectedMethod
 from lampest.estimate.methods.method import OptimalMethod
 from lampest.estimate.sequence import reconstruct
 from lampest.files.errors import InputError
@@ -22,7 +22,6 @@ from lampest.panel.readouts.floating import FloatingNetwork, grounding
 from lampest.panel.scene import Scene
 from lampest.recording.recording import Recording
 from lampest.runs.config import read_run
-from lampest.solvers.region import grown
 from lampest.solvers.solution import Status
 
 SHAPE = (14, 15)
@@ -82,7 +81,6 @@ def test_scaled_is_exact_for_equal_cells() -> None:
         UncorrectedMethod("scaled"),
         LinearisedMethod(),
         TruncatedMethod(steps=1),
-        RegionMethod(),
     ],
 )
 def test_what_is_no_optimum_says_so(method: Method) -> None:
@@ -129,87 +127,6 @@ def test_one_step_sees_a_single_cell_on_a_panel_that_is_not_factored() -> None:
     assert np.median(np.abs(found / single - 1)) < 0.01
 
 
-@pytest.mark.parametrize("terms", [LSM, (Misfit(weighting="noise"),), (Misfit(loss=Huber(corner=1.0)),)])
-def test_region_is_exact_without_noise(terms: tuple[Term, ...]) -> None:
-    cells = pressed(resting())
-    found = found_by(RegionMethod(), recording(resting(), cells, 1.0 * cells), terms)
-    for frame in found.cell_resistance:
-        assert_allclose(frame[BLOCK], cells[BLOCK], rtol=1e-6)
-        assert_allclose(frame, cells, rtol=1e-5)
-    around = (slice(3, 10), slice(4, 12))  # two cells about the block
-    outside = np.ones(SHAPE, dtype=bool)
-    outside[around] = False
-    assert_array_equal(found.cell_resistance[-1][outside], found.baseline_resistance[outside])
-
-
-def test_region_with_absolute_loss() -> None:
-    cells = pressed(resting())
-    found = found_by(RegionMethod(), recording(resting(), cells), (Misfit(loss=Absolute()),))
-    assert_allclose(found.cell_resistance[0][BLOCK], cells[BLOCK], rtol=1e-2)
-
-
-@pytest.mark.slow
-def test_region_is_the_full_solution_to_within_the_noise() -> None:
-    cells = pressed(resting())
-    data = recording(*[resting()] * 4, *[cells] * 6, noise=2e-4, unloaded=4)
-    region, full = (found_by(method, data).cell_resistance for method in (RegionMethod(), REDUCED))
-    ours, theirs = (np.abs(np.log(found[:, *BLOCK] / cells[BLOCK])) for found in (region, full))
-    assert np.median(ours) < 1.1 * np.median(theirs)
-    assert np.median(np.abs(np.log(region / full))[:, *BLOCK]) < 2 * np.median(theirs)
-
-
-def test_region_follows_a_change_that_moves_and_one_that_comes_later() -> None:
-    there = pressed(resting(), block=(slice(2, 4), slice(2, 5)))
-    both = pressed(there, 0.97, (slice(9, 11), slice(11, 13)))
-    for frame, cells in zip(
-        found_by(RegionMethod(), recording(resting(), there, both, resting())).cell_resistance,
-        (there, both, resting()),
-        strict=True,
-    ):
-        assert_allclose(frame, cells, rtol=1e-4)
-
-
-def test_region_of_nothing_is_the_baseline() -> None:
-    data = recording(*[resting()] * 3, noise=1e-4, unloaded=1)
-    for terms in (LSM, SMOOTH):
-        found = found_by(RegionMethod(), data, terms)
-        assert_array_equal(found.cell_resistance[-1], found.baseline_resistance)
-
-
-@pytest.mark.parametrize("terms", [LSM, RIDGE])
-def test_region_of_everything_is_the_full_solution(terms: tuple[Term, ...]) -> None:
-    rng = np.random.default_rng(11)
-    cells = resting() * np.exp(rng.standard_normal(SHAPE))
-    data = recording(resting(), cells, noise=1e-5)
-    region, full = (found_by(method, data, terms) for method in (RegionMethod(), REDUCED))
-    assert region.steps[0].solution.status is Status.OPTIMUM
-    assert region.steps[0].solution.objective == pytest.approx(full.steps[0].solution.objective, rel=1e-6, abs=1e-9)
-
-
-def test_region_minimises_the_cost_over_its_cells() -> None:
-    """No cell of the block can be moved without raising the whole panel's cost; penalties are read across its edge."""
-    data = recording(resting(), pressed(resting(), 0.5), noise=1e-5)
-    for terms in (RIDGE, SMOOTH):
-        solution = found_by(RegionMethod(), data, terms).steps[0].solution
-        estimator = Estimator(terms, REDUCED)
-        cells, least = solution.cell_resistance[0], solution.objective
-        measured = data.resistance[1]
-        for row, column in ((5, 6), (6, 8), (7, 9)):
-            for factor in (0.99, 1.01):
-                moved = cells.copy()
-                moved[row, column] *= factor
-                assert objective(estimator, moved, measured) > least * (1 - 1e-6)
-
-
-def objective(estimator: Estimator, cells: Array, measured: Array) -> float:
-    """Σ misfit² + λ Σ penalty², written down once more."""
-    total = float(np.sum((two_point_resistance(cells) - measured) ** 2))
-    for term in estimator.terms[1:]:
-        parts = np.gradient(cells) if isinstance(term, Gradient) else [cells]
-        total += term.weight * float(sum(np.sum(part**2) for part in parts))
-    return total
-
-
 def test_changed_network_is_the_network_of_the_changed_cells() -> None:
     before, after = resting(), pressed(resting())
     tie = grounding(two_point_resistance(before))
@@ -218,24 +135,12 @@ def test_changed_network_is_the_network_of_the_changed_cells() -> None:
     assert_array_equal(found.conductance, 1 / after)
 
 
-def test_blocks_hold_all_cells_and_never_overlap() -> None:
-    rng = np.random.default_rng(4)
-    for share in (0.0, 0.01, 0.05, 0.2):
-        cells = rng.random((17, 23)) < share
-        blocks = grown(cells, ((slice(2, 4), slice(3, 9)),))
-        covered = np.zeros(cells.shape, dtype=int)
-        for block in blocks:
-            covered[block] += 1
-        assert covered.max() == 1
-        assert np.all(covered[cells] == 1)
-        assert np.all(covered[2:4, 3:9] == 1)
-
-
 @pytest.mark.parametrize(
     ("text", "place"),
     [
-        ("formulation: regoin", "4:1"),
-        ("formulation: {kind: region, significanse: 3}", "4:"),
+        ("formulation: redcued", "4:1"),
+        ("formulation: region", "4:1"),
+        ("formulation: {kind: truncated, stepps: 3}", "4:"),
         ("formulation: {kind: far}", "4:"),
     ],
 )
@@ -253,19 +158,13 @@ def test_words_stand_for_methods(tmp_path: Path) -> None:
     recording(resting((3, 3)), resting((3, 3))).save(tmp_path / "small.h5")
     config = tmp_path / "run.yaml"
     config.write_text(
-        "schema: 1\nrecordings: [small.h5]\nformulation: region\nestimators:\n"
+        "schema: 1\nrecordings: [small.h5]\nformulation: linearised\nestimators:\n"
         "  A: {terms: {misfit: {}}}\n"
         "  B: {terms: {misfit: {}}, formulation: {kind: truncated, steps: 3}}\n"
         "  C: {terms: {misfit: {}}, formulation: nodal}\n"
     )
     methods = [case.estimator.method for case in read_run(config).cases]
-    assert methods == [RegionMethod(), TruncatedMethod(steps=3), OptimalMethod("nodal")]
-
-
-def test_region_sees_that_all_cells_changed_alike() -> None:
-    data = recording(resting(), 0.8 * resting(), noise=1e-5)
-    region, full = (found_by(method, data) for method in (RegionMethod(), REDUCED))
-    assert_allclose(region.cell_resistance, full.cell_resistance, rtol=1e-6)
+    assert methods == [LinearisedMethod(), TruncatedMethod(steps=3), OptimalMethod("nodal")]
 
 
 @pytest.mark.parametrize("formulation", ["naive", "scaled"])

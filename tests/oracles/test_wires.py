@@ -97,7 +97,7 @@ def test_wire_that_is_not_told_shows_in_the_place_of_the_cells(readout: Readout)
 
 
 @each_readout
-@pytest.mark.parametrize("formulation", ["auto", "region", TruncatedMethod(steps=8), "linearised"], ids=str)
+@pytest.mark.parametrize("formulation", ["auto", TruncatedMethod(steps=8), "linearised"], ids=str)
 def test_other_formulations_know_wire(readout: Readout, formulation: Any) -> None:
     """As well as without wire: what they leave out is theirs."""
     recording = simulated(Scene(Panel(9, 7), readout, lines=THREAD))

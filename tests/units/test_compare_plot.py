@@ -190,7 +190,7 @@ def test_an_optimum_is_called_local_with_its_starts(tmp_path: Path) -> None:
         tmp_path / "r.h5",
         [
             invented_case("LSM", status=words, starts=starts),
-            invented_case("region", status=words[2:] * 3, starts=starts),
+            invented_case("linearised", status=words[2:] * 3, starts=starts),
             invented_case("old"),
         ],
     )

@@ -39,7 +39,7 @@ formulation: reduced
 estimators:
   auto:     {terms: {misfit: {weighting: noise}, gradient: {weight: auto}}}
   relative: {terms: {misfit: {weighting: noise}, gradient_of_relative_change: {weight: 1e-3}}}
-  region:   {formulation: region, terms: {misfit: {weighting: noise}, gradient: {weight: 1e-4}}}
+  scaled:   {formulation: scaled, terms: {misfit: {weighting: noise}, gradient: {weight: 1e-4}}}
 """
 # What a killed run needs of this test: small parts, and an end after so many of them.
 SCRIPT = """
@@ -142,7 +142,7 @@ def test_parts_make_the_results_of_the_whole(tmp_path: Path, lampest: Command, s
         assert ours.case_id == theirs.case_id and ours.status == theirs.status
         assert np.array_equal(ours.frame, theirs.frame) and np.array_equal(ours.time, theirs.time)
         np.testing.assert_allclose(ours.cell_resistance, theirs.cell_resistance, rtol=1e-2)
-        assert ours.cell_resistance_errors is not None or ours.estimator == "region"
+        assert ours.cell_resistance_errors is not None or ours.estimator == "scaled"
     ended = lampest("run", tmp_path / "run.yaml", "--out", tmp_path / "parts", "--jobs", "1")
     assert "0 cases solved, 3 were done before" in ended.out
     assert lampest("check", tmp_path / "parts" / "results.h5").code == 0

@@ -9,7 +9,7 @@ from lampest.studies.tradeoff import TradeoffFrame, label, read_plan, run_tradeo
 from lampest.studies.tradeoff_report import front, ladder_rows, on_front
 from tests.small_files import TRADEOFF
 
-RUNGS = ["naive", "scaled", "linearised", "truncated 2", "region", "reduced", "nodal"]
+RUNGS = ["naive", "scaled", "linearised", "truncated 2", "reduced", "nodal"]
 
 
 @pytest.fixture(scope="module")

@@ -2,18 +2,17 @@
 
 from typing import Annotated, Literal
 
-from lampest.estimate.methods.approximate import LinearisedMethod, RegionMethod, TruncatedMethod, UncorrectedMethod
+from lampest.estimate.methods.approximate import LinearisedMethod, TruncatedMethod, UncorrectedMethod
 from lampest.estimate.methods.method import Method, OptimalMethod
-from lampest.estimate.methods.oral_disc import OralDiscMethod
 from lampest.estimate.methods.smoother import SmootherMethod
 from lampest.files.errors import InputError, in_words
 from lampest.files.typed import ByKind, members_by_kind
 
-LessWork = UncorrectedMethod | LinearisedMethod | TruncatedMethod | RegionMethod
-AnyMethod = Annotated[OptimalMethod | LessWork | OralDiscMethod | SmootherMethod, ByKind("lampest.methods")]
+LessWork = UncorrectedMethod | LinearisedMethod | TruncatedMethod
+AnyMethod = Annotated[OptimalMethod | LessWork | SmootherMethod, ByKind("lampest.methods")]
 Optimal = Literal["per_pixel", "nodal", "reduced", "auto"]
-Approximate = Literal["naive", "scaled", "linearised", "truncated", "region"]
-MethodName = Literal[Optimal, Approximate, "oral_disc", "smoother"]
+Approximate = Literal["naive", "scaled", "linearised", "truncated"]
+MethodName = Literal[Optimal, Approximate, "smoother"]
 
 
 def named_method(method: "Method | str") -> Method:
@@ -22,7 +21,7 @@ def named_method(method: "Method | str") -> Method:
         return method
     kinds = members_by_kind(AnyMethod)
     if not isinstance(method, str):
-        raise InputError(f"formulation must be a word or a method such as RegionMethod(), not {in_words(method)}")
+        raise InputError(f"formulation must be a word or a method such as TruncatedMethod(), not {in_words(method)}")
     if method not in kinds:
         raise InputError(f"formulation: there is no {method!r}; there are {', '.join(kinds)}")
     chosen: Method = kinds[method](kind=method)

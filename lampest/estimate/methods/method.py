@@ -44,7 +44,7 @@ class Method(Validated):
     that compares frames solves its baseline together with the first frame. delays : whether it keeps Ctrl-C itself.
     together : whether it needs all frames of a recording at once.
 
-    >>> issubclass(lampest.RegionMethod, lampest.Method)
+    >>> issubclass(lampest.TruncatedMethod, lampest.Method)
     True
     """
 

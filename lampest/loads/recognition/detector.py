@@ -35,7 +35,6 @@ from lampest.loads.recognition.observation import (
     outliers,
     unit,
 )
-from lampest.loads.shapes import OralDisc
 from lampest.loads.shapes.disc import Disc
 from lampest.loads.shapes.shape import Candidate
 from lampest.panel.panel import Array, Panel
@@ -270,31 +269,3 @@ def discs_of(fit: Fit) -> list[Disc]:
     """The discs of all its loads that are like one."""
     discs = [part.disc(own) for part, own in fit.loads]
     return [disc for disc in discs if disc is not None]
-
-
-@dataclass(frozen=True, eq=False)
-class OralDiscFit:
-    """An oral disc fitted to the readings without an estimate between, and what follows from it.
-
-    disc, disc_errors : its numbers and their standard deviations. disc_covariance : (8, 8) in the order of the numbers.
-    cell_resistance : (rows, columns) ohm. fit : where the next frame's fit may start.
-    """
-
-    disc: Disc
-    disc_errors: Disc
-    disc_covariance: Array
-    cell_resistance: Array
-    fit: Fit
-
-
-def fit_oral_disc(detector: Detector, frame: Observation, start: Fit | None = None) -> OralDiscFit:
-    """argmin ‖R − f(r0·f(p(θ)))‖² over centre, diameters, suction, rim pressure and tilt, with their priors.
-
-    Weighed by what films and panels depart by. The cells are those of the disc with the departures d that this leaves:
-    ln r = ln r0 + x + d, see `Detector.departure`. start : the frame before, or None: all of the panel is searched.
-    """
-    fit = detector.fitted(OralDisc.candidate, frame, start)
-    disc, slopes = OralDisc.candidate.disc_with_slopes(fit.parameters)
-    covariance, (departure, _) = slopes @ fit.covariance @ slopes.T, detector.departure(frame, fit)
-    resistance = np.exp(frame.baseline.logarithm + fit.change + departure)
-    return OralDiscFit(disc, Disc(*np.sqrt(np.diag(covariance))), covariance, resistance, fit)
