@@ -18,13 +18,13 @@ from lampest.solvers.certificate import SHARE, clear_of_rounding
 from lampest.solvers.hessian import matrix_between
 from lampest.solvers.panel_batch import Mask, Numbers, PanelBatch, Points
 from lampest.solvers.preconditioners import Cholesky
-from lampest.solvers.projected_newton import ACCEPTED, FARTHEST, MOST_TRIES, MOVED, NEAR, SHORTER
+from lampest.solvers.projected_newton import MAX_STEP, MAX_TRIES, MIN_RATIO, MOVED, NEAR, RADIUS_FACTOR
 from lampest.solvers.solution import Settings
 
 MOST_STEPS = 40  # of a panel in a batch; the solver for single panels goes on from there
 PAIRS = 4  # of steps and changes of the gradient that correct M
 CERTIFIED = 0.1  # of log r: ∇²φ changes by as much, and its definiteness is shown again beyond
-SHORTEST = 1 - 1e-3  # of a relative change of a conductance: the step that FARTHEST cuts off
+SHORTEST = 1 - 1e-3  # of a relative change of a conductance: the step that MAX_STEP cuts off
 
 
 @dataclass(frozen=True, eq=False)
@@ -205,8 +205,8 @@ def _advanced(here: Points, secants: Secants, kept: Kept, panels: Numbers) -> tu
     step, (lower, upper) = secants.direction(here, kept, panels), here.batch.log_bounds
     position, moved = here.position.copy(), np.zeros(len(panels), dtype=bool)
     trying, length = np.arange(len(panels)), 1.0
-    low, high = np.maximum(lower, here.position - FARTHEST), np.minimum(upper, here.position + FARTHEST)
-    for attempt in range(MOST_TRIES):
+    low, high = np.maximum(lower, here.position - MAX_STEP), np.minimum(upper, here.position + MAX_STEP)
+    for attempt in range(MAX_TRIES):
         target = here.position[trying] - np.log1p(-np.minimum(length * step[trying], SHORTEST))
         target = np.clip(target, low[trying], high[trying])
         some = here if len(trying) == len(panels) else here.some(trying)
@@ -216,7 +216,7 @@ def _advanced(here: Points, secants: Secants, kept: Kept, panels: Numbers) -> tu
         invisible = STILL * np.abs(some.objective)
         lowered = np.where(
             np.abs(expected) > invisible,
-            gain >= ACCEPTED * np.abs(expected),
+            gain >= MIN_RATIO * np.abs(expected),
             (np.abs(gain) <= invisible) & (trial.residual <= some.residual / 2),
         )
         if attempt == 0 and lowered.all():
@@ -224,7 +224,7 @@ def _advanced(here: Points, secants: Secants, kept: Kept, panels: Numbers) -> tu
         kept.worn[panels[trying[~lowered]]] = True
         moved[trying[lowered]] = True
         position[trying[lowered]] = trial.position[lowered]
-        trying, length = trying[~lowered], SHORTER * length
+        trying, length = trying[~lowered], RADIUS_FACTOR * length
         if not len(trying):
             break
     after = Points.at(here.batch, position)

@@ -19,7 +19,6 @@ from lampest.panel.panel import Array
 from lampest.panel.trust_region import DENSE_CELLS, restricted, steihaug
 from lampest.solvers.bounds import MILLIONTH, free_cells, lower_along, within_bounds
 from lampest.solvers.hessian import Hessian
-from lampest.solvers.kinks import AT_ZERO, Kinks, Unsmoothed, at_kink
 from lampest.solvers.preconditioners import Cholesky, Numbers, Preconditioner, TwoLevel
 
 SHARE = 1e-3  # of a cell's posterior deviation: what a verified estimate may still move by where the noise is known
@@ -114,8 +113,6 @@ def certificate(hessian: Hessian, kept: Preconditioner | None = None) -> Certifi
     chosen = np.flatnonzero(free)
     if not len(chosen):
         return Certificate(Definiteness.POSITIVE, np.zeros(len(free)), 0.0, 0.0)
-    if isinstance(hessian.smoothing, Unsmoothed) and len(hessian.smoothing.dual):
-        return at_kinks(hessian, chosen, Kinks.of(hessian, at_kink(hessian.at, hessian.smoothing.dual), chosen))
     if not hessian.dense:
         return _by_conjugate_gradients(hessian, free, kept)
     return _by_factorisation(hessian, chosen)
@@ -145,27 +142,6 @@ def _of_reproduced(hessian: Hessian) -> Certificate | None:
         return None
     decrement = float(np.sqrt(np.sum(curvature * (missed * reading) ** 2)))
     return Certificate.of(hessian, Definiteness.POSITIVE, every, step, decrement)
-
-
-def at_kinks(hessian: Hessian, free: Numbers, kinks: Kinks) -> Certificate:
-    """Where rows of absolute losses stand at their kink: over moves that keep them there, after one that brings them.
-
-    Along all others the cost has a corner, where the duals balance the gradient; where they do not, the decrement is
-    infinite. An apparent descent may be the last bits of heavy rows.
-    """
-    along = kinks.along
-    whole = hessian.between(free)
-    matrix, slope = along.T @ whole @ along, along.T @ (hessian.gradient[free] + whole @ kinks.back)
-    usual = np.einsum("ij,i,ij->j", along, _usual_curvature(hessian)[free], along)
-    definiteness, part, left, lowest = newton_step(matrix, slope, ROUNDING * usual)
-    definiteness, lower = _confirmed(hessian, definiteness, free, along @ lowest)
-    decrement = float(np.sqrt(max(-float(slope @ part), 0.0)))
-    move = kinks.back + along @ part
-    across = np.abs(kinks.across.T @ (hessian.gradient[free] + whole @ move)).max(initial=0.0)
-    rows = float((hessian.at.cost.slope[kinks.rows] * kinks.length).max(initial=0.0))
-    if across > max(MILLIONTH * hessian.at.cost_scale, AT_ZERO * rows):
-        decrement = float("inf")
-    return Certificate.of(hessian, definiteness, free, move, decrement, left=left, lower=lower)
 
 
 def _confirmed(

@@ -20,7 +20,7 @@ from lampest.panel.panel import Array
 from lampest.panel.trust_region import DENSE_CELLS
 from lampest.solvers.smoothing import Smoothing
 
-DENSE_STIFF_CELLS = 600  # the same for absolute losses and joint pairs; beyond, a QR takes more than a second
+DENSE_STIFF_CELLS = 600  # the same for absolute losses and joint pairs, whose products are more
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,7 +17,6 @@ from lampest.cost.cost import Cost
 from lampest.cost.problem import Data, Evaluation
 from lampest.panel.panel import Array
 from lampest.panel.trust_region import Linear, restricted, steihaug
-from lampest.solvers.active_kinks import unsmoothed_minimum
 from lampest.solvers.bounds import MILLIONTH, STILL, free_cells, moved_by
 from lampest.solvers.certificate import Certificate, Definiteness, certificate
 from lampest.solvers.hessian import Hessian
@@ -27,16 +26,17 @@ from lampest.solvers.smoothing import Smoothing
 from lampest.solvers.solution import Outcome, Settings, Status
 from lampest.solvers.termination import ProgressWindow
 
-ACCEPTED = 1e-4  # of the predicted decrease, as in Nocedal & Wright, 2006, algorithm 4.1
-SHORTER = 0.25  # of a rejected step: the radius for the next try
-FARTHEST = float(np.log(4.0))  # of log r in one step: beyond, the quadratic model of a cell is wrong
-MOST_TRIES = 15  # solves of a direction, in which cells stop at bounds; tries of a step (4⁻¹⁵ is rounding); last steps
+MIN_RATIO = 1e-4  # of the predicted decrease, as in Nocedal & Wright, 2006, algorithm 4.1
+RADIUS_FACTOR = 0.25  # of a rejected step: the radius for the next try
+MAX_STEP = float(np.log(4.0))  # of log r in one step: beyond, the quadratic model of a cell is wrong
+MAX_TRIES = 15  # solves of a direction, in which cells stop at bounds; tries of a step (4⁻¹⁵ is rounding); last steps
 GAUSS_NEWTON = 3  # steps with JᵀWJ before a direction of negative curvature is followed
 WORN = {True: 5, False: 30}  # products of a step after which a kept preconditioner is made anew: dense, sparse
-MOST_PRODUCTS = {True: 40, False: 400}  # of a solve: a factor anew is cheaper on small problems
+MAX_PRODUCTS = {True: 40, False: 400}  # of a solve: a factor anew is cheaper on small problems
 MOVED = 0.7  # of log r: the same; without it small panels take a third more products
+LEAST_COST = 1e-4  # of the cost's scale: a cost near zero needs no smoothing finer than this
 NEAR = 0.01  # of log r: second derivatives change by as much; before a step of its square ∇²φ is factored
-LEAST_DAMPING, DAMPED, MOST_DAMPING = 1e-15, 1e-4, 1e3  # μ: to begin with, of a second try, at most
+MIN_DAMPING, DAMPED, MAX_DAMPING = 1e-15, 1e-4, 1e3  # μ: to begin with, of a second try, at most
 
 
 @dataclass(frozen=True)
@@ -54,44 +54,49 @@ class ProjectedNewton:
     def solve(self, data: Data, start: Evaluation) -> Outcome:
         """Minimise from `start`. Never raises for a failed solve: the outcome's status says so."""
         start, iteration = by_interior_point(start)
-        point, unsettled, tolerance = Iterate.of(start, Smoothing.start(start), self.kept), 0, self.settings.tolerance
-        progress = ProgressWindow()
+        iterate, progress = Iterate.of(start, Smoothing.start(start), self.kept), ProgressWindow()
+        unsettled, tolerance = 0, self.settings.tolerance
         while iteration < self.settings.max_iterations:
-            if data.overdue:
-                return point.outcome(Status.TIME, iteration)
-            progress = progress.after(point.hessian.smoothing.width, point.objective, point.residual)
-            if progress.stalled:
-                return point.outcome(Status.STALLED, iteration)
-            near = point.residual <= tolerance
-            if near or point.residual <= point.gap / 2:
-                if not point.sharp(tolerance):
-                    point, iteration = point.sharpened(), iteration + 1
+            progress = progress.after(iterate.hessian.smoothing.width, iterate.objective, iterate.residual)
+            if data.overdue or progress.stalled:
+                return iterate.outcome(Status.TIME if data.overdue else Status.STALLED, iteration)
+            stationary = iterate.residual <= tolerance
+            if stationary or iterate.residual <= iterate.gap / 2:
+                if not iterate.sharp(tolerance):
+                    iterate, iteration = iterate.sharpened(), iteration + 1
                     continue
-                flat = not point.residual and point.certificate.lower is None
-                if point.certificate.settled or flat or unsettled == MOST_TRIES:
-                    return point.unsmoothed(iteration) or point.outcome(Status.OPTIMUM, iteration)
+                if iterate.settled or unsettled == MAX_TRIES:
+                    return iterate.outcome(Status.OPTIMUM, iteration)
                 unsettled += 1
-            moved = (escaped(point) if near else None) or advanced(point)
-            if moved is None or not moved.gauss_newton:
-                trials = [trial for trial in (moved, damped_step(point)) if trial is not None]
-                moved = min(trials, key=lambda trial: trial.objective, default=None) or escaped(point)
-            if moved is None:
-                if (ended := point.unsmoothed(iteration)) is not None:
-                    return ended
-                if point.sharp(tolerance):
-                    return point.outcome(Status.OPTIMUM if near else Status.BREAKDOWN, iteration)
-                moved = point.sharpened()
-            point, iteration = moved, iteration + 1
-        return point.outcome(Status.ITERATIONS, iteration)
+            trial = (negative_curvature_step(iterate) if stationary else None) or descent_step(iterate)
+            if trial is None and iterate.sharp(tolerance):
+                return iterate.outcome(Status.OPTIMUM if stationary else Status.BREAKDOWN, iteration)
+            iterate, iteration = trial or iterate.sharpened(), iteration + 1
+        return iterate.outcome(Status.ITERATIONS, iteration)
 
 
 @dataclass(frozen=True, eq=False)
 class Iterate:
-    """A point with its derivatives; objective : φ, smoothed. kept : M, or None.
+    """A point of the iteration with its derivatives.
 
-    gauss_newton : how many more steps with JᵀWJ may avoid negative curvature. convex : whether no direction on the way
-    here had any. expected : the length of the next step of log r, as the residual fell in the one before it.
-    nearby : the certificate of a point before, or None.
+    Attributes
+    ----------
+    hessian : Hessian
+        Derivatives of the smoothed cost.
+    objective : float
+        The smoothed cost φ.
+    kept : Preconditioner or None
+        M of an earlier point.
+    gauss_newton : int
+        Number of further steps with JᵀWJ that may avoid negative curvature.
+    convex : bool
+        Whether no direction up to this point had negative curvature.
+    expected : float
+        Length of the next step of log r, extrapolated from the decrease of the residual.
+    nearby : Certificate or None
+        Certificate of an earlier point.
+    damping : float
+        μ of the next Levenberg step.
     """
 
     hessian: Hessian
@@ -101,13 +106,13 @@ class Iterate:
     convex: bool = True
     expected: float = inf
     nearby: Certificate | None = None
-    damping: float = LEAST_DAMPING
+    damping: float = MIN_DAMPING
 
     @classmethod
     def of(
         cls, at: Evaluation, smoothing: Smoothing, kept: Preconditioner | None = None, convex: bool = True
     ) -> "Iterate":
-        """Where a solve begins."""
+        """Return the first iterate of a solve, or of another smoothing."""
         return cls(Hessian(at, smoothing), smoothing.objective(at), kept, convex=convex)
 
     @property
@@ -122,85 +127,150 @@ class Iterate:
 
     @cached_property
     def gap(self) -> float:
-        """What the smoothing of absolute losses may still cost, relative to the cost's scale."""
+        """Bound of the cost that the smoothing of absolute losses adds, relative to the cost's scale."""
         if not len(self.at.nonsmooth):
             return 0.0
         return self.at.dual_gap(self.hessian.smoothing.slope(self.at.nonsmooth)) / self.at.cost_scale
 
     def sharp(self, tolerance: float) -> bool:
-        """Whether the smoothing costs no more than a share of the cost, and is not mere rounding."""
-        allowed = min(self.at.cost_scale, max(10 * self.at.objective, 1e-4 * self.at.cost_scale))
+        """Return whether smoothing costs no more than `tolerance` of the cost."""
+        allowed = min(self.at.cost_scale, max(self.at.objective, LEAST_COST * self.at.cost_scale))
         return self.gap * self.at.cost_scale <= tolerance * allowed
 
+    @property
+    def settled(self) -> bool:
+        """Whether this is a strict minimum, or a plateau from which no direction leads lower."""
+        flat = not self.residual and self.certificate.lower is None
+        return self.certificate.settled or flat
+
     def sharpened(self) -> "Iterate":
-        """The same place with a tenth of the smoothing."""
+        """Return the same point with a tenth of the smoothing."""
         smoothing = self.hessian.smoothing
         return Iterate.of(self.at, replace(smoothing, width=smoothing.width / 10), convex=self.convex)
 
     @cached_property
     def certificate(self) -> Certificate:
-        """What one more step would do; by the factor of a point before, where ∇²φ has hardly changed since."""
-        before, cells = self.nearby, self.at.cell_resistance
-        if before is not None and before.factor is not None and before.factor.distance(cells) <= NEAR**2:
+        """Certificate of this point, reusing a previous factor while the Hessian has hardly changed."""
+        previous, cells = self.nearby, self.at.cell_resistance
+        if previous is not None and previous.factor is not None and previous.factor.distance(cells) <= NEAR**2:
             free = np.flatnonzero(free_cells(self.at, self.hessian.gradient))
-            if before.definiteness is Definiteness.POSITIVE and np.array_equal(free, before.factor.cells):
-                return before.after(self.at, self.hessian.gradient)
+            if previous.definiteness is Definiteness.POSITIVE and np.array_equal(free, previous.factor.cells):
+                return previous.after(self.at, self.hessian.gradient)
         return certificate(self.hessian, self.kept)
 
     @property
     def known(self) -> Certificate | None:
         """The newest certificate that was made."""
-        found: Certificate | None = self.__dict__.get("certificate")
-        return found or self.nearby
+        own: Certificate | None = self.__dict__.get("certificate")
+        return own or self.nearby
 
     @property
     def newest(self) -> Preconditioner | None:
-        """The last factor of ∇²φ, where there is one, or what was kept."""
+        """The last factor of ∇²φ; without one, the preconditioner of an earlier point."""
         return self.kept if self.known is None or self.known.factor is None else self.known.factor
 
     def outcome(self, status: Status, iterations: int) -> Outcome:
-        """What the caller gets, after the certificate's own step where that comes from a factor and certifies."""
-        found, cells = self.__dict__.get("certificate"), self.at.cell_resistance
-        dual = self.hessian.smoothing.slope(self.at.nonsmooth)
-        factored = found is not None and found.factor is not None and found.settled and not len(dual)
-        if found is not None and factored and MILLIONTH / 1000 < float(np.abs(found.step).max()) <= NEAR:
-            cells = np.exp(self.at.position + found.step.reshape(cells.shape))
-        return Outcome(cells, dual, status, iterations, found, self.newest, self.convex, self.at)
-
-    def unsmoothed(self, iterations: int) -> Outcome | None:
-        """The minimum nearby without any smoothing; None where there are no absolute losses, or none is found."""
-        found = unsmoothed_minimum(self.at, self.hessian.smoothing.slope(self.at.nonsmooth))
-        if found is None:
-            return None
-        at, dual, certified = found
-        return Outcome(at.cell_resistance, dual, Status.OPTIMUM, iterations + 1, certified, convex=self.convex)
+        """Return the end of a solve, after the certificate's own step where that comes from a factor and certifies."""
+        final: Certificate | None = self.__dict__.get("certificate")
+        cells, dual = self.at.cell_resistance, self.hessian.smoothing.slope(self.at.nonsmooth)
+        factored = final is not None and final.factor is not None and final.settled and not len(dual)
+        if final is not None and factored and MILLIONTH / 1000 < float(np.abs(final.step).max()) <= NEAR:
+            cells = np.exp(self.at.position + final.step.reshape(cells.shape))
+        return Outcome(cells, dual, status, iterations, final, self.newest, self.convex, self.at)
 
     def at_step(self, step: Array) -> "Iterate | None":
-        """The point after a step of u (flat), within the bounds; None where its network cannot be solved."""
+        """Return the point after a step of u (flat), within the bounds; None where its network cannot be solved."""
         at = moved_by(self.at, step)
         return None if at is None else Iterate.of(at, self.hessian.smoothing.moved(self.at, at), self.kept, self.convex)
 
     def expects(self, trial: "Iterate") -> float:
-        """How long the step after one to `trial` will be, of log r; infinite where losses are smoothed."""
+        """Return the expected length of the step after the one to `trial`, of log r; infinite for smoothed losses."""
         moved = float(np.abs(trial.at.position - self.at.position).max())
         return inf if len(self.at.nonsmooth) else moved * trial.residual / (self.residual or 1.0)
 
-    def accepts(self, trial: "Iterate | None", predicted: float) -> float:
-        """The ratio of actual to predicted decrease; where rounding hides it, 1 or −1: did the gradient halve?"""
-        if trial is None or not np.isfinite(trial.objective):
-            return -1.0
-        gain = self.objective - trial.objective
-        invisible = STILL * abs(self.objective)
-        if predicted > invisible:
-            return gain / predicted
-        return 1.0 if abs(gain) <= invisible and trial.residual <= self.residual / 2 else -1.0
+
+def descent_step(point: Iterate) -> Iterate | None:
+    """Return the next point; None where no step lowers the cost.
+
+    Where directions of negative curvature persist, the lower of the trust-region step and Levenberg's is taken.
+    """
+    trial = trust_region_step(point)
+    if trial is not None and trial.gauss_newton:
+        return trial
+    trials = [candidate for candidate in (trial, levenberg_step(point)) if candidate is not None]
+    return min(trials, key=lambda candidate: candidate.objective, default=None) or negative_curvature_step(point)
+
+
+def trust_region_step(point: Iterate) -> Iterate | None:
+    """Return the next point by a trust-region step; None where no radius gives one that is accepted.
+
+    Every iteration begins with an infinite radius: readings at a rail curve the cost on one side alone.
+    """
+    hessian, cells = point.hessian, point.at.cell_resistance
+    if point.expected <= NEAR**2 and not len(point.at.nonsmooth):
+        _ = point.certificate
+    free, cached = free_cells(point.at, hessian.gradient), point.newest
+    if cached is None or cached.distance(cells) > MOVED:
+        cached = preconditioner(hessian, free)
+    radius, patience, convex = inf, point.gauss_newton, point.convex
+    curved = np.zeros_like(hessian.gradient) if shares_conductance(point.at) else hessian.gradient
+    exact: Linear = lambda step: hessian.product(step) + curved * step  # noqa: E731
+    product = exact
+    for _ in range(MAX_TRIES):
+        direction = newton_direction(point, cached, free, product, radius)
+        convex = convex and not direction.negative
+        if direction.negative and patience and product is exact:
+            damped = None if len(point.at.nonsmooth) else levenberg_step(point)
+            if damped is not None:
+                return replace(damped, gauss_newton=patience - 1, convex=False)
+            product, patience = hessian.gauss_newton_product, patience - 1
+            cached = gauss_newton_factor(hessian, free) or cached
+            direction = newton_direction(point, cached, free, product, radius)
+        trial = point.at_step(direction.step)
+        if trial is not None and decrease_ratio(point, trial, direction.predicted) >= MIN_RATIO:
+            worn = direction.products > WORN[hessian.dense]
+            patience = patience if direction.negative or product is not exact else GAUSS_NEWTON
+            expected = point.expects(trial) if hessian.dense else inf
+            cached, nearby = None if worn else cached, None if worn else point.known
+            return Iterate(trial.hessian, trial.objective, cached, patience, convex, expected, nearby, point.damping)
+        radius = RADIUS_FACTOR * direction.length
+        if not radius > 0:
+            break
+    return None
+
+
+def decrease_ratio(point: Iterate, trial: Iterate, predicted: float) -> float:
+    """Return actual over predicted decrease; where rounding hides it, 1 if the gradient halved, else −1."""
+    if not np.isfinite(trial.objective):
+        return -1.0
+    decrease, rounding = point.objective - trial.objective, STILL * abs(point.objective)
+    if predicted > rounding:
+        return decrease / predicted
+    return 1.0 if abs(decrease) <= rounding and trial.residual <= point.residual / 2 else -1.0
+
+
+def shares_conductance(at: Evaluation) -> bool:
+    """Whether lines touch and no penalty says how parallel cells share: in log r they stay near the start's shares."""
+    wiring = at.data.wiring
+    return wiring is not None and bool(wiring.joined) and all(term.reads_measurement for term in at.cost.terms)
 
 
 @dataclass(frozen=True, eq=False)
 class Direction:
-    """step : of u = log r, within the bounds. predicted : decrease of the quadratic model. length : ‖s‖_M.
+    """A step that minimises the quadratic model within trust radius and bounds.
 
-    products : of the longest of its solves. negative : whether negative curvature was met.
+    Attributes
+    ----------
+    step : array, shape (cells,)
+        Change of u = log r.
+    predicted : float
+        Decrease of the quadratic model.
+    length : float
+        ‖s‖_M.
+    products : int
+        Products with the Hessian in the longest of its solves.
+    negative : bool
+        Whether a direction of negative curvature was met.
     """
 
     step: Array
@@ -210,95 +280,52 @@ class Direction:
     negative: bool
 
 
-def advanced(point: Iterate) -> Iterate | None:
-    """The next point by a trust-region step; None where no radius makes one that is accepted.
-
-    Every iteration begins with the whole step: readings at a rail curve the cost on one side alone.
-    """
-    hessian, cells = point.hessian, point.at.cell_resistance
-    if point.expected <= NEAR**2 and not len(point.at.nonsmooth):
-        _ = point.certificate
-    free, kept = free_cells(point.at, hessian.gradient), point.newest
-    if kept is None or kept.distance(cells) > MOVED:
-        kept = preconditioner(hessian, free)
-    radius, patience, convex = inf, point.gauss_newton, point.convex
-    curved = np.zeros_like(hessian.gradient) if shares_conductance(point.at) else hessian.gradient
-    exact: Linear = lambda step: hessian.product(step) + curved * step  # noqa: E731
-    product = exact
-    for _ in range(MOST_TRIES):
-        found = direction(point, kept, free, product, radius)
-        convex = convex and not found.negative
-        if found.negative and patience and product is exact:
-            damped = None if len(point.at.nonsmooth) else damped_step(point)
-            if damped is not None:
-                return replace(damped, gauss_newton=patience - 1, convex=False)
-            product, patience = hessian.gauss_newton_product, patience - 1
-            kept = gauss_newton_factor(hessian, free) or kept
-            found = direction(point, kept, free, product, radius)
-        trial = point.at_step(found.step)
-        ratio = point.accepts(trial, found.predicted)
-        if trial is not None and ratio >= ACCEPTED:
-            worn = found.products > WORN[hessian.dense]
-            patience = patience if found.negative or product is not exact else GAUSS_NEWTON
-            expected = point.expects(trial) if hessian.dense else inf
-            kept, nearby = None if worn else kept, None if worn else point.known
-            return Iterate(trial.hessian, trial.objective, kept, patience, convex, expected, nearby, point.damping)
-        radius = SHORTER * found.length
-        if not radius > 0:
-            break
-    return None
-
-
-def shares_conductance(at: Evaluation) -> bool:
-    """Whether lines touch and no penalty says how parallel cells share: in log r they stay near the start's shares."""
-    wiring = at.data.wiring
-    return wiring is not None and bool(wiring.joined) and all(term.reads_measurement for term in at.cost.terms)
-
-
-def direction(
-    point: Iterate, kept: Preconditioner, free: NDArray[np.bool_], product: Linear, radius: float
+def newton_direction(
+    point: Iterate, precondition: Preconditioner, free: NDArray[np.bool_], product: Linear, radius: float
 ) -> Direction:
-    """argmin of the quadratic model within radius and bounds: cells beyond a bound stop there, the others go on."""
+    """Minimise the quadratic model by conjugate gradients; cells beyond a bound stop there, the others go on."""
     at, gradient = point.at, point.hessian.gradient
-    lower, upper = (bound.ravel() - at.position.ravel() for bound in at.data.log_bounds)
-    low, high = np.maximum(lower, -FARTHEST), np.minimum(upper, FARTHEST)
     logarithmic = shares_conductance(at)
-    if not logarithmic:
-        low, high = -np.expm1(-low), -np.expm1(-high)
+    low, high = step_bounds(at, logarithmic)
     accuracy = min(0.1, point.residual**0.5)
     moving, step, slope = free, np.zeros(free.size), gradient
-    most, negative, length, predicted = 0, False, 0.0, -inf
-    for _ in range(MOST_TRIES):
+    products, negative, length, predicted = 0, False, 0.0, -inf
+    for _ in range(MAX_TRIES):
         chosen = np.flatnonzero(moving)
-        among, precondition = restricted(product, chosen, free.size), kept.over(moving, at.cell_resistance)
-        most_products = MOST_PRODUCTS[point.hessian.dense]
-        found = steihaug(among, precondition, slope[chosen], accuracy, radius, most_products=most_products)
-        most, negative, length = max(most, found.products), negative or found.negative, found.length
+        part, inverse = restricted(product, chosen, free.size), precondition.over(moving, at.cell_resistance)
+        limit = MAX_PRODUCTS[point.hessian.dense]
+        solved = steihaug(part, inverse, slope[chosen], accuracy, radius, most_products=limit)
+        products, negative, length = max(products, solved.products), negative or solved.negative, solved.length
         step = np.where(moving, 0.0, step)
-        step[chosen] = found.step
+        step[chosen] = solved.step
         beyond = moving & ((step < low) | (step > high))
         if not beyond.any():
-            if moving is free:
-                predicted = found.decrease
+            predicted = solved.decrease if moving is free else predicted
             break
-        step = np.clip(step, low, high)
-        moving = moving & ~beyond
+        step, moving = np.clip(step, low, high), moving & ~beyond
         if not moving.any():
             break
         slope = gradient + product(np.where(moving, 0.0, step))
     if predicted == -inf:
         predicted = -float(gradient @ step + 0.5 * step @ product(step))
-    return Direction(step if logarithmic else -np.log1p(-step), predicted, length, most, negative)
+    return Direction(step if logarithmic else -np.log1p(-step), predicted, length, products, negative)
 
 
-def escaped(point: Iterate) -> Iterate | None:
-    """From a saddle, where the certificate has seen the cost fall."""
+def step_bounds(at: Evaluation, logarithmic: bool) -> tuple[Array, Array]:
+    """Return the bounds of a step, flat: of log r, or of the relative change of the conductance, 1 − exp(−δ log r)."""
+    lower, upper = (bound.ravel() - at.position.ravel() for bound in at.data.log_bounds)
+    low, high = np.maximum(lower, -MAX_STEP), np.minimum(upper, MAX_STEP)
+    return (low, high) if logarithmic else (-np.expm1(-low), -np.expm1(-high))
+
+
+def negative_curvature_step(point: Iterate) -> Iterate | None:
+    """Return a point below a saddle, where the certificate has seen the cost fall; otherwise None."""
     lower = point.certificate.lower
     return None if lower is None else Iterate.of(lower, point.hessian.smoothing.moved(point.at, lower), convex=False)
 
 
-def damped_step(point: Iterate) -> Iterate | None:
-    """Levenberg's step (JᵀWJ + PᵀKP + μ·diag)⁻¹·(−∇φ) in log r.
+def levenberg_step(point: Iterate) -> Iterate | None:
+    """Return the point after Levenberg's step (JᵀWJ + PᵀKP + μ·diag)⁻¹·(−∇φ) in log r.
 
     None on large problems, or where no μ lowers the cost.
     """
@@ -306,14 +333,14 @@ def damped_step(point: Iterate) -> Iterate | None:
     if not hessian.dense or not free.any():
         return None
     slope, damping = hessian.gradient[free], point.damping
-    while damping <= MOST_DAMPING:
+    while damping <= MAX_DAMPING:
         factor = gauss_newton_factor(hessian, free, damping)
         if factor is not None:
             step = np.zeros(free.size)
-            step[free] = np.clip(factor.solve(-slope), -FARTHEST, FARTHEST)
+            step[free] = np.clip(factor.solve(-slope), -MAX_STEP, MAX_STEP)
             trial, predicted = point.at_step(step), -0.5 * float(step[free] @ slope)
-            if trial is not None and (gain := point.objective - trial.objective) > ACCEPTED * predicted:
-                eased = damping / 10 if gain > predicted / 2 else damping
-                return replace(trial, kept=None, damping=max(eased, LEAST_DAMPING))
+            if trial is not None and (decrease := point.objective - trial.objective) > MIN_RATIO * predicted:
+                eased = damping / 10 if decrease > predicted / 2 else damping
+                return replace(trial, kept=None, damping=max(eased, MIN_DAMPING))
         damping = max(10 * damping, DAMPED)
     return None

@@ -8,20 +8,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.cost.cost import Cost
-from lampest.cost.problem import Data, Evaluation, within_one
+from lampest.cost.problem import Data, Evaluation
 from lampest.files.typed import Validated, check_positive_fields, check_ranges, typed
 from lampest.panel.panel import Array
 from lampest.solvers.bounds import MILLIONTH, bounds_matter, free_cells
 from lampest.solvers.certificate import Certificate, Definiteness, certificate
-from lampest.solvers.hessian import DENSE_STIFF_CELLS, Hessian
-from lampest.solvers.kinks import Unsmoothed
+from lampest.solvers.hessian import Hessian
 from lampest.solvers.preconditioners import Preconditioner, gauss_newton_factor
 from lampest.solvers.smoothing import Smoothing
 
 VERIFIED = MILLIONTH
 OPEN_FRACTION = 0.99
 MOST_STARTS = 1000
-SHARP = 1e-8  # of the largest residual with an absolute loss: the width of its kink
+SHARP = 1e-8  # of the largest residual with an absolute loss: width of the smoothing
 
 
 class Status(Enum):
@@ -222,9 +221,7 @@ def check(start: Evaluation, outcome: Outcome) -> Solution:
 
 
 def _sharp(at: Evaluation, outcome: Outcome) -> Hessian:
-    """With kinks of absolute losses as they are; on panels that are too large for that, but for a hair."""
-    if at.cell_resistance.size <= DENSE_STIFF_CELLS:
-        return Hessian(at, Unsmoothed(0.0, within_one(outcome.dual)))
+    """Return second derivatives with absolute losses smoothed by `SHARP` of the largest residual."""
     return Hessian(at, Smoothing(SHARP * (float(np.abs(at.nonsmooth).max(initial=0.0)) or 1.0), outcome.dual))
 
 

@@ -1,4 +1,4 @@
-"""Absolute losses are solved with their kinks as they are: at any weight, and in as few steps as others."""
+"""Absolute losses are solved by smoothing: to 1e-8 of the cost at any weight, and in as few steps as others."""
 
 import numpy as np
 import pytest
@@ -11,12 +11,9 @@ from lampest.estimate.estimator import Estimator
 from lampest.panel.panel import Array, Panel
 from lampest.panel.scene import Scene
 from lampest.recording.readings import Readings
-from lampest.solvers.certificate import at_kinks
-from lampest.solvers.hessian import Hessian
-from lampest.solvers.kinks import Kinks, Unsmoothed
 from lampest.solvers.multistart import best_solution
 from lampest.solvers.projected_newton import ProjectedNewton
-from lampest.solvers.solution import Settings, Solution, Status
+from lampest.solvers.solution import Settings, Solution, Status, check
 from tests.least_cost import Circuit, LeastCost, Penalty
 
 SHAPE = (6, 5)
@@ -50,56 +47,38 @@ def stated(data: Data, *penalties: Penalty) -> LeastCost:
 
 @pytest.mark.parametrize("weight", [1e-9, 1e-3, 1.0, 1e3, 1e6, 1e9, 1e12])
 def test_total_variation_at_any_weight(weight: float) -> None:
-    """Verified, with a cost that SciPy does not undercut; from 10⁶ on all cells are one number."""
+    """Within 1e-8 of the least cost; from 10⁶ on all cells are one number, and rounding hides that it is strict."""
     found, data = solved((Misfit(), TotalVariation(weight=weight)))
-    assert found.status is Status.OPTIMUM and found.kkt_residual < 1e-6
+    assert found.status is (Status.OPTIMUM if weight < 1e6 else Status.FLAT)
+    assert weight >= 1e6 or found.kkt_residual < 1e-6
     least = stated(data, Penalty("misfit", 1.0), Penalty("total_variation", weight, "absolute"))
     place = np.log(found.cell_resistance).ravel()
     if weight < 1e6:
-        assert least.value(least.minimised(place, 200)) >= least.value(place) * (1 - 1e-9) - 1e-12 * least.blank()
+        assert least.value(least.minimised(place, 200)) >= least.value(place) * (1 - 1e-8) - 1e-12 * least.blank()
         return
-    assert np.ptp(place) < 1e-12
+    assert np.ptp(place) < 1e-8
     misfit = [least.value(np.full_like(place, place.mean() + aside)) for aside in (-1e-4, 0.0, 1e-4)]
     assert misfit[1] < min(misfit[0], misfit[2])
 
 
 @pytest.mark.parametrize("kind", ["gradient", "cell_resistance"])
-def test_any_residual_may_stand_at_a_kink(kind: str) -> None:
+def test_any_residual_may_be_zero(kind: str) -> None:
     term = term_types()[kind](weight=0.1, loss=Absolute())
     found, data = solved((Misfit(weighting="noise"), term))
     assert found.status is Status.OPTIMUM
     least = stated(data, Penalty("misfit", 1.0, scaled=True), Penalty(kind, 0.1, "absolute"))
     place = np.log(found.cell_resistance).ravel()
-    assert least.value(least.minimised(place, 200)) >= least.value(place) * (1 - 1e-9) - 1e-12 * least.blank()
+    assert least.value(least.minimised(place, 200)) >= least.value(place) * (1 - 1e-8) - 1e-12 * least.blank()
 
 
 @pytest.mark.parametrize(("side", "loss"), [(20, Squared()), (11, Absolute())])
 def test_a_large_panel_takes_no_more_steps(side: int, loss: Squared | Absolute) -> None:
-    """Once 300 and more, by conjugate gradients along kinks that were rounded."""
+    """Once 300 and more, by conjugate gradients along smoothed corners."""
     estimator = Estimator((Misfit(weighting="noise", loss=loss), TotalVariation(weight=1.0)), formulation="reduced")
     measured, sigma = readings((side, side))
     scene, nothing = Scene(Panel(side, side)), np.zeros(measured.shape)
     data = estimator.data(Readings(measured, sigma, nothing, nothing + 1), Background(scene))
     cost = estimator.cost(scene, 1, data.partial)
-    found = ProjectedNewton(cost, Settings()).solve(data, Evaluation.at(cost, data, data.uniform_start))
+    start = Evaluation.at(cost, data, data.uniform_start)
+    found = check(start, ProjectedNewton(cost, Settings()).solve(data, start))
     assert found.status is Status.OPTIMUM and found.iterations < 60
-
-
-def test_a_step_brings_rows_to_their_kink_and_balances_the_rest() -> None:
-    """A s = −x for rows that depend on each other, too, and what is left of the gradient across them is nothing."""
-    scene, cells = Scene(Panel(3, 4)), 1000.0 + 10 * np.arange(12.0).reshape(1, 3, 4)
-    measured = scene.circuit.exact_reading(cells[0])[None] * 1.01
-    estimator = Estimator((Misfit(), TotalVariation(weight=100.0)), formulation="reduced")
-    data = estimator.data(Readings(measured, 0.01 * measured, 0 * cells, 0 * cells + 1), Background(scene))
-    cost = estimator.cost(scene, 1, data.partial)
-    at = Evaluation.at(cost, data, cells)
-    curvature = Hessian(at, Unsmoothed(0.0, np.zeros(len(at.nonsmooth))))
-    everything, free = np.ones(len(at.nonsmooth), dtype=bool), np.arange(12)
-    kinks = Kinks.of(curvature, everything, free)
-    assert kinks.along.shape == (12, 1)  # all cells alike
-    step = at_kinks(curvature, free, kinks).step
-    assert np.ptp((at.position.ravel() + step).ravel()) < 1e-12
-    left = curvature.gradient + curvature.matrix @ step
-    dual = kinks.balanced(curvature.smoothing.dual, left, cost.slope)
-    pull = (kinks.across @ kinks.trapezoid) @ (cost.slope * kinks.length * dual)
-    np.testing.assert_allclose(left + pull, 0, atol=1e-6 * np.abs(left).max())

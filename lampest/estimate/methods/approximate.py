@@ -94,7 +94,7 @@ class LinearisedMethod(Method):
         background = replace(state.background, previous=begun.previous if objective.relative else None)
         data = objective.data(state.resting.alone(), background)
         cost = objective.cost(state.scene, 1, data.partial)
-        return replace(begun, prepared=Linearisation(evaluated(cost, data, begun.previous[None])))
+        return replace(begun, prepared=FactoredBaseline(evaluated(cost, data, begun.previous[None])))
 
     def solution(self, solver: Solver, data: Data, previous: Array | None, prepared: Any) -> Solution:
         """Return the step for a frame; the optimum where there is no factor."""
@@ -106,7 +106,7 @@ class LinearisedMethod(Method):
 
 
 @dataclass(frozen=True, eq=False)
-class Linearisation:
+class FactoredBaseline:
     """baseline : the cost at the solved baseline, given its readings; H_b is its Hessian there."""
 
     baseline: Evaluation
