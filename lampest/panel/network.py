@@ -8,9 +8,9 @@ tr(W dZ).
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Hashable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Protocol, Self
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 from lampest.panel.kirchhoff import bipartite, injected, laplacian, line_sums
 from lampest.panel.panel import Array
 
-Block = tuple[slice, slice]
 Numbers = NDArray[np.intp]
 Entries = tuple[Array, Array, Array]  # of (p, q, t), to be broadcast to (…, rows, columns)
 Loading = tuple[Array, Array]  # W's diagonal (…, lines) and its block between rows and columns
@@ -168,18 +167,6 @@ class Network(ABC):
         """
         own = self._impedance.diagonal(axis1=-2, axis2=-1)
         return float(np.abs(line_sums(self.conductance) * own).sum(axis=-1).max())
-
-    def changed(self, block: Block, conductance: Array) -> Self:
-        """Return the network with a block of new conductances: Z − Z_S (1 + ΔL Z_SS)⁻¹ ΔL Z_Sᵀ, S the block's lines."""
-        rows, columns = self.conductance.shape
-        lines = np.concatenate([np.arange(rows)[block[0]], rows + np.arange(columns)[block[1]]])
-        change = laplacian(conductance - self.conductance[block])
-        towards = self._impedance[:, lines]
-        core = np.linalg.solve(np.eye(len(lines)) + change @ towards[lines], change)
-        cells, whole = self.cell_resistance.copy(), self.conductance.copy()
-        cells[block], whole[block] = 1 / conductance, conductance
-        impedance = self._impedance - towards @ core @ towards.T
-        return replace(self, cell_resistance=cells, conductance=whole, _impedance=impedance)
 
     def entries(self, matrix: Array) -> Entries:
         """Return (K_jj, K_kk, K_jk) of K (…, lines, lines)."""

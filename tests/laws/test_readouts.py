@@ -144,17 +144,6 @@ def test_parts_of_the_sensitivity_are_those_of_the_whole(scene: Scene) -> None:
     assert_allclose(network.sensitivity(cells, readings), whole[np.ix_(readings, cells)], atol=1e-12 * size(whole))
 
 
-@every_scene
-def test_a_changed_block_is_the_network_of_the_changed_cells(scene: Scene) -> None:
-    readout, logarithm, block = scene.circuit, cells_of(scene), (slice(1, 3), slice(0, 2))
-    ties = readout.ties(np.exp(logarithm))
-    network = network_of(scene, logarithm, ties)
-    moved = logarithm.copy()
-    moved[block] -= 1.5
-    expected = network_of(scene, moved, ties).reading()
-    assert_allclose(network.changed(block, np.exp(-moved[block])).reading(), expected, atol=1e-9 * size(expected))
-
-
 @pytest.mark.parametrize("scene", [made for made in scenes() if made.values[0].contacts is not None])
 def test_the_response_to_contacts_is_the_derivative(scene: Scene) -> None:
     """∂y/∂c by central differences of a tenth of an ohm, of every line alone."""

@@ -14,7 +14,7 @@ import numpy as np
 from lampest.files.levels import NOISE_REACH
 from lampest.files.typed import Configuration
 from lampest.panel.kirchhoff import bipartite
-from lampest.panel.network import Block, Entries, Loading, Network, Numbers, ReadCircuit, SecondOrder
+from lampest.panel.network import Entries, Loading, Network, Numbers, ReadCircuit, SecondOrder
 from lampest.panel.panel import Array
 from lampest.panel.readouts.lines import PerLine, check_lines, per_line
 from lampest.panel.readouts.tied import TiedNetwork
@@ -276,12 +276,6 @@ class WiredNetwork(TiedNetwork):
 
     def second_order(self, weights: Array) -> SecondOrder:
         return WiredSecondOrder(self, weights)
-
-    def changed(self, block: Block, conductance: Array) -> "WiredNetwork":
-        """Solved anew: Z alone, which terminals show, does not tell cells inside a wired panel apart."""
-        cells = self.cell_resistance.copy()
-        cells[block] = 1 / conductance
-        return WiredNetwork.solve(cells, self.ties, self.readout, self.wiring)
 
 
 @dataclass(frozen=True, eq=False)
