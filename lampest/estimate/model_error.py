@@ -18,6 +18,7 @@ from lampest.estimate.deciding import deciding_frame, frames_beside, resting_rea
 from lampest.estimate.noise import NoiseSeen
 from lampest.estimate.objective import AutoWeight, Bounds, PlainObjective
 from lampest.panel.scene import Scene
+from lampest.panel.systematic import own_errors
 from lampest.posterior.interval import TWO_SIDED
 from lampest.posterior.reference import MAX_CELLS, ErrorScale, references
 from lampest.recording.readings import Readings
@@ -48,11 +49,14 @@ def error_factor(scale: ErrorScale) -> float:
 def with_model_error(noise: NoiseSeen, recording: Recording) -> NoiseSeen:
     """Return the noise of a single network with the model's error, where readings under load show one.
 
-    Cells are described by steps between neighbours and by changes since rest. Each description takes cells that it does
+    Where still cells can say how far each reading is off on its own, that is the model's error. Elsewhere cells are
+    described by steps between neighbours and by changes since rest. Each description takes cells that it does
     not expect for errors of the readings, so an error is believed where both need one. Its size is the larger one:
     errors that stay from frame to frame hardly show in changes.
     """
     readings, scene = noise.readings, recording.scene
+    if noise.hidden is not None:
+        return with_reading_error(noise, recording)
     if readings.sigma is None or scene.panel.crossings > MAX_CELLS:
         return noise
     factors = list[float]()
@@ -66,6 +70,20 @@ def with_model_error(noise: NoiseSeen, recording: Recording) -> NoiseSeen:
     factor = max(factors)
     said = _in_words(factor, noise.used, scene)
     return scaled(replace(noise, used=factor * noise.used), factor).warned(said)
+
+
+def with_reading_error(noise: NoiseSeen, recording: Recording) -> NoiseSeen:
+    """Return the noise with each reading's own error in σ, for weights; error bars know it as one that frames share.
+
+    Repeats do not reduce it, so σ of an unloaded frame is such that their mean has all of it.
+    """
+    sigma = noise.readings.sigma
+    if sigma is None or not noise.reading_error:
+        return noise
+    unloaded = recording.role == UNLOADED
+    repeats = np.where(unloaded, np.sqrt(unloaded.sum()), 1.0)[:, None, None]
+    own = repeats * own_errors(noise.readings.value, recording.scene, noise.reading_error)
+    return replace(noise, readings=replace(noise.readings, sigma=np.hypot(sigma, own)))
 
 
 def scaled(noise: NoiseSeen, factor: float) -> NoiseSeen:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.estimate.model_check import ExplainedRecording, ModelCheck, check_of_modules
-from lampest.estimate.model_error import scaled, with_model_error
+from lampest.estimate.model_error import scaled, with_model_error, with_reading_error
 from lampest.estimate.noise import (
     NoiseSeen,
     joined_noise,
@@ -163,6 +163,7 @@ class Prepared:
             if self.known is not None:
                 noise = without_effects(noise, recording, self.known.besides)
                 noise = noise.with_motion(recording.scene, self.known.share, measured)
+                noise = with_reading_error(replace(noise, hidden=self.known.hidden), recording)
                 return scaled(noise, self.known.model_factor)
             if sizes is not None and len(unloaded) and len(measured):
                 if self.effects.pair is not None and self.check.besides:

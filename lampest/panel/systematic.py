@@ -103,19 +103,27 @@ def recorded_share(measured: Array, scene: Scene) -> Array:
     return np.asarray((above - below) / (2 * step))
 
 
+def own_errors(measured: Array, scene: Scene, size: float) -> Array:
+    """Return what an error of the logarithm of each recorded value does to the readings (frames, rows, columns)."""
+    if not size:
+        return np.zeros(measured.shape)
+    return np.asarray(size * np.abs(np.stack([recorded_share(frame, scene) for frame in measured])))
+
+
 @dataclass(frozen=True)
 class Shared:
     """systematic : how large such errors are, or None. scene : what they are errors of.
 
     contact_root : (lines, n) ohm, a root of the covariance of contacts, or None. hidden_root : (n, n) of what
     is possible of the hidden errors, in units of their sizes, lower triangular; None: of each on its own as much as its
-    size.
+    size. weighed : whether the readings' σ includes each reading's own error.
     """
 
     systematic: Systematic | None
     scene: Scene
     contact_root: Array | None = None
     hidden_root: Array | None = None
+    weighed: bool = False
 
     @classmethod
     def of(cls, scene: Scene, contact_root: Array | None = None, hidden: Possible | None = None) -> "Shared | None":
@@ -129,7 +137,7 @@ class Shared:
         sizes = usual(scene) if hidden is None else hidden.sizes
         if sizes is None and contact_root is None:
             return None
-        return cls(sizes, scene, contact_root, None if hidden is None else hidden.root)
+        return cls(sizes, scene, contact_root, None if hidden is None else hidden.root, hidden is not None)
 
     def beyond(self, other: "Shared | None") -> "Shared | None":
         """The errors that remain where a method has unknowns for the specified ones; None where none do."""
@@ -141,7 +149,7 @@ class Shared:
         return Shared(Systematic(reading_error=float(np.sqrt(own**2 - known**2))), self.scene) if own > known else None
 
     def columns(self, network: Network, measured: Array) -> Array:
-        """U (cells, n) in the readings' unit: contacts, reference and channels, hidden errors; see `own`.
+        """U (cells, n) in the readings' unit: contacts, reference and channels, hidden errors.
 
         measured : readings (rows, columns). A tolerance is the half width of a uniform distribution, σ = 1/√3 of it.
         """
@@ -169,13 +177,7 @@ class Shared:
         first = columns.shape[-1] - len(root)
         return np.concatenate([columns[..., :first], columns[..., first:] @ root], axis=-1)
 
-    def own(self, cells: int) -> int:
-        """How many of the last columns move single readings, independently of all others."""
-        return cells if self.systematic is not None and self.systematic.reading_error else 0
-
     def own_error(self, measured: Array) -> Array:
         """Standard deviation of what each reading is off by on its own, in their unit, (frames, rows, columns)."""
         size = None if self.systematic is None else self.systematic.reading_error
-        if not size:
-            return np.zeros(measured.shape)
-        return np.asarray(size * np.abs(np.stack([recorded_share(frame, self.scene) for frame in measured])))
+        return own_errors(measured, self.scene, size or 0.0)

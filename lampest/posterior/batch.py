@@ -39,12 +39,12 @@ class BatchErrors:
 
     def bars(self) -> list[tuple[Track, Bars]]:
         """As `Track.advanced`, of every panel. Raises numpy.linalg.LinAlgError where a cost is flat."""
-        own, cells, found = self._certainty, self.points.position.shape[1], list[tuple[Track, Bars]]()
+        own, found = self._certainty, list[tuple[Track, Bars]]()
         for number, (track, answer) in enumerate(zip(self.tracks, self._answers, strict=True)):
             frame = alone = own.of_frame(number)
             if track.shared is not None:
                 answer = track.shared.related(answer)
-                frame = alone.widened(answer, track.shared.own(cells))
+                frame = alone.widened(answer)
             found.append(track.after(frame, alone.deviation, answer))
         return found
 
@@ -89,8 +89,11 @@ class BatchErrors:
 
     @cached_property
     def _noise(self) -> Array:
-        """σ² (panels, cells, 1)."""
-        return np.asarray(self.points.batch.data.sigma.reshape(*self.points.position.shape, 1) ** 2)
+        """σ² (panels, cells, 1), without each reading's own error."""
+        data = self.points.batch.data
+        pairs = zip(self.tracks, data.sigma[:, None], data.measured[:, None], strict=True)
+        noise = [track.noise_alone(sigma, measured) for track, sigma, measured in pairs]
+        return np.reshape(noise, (*self.points.position.shape, 1)) ** 2
 
     @cached_property
     def _scale(self) -> Array:

@@ -84,10 +84,13 @@ class Certainty(LogInterval):
             found.below.flat[pressed] = np.where(low, noise, reach)
         return found
 
-    def widened(self, answer: Array, own: int) -> "Certainty":
-        """With what independent errors of variance 1 do on top, (frames · cells, n); the last `own` not common."""
-        squares = (answer**2).reshape(*self.deviation.shape, -1)
-        variance, common = squares.sum(axis=-1), squares[..., : squares.shape[-1] - own].sum(axis=-1)
+    def widened(self, answer: Array) -> "Certainty":
+        """Return the certainty with independent errors of variance 1 on top, of which answer (frames · cells, n) is
+        the effect on log r; common is the part that moves all cells of a frame alike.
+        """
+        rows, columns = self.deviation.shape[-2:]
+        answers = answer.reshape(*self.deviation.shape[:-2], rows * columns, -1)
+        variance, common = (part.reshape(self.deviation.shape) for part in ((answers**2).sum(axis=-1), alike(answers)))
         found = self.reaching_farther(TWO_SIDED**2 * variance, TWO_SIDED**2 * variance)
         deviation, common = np.sqrt(self.deviation**2 + variance), np.sqrt(self.common**2 + common)
         return replace(found, deviation=deviation, common=common)

@@ -6,7 +6,7 @@ import numpy as np
 
 from lampest.panel.panel import Array
 from lampest.panel.systematic import Shared
-from lampest.posterior.certainty import Certainty, LogInterval, own_part
+from lampest.posterior.certainty import Certainty, LogInterval, alike, own_part
 from lampest.posterior.dense import DenseErrors, Memory, active_bounds
 from lampest.posterior.frame_noise import FrameNoise
 from lampest.posterior.interval import TWO_SIDED
@@ -14,6 +14,9 @@ from lampest.posterior.linear import LinearModel
 from lampest.posterior.sampled import SampledErrors, SampledMemory
 
 MOST_DENSE = 1200  # unknowns; from there on samples are faster
+
+
+LEAST_NOISE = 1e-4  # of a deviation with each reading's own error: rounding of their difference
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,18 +112,27 @@ class Track:
         track = replace(self, deviation=deviation, memory=memory, answers=(answer, resting))
         if self.baseline is None:
             return track, Bars(frame, None)
-        shape, each = frame.deviation.shape, answer * resting
-        common = each[:, : each.shape[1] - (0 if self.shared is None else self.shared.own(len(each)))].sum(axis=1)
-        together = each.sum(axis=1) + (0.0 if memory is None else memory.shared())
+        shape = frame.deviation.shape
+        common = (alike(answer) + alike(resting) - alike(answer - resting)) / 2
+        together = np.sum(answer * resting, axis=1) + (0.0 if memory is None else memory.shared())
         change = Change.between(frame, self.baseline, together.reshape(shape), common.reshape(shape))
         return track, Bars(frame, change)
+
+    def noise_alone(self, deviation: Array, measured: Array) -> Array:
+        """Return the readings' deviation without each one's own error, where it is part of it."""
+        if self.shared is None or not self.shared.weighed:
+            return deviation
+        noise = deviation**2 - self.shared.own_error(measured) ** 2
+        return np.asarray(np.sqrt(np.maximum(noise, (LEAST_NOISE * deviation) ** 2)))
 
     def _errors(self, model: LinearModel, memory: Memory | None, baseline: bool) -> DenseErrors:
         """With V, and with each reading's own error; baseline : whether the first frame is the unloaded ones' mean."""
         terms, measured, drawn = model.at.cost.terms, model.at.data.measured, None
-        # Not where nothing is penalised, or frames that share that error are compared.
-        if self.shared is not None and not all(term.reads_measurement or term.needs_previous for term in terms):
-            model = replace(model, own_error=self.shared.own_error(measured))
+        if self.shared is not None:
+            model = replace(model, deviation=self.noise_alone(model.at.data.deviation, measured))
+            # Not where nothing is penalised, or frames that share that error are compared.
+            if not all(term.reads_measurement or term.needs_previous for term in terms):
+                model = replace(model, own_error=self.shared.own_error(measured))
         if self.noise is not None:
             drawn = np.asarray(model.through @ self.noise.columns(measured, baseline))
         return errors_of(model, memory, drawn)
@@ -143,7 +155,7 @@ class Track:
         measured = model.at.data.measured.ravel()
         read = model.at_lower & (model.at.data.lower.ravel() == measured)  # r ≥ R: such a bound is off as its reading
         answer[read] = columns[read] / measured[read, None]
-        return answer, own.widened(answer, self.shared.own(cells[0].size))
+        return answer, own.widened(answer)
 
 
 def errors_of(model: LinearModel, memory: Memory | None, drawn: Array | None = None) -> DenseErrors:

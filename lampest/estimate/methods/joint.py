@@ -350,9 +350,9 @@ def error_bars(joint: Joint, resting: int, beyond: Shared | None = None) -> tupl
     beyond : what all readings share, of which Φ knows nothing; or None.
     """
     answer = joint.answer(_shared(joint.at, beyond))
-    chain, own = joint.uncertain, 0 if beyond is None else beyond.own(joint.cells)
+    chain = joint.uncertain
     numbers = range(resting - 1, len(joint.position))
-    found = (_certainty(joint, chain, t).widened(answer[t], own).of_frame(0) for t in numbers)
+    found = (_certainty(joint, chain, t).widened(answer[t]).of_frame(0) for t in numbers)
     baseline, *certainty = (one.by_conductance() for one in found)
     together = chain.since(resting - 1)[1:, : joint.cells] + np.sum(answer[resting:] * answer[resting - 1], axis=2)
     together = together.reshape(-1, *baseline.deviation.shape)
