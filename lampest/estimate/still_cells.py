@@ -191,9 +191,6 @@ def _possible(moves: Moves, size: float, shape: tuple[int, ...]) -> Array:
     weight = np.linalg.solve(moves.covariance(size)[np.ix_(still, still)], part)
     mean = weight.T @ moves.change[still]
     left = np.eye(columns.shape[1]) - part.T @ weight
-    # What cells share counts as open as before: noise in the cells and other errors hide as much as they show.
-    shared = moves.a.shape[1]
-    left[:shared], left[:, :shared] = np.eye(len(left))[:shared], np.eye(len(left))[:, :shared]
     second = left + np.outer(mean, mean)
     values, vectors = np.linalg.eigh((second + second.T) / 2)
     # Lower triangular: the columns behind the common errors' are what each reading's own leaves beside them.

@@ -270,49 +270,32 @@ class ReferenceFit:
 
     def expected(self, square: float) -> "ReferenceFit":
         """Weights and τ² at the present linearisation, and the step that they lead to."""
-        residual, counted, values = self.residual(self.reading)
-        rows, cells = np.flatnonzero(counted), self.cells
-        jacobian, steps, step = self.jacobian[np.ix_(rows, cells)], self.steps[:, cells], self.step
-        residual, value, rank = residual[rows], values[rows], min(len(steps), len(cells) - (not self.origin.any()))
-        of_readings, of_steps, variance = self.reading_weights[rows], self.step_weights, self.variance
+        linear = Linearised.of(self)
+        weights = self.reading_weights[linear.rows], self.step_weights
+        variance = self.variance
         for number in range(MAX_ROUNDS):
-            weights, before = (of_readings / square, of_steps / variance), variance
-            matrix = blas.dsyrk(1.0, (jacobian * np.sqrt(weights[0])[:, None]).T)
-            matrix = blas.dsyrk(1.0, (steps * np.sqrt(weights[1])[:, None]).T, 1.0, matrix, overwrite_c=True)
-            matrix[np.diag_indices(len(matrix))] += RIDGE * np.trace(matrix) / len(matrix)
-            slope = jacobian.T @ (weights[0] * residual) + steps.T @ (weights[1] * step)
-            covariance, log_volume = inverse_and_volume(matrix)
-            change = self._within(matrix, covariance, slope)
-            missed, stepped = residual + jacobian @ change, step + steps @ change
-            of_missed = missed**2 + np.sum((jacobian @ covariance) * jacobian, axis=1)
-            of_stepped = stepped**2 + np.sum((steps @ covariance) * steps, axis=1)
-            used = float(np.sum((weights[0] * (of_missed - missed**2))[value]))
-            free = max(int(value.sum()) - used, 1e-3 * len(rows))
-            determined = rank - float(np.sum(weights[1] * (of_stepped - stepped**2)))
-            residual_variance = float(np.sum((of_readings * missed**2)[value])) / free
-            variance = (float(np.sum(of_steps * stepped**2)) + self.prior_variance) / (max(determined, 0.0) + 1)
-            of_readings = (FREEDOM + 1) / (FREEDOM + of_missed / square)
-            of_steps = (FREEDOM + 1) / (FREEDOM + of_stepped / variance)
-            if number and abs(np.log(variance / before)) < SETTLED_VARIANCE:
+            posterior, previous = linear.posterior(self, square, *weights, variance), variance
+            residual_variance = posterior.residual_variance(weights[0])
+            variance = posterior.step_variance(weights[1], variance, self.prior_variance)
+            weights = posterior.weights(square, variance)
+            if number and abs(np.log(variance / previous)) < SETTLED_VARIANCE:
                 break
         every, whole = np.zeros(len(self.position)), np.zeros(len(self.position))
-        every[rows], whole[cells] = of_readings, change
+        every[linear.rows], whole[self.cells] = weights[0], posterior.change
         of_cells = np.zeros((len(whole), len(whole)))
-        of_cells[np.ix_(cells, cells)] = covariance
-        bound = int(value.sum()) * np.log(square) + rank * np.log(variance) - log_volume
-        bound += _tails(of_missed[value], square) + _tails(of_stepped, variance)
+        of_cells[np.ix_(self.cells, self.cells)] = posterior.covariance
         return replace(
             self,
             reading_weights=every,
-            step_weights=of_steps,
+            step_weights=weights[1],
             variance=variance,
             covariance=of_cells,
             change=whole,
-            bound=float(bound),
+            bound=posterior.bound(square, variance),
             residual_variance=residual_variance,
         )
 
-    def _within(self, matrix: Array, covariance: Array, slope: Array) -> Array:
+    def step_within_bounds(self, matrix: Array, covariance: Array, slope: Array) -> Array:
         """The step to the minimum, with cells held that press against a bound."""
         lower, upper = (np.ravel(bound[self.frame])[self.cells] for bound in self.data.log_bounds)
         place = self.position[self.cells]
@@ -348,6 +331,114 @@ class ReferenceFit:
         """Standard deviation of every reading, flat, in its unit."""
         weights = np.where(self.reading_weights > 0, self.reading_weights, 1.0)
         return np.asarray(scale * self.sigma / np.sqrt(weights))
+
+
+@dataclass(frozen=True, eq=False)
+class Linearised:
+    """Readings and steps of a frame as linear functions of log r of its cells.
+
+    Attributes
+    ----------
+    rows : array
+        The numbers of the readings that count.
+    value : boolean array
+        Which of these are values.
+    jacobian, residual : arrays, shapes (readings, cells), (readings)
+    steps, step : arrays, shapes (steps, cells), (steps)
+    rank : int
+        Of `steps`.
+    """
+
+    rows: NDArray[np.intp]
+    value: NDArray[np.bool_]
+    jacobian: Array
+    residual: Array
+    steps: Array
+    step: Array
+    rank: int
+
+    @classmethod
+    def of(cls, fit: ReferenceFit) -> "Linearised":
+        """Return the functions at a fit's position."""
+        residual, counted, values = fit.residual(fit.reading)
+        rows, steps = np.flatnonzero(counted), fit.steps[:, fit.cells]
+        rank = min(len(steps), len(fit.cells) - (not fit.origin.any()))
+        jacobian = fit.jacobian[np.ix_(rows, fit.cells)]
+        return cls(rows, values[rows], jacobian, residual[rows], steps, fit.step, rank)
+
+    def posterior(
+        self, fit: ReferenceFit, square: float, of_readings: Array, of_steps: Array, variance: float
+    ) -> "Posterior":
+        """Return the normal approximation N(û, S) for given weights, s² and τ²."""
+        readings, steps = of_readings / square, of_steps / variance
+        matrix = blas.dsyrk(1.0, (self.jacobian * np.sqrt(readings)[:, None]).T)
+        matrix = blas.dsyrk(1.0, (self.steps * np.sqrt(steps)[:, None]).T, 1.0, matrix, overwrite_c=True)
+        matrix[np.diag_indices(len(matrix))] += RIDGE * np.trace(matrix) / len(matrix)
+        slope = self.jacobian.T @ (readings * self.residual) + self.steps.T @ (steps * self.step)
+        covariance, log_volume = inverse_and_volume(matrix)
+        change = fit.step_within_bounds(matrix, covariance, slope)
+        missed = self.residual + self.jacobian @ change
+        stepped = self.step + self.steps @ change
+        spread = (np.sum((rows @ covariance) * rows, axis=1) for rows in (self.jacobian, self.steps))
+        return Posterior(self, readings, steps, change, covariance, log_volume, missed, stepped, *spread)
+
+
+@dataclass(frozen=True, eq=False)
+class Posterior:
+    """N(û, S) of the cells, and the squares that readings and steps are expected to have under it.
+
+    Attributes
+    ----------
+    linear : Linearised
+    readings, steps : arrays
+        Precisions of the readings and of the steps.
+    change, covariance, log_volume : array, array, float
+        û less the position, S and log det S.
+    missed, stepped : arrays
+        Residuals and steps at û.
+    missed_variance, stepped_variance : arrays
+        Their variances under S.
+    """
+
+    linear: Linearised
+    readings: Array
+    steps: Array
+    change: Array
+    covariance: Array
+    log_volume: float
+    missed: Array
+    stepped: Array
+    missed_variance: Array
+    stepped_variance: Array
+
+    @property
+    def _squares(self) -> tuple[Array, Array]:
+        """Expected squares of readings' residuals and of steps."""
+        return self.missed**2 + self.missed_variance, self.stepped**2 + self.stepped_variance
+
+    def residual_variance(self, weights: Array) -> float:
+        """Return the weighted mean square of the residuals over the degrees of freedom that the cells leave."""
+        value = self.linear.value
+        used = float(np.sum((self.readings * self.missed_variance)[value]))
+        free = max(int(value.sum()) - used, 1e-3 * len(self.linear.rows))
+        return float(np.sum((weights * self.missed**2)[value])) / free
+
+    def step_variance(self, weights: Array, variance: float, prior_variance: float) -> float:
+        """Return the most probable τ² of steps with these weights."""
+        determined = self.linear.rank - float(np.sum(weights / variance * self.stepped_variance))
+        return (float(np.sum(weights * self.stepped**2)) + prior_variance) / (max(determined, 0.0) + 1)
+
+    def weights(self, square: float, variance: float) -> tuple[Array, Array]:
+        """Return the expected precisions of readings and steps, in units of 1/s² and 1/τ²."""
+        of_missed, of_stepped = self._squares
+        return (FREEDOM + 1) / (FREEDOM + of_missed / square), (FREEDOM + 1) / (FREEDOM + of_stepped / variance)
+
+    def bound(self, square: float, variance: float) -> float:
+        """Return −2 log p(y | s), up to a constant."""
+        of_missed, of_stepped = self._squares
+        value, rank = self.linear.value, self.linear.rank
+        volumes = int(value.sum()) * np.log(square) + rank * np.log(variance) - self.log_volume
+        return float(volumes + _tails(of_missed[value], square) + _tails(of_stepped, variance))
 
 
 def _tails(squares: Array, variance: float) -> float:
