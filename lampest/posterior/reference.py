@@ -270,7 +270,7 @@ class ReferenceFit:
 
     def expected(self, square: float) -> "ReferenceFit":
         """Weights and τ² at the present linearisation, and the step that they lead to."""
-        linear = Linearised.of(self)
+        linear = LinearisedFrame.of(self)
         weights = self.reading_weights[linear.rows], self.step_weights
         variance = self.variance
         for number in range(MAX_ROUNDS):
@@ -334,7 +334,7 @@ class ReferenceFit:
 
 
 @dataclass(frozen=True, eq=False)
-class Linearised:
+class LinearisedFrame:
     """Readings and steps of a frame as linear functions of log r of its cells.
 
     Attributes
@@ -358,7 +358,7 @@ class Linearised:
     rank: int
 
     @classmethod
-    def of(cls, fit: ReferenceFit) -> "Linearised":
+    def of(cls, fit: ReferenceFit) -> "LinearisedFrame":
         """Return the functions at a fit's position."""
         residual, counted, values = fit.residual(fit.reading)
         rows, steps = np.flatnonzero(counted), fit.steps[:, fit.cells]
@@ -389,7 +389,7 @@ class Posterior:
 
     Attributes
     ----------
-    linear : Linearised
+    linear : LinearisedFrame
     readings, steps : arrays
         Precisions of the readings and of the steps.
     change, covariance, log_volume : array, array, float
@@ -400,7 +400,7 @@ class Posterior:
         Their variances under S.
     """
 
-    linear: Linearised
+    linear: LinearisedFrame
     readings: Array
     steps: Array
     change: Array

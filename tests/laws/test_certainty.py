@@ -34,10 +34,10 @@ def test_a_cell_held_at_its_bound_reaches_at_least_as_far_as_given() -> None:
 
 def test_independent_errors_widen_intervals_by_their_squares() -> None:
     certainty = Certainty(*np.full((6, 1, 1, 2), 0.3))
-    widened = certainty.widened(np.array([[0.4, 0.0], [0.0, 0.4]]), own=1)
-    assert_allclose(widened.deviation, [[[0.5, 0.5]]])
-    assert_allclose(widened.common, [[[0.5, 0.3]]])  # the last column is each cell's own
-    assert_allclose((widened.below, widened.above), np.hypot(0.3, 1.959964 * 0.4), rtol=1e-6)
+    widened = certainty.widened(np.array([[0.4, 0.3], [0.4, -0.3]]))  # the second error moves the cells apart
+    assert_allclose(widened.deviation, np.sqrt([[[0.34, 0.34]]]))
+    assert_allclose(widened.common, [[[0.5, 0.5]]])
+    assert_allclose((widened.below, widened.above), np.hypot(0.3, 1.959964 * 0.5), rtol=1e-6)
 
 
 def test_intervals_by_conductance_end_where_the_conductance_may_fall_to() -> None:
