@@ -200,9 +200,9 @@ class SolversFile(BenchFile):
 
     limits: SolverLimits = SolverLimits()
 
-    def formulation(self, solver: Any, joint: bool) -> Method:
-        """The formulation of a solver's name, SciPy's included."""
-        return ScipyMethod(kind=solver, joint=joint) if solver in SOLVERS else super().formulation(solver, joint)
+    def formulation(self, solver: Any, *, joint: bool) -> Method:
+        """Return the formulation of a solver's name, SciPy's included."""
+        return ScipyMethod(kind=solver, joint=joint) if solver in SOLVERS else super().formulation(solver, joint=joint)
 
 
 STUDY = replace(bench.STUDY, read=read_settings(SolversFile))

@@ -150,7 +150,8 @@ def parse_document(text: str, source: str) -> Document:
     except MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         where = f"{source}:{mark.line + 1}:{mark.column + 1}" if mark else source
-        raise InputError(f"{where}: {' '.join(str(error.problem or error.context).split())}") from error
+        problem = " ".join(str(error.problem or error.context).split()).replace(r"character '\t' that", "a tab, which")
+        raise InputError(f"{where}: {problem}") from error
     except RecursionError as error:
         raise InputError(f"{source}: nested too deeply, or within itself") from error
     except (YAMLError, ValueError, TypeError, AttributeError) as error:

@@ -37,7 +37,9 @@ IMPROBABLE = 6.0  # of −2 log p above its least value, where the search ends: 
 EXACT = 1e-4  # first s where the noise is unknown, as a fraction of the reading: no sensor is read to more digits
 MAX_STEPS, MAX_ROUNDS = 8, 4  # Gauss–Newton steps of one s; updates of the weights of one linearisation
 SETTLED_BOUND, SETTLED_STEP, SETTLED_VARIANCE = 0.5, 0.02, 0.03  # of −2 log p; of log r; of log τ²
-PRIOR_VARIANCE = 0.015  # τ² that counts like one step: covers draws of a prior that noise hides (docs/studies/calibration.md)
+PRIOR_VARIANCE = (
+    0.015  # τ² that counts like one step: covers draws of a prior that noise hides (docs/studies/calibration.md)
+)
 LONGEST = 1.4  # of log r in one step
 RIDGE = 1e-9  # of the mean curvature
 

@@ -170,5 +170,5 @@ def test_installed_kinds_stand_in_the_order_of_their_names(monkeypatch: pytest.M
     points = [
         EntryPoint(name, f"{kind.__module__}:{kind.__name__}", "g") for name, kind in (("b", Panel), ("a", Scene))
     ]
-    monkeypatch.setattr(typed, "entry_points", lambda group: points)
+    monkeypatch.setattr("importlib.metadata.entry_points", lambda group: points)
     assert typed.installed.__wrapped__("g", type) == (Scene, Panel)
