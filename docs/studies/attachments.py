@@ -6,6 +6,7 @@ keep a part of their answer. Only the panel's two-point resistances are the pack
 
     python -m docs.studies.attachments --scenes 10 --seed 7 --rates 4 --out seen.csv
     python -m docs.studies.attachments --read seen.csv other.csv --figure roc.png
+    python -m docs.studies.attachments --table --attached 300 --side 8 --scenes 4 --rates 1 2 4 10
     python -m docs.studies.attachments --attached 3600 --rates 1 --side 6 --kinds "still mouth" cup rod
 """
 
@@ -27,22 +28,27 @@ from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.response import PublishedResponse, ratio_from_pressure
 from lampest.panel.scene import Scene
 from lampest.recording.recording import Recording
-from lampest.report.detect.answer import Detected
+from lampest.report.detect.answer import LAMPREY, Detected
 from lampest.report.detect.detection import Known, known_of, measured_frames
 
 UNLOADED, TOUCH_S, ATTACHED_S, BARE_S = 5, 2.0, 14.0, 4.0
 SWAY, SWAY_S = 0.03, 7200.0  # of the temperature: of all cells, a tenth of it different from cell to cell
 CREEP = ((1.0, 0.02), (10.0, 0.02), (100.0, 0.02))  # s, and the part of the answer that comes so late
 KEPT, FADES_S = 0.12, 60.0  # part of its largest answer that a film keeps, and for how long
-SHAKEN, STILL = "shaken cup", "still mouth"
-KINDS = (*MAKERS, SHAKEN, STILL)
+SHAKEN, STILL, PUMPING, BUMPED = "shaken cup", "still mouth", "pumping mouth", "bumped cup"
+KINDS = (*MAKERS, SHAKEN, STILL, PUMPING, BUMPED)
+LIVING = (*MOUTHS, PUMPING)
+TABLE = (PUMPING, "cup", BUMPED, SHAKEN, "rod", "hand")
+POISSON_95 = (3.0, 4.74, 6.30, 7.75)  # upper limits of a mean of which so many events were seen
+PUMPED_S, DECAY = (20.0, 200.0), (0.1, 0.5)  # between pumps (Shi et al. 2021), and the part that is lost until one
 
 
 @dataclass(frozen=True)
 class Seen:
     """One recording and its first attachment; times in s after the touch, NaN where there is none.
 
-    early : probability that it sucks, 5 s after the touch; sucks, breathes : 10 s after it.
+    early : probability that it sucks, 5 s after the touch; sucks, breathes : 10 s after it. pumps : at the end.
+    lamprey : when something was first called a lamprey. watched : s of measured frames.
     """
 
     kind: str
@@ -67,6 +73,9 @@ class Seen:
     depth_sd: float
     seen_hertz: float
     cpu: float
+    pumps: float = np.nan
+    lamprey: float = np.nan
+    watched: float = np.nan
 
 
 def courses(rng: np.random.Generator, kind: str, time: Array, attached_s: float) -> tuple[Array, float, float]:
@@ -77,13 +86,30 @@ def courses(rng: np.random.Generator, kind: str, time: Array, attached_s: float)
     depth, hertz, step = rng.uniform(0.03, 0.15), rng.uniform(0.6, 2.0), np.diff(time, prepend=time[0])
     phase = 2 * np.pi * (hertz * time + np.cumsum(0.03 * np.sqrt(step) * rng.standard_normal(len(time))))
     tremble = 1 + 0.015 * _wandering(rng, step)
-    if kind in MOUTHS:
+    if kind in LIVING:
         breath = 1 + depth * np.sin(phase)
+        suck = suck * (_pumped(rng, since) if kind == PUMPING else 1.0)
         return np.stack([press * (0.2 + 0.8 * suck) * breath, suck * breath], axis=1), depth, hertz
-    leak = np.exp(-np.clip(since, 0, ATTACHED_S) * rng.uniform(0, 0.01) * ("cup" in kind)) * (
+    leak = np.exp(-np.clip(since, 0, attached_s) * rng.uniform(0, 0.14 / attached_s) * ("cup" in kind)) * (
         1 + 0.004 * _wandering(rng, step)
     )
+    if kind == BUMPED:  # every minute something pushes it, and its suction is another one from then on
+        bumps = rng.uniform(0, attached_s, rng.poisson(attached_s / 60))
+        leak = leak * np.exp(rng.normal(0, 0.15, len(bumps)) @ (since >= bumps[:, None]))
     return np.stack([press * (leak if "cup" in kind or kind == STILL else tremble), suck * leak], axis=1), 0.0, hertz
+
+
+def _pumped(rng: np.random.Generator, since: Array) -> Array:
+    """Suction over that after a pump (frames): it decays until the next one, which takes half a second to two."""
+    factor, begin = np.ones_like(since), 1.5
+    while begin < since[-1]:
+        length, lost, takes = np.exp(rng.uniform(*np.log(PUMPED_S))), rng.uniform(*DECAY), rng.uniform(0.5, 2.0)
+        lasted, level = since - begin, rng.uniform(0.9, 1.1)
+        low = factor[lasted < 0][-1] if np.any(lasted < 0) else 1.0
+        falls = level * np.exp(np.log1p(-lost) * lasted / length)
+        rises = low + (falls - low) * np.clip(lasted / takes, 0, 1)
+        factor, begin = np.where(lasted < 0, factor, rises), begin + length
+    return factor
 
 
 def _wandering(rng: np.random.Generator, step: Array) -> Array:
@@ -148,7 +174,7 @@ def recording(
     rng = np.random.default_rng([seed, side, KINDS.index(kind)])
     panel = Panel(side, side)
     made, layer = (
-        MAKERS[{SHAKEN: "cup", STILL: "mouth"}.get(kind, kind)](rng, panel),
+        MAKERS[{SHAKEN: "cup", BUMPED: "cup", STILL: "mouth", PUMPING: "uneven mouth"}.get(kind, kind)](rng, panel),
         film(rng, rng.choice(["real", "other"])),
     )
     frames = round((TOUCH_S + attached_s + max(BARE_S, 10 / rate)) * rate)
@@ -173,10 +199,12 @@ def seen(kind: str, rate: float, seed: int, side: int = 10, attached_s: float = 
     begin = process_time()
     watched = known_of(Prepared(whole))
     assert isinstance(watched, Known)
-    watch, moments = watched.watch(), []
+    watch, moments, lamprey = watched.watch(), [], np.nan
     for value, sigma, time in measured_frames(whole, watched, np.ones(len(whole.time), dtype=bool)):
         watch = watch.push(value, sigma, time)
         moments += [watch] if len(moments) < 2 and time >= touch + (5, 10)[len(moments)] else []
+        if np.isnan(lamprey) and Detected.of(kind, watch.attachments, rate).answer == LAMPREY:
+            lamprey = time - touch
     early, later, full = (Detected.of(kind, one.attachments, rate) for one in (*moments, watch))
     cpu = process_time() - begin
     first, best = full.chosen, later.chosen
@@ -211,6 +239,9 @@ def seen(kind: str, rate: float, seed: int, side: int = 10, attached_s: float = 
         *deep,
         rhythm[0],
         cpu,
+        first.pumps if first else np.nan,
+        lamprey,
+        float(whole.time[-1] - whole.time[UNLOADED]),
     )
 
 
@@ -271,7 +302,7 @@ def report(everything: Sequence[Seen]) -> None:
         if all(map(len, breathing)):
             print(f"breathes: AUC {area_under_curve(*breathing):.4f}")
         called = np.array([one.sucks * one.breathes for one in here])
-        are = np.array([one.kind in MOUTHS for one in here])
+        are = np.array([one.kind in LIVING for one in here])
         for low, high in ((0, 0.1), (0.1, 0.5), (0.5, 0.9), (0.9, 1.01)):
             of = (called >= low) & (called < high)
             share = are[of].mean() if of.any() else np.nan
@@ -283,13 +314,30 @@ def report(everything: Sequence[Seen]) -> None:
     print(f"median {np.median([one.cpu for one in everything]):.2f} s of processor time a recording")
 
 
+def table(everything: Sequence[Seen]) -> None:
+    """Print minutes to the answer, recall and false alarms for each frame rate."""
+    print("| frames a second | mouths | called lamprey | minutes after: median, latest | others, hours | false |")
+    print("|---|---|---|---|---|---|")
+    for rate in sorted({one.rate for one in everything}):
+        mouths, others = (
+            [one for one in everything if one.rate == rate and (one.kind in LIVING) is is_one]
+            for is_one in (True, False)
+        )
+        minutes = np.array([one.lamprey for one in mouths if np.isfinite(one.lamprey)]) / 60
+        hours, false = sum(one.watched for one in others) / 3600, sum(np.isfinite(one.lamprey) for one in others)
+        times = f"{np.median(minutes):.1f}, {minutes.max():.1f}" if len(minutes) else "–"
+        bound = 24 * POISSON_95[min(false, 3)] / max(hours, 1e-9)
+        told = f"{false} ({24 * false / max(hours, 1e-9):.0f} a day, below {bound:.0f} with 95 %)"
+        print(f"| {rate:g} | {len(mouths)} | {len(minutes)} | {times} | {len(others)}, {hours:.1f} | {told} |")
+
+
 def plot(everything: Sequence[Seen], path: Path) -> None:
     """ROC curves of both questions, at four frames a second and more, and how often what is called lamprey is one."""
     from matplotlib import pyplot
 
     fast = [one for one in everything if one.rate > 3.8]
     sucking = np.array([any(word in one.kind for word in ("mouth", "cup")) for one in fast])
-    mouths = np.array([one.kind in MOUTHS for one in fast])
+    mouths = np.array([one.kind in LIVING for one in fast])
     early, called = np.array([one.early for one in fast]), np.array([one.sucks * one.breathes for one in fast])
     figure, (left, right) = pyplot.subplots(1, 2, figsize=(9, 4), layout="constrained")
     for name, score, true in (("sucks, after 5 s", early, sucking), ("lamprey, after 10 s", called, mouths)):
@@ -333,7 +381,8 @@ if __name__ == "__main__":
     parser.add_argument("--scenes", type=int, default=4, help="of every kind and rate")
     parser.add_argument("--seed", type=int, default=7)
     parser.add_argument("--rates", type=float, nargs="+", default=[4.0])
-    parser.add_argument("--kinds", nargs="+", default=list(KINDS), choices=list(KINDS))
+    parser.add_argument("--kinds", nargs="+", choices=list(KINDS))
+    parser.add_argument("--table", action="store_true", help="minutes to the answer, recall and false alarms alone")
     parser.add_argument("--out", type=Path, help="a table, to which recordings are appended")
     parser.add_argument("--read", type=Path, nargs="+", help="such tables, to report instead of new scenes")
     parser.add_argument("--side", type=int, default=10, help="of the panel, cells")
@@ -343,10 +392,10 @@ if __name__ == "__main__":
     found = [one for path in given.read or () for one in read(path)]
     for number in range(0 if given.read else given.scenes):
         for rate in given.rates:
-            for kind in given.kinds:
+            for kind in given.kinds or (TABLE if given.table else KINDS):
                 found.append(seen(kind, rate, 1000 * given.seed + number, given.side, given.attached))
                 if given.out is not None:
                     write(given.out, found[-1])
-    report(found)
+    (table if given.table else report)(found)
     if given.figure is not None:
         plot(found, given.figure)

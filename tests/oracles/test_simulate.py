@@ -145,6 +145,16 @@ def test_tilt_points_where_it_says() -> None:
     np.testing.assert_allclose(contact, contact[:, ::-1], atol=1e-12)
 
 
+def test_suction_decays_is_pumped_up_and_pulled_off() -> None:
+    course = Course(start_s=10, approach_s=2, attachment_s=3, pump_s=40, pump_loss=0.3, release_at_s=200, pull_off=0.5)
+    contact, suction = course.contact_and_suction(np.array([14.99, 15, 35, 54.99, 56, 75, 199.99, 200]))
+    expected = [1, 1, 0.7**0.5, 0.7, 0.7 ** (1 / 40), 0.7**0.5, 1.5 * 0.7 ** (24.99 / 40), 0]
+    np.testing.assert_allclose(suction, expected, rtol=1e-3)
+    np.testing.assert_allclose(contact[:-1], 1)
+    with pytest.raises(ValueError, match="pump_loss must be below 1"):
+        Course(pump_s=40, pump_loss=1)
+
+
 def test_course_of_a_lamprey() -> None:
     course = Course(
         start_s=1, approach_s=2, attachment_s=2, breathing_hz=0.5, breathing_depth=0.1, release_at_s=10, release_s=2

@@ -12,8 +12,10 @@ import numpy as np
 import pytest
 from support import invented_case
 
+from lampest.estimate.prepared import Prepared
 from lampest.files.errors import InputError
 from lampest.loads.recognition.attachment import Attachment, continued_by
+from lampest.loads.recognition.pumping import Pumping
 from lampest.loads.recognition.settings import ModelErrors
 from lampest.loads.shapes import Block, OralDisc, Rod
 from lampest.panel.panel import Panel
@@ -32,7 +34,7 @@ from lampest.report.detect.answer import (
     event_table,
     write_detections,
 )
-from lampest.report.detect.detection import detect_recording, detect_results
+from lampest.report.detect.detection import Known, detect_recording, detect_results, known_of, measured_frames
 from lampest.report.info import describe
 from lampest.report.plots.timeline import plot_timelines
 from lampest.runs.results import CaseResult, Results, write_results
@@ -86,7 +88,8 @@ def test_the_sentence_says_what_where_since_when_and_how_strong() -> None:
     ("change", "rate", "answer", "why"),
     [
         ({}, 1.0, SUCKS, "breathing shows at four frames a second or more, here there are 1"),
-        ({"breathing": -4.0}, 4.0, CUP, ""),
+        ({"breathing": -4.0, "before": -4.0}, 4.0, CUP, ""),
+        ({"breathing": -4.0}, 4.0, SUCKS, "whether it breathes is not clear"),
         ({"breathing": 1.0}, 4.0, SUCKS, "whether it breathes is not clear (P = 0.73)"),
         (
             {"breathing": 4.0, "suction": 0.02},
@@ -121,6 +124,19 @@ def test_a_part_that_a_later_look_does_not_see_has_not_left() -> None:
     for before, again, kept in (((fin, part), True, (None,)), ((fin, old), True, (None, None))):
         assert tuple(one.until_s for one in continued_by(before, [fin], 6.0, again)) == kept
     assert [one.until_s for one in continued_by((fin, part), [fin], 9.0)] == [None, 9.0]
+
+
+def test_the_signs_add_up_and_the_sentence_says_which_decided() -> None:
+    """Odds of pumps and of breath are independent; a pause of one does not outweigh the other."""
+    flat = Pumping.begin(np.ones(1), np.zeros(1), 0.0, 0)
+    pumps = dataclasses.replace(flat, logarithm=flat.logarithm + np.array([0, 0, 6.0]).reshape(3, 1, 1, 1, 1))
+    still = dataclasses.replace(SEEN, track=pumps)
+    answer = Detected.of("mouth", (still,), 1.0)
+    assert answer.answer == LAMPREY and "pumping up its suction" in answer.sentence
+    assert answer.content()["attachments"][0]["pumps"] == pytest.approx(still.pumps, abs=1e-4)
+    silent, both = (dataclasses.replace(still, breathing=odds) for odds in (-3.0, 2.0))
+    assert answer_of(silent, 4.0)[0] == LAMPREY and both.lives > max(both.breathes, both.pumps)
+    assert dataclasses.replace(SEEN, breathing=2.0).lives == pytest.approx(1 / (1 + np.exp(-2)))
 
 
 def test_what_sucked_has_sucked_when_its_suction_has_leaked() -> None:
@@ -176,6 +192,35 @@ def test_a_recording_is_enough(tmp_path: Path, lampest: Command) -> None:
     assert one["breathing_hz"][0] == pytest.approx(1.1, abs=0.05)
     assert one["diameter_mm"][0] == pytest.approx(33, abs=3 * one["diameter_mm"][1])
     assert lampest("detect", tmp_path / "mouth.h5", "--estimator", "LSM").code == 2
+
+
+@pytest.mark.slow
+def test_pumps_tell_a_mouth_where_breath_cannot_be_seen() -> None:
+    """At one frame a second; a cup that leaks as fast, without pumps, stays something that sucks."""
+    panel, times = Panel(6, 6), {"frames": 300, "frame_period_s": 1.0, "baseline_frames": 5}
+    course = Course(start_s=3, approach_s=0.5, attachment_s=1, pump_s=50, pump_loss=0.3, release_at_s=290, pull_off=0.5)
+    scene, mouth = Scene(panel, TwoPointReadout(noise_lsb=0.7), 140.0), dataclasses.replace(MOUTH, centre_mm=(26, 24))
+    found = []
+    for pumps in (course, dataclasses.replace(course, pump_s=300.0, pump_loss=0.5)):
+        recording = simulate(Simulation(1, 5, scene, loads=(mouth,), course=pumps, **times))
+        known = known_of(Prepared(recording))
+        assert isinstance(known, Known)
+        found.append(known.answer(measured_frames(recording, known, np.ones(len(recording.time), dtype=bool))))
+    assert [one.answer for one in found] == [LAMPREY, SUCKS] and len(found[0].attachments) == 1
+    assert "pumping up its suction" in found[0].sentence and "breathing" not in found[0].sentence
+    assert "whether suction is pumped up again shows within minutes" in found[1].sentence
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(3))
+def test_a_mouth_that_leaves_early_is_no_cup(seed: int) -> None:
+    """The frame in which its release begins is no part of the window that judges its breath."""
+    course = dataclasses.replace(BREATHING, breathing_hz=1.2, breathing_depth=0.12, release_at_s=9.5, release_s=0.3)
+    recording = recorded(seed, frames=48, frame_period_s=0.25, course=course)
+    known = known_of(Prepared(recording))
+    assert isinstance(known, Known)
+    answer = known.answer(measured_frames(recording, known, np.ones(len(recording.time), dtype=bool)))
+    assert answer.answer == LAMPREY and answer.attachments[0].until_s is not None
 
 
 @pytest.mark.slow

@@ -17,14 +17,15 @@ from lampest.recording.simulation import Course, Simulation, simulate
 from lampest.report.detect.answer import Detected
 from lampest.report.detect.detection import detect_recording
 from lampest.report.live import watcher as watcher_module
+from lampest.report.live.engine import Engine
 from lampest.report.live.message import UNKNOWN, Message, Picture, View, acknowledged, with_detected
-from lampest.report.live.run import scan_of
+from lampest.report.live.run import METHODS, scan_of
 from lampest.report.live.watcher import Unloaded, Watched, in_one_batch, watcher
 
 SCENE = Scene(Panel(6, 6), TwoPointReadout(noise_lsb=0.7), 140.0, response=PublishedResponse())
 MOUTH = OralDisc(centre_mm=(26, 24), diameter_mm=33, rim_width_mm=5.5, pressure_kpa=-10, rim_kpa=85)
 LAMPREY = Attachment(0.99, 6.0, (44.0, 0.6), (46.0, 0.6), (35.0, 1.6), (-11.0, 1.9), breathing=6.0)
-CUP = dataclasses.replace(LAMPREY, breathing=-6.0, breathing_hz=(1.0, 0.1))
+CUP = dataclasses.replace(LAMPREY, breathing=-6.0, before=-6.0, breathing_hz=(1.0, 0.1))
 
 
 def taken(frames: int, loads: tuple[OralDisc, ...] = (), period_s: float = 0.25) -> Recording:
@@ -164,3 +165,12 @@ def test_a_process_of_its_own_answers_and_its_death_is_said() -> None:
     beside.finish()
     assert answers[-1].answer == "cannot say" and "has died" in answers[-1].why
     beside.close()
+
+
+def test_an_answer_that_changes_is_in_the_log_with_its_reason(caplog: pytest.LogCaptureFixture) -> None:
+    answers = [Detected.of("mouth", (one,), 4.0) for one in (CUP, CUP, LAMPREY, LAMPREY)]
+    with Engine("test", "test", METHODS["smooth"], 3) as engine:
+        for answer in answers:
+            engine._take_detected(answer)
+    said = [record.getMessage() for record in caplog.records if record.name == "lampest"]
+    assert said == [f"mouth: {answers[0].sentence}", f"mouth: {answers[2].sentence}"]

@@ -1,4 +1,4 @@
-"""A load from when it came until it left: where it is, how large, whether it sucks and breathes."""
+"""A load from when it came until it left: where it is, how large, whether it sucks, breathes and pumps."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -10,16 +10,17 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from lampest.loads.pressure import CLEAR
+from lampest.loads.pressure import CLEAR, suction_curve_sd
 from lampest.loads.recognition.breathing import Breath
 from lampest.loads.recognition.candidates import UNIFORM, under
 from lampest.loads.recognition.evidence import Verdict
 from lampest.loads.recognition.observation import FARTHEST, Observation
+from lampest.loads.recognition.pumping import Pumping
 from lampest.panel.panel import Array, Panel
 
 # Windows in which a mouth breathes; and of ln odds, what absence of breathing, and breathing, can bring together at
-# most. Assumptions.
-OFTEN, PAUSED, SURE = 0.95, -5.0, 10.0
+# most. Assumptions: of one mouth in twenty no window shows the breath, since it is faint or at half the frame rate.
+OFTEN, PAUSED, SURE = 0.95, -3.0, 10.0
 
 Pair = tuple[float, float]
 
@@ -33,6 +34,7 @@ class Attachment:
     breathing, before : ln of the odds that it oscillates as breathing does, and those without the last window.
     suction : probability that this is its suction, from the last window that shows it. sucks_s, moved_s : when it began
     to suck, None: it does not; when it moved. clear : ln of how much more probable it is than an unloaded panel.
+    track : its suction from then on, None: it has not been followed yet.
     """
 
     sucks: float
@@ -53,11 +55,27 @@ class Attachment:
     sucks_s: float | None = None
     moved_s: tuple[float, ...] = ()
     clear: float = 0.0
+    track: Pumping | None = None
 
     @property
     def breathes(self) -> float:
         """Probability that its suction changes as breathing does, given that it sucks; 1/2 where nothing was seen."""
         return self.suction / (1 + exp(-self.breathing))
+
+    @property
+    def pumps(self) -> float:
+        """Probability that its suction decays and is pumped up again, given that it sucks; 1/2 where nothing shows."""
+        return 1 / (1 + exp(-self._pumping))
+
+    @property
+    def lives(self) -> float:
+        """Probability that it is a mouth, given that it sucks: the odds of both signs, which are independent."""
+        breathes = max(log(max(self.breathes, 1e-9) / max(1 - self.breathes, 1e-9)), PAUSED)
+        return 1 / (1 + exp(-breathes - self._pumping))
+
+    @property
+    def _pumping(self) -> float:
+        return 0.0 if self.track is None else min(self.track.odds, SURE)
 
     @property
     def here(self) -> bool:
@@ -90,7 +108,7 @@ class Attachment:
         far = CLEAR * max(1.0, hypot(self.x_mm[1], self.y_mm[1], later.x_mm[1], later.y_mm[1]))
         moved = (*self.moved_s, later.since_s) if self.distance(later.place) > far else self.moved_s
         began = later.since_s if self.sucks_s is None and later.sucks > 0.5 else self.sucks_s
-        kept = ("since_s", "breathing", "before", "breathing_hz", "breathing_depth", "suction")
+        kept = ("since_s", "breathing", "before", "breathing_hz", "breathing_depth", "suction", "track")
         return replace(later, sucks_s=began, moved_s=moved, **{name: getattr(self, name) for name in kept})
 
     def breathed(self, seen: Breath, full: bool) -> "Attachment":
@@ -118,6 +136,10 @@ def attachments_of(frame: Observation, verdict: Verdict, since: float) -> list[A
                 pairs: dict[str, Any] = {"x_mm": (disc.x_mm, apart), "y_mm": (disc.y_mm, apart)}
                 for name, (value, slopes) in candidate.report(own).items():
                     pairs[name] = value, float(np.sqrt(slopes @ covariance @ slopes))
+                if "suction_kpa" in pairs:
+                    (suction, sd), response = pairs["suction_kpa"], frame.baseline.response
+                    curve_sd = suction * suction_curve_sd(response, response.logarithm(suction))
+                    pairs["suction_kpa"] = suction, float(np.hypot(sd, curve_sd))
                 here = replace(here, sucks_s=since if here.sucks > 0.5 else None, **pairs)
             found.append(here)
     return found

@@ -82,44 +82,66 @@ class Patterns:
         own, rim, moves, left = (one - span @ (span.T @ one) for one in (self.own, self.rim, self.moves, changes.T))
         return Patterns(own, rim, moves, self.others), left.T
 
-    def weights(self, depth: float, noise: float) -> Array:
-        """(readings) by which they sum to the amplitude of suction, by least squares about a depth."""
-        mean, film = self.own[:, 0], depth * self.own[:, 1:]
+    def weights(self, depth: float, noise: float, moving: float = 0.0) -> Array:
+        """(readings) by which they sum to the amplitude of suction, by least squares about a depth.
+
+        moving : standard deviation by which the rim alone, the place and the tilt may change too.
+        """
+        mean = self.own[:, 0]
+        film = np.hstack([depth * self.own[:, 1:], moving * self.rim, moving * self.moves])
         weighed = np.linalg.solve(noise * np.eye(len(mean)) + film @ film.T, mean)
         return np.asarray(weighed / max(float(mean @ weighed), 1e-300))
+
+
+def patterns_of(
+    frame: Observation, fit: Fit, whitening: Array, detector: Detector
+) -> list[tuple[tuple[float, float], Patterns]]:
+    """Return (centre, patterns) of every load of a fit that sucks.
+
+    frame, fit : what was recognised, and of what. whitening : (readings, readings).
+    """
+    panel = detector.panel
+    departure, covariance = detector.departure(frame, fit)
+    rise = fit.change + departure
+    by_cell = whitening @ (frame.slope(rise) / frame.measured.ravel()[:, None])
+    slopes = _slopes(frame, rise, fit.scatter)
+    spread = np.sqrt((slopes[1:-1] ** 2).sum(axis=0) + slopes[0] ** 2 * (fit.scatter**2 + np.diag(covariance)))
+    loads, patterns = fit.loads, list[tuple[tuple[float, float], Patterns]]()
+    cells = [part.pressure(panel, detector.patch_mm, own)[0].ravel() != 0 for part, own in loads]
+    by_load = np.split(fit.by_parameter, np.cumsum([len(own) for _, own in loads]))
+    for (part, own), under, by_parameter in zip(loads, cells, by_load, strict=False):
+        disc = part.disc(own)
+        if disc is not None and part.sucks:
+            names = list(part.priors(panel))
+            moving = [sd * by_parameter[names.index(name), under] for name, sd in MOVES.items() if name in names]
+            moves = np.array(moving).reshape(len(moving), -1)
+            others = np.column_stack([whitening.sum(axis=1), by_cell[:, np.any(cells, axis=0) & ~under]])
+            own_cells = by_cell[:, under], rise.ravel()[under], slopes[:, under], spread[under]
+            patterns.append(((disc.x_mm, disc.y_mm), Patterns.of(*own_cells, moves, others)))
+    return patterns
 
 
 def breaths(
     times: Array, logarithms: Array, frame: Observation, fit: Fit, whitening: Array, detector: Detector
 ) -> list[tuple[tuple[float, float], Breath]]:
-    """(centre, breath) of every load that sucks, from the frames of a window.
+    """Return (centre, breath) of every load that sucks, from the frames of a window.
 
-    times : (frames) s. logarithms : (frames, readings) ln y. frame, fit : what was recognised, and of what. whitening :
-    (readings, readings).
+    times : (frames) s. logarithms : (frames, readings) ln y. Others : as `patterns_of` has them.
     """
-    model, panel = frame.measured.ravel(), detector.panel
-    pressure, _ = fit.candidate.pressure(panel, detector.patch_mm, fit.parameters)
-    departure, covariance = detector.departure(frame, fit)
-    rise = fit.change + departure
-    changes = settled(logarithms - np.log(model))
+    pressure, _ = fit.candidate.pressure(detector.panel, detector.patch_mm, fit.parameters)
+    changes = settled(logarithms - np.log(frame.measured.ravel()))
     changes = (changes - _of_water(changes, frame, fit, pressure)) @ whitening.T
-    by_cell = whitening @ (frame.slope(rise) / model[:, None])
-    slopes = _slopes(frame, rise, fit.scatter)
-    spread = np.sqrt((slopes[1:-1] ** 2).sum(axis=0) + slopes[0] ** 2 * (fit.scatter**2 + np.diag(covariance)))
-    loads, found = fit.loads, list[tuple[tuple[float, float], Breath]]()
-    cells = [part.pressure(panel, detector.patch_mm, own)[0].ravel() != 0 for part, own in loads]
-    by_load = np.split(fit.by_parameter, np.cumsum([len(own) for _, own in loads]))
-    for (part, own), here, by_parameter in zip(loads, cells, by_load, strict=False):
-        disc = part.disc(own)
-        if disc is not None and part.sucks:
-            names = list(part.priors(panel))
-            moving = [sd * by_parameter[names.index(name), here] for name, sd in MOVES.items() if name in names]
-            moves = np.array(moving).reshape(len(moving), -1)
-            others = np.column_stack([whitening.sum(axis=1), by_cell[:, np.any(cells, axis=0) & ~here]])
-            own_cells = by_cell[:, here], rise.ravel()[here], slopes[:, here], spread[here]
-            heard = breath(times, changes, Patterns.of(*own_cells, moves, others))
-            found += [] if heard is None else [((disc.x_mm, disc.y_mm), heard)]
-    return found
+    each = [(place, breath(times, changes, own)) for place, own in patterns_of(frame, fit, whitening, detector)]
+    return [(place, seen) for place, seen in each if seen is not None]
+
+
+def suction_weights(patterns: Patterns, whitening: Array) -> Array:
+    """Return the weights (readings) by which changes of ln y sum to the relative change of a load's suction.
+
+    Changes of all readings alike, of other loads, and of the load's place and rim by themselves count little.
+    """
+    own, _ = patterns.beside_others(np.zeros((1, len(whitening))))
+    return np.asarray(whitening.T @ own.weights(MOST, 1.0, UNSURE))
 
 
 def breath(times: Array, changes: Array, patterns: Patterns) -> Breath | None:

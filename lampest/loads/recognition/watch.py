@@ -17,11 +17,20 @@ from scipy.linalg import cholesky, solve_triangular
 
 from lampest.loads.pressure import CLEAR
 from lampest.loads.recognition.attachment import Attachment, attachments_of, continued_by
-from lampest.loads.recognition.breathing import LEAST_S, WINDOW_S, breaths
+from lampest.loads.recognition.breathing import (
+    LEAST_RATE,
+    LEAST_S,
+    WINDOW_S,
+    Patterns,
+    breaths,
+    patterns_of,
+    suction_weights,
+)
 from lampest.loads.recognition.candidates import FIELD, DiscSearch
 from lampest.loads.recognition.detector import Detector
 from lampest.loads.recognition.evidence import CANNOT_BE, RARER, Verdict
 from lampest.loads.recognition.observation import Baseline, Observation, counting, unit
+from lampest.loads.recognition.pumping import BLOCK_S, Pumping
 from lampest.loads.recognition.settings import ModelErrors
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
@@ -118,8 +127,9 @@ class Watch:
     and when that was. recent : the last two. window : (s, ℓ) since the step, of WINDOW_S or FRAMES if that is more.
     size : (discs) scores of the load that is there. left, left_s : the same of the last load that was recognised, and
     when. seen, verdict : the median frame in which something was recognised since it came, and as what. known : whether
-    that was since the last step. next_s, breath_s : when it will be again, and its breathing. uncovered_s : when a load
-    left that had been there before the first frame. uneven : whether one may be there in the unloaded frames.
+    that was since the last step. next_s, breath_s, sample_s : when it will be again, its breathing and its suction.
+    uncovered_s : when a load left that had been there before the first frame. uneven : whether one may be there in the
+    unloaded frames.
     """
 
     panelled: Panelled
@@ -142,6 +152,7 @@ class Watch:
     known: bool = False
     next_s: float = np.inf
     breath_s: float = np.inf
+    sample_s: float = np.inf
     uncovered_s: float | None = None
     uneven: bool = False
     attachments: tuple[Attachment, ...] = ()
@@ -168,7 +179,10 @@ class Watch:
         if not here.known and here._calm(here._frame(here.mean, time)):
             return here._gone(here.begun)
         here = here._recognised(time) if time >= here.next_s and len(here.window) >= FRAMES else here
-        return here._breathed(time) if here.present and here.known and time >= here.breath_s else here
+        if not (here.present and here.known):
+            return here
+        here = here._breathed(time) if time >= here.breath_s else here
+        return here._pumped(time) if time >= here.sample_s else here
 
     def followed(self, measured: Array, sigma: Array, time: float) -> "Watch":
         """After a frame, as `push`, but nothing is recognised."""
@@ -218,7 +232,8 @@ class Watch:
             here = replace(self, mean=shown, begun=before, window=((time, logarithm),), known=False)
             here = here if self.present else replace(here, present=True, seen=None)
             size = self.test.sizes(shown - self.rest)
-            return replace(here, size=size, next_s=before + FIRST_S, breath_s=before + LEAST_S)
+            here = replace(here, next_s=before + FIRST_S, breath_s=time + LEAST_S + 1 / LEAST_RATE)
+            return replace(here, size=size, sample_s=before + BLOCK_S)
         share = min((time - before) / FOLLOWS_S, 1.0)
         follows = max(1 / (len(self.window) + 1), share)
         lately = sum(one[0] > time - WINDOW_S for one in self.window)
@@ -243,11 +258,15 @@ class Watch:
         return self.panelled.detector.calm(frame) is not None and self._left(frame)
 
     def _left(self, frame: Observation) -> bool:
-        """Whether cells show less of the ln r/r0 that was recognised than a film may keep; true where nothing was."""
+        """Whether cells show less of the ln r/r0 that was recognised than a film may keep; true where nothing was.
+
+        The change of all cells alike, of temperature, is that of the cells that were free.
+        """
         if self.seen is None:
             return True
         before = self._before
-        return bool(np.sum(frame.map * before) <= CLEAR * FILM_KEEPS * np.sum(before**2))
+        common = np.median(frame.map[before == 0]) if np.any(before == 0) else 0.0
+        return bool(np.sum((frame.map - common) * before) <= CLEAR * FILM_KEEPS * np.sum(before**2))
 
     def _keeps(self, frame: Observation) -> Array | float:
         """`kept` once a step has changed what was recognised: by what cells have less of it than before."""
@@ -302,12 +321,35 @@ class Watch:
     def _breathed(self, time: float) -> "Watch":
         """With what the window shows of breathing; judged anew until it is full, and then window after window."""
         assert self.seen is not None and self.verdict is not None
-        times, logarithms = np.array([time for time, _ in self.window]), np.array([one for _, one in self.window])
+        settled = self.window[:-1]  # the last frame may be the first of a release, which the next one will show
+        times, logarithms = np.array([at for at, _ in settled]), np.array([one for _, one in settled])
         lasted = float(times[-1] - times[0])
-        full = lasted > WINDOW_S - 1.5 * lasted / max(len(times) - 1, 1)
+        full = lasted > WINDOW_S - 2.5 * lasted / max(len(times) - 1, 1)
         attachments, fit, detector = list(self.attachments), self.verdict.best, self.panelled.detector
         for place, found in breaths(times, logarithms, self.seen, fit, self.test.whitening, detector):
             here = [number for number, one in enumerate(attachments) if one.here]
             number = min(here, key=lambda number: attachments[number].distance(place))
             attachments[number] = attachments[number].breathed(found, full)
         return replace(self, attachments=tuple(attachments), breath_s=time + (WINDOW_S if full else FIRST_S))
+
+    def _pumped(self, time: float) -> "Watch":
+        """With one more sample of all suction, from the frames of the last BLOCK_S but FRAMES at least."""
+        assert self.seen is not None and self.verdict is not None
+        block = np.array([one for at, one in self.window if at > self.sample_s - BLOCK_S])
+        if len(block) < FRAMES:
+            return self
+        attachments, patterns = list(self.attachments), list[tuple[tuple[float, float], Patterns]]()
+        for number, one in enumerate(attachments):
+            if one.here and one.sucks > 0.5:
+                track = one.track
+                if track is None or track.moves != len(one.moved_s):
+                    whitening, fit = self.test.whitening, self.verdict.best
+                    patterns = patterns or patterns_of(self.seen, fit, whitening, self.panelled.detector)
+                    own = min(patterns, key=lambda pair: one.distance(pair[0]), default=None)
+                    if own is None:
+                        continue
+                    weights, reference = suction_weights(own[1], whitening), np.log(self.seen.measured.ravel())
+                    begin = self.sample_s - BLOCK_S, len(one.moved_s)
+                    track = Pumping.begin(weights, reference, *begin, track)
+                attachments[number] = replace(one, track=track.after(block, time))
+        return replace(self, attachments=tuple(attachments), sample_s=time + BLOCK_S)

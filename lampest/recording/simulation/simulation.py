@@ -21,6 +21,7 @@ from lampest.recording.recording import MEASURED, UNLOADED, Recording
 from lampest.recording.simulation.measure import OPEN_OHM, SHORT_OHM, Unmodelled, measured, random_stream, raw_sums
 
 TRAVEL_MM = 20.0  # two cells of the usual panel: a load that starts in the middle stays on it
+PUMPED_S = 1.0  # that a pump, or the pull before a release, takes; an assumption
 MOMENTS, AT_ONCE = 8, 64  # within a frame's period at which the film feels the load, and frames looked at together
 
 
@@ -36,8 +37,14 @@ class Course(Configuration):
         Duration of the growth of contact pressure, and then of suction; 0: a step.
     breathing_hz, breathing_depth : float
         Frequency and relative amplitude of the common oscillation of contact and suction.
+    pump_s, pump_loss : float
+        Time between pumps of the suction, and the part of it that is lost until the next pump; 0: none.
+    pull_off : float
+        Relative growth of the suction within the second before the release.
     release_at_s, release_s : float, or None
         Start and duration of the release; None: never.
+
+    Source of the pumps: 20 to 200 s apart, -8 to -70 kPa when pulled off: Shi et al., PLoS ONE 16, e0247884, 2021.
 
     >>> lampest.Course(start_s=1.0).start_s
     1.0
@@ -48,6 +55,9 @@ class Course(Configuration):
     attachment_s: float = 0.0
     breathing_hz: float = 0.0
     breathing_depth: float = 0.0
+    pump_s: float = 0.0
+    pump_loss: float = 0.0
+    pull_off: float = 0.0
     release_at_s: float | None = None
     release_s: float = 0.0
 
@@ -57,6 +67,8 @@ class Course(Configuration):
             raise ValueError("start_s must be finite")
         if self.breathing_depth >= 1:
             raise ValueError("breathing_depth must be below 1")
+        if self.pump_loss >= 1:
+            raise ValueError("pump_loss must be below 1")
 
     def contact_and_suction(self, time: Array) -> tuple[Array, Array]:
         """Return factors of contact pressure and suction, (frames) s → 1; suction starts when the approach is over."""
@@ -65,6 +77,13 @@ class Course(Configuration):
         if self.release_at_s is not None:
             factor = factor * (1 - _ramp(time - self.release_at_s, self.release_s))
         suction = _ramp(touched - self.approach_s, self.attachment_s)
+        if self.pump_s:
+            since = np.maximum(touched - self.approach_s - self.attachment_s, 0.0)
+            lost = (1 - self.pump_loss) ** (np.mod(since, self.pump_s) / self.pump_s)
+            rising = (since >= self.pump_s) * (1 - _ramp(np.mod(since, self.pump_s), PUMPED_S))
+            suction = suction * (lost - (lost - 1 + self.pump_loss) * rising)
+        if self.pull_off and self.release_at_s is not None:
+            suction = suction * (1 + self.pull_off * _ramp(time - self.release_at_s + PUMPED_S, PUMPED_S))
         return _ramp(touched, self.approach_s) * factor, suction * factor
 
 

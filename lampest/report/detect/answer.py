@@ -32,6 +32,7 @@ PAIRS = {
 NUMBERS = {
     "sucks": ("1", "probability that it sucks"),
     "breathes": ("1", "probability that its suction changes as breathing does"),
+    "pumps": ("1", "probability that its suction decays and is pumped up again"),
     "since_s": ("s", "time at which it came"),
     "until_s": ("s", "time at which it left; NaN: still present"),
     "cells": ("1", "number of touched cells"),
@@ -117,7 +118,9 @@ class Detected:
             return f"{len(present)} contacts: {'; '.join(shown)} ({odds})"
         name = {SUCKS: "something that sucks (lamprey or cup)", PRESSES: "contact"}.get(self.answer, self.answer)
         said = [f"{name}{' attached' if one.sucks > 0.5 else ''} {_described(one)}"]
-        if self.answer == LAMPREY and one.breathing_hz and one.breathing_depth:
+        if self.answer == LAMPREY and one.pumps > 0.5:
+            said.append("pumping up its suction")
+        if self.answer == LAMPREY and one.breathes > 0.5 and one.breathing_hz and one.breathing_depth:
             depth = (100 * one.breathing_depth[0], 100 * one.breathing_depth[1])
             said += [f"breathing {one.breathing_hz[0]:.1f} Hz", _shown(depth, "%")]
         if more := len(present) - one.here:
@@ -161,6 +164,7 @@ def _content(one: Attachment, answer: str) -> dict[str, Any]:
         "answer": answer,
         "sucks": round(one.sucks, 4),
         "breathes": round(one.breathes, 4),
+        "pumps": round(one.pumps, 4),
         "since_s": _round(one.since_s),
         "until_s": None if one.until_s is None else _round(one.until_s),
         "cells": one.cells,
@@ -172,17 +176,17 @@ def answer_of(one: Attachment, rate: float) -> tuple[str, float, str]:
     """(one of ANSWERS, its probability, why no more can be said or '') of a load at so many frames a second."""
     if one.sucks <= 0.5:
         return PRESSES, 1 - one.sucks, ""
-    if one.sucks * one.breathes >= SURE:
-        return LAMPREY, one.sucks * one.breathes, ""
+    if one.sucks * one.lives >= SURE:
+        return LAMPREY, one.sucks * one.lives, ""
     why = too_slow(rate)
     if why:
-        return SUCKS, one.sucks, why
+        return SUCKS, one.sucks, f"{why}; whether suction is pumped up again shows within minutes"
     if one.breathing > 0 and one.suction < 0.5:
         why = "it moves at a breathing rate, but probably not by its suction: it may be shaken"
     elif one.breathing_hz is None:
         why = f"breathing shows after {LEAST_S:g} s at the earliest"
-    elif one.sucks * (1 - one.breathes) >= SURE:
-        return CUP, one.sucks * (1 - one.breathes), ""
+    elif one.before < 0 and one.sucks * (1 - one.lives) >= SURE:  # a full window without breath
+        return CUP, one.sucks * (1 - one.lives), ""
     else:
         why = f"whether it breathes is not clear (P = {one.breathes:.2f})"
     return SUCKS, one.sucks, why
@@ -240,9 +244,18 @@ def load_table(answers: Sequence[Detected]) -> Table:
     for name, load in ((one.recording, load) for one in answers for load in one.attachments):
         area = "" if load.area_mm2 is None else f"{load.area_mm2[0]:.0f}"
         conductance = "" if load.conductance_s is None else f"{1e3 * load.conductance_s[0]:.3g}"
-        odds = f"{load.sucks:.3f}", f"{load.breathes:.3f}"
+        odds = f"{load.sucks:.3f}", f"{load.breathes:.3f}", f"{load.pumps:.3f}"
         rows.append((name, f"{load.since_s:.1f}", *odds, str(load.cells), area, conductance))
-    headers = ("recording", "since [s]", "P(sucks)", "P(breathes)", "cells", "area [mm²]", "conductance [mS]")
+    headers = (
+        "recording",
+        "since [s]",
+        "P(sucks)",
+        "P(breathes)",
+        "P(pumps)",
+        "cells",
+        "area [mm²]",
+        "conductance [mS]",
+    )
     return Table(headers, tuple(rows))
 
 

@@ -205,7 +205,7 @@ def known_of(prepared: Prepared, patch_mm: float | None = None) -> "Known | Dete
     else:
         noise, error, besides, scene = seen.frame, seen.reading_error, seen.besides, as_passed(head).scene
         specified = np.min(np.where(readings.plain, readings.sigma, np.inf), axis=0)
-        sigma, readings = seen.used * specified, seen.readings
+        sigma, readings = seen.used / seen.model_factor * specified, seen.readings
     begin = float(head.time[unloaded[-1] if len(unloaded) else 0])
     before = resting.value, sigma, readings.plain_values[unloaded], begin, error, noise, notes, patch_mm, specified
     return Known(head.name, scene, *before, besides)

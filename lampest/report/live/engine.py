@@ -1,5 +1,6 @@
 """Live estimation: baseline from the first frames, then always the newest frame, in one solver thread."""
 
+import logging
 import time
 from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -105,6 +106,10 @@ class Engine:
             self._watcher.ask([news])
 
     def _take_detected(self, detected: Detected) -> None:
+        """Show an answer. An answer that has changed goes to the log with its reason."""
+        previous = self.shown.thing.detected
+        if previous is None or previous.answer != detected.answer:
+            logging.getLogger("lampest").warning("%s: %s", detected.recording, detected.sentence)
         self.shown.change(partial(with_detected, detected=detected))
 
     def begin(self, source: FrameSource, unloaded: Sequence[Scan]) -> None:

@@ -1,0 +1,115 @@
+"""Whether suction that decays is pumped up again: Bayesian online change-point detection (Adams, MacKay, 2007).
+
+The relative suction u of an attachment decays by its leak and wanders as the film drifts. Three kinds of jump are
+compared: those of a quiet cup, rare and of either sign; of one that is disturbed, frequent and of either sign; and the
+pumps of a mouth, upwards and at intervals of 20 to 200 s (Shi et al., PLoS ONE 16, e0247884, 2021). The noise, the
+wandering and the leak are unknown and summed over. Equations are in docs/theory/recognition.md.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.special import logsumexp
+
+from lampest.panel.panel import Array
+
+# Jumps a second of the three kinds, and their share beforehand. Pumps: the geometric mean of 20 and 200 s. Others are
+# assumptions: a single jump must not decide, and nothing but a pump is frequent and goes upwards alone.
+RATES_HZ, SHARES = np.array([1 / 200, 1 / 30, 1 / 63]), np.array([0.45, 0.05, 0.5])
+SOONEST_S = 10.0  # between pumps; half of the shortest published interval
+SIZES = np.array([[0.0, 0.6], [0.0, 0.6], [0.4, 0.3]])  # mean and standard deviation of a jump; assumptions
+LEAKS = np.array([0.0, 0.001, 0.003, 0.01, 0.03])  # 1/s: between pumps a tenth is lost within 200 s, or half in 20 s
+NOISES = np.geomspace(0.003, 0.2, 6)  # of a sample: from quiet readings to breathing that frames are too few to show
+DRIFTS = np.array([0.0005, 0.003, 0.015])  # of u for each root of a second: creep, warmth, aliased breathing
+HYPOTHESES = 8  # times of the last jump that are remembered for each combination
+UNSEEN = 0.2  # of mouths whose pumps do not show, for which their absence is no evidence; an assumption
+BLOCK_S = 3.0  # of frames whose median is one sample, at least: outliers and most of the breath are gone
+FORGOTTEN = 20.0  # of ln P, by which no noise, drift or leak is ever less probable than the best: they may change
+REST = -5.0  # ln odds below which absence counts no more, so that a mouth that rested for hours is soon recognised
+
+
+@dataclass(frozen=True, eq=False)
+class Pumping:
+    """The suction of one attachment, sample after sample.
+
+    Attributes
+    ----------
+    weights : (readings), by which changes of ln y sum to the relative change of suction.
+    reference : (readings), ln y at which that is zero.
+    since_s : s, of the last sample.
+    moves : how often the attachment had moved when the weights were made.
+    logarithm : (kinds, leaks, noises, drifts, hypotheses), ln of the joint probability.
+    mean, variance, age_s : the same shape, of u given a hypothesis, and the time since its last jump.
+    """
+
+    weights: Array
+    reference: Array
+    since_s: float
+    moves: int
+    logarithm: Array
+    mean: Array
+    variance: Array
+    age_s: Array
+
+    @classmethod
+    def begin(
+        cls, weights: Array, reference: Array, time: float, moves: int, before: "Pumping | None" = None
+    ) -> "Pumping":
+        """Return the state before the first sample; before : of the same attachment in another place."""
+        kinds = np.log(SHARES)[:, None, None, None, None] + np.zeros(GRID)
+        known = kinds if before is None else logsumexp(before.logarithm, axis=-1, keepdims=True) + np.zeros(GRID)
+        return cls(weights, reference, time, moves, known, np.zeros(GRID), np.ones(GRID), np.zeros(GRID))
+
+    def after(self, logarithms: Array, time: float) -> "Pumping":
+        """Return the state after one more sample at a time in s; logarithms : (frames, readings) ln y."""
+        sample = float(self.weights @ (np.median(logarithms, axis=0) - self.reference))
+        seconds = time - self.since_s
+        leak, noise, drift = LEAKS[:, None, None, None], NOISES[:, None, None], DRIFTS[:, None]
+        jump, jump_sd, rate = (values[:, None, None, None, None] for values in (*SIZES.T, RATES_HZ))
+        pumps = np.arange(len(SHARES)).reshape(jump.shape) == len(SHARES) - 1
+        rate = np.where(pumps & (self.age_s < SOONEST_S), RATES_HZ[0] / 2, rate)
+        mean = self.mean - leak * seconds
+        variance = self.variance + drift**2 * seconds
+        jumps = self.logarithm + np.log(-np.expm1(-rate * seconds))
+        stays = self.logarithm - rate * seconds
+        # After a jump any leak may follow, from the level before it in the mean.
+        total = logsumexp(jumps, axis=(1, 4), keepdims=True)
+        share = np.exp(jumps - total)
+        middle = (share * mean).sum(axis=(1, 4), keepdims=True)
+        spread = (share * (variance + (mean - middle) ** 2)).sum(axis=(1, 4), keepdims=True)
+        begun = (total - np.log(len(LEAKS)), middle + jump, spread + jump_sd**2, np.zeros_like(total))
+        logarithm, mean, variance, age = (
+            np.concatenate([np.broadcast_to(new, (*GRID[:-1], 1)), old], axis=-1)
+            for new, old in zip(begun, (stays, mean, variance, self.age_s + seconds), strict=True)
+        )
+        wide = variance + noise**2
+        logarithm = logarithm - 0.5 * ((sample - mean) ** 2 / wide + np.log(wide))
+        best = np.argsort(-logarithm, axis=-1)[..., :HYPOTHESES]
+        logarithm, mean, variance, age, wide = (
+            np.take_along_axis(values, best, axis=-1) for values in (logarithm, mean, variance, age, wide)
+        )
+        here = replace(
+            self,
+            since_s=time,
+            logarithm=logarithm - logsumexp(logarithm),
+            mean=mean + variance / wide * (sample - mean),
+            variance=variance * (1 - variance / wide),
+            age_s=age,
+        )
+        low = max(0.0, REST - here._kinds)
+        least = here.logarithm.max(axis=(1, 2, 3, 4), keepdims=True) - FORGOTTEN
+        return replace(here, logarithm=np.maximum(here.logarithm, least) + low * pumps)
+
+    @property
+    def _kinds(self) -> float:
+        """ln of the odds of pumps against both other kinds."""
+        kinds = logsumexp(self.logarithm, axis=(1, 2, 3, 4))
+        return float(kinds[-1] - logsumexp(kinds[:-1]))
+
+    @property
+    def odds(self) -> float:
+        """ln of the odds that suction is pumped up, as UNSEEN of all mouths show no pumps."""
+        return float(np.logaddexp(np.log(UNSEEN), np.log(1 - UNSEEN) + self._kinds))
+
+
+GRID = (len(SHARES), len(LEAKS), len(NOISES), len(DRIFTS), HYPOTHESES)
