@@ -1,5 +1,8 @@
 """Loads that come and go at awkward times: in unloaded frames, before them, beside another, in the last moment."""
 
+import dataclasses
+import pickle
+
 import numpy as np
 import pytest
 
@@ -130,6 +133,26 @@ def test_a_mouth_that_jumps_has_left_its_place() -> None:
     assert [one.until_s for one in found.attachments] == [20.0, None]
     assert all(one.sucks > 0.9 for one in found.attachments)
     assert found.attachments[1].distance((68, 66)) < 3
+
+
+@pytest.mark.slow
+def test_visits_of_hours_are_seen_once_each_in_flat_memory() -> None:
+    """At a frame a second, while the temperature sways readings by 3 % in two hours."""
+    visits = ((MOUTH, 600, 2400), (ROD, 3000, 4000), (MOUTH, 4600, 5400))
+    recording = taken(*visits, frames=6000, kept=0.0)
+    recording.recorded[:] *= 1 + 0.03 * np.sin(2 * np.pi * recording.time / 7200)[:, None, None]
+    first = {name: getattr(recording, name)[:105] for name in ("recorded", "time", "role")}
+    known = known_of(Prepared(dataclasses.replace(recording, **first)))
+    assert isinstance(known, Known)
+    watch, sizes = known.watch(), list[int]()
+    for value, sigma, time in measured_frames(recording, known, np.ones(len(recording.time), dtype=bool)):
+        watch = watch.push(value, sigma, time)
+        sizes += [len(pickle.dumps(watch.window))] if time % 500 == 0 else []
+    seen = [(one.since_s, one.until_s, one.sucks > 0.5) for one in watch.attachments]
+    assert len(seen) == 3 and [sucks for *_, sucks in seen] == [True, False, True]
+    for (since, until, _), (_, begin, end) in zip(seen, visits, strict=True):
+        assert until is not None and abs(since - begin) <= 2 and abs(until - end) <= 2
+    assert max(sizes[1:]) <= 1.5 * min(sizes[1:])
 
 
 def unloaded(recording: Recording) -> Unloaded:
