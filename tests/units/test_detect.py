@@ -212,18 +212,6 @@ def test_pumps_tell_a_mouth_where_breath_cannot_be_seen() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(3))
-def test_a_mouth_that_leaves_early_is_no_cup(seed: int) -> None:
-    """The frame in which its release begins is no part of the window that judges its breath."""
-    course = dataclasses.replace(BREATHING, breathing_hz=1.2, breathing_depth=0.12, release_at_s=9.5, release_s=0.3)
-    recording = recorded(seed, frames=48, frame_period_s=0.25, course=course)
-    known = known_of(Prepared(recording))
-    assert isinstance(known, Known)
-    answer = known.answer(measured_frames(recording, known, np.ones(len(recording.time), dtype=bool)))
-    assert answer.answer == LAMPREY and answer.attachments[0].until_s is not None
-
-
-@pytest.mark.slow
 def test_results_are_answered_from_their_readings(tmp_path: Path) -> None:
     write_results(tmp_path / "results.h5", [solved_case()])
     for case in (solved_case(), dataclasses.replace(solved_case(), sigma=None, sigma_baseline=None)):
