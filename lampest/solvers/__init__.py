@@ -1,1 +1,1 @@
-"""Minimisation: projected Newton, IPOPT with node voltages as unknowns, regions, and which start is taken."""
+"""Minimisation: projected Newton, IPOPT with node voltages as unknowns, and the choice of starts."""
