@@ -66,13 +66,13 @@ def test_a_limit_that_is_not_reached_changes_nothing(formulation: Any) -> None:
 
 
 def test_a_solve_that_hangs_is_ended(monkeypatch: pytest.MonkeyPatch) -> None:
-    truly = newton_module.advanced
+    truly = newton_module.trust_region_step
 
     def slowly(*arguments: Any) -> Any:
         time.sleep(0.05)
         return truly(*arguments)
 
-    monkeypatch.setattr(newton_module, "advanced", slowly)
+    monkeypatch.setattr(newton_module, "trust_region_step", slowly)
     estimator = Estimator(FORMULATIONS["reduced"], "reduced", solver=Settings(time_limit_s=0.08), error_bars=False)
     stream = Stream.begin(estimator, SCENE, 0.2, Readings.of(SCENE, recorded()[:1]).mean())
     assert stream.baseline is not None
