@@ -11,14 +11,13 @@ from lampest.loads.film import DRIFT, SETTLED, SOONEST, FilmKnown, FilmMemory
 from lampest.loads.tare import Tare, TareWatch
 from lampest.panel.film import Film
 from lampest.panel.panel import Array, Panel
-from lampest.panel.response import PUBLISHED, RESPONSE_SD, TOLD_KPA, VACUUM_KPA, PublishedResponse, Response
+from lampest.panel.response import PUBLISHED, RESPONSE_SD, VACUUM_KPA
 from lampest.panel.scene import Scene, Water
 from lampest.panel.systematic import usual
 
 GRAVITY = 9.81  # m/s²
 NORMAL_95 = 1.959964  # half the 95 % interval of a normal distribution, in standard deviations
 TOUCH = 0.1  # ln r/r0: less may be drift alone, half a kPa of the published film
-MOST_RISEN = 5.0  # ln r/r0 under suction beyond which a cell may as well be open
 CLEAR = 3.0  # standard deviations: less than one cell of a panel of 700 seems to be pressed by noise alone
 
 
@@ -228,22 +227,7 @@ def response_sd(scene: Scene, answer: Array) -> Array:
     response, named = scene.response or PUBLISHED, usual(scene)
     own = RESPONSE_SD if named is None or named.response_sd is None else named.response_sd
     scatter = np.array(own if response.gain_sd is None else response.gain_sd)
-    flat = answer / response.gains
-    curve_sd = np.hypot(response.curve_sd(response.pressure(flat)), suction_curve_sd(response, flat))
-    return np.asarray(np.hypot(scatter, curve_sd))
-
-
-def suction_curve_sd(response: Response, logarithm: Array) -> Array:
-    """Return the relative standard deviation of a suction that the published curve reads from ln(r/r0).
-
-    The curve has one point under suction. The deviation is half the distance of the exponential through it, which the
-    curve is, from the straight line of r through it. A response that was measured has its own deviation.
-    """
-    if not isinstance(response, PublishedResponse):
-        return np.zeros(np.shape(logarithm))
-    rise, point = np.maximum(logarithm, 1e-9), response.logarithm(TOLD_KPA[0])
-    straight = np.expm1(np.minimum(rise, MOST_RISEN)) / np.expm1(point) * TOLD_KPA[0]
-    return np.where(np.asarray(logarithm) > 0, np.abs(straight / response.pressure(rise) - 1) / 2, 0.0)
+    return np.asarray(np.hypot(scatter, response.curve_sd(response.pressure(answer / response.gains))))
 
 
 def scatter_sd(scene: Scene) -> Array:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from lampest.loads.pressure import CLEAR, suction_curve_sd
+from lampest.loads.pressure import CLEAR
 from lampest.loads.recognition.breathing import Breath
 from lampest.loads.recognition.candidates import UNIFORM, under
 from lampest.loads.recognition.evidence import Verdict
@@ -136,10 +136,6 @@ def attachments_of(frame: Observation, verdict: Verdict, since: float) -> list[A
                 pairs: dict[str, Any] = {"x_mm": (disc.x_mm, apart), "y_mm": (disc.y_mm, apart)}
                 for name, (value, slopes) in candidate.report(own).items():
                     pairs[name] = value, float(np.sqrt(slopes @ covariance @ slopes))
-                if "suction_kpa" in pairs:
-                    (suction, sd), response = pairs["suction_kpa"], frame.baseline.response
-                    curve_sd = suction * suction_curve_sd(response, response.logarithm(suction))
-                    pairs["suction_kpa"] = suction, float(np.hypot(sd, curve_sd))
                 here = replace(here, sucks_s=since if here.sucks > 0.5 else None, **pairs)
             found.append(here)
     return found
