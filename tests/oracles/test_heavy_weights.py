@@ -77,4 +77,4 @@ def test_squares_are_verified(kind: str, weight: float, scaled: bool) -> None:
 def test_absolute_losses_are_verified(kind: str, scaled: bool) -> None:
     """Their residuals are zero but for rounding, which the weight makes as large as the cost; it counts for nothing."""
     found, _ = solved(kind, 1e12, scaled, None)
-    assert found.status in (Status.OPTIMUM, Status.ROUNDED, Status.STALLED)
+    assert found.status in (Status.OPTIMUM, Status.ROUNDED, Status.STALLED, Status.FLAT)
