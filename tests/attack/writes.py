@@ -105,8 +105,8 @@ def _over_inputs(rng: np.random.Generator, folder: Path, count: int) -> Iterator
         if way == "hard":
             place = f"again{index}{Path(writer[1]).suffix}"
             (made / place).hardlink_to(made / writer[1])
-        yield _untouched(made, (*writer, place), "what is read")
-    yield _untouched(made, ("detect", "detections.h5"), "what is read")
+        yield _untouched(made, (*writer, place), "is an input")
+    yield _untouched(made, ("detect", "detections.h5"), "is an input")
 
 
 def _own_inputs(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:

