@@ -22,7 +22,7 @@ def found(tmp_path_factory: pytest.TempPathFactory) -> list[TradeoffFrame]:
 @pytest.mark.slow
 def test_every_rung_is_measured_with_every_method_on_every_recording(found: list[TradeoffFrame]) -> None:
     names = {(one.recording, one.method, one.solver, one.frame) for one in found}
-    assert len(names) == len(found) == 2 * 2 * (7 + 6) * 3
+    assert len(names) == len(found) == 2 * 2 * (6 + 5) * 3
     assert {one.solver for one in found} == set(RUNGS)
     assert all(one.solved and one.seconds > 0 for one in found)
 

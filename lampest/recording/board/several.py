@@ -168,7 +168,10 @@ class _Boards:
                     made.append(self._image(step[1], current, step[0]))
                     current = step[0]
                 yield tuple(made)
-                gone = [f"{self._place(board)} at {self.ports[board]}: {states[board] or 'no frame came'}"]
+                gone = [
+                    f"{self._place(board)} at {self.ports[board]}: {states[board] or 'no frame came'}"
+                    for board in current.gone
+                ]
                 if made and gone:
                     on_state("module " + "; module ".join(gone))
                     yield ()
