@@ -38,11 +38,14 @@ class OneBlasThread(ContextDecorator):
     """Context with one BLAS thread, also if several threads of this process enter and leave it.
 
     The matrices of a panel are small: with several BLAS threads they take 3 to 15 times as long on a busy machine. The
-    number of threads is a state of the process, so that all of the process shares one such context.
+    number of threads is a state of the process, so that all of the process shares one such context. A process that
+    forks waits for the lock, so that the child inherits it released.
     """
 
     def __init__(self) -> None:
         self._lock, self._entered, self._limit = threading.Lock(), 0, ExitStack()
+        released = self._lock.release
+        os.register_at_fork(before=self._lock.acquire, after_in_parent=released, after_in_child=released)
 
     @cached_property
     def _libraries(self) -> "ThreadpoolController":

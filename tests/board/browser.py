@@ -30,9 +30,9 @@ class Browser:
     def open(self, url: str) -> None:
         self._ask("POST", "/url", url=url)
 
-    def run(self, script: str) -> Any:
+    def run(self, script: str, *arguments: Any) -> Any:
         """What a script returns."""
-        return self._ask("POST", "/execute/sync", script=script, args=[])
+        return self._ask("POST", "/execute/sync", script=script, args=arguments)
 
     def text(self, identity: str) -> str:
         """What the user reads at the element with this id."""

@@ -24,6 +24,11 @@ ROOT = Path(__file__).parents[2]
 RING, LAMPREY = ROOT / "data" / "ring.h5", ROOT / "data" / "lamprey_35mm.h5"
 SCREENSHOT = ROOT / "results" / "live_screenshot.png"
 NUMBER = "return Number(document.getElementById('number').innerText) || 0"
+PLACES = (
+    "return arguments[0].map(name => {"
+    "const box = document.getElementById(name).getBoundingClientRect(), at = place(box.width, box.height);"
+    "return [box.left + at.left, box.top + at.top, at.cell, panel.rows, panel.columns] })"
+)
 
 
 @contextmanager
@@ -62,20 +67,24 @@ def truth_of(path: Path) -> tuple[Array, int]:
     return recording.truth_cell_resistance, int(np.sum(recording.role == UNLOADED))
 
 
-def blueness(image: Array, window: Browser, canvas: str) -> Array:
-    """How blue each cell of a map is on the screen (rows, columns), from the pixels around its centre."""
-    box = window.run(
-        f"const box = document.getElementById('{canvas}').getBoundingClientRect();"
-        "const at = place(box.width, box.height);"
-        "return [box.left + at.left, box.top + at.top, at.cell, panel.rows, panel.columns]"
-    )
-    left, top, cell, rows, columns = box
-    found = np.empty((int(rows), int(columns)))
-    for row, column in np.ndindex(found.shape):
-        y, x = int(top + (row + 0.5) * cell), int(left + (column + 0.5) * cell)
-        red = image[y - 3 : y + 4, x - 3 : x + 4, 0].mean()
-        found[row, column] = 1 - red
-    return found
+def blueness(window: Browser, path: Path, *canvases: str) -> list[Array]:
+    """How blue each cell of the maps is on a screenshot (rows, columns), from the pixels around its centre.
+
+    A sentence that appears moves the maps, so the screenshot is one before and after which they are at the same place.
+    """
+    boxes, before = window.run(PLACES, canvases), None
+    while boxes != before:
+        window.screenshot(path)
+        boxes, before = window.run(PLACES, canvases), boxes
+    image = imread(path)
+    maps = []
+    for left, top, cell, rows, columns in boxes:
+        blue = np.empty((rows, columns))
+        for row, column in np.ndindex(blue.shape):
+            y, x = int(top + (row + 0.5) * cell), int(left + (column + 0.5) * cell)
+            blue[row, column] = 1 - image[y - 3 : y + 4, x - 3 : x + 4, 0].mean()
+        maps.append(blue)
+    return maps
 
 
 def test_a_user_sees_the_ring(tmp_path: Path) -> None:
@@ -90,13 +99,11 @@ def test_a_user_sees_the_ring(tmp_path: Path) -> None:
         ) as (window, _),
     ):
         window.until(NUMBER, lambda number: number > 10)
-        window.screenshot(SCREENSHOT)
-        image = imread(SCREENSHOT)
+        drawn, measured = blueness(window, SCREENSHOT, "cells", "measured")
         assert window.text("state") == "receiving"
         assert float(window.text("total").split()[0]) == pytest.approx(0.1 * pressure[-1].sum(), rel=0.05)
         assert window.text("lost") == "0"
         label = window.run("return document.getElementById('cells').getAttribute('aria-label')")
-        drawn, measured = blueness(image, window, "cells"), blueness(image, window, "measured")
     change = cells[-1] / cells[0] - 1
     ring, rest = change < -0.4, change > -0.1
     assert ring.sum() == 8
@@ -127,8 +134,7 @@ def test_what_is_not_solved_is_not_drawn(tmp_path: Path) -> None:
     )
     with live(tmp_path, "--recording", RING, "--speed", 5, "--config", run) as (window, _):
         window.until(NUMBER)
-        window.screenshot(tmp_path / "screen.png")
-        drawn = blueness(imread(tmp_path / "screen.png"), window, "cells")
+        (drawn,) = blueness(window, tmp_path / "screen.png", "cells")
         assert "the iteration limit was reached before an optimum" in window.text("failed")
         assert window.text("total") == window.text("seconds") == "–"
         assert window.text("cells-range") == ""

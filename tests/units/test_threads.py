@@ -141,6 +141,34 @@ def test_processes_that_are_forked_while_threads_estimate_can_estimate() -> None
     )
 
 
+def test_processes_that_are_forked_while_threads_limit_blas_can_limit_it() -> None:
+    run(
+        """
+        import signal
+        from lampest.files.process import ONE_BLAS_THREAD
+        ended, over = [], threading.Event()
+        def work():
+            while not over.is_set():
+                with ONE_BLAS_THREAD:
+                    pass
+        threads = [threading.Thread(target=work) for _ in range(2)]
+        for thread in threads:
+            thread.start()
+        for _ in range(20):
+            child = os.fork()
+            if not child:
+                signal.alarm(10)
+                with ONE_BLAS_THREAD:
+                    os._exit(0)
+            ended.append(os.waitpid(child, 0)[1])
+            if ended[-1]:
+                break
+        over.set()
+        assert ended == [0] * 20, ended
+        """
+    )
+
+
 def test_ctrl_c_ends_the_main_thread_while_others_go_on() -> None:
     run(
         """
