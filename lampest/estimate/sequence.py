@@ -69,48 +69,72 @@ def reconstruct(
     """
     prepared = Prepared.of(recording)
     prepared.recording.scene.panel.check_memory()
-    recording, noise = prepared.recording, prepared.noise
-    stream, frames = first_stream(recording, noise.readings, estimator, noise), recording.measured_frames()
-    readings, resting = noise.readings[frames], noise.readings[recording.role == UNLOADED]
-    count, steps = len(frames), list[Step]()
-
-    def so_far() -> Estimates:
-        missing = [stream.unsolved(Status.BROKEN_OFF)] * (count - len(steps))
-        made = _estimates(stream, recording, frames, readings, steps + missing, prepared)
-        return replace(made, automatic=estimator.automatic)
-
-    if estimator.method.together:
-        numbers = iter(range(1, count + 1))
-        stream, steps = stream.sequence(resting, readings, lambda: on_frame(next(numbers, count), count, None))
-    for number in range(len(steps), count):
-        stream, step = stream.push(readings[number])
-        steps.append(step)
-        on_frame(number + 1, count, so_far)
-    return so_far()
+    readings, frames = prepared.noise.readings, prepared.recording.measured_frames()
+    stream = first_stream(prepared.recording, readings, estimator, prepared.noise)
+    return MeasuredPart(prepared.recording, frames, readings, prepared, estimator.automatic).solve(stream, on_frame)[1]
 
 
-def _estimates(
-    stream: Stream,
-    recording: Recording,
-    frames: NDArray[np.intp],
-    readings: Readings,
-    steps: list[Step],
-    prepared: Prepared,
-) -> Estimates:
-    return Estimates(
-        recording,
-        stream.estimator,
-        frames,
-        readings,
-        stream.resting,
-        np.where(recording.scene.panel.present, stream.baseline_resistance, np.nan),
-        stream.baseline or steps[0],
-        None if stream.track is None else stream.track.baseline,
-        tuple(steps),
-        stream.estimator.joint_start,
-        prepared,
-        stream.scene.contacts,
-    )
+@dataclass(frozen=True, eq=False)
+class MeasuredPart:
+    """Measured frames that are solved from one stream: all of a recording, or some of a long one.
+
+    Attributes
+    ----------
+    recording : Recording
+        With frames at rest.
+    frames : array
+        Indices of the measured frames in the recording.
+    readings : Readings
+        Of all frames of the recording.
+    prepared : Prepared
+        Noise, effects and warnings that hold for the estimates.
+    automatic : bool
+        Whether the data choose weights.
+    """
+
+    recording: Recording
+    frames: NDArray[np.intp]
+    readings: Readings
+    prepared: Prepared
+    automatic: bool
+
+    def solve(
+        self,
+        stream: Stream,
+        on_frame: Callable[[int, int, Callable[[], Estimates] | None], None] = lambda done, frames, so_far: None,
+    ) -> tuple[Stream, Estimates]:
+        """Return the stream after these frames, and their estimates; see `reconstruct`."""
+        readings, count, steps = self.readings[self.frames], len(self.frames), list[Step]()
+
+        def so_far() -> Estimates:
+            missing = [stream.unsolved(Status.BROKEN_OFF)] * (count - len(steps))
+            return self._estimates(stream, readings, steps + missing)
+
+        if stream.estimator.method.together:
+            numbers, resting = iter(range(1, count + 1)), self.readings[self.recording.role == UNLOADED]
+            stream, steps = stream.sequence(resting, readings, lambda: on_frame(next(numbers, count), count, None))
+        for number in range(len(steps), count):
+            stream, step = stream.push(readings[number])
+            steps.append(step)
+            on_frame(number + 1, count, so_far)
+        return stream, so_far()
+
+    def _estimates(self, stream: Stream, readings: Readings, steps: list[Step]) -> Estimates:
+        return Estimates(
+            self.recording,
+            stream.estimator,
+            self.frames,
+            readings,
+            stream.resting,
+            np.where(self.recording.scene.panel.present, stream.baseline_resistance, np.nan),
+            stream.baseline or steps[0],
+            None if stream.track is None else stream.track.baseline,
+            tuple(steps),
+            stream.estimator.joint_start,
+            self.prepared,
+            stream.scene.contacts,
+            automatic=self.automatic,
+        )
 
 
 def first_stream(
@@ -194,27 +218,38 @@ SolvedPart = tuple[int, Estimates, CarriedOver]  # its number, what became of it
 class Parts:
     """A recording too long for memory, ready for its first frame: part by part, each like a recording of its own.
 
-    What needs many frames (baseline, noise, weights, the check of the circuit) is taken from a bounded sample: the
-    first unloaded frames, and the measured ones around the strongest. Outliers are found in every part. Parts whose
+    Baseline, noise, weights and the check of the circuit need many frames, and are taken from a bounded sample: the
+    first unloaded frames, and the measured ones around the strongest. Outliers are detected in every part. Parts whose
     estimates look back at no earlier frame stand `apart`, and all begin with the baseline. Else a stream goes on from
-    part to part by what `CarriedOver` holds, so that one that is resumed from the disk finds the same numbers; what a
-    solver kept for speed alone begins anew.
+    part to part by the arrays of `CarriedOver`, so that a stream that is resumed from the disk finds the same numbers;
+    anything that a solver kept for speed alone begins anew.
 
-    lead : the unloaded frames, or the first ones where there are none. asked : these, and frames around the strongest.
-    stream : before the first frame.
+    Attributes
+    ----------
+    stored : StoredRecording
+    lead : Recording
+        The unloaded frames, or the first ones where there are none.
+    asked : Prepared
+        The lead, and frames around the strongest.
+    stream : Stream
+        Before the first frame.
+    automatic : bool
+        Whether the data choose weights.
     """
 
     stored: StoredRecording
     lead: Recording
     asked: Prepared
     stream: Stream
+    automatic: bool
 
     @classmethod
     def of(cls, stored: StoredRecording, estimator: Estimator, asked: tuple[Recording, Prepared]) -> "Parts":
         """asked : of `asked_frames`. Raises InputError where the estimator needs all frames at once, or as `Stream`."""
         check_by_parts(estimator, stored)
         noise, period = asked[1].noise, frame_period(stored.part(stored.blocks()[0]))
-        return cls(stored, *asked, first_stream(asked[1].recording, noise.readings, estimator, noise, period))
+        stream = first_stream(asked[1].recording, noise.readings, estimator, noise, period)
+        return cls(stored, *asked, stream, estimator.automatic)
 
     @property
     def apart(self) -> bool:
@@ -222,48 +257,43 @@ class Parts:
         return self.stream.rested and not self.stream.estimator.looks_back
 
     def estimates(self, done: Callable[[int], CarriedOver | None]) -> Iterator[SolvedPart]:
-        """Every part that is not `done`. done : number → what its last frame left, where its estimates are kept."""
+        """Solve every part that is not `done`. done : number → state after its last frame, where estimates are kept."""
         stream = begun = self.stream
         for number, frames in enumerate(self.stored.blocks()):
-            kept = done(number)
+            carried = done(number)
             if self.apart:
-                yield from () if kept is not None else self.alone(number)
+                yield from () if carried is not None else self.alone(number)
                 continue
-            taken = self._taken(frames) if kept is None or not begun.rested else None
-            if kept is not None:
-                begun = begun if taken is None else self._with_baseline(begun, taken[1])
-                stream = kept.onto(begun)
-            elif taken is not None:
-                stream, solved = self._solved(number, stream, *taken)
-                yield solved
+            part = self._part(frames) if carried is None or not begun.rested else None
+            if carried is not None:
+                begun = begun if part is None else self._with_baseline(begun, part)
+                stream = carried.onto(begun)
+            elif part is not None:
+                stream, estimates = part.solve(stream)
+                carried = CarriedOver.of(stream)
+                yield number, estimates, carried
                 begun = stream.restarted(self.stream)
-                stream = CarriedOver.of(stream).onto(begun)
+                stream = carried.onto(begun)
 
     def alone(self, number: int) -> Iterator[SolvedPart]:
-        """A part, where it stands apart and some of its frames are measured."""
-        if self.apart and (taken := self._taken(self.stored.blocks()[number])) is not None:
-            yield self._solved(number, self.stream, *taken)[1]
+        """Solve a part, where it stands apart and some of its frames are measured."""
+        if self.apart and (part := self._part(self.stored.blocks()[number])) is not None:
+            stream, estimates = part.solve(self.stream)
+            yield number, estimates, CarriedOver.of(stream)
 
-    def _solved(
-        self, number: int, stream: Stream, recording: Recording, readings: Readings, inside: NDArray[np.intp]
-    ) -> tuple[Stream, SolvedPart]:
-        stream, steps = stream.sequence(self.asked.noise.readings[:0], readings, lambda: None)
-        found = _estimates(stream, recording, inside, readings, steps, self.asked)
-        return stream, (number, found, CarriedOver.of(stream))
-
-    def _taken(self, frames: range) -> tuple[Recording, Readings, NDArray[np.intp]] | None:
-        """A part with the lead, the readings of its own measured frames, and which these are; None without any."""
+    def _part(self, frames: range) -> MeasuredPart | None:
+        """The measured ones of some frames, with the lead; None without any."""
         part = measured_part(self.stored, frames, NEAREST)
         if part is None:
             return None
         recording = of_parts((self.lead, part))
-        inside = _own_frames(recording, frames)
-        return recording, Prepared(recording, self.asked.noise).noise.readings[inside], inside
+        readings = Prepared(recording, self.asked.noise).noise.readings
+        return MeasuredPart(recording, _own_frames(recording, frames), readings, self.asked, self.automatic)
 
-    def _with_baseline(self, begun: Stream, readings: Readings) -> Stream:
+    def _with_baseline(self, begun: Stream, part: MeasuredPart) -> Stream:
         """A stream whose baseline is solved together with a frame once it has come to that frame."""
-        for frame in range(len(readings.value) if begun.estimator.joint_start else 0):
-            begun, _ = begun.push(readings[frame])
+        for frame in part.frames if begun.estimator.joint_start else ():
+            begun, _ = begun.push(part.readings[int(frame)])
             if begun.rested:
                 return begun.restarted(self.stream)
         return begun

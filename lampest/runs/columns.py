@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lampest.cost.terms import term_kind
 from lampest.files import hdf5
 from lampest.files.errors import InputError
 from lampest.files.typed import Validated
@@ -284,6 +283,8 @@ class Figures:
 
 def _of_terms(done: Estimates, values: Sequence[Array] | Sequence[tuple[float, ...]]) -> dict[str, Array]:
     """Map terms to values of all steps; repeated kinds, which scripts can give, are `kind_2` and so on."""
+    from lampest.cost.terms import term_kind  # with CasADi, which reading results does not need
+
     by_term: dict[str, Array] = {}
     for number, term in enumerate(done.estimator.terms):
         kind = term_kind(term)

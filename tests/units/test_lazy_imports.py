@@ -27,7 +27,7 @@ def imported(code: str) -> set[str]:
     ("code", "absent"),
     [
         (READ, ("scipy.linalg", "scipy.sparse", "casadi", "matplotlib", "pandas")),
-        ("import lampest.report.info, lampest.report.compare", ("scipy.linalg", "scipy.sparse", "lampest.estimate")),
+        ("import lampest.report.info, lampest.report.compare", ("scipy.linalg", "casadi", "lampest.estimate")),
         ("import lampest.estimate.calibration.resistors", ("scipy.stats", "scipy.optimize")),
         (ESTIMATE, ("scipy.optimize", "scipy.ndimage", "scipy.stats", "matplotlib", "pandas")),
     ],

@@ -6,6 +6,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -16,6 +17,7 @@ import pytest
 from unclosed import unclosed_recording
 
 import lampest
+from lampest.estimate.sequence import Parts, asked_frames
 from lampest.files import hdf5
 from lampest.panel.panel import Array
 from lampest.recording import stored
@@ -146,6 +148,16 @@ def test_parts_make_the_results_of_the_whole(tmp_path: Path, lampest: Command, s
     ended = lampest("run", tmp_path / "run.yaml", "--out", tmp_path / "parts", "--jobs", "1")
     assert "0 cases solved, 3 were done before" in ended.out
     assert lampest("check", tmp_path / "parts" / "results.h5").code == 0
+
+
+def test_parts_know_that_the_data_chose_their_weights(tmp_path: Path, small: None) -> None:
+    save(tmp_path, frames(40))
+    recording = stored.StoredRecording.of(tmp_path / "long.h5")
+    terms = lampest.Misfit(weighting="noise"), lampest.Gradient()
+    for weight in ("auto", 1e-3):
+        estimator = lampest.Estimator((terms[0], replace(terms[1], weight=weight)), "reduced", error_bars=False)
+        parts = Parts.of(recording, estimator, asked_frames(recording)).estimates(lambda number: None)
+        assert {estimates.automatic for _, estimates, _ in parts} == {weight == "auto"}
 
 
 @pytest.mark.slow
