@@ -98,6 +98,7 @@ def test_known_resistors_that_are_none(tmp_path: Path, known: str, sentence: str
     assert not (tmp_path / "s.yaml").exists()
 
 
+@pytest.mark.slow
 def test_ctrl_c_ends_a_recording_with_130_and_a_clean_file(tmp_path: Path) -> None:
     out = tmp_path / "r.h5"
     with bench(tmp_path, some_cells(np.random.default_rng(9), 1)) as board:

@@ -80,6 +80,7 @@ def killed_while_recording(folder: Path, board: Bench, after: int) -> tuple[int,
     return told, Recording.load(out)
 
 
+@pytest.mark.slow
 def test_one_damaged_byte_in_a_hundred_costs_only_the_frames_it_hits(tmp_path: Path) -> None:
     whole, received, wrong = check_damaged_line(tmp_path, 400)
     assert wrong == 0
@@ -114,6 +115,7 @@ def test_a_board_that_resets_is_set_and_started_again(tmp_path: Path) -> None:
     assert found.resistance.shape == (40, 5, 5)
 
 
+@pytest.mark.slow
 def test_killed_at_any_moment_every_flushed_frame_is_readable(tmp_path: Path) -> None:
     with bench(tmp_path, some_cells(np.random.default_rng(9), 1)) as board:
         for after in (1, 7, 40):

@@ -61,6 +61,7 @@ def test_the_shortest_period_of_the_table_is_kept(
     assert rate == pytest.approx(1e6 / shortest, rel=0.01)
 
 
+@pytest.mark.slow
 def test_thirty_frames_a_second(tmp_path: Path) -> None:
     """10 × 10 cells, 2 readings, 30 seconds of board time; the long version is in test_soak.py."""
     with bench(tmp_path, some_cells(np.random.default_rng(1), 1)) as board:

@@ -126,6 +126,7 @@ def inside(ring: Any) -> Any:
     )
 
 
+@pytest.mark.slow
 def test_what_is_not_solved_is_not_drawn(tmp_path: Path) -> None:
     run = tmp_path / "run.yaml"
     run.write_text(
@@ -180,6 +181,7 @@ def test_every_word_fits_a_wide_and_a_narrow_screen(width: int, tmp_path: Path) 
         assert max(map(int, page.strip("rgb()").split(","))) < 64, "dark where the browser is"
 
 
+@pytest.mark.slow
 def test_a_change_on_the_map_is_never_called_nothing_and_an_alarm_is_said_once(tmp_path: Path) -> None:
     with live(tmp_path, "--recording", LAMPREY, "--speed", 50) as (window, _):
         window.until("return document.getElementById('state').innerText == 'the recording has ended'")

@@ -225,6 +225,7 @@ def test_zarr_is_what_xarray_reads(lampest: Run, results: Path) -> None:
         assert found.attrs["start_time"] == START
 
 
+@pytest.mark.slow
 def test_nwb_is_what_pynwb_reads(lampest: Run, results: Path) -> None:
     from pynwb import read_nwb, validate
 

@@ -112,6 +112,7 @@ def check_message(told: dict[str, Any]) -> None:
     assert told["verdict"].startswith("pressing"), "the rim of a mouth presses"
 
 
+@pytest.mark.slow
 @needs_broker
 def test_mqtt_carries_the_message(lampest: Run, tmp_path: Path) -> None:
     port = free_port()
@@ -160,6 +161,7 @@ def test_a_broker_that_refuses_is_one_sentence(lampest: Run, tmp_path: Path) -> 
     assert "secret" not in done.err + done.out
 
 
+@pytest.mark.slow
 def test_websocket_carries_the_message_and_a_listener_that_hangs_holds_up_nobody(lampest: Run) -> None:
     from websockets.exceptions import ConnectionClosed
     from websockets.sync.client import connect

@@ -89,6 +89,7 @@ def test_second_run_does_nothing_and_fresh_solves_again(disk: SimpleNamespace, l
     assert all(after[path] > before[path] for path in before)
 
 
+@pytest.mark.slow
 def test_what_changed_is_solved_again(disk: SimpleNamespace, lampest: Command) -> None:
     """Another weight: one case. Another recording of the same name: all. A damaged result: that one."""
     out = disk.folder / "out"
@@ -195,6 +196,7 @@ def test_interrupted_run_keeps_what_is_finished(long: SimpleNamespace) -> None:
     assert {case.case_id for case in finished} == {path.stem for path in (long.out / "cases").glob("[!.]*.h5")}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("executor", ["serial", "processes, workers: 1"])
 def test_a_case_that_is_broken_off_keeps_its_finished_frames(
     executor: str, disk: SimpleNamespace, lampest: Command

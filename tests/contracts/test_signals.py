@@ -102,6 +102,7 @@ def test_what_is_ignored_from_the_start_stays_so(tmp_path: Path) -> None:
     assert len(Recording.load(out).time) == 40
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT])
 def test_live_ends_with_130_too(number: signal.Signals) -> None:
     lamprey = Path(__file__).parents[2] / "data" / "lamprey_25mm.h5"

@@ -98,6 +98,7 @@ def table_of(out: Path, study: str) -> list[Row]:
         return list(csv.DictReader(file))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("study", [pytest.param(name, marks=SLOW.get(name, ())) for name in SETTINGS])
 def test_a_study_writes_its_table_its_samples_with_units_and_its_pictures(
     study: str, disk: SimpleNamespace, lampest: Command
@@ -199,6 +200,7 @@ def test_a_rule_that_needs_the_noise_is_refused_without_it(disk: SimpleNamespace
     assert not out.exists()
 
 
+@pytest.mark.slow
 def test_settings_of_the_command_override_the_file_of_a_study(disk: SimpleNamespace, lampest: Command) -> None:
     setting = ("--set", "estimators.g.terms.gradient.weight=0.002")
     done, out = studied(lampest, disk, "weights", GRADIENT_ALONE, *setting)

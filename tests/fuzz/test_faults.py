@@ -29,6 +29,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Batch:
     return batch(tmp_path_factory.mktemp("batch"), 4)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "kilobytes",
     [0, pytest.param(8, marks=LONG), pytest.param(200, marks=pytest.mark.slow), pytest.param(600, marks=LONG)],

@@ -98,6 +98,7 @@ def test_the_change_of_cells_hardly_knows_of_contacts(readout: Readout) -> None:
     )
 
 
+@pytest.mark.slow
 @each_readout
 def test_cells_and_contacts_end_at_the_joint_optimum(readout: Readout) -> None:
     """The whole cost of a baseline, with everything unknown at once, in the hands of a quasi-Newton method."""

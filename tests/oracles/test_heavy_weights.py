@@ -72,6 +72,7 @@ def test_squares_are_verified(kind: str, weight: float, scaled: bool) -> None:
         assert least.value(least.minimised(start)) >= found.objective * (1 - 1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scaled", [False, True])
 @pytest.mark.parametrize("kind", ["log_ratio", "total_variation_of_change"])
 def test_absolute_losses_are_verified(kind: str, scaled: bool) -> None:

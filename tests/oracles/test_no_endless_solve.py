@@ -65,6 +65,7 @@ def test_readings_beyond_the_corner_of_a_loss_still_lead_to_the_minimum() -> Non
     assert solution.solved and solution.iterations < 150
 
 
+@pytest.mark.slow
 def test_a_frame_whose_cost_has_stopped_falling_ends_with_a_sentence() -> None:
     """A corner a million times below the differences: second derivatives see none of them."""
     penalty = term_types()["gradient"](weight=1e-2, loss=Huber(corner=0.3))

@@ -198,6 +198,7 @@ def test_it_halves_the_error_and_its_bars_hold() -> None:
     assert np.max(np.abs(tapped)) < 0.1  # it fell by log 0.5
 
 
+@pytest.mark.slow
 def test_a_wrong_reading_harms_its_frame_no_more_than_it_would_alone() -> None:
     made = panel(1)
     recorded = made.recorded.copy()

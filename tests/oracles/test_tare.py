@@ -49,6 +49,7 @@ def found(tare: Tare | None) -> Estimates:
     return reconstruct(made(LAMPREY), Estimator((Misfit(),), "reduced", tare=tare))
 
 
+@pytest.mark.slow
 def test_drift_is_taken_off_and_the_load_is_not() -> None:
     truth = found(None).recording.truth_pressure
     assert truth is not None

@@ -48,6 +48,7 @@ def test_withheld_readings_are_predicted_better_than_by_interpolation(tmp_path: 
     assert np.median([one.hidden for one in found]) > 2
 
 
+@pytest.mark.slow
 def test_the_table_of_real_recordings_has_a_row_for_every_method(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

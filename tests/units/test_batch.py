@@ -58,6 +58,7 @@ def test_a_batch_without_any_result_names_no_file(
     assert not (out / "results.h5").exists()
 
 
+@pytest.mark.slow
 def test_starts_takes_the_weights_that_were_chosen(disk: SimpleNamespace) -> None:
     text = "schema: 1\nrecordings: [small.h5]\nformulation: reduced\nestimators:\n"
     text += "  one: {terms: {misfit: {}, gradient: {weight: auto}}}\n"

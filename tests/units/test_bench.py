@@ -219,6 +219,7 @@ def pages(bench: Bench) -> str:
     return page(STUDY.name, tables(bench), bench_remarks(bench))
 
 
+@pytest.mark.slow
 def test_page_holds_a_section_for_every_table(tiny: Bench) -> None:
     text = pages(tiny)
     named = [line.split(":")[0] for line in text.splitlines() if line.startswith("## ")]
@@ -227,6 +228,7 @@ def test_page_holds_a_section_for_every_table(tiny: Bench) -> None:
         assert line == "" or line[0] in "#|-"
 
 
+@pytest.mark.slow
 def test_pages_show_tables_that_the_bench_writes(tiny: Bench) -> None:
     both = tiny._replace(frames=tuple(frame for side in (32, 64) for frame in timed(side, [1.0, 1.0])))
     found = sections(pages(both))

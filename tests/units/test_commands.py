@@ -43,6 +43,7 @@ def test_no_help_holds_an_emoji(lampest: Command) -> None:
         assert ended.code == 0 and not re.search("[\u2600-\u27bf\U0001f000-\U0001faff]", ended.out), name
 
 
+@pytest.mark.slow
 def test_a_mat_begins_with_a_scene_of_contacts_in_which_a_penalty_wins(
     tmp_path: Path, lampest: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -189,6 +190,7 @@ def test_pictures_of_a_frame_and_an_estimator(disk: SimpleNamespace, lampest: Co
     assert f"did you mean {name}?" in ended.err
 
 
+@pytest.mark.slow
 def test_every_command_prints_the_same_warnings(disk: SimpleNamespace, lampest: Command) -> None:
     """One frame of the recording is unloaded, and the live page replays it."""
     out, warning = disk.folder / "out", "only one frame is unloaded, so that nothing shows the noise"

@@ -137,6 +137,7 @@ def test_a_picture_for_every_shape(rows: int, columns: int, truth: bool) -> None
     assert "frame 6 at 6 s" in figure.get_suptitle()
 
 
+@pytest.mark.slow
 def test_the_same_picture_twice(tmp_path: Path) -> None:
     results = Results(tuple(invented_case(name, failed=(2,) if name == "LSM" else ()) for name in METHODS))
     for name in ("one", "two"):
@@ -278,6 +279,7 @@ def test_the_table_has_a_row_a_case_and_a_column_for_each_swept_key(tmp_path: Pa
     assert len(summary.cells) == 8 and summary.headers[1] == "gradient weight"
 
 
+@pytest.mark.slow
 def test_results_with_swept_numbers_are_plotted_over_them(tmp_path: Path) -> None:
     write_results(tmp_path / "r.h5", SWEPT)
     assert [path.name for path in plot_results(tmp_path / "r.h5")] == ["sweep_mouth.png"]

@@ -71,6 +71,7 @@ def test_table_has_a_line_for_every_solver(solves: list[MatSolve]) -> None:
     assert lines[2].startswith("| 6 × 6 | 0 % | reduced |")
 
 
+@pytest.mark.slow
 def test_newton_krylov_knows_no_bounds(solves: list[MatSolve]) -> None:
     noisy = [one for one in solves if one.side == 16 and one.noise_percent == 1]
     assert any(one.negative for one in noisy if one.solver == "krylov_fine")

@@ -28,6 +28,7 @@ def imported() -> set[str]:
     return {name.partition(".")[0] for name in names} - sys.stdlib_module_names - {"lampest"}
 
 
+@pytest.mark.slow
 def test_every_library_that_may_be_missing_is_named_as_pip_knows_it() -> None:
     requirements = [*PROJECT["dependencies"], *itertools.chain(*PROJECT["optional-dependencies"].values())]
     known = {match[0].lower() for text in requirements if (match := re.match(r"[\w.-]+", text))} | EXTRAS.keys()

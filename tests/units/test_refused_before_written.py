@@ -26,6 +26,7 @@ def names(folder: Path) -> set[str]:
     return {path.name for path in folder.iterdir()}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["detections.h5", "timeline_small.png"])
 def test_detect_whose_input_bears_an_outputs_name_writes_nothing(
     disk: SimpleNamespace, lampest: Command, name: str

@@ -85,6 +85,7 @@ def read_all(end: socket.socket) -> int:
     return count
 
 
+@pytest.mark.slow
 def test_a_websocket_that_never_reads_holds_up_neither_frames_nor_others_nor_the_end() -> None:
     from websockets.exceptions import ConnectionClosed
     from websockets.sync.client import connect

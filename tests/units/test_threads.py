@@ -63,12 +63,13 @@ for number in range(count):
 """
 
 
-@pytest.mark.parametrize("count", [2, 8, 32])
+@pytest.mark.parametrize("count", [2, 8, pytest.param(32, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("ways", ["squares", "absolute,student", "program", "squares,absolute,program,student"])
 def test_threads_find_the_cells_that_one_thread_finds(count: int, ways: str) -> None:
     run(EQUAL, count, ways)
 
 
+@pytest.mark.slow
 def test_a_thread_whose_term_raises_or_that_is_cancelled_harms_no_other() -> None:
     run(
         """
@@ -113,6 +114,7 @@ def test_a_thread_whose_term_raises_or_that_is_cancelled_harms_no_other() -> Non
     )
 
 
+@pytest.mark.slow
 def test_processes_that_are_forked_while_threads_estimate_can_estimate() -> None:
     """Also where a fork interrupts what holds a lock: Python 3.11 locks cached properties while they are computed."""
     run(

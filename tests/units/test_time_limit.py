@@ -57,6 +57,7 @@ def test_what_is_not_solved_in_time_is_no_number_and_says_so(formulation: Any) -
         assert step.status == "the time limit was reached before an optimum" and np.isnan(step.cell_resistance).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("formulation", FORMULATIONS)
 def test_a_limit_that_is_not_reached_changes_nothing(formulation: Any) -> None:
     estimator = Estimator(FORMULATIONS[formulation], formulation)

@@ -42,6 +42,7 @@ def test_gap_is_judged_by_one_cost_and_is_zero_for_the_best(found: list[Tradeoff
             assert one.gap > 1
 
 
+@pytest.mark.slow
 def test_no_reconstruction_errs_by_what_it_ignores(found: list[TradeoffFrame]) -> None:
     rows = {row.formulation: row for row in ladder_rows(found) if (row.rows, row.columns) == (8, 8)}
     assert rows["naive"].cell_error > 60
@@ -54,6 +55,7 @@ def test_front_holds_what_nothing_beats() -> None:
     assert front([]) == []
 
 
+@pytest.mark.slow
 def test_fastest_rung_is_on_the_front(found: list[TradeoffFrame]) -> None:
     rows = [row for row in ladder_rows(found) if (row.rows, row.columns) == (8, 8)]
     assert min(rows, key=lambda row: row.frame_ms).formulation in on_front(rows)

@@ -80,6 +80,7 @@ def test_what_came_before_a_flood_is_kept(tmp_path: Path, monkeypatch: pytest.Mo
     assert found.acquisition.sequence.tolist() == list(range(20)) and not found.acquisition.lost.any()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("script", [larger, garbage, restarts])
 def test_a_flood_does_not_stretch_the_time(tmp_path: Path, script: Script) -> None:
     """By the host's clock it ends, a second and a period late at most; some seconds more are the machine's."""
@@ -286,6 +287,7 @@ def test_a_recording_holds_the_jumps_of_the_clock_as_events(tmp_path: Path, caps
     assert "3 jumps of the board's clock" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_garbage_on_the_line_is_no_restart(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Noise for longer than a silence is waited for, in which even the board's answers are lost."""
     monkeypatch.setattr(stream, "SILENCE_SECONDS", 0.2)
