@@ -184,9 +184,11 @@ class Processes(Executor):
         """As `Executor`."""
         waiting = deque(range(len(arguments)))
         tries = Counter[int]()
-        idle = [Worker.start(function) for _ in range(min(self.workers or cores(), len(arguments)))]
+        workers: list[Worker] = []  # with the one that is neither idle nor busy when Ctrl-C interrupts
         busy: dict[Connection, tuple[Worker, int]] = {}
         try:
+            workers.extend(Worker.start(function) for _ in range(min(self.workers or cores(), len(arguments))))
+            idle = list(workers)
             while waiting or busy:
                 while waiting and idle:
                     worker, number = idle.pop(), waiting.popleft()
@@ -200,7 +202,8 @@ class Processes(Executor):
                     except (EOFError, OSError):
                         worker.kill()
                         tries[number] += 1
-                        idle.append(Worker.start(function))
+                        workers.append(Worker.start(function))
+                        idle.append(workers[-1])
                         if not worker.hung and tries[number] < MOST_TRIES:
                             waiting.appendleft(number)
                             continue
@@ -209,7 +212,7 @@ class Processes(Executor):
                         idle.append(worker)
                     yield arguments[number], outcome
         finally:
-            for worker in (*idle, *(worker for worker, _ in busy.values())):
+            for worker in workers:
                 worker.kill()
 
 

@@ -54,6 +54,19 @@ def threads(_: Any) -> list[str | None]:
     return [os.environ.get(name) for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")]
 
 
+def test_ctrl_c_while_a_task_is_handed_over_leaves_no_worker_at_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    hand_over = executors.Worker.send
+
+    def interrupted(worker: executors.Worker, argument: Any) -> None:
+        hand_over(worker, argument)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(executors.Worker, "send", interrupted)
+    with pytest.raises(KeyboardInterrupt) as held:  # as is its frame, so that no collector ends the worker
+        list(Processes(2).results(time.sleep, [60, 60]))
+    assert held and not multiprocessing.active_children()
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("executor", EVERY[1:], ids=NAMES[1:])
 def test_results_are_those_of_serial_even_where_a_worker_dies(
