@@ -177,6 +177,7 @@ def test_ctrl_c_ends_the_main_thread_while_others_go_on() -> None:
         import signal
         import time
         found = {}
+        estimate(7, "squares")  # Python's locks of modules stay taken if an exception from outside ends an import
         def work(number):
             found[number] = estimate(number, "squares")
         threads = [threading.Thread(target=work, args=(number,)) for number in range(6)]
