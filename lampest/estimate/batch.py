@@ -17,6 +17,7 @@ from lampest.cost.given import Background
 from lampest.cost.problem import Evaluation
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.methods.method import OptimalMethod
+from lampest.estimate.objective import Objective
 from lampest.estimate.state import NO_DUAL, Step
 from lampest.estimate.stream import Stream
 from lampest.estimate.weights import converter_and_faults, strongest, with_chosen_weights
@@ -33,6 +34,9 @@ from lampest.solvers.panel_batch import BLOCK, PanelBatch
 from lampest.solvers.solution import OPEN_FRACTION, VERIFIED, Settings, Solution, Status
 
 FEWEST = 20  # panels of a thread: with fewer, threads cost more than they save
+MAX_BLOCK_CELLS = (
+    400  # of a network whose frames are solved together: with more, inverse Hessians cost more than they save
+)
 W = TypeVar("W")
 
 
@@ -71,6 +75,22 @@ def _weighed(streams: Sequence[Stream | None], readings: Readings) -> list[Strea
                 sigma = weighed.weight_sigma
                 found[number] = replace(one, weights=weights, weight_sigma=sigma, weighed_at=max(changes))
     return found
+
+
+def pushed_in_block(stream: Stream, readings: Readings) -> tuple[Stream, list[Step]]:
+    """Return the stream after its next frames, and how they were solved; readings : (frames, rows, columns).
+
+    Frames of a network that depend on no earlier one are solved over a leading axis, all begun at the last estimate. A
+    frame that the batch hands back is pushed alone.
+    """
+    steps, solved, size = list[Step](), dict[int, tuple[Stream, Step]](), readings.value[0].size
+    count = min(len(readings.value), 2 * FEWEST)
+    if count > 1 and size <= MAX_BLOCK_CELLS and not stream.first and stream.stands_alone:
+        solved = _solved_together([stream] * count, readings[:count], Kept.nothing(count, size), Together.pushed)
+    for number in range(count if solved else 1):
+        stream, step = solved.get(number) or stream.push(readings[number])
+        steps.append(step)
+    return stream, steps
 
 
 def rested_together(streams: Sequence[Stream | None]) -> list[Stream | None]:
@@ -151,12 +171,25 @@ def _unweighted(estimator: Estimator, rested: bool) -> Estimator:
 
 @dataclass(frozen=True, eq=False)
 class Together:
-    """numbers : of the streams among all, which are of one shape and one kind of cost. batch : their frames."""
+    """Streams whose frames are solved together.
+
+    Attributes
+    ----------
+    numbers : array
+        Numbers of the streams among all, which are of one shape and one kind of cost.
+    streams : sequence of Stream
+    batch : PanelBatch
+        Their frames.
+    settings : Settings
+    weight_sigma : sequence of tuple
+        Of each stream, see `Objective`.
+    """
 
     numbers: NDArray[np.intp]
     streams: Sequence[Stream]
     batch: PanelBatch
     settings: Settings
+    weight_sigma: Sequence[tuple[float, ...]]
 
     @classmethod
     def of(
@@ -173,8 +206,10 @@ class Together:
         cost = estimator.cost(first.scene, 1, data.partial)
         if not PanelBatch.serves(cost, data):
             return None
-        weights = np.array([_weights(stream) for stream in streams], dtype=float)
-        return cls(numbers, streams, PanelBatch(cost, weights, data, place), estimator.solver)
+        objectives = [_objective(stream) for stream in streams]
+        weights = np.array([[float(term.weight) for term in objective.terms] for objective in objectives])
+        sigma = [objective.weight_sigma for objective in objectives]
+        return cls(numbers, streams, PanelBatch(cost, weights, data, place), estimator.solver, sigma)
 
     def rested(self, kept: Kept) -> list[Step | None]:
         """How every baseline was solved, with what error bars follow from; None where no minimum was verified."""
@@ -201,12 +236,16 @@ class Together:
         found, inside = dict[int, tuple[Track, Bars]](), [n for n in tracks if free[n]]
         for some in (inside[first : first + BLOCK] for first in range(0, len(inside), BLOCK)):
             with suppress(*BROKEN):
-                errors = BatchErrors(ended.points.some(np.array(some)), [tracks[n] for n in some])
+                unknown = (np.nan,) * self.batch.weights.shape[1]
+                sigma = np.array([self.weight_sigma[n] or unknown for n in some])
+                errors = BatchErrors(ended.points.some(np.array(some)), [tracks[n] for n in some], sigma)
                 found |= dict(zip(some, errors.bars(), strict=True))
         for number in tracks.keys() - found.keys():
             with suppress(*BROKEN):
-                model = LinearModel(self._evaluation(ended, number), NO_DUAL)
-                found[number] = tracks[number].advanced(model)
+                at = self._evaluation(ended, number)
+                found[number] = tracks[number].advanced(
+                    LinearModel(at, NO_DUAL, weight_sigma=self.weight_sigma[number])
+                )
         return found
 
     def _after(self, number: int, step: Step, barred: tuple[Track, Bars] | None, seconds: float) -> tuple[Stream, Step]:
@@ -227,8 +266,11 @@ class Together:
         ended = reduce(_lower, found)
         solutions = self._solutions(ended, len(found))
         seconds = (perf_counter() - begin) / len(self.numbers)
-        pairs = zip(solutions, self.batch.weights.tolist(), strict=True)
-        return ended, [None if found is None else Step(found, seconds, tuple(weights)) for found, weights in pairs]
+        steps = [
+            None if solution is None else Step(solution, seconds, tuple(weights), weight_sigma=sigma)
+            for solution, weights, sigma in zip(solutions, self.batch.weights.tolist(), self.weight_sigma, strict=True)
+        ]
+        return ended, steps
 
     def _starts(self, kept: Kept, found: Sequence[Ended]) -> Iterator[Array]:
         """As `lampest.solvers.multistart.starts`; found : where those before ended."""
@@ -280,12 +322,12 @@ def _previous(streams: Sequence[Stream]) -> Array:
     return np.stack([resting if previous is None else previous for previous, resting in pairs])
 
 
-def _weights(stream: Stream) -> tuple[float, ...]:
-    """Of the terms that a batch minimises."""
+def _objective(stream: Stream) -> Objective:
+    """Return the terms that a batch minimises, with their weights."""
     estimator = stream.estimator
     if estimator.automatic and stream.weights is not None:
-        return stream.weights
-    return tuple(float(term.weight) for term in (estimator.terms if stream.rested else estimator.absolute_terms))
+        return estimator.with_weights(stream.weights, stream.weight_sigma)
+    return estimator if stream.rested else estimator.with_terms(estimator.absolute_terms)
 
 
 def _lower(one: Ended, other: Ended) -> Ended:

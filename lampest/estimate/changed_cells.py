@@ -135,20 +135,19 @@ def still_cells(change: Array, covariance: Array, begun: Chosen | None = None) -
     still = (away <= np.median(away)) & (np.abs(change) < LOADED) if begun is None else begun
     best: tuple[float, Chosen] = (np.inf, still)
     while still.any():
-        numbers = np.flatnonzero(still)
-        factor = Cholesky.of(change, numbers, covariance[np.ix_(numbers, numbers)])
+        factor = Cholesky.of(change, np.flatnonzero(still), covariance[np.ix_(still, still)])
         if factor is None:
             raise np.linalg.LinAlgError("a covariance is not positive definite")
-        within, moved = factor.inverse(), change[~still]
-        pull, width = within @ change[still], np.diag(factor.triangle) * factor.size
-        cost = change[still] @ pull + 2 * np.log(width).sum() + (moved**2).sum() + MOVED * len(moved)
+        root, moved = factor.inverse_root(), change[~still]
+        pull, own = root.T @ (root @ change[still]), np.sum(root**2, axis=0)  # C⁻¹ d, diag C⁻¹
+        cost = change[still] @ pull - 2 * np.log(np.diag(root)).sum() + (moved**2).sum() + MOVED * len(moved)
         if not cost < best[0]:
             break
         best, across = (float(cost), still), covariance[np.ix_(~still, still)]
         miss, variance = np.empty((2, len(change)))
-        miss[still], variance[still] = pull / np.diag(within), 1 / np.diag(within)
+        miss[still], variance[still] = pull / own, 1 / own
         miss[~still] = moved - across @ pull
-        variance[~still] = np.diag(covariance)[~still] - np.einsum("ij,ij->i", across @ within, across)
+        variance[~still] = np.diag(covariance)[~still] - np.sum((root @ across.T) ** 2, axis=0)
         variance = np.maximum(variance, 1e-300)
         still = (miss**2 / variance + np.log(variance) < MOVED + change**2) & (np.abs(change) < LOADED)
     return best

@@ -99,6 +99,11 @@ class CoupledStream(Stream):
         """(rows, columns) ohm; NaN where the baseline is not solved, and of modules that were not read."""
         return np.where(self._unread(self.resting), np.nan, super().baseline_resistance)
 
+    @property
+    def stands_alone(self) -> bool:
+        """False: a batch has no network that falls into modules."""
+        return False
+
     def push(self, readings: Readings) -> tuple[Stream, Step]:
         """As `Stream.push`."""
         stream, step = super().push(readings)
@@ -154,6 +159,11 @@ class ModulesStream(Stream):
             on_frame()
         whole = replace(self, modules=tuple(modules), first=False).rested_whole()
         return whole, [image_step(layout, steps) for steps in zip(*columns, strict=True)]
+
+    @property
+    def stands_alone(self) -> bool:
+        """False: modules are the batch."""
+        return False
 
     def due(self, readings: Readings) -> bool:
         """Modules choose their weights themselves."""

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from lampest.cost.given import Background
 from lampest.cost.problem import Data
 from lampest.cost.terms import LogGradient, Misfit, Term
+from lampest.estimate.batch import pushed_in_block
 from lampest.estimate.deciding import deciding_frame, frames_beside, resting_readings
 from lampest.estimate.estimates import Estimates
 from lampest.estimate.estimator import Estimator
@@ -113,10 +114,11 @@ class MeasuredPart:
         if stream.estimator.method.together:
             numbers, resting = iter(range(1, count + 1)), self.readings[self.recording.role == UNLOADED]
             stream, steps = stream.sequence(resting, readings, lambda: on_frame(next(numbers, count), count, None))
-        for number in range(len(steps), count):
-            stream, step = stream.push(readings[number])
-            steps.append(step)
-            on_frame(number + 1, count, so_far)
+        while len(steps) < count:
+            stream, block = pushed_in_block(stream, readings[len(steps) :])
+            for step in block:
+                steps.append(step)
+                on_frame(len(steps), count, so_far)
         return stream, so_far()
 
     def _estimates(self, stream: Stream, readings: Readings, steps: list[Step]) -> Estimates:

@@ -15,6 +15,7 @@ from lampest.panel.scene import Scene
 from lampest.panel.systematic import Shared
 from lampest.posterior.track import Track
 from lampest.recording.readings import Readings, mean_change
+from lampest.solvers.projected_newton import ProjectedNewton
 from lampest.solvers.solution import Status
 
 STRONGER = 1.1  # times the change at which weights were chosen before: a load that settles does not choose them again
@@ -140,6 +141,14 @@ class Stream(SequenceState):
         """Whether a frame, of which enough was read, chooses the weights that the data of the strongest one choose."""
         asked = self.weights is None or (self.due(readings) and not self.hasty)
         return self.chooses and asked and bool(readings.enough(self.scene))
+
+    @property
+    def stands_alone(self) -> bool:
+        """Whether an estimate depends on no frame but its own and the unloaded ones, and Newton's method finds it."""
+        estimator = self.estimator
+        if not self.rested or estimator.looks_back or estimator.automatic:
+            return False
+        return isinstance(estimator.problem(self.scene, 1, self.period), ProjectedNewton)
 
     @property
     def chooses(self) -> bool:

@@ -3,10 +3,11 @@ are values, and one squared penalty at most stands beside squared data. Letters 
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from scipy import sparse
 
 from lampest.cost.problem import Part, residuals
 from lampest.panel.panel import Array
@@ -19,10 +20,21 @@ from lampest.solvers.panel_batch import Mask, Points
 
 @dataclass(frozen=True, eq=False)
 class BatchErrors:
-    """points : the panels' estimates. tracks : what their error bars need of earlier frames."""
+    """Error bars of panels.
+
+    Attributes
+    ----------
+    points : Points
+        Estimates of the panels.
+    tracks : sequence of Track
+        State that error bars carry from earlier frames.
+    weight_sigma : array, shape (panels, terms)
+        Standard deviation of log λ; NaN where the data did not choose λ.
+    """
 
     points: Points
     tracks: Sequence[Track]
+    weight_sigma: Array
 
     @staticmethod
     def inside(points: Points) -> Mask:
@@ -45,8 +57,15 @@ class BatchErrors:
             if track.shared is not None:
                 answer = track.shared.related(answer)
                 frame = alone.widened(answer)
-            found.append(track.after(frame, alone.deviation, answer))
+            after, bars = track.after(frame, alone.deviation, answer)
+            found.append((after, replace(bars, reading=self._reading_deviation[number])))
         return found
+
+    @cached_property
+    def _reading_deviation(self) -> Array:
+        """As `DenseErrors.reading_deviation`, (panels, rows, columns)."""
+        variance = self._scale * ((self._sensitivity @ self._inverse) * self._sensitivity).sum(axis=2, keepdims=True)
+        return np.asarray(np.sqrt(variance).reshape(self.points.reading.shape))
 
     @cached_property
     def _answers(self) -> list[Array]:
@@ -116,29 +135,33 @@ class BatchErrors:
         return part if len(part.term) else None
 
     @cached_property
-    def _penalty_rows(self) -> Array:
-        """√Ω Z (panels, rows, cells)."""
+    def _penalty_rows(self) -> list[sparse.csr_array]:
+        """√Ω Z (rows, cells) of every panel; no rows without a penalty."""
         part, points = residuals(self.points.batch.cost).penalties, self.points
-        row, column = part.by_cells.pattern
-        found = np.zeros((len(points.position), len(part.term), points.position.shape[1]))
-        weight = np.sqrt(points.batch.weights[:, part.term])
-        found[:, row, column] = points.called(part.by_cells) * np.exp(points.position)[:, column] * weight[:, row]
-        return found
+        (row, column), cells = part.by_cells.pattern, self.points.position.shape[1]
+        values = points.called(part.by_cells) * np.exp(points.position)[:, column]
+        values *= np.sqrt(points.batch.weights[:, part.term])[:, row]
+        pattern = sparse.csr_array((np.arange(len(row)), (row, column)), (len(part.term), cells))
+        return [sparse.csr_array((one[pattern.data], pattern.indices, pattern.indptr), pattern.shape) for one in values]
 
     @property
     def _of_penalties(self) -> Array:
         """The part of the variance that a penalty makes, (panels, cells, 1); see `DenseErrors.widening`."""
-        part, rows = self._penalty, self._penalty_rows
+        found = np.zeros((*self.points.position.shape, 1))
+        part = self._penalty
         if part is None:
-            return np.zeros((*self.points.position.shape, 1))
-        pulls = rows @ self._inverse
-        weight = self.points.batch.weights[:, part.term]
-        squares = weight * self.points.called(part.value) ** 2 / self._scale[..., 0]
-        known = min(rank(self.points.batch.cost.unweighted), rows.shape[2])
-        determined = known - np.einsum("pij,pij->p", rows, pulls)
-        widened = np.maximum(squares.sum(axis=1) / np.maximum(determined, 1.0), 1.0)
-        size = self._scale * np.maximum(widened[:, None], squares)[..., None]
-        return np.asarray((pulls**2).swapaxes(-1, -2) @ size)
+            return found
+        weight, residual = self.points.batch.weights[:, part.term], self.points.called(part.value)
+        squares = weight * residual**2 / self._scale[..., 0]
+        chosen = np.nan_to_num(self.weight_sigma[:, part.term]) * np.sqrt(weight) * residual
+        known = min(rank(self.points.batch.cost.unweighted), found.shape[1])
+        for number, rows in enumerate(self._penalty_rows):
+            pulls = rows @ self._inverse[number]
+            determined = known - float(rows.multiply(pulls).sum())
+            widened = max(float(squares[number].sum()) / max(determined, 1.0), 1.0)
+            size = self._scale[number, 0] * np.maximum(widened, squares[number])
+            found[number, :, 0] = size @ pulls**2 + (chosen[number] @ pulls) ** 2
+        return found
 
     @cached_property
     def _inverse(self) -> Array:
@@ -146,7 +169,7 @@ class BatchErrors:
         rows = self._sensitivity * np.sqrt(self._weight)[..., None]
         matrix = rows.swapaxes(-1, -2) @ rows
         if self._penalty is not None:
-            matrix += self._penalty_rows.swapaxes(-1, -2) @ self._penalty_rows
+            matrix += np.stack([(penalty.T @ penalty).toarray() for penalty in self._penalty_rows])
         np.einsum("...ii->...i", matrix)[...] += IGNORANCE * self._scale[..., 0]
         return np.stack([positive_inverse(one) for one in matrix])
 

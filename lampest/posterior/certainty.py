@@ -117,7 +117,9 @@ def alike(answer: Array) -> Array:
 
     answer : a (…, cells, n), what each does to log r. ā is the median of the cells; a − ā is each cell's own.
     """
-    apart = answer - np.median(answer, axis=-2, keepdims=True)
+    ordered = np.sort(answer.swapaxes(-1, -2), axis=-1)  # np.median takes six times as long
+    count = ordered.shape[-1]
+    apart = answer - (ordered[..., None, :, (count - 1) // 2] + ordered[..., None, :, count // 2]) / 2
     return np.asarray(np.maximum(answer**2 - apart**2, 0.0).sum(axis=-1))
 
 

@@ -14,16 +14,17 @@ from numpy.typing import NDArray
 
 from lampest.panel.panel import Array
 from lampest.solvers.bounds import MILLIONTH, STILL
-from lampest.solvers.certificate import SHARE, clear_of_rounding
+from lampest.solvers.certificate import clear_of_rounding
 from lampest.solvers.hessian import matrix_between
 from lampest.solvers.panel_batch import Mask, Numbers, PanelBatch, Points
 from lampest.solvers.preconditioners import Cholesky
-from lampest.solvers.projected_newton import MAX_STEP, MAX_TRIES, MIN_RATIO, MOVED, NEAR, RADIUS_FACTOR
+from lampest.solvers.projected_newton import MAX_STEP, MAX_TRIES, MIN_RATIO, MOVED, RADIUS_FACTOR
 from lampest.solvers.solution import Settings
 
 MOST_STEPS = 40  # of a panel in a batch; the solver for single panels goes on from there
 PAIRS = 4  # of steps and changes of the gradient that correct M
 CERTIFIED = 0.1  # of log r: ∇²φ changes by as much, and its definiteness is shown again beyond
+LAST_STEP = 0.1 * MILLIONTH  # of log r: M⁻¹ ∇φ misses Newton's step by a tenth of it
 SHORTEST = 1 - 1e-3  # of a relative change of a conductance: the step that MAX_STEP cuts off
 
 
@@ -69,7 +70,15 @@ class Kept:
         return found
 
     def renew(self, panels: Numbers, points: Points) -> None:
-        """Make M of some panels anew at their points, in place: there are 80 kB of each 10 × 10 panel."""
+        """Make M of some panels anew at their points, in place: there are 80 kB of each 10 × 10 panel.
+
+        Frames that begin at one estimate share M: their Hessians differ by what their residuals add.
+        """
+        if len(panels) > 1 and not np.ptp(points.position, axis=0).any():
+            self.renew(panels[:1], points.some(np.array([0])))
+            for values in (self.inverse, self.position, self.free, self.positive, self.worn):
+                values[panels[1:]] = values[panels[0]]
+            return
         matrices = points.matrix()
         for number, panel in enumerate(panels):
             matrix, free = matrices[number], np.flatnonzero(points.free[number])
@@ -123,8 +132,8 @@ def solve(batch: PanelBatch, start: Array, kept: Kept, numbers: Numbers, setting
             doubtful = near & ~kept.shows_minimum(numbers[panels], here)
             if doubtful.any():
                 kept.renew(numbers[panels[doubtful]], here.some(np.flatnonzero(doubtful)))
-            close, step = _settled(here, kept.newton(numbers[panels], np.where(here.free, here.gradient, 0.0)))
-            settled = near & kept.positive[numbers[panels]] & close
+            step = np.where(here.free, kept.newton(numbers[panels], np.where(here.free, here.gradient, 0.0)), 0.0)
+            settled = near & kept.positive[numbers[panels]] & (np.abs(step).max(axis=1) <= LAST_STEP)
             solved[panels[settled]] = True
             stuck = near & ~kept.positive[numbers[panels]]
             staying = ~(settled | stuck)
@@ -140,22 +149,6 @@ def solve(batch: PanelBatch, start: Array, kept: Kept, numbers: Numbers, setting
             here, panels, secants = here.some(np.flatnonzero(moved)), panels[moved], secants.some(moved)
     ends[panels] = here.position
     return Ended(Points.at(batch, np.clip(ends, lower, upper)), solved, iterations)
-
-
-def _settled(here: Points, step: Array) -> tuple[Mask, Array]:
-    """As `Certificate.settled`, with M in the place of ∇²φ, and the step M⁻¹ ∇φ."""
-    gradient = np.where(here.free, here.gradient, 0.0)
-    step = np.where(here.free, step, 0.0)
-    small: Mask = np.abs(step).max(axis=1) <= MILLIONTH
-    if not here.batch.data.noise_known:
-        return small, step
-    decrement = np.sqrt(np.maximum((gradient * step).sum(axis=1), 0.0))
-    noise = here.batch.data.sigma.reshape(gradient.shape)
-    counting = here.reading_weight > 0
-    squares = np.where(counting, here.reading_weight * noise**2, 0.0).sum(axis=1)
-    scale = np.sqrt(squares / np.maximum(counting.sum(axis=1), 1))
-    near = (decrement <= SHARE * scale) & (np.abs(step).max(axis=1) <= NEAR)
-    return small | near, step
 
 
 @dataclass(frozen=True, eq=False)

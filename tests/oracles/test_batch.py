@@ -119,14 +119,18 @@ def test_error_bars_made_together_are_those_made_one_by_one(penalty: tuple[Term,
     tracks[5] = replace(tracks[1], baseline=Certainty(*np.full((6, 4, 5), 0.01)))
     inside = np.flatnonzero(BatchErrors.inside(found.points))
     assert len(inside) >= PANELS - 1
-    some = BatchErrors(found.points.some(inside), [tracks[number] for number in inside])
+    sigma = np.array([np.nan, *(0.3 for _ in penalty)])
+    sigmas = np.tile(sigma, (len(inside), 1))
+    some = BatchErrors(found.points.some(inside), [tracks[number] for number in inside], sigmas)
     for number, (track, bars) in zip(inside, some.bars(), strict=True):
         at = Evaluation.at(
             batch.cost, batch.some(np.array([number])).data, np.exp(found.points.position[number]).reshape(1, 4, 5)
         )
-        before, alone = tracks[number].advanced(LinearModel(at, np.zeros(0)))
+        before, alone = tracks[number].advanced(LinearModel(at, np.zeros(0), weight_sigma=tuple(sigma)))
         for name, expected in vars(alone.frame).items():
             np.testing.assert_allclose(getattr(bars.frame, name), expected, rtol=1e-8, atol=1e-12)
+        assert bars.reading is not None and alone.reading is not None
+        np.testing.assert_allclose(bars.reading, alone.reading, rtol=1e-8)
         assert (bars.change is None) == (alone.change is None) == (number != 5)
         if bars.change is not None and alone.change is not None:
             np.testing.assert_allclose(bars.change.deviation, alone.change.deviation, rtol=1e-8)

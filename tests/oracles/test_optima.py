@@ -341,7 +341,7 @@ def test_a_loss_with_a_corner_is_searched_from_where_squares_end(seed: int) -> N
     readings = replace(readings, recorded=wild)
     chosen = Estimator((Misfit(weighting="noise", loss=Huber(corner=3.0)), Gradient(weight=1e-6)), "reduced")
     found = reconstruct(readings, chosen)
-    assert max(step.solution.iterations for step in found.steps) <= 20  # from afar it takes 40 to 140
+    assert max(step.solution.iterations for step in found.steps) <= 25  # from afar it takes 40 to 140
     data = chosen.data(readings.readings()[2].alone(), Background(readings.scene))
     cost, rng = chosen.cost(readings.scene, 1), np.random.default_rng(seed)
     starts = data.apparent_resistance * np.exp(rng.uniform(0, 3, (4, *data.measured.shape)))
