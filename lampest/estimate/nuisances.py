@@ -128,6 +128,23 @@ class FittedFrame:
         """What one effect more does to the readings, (rows, columns)."""
         return disturbance((*self.effects, effect), self.scene, self.network) - self.offset
 
+    @property
+    def may_fit(self) -> bool:
+        """Whether effects can leave no more than noise: by linear theory, of as many as are ever taken.
+
+        Of the residual, the part that no cells follow is explained by one effect alone, and by MOST_EFFECTS of them no
+        more than so many times as much as by the best one.
+        """
+        if self.fit.tail >= LEVEL:
+            return True
+        sigma = self.fit.readings.sigma
+        assert sigma is not None
+        small = [_small(effect) for effect in candidates(self.fit.cells.shape)]
+        columns = np.stack([(self.more(effect) / sigma).ravel() for effect in dict.fromkeys(small)], axis=1)
+        columns -= self.fit.jacobian @ np.linalg.solve(self.fit.normal, self.fit.jacobian.T @ columns)
+        explained = (columns.T @ self.fit.residual) ** 2 / np.maximum(np.sum(columns**2, axis=0), 1e-300)
+        return bool(MOST_EFFECTS * explained.max() >= self.fit.chi_square - self.fit.degrees)
+
     @cached_property
     def _every_answer(self) -> dict[Effect, Array]:
         return self._answered([_small(effect) for effect in candidates(self.fit.cells.shape)])
@@ -348,6 +365,8 @@ def besides_the_circuit(pairs: Sequence[tuple[str, FittedPair]]) -> Besides:
     found, together, most = Besides(), "", 0.0
     for name, pair in pairs:
         if max(float(frame.given.bounds.mean()) for frame in pair.frames) > MOST_BOUNDS:
+            continue
+        if not all(frame.may_fit for frame in pair.frames):
             continue
         plain = pair.plain
         together = _together(plain) or together

@@ -24,7 +24,7 @@ from lampest.solvers.solution import Settings
 MOST_STEPS = 40  # of a panel in a batch; the solver for single panels goes on from there
 PAIRS = 4  # of steps and changes of the gradient that correct M
 CERTIFIED = 0.1  # of log r: ∇²φ changes by as much, and its definiteness is shown again beyond
-LAST_STEP = 0.1 * MILLIONTH  # of log r: M⁻¹ ∇φ misses Newton's step by a tenth of it
+LAST_STEP = 0.01 * MILLIONTH  # of log r: M⁻¹ ∇φ misses Newton’s step by a tenth of it
 SHORTEST = 1 - 1e-3  # of a relative change of a conductance: the step that MAX_STEP cuts off
 
 
