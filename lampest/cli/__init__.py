@@ -43,7 +43,9 @@ def _about(
 
 
 def _guarded(command: Callable[..., None]) -> Callable[..., None]:
-    """Return the command with a check that it overwrites none of its input files."""
+    """Return the command with checks that its input files exist, before libraries load, and that it overwrites none."""
+    if command in UNGUARDED:
+        return command
     signature = inspect.signature(command, eval_str=True)
     outputs = {name for name, each in signature.parameters.items() if is_written(each.annotation)}
 
@@ -51,7 +53,10 @@ def _guarded(command: Callable[..., None]) -> Callable[..., None]:
     def called(**options: Any) -> None:
         named = [value for name, value in options.items() if name not in outputs]
         named += [each for value in named if isinstance(value, list) for each in value]
-        with sparing(each for each in named if isinstance(each, Path)):
+        inputs = [each for each in named if isinstance(each, Path)]
+        if missing := [path for path in inputs if not path.exists() and command is not estimation.init]:
+            raise InputError(f"{missing[0]}: no such file")
+        with sparing(inputs):
             refuse_inputs([options[name] for name in outputs if isinstance(options.get(name), Path)])
             command(**options)
 
@@ -62,7 +67,7 @@ def _guarded(command: Callable[..., None]) -> Callable[..., None]:
 def _renamed(old: str, new: str) -> Callable[..., None]:
     """Return a command under its name of the previous release; it prints the new name and sets the flag in it."""
     name, _, flag = new.partition(" --")
-    command = COMMANDS[name][1]
+    command = _guarded(COMMANDS[name][1])
 
     @wraps(command)
     def called(**options: Any) -> None:
@@ -115,7 +120,6 @@ def _build() -> None:
     groups: dict[str, typer.Typer] = {"": app}
 
     def add(group: str, word: str, command: Callable[..., None], example: str, **further: Any) -> None:
-        command = command if inspect.unwrap(command) in UNGUARDED else _guarded(command)
         groups[group].command(word, epilog=f"Example: lampest {example}".rstrip(), **further)(command)
 
     for name, (part, command, example) in COMMANDS.items():
@@ -124,7 +128,7 @@ def _build() -> None:
             groups[group] = typer.Typer(no_args_is_help=True, help=GROUPS[group])
             epilog = f"Example: lampest {name} {example}".rstrip()
             app.add_typer(groups[group], name=group, epilog=epilog, rich_help_panel=part)
-        add(group, word, command, f"{name} {example}", rich_help_panel=None if group else part)
+        add(group, word, _guarded(command), f"{name} {example}", rich_help_panel=None if group else part)
     for old, new in OLD.items():
         add("", old, _renamed(old, new), new, hidden=True)
 

@@ -161,7 +161,7 @@ def test_a_fault_in_the_file_of_a_run_is_one_sentence(
 
 
 def test_a_run_that_does_not_exist_is_refused(disk: SimpleNamespace, lampest: Command) -> None:
-    refused(lampest("run", disk.folder / "none.yaml"), "none.yaml", "No such file")
+    refused(lampest("run", disk.folder / "none.yaml"), "none.yaml", "no such file")
     refused(lampest("run", disk.folder), "directory")
     (disk.folder / "latin.yaml").write_bytes("schema: 1 # Größe".encode("latin-1"))
     refused(lampest("run", disk.folder / "latin.yaml"), "UTF-8")
