@@ -5,9 +5,26 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lampest import CellResistance, Estimator, Gradient, Misfit, Readings, RelativeChange, Scene, Term, TwoPointReadout
+from lampest import (
+    CellResistance,
+    Estimator,
+    Gradient,
+    LogGradient,
+    Misfit,
+    Readings,
+    RelativeChange,
+    Rod,
+    Scene,
+    Simulation,
+    Stream,
+    Term,
+    TwoPointReadout,
+    simulate,
+)
 from lampest.cost.given import Background
 from lampest.cost.problem import Evaluation
+from lampest.estimate.prepared import Prepared
+from lampest.estimate.sequence import first_stream, reconstruct
 from lampest.panel.network import inverse_of
 from lampest.panel.panel import Panel
 from lampest.panel.readouts.floating import grounding
@@ -157,3 +174,39 @@ def test_inputs_that_nobody_gives_stand_as_absent_for_every_panel() -> None:
     assert missing
     for name in missing:
         assert named[name].size and np.all(named[name] == sources[name].absent), name
+
+
+@pytest.mark.parametrize("terms", [(Misfit(),), (Misfit(weighting="noise"), LogGradient(weight=0.1))])
+def test_frames_that_are_solved_in_blocks_are_those_that_are_solved_one_by_one(
+    terms: tuple[Term, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rod = Rod(centre_mm=(55, 55), diameter_mm=30, mass_g=500)
+    scene = Scene(Panel(8, 8), TwoPointReadout(adc_bits=12, noise_lsb=0.7), 140.0)
+    recording = simulate(Simulation(1, 4, scene, frames=9, frame_period_s=0.25, loads=(rod,)))
+    recorded = recording.recorded.copy()
+    measured = recording.measured_frames()
+    recorded[measured[3], 2, 3] = np.nan  # such a frame is solved alone, among the others
+    recorded[measured[5]] = np.nan
+    prepared = Prepared(replace(recording, recorded=recorded, raw_sums=None))
+    pushed, push = list[Stream](), Stream.push
+    monkeypatch.setattr(Stream, "push", lambda stream, readings: pushed.append(stream) or push(stream, readings))
+    found = reconstruct(prepared, Estimator(terms, "reduced"))
+    assert len(pushed) == 3  # the first frame, and those that are not read whole
+    stream = first_stream(prepared.recording, prepared.noise.readings, found.estimator, prepared.noise)
+    for frame, together in zip(measured, found.steps, strict=True):
+        stream, step = stream.push(prepared.noise.readings[int(frame)])
+        assert together.status == step.status
+        # Where a reading is missing, a solve ends within a hundredth of its cell's standard deviation.
+        tolerance = 1e-3 if frame == measured[3] else 1e-7
+        np.testing.assert_allclose(together.cell_resistance, step.cell_resistance, rtol=tolerance)
+        if step.bars is None:
+            assert together.bars is None and frame == measured[5]
+            continue
+        assert together.bars is not None and together.bars.change is not None and step.bars.change is not None
+        for name, expected in vars(step.bars.frame).items():
+            np.testing.assert_allclose(getattr(together.bars.frame, name), expected, rtol=10 * tolerance, atol=1e-9)
+        for ours, theirs in (
+            (together.bars.change.deviation, step.bars.change.deviation),
+            (together.bars.reading, step.bars.reading),
+        ):
+            np.testing.assert_allclose(ours, theirs, rtol=10 * tolerance)
