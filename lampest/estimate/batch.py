@@ -27,7 +27,7 @@ from lampest.posterior.batch import BatchErrors
 from lampest.posterior.linear import LinearModel
 from lampest.posterior.track import Bars, Track
 from lampest.recording.readings import Readings
-from lampest.solvers.batch import Ended, Kept, solve
+from lampest.solvers.batch import BatchOutcome, InverseHessians, solve
 from lampest.solvers.bounds import bounds_matter
 from lampest.solvers.multistart import BROKEN, SAME, several_minima
 from lampest.solvers.panel_batch import BLOCK, PanelBatch
@@ -41,7 +41,7 @@ W = TypeVar("W")
 
 
 def pushed_together(
-    streams: Sequence[Stream | None], readings: Readings, kept: Kept
+    streams: Sequence[Stream | None], readings: Readings, inverses: InverseHessians
 ) -> list[tuple[Stream | None, Step | None]]:
     """Every stream after its frame, and how that was solved; None stays None.
 
@@ -49,32 +49,32 @@ def pushed_together(
     by its number; renewed in place.
     """
     streams = _weighed(streams, readings)
-    found = _solved_together(streams, readings, kept, Together.pushed)
-    others = {n: one.push(readings[n]) for n, one in enumerate(streams) if one is not None and n not in found}
-    return [(found | others).get(number, (None, None)) for number in range(len(streams))]
+    solved = _solved_together(streams, readings, inverses, Together.pushed)
+    alone = {n: stream.push(readings[n]) for n, stream in enumerate(streams) if stream is not None and n not in solved}
+    return [(solved | alone).get(number, (None, None)) for number in range(len(streams))]
 
 
 def _weighed(streams: Sequence[Stream | None], readings: Readings) -> list[Stream | None]:
     """The streams, with new weights for all that are alike where the frame of any is due to choose them."""
-    found, groups = list(streams), dict[Hashable, dict[int, Stream]]()
-    for number, one in enumerate(streams):
-        if one is None or not one.chooses or not (one.rested or not one.estimator.relative):
+    weighed, groups = list(streams), dict[Hashable, dict[int, Stream]]()
+    for number, stream in enumerate(streams):
+        if stream is None or not stream.chooses or not (stream.rested or not stream.estimator.relative):
             continue
-        if readings[number].enough(one.scene):
-            kind = id(one.estimator), one.rested, converter_and_faults(one.scene)
-            groups.setdefault(kind, {})[number] = one
+        if readings[number].enough(stream.scene):
+            kind = id(stream.estimator), stream.rested, converter_and_faults(stream.scene)
+            groups.setdefault(kind, {})[number] = stream
     for group in groups.values():
-        if any(one.choosing(readings[number]) for number, one in group.items()):
-            changes = [one.change(readings[number]) for number, one in group.items()]
+        if any(stream.choosing(readings[number]) for number, stream in group.items()):
+            changes = [stream.change(readings[number]) for number, stream in group.items()]
             numbers = [list(group)[place] for place in strongest(changes)]
-            one, pairs = group[numbers[0]], [group[number].given(readings[number]) for number in numbers]
-            first, others = pairs[0][0].limited(one.estimator.solver.time_limit_s), [data for data, _ in pairs[1:]]
-            weighed = with_chosen_weights(one.estimator, one.scene, first, pairs[0][1], others)
-            weights = tuple(float(term.weight) for term in weighed.terms)
-            for number, one in group.items():
-                sigma = weighed.weight_sigma
-                found[number] = replace(one, weights=weights, weight_sigma=sigma, weighed_at=max(changes))
-    return found
+            stream, pairs = group[numbers[0]], [group[number].given(readings[number]) for number in numbers]
+            first, further = pairs[0][0].limited(stream.estimator.solver.time_limit_s), [data for data, _ in pairs[1:]]
+            objective = with_chosen_weights(stream.estimator, stream.scene, first, pairs[0][1], further)
+            weights = tuple(float(term.weight) for term in objective.terms)
+            for number, stream in group.items():
+                sigma = objective.weight_sigma
+                weighed[number] = replace(stream, weights=weights, weight_sigma=sigma, weighed_at=max(changes))
+    return weighed
 
 
 def pushed_in_block(stream: Stream, readings: Readings) -> tuple[Stream, list[Step]]:
@@ -86,7 +86,9 @@ def pushed_in_block(stream: Stream, readings: Readings) -> tuple[Stream, list[St
     steps, solved, size = list[Step](), dict[int, tuple[Stream, Step]](), readings.value[0].size
     count = min(len(readings.value), 2 * FEWEST)
     if count > 1 and size <= MAX_BLOCK_CELLS and not stream.first and stream.stands_alone:
-        solved = _solved_together([stream] * count, readings[:count], Kept.nothing(count, size), Together.pushed)
+        solved = _solved_together(
+            [stream] * count, readings[:count], InverseHessians.nothing(count, size), Together.pushed
+        )
     for number in range(count if solved else 1):
         stream, step = solved.get(number) or stream.push(readings[number])
         steps.append(step)
@@ -95,34 +97,34 @@ def pushed_in_block(stream: Stream, readings: Readings) -> tuple[Stream, list[St
 
 def rested_together(streams: Sequence[Stream | None]) -> list[Stream | None]:
     """Every stream with its baseline; None stays None."""
-    there = next(stream for stream in streams if stream is not None)
-    resting = [there.resting if stream is None else stream.resting for stream in streams]
-    kept = Kept.nothing(len(streams), there.resting.value.size)
+    first = next(stream for stream in streams if stream is not None)
+    resting = [first.resting if stream is None else stream.resting for stream in streams]
+    inverses = InverseHessians.nothing(len(streams), first.resting.value.size)
     together = resting[0].together(*resting[1:])
-    weighed = _weighed([one and replace(one, weights=None) for one in streams], together)
-    found = _solved_together(weighed, together, kept, Together.rested)
-    return [stream and stream.with_rest(found.get(number)) for number, stream in enumerate(streams)]
+    weighed = _weighed([stream and replace(stream, weights=None) for stream in streams], together)
+    solved = _solved_together(weighed, together, inverses, Together.rested)
+    return [stream and stream.with_rest(solved.get(number)) for number, stream in enumerate(streams)]
 
 
 def _solved_together(
     streams: Sequence[Stream | None],
     readings: Readings,
-    kept: Kept,
-    solve: Callable[["Together", Kept], Sequence[W | None]],
+    inverses: InverseHessians,
+    solve: Callable[["Together", InverseHessians], Sequence[W | None]],
 ) -> dict[int, W]:
     """Number → what `solve` makes of the streams that batches solve, blocks in threads beside each other."""
 
     def solved(block: Together) -> dict[int, W]:
         with np.errstate(all="ignore"), suppress(*BROKEN):
-            pairs = zip(block.numbers.tolist(), solve(block, kept), strict=True)
-            return {number: one for number, one in pairs if one is not None}
+            pairs = zip(block.numbers.tolist(), solve(block, inverses), strict=True)
+            return {number: solution for number, solution in pairs if solution is not None}
         return {}
 
     blocks = list(_batches(streams, readings))
     if len(blocks) < 2:
         return solved(blocks[0]) if blocks else {}
     with ThreadPoolExecutor(len(blocks)) as pool:
-        return {number: one for found in pool.map(solved, blocks) for number, one in found.items()}
+        return {number: solution for part in pool.map(solved, blocks) for number, solution in part.items()}
 
 
 def _batches(streams: Sequence[Stream | None], readings: Readings) -> "Iterator[Together]":
@@ -139,9 +141,11 @@ def _batches(streams: Sequence[Stream | None], readings: Readings) -> "Iterator[
         blocks = max(1, min(cores, len(group) // FEWEST))
         for place, numbers in enumerate(np.array_split(list(group), blocks)):
             with suppress(*BROKEN), np.errstate(all="ignore"):
-                found = Together.of(numbers, [group[number] for number in numbers.tolist()], readings[numbers], place)
-                if found is not None:
-                    yield found
+                together = Together.of(
+                    numbers, [group[number] for number in numbers.tolist()], readings[numbers], place
+                )
+                if together is not None:
+                    yield together
 
 
 def _in_batches(stream: Stream, readings: Readings, number: int, partial: bool) -> bool:
@@ -211,42 +215,42 @@ class Together:
         sigma = [objective.weight_sigma for objective in objectives]
         return cls(numbers, streams, PanelBatch(cost, weights, data, place), estimator.solver, sigma)
 
-    def rested(self, kept: Kept) -> list[Step | None]:
+    def rested(self, inverses: InverseHessians) -> list[Step | None]:
         """How every baseline was solved, with what error bars follow from; None where no minimum was verified."""
-        ended, steps = self._solved(kept)
+        ended, steps = self._solved(inverses)
         for number, step in enumerate(steps):
             if step is not None and self.streams[number].track is not None:
                 surrounded = replace(step.solution, at=self._evaluation(ended, number), dual=NO_DUAL)
                 steps[number] = replace(step, solution=surrounded)
         return steps
 
-    def pushed(self, kept: Kept) -> list[tuple[Stream, Step] | None]:
+    def pushed(self, inverses: InverseHessians) -> list[tuple[Stream, Step] | None]:
         """Every stream after its frame, with error bars where it has them."""
-        (ended, steps), begin = self._solved(kept), perf_counter()
+        (ended, steps), begin = self._solved(inverses), perf_counter()
         barred = self._barred(ended, steps)
         seconds = (perf_counter() - begin) / max(len(barred), 1)
         every = enumerate(steps)
         return [None if step is None else self._after(n, step, barred.get(n), seconds) for n, step in every]
 
-    def _barred(self, ended: Ended, steps: Sequence[Step | None]) -> dict[int, tuple[Track, Bars]]:
+    def _barred(self, ended: BatchOutcome, steps: Sequence[Step | None]) -> dict[int, tuple[Track, Bars]]:
         """Number → a track after its frame, and error bars: made together of panels without a cell at a bound."""
         pairs = enumerate(zip(self.streams, steps, strict=True))
-        tracks = {n: one.track for n, (one, step) in pairs if step is not None and one.track is not None}
+        tracks = {n: stream.track for n, (stream, step) in pairs if step is not None and stream.track is not None}
         free = BatchErrors.inside(ended.points).tolist() if tracks else []
-        found, inside = dict[int, tuple[Track, Bars]](), [n for n in tracks if free[n]]
+        barred, inside = dict[int, tuple[Track, Bars]](), [n for n in tracks if free[n]]
         for some in (inside[first : first + BLOCK] for first in range(0, len(inside), BLOCK)):
             with suppress(*BROKEN):
                 unknown = (np.nan,) * self.batch.weights.shape[1]
                 sigma = np.array([self.weight_sigma[n] or unknown for n in some])
                 errors = BatchErrors(ended.points.some(np.array(some)), [tracks[n] for n in some], sigma)
-                found |= dict(zip(some, errors.bars(), strict=True))
-        for number in tracks.keys() - found.keys():
+                barred |= dict(zip(some, errors.bars(), strict=True))
+        for number in tracks.keys() - barred.keys():
             with suppress(*BROKEN):
                 at = self._evaluation(ended, number)
-                found[number] = tracks[number].advanced(
+                barred[number] = tracks[number].advanced(
                     LinearModel(at, NO_DUAL, weight_sigma=self.weight_sigma[number])
                 )
-        return found
+        return barred
 
     def _after(self, number: int, step: Step, barred: tuple[Track, Bars] | None, seconds: float) -> tuple[Stream, Step]:
         """A stream after its frame, with error bars where it has them."""
@@ -258,13 +262,13 @@ class Together:
         stream = replace(stream, track=track, previous_deviation=track.deviation)
         return stream, replace(step, bars=bars, bars_seconds=seconds)
 
-    def _solved(self, kept: Kept) -> tuple[Ended, list[Step | None]]:
+    def _solved(self, inverses: InverseHessians) -> tuple[BatchOutcome, list[Step | None]]:
         """Where the panels ended, and the step of each; None where the batch found no verified minimum."""
-        begin, found = perf_counter(), list[Ended]()
-        for start in self._starts(kept, found):
-            found.append(solve(self.batch, start, kept, self.numbers, self.settings))
-        ended = reduce(_lower, found)
-        solutions = self._solutions(ended, len(found))
+        begin, minima = perf_counter(), list[BatchOutcome]()
+        for start in self._starts(inverses, minima):
+            minima.append(solve(self.batch, start, inverses, self.numbers, self.settings))
+        ended = reduce(_lower, minima)
+        solutions = self._solutions(ended, len(minima))
         seconds = (perf_counter() - begin) / len(self.numbers)
         steps = [
             None if solution is None else Step(solution, seconds, tuple(weights), weight_sigma=sigma)
@@ -272,7 +276,7 @@ class Together:
         ]
         return ended, steps
 
-    def _starts(self, kept: Kept, found: Sequence[Ended]) -> Iterator[Array]:
+    def _starts(self, inverses: InverseHessians, minima: Sequence[BatchOutcome]) -> Iterator[Array]:
         """As `lampest.solvers.multistart.starts`; found : where those before ended."""
         cost, several = self.batch.cost, several_minima(self.batch.cost, self.batch.data)
         if self.streams[0].rested:
@@ -283,37 +287,44 @@ class Together:
         if several:
             reads = [float(term.reads_measurement) for term in cost.terms]
             data_alone = replace(self.batch, weights=self.batch.weights * reads)
-            near = found[0].points.network.cell_resistance
-            yield solve(data_alone, near, kept, self.numbers, self.settings).points.network.cell_resistance
+            near = minima[0].points.network.cell_resistance
+            yield solve(data_alone, near, inverses, self.numbers, self.settings).points.network.cell_resistance
 
-    def _solutions(self, ended: Ended, starts: int) -> list[Solution | None]:
+    def _solutions(self, ended: BatchOutcome, starts: int) -> list[Solution | None]:
         """The checked solutions of all panels; None where one is not verified."""
         points, data = ended.points, self.batch.data
         cells, reading, costs = points.network.cell_resistance, points.reading, points.costs
         at_lower, open_cell = cells <= data.lower / OPEN_FRACTION, cells >= data.upper * OPEN_FRACTION
         lower, upper = self.batch.log_bounds
         held = np.asarray((~points.free & (lower < upper)).any(axis=1))
-        found: list[Solution | None] = [None] * len(cells)
+        solutions: list[Solution | None] = [None] * len(cells)
         for number in np.flatnonzero(ended.solved & (points.residual <= VERIFIED)).tolist():
-            one = slice(number, number + 1)
+            alone = slice(number, number + 1)
             figures = float(points.objective[number]), float(points.residual[number])
-            bounds, iterations = (at_lower[one], open_cell[one]), int(ended.iterations[number])
+            bounds, iterations = (at_lower[alone], open_cell[alone]), int(ended.iterations[number])
             solution = Solution(
-                cells[one], reading[one], costs[number], *figures, *bounds, Status.OPTIMUM, iterations, starts=starts
+                cells[alone],
+                reading[alone],
+                costs[number],
+                *figures,
+                *bounds,
+                Status.OPTIMUM,
+                iterations,
+                starts=starts,
             )
-            gradient = points.gradient[number].reshape(cells[one].shape)
+            gradient = points.gradient[number].reshape(cells[alone].shape)
             if held[number] and bounds_matter(self._evaluation(ended, number), gradient, NO_DUAL):
                 solution = replace(solution, status=Status.HELD)
-            found[number] = solution
-        return found
+            solutions[number] = solution
+        return solutions
 
-    def _evaluation(self, ended: Ended, number: int) -> Evaluation:
+    def _evaluation(self, ended: BatchOutcome, number: int) -> Evaluation:
         """Of one panel, with the network that was solved."""
-        one = ended.points.some(np.array([number]))
+        point = ended.points.some(np.array([number]))
         pairs = zip(self.batch.cost.terms, self.batch.weights[number], strict=True)
         terms = tuple(replace(term, weight=float(weight)) for term, weight in pairs)
         cost, reading = replace(self.batch.cost, terms=terms), ended.points.reading[number][None]
-        return Evaluation(cost, one.batch.data, one.network.cell_resistance, reading, (one.network.some(0),))
+        return Evaluation(cost, point.batch.data, point.network.cell_resistance, reading, (point.network.some(0),))
 
 
 def _previous(streams: Sequence[Stream]) -> Array:
@@ -330,7 +341,7 @@ def _objective(stream: Stream) -> Objective:
     return estimator if stream.rested else estimator.with_terms(estimator.absolute_terms)
 
 
-def _lower(one: Ended, other: Ended) -> Ended:
+def _lower(first: BatchOutcome, second: BatchOutcome) -> BatchOutcome:
     """Of each panel the lower minimum of two; the first where they are one."""
-    better = other.solved & (~one.solved | (other.points.objective < one.points.objective * (1 - SAME)))
-    return one.where(~better, other)
+    better = second.solved & (~first.solved | (second.points.objective < first.points.objective * (1 - SAME)))
+    return first.where(~better, second)

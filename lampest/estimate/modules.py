@@ -24,7 +24,7 @@ from lampest.panel.scene import Scene
 from lampest.posterior.certainty import Certainty
 from lampest.posterior.track import Bars, Change, Track
 from lampest.recording.readings import Readings
-from lampest.solvers.batch import Kept
+from lampest.solvers.batch import InverseHessians
 from lampest.solvers.solution import OPTIMA, Status
 
 WORST = (*OPTIMA, Status.APPROXIMATE)  # of what counts as an estimate, the last is the weakest
@@ -137,7 +137,7 @@ class ModulesStream(Stream):
     def push(self, readings: Readings) -> tuple["ModulesStream", Step]:
         """As `Stream.push`; modules of which too little was read stay as they were, and are NaN in the image."""
         layout = self._layout
-        kept = self.prepared or Kept.nothing(layout.count, layout.each.rows * layout.each.columns)
+        kept = self.prepared or InverseHessians.nothing(layout.count, layout.each.rows * layout.each.columns)
         modules, steps = zip(*pushed_together(self.modules, readings.each(layout.split), kept), strict=True)
         after = replace(self, modules=modules, prepared=kept, first=False)
         return after if self.rested else after.rested_whole(), image_step(layout, steps)

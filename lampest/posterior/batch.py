@@ -51,15 +51,15 @@ class BatchErrors:
 
     def bars(self) -> list[tuple[Track, Bars]]:
         """As `Track.advanced`, of every panel. Raises numpy.linalg.LinAlgError where a cost is flat."""
-        own, found = self._certainty, list[tuple[Track, Bars]]()
+        own, barred = self._certainty, list[tuple[Track, Bars]]()
         for number, (track, answer) in enumerate(zip(self.tracks, self._answers, strict=True)):
             frame = alone = own.of_frame(number)
             if track.shared is not None:
                 answer = track.shared.related(answer)
                 frame = alone.widened(answer)
             after, bars = track.after(frame, alone.deviation, answer)
-            found.append((after, replace(bars, reading=self._reading_deviation[number])))
-        return found
+            barred.append((after, replace(bars, reading=self._reading_deviation[number])))
+        return barred
 
     @cached_property
     def _reading_deviation(self) -> Array:
@@ -70,7 +70,7 @@ class BatchErrors:
     @cached_property
     def _answers(self) -> list[Array]:
         """What shared errors do to log r of every panel, (cells, n) each, as if hidden ones were independent."""
-        found: list[Array] = [np.zeros((self.points.position.shape[1], 0))] * len(self.tracks)
+        answered: list[Array] = [np.zeros((self.points.position.shape[1], 0))] * len(self.tracks)
         groups: dict[object, list[int]] = {}
         for number, track in enumerate(self.tracks):
             if track.shared is not None:
@@ -80,8 +80,8 @@ class BatchErrors:
             assert shared is not None
             answers = self._gain[numbers] @ shared.unrelated(some.network, some.batch.data.measured)
             for number, answer in zip(numbers, answers, strict=True):
-                found[number] = answer
-        return found
+                answered[number] = answer
+        return answered
 
     @cached_property
     def _certainty(self) -> Certainty:
@@ -120,7 +120,7 @@ class BatchErrors:
         noise = self._noise[..., 0]
         if self._penalty is not None:
             pairs = zip(self.tracks, self.points.batch.data.measured[:, None], strict=True)
-            off = [0 * frame if one.shared is None else one.shared.own_error(frame) for one, frame in pairs]
+            off = [0 * frame if track.shared is None else track.shared.own_error(frame) for track, frame in pairs]
             noise = noise + np.reshape(off, noise.shape) ** 2
         return np.asarray(np.mean(self._weight * noise, axis=1)[:, None, None])
 
@@ -142,26 +142,29 @@ class BatchErrors:
         values = points.called(part.by_cells) * np.exp(points.position)[:, column]
         values *= np.sqrt(points.batch.weights[:, part.term])[:, row]
         pattern = sparse.csr_array((np.arange(len(row)), (row, column)), (len(part.term), cells))
-        return [sparse.csr_array((one[pattern.data], pattern.indices, pattern.indptr), pattern.shape) for one in values]
+        return [
+            sparse.csr_array((entries[pattern.data], pattern.indices, pattern.indptr), pattern.shape)
+            for entries in values
+        ]
 
     @property
     def _of_penalties(self) -> Array:
         """The part of the variance that a penalty makes, (panels, cells, 1); see `DenseErrors.widening`."""
-        found = np.zeros((*self.points.position.shape, 1))
+        variance = np.zeros((*self.points.position.shape, 1))
         part = self._penalty
         if part is None:
-            return found
+            return variance
         weight, residual = self.points.batch.weights[:, part.term], self.points.called(part.value)
         squares = weight * residual**2 / self._scale[..., 0]
         chosen = np.nan_to_num(self.weight_sigma[:, part.term]) * np.sqrt(weight) * residual
-        known = min(rank(self.points.batch.cost.unweighted), found.shape[1])
+        known = min(rank(self.points.batch.cost.unweighted), variance.shape[1])
         for number, rows in enumerate(self._penalty_rows):
             pulls = rows @ self._inverse[number]
             determined = known - float(rows.multiply(pulls).sum())
             widened = max(float(squares[number].sum()) / max(determined, 1.0), 1.0)
             size = self._scale[number, 0] * np.maximum(widened, squares[number])
-            found[number, :, 0] = size @ pulls**2 + (chosen[number] @ pulls) ** 2
-        return found
+            variance[number, :, 0] = size @ pulls**2 + (chosen[number] @ pulls) ** 2
+        return variance
 
     @cached_property
     def _inverse(self) -> Array:
@@ -171,7 +174,7 @@ class BatchErrors:
         if self._penalty is not None:
             matrix += np.stack([(penalty.T @ penalty).toarray() for penalty in self._penalty_rows])
         np.einsum("...ii->...i", matrix)[...] += IGNORANCE * self._scale[..., 0]
-        return np.stack([positive_inverse(one) for one in matrix])
+        return np.stack([positive_inverse(panel) for panel in matrix])
 
     @cached_property
     def _gain(self) -> Array:

@@ -29,7 +29,7 @@ SHORTEST = 1 - 1e-3  # of a relative change of a conductance: the step that MAX_
 
 
 @dataclass(frozen=True, eq=False)
-class Kept:
+class InverseHessians:
     """What panels keep from frame to frame: M⁻¹, where it was made, and whether it shows a minimum.
 
     inverse : (panels, cells, cells). position : (panels, cells), NaN where there is none yet. free : (panels, cells)
@@ -44,7 +44,7 @@ class Kept:
     worn: Mask
 
     @classmethod
-    def nothing(cls, panels: int, cells: int) -> "Kept":
+    def nothing(cls, panels: int, cells: int) -> "InverseHessians":
         """Before the first frame."""
         blank, none = np.zeros((panels, cells), dtype=bool), np.zeros(panels, dtype=bool)
         return cls(np.zeros((panels, cells, cells)), np.full((panels, cells), np.nan), blank, none, ~none)
@@ -64,10 +64,10 @@ class Kept:
         if panels[-1] - panels[0] == len(panels) - 1:
             together = self.inverse[panels[0] : panels[-1] + 1]
             return np.asarray((together @ gradient[..., None])[..., 0])
-        found = np.empty_like(gradient)
+        step = np.empty_like(gradient)
         for row, panel in enumerate(panels.tolist()):  # without a copy of their matrices
-            np.matmul(self.inverse[panel], gradient[row], out=found[row])
-        return found
+            np.matmul(self.inverse[panel], gradient[row], out=step[row])
+        return step
 
     def renew(self, panels: Numbers, points: Points) -> None:
         """Make M of some panels anew at their points, in place: there are 80 kB of each 10 × 10 panel.
@@ -94,7 +94,7 @@ class Kept:
 
 
 @dataclass(frozen=True, eq=False)
-class Ended:
+class BatchOutcome:
     """What a batch found. position : (panels, cells). solved : (panels) whether a strict minimum is verified there.
 
     points : of all panels at their ends. iterations : (panels).
@@ -104,51 +104,55 @@ class Ended:
     solved: Mask
     iterations: NDArray[np.int64]
 
-    def where(self, chosen: Mask, other: "Ended") -> "Ended":
+    def where(self, chosen: Mask, otherwise: "BatchOutcome") -> "BatchOutcome":
         """This of the chosen panels, the other of all else."""
         if chosen.all():
             return self
-        position = np.where(chosen[:, None], self.points.position, other.points.position)
-        solved = np.where(chosen, self.solved, other.solved)
-        iterations = np.where(chosen, self.iterations, other.iterations)
-        return Ended(Points.at(self.points.batch, position), solved, iterations)
+        position = np.where(chosen[:, None], self.points.position, otherwise.points.position)
+        solved = np.where(chosen, self.solved, otherwise.solved)
+        iterations = np.where(chosen, self.iterations, otherwise.iterations)
+        return BatchOutcome(Points.at(self.points.batch, position), solved, iterations)
 
 
-def solve(batch: PanelBatch, start: Array, kept: Kept, numbers: Numbers, settings: Settings) -> Ended:
+def solve(
+    batch: PanelBatch, start: Array, inverses: InverseHessians, numbers: Numbers, settings: Settings
+) -> BatchOutcome:
     """Minimise from `start`, (panels, rows, columns) ohm, with what frames before left; `kept` is renewed in place.
 
     numbers : of the batch's panels among those that are kept.
     """
     lower, upper = batch.log_bounds
     whole = Points.at(batch, np.clip(np.log(start).reshape(lower.shape), lower, upper))
-    ends, here = whole.position.copy(), whole
+    ends, points = whole.position.copy(), whole
     solved, iterations = np.zeros(len(start), dtype=bool), np.zeros(len(start), dtype=np.int64)
     panels, secants = np.arange(len(start)), Secants()
     for _ in range(min(MOST_STEPS, settings.max_iterations)):
         if not len(panels):
             break
-        near = here.residual <= settings.tolerance
+        near = points.residual <= settings.tolerance
         if near.any():
-            doubtful = near & ~kept.shows_minimum(numbers[panels], here)
+            doubtful = near & ~inverses.shows_minimum(numbers[panels], points)
             if doubtful.any():
-                kept.renew(numbers[panels[doubtful]], here.some(np.flatnonzero(doubtful)))
-            step = np.where(here.free, kept.newton(numbers[panels], np.where(here.free, here.gradient, 0.0)), 0.0)
-            settled = near & kept.positive[numbers[panels]] & (np.abs(step).max(axis=1) <= LAST_STEP)
+                inverses.renew(numbers[panels[doubtful]], points.some(np.flatnonzero(doubtful)))
+            step = np.where(
+                points.free, inverses.newton(numbers[panels], np.where(points.free, points.gradient, 0.0)), 0.0
+            )
+            settled = near & inverses.positive[numbers[panels]] & (np.abs(step).max(axis=1) <= LAST_STEP)
             solved[panels[settled]] = True
-            stuck = near & ~kept.positive[numbers[panels]]
+            stuck = near & ~inverses.positive[numbers[panels]]
             staying = ~(settled | stuck)
             if not staying.all():
-                ends[panels] = here.position - np.where(settled[:, None], step, 0.0)
-                here, panels, secants = here.some(np.flatnonzero(staying)), panels[staying], secants.some(staying)
+                ends[panels] = points.position - np.where(settled[:, None], step, 0.0)
+                points, panels, secants = points.some(np.flatnonzero(staying)), panels[staying], secants.some(staying)
         if not len(panels):
             break
-        here, secants, moved = _advanced(here, secants, kept, numbers[panels])
+        points, secants, moved = _advanced(points, secants, inverses, numbers[panels])
         iterations[panels] += 1
         if not moved.all():
-            ends[panels] = here.position
-            here, panels, secants = here.some(np.flatnonzero(moved)), panels[moved], secants.some(moved)
-    ends[panels] = here.position
-    return Ended(Points.at(batch, np.clip(ends, lower, upper)), solved, iterations)
+            ends[panels] = points.position
+            points, panels, secants = points.some(np.flatnonzero(moved)), panels[moved], secants.some(moved)
+    ends[panels] = points.position
+    return BatchOutcome(Points.at(batch, np.clip(ends, lower, upper)), solved, iterations)
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,44 +169,46 @@ class Secants:
         """Those of some panels count no longer."""
         return Secants(tuple((s, y, np.where(forgotten, 0.0, size)) for s, y, size in self.pairs))
 
-    def after(self, before: Points, here: Points) -> "Secants":
+    def after(self, before: Points, points: Points) -> "Secants":
         """With one step more; cells that are not free at both ends do not count."""
-        both = before.free & here.free
-        step = np.where(both, here.position - before.position, 0.0)
-        change = np.where(both, here.gradient - before.gradient, 0.0)
+        both = before.free & points.free
+        step = np.where(both, points.position - before.position, 0.0)
+        change = np.where(both, points.gradient - before.gradient, 0.0)
         along = (step * change).sum(axis=1)
         size = np.where(along > 0, 1 / np.where(along > 0, along, 1.0), 0.0)
         return Secants((*self.pairs, (step, change, size))[-PAIRS:])
 
-    def direction(self, here: Points, kept: Kept, panels: Numbers) -> Array:
+    def direction(self, points: Points, inverses: InverseHessians, panels: Numbers) -> Array:
         """−H ∇φ over the free cells by the two-loop recursion, H = M⁻¹ with its corrections."""
-        slope, shares = np.where(here.free, here.gradient, 0.0), list[Array]()
+        slope, shares = np.where(points.free, points.gradient, 0.0), list[Array]()
         for step, change, size in reversed(self.pairs):
             shares.append(size * (step * slope).sum(axis=1))
             slope = slope - shares[-1][:, None] * change
-        found = kept.newton(panels, slope)
+        direction = inverses.newton(panels, slope)
         for (step, change, size), share in zip(self.pairs, reversed(shares), strict=True):
-            found += (share - size * (change * found).sum(axis=1))[:, None] * step
-        return np.where(here.free, -found, 0.0)
+            direction += (share - size * (change * direction).sum(axis=1))[:, None] * step
+        return np.where(points.free, -direction, 0.0)
 
 
-def _advanced(here: Points, secants: Secants, kept: Kept, panels: Numbers) -> tuple[Points, Secants, Mask]:
+def _advanced(
+    points: Points, secants: Secants, inverses: InverseHessians, panels: Numbers
+) -> tuple[Points, Secants, Mask]:
     """The points after one step each, and which of them found one that lowers the cost.
 
     Steps are relative changes of conductances, g ← g·(1 − s), in which readings are closest to quadratic.
     """
-    old = kept.worn[panels] | (kept.distance(panels, here.position) > MOVED)
+    old = inverses.worn[panels] | (inverses.distance(panels, points.position) > MOVED)
     if old.any():
-        kept.renew(panels[old], here.some(np.flatnonzero(old)))
+        inverses.renew(panels[old], points.some(np.flatnonzero(old)))
         secants = secants.without(old)
-    step, (lower, upper) = secants.direction(here, kept, panels), here.batch.log_bounds
-    position, moved = here.position.copy(), np.zeros(len(panels), dtype=bool)
+    step, (lower, upper) = secants.direction(points, inverses, panels), points.batch.log_bounds
+    position, moved = points.position.copy(), np.zeros(len(panels), dtype=bool)
     trying, length = np.arange(len(panels)), 1.0
-    low, high = np.maximum(lower, here.position - MAX_STEP), np.minimum(upper, here.position + MAX_STEP)
+    low, high = np.maximum(lower, points.position - MAX_STEP), np.minimum(upper, points.position + MAX_STEP)
     for attempt in range(MAX_TRIES):
-        target = here.position[trying] - np.log1p(-np.minimum(length * step[trying], SHORTEST))
+        target = points.position[trying] - np.log1p(-np.minimum(length * step[trying], SHORTEST))
         target = np.clip(target, low[trying], high[trying])
-        some = here if len(trying) == len(panels) else here.some(trying)
+        some = points if len(trying) == len(panels) else points.some(trying)
         trial = Points.at(some.batch, target)
         gain = some.objective - trial.objective
         expected = -(some.gradient * (target - some.position)).sum(axis=1)
@@ -213,12 +219,12 @@ def _advanced(here: Points, secants: Secants, kept: Kept, panels: Numbers) -> tu
             (np.abs(gain) <= invisible) & (trial.residual <= some.residual / 2),
         )
         if attempt == 0 and lowered.all():
-            return trial, secants.after(here, trial), lowered
-        kept.worn[panels[trying[~lowered]]] = True
+            return trial, secants.after(points, trial), lowered
+        inverses.worn[panels[trying[~lowered]]] = True
         moved[trying[lowered]] = True
         position[trying[lowered]] = trial.position[lowered]
         trying, length = trying[~lowered], RADIUS_FACTOR * length
         if not len(trying):
             break
-    after = Points.at(here.batch, position)
-    return after, secants.after(here, after), moved
+    after = Points.at(points.batch, position)
+    return after, secants.after(points, after), moved

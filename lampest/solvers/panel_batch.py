@@ -43,9 +43,9 @@ class PanelBatch:
         """Some of the panels."""
         given = replace(self.data.given, **{name: value[panels] for name, value in self.data.given.named()})
         data = replace(self.data, given=given, lower=self.data.lower[panels], upper=self.data.upper[panels])
-        found = PanelBatch(self.cost, self.weights[panels], data, self.place)
-        found.__dict__["ties"] = self.ties[panels]
-        return found
+        chosen = PanelBatch(self.cost, self.weights[panels], data, self.place)
+        chosen.__dict__["ties"] = self.ties[panels]
+        return chosen
 
     @cached_property
     def ties(self) -> Array:
@@ -99,11 +99,11 @@ class Points:
 
     def some(self, panels: Numbers) -> "Points":
         """Those of some panels, with what is known of them."""
-        found = Points(self.batch.some(panels), self.position[panels], self.network.some(panels))
+        chosen = Points(self.batch.some(panels), self.position[panels], self.network.some(panels))
         for name in ("first", "hessian_values"):
             if name in self.__dict__:
-                found.__dict__[name] = self.__dict__[name][panels]
-        return found
+                chosen.__dict__[name] = self.__dict__[name][panels]
+        return chosen
 
     def _flat(self, maps: Array) -> Array:
         return maps.reshape(len(self.position), -1)
@@ -118,8 +118,8 @@ class Points:
     def called(self, function: Compiled) -> Array:
         """A function of the cost at every point, (panels, nonzeros)."""
         count = len(self.position)
-        here = {"cell_resistance": self.network.cell_resistance, "reading": self.reading}
-        given = self.batch.named | {name: self.batch.padded(self._flat(maps)) for name, maps in here.items()}
+        point = {"cell_resistance": self.network.cell_resistance, "reading": self.reading}
+        given = self.batch.named | {name: self.batch.padded(self._flat(maps)) for name, maps in point.items()}
         size = len(given["reading"])
         values = _mapped(function, size, self.batch.place)(*(given[name] for name in function.names))
         return values.reshape(size, -1)[:count]
@@ -192,10 +192,10 @@ class Points:
     def matrix(self) -> Array:
         """∇²φ in u, (panels, cells, cells)."""
         entries, cells = self.batch.cost.functions.entries, self._flat(self.network.cell_resistance)
-        sensitivity, found = self.network.sensitivity(), self.second_order.matrix()
-        found += (sensitivity * self.reading_weight[..., None]).swapaxes(-1, -2) @ sensitivity
+        sensitivity, matrix = self.network.sensitivity(), self.second_order.matrix()
+        matrix += (sensitivity * self.reading_weight[..., None]).swapaxes(-1, -2) @ sensitivity
         row, column = entries.at_cells
-        found[:, row, column] += self.hessian_values[:, entries.cells] * cells[:, row] * cells[:, column]
+        matrix[:, row, column] += self.hessian_values[:, entries.cells] * cells[:, row] * cells[:, column]
         every = np.arange(self.position.shape[1])
-        found[:, every, every] += 2 * self.direct
-        return found
+        matrix[:, every, every] += 2 * self.direct
+        return matrix

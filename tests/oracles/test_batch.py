@@ -36,7 +36,7 @@ from lampest.posterior.certainty import Certainty
 from lampest.posterior.frame_noise import FrameNoise
 from lampest.posterior.linear import LinearModel
 from lampest.posterior.track import Track
-from lampest.solvers.batch import Ended, Kept, solve
+from lampest.solvers.batch import BatchOutcome, InverseHessians, solve
 from lampest.solvers.multistart import best_solution
 from lampest.solvers.panel_batch import PanelBatch
 from lampest.solvers.projected_newton import ProjectedNewton
@@ -63,10 +63,10 @@ def batch_of(terms: tuple[Term, ...], readings: Readings) -> PanelBatch:
     return PanelBatch(cost, np.tile(cost.weights, (len(rest), 1)), data)
 
 
-def solved(batch: PanelBatch) -> Ended:
+def solved(batch: PanelBatch) -> BatchOutcome:
     """From equal cells."""
     start = np.full(batch.data.measured.shape, 3000.0)
-    return solve(batch, start, Kept.nothing(PANELS, 20), np.arange(PANELS), Settings())
+    return solve(batch, start, InverseHessians.nothing(PANELS, 20), np.arange(PANELS), Settings())
 
 
 @pytest.mark.parametrize(
@@ -82,7 +82,7 @@ def solved(batch: PanelBatch) -> Ended:
 def test_each_panel_ends_where_the_solver_for_one_ends(terms: tuple[Term, ...], noise: float) -> None:
     batch = batch_of(terms, frames(noise))
     assert PanelBatch.serves(batch.cost, batch.data)
-    start, kept = np.full(batch.data.measured.shape, 3000.0), Kept.nothing(PANELS, 20)
+    start, kept = np.full(batch.data.measured.shape, 3000.0), InverseHessians.nothing(PANELS, 20)
     found = solve(batch, start, kept, np.arange(PANELS), Settings())
     assert found.solved.sum() >= PANELS - 2
     for number in np.flatnonzero(found.solved):
