@@ -208,7 +208,7 @@ def seen(kind: str, rate: float, seed: int, side: int = 10, attached_s: float = 
     early, later, full = (Detected.of(kind, one.attachments, rate) for one in (*moments, watch))
     cpu = process_time() - begin
     first, best = full.chosen, later.chosen
-    sucking = max((one.sucks for one in early.attachments if one.here), default=0.0)
+    sucking = max((one.sucks for one in early.attachments if one.present), default=0.0)
     suction, x = np.nan, np.zeros(1)
     if first and made.centres_mm:
         at = min(made.centres_mm, key=first.distance)

@@ -107,11 +107,11 @@ class CoupledStream(Stream):
     def push(self, readings: Readings) -> tuple[Stream, Step]:
         """As `Stream.push`."""
         stream, step = super().push(readings)
-        unread, found = self._unread(readings), step.solution
-        if not (unread.any() and found.solved):
+        unread, solution = self._unread(readings), step.solution
+        if not (unread.any() and solution.solved):
             return stream, step
-        cells, reading = (np.where(unread, np.nan, part) for part in (found.cell_resistance, found.reading))
-        return stream, replace(step, solution=replace(found, cell_resistance=cells, reading=reading))
+        cells, reading = (np.where(unread, np.nan, part) for part in (solution.cell_resistance, solution.reading))
+        return stream, replace(step, solution=replace(solution, cell_resistance=cells, reading=reading))
 
     def _unread(self, readings: Readings) -> NDArray[np.bool_]:
         """(rows, columns) of modules without any value."""
@@ -131,15 +131,17 @@ class ModulesStream(Stream):
     def tared(self, resting: Readings) -> "ModulesStream":
         """As `Stream.tared`, of every module."""
         every = enumerate(self.modules)
-        modules = rested_together([one and one.anew(resting.of_module(self._layout, number)) for number, one in every])
+        modules = rested_together(
+            [module and module.anew(resting.of_module(self._layout, number)) for number, module in every]
+        )
         return replace(self, resting=resting, modules=tuple(modules), track=None, baseline=None).rested_whole()
 
     def push(self, readings: Readings) -> tuple["ModulesStream", Step]:
         """As `Stream.push`; modules of which too little was read stay as they were, and are NaN in the image."""
         layout = self._layout
-        kept = self.prepared or InverseHessians.nothing(layout.count, layout.each.rows * layout.each.columns)
-        modules, steps = zip(*pushed_together(self.modules, readings.each(layout.split), kept), strict=True)
-        after = replace(self, modules=modules, prepared=kept, first=False)
+        inverses = self.prepared or InverseHessians.nothing(layout.count, layout.each.rows * layout.each.columns)
+        modules, steps = zip(*pushed_together(self.modules, readings.each(layout.split), inverses), strict=True)
+        after = replace(self, modules=modules, prepared=inverses, first=False)
         return after if self.rested else after.rested_whole(), image_step(layout, steps)
 
     def sequence(
@@ -150,9 +152,9 @@ class ModulesStream(Stream):
             return super().sequence(resting, readings, on_frame)
         layout, frames = self._layout, len(readings.value)
         modules, columns = list[Stream | None](), list[Sequence[Step | None]]()
-        for number, one in enumerate(self.modules):
+        for number, module in enumerate(self.modules):
             inside = resting.of_module(layout, number), readings.of_module(layout, number)
-            after, solved = (None, [None] * frames) if one is None else one.sequence(*inside, lambda: None)
+            after, solved = (None, [None] * frames) if module is None else module.sequence(*inside, lambda: None)
             modules.append(after)
             columns.append(solved)
         for _ in range(frames):
@@ -179,7 +181,7 @@ class ModulesStream(Stream):
         """As `Stream.restarted`, of every module."""
         assert isinstance(first, ModulesStream)
         pairs = zip(self.modules, first.modules, strict=True)
-        modules = tuple(one and other and one.restarted(other) for one, other in pairs)
+        modules = tuple(module and begun and module.restarted(begun) for module, begun in pairs)
         return replace(self, modules=modules, prepared=None)
 
     @property
@@ -197,7 +199,7 @@ class ModulesStream(Stream):
         steps = [None if stream is None else stream.baseline for stream in self.modules]
         if all(step is None for step in steps):
             return self
-        known = [None if one is None or one.track is None else one.track.baseline for one in self.modules]
+        known = [None if step is None or step.track is None else step.track.baseline for step in self.modules]
         baseline = _joined(self._layout, Certainty, known)
         track = None if baseline is None else Track(baseline=baseline)
         return replace(self, baseline=image_step(self._layout, steps), track=track)
@@ -225,14 +227,14 @@ def _joined(layout: Modules, kind: type[C], parts: Sequence[C | None]) -> C | No
     unknown = ("deviation", "below", "above")
     names = [field.name for field in fields(kind)]
     maps = {name: [None if part is None else getattr(part, name) for part in parts] for name in names}
-    return kind(**{n: _joined_maps(layout, one, np.inf if n in unknown else 0.0) for n, one in maps.items()})
+    return kind(**{n: _joined_maps(layout, values, np.inf if n in unknown else 0.0) for n, values in maps.items()})
 
 
 def image_step(layout: Modules, steps: Sequence[Step | None]) -> Step:
     """The modules' steps as one of the image; costs are summed, and the KKT residual is the largest of all."""
-    there = [step for step in steps if step is not None]
-    solved = [step for step in there if step.solution.solved]
-    counted, first = solved or there[:1], there[0].solution
+    present = [step for step in steps if step is not None]
+    solved = [step for step in present if step.solution.solved]
+    counted, first = solved or present[:1], present[0].solution
     status = max((step.solution.status for step in solved), key=WORST.index, default=first.status)
     missing = {"cell_resistance": np.nan, "reading": np.nan, "open_cell": False, "at_lower": False}
     parts: dict[str, Any] = {"at": None, "dual": None, "kept": None}
@@ -246,15 +248,15 @@ def image_step(layout: Modules, steps: Sequence[Step | None]) -> Step:
     objective = float(sum(step.solution.objective for step in counted))
     solution = replace(first, costs=costs, objective=objective, status=status, **parts)
     bars = [None if step is None else step.bars for step in steps]
-    frame = _joined(layout, Certainty, [None if one is None else one.frame for one in bars])
-    change = _joined(layout, Change, [None if one is None else one.change for one in bars])
+    frame = _joined(layout, Certainty, [None if bar is None else bar.frame for bar in bars])
+    change = _joined(layout, Change, [None if bar is None else bar.change for bar in bars])
     reading = _joined_maps(layout, [None if each is None else each.reading for each in bars], np.nan)
     return Step(
         solution,
-        sum(step.seconds for step in there),
+        sum(step.seconds for step in present),
         tuple(float(np.mean(weights)) for weights in zip(*(step.weights for step in counted), strict=True)),
         None if frame is None else Bars(frame, change, reading),
-        sum(step.bars_seconds for step in there),
+        sum(step.bars_seconds for step in present),
         sentence=_sentence(layout, steps, status),
         weight_sigma=counted[0].weight_sigma,
     )

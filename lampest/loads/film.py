@@ -123,9 +123,9 @@ class Creep:
 
     def at_once(self, answer: Array, seconds: float) -> Array:
         """u (...) of an interval with a at its end: the inverse of `answer`."""
-        kept = self._kept(seconds)
-        left = self.strength * (self.crept * kept).sum(axis=0)
-        return np.asarray((answer - left) / (1 + self.strength * (1 - kept).sum(axis=0)))
+        remaining = self._kept(seconds)
+        left = self.strength * (self.crept * remaining).sum(axis=0)
+        return np.asarray((answer - left) / (1 + self.strength * (1 - remaining).sum(axis=0)))
 
     def _kept(self, seconds: float) -> Array:
         return np.asarray(np.exp(-seconds / DECADES)).reshape(-1, *[1] * np.ndim(self.strength))
@@ -204,15 +204,17 @@ class FilmKnown:
 
     @classmethod
     def specified(cls, film: Film) -> "FilmKnown":
-        found = cls(film, film.hysteresis_strength, film.creep_strength)
-        return replace(found, sentence=found._said("assumed"))
+        known = cls(film, film.hysteresis_strength, film.creep_strength)
+        return replace(known, sentence=known._said("assumed"))
 
     def at_rest(self, water: Array, response: Response) -> FilmMemory:
         """(films, rows, columns) at rest in p_w: the mean film, then one with each strength by its deviation more."""
         creep, creep_sd = self.cells or self.creep
         more = [(0, 0), *([(1, 0)] if self.hysteresis.sd else []), *([(0, 1)] if self.creep.sd else [])]
-        gap = np.stack([np.full(water.shape, self.hysteresis.mean + one * self.hysteresis.sd) for one, _ in more])
-        strength = np.stack([np.broadcast_to(creep + one * creep_sd, water.shape) for _, one in more])
+        gap = np.stack(
+            [np.full(water.shape, self.hysteresis.mean + deviation * self.hysteresis.sd) for deviation, _ in more]
+        )
+        strength = np.stack([np.broadcast_to(creep + deviation * creep_sd, water.shape) for _, deviation in more])
         gain = np.broadcast_to(self.film.answer * response.gains, gap.shape)
         return FilmMemory.at_rest(gap, strength, gain, water, response)
 
@@ -239,12 +241,12 @@ class FilmKnown:
             known = replace(self, creep=Strength(0.0, 0.0), residue=MAY_STAY)
             return replace(known, sentence=known._said("", said))
         spread = float(np.hypot(shared, mean * self.film.cell_spread))
-        found = replace(self, creep=Strength(mean, float(np.hypot(spread, ALIKE * mean))), residue=residue)
+        known = replace(self, creep=Strength(mean, float(np.hypot(spread, ALIKE * mean))), residue=residue)
         if spread > shared:
             own = _likelihood(*data, OWN, weight[None] @ RESIDUES)[0]
-            found = replace(found, cells=_moments(own - 0.5 * ((CREEPS[:, None, None] - mean) / spread) ** 2))
+            known = replace(known, cells=_moments(own - 0.5 * ((CREEPS[:, None, None] - mean) / spread) ** 2))
         said = f"estimated from the recording, and {100 * residue:.1f} % of a load may stay after it"
-        return replace(found, sentence=found._said(said if shared <= 0.8 * usual.sd else "assumed"))
+        return replace(known, sentence=known._said(said if shared <= 0.8 * usual.sd else "assumed"))
 
     def at_once(self, change: Array, time: Array) -> tuple[Array, Array]:
         """(ln r/r_rest without what crept, its deviation as creep is known), (frames, rows, columns); NaN stays.
@@ -252,15 +254,15 @@ class FilmKnown:
         change : (frames, rows, columns) ln r/r_rest. time : (frames) s.
         """
         mean, sd = self.cells or self.creep
-        strength = np.stack([np.broadcast_to(one, change.shape[1:]) for one in (mean, mean + sd)])
-        creep, found, last = Creep.at_rest(strength), list[Array](), float(time[0]) - 1.0
+        strength = np.stack([np.broadcast_to(size, change.shape[1:]) for size in (mean, mean + sd)])
+        creep, answers, last = Creep.at_rest(strength), list[Array](), float(time[0]) - 1.0
         for frame, now in zip(change, time, strict=True):
             seconds = max(float(now) - last, SOONEST)
-            found.append(creep.at_once(np.broadcast_to(frame, strength.shape), seconds))
-            after, known = creep.after(found[-1], seconds), np.isfinite(frame)
+            answers.append(creep.at_once(np.broadcast_to(frame, strength.shape), seconds))
+            after, known = creep.after(answers[-1], seconds), np.isfinite(frame)
             creep, last = replace(creep, crept=np.where(known, after.crept, creep.crept)), float(now)
-        here, other = np.stack(found, axis=1)
-        return here, np.abs(other - here)
+        expected, stronger = np.stack(answers, axis=1)
+        return expected, np.abs(stronger - expected)
 
     def _said(self, creep_from: str, instead: str = "") -> str:
         parts = []
@@ -286,7 +288,7 @@ def _likelihood(gain: float, change: Array, sd: Array, time: Array, own: float, 
 
     own : relative standard deviation of what stays of a load. residues : ρ, (residues).
     """
-    found = np.zeros((len(residues), len(CREEPS), *change.shape[1:]))
+    likelihood = np.zeros((len(residues), len(CREEPS), *change.shape[1:]))
     felt = np.nanmax(-change, axis=0, initial=0.0) > SETTLED  # of all others each strength explains as much
     change, sd, share = change[:, felt], sd[:, felt], residues[:, None, None]
     creep, last = Creep.at_rest(np.broadcast_to(CREEPS[:, None], (len(CREEPS), felt.sum()))), float(time[0])
@@ -300,11 +302,11 @@ def _likelihood(gain: float, change: Array, sd: Array, time: Array, own: float, 
         answer = np.where(known, np.clip(-frame / gain, -MOST_ANSWER, MOST_ANSWER), fading)
         drift, stays = np.hypot(SETTLED, DRIFT * (now - time[0]) / 60), fading + share * peak
         variance = (np.where(known, error, 0.0) / gain) ** 2 + drift**2 + (own * stays) ** 2
-        rest = np.exp(-0.5 * (answer - stays) ** 2 / variance) / np.sqrt(2 * np.pi * variance)
-        rest *= stays <= MAY_STAY * peak
-        total += known * np.log((rest + 1 / RANGE) / 2)
-        resting += known * rest / (rest + 1 / RANGE)
+        density = np.exp(-0.5 * (answer - stays) ** 2 / variance) / np.sqrt(2 * np.pi * variance)
+        density *= stays <= MAY_STAY * peak
+        total += known * np.log((density + 1 / RANGE) / 2)
+        resting += known * density / (density + 1 / RANGE)
         peak = np.fmax(peak, np.where(known, answer[0].clip(0.0), 0.0))
         creep, last = creep.after(creep.at_once(answer, seconds), seconds), float(now)
-    found[..., felt] = total * (INDEPENDENT / np.maximum(resting.max(axis=1, keepdims=True), INDEPENDENT))
-    return found
+    likelihood[..., felt] = total * (INDEPENDENT / np.maximum(resting.max(axis=1, keepdims=True), INDEPENDENT))
+    return likelihood

@@ -128,37 +128,39 @@ class PressureTrack:
 
         own : as `pressure_of`.
         """
-        change, kept = self._change(ratio), self._kept(ratio, time)
+        change, remembered = self._change(ratio), self._kept(ratio, time)
         water = water_pressure(self.scene.panel, self.scene.water)
         answer, *answers = -self._of_films(self.films.at_once, change, time)
         effective, *_ = self._of_films(self.films.effective, change, time)
-        here, *others = self._of_films(self.films.pressure, change, time)
-        share = np.where(effective == 0, 1.0, here / np.where(effective == 0, 1.0, effective))
+        expected, *alternatives = self._of_films(self.films.pressure, change, time)
+        share = np.where(effective == 0, 1.0, expected / np.where(effective == 0, 1.0, effective))
 
-        def other(moved: Array) -> Array:
+        def of_change(moved: Array) -> Array:
             """p, were ln r another by so much all the time: the film's loops grow in proportion to the load."""
             return np.asarray(share * self._of_films(self.films.effective, change + moved, time)[0])
 
-        shared = NORMAL_95 * np.hypot(kept, self._film_sd(answer) * answer)
+        shared = NORMAL_95 * np.hypot(remembered, self._film_sd(answer) * answer)
         with np.errstate(divide="ignore"):
             fell, rose = np.log(ratio) - np.log(lower), np.log(upper) - np.log(ratio)
         below, above = np.hypot(fell, shared), np.hypot(rose, shared)
-        least, most = other(above), other(-below)
-        errors = (other(-below / NORMAL_95) - other(above / NORMAL_95)) / 2
-        if others:
-            open_kpa = _distance(others, here)
-            least = np.maximum(here - np.hypot(here - least, NORMAL_95 * open_kpa), VACUUM_KPA - water)
-            most, errors = here + np.hypot(most - here, NORMAL_95 * open_kpa), np.hypot(errors, open_kpa)
+        least, most = of_change(above), of_change(-below)
+        errors = (of_change(-below / NORMAL_95) - of_change(above / NORMAL_95)) / 2
+        if alternatives:
+            open_kpa = _distance(alternatives, expected)
+            least = np.maximum(expected - np.hypot(expected - least, NORMAL_95 * open_kpa), VACUUM_KPA - water)
+            most, errors = expected + np.hypot(most - expected, NORMAL_95 * open_kpa), np.hypot(errors, open_kpa)
         half = (fell + rose) / (2 * NORMAL_95) if own is None else own
         scatter = np.hypot(half, scatter_sd(self.scene) * answer)
         with np.errstate(invalid="ignore"):
-            alone = np.minimum(np.abs(other(scatter) - other(-scatter)) / 2, errors)
+            alone = np.minimum(np.abs(of_change(scatter) - of_change(-scatter)) / 2, errors)
             common = np.where(np.isinf(errors), np.inf, np.sqrt(np.maximum(errors**2 - alone**2, 0.0)))
-            clear = -answer > CLEAR * np.hypot(np.hypot(rose / NORMAL_95, kept), _distance(answers, answer))
+            clear = -answer > CLEAR * np.hypot(np.hypot(rose / NORMAL_95, remembered), _distance(answers, answer))
         known = (self.scene.response or PUBLISHED).told_kpa
         saturated = (least + water < known[0]) | (most + water > known[1])
-        pressing = clear & (here > 0) & ~self.scene.broken
-        return Pressure(here, least, most, errors, alone, common, saturated.astype(np.uint8), pressing.astype(np.uint8))
+        pressing = clear & (expected > 0) & ~self.scene.broken
+        return Pressure(
+            expected, least, most, errors, alone, common, saturated.astype(np.uint8), pressing.astype(np.uint8)
+        )
 
     def after(self, ratio: Array, time: float) -> "PressureTrack":
         """Once a frame with r/r_baseline (rows, columns) has come at a time in s; where it is NaN, the film stands."""
@@ -200,13 +202,13 @@ class PressureTrack:
 
         What it keeps and drifts counts by √(1 − x²/peak²), as far as the largest load is gone.
         """
-        change, kept, warmth = self._change(ratio), np.zeros(ratio.shape), self.scene.temperature
+        change, spread, warmth = self._change(ratio), np.zeros(ratio.shape), self.scene.temperature
         if self.residue and self.zeroed is not None:
             drift = np.hypot(SETTLED, DRIFT * (time - self.zeroed) / 60)
             gone = 1 - (change / np.maximum(self.peak, TOUCH)) ** 2
-            kept = np.hypot(self.residue * self.peak, drift) * np.sqrt(np.maximum(gone, 0.0))
+            spread = np.hypot(self.residue * self.peak, drift) * np.sqrt(np.maximum(gone, 0.0))
         warming_sd = 0.0 if warmth is None else warmth.difference_kelvin * warmth.coefficient_sd_per_kelvin
-        return np.asarray(np.hypot(kept, warming_sd))
+        return np.asarray(np.hypot(spread, warming_sd))
 
     def _film_sd(self, answer: Array) -> Array:
         curve_sd = 0.0 if self.scene.film is None else self.scene.film.answer_sd
@@ -217,9 +219,11 @@ class PressureTrack:
         return np.moveaxis(value(change[..., None, :, :] - self.zeros, self._seconds(time)), -3, 0)
 
 
-def _distance(others: Iterable[Array], here: Array) -> Array:
+def _distance(alternatives: Iterable[Array], expected: Array) -> Array:
     """√Σ (other − here)², any shape."""
-    return np.asarray(np.sqrt(sum(((one - here) ** 2 for one in others), np.zeros(here.shape))))
+    return np.asarray(
+        np.sqrt(sum(((alternative - expected) ** 2 for alternative in alternatives), np.zeros(expected.shape)))
+    )
 
 
 def response_sd(scene: Scene, answer: Array) -> Array:

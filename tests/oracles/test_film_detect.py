@@ -119,7 +119,7 @@ def test_a_weaker_lamprey_that_comes_back_to_its_place_is_seen() -> None:
 def test_a_lamprey_that_sucks_less_is_still_there() -> None:
     less = recorded(None, replace(MOUTH, pressure_kpa=-3, rim_kpa=20), release=60, start=-0.9)
     found = watched([recorded(None, frames=12, release=60), less])
-    assert found[-1].here and found[-1].sucks > 0.5
+    assert found[-1].present and found[-1].sucks > 0.5
 
 
 @pytest.mark.parametrize("seed", range(2))

@@ -85,7 +85,7 @@ def test_a_new_zero_ends_what_was_attached() -> None:
     here = dataclasses.replace(here, watch=dataclasses.replace(here.watch, attachments=(LAMPREY,)))
     here = here.after(2)
     for frame in (5, 6):
-        assert here.detected.attachments[0].here
+        assert here.detected.attachments[0].present
         here = here.after(scan_of(recording, frame))
     assert here.detected.attachments[0].until_s == recording.time[5] and not here.missing
     assert here.watch is not None and here.watch.rest_s == recording.time[6]

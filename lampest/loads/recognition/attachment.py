@@ -78,7 +78,7 @@ class Attachment:
         return 0.0 if self.track is None else min(self.track.odds, SURE)
 
     @property
-    def here(self) -> bool:
+    def present(self) -> bool:
         """Whether it is still there."""
         return self.until_s is None
 
@@ -108,21 +108,21 @@ class Attachment:
         far = CLEAR * max(1.0, hypot(self.x_mm[1], self.y_mm[1], later.x_mm[1], later.y_mm[1]))
         moved = (*self.moved_s, later.since_s) if self.distance(later.place) > far else self.moved_s
         began = later.since_s if self.sucks_s is None and later.sucks > 0.5 else self.sucks_s
-        kept = ("since_s", "breathing", "before", "breathing_hz", "breathing_depth", "suction", "track")
-        return replace(later, sucks_s=began, moved_s=moved, **{name: getattr(self, name) for name in kept})
+        names = ("since_s", "breathing", "before", "breathing_hz", "breathing_depth", "suction", "track")
+        return replace(later, sucks_s=began, moved_s=moved, **{name: getattr(self, name) for name in names})
 
     def breathed(self, seen: Breath, full: bool) -> "Attachment":
         """After a window; full : whether its odds stay. A mouth breathes in OFTEN of all windows."""
         odds = float(np.clip(self.before + np.logaddexp(log(1 - OFTEN), log(OFTEN) + seen.odds), PAUSED, SURE))
-        here = replace(self, breathing=odds, before=odds if full else self.before)
+        breathing = replace(self, breathing=odds, before=odds if full else self.before)
         if seen.odds <= 0 and self.breathing_hz is not None:
-            return here
-        return replace(here, breathing_hz=seen.hertz, breathing_depth=seen.depth, suction=seen.suction)
+            return breathing
+        return replace(breathing, breathing_hz=seen.hertz, breathing_depth=seen.depth, suction=seen.suction)
 
 
 def attachments_of(frame: Observation, verdict: Verdict, since: float) -> list[Attachment]:
     """Return all loads of the most probable candidate; of no shape, a load for each group of changed cells."""
-    best, found, first = verdict.best, list[Attachment](), 0
+    best, attachments, first = verdict.best, list[Attachment](), 0
     clear = best.evidence - max(fit.evidence for fit in verdict.fits if fit.candidate in UNIFORM)
     cells = _ChangedCells.of(frame)
     for candidate, own in best.loads:
@@ -130,15 +130,15 @@ def attachments_of(frame: Observation, verdict: Verdict, since: float) -> list[A
         covariance, first = best.covariance[first:after, first:after], after
         groups = cells.groups() if disc is None else [cells.moved & under(frame.baseline.scene.panel, disc)]
         for group in groups:
-            here = replace(cells.load(group), sucks=verdict.sucks_at(disc), since_s=since, clear=clear)
+            attachment = replace(cells.load(group), sucks=verdict.sucks_at(disc), since_s=since, clear=clear)
             if disc is not None:
                 apart = frame.baseline.scene.panel.pitch_mm / 2
                 pairs: dict[str, Any] = {"x_mm": (disc.x_mm, apart), "y_mm": (disc.y_mm, apart)}
                 for name, (value, slopes) in candidate.report(own).items():
                     pairs[name] = value, float(np.sqrt(slopes @ covariance @ slopes))
-                here = replace(here, sucks_s=since if here.sucks > 0.5 else None, **pairs)
-            found.append(here)
-    return found
+                attachment = replace(attachment, sucks_s=since if attachment.sucks > 0.5 else None, **pairs)
+            attachments.append(attachment)
+    return attachments
 
 
 @dataclass(frozen=True, eq=False)
@@ -193,16 +193,16 @@ class _ChangedCells:
 
 
 def continued_by(
-    before: Sequence[Attachment], found: Sequence[Attachment], time: float, again: bool = False
+    before: Sequence[Attachment], loads: Sequence[Attachment], time: float, again: bool = False
 ) -> tuple[Attachment, ...]:
     """All attachments once loads were recognised since a step at that time; those nearest by are continued.
 
     The others have left with the step. again : not the first time since then: nothing leaves without a step, so they
     stay, and what was seen since the step alone was a part of another.
     """
-    attachments, left = list(before), [number for number, one in enumerate(before) if one.here]
-    apart = [min((attachments[number].distance(load.place) for number in left), default=inf) for load in found]
-    for load in (found[number] for number in np.argsort(apart, kind="stable")):
+    attachments, left = list(before), [number for number, attachment in enumerate(before) if attachment.present]
+    apart = [min((attachments[number].distance(load.place) for number in left), default=inf) for load in loads]
+    for load in (loads[number] for number in np.argsort(apart, kind="stable")):
         near = min(left, key=lambda number: attachments[number].distance(load.place), default=None)
         if near is not None and attachments[near].distance(load.place) < max(attachments[near].size, load.size):
             attachments[near] = attachments[near].continued(load)
@@ -210,7 +210,11 @@ def continued_by(
         else:
             attachments.append(load)
     if again:
-        return tuple(one for number, one in enumerate(attachments) if number not in left or one.since_s < time)
+        return tuple(
+            attachment
+            for number, attachment in enumerate(attachments)
+            if number not in left or attachment.since_s < time
+        )
     for number in left:
         attachments[number] = replace(attachments[number], until_s=time)
     return tuple(attachments)

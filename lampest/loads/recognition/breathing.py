@@ -79,7 +79,9 @@ class Patterns:
     def beside_others(self, changes: Array) -> tuple["Patterns", Array]:
         """Without what `others` do, in the patterns and in changes (frames, readings)."""
         span = np.linalg.qr(self.others)[0]
-        own, rim, moves, left = (one - span @ (span.T @ one) for one in (self.own, self.rim, self.moves, changes.T))
+        own, rim, moves, left = (
+            pattern - span @ (span.T @ pattern) for pattern in (self.own, self.rim, self.moves, changes.T)
+        )
         return Patterns(own, rim, moves, self.others), left.T
 
     def weights(self, depth: float, noise: float, moving: float = 0.0) -> Array:
@@ -188,10 +190,12 @@ def _depth(patterns: Patterns, changes: Array, waves: Array, at: Array, noise: f
     for _ in range(ROUNDS):
         weights = patterns.weights(depth, noise)
         series = changes @ weights
-        found = inverse @ series
-        left = float(np.sum((series - basis @ found) ** 2)) / max(len(at) - 8, 1)  # four numbers here, four of trend
+        coefficients = inverse @ series
+        left = float(np.sum((series - basis @ coefficients) ** 2)) / max(
+            len(at) - 8, 1
+        )  # four numbers here, four of trend
         each = left * (inverse**2).sum(axis=1)
-        depth = max(float(found @ found - each[2:].sum()), STEADY**2) ** 0.5
+        depth = max(float(coefficients @ coefficients - each[2:].sum()), STEADY**2) ** 0.5
         film = float(np.sum((weights @ patterns.own[:, 1:]) ** 2)) + RESPONSE_SD**2
         variance = depth**2 * film + float(each[:2].mean())
     return depth / (1 - RESPONSE_SD), variance**0.5 / (1 - RESPONSE_SD)
@@ -201,8 +205,8 @@ def _evidence(total: float, amplitude: Array, gain: Array, sd: float, freedom: i
     """ln P(s | f) up to what all share, (rates): summed over σ."""
     noise = np.geomspace(1e-4, 1.0, 25)[:, None, None] ** 2
     wide = noise + sd**2 * gain
-    rest = total - (amplitude**2).sum(axis=1)
-    fits = -0.5 * ((amplitude**2 / wide).sum(axis=2) + np.maximum(rest, 0.0) / noise[..., 0])
+    remaining = total - (amplitude**2).sum(axis=1)
+    fits = -0.5 * ((amplitude**2 / wide).sum(axis=2) + np.maximum(remaining, 0.0) / noise[..., 0])
     volume = -0.5 * (np.log(wide).sum(axis=2) + (freedom - 2) * np.log(noise[..., 0]))
     return np.asarray(logsumexp(fits + volume, axis=0))
 

@@ -55,11 +55,11 @@ class Several(Candidate):
     def start(self, disc: Disc) -> Array:
         return np.concatenate([part.start(disc) for part in self.parts])
 
-    def like(self, other: Candidate, parameters: Array) -> Array | None:
+    def like(self, candidate: Candidate, parameters: Array) -> Array | None:
         """That of every part where there are as many."""
-        begin = [part.like(*load) for part, load in zip(self.parts, other.loads(parameters), strict=False)]
-        found = [one for one in begin if one is not None]
-        return np.concatenate(found) if len(found) == len(self.parts) == len(other.loads(parameters)) else None
+        begin = [part.like(*load) for part, load in zip(self.parts, candidate.loads(parameters), strict=False)]
+        known = [start for start in begin if start is not None]
+        return np.concatenate(known) if len(known) == len(self.parts) == len(candidate.loads(parameters)) else None
 
     def blind(self, parameters: Array) -> Array:
         return np.concatenate([part.blind(own) for part, own in self.loads(parameters)])
@@ -174,7 +174,7 @@ class DiscSearch:
         gain = pulled * np.abs(pulled) / np.maximum(size, 1e-300)
         best = np.argmax(gain.reshape(len(self.templates), -1), axis=1)
         size = len(self.discs) // len(self.templates)
-        return {one: self.discs[at * size + int(best[at])] for at, one in enumerate(self.templates)}
+        return {template: self.discs[at * size + int(best[at])] for at, template in enumerate(self.templates)}
 
     def beside(self, change: Array, discs: Sequence[Disc]) -> Disc | None:
         """Where one more load may stand on a map of ln r/r0 (rows, columns), clear of those discs; None: nowhere."""

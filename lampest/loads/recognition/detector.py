@@ -65,33 +65,33 @@ class Detector:
         """What a frame shows. before : the verdict on an earlier one, whose loads are tried, too."""
         if (calm := self.calm(frame)) is not None:
             return self._judged(calm, ())
-        (field, without), found = field_fit(frame), list[Verdict]()
+        (field, without), verdicts = field_fit(frame), list[Verdict]()
         if self.any_form:
             return self._judged(without, (field,))
         kinds = tuple(load for load in self.loads if not load.sucks or rises(without)) or self.loads
         if before is not None and before.loads:
-            found.append(self._settled(frame, before.loads, field, without))
-        if not found or self._doubtful(found[0], field):
+            verdicts.append(self._settled(frame, before.loads, field, without))
+        if not verdicts or self._doubtful(verdicts[0], field):
             coarse = self._coarse(kinds, field, without)
-            found.append(self._settled(frame, coarse, field, without))
-        single, discs = found[-1], list[Disc]()
+            verdicts.append(self._settled(frame, coarse, field, without))
+        single, discs = verdicts[-1], list[Disc]()
         for _ in range(MOST_AT_ONCE):
-            beside = self.search.beside(field.change, discs) if self._doubtful(found[-1], field) else None
+            beside = self.search.beside(field.change, discs) if self._doubtful(verdicts[-1], field) else None
             if beside is None:
                 break
             discs.append(beside)
             if len(discs) > 1:
                 fits = self._together(kinds, without, field, discs)
-                found.append(self._settled(frame, (*fits, *single.loads[:1]), field, without))
+                verdicts.append(self._settled(frame, (*fits, *single.loads[:1]), field, without))
                 discs = discs_of(fits[0])
-        return self._spread(frame, max(found, key=lambda one: one.evidence))
+        return self._spread(frame, max(verdicts, key=lambda verdict: verdict.evidence))
 
     def calm(self, frame: Observation) -> Observation | None:
         """The frame without outliers where nothing else stands out, neither by its χ² nor like a template."""
-        rest, residual = Whitening.at_rest(frame), frame.residual()
-        calm = frame.without(outliers(rest, residual))
+        whitening, residual = Whitening.at_rest(frame), frame.residual()
+        calm = frame.without(outliers(whitening, residual))
         errors = Whitening.at_rest(calm) @ residual
-        stands_out = unit(rest @ self.search.readings(frame)).T @ errors
+        stands_out = unit(whitening @ self.search.readings(frame)).T @ errors
         return calm if errors @ errors < SUSPICIOUS * errors.size and stands_out.max() < FARTHEST else None
 
     def fitted(self, candidate: Candidate, frame: Observation, start: Fit | None) -> Fit:
@@ -100,8 +100,8 @@ class Detector:
         if fit is None or fit.chi2 > SUSPICIOUS * frame.measured.size:
             field, calm = field_fit(frame)
             (begin,) = self._coarse((candidate,), field, calm)
-            other = self._whole(frame, begin, field, calm)
-            fit = other if fit is None or other.chi2 < fit.chi2 else fit
+            anew = self._whole(frame, begin, field, calm)
+            fit = anew if fit is None or anew.chi2 < fit.chi2 else fit
         return fit
 
     def with_errors(self, frame: Observation, fit: Fit) -> tuple[Observation, Whitening]:
@@ -169,11 +169,13 @@ class Detector:
         starts = self.search.starts(likelihood.normal, likelihood.pull)
         fits: list[Fit] = []
         for load in kinds:
-            fitting, found = self._fitting(load, calm), list[Linearisation]()
+            fitting, descents = self._fitting(load, calm), list[Linearisation]()
             for disc in (starts[template] for template in load.templates):
-                most = min((one.cost for one in found), default=np.inf) + UNLIKELY
-                found.append(fitting.descended(load.start(disc), likelihood, STEPS // 2, most)[0])
-            fits.append(fitting.found(min(found, key=lambda one: one.cost), likelihood, whitening, quick=True))
+                most = min((descent.cost for descent in descents), default=np.inf) + UNLIKELY
+                descents.append(fitting.descended(load.start(disc), likelihood, STEPS // 2, most)[0])
+            fits.append(
+                fitting.fit_at(min(descents, key=lambda descent: descent.cost), likelihood, whitening, quick=True)
+            )
         return fits
 
     def _settled(self, frame: Observation, fits: Sequence[Fit], field: Fit, calm: Observation) -> Verdict:
@@ -200,16 +202,16 @@ class Detector:
         fitting, explained = self._fitting(fit.candidate, calm), self.explained(calm, fit)
         response = calm.baseline.model_errors.response
         errors = [Whitening.of(calm, explained, level * response) for level in LEVELS]
-        levels = [fitting.stays(fit.parameters, one).evidence for one in errors]
+        levels = [fitting.stays(fit.parameters, whitening).evidence for whitening in errors]
         whitening = errors[int(np.argmax(levels))]
         return fitting.best(fit.parameters, whitening), whitening
 
     def _beside(self, calm: Observation, fit: Fit, best: Fit, whitening: Whitening) -> Fit:
         """Another load with the same errors, from where it is; where that is hopeless, from where the best is."""
         fitting, most = self._fitting(fit.candidate, calm), best.cost + UNLIKELY
-        found = fitting.best(fit.parameters, whitening, most)
-        like = fit.candidate.like(best.candidate, best.parameters) if found.cost > most else None
-        return found if like is None else best_of([found, fitting.best(like, whitening, most)])
+        descended = fitting.best(fit.parameters, whitening, most)
+        like = fit.candidate.like(best.candidate, best.parameters) if descended.cost > most else None
+        return descended if like is None else best_of([descended, fitting.best(like, whitening, most)])
 
     def _together(self, kinds: Sequence[Candidate], calm: Observation, field: Fit, discs: Sequence[Disc]) -> list[Fit]:
         """Coarse fits of loads about some discs at once: each of the likeliest kind, and all that suck."""
@@ -219,8 +221,8 @@ class Detector:
         def fitted(loads: Sequence[tuple[Candidate, Array]]) -> Fit:
             parts, own = zip(*sorted(loads, key=lambda load: not load[0].sucks), strict=True)
             fitting = self._fitting(Several.of(parts), calm)
-            here, _ = fitting.descended(np.concatenate(own), likelihood, STEPS // 2)
-            return fitting.found(here, likelihood, whitening, quick=True)
+            descended, _ = fitting.descended(np.concatenate(own), likelihood, STEPS // 2)
+            return fitting.fit_at(descended, likelihood, whitening, quick=True)
 
         def likely(fit: Fit) -> float:
             return fit.evidence - prior_cost(self.panel, fit, calm)
@@ -238,8 +240,8 @@ class Detector:
 
     def _judged(self, frame: Observation, fits: Sequence[Fit]) -> Verdict:
         """The verdict on these, on nothing, and on the same pressure everywhere."""
-        rest = Whitening.at_rest(frame)
-        uniform = [self._fitting(kind, frame).best(kind.mean(self.panel), rest) for kind in UNIFORM]
+        whitening = Whitening.at_rest(frame)
+        uniform = [self._fitting(kind, frame).best(kind.mean(self.panel), whitening) for kind in UNIFORM]
         return Verdict.of(self.panel, (*uniform, *fits), frame)
 
     def _doubtful(self, verdict: Verdict, field: Fit) -> bool:

@@ -88,10 +88,10 @@ def prior_cost(panel: Panel, fit: Fit, frame: Observation | None = None) -> floa
     cost = sum(_overlapping(*pair) for pair in combinations([disc for _, disc in loads if disc is not None], 2))
     for part, disc in loads:
         if part.sucks:
-            there = np.full(panel.shape, True) if disc is None or len(loads) == 1 else under(panel, disc)
+            under_disc = np.full(panel.shape, True) if disc is None or len(loads) == 1 else under(panel, disc)
             full = 0.0 if disc is None else float(np.mean(response.gains * response.logarithm(disc.suction_kpa)))
             maps = [fit.change] if frame is None else [fit.change, frame.highest]
-            rise = min(float(one[there].max(initial=0.0)) for one in maps)
+            rise = min(float(pressure[under_disc].max(initial=0.0)) for pressure in maps)
             cost += _hidden(rise, full)
     return RARER * (len(loads) - 1) + CANNOT_BE * cost
 
@@ -106,11 +106,11 @@ def _hidden(rise: float, full: float) -> float:
     return exp(-((rise / max(SHOWN, SHARE * full)) ** 2))
 
 
-def _overlapping(one: Disc, other: Disc) -> float:
+def _overlapping(first: Disc, second: Disc) -> float:
     """1 where two discs are in one place, 0 where they stand clear."""
-    apart = hypot(one.x_mm - other.x_mm, one.y_mm - other.y_mm)
-    common = (one.diameter_mm + other.diameter_mm) / 2 - apart
-    share = max(common, 0.0) / min(one.diameter_mm, other.diameter_mm)
+    apart = hypot(first.x_mm - second.x_mm, first.y_mm - second.y_mm)
+    common = (first.diameter_mm + second.diameter_mm) / 2 - apart
+    share = max(common, 0.0) / min(first.diameter_mm, second.diameter_mm)
     return 1 - exp(-((share / SHARE) ** 2))
 
 
@@ -119,5 +119,5 @@ def _sucks(fit: Fit, disc: Disc | None) -> bool:
     discs = [part.disc(own) for part, own in fit.loads if part.sucks]
     if disc is None:
         return bool(discs)
-    apart = [hypot(one.x_mm - disc.x_mm, one.y_mm - disc.y_mm) for one in discs if one is not None]
+    apart = [hypot(place.x_mm - disc.x_mm, place.y_mm - disc.y_mm) for place in discs if place is not None]
     return min(apart, default=disc.diameter_mm) < disc.diameter_mm / 2

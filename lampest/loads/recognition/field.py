@@ -18,29 +18,29 @@ def field_fit(frame: Observation) -> tuple[Fit, Observation]:
     the most probable x; the states are those of a map of the cells or of the field itself, and paid for as a Potts
     field pays.
     """
-    fit, found = _of_two_maps(frame)
+    fit, most_probable = _of_two_maps(frame)
     if fit.chi2 < SUSPICIOUS * frame.measured.size:
         return fit, frame
-    calm = frame.without(outliers(Whitening(found.root), found.apart))
+    calm = frame.without(outliers(Whitening(most_probable.root), most_probable.apart))
     return max((fit, frame), (_of_two_maps(calm)[0], calm), key=lambda pair: pair[0].evidence)
 
 
 def _of_two_maps(frame: Observation) -> tuple[Fit, MostProbable]:
-    one = _with_states(frame, frame.map)
-    return max(one, _with_states(frame, one[0].change), key=lambda pair: pair[0].evidence)
+    first = _with_states(frame, frame.map)
+    return max(first, _with_states(frame, first[0].change), key=lambda pair: pair[0].evidence)
 
 
 def _with_states(frame: Observation, start: Array) -> tuple[Fit, MostProbable]:
     """The most probable field with the states that ln r/r0 (rows, columns) shows, from there."""
     panel, none = frame.baseline.scene.panel, np.zeros(0)
     of_cells = states(panel, start)
-    found = frame.cells(start, prior(frame, SD[of_cells].ravel()))
-    change, whitening = found.state.reshape(start.shape), Whitening(found.root)
-    errors, left = whitening @ found.apart, frame.residual(change)
+    most_probable = frame.cells(start, prior(frame, SD[of_cells].ravel()))
+    change, whitening = most_probable.state.reshape(start.shape), Whitening(most_probable.root)
+    errors, left = whitening @ most_probable.apart, frame.residual(change)
     misfit = Whitening(np.linalg.cholesky(frame.covariance(frame.slope(change)))) @ left
     cost = float(errors @ errors) / 2
     likely = float(misfit @ misfit), cost, whitening.volume, -cost - whitening.volume - paid(panel, of_cells)
-    return Fit(FIELD, none, none.reshape(0, 0), change, none.reshape(0, change.size), left, *likely), found
+    return Fit(FIELD, none, none.reshape(0, 0), change, none.reshape(0, change.size), left, *likely), most_probable
 
 
 def prior(frame: Observation, sd: Array) -> Array:
@@ -52,9 +52,9 @@ def prior(frame: Observation, sd: Array) -> Array:
 def states(panel: Panel, change: Array) -> NDArray[np.intp]:
     """0 to 3 for quiet to strongly changed cells: by their own change and that of their neighbours."""
     square, (first, second, _) = change.ravel() ** 2, panel.neighbours
-    here, there = np.concatenate([first, second]), np.concatenate([second, first])
-    beside = np.bincount(here, square[there], square.size).astype(float)
-    sides = np.bincount(here, minlength=square.size)
+    cell, neighbour = np.concatenate([first, second]), np.concatenate([second, first])
+    beside = np.bincount(cell, square[neighbour], square.size).astype(float)
+    sides = np.bincount(cell, minlength=square.size)
     beside += np.maximum(4 - sides, 0) * square  # a cell at the border stands for what it has not beside it
     limits = np.sqrt(SD[1:] * SD[:-1])
     return np.asarray(np.digitize(np.sqrt(0.6 * square + 0.1 * beside), limits)).reshape(change.shape)

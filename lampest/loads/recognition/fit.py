@@ -75,9 +75,9 @@ class CellLikelihood:
         residual = frame.target - network.reading().ravel()
         both = whitening @ np.column_stack([network.sensitivity(), residual])
         slope, error = both[:, :-1], both[:, -1]
-        there = error + slope @ change.ravel()
-        square = float(there @ there) / 2
-        return cls(slope.T @ slope, slope.T @ there, square, residual, float(error @ error) / 2)
+        linear = error + slope @ change.ravel()
+        square = float(linear @ linear) / 2
+        return cls(slope.T @ slope, slope.T @ linear, square, residual, float(error @ error) / 2)
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,10 +113,10 @@ class Fitting:
         mean, sd, _ = self._prior
         apart = (parameters - mean) / sd
         touched = np.flatnonzero(change)
-        here, own = change.ravel()[touched], slopes[:, touched]
+        changed, own = change.ravel()[touched], slopes[:, touched]
         normal = likelihood.normal[np.ix_(touched, touched)]
-        pulled, pull = normal @ here, likelihood.pull[touched]
-        misfit = likelihood.constant + float(here @ (pulled / 2 - pull))
+        pulled, pull = normal @ changed, likelihood.pull[touched]
+        misfit = likelihood.constant + float(changed @ (pulled / 2 - pull))
         cost = misfit + float(apart @ apart) / 2
         curvature = own @ normal @ own.T
         curvature[np.diag_indices(len(sd))] += 1 / sd**2
@@ -142,18 +142,18 @@ class Fitting:
         low, high = mean - FARTHEST * sd, mean + FARTHEST * sd
         if held is not None:
             low[held] = high[held] = start[held]
-        found = LevenbergMarquardt(steps, ENOUGH, longest=longest).minimum(
+        minimum = LevenbergMarquardt(steps, ENOUGH, longest=longest).minimum(
             lambda parameters: self.at(parameters, likelihood),
             start,
             (low, high),
-            lambda here, count: count > 4 and here.cost > most,
+            lambda point, count: count > 4 and point.cost > most,
         )
-        return found.at, found.evaluations
+        return minimum.at, minimum.evaluations
 
     def best(self, start: Array, whitening: Whitening, most: float = np.inf, quick: bool = False) -> Fit:
         """The most probable φ. most : a cost above which it ends early. quick : widths are those of the curvature."""
-        here, likelihood, steps = self.settled(start, whitening, most)
-        return replace(self.found(here, likelihood, whitening, quick or here.cost > most), steps=steps)
+        point, likelihood, steps = self.settled(start, whitening, most)
+        return replace(self.fit_at(point, likelihood, whitening, quick or point.cost > most), steps=steps)
 
     def settled(
         self, start: Array, whitening: Whitening, most: float = np.inf, held: int | None = None
@@ -165,12 +165,12 @@ class Fitting:
         likelihood, steps = self.about(start, whitening), 0
         parameters, best = start, None
         for _ in range(ROUNDS):
-            there, count = self.descended(parameters, likelihood, STEPS, most, held)
-            likelihood, steps = CellLikelihood.about(self.frame, whitening, there.change), steps + count
-            parameters, exact = there.parameters, there.cost - there.misfit + likelihood.exact
+            point, count = self.descended(parameters, likelihood, STEPS, most, held)
+            likelihood, steps = CellLikelihood.about(self.frame, whitening, point.change), steps + count
+            parameters, exact = point.parameters, point.cost - point.misfit + likelihood.exact
             if best is None or exact < best[0].cost:
-                best = replace(there, cost=exact), likelihood
-            if abs(exact - there.cost) < ENOUGH or min(exact, there.cost) > most:
+                best = replace(point, cost=exact), likelihood
+            if abs(exact - point.cost) < ENOUGH or min(exact, point.cost) > most:
                 break
         assert best is not None
         return *best, steps
@@ -178,15 +178,15 @@ class Fitting:
     def stays(self, parameters: Array, whitening: Whitening) -> Fit:
         """The fit at φ as it is."""
         likelihood = self.about(parameters, whitening)
-        return self.found(self.at(parameters, likelihood), likelihood, whitening, quick=True)
+        return self.fit_at(self.at(parameters, likelihood), likelihood, whitening, quick=True)
 
-    def found(self, here: Linearisation, likelihood: CellLikelihood, whitening: Whitening, quick: bool) -> Fit:
+    def fit_at(self, point: Linearisation, likelihood: CellLikelihood, whitening: Whitening, quick: bool) -> Fit:
         """The fit with a likelihood that was linearised there."""
-        widths, spread = self._widths(here, likelihood, quick)
-        covariance = spread @ spread.T + np.diag(self.candidate.blind(here.parameters) ** 2)
-        evidence = float(np.log(widths).sum() - here.cost) - whitening.volume
-        known = here.parameters, covariance, here.change, here.by_parameter, likelihood.residual
-        likely = 2 * likelihood.exact, here.cost, whitening.volume, evidence
+        widths, spread = self._widths(point, likelihood, quick)
+        covariance = spread @ spread.T + np.diag(self.candidate.blind(point.parameters) ** 2)
+        evidence = float(np.log(widths).sum() - point.cost) - whitening.volume
+        known = point.parameters, covariance, point.change, point.by_parameter, likelihood.residual
+        likely = 2 * likelihood.exact, point.cost, whitening.volume, evidence
         return Fit(self.candidate, *known, *likely, whitening.scatter)
 
     @cached_property
@@ -215,18 +215,18 @@ class Fitting:
         )
         return Explained(fit.change, np.abs(more - less) / 2, (large - small) / (1.1 - 0.9))
 
-    def _widths(self, here: Linearisation, likelihood: CellLikelihood, quick: bool) -> tuple[Array, Array]:
+    def _widths(self, point: Linearisation, likelihood: CellLikelihood, quick: bool) -> tuple[Array, Array]:
         """(standard deviations along the axes of the posterior over those of the prior, the root of its covariance).
 
         Where a rim runs between patches, slopes are 0 and would give the width of the prior. There the cost one such
         width away on either side gives the width, of a parabola through that point.
         """
         sd = self._prior[1]
-        stiffness, axes = np.linalg.eigh(here.normal * np.outer(sd, sd))
+        stiffness, axes = np.linalg.eigh(point.normal * np.outer(sd, sd))
         widths, axes = 1 / np.sqrt(np.maximum(stiffness, 1.0)), sd[:, None] * axes
         for axis in np.flatnonzero(widths > (np.inf if quick else LOOSE)):
             step = widths[axis] * axes[:, axis]
-            rises = [self.at(here.parameters + sign * step, likelihood).cost - here.cost for sign in (1, -1)]
+            rises = [self.at(point.parameters + sign * step, likelihood).cost - point.cost for sign in (1, -1)]
             widths[axis] *= np.mean(1 / np.sqrt(np.maximum(1.0, 2 * np.array(rises))))
         return widths, axes * widths
 
@@ -249,11 +249,11 @@ def along_diameter(fitting: Fitting, fit: Fit, whitening: Whitening) -> Fit:
     points = [fitting.settled(fit.parameters, whitening, held=place)[0]]
     apart = fitting.patch_mm / POINTS / float(np.exp(fit.parameters[place]))  # as points of a patch are
     for step in (1, -1) * np.array(max(apart, fit.covariance[place, place] ** 0.5 / 2)):
-        here = points[0]
-        while here.cost < points[0].cost + UNLIKELY / 2:
-            begin = here.parameters + step * np.eye(len(names))[place]
-            here = fitting.settled(begin, whitening, points[0].cost + UNLIKELY / 2, place)[0]
-            points.append(here)
+        point = points[0]
+        while point.cost < points[0].cost + UNLIKELY / 2:
+            begin = point.parameters + step * np.eye(len(names))[place]
+            point = fitting.settled(begin, whitening, points[0].cost + UNLIKELY / 2, place)[0]
+            points.append(point)
     # A centre a pitch further on would have touched other patches.
     centred = np.diag(fitting.centred * 12 / fitting.panel.pitch_mm**2)
     precisions = [(point.normal + centred)[others] for point in points]

@@ -209,8 +209,8 @@ class ImageWatch:
 
     def ended(self) -> "ImageWatch":
         """As `Watch.ended`."""
-        here = replace(self, opened=tuple((window, watch.ended(), at) for window, watch, at in self.opened))
-        return replace(here, attachments=here._merged())
+        ended = replace(self, opened=tuple((window, watch.ended(), at) for window, watch, at in self.opened))
+        return replace(ended, attachments=ended._merged())
 
     @property
     def doubt(self) -> str:
@@ -228,8 +228,8 @@ class ImageWatch:
         whole = np.zeros(self.panelled.scene.panel.shape)
         for window, watch, _ in self.opened:
             if watch.change is not None:
-                here = whole[window.cells]
-                whole[window.cells] = np.where(np.abs(watch.change) > np.abs(here), watch.change, here)
+                known = whole[window.cells]
+                whole[window.cells] = np.where(np.abs(watch.change) > np.abs(known), watch.change, known)
         return whole if whole.any() else None
 
     @property
@@ -247,7 +247,7 @@ class ImageWatch:
         """Where in the image a module's readings have changed most, x and y in mm."""
         assert watch is not None
         corner = self.panelled.scene.panel.places_mm[:, *self._layout.cells(number)][:, 0, 0]
-        scores = watch.test.scores(watch.mean - watch.rest)
+        scores = watch.test.scores(watch.mean - watch.resting)
         return np.asarray(corner + watch.panelled.detector.search.places[int(np.argmax(scores))])
 
     def _begun(self, window: Window, sigma: Array) -> Watch:
@@ -256,16 +256,16 @@ class ImageWatch:
         parts = [self.modules[number] for number in window.numbers]
         known = [part for part in parts if part is not None]
         begun_s = max(part.window[-1][0] if part.window else part.begun for part in known)
-        blank = known[0].rest * 0 + np.median([np.median(part.rest) for part in known])
+        blank = known[0].resting * 0 + np.median([np.median(part.resting) for part in known])
 
         def whole(of: Callable[[Watch], Array]) -> Array:
             each = [blank if part is None else of(part) for part in parts]
             return np.asarray(layout.joined(np.reshape(each, (len(each), layout.each.rows, layout.each.columns))))
 
-        shape, rest = window.scene.panel.shape, whole(lambda part: part.rest)
+        shape, baseline = window.scene.panel.shape, whole(lambda part: part.resting)
         detector = replace(panelled.detector, panel=window.scene.panel)
         own = replace(panelled, scene=cast(Scene, window.scene), detector=detector, water=panelled.water[window.cells])
-        begun = Watch.begin(own, np.exp(rest), sigma[window.cells], np.zeros((0, *shape)), known[0].rest_s)
+        begun = Watch.begin(own, np.exp(baseline), sigma[window.cells], np.zeros((0, *shape)), known[0].rest_s)
         loud = np.full(len(begun.test.loud), max(float(part.test.loud.mean()) for part in known))
         return replace(
             begun,
@@ -275,22 +275,22 @@ class ImageWatch:
             mean=whole(lambda part: part.mean).ravel(),
             begun=begun_s,
             recent=tuple(whole(lambda part, n=n: part.recent[n]).ravel() for n in (0, 1)),  # type: ignore[misc]
-            window=((begun_s, rest.ravel()),),
+            window=((begun_s, baseline.ravel()),),
             uneven=False,
         )
 
     def _closed(self, time: float) -> "ImageWatch":
         """Without the windows that have been calm for long; their modules go on from there."""
-        opened = tuple(one for one in self.opened if time - one[2] < CALM_S)
+        opened = tuple(opening for opening in self.opened if time - opening[2] < CALM_S)
         modules, covered = list(self.modules), under_windows(opened)
         for window, watch, _ in set(self.opened) - set(opened):
             shape, layout = window.scene.panel.shape, window.scene.layout
-            images = np.reshape([watch.rest, watch.mean, *watch.recent], (4, *shape))
+            images = np.reshape([watch.resting, watch.mean, *watch.recent], (4, *shape))
             for place, number in enumerate(window.numbers):
                 module = modules[number]
                 if module is not None and number not in covered:
-                    rest, mean, *recent = layout.split(images)[:, place].reshape(4, -1)
-                    at_rest = replace(module, rest=rest, rest_s=watch.rest_s, rested=watch.rested, mean=mean)
+                    baseline, mean, *recent = layout.split(images)[:, place].reshape(4, -1)
+                    at_rest = replace(module, resting=baseline, rest_s=watch.rest_s, rested=watch.rested, mean=mean)
                     again = replace(at_rest, recent=tuple(recent), begun=watch.begun, window=watch.window)
                     modules[number] = replace(again, uncovered_s=watch.uncovered_s)
         return replace(self, modules=tuple(modules), opened=opened)
@@ -303,13 +303,13 @@ class ImageWatch:
                 x, y = (load.x_mm[0] + window.x_mm, load.x_mm[1]), (load.y_mm[0] + window.y_mm, load.y_mm[1])
                 every.append((window, replace(load, x_mm=x, y_mm=y)))
         every.sort(key=lambda pair: pair[1].distance((pair[0].middle[0], pair[0].middle[1])))
-        kept: list[tuple[Window, Attachment]] = []
+        merged: list[tuple[Window, Attachment]] = []
         for window, load in every:
-            if not any(window is not other and _one(load, seen) for other, seen in kept):
-                kept.append((window, load))
+            if not any(window is not neighbour and _same_load(load, seen) for neighbour, seen in merged):
+                merged.append((window, load))
         ended = [load for load in self.attachments if load.until_s is not None]
-        past = [load for load in ended if not any(_one(load, seen) for _, seen in kept)]
-        return tuple(sorted([*past, *(load for _, load in kept)], key=lambda load: load.since_s))
+        past = [load for load in ended if not any(_same_load(load, seen) for _, seen in merged)]
+        return tuple(sorted([*past, *(load for _, load in merged)], key=lambda load: load.since_s))
 
 
 def under_windows(opened: Sequence[Opened]) -> set[int]:
@@ -322,8 +322,8 @@ def _layout(scene: Scene) -> Modules:
     return scene.panel.modules
 
 
-def _one(load: Attachment, other: Attachment) -> bool:
+def _same_load(first: Attachment, second: Attachment) -> bool:
     """Whether two windows saw one load: at one time, and nearer than the larger of them is wide."""
-    ends = (inf if one.until_s is None else one.until_s for one in (other, load))
-    together = all(one.since_s < end for one, end in zip((load, other), ends, strict=True))
-    return together and load.distance(other.place) < max(load.width, other.width)
+    ends = (inf if load.until_s is None else load.until_s for load in (second, first))
+    together = all(load.since_s < end for load, end in zip((first, second), ends, strict=True))
+    return together and first.distance(second.place) < max(first.width, second.width)

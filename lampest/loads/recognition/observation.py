@@ -113,16 +113,16 @@ class Baseline:
         shared, noise = 0.0 if common is None else common @ common.T, sigma.ravel() ** 2
 
         def model(state: Array) -> tuple[Array, Array, Array]:
-            here = np.exp(state[:cells].reshape(measured.shape))
-            network = circuit.network(here, circuit.ties(here), scene.wiring)
+            resistance = np.exp(state[:cells].reshape(measured.shape))
+            network = circuit.network(resistance, circuit.ties(resistance), scene.wiring)
             residual = measured.ravel() - network.reading().ravel() - spread @ state[cells:]
             return residual, np.hstack([network.sensitivity(), spread]), np.diag(noise) + shared
 
         coarse = most_probable(model, mean, mean, prior, LONGEST / 10)
         noise[outliers(Whitening(coarse.root), coarse.apart)] *= DROPPED**2
-        found = most_probable(model, coarse.state, mean, prior, 1e-6)
-        logarithm, shifts = found.state[:cells].reshape(measured.shape), found.state[cells:]
-        return cls(logarithm, shifts, found.covariance, model_errors, scene)
+        fine = most_probable(model, coarse.state, mean, prior, 1e-6)
+        logarithm, shifts = fine.state[:cells].reshape(measured.shape), fine.state[cells:]
+        return cls(logarithm, shifts, fine.covariance, model_errors, scene)
 
     @property
     def response(self) -> Response:
@@ -147,7 +147,7 @@ class Baseline:
 
         K is the correlation of cells: shared, near and own; b what all share, of a bent film and of the patches' sizes.
         """
-        errors, (change, edges, patches) = self.model_errors, (one.ravel() for one in explained)
+        errors, (change, edges, patches) = self.model_errors, (part.ravel() for part in explained)
         alike = errors.common + errors.near * self.near + (1 - errors.common - errors.near) * np.eye(len(self.near))
         shared = np.stack([errors.bent * change, errors.patch * patches])
         uneven = alike * np.outer(change, change) + np.diag((errors.edge_mm * edges) ** 2)
@@ -182,8 +182,8 @@ class Observation:
         """x of pressures and its slope, (rows, columns), 1 and 1/kPa; MOST_CHANGED at most."""
         response, step = self.baseline.response, 1e-3  # kPa: the slope is a difference, F has corners
         near = pressure + self.water + np.array([0.0, step, -step])[:, None, None]
-        here, up, down = response.gains * (response.logarithm(near) - self._immersed)
-        return np.clip(here, -MOST_CHANGED, MOST_CHANGED), (up - down) / (2 * step) * (np.abs(here) < MOST_CHANGED)
+        change, up, down = response.gains * (response.logarithm(near) - self._immersed)
+        return np.clip(change, -MOST_CHANGED, MOST_CHANGED), (up - down) / (2 * step) * (np.abs(change) < MOST_CHANGED)
 
     @cached_property
     def _immersed(self) -> Array:

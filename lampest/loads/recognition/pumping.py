@@ -88,7 +88,7 @@ class Pumping:
         logarithm, mean, variance, age, wide = (
             np.take_along_axis(values, best, axis=-1) for values in (logarithm, mean, variance, age, wide)
         )
-        here = replace(
+        updated = replace(
             self,
             since_s=time,
             logarithm=logarithm - logsumexp(logarithm),
@@ -96,9 +96,9 @@ class Pumping:
             variance=variance * (1 - variance / wide),
             age_s=age,
         )
-        low = max(0.0, REST - here._kinds)
-        least = here.logarithm.max(axis=(1, 2, 3, 4), keepdims=True) - FORGOTTEN
-        return replace(here, logarithm=np.maximum(here.logarithm, least) + low * pumps)
+        low = max(0.0, REST - updated._kinds)
+        least = updated.logarithm.max(axis=(1, 2, 3, 4), keepdims=True) - FORGOTTEN
+        return replace(updated, logarithm=np.maximum(updated.logarithm, least) + low * pumps)
 
     @property
     def _kinds(self) -> float:

@@ -101,7 +101,7 @@ class StepTest:
         x, y = search.places.T / frame.baseline.scene.panel.pitch_mm
         near = np.hypot(x[:, None] - x, y[:, None] - y) < NEAR
         scores = unloaded @ patterns.T
-        spreads = [np.mean((one - other) ** 2) / 2 for one, other in combinations(scores, 2)]
+        spreads = [np.mean((first - second) ** 2) / 2 for first, second in combinations(scores, 2)]
         usual = np.quantile(spreads or [1.0], 0.25, method="lower")  # a frame with an outlier, or a touch, is in many
         return cls(patterns, near, whitening, np.full(len(patterns), max(float(usual), 1.0)))
 
@@ -120,28 +120,44 @@ class StepTest:
 
 @dataclass(frozen=True, eq=False)
 class Watch:
-    """Where a sequence of frames stands. Readings are logarithms, (cells).
+    """State of the recognition after a sequence of frames. Readings are logarithms, (cells).
 
-    rest, rested, rest_s : the panel before a load, of how many frames it is the mean, its last. kept : (cells) standard
-    deviation of ln r0 by what the film keeps of loads that left since. mean, begun : of the frames since the last step,
-    and when that was. recent : the last two. window : (s, ℓ) since the step, of WINDOW_S or FRAMES if that is more.
-    size : (discs) scores of the load that is there. left, left_s : the same of the last load that was recognised, and
-    when. seen, verdict : the median frame in which something was recognised since it came, and as what. known : whether
-    that was since the last step. next_s, breath_s, sample_s : when it will be again, its breathing and its suction.
-    uncovered_s : when a load left that had been there before the first frame. uneven : whether one may be there in the
-    unloaded frames.
+    Attributes
+    ----------
+    resting, rested, rest_s
+        Readings of the panel before a load, number of frames of which they are the mean, and time of the last in s.
+    mean, begun
+        Readings of the frames since the last step, and when that was, s.
+    recent : tuple of two arrays
+        The last two frames.
+    window : tuple of (s, array)
+        Frames since the step, of WINDOW_S or FRAMES if that is more.
+    size, left, left_s
+        Scores of the present load (discs), of the last one that was recognised, and when, s.
+    film_sd : array, or 0
+        Standard deviation of ln r0 by the residue that earlier loads left in the film, (cells).
+    seen, verdict
+        The median frame of the last recognition since the load came, and its result.
+    known : bool
+        Whether there was a recognition since the last step.
+    next_s, breath_s, sample_s : float
+        Times of the next recognition, of the next judgement of breath and of the next sample of suction.
+    uncovered_s
+        Time at which a load left that had been there before the first frame.
+    uneven : bool
+        Whether a load may lie on the panel in the unloaded frames.
     """
 
     panelled: Panelled
     test: StepTest
     sigma: Array
-    rest: Array
+    resting: Array
     rested: float
     rest_s: float
     mean: Array
     begun: float
     recent: tuple[Array, ...]
-    kept: Array | float = 0.0
+    film_sd: Array | float = 0.0
     window: tuple[tuple[float, Array], ...] = ()
     present: bool = False
     size: Array | float = 0.0
@@ -164,32 +180,32 @@ class Watch:
         measured : their mean. sigma : of one frame. unloaded : (frames, rows, columns) those that are values, NaN else.
         time : s, of the last one.
         """
-        frames, sigma, rest = max(len(unloaded), 1), counting(sigma, measured), np.log(measured.ravel())
+        frames, sigma, resting = max(len(unloaded), 1), counting(sigma, measured), np.log(measured.ravel())
         frame = panelled.frame(measured, sigma, panelled.baseline(measured, sigma, frames), 0.0)
-        own = np.where(np.isnan(unloaded), measured, unloaded).reshape(len(unloaded), rest.size)
+        own = np.where(np.isnan(unloaded), measured, unloaded).reshape(len(unloaded), resting.size)
         test = StepTest.of(frame, panelled.detector.search, np.log(own))
         uneven = panelled.detector.search.lies_on(frame.baseline.logarithm)
-        return cls(panelled, test, sigma, rest, frames, time, rest, time, (rest, rest), uneven=uneven)
+        return cls(panelled, test, sigma, resting, frames, time, resting, time, (resting, resting), uneven=uneven)
 
     def push(self, measured: Array, sigma: Array, time: float) -> "Watch":
         """After a frame; a reading without a finite σ does not count. All (rows, columns)."""
-        here = self.followed(measured, sigma, time)
-        if not here.present:
-            return here
-        if not here.known and here._calm(here._frame(here.mean, time)):
-            return here._gone(here.begun)
-        here = here._recognised(time) if time >= here.next_s and len(here.window) >= FRAMES else here
-        if not (here.present and here.known):
-            return here
-        here = here._breathed(time) if time >= here.breath_s else here
-        return here._pumped(time) if time >= here.sample_s else here
+        watch = self.followed(measured, sigma, time)
+        if not watch.present:
+            return watch
+        if not watch.known and watch._calm(watch._frame(watch.mean, time)):
+            return watch._gone(watch.begun)
+        watch = watch._recognised(time) if time >= watch.next_s and len(watch.window) >= FRAMES else watch
+        if not (watch.present and watch.known):
+            return watch
+        watch = watch._breathed(time) if time >= watch.breath_s else watch
+        return watch._pumped(time) if time >= watch.sample_s else watch
 
     def followed(self, measured: Array, sigma: Array, time: float) -> "Watch":
         """After a frame, as `push`, but nothing is recognised."""
         counts = np.isfinite(sigma).ravel()
         logarithm = np.where(counts, np.log(np.where(counts, measured.ravel(), 1.0)), self.mean)
         shown = np.median([*self.recent, logarithm], axis=0)
-        sigma = counting(sigma, np.exp(self.rest).reshape(sigma.shape))
+        sigma = counting(sigma, np.exp(self.resting).reshape(sigma.shape))
         return replace(self, recent=(self.recent[-1], logarithm), sigma=sigma)._stepped(shown, logarithm, time)
 
     def ended(self) -> "Watch":
@@ -199,15 +215,15 @@ class Watch:
     def touched(self, unloaded: Array) -> bool:
         """Whether something came or left while the unloaded frames (frames, rows, columns) were taken."""
         medians = [np.median(np.log(unloaded[first : first + 3]), axis=0).ravel() for first in range(len(unloaded) - 2)]
-        each = [np.where(np.isnan(shown), self.rest, shown) for shown in medians]
-        stepped = [shown for shown in each if np.any(self.test.scores(shown - self.rest) >= self.test.least())]
+        each = [np.where(np.isnan(shown), self.resting, shown) for shown in medians]
+        stepped = [shown for shown in each if np.any(self.test.scores(shown - self.resting) >= self.test.least())]
         verdict = self.panelled.detector.verdict
         return any(verdict(self._frame(shown, self.rest_s + SETTLES_S)).nothing < 0.5 for shown in stepped[-1:])
 
     @property
     def stands_out(self) -> float:
         """By how many standard deviations the last frames differ from the panel at rest."""
-        return float(np.max(self.test.scores(np.median([*self.recent, self.mean], axis=0) - self.rest)))
+        return float(np.max(self.test.scores(np.median([*self.recent, self.mean], axis=0) - self.resting)))
 
     @property
     def change(self) -> Array | None:
@@ -229,29 +245,29 @@ class Watch:
         scores = self.test.scores(shown - self.mean)
         fading = self.left / (1 + max(time - self.left_s, 0.0) / FOLLOWS_S)  # what the film may show of the last load
         if np.any(scores >= np.maximum(self.test.least(), CHANGED * (self.size if self.present else fading))):
-            here = replace(self, mean=shown, begun=before, window=((time, logarithm),), known=False)
-            here = here if self.present else replace(here, present=True, seen=None)
-            size = self.test.sizes(shown - self.rest)
-            here = replace(here, next_s=before + FIRST_S, breath_s=time + LEAST_S + 1 / LEAST_RATE)
-            return replace(here, size=size, sample_s=before + BLOCK_S)
+            watch = replace(self, mean=shown, begun=before, window=((time, logarithm),), known=False)
+            watch = watch if self.present else replace(watch, present=True, seen=None)
+            size = self.test.sizes(shown - self.resting)
+            watch = replace(watch, next_s=before + FIRST_S, breath_s=time + LEAST_S + 1 / LEAST_RATE)
+            return replace(watch, size=size, sample_s=before + BLOCK_S)
         share = min((time - before) / FOLLOWS_S, 1.0)
         follows = max(1 / (len(self.window) + 1), share)
-        lately = sum(one[0] > time - WINDOW_S for one in self.window)
+        lately = sum(sample[0] > time - WINDOW_S for sample in self.window)
         window = (*self.window[-max(lately, FRAMES - 1) :], (time, logarithm))
-        here = replace(self, mean=self.mean + follows * (shown - self.mean), window=window)
+        watch = replace(self, mean=self.mean + follows * (shown - self.mean), window=window)
         if self.present:
-            return here
+            return watch
         test = replace(self.test, loud=self.test.loud + share * (scores**2 - self.test.loud))
-        return replace(here, rest=here.mean, rest_s=time, rested=max(1 / follows, self.rested), test=test)
+        return replace(watch, resting=watch.mean, rest_s=time, rested=max(1 / follows, self.rested), test=test)
 
     def _frame(self, logarithm: Array, time: float) -> Observation:
         """Readings against the panel before the load, with what the film keeps of loads that left."""
         panelled, shape = self.panelled, self.panelled.scene.panel.shape
-        rest = panelled.baseline(np.exp(self.rest).reshape(shape), self.sigma, max(self.rested, 1.0))
-        frame = panelled.frame(np.exp(logarithm).reshape(shape), self.sigma, rest, time - self.rest_s)
-        covariance = rest.covariance.copy()
+        baseline = panelled.baseline(np.exp(self.resting).reshape(shape), self.sigma, max(self.rested, 1.0))
+        frame = panelled.frame(np.exp(logarithm).reshape(shape), self.sigma, baseline, time - self.rest_s)
+        covariance = baseline.covariance.copy()
         np.einsum("ii->i", covariance)[: logarithm.size] += self._keeps(frame) ** 2
-        return replace(frame, baseline=replace(rest, covariance=covariance))
+        return replace(frame, baseline=replace(baseline, covariance=covariance))
 
     def _calm(self, frame: Observation) -> bool:
         """Whether nothing stands out of a frame, nor a part of what was there that a film does not keep."""
@@ -269,11 +285,11 @@ class Watch:
         return bool(np.sum((frame.map - common) * before) <= CLEAR * FILM_KEEPS * np.sum(before**2))
 
     def _keeps(self, frame: Observation) -> Array | float:
-        """`kept` once a step has changed what was recognised: by what cells have less of it than before."""
+        """`film_sd` once a step has changed what was recognised: by what cells have less of it than before."""
         if self.known or self.seen is None:
-            return self.kept
+            return self.film_sd
         less = np.maximum(np.abs(self._before) - np.abs(frame.map), 0.0).ravel()
-        return np.asarray(np.maximum(self.kept, FILM_KEEPS * less))
+        return np.asarray(np.maximum(self.film_sd, FILM_KEEPS * less))
 
     @property
     def _before(self) -> Array:
@@ -283,21 +299,25 @@ class Watch:
 
     def _gone(self, time: float) -> "Watch":
         """Once nothing is there any more; the panel at rest is what it is now, unless nothing had been recognised."""
-        closed = tuple(replace(one, until_s=time) if one.here else one for one in self.attachments)
-        here = replace(self, present=False, known=False, attachments=closed, kept=0.0, next_s=np.inf, breath_s=np.inf)
+        closed = tuple(
+            replace(attachment, until_s=time) if attachment.present else attachment for attachment in self.attachments
+        )
+        watch = replace(
+            self, present=False, known=False, attachments=closed, film_sd=0.0, next_s=np.inf, breath_s=np.inf
+        )
         if self.seen is None:
-            return replace(here, mean=self.rest, window=())
-        return replace(here, rest=self.mean, rest_s=time, rested=float(len(self.window)), left_s=time)
+            return replace(watch, mean=self.resting, window=())
+        return replace(watch, resting=self.mean, rest_s=time, rested=float(len(self.window)), left_s=time)
 
     def _recognised(self, time: float) -> "Watch":
         """With what stands there, by the frames of the window."""
-        again, scores = time + max(time - self.begun, FIRST_S), self.test.scores(self.mean - self.rest)
-        size, clear = self.test.sizes(self.mean - self.rest), scores >= self.test.least()
-        median = np.median([one for _, one in self.window], axis=0)
+        again, scores = time + max(time - self.begun, FIRST_S), self.test.scores(self.mean - self.resting)
+        size, clear = self.test.sizes(self.mean - self.resting), scores >= self.test.least()
+        median = np.median([logarithm for _, logarithm in self.window], axis=0)
         frame = self._frame(median, time)
         verdict = self.panelled.detector.verdict(frame, self.verdict if self.known else None)
-        found, before = verdict.best.change, self._before
-        memory = not self.known and np.sum(found**2) < CLEAR * FILM_KEEPS * np.sum(found * before)  # where it was
+        change, before = verdict.best.change, self._before
+        memory = not self.known and np.sum(change**2) < CLEAR * FILM_KEEPS * np.sum(change * before)  # where it was
         if verdict.nothing > exp(-RARER) * (1 - verdict.nothing) or memory:  # some steps are noise, or a load's end
             if self._left(frame) and not (self.known and np.any(clear)):
                 return self._gone(time if self.known else self.begun)
@@ -305,51 +325,51 @@ class Watch:
         if self.seen is None and self._uncovered(verdict, median, time):
             return replace(self, seen=frame, left=size, uncovered_s=self.begun)._gone(self.begun)
         loads = attachments_of(frame, verdict, self.begun)
-        here = replace(self, kept=self._keeps(frame), seen=frame, verdict=verdict, known=True, next_s=again)
+        watch = replace(self, film_sd=self._keeps(frame), seen=frame, verdict=verdict, known=True, next_s=again)
         every = continued_by(self.attachments, loads, self.begun, self.known)
-        return replace(here, left=size, left_s=time, size=size, attachments=every)
+        return replace(watch, left=size, left_s=time, size=size, attachments=every)
 
     def _uncovered(self, verdict: Verdict, median: Array, time: float) -> bool:
         """Whether what came is rather a load on the unloaded panel that left: as one explains it better backwards."""
         field = max(fit.evidence for fit in verdict.fits if fit.candidate is FIELD)
         if field < verdict.best.evidence - CANNOT_BE:
             return False
-        here = replace(self, rest=median, rested=float(len(self.window)), rest_s=time)
-        backwards = self.panelled.detector.verdict(here._frame(self.rest, time))
+        watch = replace(self, resting=median, rested=float(len(self.window)), rest_s=time)
+        backwards = self.panelled.detector.verdict(watch._frame(self.resting, time))
         return backwards.evidence > verdict.evidence + RARER
 
     def _breathed(self, time: float) -> "Watch":
         """With what the window shows of breathing; judged anew until it is full, and then window after window."""
         assert self.seen is not None and self.verdict is not None
         settled = self.window[:-1]  # the last frame may be the first of a release, which the next one will show
-        times, logarithms = np.array([at for at, _ in settled]), np.array([one for _, one in settled])
+        times, logarithms = np.array([at for at, _ in settled]), np.array([logarithm for _, logarithm in settled])
         lasted = float(times[-1] - times[0])
         full = lasted > WINDOW_S - 2.5 * lasted / max(len(times) - 1, 1)
         attachments, fit, detector = list(self.attachments), self.verdict.best, self.panelled.detector
-        for place, found in breaths(times, logarithms, self.seen, fit, self.test.whitening, detector):
-            here = [number for number, one in enumerate(attachments) if one.here]
-            number = min(here, key=lambda number: attachments[number].distance(place))
-            attachments[number] = attachments[number].breathed(found, full)
+        for place, breath in breaths(times, logarithms, self.seen, fit, self.test.whitening, detector):
+            present = [number for number, attachment in enumerate(attachments) if attachment.present]
+            number = min(present, key=lambda number: attachments[number].distance(place))
+            attachments[number] = attachments[number].breathed(breath, full)
         return replace(self, attachments=tuple(attachments), breath_s=time + (WINDOW_S if full else FIRST_S))
 
     def _pumped(self, time: float) -> "Watch":
         """With one more sample of all suction, from the frames of the last BLOCK_S but FRAMES at least."""
         assert self.seen is not None and self.verdict is not None
-        block = np.array([one for at, one in self.window if at > self.sample_s - BLOCK_S])
+        block = np.array([logarithm for at, logarithm in self.window if at > self.sample_s - BLOCK_S])
         if len(block) < FRAMES:
             return self
         attachments, patterns = list(self.attachments), list[tuple[tuple[float, float], Patterns]]()
-        for number, one in enumerate(attachments):
-            if one.here and one.sucks > 0.5:
-                track = one.track
-                if track is None or track.moves != len(one.moved_s):
+        for number, attachment in enumerate(attachments):
+            if attachment.present and attachment.sucks > 0.5:
+                track = attachment.track
+                if track is None or track.moves != len(attachment.moved_s):
                     whitening, fit = self.test.whitening, self.verdict.best
                     patterns = patterns or patterns_of(self.seen, fit, whitening, self.panelled.detector)
-                    own = min(patterns, key=lambda pair: one.distance(pair[0]), default=None)
+                    own = min(patterns, key=lambda pair: attachment.distance(pair[0]), default=None)
                     if own is None:
                         continue
                     weights, reference = suction_weights(own[1], whitening), np.log(self.seen.measured.ravel())
-                    begin = self.sample_s - BLOCK_S, len(one.moved_s)
+                    begin = self.sample_s - BLOCK_S, len(attachment.moved_s)
                     track = Pumping.begin(weights, reference, *begin, track)
-                attachments[number] = replace(one, track=track.after(block, time))
+                attachments[number] = replace(attachment, track=track.after(block, time))
         return replace(self, attachments=tuple(attachments), sample_s=time + BLOCK_S)

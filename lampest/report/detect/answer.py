@@ -82,9 +82,9 @@ class Detected:
         panel: Panel | None = None,
     ) -> "Detected":
         """The most alarming of all attachments, of these what is still there, the last one; rate : frames a second."""
-        loads = [*filter(lambda one: one.here, reversed(attachments)), *reversed(attachments)]
-        called = [answer_of(one, rate) for one in loads]
-        chosen = min(called, key=lambda one: ANSWERS.index(one[0]), default=(NOTHING, BARE, ""))
+        loads = [*filter(lambda load: load.present, reversed(attachments)), *reversed(attachments)]
+        called = [answer_of(load, rate) for load in loads]
+        chosen = min(called, key=lambda load: ANSWERS.index(load[0]), default=(NOTHING, BARE, ""))
         return cls(recording, *chosen, rate, notes, tuple(attachments), course, change, panel)
 
     @classmethod
@@ -95,49 +95,49 @@ class Detected:
     @property
     def called(self) -> list[str]:
         """The answer to each attachment alone."""
-        return [answer_of(one, self.frames_per_second or 0.0)[0] for one in self.attachments]
+        return [answer_of(load, self.frames_per_second or 0.0)[0] for load in self.attachments]
 
     @property
     def chosen(self) -> Attachment | None:
         """The attachment that the answer is about."""
-        named = zip(self.attachments, self.called, strict=True)
-        found = [one for one, name in named if name == self.answer]
-        return next((one for one in reversed(found) if one.here), found[-1] if found else None)
+        pairs = zip(self.attachments, self.called, strict=True)
+        named = [load for load, name in pairs if name == self.answer]
+        return next((load for load in reversed(named) if load.present), named[-1] if named else None)
 
     @property
     def sentence(self) -> str:
         """The answer for people: the attachment that it is about, of contacts all that are there."""
-        one, why = self.chosen, f": {self.why}" if self.why else ""
-        if one is None:
+        load, why = self.chosen, f": {self.why}" if self.why else ""
+        if load is None:
             return self.answer + why
         odds = f"P = {self.probability:.2f}" if self.probability < 0.995 else "P > 0.99"
-        present = [load for load in self.attachments if load.here]
+        present = [attachment for attachment in self.attachments if attachment.present]
         if self.answer == PRESSES and len(present) > 1:
-            shown = [_described(load) for load in present[:MAX_CONTACTS]]
+            shown = [_described(attachment) for attachment in present[:MAX_CONTACTS]]
             shown += [f"{len(present) - MAX_CONTACTS} more"] if len(present) > MAX_CONTACTS else []
             return f"{len(present)} contacts: {'; '.join(shown)} ({odds})"
         name = {SUCKS: "something that sucks (lamprey or cup)", PRESSES: "contact"}.get(self.answer, self.answer)
-        said = [f"{name}{' attached' if one.sucks > 0.5 else ''} {_described(one)}"]
-        if self.answer == LAMPREY and one.pumps > 0.5:
+        said = [f"{name}{' attached' if load.sucks > 0.5 else ''} {_described(load)}"]
+        if self.answer == LAMPREY and load.pumps > 0.5:
             said.append("pumping up its suction")
-        if self.answer == LAMPREY and one.breathes > 0.5 and one.breathing_hz and one.breathing_depth:
-            depth = (100 * one.breathing_depth[0], 100 * one.breathing_depth[1])
-            said += [f"breathing {one.breathing_hz[0]:.1f} Hz", _shown(depth, "%")]
-        if more := len(present) - one.here:
+        if self.answer == LAMPREY and load.breathes > 0.5 and load.breathing_hz and load.breathing_depth:
+            depth = (100 * load.breathing_depth[0], 100 * load.breathing_depth[1])
+            said += [f"breathing {load.breathing_hz[0]:.1f} Hz", _shown(depth, "%")]
+        if more := len(present) - load.present:
             said.append(f"and {more} more")
         return f"{', '.join(said)} ({odds}){why}"
 
     @property
     def events(self) -> tuple[Event, ...]:
         """What happened, in the order of time."""
-        found: list[Event] = []
-        for number, one in enumerate(self.attachments):
-            if one.sucks_s is None or one.sucks_s > one.since_s:
-                found.append(Event("touched", one.since_s, number))
-            found += [] if one.sucks_s is None else [Event("attached", one.sucks_s, number)]
-            found += [Event("moved", time, number) for time in one.moved_s]
-            found += [] if one.until_s is None else [Event("released", one.until_s, number)]
-        return tuple(sorted(found, key=lambda event: event.time_s))
+        events: list[Event] = []
+        for number, load in enumerate(self.attachments):
+            if load.sucks_s is None or load.sucks_s > load.since_s:
+                events.append(Event("touched", load.since_s, number))
+            events += [] if load.sucks_s is None else [Event("attached", load.sucks_s, number)]
+            events += [Event("moved", time, number) for time in load.moved_s]
+            events += [] if load.until_s is None else [Event("released", load.until_s, number)]
+        return tuple(sorted(events, key=lambda event: event.time_s))
 
     def content(self) -> dict[str, Any]:
         """As `--json` has it."""
@@ -151,63 +151,64 @@ class Detected:
             "why": self.why,
             "notes": list(self.notes),
             "warnings": list(self.warnings),
-            "attachments": [_content(one, name) for one, name in zip(self.attachments, self.called, strict=True)],
+            "attachments": [_content(load, name) for load, name in zip(self.attachments, self.called, strict=True)],
             "events": [
-                {"event": one.kind, "time_s": _round(one.time_s), "attachment": one.number} for one in self.events
+                {"event": event.kind, "time_s": _round(event.time_s), "attachment": event.number}
+                for event in self.events
             ],
         }
 
 
-def _content(one: Attachment, answer: str) -> dict[str, Any]:
-    pairs = {name: getattr(one, name) for name in PAIRS}
+def _content(load: Attachment, answer: str) -> dict[str, Any]:
+    pairs = {name: getattr(load, name) for name in PAIRS}
     return {
         "answer": answer,
-        "sucks": round(one.sucks, 4),
-        "breathes": round(one.breathes, 4),
-        "pumps": round(one.pumps, 4),
-        "since_s": _round(one.since_s),
-        "until_s": None if one.until_s is None else _round(one.until_s),
-        "cells": one.cells,
+        "sucks": round(load.sucks, 4),
+        "breathes": round(load.breathes, 4),
+        "pumps": round(load.pumps, 4),
+        "since_s": _round(load.since_s),
+        "until_s": None if load.until_s is None else _round(load.until_s),
+        "cells": load.cells,
         **{name: None if pair is None else [_round(number) for number in pair] for name, pair in pairs.items()},
     }
 
 
-def answer_of(one: Attachment, rate: float) -> tuple[str, float, str]:
+def answer_of(load: Attachment, rate: float) -> tuple[str, float, str]:
     """(one of ANSWERS, its probability, why no more can be said or '') of a load at so many frames a second."""
-    if one.sucks <= 0.5:
-        return PRESSES, 1 - one.sucks, ""
-    if one.sucks * one.lives >= SURE:
-        return LAMPREY, one.sucks * one.lives, ""
+    if load.sucks <= 0.5:
+        return PRESSES, 1 - load.sucks, ""
+    if load.sucks * load.lives >= SURE:
+        return LAMPREY, load.sucks * load.lives, ""
     why = too_slow(rate)
     if why:
-        return SUCKS, one.sucks, f"{why}; whether suction is pumped up again shows within minutes"
-    if one.breathing > 0 and one.suction < 0.5:
+        return SUCKS, load.sucks, f"{why}; whether suction is pumped up again shows within minutes"
+    if load.breathing > 0 and load.suction < 0.5:
         why = "it moves at a breathing rate, but probably not by its suction: it may be shaken"
-    elif one.breathing_hz is None:
+    elif load.breathing_hz is None:
         why = f"breathing shows after {LEAST_S:g} s at the earliest"
-    elif one.before < 0 and one.sucks * (1 - one.lives) >= SURE:  # a full window without breath
-        return CUP, one.sucks * (1 - one.lives), ""
+    elif load.before < 0 and load.sucks * (1 - load.lives) >= SURE:  # a full window without breath
+        return CUP, load.sucks * (1 - load.lives), ""
     else:
-        why = f"whether it breathes is not clear (P = {one.breathes:.2f})"
-    return SUCKS, one.sucks, why
+        why = f"whether it breathes is not clear (P = {load.breathes:.2f})"
+    return SUCKS, load.sucks, why
 
 
 def alarming(detected: Detected) -> list[float]:
     """Since when attachments are there that are lampreys, or suck while frames are too few to know more, s."""
     alarms = (LAMPREY, SUCKS) if too_slow(detected.frames_per_second or 0.0) else (LAMPREY,)
     pairs = zip(detected.attachments, detected.called, strict=True)
-    return [one.since_s for one, name in pairs if name in alarms]
+    return [load.since_s for load, name in pairs if name in alarms]
 
 
-def _described(one: Attachment) -> str:
+def _described(load: Attachment) -> str:
     """Return when an attachment was there, where, and how large it is, in words."""
-    until = "since {:.1f} s" if one.until_s is None else "from {:.1f} s to {:.1f} s"
-    diameter = f", {_shown(one.diameter_mm, 'mm')}" if one.diameter_mm else ""
-    said = [f"{until.format(one.since_s, one.until_s)}{diameter} at ({one.x_mm[0]:.0f}, {one.y_mm[0]:.0f}) mm"]
-    if one.suction_kpa and one.sucks > 0.5:
-        said.append(_shown(one.suction_kpa, "kPa"))
-    if one.diameter_mm is None and one.area_mm2 is not None:
-        said += [f"{one.cells} cells", _shown(one.area_mm2, "mm²")]
+    until = "since {:.1f} s" if load.until_s is None else "from {:.1f} s to {:.1f} s"
+    diameter = f", {_shown(load.diameter_mm, 'mm')}" if load.diameter_mm else ""
+    said = [f"{until.format(load.since_s, load.until_s)}{diameter} at ({load.x_mm[0]:.0f}, {load.y_mm[0]:.0f}) mm"]
+    if load.suction_kpa and load.sucks > 0.5:
+        said.append(_shown(load.suction_kpa, "kPa"))
+    if load.diameter_mm is None and load.area_mm2 is not None:
+        said += [f"{load.cells} cells", _shown(load.area_mm2, "mm²")]
     return ", ".join(said)
 
 
@@ -228,12 +229,12 @@ def _shown(pair: Pair | None, unit: str = "") -> str:
 def event_table(answers: Sequence[Detected]) -> Table:
     """One row for each event; none where nothing happened."""
     rows = []
-    for one in answers:
-        for event in one.events:
-            load, what = one.attachments[event.number], one.called[event.number]
+    for answer in answers:
+        for event in answer.events:
+            load, what = answer.attachments[event.number], answer.called[event.number]
             place = f"{load.x_mm[0]:.0f}, {load.y_mm[0]:.0f}"
             numbers = [_shown(pair) for pair in (load.diameter_mm, load.suction_kpa, load.breathing_hz)]
-            rows.append((one.recording, f"{event.time_s:.1f}", event.kind, what, place, *numbers))
+            rows.append((answer.recording, f"{event.time_s:.1f}", event.kind, what, place, *numbers))
     headers = ("recording", "time [s]", "event", "what", "x, y [mm]", "diameter [mm]", "inside [kPa]", "breathing [Hz]")
     return Table(headers, tuple(rows))
 
@@ -241,7 +242,7 @@ def event_table(answers: Sequence[Detected]) -> Table:
 def load_table(answers: Sequence[Detected]) -> Table:
     """One row for each attachment: probabilities, and what the touched cells show whatever it is."""
     rows = []
-    for name, load in ((one.recording, load) for one in answers for load in one.attachments):
+    for name, load in ((answer.recording, load) for answer in answers for load in answer.attachments):
         area = "" if load.area_mm2 is None else f"{load.area_mm2[0]:.0f}"
         conductance = "" if load.conductance_s is None else f"{1e3 * load.conductance_s[0]:.3g}"
         odds = f"{load.sucks:.3f}", f"{load.breathes:.3f}", f"{load.pumps:.3f}"
@@ -269,15 +270,15 @@ def write_detections(path: str | Path, answers: Sequence[Detected]) -> Path:
         hdf5.set_attributes(file, NX_class="NXroot", default="entry", lampest_format=FORMAT)
         entry = file.create_group("entry")
         hdf5.set_attributes(entry, NX_class="NXentry")
-        for order, one in enumerate(answers):
-            known, rate = one.content(), one.frames_per_second
-            about = {name: known[name] for name in ("answer", "sentence", "why")} | {"probability": one.probability}
-            about |= {"frames_per_second": np.nan if rate is None else rate, "notes": "\n".join(one.notes)}
-            group = entry.create_group(one.recording)
+        for order, answer in enumerate(answers):
+            known, rate = answer.content(), answer.frames_per_second
+            about = {name: known[name] for name in ("answer", "sentence", "why")} | {"probability": answer.probability}
+            about |= {"frames_per_second": np.nan if rate is None else rate, "notes": "\n".join(answer.notes)}
+            group = entry.create_group(answer.recording)
             hdf5.set_attributes(group, NX_class="NXsubentry", order=order, **about)
-            if one.attachments:
+            if answer.attachments:
                 _write_table(group.create_group("attachments"), _attachment_columns(known["attachments"]))
-                events = [(event.kind, event.time_s, event.number) for event in one.events]
+                events = [(event.kind, event.time_s, event.number) for event in answer.events]
                 kinds, times, numbers = zip(*events, strict=True)
                 columns = {"event": (hdf5.ascii_array(kinds), "1", "touched, attached, moved or released")}
                 columns["time"] = np.array(times), "s", "when it was first seen"
@@ -289,12 +290,12 @@ def write_detections(path: str | Path, answers: Sequence[Detected]) -> Path:
 def _attachment_columns(known: Sequence[dict[str, Any]]) -> dict[str, tuple[Any, str, str]]:
     """name → (values, units, text)."""
     columns: dict[str, tuple[Any, str, str]] = {
-        "answer": (hdf5.ascii_array([one["answer"] for one in known]), "1", "what it is")
+        "answer": (hdf5.ascii_array([load["answer"] for load in known]), "1", "what it is")
     }
     for name, (units, text) in NUMBERS.items():
-        columns[name] = np.array([one[name] for one in known], dtype=float), units, text
+        columns[name] = np.array([load[name] for load in known], dtype=float), units, text
     for name, (units, text) in PAIRS.items():
-        pairs = np.array([one[name] or (None, None) for one in known], dtype=float)
+        pairs = np.array([load[name] or (None, None) for load in known], dtype=float)
         columns[name] = pairs[:, 0], units, text
         columns[f"{name}_errors"] = pairs[:, 1], units, f"standard deviation: {text}"
     return columns

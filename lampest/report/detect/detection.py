@@ -102,14 +102,14 @@ class Known:
 
     def detected(self, watch: Watch | ImageWatch, rate: float, course: Array | None = None) -> Detected:
         """What the frames so far show, at so many frames a second; course : as `Detected` has it."""
-        found, response = watch.attachments, self.scene.response
-        if watch.doubt and not found:
+        attachments, response = watch.attachments, self.scene.response
+        if watch.doubt and not attachments:
             return replace(Detected.unknown(self.name, watch.doubt), frames_per_second=rate, course=course)
         if response is None:
-            found = tuple(replace(one, suction_kpa=None) for one in found)
-        slow = too_slow(rate) if any(one.sucks > 0.5 for one in found) else ""
+            attachments = tuple(replace(load, suction_kpa=None) for load in attachments)
+        slow = too_slow(rate) if any(load.sucks > 0.5 for load in attachments) else ""
         notes = (*self.notes, BY, *(() if response else (NO_RESPONSE,)), *filter(None, (slow, watch.doubt)))
-        return Detected.of(self.name, found, rate, notes, course, watch.change, self.scene.panel)
+        return Detected.of(self.name, attachments, rate, notes, course, watch.change, self.scene.panel)
 
     def values(self, readings: Readings) -> tuple[Array, Array]:
         """(value, σ) (rows, columns) of one frame; σ is infinite where a reading is no value."""
@@ -138,19 +138,19 @@ def detect_results(
 
 def _of_case(task: tuple[CaseResult, float | None]) -> Detected:
     case, patch_mm = task
-    side, sigma, notes = np.where(case.valued, case.measured, np.nan), case.sigma, tuple[str, ...]()
-    if sigma is None or case.sigma_baseline is None:
-        one, notes = _scattered(side)
-        sigma, resting = np.broadcast_to(one, side.shape), None
+    side, spread, notes = np.where(case.valued, case.measured, np.nan), case.sigma, tuple[str, ...]()
+    if spread is None or case.sigma_baseline is None:
+        sigma, notes = _scattered(side)
+        spread, resting = np.broadcast_to(sigma, side.shape), None
     else:
         resting = case.sigma_baseline
     noise = frame_noise_of(case.frame_noise, case.scene)
-    own = sigma[0] if resting is None else resting * np.sqrt(1 if noise is None else noise.unloaded)
-    rest = case.measured_baseline
-    rest = np.where(np.isfinite(rest), rest, stand_in(rest, np.isfinite(rest)))
+    own = spread[0] if resting is None else resting * np.sqrt(1 if noise is None else noise.unloaded)
+    baseline = case.measured_baseline
+    baseline = np.where(np.isfinite(baseline), baseline, stand_in(baseline, np.isfinite(baseline)))
     begin = float(case.time[0] - (np.median(np.diff(case.time)) if len(case.time) > 1 else 0.0))
-    before = rest, own, rest[None], begin, case.reading_error, noise, notes, patch_mm
-    values = zip(side, np.where(case.valued, sigma, np.inf), map(float, case.time), strict=True)
+    before = baseline, own, baseline[None], begin, case.reading_error, noise, notes, patch_mm
+    values = zip(side, np.where(case.valued, spread, np.inf), map(float, case.time), strict=True)
     said = tuple(filter(None, case.warnings.split("\n")))
     return replace(Known(case.recording, case.scene, *before).answer(values), warnings=said)
 
@@ -172,7 +172,7 @@ def detect_recording(
         raise InputError(f"{path}: no frame is measured (role 1)")
     head = Prepared(stored.part(range(int(measured[-1]) + 1)))
     watched, warnings = known_of(head, patch_mm), warnings_of(head.recording, recognition_noise(head), head.check)
-    said = tuple(one for one in warnings if one != UNEVENLY)
+    said = tuple(warning for warning in warnings if warning != UNEVENLY)
     if isinstance(watched, Detected):
         return replace(watched, warnings=said)
     asked = range(stored.frames) if frames is None else frames

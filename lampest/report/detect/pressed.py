@@ -56,7 +56,7 @@ def pressed_of(case: CaseResult) -> PressedCells | None:
 
 def pressed(results: Results) -> tuple[PressedCells, ...]:
     """Of every case that holds pressures with their errors."""
-    return tuple(one for case in results.cases if (one := pressed_of(case)) is not None)
+    return tuple(cells for case in results.cases if (cells := pressed_of(case)) is not None)
 
 
 def _frame(
@@ -87,12 +87,12 @@ def _frame(
 def pressed_table(all_pressed: Sequence[PressedCells]) -> Table:
     """One row for each estimate: the frame in which the force is largest."""
     rows = []
-    for one in all_pressed:
-        case, force = one.case, one.values[:, -1]
+    for cells in all_pressed:
+        case, force = cells.case, cells.values[:, -1]
         if np.isfinite(force).any():
             at = int(np.nanargmax(force))
-            numbers = [figure(*pair) for pair in zip(one.values[at], one.errors[at], strict=True)]
-            saturated = str(one.saturated[at] or "")
+            numbers = [figure(*pair) for pair in zip(cells.values[at], cells.errors[at], strict=True)]
+            saturated = str(cells.saturated[at] or "")
             if saturated:
                 numbers[-2:] = [f"≥\N{NO-BREAK SPACE}{number}" for number in numbers[-2:]]
             rows.append(
@@ -116,11 +116,11 @@ def write_pressed(path: str | Path, all_pressed: Sequence[PressedCells]) -> Path
     """
     named = [name for header in HEADERS for name in (header, f"standard deviation of {header}")]
     lines: list[list[object]] = [["recording", "estimator", "frame", "time [s]", *named, "saturated cells"]]
-    for one in all_pressed:
-        for number, (frame, time) in enumerate(zip(one.case.frame, one.case.time, strict=True)):
-            pairs = np.column_stack([one.values[number], one.errors[number]]).ravel()
+    for cells in all_pressed:
+        for number, (frame, time) in enumerate(zip(cells.case.frame, cells.case.time, strict=True)):
+            pairs = np.column_stack([cells.values[number], cells.errors[number]]).ravel()
             numbers = [float(value) if np.isfinite(value) else None for value in pairs]
-            head = one.case.recording, one.case.estimator, int(frame), float(time)
-            lines.append([*head, *numbers, int(one.saturated[number])])
+            head = cells.case.recording, cells.case.estimator, int(frame), float(time)
+            lines.append([*head, *numbers, int(cells.saturated[number])])
     write_whole(Path(path), comma_separated(lines))
     return Path(path)

@@ -128,7 +128,7 @@ class Watched:
         except (ArithmeticError, ValueError) as error:
             return replace(begun, why=told_reason(error, self.name))
         before, end = () if self.watch is None else self.watch.attachments, news.scans[0].time
-        closed = tuple(replace(attachment, until_s=end) if attachment.here else attachment for attachment in before)
+        closed = tuple(replace(attachment, until_s=end) if attachment.present else attachment for attachment in before)
         return replace(begun, known=known, watch=replace(watch, attachments=closed))
 
     def _zeroed(self, scan: Scan) -> "Watched":
@@ -140,8 +140,8 @@ class Watched:
             return self
         readings = Readings.of(self.known.scene, scan.recorded, scan.sigma)
         watch = self.watch.push(*self.known.values(readings), scan.time)
-        ended = [attachment for attachment in watch.attachments if not attachment.here][-LATEST:]
-        remembered = (each for each in watch.attachments if each.here or each in ended)
+        ended = [attachment for attachment in watch.attachments if not attachment.present][-LATEST:]
+        remembered = (each for each in watch.attachments if each.present or each in ended)
         watch = replace(watch, attachments=tuple(remembered))
         return replace(self, why="", watch=watch, times=(*self.times[-HEAD:], scan.time))
 

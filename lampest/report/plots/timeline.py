@@ -76,7 +76,7 @@ def _map(axes: Axes, answer: Detected) -> None:
     painter.bar(axes.figure, axes, "bottom")
     axes.set_xlabel(ACROSS_LABEL, fontsize=TEXT_POINT)
     axes.set_ylabel(DOWN_LABEL, fontsize=TEXT_POINT)
-    for attachment in [attachment for attachment in answer.attachments if attachment.here] or answer.attachments:
+    for attachment in [attachment for attachment in answer.attachments if attachment.present] or answer.attachments:
         if attachment.diameter_mm is not None:  # the outer edge of a load that is round
             circle = Circle(attachment.place, attachment.diameter_mm[0] / 2, fill=False, color="black", lw=1.1)
             circle.set_path_effects([withStroke(linewidth=2.6, foreground="white")])
