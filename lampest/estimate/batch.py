@@ -43,10 +43,15 @@ W = TypeVar("W")
 def pushed_together(
     streams: Sequence[Stream | None], readings: Readings, inverses: InverseHessians
 ) -> list[tuple[Stream | None, Step | None]]:
-    """Every stream after its frame, and how that was solved; None stays None.
+    """Return every stream after its frame, and the step that solved it; None stays None.
 
-    readings : (streams, rows, columns), of each one's frame. kept : what solves of earlier frames left, of every stream
-    by its number; renewed in place.
+    Parameters
+    ----------
+    streams : sequence of Stream or None
+    readings : Readings
+        One frame of each stream, (streams, rows, columns).
+    inverses : InverseHessians
+        Of every stream by its number, from solves of earlier frames; renewed in place.
     """
     streams = _weighed(streams, readings)
     solved = _solved_together(streams, readings, inverses, Together.pushed)

@@ -120,14 +120,14 @@ def fitted(
         with np.errstate(all="ignore"):
             data = cells_alone().data(readings.alone(), Background(scene))
             data = replace(data, lower=EDGE * data.lower)
-            found = _fitted_near(data, readings, convex(data, None)[0] if near is None else near, scene, effects)
-            if found.chi_square <= EXACT or effects:
-                return found
-            if not patient and found.chi_square > HOPELESS * readings.value.size:
+            fit = _fitted_near(data, readings, convex(data, None)[0] if near is None else near, scene, effects)
+            if fit.chi_square <= EXACT or effects:
+                return fit
+            if not patient and fit.chi_square > HOPELESS * readings.value.size:
                 return None
             alone = cells_alone() if patient else replace(cells_alone(), solver=BRIEF)
             solver = alone.problem(scene, 1, float("inf"), data.partial)
-            begun = None if patient else evaluated(solver.cost, data, found.cells[None])
+            begun = None if patient else evaluated(solver.cost, data, fit.cells[None])
             solution = best_solution(solver, data, None) if begun is None else solved_from(solver, begun)
             if solution.solved and solution.at is not None:
                 return CellsFit.at(data, readings, solution.at.networks[0])
@@ -190,14 +190,14 @@ class JointFit:
 
         cells, moved : where to begin, (rows, columns) ohm of both frames, and which of them moved.
         """
-        position = np.log([one.ravel() for one in cells])
+        position = np.log([frame.ravel() for frame in cells])
         begun = cls(rival, question, most, question.readings(rival), position, moved.ravel(), np.zeros(0))
         best = begun.tied()
         while not np.array_equal(moved := best.chosen_anew(), best.moved):
-            found = replace(best, moved=moved).tied()
-            if not found.score < best.score:
+            anew = replace(best, moved=moved).tied()
+            if not anew.score < best.score:
                 break
-            best = found
+            best = anew
         return best
 
     def with_series(self, most: float) -> "JointFit":
@@ -211,18 +211,18 @@ class JointFit:
 
         It begins where linear theory says that to tie them costs least: the gap is closed by a step of both frames.
         """
-        here, place = replace(self, series=self._secant()), len(self.moved) + 1
+        fit, place = replace(self, series=self._secant()), len(self.moved) + 1
         gap = np.where(self.moved, 0.0, self._change)
-        step = _solved(here.squares.jacobian, here.slopes[1] @ gap - here.residual)
+        step = _solved(fit.squares.jacobian, fit.slopes[1] @ gap - fit.residual)
         step *= min(1.0, FIT.longest / max(float(np.abs(step).max()), 1e-300))
-        begun = replace(here, position=np.stack([self.position[0], self.position[1] - gap])).stepped(step)
+        begun = replace(fit, position=np.stack([self.position[0], self.position[1] - gap])).stepped(step)
         low, high = np.full((2, len(step)), [[-np.inf], [np.inf]])
         if self.most:
             low[place] = -begun.rival.ohm / (UNIT * self.most)
             high[place] = 1 / UNIT + low[place]
         loop = replace(FIT, evaluations=60, settled=0.05, share=0.0)
-        found = loop.minimum(lambda step: begun.stepped(step).squares, np.zeros(len(step)), (low, high))
-        return begun.stepped(found.position)
+        least = loop.minimum(lambda step: begun.stepped(step).squares, np.zeros(len(step)), (low, high))
+        return begun.stepped(least.position)
 
     def stepped(self, step: Array) -> "JointFit":
         """The fit a step of its unknowns further."""
@@ -230,8 +230,8 @@ class JointFit:
         position = self.position + step[:size]
         position[1] += step[size]
         position[1, self.moved] += step[size + 2 :]
-        here = self._with_ohm(self.rival.ohm + UNIT * self.most * float(step[size + 1])) if self.most else self
-        return replace(here, position=position)
+        fit = self._with_ohm(self.rival.ohm + UNIT * self.most * float(step[size + 1])) if self.most else self
+        return replace(fit, position=position)
 
     def _with_ohm(self, ohm: float) -> "JointFit":
         rival = self.rival.with_series(min(max(ohm, 0.0), self.most))
@@ -252,12 +252,14 @@ class JointFit:
     @cached_property
     def residual(self) -> Array:
         """(y − y_measured)/σ of both frames, (2·cells)."""
-        return np.concatenate([_residual(*one)[0].ravel() for one in self._solved_networks])
+        return np.concatenate([_residual(*solved)[0].ravel() for solved in self._solved_networks])
 
     @cached_property
     def slopes(self) -> tuple[Array, Array]:
         """Derivatives of the residual by log r of the unloaded panel, and of the frame; each (2·cells, cells)."""
-        resting, frame = (one[0].sensitivity() * _residual(*one)[1].reshape(-1, 1) for one in self._solved_networks)
+        resting, frame = (
+            solved[0].sensitivity() * _residual(*solved)[1].reshape(-1, 1) for solved in self._solved_networks
+        )
         none = np.zeros_like(resting)
         return np.concatenate([resting, none]), np.concatenate([none, frame])
 

@@ -43,15 +43,15 @@ def selected(slope: Array, precision: Array) -> tuple[float, Chosen]:
     Cells are taken back that are not needed, from those that one after the other must have moved, and from all.
     """
     _, added = _swept_alone(slope, precision, 1)
-    found = []
+    selections = []
     for begun in (added, np.ones(len(slope), dtype=bool)):
         free, moved = np.flatnonzero(begun), np.zeros(len(slope), dtype=bool)
         covariance = np.linalg.inv(precision[np.ix_(free, free)])
         change = covariance @ slope[free]
         lost, tied = _swept_alone(change, covariance, -1)
         moved[free[~tied]] = True
-        found.append((PRICE * int(moved.sum()) + lost - float(slope[free] @ change), moved))
-    return min(found, key=lambda one: one[0])
+        selections.append((PRICE * int(moved.sum()) + lost - float(slope[free] @ change), moved))
+    return min(selections, key=lambda selection: selection[0])
 
 
 def scores_beside(change: Array, precision: Array, columns: Array) -> Array:

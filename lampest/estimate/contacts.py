@@ -105,12 +105,12 @@ def with_contacts(
         seconds.append(trial.seconds)
         return SolvedContacts(trial, ohm, scale, mean, precision)
 
-    found = FIT.minimum(at, mean, (np.where(sought, 0.0, mean), np.where(sought, np.inf, mean))).at
-    covariance = np.zeros(found.normal.shape)
-    covariance[np.ix_(sought, sought)] = np.linalg.inv(found.normal[np.ix_(sought, sought)])
-    scene = replace(state.scene, contacts=Contacts.of(found.ohm, np.sqrt(np.diag(covariance)), shape[0]))
+    fit = FIT.minimum(at, mean, (np.where(sought, 0.0, mean), np.where(sought, np.inf, mean))).at
+    covariance = np.zeros(fit.normal.shape)
+    covariance[np.ix_(sought, sought)] = np.linalg.inv(fit.normal[np.ix_(sought, sought)])
+    scene = replace(state.scene, contacts=Contacts.of(fit.ohm, np.sqrt(np.diag(covariance)), shape[0]))
     vectors, squares = np.linalg.eigh(covariance)[::-1]
     root = vectors * np.sqrt(np.maximum(squares, 0.0))
     shared = state.track.shared and replace(state.track.shared, scene=scene, contact_root=root)
     known = replace(state, scene=scene, track=replace(state.track, shared=shared))
-    return known, replace(found.step, seconds=sum(seconds))
+    return known, replace(fit.step, seconds=sum(seconds))

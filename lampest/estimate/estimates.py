@@ -69,7 +69,7 @@ class Barred(property):
     """A property (frames, rows, columns) that estimates with error bars alone have; else None."""
 
     def __init__(self, part: str, about: str) -> None:
-        super().__init__(lambda found: (getattr(found, part) or {}).get(self._name), doc=about)
+        super().__init__(lambda estimates: (getattr(estimates, part) or {}).get(self._name), doc=about)
 
     def __set_name__(self, owner: type, name: str) -> None:
         self._name = name
@@ -93,13 +93,13 @@ def frame_misfit(model: Array, measured: Array, sigma: Array, resolution: Array 
     readings = np.isfinite(sigma).sum(axis=(1, 2))
     followed = np.full(len(model), np.nan) if resolution is None else np.nansum(resolution, axis=(1, 2))
     degrees = np.where(np.isnan(chi_square), np.nan, np.maximum(readings - followed, 1.0))
-    found = {"chi_square": chi_square, "degrees_of_freedom": degrees, "tail": chi_square_tail(chi_square, degrees)}
+    figures = {"chi_square": chi_square, "degrees_of_freedom": degrees, "tail": chi_square_tail(chi_square, degrees)}
     for name, lines in (("row", squares.sum(axis=2)), ("column", squares.sum(axis=1))):
         solved = ~np.isnan(chi_square)
         worst = np.where(solved, np.argmax(lines, axis=1), np.nan)
         share = lines.max(axis=1) / np.where(chi_square > 0, chi_square, 1.0)
-        found |= {f"worst_{name}": worst, f"worst_{name}_share": share}
-    return found
+        figures |= {f"worst_{name}": worst, f"worst_{name}_share": share}
+    return figures
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -373,12 +373,12 @@ class Estimates:
         return pressure_of(ratio, *interval, scene, self.time, self.film, self.estimator.tare, own)
 
 
-def log_change(found: Estimates) -> tuple[Array, Array] | None:
+def log_change(estimates: Estimates) -> tuple[Array, Array] | None:
     """(ln(r/r0) without what warmth does, its standard deviation), (frames, rows, columns); None without error bars."""
-    if found._bars is None:
+    if estimates._bars is None:
         return None
-    warmth = found.recording.scene.temperature
+    warmth = estimates.recording.scene.temperature
     with np.errstate(divide="ignore"):
-        width = np.log(found._bars["ratio_upper"]) - np.log(found._bars["ratio_lower"])
-    change = np.log(found.cell_resistance / found.baseline_resistance)
+        width = np.log(estimates._bars["ratio_upper"]) - np.log(estimates._bars["ratio_lower"])
+    change = np.log(estimates.cell_resistance / estimates.baseline_resistance)
     return change - (0.0 if warmth is None else warmth.logarithm), width / (2 * NORMAL_95)

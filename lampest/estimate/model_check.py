@@ -109,8 +109,8 @@ class ExplainedRecording:
         question = Question(specified, resting, standing, noise, named)
         compared = readings[np.concatenate([resting, standing])]
         bounded = float((compared.bounds & scene.asked).sum() / max((compared.seen > 0)[:, scene.asked].sum(), 1))
-        found = Explanation.of(specified, question, patient=True) if bounded <= MOST_MISSING else None
-        return cls(recording, readings, question, bounded, float(compared.missing(scene).mean()), found)
+        explanation = Explanation.of(specified, question, patient=True) if bounded <= MOST_MISSING else None
+        return cls(recording, readings, question, bounded, float(compared.missing(scene).mean()), explanation)
 
     @cached_property
     def fault(self) -> str:
@@ -132,9 +132,9 @@ class ExplainedRecording:
 
     def check(self, besides: Besides) -> ModelCheck:
         """Return the check of the circuit, where other circuits and these effects may explain more."""
-        question, noise, fault, found = self.question, self.question.widening, self.fault, self.explanation
+        question, noise, fault, explanation = self.question, self.question.widening, self.fault, self.explanation
         few_bounds, scene = self.bounded <= MOST_MISSING, self.recording.scene
-        if found is None and not fault:
+        if explanation is None and not fault:
             if not few_bounds:
                 lawful = f"no readings break a law of the circuit; {100 * self.bounded:.0f} % of them are bounds"
                 return ModelCheck(True, f"{lawful}, and no cells were fitted")
@@ -143,7 +143,7 @@ class ExplainedRecording:
         if whole:
             change = changes_beyond_noise(scene, self.readings, self.recording.role)
             rivals = list(rivals_of(question.specified, bool(change.max(initial=0.0) > -change.min(initial=0.0))))
-            best, effect = better_rival(rivals, question, None if fault else found), besides.better
+            best, effect = better_rival(rivals, question, None if fault else explanation), besides.better
             if effect.name and (effect.fits_noise or not fault) and (not best.name or effect.count < best.count):
                 best = effect
         if not whole:
@@ -160,12 +160,12 @@ class ExplainedRecording:
 
     def effects(self) -> Besides:
         """Return the effects beside the circuit, in the frames that changed most and in the last one."""
-        scene, role, found = self.recording.scene, self.recording.role, self.explanation
+        scene, role, explanation = self.recording.scene, self.recording.role, self.explanation
         last = np.flatnonzero(role == MEASURED)[-1:]
-        if found is None or found.pair is None or scene.readout is None or not np.any(role == UNLOADED):
+        if explanation is None or explanation.pair is None or scene.readout is None or not np.any(role == UNLOADED):
             return Besides()
-        resting, frame = found.pair.frames
-        pairs = [(self.question.loaded, found.pair)]
+        resting, frame = explanation.pair.frames
+        pairs = [(self.question.loaded, explanation.pair)]
         if last[0] not in self.question.standing:
             question = replace(self.question, standing=last)
             latest = frame.refitted(question.readings(question.specified)[1], ())
@@ -193,19 +193,19 @@ def check_of_modules(recording: Recording, layout: Modules, of_module: Callable[
         change = np.abs(np.log(values[recording.role == MEASURED] / np.nanmean(values[resting], axis=0)))
         moved = np.nan_to_num(np.nanmean(change, axis=(2, 3))).max(0, initial=0.0)
     unfit = {*recording.scene.dead_modules, *module_factors(recording, layout)}
-    living = [one for one in np.argsort(moved)[::-1].tolist() if one not in unfit]
-    found = {one: of_module(one) for one in sorted(living[:MOST_MODULES])}
-    if not found:
+    living = [number for number in np.argsort(moved)[::-1].tolist() if number not in unfit]
+    checks = {number: of_module(number) for number in sorted(living[:MOST_MODULES])}
+    if not checks:
         return ModelCheck(None, "the circuit was not checked: no module is like the others and reads values")
-    explains = [check.explains for check in found.values()]
+    explains = [check.explains for check in checks.values()]
     verdict = False if False in explains else True if True in explains else None
-    said = {one: check for one, check in found.items() if check.explains is verdict}
-    sentence = "; ".join(f"module {list(layout.place(one))}: {check.sentence}" for one, check in said.items())
-    if len(found) < layout.count:
-        sentence += f"; {len(found)} of {layout.count} modules were checked, those that move most"
+    said = {number: check for number, check in checks.items() if check.explains is verdict}
+    sentence = "; ".join(f"module {list(layout.place(number))}: {check.sentence}" for number, check in said.items())
+    if len(checks) < layout.count:
+        sentence += f"; {len(checks)} of {layout.count} modules were checked, those that move most"
     better = next((check.better for check in said.values() if check.better), "")
-    lying = any(check.lying for check in found.values())
-    return ModelCheck(verdict, sentence, better, max(check.noise for check in found.values()), lying=lying)
+    lying = any(check.lying for check in checks.values())
+    return ModelCheck(verdict, sentence, better, max(check.noise for check in checks.values()), lying=lying)
 
 
 def module_factors(recording: Recording, layout: Modules) -> dict[int, float]:
@@ -239,10 +239,10 @@ def noise_factor(resting: Readings) -> float:
     return factor if factor >= LEAST_FACTOR and chi_square_tail(chi_square, degrees) < LEVEL else 1.0
 
 
-def _unexplained(found: "Explanation", question: Question) -> str:
+def _unexplained(explanation: "Explanation", question: Question) -> str:
     """What the cells leave unexplained, in words; '' where nothing."""
-    worst = int(np.argmin([fit.tail for fit in found.fits]))
-    fit, what = found.fits[worst], question.loaded if worst else "the unloaded panel"
+    worst = int(np.argmin([fit.tail for fit in explanation.fits]))
+    fit, what = explanation.fits[worst], question.loaded if worst else "the unloaded panel"
     if fit.tail >= LEVEL:
         return ""
     squares = fit.residual.reshape(fit.cells.shape) ** 2
@@ -319,8 +319,8 @@ class Explanation:
             if len(fits) < 2 or not fits[0].small:
                 return cls(rival, tuple(fits), None)
             resting, frame = (FittedFrame.of(rival.scene, fit) for fit in fits)
-            found = cls(rival, tuple(fits), FittedPair.of(resting, frame))
-            return found if np.isfinite(found.score) else None
+            explanation = cls(rival, tuple(fits), FittedPair.of(resting, frame))
+            return explanation if np.isfinite(explanation.score) else None
         except (InputError, *BROKEN):
             return None
 
@@ -349,8 +349,14 @@ def better_rival(rivals: list[Rival], question: Question, specified: Explanation
     """
     if specified is None:
         tried = (with_some_in_series(rivals[0], question), *(_explanation(rival, question) for rival in rivals[1:]))
-        found = [one for one in tried if one is not None and mostly_still(one.moving) and _lawful(one.rival, question)]
-        return Better(min(((one.score, one.rival.name) for one in found), default=(0.0, ""))[1])
+        better = [
+            explanation
+            for explanation in tried
+            if explanation is not None and mostly_still(explanation.moving) and _lawful(explanation.rival, question)
+        ]
+        return Better(
+            min(((explanation.score, explanation.rival.name) for explanation in better), default=(0.0, ""))[1]
+        )
     if specified.pair is None:
         return Better()
     given = specified.joint(question, specified.moving)
@@ -374,23 +380,23 @@ def _beaten(specified: JointFit, best: JointFit) -> bool:
 
 def _beyond_channels(specified: Explanation, rival: Rival, question: Question) -> bool:
     """Whether a rival's resistance in series explains better by MARGIN where channels may differ, too."""
-    found = None if rival.in_series is None else _explanation(rival, question)
-    if found is None or found.pair is None or specified.pair is None:
+    explanation = None if rival.in_series is None else _explanation(rival, question)
+    if explanation is None or explanation.pair is None or specified.pair is None:
         return True
-    return specified.pair.plain.score > found.pair.plain.score + MARGIN
+    return specified.pair.plain.score > explanation.pair.plain.score + MARGIN
 
 
 def _others(given: JointFit, specified: Explanation, rivals: list[Rival], question: Question) -> Iterator[JointFit]:
     """The specified circuit and its likeliest rivals, as linear theory has it, explained by the networks themselves."""
     plain = (_explanation(rival, question) for rival in rivals)
-    better = (one for one in plain if one is not None and one.score < specified.score)
-    likely = sorted(better, key=lambda one: one.score)[:MOST_ASKED]
-    begun = (with_some_in_series(one.rival, question) for one in likely)
-    for one in (specified, *likely, *(one for one in begun if one is not None)):
+    better = (explanation for explanation in plain if explanation is not None and explanation.score < specified.score)
+    likely = sorted(better, key=lambda explanation: explanation.score)[:MOST_ASKED]
+    begun = (with_some_in_series(explanation.rival, question) for explanation in likely)
+    for explanation in (specified, *likely, *(explanation for explanation in begun if explanation is not None)):
         try:
-            fit = given if one is specified else one.joint(question, one.moving)
+            fit = given if explanation is specified else explanation.joint(question, explanation.moving)
             most = most_in_series(fit.rival, question)
-            fits = [fit] * (one is not specified) + ([fit.with_series(most)] if most else [])
+            fits = [fit] * (explanation is not specified) + ([fit.with_series(most)] if most else [])
         except (InputError, *BROKEN):
             continue
         yield from (fit for fit in fits if mostly_still(fit.moved) and np.isfinite(fit.score))
@@ -404,11 +410,13 @@ def _explanation(rival: Rival, question: Question) -> Explanation | None:
 def with_some_in_series(rival: Rival, question: Question) -> Explanation | None:
     """Of a rival with the resistance in series that explains best of a few; None where it has none."""
     most = 0.0 if rival.in_series is not None else most_in_series(rival, question)
-    found: list[Explanation] = []
+    explanations: list[Explanation] = []
     for ohm in np.linspace(0, most, GRID)[int(rival.scene.specified_in_series == 0) :] if most else ():
-        one = Explanation.of(rival.with_series(float(ohm)), question, found[-1] if found else None)
-        found += [] if one is None else [one]
-    return min(found, key=lambda one: one.score, default=None)
+        explanation = Explanation.of(
+            rival.with_series(float(ohm)), question, explanations[-1] if explanations else None
+        )
+        explanations += [] if explanation is None else [explanation]
+    return min(explanations, key=lambda explanation: explanation.score, default=None)
 
 
 def most_in_series(rival: Rival, question: Question) -> float:
@@ -420,7 +428,7 @@ def most_in_series(rival: Rival, question: Question) -> float:
         read = question.readings(without)
     except (InputError, *BROKEN):
         return 0.0
-    known = [(one.value, sigma) for one in read if (sigma := one.sigma_of_values) is not None]
+    known = [(frame.value, sigma) for frame in read if (sigma := frame.sigma_of_values) is not None]
     most = min(without.scene.circuit.most_in_series(value[None], sigma[None]) for value, sigma in known)
     return NEARLY_ALL * most if np.isfinite(most) and most > 0 else 0.0
 

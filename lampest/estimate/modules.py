@@ -237,7 +237,7 @@ def image_step(layout: Modules, steps: Sequence[Step | None]) -> Step:
     counted, first = solved or present[:1], present[0].solution
     status = max((step.solution.status for step in solved), key=WORST.index, default=first.status)
     missing = {"cell_resistance": np.nan, "reading": np.nan, "open_cell": False, "at_lower": False}
-    parts: dict[str, Any] = {"at": None, "dual": None, "kept": None}
+    parts: dict[str, Any] = {"at": None, "dual": None, "preconditioner": None}
     parts |= {
         name: _joined_maps(layout, [None if s is None else getattr(s.solution, name)[-1:] for s in steps], nothing)
         for name, nothing in missing.items()

@@ -194,12 +194,14 @@ def scatter_seen(recording: Recording, outliers: NDArray[np.bool_], cleaned: Rea
 def joined_noise(recording: Recording, layout: Modules, every: Sequence[NoiseSeen | None]) -> NoiseSeen:
     """What the frames of all modules show; a dead one shows nothing."""
     given = recording.readings()
-    readings = [given.of_module(layout, n) if one is None else one.readings for n, one in enumerate(every)]
+    readings = [given.of_module(layout, n) if seen is None else seen.readings for n, seen in enumerate(every)]
     nothing = np.zeros(recording.modules[0].recorded.shape, dtype=bool)
-    outliers = np.stack([nothing if one is None else one.outliers for one in every], axis=-3)
-    said = [f"module {list(layout.place(n))}: {one.sentence}" for n, one in enumerate(every) if one and one.warnings]
+    outliers = np.stack([nothing if seen is None else seen.outliers for seen in every], axis=-3)
+    said = [
+        f"module {list(layout.place(n))}: {seen.sentence}" for n, seen in enumerate(every) if seen and seen.warnings
+    ]
     more = f"and {len(said) - MOST_NAMED} modules more" if len(said) > MOST_NAMED else ""
-    rate = float(np.mean([one.outlier_rate for one in every if one is not None]))
+    rate = float(np.mean([seen.outlier_rate for seen in every if seen is not None]))
     whole = NoiseSeen(layout.joined(outliers), rate, (), Readings.of_parts(layout, readings), of_modules=tuple(every))
     return whole.warned(*said[:MOST_NAMED], more)
 

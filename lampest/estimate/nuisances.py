@@ -162,7 +162,7 @@ class FittedFrame:
     @property
     def amplification(self) -> Array:
         """The factor by which the readings' noise grows once the effects are taken off, (rows, columns)."""
-        if all(one.changed(self.network) is self.network for one in self.effects):
+        if all(effect.changed(self.network) is self.network for effect in self.effects):
             return np.ones(self.fit.cells.shape)
         assert self.fit.readings.sigma is not None
         dry = self.network.sensitivity() / self.fit.readings.sigma.reshape(-1, 1)
@@ -224,9 +224,9 @@ class FittedPair:
         """Return a of each θ in units of its prior, (cells, effects)."""
         if not effects:
             return np.zeros((len(self.change), 0))
-        small, constant = [_small(one) for one in effects], np.array([not one.since for one in effects])
-        resting, frame = (one.answers(small) for one in self.frames)
-        return np.asarray(frame - constant * resting)
+        small, constant = [_small(effect) for effect in effects], np.array([not effect.since for effect in effects])
+        resting, loaded = (frame.answers(small) for frame in self.frames)
+        return np.asarray(loaded - constant * resting)
 
     @cached_property
     def _prior_score(self) -> float:
@@ -280,8 +280,8 @@ class FittedPair:
 
     def with_sizes(self, sizes: Sequence[float]) -> "FittedPair | None":
         """The pair with effects of other sizes; None where no cells give the readings then."""
-        effects = tuple(replace(one, size=size) for one, size in zip(self.effects, sizes, strict=True))
-        constant, (resting, frame) = tuple(one for one in effects if not one.since), self.frames
+        effects = tuple(replace(effect, size=size) for effect, size in zip(self.effects, sizes, strict=True))
+        constant, (resting, frame) = tuple(effect for effect in effects if not effect.since), self.frames
         early = resting.refitted(resting.given, constant) if constant else resting
         late = frame.refitted(frame.given, effects)
         if early is None or late is None:
@@ -296,9 +296,9 @@ class FittedPair:
         """
         pair = self
         for _ in range(STEPS):
-            found = pair.explained(pair.columns(pair.effects))
-            free = np.array([constant or one.since for one in pair.effects])
-            step, sd = np.where(free, found.size[1:], 0.0), found.sd[1:]
+            evidence = pair.explained(pair.columns(pair.effects))
+            free = np.array([constant or effect.since for effect in pair.effects])
+            step, sd = np.where(free, evidence.size[1:], 0.0), evidence.sd[1:]
             if not np.isfinite(step).all():
                 return None
             short = step / max(1.0, float(np.abs(step).max()))
@@ -308,11 +308,11 @@ class FittedPair:
             pair = after
             if np.all(np.abs(step) < SETTLED * np.maximum(sd, SETTLED)):
                 break
-        return pair, replace(pair.plain, sd=found.sd)
+        return pair, replace(pair.plain, sd=evidence.sd)
 
     def _without_late(self) -> tuple[Effect, ...]:
         """The effects, those since the unloaded frames of no size."""
-        return tuple(replace(one, size=0.0) if one.since else one for one in self.effects)
+        return tuple(replace(effect, size=0.0) if effect.since else effect for effect in self.effects)
 
     def at_rest(self) -> "FittedPair":
         """The unloaded panel twice, before effects come that it has not."""
@@ -331,14 +331,14 @@ class FittedPair:
             pairs.append(replace(self, frames=(self.frames[0], frame), effects=effects))
         if not late:
             return pairs[0]
-        found, none = pairs[0].settled(constant=False), pairs[1].plain
-        return pairs[1] if found is None or none.score <= found[1].score else found[0]
+        settled, without = pairs[0].settled(constant=False), pairs[1].plain
+        return pairs[1] if settled is None or without.score <= settled[1].score else settled[0]
 
     def _stepped(self, step: Array) -> "FittedPair | None":
         """With sizes by a step (effects) in units of their priors larger; no leak is below zero."""
-        sizes = [one.size + one.prior * float(more) for one, more in zip(self.effects, step, strict=True)]
+        sizes = [effect.size + effect.prior * float(more) for effect, more in zip(self.effects, step, strict=True)]
         return self.with_sizes(
-            [max(size, 0.0) if one.positive else size for one, size in zip(self.effects, sizes, strict=True)]
+            [max(size, 0.0) if effect.positive else size for effect, size in zip(self.effects, sizes, strict=True)]
         )
 
 
@@ -356,13 +356,13 @@ class Besides:
     @property
     def taken(self) -> str:
         """What is taken off the readings, in words."""
-        names = [] if self.pair is None else [one.sentence(self.pair.shape[0]) for one in self.pair.effects]
+        names = [] if self.pair is None else [effect.sentence(self.pair.shape[0]) for effect in self.pair.effects]
         return f"{' and '.join(names)}: {TAKEN_OFF}"
 
 
 def besides_the_circuit(pairs: Sequence[tuple[str, FittedPair]]) -> Besides:
     """By pairs of the unloaded panel and named frames: of the frame that shows them best."""
-    found, together, most = Besides(), "", 0.0
+    besides, together, most = Besides(), "", 0.0
     for name, pair in pairs:
         if max(float(frame.given.bounds.mean()) for frame in pair.frames) > MOST_BOUNDS:
             continue
@@ -374,13 +374,13 @@ def besides_the_circuit(pairs: Sequence[tuple[str, FittedPair]]) -> Besides:
         moved = after.moved.reshape(pair.shape)
         if not (plain.score - after.score > most and mostly_still(moved)):
             continue
-        if any(_beside_a_load(one, moved) for one in whole.effects) or pair.off_by_one(after.score + MARGIN):
+        if any(_beside_a_load(effect, moved) for effect in whole.effects) or pair.off_by_one(after.score + MARGIN):
             continue
-        most, fits_noise = plain.score - after.score, min(one.fit.tail for one in whole.frames) >= LEVEL
-        names = " and ".join(one.sentence(pair.shape[0]) for one in whole.effects)
+        most, fits_noise = plain.score - after.score, min(effect.fit.tail for effect in whole.frames) >= LEVEL
+        names = " and ".join(effect.sentence(pair.shape[0]) for effect in whole.effects)
         better = Better(names, name, int(after.moved.sum()), int(plain.moved.sum()), fits_noise)
-        found = Besides(better, "", certain if certain.effects and fits_noise else None)
-    return found if found.better.name else replace(found, together=together)
+        besides = Besides(better, "", certain if certain.effects and fits_noise else None)
+    return besides if besides.better.name else replace(besides, together=together)
 
 
 def _grown(pair: FittedPair, evidence: Evidence) -> tuple[FittedPair, Evidence, FittedPair]:
@@ -388,7 +388,7 @@ def _grown(pair: FittedPair, evidence: Evidence) -> tuple[FittedPair, Evidence, 
     before the first that another one explains about as well)."""
     certain, doubtful = pair, False
     for _ in range(MOST_EFFECTS):
-        tried = sorted(_tried(pair, evidence), key=lambda one: one[1].score)
+        tried = sorted(_tried(pair, evidence), key=lambda candidate: candidate[1].score)
         if not tried or evidence.score - tried[0][1].score <= MARGIN:
             break
         doubtful |= len(tried) > 1 and tried[1][1].score - tried[0][1].score < MARGIN / 2
@@ -406,9 +406,9 @@ def _tried(pair: FittedPair, plain: Evidence) -> Iterator[tuple[FittedPair, Evid
     for number in np.argsort(scores)[:MOST_ASKED]:
         if scores[number] > plain.score - PRICE:
             return
-        found = replace(pair, effects=(*pair.effects, replace(effects[number], size=0.0))).settled()
-        if found is not None and found[1].moved.sum() <= plain.moved.sum() - LEAST_SPARED:
-            yield found
+        settled = replace(pair, effects=(*pair.effects, replace(effects[number], size=0.0))).settled()
+        if settled is not None and settled[1].moved.sum() <= plain.moved.sum() - LEAST_SPARED:
+            yield settled
 
 
 def _beside_a_load(effect: Effect, moved: NDArray[np.bool_]) -> bool:
@@ -439,22 +439,22 @@ def taken_off(pair: FittedPair, readings: Readings, unloaded: NDArray[np.bool_])
     """
     assert readings.sigma is not None
     value, sigma = readings.value.copy(), readings.sigma.copy()
-    late, here, number = any(one.since for one in pair.effects), pair.at_rest(), 0
+    late, pair_of_frame, number = any(effect.since for effect in pair.effects), pair.at_rest(), 0
     for frame in (*np.flatnonzero(unloaded)[:1], *np.flatnonzero(~unloaded)):
         if not unloaded[frame]:
-            here, number = here.of_frame(readings[frame], late) or here, 1
+            pair_of_frame, number = pair_of_frame.of_frame(readings[frame], late) or pair_of_frame, 1
         frames = frame if number else unloaded
-        value[frames] -= here.frames[number].offset
-        sigma[frames] *= here.frames[number].amplification
+        value[frames] -= pair_of_frame.frames[number].offset
+        sigma[frames] *= pair_of_frame.frames[number].amplification
     return replace(readings, value=np.maximum(value, LEAST_LEFT * readings.value), sigma=sigma)
 
 
 def left_open(pair: FittedPair) -> Array:
     """(2, effects, rows, columns) what the sizes leave open, one standard deviation each, as fractions of readings."""
     sd = pair.explained(pair.columns(pair.effects)).sd[1:]
-    found = np.zeros((2, len(sd), *pair.shape))
-    for place, (effect, one) in enumerate(zip(pair.effects, np.nan_to_num(sd), strict=True)):
-        more = replace(effect, size=float(one) * effect.prior)
+    left = np.zeros((2, len(sd), *pair.shape))
+    for place, (effect, deviation) in enumerate(zip(pair.effects, np.nan_to_num(sd), strict=True)):
+        more = replace(effect, size=float(deviation) * effect.prior)
         for number in (1,) if effect.since else (0, 1):
-            found[number, place] = pair.frames[number].more(more) / pair.frames[number].given.value
-    return found
+            left[number, place] = pair.frames[number].more(more) / pair.frames[number].given.value
+    return left

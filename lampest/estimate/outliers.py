@@ -48,16 +48,16 @@ def outliers_in_time(
     scale = np.broadcast_to(median(scale), scale.shape)  # of the frames around: that of a touched cell is another
     outlying, size = np.zeros(value.shape, dtype=bool), len(value) * value.shape[-2] * value.shape[-1]
     with np.errstate(divide="ignore", invalid="ignore"):
-        for one, predict in zip(expected, predictors, strict=True):
-            far = _stands_out(value, scale, one)
+        for prediction, predict in zip(expected, predictors, strict=True):
+            far = _stands_out(value, scale, prediction)
             some = far.any(axis=0)  # of the others nobody asks what is usual
-            far[:, some] &= ~_usual(value[:, some], one[0][:, some], first, predict, largest_normal(size, FALSE))
+            far[:, some] &= ~_usual(value[:, some], prediction[0][:, some], first, predict, largest_normal(size, FALSE))
             outlying |= far
         outlying &= scale > 0
     outlying &= (outlying.mean(axis=(-2, -1), keepdims=True) <= most_share) & (len(value) >= LEAST_FRAMES)
     if not outlying.any():
         return outlying, value, np.zeros(value.shape)
-    middles, spreads = (np.stack([one[part] for one in expected]) for part in (0, 1))
+    middles, spreads = (np.stack([prediction[part] for prediction in expected]) for part in (0, 1))
     nearest = np.where(spreads[-1] < spreads[0], len(expected) - 1, 0)[None]
     middle, spread = (np.take_along_axis(part, nearest, axis=0)[0] for part in (middles, spreads))
     apart = np.abs(middles - middle).max(axis=0)
@@ -71,32 +71,32 @@ def lawless(circuit: Readout, readings: Readings) -> NDArray[np.bool_]:
     them has another circuit, and no outliers of this kind. What is found is left out, and the rest is asked again.
     """
     shape = readings.value.shape
-    found = np.zeros((int(np.prod(shape[:-2])), *shape[-2:]), dtype=bool)
+    outliers = np.zeros((int(np.prod(shape[:-2])), *shape[-2:]), dtype=bool)
     if (sigma := readings.sigma_of_values) is None:
-        return found.reshape(shape)
-    value, deviation = readings.value.reshape(found.shape), sigma.reshape(found.shape)
+        return outliers.reshape(shape)
+    value, deviation = readings.value.reshape(outliers.shape), sigma.reshape(outliers.shape)
     while (more := _larger_than_cells_allow(circuit, value, deviation, len(readings.value))).any():
-        found, deviation = found | more, np.where(more, np.inf, deviation)
-    return found.reshape(shape)
+        outliers, deviation = outliers | more, np.where(more, np.inf, deviation)
+    return outliers.reshape(shape)
 
 
 def _larger_than_cells_allow(circuit: Readout, value: Array, sigma: Array, beside: int) -> NDArray[np.bool_]:
     """As `lawless`, asked once; beside : of how many frames the worst is taken."""
-    found, frames = np.zeros(value.shape, dtype=bool), np.arange(len(value))
+    outliers, frames = np.zeros(value.shape, dtype=bool), np.arange(len(value))
     for _ in range(int(SHARE * value[0].size) + 1):
         broken = np.zeros(len(frames), dtype=bool)
         for test in circuit.free_tests(value[frames], sigma[frames]):
             if test.single is None:
                 continue
-            broken |= (here := largest_of(test.excess, test.count * beside) < FALSE)
+            broken |= (significant := largest_of(test.excess, test.count * beside) < FALSE)
             place = test.single.reshape(len(frames), -1).argmax(axis=1)
-            found.reshape(len(found), -1)[frames[here], place[here]] = True
+            outliers.reshape(len(outliers), -1)[frames[significant], place[significant]] = True
         frames = frames[broken]
         if not len(frames):
             break
-        sigma = np.where(found, np.inf, sigma)
-    found[frames] = False
-    return found
+        sigma = np.where(outliers, np.inf, sigma)
+    outliers[frames] = False
+    return outliers
 
 
 def without_outliers(
@@ -126,9 +126,9 @@ def without_these(
     most: float | Array = 1.0
     for chosen in (unloaded, ~unloaded):
         if chosen.sum() >= LEAST_FRAMES:
-            found = outliers_in_time(value[chosen], scale[chosen], most)
-            outlying[chosen], instead[chosen], spread[chosen] = found
-            most = np.maximum(SHARE, 2 * found[0].mean(axis=(0, -2, -1), keepdims=True))
+            detected = outliers_in_time(value[chosen], scale[chosen], most)
+            outlying[chosen], instead[chosen], spread[chosen] = detected
+            most = np.maximum(SHARE, 2 * detected[0].mean(axis=(0, -2, -1), keepdims=True))
         else:
             most = SHARE
     resting = np.broadcast_to(median(value[unloaded]) if unloaded.any() else np.nan, value.shape[1:])
@@ -146,12 +146,12 @@ def _alone_in_time(value: Array, resting: Array, measured: NDArray[np.bool_]) ->
     A load that comes moves readings by such steps, and overshoots. Before the first measured frame the panel is as it
     rests (…, rows, columns); the last frame has none after it.
     """
-    found, own = np.ones(value.shape, dtype=bool), value[measured]
+    alone, own = np.ones(value.shape, dtype=bool), value[measured]
     if len(own) > 1:
         before, after = np.concatenate([resting[None], own[:-2]]), own[1:]
         nearer = np.minimum(np.abs(own[:-1] - before), np.abs(own[:-1] - after))
-        found[np.flatnonzero(measured)[:-1]] = ~(nearer < np.abs(after - before))
-    return found
+        alone[np.flatnonzero(measured)[:-1]] = ~(nearer < np.abs(after - before))
+    return alone
 
 
 def _replaced(readings: Readings, outlying: NDArray[np.bool_], instead: Array, spread: Array) -> Readings:
@@ -230,8 +230,8 @@ def _usual(
     begins = np.arange(frames - NEAREST)
     for frame in np.flatnonzero(~middle):
         near = begins[np.argsort(np.abs(begins - first[frame]), kind="stable")[: 3 * block]]
-        there, _, _ = _from_window(value, near, np.full(len(near), place[frame]), predict)
-        usual[frame] = median(np.abs(value[near + place[frame]] - there))
+        predicted, _, _ = _from_window(value, near, np.full(len(near), place[frame]), predict)
+        usual[frame] = median(np.abs(value[near + place[frame]] - predicted))
     usual = TO_SIGMA * np.nan_to_num(usual)
     return np.asarray((usual > 0) & (away <= largest * usual))
 
@@ -275,9 +275,9 @@ def _beside(values: Array) -> Array:
 def median(values: Array) -> Array:
     """Over the first axis, NaN not counted; NaN where all are."""
     if len(values) == NEAREST == 4:  # at a twentieth of the time that sorting takes
-        one, two, three, four = values
-        inner = np.maximum(np.minimum(one, two), np.minimum(three, four))
-        middle = np.asarray((inner + np.minimum(np.maximum(one, two), np.maximum(three, four))) / 2)
+        first, second, third, fourth = values
+        inner = np.maximum(np.minimum(first, second), np.minimum(third, fourth))
+        middle = np.asarray((inner + np.minimum(np.maximum(first, second), np.maximum(third, fourth))) / 2)
         if (missing := np.isnan(middle)).any():
             middle[missing] = _median_of_numbers(values[:, missing])
         return middle

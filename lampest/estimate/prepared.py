@@ -189,4 +189,4 @@ def cleaned_together(recordings: Sequence[Recording]) -> list[Cleaned]:
     for circuit, places in alike.items():
         impossible[:, places] = lawless(circuit, together[:, places])
     outliers, readings = without_these(impossible, together, passed[0].role == UNLOADED)
-    return [Cleaned(one, outliers[:, place], readings[:, place]) for place, one in enumerate(passed)]
+    return [Cleaned(recording, outliers[:, place], readings[:, place]) for place, recording in enumerate(passed)]

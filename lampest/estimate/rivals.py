@@ -105,11 +105,11 @@ def rivals_of(specified: Rival, reversed_too: bool = False) -> Iterator[Rival]:
             if circuit == readout or not (sense > 0 or (reversed_too and sense < 0)):
                 continue
             try:
-                other = replace(scene, readout=circuit, series_resistance_ohm=0.0, systematic=None)
+                rival = replace(scene, readout=circuit, series_resistance_ohm=0.0, systematic=None)
             except ValueError:  # of what the scene specifies besides, the kind has no model
                 continue
             yield Rival(
-                other, values, specified.sigma if circuit.unit == readout.unit else None, _kind(circuit, readout)
+                rival, values, specified.sigma if circuit.unit == readout.unit else None, _kind(circuit, readout)
             )
 
 
@@ -153,8 +153,8 @@ def _sense(first: Array, second: Array) -> float:
     known = np.isfinite(first) & np.isfinite(second)
     if not known.any():
         return 0.0
-    one, other = (values[known] - values[known].mean() for values in (first, second))
-    return float(np.sum(one * other))
+    first, second = (values[known] - values[known].mean() for values in (first, second))
+    return float(np.sum(first * second))
 
 
 @np.errstate(all="ignore")
@@ -215,5 +215,5 @@ def standing_frames(readings: Readings, frame: int, others: NDArray[np.intp], no
     spread = noise * np.hypot(readings.sigma, readings.sigma[frame])
     square = np.where(plain, (readings.value - readings.value[frame]) / spread, 0.0) ** 2
     alike = chi_square_tail(square.sum(axis=(1, 2)), np.maximum(plain.sum(axis=(1, 2)), 1)) >= ALIKE
-    kept: NDArray[np.intp] = others[alike[others] | (others == frame)]
-    return kept
+    standing: NDArray[np.intp] = others[alike[others] | (others == frame)]
+    return standing

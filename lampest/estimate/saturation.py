@@ -82,10 +82,10 @@ def saturated(recording: Recording) -> Saturated | None:
 
 def as_passed(recording: Recording) -> Recording:
     """The recording with the stage that its frames show in the scene; itself where they show none."""
-    found, readout = saturated(recording), recording.scene.readout
-    if found is None or readout is None:
+    stage, readout = saturated(recording), recording.scene.readout
+    if stage is None or readout is None:
         return recording
-    passes = (0.0, found.volt) if found.highest else (found.volt, readout.full_scale_volt)
+    passes = (0.0, stage.volt) if stage.highest else (stage.volt, readout.full_scale_volt)
     return replace(recording, scene=replace(recording.scene, readout=replace(readout, passes_volt=passes)))
 
 
@@ -109,13 +109,13 @@ def _may_pile(volt: Array, width: Array) -> bool:
 
 def _differ(volt: Array, width: float) -> NDArray[np.bool_]:
     """(rows, columns) without lines that read as an earlier one of their side in some frames: these touch."""
-    kept, volt = [], volt[:: max(len(volt) // 8, 1)]
+    differing, volt = [], volt[:: max(len(volt) // 8, 1)]
     for axis in (1, 2):
         lines = np.moveaxis(volt, axis, 0).reshape(volt.shape[axis], -1)
         with np.errstate(invalid="ignore"):
             apart = [np.any(np.abs(lines[:at] - line) > 2 * width, axis=1).all() for at, line in enumerate(lines)]
-        kept.append(np.array(apart))
-    return np.asarray(kept[0][:, None] & kept[1])
+        differing.append(np.array(apart))
+    return np.asarray(differing[0][:, None] & differing[1])
 
 
 def _largest(volt: Array) -> Array:

@@ -86,8 +86,8 @@ def repeated_scatter(measured: Readings) -> Scatter | None:
     if not enough.any():
         return None
     of_second, of_first = (np.nanmedian(size[enough], axis=(1, 2)) for size in (second, first))
-    rest = np.argsort(of_second)[: max(1, round(QUIETEST * len(of_second)))]
-    quiet, moving = float(of_second[rest].mean()) / NORMAL_MEDIAN, float(of_first[rest].mean()) / PAIR_MEDIAN
+    calmest = np.argsort(of_second)[: max(1, round(QUIETEST * len(of_second)))]
+    quiet, moving = float(of_second[calmest].mean()) / NORMAL_MEDIAN, float(of_first[calmest].mean()) / PAIR_MEDIAN
     if quiet > 1 and moving > AT_REST * quiet:
         return None
     nothing, count = np.zeros((1, 0)), int(np.isfinite(second[enough]).sum() / enough.sum() * MEDIAN_EFFICIENCY)
@@ -106,11 +106,11 @@ def scatter(deviation: Array, loudness: Array, repeats: int) -> Scatter:
         return Scatter(0.0, max(int(known.sum() * repeats / len(known)), 1), 0.0, nothing, nothing)
     size = np.maximum((known * loudness**2).sum(axis=(1, 2)), 1e-300)
     slope = (np.nan_to_num(deviation) * loudness).sum(axis=(1, 2)) / size
-    rest = np.where(known, deviation - slope[:, None, None] * loudness, 0.0)
-    common = rest.sum(axis=1) / np.maximum(known.sum(axis=1), 1)
+    remaining = np.where(known, deviation - slope[:, None, None] * loudness, 0.0)
+    common = remaining.sum(axis=1) / np.maximum(known.sum(axis=1), 1)
     # A frame's channels that say nothing leave gaps, which are counted out as a share of all.
     share = float(known.mean())
-    inner = np.where(known, rest - common[:, None, :], 0.0).reshape(-1, channels)
+    inner = np.where(known, remaining - common[:, None, :], 0.0).reshape(-1, channels)
     noise, apart = _patterns(inner, max(repeats * (lines - 1) * share, 1.0))
     line = noise + float((apart**2).sum()) / channels
     together, variance = np.zeros((channels, 0)), line / (lines * share)
@@ -118,8 +118,8 @@ def scatter(deviation: Array, loudness: Array, repeats: int) -> Scatter:
     if _beyond_noise((common**2).sum() / max(variance, 1e-300), repeats * channels):
         sizes, direction = np.linalg.eigh(common.T @ common / repeats)
         sizes, freedom = _shrunk(np.maximum(sizes, 0.0), repeats)
-        kept = sizes > variance
-        together = np.asarray(direction[:, kept] * np.sqrt((sizes[kept] - variance) * freedom / (freedom - 2)))
+        strong = sizes > variance
+        together = np.asarray(direction[:, strong] * np.sqrt((sizes[strong] - variance) * freedom / (freedom - 2)))
     own = (line + float((together**2).sum()) / channels * lines) / size
     gain = 0.0
     if _beyond_noise((slope**2 / np.maximum(own, 1e-300)).sum(), repeats):
@@ -161,6 +161,6 @@ def _patterns(rows: Array, freedom: float) -> tuple[float, Array]:
         others = size[: channels - strong - 1]
         if not len(others) or size[channels - strong - 1] <= edge * others.mean():
             break
-    kept = channels - strong
-    noise = float(size[:kept].mean())
-    return noise, np.asarray(direction[:, kept:] * np.sqrt(np.maximum(size[kept:] - noise, 0.0)))
+    weak = channels - strong
+    noise = float(size[:weak].mean())
+    return noise, np.asarray(direction[:, weak:] * np.sqrt(np.maximum(size[weak:] - noise, 0.0)))

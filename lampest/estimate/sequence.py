@@ -169,8 +169,8 @@ def first_stream(
             every = recording.scene.of_modules if number is not None else (scene,)
             alike = [
                 n
-                for n, one in enumerate(every)
-                if converter_and_faults(one) == kind and n not in recording.scene.dead_modules
+                for n, module in enumerate(every)
+                if converter_and_faults(module) == kind and n not in recording.scene.dead_modules
             ]
             some = [network(every[n], None if number is None else n) for n in alike]
             chosen[kind] = _weighted(estimator, some)
@@ -185,17 +185,21 @@ def _weighted(estimator: Estimator, networks: Sequence[tuple[Recording, Readings
 
     Of one network also of frames beside. As it is where no frame is measured.
     """
-    found = [(*one, frame) for one in networks if (frame := deciding_frame(*one)) is not None]
-    if not found:
+    deciding = [(*network, frame) for network in networks if (frame := deciding_frame(*network)) is not None]
+    if not deciding:
         return estimator
     if len(networks) == 1:
-        found += [(*networks[0], frame) for frame in frames_beside(*networks[0], found[0][3])]
-        numbers: Sequence[int] = range(len(found))
+        deciding += [(*networks[0], frame) for frame in frames_beside(*networks[0], deciding[0][3])]
+        numbers: Sequence[int] = range(len(deciding))
     else:
-        numbers = strongest([float(mean_change(read.plain_values[f], rest.value)) for _, read, rest, f in found])
-    parts = (found[number] for number in numbers)
-    first, *beside = [deciding_data(estimator, part.scene, rest, read[frame]) for part, read, rest, frame in parts]
-    part = found[numbers[0]][0]
+        numbers = strongest(
+            [float(mean_change(read.plain_values[f], resting.value)) for _, read, resting, f in deciding]
+        )
+    parts = (deciding[number] for number in numbers)
+    first, *beside = [
+        deciding_data(estimator, part.scene, resting, read[frame]) for part, read, resting, frame in parts
+    ]
+    part = deciding[numbers[0]][0]
     return with_chosen_weights(estimator, part.scene, first, None, beside)
 
 

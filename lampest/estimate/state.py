@@ -60,7 +60,7 @@ class Step:
 
     def bare(self) -> "Step":
         """Without what error bars follow from: it holds compiled functions, and much memory."""
-        return replace(self, solution=replace(self.solution, at=None, dual=None, kept=None))
+        return replace(self, solution=replace(self.solution, at=None, dual=None, preconditioner=None))
 
     def surroundings(self) -> LinearModel | None:
         """What error bars follow from: a verified optimum; None of anything else."""
@@ -107,8 +107,8 @@ class SequenceState:
     @property
     def baseline_resistance(self) -> Array:
         """(rows, columns) ohm; NaN where the baseline is not solved."""
-        found = None if self.baseline is None else self.baseline.estimate(0)
-        return np.full(self.scene.panel.shape, np.nan) if found is None else found
+        cells = None if self.baseline is None else self.baseline.estimate(0)
+        return np.full(self.scene.panel.shape, np.nan) if cells is None else cells
 
     @property
     def rested(self) -> bool:
@@ -154,20 +154,20 @@ class CarriedOver:
     @classmethod
     def of(cls, state: SequenceState) -> "CarriedOver":
         """The last estimate, its deviation, and what error bars look back at; of each module of a panel of modules."""
-        found: dict[str, Any] = {}
+        arrays: dict[str, Any] = {}
         for number, part in enumerate(state.parts):
             carried = {} if part is None else cls.of(part).arrays
-            found |= {_of_module(number) + name: values for name, values in carried.items()}
+            arrays |= {_of_module(number) + name: values for name, values in carried.items()}
         if not state.parts:
-            found = {"previous": state.previous, "previous_deviation": state.previous_deviation}
+            arrays = {"previous": state.previous, "previous_deviation": state.previous_deviation}
             if (track := state.track) is not None:
-                found["deviation"] = track.deviation
+                arrays["deviation"] = track.deviation
                 for name in ("answers", "beyond"):
-                    found |= {f"{name}_{number}": values for number, values in enumerate(getattr(track, name) or ())}
+                    arrays |= {f"{name}_{number}": values for number, values in enumerate(getattr(track, name) or ())}
                 if (memory := track.memory) is not None:
                     kind = "dense" if isinstance(memory, DenseMemory) else "sampled"
-                    found |= {f"{kind}_{name}": value for name, value in vars(memory).items()}
-        known = {name: value for name, value in found.items() if value is not None}
+                    arrays |= {f"{kind}_{name}": value for name, value in vars(memory).items()}
+        known = {name: value for name, value in arrays.items() if value is not None}
         return cls({name: np.atleast_1d(np.asarray(value, float)) for name, value in known.items()})
 
     def onto(self, begun: S) -> S:

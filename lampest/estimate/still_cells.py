@@ -81,14 +81,14 @@ def _of_frame(
     if noise is not None:
         drawn = gain @ noise.columns(at.readings.value[None], near is None)
         error = error + drawn @ drawn.T
-    here, circuit = (at.cells, at.readings.value), scene.circuit
+    point, circuit = (at.cells, at.readings.value), scene.circuit
     network = circuit.network(at.cells, circuit.ties_of_parts(at.readings.value, scene.parts), scene.wiring)
     columns = (
         hidden_columns(network, at.readings.value, scene, replace(sizes, reading_error=None)),
         np.diag(recorded_share(at.readings.value, scene).ravel()),
-        circuit.shared_errors(*here, scene, sizes.reference_tolerance / np.sqrt(3), sizes.channel_spread_ohm),
+        circuit.shared_errors(*point, scene, sizes.reference_tolerance / np.sqrt(3), sizes.channel_spread_ohm),
     )
-    return [error, *(gain @ one.reshape(len(one), gain.shape[1]).T for one in columns)]
+    return [error, *(gain @ errors.reshape(len(errors), gain.shape[1]).T for errors in columns)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,7 +120,7 @@ class Moves:
                 return None
             error, *columns = _of_frame(scene, fit, resting.cells, sizes, noise)
             change.append(np.log(fit.cells / resting.cells).ravel())
-            parts.append([error, *(there - here for there, here in zip(columns, base[1:], strict=True))])
+            parts.append([error, *(of_frame - at_rest for of_frame, at_rest in zip(columns, base[1:], strict=True))])
         covariance = np.tile(base[0], (count, count))
         for number, (error, *_) in enumerate(parts):
             part = slice(number * size, (number + 1) * size)
@@ -167,7 +167,7 @@ def _size_of(moves: Moves, still: Chosen) -> tuple[float, float]:
     """(√E[e²] of readings' own errors by the marginal likelihood of the still cells, −2 log of what it gains)."""
     # C₀ = LLᵀ, L⁻¹ O L⁻ᵀ = QΛQᵀ: (C₀ + e²O)⁻¹ = L⁻ᵀ Q (1 + e²Λ)⁻¹ Qᵀ L⁻¹, and |C₀ + e²O| = |C₀| Π (1 + e²λ).
     lower = np.linalg.cholesky(moves.covariance(0.0)[np.ix_(still, still)])
-    own, change = (np.linalg.solve(lower, one[still]) for one in (moves.own, moves.change))
+    own, change = (np.linalg.solve(lower, values[still]) for values in (moves.own, moves.change))
     grown, turned = np.linalg.eigh(own @ own.T)
     grows = 1 + np.square(ERRORS)[:, None] * np.maximum(grown, 0.0)
     costs = np.sum((turned.T @ change) ** 2 / grows + np.log(grows), axis=1)
@@ -257,6 +257,6 @@ def _most_probable(data: Data, value: Array, deviation: Array, spread: float, st
         jacobian = network.sensitivity() / deviation.reshape(-1, 1) * free.ravel()
         return SumOfSquares(np.concatenate([missed, unlike @ cells]), np.vstack([jacobian, unlike]))
 
-    found = replace(FIT, evaluations=25, share=0.0).minimum(model, start.ravel(), (lower, upper)).position
-    cells = found.reshape(value.shape)
+    position = replace(FIT, evaluations=25, share=0.0).minimum(model, start.ravel(), (lower, upper)).position
+    cells = position.reshape(value.shape)
     return cells, data.network(0, np.exp(cells)).sensitivity() * free.ravel()

@@ -60,7 +60,7 @@ def with_chosen_weights(
     Raises InputError where the noise is needed and unknown.
     """
     cost = estimator.cost(scene, len(data.measured), data.partial)
-    alike = tuple(other for other in others if other.partial == data.partial)
+    alike = tuple(further for further in others if further.partial == data.partial)
     search = WeightSearch(cost, (data, *alike), estimator.solver)
     first = convex(data, near) if near is None else near
     small = data.measured[0].size <= MAX_CELLS and data.measured.size <= MOST_DENSE
@@ -127,7 +127,10 @@ class WeightSearch:
     def models(self, weights: Sequence[float]) -> list[LinearModel]:
         """The cost with these weights, linearised at the reference estimates."""
         cost, pairs = self.weighted(weights), zip(self.solves, self.references, strict=True)
-        return [LinearModel(evaluated(cost, data, one.cells), NO_DUAL, deviation=one.deviation) for data, one in pairs]
+        return [
+            LinearModel(evaluated(cost, data, reference.cells), NO_DUAL, deviation=reference.deviation)
+            for data, reference in pairs
+        ]
 
     def spectra(self, number: int, weights: Sequence[float]) -> list[Spectrum]:
         """The cost at the reference estimates, for all weights of one penalty."""
@@ -169,13 +172,13 @@ class WeightSearch:
         sigma = [np.nan] * len(weights)
         with suppress(*BROKEN):
             for _ in range(2 * MAX_SOLVES):
-                found = best_solution(ProjectedNewton(self.weighted(weights), self.settings), data, near)
-                if found.at is None or found.dual is None:
+                solution = best_solution(ProjectedNewton(self.weighted(weights), self.settings), data, near)
+                if solution.at is None or solution.dual is None:
                     break
-                model = LinearModel(found.at, found.dual, deviation=scale * data.deviation)
+                model = LinearModel(solution.at, solution.dual, deviation=scale * data.deviation)
                 large = data.measured.size > MAX_CELLS
                 errors = (SampledErrors if large else DenseErrors)(model)
-                previous, near = (*weights, scale), found.cell_resistance
+                previous, near = (*weights, scale), solution.cell_resistance
                 weights = (next_weights if large else settled_weights)(model, self.open_terms)
                 for number in self.open_terms:
                     sigma[number] = np.sqrt(2 / max(errors.determined(number), 1.0))

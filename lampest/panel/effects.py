@@ -115,9 +115,9 @@ EFFECTS: tuple[type[Effect], ...] = (LineLeak, LooseContact)  # all that are loo
 
 def disturbed(effects: Sequence[Effect], scene: Scene, network: Network) -> tuple[Network, Array]:
     """(the network with all effects, what they add to its readings beside that (rows, columns))."""
-    added = sum((one.added(scene, network) for one in effects), np.zeros(network.conductance.shape))
-    for one in effects:
-        network = one.changed(network)
+    added = sum((effect.added(scene, network) for effect in effects), np.zeros(network.conductance.shape))
+    for effect in effects:
+        network = effect.changed(network)
     return network, np.asarray(added)
 
 

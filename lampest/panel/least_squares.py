@@ -102,31 +102,31 @@ class LevenbergMarquardt:
         """
         low, high = (np.broadcast_to(bound, start.shape) for bound in bounds)
         position = np.clip(start, low, high)
-        here, count, damping = model(position), 1, self.damping
-        while count < self.evaluations and not ended(here, count):
-            gradient = here.gradient
+        point, count, damping = model(position), 1, self.damping
+        while count < self.evaluations and not ended(point, count):
+            gradient = point.gradient
             free = ~(((position <= low) & (gradient > 0)) | ((position >= high) & (gradient < 0)))
             if not free.any():
                 break
-            moved = np.clip(position + self._step(here, free, damping), low, high)
+            moved = np.clip(position + self._step(point, free, damping), low, high)
             step = moved - position
-            there, count = model(moved), count + 1
-            gain, predicted = here.cost - there.cost, -float(gradient @ step + step @ here.normal @ step / 2)
+            trial, count = model(moved), count + 1
+            gain, predicted = point.cost - trial.cost, -float(gradient @ step + step @ point.normal @ step / 2)
             if gain > 0:
-                position, here = moved, there
+                position, point = moved, trial
                 damping = max(damping / 10, min(damping, 1e-6)) if gain > predicted / 2 else damping
             else:
                 damping = max(10 * damping, 1e-3)
-            least = self.settled + self.share * here.cost
+            least = self.settled + self.share * point.cost
             if (predicted < least and not gain >= least) or damping > self.most_damping:
                 break
-        return Minimum(position, here, count)
+        return Minimum(position, point, count)
 
-    def _step(self, here: Linearised, free: NDArray[np.bool_], damping: float) -> Array:
+    def _step(self, point: Linearised, free: NDArray[np.bool_], damping: float) -> Array:
         """The damped step (unknowns), within its longest."""
-        damped = here.normal[free][:, free]
+        damped = point.normal[free][:, free]
         own = damped.diagonal().copy()
         damped[np.diag_indices(len(own))] += damping * np.where(own > 0, own, 1.0)
         step = np.zeros(len(free))
-        step[free] = -np.linalg.solve(damped, here.gradient[free])
+        step[free] = -np.linalg.solve(damped, point.gradient[free])
         return np.asarray(step * min(1.0, float(np.min(self.longest / np.maximum(np.abs(step), 1e-300)))))

@@ -116,7 +116,9 @@ class TableResponse(Response):
             raise ValueError("resistance_ohm must be positive, and fall where pressure_kpa rises")
         if not np.all(np.diff(self._points[1]) < 0):
             raise ValueError("points of pressure_kpa or resistance_ohm lie too close to each other")
-        if self.sd is not None and not (len(self.sd) == len(pressure) and all(0 <= one < np.inf for one in self.sd)):
+        if self.sd is not None and not (
+            len(self.sd) == len(pressure) and all(0 <= deviation < np.inf for deviation in self.sd)
+        ):
             raise ValueError("sd needs one number for each point, zero or positive")
 
     def logarithm(self, pressure: ArrayLike) -> Array:

@@ -139,14 +139,14 @@ class Shared:
             return None
         return cls(sizes, scene, contact_root, None if hidden is None else hidden.root, hidden is not None)
 
-    def beyond(self, other: "Shared | None") -> "Shared | None":
+    def beyond(self, known: "Shared | None") -> "Shared | None":
         """The errors that remain where a method has unknowns for the specified ones; None where none do."""
         if self.systematic is None:
             return None
-        if other is None or other.systematic is None:
+        if known is None or known.systematic is None:
             return replace(self, contact_root=None)
-        own, known = (one.reading_error or 0.0 for one in (self.systematic, other.systematic))
-        return Shared(Systematic(reading_error=float(np.sqrt(own**2 - known**2))), self.scene) if own > known else None
+        own, size = (errors.reading_error or 0.0 for errors in (self.systematic, known.systematic))
+        return Shared(Systematic(reading_error=float(np.sqrt(own**2 - size**2))), self.scene) if own > size else None
 
     def columns(self, network: Network, measured: Array) -> Array:
         """U (cells, n) in the readings' unit: contacts, reference and channels, hidden errors.

@@ -51,7 +51,7 @@ class Certainty(LogInterval):
         sums of the averaging kernel.
         """
         shape, (lower, upper) = cells.shape, data.log_bounds
-        deviation, common = (np.sqrt(one).reshape(shape) for one in variances)
+        deviation, common = (np.sqrt(variance).reshape(shape) for variance in variances)
         position, reach = np.log(cells), TWO_SIDED * deviation
         noise = TWO_SIDED * np.minimum(data.sigma / data.measured, 0.5)
         above = np.where((position + reach >= upper) & (lower < upper), np.inf, reach)
@@ -73,16 +73,16 @@ class Certainty(LogInterval):
         """
         at, whole = model.at, np.zeros((4, model.at.cell_resistance.size))
         whole[:, model.free] = *variances, *shares
-        found = cls.inside(at.cell_resistance, at.data, (whole[0], whole[1]), (whole[2], whole[3]))
+        certainty = cls.inside(at.cell_resistance, at.data, (whole[0], whole[1]), (whole[2], whole[3]))
         pressed = np.flatnonzero(model.at_lower | model.at_upper)
         if len(pressed):
             slope, low = np.abs(model.gradient[pressed]) / (2 * model.scale), model.at_lower[pressed]
             deviation, reach = one_sided(slope, released(pressed))
             noise = TWO_SIDED * np.minimum(at.data.sigma / at.data.measured, 0.5).ravel()[pressed]
-            found.deviation.flat[pressed] = np.where(low, deviation, np.inf)
-            found.above.flat[pressed] = np.where(low, reach, np.inf)
-            found.below.flat[pressed] = np.where(low, noise, reach)
-        return found
+            certainty.deviation.flat[pressed] = np.where(low, deviation, np.inf)
+            certainty.above.flat[pressed] = np.where(low, reach, np.inf)
+            certainty.below.flat[pressed] = np.where(low, noise, reach)
+        return certainty
 
     def widened(self, answer: Array) -> "Certainty":
         """Return the certainty with independent errors of variance 1 on top, of which answer (frames · cells, n) is
@@ -91,9 +91,9 @@ class Certainty(LogInterval):
         rows, columns = self.deviation.shape[-2:]
         answers = answer.reshape(*self.deviation.shape[:-2], rows * columns, -1)
         variance, common = (part.reshape(self.deviation.shape) for part in ((answers**2).sum(axis=-1), alike(answers)))
-        found = self.reaching_farther(TWO_SIDED**2 * variance, TWO_SIDED**2 * variance)
+        wider = self.reaching_farther(TWO_SIDED**2 * variance, TWO_SIDED**2 * variance)
         deviation, common = np.sqrt(self.deviation**2 + variance), np.sqrt(self.common**2 + common)
-        return replace(found, deviation=deviation, common=common)
+        return replace(wider, deviation=deviation, common=common)
 
     def reaching(self, cells: NDArray[np.intp], below: Array, above: Array) -> "Certainty":
         """With intervals of single cells (numbers) that reach at least so far."""

@@ -30,10 +30,10 @@ class Chain:
     @cached_property
     def _inverses(self) -> list[Array]:
         """S_t⁻¹."""
-        found = [positive_inverse(self.own[0])]
+        inverses = [positive_inverse(self.own[0])]
         for own, tie in zip(self.own[1:], self.tie, strict=True):
-            found.append(positive_inverse(own - tie[:, None] * found[-1] * tie))
-        return found
+            inverses.append(positive_inverse(own - tie[:, None] * inverses[-1] * tie))
+        return inverses
 
     @cached_property
     def _gains(self) -> list[Array]:
@@ -45,10 +45,10 @@ class Chain:
         ahead = [right[0]]
         for gain, column in zip(self._gains, right[1:], strict=True):
             ahead.append(column + gain.T @ ahead[-1])
-        found = [self._inverses[-1] @ ahead[-1]]
+        solved = [self._inverses[-1] @ ahead[-1]]
         for frame in range(len(right) - 2, -1, -1):
-            found.append(self._inverses[frame] @ ahead[frame] + self._gains[frame] @ found[-1])
-        return np.stack(found[::-1])
+            solved.append(self._inverses[frame] @ ahead[frame] + self._gains[frame] @ solved[-1])
+        return np.stack(solved[::-1])
 
     @cached_property
     def _follow(self) -> Array:
@@ -88,10 +88,10 @@ class Chain:
     @cached_property
     def blocks(self) -> list[Array]:
         """P_t (cells, cells): the frames' diagonal blocks of H⁻¹, as if the border were known."""
-        found = [self._inverses[-1]]
+        blocks = [self._inverses[-1]]
         for inverse, gain in zip(self._inverses[-2::-1], self._gains[::-1], strict=True):
-            found.append(inverse + gain @ found[-1] @ gain.T)
-        return found[::-1]
+            blocks.append(inverse + gain @ blocks[-1] @ gain.T)
+        return blocks[::-1]
 
     @cached_property
     def _root(self) -> Array:
@@ -123,8 +123,8 @@ class Chain:
 
     def since(self, first: int) -> Array:
         """Covariance of a frame with itself and all that follow, cell by cell, (frames − first, cells)."""
-        across, found = np.eye(self.own.shape[1]), [np.diag(self.blocks[first])]
+        across, covariances = np.eye(self.own.shape[1]), [np.diag(self.blocks[first])]
         for gain, block in zip(self._gains[first:], self.blocks[first + 1 :], strict=True):
             across = across @ gain
-            found.append(np.einsum("ij,ji->i", across, block))
-        return np.asarray(np.stack(found) + np.sum(self._root[first:] * self._root[first], axis=2))
+            covariances.append(np.einsum("ij,ji->i", across, block))
+        return np.asarray(np.stack(covariances) + np.sum(self._root[first:] * self._root[first], axis=2))

@@ -206,8 +206,8 @@ class DenseErrors:
         """The diagonal of S over the free cells."""
         variance = sum(rows**2 @ size for rows, size in self._parts)
         if self.before is not None:
-            for (one, first), (other, second) in product(self._carried, repeat=2):
-                variance += np.sum((first @ self.before.both()[one][other]) * second, axis=1)
+            for (row, first), (column, second) in product(self._carried, repeat=2):
+                variance += np.sum((first @ self.before.both()[row][column]) * second, axis=1)
         return np.asarray(variance)
 
     @cached_property
@@ -215,8 +215,8 @@ class DenseErrors:
         """S over all cells (frames · cells)²; zero for those that are not free."""
         covariance = sum((rows * size) @ rows.T for rows, size in self._parts)
         if self.before is not None:
-            for (one, first), (other, second) in product(self._carried, repeat=2):
-                covariance += first @ self.before.both()[one][other] @ second.T
+            for (row, first), (column, second) in product(self._carried, repeat=2):
+                covariance += first @ self.before.both()[row][column] @ second.T
         whole = np.zeros((self.model.at.cell_resistance.size,) * 2)
         whole[np.ix_(self.model.free, self.model.free)] = covariance
         return whole
@@ -272,13 +272,13 @@ class DenseErrors:
     def shared_variance(self) -> Array:
         """The part of the variance by which chances of a frame move all its cells alike."""
         size, free = self.model.at.cell_resistance[0].size, self.model.free
-        found = np.zeros(len(free))
+        common = np.zeros(len(free))
         if self.drawn is None:
-            return found
+            return common
         answer = self.answer(self.drawn, *np.zeros((2, size, self.drawn.shape[1])))
         for frame in np.unique(free // size):
-            found[free // size == frame] = alike(answer[free // size == frame])
-        return np.asarray(np.minimum(found, self.variance))
+            common[free // size == frame] = alike(answer[free // size == frame])
+        return np.asarray(np.minimum(common, self.variance))
 
     def answer(self, rows: Array, last: Array, baseline: Array) -> Array:
         """What errors of the data (rows, n), the same as those that earlier estimates have (cells, n), do to log r."""

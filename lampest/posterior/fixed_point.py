@@ -79,7 +79,7 @@ def settled_weights(model: LinearModel, open_terms: Collection[int]) -> list[flo
             count, used = (float(np.sum(curvature[own] * part)) for part in (free, posterior))
             evidence = PenaltyEvidence(mean, float(folded.sum()), count, partial(float, used))
             weights[number] = _weight(model, number, evidence)
-        if max(abs(np.log(one / other)) for one, other in zip(weights, before, strict=True)) < SETTLED:
+        if max(abs(np.log(weight / earlier)) for weight, earlier in zip(weights, before, strict=True)) < SETTLED:
             break
     return weights
 

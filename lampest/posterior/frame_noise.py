@@ -37,7 +37,8 @@ class FrameNoise:
         if self.left is not None:
             each = [self.left[int(number > 0 or not baseline)] * frame for number, frame in enumerate(measured)]
             parts = [
-                np.column_stack([part, one.reshape(len(one), -1).T]) for part, one in zip(parts, each, strict=True)
+                np.column_stack([part, fraction.reshape(len(fraction), -1).T])
+                for part, fraction in zip(parts, each, strict=True)
             ]
         return np.asarray(linalg.block_diag(*parts))
 

@@ -92,11 +92,11 @@ def beyond_tangents(
     errors, shape = errors_of(model, None), readings.value.shape
     places = np.argwhere(missing)[:MOST]
     first = model.at.cell_resistance.size - readings.value.size
-    found = _profiled(errors, places @ (shape[1], 1) + first)
+    profiles = _profiled(errors, places @ (shape[1], 1) + first)
     if moved is not None:
-        found = _stood_in(errors, readings, places, moved)
+        profiles = _stood_in(errors, readings, places, moved)
     straight, below, above = np.zeros((3, *shape))
-    for ends in found:
+    for ends in profiles:
         tangent, low, high = (change.ravel()[-readings.value.size :].reshape(shape) for change in ends)
         straight += tangent**2
         # An end that no solve reached is NaN and leads nowhere.

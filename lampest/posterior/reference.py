@@ -123,13 +123,13 @@ def references(solves: Sequence[Data], cost: Cost, *, believed: bool = False) ->
         best = 1.0  # what is known of the noise is believed until readings contradict it
     errors = np.concatenate([fit.errors(best) for fit in tried[best]])
     tail = float(np.quantile(errors, LEVEL)) if len(errors) else 0.0
-    fits, found = iter(tried[best]), []
+    fits, estimates = iter(tried[best]), []
     for data in solves:
         own = [next(fits) for _ in data.measured]
         cells = np.stack([np.exp(fit.position).reshape(fit.shape) for fit in own])
         deviation = np.stack([fit.deviation(best).reshape(fit.shape) for fit in own])
-        found.append(Reference(cells, deviation, block_diag(*(fit.covariance for fit in own))))
-    return ErrorScale(best, tail, len(errors), tuple(scales), tuple(bounds.tolist())), found
+        estimates.append(Reference(cells, deviation, block_diag(*(fit.covariance for fit in own))))
+    return ErrorScale(best, tail, len(errors), tuple(scales), tuple(bounds.tolist())), estimates
 
 
 def _bound(fits: Sequence["ReferenceFit"]) -> float:

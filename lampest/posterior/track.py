@@ -37,9 +37,9 @@ class Change(LogInterval):
         common : covariance of what cells share of them; None: not known.
         """
 
-        def joined(one: Array, other: Array, shared: Array) -> Array:
+        def joined(of_frame: Array, of_baseline: Array, shared: Array) -> Array:
             with np.errstate(invalid="ignore"):
-                size: Array = np.sqrt(np.maximum(one**2 + other**2 - 2 * shared, 0))
+                size: Array = np.sqrt(np.maximum(of_frame**2 + of_baseline**2 - 2 * shared, 0))
             return size
 
         ends = TWO_SIDED**2 * shared

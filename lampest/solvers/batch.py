@@ -30,11 +30,20 @@ SHORTEST = 1 - 1e-3  # of a relative change of a conductance: the step that MAX_
 
 @dataclass(frozen=True, eq=False)
 class InverseHessians:
-    """What panels keep from frame to frame: M⁻¹, where it was made, and whether it shows a minimum.
+    """Inverse Hessians of panels, kept from frame to frame.
 
-    inverse : (panels, cells, cells). position : (panels, cells), NaN where there is none yet. free : (panels, cells)
-    between which M is ∇²φ. positive, worn : (panels) whether that ∇²φ was positive definite; whether a direction took
-    many products.
+    Attributes
+    ----------
+    inverse : array, shape (panels, cells, cells)
+        M⁻¹.
+    position : array, shape (panels, cells)
+        Point where M was made, log r; NaN where there is none yet.
+    free : array of bool, shape (panels, cells)
+        Cells between which M is ∇²φ.
+    positive : array of bool, shape (panels,)
+        Whether that ∇²φ was positive definite.
+    worn : array of bool, shape (panels,)
+        Whether a step failed since.
     """
 
     inverse: Array
@@ -95,9 +104,14 @@ class InverseHessians:
 
 @dataclass(frozen=True, eq=False)
 class BatchOutcome:
-    """What a batch found. position : (panels, cells). solved : (panels) whether a strict minimum is verified there.
+    """Ends of a batch.
 
-    points : of all panels at their ends. iterations : (panels).
+    Attributes
+    ----------
+    points : Points
+    solved : array of bool, shape (panels,)
+        Whether a strict minimum is verified there.
+    iterations : array of int, shape (panels,)
     """
 
     points: Points
@@ -117,9 +131,18 @@ class BatchOutcome:
 def solve(
     batch: PanelBatch, start: Array, inverses: InverseHessians, numbers: Numbers, settings: Settings
 ) -> BatchOutcome:
-    """Minimise from `start`, (panels, rows, columns) ohm, with what frames before left; `kept` is renewed in place.
+    """Minimise the costs of a batch.
 
-    numbers : of the batch's panels among those that are kept.
+    Parameters
+    ----------
+    batch : PanelBatch
+    start : array, shape (panels, rows, columns)
+        Cells in ohm.
+    inverses : InverseHessians
+        From earlier frames; renewed in place.
+    numbers : array, shape (panels,)
+        Places of the batch's panels in `inverses`.
+    settings : Settings
     """
     lower, upper = batch.log_bounds
     whole = Points.at(batch, np.clip(np.log(start).reshape(lower.shape), lower, upper))

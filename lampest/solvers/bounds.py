@@ -39,7 +39,7 @@ def lower_along(at: Evaluation, along: Array) -> Evaluation | None:
     least, size = _certain_cost(at) - STILL * at.cost_scale, float(np.abs(along).max(initial=0.0)) or 1.0
     lengths = [sign * length / size for length in LENGTHS for sign in (1.0, -1.0)]
     beside = (moved_by(at, length * along) for length in lengths)
-    return next((one for one in beside if one is not None and _certain_cost(one) < least), None)
+    return next((point for point in beside if point is not None and _certain_cost(point) < least), None)
 
 
 def _certain_cost(at: Evaluation) -> float:

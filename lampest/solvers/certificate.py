@@ -105,8 +105,8 @@ def _deviations(hessian: Hessian, decrement: float) -> float:
     return decrement / float(np.sqrt(np.mean(curvature[counting] * data.sigma.ravel()[counting] ** 2)))
 
 
-def certificate(hessian: Hessian, kept: Preconditioner | None = None) -> Certificate:
-    """Of a point, from its second derivatives; kept : for conjugate gradients on large panels."""
+def certificate(hessian: Hessian, preconditioner: Preconditioner | None = None) -> Certificate:
+    """Of a point, from its second derivatives; preconditioner : for conjugate gradients on large panels."""
     if (exact := _of_reproduced(hessian)) is not None:
         return exact
     free = free_cells(hessian.at, hessian.gradient)
@@ -114,7 +114,7 @@ def certificate(hessian: Hessian, kept: Preconditioner | None = None) -> Certifi
     if not len(chosen):
         return Certificate(Definiteness.POSITIVE, np.zeros(len(free)), 0.0, 0.0)
     if not hessian.dense:
-        return _by_conjugate_gradients(hessian, free, kept)
+        return _by_conjugate_gradients(hessian, free, preconditioner)
     return _by_factorisation(hessian, chosen)
 
 
@@ -207,18 +207,20 @@ def _usual_curvature(hessian: Hessian) -> Array:
     )
 
 
-def _by_conjugate_gradients(hessian: Hessian, free: NDArray[np.bool_], kept: Preconditioner | None) -> Certificate:
+def _by_conjugate_gradients(
+    hessian: Hessian, free: NDArray[np.bool_], preconditioner: Preconditioner | None
+) -> Certificate:
     """Undetermined where the iteration does not begin."""
     chosen = np.flatnonzero(free)
     slope, product = hessian.gradient[chosen], restricted(hessian.product, chosen, free.size)
-    precondition = (kept or TwoLevel.of(hessian)).over(free, hessian.at.cell_resistance)
-    found = steihaug(product, precondition, slope, ACCURACY)
-    moved = bool(found.products) or not slope.any()
+    precondition = (preconditioner or TwoLevel.of(hessian)).over(free, hessian.at.cell_resistance)
+    solved = steihaug(product, precondition, slope, ACCURACY)
+    moved = bool(solved.products) or not slope.any()
     definiteness = Definiteness.POSITIVE if moved else Definiteness.UNDETERMINED
-    if found.negative:
-        along = found.step / (float(np.abs(found.step).max()) or 1.0)
+    if solved.negative:
+        along = solved.step / (float(np.abs(solved.step).max()) or 1.0)
         curvature, size = float(along @ product(along)), hessian.diagonal[chosen]
         rounding = max(ROUNDING * float(along @ (size * along)), UNSEEN * hessian.at.cost_scale)
         definiteness = Definiteness.UNDETERMINED if curvature > -rounding else Definiteness.INDEFINITE
-    definiteness, lower = _confirmed(hessian, definiteness, chosen, found.step)
-    return Certificate.of(hessian, definiteness, chosen, found.step, None, lower=lower)
+    definiteness, lower = _confirmed(hessian, definiteness, chosen, solved.step)
+    return Certificate.of(hessian, definiteness, chosen, solved.step, None, lower=lower)

@@ -35,14 +35,14 @@ def by_interior_point(start: Evaluation) -> tuple[Evaluation, int]:
     """The cost where the bounds' part in it has become nothing, and the steps; `start` and none where it is no help."""
     if not crowds_bounds(start):
         return start, 0
-    here, steps = _Barrier.of(start), 0
-    while steps < MOST_STEPS and here.added > NOTHING * here.at.objective and not start.data.overdue:
-        moved = here.moved()
+    barrier, steps = _Barrier.of(start), 0
+    while steps < MOST_STEPS and barrier.added > NOTHING * barrier.at.objective and not start.data.overdue:
+        moved = barrier.moved()
         if moved is None:
             break
-        here, steps = moved, steps + 1
-    found = here.put_at_bounds()
-    return (found if found.objective < start.objective else start), steps
+        barrier, steps = moved, steps + 1
+    bounded = barrier.put_at_bounds()
+    return (bounded if bounded.objective < start.objective else start), steps
 
 
 def crowds_bounds(start: Evaluation) -> bool:
@@ -127,9 +127,9 @@ class _Barrier:
         for _ in range(HALVINGS):
             cells = 1 / (self.conductance + length * step)
             with suppress(np.linalg.LinAlgError):
-                found = self.at.elsewhere(cells[None])
-                if self._merit(found, mean) <= before - DECREASE * length * along:
-                    return self._forced(found, step, mean, length)
+                trial = self.at.elsewhere(cells[None])
+                if self._merit(trial, mean) <= before - DECREASE * length * along:
+                    return self._forced(trial, step, mean, length)
             length /= 2
         return None
 
@@ -148,11 +148,11 @@ class _Barrier:
         def admits(step: Array) -> bool:
             return min(_reach(rooms[0], step), _reach(rooms[1], -step)) >= SHORTEST
 
-        found = steihaug(restricted(exact, chosen, push.size), precondition, slope, accuracy, admits=admits)
-        if found.negative:
+        solved = steihaug(restricted(exact, chosen, push.size), precondition, slope, accuracy, admits=admits)
+        if solved.negative:
             squares: Linear = lambda step: hessian.gauss_newton_product(step) + stiff * step  # noqa: E731
-            found = steihaug(restricted(squares, chosen, push.size), precondition, slope, accuracy, admits=admits)
-        whole[chosen] = found.step
+            solved = steihaug(restricted(squares, chosen, push.size), precondition, slope, accuracy, admits=admits)
+        whole[chosen] = solved.step
         return whole.reshape(push.shape) * self.conductance
 
     def _merit(self, at: Evaluation, mean: float) -> float:
@@ -161,12 +161,12 @@ class _Barrier:
         rooms = np.concatenate([inside - low[self.moving], high[self.moving] - inside])
         return at.objective - mean * float(np.log(rooms).sum()) if np.all(rooms > 0) else float("inf")
 
-    def _forced(self, found: Evaluation, step: Array, mean: float, ahead: float) -> "_Barrier":
+    def _forced(self, trial: Evaluation, step: Array, mean: float, ahead: float) -> "_Barrier":
         """At the point found, with forces that follow as far as they stay positive."""
         below = _over(mean - self.below * step, self.rooms[0]) - self.below
         above = _over(mean + self.above * step, self.rooms[1]) - self.above
         length = min(_reach(self.below, below), _reach(self.above, above))
-        return _Barrier(found, self.below + length * below, self.above + length * above, mean, min(length, ahead))
+        return _Barrier(trial, self.below + length * below, self.above + length * above, mean, min(length, ahead))
 
     def put_at_bounds(self) -> Evaluation:
         """The cost with cells at the bound whose barrier curves more than the readings do."""

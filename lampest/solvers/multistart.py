@@ -28,23 +28,33 @@ LAST_STEPS = Settings(max_iterations=20)
 FINE_STEPS = Settings(tolerance=1e-12, max_iterations=20)
 
 
-def best_solution(solver: Solver, data: Data, previous: Array | None, kept: Preconditioner | None = None) -> Solution:
-    """The lowest minimum from as many starts as the settings or, by default, the frame asks for.
+def best_solution(
+    solver: Solver, data: Data, previous: Array | None, preconditioner: Preconditioner | None = None
+) -> Solution:
+    """Return the lowest minimum from as many starts as the settings or, by default, the frame asks for.
 
-    previous : (frames, rows, columns) ohm, the estimate of the frame before, or None. kept : its preconditioner. Other
-    solvers go on from the minimum that ours found where the cost may have several. Arithmetic that breaks down costs
-    its start; where it does at every start, the status says so.
+    Other solvers continue from the minimum of projected Newton where the cost may have several. Arithmetic that breaks
+    down costs its start; where it does at every start, the status says so.
+
+    Parameters
+    ----------
+    solver : Solver
+    data : Data
+    previous : array, shape (frames, rows, columns), or None
+        Estimate of the frame before, ohm.
+    preconditioner : Preconditioner or None
+        From the frame before.
     """
     with np.errstate(all="ignore"), delayed_interrupt():
         if isinstance(solver, ProjectedNewton):
-            return _lowest(replace(solver, kept=kept), data, previous)
+            return _lowest(replace(solver, preconditioner=preconditioner), data, previous)
         if not several_minima(solver.cost, data):
             return _lowest(solver, data, previous)
-        scout = _lowest(ProjectedNewton(solver.cost, solver.settings, kept), data, previous)
+        scout = _lowest(ProjectedNewton(solver.cost, solver.settings, preconditioner), data, previous)
         if not scout.solved:
             return scout
-        found = solved_from(solver, evaluated(solver.cost, data, scout.cell_resistance))
-        return replace(found, starts=scout.starts, kept=scout.kept)
+        solution = solved_from(solver, evaluated(solver.cost, data, scout.cell_resistance))
+        return replace(solution, starts=scout.starts, preconditioner=scout.preconditioner)
 
 
 def _lowest(solver: Solver, data: Data, previous: Array | None) -> Solution:
@@ -57,11 +67,11 @@ def _lowest(solver: Solver, data: Data, previous: Array | None) -> Solution:
         enough = tried >= most or (wanted is None and spent > MOST_SPENT)
         if tried and (data.overdue or (solved and enough) or (wanted is None and spent > MOST_UNSOLVED)):
             break
-        found, tried = solved_from(solver, start), tried + 1
-        spent += found.iterations
-        lower = best is None or not best.solved or found.objective < best.objective * (1 - SAME)
-        best = found if best is None or (found.solved and lower) else best
-        if wanted is None and found.strict and found.convex:
+        solution, tried = solved_from(solver, start), tried + 1
+        spent += solution.iterations
+        lower = best is None or not best.solved or solution.objective < best.objective * (1 - SAME)
+        best = solution if best is None or (solution.solved and lower) else best
+        if wanted is None and solution.strict and solution.convex:
             break
     return _broken(solver.cost, data) if best is None else replace(best, starts=tried)
 
@@ -143,8 +153,8 @@ def _solved(solver: Solver, start: Evaluation) -> Solution:
         reached.append(polished)
         if polished.strict:
             break
-    solved = [one for one in reached if one.solved]
-    return min(solved, key=lambda one: (not one.strict, one.objective), default=solution)
+    solved = [candidate for candidate in reached if candidate.solved]
+    return min(solved, key=lambda candidate: (not candidate.strict, candidate.objective), default=solution)
 
 
 def _broken(cost: Cost, data: Data) -> Solution:

@@ -102,9 +102,9 @@ class Cholesky(Preconditioner):
 
         def solve(values: Array) -> Array:
             whole[inner] = values[known]
-            found = outer * values
-            found[known] = self.solve(whole)[inner]
-            return found
+            solution = outer * values
+            solution[known] = self.solve(whole)[inner]
+            return solution
 
         return solve
 
@@ -130,9 +130,9 @@ class TwoLevel(Preconditioner):
             weight = np.maximum(hessian.reading_weight[0], WEAK * (hessian.reading_weight.max(initial=0.0) or 1.0))
             parts = hessian.at.networks[0].normal_by_lines(weight)
             level = local(parts.own.ravel())
-            found = (level, parts.along / cells, parts.mixed)
+            level_parts = (level, parts.along / cells, parts.mixed)
             lone = hessian.only_data and parts.along.size > 0
-            lines = CoarseLines(*found, np.zeros((0, 0))) if lone else CoarseLines.of(*found)
+            lines = CoarseLines(*level_parts, np.zeros((0, 0))) if lone else CoarseLines.of(*level_parts)
             if lines is not None and level.nnz <= level.shape[0]:
                 return Woodbury(cells, floored(level.diagonal()).reshape(cells.shape[1:]), lines)
             if lines is not None:
@@ -196,7 +196,7 @@ class CoarseLines:
         row, column = np.indices(along.shape[1:]).reshape(2, -1)
         number, places = np.tile(np.arange(len(row)), 2), np.concatenate([row, along.shape[1] + column])
         incidence = sparse.csr_array((np.ones(len(places)), (number, places)))
-        columns = sparse.csr_array(sparse.hstack([sparse.diags_array(one.ravel()) @ incidence for one in along]))
+        columns = sparse.csr_array(sparse.hstack([sparse.diags_array(side.ravel()) @ incidence for side in along]))
         length = np.sqrt(np.maximum(columns.multiply(columns).sum(axis=0), 1e-300))
         columns = sparse.csr_array(columns @ sparse.diags_array(1 / length))
         crossed, square = (columns.T @ (local @ columns)).toarray(), (columns.T @ columns).toarray()
@@ -221,7 +221,7 @@ class CoarseLines:
 
     def between(self, values: Array) -> Array:
         """Vᵀ diag(x) V of x (rows, columns)."""
-        grids = [[one * other * values for other in self.along] for one in self.along]
+        grids = [[first * second * values for second in self.along] for first in self.along]
         return np.block([[bipartite_matrix(line_sums(grid), grid) for grid in row] for row in grids])
 
     def sums(self, values: Array) -> Array:
@@ -239,8 +239,8 @@ def preconditioner(hessian: Hessian, free: Free) -> Preconditioner:
     if not hessian.dense:
         return TwoLevel.of(hessian)
     cells, chosen = hessian.at.cell_resistance, np.flatnonzero(free)
-    found = Cholesky.of(cells, chosen, hessian.between(chosen))
-    return found or gauss_newton_factor(hessian, free) or TwoLevel.of(hessian)
+    factor = Cholesky.of(cells, chosen, hessian.between(chosen))
+    return factor or gauss_newton_factor(hessian, free) or TwoLevel.of(hessian)
 
 
 def gauss_newton_factor(hessian: Hessian, free: Free, damping: float = SHIFTS[0]) -> Cholesky | None:

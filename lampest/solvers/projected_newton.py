@@ -41,11 +41,11 @@ MIN_DAMPING, DAMPED, MAX_DAMPING = 1e-15, 1e-4, 1e3  # μ: to begin with, of a s
 
 @dataclass(frozen=True)
 class ProjectedNewton:
-    """One cost on one panel shape. kept : the preconditioner that the frame before left, or None."""
+    """One cost on one panel shape. preconditioner : the one that the frame before left, or None."""
 
     cost: Cost
     settings: Settings
-    kept: Preconditioner | None = None
+    preconditioner: Preconditioner | None = None
 
     def prepare(self) -> None:
         """Compile the cost, so that the first solve is not charged for it."""
@@ -54,7 +54,7 @@ class ProjectedNewton:
     def solve(self, data: Data, start: Evaluation) -> Outcome:
         """Minimise from `start`. Never raises for a failed solve: the outcome's status says so."""
         start, iteration = by_interior_point(start)
-        iterate, progress = Iterate.of(start, Smoothing.start(start), self.kept), ProgressWindow()
+        iterate, progress = Iterate.of(start, Smoothing.start(start), self.preconditioner), ProgressWindow()
         unsettled, tolerance = 0, self.settings.tolerance
         while iteration < self.settings.max_iterations:
             progress = progress.after(iterate.hessian.smoothing.width, iterate.objective, iterate.residual)
@@ -85,7 +85,7 @@ class Iterate:
         Derivatives of the smoothed cost.
     objective : float
         The smoothed cost φ.
-    kept : Preconditioner or None
+    preconditioner : Preconditioner or None
         M of an earlier point.
     gauss_newton : int
         Number of further steps with JᵀWJ that may avoid negative curvature.
@@ -101,7 +101,7 @@ class Iterate:
 
     hessian: Hessian
     objective: float
-    kept: Preconditioner | None = None
+    preconditioner: Preconditioner | None = None
     gauss_newton: int = GAUSS_NEWTON
     convex: bool = True
     expected: float = inf
@@ -110,10 +110,10 @@ class Iterate:
 
     @classmethod
     def of(
-        cls, at: Evaluation, smoothing: Smoothing, kept: Preconditioner | None = None, convex: bool = True
+        cls, at: Evaluation, smoothing: Smoothing, preconditioner: Preconditioner | None = None, convex: bool = True
     ) -> "Iterate":
         """Return the first iterate of a solve, or of another smoothing."""
-        return cls(Hessian(at, smoothing), smoothing.objective(at), kept, convex=convex)
+        return cls(Hessian(at, smoothing), smoothing.objective(at), preconditioner, convex=convex)
 
     @property
     def at(self) -> Evaluation:
@@ -156,7 +156,7 @@ class Iterate:
             free = np.flatnonzero(free_cells(self.at, self.hessian.gradient))
             if previous.definiteness is Definiteness.POSITIVE and np.array_equal(free, previous.factor.cells):
                 return previous.after(self.at, self.hessian.gradient)
-        return certificate(self.hessian, self.kept)
+        return certificate(self.hessian, self.preconditioner)
 
     @property
     def known(self) -> Certificate | None:
@@ -167,7 +167,7 @@ class Iterate:
     @property
     def newest(self) -> Preconditioner | None:
         """The last factor of ∇²φ; without one, the preconditioner of an earlier point."""
-        return self.kept if self.known is None or self.known.factor is None else self.known.factor
+        return self.preconditioner if self.known is None or self.known.factor is None else self.known.factor
 
     def outcome(self, status: Status, iterations: int) -> Outcome:
         """Return the end of a solve, after the certificate's own step where that comes from a factor and certifies."""
@@ -181,7 +181,11 @@ class Iterate:
     def at_step(self, step: Array) -> "Iterate | None":
         """Return the point after a step of u (flat), within the bounds; None where its network cannot be solved."""
         at = moved_by(self.at, step)
-        return None if at is None else Iterate.of(at, self.hessian.smoothing.moved(self.at, at), self.kept, self.convex)
+        return (
+            None
+            if at is None
+            else Iterate.of(at, self.hessian.smoothing.moved(self.at, at), self.preconditioner, self.convex)
+        )
 
     def expects(self, trial: "Iterate") -> float:
         """Return the expected length of the step after the one to `trial`, of log r; infinite for smoothed losses."""
@@ -341,6 +345,6 @@ def levenberg_step(point: Iterate) -> Iterate | None:
             trial, predicted = point.at_step(step), -0.5 * float(step[free] @ slope)
             if trial is not None and (decrease := point.objective - trial.objective) > MIN_RATIO * predicted:
                 eased = damping / 10 if decrease > predicted / 2 else damping
-                return replace(trial, kept=None, damping=max(eased, MIN_DAMPING))
+                return replace(trial, preconditioner=None, damping=max(eased, MIN_DAMPING))
         damping = max(10 * damping, DAMPED)
     return None

@@ -111,7 +111,7 @@ class Outcome:
     """What a solver hands back before anybody checked it.
 
     cell_resistance : (frames, rows, columns) ohm. dual : of the absolute losses, |z| ≤ 1. certificate : of these cells,
-    or None. kept : a preconditioner for a frame like this one, or None. convex : whether no direction of negative
+    or None. preconditioner : one for a frame like this one, or None. convex : whether no direction of negative
     curvature was met. at : the cost at these cells or near them, or None.
 
     >>> cells, dual = found.cell_resistance, np.zeros(0)
@@ -124,7 +124,7 @@ class Outcome:
     status: Status
     iterations: int
     certificate: Certificate | None = None
-    kept: Preconditioner | None = None
+    preconditioner: Preconditioner | None = None
     convex: bool = False
     at: Evaluation | None = None
 
@@ -135,7 +135,7 @@ class Solution:
 
     cell_resistance, reading : (frames, rows, columns) ohm, and the model's readings. costs : of each term.
     kkt_residual : see `Evaluation.kkt_residual`. at_lower, open_cell : where a bound is reached. at, dual,
-    kept, convex : see `Outcome`; None where nothing was solved. starts : how many were tried.
+    preconditioner, convex : see `Outcome`; None where nothing was solved. starts : how many were tried.
 
     >>> found.steps[0].solution.solved
     True
@@ -152,7 +152,7 @@ class Solution:
     iterations: int
     at: Evaluation | None = None
     dual: Array | None = None
-    kept: Preconditioner | None = None
+    preconditioner: Preconditioner | None = None
     convex: bool = False
     starts: int = 1
 
@@ -206,17 +206,17 @@ def check(start: Evaluation, outcome: Outcome) -> Solution:
     level = residual <= VERIFIED
     ended = outcome.status is not Status.TIME and np.all(np.isfinite(gradient))
     if not worse and not level and ended and at.dual_gap(dual) <= VERIFIED * at.cost_scale:
-        found = outcome.certificate or certificate(_sharp(at, outcome), outcome.kept)
-        outcome, level = replace(outcome, certificate=found), found.converged(at.cost_scale)
+        verdict = outcome.certificate or certificate(_sharp(at, outcome), outcome.preconditioner)
+        outcome, level = replace(outcome, certificate=verdict), verdict.converged(at.cost_scale)
     if worse or not level:
         fault = Status.WORSE if level else Status.UNVERIFIED
         fault = fault if outcome.status is Status.OPTIMUM else outcome.status
         return failure(cost, data, _cause(at, gradient, outcome, fault), residual, outcome)
-    found = outcome.certificate or certificate(_sharp(at, outcome), outcome.kept)
-    if found.definiteness is Definiteness.INDEFINITE:
+    verdict = outcome.certificate or certificate(_sharp(at, outcome), outcome.preconditioner)
+    if verdict.definiteness is Definiteness.INDEFINITE:
         return failure(cost, data, Status.SADDLE, residual, outcome)
-    if not found.settled:
-        return _solution(at, residual, outcome, UNSETTLED[found.definiteness])
+    if not verdict.settled:
+        return _solution(at, residual, outcome, UNSETTLED[verdict.definiteness])
     return _solution(at, residual, outcome, Status.HELD if bounds_matter(at, gradient, dual) else Status.OPTIMUM)
 
 
@@ -258,8 +258,8 @@ def approximation(cost: Cost, data: Data, outcome: Outcome) -> Solution:
 def _solution(at: Evaluation, residual: float, outcome: Outcome, status: Status) -> Solution:
     cells, data = at.cell_resistance, at.data
     ends = cells <= data.lower / OPEN_FRACTION, cells >= data.upper * OPEN_FRACTION
-    found = (cells, at.reading, at.costs, at.objective, residual, *ends, status, outcome.iterations)
-    return Solution(*found, at=at, dual=outcome.dual, kept=outcome.kept, convex=outcome.convex)
+    fields = (cells, at.reading, at.costs, at.objective, residual, *ends, status, outcome.iterations)
+    return Solution(*fields, at=at, dual=outcome.dual, preconditioner=outcome.preconditioner, convex=outcome.convex)
 
 
 def failure(cost: Cost, data: Data, status: Status, residual: float, outcome: Outcome) -> Solution:

@@ -107,11 +107,11 @@ def _misfit(axes: Axes, tuned: Tuned) -> None:
         axes.axhline(tuned.subject.count, color="0.4", lw=0.8, ls=":")
         look: dict[str, Any] = {"fontsize": SMALL_POINT, "va": "bottom", "color": "0.3"}
         axes.text(0.02, tuned.subject.count, "number of readings", transform=axes.get_yaxis_transform(), **look)
-    other = axes.twinx()
-    other.tick_params(labelsize=SMALL_POINT, which="both", colors=PENALTY)
-    other.set_ylabel(f"{penalty} (dashed)", fontsize=TEXT_POINT, color=PENALTY)
-    other.plot(weights, tuned.curves.values("penalty"), **LINE | {"color": PENALTY, "ls": "--"})
-    _logarithmic(axes.yaxis, other.yaxis)
+    right = axes.twinx()
+    right.tick_params(labelsize=SMALL_POINT, which="both", colors=PENALTY)
+    right.set_ylabel(f"{penalty} (dashed)", fontsize=TEXT_POINT, color=PENALTY)
+    right.plot(weights, tuned.curves.values("penalty"), **LINE | {"color": PENALTY, "ls": "--"})
+    _logarithmic(axes.yaxis, right.yaxis)
 
 
 def _error(axes: Axes, tuned: Tuned) -> None:

@@ -308,6 +308,7 @@ def test_errors_are_those_that_the_scene_names() -> None:
 
 @pytest.mark.parametrize("patch", ["0", "-6", "nan", "inf"])
 def test_an_edge_of_the_film_that_is_none_is_refused(tmp_path: Path, lampest: Command, patch: str) -> None:
+    (tmp_path / "any.h5").touch()
     said = lampest("detect", tmp_path / "any.h5", "--patch", patch)
     assert said.code == 2 and "--patch must be positive and finite" in said.err
 

@@ -65,7 +65,7 @@ class JointData:
         count, size = len(data), data[0].measured.size
         drawn = np.zeros((count, size, 0))
         if noise is not None:
-            drawn = np.stack([noise.columns(one.measured, baseline=False) for one in data])
+            drawn = np.stack([noise.columns(frame.measured, baseline=False) for frame in data])
             drawn[:resting] *= np.sqrt(resting / noise.unloaded)
         return cls(tuple(cost), tuple(data), errors, anchor, drawn, np.zeros((count, size, 0)))
 
@@ -77,7 +77,7 @@ class JointData:
     def bounds(self) -> tuple[Array, Array]:
         """Of u and w, (frames, cells + n)."""
         limits = zip(*(data.log_bounds for data in self.data), strict=True)
-        lower, upper = (np.stack(one).reshape(len(self.data), -1) for one in limits)
+        lower, upper = (np.stack(limit).reshape(len(self.data), -1) for limit in limits)
         more = ((0, 0), (0, self.drawn.shape[2]))
         return np.pad(lower, more, constant_values=-np.inf), np.pad(upper, more, constant_values=np.inf)
 
@@ -98,13 +98,13 @@ class Joint:
     @cached_property
     def at(self) -> tuple[Evaluation, ...]:
         """Every frame's misfit; what is shared is taken off its readings."""
-        frames, found = self.frames, []
+        frames, evaluations = self.frames, []
         offsets = frames.shared @ self.shift[: self._sharing] + np.einsum("tri,ti->tr", frames.drawn, self.chance)
         for cost, data, position, offset in zip(frames.cost, frames.data, self.log_cells, offsets, strict=True):
             measured = data.measured - offset.reshape(data.measured.shape)
             shifted = replace(data, given=replace(data.given, measured=measured))
-            found.append(Evaluation.at(cost, shifted, np.exp(position).reshape(measured.shape)))
-        return tuple(found)
+            evaluations.append(Evaluation.at(cost, shifted, np.exp(position).reshape(measured.shape)))
+        return tuple(evaluations)
 
     @property
     def cells(self) -> int:
@@ -198,11 +198,11 @@ class Joint:
     @cached_property
     def sensitivities(self) -> list[Array]:
         """√ω ∂x/∂(u, w) of every frame's data, (rows, cells + n)."""
-        found = []
+        sensitivities = []
         for model, size, drawn in zip(self.models, self._sizes, self.frames.drawn, strict=True):
             moved = np.concatenate([model.at.networks[0].sensitivity(), drawn], axis=1)
-            found.append(np.asarray(model.through @ moved) * size[:, None])
-        return found
+            sensitivities.append(np.asarray(model.through @ moved) * size[:, None])
+        return sensitivities
 
     @cached_property
     def _sizes(self) -> list[Array]:
@@ -211,7 +211,7 @@ class Joint:
         every = np.concatenate(x)
         curvature = loss.curvature(every)
         size = np.sqrt(np.where(curvature > 0, curvature, loss.stiffness(every)))
-        return np.split(size, np.cumsum([len(one) for one in x])[:-1])
+        return np.split(size, np.cumsum([len(rows) for rows in x])[:-1])
 
     @cached_property
     def chain(self) -> Chain:
@@ -277,16 +277,17 @@ class Joint:
         others : λ where these cells are free.
         """
         count, alone = self._sharing, replace(self, stiffness=others)
-        covariance, without = (one.chain.border_covariance[:count, :count] for one in (self, alone))
-        here, there = (self.shift[:count] + one.newton()[1][:count] for one in (self, alone))
-        expected, apart = float(np.trace(without - covariance)), float(np.sum((there - here) ** 2))
+        covariance, without = (first.chain.border_covariance[:count, :count] for first in (self, alone))
+        shift, shift_alone = (self.shift[:count] + first.newton()[1][:count] for first in (self, alone))
+        expected, apart = float(np.trace(without - covariance)), float(np.sum((shift_alone - shift) ** 2))
         if apart <= expected:
             return self
-        precision, less = (positive_inverse(one) for one in (covariance, without))
+        precision, less = (positive_inverse(first) for first in (covariance, without))
         ratio, between = apart / expected, without - covariance
         share = (ratio * np.exp(1 - ratio)) ** (expected**2 / np.sum(between**2) / 2)
         believed, pull = (
-            share * one + (1 - share) * other for one, other in ((precision, less), (precision @ here, less @ there))
+            share * first + (1 - share) * second
+            for first, second in ((precision, less), (precision @ shift, less @ shift_alone))
         )
         return replace(self, held=(np.linalg.solve(believed, pull), believed))
 
@@ -302,8 +303,8 @@ class Joint:
         step, shift = self.newton()
         size = 1.0
         while size > np.sqrt(np.finfo(float).eps):
-            there = np.clip(self.position + size * np.where(self.pressed, 0.0, step), *self.frames.bounds)
-            trial = replace(self, position=there, shift=self.shift + size * shift)
+            position = np.clip(self.position + size * np.where(self.pressed, 0.0, step), *self.frames.bounds)
+            trial = replace(self, position=position, shift=self.shift + size * shift)
             if trial.value <= self.value + ROUNDING * abs(self.value):
                 return trial
             size /= 2
@@ -352,8 +353,8 @@ def error_bars(joint: Joint, resting: int, beyond: Shared | None = None) -> tupl
     answer = joint.answer(_shared(joint.at, beyond))
     chain = joint.uncertain
     numbers = range(resting - 1, len(joint.position))
-    found = (_certainty(joint, chain, t).widened(answer[t]).of_frame(0) for t in numbers)
-    baseline, *certainty = (one.by_conductance() for one in found)
+    certainties = (_certainty(joint, chain, t).widened(answer[t]).of_frame(0) for t in numbers)
+    baseline, *certainty = (certainty_.by_conductance() for certainty_ in certainties)
     together = chain.since(resting - 1)[1:, : joint.cells] + np.sum(answer[resting:] * answer[resting - 1], axis=2)
     together = together.reshape(-1, *baseline.deviation.shape)
     pairs = zip(certainty, together, strict=True)
@@ -364,4 +365,4 @@ def _shared(at: Sequence[Evaluation], errors: Shared | None) -> Array:
     """(frames, readings, n) of what all readings share; without a column where there is no such error."""
     if errors is None:
         return np.zeros((len(at), at[0].reading.size, 0))
-    return np.stack([errors.columns(one.networks[0], one.reading[0]) for one in at])
+    return np.stack([errors.columns(evaluation.networks[0], evaluation.reading[0]) for evaluation in at])

@@ -86,7 +86,7 @@ class Method(Validated):
         """What stands for the previous frame where there is none, the same shape, ohm."""
         return readout.uniform_start(measured)
 
-    def kept(self, solution: Solution, prepared: Any) -> Any:
+    def prepared_by(self, solution: Solution, prepared: Any) -> Any:
         """What is prepared for the next frame after a solution; by default what was prepared for this one."""
         return prepared
 
@@ -110,8 +110,10 @@ class Method(Validated):
             known = self.guess(state.scene.circuit, readings.value) if state.previous is None else state.previous
             resting = None if state.baseline is None else state.baseline.estimate(0)
         if objective.weighs_previous:  # an open cell, and one without error bars, is not known at all
-            found = None if state.previous is None else state.previous_deviation
-            deviation = np.fmin(np.full(state.scene.panel.shape, np.nan) if found is None else found, UNKNOWN)
+            known_deviation = None if state.previous is None else state.previous_deviation
+            deviation = np.fmin(
+                np.full(state.scene.panel.shape, np.nan) if known_deviation is None else known_deviation, UNKNOWN
+            )
         behind = replace(behind, previous=known, baseline=resting, previous_deviation=deviation)
         data = objective.data(readings.alone(), behind)
         if objective.weighs_previous and known is not None:
@@ -160,11 +162,11 @@ class Method(Validated):
         if pair:
             state, step = with_contacts(state, readings, step, self._elsewhere)
         track, step = self._barred(state, step, readings)
-        prepared, step, found = self.kept(step.solution, state.prepared), step.bare(), step.estimate(-1)
+        prepared, step, estimate = self.prepared_by(step.solution, state.prepared), step.bare(), step.estimate(-1)
         state = replace(state, baseline=step if pair else state.baseline, prepared=prepared, track=track)
-        if found is not None:
+        if estimate is not None:
             deviation = None if track is None or step.bars is None else track.deviation
-            state = replace(state, previous=found, previous_deviation=deviation, first=False)
+            state = replace(state, previous=estimate, previous_deviation=deviation, first=False)
         return state, step
 
     def sequence(
@@ -254,9 +256,9 @@ class OptimalMethod(Method):
         """The best optimum of all starts that a frame deserves; prepared : what that frame kept, or None."""
         return best_solution(solver, data, previous, prepared)
 
-    def kept(self, solution: Solution, prepared: Any) -> Any:
+    def prepared_by(self, solution: Solution, prepared: Any) -> Any:
         """The preconditioner of a single frame."""
-        return solution.kept if solution.solved and len(solution.cell_resistance) == 1 else None
+        return solution.preconditioner if solution.solved and len(solution.cell_resistance) == 1 else None
 
 
 @lru_cache(maxsize=32)

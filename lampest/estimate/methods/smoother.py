@@ -111,14 +111,14 @@ class SmootherMethod(Method):
         numbers = np.flatnonzero(resting.enough(state.scene))
         parts = np.array_split(numbers, min(len(numbers), MOST_PARTS)) if len(numbers) else []
         groups = [resting[part].mean() for part in parts] or [state.resting]
-        state, found = self._together(state, groups, read, [], on_frame)
-        missing, solved = state.unsolved(Status.UNREAD if rested else Status.UNRESTED), iter(found)
-        return state, [next(solved) if one else missing for one in enough]
+        state, steps = self._together(state, groups, read, [], on_frame)
+        missing, solved = state.unsolved(Status.UNREAD if rested else Status.UNRESTED), iter(steps)
+        return state, [next(solved) if read_enough else missing for read_enough in enough]
 
     def push(self, state: S, readings: Readings) -> tuple[S, Step]:
         """One frame, together with those before it."""
-        before, found = state.prepared or ((), ())  # readings of the last frames, and their cells
-        read, cells = (*before, readings)[-1 - self.lag :], found[-self.lag :]
+        before, estimates = state.prepared or ((), ())  # readings of the last frames, and their cells
+        read, cells = (*before, readings)[-1 - self.lag :], estimates[-self.lag :]
         after, steps = self._together(state, [state.resting], read, cells, lambda: None)
         if not steps[-1].solution.solved:
             return state, steps[-1]
@@ -159,7 +159,7 @@ class SmootherMethod(Method):
         self, state: SequenceState, data: Sequence[Data], start: Array, resting: int = 0, until: float = inf
     ) -> tuple[Joint, int]:
         """As `smoothed`, of the data of all frames, of which so many are means of unloaded ones."""
-        costs = [state.estimator.cost(state.scene, 1, one.partial) for one in data]
+        costs = [state.estimator.cost(state.scene, 1, frame.partial) for frame in data]
         # What a scene does not name is no unknown: usual errors of a circuit are too many for a few frames to tell.
         scene = state.scene if state.scene.specified_systematic else replace(state.scene, systematic="none")
         frames = JointData.alone(costs, data, Shared.of(scene), start, state.frame_noise, resting)
@@ -177,15 +177,15 @@ def _begun(
     assert state.baseline is not None
     terms = tuple(replace(term, loss=Squared()) for term in state.estimator.terms)
     alone, reduced = replace(state, estimator=state.estimator.with_terms(terms)), OptimalMethod("reduced")
-    data = [state.estimator.data(one.alone(), state.background) for one in (*resting, *readings)]
-    found = [state.baseline.cell_resistance, *cells] if len(resting) == 1 else []
-    for number, one in enumerate(data[len(found) :], len(found)):
-        before = found[-1] if found else state.baseline.cell_resistance
-        step = reduced.solve(alone, one, before[None])
-        found.append(before if step.estimate(0) is None else step.cell_resistance)
+    data = [state.estimator.data(frame.alone(), state.background) for frame in (*resting, *readings)]
+    estimates = [state.baseline.cell_resistance, *cells] if len(resting) == 1 else []
+    for number, frame in enumerate(data[len(estimates) :], len(estimates)):
+        before = estimates[-1] if estimates else state.baseline.cell_resistance
+        step = reduced.solve(alone, frame, before[None])
+        estimates.append(before if step.estimate(0) is None else step.cell_resistance)
         if number >= len(resting):
             on_frame()
-    return data, np.log(np.stack(found)).reshape(len(data), -1)
+    return data, np.log(np.stack(estimates)).reshape(len(data), -1)
 
 
 def _checked(joint: Joint, rounds: int, fault: Status) -> list[Solution]:
@@ -213,7 +213,7 @@ def _barred(state: S, track: Track, joint: Joint, steps: list[Step]) -> tuple[S,
     baseline, bars = error_bars(joint, len(joint.position) - len(steps) + 1, beyond)
     seconds = (perf_counter() - begin) / len(steps)
     pairs = zip(steps[1:], bars, strict=True)
-    barred = [replace(one, bars=own, bars_seconds=seconds) if one.solution.solved else one for one, own in pairs]
+    barred = [replace(step, bars=own, bars_seconds=seconds) if step.solution.solved else step for step, own in pairs]
     return replace(state, track=replace(track, baseline=baseline)), [steps[0], *barred]
 
 

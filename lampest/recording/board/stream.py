@@ -49,7 +49,7 @@ def scene_of(hello: Hello, scene: Scene | None) -> Scene:
         within = LOAD_TOLERANCE * theirs if name == "load_ohm" else 0.0
         for mine in each:
             if mine != theirs and not (within and abs(mine - theirs) <= within):
-                said = [f"{one:g}" if isinstance(one, float) else one for one in (mine, theirs)]
+                said = [f"{value:g}" if isinstance(value, float) else value for value in (mine, theirs)]
                 raise InputError(
                     f"the scene's readout.{name} is {said[0]}, but the board says {said[1]} (firmware pins.h)"
                 )

@@ -90,8 +90,8 @@ class Program:
         weight = casadi.SX.sym("weight")
         network_multiplier = casadi.SX.sym("network_multiplier", self.balance.shape[0])
         split_multiplier = casadi.SX.sym("split_multiplier", self.split_balance.shape[0])
-        rest = weight * self.objective + casadi.dot(split_multiplier, self.split_balance)
-        full = casadi.jacobian(casadi.gradient(rest, self.unknown), self.unknown, {"symmetric": True})
+        lagrangian = weight * self.objective + casadi.dot(split_multiplier, self.split_balance)
+        full = casadi.jacobian(casadi.gradient(lagrangian, self.unknown), self.unknown, {"symmetric": True})
         slope = casadi.gradient(casadi.dot(network_multiplier, self.balance), self.potentials)
         block = casadi.jacobian(slope, self.conductance)
         potentials, conductances = block.shape
