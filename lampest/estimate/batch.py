@@ -60,7 +60,7 @@ def pushed_together(
 
 
 def _weighed(streams: Sequence[Stream | None], readings: Readings) -> list[Stream | None]:
-    """The streams, with new weights for all that are alike where the frame of any is due to choose them."""
+    """Return the streams, with new weights for all that are alike where the frame of any is due to choose them."""
     weighed, groups = list(streams), dict[Hashable, dict[int, Stream]]()
     for number, stream in enumerate(streams):
         if stream is None or not stream.chooses or not (stream.rested or not stream.estimator.relative):
@@ -117,7 +117,7 @@ def _solved_together(
     inverses: InverseHessians,
     solve: Callable[["Together", InverseHessians], Sequence[W | None]],
 ) -> dict[int, W]:
-    """Number → what `solve` makes of the streams that batches solve, blocks in threads beside each other."""
+    """Return number → what `solve` makes of the streams that batches solve, blocks in threads beside each other."""
 
     def solved(block: Together) -> dict[int, W]:
         with np.errstate(all="ignore"), suppress(*BROKEN):
@@ -238,7 +238,10 @@ class Together:
         return [None if step is None else self._after(n, step, barred.get(n), seconds) for n, step in every]
 
     def _barred(self, ended: BatchOutcome, steps: Sequence[Step | None]) -> dict[int, tuple[Track, Bars]]:
-        """Number → a track after its frame, and error bars: made together of panels without a cell at a bound."""
+        """Return the track after its frame and the error bars of every panel, by number.
+
+        Panels without a cell at a bound are treated together.
+        """
         pairs = enumerate(zip(self.streams, steps, strict=True))
         tracks = {n: stream.track for n, (stream, step) in pairs if step is not None and stream.track is not None}
         free = BatchErrors.inside(ended.points).tolist() if tracks else []
@@ -258,7 +261,7 @@ class Together:
         return barred
 
     def _after(self, number: int, step: Step, barred: tuple[Track, Bars] | None, seconds: float) -> tuple[Stream, Step]:
-        """A stream after its frame, with error bars where it has them."""
+        """Return a stream after its frame, with error bars where it has them."""
         stream = self.streams[number]
         stream = replace(stream, previous=step.solution.cell_resistance[0], previous_deviation=None, first=False)
         if barred is None:
@@ -296,7 +299,7 @@ class Together:
             yield solve(data_alone, near, inverses, self.numbers, self.settings).points.network.cell_resistance
 
     def _solutions(self, ended: BatchOutcome, starts: int) -> list[Solution | None]:
-        """The checked solutions of all panels; None where one is not verified."""
+        """Return the checked solutions of all panels; None where one is not verified."""
         points, data = ended.points, self.batch.data
         cells, reading, costs = points.network.cell_resistance, points.reading, points.costs
         at_lower, open_cell = cells <= data.lower / OPEN_FRACTION, cells >= data.upper * OPEN_FRACTION

@@ -65,7 +65,7 @@ class CellsFit(SumOfSquares):
 
     @classmethod
     def at(cls, data: Data, readings: Readings, network: Network) -> "CellsFit":
-        """What a solved network leaves of the readings."""
+        """Return what a solved network leaves of the readings."""
         residual, weight = _residual(network, readings)
         jacobian = np.zeros((residual.size, 0))
         if readings.value.size <= MOST_CELLS:
@@ -137,7 +137,7 @@ def fitted(
 
 
 def _fitted_near(data: Data, readings: Readings, start: Array, scene: Scene, effects: Sequence[Effect]) -> CellsFit:
-    """The least squares that the loop reaches from cells; on panels too large for it, the start itself."""
+    """Return the least squares that the loop reaches from cells; on panels too large for it, the start itself."""
     bounds = (data.log_bounds[0].ravel(), data.log_bounds[1].ravel())
     position = np.clip(np.log(start).ravel(), *bounds)
 
@@ -186,7 +186,9 @@ class JointFit:
     def of(
         cls, rival: Rival, question: Question, cells: Sequence[Array], moved: NDArray[np.bool_], most: float = 0.0
     ) -> "JointFit":
-        """The circuit's best explanation of both frames; moved cells are chosen anew until the score no longer falls.
+        """Return the circuit's best explanation of both frames.
+
+        Moved cells are chosen anew until the score no longer falls.
 
         cells, moved : where to begin, (rows, columns) ohm of both frames, and which of them moved.
         """
@@ -201,13 +203,16 @@ class JointFit:
         return best
 
     def with_series(self, most: float) -> "JointFit":
-        """The same with the resistance in series that explains best, up to `most` ohm, begun at what the scene says."""
+        """Return the fit with the resistance in series that explains best, up to `most` ohm.
+
+        The search begins at the scene's value.
+        """
         rival = self.rival.with_series(self.rival.scene.specified_in_series)
         cells = np.exp(self.position).reshape(2, *self.pair[0].value.shape)
         return JointFit.of(rival, self.question, list(cells), self.moved, most)
 
     def tied(self) -> "JointFit":
-        """The least χ² while all but the moved cells keep what they were, beside a common factor.
+        """Return the least χ² while all but the moved cells keep what they were, beside a common factor.
 
         It begins where linear theory says that to tie them costs least: the gap is closed by a step of both frames.
         """
@@ -225,7 +230,7 @@ class JointFit:
         return begun.stepped(least.position)
 
     def stepped(self, step: Array) -> "JointFit":
-        """The fit a step of its unknowns further."""
+        """Return the fit a step of its unknowns further."""
         size = len(self.moved)
         position = self.position + step[:size]
         position[1] += step[size]

@@ -31,14 +31,17 @@ def mostly_still(moved: NDArray[np.bool_]) -> bool:
 
 
 def apart_from_moved(still: NDArray[np.bool_], shape: tuple[int, ...]) -> NDArray[np.bool_]:
-    """The still cells of all frames, flat, without those that touch one that moved: a load does not end at a cell."""
+    """Return the still cells of all frames, flat, without those that touch one that moved.
+
+    A load does not end at a cell.
+    """
     moved = np.pad(~still.reshape(-1, *shape), ((0, 0), (1, 1), (1, 1)))
     apart = still & ~sliding_window_view(moved, (3, 3), axis=(1, 2)).any(axis=(-2, -1)).ravel()
     return apart if apart.mean() >= FEWEST else still
 
 
 def selected(slope: Array, precision: Array) -> tuple[float, Chosen]:
-    """(what is lost, cells that must have moved) of changes d with −2 log density dᵀ·precision·d − 2 slope·d.
+    """Return (what is lost, cells that must have moved) of changes d with −2 log density dᵀ·precision·d − 2 slope·d.
 
     Cells are taken back that are not needed, from those that one after the other must have moved, and from all.
     """

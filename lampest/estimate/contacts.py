@@ -85,7 +85,7 @@ class SolvedContacts:
 def with_contacts(
     state: S, readings: Readings, solved: Step, solve: Callable[[SequenceState, Readings, Array], Step]
 ) -> tuple[S, Step]:
-    """The state that knows its contacts, and the step that was solved for them.
+    """Return the state that knows its contacts, and the step that was solved for them.
 
     readings : what `solved` was solved from. solve : the same for another state, begun at cells. As they are where the
     scene names no contacts, or the estimate gets no error bars, which say how well they are known.

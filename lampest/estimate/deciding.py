@@ -10,7 +10,10 @@ MAX_NEIGHBOURS = 2  # frames or networks that decide with the strongest one
 
 
 def resting_readings(recording: Recording, readings: Readings) -> Readings:
-    """The mean of the unloaded frames; the first frame of which enough was read where there is none, or too little."""
+    """Return the mean of the unloaded frames.
+
+    Without any, or where too little of them was read, the first frame of which enough was read.
+    """
     unloaded = np.flatnonzero(recording.role == UNLOADED)
     mean = readings[unloaded if len(unloaded) else [0]].mean()
     enough = np.flatnonzero(readings.enough(recording.scene))

@@ -101,5 +101,8 @@ class Estimator(Objective):
         self.method.check_scene(scene)
 
     def problem(self, scene: Scene, frames: int, period: float, partial: bool = False) -> Solver:
-        """The solver for one frame, or for two jointly, `period` seconds apart; built once per process and kept."""
+        """Return the solver for one frame, or for two jointly, `period` seconds apart.
+
+        It is built once per process.
+        """
         return self.method.solver(self.cost(scene, frames, partial), scene, self.solver, period)

@@ -240,7 +240,7 @@ def noise_factor(resting: Readings) -> float:
 
 
 def _unexplained(explanation: "Explanation", question: Question) -> str:
-    """What the cells leave unexplained, in words; '' where nothing."""
+    """Return what the cells leave unexplained, in words; '' where nothing."""
     worst = int(np.argmin([fit.tail for fit in explanation.fits]))
     fit, what = explanation.fits[worst], question.loaded if worst else "the unloaded panel"
     if fit.tail >= LEVEL:
@@ -255,7 +255,7 @@ def _unexplained(explanation: "Explanation", question: Question) -> str:
 
 
 def _below_series(scene: Scene, specified: Rival, readings: Readings, named: NDArray[np.intp]) -> str:
-    """The reading that lies below the series resistance by more than its noise, in words; '' where none does."""
+    """Return the reading that lies below the series resistance by more than its noise, in words; '' where none does."""
     if scene.circuit.unit != "ohm" or readings.sigma is None:
         return ""
     left = scene.circuit.from_recorded(specified.recorded, scene)
@@ -268,7 +268,7 @@ def _below_series(scene: Scene, specified: Rival, readings: Readings, named: NDA
 
 
 def broken_law(scene: Scene, readings: Readings, noise: float, named: NDArray[np.intp]) -> str:
-    """The inequality of the circuit that readings break by more than their noise, in words; '' where none.
+    """Return the inequality of the circuit that readings break by more than their noise, in words; '' where none.
 
     noise : factor on every σ. named : (frames) the numbers by which the words name them.
     """
@@ -342,7 +342,7 @@ class Explanation:
 
 
 def better_rival(rivals: list[Rival], question: Question, specified: Explanation | None) -> Better:
-    """The rival that explains the readings where the scene's circuit does not, or by MARGIN better.
+    """Return the rival that explains the readings where the scene's circuit does not, or by MARGIN better.
 
     rivals : the scene's circuit first. specified : what that explains; None where it does not. No rival is one under
     which most cells have moved, for nothing then shows which have not, or as many as under the scene's circuit.
@@ -387,7 +387,7 @@ def _beyond_channels(specified: Explanation, rival: Rival, question: Question) -
 
 
 def _others(given: JointFit, specified: Explanation, rivals: list[Rival], question: Question) -> Iterator[JointFit]:
-    """The specified circuit and its likeliest rivals, as linear theory has it, explained by the networks themselves."""
+    """Return the fits of the specified circuit and of its likeliest rivals by linear theory, with exact networks."""
     plain = (_explanation(rival, question) for rival in rivals)
     better = (explanation for explanation in plain if explanation is not None and explanation.score < specified.score)
     likely = sorted(better, key=lambda explanation: explanation.score)[:MOST_ASKED]
@@ -420,7 +420,7 @@ def with_some_in_series(rival: Rival, question: Question) -> Explanation | None:
 
 
 def most_in_series(rival: Rival, question: Question) -> float:
-    """The largest resistance in series that the readings allow, ohm; 0 where there is none, or no telling."""
+    """Return the largest resistance in series that the readings allow, ohm; 0 where there is none, or no telling."""
     if not rival.scene.circuit.series_name or len(question.standing) == 0:
         return 0.0
     without = rival.with_series(0.0)

@@ -40,8 +40,11 @@ def begin_stream(
     noise: NoiseSeen | None = None,
     own: Own | None = None,
 ) -> Stream:
-    """The stream of a scene, of modules or not; see `Stream.begin`. own : the estimator and the resting readings of
-    each network; None: those of the whole. Raises InputError as `Stream.begin`, and as `_coupled_scene`."""
+    """Return the stream of a scene, of modules or not; see `Stream.begin`.
+
+    own : returns the estimator and the resting readings of each network; None: those of the whole.
+    Raises InputError as `Stream.begin`, and as `_coupled_scene`.
+    """
     layout = scene.panel.modules
 
     def of_network(scene: Scene, number: int | None) -> tuple[Estimator, Readings]:
@@ -69,7 +72,7 @@ def begin_stream(
 
 
 def _coupled_scene(scene: Scene, estimator: Estimator) -> Scene:
-    """The image as one panel whose network falls into modules; neighbours over a seam are so much farther apart.
+    """Return the image as one panel whose network falls into modules; neighbours over a seam are so much farther apart.
 
     Raises InputError where a module is wired, or has no two-point readout, and where error bars are asked for.
     """
@@ -190,7 +193,7 @@ class ModulesStream(Stream):
         return self.modules
 
     def with_parts(self, parts: tuple[SequenceState | None, ...]) -> "ModulesStream":
-        """The stream with other modules."""
+        """Return the stream with other modules."""
         modules = tuple(part for part in parts if part is None or isinstance(part, Stream))
         return replace(self, modules=modules, first=False)
 
@@ -212,7 +215,10 @@ class ModulesStream(Stream):
 
 
 def _joined_maps(layout: Modules, parts: Sequence[NDArray[Any] | None], missing: float) -> Any:
-    """Maps (…, rows, columns) of all modules as one of the image, with a number for those that have none, or None."""
+    """Return maps (…, rows, columns) of all modules as one map of the image; None where no module has any.
+
+    missing : stands for the maps of the other modules.
+    """
     first = next((part for part in parts if part is not None), None)
     if first is None:
         return None
@@ -231,7 +237,7 @@ def _joined(layout: Modules, kind: type[C], parts: Sequence[C | None]) -> C | No
 
 
 def image_step(layout: Modules, steps: Sequence[Step | None]) -> Step:
-    """The modules' steps as one of the image; costs are summed, and the KKT residual is the largest of all."""
+    """Return the modules' steps as one of the image; costs are summed, and the KKT residual is the largest of all."""
     present = [step for step in steps if step is not None]
     solved = [step for step in present if step.solution.solved]
     counted, first = solved or present[:1], present[0].solution
@@ -263,7 +269,7 @@ def image_step(layout: Modules, steps: Sequence[Step | None]) -> Step:
 
 
 def _sentence(layout: Modules, steps: Sequence[Step | None], status: Status) -> str:
-    """The weakest of the modules' statuses, and why some have no estimate."""
+    """Return the weakest of the modules' statuses, and why some have no estimate."""
     why: dict[str, list[int]] = {}
     for number, step in enumerate(steps):
         if step is None or not step.solution.solved:

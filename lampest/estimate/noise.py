@@ -150,7 +150,7 @@ def without_effects(seen: NoiseSeen, recording: Recording, besides: Besides | No
 
 
 def scatter_seen(recording: Recording, outliers: NDArray[np.bool_], cleaned: Readings) -> NoiseSeen:
-    """What the unloaded frames of a single network show."""
+    """Return what the unloaded frames of a single network show."""
     readout, resting = recording.scene.readout, recording.role == UNLOADED
     unloaded = int(resting.sum())
     counted = outliers[resting] if unloaded >= LEAST_FRAMES and cleaned.sigma is not None else outliers
@@ -192,7 +192,7 @@ def scatter_seen(recording: Recording, outliers: NDArray[np.bool_], cleaned: Rea
 
 
 def joined_noise(recording: Recording, layout: Modules, every: Sequence[NoiseSeen | None]) -> NoiseSeen:
-    """What the frames of all modules show; a dead one shows nothing."""
+    """Return what the frames of all modules show; a dead one shows nothing."""
     given = recording.readings()
     readings = [given.of_module(layout, n) if seen is None else seen.readings for n, seen in enumerate(every)]
     nothing = np.zeros(recording.modules[0].recorded.shape, dtype=bool)
@@ -216,7 +216,7 @@ def shown_factor(readout: Readout, factor: float) -> float:
 
 
 def _shown_noise(readout: Readout, factor: float) -> float:
-    """The noise of one reading in LSB that a scatter of `factor` times the assumed σ shows."""
+    """Return the noise of one reading in LSB that a scatter of `factor` times the assumed σ shows."""
     assumed = np.mean(readout.sigma_code())
     lasting = np.mean(sigma_code(readout, readout.assumed_noise, ENDLESS))
     return noise_of_variance(readout, factor**2 * float(assumed**2 - lasting**2))
@@ -265,7 +265,7 @@ def _late(scene: Scene, readings: Readings) -> Array:
 
 
 def scan_share(scene: Scene, resting: Readings, readings: Readings, measured: NDArray[np.intp]) -> float:
-    """The share s of its period that a frame's scan seems to take; 0 where nothing shows it.
+    """Return the share s of its period that a frame's scan seems to take; 0 where nothing shows it.
 
     Frames with most motion that have two neighbours are tried: no cells explain their readings, but some do once s·Δ·τ
     is taken off. Where no share helps, loads move too far from frame to frame for Δ, and s is 1.

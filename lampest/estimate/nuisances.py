@@ -68,8 +68,17 @@ def candidates(shape: tuple[int, ...]) -> list[Effect]:
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """score : −2 log evidence up to a constant. moved : (cells). size, sd : of a common change, then of every effect
-    beyond what it has, in units of the priors; NaN where nothing stands still."""
+    """Evidence of a pair with effects.
+
+    Attributes
+    ----------
+    score : float
+        −2 log evidence up to a constant.
+    moved : array of bool, shape (cells,)
+    size, sd : array, shape (1 + effects,)
+        Of a common change, then of every effect beyond its present size, in units of the priors; NaN where no cell
+        stands still.
+    """
 
     score: float
     moved: NDArray[np.bool_]
@@ -125,7 +134,7 @@ class FittedFrame:
         return disturbance(self.effects, self.scene, self.network)
 
     def more(self, effect: Effect) -> Array:
-        """What one effect more does to the readings, (rows, columns)."""
+        """Return what one effect more does to the readings, (rows, columns)."""
         return disturbance((*self.effects, effect), self.scene, self.network) - self.offset
 
     @property
@@ -234,7 +243,10 @@ class FittedPair:
         return sum(PRICE + (effect.size / effect.prior) ** 2 for effect in self.effects if effect.size)
 
     def _beside(self, columns: Array) -> tuple[Array, Array, float]:
-        """(a factor common to all cells and the columns, precision of the change with both, log det that both add)."""
+        """Return a factor common to all cells with the columns, the precision of the change with both, and its log det.
+
+        The last is what both add.
+        """
         own = np.column_stack([np.full(len(self.change), TOGETHER), columns])
         weighted = self._precision @ own
         inner = np.eye(own.shape[1]) + own.T @ weighted
@@ -269,8 +281,10 @@ class FittedPair:
         return self.plain.score + float(seen + spread)
 
     def scores_with(self, columns: Array, candidates: Array) -> Array:
-        """−2 log evidence of `explained` with each of the candidates (cells, n) beside the columns; moved cells are
-        only added."""
+        """Return −2 log evidence of `explained` with each of the candidates (cells, n) beside the columns.
+
+        Moved cells are only added.
+        """
         _, precision, added = self._beside(columns)
         return scores_beside(self.change, precision, candidates) + added + self._prior_score
 
@@ -279,7 +293,7 @@ class FittedPair:
         return bool(np.any(self.scores_with(self.columns(()), LooseContact.prior * self.frames[1].fit.gain) < score))
 
     def with_sizes(self, sizes: Sequence[float]) -> "FittedPair | None":
-        """The pair with effects of other sizes; None where no cells give the readings then."""
+        """Return the pair with effects of other sizes; None where no cells give the readings then."""
         effects = tuple(replace(effect, size=size) for effect, size in zip(self.effects, sizes, strict=True))
         constant, (resting, frame) = tuple(effect for effect in effects if not effect.since), self.frames
         early = resting.refitted(resting.given, constant) if constant else resting
@@ -290,7 +304,7 @@ class FittedPair:
         return after if np.all(np.isfinite(after.change)) else None
 
     def settled(self, constant: bool = True) -> "tuple[FittedPair, Evidence] | None":
-        """(the pair with its effects as large as is likeliest, the evidence); None where no cells give the readings.
+        """Return the pair with the likeliest sizes of its effects, and the evidence; None without such cells.
 
         constant : whether those that are there in the unloaded frames are to change, too.
         """
@@ -311,15 +325,17 @@ class FittedPair:
         return pair, replace(pair.plain, sd=evidence.sd)
 
     def _without_late(self) -> tuple[Effect, ...]:
-        """The effects, those since the unloaded frames of no size."""
+        """Return the effects, those since the unloaded frames of no size."""
         return tuple(replace(effect, size=0.0) if effect.since else effect for effect in self.effects)
 
     def at_rest(self) -> "FittedPair":
-        """The unloaded panel twice, before effects come that it has not."""
+        """Return the unloaded panel twice, before effects come that it has not."""
         return replace(self, frames=(self.frames[0],) * 2, effects=self._without_late())
 
     def of_frame(self, readings: Readings, late: bool) -> "FittedPair | None":
-        """The pair with another frame (rows, columns); late : effects since the unloaded ones have another size there.
+        """Return the pair with another frame, readings (rows, columns).
+
+        late : whether effects since the unloaded frames have another size there.
 
         They have none where the frame is no likelier with them.
         """
@@ -344,9 +360,19 @@ class FittedPair:
 
 @dataclass(frozen=True, eq=False)
 class Besides:
-    """What is there beside the circuit. better : all effects that are named. together : how all cells changed, in
-    words; ''. pair : with those effects alone that no other ones could be, or None. lying : whether a load may lie on
-    the unloaded panel."""
+    """Effects beside the circuit.
+
+    Attributes
+    ----------
+    better : Better
+        All effects that are named.
+    together : str
+        How all cells changed, in words; ''.
+    pair : FittedPair or None
+        With those effects alone that no others explain as well.
+    lying : bool
+        Whether a load may lie on the unloaded panel.
+    """
 
     better: Better = field(default_factory=Better)
     together: str = ""
@@ -384,8 +410,10 @@ def besides_the_circuit(pairs: Sequence[tuple[str, FittedPair]]) -> Besides:
 
 
 def _grown(pair: FittedPair, evidence: Evidence) -> tuple[FittedPair, Evidence, FittedPair]:
-    """(the pair with one effect after the other that beats those before by MARGIN, its evidence, the pair with those
-    before the first that another one explains about as well)."""
+    """Return the pair with one effect after the other that beats those before by MARGIN, and its evidence.
+
+    The third item is the pair with the effects before the first that another one explains about as well.
+    """
     certain, doubtful = pair, False
     for _ in range(MOST_EFFECTS):
         tried = sorted(_tried(pair, evidence), key=lambda candidate: candidate[1].score)
@@ -398,7 +426,7 @@ def _grown(pair: FittedPair, evidence: Evidence) -> tuple[FittedPair, Evidence, 
 
 
 def _tried(pair: FittedPair, plain: Evidence) -> Iterator[tuple[FittedPair, Evidence]]:
-    """The pair with one effect more, each of the likeliest, where fewer cells have moved with it."""
+    """Return the pair with one effect more, each of the likeliest, where fewer cells have moved with it."""
     effects = candidates(pair.shape)
     columns = pair.columns((*pair.effects, *effects))
     before, columns = np.split(columns, [len(pair.effects)], axis=1)
@@ -432,7 +460,7 @@ def _together(plain: Evidence) -> str:
 
 
 def taken_off(pair: FittedPair, readings: Readings, unloaded: NDArray[np.bool_]) -> Readings:
-    """The readings (frames, rows, columns) that the cells would give without the pair's effects, frame after frame.
+    """Return the readings (frames, rows, columns) of the same cells without the pair's effects, frame after frame.
 
     Those since the unloaded frames are estimated anew in every measured one: they come, grow and go. A frame of which
     no cells give the readings is taken as the one before. σ grows by what leaks take of the readings' differences.

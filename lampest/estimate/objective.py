@@ -31,12 +31,17 @@ MOST_WEIGHT = 0.99  # of what stands in for a reading: it is none
 
 @dataclass(frozen=True)
 class Bounds(Validated):
-    """lower : 'measured' (what the readout's theory allows: r ≥ R_m of two-point readings), ohm, or 'none' (10⁻⁶·R_a,
-    a dead short).
+    """Bounds of cell resistances. Source: paper, equation (12).
 
-    upper : 'resolution' (beyond which a cell cannot be told from an open one: R²/σ of two-point readings, though never
-    below twice the cell of a uniform panel; as 'none' where σ is unknown), a resistance in ohm, or 'none' (10⁹·R_a,
-    where double precision sees no difference). R_a is the readout's apparent resistance. Source: paper, equation (12).
+    Attributes
+    ----------
+    lower : 'measured', float or 'none'
+        'measured' is the least that the readout's theory allows, r ≥ R_m of two-point readings; a number is in ohm;
+        'none' is 10⁻⁶·R_a, a dead short, with R_a the readout's apparent resistance.
+    upper : 'resolution', float or 'none'
+        'resolution' is the value beyond which a cell cannot be told from an open one, R²/σ of two-point readings and
+        at least twice the cell of a uniform panel; where σ is unknown, as 'none'. A number is in ohm. 'none' is
+        10⁹·R_a, where double precision sees no difference.
 
     Raises ValueError where a number is not positive and finite.
 
@@ -104,7 +109,10 @@ class AutoWeight(Validated):
 
 
 def checked_terms(terms: Sequence[Term]) -> tuple[Term, ...]:
-    """The same terms. Raises InputError unless they are a list or tuple of terms, and one of them is a data term."""
+    """Return the same terms.
+
+    Raises InputError unless they are a list or tuple of terms, and one of them is a data term.
+    """
     if not isinstance(terms, list | tuple):
         raise InputError(f"terms must be a list such as [Misfit(), Gradient()], not {in_words(terms)}")
     for term in terms:
@@ -172,7 +180,10 @@ class Objective:
         return tuple(term for term in self.terms if not term.needs_previous)
 
     def data(self, readings: Readings, background: Background) -> Data:
-        """What one solve is given, from readings (frames, rows, columns). Raises InputError as `Bounds.limits`."""
+        """Return what one solve is given, from readings (frames, rows, columns).
+
+        Raises InputError as `Bounds.limits`.
+        """
         measured, sigma, scene = readings.value, readings.sigma, background.scene
         if sigma is None and any(getattr(term, "weighting", "plain") == "noise" for term in self.terms):
             raise InputError("misfit.weighting: noise needs a readout in the scene or sigma in the recording")
@@ -196,7 +207,7 @@ class Objective:
         return Data(given, lower, upper, scene.circuit, scene.wiring, noisy, parts=scene.parts)
 
     def cost(self, scene: Scene, frames: int, partial: bool = False) -> Cost:
-        """The terms over one frame, or over two jointly; crossings without a cell and broken cells are left out.
+        """Return the terms over one frame, or over two jointly; crossings without a cell and broken cells are left out.
 
         partial : whether readings may be bounds or say nothing.
         """
@@ -217,7 +228,7 @@ class PlainObjective(Objective):
 
 
 def weighed(readings: Readings, scene: Scene, stand_ins: NDArray[np.bool_]) -> Readings:
-    """The readings with weights (`seen`) for what is no value: as for one whose noise is that of the frame's values.
+    """Return the readings with weights (`seen`) for substitutes: as if their noise were that of the frame's values.
 
     A bound counts by its own noise: at a rail that is a thousand times a value's, and in ohm one false infinity would
     outweigh all else. A missing reading counts for nothing, or, with `stand_ins`, as what its row and column let

@@ -177,7 +177,7 @@ class FramesBefore:
     def without_outliers(
         self, readings: Readings, scene: Scene, resting: Readings, baseline: Array
     ) -> tuple[Readings, int]:
-        """(a frame with what those before let expect in the place of outliers, how many there are).
+        """Return (a frame with what those before let expect in the place of outliers, how many there are).
 
         resting : unloaded readings, of which baseline is the estimate, ohm, or NaN; all (rows, columns).
         """
@@ -237,14 +237,14 @@ def _usual(
 
 
 def _by_median(beside: Array, offset: NDArray[np.intp]) -> Expected:
-    """The median of the neighbours (neighbours, frames, …), with their scatter."""
+    """Return the median of the neighbours (neighbours, frames, …), with their scatter."""
     middle = median(beside)
     noise = np.sqrt(1 + np.pi / (2 * len(beside)))
     return middle, TO_SIGMA * median(np.abs(beside - middle)), np.full(middle.shape, noise)
 
 
 def _by_line(beside: Array, offset: NDArray[np.intp]) -> Expected:
-    """The line through the neighbours, `offset` frames away: of a load that moves, or breathes."""
+    """Return the line through the neighbours, `offset` frames away: of a load that moves, or breathes."""
     offset = offset.reshape(*offset.shape, *(1,) * (beside.ndim - 2))
     centre = offset.mean(axis=0)
     apart = offset - centre
@@ -267,7 +267,7 @@ def _stands_out(value: Array, scale: Array, expected: Expected) -> NDArray[np.bo
 
 
 def _beside(values: Array) -> Array:
-    """The larger of the medians of each reading's row and of its column, the same shape (frames, rows, columns)."""
+    """Return the larger of the medians of each reading's row and of its column, (frames, rows, columns)."""
     rows, columns = (median(np.moveaxis(values, axis, 0)) for axis in (2, 1))
     return np.asarray(np.fmax(rows[:, :, None], columns[:, None, :]))
 

@@ -66,11 +66,11 @@ class Rival:
         return self.scene.specified_in_series if self.in_series is None else self.in_series
 
     def with_series(self, ohm: float) -> "Rival":
-        """The same with a resistance in series."""
+        """Return the same with a resistance in series."""
         return replace(self, scene=self.scene.with_series(float(ohm)), in_series=float(ohm))
 
     def readings(self, frames: NDArray[np.intp] | slice = slice(None)) -> Readings:
-        """Raises InputError where values are none of the circuit."""
+        """Raise InputError where values are none of the circuit."""
         sigma = self.sigma if self.sigma is None or self.sigma.ndim == 2 else self.sigma[frames]
         return Readings.of(self.scene, self.recorded[frames], sigma)
 
@@ -88,7 +88,7 @@ class Rival:
 
 
 def rivals_of(specified: Rival, reversed_too: bool = False) -> Iterator[Rival]:
-    """The specified circuit itself, for other resistances in series, then those of every kind that can be had.
+    """Return the specified circuit itself, for other resistances in series, then those of every kind that can be had.
 
     reversed_too : those as well under which the readings show less load where the specified circuit shows more.
     """
@@ -114,7 +114,10 @@ def rivals_of(specified: Rival, reversed_too: bool = False) -> Iterator[Rival]:
 
 
 def _variants(kind: type[Any], specified: Readout) -> Iterator[Any]:
-    """A kind with the specified readout's converter, resistor and all else that both have, in every choice of words."""
+    """Return circuits of a kind with the specified converter, resistor and all else that both have.
+
+    There is one for every choice of words.
+    """
     names, hints = {field.name for field in fields(kind)}, get_type_hints(kind)
     common = [field.name for field in fields(Readout)]
     common += [name for name in OWN if name in names and hasattr(specified, name)]
@@ -130,7 +133,7 @@ def _variants(kind: type[Any], specified: Readout) -> Iterator[Any]:
 
 
 def _kind(circuit: Readout, specified: Readout) -> str:
-    """The one word in which a circuit differs, with its usual name; else the kind with its words."""
+    """Return the one word in which a circuit differs, with its usual name; else the kind with its words."""
     words = {name: getattr(circuit, name) for name in WORDS if hasattr(circuit, name)}
     differ = [name for name, word in words.items() if getattr(specified, name, None) != word]
     if len(differ) == 1 and differ[0] in CALLED:
@@ -191,7 +194,7 @@ class Question:
         return f"frame {first}" if first == last else f"frames {first} to {last}"
 
     def readings(self, rival: Rival) -> tuple[Readings, ...]:
-        """The mean of the unloaded frames, and of the standing ones. Raises InputError as `Rival.readings`."""
+        """Return the mean of the unloaded frames, and of the standing ones. Raises InputError as `Rival.readings`."""
         chosen, count = np.concatenate([self.resting, self.standing]), len(self.resting)
         read = rival.readings(chosen)
         assert read.sigma is not None

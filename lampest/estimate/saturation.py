@@ -45,7 +45,7 @@ class Saturated:
 
 
 def saturated(recording: Recording) -> Saturated | None:
-    """The voltage at which several channels end; None where there is none, or the scene states one.
+    """Return the voltage at which several channels end; None where there is none, or the scene states one.
 
     Under load channels end there that moved; the unloaded panel's stand there while its others differ.
     """
@@ -81,7 +81,7 @@ def saturated(recording: Recording) -> Saturated | None:
 
 
 def as_passed(recording: Recording) -> Recording:
-    """The recording with the stage that its frames show in the scene; itself where they show none."""
+    """Return the recording with the stage that its frames show in the scene; itself where they show none."""
     stage, readout = saturated(recording), recording.scene.readout
     if stage is None or readout is None:
         return recording

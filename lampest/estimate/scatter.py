@@ -43,7 +43,7 @@ class Scatter:
 
 
 def unloaded_scatter(recording: Recording, resting: Readings) -> Scatter | None:
-    """The parts of the unloaded frames' scatter; None where no reading is a value in two of them.
+    """Return the parts of the unloaded frames' scatter; None where no reading is a value in two of them.
 
     Without a converter there is nothing that a frame's readings could share but what they are themselves.
     """

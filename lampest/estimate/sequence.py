@@ -146,7 +146,7 @@ def first_stream(
     noise: NoiseSeen | None = None,
     period: float | None = None,
 ) -> Stream:
-    """The stream before a recording's first measured frame; see `resting_readings`. noise : learned from frames.
+    """Return the stream before a recording's first measured frame; see `resting_readings`. noise : learned from frames.
 
     period : s between frames; None: the recording's. Networks that are alike share the weights that those of them
     choose that differ most from rest.
@@ -204,7 +204,7 @@ def _weighted(estimator: Estimator, networks: Sequence[tuple[Recording, Readings
 
 
 def deciding_data(estimator: Estimator, scene: Scene, resting: Readings, frame: Readings) -> Data:
-    """What weights are chosen from: one frame, with the baseline or against it where terms compare it with that."""
+    """Return the data from which weights are chosen: one frame, with its baseline where terms compare it with that."""
     if not estimator.relative:
         return estimator.data(frame.alone(), Background(scene))
     if estimator.joint_start:
@@ -288,7 +288,7 @@ class Parts:
             yield number, estimates, CarriedOver.of(stream)
 
     def _part(self, frames: range) -> MeasuredPart | None:
-        """The measured ones of some frames, with the lead; None without any."""
+        """Return the measured ones of some frames, with the lead; None without any."""
         part = measured_part(self.stored, frames, NEAREST)
         if part is None:
             return None
@@ -297,7 +297,7 @@ class Parts:
         return MeasuredPart(recording, _own_frames(recording, frames), readings, self.asked, self.automatic)
 
     def _with_baseline(self, begun: Stream, part: MeasuredPart) -> Stream:
-        """A stream whose baseline is solved together with a frame once it has come to that frame."""
+        """Return a stream whose baseline is solved together with a frame once it has come to that frame."""
         for frame in part.frames if begun.estimator.joint_start else ():
             begun, _ = begun.push(part.readings[int(frame)])
             if begun.rested:
@@ -322,7 +322,9 @@ def check_by_parts(estimator: Estimator, stored: StoredRecording) -> None:
 
 
 def asked_frames(stored: StoredRecording) -> tuple[Recording, Prepared]:
-    """(the lead, the lead with the frames around the strongest): see `Parts`. Raises InputError where none is measured.
+    """Return the lead, and the prepared lead with the frames around the strongest; see `Parts`.
+
+    Raises InputError where none is measured.
 
     It reads the whole recording once.
     """
@@ -350,7 +352,7 @@ def asked_frames(stored: StoredRecording) -> tuple[Recording, Prepared]:
 
 
 def _own_frames(recording: Recording, frames: range) -> NDArray[np.intp]:
-    """The indices of a part's own measured frames."""
+    """Return the indices of a part's own measured frames."""
     number = recording.number
     assert number is not None
     return np.flatnonzero((number >= frames.start) & (number < frames.stop) & (recording.role == MEASURED))

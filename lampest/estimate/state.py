@@ -55,7 +55,7 @@ class Step:
         return self.sentence or self.solution.status.value
 
     def estimate(self, frame: int) -> Array | None:
-        """The cells (rows, columns) ohm of one of its frames; None where the solve failed."""
+        """Return the cells (rows, columns) ohm of one of its frames; None where the solve failed."""
         return self.solution.cell_resistance[frame] if self.solution.solved else None
 
     def bare(self) -> "Step":
@@ -63,7 +63,7 @@ class Step:
         return replace(self, solution=replace(self.solution, at=None, dual=None, preconditioner=None))
 
     def surroundings(self) -> LinearModel | None:
-        """What error bars follow from: a verified optimum; None of anything else."""
+        """Return what error bars follow from: a verified optimum; None of anything else."""
         at, dual = self.solution.at, self.solution.dual
         if not self.solution.optimum or at is None or dual is None:
             return None
@@ -116,11 +116,11 @@ class SequenceState:
         return self.baseline is not None and self.baseline.solution.solved
 
     def with_baseline(self, baseline: Step) -> Self:
-        """The state after a solved baseline."""
+        """Return the state after a solved baseline."""
         return replace(self, baseline=baseline, previous=baseline.estimate(0))
 
     def without_comparisons(self) -> Self:
-        """The state without the terms that compare with an earlier frame."""
+        """Return the state without the terms that compare with an earlier frame."""
         return replace(self, estimator=self.estimator.with_terms(self.estimator.absolute_terms))
 
     @property
@@ -129,11 +129,11 @@ class SequenceState:
         return ()
 
     def with_parts(self, parts: "tuple[SequenceState | None, ...]") -> Self:
-        """The state with others in their place."""
+        """Return the state with others in their place."""
         return self
 
     def unsolved(self, status: Status) -> Step:
-        """A step that was not even tried."""
+        """Return a step that was not even tried."""
         terms = self.estimator.terms
         weights = tuple(float("nan") if term.weight == "auto" else float(term.weight) for term in terms)
         return Step(blank((1, *self.scene.panel.shape), len(terms), status), 0.0, weights)
@@ -153,7 +153,7 @@ class CarriedOver:
 
     @classmethod
     def of(cls, state: SequenceState) -> "CarriedOver":
-        """The last estimate, its deviation, and what error bars look back at; of each module of a panel of modules."""
+        """Return the last estimate, its deviation and the memory of error bars, of each module where there are any."""
         arrays: dict[str, Any] = {}
         for number, part in enumerate(state.parts):
             carried = {} if part is None else cls.of(part).arrays
@@ -171,7 +171,10 @@ class CarriedOver:
         return cls({name: np.atleast_1d(np.asarray(value, float)) for name, value in known.items()})
 
     def onto(self, begun: S) -> S:
-        """The state after those frames; begun : with its baseline, and with what its method prepares at first."""
+        """Return the state after those frames.
+
+        begun : the state with its baseline, as its method prepares it.
+        """
         if begun.parts:
             parts = enumerate(begun.parts)
             return begun.with_parts(

@@ -35,7 +35,7 @@ SMOOTH, REACH = 0.3, 1.5  # of log r, and in cells: a skirt that a load has arou
 def errors_left_possible(
     scene: Scene, sizes: Systematic, resting: Readings, frames: Readings, noise: FrameNoise | None
 ) -> Possible | None:
-    """What the still cells leave possible of shared errors; None where cells cannot say.
+    """Return what the still cells leave possible of shared errors; None where cells cannot say.
 
     resting (rows, columns), frames (frames, rows, columns) : with σ as it is to be taken.
     """
@@ -108,7 +108,7 @@ class Moves:
     def of(
         cls, scene: Scene, resting: CellsFit, frames: Readings, sizes: Systematic, noise: FrameNoise | None
     ) -> "Moves | None":
-        """The changes of all cells from the unloaded panel to the frames; None where one is not fitted."""
+        """Return the changes of all cells from the unloaded panel to the frames; None where one is not fitted."""
         if not resting.small:
             return None
         base, size, count = _of_frame(scene, resting, None, sizes, noise), resting.cells.size, len(frames.value)
@@ -181,7 +181,7 @@ def _mean_square(costs: Array) -> float:
 
 
 def _possible(moves: Moves, size: float, shape: tuple[int, ...]) -> Array:
-    """A root (n, n) of E[z zᵀ], given the still cells: what is left open of z, and where it seems to be.
+    """Return a root (n, n) of E[z zᵀ], given the still cells: what is left open of z, and where it seems to be.
 
     No cell stands still under a load, however smooth it is.
     """
@@ -198,7 +198,7 @@ def _possible(moves: Moves, size: float, shape: tuple[int, ...]) -> Array:
 
 
 def _steadied(scene: Scene, fit: CellsFit, near: Array, error: Array) -> CellsFit:
-    """The fit with cells that did not clearly move where they were, and the readings that these would give."""
+    """Return the fit with cells that did not clearly move where they were, and the readings that these would give."""
     change = np.log(fit.cells / near)
     middle = np.median(change)
     moved = np.abs(change - middle) > CLEARLY * np.sqrt(2 * np.diag(error)).reshape(change.shape)

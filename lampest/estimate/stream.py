@@ -85,14 +85,16 @@ class Stream(SequenceState):
         return cls(estimator, scene, period, resting, track=track, reading_error=own, frame_noise=frame)
 
     def tared(self, resting: Readings) -> Self:
-        """The stream against another unloaded panel from here on; frames before are forgotten, but for their weights.
+        """Return the stream against another unloaded panel from here on.
+
+        It forgets earlier frames, but not their weights.
 
         resting : the mean of frames in which nothing touched the panel. Raises InputError as `begin`.
         """
         return self.anew(resting).with_rest()
 
     def anew(self, resting: Readings) -> Self:
-        """The same before its baseline."""
+        """Return the same before its baseline."""
         _check_frame(resting, self.scene)
         track = None if self.track is None else Track(self.track.shared, noise=self.track.noise)
         return replace(
@@ -106,7 +108,7 @@ class Stream(SequenceState):
         return self if self.estimator.joint_start else self.estimator.method.begin(self, solved)
 
     def restarted(self, first: "Stream") -> Self:
-        """The stream with nothing kept for speed alone but what it began with."""
+        """Return the stream with nothing kept for speed alone but what it began with."""
         return replace(self, prepared=first.prepared)
 
     @ONE_BLAS_THREAD
@@ -162,7 +164,7 @@ class Stream(SequenceState):
     def sequence(
         self, resting: Readings, readings: Readings, on_frame: Callable[[], None]
     ) -> tuple["Stream", list[Step]]:
-        """The stream after a whole recording's readings (frames, rows, columns), and how they were solved.
+        """Return the stream after a whole recording's readings (frames, rows, columns), and how they were solved.
 
         resting : of the unloaded frames, of which the stream has the mean. on_frame : called after every frame.
         """
@@ -177,7 +179,7 @@ class Stream(SequenceState):
         return stream, steps
 
     def given(self, readings: Readings) -> tuple[Data, Array | None]:
-        """What the solve of a frame is given, and where it may start; see `Method.given`."""
+        """Return what the solve of a frame is given, and where it may start; see `Method.given`."""
         return self.estimator.method.given(self, readings)
 
     def solve(self, data: Data, previous: Array | None) -> Step:

@@ -52,7 +52,7 @@ def _roles(role: NDArray[np.uint8]) -> str:
 
 
 def _times(recording: Recording) -> str:
-    """Times that two frames share, and whole numbers that are likelier ms than s."""
+    """Return times that two frames share, and whole numbers that are likelier ms than s."""
     steps = np.diff(recording.time)
     if np.any(steps == 0):
         return f"{int(np.sum(steps == 0))} of {len(recording.time)} frames have the time of the frame before"

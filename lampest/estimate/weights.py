@@ -73,7 +73,9 @@ def with_chosen_weights(
 
 
 def strongest(changes: Sequence[float]) -> list[int]:
-    """The numbers of the networks that choose a weight for all alike: those that differ most from rest, first the most.
+    """Return the numbers of the networks that choose a weight for all alike.
+
+    They differ most from rest; the first differs most.
 
     A network's own weight scatters with its noise, and hardly matters where nothing touches it.
     """
@@ -115,7 +117,7 @@ class WeightSearch:
         return [number for number, term in enumerate(self.cost.terms) if term.weight == "auto"]
 
     def weighted(self, weights: Sequence[float]) -> Cost:
-        """The cost with numbers for all weights."""
+        """Return the cost with numbers for all weights."""
         terms = zip(self.cost.terms, weights, strict=True)
         return replace(self.cost, terms=tuple(replace(term, weight=float(weight)) for term, weight in terms))
 
@@ -125,7 +127,7 @@ class WeightSearch:
         return references(self.solves, self.cost, believed=True)[1]
 
     def models(self, weights: Sequence[float]) -> list[LinearModel]:
-        """The cost with these weights, linearised at the reference estimates."""
+        """Return the cost with these weights, linearised at the reference estimates."""
         cost, pairs = self.weighted(weights), zip(self.solves, self.references, strict=True)
         return [
             LinearModel(evaluated(cost, data, reference.cells), NO_DUAL, deviation=reference.deviation)
@@ -133,12 +135,12 @@ class WeightSearch:
         ]
 
     def spectra(self, number: int, weights: Sequence[float]) -> list[Spectrum]:
-        """The cost at the reference estimates, for all weights of one penalty."""
+        """Return the cost at the reference estimates, for all weights of one penalty."""
         pairs = zip(self.models(weights), self.references, strict=True)
         return [Spectrum.of(model, number, reference.covariance) for model, reference in pairs]
 
     def by_risk(self, first: Array) -> Weights:
-        """The weights with the least risk, one penalty after the other until all settle.
+        """Return the weights with the least risk, one penalty after the other until all settle.
 
         Where no reference can be fitted, the weights that the residuals at `first` suggest.
         """
@@ -159,12 +161,12 @@ class WeightSearch:
         return weights, tuple(sigma)
 
     def suggested(self, first: Array) -> list[float]:
-        """The weights that the residuals at cells (frames, rows, columns) suggest."""
+        """Return the weights that the residuals at cells (frames, rows, columns) suggest."""
         at = evaluated(self.weighted(self.begun), self.solves[0], first)
         return first_weights(LinearModel(at, NO_DUAL), self.begun, self.open_terms)
 
     def by_evidence(self, first: Array) -> Weights:
-        """The weights at the fixed point of the evidence; of log λ the standard deviation is √(2/γ).
+        """Return the weights at the fixed point of the evidence; of log λ the standard deviation is √(2/γ).
 
         Where the median residual exceeds the noise, by what the cells' degrees of freedom leave, it replaces σ.
         """

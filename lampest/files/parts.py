@@ -30,7 +30,7 @@ class DatasetPlan(NamedTuple):
 
 
 def join_parts(parts: Sequence[Path], target: h5py.Group, group: str) -> None:
-    """A group of which every file holds some of the frames → one that holds all of them; of one file, as it is stored.
+    """Return one group of all frames from groups of which every file holds some; of one file, its group.
 
     What is not along time is the last one's. What a part lacks, because none of its frames could fill it, is NaN, 0 or
     an empty text there. Raises InputError where a file cannot be read.
@@ -69,7 +69,7 @@ def join_parts(parts: Sequence[Path], target: h5py.Group, group: str) -> None:
 
 
 def _append(target: h5py.Dataset, part: h5py.Dataset, first: int) -> None:
-    """A part's values from frame `first` on; chunks that are the same there go over as they are packed."""
+    """Return a part's values from frame `first` on; chunks that are the same there go over as they are packed."""
     length, names = target.chunks[0], ("chunks", "dtype", "compression")
     same = all(getattr(target, name) == getattr(part, name) for name in names)
     whole = len(part) - len(part) % length if same and first % length == 0 else 0

@@ -76,7 +76,7 @@ class Plays:
         return cls(weight, 1 / below, np.zeros_like(below))
 
     def after(self, pressure: Array) -> "Plays":
-        """The plays once the pressure (...) kPa has come, monotonously."""
+        """Return the plays once the pressure (...) kPa has come, monotonously."""
         far = self.reach * pressure
         return replace(self, held=np.clip(self.held, np.minimum(pressure, far), np.maximum(pressure, far)))
 
@@ -118,7 +118,7 @@ class Creep:
         return replace(self, crept=at_once + (self.crept - at_once) * self._kept(seconds))
 
     def answer(self, at_once: Array, seconds: float) -> Array:
-        """a (...) at the end of an interval in which u lasts."""
+        """Return a (...) at the end of an interval in which u lasts."""
         return np.asarray(at_once + self.strength * self.after(at_once, seconds).crept.sum(axis=0))
 
     def at_once(self, answer: Array, seconds: float) -> Array:
@@ -148,7 +148,7 @@ class FilmMemory:
         return cls(Plays.at_rest(hysteresis), Creep.at_rest(creep_per_decade), gain, water, response)
 
     def answered(self, pressure: Array, seconds: float) -> tuple["FilmMemory", Array]:
-        """(the film afterwards, ln(r/r_rest)) of a pressure (...) kPa of a load that lasts for so long."""
+        """Return (the film afterwards, ln(r/r_rest)) of a pressure (...) kPa of a load that lasts for so long."""
         at_once = self._at_once(self.plays.effective(pressure))
         answer = self.gain * self.creep.answer(at_once, seconds)
         return replace(self, plays=self.plays.after(pressure), creep=self.creep.after(at_once, seconds)), -answer
@@ -164,7 +164,7 @@ class FilmMemory:
         return np.asarray(np.maximum(on_film, VACUUM_KPA) - self.water)
 
     def observed(self, change: Array, seconds: float) -> "FilmMemory":
-        """The film after an interval with ln(r/r_rest) = `change` at its end; a cell of NaN stands still."""
+        """Return the film after an interval with ln(r/r_rest) = `change` at its end; a cell of NaN stands still."""
         known = np.isfinite(change)
         effective = self.effective(np.where(known, change, 0.0), seconds)
         held = self.plays.after(self.plays.pressure(effective)).held

@@ -198,7 +198,9 @@ class PressureTrack:
         return np.asarray(np.log(ratio) - (0.0 if warmth is None else warmth.logarithm))
 
     def _kept(self, ratio: Array, time: float) -> Array:
-        """Standard deviation of ln r/r_rest that is there without a load: what the film keeps, its drift, warmth.
+        """Return the standard deviation of ln r/r_rest without a load.
+
+        Its parts are the film's residue, its drift and temperature.
 
         What it keeps and drifts counts by √(1 − x²/peak²), as far as the largest load is gone.
         """
@@ -235,7 +237,7 @@ def response_sd(scene: Scene, answer: Array) -> Array:
 
 
 def scatter_sd(scene: Scene) -> Array:
-    """The part of it that each cell has on its own: as specified; else as cells of one film scatter."""
+    """Return the part of it that each cell has on its own: as specified; else as cells of one film scatter."""
     response, stated = scene.response or PUBLISHED, scene.specified_systematic
     own = RESPONSE_SD if stated is None or stated.response_sd is None else stated.response_sd
     return np.array(own if response.gain_sd is None else response.gain_sd)

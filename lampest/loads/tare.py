@@ -74,7 +74,10 @@ class TareWatch:
         return TareWatch(self.tare, time), mean, said
 
     def _zero(self, memory: Array, minutes: float) -> Array | None:
-        """The mean of the first half; None where something stands out in any frame, or it is not worth a new zero."""
+        """Return the mean of the first half.
+
+        None where something stands out in any frame, or where it is not worth a new zero.
+        """
         frames = np.stack([left for left, _, _ in self.frames])
         known = np.isfinite(frames).all(axis=0)
         noise = OF_DIFFERENCES * np.median(np.abs(np.diff(frames[:, known], axis=0)), axis=0)

@@ -114,7 +114,7 @@ EFFECTS: tuple[type[Effect], ...] = (LineLeak, LooseContact)  # all that are loo
 
 
 def disturbed(effects: Sequence[Effect], scene: Scene, network: Network) -> tuple[Network, Array]:
-    """(the network with all effects, what they add to its readings beside that (rows, columns))."""
+    """Return (the network with all effects, what they add to its readings beside that (rows, columns))."""
     added = sum((effect.added(scene, network) for effect in effects), np.zeros(network.conductance.shape))
     for effect in effects:
         network = effect.changed(network)
@@ -122,6 +122,6 @@ def disturbed(effects: Sequence[Effect], scene: Scene, network: Network) -> tupl
 
 
 def disturbance(effects: Sequence[Effect], scene: Scene, network: Network) -> Array:
-    """What effects do to the readings of a network, (rows, columns)."""
+    """Return what effects do to the readings of a network, (rows, columns)."""
     leaking, added = disturbed(effects, scene, network)
     return np.asarray(leaking.reading() - network.reading() + added)

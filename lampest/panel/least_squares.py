@@ -72,13 +72,23 @@ class Minimum(Generic[P]):
 
 @dataclass(frozen=True, eq=False)
 class LevenbergMarquardt:
-    """The loop's settings. μ falls to a tenth after a step that gains at least half of what the linear model predicts,
-    and grows tenfold after one that gains nothing.
+    """Settings of the loop.
 
-    evaluations : of the model, at most. settled : a gain, made and predicted, of less than that ends the loop; so does
-    one of less than `share` of the cost. damping : μ to begin with; 0: the first step is Gauss and Newton's.
-    most_damping : μ that ends the loop. longest : most that a step may change an unknown by, for all or for each;
-    longer steps are shortened as a whole.
+    μ falls to a tenth after a step that gains at least half of the linear model's prediction, and grows tenfold after
+    one that gains nothing.
+
+    Attributes
+    ----------
+    evaluations : int
+        Most evaluations of the model.
+    settled, share : float
+        The loop ends at a gain, made and predicted, of less than `settled`, or of less than `share` of the cost.
+    damping : float
+        First μ; with 0 the first step is Gauss and Newton's.
+    most_damping : float
+        μ that ends the loop.
+    longest : float or array
+        Largest change of an unknown in a step, for all or for each; longer steps are shortened as a whole.
     """
 
     evaluations: int
@@ -95,7 +105,7 @@ class LevenbergMarquardt:
         bounds: tuple[Array | float, Array | float] = (-np.inf, np.inf),
         ended: Callable[[P, int], bool] = lambda at, evaluations: False,
     ) -> Minimum[P]:
-        """The least sum of squares that is reached from `start` (unknowns).
+        """Return the least sum of squares that is reached from `start` (unknowns).
 
         model : position → the sum of squares about it; one whose cost is no number is never taken. ended : whether to
         end at a point after so many evaluations. Raises numpy.linalg.LinAlgError where JᵀJ is singular without damping.
@@ -123,7 +133,7 @@ class LevenbergMarquardt:
         return Minimum(position, point, count)
 
     def _step(self, point: Linearised, free: NDArray[np.bool_], damping: float) -> Array:
-        """The damped step (unknowns), within its longest."""
+        """Return the damped step (unknowns), within its longest."""
         damped = point.normal[free][:, free]
         own = damped.diagonal().copy()
         damped[np.diag_indices(len(own))] += damping * np.where(own > 0, own, 1.0)

@@ -57,7 +57,7 @@ class Response(Configuration):
                 raise ValueError(f"response.{name} must have {shape[0]} rows of {shape[1]} numbers, as the panel")
 
     def of_cells(self, cells: tuple[slice, slice]) -> Self:
-        """The same of some cells of the panel."""
+        """Return the same of some cells of the panel."""
         some = {name: tuple(row[cells[1]] for row in table[cells[0]]) for name, table in self._tables().items()}
         return replace(self, **some)
 
@@ -199,7 +199,9 @@ class PowerResponse(Response):
 
 @dataclass(frozen=True, kw_only=True)
 class PublishedResponse(Response):
-    """The paper's curve of flat cells, r/r0 against p in kPa (suction is negative), inverted exactly:
+    """The paper's curve of flat cells, inverted exactly.
+
+    r/r0 against p in kPa (suction is negative):
 
         p ≤ 0         exp(−0.202·p)                     through 7.54 at −10
         0 … 2.5       1 − 0.192·p

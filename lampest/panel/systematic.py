@@ -28,10 +28,16 @@ USUAL = Systematic(
 
 @dataclass(frozen=True, eq=False)
 class Possible:
-    """What is known of hidden errors. sizes : of each. root : (n, n) lower triangular, of the covariance of z in the
-    order of columns; None: of the sizes alone.
+    """Knowledge of hidden errors.
 
-    sure : whether each reading's own error is specified, or found beyond chance.
+    Attributes
+    ----------
+    sizes : Systematic
+        Standard deviation of each.
+    root : array, shape (n, n), or None
+        Lower triangular root of the covariance of z in the order of the columns; None: the sizes alone are known.
+    sure : bool
+        Whether each reading's own error is specified, or determined beyond chance.
     """
 
     sizes: Systematic
@@ -40,7 +46,9 @@ class Possible:
 
 
 def usual(scene: Scene) -> Systematic | None:
-    """What errors a scene names, or leaves possible by silence; None where it has no readout, or says there are none.
+    """Return the sizes of errors that a scene names, or leaves possible by silence.
+
+    None where it has no readout, or says that there are none.
 
     Kinds without a resistance in series, or of which what they sense is no voltage of lines, have no such error.
     """
@@ -97,7 +105,7 @@ def hidden_columns(network: Network, measured: Array, scene: Scene, sizes: Syste
 
 
 def recorded_share(measured: Array, scene: Scene) -> Array:
-    """∂(reading)/∂ log(recorded): what a factor on a recorded value does to the network's reading."""
+    """Return ∂(reading)/∂ log(recorded): what a factor on a recorded value does to the network's reading."""
     recorded, step = scene.circuit.to_recorded(measured, scene), 1e-6
     above, below = (scene.circuit.from_recorded(recorded * np.exp(sign * step), scene) for sign in (1, -1))
     return np.asarray((above - below) / (2 * step))
@@ -140,7 +148,7 @@ class Shared:
         return cls(sizes, scene, contact_root, None if hidden is None else hidden.root, hidden is not None)
 
     def beyond(self, known: "Shared | None") -> "Shared | None":
-        """The errors that remain where a method has unknowns for the specified ones; None where none do."""
+        """Return the errors that remain where a method has unknowns for the specified ones; None where none do."""
         if self.systematic is None:
             return None
         if known is None or known.systematic is None:
@@ -160,8 +168,9 @@ class Shared:
         return np.concatenate([contacts, self.related(columns)], axis=1)
 
     def unrelated(self, network: Network, measured: Array) -> Array:
-        """The columns without contacts, (…, cells, n) of readings (…, rows, columns), as if hidden errors were
-        independent of each other.
+        """Return the columns without contacts, as if hidden errors were independent of each other.
+
+        They are (…, cells, n) of readings (…, rows, columns).
         """
         if self.systematic is None:
             return np.zeros((measured.size, 0))
@@ -172,12 +181,12 @@ class Shared:
         return np.moveaxis(errors.reshape(*errors.shape[:-2], -1), 0, -1)
 
     def related(self, columns: Array) -> Array:
-        """These columns with the covariance of hidden errors, the last of them."""
+        """Return these columns with the covariance of hidden errors, the last of them."""
         root = np.zeros((0, 0)) if self.hidden_root is None else self.hidden_root
         first = columns.shape[-1] - len(root)
         return np.concatenate([columns[..., :first], columns[..., first:] @ root], axis=-1)
 
     def own_error(self, measured: Array) -> Array:
-        """Standard deviation of what each reading is off by on its own, in their unit, (frames, rows, columns)."""
+        """Return the standard deviation of each reading's own error, in the readings' unit, (frames, rows, columns)."""
         size = None if self.systematic is None else self.systematic.reading_error
         return own_errors(measured, self.scene, size or 0.0)

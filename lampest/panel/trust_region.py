@@ -86,7 +86,7 @@ def steihaug(
 
 
 def restricted(product: Linear, chosen: NDArray[np.intp], size: int) -> Linear:
-    """The part of a symmetric product of `size` unknowns between the chosen ones, all others zero."""
+    """Return the part of a symmetric product of `size` unknowns between the chosen ones, all others zero."""
     if len(chosen) == size:
         return product
     whole = np.zeros(size)

@@ -1,5 +1,7 @@
-"""Error bars of many panels at once, over a leading axis: those of `DenseErrors` where every cell is free, all readings
-are values, and one squared penalty at most stands beside squared data. Letters are those of `DenseErrors`.
+"""Error bars of many panels over a leading axis.
+
+They are those of `DenseErrors` where every cell is free, all readings are values, and at most one squared penalty
+stands beside squared data. Letters are those of `DenseErrors`.
 """
 
 from collections.abc import Sequence

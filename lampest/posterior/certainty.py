@@ -85,8 +85,9 @@ class Certainty(LogInterval):
         return certainty
 
     def widened(self, answer: Array) -> "Certainty":
-        """Return the certainty with independent errors of variance 1 on top, of which answer (frames · cells, n) is
-        the effect on log r; common is the part that moves all cells of a frame alike.
+        """Return the certainty with independent errors of variance 1 on top.
+
+        answer : their effect on log r, (frames · cells, n); the part that moves all cells of a frame alike is common.
         """
         rows, columns = self.deviation.shape[-2:]
         answers = answer.reshape(*self.deviation.shape[:-2], rows * columns, -1)
@@ -108,7 +109,7 @@ class Certainty(LogInterval):
             return replace(self, above=np.maximum(self.above, -np.log(np.maximum(1 - self.above, 0.0))))
 
     def of_frame(self, frame: int) -> "Certainty":
-        """That of one frame, (rows, columns)."""
+        """Return that of one frame, (rows, columns)."""
         return Certainty(*(getattr(self, field.name)[frame] for field in fields(self)))
 
 

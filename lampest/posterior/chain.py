@@ -41,7 +41,7 @@ class Chain:
         return [inverse * tie for inverse, tie in zip(self._inverses[:-1], self.tie, strict=True)]
 
     def _solved(self, right: Array) -> Array:
-        """The frames' part of H alone, H⁻¹ x of columns (frames, cells, n)."""
+        """Return the frames' part of H alone, H⁻¹ x of columns (frames, cells, n)."""
         ahead = [right[0]]
         for gain, column in zip(self._gains, right[1:], strict=True):
             ahead.append(column + gain.T @ ahead[-1])
@@ -69,12 +69,15 @@ class Chain:
         return np.asarray(positive_inverse(self.border_covariance[:count, :count]) - np.eye(count))
 
     def doubting(self, share: float, prior: Array) -> "Chain":
-        """The same where only a share of what frames tell of the border is believed; prior : (n), its own precision."""
+        """Return the chain in which only a share of the frames' information on the border is believed.
+
+        prior : (n), the border's own precision.
+        """
         learned = self._border_precision - np.diag(prior)
         return replace(self, corner=self.corner - (1 - share) * learned)
 
     def with_border(self, precision: Array) -> "Chain":
-        """The same where the border's first unknowns have this precision, all others unknown, (n, n)."""
+        """Return the same where the border's first unknowns have this precision, all others unknown, (n, n)."""
         corner, count = self.corner.copy(), len(precision)
         corner[:count, :count] += precision - positive_inverse(self.border_covariance[:count, :count])
         return replace(self, corner=corner)

@@ -45,7 +45,7 @@ class Memory(ABC):
 
     @abstractmethod
     def resting(self) -> Self:
-        """The same, with the last estimate as the baseline."""
+        """Return the same, with the last estimate as the baseline."""
 
     @abstractmethod
     def shared(self) -> Array:
@@ -222,7 +222,7 @@ class DenseErrors:
         return whole
 
     def memory(self) -> Memory:
-        """What the next frame must know of the last one here; of two frames the first is the baseline."""
+        """Return what the next frame must know of the last one here; of two frames the first is the baseline."""
         size = self.model.at.cell_resistance[0].size
         if len(self.model.at.cell_resistance) == 2:
             whole = self.covariance
@@ -281,7 +281,7 @@ class DenseErrors:
         return np.asarray(np.minimum(common, self.variance))
 
     def answer(self, rows: Array, last: Array, baseline: Array) -> Array:
-        """What errors of the data (rows, n), the same as those that earlier estimates have (cells, n), do to log r."""
+        """Return the effect on log r of errors of the data, (rows, n), that earlier estimates share, (cells, n)."""
         model = self.model
         known = model.previous_jacobian @ last + model.baseline_jacobian @ baseline
         if not known.any():
@@ -311,7 +311,7 @@ class DenseErrors:
 def active_bounds(
     errors: DenseErrors, rows: Array, last: Array, baseline: Array
 ) -> tuple[Array, NDArray[np.intp], Array, Array]:
-    """(what shared errors z do to log r of the free cells (free, n), the cells at a bound, how far these reach).
+    """Return (what shared errors z do to log r of the free cells (free, n), the cells at a bound, how far these reach).
 
     A cell c at a bound stands alone, t_c ~ N(−slope·v, v + |a|²) cut off at t_c ≥ 0, v its variance among the free
     cells, a what z does to it; where |a| > slope·v it moves with the free cells. An open cell's t is its conductance,

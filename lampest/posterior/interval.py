@@ -12,7 +12,7 @@ FAR = 50.0  # standard deviations beyond which the tail of a normal distribution
 
 
 def one_sided(slope: ArrayLike, variance: ArrayLike) -> tuple[Array, Array]:
-    """(standard deviation, 95 % quantile) of t ≥ 0 with density ∝ exp(−slope·t − t²/(2·variance)), slope ≥ 0.
+    """Return (standard deviation, 95 % quantile) of t ≥ 0 with density ∝ exp(−slope·t − t²/(2·variance)), slope ≥ 0.
 
     A normal distribution of that variance with its mean at −slope·variance, cut off at 0. Any shape.
     """
@@ -41,5 +41,5 @@ def largest_of(excess: ArrayLike, count: int) -> Array:
 
 
 def largest_normal(count: int, chance: float) -> float:
-    """What the largest of so many normal numbers exceeds in size with a chance of no more than that (Bonferroni)."""
+    """Return the size that the largest of so many normal numbers exceeds with at most this chance (Bonferroni)."""
     return float(-ndtri(chance / (2 * count)))

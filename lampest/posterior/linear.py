@@ -214,7 +214,7 @@ def penalty_curvature_of(model: LinearModel, weights: Array) -> Array:
 
 
 def curved_rows(cost: Cost, term: NDArray[np.intp]) -> Iterator[tuple[int, Loss, NDArray[np.bool_]]]:
-    """(number of the term, loss, its rows of `term`) of all losses but the squared one: where ω is not the weight."""
+    """Return number, loss and rows of `term` of all terms whose loss is not squared: there ω is not the weight."""
     for number, part in enumerate(cost.terms):
         if not part.loss.squared and (rows := term == number).any():
             yield number, part.loss, rows

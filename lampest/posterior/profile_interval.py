@@ -84,7 +84,7 @@ class ProfileInterval:
 def beyond_tangents(
     model: LinearModel, readings: Readings, missing: NDArray[np.bool_], moved: Callable[[Readings], Array] | None
 ) -> tuple[Array, Array]:
-    """What to add to the squares of how far intervals of log r reach down and up, (rows, columns) each.
+    """Return what to add to the squares of how far intervals of log r reach down and up, (rows, columns) each.
 
     readings : (rows, columns) what the estimate was solved from. missing : which of them. moved : readings → log r
     (rows, columns) that follow, NaN where no solve ends; None: penalties decide.

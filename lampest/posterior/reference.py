@@ -223,7 +223,7 @@ class ReferenceFit:
         return fit.at(np.log(np.clip(start, data.lower[frame], data.upper[frame])).ravel())
 
     def at(self, position: Array) -> "ReferenceFit":
-        """The same model linearised at u."""
+        """Return the same model linearised at u."""
         network = self.data.network(self.frame, np.exp(position).reshape(self.shape))
         jacobian = np.asarray(network.sensitivity()) / self.sigma[:, None]
         return replace(self, position=position, reading=network.reading().ravel(), jacobian=jacobian)
@@ -255,7 +255,7 @@ class ReferenceFit:
         return residual, counted, counted & (side == 0)
 
     def settled(self, square: float) -> "ReferenceFit":
-        """Expectations and Gauss–Newton steps at s² until the bound stands still."""
+        """Return expectations and Gauss–Newton steps at s² until the bound stands still."""
         fit, previous = self, np.inf
         for _ in range(MAX_STEPS):
             fit = fit.expected(square)
@@ -298,7 +298,7 @@ class ReferenceFit:
         )
 
     def step_within_bounds(self, matrix: Array, covariance: Array, slope: Array) -> Array:
-        """The step to the minimum, with cells held that press against a bound."""
+        """Return the step to the minimum, with cells held that press against a bound."""
         lower, upper = (np.ravel(bound[self.frame])[self.cells] for bound in self.data.log_bounds)
         place = self.position[self.cells]
         held = (upper <= lower) | ((place <= lower) & (slope > 0)) | ((place >= upper) & (slope < 0))
@@ -330,7 +330,7 @@ class ReferenceFit:
         return np.asarray(scale * np.sqrt(np.maximum((FREEDOM + 1) / np.maximum(weights, 1e-12) - FREEDOM, 0.0)))
 
     def deviation(self, scale: float) -> Array:
-        """Standard deviation of every reading, flat, in its unit."""
+        """Return standard deviation of every reading, flat, in its unit."""
         weights = np.where(self.reading_weights > 0, self.reading_weights, 1.0)
         return np.asarray(scale * self.sigma / np.sqrt(weights))
 

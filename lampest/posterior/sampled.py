@@ -143,7 +143,7 @@ class SampledErrors(DenseErrors):
         return np.clip(1 - self._samples[1], 0, 1)
 
     def reading_deviation(self) -> Array:
-        """The standard deviation of the readings of all samples, (frames, rows, columns)."""
+        """Return the standard deviation of the readings of all samples, (frames, rows, columns)."""
         whole, squares = np.zeros(self.model.at.cell_resistance.size), np.zeros(self.model.at.cell_resistance.shape)
         for sample in self._samples[0]:
             whole[self.model.free] = sample

@@ -138,7 +138,7 @@ class Track:
         return errors_of(model, memory, drawn)
 
     def _answered(self, errors: DenseErrors) -> tuple[Array, Certainty]:
-        """What shared errors do to log r, (frames · cells, n), and what is known with them on top of each reading's."""
+        """Return the effect of shared errors on log r, (frames · cells, n), and the certainty with them."""
         model, own = errors.model, errors.certainty
         cells = model.at.cell_resistance
         if self.shared is None:
@@ -159,7 +159,10 @@ class Track:
 
 
 def errors_of(model: LinearModel, memory: Memory | None, drawn: Array | None = None) -> DenseErrors:
-    """The errors of an estimate, as matrices or from samples; memory : of the frame before, or None; drawn : V."""
+    """Return the errors of an estimate, as matrices or from samples.
+
+    memory : that of the frame before, or None. drawn : V.
+    """
     if isinstance(memory, SampledMemory) or model.at.cell_resistance.size > MOST_DENSE:
         return SampledErrors(model, memory if isinstance(memory, SampledMemory) else None, drawn)
     return DenseErrors(model, memory, drawn)

@@ -25,7 +25,7 @@ NUMBERS, PATTERNS = ("gain", "unloaded"), ("together", "apart")
 
 
 def case_result(case: Case, estimates: Estimates) -> CaseResult:
-    """A run's case: every column that its estimates can fill.
+    """Return a run's case: every column that its estimates can fill.
 
     Raises InputError where a column's values are of another shape than its axes, or impossible.
     """
@@ -35,7 +35,7 @@ def case_result(case: Case, estimates: Estimates) -> CaseResult:
 
 
 def named_result(estimates: Estimates, name: str | None, columns: Sequence[Column] = ()) -> CaseResult:
-    """The same of estimates that no run's file asked for.
+    """Return the same of estimates that no run's file asked for.
 
     name : of the estimator; None: its terms, `misfit + gradient`. columns : besides those of lampest and of installed
     packages. Raises InputError as `case_result`.
@@ -90,7 +90,7 @@ def _arrays_of(noise: FrameNoise | None) -> dict[str, Array]:
 
 
 def frame_noise_of(arrays: Mapping[str, Array], scene: Scene) -> FrameNoise | None:
-    """The reverse. Raises ValueError where that is no such noise of the scene's panel."""
+    """Return the reverse. Raises ValueError where that is no such noise of the scene's panel."""
     if scene.readout is None or not arrays:
         return None
     rows, columns = scene.panel.shape

@@ -18,7 +18,7 @@ from lampest.runs.columns import Column
 
 
 def _attribute(name: str, default: Any = "") -> Any:
-    """A field that is an attribute of the estimator's group, or not there where it has its default."""
+    """Return a field that is an attribute of the estimator's group, or not there where it has its default."""
     return field(default=default, metadata={"attribute": name})
 
 

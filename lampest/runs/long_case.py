@@ -36,15 +36,15 @@ class PartFiles:
         return cls(case, inner_folder(file.parent, f"{file.stem}.parts"))
 
     def results(self, number: int) -> Path:
-        """The estimates of a part."""
+        """Return the estimates of a part."""
         return self.folder / f"{number:06d}.h5"
 
     def carried(self, number: int) -> Path:
-        """What the next part needs of it; it is there before the estimates are."""
+        """Return what the next part needs of it; it is there before the estimates are."""
         return self.folder / f"{number:06d}_carried.h5"
 
     def done(self, number: int) -> CarriedOver | None:
-        """What a part left, None where it is not whole: then it is solved again."""
+        """Return what a part left, None where it is not whole: then it is solved again."""
         with suppress(InputError):
             if self.results(number).is_file() and self.carried(number).is_file():
                 hdf5.checked(self.results(number))
@@ -87,7 +87,10 @@ def solve_long(case: Case, stored: StoredRecording, file: Path) -> StoredCase:
 
 
 def parts_to_solve(case: Case, stored: StoredRecording, file: Path) -> list[int]:
-    """The numbers of the parts of a case that may be solved in any order, and are not done; a damaged one goes."""
+    """Return the numbers of the parts of a case that may be solved in any order, and are not done.
+
+    A damaged one goes.
+    """
     files = PartFiles.beside(case, file)
     every = () if case.estimator.looks_back else stored.measured_blocks
     waiting = [number for number in every if files.done(number) is None]
@@ -123,7 +126,7 @@ def write_carried(path: Path, carried: CarriedOver) -> None:
 
 
 def read_carried(path: Path) -> CarriedOver:
-    """What a part left. Raises InputError where it cannot be read."""
+    """Return what a part left. Raises InputError where it cannot be read."""
     with hdf5.existing_file(path) as file:
         if hdf5.read_attribute(file, "/", "lampest_format") != CARRIED:
             raise InputError(f"{path}: is not the remainder of a part of a case")

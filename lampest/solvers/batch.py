@@ -1,5 +1,4 @@
-"""Projected quasi-Newton steps for many panels at once, over a leading axis: L-BFGS about an inverse Hessian that is
-kept from frame to frame.
+"""Projected L-BFGS for many panels over a leading axis, about inverse Hessians that are kept from frame to frame.
 
 Where frames differ little, M⁻¹ ∇φ is nearly Newton's step, and every further step costs one gradient and one product
 with M⁻¹. What has converged leaves the batch. A panel that gets stuck, or whose ∇²φ is not positive definite, is handed
@@ -119,7 +118,7 @@ class BatchOutcome:
     iterations: NDArray[np.int64]
 
     def where(self, chosen: Mask, otherwise: "BatchOutcome") -> "BatchOutcome":
-        """This of the chosen panels, the other of all else."""
+        """Return this of the chosen panels, the other of all else."""
         if chosen.all():
             return self
         position = np.where(chosen[:, None], self.points.position, otherwise.points.position)
@@ -216,7 +215,7 @@ class Secants:
 def _advanced(
     points: Points, secants: Secants, inverses: InverseHessians, panels: Numbers
 ) -> tuple[Points, Secants, Mask]:
-    """The points after one step each, and which of them found one that lowers the cost.
+    """Return the points after one step each, and which of them found one that lowers the cost.
 
     Steps are relative changes of conductances, g ← g·(1 − s), in which readings are closest to quadratic.
     """

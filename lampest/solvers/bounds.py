@@ -35,7 +35,7 @@ def within_bounds(at: Evaluation, free: NDArray[np.intp], step: Array) -> Array:
 
 
 def lower_along(at: Evaluation, along: Array) -> Evaluation | None:
-    """A point forth or back along a direction (cells) of u where the cost is lower; None where there is none."""
+    """Return a point forth or back along a direction (cells) of u where the cost is lower; None where there is none."""
     least, size = _certain_cost(at) - STILL * at.cost_scale, float(np.abs(along).max(initial=0.0)) or 1.0
     lengths = [sign * length / size for length in LENGTHS for sign in (1.0, -1.0)]
     beside = (moved_by(at, length * along) for length in lengths)
@@ -50,7 +50,7 @@ def _certain_cost(at: Evaluation) -> float:
 
 
 def moved_by(at: Evaluation, step: Array) -> Evaluation | None:
-    """The cost after a step of u (flat), within the bounds; None where its network cannot be solved."""
+    """Return the cost after a step of u (flat), within the bounds; None where its network cannot be solved."""
     cells = np.exp(at.position + step.reshape(at.position.shape))
     try:
         return at.elsewhere(np.clip(cells, at.data.lower, at.data.upper))

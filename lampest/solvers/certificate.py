@@ -76,7 +76,10 @@ class Certificate:
         return float(np.abs(self.step).max(initial=0.0)) <= MILLIONTH or self.deviations <= SHARE
 
     def after(self, at: Evaluation, gradient: Array) -> "Certificate":
-        """The same at the end of its short step: by the gradient there, second derivatives have hardly changed."""
+        """Return the same at the end of its short step.
+
+        By the gradient there, second derivatives have hardly changed.
+        """
         if self.factor is None or self.definiteness is not Definiteness.POSITIVE:
             return self
         slope = gradient.ravel()[self.factor.cells]

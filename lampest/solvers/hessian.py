@@ -285,7 +285,7 @@ def block_diagonal(blocks: Sequence[Array]) -> Array:
 
 
 def matrix_between(matrix: Array, chosen: Numbers) -> Array:
-    """The part of a matrix between some unknowns; itself where these are all."""
+    """Return the part of a matrix between some unknowns; itself where these are all."""
     return matrix if len(chosen) == len(matrix) else matrix[np.ix_(chosen, chosen)]
 
 

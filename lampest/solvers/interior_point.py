@@ -32,7 +32,10 @@ NOTHING = 1e-8  # of the cost: what the bounds still add to it where the last st
 
 
 def by_interior_point(start: Evaluation) -> tuple[Evaluation, int]:
-    """The cost where the bounds' part in it has become nothing, and the steps; `start` and none where it is no help."""
+    """Return the cost where the bounds' part in it has become nothing, and the steps.
+
+    `start` and none where it is no help.
+    """
     if not crowds_bounds(start):
         return start, 0
     barrier, steps = _Barrier.of(start), 0
@@ -169,7 +172,7 @@ class _Barrier:
         return _Barrier(trial, self.below + length * below, self.above + length * above, mean, min(length, ahead))
 
     def put_at_bounds(self) -> Evaluation:
-        """The cost with cells at the bound whose barrier curves more than the readings do."""
+        """Return the cost with cells at the bound whose barrier curves more than the readings do."""
         data = self.at.data
         own = self.hessian.own.reshape(self.conductance.shape) / self.conductance**2
         below, above = (_over(*pair) > own for pair in zip((self.below, self.above), self.rooms, strict=True))

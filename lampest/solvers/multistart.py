@@ -88,7 +88,7 @@ def several_minima(cost: Cost, data: Data) -> bool:
 
 
 def starts(cost: Cost, data: Data, previous: Array | None) -> Iterator[Array]:
-    """Starts in the order in which they are tried: (frames, rows, columns) ohm."""
+    """Return starts in the order in which they are tried: (frames, rows, columns) ohm."""
     if all(term.reads_measurement for term in cost.terms) and data.readout.unique:
         yield convex(data, previous)
     if previous is not None:
@@ -110,7 +110,7 @@ def scattered(data: Data) -> Iterator[Array]:
 
 
 def convex(data: Data, near: Array | None) -> Array:
-    """The readout's start of every frame, of two-point readings the convex one; near : an estimate, or None."""
+    """Return the readout's start of every frame, of two-point readings the convex one; near : an estimate, or None."""
     places = [None] * len(data.measured) if near is None else list(near)
     with suppress(*BROKEN):
         return np.stack([data.readout.start(*three) for three in zip(data.measured, data.upper, places, strict=True)])
@@ -118,12 +118,12 @@ def convex(data: Data, near: Array | None) -> Array:
 
 
 def evaluated(cost: Cost, data: Data, start: Array) -> Evaluation:
-    """The cost at a start put within the bounds."""
+    """Return the cost at a start put within the bounds."""
     return Evaluation.at(cost, data, np.clip(start, data.lower, data.upper))
 
 
 def evaluable(cost: Cost, data: Data, places: Iterable[Array]) -> Iterator[Evaluation]:
-    """The cost at those starts where it is a number."""
+    """Return the cost at those starts where it is a number."""
     for start in islice(places, MOST_STARTS):
         with suppress(*BROKEN):
             point = evaluated(cost, data, start)

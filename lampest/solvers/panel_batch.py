@@ -40,7 +40,7 @@ class PanelBatch:
         return isinstance(data.readout, TwoPointReadout) and entries.at_model is not None and not entries.crossed
 
     def some(self, panels: Numbers) -> "PanelBatch":
-        """Some of the panels."""
+        """Return some of the panels."""
         given = replace(self.data.given, **{name: value[panels] for name, value in self.data.given.named()})
         data = replace(self.data, given=given, lower=self.data.lower[panels], upper=self.data.upper[panels])
         chosen = PanelBatch(self.cost, self.weights[panels], data, self.place)
@@ -116,7 +116,7 @@ class Points:
         return self.network.reading()
 
     def called(self, function: Compiled) -> Array:
-        """A function of the cost at every point, (panels, nonzeros)."""
+        """Return a function of the cost at every point, (panels, nonzeros)."""
         count = len(self.position)
         point = {"cell_resistance": self.network.cell_resistance, "reading": self.reading}
         given = self.batch.named | {name: self.batch.padded(self._flat(maps)) for name, maps in point.items()}

@@ -36,7 +36,7 @@ class Preconditioner(ABC):
     cell_resistance: Array
 
     def distance(self, cell_resistance: Array) -> float:
-        """The largest change of log r since; infinite for another panel."""
+        """Return the largest change of log r since; infinite for another panel."""
         if cell_resistance.shape != self.cell_resistance.shape:
             return float("inf")
         return float(np.abs(np.log(cell_resistance / self.cell_resistance)).max())
@@ -235,7 +235,7 @@ class CoarseLines:
 
 
 def preconditioner(hessian: Hessian, free: Free) -> Preconditioner:
-    """A new one at a point, over the free cells or over all."""
+    """Return a new one at a point, over the free cells or over all."""
     if not hessian.dense:
         return TwoLevel.of(hessian)
     cells, chosen = hessian.at.cell_resistance, np.flatnonzero(free)

@@ -49,12 +49,12 @@ class Smoothing:
 
     @classmethod
     def start(cls, at: Evaluation) -> "Smoothing":
-        """A tenth of the largest residual wide, duals to match."""
+        """Return a tenth of the largest residual wide, duals to match."""
         width = 0.1 * float(np.abs(at.nonsmooth).max(initial=0)) or 1.0
         return cls(width, at.nonsmooth / np.sqrt(at.nonsmooth**2 + width**2))
 
     def moved(self, before: Evaluation, after: Evaluation) -> "Smoothing":
-        """The duals after a step, by the linear part of their equation, held to |z| ≤ 1."""
+        """Return the duals after a step, by the linear part of their equation, held to |z| ≤ 1."""
         if not len(self.dual):
             return self
         moves = [

@@ -173,8 +173,10 @@ class Solution:
 
 
 class Solver(Protocol):
-    """What a sequence asks of a solver of one cost; prepare : build what can be built before the first solve. solve :
-    minimise from a start; never raises for a failed solve.
+    """Interface of the solvers of one cost.
+
+    `prepare` builds all that can be built before the first solve. `solve` minimises from a start and never raises for a
+    failed solve.
 
     >>> sorted(name for name in vars(lampest.Solver) if not name.startswith("_"))
     ['cost', 'prepare', 'settings', 'solve']
@@ -226,7 +228,7 @@ def _sharp(at: Evaluation, outcome: Outcome) -> Hessian:
 
 
 def _cause(at: Evaluation, gradient: Array, outcome: Outcome, fault: Status) -> Status:
-    """The fault; or that digits were lost, where second derivatives are rounding."""
+    """Return the fault; or that digits were lost, where second derivatives are rounding."""
     if fault not in (Status.BREAKDOWN, Status.ITERATIONS, Status.STALLED, Status.UNVERIFIED) or not np.all(
         np.isfinite(gradient)
     ):
@@ -243,7 +245,7 @@ def _cause(at: Evaluation, gradient: Array, outcome: Outcome, fault: Status) -> 
 
 @typed
 def approximation(cost: Cost, data: Data, outcome: Outcome) -> Solution:
-    """What a method short of an optimum found, with its cost and its KKT residual.
+    """Return what a method short of an optimum found, with its cost and its KKT residual.
 
     >>> import inspect
     >>> list(inspect.signature(lampest.approximation).parameters)
@@ -263,12 +265,12 @@ def _solution(at: Evaluation, residual: float, outcome: Outcome, status: Status)
 
 
 def failure(cost: Cost, data: Data, status: Status, residual: float, outcome: Outcome) -> Solution:
-    """A solution that holds NaN and a status."""
+    """Return a solution that holds NaN and a status."""
     nothing = blank(data.measured.shape, len(cost.terms), status)
     return replace(nothing, kkt_residual=residual, iterations=outcome.iterations)
 
 
 def blank(shape: tuple[int, ...], terms: int, status: Status) -> Solution:
-    """What holds NaN and a status where nothing was solved; shape : (frames, rows, columns)."""
+    """Return what holds NaN and a status where nothing was solved; shape : (frames, rows, columns)."""
     nothing, flags = np.full(shape, np.nan), np.zeros(shape, dtype=bool)
     return Solution(nothing, nothing, np.full(terms, np.nan), float("nan"), float("nan"), flags, flags, status, 0)

@@ -81,7 +81,7 @@ def calibrate_channels(recordings: Sequence[Recording]) -> ChannelCalibration:
 
 
 def _calibration(scene: Scene, errors: Array, covariance: Array, before: Array, frames: int) -> ChannelCalibration:
-    """The scene with these errors taken off, and with their remaining uncertainty as its systematic errors."""
+    """Return the scene with these errors taken off, and with their remaining uncertainty as its systematic errors."""
     deviation, (rows, columns) = np.sqrt(np.diag(covariance)), scene.panel.shape
     mean = np.repeat([1 / rows, 1 / columns], [rows, columns])
     centred = np.eye(rows + columns)
@@ -121,7 +121,7 @@ def _calibration(scene: Scene, errors: Array, covariance: Array, before: Array, 
 
 
 def _corrected(scene: Scene, errors: Array) -> Scene:
-    """The scene with a reference and channels that are off by these errors."""
+    """Return the scene with a reference and channels that are off by these errors."""
     readout: Any = scene.circuit.off_by(float(errors[0]))
     more = np.split(errors[1:], [scene.panel.rows])
     if isinstance(readout, DrivenReadout):
@@ -136,12 +136,12 @@ def _corrected(scene: Scene, errors: Array) -> Scene:
 
 
 def _circuit(scene: Scene) -> Scene:
-    """The scene without loads, the environment, and the film's answer."""
+    """Return the scene without loads, the environment, and the film's answer."""
     return replace(scene, subject=None, experiment=None, water=None, temperature=None, film=None, response=None)
 
 
 def _with_all_errors(scene: Scene) -> Scene:
-    """The scene with the sizes of all errors, those of channels included."""
+    """Return the scene with the sizes of all errors, those of channels included."""
     sizes = usual(scene) or replace(USUAL, series_ohm=None, inl_lsb=None, wire_ohm_per_cell=None)
     spread = sizes.channel_spread_ohm or CHANNEL_OHM
     return replace(scene, systematic=replace(sizes, channel_spread_ohm=spread, reading_error=None))

@@ -154,7 +154,7 @@ def read_known_loads(path: Path) -> KnownLoads:
 
 
 def _as_yaml(path: Path) -> str:
-    """The table as YAML, line by line, so that a fault is named by its line."""
+    """Return the table as YAML, line by line, so that a fault is named by its line."""
     try:
         lines = path.read_text(encoding="utf-8-sig").splitlines()
         note_read(path)
@@ -173,7 +173,7 @@ def _as_yaml(path: Path) -> str:
 
 
 def _scalar(cell: str) -> float | str:
-    """A number where the cell holds one."""
+    """Return a number where the cell holds one."""
     for kind in (int, float):
         try:
             return kind(cell)

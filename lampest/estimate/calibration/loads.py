@@ -115,7 +115,7 @@ def calibrate_loads(recordings: Sequence[Recording], known: KnownLoads, toleranc
 
 
 def _odd_loads(loaded: Loaded) -> NDArray[np.bool_]:
-    """(loads) whose answer is off from the fit to all others by many times the usual deviation."""
+    """Return (loads) whose answer is off from the fit to all others by many times the usual deviation."""
     judged = MIN_JUDGED <= len(loaded.change) <= MAX_JUDGED
     deviation = deviations_from_others(loaded) if judged else np.full(len(loaded.change), np.nan)
     if np.isnan(deviation).all():
@@ -126,7 +126,10 @@ def _odd_loads(loaded: Loaded) -> NDArray[np.bool_]:
 
 
 def _unlike_first_guess(fitted: FittedResponse, pressure: Array, base: Response) -> str:
-    """A sentence where the film answers far more or less than the first guess, or loads press beyond its range."""
+    """Return a sentence on a film that answers far more or less than the first guess, or loads beyond its range.
+
+    '' where neither holds.
+    """
     middle, most = np.array([float(np.median(np.abs(pressure[pressure != 0])))]), max(map(abs, base.told_kpa))
     if middle[0] > most:
         return f"half of the loads press with more than {most:.3g} kPa, beyond what the first guess knows: {UNITS}"
@@ -138,7 +141,7 @@ def _unlike_first_guess(fitted: FittedResponse, pressure: Array, base: Response)
 
 
 def _beside(change: Array, felt: NDArray[np.bool_], pressure_sd: Array, together: NDArray[np.bool_]) -> Array:
-    """(loads) the largest answer of cells beside a foot over the median under it; 0 where no cell is beside."""
+    """Return (loads) the largest answer of cells beside a foot over the median under it; 0 where no cell is beside."""
     ratio = np.zeros(len(change))
     for number, same in enumerate(together):
         beside = (~felt[same] & (pressure_sd[same] == 0)).all(axis=0)
@@ -149,7 +152,7 @@ def _beside(change: Array, felt: NDArray[np.bool_], pressure_sd: Array, together
 
 
 def _named(sentence: str, concerned: NDArray[np.bool_]) -> str:
-    """The sentence with the loads that it concerns; '' where it concerns none."""
+    """Return the sentence with the loads that it concerns; '' where it concerns none."""
     numbers = (np.flatnonzero(concerned) + 1).tolist()
     more = f" and {len(numbers) - MAX_NAMED} more" if len(numbers) > MAX_NAMED else ""
     loads = f"load{'s' if len(numbers) > 1 else ''} {', '.join(map(str, numbers[:MAX_NAMED]))}{more}"
@@ -157,7 +160,7 @@ def _named(sentence: str, concerned: NDArray[np.bool_]) -> str:
 
 
 def _places(names: Sequence[str], loads: Sequence[KnownLoad]) -> NDArray[np.intp]:
-    """The index of each load's recording."""
+    """Return the index of each load's recording."""
     places = []
     for number, load in enumerate(loads):
         name = load.recording.removesuffix(".h5")

@@ -279,7 +279,7 @@ class Problem:
         return np.asarray(np.clip(volt, *usable_range(self.readout)))
 
     def expected(self, unknowns: Array, resistor: tuple[float, int] | None = None, reference: float = 0.0) -> Array:
-        """(readings) V, with one resistor larger by a factor exp(STEP), or the reference by 1 + reference."""
+        """Return (readings) V, with one resistor larger by a factor exp(STEP), or the reference by 1 + reference."""
         volts = []
         for trial in self.trials:
             cells = trial.cells.copy()
@@ -289,7 +289,10 @@ class Problem:
         return np.asarray(np.clip(np.concatenate(volts), *usable_range(self.readout)))
 
     def covariance(self, unknowns: Array, own_lsb: float = 0.0) -> Array:
-        """(readings, readings) V² of noise, quantisation, the converter's own error, resistors and the reference."""
+        """Return the covariance of the readings, (readings, readings) V².
+
+        Its parts are noise, quantisation, the converter's own error, resistors and the reference.
+        """
         at, names = self.expected(unknowns), dict.fromkeys(name for trial in self.trials for name in trial.resistors)
         moved = [*(self.expected(unknowns, name) for name in names), self.expected(unknowns, reference=STEP)]
         off = self.tolerance / np.sqrt(3) / STEP * (np.stack(moved, axis=1) - at[:, None])
@@ -369,12 +372,12 @@ def _fit(problem: Problem) -> CircuitFit:
 
 
 def _estimated(fit: CircuitFit, unknown: Unknown) -> CircuitNumber:
-    """A number with its covariance to first order in the unknowns. Raises InputError as `_check_number`."""
+    """Return a number with its covariance to first order in the unknowns. Raises InputError as `_check_number`."""
     trials = fit.problem.trials
     measured = {side: np.any([trial.connected(side) for trial in trials], axis=0) for side in unknown.lines}
 
     def values(unknowns: Array) -> Array:
-        """The mean over measured lines, then the lines' offsets from it."""
+        """Return the mean over measured lines, then the lines' offsets from it."""
         value, centred = unknown.common(unknowns), list[Array]()
         for side, off in unknown.offsets(unknowns).items():
             mean = off[measured[side]].mean()
@@ -455,7 +458,7 @@ def _check_number(where: str, estimate: CircuitNumber, specified: float) -> None
 
 
 def _with_estimates(scene: Scene, numbers: Sequence[CircuitNumber], noise: float | tuple[float, ...] | None) -> Scene:
-    """The scene with the estimated numbers, rounded to a milliohm; a list where lines differ."""
+    """Return the scene with the estimated numbers, rounded to a milliohm; a list where lines differ."""
     readout: Any = scene.readout if noise is None else replace(scene.circuit, noise_lsb=noise)
 
     def rounded(value: float) -> float:

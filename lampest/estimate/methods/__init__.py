@@ -16,7 +16,10 @@ MethodName = Literal[Optimal, Approximate, "smoother"]
 
 
 def named_method(method: "Method | str") -> Method:
-    """The method that a bare word stands for; a method as it is. Raises InputError where there is none of that name."""
+    """Return the method of a name; a method is returned as it is.
+
+    Raises InputError where there is none of that name.
+    """
     if isinstance(method, Method):
         return method
     kinds = members_by_kind(AnyMethod)

@@ -234,7 +234,10 @@ class Joint:
         return Chain(own, tie, border * free[:, :, None], corner)
 
     def _bordered(self, columns: Array) -> tuple[Array, Array]:
-        """What errors of readings (frames, readings, m) have in common with (u, w), (frames, cells + n, m), and z."""
+        """Return the covariances of errors of readings with (u, w) and with z.
+
+        The errors are (frames, readings, m), those of (u, w) (frames, cells + n, m).
+        """
         parts = zip(self.models, self._sizes, self.sensitivities, self.frames.shared, columns, strict=True)
         border, corner = [], []
         for model, size, rows, known, own in parts:
@@ -244,7 +247,7 @@ class Joint:
         return np.stack(border), np.sum(corner, axis=0)
 
     def answer(self, columns: Array) -> Array:
-        """What errors of readings (frames, readings, n) that Φ knows nothing of do to u, (frames, cells, n)."""
+        """Return what errors of readings (frames, readings, n) that Φ knows nothing of do to u, (frames, cells, n)."""
         right, corner = self._bordered(columns)
         steps = np.zeros((len(self.stiffness), columns.shape[2]))
         return self.chain.solve(right * ~self.pressed[:, :, None], np.concatenate([corner, steps]))[0][:, : self.cells]
@@ -262,7 +265,7 @@ class Joint:
         return np.asarray(self.steps**2 + self.chain.step_variance(less)[:, : self.cells])
 
     def newton(self) -> tuple[Array, Array]:
-        """The Newton step of (u, w) (frames, cells + n), and of z and c."""
+        """Return the Newton step of (u, w) (frames, cells + n), and of z and c."""
         shared = np.einsum("tri,tr->i", self.frames.shared, self._through)
         slope = np.concatenate([shared, -np.sum(self.stiffness * self.steps, axis=1)]) + self._shifted * self.certainty
         cells, shift = self.chain.solve(-np.where(self.pressed, 0.0, self.gradient)[..., None], -slope[:, None])
@@ -346,7 +349,7 @@ def _certainty(joint: Joint, chain: Chain, frame: int) -> Certainty:
 
 
 def error_bars(joint: Joint, resting: int, beyond: Shared | None = None) -> tuple[Certainty, tuple[Bars, ...]]:
-    """The baseline's, which is the last of `resting` frames, and those of the frames after it.
+    """Return the baseline's, which is the last of `resting` frames, and those of the frames after it.
 
     beyond : what all readings share, of which Φ knows nothing; or None.
     """

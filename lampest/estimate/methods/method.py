@@ -75,19 +75,22 @@ class Method(Validated):
         return any(term.needs_previous for term in terms)
 
     def solver(self, cost: Cost, scene: Scene, settings: Settings, period: float) -> Solver:
-        """What minimises a cost on frames `period` seconds apart; built once per process and kept."""
+        """Return what minimises a cost on frames `period` seconds apart; built once per process and kept."""
         return ProjectedNewton(cost, settings)
 
     @abstractmethod
     def solution(self, solver: Solver, data: Data, previous: Array | None, prepared: Any) -> Solution:
-        """The cells of a frame; previous : (1, rows, columns) ohm or None; prepared : `SequenceState.prepared`."""
+        """Return the cells of a frame.
+
+        previous : (1, rows, columns) ohm or None; prepared : `SequenceState.prepared`.
+        """
 
     def guess(self, readout: Readout, measured: Array) -> Array:
-        """What stands for the previous frame where there is none, the same shape, ohm."""
+        """Return what stands for the previous frame where there is none, the same shape, ohm."""
         return readout.uniform_start(measured)
 
     def prepared_by(self, solution: Solution, prepared: Any) -> Any:
-        """What is prepared for the next frame after a solution; by default what was prepared for this one."""
+        """Return what is prepared for the next frame after a solution; by default what was prepared for this one."""
         return prepared
 
     def joint_start(self, objective: Objective) -> bool:
@@ -98,7 +101,9 @@ class Method(Validated):
         return self.joint and objective.relative and not objective.weighs_previous
 
     def given(self, state: SequenceState, readings: Readings) -> tuple[Data, Array | None]:
-        """What the solve of a frame is given, with the baseline where both are solved jointly, and where it may start.
+        """Return the data of a frame's solve, and its start or None.
+
+        The data include the baseline where both are solved jointly.
 
         The joint pair: paper, equations (15) and (21).
         """
@@ -140,7 +145,7 @@ class Method(Validated):
             return Step(solution, choice + perf_counter() - begin, weights, weight_sigma=objective.weight_sigma)
 
     def begin(self, state: S, solved: Step | None = None) -> S:
-        """The state after its baseline, which is solved alone; solved : that, where it is there already."""
+        """Return the state after its baseline, which is solved alone; solved : that, where it is there already."""
         alone = state.without_comparisons() if state.estimator.relative else state
         first = solved or self.solve(alone, *self.given(alone, state.resting))
         settled, baseline = with_contacts(alone, state.resting, first, self._elsewhere)
@@ -156,7 +161,7 @@ class Method(Validated):
         return state.with_baseline(baseline)
 
     def push(self, state: S, readings: Readings) -> tuple[S, Step]:
-        """The state after one frame's readings (rows, columns), and how they were solved."""
+        """Return the state after one frame's readings (rows, columns), and how they were solved."""
         data, start = self.given(state, readings)
         step, pair = self.solve(state, data, start), len(data.measured) == 2
         if pair:
@@ -172,7 +177,7 @@ class Method(Validated):
     def sequence(
         self, state: S, resting: Readings, readings: Readings, on_frame: Callable[[], None]
     ) -> tuple[S, list[Step]]:
-        """The state after a whole recording's readings (frames, rows, columns), and how they were solved.
+        """Return the state after a whole recording's readings (frames, rows, columns), and how they were solved.
 
         Of methods that need all frames `together`. resting : of the unloaded frames, of which the state has the mean.
         on_frame : called after every frame.
@@ -180,11 +185,11 @@ class Method(Validated):
         raise TypeError(f"{self.kind} takes frames one by one")
 
     def _elsewhere(self, state: SequenceState, readings: Readings, near: Array) -> Step:
-        """A frame solved with another state, begun at cells that are known."""
+        """Return a frame solved with another state, begun at cells that are known."""
         return self.solve(state, self.given(state, readings)[0], near)
 
     def _barred(self, state: SequenceState, step: Step, readings: Readings) -> tuple[Track | None, Step]:
-        """The step that was solved from readings with error bars, where they are wanted and can be had."""
+        """Return the step that was solved from readings with error bars, where they are wanted and can be had."""
         if state.track is None or (model := step.surroundings()) is None:
             return state.track, step
         begin = perf_counter()
@@ -253,11 +258,11 @@ class OptimalMethod(Method):
         return _solver(cost, scene.circuit, kind, settings)
 
     def solution(self, solver: Solver, data: Data, previous: Array | None, prepared: Any) -> Solution:
-        """The best optimum of all starts that a frame deserves; prepared : what that frame kept, or None."""
+        """Return the best optimum of all starts that a frame deserves; prepared : what that frame kept, or None."""
         return best_solution(solver, data, previous, prepared)
 
     def prepared_by(self, solution: Solution, prepared: Any) -> Any:
-        """The preconditioner of a single frame."""
+        """Return the preconditioner of a single frame."""
         return solution.preconditioner if solution.solved and len(solution.cell_resistance) == 1 else None
 
 

@@ -93,11 +93,11 @@ class SmootherMethod(Method):
             )
 
     def compares(self, terms: tuple[Term, ...]) -> bool:
-        """Always: the unloaded panel is the first frame."""
+        """Return True: the unloaded panel is the first frame."""
         return True
 
     def solution(self, solver: Solver, data: Data, previous: Array | None, prepared: Any) -> Solution:
-        """A frame alone, from which all of them begin."""
+        """Return a frame alone, from which all of them begin."""
         return OptimalMethod("reduced").solution(solver, data, previous, None)
 
     def sequence(
@@ -132,7 +132,10 @@ class SmootherMethod(Method):
         cells: Sequence[Array],
         on_frame: Callable[[], None],
     ) -> tuple[S, list[Step]]:
-        """The state with the baseline that the frames agree on, and their steps. cells : of the first, from before."""
+        """Return the state with the baseline that the frames agree on, and their steps.
+
+        cells : estimates of the first frames, from earlier solves.
+        """
         if not readings or state.baseline is None or not state.baseline.solution.solved:
             return state, [state.unsolved(Status.BREAKDOWN) for _ in readings]
         begin = perf_counter()
@@ -173,7 +176,10 @@ def _begun(
     cells: Sequence[Array],
     on_frame: Callable[[], None],
 ) -> tuple[list[Data], Array]:
-    """The data of all frames, the unloaded ones first, and log r (frames, cells) of each alone, by least squares."""
+    """Return the data of all frames, and log r of each alone by least squares, (frames, cells).
+
+    Unloaded frames come first.
+    """
     assert state.baseline is not None
     terms = tuple(replace(term, loss=Squared()) for term in state.estimator.terms)
     alone, reduced = replace(state, estimator=state.estimator.with_terms(terms)), OptimalMethod("reduced")
@@ -207,7 +213,7 @@ def _checked(joint: Joint, rounds: int, fault: Status) -> list[Solution]:
 
 
 def _barred(state: S, track: Track, joint: Joint, steps: list[Step]) -> tuple[S, list[Step]]:
-    """The state with the baseline's error bars, and the steps, of which it is the first, with theirs."""
+    """Return the state with the baseline's error bars, and the steps, of which it is the first, with theirs."""
     begin = perf_counter()
     beyond = None if track.shared is None else track.shared.beyond(joint.frames.errors)
     baseline, bars = error_bars(joint, len(joint.position) - len(steps) + 1, beyond)
@@ -244,12 +250,14 @@ class Walk:
         return np.asarray(self._scale * slope / (1 + self.unrest(squares)) + JUMP_SD**-2)
 
     def unrest(self, squares: Array) -> Array:
-        """a, (cells)."""
+        """Return a, (cells)."""
         size = self._size(squares)
         return np.asarray(np.mean(self.most**2 * size / (self.most**2 + size), axis=0))
 
     def drawn_down(self, squares: Array, stiffness: Array, least: float) -> tuple["Walk", bool]:
-        """(the next walk, never below `least`, whether it may go on): while still cells do not step further than it.
+        """Return the next walk, never below `least`, and whether it may go on.
+
+        It goes on while still cells do not step further than it.
 
         Still is the half of the cells with the least unrest. stiffness : that the squares were found with. A cell's
         likeliest walk is where λ E x² is 1 in the mean.

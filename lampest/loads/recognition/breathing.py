@@ -85,7 +85,7 @@ class Patterns:
         return Patterns(own, rim, moves, self.others), left.T
 
     def weights(self, depth: float, noise: float, moving: float = 0.0) -> Array:
-        """(readings) by which they sum to the amplitude of suction, by least squares about a depth.
+        """Return (readings) by which they sum to the amplitude of suction, by least squares about a depth.
 
         moving : standard deviation by which the rim alone, the place and the tilt may change too.
         """
@@ -147,7 +147,7 @@ def suction_weights(patterns: Patterns, whitening: Array) -> Array:
 
 
 def breath(times: Array, changes: Array, patterns: Patterns) -> Breath | None:
-    """What a window shows; None where it is too short.
+    """Return what a window shows; None where it is too short.
 
     times : (frames) s. changes : (frames, readings) of unit variance.
     """

@@ -30,7 +30,7 @@ class Several(Candidate):
 
     @classmethod
     def of(cls, parts: tuple[Candidate, ...]) -> "Several":
-        """Called by the names of all."""
+        """Return the names of all as one word."""
         return cls(label=AND.join(part.label for part in parts), sucks=all(part.sucks for part in parts), parts=parts)
 
     def priors(self, panel: Panel) -> Mapping[str, Prior]:
@@ -48,7 +48,7 @@ class Several(Candidate):
         return [(part, slice(*pair)) for part, pair in zip(self.parts, pairwise(ends), strict=True)]
 
     def pressure(self, panel: Panel, patch_mm: float, parameters: Array) -> tuple[Array, Array]:
-        """The sum, and the slopes of each by its own numbers."""
+        """Return the sum, and the slopes of each by its own numbers."""
         each = [part.pressure(panel, patch_mm, own) for part, own in self.loads(parameters)]
         return np.sum([pressure for pressure, _ in each], axis=0), np.concatenate([slopes for _, slopes in each])
 
@@ -56,7 +56,7 @@ class Several(Candidate):
         return np.concatenate([part.start(disc) for part in self.parts])
 
     def like(self, candidate: Candidate, parameters: Array) -> Array | None:
-        """That of every part where there are as many."""
+        """Return that of every part where there are as many."""
         begin = [part.like(*load) for part, load in zip(self.parts, candidate.loads(parameters), strict=False)]
         known = [start for start in begin if start is not None]
         return np.concatenate(known) if len(known) == len(self.parts) == len(candidate.loads(parameters)) else None

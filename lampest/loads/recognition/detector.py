@@ -62,7 +62,7 @@ class Detector:
         return DiscSearch.over(self.panel, self.patch_mm, templates)
 
     def verdict(self, frame: Observation, before: Verdict | None = None) -> Verdict:
-        """What a frame shows. before : the verdict on an earlier one, whose loads are tried, too."""
+        """Return what a frame shows. before : the verdict on an earlier one, whose loads are tried, too."""
         if (calm := self.calm(frame)) is not None:
             return self._judged(calm, ())
         (field, without), verdicts = field_fit(frame), list[Verdict]()
@@ -87,7 +87,7 @@ class Detector:
         return self._spread(frame, max(verdicts, key=lambda verdict: verdict.evidence))
 
     def calm(self, frame: Observation) -> Observation | None:
-        """The frame without outliers where nothing else stands out, neither by its χ² nor like a template."""
+        """Return the frame without outliers where nothing else stands out, neither by its χ² nor like a template."""
         whitening, residual = Whitening.at_rest(frame), frame.residual()
         calm = frame.without(outliers(whitening, residual))
         errors = Whitening.at_rest(calm) @ residual
@@ -105,7 +105,7 @@ class Detector:
         return fit
 
     def with_errors(self, frame: Observation, fit: Fit) -> tuple[Observation, Whitening]:
-        """(the frame without the readings that contradict a fit, the errors about what it explains)."""
+        """Return (the frame without the readings that contradict a fit, the errors about what it explains)."""
         calm = frame.without(self._contradicting(frame, fit))
         return calm, Whitening.of(calm, self.explained(calm, fit), fit.scatter)
 
@@ -128,11 +128,11 @@ class Detector:
         return Fitting(self.panel, self.patch_mm, candidate, frame)
 
     def explained(self, frame: Observation, fit: Fit) -> Explained:
-        """What a fit to a frame explains."""
+        """Return what a fit to a frame explains."""
         return self._fitting(fit.candidate, frame).explained(fit)
 
     def _whole(self, frame: Observation, fit: Fit, explains: Fit, calm: Observation) -> Fit:
-        """A single fit, sharpened, with the whole width of its posterior."""
+        """Return a single fit, sharpened, with the whole width of its posterior."""
         scatter = frame.baseline.model_errors.response
         calm, fit = self._sharpened(frame, fit, explains, calm, scatter)
         whitening = Whitening.of(calm, self.explained(calm, fit), scatter)
@@ -141,7 +141,9 @@ class Detector:
     def _sharpened(
         self, frame: Observation, fit: Fit, explains: Fit, calm: Observation, scatter: float
     ) -> tuple[Observation, Fit]:
-        """(the frame without outliers, the fit to it) with the errors about what `explains` does, then about itself.
+        """Return the frame without outliers, and the fit to it.
+
+        Its errors are first those about the cells that `explains` gives, then about itself.
 
         calm : the frame to begin with. Outliers are sought every time among all readings, so that none stays out which
         a better fit explains.
@@ -163,7 +165,7 @@ class Detector:
         return outliers(whitening, fit.residual) if suspicious else np.zeros(0, dtype=np.intp)
 
     def _coarse(self, kinds: Sequence[Candidate], field: Fit, calm: Observation) -> list[Fit]:
-        """The best fit of every kind from where its templates match, with the errors about the field."""
+        """Return the best fit of every kind from where its templates match, with the errors about the field."""
         whitening = Whitening.coarse(calm, field.change)
         likelihood = CellLikelihood.about(calm, whitening, field.change)
         starts = self.search.starts(likelihood.normal, likelihood.pull)
@@ -179,7 +181,7 @@ class Detector:
         return fits
 
     def _settled(self, frame: Observation, fits: Sequence[Fit], field: Fit, calm: Observation) -> Verdict:
-        """The verdict on all candidates from coarse fits; field, calm : of `field_fit`.
+        """Return the verdict on all candidates from coarse fits; field, calm : of `field_fit`.
 
         All are weighed by what the best of them explains, from where they are or where that is. The film's relative
         deviation is that of LEVELS under which the frame is most probable.
@@ -198,7 +200,10 @@ class Detector:
         return self._judged(calm, (*fits, field))
 
     def _own(self, calm: Observation, fit: Fit) -> tuple[Fit, Whitening]:
-        """(a fit with the errors about what it explains, these): of LEVELS under which the frame is most probable."""
+        """Return a fit with the errors about the cells that it explains, and these errors.
+
+        Of LEVELS, that is taken under which the frame is most probable.
+        """
         fitting, explained = self._fitting(fit.candidate, calm), self.explained(calm, fit)
         response = calm.baseline.model_errors.response
         errors = [Whitening.of(calm, explained, level * response) for level in LEVELS]
@@ -239,7 +244,7 @@ class Detector:
         return [best] if best is sucking else [best, sucking]
 
     def _judged(self, frame: Observation, fits: Sequence[Fit]) -> Verdict:
-        """The verdict on these, on nothing, and on the same pressure everywhere."""
+        """Return the verdict on these, on nothing, and on the same pressure everywhere."""
         whitening = Whitening.at_rest(frame)
         uniform = [self._fitting(kind, frame).best(kind.mean(self.panel), whitening) for kind in UNIFORM]
         return Verdict.of(self.panel, (*uniform, *fits), frame)
@@ -253,7 +258,7 @@ class Detector:
         return bool(states(self.panel, left).max() > 1)
 
     def _spread(self, frame: Observation, verdict: Verdict) -> Verdict:
-        """The verdict with a single load as large as it may be."""
+        """Return the verdict with a single load as large as it may be."""
         best = verdict.best
         if best.candidate not in self.loads:
             return verdict
@@ -263,11 +268,11 @@ class Detector:
 
 
 def best_of(fits: Iterable[Fit]) -> Fit:
-    """The one with the least score, the first of equal ones."""
+    """Return the one with the least score, the first of equal ones."""
     return min(fits, key=lambda fit: fit.score)
 
 
 def discs_of(fit: Fit) -> list[Disc]:
-    """The discs of all its loads that are like one."""
+    """Return the discs of all its loads that are like one."""
     discs = [part.disc(own) for part, own in fit.loads]
     return [disc for disc in discs if disc is not None]

@@ -12,7 +12,7 @@ SD = np.array([0.005, 0.08, 0.4, 1.6])  # of ln r/r0 where nothing is, at half a
 
 
 def field_fit(frame: Observation) -> tuple[Fit, Observation]:
-    """(the most probable field with its evidence, the frame without the outliers that it shows).
+    """Return (the most probable field with its evidence, the frame without the outliers that it shows).
 
     x = ln r/r0 is Gaussian, each cell's σ that of one of four states, neighbours alike. Cells are marginalised about
     the most probable x; the states are those of a map of the cells or of the field itself, and paid for as a Potts
@@ -31,7 +31,7 @@ def _of_two_maps(frame: Observation) -> tuple[Fit, MostProbable]:
 
 
 def _with_states(frame: Observation, start: Array) -> tuple[Fit, MostProbable]:
-    """The most probable field with the states that ln r/r0 (rows, columns) shows, from there."""
+    """Return the most probable field with the states that ln r/r0 (rows, columns) shows, from there."""
     panel, none = frame.baseline.scene.panel, np.zeros(0)
     of_cells = states(panel, start)
     most_probable = frame.cells(start, prior(frame, SD[of_cells].ravel()))
@@ -44,7 +44,10 @@ def _with_states(frame: Observation, start: Array) -> tuple[Fit, MostProbable]:
 
 
 def prior(frame: Observation, sd: Array) -> Array:
-    """The covariance of ln r/r0 of cells with these standard deviations, partly alike in neighbours, (cells, cells)."""
+    """Return the covariance of ln r/r0 of cells with these standard deviations, (cells, cells).
+
+    Neighbours are partly alike.
+    """
     shared = frame.baseline.model_errors.common + frame.baseline.model_errors.near
     return np.asarray(np.outer(sd, sd) * ((1 - shared) * np.eye(sd.size) + shared * frame.baseline.near))
 

@@ -106,7 +106,7 @@ class Fitting:
     frame: Observation
 
     def at(self, parameters: Array, likelihood: CellLikelihood) -> Linearisation:
-        """The cost about φ."""
+        """Return the cost about φ."""
         pressure, by_parameter = self.pressure(parameters)
         change, response = self.frame.change(pressure)
         slopes = by_parameter.reshape(len(parameters), response.size) * response.ravel()
@@ -123,7 +123,7 @@ class Fitting:
         return Linearisation(parameters, change, slopes, misfit, cost, own @ (pulled - pull) + apart / sd, curvature)
 
     def about(self, parameters: Array, whitening: Whitening) -> CellLikelihood:
-        """The likelihood with the circuit linearised at φ."""
+        """Return the likelihood with the circuit linearised at φ."""
         return CellLikelihood.about(self.frame, whitening, self.frame.change(self.pressure(parameters)[0])[0])
 
     def descended(
@@ -134,7 +134,7 @@ class Fitting:
         most: float = np.inf,
         held: int | None = None,
     ) -> tuple[Linearisation, int]:
-        """(the model at the most probable φ that Levenberg and Marquardt's steps reach, its evaluations).
+        """Return (the model at the most probable φ that Levenberg and Marquardt's steps reach, its evaluations).
 
         most : a cost above which they end early. held : the number of a parameter that stays.
         """
@@ -151,14 +151,17 @@ class Fitting:
         return minimum.at, minimum.evaluations
 
     def best(self, start: Array, whitening: Whitening, most: float = np.inf, quick: bool = False) -> Fit:
-        """The most probable φ. most : a cost above which it ends early. quick : widths are those of the curvature."""
+        """Return the fit at the most probable φ.
+
+        most : cost above which the search ends early. quick : whether widths are those of the curvature.
+        """
         point, likelihood, steps = self.settled(start, whitening, most)
         return replace(self.fit_at(point, likelihood, whitening, quick or point.cost > most), steps=steps)
 
     def settled(
         self, start: Array, whitening: Whitening, most: float = np.inf, held: int | None = None
     ) -> tuple[Linearisation, CellLikelihood, int]:
-        """(the most probable φ with its exact cost, the likelihood about it, evaluations).
+        """Return (the most probable φ with its exact cost, the likelihood about it, evaluations).
 
         The circuit is linearised anew where the last search ended, until that changes nothing. most, held : as above.
         """
@@ -176,12 +179,12 @@ class Fitting:
         return *best, steps
 
     def stays(self, parameters: Array, whitening: Whitening) -> Fit:
-        """The fit at φ as it is."""
+        """Return the fit at φ as it is."""
         likelihood = self.about(parameters, whitening)
         return self.fit_at(self.at(parameters, likelihood), likelihood, whitening, quick=True)
 
     def fit_at(self, point: Linearisation, likelihood: CellLikelihood, whitening: Whitening, quick: bool) -> Fit:
-        """The fit with a likelihood that was linearised there."""
+        """Return the fit with a likelihood that was linearised there."""
         widths, spread = self._widths(point, likelihood, quick)
         covariance = spread @ spread.T + np.diag(self.candidate.blind(point.parameters) ** 2)
         evidence = float(np.log(widths).sum() - point.cost) - whitening.volume
@@ -216,7 +219,7 @@ class Fitting:
         return Explained(fit.change, np.abs(more - less) / 2, (large - small) / (1.1 - 0.9))
 
     def _widths(self, point: Linearisation, likelihood: CellLikelihood, quick: bool) -> tuple[Array, Array]:
-        """(standard deviations along the axes of the posterior over those of the prior, the root of its covariance).
+        """Return standard deviations along the posterior's axes over those of the prior, and a root of its covariance.
 
         Where a rim runs between patches, slopes are 0 and would give the width of the prior. There the cost one such
         width away on either side gives the width, of a parabola through that point.
@@ -232,7 +235,9 @@ class Fitting:
 
 
 def along_diameter(fitting: Fitting, fit: Fit, whitening: Whitening) -> Fit:
-    """The fit with the covariance of the posterior along ln d, where that is wider; itself where there is no diameter.
+    """Return the fit with the covariance of the posterior along ln d, where that is wider.
+
+    A fit without a diameter stays as it is.
 
     Between patches no reading sees a rim: the cost is flat there and steep beside it, and its curvature at the best φ
     promises too much. With δ = ln d stepped through, all other numbers fitted anew,

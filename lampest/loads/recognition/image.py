@@ -251,7 +251,7 @@ class ImageWatch:
         return np.asarray(corner + watch.panelled.detector.search.places[int(np.argmax(scores))])
 
     def _begun(self, window: Window, sigma: Array) -> Watch:
-        """A watch over modules that stands where theirs do."""
+        """Return a watch over modules that stands where theirs do."""
         panelled, layout = self.panelled, window.scene.layout
         parts = [self.modules[number] for number in window.numbers]
         known = [part for part in parts if part is not None]

@@ -130,7 +130,7 @@ class Baseline:
         return self.scene.response or PUBLISHED
 
     def network(self, change: Array | float = 0.0) -> Network:
-        """The solved network of cells r0·e^change."""
+        """Return the solved network of cells r0·e^change."""
         cells, circuit = np.exp(self.logarithm + change), self.scene.circuit
         return circuit.network(cells, circuit.ties(cells), self.scene.wiring)
 
@@ -204,7 +204,7 @@ class Observation:
         return np.asarray(total + np.diag(self.sigma.ravel() ** 2))
 
     def cells(self, start: Array, prior: Array) -> MostProbable:
-        """The most probable ln r/r0 of all cells, Gaussian with mean zero and this covariance, from a start."""
+        """Return the most probable ln r/r0 of all cells, Gaussian with mean zero and this covariance, from a start."""
 
         def model(change: Array) -> tuple[Array, Array, Array]:
             network = self.baseline.network(change.reshape(self.measured.shape))

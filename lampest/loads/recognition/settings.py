@@ -64,7 +64,7 @@ class ModelErrors:
         return replace(errors, channel_ohm=named.channel_spread_ohm, reference=reference)
 
     def resting_sd(self, seconds: float) -> float:
-        """Standard deviation of ln r of a cell at rest by itself, `seconds` after the baseline."""
+        """Return standard deviation of ln r of a cell at rest by itself, `seconds` after the baseline."""
         return hypot(self.drift * log10(1 + seconds / 60), self.settled)
 
     def resting_covariance(self, seconds: float, cells: int) -> Array:

@@ -61,12 +61,12 @@ class Panelled:
     common: Callable[[Array], Array] | None = None
 
     def frame(self, measured: Array, sigma: Array, baseline: Baseline, seconds: float) -> Observation:
-        """A mean of frames, as sure as one: films err alike in all of them."""
+        """Return a mean of frames, as sure as one: films err alike in all of them."""
         common = None if self.common is None else self.common(measured)
         return Observation(measured, sigma, baseline, self.water, seconds, common=common)
 
     def baseline(self, measured: Array, sigma: Array, frames: float) -> Baseline:
-        """The panel at rest from the mean of so many frames."""
+        """Return the panel at rest from the mean of so many frames."""
         scale = frames**-0.5
         common = None if self.common is None else scale * self.common(measured)
         return Baseline.of(measured, scale * sigma, self.scene, self.errors, common)
@@ -261,7 +261,7 @@ class Watch:
         return replace(watch, resting=watch.mean, rest_s=time, rested=max(1 / follows, self.rested), test=test)
 
     def _frame(self, logarithm: Array, time: float) -> Observation:
-        """Readings against the panel before the load, with what the film keeps of loads that left."""
+        """Return readings against the panel before the load, with what the film keeps of loads that left."""
         panelled, shape = self.panelled, self.panelled.scene.panel.shape
         baseline = panelled.baseline(np.exp(self.resting).reshape(shape), self.sigma, max(self.rested, 1.0))
         frame = panelled.frame(np.exp(logarithm).reshape(shape), self.sigma, baseline, time - self.rest_s)

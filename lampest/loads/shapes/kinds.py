@@ -69,7 +69,7 @@ class RoundCandidate(Candidate):
         return self.disc_with_slopes(parameters)[0]
 
     def disc_with_slopes(self, parameters: Array) -> tuple[Disc, Array]:
-        """The disc of φ, and its derivatives (8, parameters)."""
+        """Return the disc of φ, and its derivatives (8, parameters)."""
         place, at = self._places, parameters.tolist()
         slopes = np.zeros((8, len(at)))
         for number, name in ((0, "x"), (1, "y"), (6, "tilt_x"), (7, "tilt_y")):
@@ -114,14 +114,14 @@ class RoundCandidate(Candidate):
         return np.array([disc.x_mm, disc.y_mm, *others, *EVEN])
 
     def like(self, other: Candidate, parameters: Array) -> Array | None:
-        """That of the disc, as uneven where the other is round, too."""
+        """Return that of the disc, as uneven where the other is round, too."""
         begin = super().like(other, parameters)
         if begin is not None and isinstance(other, RoundCandidate):
             begin[-len(EVEN) :] = parameters[-len(EVEN) :]
         return begin
 
     def blind(self, parameters: Array) -> Array:
-        """That of the diameter: edge_mm/d in its logarithm."""
+        """Return that of the diameter: edge_mm/d in its logarithm."""
         unseen, place = np.zeros(len(parameters)), self._places["diameter"]
         unseen[place] = self.edge_mm / exp(parameters[place])
         return unseen
@@ -138,7 +138,7 @@ class RoundShape(Shape):
 
     @abstractmethod
     def disc(self) -> Disc:
-        """The disc. Raises ValueError where the shape's numbers make none."""
+        """Return the disc. Raises ValueError where the shape's numbers make none."""
 
     @property
     def reach_mm(self) -> float:
@@ -148,7 +148,7 @@ class RoundShape(Shape):
         return self.disc().pressure_at(x, y)
 
     def pressing(self, inner_mm: float, outer_mm: float, rim_kpa: float, suction_kpa: float | None = None) -> Disc:
-        """The disc with these numbers. Raises ValueError where a pressure is out of range."""
+        """Return the disc with these numbers. Raises ValueError where a pressure is out of range."""
         if suction_kpa is not None and not VACUUM_KPA < suction_kpa < 0:
             raise ValueError("pressure_kpa is a suction: it must be negative, and above -101 kPa, an empty space")
         if not 0 <= rim_kpa < inf:
@@ -300,7 +300,7 @@ class OralDisc(RoundShape):
         return contact * (1 + self.unevenness * np.cos(self.lobes * around)), suction
 
     def disc(self) -> Disc:
-        """The round one of the same area whose rim presses evenly, as hard in the mean."""
+        """Return the round one of the same area whose rim presses evenly, as hard in the mean."""
         if not 0 < 2 * self.rim_width_mm < self.diameter_mm:
             raise ValueError("rim_width_mm must be positive and below half the diameter")
         check_range("elongation", self.elongation, 1, 10)

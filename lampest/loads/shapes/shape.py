@@ -61,7 +61,7 @@ class Candidate(ABC):
         """φ where a fit begins that a disc suggests, (parameters)."""
 
     def disc(self, parameters: Array) -> Disc | None:
-        """The disc that is most like it, from which other kinds may start; None: there is none."""
+        """Return the disc that is most like it, from which other kinds may start; None: there is none."""
         return None
 
     def like(self, other: "Candidate", parameters: Array) -> Array | None:
@@ -74,11 +74,11 @@ class Candidate(ABC):
         return [(self, parameters)]
 
     def report(self, parameters: Array) -> dict[str, tuple[float, Array]]:
-        """What is reported of it by name, `x_mm`, `y_mm`, `diameter_mm` and `suction_kpa`: value and slopes by φ."""
+        """Return value and slopes by φ of the quantities `x_mm`, `y_mm`, `diameter_mm` and `suction_kpa`, by name."""
         return {}
 
     def blind(self, parameters: Array) -> Array:
-        """Standard deviation of φ that no reading takes away, because all patches may be off alike, (parameters)."""
+        """Return the standard deviation of φ that no reading reduces, (parameters): all patches may be off alike."""
         return np.zeros(len(parameters))
 
     def mean(self, panel: Panel) -> Array:

@@ -81,7 +81,10 @@ class Detected:
         change: Array | None = None,
         panel: Panel | None = None,
     ) -> "Detected":
-        """The most alarming of all attachments, of these what is still there, the last one; rate : frames a second."""
+        """Return the most alarming of all attachments: of these those still present, of these the last.
+
+        rate : frames a second.
+        """
         loads = [*filter(lambda load: load.present, reversed(attachments)), *reversed(attachments)]
         called = [answer_of(load, rate) for load in loads]
         chosen = min(called, key=lambda load: ANSWERS.index(load[0]), default=(NOTHING, BARE, ""))

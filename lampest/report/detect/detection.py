@@ -101,7 +101,7 @@ class Known:
         return self.detected(watch.ended(), frame_rate([time for time, _ in course]), np.array(course).T)
 
     def detected(self, watch: Watch | ImageWatch, rate: float, course: Array | None = None) -> Detected:
-        """What the frames so far show, at so many frames a second; course : as `Detected` has it."""
+        """Return what the frames so far show, at so many frames a second; course : as `Detected` has it."""
         attachments, response = watch.attachments, self.scene.response
         if watch.doubt and not attachments:
             return replace(Detected.unknown(self.name, watch.doubt), frames_per_second=rate, course=course)
@@ -161,7 +161,7 @@ def detect_recording(
     frames: range | None = None,
     on_frame: Callable[[int, int], None] = lambda done, total: None,
 ) -> Detected:
-    """What a recording shows, read part by part. Raises InputError where it cannot be read.
+    """Return what a recording shows, read part by part. Raises InputError where it cannot be read.
 
     on_frame : called with the number of frames that were looked at, and that of all.
     """
@@ -189,7 +189,7 @@ def detect_recording(
 
 
 def known_of(prepared: Prepared, patch_mm: float | None = None) -> "Known | Detected":
-    """What the first frames of a recording show, or why nothing can be said."""
+    """Return what the first frames of a recording show, or why nothing can be said."""
     head = prepared.recording
     readings, notes = head.readings(), tuple[str, ...]()
     unloaded = np.flatnonzero(head.role == UNLOADED)

@@ -42,7 +42,7 @@ class Formulation(ABC):
 
     @abstractmethod
     def potentials(self, readout: Readout, network: Network) -> Array:
-        """The values of `NetworkSymbols.potentials` in a solved network, in ohm."""
+        """Return the values of `NetworkSymbols.potentials` in a solved network, in ohm."""
 
     @abstractmethod
     def multipliers(self, readout: Readout, network: Network, tie: Array, slope: Array) -> Array:
