@@ -1,4 +1,4 @@
-"""Frames of many streams at once: what a batch can solve goes into one, and every other stream solves by itself."""
+"""Frames of many streams at once: as many as possible in batches, all others one by one."""
 
 import os
 from collections.abc import Callable, Hashable, Iterator, Sequence
@@ -117,7 +117,7 @@ def _solved_together(
     inverses: InverseHessians,
     solve: Callable[["Together", InverseHessians], Sequence[W | None]],
 ) -> dict[int, W]:
-    """Return number → what `solve` makes of the streams that batches solve, blocks in threads beside each other."""
+    """Return the results of `solve` for the streams that batches solve, by number; blocks run in threads."""
 
     def solved(block: Together) -> dict[int, W]:
         with np.errstate(all="ignore"), suppress(*BROKEN):
@@ -221,7 +221,10 @@ class Together:
         return cls(numbers, streams, PanelBatch(cost, weights, data, place), estimator.solver, sigma)
 
     def rested(self, inverses: InverseHessians) -> list[Step | None]:
-        """How every baseline was solved, with what error bars follow from; None where no minimum was verified."""
+        """Return the step of every baseline, with the surroundings for error bars.
+
+        None where no minimum was verified.
+        """
         ended, steps = self._solved(inverses)
         for number, step in enumerate(steps):
             if step is not None and self.streams[number].track is not None:

@@ -65,7 +65,7 @@ class CellsFit(SumOfSquares):
 
     @classmethod
     def at(cls, data: Data, readings: Readings, network: Network) -> "CellsFit":
-        """Return what a solved network leaves of the readings."""
+        """Return the fit of a solved network to the readings."""
         residual, weight = _residual(network, readings)
         jacobian = np.zeros((residual.size, 0))
         if readings.value.size <= MOST_CELLS:
@@ -84,7 +84,7 @@ class CellsFit(SumOfSquares):
 
     @cached_property
     def degrees(self) -> float:
-        """Readings less what the cells can follow; at least 1."""
+        """Number of readings less the degrees of freedom of the cells; at least 1."""
         return max(float(np.sum(self.readings.seen)) - _followed(self.normal), 1.0)
 
     @cached_property
@@ -114,7 +114,7 @@ def fitted(
     """argmin Σ ((f(r) − y)/σ)² of one frame over r > 0; None where it is not reached, or arithmetic breaks down.
 
     near : cells (rows, columns) ohm to begin at; None: the readout's start. patient : every start is tried, else a few
-    iterations must do. effects : of the network beside its circuit; what is reached from `near` is taken then.
+    iterations must do. effects : of the network beside its circuit; the fit that is reached from `near` is taken then.
     """
     try:
         with np.errstate(all="ignore"):
@@ -170,8 +170,8 @@ class JointFit:
     """argmin χ² of an unloaded panel and a frame while only some cells have moved, beside a factor common to all.
 
     Unknowns are log r of the unloaded cells, that of the factor, the resistance in series in UNIT of `most` (the
-    largest one, ohm; 0: as it is), and what moved cells changed beside the factor. pair : the readings of both frames.
-    position : log r of each (2, cells). moved : (cells). series : d residual/d(the third), where the fit began.
+    largest one, ohm; 0: as it is), and the changes of moved cells beside the factor. pair : the readings of both
+    frames. position : log r of each (2, cells). moved : (cells). series : d residual/d(the third), where the fit began.
     """
 
     rival: Rival
@@ -281,7 +281,7 @@ class JointFit:
 
     @property
     def _change(self) -> Array:
-        """Of log r, less what all cells that did not move changed by."""
+        """Change of log r less that of the cells that did not move."""
         change = self.position[1] - self.position[0]
         return np.asarray(change - np.median(change if self.moved.all() else change[~self.moved]))
 
@@ -294,7 +294,7 @@ class JointFit:
 
     @property
     def score(self) -> float:
-        """χ², and what moved cells, readings taken for bounds and another resistance in series cost."""
+        """χ², and the prices of moved cells, of readings taken for bounds and of another resistance in series."""
         counted = self.moved.sum() + sum(readings.bounds.sum() for readings in self.pair)
         return float(2 * self.squares.cost + PRICE * (int(counted) + (self.rival.in_series is not None)))
 
@@ -305,7 +305,7 @@ class JointFit:
 
     @property
     def beyond_noise(self) -> float:
-        """The score without what noise alone would leave."""
+        """The score without the χ² of noise alone."""
         return self.score - self._expected
 
     @property

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from lampest.panel.panel import Array
 from lampest.solvers.preconditioners import Cholesky
 
-# −2 log probability, per cell that is said to move: what a cell gains at random is χ² of one degree, and the largest of
+# −2 log probability, per cell that is said to move: a cell's gain at random is χ² of one degree, and the largest of
 # 400 such exceeds 12 in one case of five.
 PRICE = 12.0
 FEWEST = 0.3  # of the cells must stand still: else a load covers the panel
@@ -41,7 +41,7 @@ def apart_from_moved(still: NDArray[np.bool_], shape: tuple[int, ...]) -> NDArra
 
 
 def selected(slope: Array, precision: Array) -> tuple[float, Chosen]:
-    """Return (what is lost, cells that must have moved) of changes d with −2 log density dᵀ·precision·d − 2 slope·d.
+    """Return the loss and the cells that must have moved, of changes d with −2 log density dᵀ·precision·d − 2 slope·d.
 
     Cells are taken back that are not needed, from those that one after the other must have moved, and from all.
     """
@@ -107,7 +107,7 @@ def _swept(
     sign : int
     """
     every, total, taken = np.arange(len(vector)), np.zeros(len(vector)), np.zeros(vector.shape, dtype=bool)
-    rows = np.empty((len(vector), 16, vector.shape[1]))  # of the pivoted Cholesky factors of what is taken
+    rows = np.empty((len(vector), 16, vector.shape[1]))  # of the pivoted Cholesky factors of the cells taken
     for number in range(vector.shape[1]):
         worth = vector**2 / np.maximum(size, 1e-300)
         cells = np.argmax(np.where(taken, -np.inf, sign * worth), axis=1)

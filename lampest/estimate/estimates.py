@@ -1,4 +1,4 @@
-"""What an estimator made of a recording's frames, as arrays."""
+"""Estimates of a recording's frames, as arrays."""
 
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -25,7 +25,7 @@ from lampest.recording.recording import Recording
 from lampest.solvers.solution import Status
 
 OVERRULED = 5.0  # times the noise: a penalty that the data choose leaves readings within it
-AT_RAILS = {  # what stands for the solver's own sentence where readings are at or beyond a rail
+AT_RAILS = {  # in place of the solver's own sentence where readings are at or beyond a rail
     Status.HELD: "an optimum, but readings at or beyond {} keep cells at their bounds and are missed",
     Status.FLAT: "an optimum, but readings at or beyond {} leave some cells undetermined",
     Status.FAINT: "an optimum, but readings at or beyond {} determine some cells so weakly that they may still move",
@@ -104,15 +104,15 @@ def frame_misfit(model: Array, measured: Array, sigma: Array, resolution: Array 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Estimates:
-    """Cell resistances of a recording's measured frames, and what follows from them.
+    """Cell resistances of a recording's measured frames, with their error bars, changes and pressures.
 
-    What is said of cells is (frames, rows, columns) over the measured frames, NaN where a frame failed. What needs
+    Values of cells are (frames, rows, columns) over the measured frames, NaN where a frame failed. What needs
     error bars is None where there are none: the noise is unknown, the panel is large, or the method ends at no
     optimum. A frame that alone has none holds infinity.
 
     Parameters
     ----------
-    recording, estimator : what was estimated, and how; weights that were chosen for the whole recording are numbers.
+    recording, estimator : the data and the method; weights that were chosen for the whole recording are numbers.
     frame : (frames) index into the recording.
     readings, resting : (frames, rows, columns) and (rows, columns) what it was given: numbers, bounds, or nothing.
     baseline_resistance : (rows, columns) ohm, cells of the unloaded panel.
@@ -150,7 +150,7 @@ class Estimates:
 
     @property
     def method(self) -> str:
-        """What was minimised, and how, in words: `misfit + gradient, nodal`."""
+        """The terms and the formulation in words: `misfit + gradient, nodal`."""
         return f"{' + '.join(map(term_kind, self.estimator.terms))}, {self.estimator.method.kind}"
 
     @property
@@ -279,7 +279,7 @@ class Estimates:
 
     @property
     def pressing(self) -> NDArray[np.bool_] | None:
-        """(frames, rows, columns) where a load presses, beyond errors and what the film keeps of earlier loads."""
+        """(frames, rows, columns) where a load presses, beyond errors and the film's residue of earlier loads."""
         return None if self.pressure is None or self._load is None else self._load.pressing.astype(bool)
 
     @property
@@ -303,7 +303,7 @@ class Estimates:
 
     @cached_property
     def checks(self) -> tuple[str, ...]:
-        """What speaks against the estimates, one line each: failed frames, weights, roles and units, circuit, noise."""
+        """Doubts about the estimates, one line each: failed frames, weights, roles and units, circuit, noise."""
         failed = unsolved(self.solved, self.status)
         return tuple(filter(None, (failed, self._overruled, *self.prepared.warnings)))
 
@@ -331,9 +331,9 @@ class Estimates:
 
     @cached_property
     def film(self) -> FilmKnown | None:
-        """What is known of the film's strengths; None where the scene names no film, or nothing has error bars.
+        """Strengths of the film's memory; None where the scene names no film, or nothing has error bars.
 
-        What the scene leaves open is estimated from the frames after a load was taken off.
+        Strengths that the scene leaves open are estimated from the frames after a load was taken off.
         """
         film, known = self.recording.scene.film, log_change(self)
         return None if film is None or known is None else FilmKnown.specified(film).estimated(*known, self.time)
@@ -374,7 +374,10 @@ class Estimates:
 
 
 def log_change(estimates: Estimates) -> tuple[Array, Array] | None:
-    """(ln(r/r0) without what warmth does, its standard deviation), (frames, rows, columns); None without error bars."""
+    """(ln(r/r0) without the effect of temperature, its standard deviation), (frames, rows, columns).
+
+    None without error bars.
+    """
     if estimates._bars is None:
         return None
     warmth = estimates.recording.scene.temperature

@@ -66,7 +66,7 @@ class Estimator(Objective):
 
     @cached_property
     def method(self) -> Method:
-        """What the formulation's word stands for."""
+        """The method that the formulation's word names."""
         return named_method(self.formulation)
 
     @property

@@ -30,17 +30,17 @@ MOST_MODULES = 3  # of which the circuit is checked: one after the other takes i
 MIN_AWAY, MAX_SPREADS, ROBUST = 0.15, 4.0, 1.4826
 MOST_MISSING = 0.1  # of the readings: with a fifth missing or bounds, nothing shows which cells must have moved
 NEARLY_ALL = 0.98  # of the largest resistance in series: with all of it nothing is left for the panel
-GRID = 5  # resistances in series that are tried; what lies between is found by steps
+GRID = 5  # resistances in series that are tried; values between are reached by steps
 
 
 @dataclass(frozen=True)
 class ModelCheck:
-    """What was found, for people in `sentence` (ASCII, as results files keep it).
+    """Result of the check, for people in `sentence` (ASCII, as results files keep it).
 
     explains : whether nothing speaks against the specified circuit; None: not checked, because the noise is unknown or
     no fit was found. better : the circuit that explains the readings better, as a scene would name it; ''.
     noise : by how much the unloaded frames scatter beyond the specified noise; 1 where not noticeably. together : how
-    all cells changed alike, in words; ''. besides : whether effects beside the circuit are what explains best. lying :
+    all cells changed alike, in words; ''. besides : whether effects beside the circuit explain best. lying :
     whether a load may lie on the unloaded panel.
 
     >>> lampest.ModelCheck(True, "the circuit explains its readings").mark
@@ -240,7 +240,7 @@ def noise_factor(resting: Readings) -> float:
 
 
 def _unexplained(explanation: "Explanation", question: Question) -> str:
-    """Return what the cells leave unexplained, in words; '' where nothing."""
+    """Return the unexplained part of the readings, in words; '' where there is none."""
     worst = int(np.argmin([fit.tail for fit in explanation.fits]))
     fit, what = explanation.fits[worst], question.loaded if worst else "the unloaded panel"
     if fit.tail >= LEVEL:
@@ -344,7 +344,7 @@ class Explanation:
 def better_rival(rivals: list[Rival], question: Question, specified: Explanation | None) -> Better:
     """Return the rival that explains the readings where the scene's circuit does not, or by MARGIN better.
 
-    rivals : the scene's circuit first. specified : what that explains; None where it does not. No rival is one under
+    rivals : the scene's circuit first. specified : its explanation; None where it has none. No rival is one under
     which most cells have moved, for nothing then shows which have not, or as many as under the scene's circuit.
     """
     if specified is None:
@@ -365,7 +365,7 @@ def better_rival(rivals: list[Rival], question: Question, specified: Explanation
     best = min(_others(given, specified, rivals[1:], question), key=lambda fit: fit.beyond_noise, default=None)
     if best is None or not _beaten(given, best):
         return Better()
-    # What moved under the rival may have moved under the specified circuit.
+    # Cells that moved under the rival may have moved under the specified circuit.
     again = specified.joint(question, best.moved)
     count, plain = int(best.moved.sum()), int(min(given.moved.sum(), again.moved.sum()))
     if not _beaten(again, best) or count >= plain or not _beyond_channels(specified, best.rival, question):

@@ -27,7 +27,7 @@ from lampest.recording.readings import Readings
 from lampest.solvers.batch import InverseHessians
 from lampest.solvers.solution import OPTIMA, Status
 
-WORST = (*OPTIMA, Status.APPROXIMATE)  # of what counts as an estimate, the last is the weakest
+WORST = (*OPTIMA, Status.APPROXIMATE)  # of all that count as estimates, the last is the weakest
 C = TypeVar("C", Certainty, Change)
 Own = Callable[[Scene, int | None], tuple[Estimator, Readings]]  # of a network: its module's number, or None
 

@@ -1,4 +1,4 @@
-"""What a recording's own frames show of its noise, beside what the scene says, and readings that allow for it."""
+"""Noise of a recording as its own frames show it, and readings that allow for it."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -33,17 +33,17 @@ LEAST_LEFT = 0.1  # of a reading, however fast it changes
 
 @dataclass(frozen=True, eq=False)
 class NoiseSeen:
-    """What unloaded frames and neighbours in time show.
+    """Noise that unloaded frames and neighbours in time show.
 
     outliers : (frames, rows, columns). outlier_rate : share of the unloaded readings that are, or, without enough of
-    them, of all. warnings : what contradicts the scene, or may mislead, a line each. readings : of all frames, which
+    them, of all. warnings : contradictions of the scene and pitfalls, a line each. readings : of all frames, which
     allow for all this. factor, factor_error : of each reading's own noise against the specified one, and its standard
-    deviation; NaN where fewer than two unloaded frames show nothing. used : by what σ is multiplied, 1 where nothing
-    contradicts the scene. frame : what the readings of a frame share, or None. gain : as a fraction; together, apart :
-    rms in LSB, of what all scanned lines of a frame share and of what each has anew; 0 where not seen. hidden : what
-    still cells leave possible of errors that all frames share, or None. share : of its period that a scan seems to
-    take, where loads move within it; else 0. of_modules : the same of each module, None of a dead one; () of a single
-    network. besides : the effects that are taken off the readings, or None.
+    deviation; NaN where fewer than two unloaded frames show nothing. used : factor of σ, 1 where nothing
+    contradicts the scene. frame : errors that the readings of a frame share, or None. gain : as a fraction; together,
+    apart : rms in LSB, of the part that all scanned lines of a frame share and of that of each line; 0 where not seen.
+    hidden : what still cells leave possible of errors that all frames share, or None. share : of its period that a scan
+    seems to take, where loads move within it; else 0. of_modules : the same of each module, None of a dead one; () of a
+    single network. besides : the effects that are taken off the readings, or None.
     """
 
     outliers: NDArray[np.bool_]
@@ -80,7 +80,7 @@ class NoiseSeen:
 
     @property
     def learned(self) -> str:
-        """What the frames showed, contradiction or not, in one line; '' where the noise is unknown."""
+        """Noise of the frames in one line, contradiction or not; '' where it is unknown."""
         if np.isnan(self.factor):
             return ""
         taken = "not rescaled" if self.used == 1 else f"rescaled by {self.used:.3g}"
@@ -113,7 +113,7 @@ class NoiseSeen:
 
 
 def with_still_cells(seen: NoiseSeen, recording: Recording, sizes: Systematic) -> NoiseSeen:
-    """Return the noise with what the still cells of a single network show.
+    """Return the noise with the errors that the still cells of a single network show.
 
     Parameters
     ----------
@@ -138,7 +138,7 @@ def with_still_cells(seen: NoiseSeen, recording: Recording, sizes: Systematic) -
 
 
 def without_effects(seen: NoiseSeen, recording: Recording, besides: Besides | None) -> NoiseSeen:
-    """With what leaks and contacts did taken off the readings."""
+    """Return the noise with the effects of leaks and contacts taken off the readings."""
     if besides is None or besides.pair is None:
         return seen
     unloaded = recording.role == UNLOADED
@@ -150,7 +150,7 @@ def without_effects(seen: NoiseSeen, recording: Recording, besides: Besides | No
 
 
 def scatter_seen(recording: Recording, outliers: NDArray[np.bool_], cleaned: Readings) -> NoiseSeen:
-    """Return what the unloaded frames of a single network show."""
+    """Return the noise that the unloaded frames of a single network show."""
     readout, resting = recording.scene.readout, recording.role == UNLOADED
     unloaded = int(resting.sum())
     counted = outliers[resting] if unloaded >= LEAST_FRAMES and cleaned.sigma is not None else outliers
@@ -192,7 +192,7 @@ def scatter_seen(recording: Recording, outliers: NDArray[np.bool_], cleaned: Rea
 
 
 def joined_noise(recording: Recording, layout: Modules, every: Sequence[NoiseSeen | None]) -> NoiseSeen:
-    """Return what the frames of all modules show; a dead one shows nothing."""
+    """Return the noise that the frames of all modules show; a dead module shows none."""
     given = recording.readings()
     readings = [given.of_module(layout, n) if seen is None else seen.readings for n, seen in enumerate(every)]
     nothing = np.zeros(recording.modules[0].recorded.shape, dtype=bool)
@@ -283,7 +283,7 @@ def scan_share(scene: Scene, resting: Readings, readings: Readings, measured: ND
         return 0.0
 
     def left(share: float) -> tuple[list[float], float]:
-        """(χ²'s tails, Σ log(1 + χ²)) of what cells leave of the frames once share·Δ·τ is taken off."""
+        """(χ²'s tails, Σ log(1 + χ²)) of the frames' residuals once share·Δ·τ is taken off."""
         freed = replace(readings, value=np.maximum(readings.value - share * moved, LEAST_LEFT * readings.value))
         fits = [fit for frame in moving if (fit := fitted(scene, freed[frame], patient=True)) is not None]
         tails = [fit.tail for fit in fits] + [1.0] * (len(moving) - len(fits))
@@ -313,7 +313,7 @@ def _impossible_in_words(count: int) -> str:
 
 
 def _outliers_in_words(seen: NoiseSeen, outliers: NDArray[np.bool_]) -> str:
-    """How many readings are outliers, and what became of them; ''."""
+    """Return the number of outliers and their treatment in words; ''."""
     count = int(outliers.sum())
     if count == 0:
         return ""

@@ -1,9 +1,9 @@
 """Effects that no circuit names, each one more parameter θ of the readings: named by its evidence, and estimated.
 
 Between the unloaded panel and a frame the log cells change by d = a θ + noise where no load is, θ ~ N(0, prior²), with
-a = K_f U_f − K_b U_b: U is what a unit of θ does to the readings, K the inverse of their Jacobian. The cells that must
-have moved are counted with a in the model and without. The best effects are then put into the network itself, and the
-cells and d found anew (Gauss and Newton). Wet lines leak, contacts loosen, films creep together.
+a = K_f U_f − K_b U_b: U is the effect of a unit of θ on the readings, K the inverse of their Jacobian. The cells that
+must have moved are counted with a in the model and without. The best effects are then put into the network itself, and
+the cells and d found anew (Gauss and Newton). Wet lines leak, contacts loosen, films creep together.
 """
 
 from collections.abc import Iterator, Sequence
@@ -41,7 +41,7 @@ LEAST_LEFT = 0.1  # of a reading, whatever is taken off
 
 @dataclass(frozen=True, eq=False)
 class Better:
-    """What explains readings better than the scene's circuit: another one, or an effect beside it.
+    """A better explanation of the readings than the scene's circuit: another one, or an effect beside it.
 
     name : '' where nothing does. count, plain : cells that have moved from the unloaded panel to frames (in words),
     with it and as specified. fits_noise : whether cells give the readings of both within their noise.
@@ -123,18 +123,18 @@ class FittedFrame:
 
     @cached_property
     def channels(self) -> Array:
-        """What an ohm more in each line's channel does to the log cells, (cells, lines)."""
+        """Effect of an ohm more in each line's channel on the log cells, (cells, lines)."""
         cells, measured = self.fit.cells, self.fit.readings.value
         errors = self.scene.circuit.shared_errors(cells, measured, self.scene, 0.0, 1.0)[1:]
         return np.asarray(self.fit.gain @ errors.reshape(len(errors), -1).T)
 
     @cached_property
     def offset(self) -> Array:
-        """What the effects do to the readings, (rows, columns)."""
+        """Sum of the effects on the readings, (rows, columns)."""
         return disturbance(self.effects, self.scene, self.network)
 
     def more(self, effect: Effect) -> Array:
-        """Return what one effect more does to the readings, (rows, columns)."""
+        """Return the change of the readings by one effect more, (rows, columns)."""
         return disturbance((*self.effects, effect), self.scene, self.network) - self.offset
 
     @property
@@ -164,7 +164,7 @@ class FittedFrame:
         return dict(zip(distinct, (self.fit.gain @ changes).T / SECANT, strict=True))
 
     def answers(self, effects: Sequence[Effect]) -> Array:
-        """Return what a unit of each θ does to the log cells, (cells, effects), by secants."""
+        """Return the effect of a unit of each θ on the log cells, (cells, effects), by secants."""
         known = self._answered(effects) if self.effects else self._every_answer
         return np.stack([known[effect] for effect in effects], axis=1)
 
@@ -245,7 +245,7 @@ class FittedPair:
     def _beside(self, columns: Array) -> tuple[Array, Array, float]:
         """Return a factor common to all cells with the columns, the precision of the change with both, and its log det.
 
-        The last is what both add.
+        The last is the addition of both.
         """
         own = np.column_stack([np.full(len(self.change), TOGETHER), columns])
         weighted = self._precision @ own
@@ -381,7 +381,7 @@ class Besides:
 
     @property
     def taken(self) -> str:
-        """What is taken off the readings, in words."""
+        """Effects that are taken off the readings, in words."""
         names = [] if self.pair is None else [effect.sentence(self.pair.shape[0]) for effect in self.pair.effects]
         return f"{' and '.join(names)}: {TAKEN_OFF}"
 
@@ -463,7 +463,7 @@ def taken_off(pair: FittedPair, readings: Readings, unloaded: NDArray[np.bool_])
     """Return the readings (frames, rows, columns) of the same cells without the pair's effects, frame after frame.
 
     Those since the unloaded frames are estimated anew in every measured one: they come, grow and go. A frame of which
-    no cells give the readings is taken as the one before. σ grows by what leaks take of the readings' differences.
+    no cells give the readings is taken as the one before. σ grows as leaks reduce the readings' differences.
     """
     assert readings.sigma is not None
     value, sigma = readings.value.copy(), readings.sigma.copy()
@@ -478,7 +478,7 @@ def taken_off(pair: FittedPair, readings: Readings, unloaded: NDArray[np.bool_])
 
 
 def left_open(pair: FittedPair) -> Array:
-    """(2, effects, rows, columns) what the sizes leave open, one standard deviation each, as fractions of readings."""
+    """Return one standard deviation of each effect as fractions of readings, (2, effects, rows, columns)."""
     sd = pair.explained(pair.columns(pair.effects)).sd[1:]
     left = np.zeros((2, len(sd), *pair.shape))
     for place, (effect, deviation) in enumerate(zip(pair.effects, np.nan_to_num(sd), strict=True)):

@@ -1,4 +1,4 @@
-"""What is minimised: terms with their weights, and the bounds of cells; from readings to the data of one solve."""
+"""Objectives: terms with their weights, and the bounds of cells; from readings to the data of one solve."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, is_dataclass, replace
@@ -26,7 +26,7 @@ FARTHEST, SHORTED = 1e9, 1e-6  # of the apparent resistance: beyond, double prec
 NEAREST = 1e-3  # of the upper bound, where a reading that contradicts it leaves the lower one
 MOST_CONTRADICTED = 0.5  # of the readings: bounds that most readings contradict are a mistake, not the readings
 UNKNOWN_NOISE = 0.01  # of a reading, where nobody says it: that of a 10-bit divider
-MOST_WEIGHT = 0.99  # of what stands in for a reading: it is none
+MOST_WEIGHT = 0.99  # of a substitute for a reading: it is none
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,7 @@ class Bounds(Validated):
     ) -> tuple[Array, Array]:
         """(lower, upper) of the cell resistance, ohm, for readings of any shape (…, rows, columns).
 
-        What a reading says of the least cell it says of the cell with its wire: of the one path that leads through no
+        A reading bounds the cell together with its wire: of the one path that leads through no
         other cell, which all others only bypass (Rayleigh). A single reading beyond the upper bound is wrong, and
         bounds nothing from below.
 
@@ -127,7 +127,7 @@ def checked_terms(terms: Sequence[Term]) -> tuple[Term, ...]:
 
 
 class Objective:
-    """What an estimator minimises, whatever the method: the part of it that methods are given.
+    """Terms, bounds and settings of an estimator, whatever its method.
 
     terms : with weights, numbers or 'auto'. solver, bounds, auto_weight : as `Estimator` has them. weight_sigma : of
     every term the standard deviation of log λ where the data chose it, else NaN; () before they did.
@@ -166,7 +166,7 @@ class Objective:
 
     @property
     def penalised(self) -> bool:
-        """Whether a term says what is expected of cells that no reading sees."""
+        """Whether a term determines cells that no reading sees."""
         return not all(term.reads_measurement for term in self.terms)
 
     @property
@@ -180,7 +180,7 @@ class Objective:
         return tuple(term for term in self.terms if not term.needs_previous)
 
     def data(self, readings: Readings, background: Background) -> Data:
-        """Return what one solve is given, from readings (frames, rows, columns).
+        """Return the data of one solve from readings (frames, rows, columns).
 
         Raises InputError as `Bounds.limits`.
         """
@@ -189,7 +189,7 @@ class Objective:
             raise InputError("misfit.weighting: noise needs a readout in the scene or sigma in the recording")
         if sigma is None and self.weighs_previous:
             raise InputError("arrival needs the noise: a readout in the scene or sigma in the recording")
-        # Missing readings are stood in for where no penalty says what is expected of their cells.
+        # Missing readings have substitutes where no penalty determines their cells.
         stood_in = np.full(len(measured), not self.penalised)
         stood_in[:-1] = all(term.reads_measurement for term in self.absolute_terms)
         readings = weighed(readings, scene, stood_in)

@@ -1,7 +1,7 @@
 """Outliers in time: single readings that one frame has otherwise than the frames around it let expect.
 
 A loose contact or a lost bit moves one reading of one frame; a touch moves many together. Unloaded outliers are left
-out of the mean, measured ones replaced by what their neighbours in time let expect.
+out of the mean, measured ones replaced by the prediction of their neighbours in time.
 """
 
 from collections.abc import Callable
@@ -27,7 +27,7 @@ TO_SIGMA = 1.4826  # a normal distribution's σ over its median absolute deviati
 LEAST_FRAMES = 3  # that tell which of them is the odd one
 FALSE = 0.01  # recordings without outliers in which chance makes one
 
-# (what neighbours in time let expect, its uncertainty by their scatter, and by noise as a multiple of its σ).
+# (prediction of neighbours in time, its uncertainty by their scatter, and by noise as a multiple of its σ).
 Expected = tuple[Array, Array, Array]
 Predictor = Callable[[Array, NDArray[np.intp]], Expected]  # of neighbours, and by how many frames each is off
 
@@ -35,7 +35,7 @@ Predictor = Callable[[Array, NDArray[np.intp]], Expected]  # of neighbours, and 
 def outliers_in_time(
     value: Array, scale: Array, most_share: float | Array = 1.0
 ) -> tuple[NDArray[np.bool_], Array, Array]:
-    """(which are, what frames around let expect, its σ beside noise) of readings in order of time, all the same shape.
+    """Return outliers, the prediction of neighbouring frames and its σ beside noise, all of the readings' shape.
 
     value : (frames, …, rows, columns) of panels beside each other, NaN where there is none. scale : their σ. A frame of
     a panel in which more than most_share would be outliers has none, nor have fewer than LEAST_FRAMES frames, nor
@@ -50,7 +50,7 @@ def outliers_in_time(
     with np.errstate(divide="ignore", invalid="ignore"):
         for prediction, predict in zip(expected, predictors, strict=True):
             far = _stands_out(value, scale, prediction)
-            some = far.any(axis=0)  # of the others nobody asks what is usual
+            some = far.any(axis=0)  # the scatter of the others is not needed
             far[:, some] &= ~_usual(value[:, some], prediction[0][:, some], first, predict, largest_normal(size, FALSE))
             outlying |= far
         outlying &= scale > 0
@@ -68,7 +68,7 @@ def lawless(circuit: Readout, readings: Readings) -> NDArray[np.bool_]:
     """Single readings of a frame that are larger than any cells allow beside the others, (frames, …, rows, columns).
 
     A contact that failed for one reading is such an outlier, however long it lasts. A frame with more than SHARE of
-    them has another circuit, and no outliers of this kind. What is found is left out, and the rest is asked again.
+    them has another circuit, and no outliers of this kind. Outliers are left out, and the others are tested again.
     """
     shape = readings.value.shape
     outliers = np.zeros((int(np.prod(shape[:-2])), *shape[-2:]), dtype=bool)
@@ -111,16 +111,16 @@ def without_these(
 ) -> tuple[NDArray[np.bool_], Readings]:
     """(outliers (frames, …, rows, columns), the readings without them): unloaded ones are left out, others replaced.
 
-    impossible : what no cells allow, which is left out whenever it was read. unloaded : (frames); these and the
-    measured ones are compared apart, because between them a load comes. Bounds are no outliers. Every panel of those
-    beside each other is judged by itself.
+    impossible : readings that no cells allow; they are left out whenever they were read. unloaded : (frames); these and
+    the measured ones are compared apart, because between them a load comes. Bounds are no outliers. Every panel of
+    those beside each other is judged by itself.
     """
     if impossible.any():
         readings = replace(readings, seen=np.where(impossible, 0.0, readings.seen))
     value = readings.plain_values
     sigma = np.ones(value.shape) if readings.sigma is None else readings.sigma
     outlying, instead, spread = np.zeros(value.shape, dtype=bool), value.copy(), np.zeros(value.shape)
-    # σ may be wrong, and frames may differ together: what most readings do from frame to frame is noise.
+    # σ may be wrong, and frames may differ together: the change of most readings from frame to frame is noise.
     seen = [_pair_scale(value[chosen], sigma[chosen]) for chosen in (unloaded, ~unloaded)]
     scale = sigma * np.fmax(seen[0] if unloaded.sum() >= LEAST_FRAMES else seen[1], float(readings.sigma is not None))
     most: float | Array = 1.0
@@ -177,7 +177,7 @@ class FramesBefore:
     def without_outliers(
         self, readings: Readings, scene: Scene, resting: Readings, baseline: Array
     ) -> tuple[Readings, int]:
-        """Return (a frame with what those before let expect in the place of outliers, how many there are).
+        """Return a frame with predictions in the place of outliers, and the number of these.
 
         resting : unloaded readings, of which baseline is the estimate, ohm, or NaN; all (rows, columns).
         """
@@ -215,7 +215,7 @@ def _from_window(value: Array, first: NDArray[np.intp], place: NDArray[np.intp],
 def _usual(
     value: Array, expected: Array, first: NDArray[np.intp], predict: Predictor, largest: float
 ) -> NDArray[np.bool_]:
-    """Whether a reading is no farther from what is expected than chance takes it, by its errors in other windows.
+    """Return whether a reading is as near to its prediction as chance allows, by its errors in other windows.
 
     value, expected : (frames, …). largest : multiple of σ that chance does not reach.
     """
@@ -256,7 +256,7 @@ def _by_line(beside: Array, offset: NDArray[np.intp]) -> Expected:
 
 
 def _stands_out(value: Array, scale: Array, expected: Expected) -> NDArray[np.bool_]:
-    """Whether a reading is far from what is expected, while its row and its column are not."""
+    """Return whether a reading is far from its prediction, while its row and its column are not."""
     middle, spread, noise = expected
     away = np.abs(value - middle)
     far: NDArray[np.bool_] = away > np.fmax(FAR * noise * scale, STEADIER * spread)

@@ -127,14 +127,17 @@ class Prepared:
 
     @cached_property
     def check(self) -> ModelCheck:
-        """The check of the circuit; where it explains the readings, the sentence adds what no frame can show."""
+        """The check of the circuit.
+
+        Where it explains the readings, the sentence adds the numbers that no frame shows.
+        """
         check, unshown = self._check, unshown_text(self.recording.scene)
         return replace(check, sentence=f"{check.sentence}; {unshown}") if check.explains and unshown else check
 
     @cached_property
     @ONE_BLAS_THREAD
     def _check(self) -> ModelCheck:
-        """The check without what no frame can show."""
+        """The check without the numbers that no frame shows."""
         if self.layout is not None:
             return check_of_modules(self.recording, self.layout, lambda number: self._module(number)._check)
         if self.cleaned.readings.sigma is None:

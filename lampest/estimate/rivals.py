@@ -1,4 +1,4 @@
-"""Circuits that may have made a recording instead of the one that its scene specifies, and what they are to explain.
+"""Circuits that may have made a recording instead of the one that its scene specifies, and the frames to explain.
 
 Every kind of readout with the scene's converter and resistor, either side driven, and every kind with another
 resistance in series. They share the converter's volts: a divider's equation is undone where the scene names it.
@@ -23,7 +23,7 @@ from lampest.posterior.interval import chi_square_tail
 from lampest.recording.readings import Readings
 from lampest.recording.recording import MEASURED, UNLOADED
 
-RESISTORS = ("reference_ohm", "load_ohm", "feedback_ohm")  # what kinds call the resistor that a converter reads across
+RESISTORS = ("reference_ohm", "load_ohm", "feedback_ohm")  # names of the resistor that a converter reads across
 OWN = ("drive_ohm", "sense_ohm", "input_ohm", "drive_volt", "converter_volt")  # that some kinds have alike
 WORDS = ("kind", "driven", "sense", "polarity", "measured_across")
 CALLED = {
@@ -40,10 +40,10 @@ ALIKE = 0.01  # tail of χ² of the difference of two frames, above which they a
 
 @dataclass(frozen=True, eq=False)
 class Rival:
-    """scene : with the circuit. recorded : what that would have recorded of the same codes.
+    """scene : with the circuit. recorded : its recorded values of the same codes.
 
     sigma : of these, where the recording has its own; None: the readout's. kind : in words, '' of the specified one.
-    in_series : the resistance that is tried in series, ohm; None: what the scene says.
+    in_series : the resistance that is tried in series, ohm; None: that of the scene.
     """
 
     scene: Scene
@@ -106,7 +106,7 @@ def rivals_of(specified: Rival, reversed_too: bool = False) -> Iterator[Rival]:
                 continue
             try:
                 rival = replace(scene, readout=circuit, series_resistance_ohm=0.0, systematic=None)
-            except ValueError:  # of what the scene specifies besides, the kind has no model
+            except ValueError:  # the kind has no model of another entry of the scene
                 continue
             yield Rival(
                 rival, values, specified.sigma if circuit.unit == readout.unit else None, _kind(circuit, readout)
@@ -174,10 +174,10 @@ def changes_beyond_noise(scene: Scene, readings: Readings, role: NDArray[np.uint
 
 @dataclass(frozen=True, eq=False)
 class Question:
-    """What a circuit is asked to explain.
+    """Frames that a circuit has to explain.
 
     specified : the circuit as the scene has it. resting, standing : the numbers of the unloaded frames, and of measured
-    ones that are alike but for their noise. widening : factor on every σ. named : (frames) what sentences call them.
+    ones that are alike but for their noise. widening : factor on every σ. named : (frames) their numbers in sentences.
     """
 
     specified: Rival

@@ -23,7 +23,9 @@ SEVERAL = 1 + ceil(log(CHANCE) / log(1 / SPREAD))  # channels: an accident of fe
 
 @dataclass(frozen=True)
 class Saturated:
-    """What channels end at. volt : of the stage. loaded, unloaded : channels that end there under load, or always.
+    """Voltage at which channels end.
+
+    volt : of the stage. loaded, unloaded : channels that end there under load, or always.
 
     highest : whether it is the largest voltage that the stage passes, else the least.
     """

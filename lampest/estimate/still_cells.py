@@ -181,7 +181,7 @@ def _mean_square(costs: Array) -> float:
 
 
 def _possible(moves: Moves, size: float, shape: tuple[int, ...]) -> Array:
-    """Return a root (n, n) of E[z zᵀ], given the still cells: what is left open of z, and where it seems to be.
+    """Return a root (n, n) of E[z zᵀ], given the still cells: covariance and mean of z.
 
     No cell stands still under a load, however smooth it is.
     """
@@ -193,7 +193,7 @@ def _possible(moves: Moves, size: float, shape: tuple[int, ...]) -> Array:
     left = np.eye(columns.shape[1]) - part.T @ weight
     second = left + np.outer(mean, mean)
     values, vectors = np.linalg.eigh((second + second.T) / 2)
-    # Lower triangular: the columns behind the common errors' are what each reading's own leaves beside them.
+    # Lower triangular: the columns behind those of common errors are the readings' own errors beside them.
     return np.asarray(np.linalg.qr((vectors * np.sqrt(np.maximum(values, 0.0))).T)[1].T)
 
 
@@ -216,7 +216,7 @@ def _unloaded_costs(scene: Scene, resting: Readings) -> Array:
         −2 log p(y | e, s) = Σ a²/v − (Σ a b/v)²/Σ(b²/v) + Σ log v + log Σ(b²/v) + Σ log τ²,   v = 1 + s²λ,
 
     with a = Qᵀ t/τ and b = Qᵀ A 1. The point is that of the likeliest of a few errors first, then of all. Where cells
-    are not alike, e comes out too large rather than too small. Raises what arithmetic does.
+    are not alike, e comes out too large rather than too small. Raises the errors of arithmetic.
     """
     assert resting.sigma is not None
     data, plain = cells_alone().data(resting.alone(), Background(scene)), resting.plain.ravel()

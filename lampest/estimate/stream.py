@@ -42,7 +42,7 @@ class Stream(SequenceState):
     ...     print(step.status, step.cell_resistance.round()[1])
     optimum verified [1033. 1033.  700. 1033.]
 
-    Beside what `SequenceState` holds:
+    Beside the fields of `SequenceState`:
 
     Parameters
     ----------
@@ -179,7 +179,7 @@ class Stream(SequenceState):
         return stream, steps
 
     def given(self, readings: Readings) -> tuple[Data, Array | None]:
-        """Return what the solve of a frame is given, and where it may start; see `Method.given`."""
+        """Return the data of a frame's solve and its start; see `Method.given`."""
         return self.estimator.method.given(self, readings)
 
     def solve(self, data: Data, previous: Array | None) -> Step:

@@ -1,4 +1,4 @@
-"""What speaks against a recording, one plain line each: frames and units, noise, the circuit."""
+"""Warnings about a recording, one plain line each: frames and units, noise, the circuit."""
 
 from typing import get_args, get_type_hints
 

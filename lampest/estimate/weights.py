@@ -1,6 +1,6 @@
 """Choice of weights (`weight: auto`): the least expected error of log r, with the reference estimate as the truth.
 
-The reference estimate (`lampest.posterior.reference`) says how far readings are off, and what the cells look like that
+The reference estimate (`lampest.posterior.reference`) gives the errors of the readings, and the cells that
 a penalty has to serve. The cost is linearised there, and the weight minimises `Spectrum.risk`; of several penalties one
 after the other. On panels of more than `MAX_CELLS` cells, and on request, the fixed point of the evidence is taken
 instead, with the errors that the residuals show.
@@ -168,7 +168,7 @@ class WeightSearch:
     def by_evidence(self, first: Array) -> Weights:
         """Return the weights at the fixed point of the evidence; of log λ the standard deviation is √(2/γ).
 
-        Where the median residual exceeds the noise, by what the cells' degrees of freedom leave, it replaces σ.
+        Where the median residual exceeds the noise, corrected for the cells' degrees of freedom, it replaces σ.
         """
         weights, near, data, scale = self.suggested(first), first, self.solves[0], 1.0
         sigma = [np.nan] * len(weights)

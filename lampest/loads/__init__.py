@@ -1,1 +1,1 @@
-"""What presses or sucks on a panel: response curve, pressure, shapes, recognition."""
+"""Loads on a panel: response curve, pressure, shapes, recognition."""

@@ -1,8 +1,8 @@
-"""What a film remembers: hysteresis and creep as operators over the frames, forwards and backwards.
+"""Memory of a film: hysteresis and creep as operators over the frames, forwards and backwards.
 
     p_e = hysteresis(p),   u = ln f(p_w) − ln f(p_w + p_e),   −ln(r/r_rest) = β·creep(u)
 
-f is the response curve, p_w the water that was there at rest, β the cell's gain κ times what bending leaves of it.
+f is the response curve, p_w the water that was there at rest, β the cell's gain κ times the share that bending leaves.
 
 Hysteresis: loading follows the response curve, unloading lags behind it, and a load that is gone leaves nothing.
 
@@ -19,9 +19,9 @@ Creep: an answer that goes on growing with the logarithm of time, and fades the 
 
     a = u + c Σ_j s_j,   ds_j/dt = (u − s_j)/τ_j,   τ_j = 1, 10, … 10⁵ s
 
-u is what the film answers at once; c is the creep per decade. One Kelvin-Voigt element in each decade makes
+u is the film's instantaneous answer; c is the creep per decade. One Kelvin-Voigt element in each decade makes
 Σ_j (1 − e^{−t/τ_j}) = log10(t/1 s) + 0.74 to within 0.02 from a second to a day; a load that lay for T leaves
-c u log10((T + t)/t) at a time t after it. What creeps within the first second belongs to the response curve. It is in
+c u log10((T + t)/t) at a time t after it. Creep within the first second belongs to the response curve. It is in
 ln r because tunnelling makes ln r linear in the gap between conducting grains, and the gap creeps.
 Sources: Zhang et al., J. Polym. Sci. B 38, 2739 (2000); data sheets of Interlink's FSR; Krejčí & Kuhnen, IEE Proc.
 Control Theory Appl. 148, 185 (2001), a row of relaxations beside hysteresis, and the inverse of both.
@@ -46,8 +46,8 @@ SETTLED, DRIFT = 0.005, 0.01
 OWN, ALIKE = 0.05, 0.2
 # The other explanation, that something still presses: as likely beforehand, and ln r/r0 anywhere within so much.
 RANGE = 4.0
-# Of the largest ln r/r0 of a cell, what stays once the load is gone and does not fade: such shares are compared, with a
-# prior of this mean; the mean creep beyond which what stays is no creep; and the share that may stay.
+# Of the largest ln r/r0 of a cell, the residue once the load is gone that does not fade: such shares are compared, with
+# a prior of this mean; the mean creep beyond which a residue is no creep; and the share that may stay.
 RESIDUES = 0.25 * np.linspace(0, 1, 26) ** 2
 RESIDUE, MOST_LIKELY, MAY_STAY = 0.02, 0.2, 0.5
 INDEPENDENT = 3.0  # frames; errors of a cell stay from frame to frame, and all its frames count as so many
@@ -176,11 +176,11 @@ class FilmMemory:
         )
 
     def fading(self, seconds: float) -> Array:
-        """ln(r/r_rest) (...) after an interval without load: what is left of the loads before."""
+        """ln(r/r_rest) (...) after an interval without load: the residue of earlier loads."""
         return -self.gain * self.creep.answer(np.zeros(np.shape(self.creep.strength)), seconds)
 
     def at_once(self, change: Array, seconds: float) -> Array:
-        """−ln(r/r_rest) (...) without what crept, at the end of such an interval."""
+        """−ln(r/r_rest) (...) without creep, at the end of such an interval."""
         return np.asarray(self.gain * self.creep.at_once(-change / self.gain, seconds))
 
     def _at_once(self, effective: Array) -> Array:
@@ -189,10 +189,10 @@ class FilmMemory:
 
 @dataclass(frozen=True)
 class FilmKnown:
-    """What is known of a film's strengths, and where from.
+    """Strengths of a film's memory, and their sources.
 
     cells : (rows, columns) the creep of each cell and its deviation, estimated from a recording; else None.
-    residue : of the largest ln r/r0 of a cell, the root mean square of what stays after the load and does not fade.
+    residue : of the largest ln r/r0 of a cell, the root mean square of the residue after the load that does not fade.
     """
 
     film: Film
@@ -222,9 +222,10 @@ class FilmKnown:
         """With the creep that the recording shows; unchanged where the scene specifies it.
 
         Where a load is gone, a cell still shows c Σ s_j and a constant share ρ of its largest answer. P(c, ρ) ∝ P(c)
-        P(ρ) beforehand · Π [½ N(u; 0, σ) + ½/RANGE] over frames and cells, u what is left of ln r/r_rest without both.
-        Where cells differ, each has its own posterior about that of all. Where what stays is more than any film creeps,
-        there is no creep. change, sd : (frames, rows, columns) ln(r/r_rest), NaN where a frame failed. time : s.
+        P(ρ) beforehand · Π [½ N(u; 0, σ) + ½/RANGE] over frames and cells, u the remainder of ln r/r_rest without both.
+        Where cells differ, each has its own posterior about that of all. Where the residue is more than any film
+        creeps, there is no creep. change, sd : (frames, rows, columns) ln(r/r_rest), NaN where a frame failed. time :
+        s.
         """
         if self.film.creep_per_decade != "auto":
             return self
@@ -249,7 +250,7 @@ class FilmKnown:
         return replace(known, sentence=known._said(said if shared <= 0.8 * usual.sd else "assumed"))
 
     def at_once(self, change: Array, time: Array) -> tuple[Array, Array]:
-        """(ln r/r_rest without what crept, its deviation as creep is known), (frames, rows, columns); NaN stays.
+        """Return ln r/r_rest without creep, and its deviation as creep is known, (frames, rows, columns); NaN stays.
 
         change : (frames, rows, columns) ln r/r_rest. time : (frames) s.
         """
@@ -284,9 +285,9 @@ def _moments(logarithm: Array) -> tuple[Array, Array]:
 
 
 def _likelihood(gain: float, change: Array, sd: Array, time: Array, own: float, residues: Array) -> Array:
-    """ln P(frames of a cell | ρ, c) for every c of CREEPS, up to what all share, (residues, strengths, rows, columns).
+    """ln P(frames of a cell | ρ, c) for every c of CREEPS, up to a common term, (residues, strengths, rows, columns).
 
-    own : relative standard deviation of what stays of a load. residues : ρ, (residues).
+    own : relative standard deviation of the residue of a load. residues : ρ, (residues).
     """
     likelihood = np.zeros((len(residues), len(CREEPS), *change.shape[1:]))
     felt = np.nanmax(-change, axis=0, initial=0.0) > SETTLED  # of all others each strength explains as much

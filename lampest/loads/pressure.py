@@ -23,13 +23,13 @@ CLEAR = 3.0  # standard deviations: less than one cell of a panel of 700 seems t
 
 @dataclass(frozen=True, eq=False)
 class Pressure:
-    """What presses on the cells or sucks at them, without the pressure of the water.
+    """Pressure of loads on the cells, without that of the water; suction is negative.
 
     pressure : (frames, rows, columns) kPa; NaN where the estimate is. lower, upper : ends of the 95 % interval, kPa:
         `lower` is never below an empty space, `upper` may be infinite. errors : half the 68 % interval. own, common
-        : its two parts, each cell's own and what cells share, such as the film's curve.
+        : its two parts, each cell's own and that which cells share, such as the film's curve.
     saturated : 1 where the response leaves the pressure open: the interval, water included, reaches beyond `told_kpa`
-        of the response. pressing : 1 where a load presses: ln r/r0 without what the film remembers fell by CLEAR
+        of the response. pressing : 1 where a load presses: ln r/r0 without the film's memory fell by CLEAR
         standard deviations, those of the response aside.
     tared : (frames) why zero was taken anew after a frame; '' where it was not.
     """
@@ -59,7 +59,7 @@ def pressure_of(
 
     The interval's ends are those of x, mapped like x itself: f is monotone. Three errors are added in quadrature:
     that of the estimate (each side its own), |T − T_b|·σ_α, and the response's, `response_sd`·|x|. Where the scene
-    names a film, its memory of earlier frames is taken off; what it may keep is one more error.
+    names a film, its memory of earlier frames is taken off; a possible residue is one more error.
 
     ratio : (frames, rows, columns) r/r_baseline; NaN where a frame failed. lower, upper : ends of its 95 % interval; 0
     and infinity where that is open, `ratio` itself at a bound. time : (frames) s; None: a second apart. known : of the
@@ -185,7 +185,10 @@ class PressureTrack:
         return replace(self._zeroed(np.zeros(self.scene.panel.shape), time), watch=watch)
 
     def _zeroed(self, change: Array, time: float) -> "PressureTrack":
-        """As if nothing pressed in a frame with this change: what the memory does not explain is the new zero."""
+        """Return the track after a frame without a load.
+
+        The change that the memory does not explain is the new zero.
+        """
         zeros = change - self.films.fading(self._seconds(time))
         return replace(self, zeros=np.where(np.isfinite(change), zeros, self.zeros), zeroed=time)
 
@@ -202,7 +205,7 @@ class PressureTrack:
 
         Its parts are the film's residue, its drift and temperature.
 
-        What it keeps and drifts counts by √(1 − x²/peak²), as far as the largest load is gone.
+        Residue and drift count by √(1 − x²/peak²), as far as the largest load is gone.
         """
         change, spread, warmth = self._change(ratio), np.zeros(ratio.shape), self.scene.temperature
         if self.residue and self.zeroed is not None:
@@ -217,7 +220,7 @@ class PressureTrack:
         return np.asarray(np.hypot(response_sd(self.scene, answer), curve_sd))
 
     def _of_films(self, value: Callable[[Array, float], Array], change: Array, time: float) -> Array:
-        """(films, …) of a frame's ln r/r_rest: `at_once` −ln r/r_rest without what crept, p_e or p, kPa."""
+        """(films, …) of a frame's ln r/r_rest: `at_once` −ln r/r_rest without creep, p_e or p, kPa."""
         return np.moveaxis(value(change[..., None, :, :] - self.zeros, self._seconds(time)), -3, 0)
 
 
@@ -263,7 +266,10 @@ class Force(NamedTuple):
 
 
 def determined(scene: Scene, pressure: Array, *errors: Array) -> tuple[Array, ...]:
-    """p and its errors, (…, rows, columns) kPa; p is at most what the response determines, without error there."""
+    """p and its errors, (…, rows, columns) kPa.
+
+    P is at most the largest value that the response determines, without error there.
+    """
     if scene.response is None:
         return pressure, *errors
     most = scene.response.told_kpa[1] - water_pressure(scene.panel, scene.water)

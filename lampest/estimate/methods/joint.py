@@ -3,9 +3,10 @@
     Φ(u, w, z, c) = Σ_t misfit(f(u_t) + V_t w_t + U_t z, y_t) + |w|² + |z|² + Σ_t c_t²/τ² + ε |u − a|²
                     + Σ_t,i λ_ti (u_{t+1,i} − u_{t,i} − c_t)²
 
-over u_t = log r of the unloaded panel (t = 0) and of every frame, what the readings of one frame share (w, in standard
-deviations: gain, ripple), what all readings share (z: reference, channels, contacts) and the steps c_t that all cells
-of a frame have in common. λ is the walk's; a, with hardly any weight, is where cells stay that no reading sees.
+over u_t = log r of the unloaded panel (t = 0) and of every frame, the errors that readings of one frame share (w, in
+standard deviations: gain, ripple), the errors that all readings share (z: reference, channels, contacts) and the steps
+c_t that all cells of a frame have in common. λ is the walk's; a, with hardly any weight, is where cells stay that no
+reading sees.
 """
 
 from collections.abc import Sequence
@@ -29,14 +30,15 @@ from lampest.posterior.track import Bars, Change
 
 COMMON = 0.1  # τ, of log r: temperature and supply move all cells by some percent from frame to frame, not by more
 ROUNDING = 1e-11  # of Φ, a sum of some thousand parts
-# Share of what frames say of z that is believed: cells that move a little and are taken for still pull at it, too.
+# Share of the frames' information on z that is believed: cells that move a little and are taken for still pull at it,
+# too.
 BELIEVED = 0.5
 HELD = 1e8  # precision of z that is held, in standard deviations before anything is read
 
 
 @dataclass(frozen=True, eq=False)
 class JointData:
-    """cost, data : of every frame alone, the unloaded panel first. errors : what all readings share, or None.
+    """cost, data : of every frame alone, the unloaded panel first. errors : shared by all readings, or None.
 
     anchor : a (frames, cells). drawn : V (frames, readings, n). shared : U (frames, readings, n).
     """
@@ -60,7 +62,7 @@ class JointData:
     ) -> "JointData":
         """Before anything that all readings share is known.
 
-        noise : what the readings of a frame share, or None. The first `resting` frames are means of the unloaded ones.
+        noise : shared by the readings of a frame, or None. The first `resting` frames are means of the unloaded ones.
         """
         count, size = len(data), data[0].measured.size
         drawn = np.zeros((count, size, 0))
@@ -97,7 +99,7 @@ class Joint:
 
     @cached_property
     def at(self) -> tuple[Evaluation, ...]:
-        """Every frame's misfit; what is shared is taken off its readings."""
+        """Misfit of every frame, without shared errors of its readings."""
         frames, evaluations = self.frames, []
         offsets = frames.shared @ self.shift[: self._sharing] + np.einsum("tri,ti->tr", frames.drawn, self.chance)
         for cost, data, position, offset in zip(frames.cost, frames.data, self.log_cells, offsets, strict=True):
@@ -247,14 +249,14 @@ class Joint:
         return np.stack(border), np.sum(corner, axis=0)
 
     def answer(self, columns: Array) -> Array:
-        """Return what errors of readings (frames, readings, n) that Φ knows nothing of do to u, (frames, cells, n)."""
+        """Return the effect on u (frames, cells, n) of errors of readings (frames, readings, n) beyond Φ."""
         right, corner = self._bordered(columns)
         steps = np.zeros((len(self.stiffness), columns.shape[2]))
         return self.chain.solve(right * ~self.pressed[:, :, None], np.concatenate([corner, steps]))[0][:, : self.cells]
 
     @property
     def shared(self) -> tuple[Array, Array]:
-        """(z, how precisely the frames determine it): (n), and (n, n) without what is known of it beforehand."""
+        """(z, how precisely the frames determine it): (n), and (n, n) without its prior."""
         learned = self.chain.learned(self._sharing) if self.held is None else self.held[1] - np.eye(self._sharing)
         return self.shift[: self._sharing], learned
 
@@ -272,7 +274,7 @@ class Joint:
         return cells[..., 0], shift[:, 0]
 
     def agreeing(self, others: Array) -> "Joint":
-        """With less belief in what cells near loads say of z, as far as it contradicts what all others say.
+        """Return the problem with less belief in what cells near loads say of z, as far as all others contradict it.
 
         They move by little with the load, and are taken for still. Where they agree, |ẑ − ẑ'|² is tr(C' − C) in the
         mean (Hausman, Econometrica 46, 1978), ẑ' and C' without them. Where it is ρ times that, the share of what they
@@ -296,7 +298,7 @@ class Joint:
 
     @property
     def uncertain(self) -> Chain:
-        """What error bars follow from: `chain` with as much of what frames say of z and c as is believed."""
+        """The chain from which error bars follow: with the believed share of the frames' information on z and c."""
         free = replace(self, held=None)
         chain = free.chain.doubting(BELIEVED, free.certainty)
         return chain if self.held is None else chain.with_border(np.eye(self._sharing) + BELIEVED * self.shared[1])
@@ -334,7 +336,7 @@ def _certainty(joint: Joint, chain: Chain, frame: int) -> Certainty:
     covariance, free, tie = whole[cells, cells], model.free, joint.ties[frame]
 
     def released(cells: NDArray[np.intp]) -> Array:
-        """Variance of cells that stand at a bound, if each alone were free; what ties it counts as known."""
+        """Variance of cells that stand at a bound, if each alone were free; ties count as known."""
         across = rows[:, free].T @ rows[:, cells]
         alone = np.sum(rows[:, cells] ** 2, axis=0) + tie[cells]
         taken = np.einsum("fi,fg,gi->i", across, covariance[np.ix_(free, free)], across, optimize=True)
@@ -351,7 +353,7 @@ def _certainty(joint: Joint, chain: Chain, frame: int) -> Certainty:
 def error_bars(joint: Joint, resting: int, beyond: Shared | None = None) -> tuple[Certainty, tuple[Bars, ...]]:
     """Return the baseline's, which is the last of `resting` frames, and those of the frames after it.
 
-    beyond : what all readings share, of which Φ knows nothing; or None.
+    beyond : errors that all readings share and Φ does not contain; or None.
     """
     answer = joint.answer(_shared(joint.at, beyond))
     chain = joint.uncertain
@@ -365,7 +367,7 @@ def error_bars(joint: Joint, resting: int, beyond: Shared | None = None) -> tupl
 
 
 def _shared(at: Sequence[Evaluation], errors: Shared | None) -> Array:
-    """(frames, readings, n) of what all readings share; without a column where there is no such error."""
+    """(frames, readings, n) of errors that all readings share; without a column where there is none."""
     if errors is None:
         return np.zeros((len(at), at[0].reading.size, 0))
     return np.stack([errors.columns(evaluation.networks[0], evaluation.reading[0]) for evaluation in at])

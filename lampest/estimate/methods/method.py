@@ -1,4 +1,4 @@
-"""Methods: how a frame's cells follow from its data, and what is kept for the next; and those of verified optima."""
+"""Methods: how a frame's cells follow from its data, and the state for the next frame; and those of verified optima."""
 
 from abc import abstractmethod
 from collections.abc import Callable
@@ -38,7 +38,7 @@ NODAL_CELLS, NODAL_PERIOD = 144, 0.5  # up to so many cells, and from so many se
 
 @dataclass(frozen=True)
 class Method(Validated):
-    """How an estimate is computed; what `formulation:` names, by the bare word or with options.
+    """How an estimate is computed: the value of `formulation:`, a bare word or a word with options.
 
     optimum : whether it ends at a verified optimum over the cells, which error bars are for. joint : whether a method
     that compares frames solves its baseline together with the first frame. delays : whether it keeps Ctrl-C itself.
@@ -68,14 +68,14 @@ class Method(Validated):
         """Raise InputError where the method cannot minimise these terms."""
 
     def check_scene(self, scene: Scene) -> None:
-        """Raise InputError where the method has no model of what the scene names, or cannot serve its readout."""
+        """Raise InputError where the method has no model of an entry of the scene, or cannot serve its readout."""
 
     def compares(self, terms: tuple[Term, ...]) -> bool:
         """Whether an estimate with these terms needs the unloaded panel."""
         return any(term.needs_previous for term in terms)
 
     def solver(self, cost: Cost, scene: Scene, settings: Settings, period: float) -> Solver:
-        """Return what minimises a cost on frames `period` seconds apart; built once per process and kept."""
+        """Return the solver of a cost on frames `period` seconds apart; it is built once per process."""
         return ProjectedNewton(cost, settings)
 
     @abstractmethod
@@ -86,17 +86,17 @@ class Method(Validated):
         """
 
     def guess(self, readout: Readout, measured: Array) -> Array:
-        """Return what stands for the previous frame where there is none, the same shape, ohm."""
+        """Return the substitute for a previous frame where there is none, the same shape, ohm."""
         return readout.uniform_start(measured)
 
     def prepared_by(self, solution: Solution, prepared: Any) -> Any:
-        """Return what is prepared for the next frame after a solution; by default what was prepared for this one."""
+        """Return the preparation of the next frame after a solution; by default that of this one."""
         return prepared
 
     def joint_start(self, objective: Objective) -> bool:
         """Whether the baseline is solved together with the first frame: of relative methods, where that is asked for.
 
-        Not where frames are weighed by what is known of the one before, which for the first one is the baseline.
+        Not where frames are weighed by the certainty of the one before, which for the first one is the baseline.
         """
         return self.joint and objective.relative and not objective.weighs_previous
 
@@ -137,7 +137,7 @@ class Method(Validated):
             choice = perf_counter() - begin
             cost = objective.cost(state.scene, len(data.measured), data.partial)
             solver = self.solver(cost, state.scene, objective.solver, state.period)
-            solver.prepare()  # so that no frame is charged for what is built before the first solve of its kind
+            solver.prepare()  # so that no frame is charged for building its solver
             begin = perf_counter()
             with ended_where_hung(limit):
                 solution = self.solution(solver, data.limited(limit), previous, state.prepared)
@@ -208,7 +208,7 @@ class Method(Validated):
     def _beyond(
         self, state: SequenceState, readings: Readings, solved: Step, model: LinearModel
     ) -> tuple[Array, Array]:
-        """As `beyond_tangents`, of what was solved from readings (rows, columns)."""
+        """Return `beyond_tangents` of the estimate from readings (rows, columns)."""
 
         def moved(readings: Readings) -> Array:
             data, _ = self.given(state, readings)
@@ -258,7 +258,7 @@ class OptimalMethod(Method):
         return _solver(cost, scene.circuit, kind, settings)
 
     def solution(self, solver: Solver, data: Data, previous: Array | None, prepared: Any) -> Solution:
-        """Return the best optimum of all starts that a frame deserves; prepared : what that frame kept, or None."""
+        """Return the best optimum of all starts that a frame deserves; prepared : from that frame, or None."""
         return best_solution(solver, data, previous, prepared)
 
     def prepared_by(self, solution: Solution, prepared: Any) -> Any:

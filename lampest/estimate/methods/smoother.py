@@ -41,7 +41,7 @@ from lampest.solvers.bounds import bounds_matter
 from lampest.solvers.multistart import BROKEN
 from lampest.solvers.solution import OPEN_FRACTION, VERIFIED, Settings, Solution, Solver, Status, blank
 
-STILL = 1e-3  # of a standard deviation: what one more step may move a cell by
+STILL = 1e-3  # of a standard deviation: largest change of a cell by one more step
 MOST_PARTS = 5  # of the unloaded frames: enough to identify a wrong reading; more cost time
 WIDE = 3.0  # q at the start over the noise: as large jumps as three deviations
 MOST_ROUNDS = 40  # 15 to 40 were needed on simulated lampreys
@@ -163,7 +163,8 @@ class SmootherMethod(Method):
     ) -> tuple[Joint, int]:
         """As `smoothed`, of the data of all frames, of which so many are means of unloaded ones."""
         costs = [state.estimator.cost(state.scene, 1, frame.partial) for frame in data]
-        # What a scene does not name is no unknown: usual errors of a circuit are too many for a few frames to tell.
+        # Errors that a scene does not name are no unknowns: usual errors of a circuit are too many for a few frames to
+        # tell.
         scene = state.scene if state.scene.specified_systematic else replace(state.scene, systematic="none")
         frames = JointData.alone(costs, data, Shared.of(scene), start, state.frame_noise, resting)
         return smoothed(frames, start, Walk(self.walk, self.jump), state.estimator.solver, until)
@@ -225,15 +226,15 @@ def _barred(state: S, track: Track, joint: Joint, steps: list[Step]) -> tuple[S,
 
 @dataclass(frozen=True)
 class Walk:
-    """What steps x between the frames cost; deviation : q, of log r. most : κ, so many q a jump costs at most.
+    """Cost of steps x between the frames; deviation : q, of log r. most : κ, so many q a jump costs at most.
 
         n k Σ_i log(1 + a_i) + Σ x²/JUMP_SD²,   a_i the mean over the n steps of cell i of κ² S/(κ² + S),   S = K x²/q²
 
-    K averages with the steps before and after. What a step costs grows like x²/q² at first, and hardly beyond κ²: a
-    jump costs the same however far it leads. What a cell costs grows like the logarithm of that: of one whose steps are
-    all a little larger than noise each is taken for a step. k is such that a cell whose steps are as large as the walk
-    is tied by 1/q². The walk begins at several times the noise and is drawn down as far as still cells allow, so that
-    small jumps are seen after large ones.
+    K averages with the steps before and after. The cost of a step grows like x²/q² at first, and hardly beyond κ²: a
+    jump costs the same however far it leads. The cost of a cell grows like the logarithm of that: of one whose steps
+    are all a little larger than noise each is taken for a step. k is such that a cell whose steps are as large as the
+    walk is tied by 1/q². The walk begins at several times the noise and is drawn down as far as still cells allow, so
+    that small jumps are seen after large ones.
     """
 
     deviation: float

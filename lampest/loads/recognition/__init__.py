@@ -1,1 +1,1 @@
-"""What presses or sucks on a panel in one frame: loads of a few numbers, fitted and compared."""
+"""Loads on a panel in one frame: shapes of a few numbers, fitted and compared."""

@@ -18,8 +18,9 @@ from lampest.loads.recognition.observation import FARTHEST, Observation
 from lampest.loads.recognition.pumping import Pumping
 from lampest.panel.panel import Array, Panel
 
-# Windows in which a mouth breathes; and of ln odds, what absence of breathing, and breathing, can bring together at
-# most. Assumptions: of one mouth in twenty no window shows the breath, since it is faint or at half the frame rate.
+# Windows in which a mouth breathes; and of ln odds, the evidence that absence of breathing, and breathing, can add up
+# to at most. Assumptions: of one mouth in twenty no window shows the breath, since it is faint or at half the frame
+# rate.
 OFTEN, PAUSED, SURE = 0.95, -3.0, 10.0
 
 Pair = tuple[float, float]
@@ -30,7 +31,7 @@ class Attachment:
     """A load from when it came until it left.
 
     sucks : probability. since_s, until_s : s; until None: it is there. x_mm and so on : (value, standard deviation),
-    None where it is not known. cells : how many it touches; conductance_s : what these conduct more than at rest.
+    None where it is not known. cells : how many it touches; conductance_s : increase of their conductance since rest.
     breathing, before : ln of the odds that it oscillates as breathing does, and those without the last window.
     suction : probability that this is its suction, from the last window that shows it. sucks_s, moved_s : when it began
     to suck, None: it does not; when it moved. clear : ln of how much more probable it is than an unloaded panel.
@@ -94,7 +95,7 @@ class Attachment:
 
     @property
     def width(self) -> float:
-        """mm; of what has no diameter the edge of a square of its area."""
+        """mm; of a load without a diameter the edge of a square of its area."""
         return self.size if self.diameter_mm or self.area_mm2 is None else self.area_mm2[0] ** 0.5
 
     def distance(self, place: tuple[float, float]) -> float:
@@ -198,7 +199,7 @@ def continued_by(
     """All attachments once loads were recognised since a step at that time; those nearest by are continued.
 
     The others have left with the step. again : not the first time since then: nothing leaves without a step, so they
-    stay, and what was seen since the step alone was a part of another.
+    stay; a load that was seen since the step alone was a part of another.
     """
     attachments, left = list(before), [number for number, attachment in enumerate(before) if attachment.present]
     apart = [min((attachments[number].distance(load.place) for number in left), default=inf) for load in loads]

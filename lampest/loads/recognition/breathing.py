@@ -20,15 +20,15 @@ from lampest.panel.response import RESPONSE_SD, PublishedResponse
 
 RATES_HZ = (0.5, 2.5)  # of breathing; sea lampreys at rest 0.8 to 1.6 Hz
 LEAST_RATE = 3.8  # frames a second: those of four whose clock is slow; they show rates up to 2 Hz
-# A: the amplitude of mouths is 5.4 % of their suction in the mean (docs/studies/mouths.md). Of what does not breathe it
-# is an assumption: cups tremble and leak, but at no single rate.
+# A: the amplitude of mouths is 5.4 % of their suction in the mean (docs/studies/mouths.md). Of loads that do not
+# breathe it is an assumption: cups tremble and leak, but at no single rate.
 BREATH, STEADY = 0.045, 0.002
 WINDOW_S, LEAST_S = 8.0, 4.5  # over which a rhythm is steady; and the least that shows one
-MOST = 0.15  # relative amplitude of breathing: with more, the unevenness of a film explains what a shaken cup does
+MOST = 0.15  # relative amplitude of breathing: with more, the unevenness of a film explains the swings of a shaken cup
 # An assumption: relative standard deviation of the swing of all the rim over that of suction, which may press with more
 # than it bears; and of each cell's change by a movement, because where an edge crosses its film is not known.
 UNSURE = 0.5
-MOVES = {"x": 1.0, "y": 1.0, "tilt_x": 0.1, "tilt_y": 0.1}  # what moves alike, mm and 1
+MOVES = {"x": 1.0, "y": 1.0, "tilt_x": 0.1, "tilt_y": 0.1}  # of common movements, mm and 1
 
 
 def too_slow(rate: float) -> str:
@@ -51,10 +51,10 @@ class Breath:
 
 @dataclass(frozen=True, eq=False)
 class Patterns:
-    """What swings do to readings of unit variance: roots of their covariance at unit amplitude, (readings, n).
+    """Effects of swings on readings of unit variance: roots of their covariance at unit amplitude, (readings, n).
 
-    own : suction with its rim; the first column is its mean, the others are what a film may add. rim : the rim alone.
-    moves : the load's place and tilt. others : what else may change, of any size.
+    own : suction with its rim; the first column is its mean, the others are possible additions of a film. rim : the rim
+    alone. moves : the load's place and tilt. others : further changes, of any size.
     """
 
     own: Array
@@ -77,7 +77,7 @@ class Patterns:
         return cls(by_cell @ own, by_cell @ alone, by_cell @ moving, others)
 
     def beside_others(self, changes: Array) -> tuple["Patterns", Array]:
-        """Without what `others` do, in the patterns and in changes (frames, readings)."""
+        """Return the patterns and changes (frames, readings) without the effects of `others`."""
         span = np.linalg.qr(self.others)[0]
         own, rim, moves, left = (
             pattern - span @ (span.T @ pattern) for pattern in (self.own, self.rim, self.moves, changes.T)
@@ -100,7 +100,7 @@ def patterns_of(
 ) -> list[tuple[tuple[float, float], Patterns]]:
     """Return (centre, patterns) of every load of a fit that sucks.
 
-    frame, fit : what was recognised, and of what. whitening : (readings, readings).
+    frame, fit : the recognised frame and its fit. whitening : (readings, readings).
     """
     panel = detector.panel
     departure, covariance = detector.departure(frame, fit)
@@ -147,7 +147,7 @@ def suction_weights(patterns: Patterns, whitening: Array) -> Array:
 
 
 def breath(times: Array, changes: Array, patterns: Patterns) -> Breath | None:
-    """Return what a window shows; None where it is too short.
+    """Return the breath of a window; None where it is too short.
 
     times : (frames) s. changes : (frames, readings) of unit variance.
     """
@@ -202,7 +202,7 @@ def _depth(patterns: Patterns, changes: Array, waves: Array, at: Array, noise: f
 
 
 def _evidence(total: float, amplitude: Array, gain: Array, sd: float, freedom: int) -> Array:
-    """ln P(s | f) up to what all share, (rates): summed over σ."""
+    """ln P(s | f) up to a common term, (rates): summed over σ."""
     noise = np.geomspace(1e-4, 1.0, 25)[:, None, None] ** 2
     wide = noise + sd**2 * gain
     remaining = total - (amplitude**2).sum(axis=1)
@@ -254,7 +254,10 @@ def _slopes(frame: Observation, rise: Array, scatter: float) -> Array:
 
 
 def _of_water(changes: Array, frame: Observation, fit: Fit, pressure: Array) -> Array:
-    """(frames, readings) of ln y: what the water's pressure does, as lines without a load show it; 0 without such."""
+    """Return the effect of the water's pressure on ln y, (frames, readings), by lines without a load.
+
+    0 without such.
+    """
     loaded = pressure != 0
     free = ~(loaded.any(axis=0) | loaded.any(axis=1)[:, None]).ravel()
     slope = frame.slope(fit.change) @ frame.change(pressure)[1].ravel() / frame.measured.ravel()

@@ -1,4 +1,4 @@
-"""What a frame may show: nothing, one pressure everywhere, a shape or several at once; and where their fits begin."""
+"""Candidates for a frame: nothing, one pressure everywhere, a shape or several at once; and starts of their fits."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -67,7 +67,7 @@ class Several(Candidate):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Uniform(Candidate):
-    """p = φ on all cells, which is also what a drift of the whole panel looks like; none at all without a number."""
+    """p = φ on all cells, which a drift of the whole panel resembles; none at all without a number."""
 
     numbers: tuple[str, ...] = ()
 
@@ -108,7 +108,7 @@ def _steps_between(places: Array) -> tuple[Array, NDArray[np.intp]]:
 class DiscSearch:
     """A matched filter: round templates about every cell's centre and between four of them.
 
-    discs : (discs) what a fit begins with where one of them matches, one template after the other. changes : (cells,
+    discs : (discs) starts of fits where one of them matches, one template after the other. changes : (cells,
     discs) ln r/r0 of unit length.
     """
 
@@ -150,7 +150,7 @@ class DiscSearch:
         return np.array([disc[:2] for disc in self.discs])[self.faint]
 
     def readings(self, frame: Observation) -> Array:
-        """(cells, faint discs) ohm: what they add to the readings of a panel at rest."""
+        """(cells, faint discs) ohm: their effects on the readings of a panel at rest."""
         return np.asarray(frame.slope(np.zeros(self.panel.shape)) @ self.changes[:, self.faint])
 
     def lies_on(self, logarithm: Array) -> bool:

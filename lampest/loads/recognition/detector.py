@@ -1,7 +1,7 @@
-"""What stands on a panel in one frame: every candidate fitted from wherever the change looks like something.
+"""Recognition of a single frame: every candidate is fitted from wherever the change resembles it.
 
 Between patches lie many minima: fits begin wherever a template matches, with coarse errors, then those about the cells
-that the readings show. In the end all are weighed by the errors about what the best explains; where none fits, more
+that the readings show. In the end all are weighed by the errors about the best explanation; where none fits, more
 loads at once are tried.
 """
 
@@ -62,7 +62,7 @@ class Detector:
         return DiscSearch.over(self.panel, self.patch_mm, templates)
 
     def verdict(self, frame: Observation, before: Verdict | None = None) -> Verdict:
-        """Return what a frame shows. before : the verdict on an earlier one, whose loads are tried, too."""
+        """Return the verdict on a frame. before : the verdict on an earlier one, whose loads are tried, too."""
         if (calm := self.calm(frame)) is not None:
             return self._judged(calm, ())
         (field, without), verdicts = field_fit(frame), list[Verdict]()
@@ -105,12 +105,12 @@ class Detector:
         return fit
 
     def with_errors(self, frame: Observation, fit: Fit) -> tuple[Observation, Whitening]:
-        """Return (the frame without the readings that contradict a fit, the errors about what it explains)."""
+        """Return the frame without readings that contradict a fit, and the errors about the cells that it explains."""
         calm = frame.without(self._contradicting(frame, fit))
         return calm, Whitening.of(calm, self.explained(calm, fit), fit.scatter)
 
     def departure(self, frame: Observation, fit: Fit) -> tuple[Array, Array]:
-        """(d of ln r − ln r0 − x of a fit (rows, columns), its covariance (cells, cells)): what a frame adds to it.
+        """(d of ln r − ln r0 − x of a fit (rows, columns), its covariance (cells, cells)): the information of a frame.
 
         With A = (∂f/∂ln r, E) and C = A P Aᵀ + σ² the mean of d and of the offsets is P Aᵀ C⁻¹ (R − f(r0·e^x) − E δ0).
         """
@@ -128,7 +128,7 @@ class Detector:
         return Fitting(self.panel, self.patch_mm, candidate, frame)
 
     def explained(self, frame: Observation, fit: Fit) -> Explained:
-        """Return what a fit to a frame explains."""
+        """Return the cells that a fit to a frame explains."""
         return self._fitting(fit.candidate, frame).explained(fit)
 
     def _whole(self, frame: Observation, fit: Fit, explains: Fit, calm: Observation) -> Fit:
@@ -183,8 +183,8 @@ class Detector:
     def _settled(self, frame: Observation, fits: Sequence[Fit], field: Fit, calm: Observation) -> Verdict:
         """Return the verdict on all candidates from coarse fits; field, calm : of `field_fit`.
 
-        All are weighed by what the best of them explains, from where they are or where that is. The film's relative
-        deviation is that of LEVELS under which the frame is most probable.
+        All are weighed by the errors about the best of them, from their own points or from its point. The film's
+        relative deviation is that of LEVELS under which the frame is most probable.
         """
         explains, scatter = field, LEVELS[-1] * frame.baseline.model_errors.response
         for _ in range(len(fits)):

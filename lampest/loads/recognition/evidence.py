@@ -19,11 +19,12 @@ from lampest.loads.shapes.disc import Disc
 from lampest.panel.panel import Panel
 from lampest.panel.response import PUBLISHED
 
-# Of ln P, assumptions: of every further load, or a rim that moves without its suction; and of what cannot be, hidden
-# suction and two loads in one place. What is no candidate is fitted by such with up to e⁶⁰ times their evidence.
+# Of ln P, assumptions: of every further load, or a rim that moves without its suction; and of impossible pairs, hidden
+# suction and two loads in one place. Loads that are no candidates are fitted by such with up to e⁶⁰ times their
+# evidence.
 RARER, CANNOT_BE = log(20), 60.0
-# ln r/r0 that a panel shows clearly, a suction of 1 kPa; and the part of what a cell under suction alone would
-# show. Mouths of 24 to 45 mm at a pitch of 10 mm show more than 0.7 in some cell, and nine in ten more than 0.9.
+# ln r/r0 that a panel shows clearly, a suction of 1 kPa; and the part of the change that a cell under suction alone
+# would show. Mouths of 24 to 45 mm at a pitch of 10 mm show more than 0.7 in some cell, and nine in ten more than 0.9.
 SHOWN, SHARE = 0.2, 0.35
 # By how much differences of evidence count: films and loads differ from their models in more ways than errors say.
 # Fitted by log-likelihood to scenes made without this package's simulation; see docs/studies/mouths.md.
@@ -32,11 +33,11 @@ COUNTS = 0.5
 
 @dataclass(frozen=True, eq=False)
 class Verdict:
-    """What a frame shows.
+    """Verdict on a frame.
 
     fits : those of UNIFORM first; of these alone where nothing stood out. shares : (fits) how probable each is.
     goodness : χ² per reading of the best fit. evidence : ln of the frame's probability under the best fit and of that
-    beforehand, up to what all fits to the same frame share.
+    beforehand, up to a common term of all fits to the frame.
     """
 
     fits: tuple[Fit, ...]
@@ -78,7 +79,7 @@ class Verdict:
 
 
 def prior_cost(panel: Panel, fit: Fit, frame: Observation | None = None) -> float:
-    """−ln P of a fit before the measurement, up to what all share.
+    """Return −ln P of a fit before the measurement, up to a common term.
 
     Of further loads, of suction that raises no cell, and of loads that stand in each other. frame : in whose cells
     suction has to show as well; None: in none.

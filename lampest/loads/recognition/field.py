@@ -58,13 +58,13 @@ def states(panel: Panel, change: Array) -> NDArray[np.intp]:
     cell, neighbour = np.concatenate([first, second]), np.concatenate([second, first])
     beside = np.bincount(cell, square[neighbour], square.size).astype(float)
     sides = np.bincount(cell, minlength=square.size)
-    beside += np.maximum(4 - sides, 0) * square  # a cell at the border stands for what it has not beside it
+    beside += np.maximum(4 - sides, 0) * square  # a cell at the border stands for its missing neighbours
     limits = np.sqrt(SD[1:] * SD[:-1])
     return np.asarray(np.digitize(np.sqrt(0.6 * square + 0.1 * beside), limits)).reshape(change.shape)
 
 
 def paid(panel: Panel, of_cells: NDArray[np.intp]) -> float:
-    """−ln P of the states: 1 for a pair of unlike neighbours, an assumption, and what makes the sum of all P one."""
+    """−ln P of the states: 1 for a pair of unlike neighbours, an assumption, and the normalising constant."""
     first, second, _ = panel.neighbours
     unlike = np.count_nonzero(of_cells.flat[first] != of_cells.flat[second])
     return float(unlike + np.log1p(3 * np.exp(-4)) * panel.present.sum())

@@ -17,7 +17,7 @@ from lampest.panel.panel import Array, Panel
 STEPS, ENOUGH = 30, 0.3
 ROUNDS = 4  # linearisations of the circuit in a fit, and fits with the errors about the one before, at most
 LOOSE = 0.3  # of the prior's width: wider axes of the posterior are measured, see `Fitting._widths`
-UNLIKELY = 20.0  # of ln P: what is so far below the best does not count
+UNLIKELY = 20.0  # of ln P: candidates so far below the best do not count
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,7 +27,7 @@ class Fit:
     parameters, covariance : (parameters) and its square. change : (rows, columns) ln r/r0. by_parameter : (parameters,
     cells) its slopes. residual : (cells) ohm. chi2 : of the readings. cost : half of it plus half the priors'.
     volume : ½ ln det of the errors' covariance. evidence : ln of the frame's probability under the candidate, up to
-    what all candidates share. scatter : the film's relative deviation. steps : evaluations of the pressure.
+    a common term of all candidates. scatter : the film's relative deviation. steps : evaluations of the pressure.
     """
 
     candidate: Candidate
@@ -45,7 +45,7 @@ class Fit:
 
     @property
     def score(self) -> float:
-        """−ln of the posterior at its most probable point: what candidates with errors of their own compare by."""
+        """−ln of the posterior at its most probable point, which compares candidates with errors of their own."""
         return self.cost + self.volume
 
     @property
@@ -59,7 +59,7 @@ class CellLikelihood:
     """−ln P of a frame as a square of x = ln r/r0, the circuit linearised at one x₀: ½ xᵀΛx − bᵀx + constant.
 
     With whitened residual e and slope A at x₀, Λ = AᵀA and b = Aᵀ(e + A x₀). residual : (cells) ohm, at x₀. exact :
-    ½ eᵀe, what it is there.
+    ½ eᵀe, its value there.
     """
 
     normal: Array

@@ -27,7 +27,7 @@ CALM_S = 60.0  # s: three times as long as the mean of frames takes to follow th
 
 @dataclass(frozen=True, eq=False)
 class WindowNetwork:
-    """The solved networks of a window's modules: what recognition asks of one network."""
+    """The solved networks of a window's modules, with the interface that recognition needs of one network."""
 
     layout: Modules
     networks: tuple[Any, ...]
@@ -224,7 +224,10 @@ class ImageWatch:
 
     @cached_property
     def change(self) -> Array | None:
-        """(rows, columns) ln r/r0 of what windows recognised last; 0 where nothing was; None: nowhere was anything."""
+        """ln r/r0 (rows, columns) of the loads that windows recognised last, 0 without one.
+
+        None where no window did.
+        """
         whole = np.zeros(self.panelled.scene.panel.shape)
         for window, watch, _ in self.opened:
             if watch.change is not None:

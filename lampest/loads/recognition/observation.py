@@ -1,4 +1,4 @@
-"""The unloaded panel, and one frame as a likelihood: what a pressure on the cells makes of the readings.
+"""The unloaded panel, and the likelihood of one frame: how readings follow from a pressure on the cells.
 
     R = f(r0·e^x) + E δ + noise,   x = κ·(ln F(p + p_w) − ln F(p_w))
 
@@ -145,7 +145,8 @@ class Baseline:
     def film(self, explained: "Explained", scatter: float) -> Array:
         """s² (x K xᵀ + w²) + b b ᵀ, (cells, cells) of ln r: how a film with a relative deviation of s departs from x.
 
-        K is the correlation of cells: shared, near and own; b what all share, of a bent film and of the patches' sizes.
+        K is the correlation of cells: shared, near and own; b is common to all, by a bent film and by the patches'
+        sizes.
         """
         errors, (change, edges, patches) = self.model_errors, (part.ravel() for part in explained)
         alike = errors.common + errors.near * self.near + (1 - errors.common - errors.near) * np.eye(len(self.near))
@@ -156,7 +157,7 @@ class Baseline:
 
 @dataclass(frozen=True, eq=False)
 class Observation:
-    """A frame's readings and what they are compared with.
+    """A frame's readings and the baseline that they are compared with.
 
     measured, sigma : (rows, columns) ohm. water : (rows, columns) kPa, that of the unloaded frames too. seconds : since
     the baseline. common : (cells, n) ohm, a root of the covariance of what the frame's readings share by chance, its
@@ -235,7 +236,7 @@ class Observation:
 
     @cached_property
     def offsets(self) -> Array:
-        """E (cells, offsets) ohm: what every offset's standard deviation adds to the readings."""
+        """E (cells, offsets) ohm: the effect of every offset's standard deviation on the readings."""
         return self.baseline.model_errors.offsets(self.measured, self.baseline.scene)
 
     def without(self, dropped: NDArray[np.intp]) -> "Observation":
@@ -246,7 +247,7 @@ class Observation:
 
 
 class Explained(NamedTuple):
-    """What a load explains, (rows, columns) ln r/r0.
+    """The change that a load explains, (rows, columns) ln r/r0.
 
     edges, patches : by how much a shift of the load by 1 mm changes that, and patches that are larger by their edge.
     """
@@ -265,7 +266,7 @@ class Whitening:
 
     @classmethod
     def of(cls, frame: Observation, explained: Explained, scatter: float) -> "Whitening":
-        """About what a load explains, for a film whose cells answer with a relative deviation of `scatter`."""
+        """Return the errors about the change that a load explains; scatter : relative deviation of the cells' answers."""
         slope = frame.slope(explained.change)
         return cls(cholesky(frame.covariance(slope, frame.baseline.film(explained, scatter)), lower=True), scatter)
 
@@ -292,7 +293,7 @@ class Whitening:
 
 
 def outliers(whitening: Whitening, residual: Array) -> NDArray[np.intp]:
-    """Numbers of the readings that lie far from what all the others predict; residual (cells) ohm.
+    """Return the numbers of the readings that lie far from the prediction of all others; residual (cells) ohm.
 
     z_i = (C⁻¹e)_i/√(C⁻¹)_ii is the error of i as predicted from the rest, over its standard deviation. The worst one
     is taken out before the next is looked for.

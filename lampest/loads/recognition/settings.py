@@ -1,4 +1,4 @@
-"""What recognition assumes of errors beside the noise of the readings, and of the film."""
+"""Assumptions of recognition on errors beside the noise of the readings, and on the film."""
 
 from dataclasses import dataclass, replace
 from math import hypot, log10
@@ -19,7 +19,7 @@ def patch_of(panel: Panel, patch_mm: float | None = None) -> float:
 
 @dataclass(frozen=True)
 class ModelErrors:
-    """Standard deviations of what is not measured.
+    """Standard deviations of quantities that are not measured.
 
     Parameters
     ----------
@@ -68,15 +68,17 @@ class ModelErrors:
         return hypot(self.drift * log10(1 + seconds / 60), self.settled)
 
     def resting_covariance(self, seconds: float, cells: int) -> Array:
-        """(cells, cells) of ln r of all cells at rest: their own, and what they share."""
+        """Return the covariance of ln r of all cells at rest, (cells, cells): their own part and the common one."""
         common = self.common_drift * log10(1 + seconds / 60)
         return self.resting_sd(seconds) ** 2 * np.eye(cells) + common**2
 
     def offsets(self, measured: Array, scene: Scene) -> Array:
-        """E·sd (cells, offsets): what one standard deviation of every offset adds to the readings, in their unit.
+        """Return E·sd (cells, offsets).
+
+        The effect of one standard deviation of every offset on the readings, in their unit.
 
         Offsets are those of rows and columns of every module (of two-point resistances), of the reference, and where
-        there are such errors, of each reading. measured : (rows, columns), without what stands in series.
+        there are such errors, of each reading. measured : (rows, columns), without the resistance in series.
         """
         layout, (rows, columns) = scene.panel.modules, measured.shape
         row, column = np.indices(measured.shape)

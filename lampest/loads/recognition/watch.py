@@ -1,4 +1,4 @@
-"""Frame after frame of one panel: what is attached, since when, and whether it sucks and breathes.
+"""Frame after frame of one panel: attachments, their times, and whether they suck and breathe.
 
 Steps are found by a matched filter on the logarithms of all readings (Page, Biometrika 41, 1954, of one). What stands
 there between two steps is recognised after 1, 2, 4 … seconds, from the median of the latest frames against the panel
@@ -51,7 +51,8 @@ FIRST_S, FRAMES = 1.0, 3  # after which something is recognised first, and at le
 class Panelled:
     """What stays while a panel is watched: scene, water in kPa, errors.
 
-    common : of (rows, columns), (cells, n) a root of the covariance of what readings share by chance; None: nothing.
+    common : of (rows, columns), (cells, n) a root of the covariance of errors that readings share by chance; None:
+    there are none.
     """
 
     scene: Scene
@@ -74,7 +75,7 @@ class Panelled:
 
 @dataclass(frozen=True, eq=False)
 class StepTest:
-    """|t_kᵀ W δ| > STEP·v_k of a change δ of ln y. What all cells share is free.
+    """|t_kᵀ W δ| > STEP·v_k of a change δ of ln y. A change that all cells share is free.
 
     patterns : (discs, cells) t_kᵀ W, those of discs, whitened and of unit length. near : (discs, discs) which are near.
     whitening : W (cells, cells). loud : (discs) v_k², the mean square in frames without a load: ripple and noise that
@@ -209,7 +210,7 @@ class Watch:
         return replace(self, recent=(self.recent[-1], logarithm), sigma=sigma)._stepped(shown, logarithm, time)
 
     def ended(self) -> "Watch":
-        """After the last frame: what stands there is recognised although it has just come."""
+        """Return the watch after the last frame: a load is recognised although it has just come."""
         return self._recognised(self.window[-1][0]) if self.present and not self.known else self
 
     def touched(self, unloaded: Array) -> bool:
@@ -227,12 +228,12 @@ class Watch:
 
     @property
     def change(self) -> Array | None:
-        """(rows, columns) ln r/r0 of what was recognised last; None: nothing was."""
+        """ln r/r0 (rows, columns) of the load that was recognised last; None: none was."""
         return None if self.verdict is None else self.verdict.best.change
 
     @property
     def doubt(self) -> str:
-        """Why it is not known what the panel carries; '' where it is."""
+        """Reason for which the load on the panel is not known; '' where it is."""
         if self.present and not self.known:
             return f"something touched the panel at {self.begun:.1f} s, and has not been still for long enough"
         if self.uncovered_s is not None:
@@ -243,7 +244,7 @@ class Watch:
         """With a frame among those since the last step, or the first after one."""
         before = self.window[-1][0] if self.window else self.begun
         scores = self.test.scores(shown - self.mean)
-        fading = self.left / (1 + max(time - self.left_s, 0.0) / FOLLOWS_S)  # what the film may show of the last load
+        fading = self.left / (1 + max(time - self.left_s, 0.0) / FOLLOWS_S)  # residue of the last load in the film
         if np.any(scores >= np.maximum(self.test.least(), CHANGED * (self.size if self.present else fading))):
             watch = replace(self, mean=shown, begun=before, window=((time, logarithm),), known=False)
             watch = watch if self.present else replace(watch, present=True, seen=None)
@@ -261,7 +262,7 @@ class Watch:
         return replace(watch, resting=watch.mean, rest_s=time, rested=max(1 / follows, self.rested), test=test)
 
     def _frame(self, logarithm: Array, time: float) -> Observation:
-        """Return readings against the panel before the load, with what the film keeps of loads that left."""
+        """Return readings against the panel before the load, with the film's residue of loads that left."""
         panelled, shape = self.panelled, self.panelled.scene.panel.shape
         baseline = panelled.baseline(np.exp(self.resting).reshape(shape), self.sigma, max(self.rested, 1.0))
         frame = panelled.frame(np.exp(logarithm).reshape(shape), self.sigma, baseline, time - self.rest_s)
@@ -270,7 +271,7 @@ class Watch:
         return replace(frame, baseline=replace(baseline, covariance=covariance))
 
     def _calm(self, frame: Observation) -> bool:
-        """Whether nothing stands out of a frame, nor a part of what was there that a film does not keep."""
+        """Return whether nothing stands out of a frame, beyond the film's residue of an earlier load."""
         return self.panelled.detector.calm(frame) is not None and self._left(frame)
 
     def _left(self, frame: Observation) -> bool:
@@ -285,7 +286,7 @@ class Watch:
         return bool(np.sum((frame.map - common) * before) <= CLEAR * FILM_KEEPS * np.sum(before**2))
 
     def _keeps(self, frame: Observation) -> Array | float:
-        """`film_sd` once a step has changed what was recognised: by what cells have less of it than before."""
+        """Return `film_sd` once a step has changed the recognised load: by the decrease of each cell."""
         if self.known or self.seen is None:
             return self.film_sd
         less = np.maximum(np.abs(self._before) - np.abs(frame.map), 0.0).ravel()
@@ -293,7 +294,7 @@ class Watch:
 
     @property
     def _before(self) -> Array:
-        """(rows, columns) ln r/r0 of what was recognised since something came; 0 where nothing was."""
+        """ln r/r0 (rows, columns) of the load that was recognised since the last step; 0 without one."""
         change = None if self.seen is None else self.change
         return np.zeros(self.panelled.scene.panel.shape) if change is None else change
 
@@ -310,7 +311,7 @@ class Watch:
         return replace(watch, resting=self.mean, rest_s=time, rested=float(len(self.window)), left_s=time)
 
     def _recognised(self, time: float) -> "Watch":
-        """With what stands there, by the frames of the window."""
+        """Return the watch with the loads that the frames of the window show."""
         again, scores = time + max(time - self.begun, FIRST_S), self.test.scores(self.mean - self.resting)
         size, clear = self.test.sizes(self.mean - self.resting), scores >= self.test.least()
         median = np.median([logarithm for _, logarithm in self.window], axis=0)
@@ -330,7 +331,10 @@ class Watch:
         return replace(watch, left=size, left_s=time, size=size, attachments=every)
 
     def _uncovered(self, verdict: Verdict, median: Array, time: float) -> bool:
-        """Whether what came is rather a load on the unloaded panel that left: as one explains it better backwards."""
+        """Return whether the load that came is rather one that left the unloaded panel.
+
+        It explains the frames better backwards.
+        """
         field = max(fit.evidence for fit in verdict.fits if fit.candidate is FIELD)
         if field < verdict.best.evidence - CANNOT_BE:
             return False
@@ -339,7 +343,10 @@ class Watch:
         return backwards.evidence > verdict.evidence + RARER
 
     def _breathed(self, time: float) -> "Watch":
-        """With what the window shows of breathing; judged anew until it is full, and then window after window."""
+        """Return the watch with the breath that the window shows.
+
+        It is judged anew until it is full, and then window after window.
+        """
         assert self.seen is not None and self.verdict is not None
         settled = self.window[:-1]  # the last frame may be the first of a release, which the next one will show
         times, logarithms = np.array([at for at, _ in settled]), np.array([logarithm for _, logarithm in settled])

@@ -1,4 +1,4 @@
-"""What presses on the panel or sucks at it. To add a shape: write its class, name it in `AnyShape`."""
+"""Shapes of loads on the panel. To add a shape: write its class, name it in `AnyShape`."""
 
 from typing import TYPE_CHECKING, Annotated
 

@@ -1,4 +1,4 @@
-"""A disc: what all round loads are made of; its pressure at points, and its mean on patches with derivatives.
+"""A disc, of which all round loads are made; its pressure at points, and its mean on patches with derivatives.
 
 On patches it may be stretched and press in lobes, with soft edges: the mean over points, each weighed by its distance
 from an edge. A stretched circle has no closed form on squares.

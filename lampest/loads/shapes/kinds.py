@@ -32,14 +32,14 @@ TILT = {"tilt_x": Prior(0, 0.25, step=0.3), "tilt_y": Prior(0, 0.25, step=0.3)}
 # round as a lathe leaves it, within 8 %, and presses within ±16 % along its rim.
 UNEVEN, MADE = (0.05, 0.05, 0.17, 0.17), (0.02, 0.02, 0.08, 0.08)
 # An assumption: films are cut to a millimetre and rims are rounded, so both edges of a disc may seem displaced.
-EDGE_MM, SOFT_EDGE_MM = 0.7, 1.1  # of what is made, and of a soft rim in more lobes than are fitted
+EDGE_MM, SOFT_EDGE_MM = 0.7, 1.1  # of manufactured loads, and of a soft rim in more lobes than are fitted
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class RoundCandidate(Candidate):
     """A disc described by φ: x, y and tilts themselves, other numbers by their logarithms.
 
-    numbers : priors of what stands beside the centre, in order. diameter, tilt_x, tilt_y; width of the rim, or the disc
+    numbers : priors of the numbers beside the centre, in order. diameter, tilt_x, tilt_y; width of the rim, or the disc
         is full; suction, or there is none; rim, the pressure under it, or push, by which that is above p_bear.
     uneven : standard deviations of the numbers of `Unevenness`, which come last. edge_mm : by which both edges may seem
         to lie beside their places.
@@ -94,7 +94,7 @@ class RoundCandidate(Candidate):
         return Disc(at[0], at[1], diameter, share * diameter, suction, rim, *tilt), slopes
 
     def start(self, disc: Disc) -> Array:
-        """φ of a disc as far as this kind has it; what the disc has not is small, and a full one presses as hard."""
+        """Return φ of a disc as far as this kind has it; missing numbers are small, and a full disc presses as hard."""
         width, bearing, mean = RIM_WIDTH_MM, 0.0, disc.rim_kpa
         if disc.inner_mm:
             hole = (disc.inner_mm / disc.diameter_mm) ** 2
@@ -243,7 +243,7 @@ class OralDisc(RoundShape):
 
     diameter_mm : of the mouth over the rim; of an elongated one the geometric mean of both axes.
     pressure_kpa : suction against the surroundings, negative.
-    rim_kpa : mean contact pressure under the rim; None: what bears the suction, p_rim·A_rim = −p·A_inside, and
+    rim_kpa : mean contact pressure under the rim; None: that which bears the suction, p_rim·A_rim = −p·A_inside, and
         `extra_rim_kpa`.
     extra_rim_kpa : by which the rim presses harder than its suction needs.
     elongation : long axis over the short one. elongation_deg : direction of the long axis; 0 towards higher columns.

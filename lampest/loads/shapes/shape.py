@@ -26,8 +26,8 @@ class Prior(NamedTuple):
 class Template(NamedTuple):
     """A disc that is laid over a map of the cells, where a search begins; inner_mm is 0 where it is full.
 
-    inside : what the inside does to ln r, 0 nothing, 1 as much as the rim the other way. faint : whether it is looked
-    for in the noise of a panel at rest too.
+    inside : effect of the inside on ln r, 0 for none, 1 for as much as the rim the other way. faint : whether it is
+    looked for in the noise of a panel at rest too.
     """
 
     outer_mm: float
@@ -38,10 +38,10 @@ class Template(NamedTuple):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Candidate(ABC):
-    """What recognition may take a load for: parameters φ without bounds, their priors and the pressure they mean.
+    """Candidate shape of recognition: parameters φ without bounds, their priors and the pressure they mean.
 
-    label : what tables, files and pictures call it. sucks : whether it is attached, and not only touching.
-    templates : what the search lays over the panel because of it, for all kinds to begin at.
+    label : its name in tables, files and pictures. sucks : whether it is attached, and not only touching.
+    templates : patterns that the search lays over the panel for it, starts of all kinds.
     """
 
     label: str
