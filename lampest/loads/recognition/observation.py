@@ -266,7 +266,7 @@ class Whitening:
 
     @classmethod
     def of(cls, frame: Observation, explained: Explained, scatter: float) -> "Whitening":
-        """Return the errors about the change that a load explains; scatter : relative deviation of the cells' answers."""
+        """Return the errors about the change that a load explains; scatter : relative deviation of the cells."""
         slope = frame.slope(explained.change)
         return cls(cholesky(frame.covariance(slope, frame.baseline.film(explained, scatter)), lower=True), scatter)
 
