@@ -15,6 +15,7 @@ from typing import Any, TypeAlias, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from lampest.files.process import ONE_BLAS_THREAD
 from lampest.loads.recognition.attachment import Attachment
 from lampest.loads.recognition.watch import Panelled, Watch
 from lampest.panel.panel import Array, Modules, Panel
@@ -180,6 +181,7 @@ class ImageWatch:
             modules.append(None if at_rest is None else Watch.begin(part, at_rest, *given))
         return cls(panelled, tuple(modules))
 
+    @ONE_BLAS_THREAD
     def push(self, measured: Array, sigma: Array, time: float) -> "ImageWatch":
         """As `Watch.push`."""
         modules, opened, stepped = list(self.modules), list(self.opened), dict[int, float]()

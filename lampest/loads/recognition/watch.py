@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cholesky, solve_triangular
 
+from lampest.files.process import ONE_BLAS_THREAD
 from lampest.loads.pressure import CLEAR
 from lampest.loads.recognition.attachment import Attachment, attachments_of, continued_by
 from lampest.loads.recognition.breathing import (
@@ -188,6 +189,7 @@ class Watch:
         uneven = panelled.detector.search.lies_on(frame.baseline.logarithm)
         return cls(panelled, test, sigma, resting, frames, time, resting, time, (resting, resting), uneven=uneven)
 
+    @ONE_BLAS_THREAD
     def push(self, measured: Array, sigma: Array, time: float) -> "Watch":
         """After a frame; a reading without a finite σ does not count. All (rows, columns)."""
         watch = self.followed(measured, sigma, time)
