@@ -40,7 +40,7 @@ def prior_root(penalty: lampest.Term) -> Array:
     cells = np.full((1, SIDE, SIDE), MEAN_OHM)
     readings = two_point_resistance(cells)
     data = estimator.data(Readings.of(SCENE, readings, 0.01 * readings), Background(SCENE))
-    model = LinearModel(evaluated(estimator.cost(SCENE, 1, False), data, cells), np.zeros(0))
+    model = LinearModel(evaluated(estimator.cost(SCENE, 1, partial=False), data, cells), np.zeros(0))
     values, vectors = np.linalg.eigh((model.penalty_jacobian.T @ model.penalty_jacobian).toarray())
     known = values > 1e-9 * values.max()
     return np.asarray(vectors[:, known] / np.sqrt(values[known]))

@@ -63,7 +63,7 @@ def _objectives(case: Case, count: int, generator: np.random.Generator) -> Itera
         if step.solution.status in (Status.UNREAD, Status.UNRESTED):
             continue
         # Weights of `weight: auto` are the frame's.
-        cost = case.estimator.with_weights(step.weights).cost(recording.scene, len(data.measured), data.partial)
+        cost = case.estimator.with_weights(step.weights).cost(recording.scene, len(data.measured), partial=data.partial)
         solver = named_method("reduced").solver(cost, recording.scene, case.estimator.solver, 1.0)
         places = (np.exp(generator.uniform(0, np.log(60), data.measured.shape)) for _ in range(count))
         ends = [solved_from(solver, evaluated(cost, data, data.apparent_resistance * place)) for place in places]

@@ -107,7 +107,7 @@ def _estimates(
     data, near = estimator.data(readings.alone(), Background(scene)), None
     for factor in FACTORS:
         weights = [float(term.weight) * (1.0 if term.reads_measurement else factor) for term in estimator.terms]
-        cost = estimator.with_weights(weights).cost(scene, 1, data.partial)
+        cost = estimator.with_weights(weights).cost(scene, 1, partial=data.partial)
         found = best_solution(ProjectedNewton(cost, estimator.solver), data, near)
         near = found.cell_resistance if found.solved else near
         of_penalties = zip(weights, estimator.terms, strict=True)

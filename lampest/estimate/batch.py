@@ -138,8 +138,8 @@ def _batches(streams: Sequence[Stream | None], readings: Readings) -> "Iterator[
     cores = 1 if parent_process() else len(os.sched_getaffinity(0))  # of several processes each has one
     partial = ((readings.side != 0) | (readings.seen < 1)).any(axis=(1, 2)).tolist()
     for number, stream in enumerate(streams):
-        if stream is not None and _in_batches(stream, readings, number, partial[number]):
-            estimator = _unweighted(stream.estimator, stream.rested)
+        if stream is not None and _in_batches(stream, readings, number, partial=partial[number]):
+            estimator = _unweighted(stream.estimator, rested=stream.rested)
             kind = id(estimator), stream.scene.faults, stream.first, stream.rested, partial[number]
             groups.setdefault(kind, {})[number] = stream
     for group in groups.values():
@@ -153,7 +153,7 @@ def _batches(streams: Sequence[Stream | None], readings: Readings) -> "Iterator[
                     yield together
 
 
-def _in_batches(stream: Stream, readings: Readings, number: int, partial: bool) -> bool:
+def _in_batches(stream: Stream, readings: Readings, number: int, *, partial: bool) -> bool:
     """Whether a batch may minimise a stream's frame, or the baseline that it lacks: weights are numbers."""
     estimator, method = stream.estimator, stream.estimator.method
     if not isinstance(method, OptimalMethod) or method.kind not in ("reduced", "auto") or estimator.weighs_previous:
@@ -171,11 +171,11 @@ def _in_batches(stream: Stream, readings: Readings, number: int, partial: bool) 
 
 
 @lru_cache(maxsize=256)
-def _unweighted(estimator: Estimator, rested: bool) -> Estimator:
+def _unweighted(estimator: Estimator, *, rested: bool) -> Estimator:
     """With weights of one; before the baseline, the terms that it has. The same object for equal ones."""
     terms = estimator.terms if rested else estimator.absolute_terms
     unit = replace(estimator, terms=tuple(replace(term, weight=1.0) for term in terms))
-    return unit if unit == estimator else _unweighted(unit, True)
+    return unit if unit == estimator else _unweighted(unit, rested=True)
 
 
 @dataclass(frozen=True, eq=False)
@@ -206,13 +206,13 @@ class Together:
     ) -> "Together | None":
         """frames : (streams, rows, columns). place : as `PanelBatch`. None where batches cannot serve the cost."""
         first = streams[0]
-        estimator = _unweighted(first.estimator, first.rested)
+        estimator = _unweighted(first.estimator, rested=first.rested)
         behind = Background(first.scene, first.period)
         if estimator.relative:
             resting = np.stack([stream.baseline_resistance for stream in streams])
             behind = replace(behind, previous=_previous(streams), baseline=resting)
         data = estimator.data(frames, behind)
-        cost = estimator.cost(first.scene, 1, data.partial)
+        cost = estimator.cost(first.scene, 1, partial=data.partial)
         if not PanelBatch.serves(cost, data):
             return None
         objectives = [_objective(stream) for stream in streams]

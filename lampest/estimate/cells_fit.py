@@ -108,6 +108,7 @@ def fitted(
     scene: Scene,
     readings: Readings,
     near: Array | None = None,
+    *,
     patient: bool = False,
     effects: Sequence[Effect] = (),
 ) -> CellsFit | None:
@@ -126,7 +127,7 @@ def fitted(
             if not patient and fit.chi_square > HOPELESS * readings.value.size:
                 return None
             alone = cells_alone() if patient else replace(cells_alone(), solver=BRIEF)
-            solver = alone.problem(scene, 1, float("inf"), data.partial)
+            solver = alone.problem(scene, 1, float("inf"), partial=data.partial)
             begun = None if patient else evaluated(solver.cost, data, fit.cells[None])
             solution = best_solution(solver, data, None) if begun is None else solved_from(solver, begun)
             if solution.solved and solution.at is not None:

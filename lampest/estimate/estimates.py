@@ -40,7 +40,7 @@ def barred_maps(cells: Array, baseline: Array, steps: tuple[Step, ...]) -> dict[
     """
     ratio = cells / baseline
 
-    def frames(name: str, change: bool = False, unbarred: float = np.inf) -> Array:
+    def frames(name: str, *, change: bool = False, unbarred: float = np.inf) -> Array:
         parts = [step.bars and (step.bars.change if change else step.bars.frame) for step in steps]
         blank = np.full(baseline.shape, unbarred)
         stacked = np.stack([blank if part is None else getattr(part, name) for part in parts])

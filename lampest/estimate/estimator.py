@@ -100,9 +100,9 @@ class Estimator(Objective):
         """Raise InputError where the formulation cannot serve the scene."""
         self.method.check_scene(scene)
 
-    def problem(self, scene: Scene, frames: int, period: float, partial: bool = False) -> Solver:
+    def problem(self, scene: Scene, frames: int, period: float, *, partial: bool = False) -> Solver:
         """Return the solver for one frame, or for two jointly, `period` seconds apart.
 
         It is built once per process.
         """
-        return self.method.solver(self.cost(scene, frames, partial), scene, self.solver, period)
+        return self.method.solver(self.cost(scene, frames, partial=partial), scene, self.solver, period)

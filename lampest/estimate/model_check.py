@@ -137,12 +137,14 @@ class ExplainedRecording:
         if explanation is None and not fault:
             if not few_bounds:
                 lawful = f"no readings break a law of the circuit; {100 * self.bounded:.0f} % of them are bounds"
-                return ModelCheck(True, f"{lawful}, and no cells were fitted")
+                return ModelCheck(explains=True, sentence=f"{lawful}, and no cells were fitted")
             return ModelCheck(None, "the circuit was not checked: no fit of its cells was found", noise=noise)
         best, whole = Better(), self.missing <= MOST_MISSING and (few_bounds or bool(self.below))
         if whole:
             change = changes_beyond_noise(scene, self.readings, self.recording.role)
-            rivals = list(rivals_of(question.specified, bool(change.max(initial=0.0) > -change.min(initial=0.0))))
+            rivals = list(
+                rivals_of(question.specified, reversed_too=bool(change.max(initial=0.0) > -change.min(initial=0.0)))
+            )
             best, effect = better_rival(rivals, question, None if fault else explanation), besides.better
             if effect.name and (effect.fits_noise or not fault) and (not best.name or effect.count < best.count):
                 best = effect
@@ -302,7 +304,7 @@ class Explanation:
 
     @classmethod
     def of(
-        cls, rival: Rival, question: Question, near: "Explanation | None" = None, patient: bool = False
+        cls, rival: Rival, question: Question, near: "Explanation | None" = None, *, patient: bool = False
     ) -> "Explanation | None":
         """Of a circuit; None where no fit is found. near : of a circuit much like it, or None.
 
@@ -312,7 +314,7 @@ class Explanation:
         fits: list[CellsFit] = []
         try:
             for number, readings in enumerate(question.readings(rival)):
-                fit = fitted(rival.scene, readings, None if near is None else near.fits[number].cells, patient)
+                fit = fitted(rival.scene, readings, None if near is None else near.fits[number].cells, patient=patient)
                 if fit is None or (not patient and fit.tail < LEVEL):
                     return None
                 fits.append(fit)

@@ -105,13 +105,13 @@ def _judges(recording: Recording, readings: Readings) -> Iterator[tuple[list[Dat
         objective = PlainObjective((Misfit(weighting="noise"), penalty), Settings(), Bounds(), AutoWeight())
         solves = [objective.data(readings[number].alone(), behind) for number in frames]
         alike = [data for data in solves if data.partial == solves[0].partial]
-        return alike, objective.cost(scene, 1, solves[0].partial)
+        return alike, objective.cost(scene, 1, partial=solves[0].partial)
 
     yield posed(LogGradient(weight=1.0), Background(scene))
     if np.any(recording.role == UNLOADED):
         plain = PlainObjective((Misfit(weighting="noise"),), Settings(), Bounds(), AutoWeight())
         data = plain.data(resting.alone(), Background(scene))
-        solver = ProjectedNewton(plain.cost(scene, 1, data.partial), plain.solver)
+        solver = ProjectedNewton(plain.cost(scene, 1, partial=data.partial), plain.solver)
         cells = best_solution(solver, data, None).cell_resistance[0]
         yield posed(RelativeChange(weight=1.0), Background(scene, previous=cells, baseline=cells))
 

@@ -176,7 +176,7 @@ def scatter_seen(recording: Recording, outliers: NDArray[np.bool_], cleaned: Rea
         significant = 1 - chi_square_tail(squares, parts.own_freedom) < LEVEL
         used = shown_factor(readout, parts.own) if significant else 1.0
     error = parts.own / np.sqrt(2 * parts.own_freedom)
-    said = _noise_in_words(readout, parts.own, unloaded > 1) if specified and used != 1 else ""
+    said = _noise_in_words(readout, parts.own, unloaded=unloaded > 1) if specified and used != 1 else ""
     frame, sizes = None, (0.0, 0.0)
     if readout is not None:
         volt = float(np.mean(readout.sigma_volt()))
@@ -222,7 +222,7 @@ def _shown_noise(readout: Readout, factor: float) -> float:
     return noise_of_variance(readout, factor**2 * float(assumed**2 - lasting**2))
 
 
-def _noise_in_words(readout: Readout | None, factor: float, unloaded: bool) -> str:
+def _noise_in_words(readout: Readout | None, factor: float, *, unloaded: bool) -> str:
     """Measured noise that is used in place of the specified one."""
     where = "unloaded frames" if unloaded else "readings at rest from frame to frame"
     if readout is None:

@@ -303,7 +303,7 @@ class FittedPair:
         after = replace(self, frames=(early, late), effects=effects)
         return after if np.all(np.isfinite(after.change)) else None
 
-    def settled(self, constant: bool = True) -> "tuple[FittedPair, Evidence] | None":
+    def settled(self, *, constant: bool = True) -> "tuple[FittedPair, Evidence] | None":
         """Return the pair with the likeliest sizes of its effects, and the evidence; None without such cells.
 
         constant : whether those that are there in the unloaded frames are to change, too.
@@ -332,7 +332,7 @@ class FittedPair:
         """Return the unloaded panel twice, before effects come that it has not."""
         return replace(self, frames=(self.frames[0],) * 2, effects=self._without_late())
 
-    def of_frame(self, readings: Readings, late: bool) -> "FittedPair | None":
+    def of_frame(self, readings: Readings, *, late: bool) -> "FittedPair | None":
         """Return the pair with another frame, readings (rows, columns).
 
         late : whether effects since the unloaded frames have another size there.
@@ -470,7 +470,7 @@ def taken_off(pair: FittedPair, readings: Readings, unloaded: NDArray[np.bool_])
     late, pair_of_frame, number = any(effect.since for effect in pair.effects), pair.at_rest(), 0
     for frame in (*np.flatnonzero(unloaded)[:1], *np.flatnonzero(~unloaded)):
         if not unloaded[frame]:
-            pair_of_frame, number = pair_of_frame.of_frame(readings[frame], late) or pair_of_frame, 1
+            pair_of_frame, number = pair_of_frame.of_frame(readings[frame], late=late) or pair_of_frame, 1
         frames = frame if number else unloaded
         value[frames] -= pair_of_frame.frames[number].offset
         sigma[frames] *= pair_of_frame.frames[number].amplification

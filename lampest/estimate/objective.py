@@ -206,7 +206,7 @@ class Objective:
         given, noisy = Given.of(readings, background), sigma is not None
         return Data(given, lower, upper, scene.circuit, scene.wiring, noisy, parts=scene.parts)
 
-    def cost(self, scene: Scene, frames: int, partial: bool = False) -> Cost:
+    def cost(self, scene: Scene, frames: int, *, partial: bool = False) -> Cost:
         """Return the terms over one frame, or over two jointly; crossings without a cell and broken cells are left out.
 
         partial : whether readings may be bounds or say nothing.

@@ -87,7 +87,7 @@ class Rival:
         return np.where(sigma <= most * self.recorded, 1.0, 0.0)
 
 
-def rivals_of(specified: Rival, reversed_too: bool = False) -> Iterator[Rival]:
+def rivals_of(specified: Rival, *, reversed_too: bool = False) -> Iterator[Rival]:
     """Return the specified circuit itself, for other resistances in series, then those of every kind that can be had.
 
     reversed_too : those as well under which the readings show less load where the specified circuit shows more.

@@ -79,7 +79,7 @@ def _of_frame(
     at = fit if near is None else _steadied(scene, fit, near, error)
     gain = at.gain
     if noise is not None:
-        drawn = gain @ noise.columns(at.readings.value[None], near is None)
+        drawn = gain @ noise.columns(at.readings.value[None], baseline=near is None)
         error = error + drawn @ drawn.T
     point, circuit = (at.cells, at.readings.value), scene.circuit
     network = circuit.network(at.cells, circuit.ties_of_parts(at.readings.value, scene.parts), scene.wiring)

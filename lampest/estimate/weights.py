@@ -59,7 +59,7 @@ def with_chosen_weights(
 
     Raises InputError where the noise is needed and unknown.
     """
-    cost = estimator.cost(scene, len(data.measured), data.partial)
+    cost = estimator.cost(scene, len(data.measured), partial=data.partial)
     alike = tuple(further for further in others if further.partial == data.partial)
     search = WeightSearch(cost, (data, *alike), estimator.solver)
     first = convex(data, near) if near is None else near

@@ -82,7 +82,9 @@ def steihaug(
         ratio = strength / before
         search = ratio * search - scaled
         mixed, outer = ratio * (mixed + length * outer), strength + ratio**2 * outer
-    return SubproblemStep(step, float(np.sqrt(inner)), -0.5 * float(step @ (gradient + residual)), False, count)
+    return SubproblemStep(
+        step, float(np.sqrt(inner)), -0.5 * float(step @ (gradient + residual)), negative=False, products=count
+    )
 
 
 def restricted(product: Linear, chosen: NDArray[np.intp], size: int) -> Linear:

@@ -95,7 +95,7 @@ class BatchErrors:
         drawn, shared = np.zeros((2, *variance.shape))
         for number, track in enumerate(self.tracks):
             if track.noise is not None:
-                columns = track.noise.columns(self.points.batch.data.measured[number][None], False)
+                columns = track.noise.columns(self.points.batch.data.measured[number][None], baseline=False)
                 answer = self._gain[number] @ columns
                 drawn[number], shared[number] = (answer**2).sum(axis=1, keepdims=True), alike(answer)[:, None]
         variance = variance + drawn

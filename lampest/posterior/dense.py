@@ -111,7 +111,7 @@ class DenseErrors:
         """A⁻¹ x of (free, n)."""
         return np.asarray(self.inverse @ right)
 
-    def gained(self, rows: Array, fine: bool = False) -> Array:
+    def gained(self, rows: Array, *, fine: bool = False) -> Array:
         """K x of rows of the data; fine : of what is reported itself."""
         return np.asarray(self._gain @ rows)
 

@@ -29,7 +29,7 @@ class FrameNoise:
     apart: Array
     left: Array | None = None
 
-    def columns(self, measured: Array, baseline: bool) -> Array:
+    def columns(self, measured: Array, *, baseline: bool) -> Array:
         """V (frames · cells, n) of readings (frames, rows, columns); baseline : the first is the unloaded mean."""
         parts = [self._of_frame(frame) for frame in measured]
         if baseline:

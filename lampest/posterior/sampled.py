@@ -72,7 +72,7 @@ class SampledErrors(DenseErrors):
     def solved(self, right: Array) -> Array:
         return _by_columns(self._solved, right, len(right))
 
-    def gained(self, rows: Array, fine: bool = False) -> Array:
+    def gained(self, rows: Array, *, fine: bool = False) -> Array:
         right = self.weighed(rows)[self.model.free]
         return _by_columns(lambda column: self._solved(column, FINE if fine else ACCURACY), right, len(right))
 

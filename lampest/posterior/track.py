@@ -86,7 +86,7 @@ class Track:
     noise: FrameNoise | None = None
     beyond: tuple[Array, Array] | None = None
 
-    def resting(self, model: LinearModel, remembered: bool) -> "Track":
+    def resting(self, model: LinearModel, *, remembered: bool) -> "Track":
         """After a baseline alone; remembered : whether later frames look back at it. Raises LinAlgError if flat."""
         errors = self._errors(model, None, baseline=True)
         answer, certainty = self._answered(errors)
@@ -125,7 +125,7 @@ class Track:
         noise = deviation**2 - self.shared.own_error(measured) ** 2
         return np.asarray(np.sqrt(np.maximum(noise, (LEAST_NOISE * deviation) ** 2)))
 
-    def _errors(self, model: LinearModel, memory: Memory | None, baseline: bool) -> DenseErrors:
+    def _errors(self, model: LinearModel, memory: Memory | None, *, baseline: bool) -> DenseErrors:
         """With V, and with each reading's own error; baseline : whether the first frame is the unloaded ones' mean."""
         terms, measured, drawn = model.at.cost.terms, model.at.data.measured, None
         if self.shared is not None:
@@ -134,7 +134,7 @@ class Track:
             if not all(term.reads_measurement or term.needs_previous for term in terms):
                 model = replace(model, own_error=self.shared.own_error(measured))
         if self.noise is not None:
-            drawn = np.asarray(model.through @ self.noise.columns(measured, baseline))
+            drawn = np.asarray(model.through @ self.noise.columns(measured, baseline=baseline))
         return errors_of(model, memory, drawn)
 
     def _answered(self, errors: DenseErrors) -> tuple[Array, Certainty]:

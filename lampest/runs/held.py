@@ -35,7 +35,7 @@ class Held(Validated):
     versions: dict[str, str] = field(default_factory=dict)
     baseline_status: str = _attribute("baseline_status")
     baseline_solve_time: float = _attribute("baseline_solve_time_s", float("nan"))
-    joint_start: bool = _attribute("joint_start", False)
+    joint_start: bool = _attribute("joint_start", default=False)
     model_mark: str = _attribute("model_explains")
     model_sentence: str = _attribute("model_check")
     noise_sentence: str = _attribute("noise_check")

@@ -110,7 +110,7 @@ class Iterate:
 
     @classmethod
     def of(
-        cls, at: Evaluation, smoothing: Smoothing, preconditioner: Preconditioner | None = None, convex: bool = True
+        cls, at: Evaluation, smoothing: Smoothing, preconditioner: Preconditioner | None = None, *, convex: bool = True
     ) -> "Iterate":
         """Return the first iterate of a solve, or of another smoothing."""
         return cls(Hessian(at, smoothing), smoothing.objective(at), preconditioner, convex=convex)
@@ -184,7 +184,7 @@ class Iterate:
         return (
             None
             if at is None
-            else Iterate.of(at, self.hessian.smoothing.moved(self.at, at), self.preconditioner, self.convex)
+            else Iterate.of(at, self.hessian.smoothing.moved(self.at, at), self.preconditioner, convex=self.convex)
         )
 
     def expects(self, trial: "Iterate") -> float:
@@ -290,7 +290,7 @@ def newton_direction(
     """Minimise the quadratic model by conjugate gradients; cells beyond a bound stop there, the others go on."""
     at, gradient = point.at, point.hessian.gradient
     logarithmic = shares_conductance(at)
-    low, high = step_bounds(at, logarithmic)
+    low, high = step_bounds(at, logarithmic=logarithmic)
     accuracy = min(0.1, point.residual**0.5)
     moving, step, slope = free, np.zeros(free.size), gradient
     products, negative, length, predicted = 0, False, 0.0, -inf
@@ -315,7 +315,7 @@ def newton_direction(
     return Direction(step if logarithmic else -np.log1p(-step), predicted, length, products, negative)
 
 
-def step_bounds(at: Evaluation, logarithmic: bool) -> tuple[Array, Array]:
+def step_bounds(at: Evaluation, *, logarithmic: bool) -> tuple[Array, Array]:
     """Return the bounds of a step, flat: of log r, or of the relative change of the conductance, 1 − exp(−δ log r)."""
     lower, upper = (bound.ravel() - at.position.ravel() for bound in at.data.log_bounds)
     low, high = np.maximum(lower, -MAX_STEP), np.minimum(upper, MAX_STEP)

@@ -329,7 +329,7 @@ def _costs(reference: Estimates) -> Iterator[tuple[Cost, Data]]:
     before = np.concatenate([reference.baseline_resistance[None], reference.cell_resistance[:-1]])
     for frame, previous in zip(reference.frame, before, strict=True):
         data, _ = replace(stream, previous=previous).given(readings[frame])
-        yield estimator.cost(recording.scene, len(data.measured), data.partial), data
+        yield estimator.cost(recording.scene, len(data.measured), partial=data.partial), data
 
 
 def _objective(cost: Cost, data: Data, cells: Array) -> float:

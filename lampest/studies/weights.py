@@ -81,7 +81,7 @@ class WeightSubject:
         if recording.truth_cell_resistance is not None:
             truth = np.log(recording.truth_cell_resistance[frame])
             truth[scene.broken] = np.nan
-        cost, noisy = case.estimator.cost(scene, len(data.measured), data.partial), readings.sigma is not None
+        cost, noisy = case.estimator.cost(scene, len(data.measured), partial=data.partial), readings.sigma is not None
         names = case.recording, case.name
         return cls(*names, case.estimator, scene, frame, noisy, cost, data, truth, tuple(further))
 

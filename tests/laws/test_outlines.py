@@ -208,7 +208,7 @@ def test_a_matrix_between_cells_that_can_move_is_that_of_all(outline: str) -> No
     estimator = lampest.Estimator((lampest.Misfit(weighting="noise"), lampest.LogGradient(weight=3.0)))
     scene = Scene(panel, READOUT)
     data = estimator.data(lampest.Readings.of(scene, readings).alone(), Background(scene))
-    at = evaluated(estimator.cost(scene, 1, data.partial), data, 1.3 * data.uniform_start)
+    at = evaluated(estimator.cost(scene, 1, partial=data.partial), data, 1.3 * data.uniform_start)
     hessian = Hessian(at, Smoothing.start(at))
     chosen = np.flatnonzero(panel.present)[1:]
     np.testing.assert_allclose(hessian.between(chosen), hessian.matrix[np.ix_(chosen, chosen)], rtol=1e-9, atol=1e-9)

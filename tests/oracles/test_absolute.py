@@ -34,7 +34,7 @@ def solved(terms: tuple[Term, ...], shape: tuple[int, int] = SHAPE) -> tuple[Sol
     scene, nothing = Scene(Panel(*shape)), np.zeros(measured.shape)
     estimator = Estimator(terms, formulation="reduced")
     data = estimator.data(Readings(measured, sigma, nothing, nothing + 1), Background(scene))
-    return best_solution(estimator.problem(scene, 1, 1.0, data.partial), data, None), data
+    return best_solution(estimator.problem(scene, 1, 1.0, partial=data.partial), data, None), data
 
 
 def stated(data: Data, *penalties: Penalty) -> LeastCost:
@@ -78,7 +78,7 @@ def test_a_large_panel_takes_no_more_steps(side: int, loss: Squared | Absolute) 
     measured, sigma = readings((side, side))
     scene, nothing = Scene(Panel(side, side)), np.zeros(measured.shape)
     data = estimator.data(Readings(measured, sigma, nothing, nothing + 1), Background(scene))
-    cost = estimator.cost(scene, 1, data.partial)
+    cost = estimator.cost(scene, 1, partial=data.partial)
     start = Evaluation.at(cost, data, data.uniform_start)
     found = check(start, ProjectedNewton(cost, Settings()).solve(data, start))
     assert found.status is Status.OPTIMUM and found.iterations < 60

@@ -59,7 +59,7 @@ def batch_of(terms: tuple[Term, ...], readings: Readings) -> PanelBatch:
     estimator = Estimator(terms, "reduced")
     rest = np.full(readings.value.shape, 3000.0)
     data = estimator.data(readings, Background(SCENE, 1.0, rest, None, rest))
-    cost = estimator.cost(SCENE, 1, data.partial)
+    cost = estimator.cost(SCENE, 1, partial=data.partial)
     return PanelBatch(cost, np.tile(cost.weights, (len(rest), 1)), data)
 
 
@@ -167,7 +167,7 @@ def test_a_cell_at_a_bound_gets_its_bars_alone() -> None:
 def test_inputs_that_nobody_gives_stand_as_absent_for_every_panel() -> None:
     estimator, readings = Estimator((Misfit(),), "reduced"), frames(0.0)
     data = estimator.data(readings, Background(SCENE, 1.0, None, None, None))
-    cost = estimator.cost(SCENE, 1, data.partial)
+    cost = estimator.cost(SCENE, 1, partial=data.partial)
     named = PanelBatch(cost, np.tile(cost.weights, (PANELS, 1)), data).named
     sources, given = dict(data.given.sources()), dict(data.given.named())
     missing = sources.keys() - given.keys()

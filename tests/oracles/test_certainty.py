@@ -236,7 +236,7 @@ def test_what_nobody_sees_has_no_bounds() -> None:
     seen = np.ones((1, *SHAPE))
     seen[0, 0, :] = 0
     data = estimator.data(replace(readings, seen=seen), Background(Scene(Panel(*SHAPE))))
-    problem = estimator.problem(Scene(Panel(*SHAPE)), 1, 1.0, data.partial)
+    problem = estimator.problem(Scene(Panel(*SHAPE)), 1, 1.0, partial=data.partial)
     found = best_solution(problem, data, cells[None])
     assert found.solved
     certainty = DenseErrors(model_of(found)).certainty

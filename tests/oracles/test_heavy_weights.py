@@ -45,7 +45,7 @@ def solved(kind: str, weight: float, scaled: bool, loss: Loss | None) -> tuple[S
     scene, nothing = Scene(Panel(*SHAPE)), np.zeros(measured.shape)
     estimator = Estimator(terms, formulation="reduced")
     data = estimator.data(Readings(measured, sigma, nothing, nothing + 1), Background(scene))
-    found = best_solution(estimator.problem(scene, len(measured), 1.0, data.partial), data, None)
+    found = best_solution(estimator.problem(scene, len(measured), 1.0, partial=data.partial), data, None)
     stated = (
         Penalty("misfit", 1.0, scaled=scaled),
         Penalty(kind, weight, "squared" if term.loss.squared else "absolute"),

@@ -179,7 +179,7 @@ def pressed_patch() -> Evaluation:
     recorded = Recording(Scene(Panel(18, 20), TwoPointReadout()), readings, np.zeros(1), np.ones(1, dtype=np.uint8))
     estimator = Estimator((Misfit(), Gradient(weight=1e-3)), formulation="reduced")
     data = estimator.data(recorded.readings()[0].alone(), Background(recorded.scene))
-    return Evaluation.at(estimator.cost(recorded.scene, 1, False), data, data.uniform_start)
+    return Evaluation.at(estimator.cost(recorded.scene, 1, partial=False), data, data.uniform_start)
 
 
 def test_gauss_newtons_matrix_is_positive_where_second_derivatives_are_not() -> None:

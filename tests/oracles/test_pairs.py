@@ -52,7 +52,7 @@ def test_a_joint_pair_ends_where_nothing_else_finds_less(
     estimator = Estimator((Misfit(), METHODS[method]), formulation="reduced")
     seen = np.ones(exact.shape)
     data = estimator.data(Readings(measured, sigma, 0 * seen, seen), Background(scene))
-    found = best_solution(estimator.problem(scene, 2, 1.0, data.partial), data, None)
+    found = best_solution(estimator.problem(scene, 2, 1.0, partial=data.partial), data, None)
     assert found.optimum, found.status
 
     terms = (Penalty("misfit", 1.0), Penalty(method, METHODS[method].weight))

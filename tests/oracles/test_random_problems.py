@@ -54,7 +54,7 @@ def test_no_other_solver_finds_less(seed: int, number: int) -> None:
 def test_a_large_joint_pair_of_noisy_readings_ends() -> None:
     """Two frames of 19 × 18 cells, readings off by 5 % of unknown noise: once it took all iterations."""
     problem = replace(RandomProblem.drawn(97, 130), joint=True)
-    cost = problem.estimator.cost(problem.scene, 2, problem.data.partial)
+    cost = problem.estimator.cost(problem.scene, 2, partial=problem.data.partial)
     found = solved_from(
         ProjectedNewton(cost, problem.estimator.solver), evaluated(cost, problem.data, problem.data.uniform_start)
     )
@@ -67,7 +67,7 @@ def test_as_many_starts_as_are_asked_for(number: int) -> None:
     """A comparison with the frame before, read in volts; plain squares of readings that cells cannot meet."""
     problem = RandomProblem.drawn(97, number)
     assert problem.asked is not None
-    cost, oracle = problem.estimator.cost(problem.scene, 1, problem.data.partial), problem.oracle
+    cost, oracle = problem.estimator.cost(problem.scene, 1, partial=problem.data.partial), problem.oracle
     solver = ProjectedNewton(cost, replace(problem.estimator.solver, starts=9))
     solution = best_solution(solver, problem.data, None)
     assert solution.starts == 9

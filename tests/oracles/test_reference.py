@@ -49,7 +49,7 @@ def judged(cells: Array, seed: int, static: float = 0.0) -> tuple[Data, Cost]:
     estimator, scene = Estimator((WEIGHTED, LogGradient(weight=1.0)), "reduced"), Scene(Panel(*cells.shape))
     readings, sigma = with_errors(cells, seed, static)
     data = estimator.data(Readings.of(scene, readings[None], sigma[None]), Background(scene))
-    return data, estimator.cost(scene, 1, data.partial)
+    return data, estimator.cost(scene, 1, partial=data.partial)
 
 
 def log_error(cells: Array, truth: Array) -> float:

@@ -148,7 +148,7 @@ def ends(problem: RandomProblem, random: np.random.Generator, found: Array | Non
         except (ValueError, ArithmeticError):
             continue
     estimator = problem.estimator if problem.asked is not None else problem.alone
-    cost = estimator.cost(problem.scene, len(data.measured), data.partial)
+    cost = estimator.cost(problem.scene, len(data.measured), partial=data.partial)
     ours = ProjectedNewton(cost, estimator.solver)
     solvers: list[tuple[str, Any, list[Array]]] = [("random starts", ours, scattered)]
     if size <= NODAL_CELLS and problem.scene.wiring is None:

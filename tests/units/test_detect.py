@@ -122,7 +122,7 @@ def test_a_part_that_a_later_look_does_not_see_has_not_left() -> None:
     fin, part = SEEN, dataclasses.replace(SEEN, x_mm=(80.0, 0.6))
     old = dataclasses.replace(part, since_s=2.0)
     for before, again, kept in (((fin, part), True, (None,)), ((fin, old), True, (None, None))):
-        assert tuple(one.until_s for one in continued_by(before, [fin], 6.0, again)) == kept
+        assert tuple(one.until_s for one in continued_by(before, [fin], 6.0, again=again)) == kept
     assert [one.until_s for one in continued_by((fin, part), [fin], 9.0)] == [None, 9.0]
 
 
@@ -144,7 +144,7 @@ def test_what_sucked_has_sucked_when_its_suction_has_leaked() -> None:
     cup = dataclasses.replace(SEEN, clear=900.0)
     for clear, sucks in ((200.0, 0.99), (2000.0, 0.01)):
         rest = dataclasses.replace(SEEN, sucks=0.01, diameter_mm=None, clear=clear)
-        (found,) = continued_by((cup,), [rest], 400.0, True)
+        (found,) = continued_by((cup,), [rest], 400.0, again=True)
         assert found.sucks == sucks and (found.diameter_mm is None) == (sucks < 0.5)
 
 

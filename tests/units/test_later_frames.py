@@ -23,7 +23,7 @@ def counted(monkeypatch: pytest.MonkeyPatch, method: str, number: int) -> dict[s
         stream, step = stream.push(readings[frame])
         assert step.solution.strict
     data, previous = stream.given(readings[third])
-    solver = estimator.problem(stream.scene, len(data.measured), 1.0, data.partial)
+    solver = estimator.problem(stream.scene, len(data.measured), 1.0, partial=data.partial)
     solver.prepare()
     counts: dict[str, int] = {}
     watch(monkeypatch, counts)

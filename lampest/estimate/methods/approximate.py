@@ -93,7 +93,7 @@ class LinearisedMethod(Method):
         objective = state.estimator
         background = replace(state.background, previous=begun.previous if objective.relative else None)
         data = objective.data(state.resting.alone(), background)
-        cost = objective.cost(state.scene, 1, data.partial)
+        cost = objective.cost(state.scene, 1, partial=data.partial)
         return replace(begun, prepared=FactoredBaseline(evaluated(cost, data, begun.previous[None])))
 
     def solution(self, solver: Solver, data: Data, previous: Array | None, prepared: Any) -> Solution:

@@ -135,7 +135,7 @@ class Method(Validated):
             if objective.automatic:
                 objective = with_chosen_weights(objective, state.scene, data.limited(limit), previous)
             choice = perf_counter() - begin
-            cost = objective.cost(state.scene, len(data.measured), data.partial)
+            cost = objective.cost(state.scene, len(data.measured), partial=data.partial)
             solver = self.solver(cost, state.scene, objective.solver, state.period)
             solver.prepare()  # so that no frame is charged for building its solver
             begin = perf_counter()

@@ -162,7 +162,7 @@ class SmootherMethod(Method):
         self, state: SequenceState, data: Sequence[Data], start: Array, resting: int = 0, until: float = inf
     ) -> tuple[Joint, int]:
         """As `smoothed`, of the data of all frames, of which so many are means of unloaded ones."""
-        costs = [state.estimator.cost(state.scene, 1, frame.partial) for frame in data]
+        costs = [state.estimator.cost(state.scene, 1, partial=frame.partial) for frame in data]
         # Errors that a scene does not name are no unknowns: usual errors of a circuit are too many for a few frames to
         # tell.
         scene = state.scene if state.scene.specified_systematic else replace(state.scene, systematic="none")

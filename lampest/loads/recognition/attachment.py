@@ -112,7 +112,7 @@ class Attachment:
         names = ("since_s", "breathing", "before", "breathing_hz", "breathing_depth", "suction", "track")
         return replace(later, sucks_s=began, moved_s=moved, **{name: getattr(self, name) for name in names})
 
-    def breathed(self, seen: Breath, full: bool) -> "Attachment":
+    def breathed(self, seen: Breath, *, full: bool) -> "Attachment":
         """After a window; full : whether its odds stay. A mouth breathes in OFTEN of all windows."""
         odds = float(np.clip(self.before + np.logaddexp(log(1 - OFTEN), log(OFTEN) + seen.odds), PAUSED, SURE))
         breathing = replace(self, breathing=odds, before=odds if full else self.before)
@@ -194,7 +194,7 @@ class _ChangedCells:
 
 
 def continued_by(
-    before: Sequence[Attachment], loads: Sequence[Attachment], time: float, again: bool = False
+    before: Sequence[Attachment], loads: Sequence[Attachment], time: float, *, again: bool = False
 ) -> tuple[Attachment, ...]:
     """All attachments once loads were recognised since a step at that time; those nearest by are continued.
 

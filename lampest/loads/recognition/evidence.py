@@ -89,7 +89,7 @@ def prior_cost(panel: Panel, fit: Fit, frame: Observation | None = None) -> floa
     cost = sum(_overlapping(*pair) for pair in combinations([disc for _, disc in loads if disc is not None], 2))
     for part, disc in loads:
         if part.sucks:
-            under_disc = np.full(panel.shape, True) if disc is None or len(loads) == 1 else under(panel, disc)
+            under_disc = np.ones(panel.shape, dtype=bool) if disc is None or len(loads) == 1 else under(panel, disc)
             full = 0.0 if disc is None else float(np.mean(response.gains * response.logarithm(disc.suction_kpa)))
             maps = [fit.change] if frame is None else [fit.change, frame.highest]
             rise = min(float(pressure[under_disc].max(initial=0.0)) for pressure in maps)

@@ -150,13 +150,13 @@ class Fitting:
         )
         return minimum.at, minimum.evaluations
 
-    def best(self, start: Array, whitening: Whitening, most: float = np.inf, quick: bool = False) -> Fit:
+    def best(self, start: Array, whitening: Whitening, most: float = np.inf, *, quick: bool = False) -> Fit:
         """Return the fit at the most probable φ.
 
         most : cost above which the search ends early. quick : whether widths are those of the curvature.
         """
         point, likelihood, steps = self.settled(start, whitening, most)
-        return replace(self.fit_at(point, likelihood, whitening, quick or point.cost > most), steps=steps)
+        return replace(self.fit_at(point, likelihood, whitening, quick=quick or point.cost > most), steps=steps)
 
     def settled(
         self, start: Array, whitening: Whitening, most: float = np.inf, held: int | None = None
@@ -183,9 +183,9 @@ class Fitting:
         likelihood = self.about(parameters, whitening)
         return self.fit_at(self.at(parameters, likelihood), likelihood, whitening, quick=True)
 
-    def fit_at(self, point: Linearisation, likelihood: CellLikelihood, whitening: Whitening, quick: bool) -> Fit:
+    def fit_at(self, point: Linearisation, likelihood: CellLikelihood, whitening: Whitening, *, quick: bool) -> Fit:
         """Return the fit with a likelihood that was linearised there."""
-        widths, spread = self._widths(point, likelihood, quick)
+        widths, spread = self._widths(point, likelihood, quick=quick)
         covariance = spread @ spread.T + np.diag(self.candidate.blind(point.parameters) ** 2)
         evidence = float(np.log(widths).sum() - point.cost) - whitening.volume
         known = point.parameters, covariance, point.change, point.by_parameter, likelihood.residual
@@ -218,7 +218,7 @@ class Fitting:
         )
         return Explained(fit.change, np.abs(more - less) / 2, (large - small) / (1.1 - 0.9))
 
-    def _widths(self, point: Linearisation, likelihood: CellLikelihood, quick: bool) -> tuple[Array, Array]:
+    def _widths(self, point: Linearisation, likelihood: CellLikelihood, *, quick: bool) -> tuple[Array, Array]:
         """Return standard deviations along the posterior's axes over those of the prior, and a root of its covariance.
 
         Where a rim runs between patches, slopes are 0 and would give the width of the prior. There the cost one such

@@ -329,7 +329,7 @@ class Watch:
             return replace(self, seen=frame, left=size, uncovered_s=self.begun)._gone(self.begun)
         loads = attachments_of(frame, verdict, self.begun)
         watch = replace(self, film_sd=self._keeps(frame), seen=frame, verdict=verdict, known=True, next_s=again)
-        every = continued_by(self.attachments, loads, self.begun, self.known)
+        every = continued_by(self.attachments, loads, self.begun, again=self.known)
         return replace(watch, left=size, left_s=time, size=size, attachments=every)
 
     def _uncovered(self, verdict: Verdict, median: Array, time: float) -> bool:
@@ -358,7 +358,7 @@ class Watch:
         for place, breath in breaths(times, logarithms, self.seen, fit, self.test.whitening, detector):
             present = [number for number, attachment in enumerate(attachments) if attachment.present]
             number = min(present, key=lambda number: attachments[number].distance(place))
-            attachments[number] = attachments[number].breathed(breath, full)
+            attachments[number] = attachments[number].breathed(breath, full=full)
         return replace(self, attachments=tuple(attachments), breath_s=time + (WINDOW_S if full else FIRST_S))
 
     def _pumped(self, time: float) -> "Watch":

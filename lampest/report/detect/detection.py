@@ -73,7 +73,7 @@ class Known:
         panel, layout, noise = self.scene.panel, self.scene.panel.modules, self.noise
         if panel.network.crossings > MOST_CELLS:
             raise ValueError(f"loads are recognised on panels and modules of up to {MOST_CELLS} cells")
-        common = None if noise is None or layout else lambda measured: noise.columns(measured[None], False)
+        common = None if noise is None or layout else lambda measured: noise.columns(measured[None], baseline=False)
         mat = self.scene.purpose == "mat"
         water, errors = water_pressure(panel, self.scene.water), ModelErrors().of_scene(self.scene, self.reading_error)
         panelled = Panelled(

@@ -128,7 +128,7 @@ def _parts(estimator: Estimator, recording: Recording) -> Iterator[_Part]:
 def _judged(task: AtlasTask, method: str, part: _Part, recording: Recording, cells: Array) -> Solve:
     """Judge a solve by the cells of the scene, (2, rows, columns) ohm."""
     solution, data, estimator = part.step.solution, part.data, part.estimator
-    cost = estimator.cost(recording.scene, len(data.measured), data.partial)
+    cost = estimator.cost(recording.scene, len(data.measured), partial=data.partial)
     solve = Solve(
         **vars(task.sample),
         method=method,
