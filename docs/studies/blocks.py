@@ -1,0 +1,79 @@
+"""Time of frames that are solved in blocks, beside frames one by one and the whole call of `lampest.reconstruct`.
+
+python -m docs.studies.blocks [--sides 10 16 20] [--period 0.25]: processor time of a frame with error bars in inverses
+of a matrix of all lines but one, medians of turns A B A B, of 24 frames under a rod.
+"""
+
+import argparse
+from time import process_time
+
+import numpy as np
+
+import lampest
+from lampest.estimate.batch import pushed_in_block
+from lampest.estimate.prepared import Prepared
+from lampest.estimate.sequence import first_stream
+from lampest.files.process import ONE_BLAS_THREAD
+from lampest.studies.common import inverse_time
+
+FRAMES, TURNS = 24, 5
+METHODS: dict[str, tuple[lampest.Term, ...]] = {
+    "plain least squares": (lampest.Misfit(),),
+    "gradient": (lampest.Misfit(), lampest.Gradient()),
+    "log_gradient": (lampest.Misfit(weighting="noise"), lampest.LogGradient()),
+}
+
+
+def main() -> None:
+    """Print a row of the table for every panel and method."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--sides", type=int, nargs="+", default=[10, 16, 20])
+    parser.add_argument("--period", type=float, default=0.25, help="s between frames")
+    options = parser.parse_args()
+    print("| panel | terms | frame by frame | in blocks | the whole call, a frame | largest difference of ln r |")
+    print("|---|---|---|---|---|---|")
+    for side in options.sides:
+        recording = _recording(side, options.period)
+        with ONE_BLAS_THREAD:
+            unit = inverse_time(
+                np.random.default_rng(0).random((2 * side - 1, 2 * side - 1)) + side * np.eye(2 * side - 1)
+            )
+            for name, terms in METHODS.items():
+                alone, blocks, whole, difference = _measured(recording, terms)
+                figures = " | ".join(f"{1e3 * time:.1f} ms, {time / unit:.0f}" for time in (alone, blocks, whole))
+                print(f"| {side} × {side} | {name} | {figures} | {difference:.0e} |", flush=True)
+
+
+def _recording(side: int, period: float) -> lampest.Recording:
+    panel = lampest.Panel(side, side)
+    middle = panel.pitch_mm * (side - 1) / 2
+    rod = lampest.Rod(centre_mm=(middle, middle), diameter_mm=3 * panel.pitch_mm, mass_g=800)
+    scene = lampest.Scene(panel, lampest.TwoPointReadout(adc_bits=12, noise_lsb=1.0, readings=4), 140.0)
+    simulation = lampest.Simulation(1, 4, scene, baseline_frames=5, frames=FRAMES, frame_period_s=period, loads=(rod,))
+    return lampest.simulate(simulation)
+
+
+def _measured(recording: lampest.Recording, terms: tuple[lampest.Term, ...]) -> tuple[float, float, float, float]:
+    """Seconds of a later frame alone and in a block, of a frame of the whole call, and the largest difference."""
+    prepared = Prepared(recording)
+    readings, frames = prepared.noise.readings, recording.measured_frames()
+    stream = first_stream(recording, readings, lampest.Estimator(terms, "reduced"), prepared.noise)
+    stream, _ = stream.push(readings[int(frames[0])])
+    times = list[tuple[float, float, float]]()
+    for _ in range(TURNS):
+        begin, later, cells = process_time(), stream, []
+        for frame in frames[1:]:
+            later, step = later.push(readings[int(frame)])
+            cells.append(step.cell_resistance)
+        alone, begin = process_time() - begin, process_time()
+        steps = pushed_in_block(stream, readings[frames[1:]])[1]
+        blocks, begin = process_time() - begin, process_time()
+        lampest.reconstruct(recording, terms)
+        times.append((alone / (FRAMES - 1), blocks / (FRAMES - 1), (process_time() - begin) / FRAMES))
+    together = np.log([step.cell_resistance for step in steps])
+    alone, blocks, whole = np.median(times, axis=0).tolist()
+    return alone, blocks, whole, float(np.abs(together - np.log(cells)).max())
+
+
+if __name__ == "__main__":
+    main()
