@@ -34,6 +34,7 @@ from lampest.solvers.panel_batch import BLOCK, PanelBatch
 from lampest.solvers.solution import OPEN_FRACTION, VERIFIED, Settings, Solution, Status
 
 FEWEST = 20  # panels of a thread: with fewer, threads cost more than they save
+MAX_BLOCK_FRAMES = 40  # that are solved together: 50 MB of inverse Hessians at 20 × 20
 MAX_BLOCK_CELLS = (
     400  # of a network whose frames are solved together: with more, inverse Hessians cost more than they save
 )
@@ -89,7 +90,7 @@ def pushed_in_block(stream: Stream, readings: Readings) -> tuple[Stream, list[St
     frame that the batch hands back is pushed alone.
     """
     steps, solved, size = list[Step](), dict[int, tuple[Stream, Step]](), readings.value[0].size
-    count = min(len(readings.value), 2 * FEWEST)
+    count = min(len(readings.value), MAX_BLOCK_FRAMES)
     if count > 1 and size <= MAX_BLOCK_CELLS and not stream.first and stream.stands_alone:
         solved = _solved_together(
             [stream] * count, readings[:count], InverseHessians.nothing(count, size), Together.pushed
@@ -143,7 +144,10 @@ def _batches(streams: Sequence[Stream | None], readings: Readings) -> "Iterator[
             kind = id(estimator), stream.scene.faults, stream.first, stream.rested, partial[number]
             groups.setdefault(kind, {})[number] = stream
     for group in groups.values():
-        blocks = max(1, min(cores, len(group) // FEWEST))
+        several = len(
+            set(map(id, group.values()))
+        )  # frames of one stream stay in one thread, however many cores there are
+        blocks = max(1, min(cores, several // FEWEST))
         for place, numbers in enumerate(np.array_split(list(group), blocks)):
             with suppress(*BROKEN), np.errstate(all="ignore"):
                 together = Together.of(
