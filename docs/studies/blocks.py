@@ -66,10 +66,7 @@ def _measured(recording: lampest.Recording, terms: tuple[lampest.Term, ...]) -> 
             later, step = later.push(readings[int(frame)])
             cells.append(step.cell_resistance)
         alone, begin = process_time() - begin, process_time()
-        steps, ahead = [], stream
-        while len(steps) < len(frames) - 1:
-            ahead, block = pushed_in_block(ahead, readings[frames[1 + len(steps) :]])
-            steps += block
+        steps = [step for _, step in pushed_in_block(stream, readings[frames[1:]])]
         blocks, begin = process_time() - begin, process_time()
         lampest.reconstruct(recording, terms)
         times.append((alone / (FRAMES - 1), blocks / (FRAMES - 1), (process_time() - begin) / FRAMES))

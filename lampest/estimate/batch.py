@@ -35,9 +35,7 @@ from lampest.solvers.solution import OPEN_FRACTION, VERIFIED, Settings, Solution
 
 FEWEST = 20  # panels of a thread: with fewer, threads cost more than they save
 MAX_BLOCK_FRAMES = 40  # that are solved together: 50 MB of inverse Hessians at 20 × 20
-MAX_BLOCK_CELLS = (
-    400  # of a network whose frames are solved together: with more, inverse Hessians cost more than they save
-)
+MAX_BLOCK_CELLS = 400  # of their network: with more, inverse Hessians cost more than they save (docs/studies/speed.md)
 W = TypeVar("W")
 
 
@@ -83,22 +81,22 @@ def _weighed(streams: Sequence[Stream | None], readings: Readings) -> list[Strea
     return weighed
 
 
-def pushed_in_block(stream: Stream, readings: Readings) -> tuple[Stream, list[Step]]:
-    """Return the stream after its next frames, and how they were solved; readings : (frames, rows, columns).
+def pushed_in_block(stream: Stream, readings: Readings) -> Iterator[tuple[Stream, Step]]:
+    """Yield the stream after each of its next frames, and the step that solved it; readings : (frames, rows, columns).
 
-    Frames of a network that depend on no earlier one are solved over a leading axis, all begun at the last estimate. A
-    frame that the batch hands back is pushed alone.
+    Frames of a network that depend on no earlier one are solved over a leading axis, all begun at the last estimate.
+    There are MAX_BLOCK_FRAMES of them at most. A frame that the batch hands back is pushed alone, as is the only frame
+    where there can be no block.
     """
-    steps, solved, size = list[Step](), dict[int, tuple[Stream, Step]](), readings.value[0].size
-    count = min(len(readings.value), MAX_BLOCK_FRAMES)
-    if count > 1 and size <= MAX_BLOCK_CELLS and not stream.first and stream.stands_alone:
-        solved = _solved_together(
-            [stream] * count, readings[:count], InverseHessians.nothing(count, size), Together.pushed
-        )
-    for number in range(count if solved else 1):
+    size, count, solved = readings.value[0].size, 1, dict[int, tuple[Stream, Step]]()
+    if size <= MAX_BLOCK_CELLS and not stream.first and stream.stands_alone:
+        count = min(len(readings.value), MAX_BLOCK_FRAMES)
+    if count > 1:
+        inverses = InverseHessians.nothing(count, size)
+        solved = _solved_together([stream] * count, readings[:count], inverses, Together.pushed)
+    for number in range(count):
         stream, step = solved.get(number) or stream.push(readings[number])
-        steps.append(step)
-    return stream, steps
+        yield stream, step
 
 
 def rested_together(streams: Sequence[Stream | None]) -> list[Stream | None]:

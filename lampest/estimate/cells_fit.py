@@ -35,9 +35,8 @@ FIT = LevenbergMarquardt(evaluations=16, settled=EXACT / 2, share=0.1, damping=0
 # Cells at the edge of r > 0 take some 20 iterations, a circuit that cannot explain its readings hundreds.
 BRIEF = Settings(max_iterations=25)
 EDGE = 1e-3  # of the least cell of estimates: a short behind a drive resistor of a kilo-ohm is smaller
-HOPELESS = (
-    10.0  # χ² for each reading that noise at the edge of r > 0 never leaves; without it checks take four times longer
-)
+# χ² for each reading that noise at the edge of r > 0 never leaves; without it checks take four times longer.
+HOPELESS = 10.0
 MOST_CELLS = 400  # where matrices over the cells take tens of milliseconds; beyond, every reading counts as a degree
 SPREAD = 0.01  # 1/variance of log r: a cell that no reading sees may be anything within e^±10
 

@@ -115,8 +115,8 @@ class MeasuredPart:
             numbers, resting = iter(range(1, count + 1)), self.readings[self.recording.role == UNLOADED]
             stream, steps = stream.sequence(resting, readings, lambda: on_frame(next(numbers, count), count, None))
         while len(steps) < count:
-            stream, block = pushed_in_block(stream, readings[len(steps) :])
-            for step in block:
+            for after, step in pushed_in_block(stream, readings[len(steps) :]):
+                stream = after
                 steps.append(step)
                 on_frame(len(steps), count, so_far)
         return stream, so_far()

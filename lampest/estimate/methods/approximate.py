@@ -23,9 +23,8 @@ from lampest.solvers.projected_newton import ProjectedNewton
 from lampest.solvers.smoothing import Smoothing
 from lampest.solvers.solution import Outcome, Settings, Solution, Solver, Status, approximation
 
-ACCURACY = (
-    1e-5  # single cells are small beside lines in the quadratic model: with 1e-2 the change of one is not resolved
-)
+# Single cells are small beside lines in the quadratic model: with 1e-2 the change of one is not resolved.
+ACCURACY = 1e-5
 MAX_STEP = 3.0  # of log r: a factor of 20
 
 

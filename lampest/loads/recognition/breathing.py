@@ -191,9 +191,8 @@ def _depth(patterns: Patterns, changes: Array, waves: Array, at: Array, noise: f
         weights = patterns.weights(depth, noise)
         series = changes @ weights
         coefficients = inverse @ series
-        left = float(np.sum((series - basis @ coefficients) ** 2)) / max(
-            len(at) - 8, 1
-        )  # four numbers here, four of trend
+        freedom = max(len(at) - 8, 1)  # four numbers here, four of trend
+        left = float(np.sum((series - basis @ coefficients) ** 2)) / freedom
         each = left * (inverse**2).sum(axis=1)
         depth = max(float(coefficients @ coefficients - each[2:].sum()), STEADY**2) ** 0.5
         film = float(np.sum((weights @ patterns.own[:, 1:]) ** 2)) + RESPONSE_SD**2
