@@ -1,0 +1,83 @@
+"""Formulas of the selection of changed cells, of motion and of smoothed losses, against their plain statements."""
+
+import numpy as np
+import pytest
+
+from lampest import Estimator, Misfit, Panel, Readings, Scene, TotalVariation, TwoPointReadout, two_point_resistance
+from lampest.cost.given import Background
+from lampest.cost.problem import Evaluation
+from lampest.estimate.changed_cells import MOVED, PRICE, scores_beside, selected, still_cells
+from lampest.estimate.noise import NoiseSeen, swept
+from lampest.panel.panel import Array
+from lampest.solvers.smoothing import Smoothing
+
+
+def drawn(cells: int, seed: int) -> tuple[Array, Array]:
+    """A change of still cells, and its covariance."""
+    rng = np.random.default_rng(seed)
+    root = 0.01 * rng.standard_normal((cells, cells)) + 0.02 * np.eye(cells)
+    return root @ rng.standard_normal(cells), root @ root.T
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_an_error_more_is_scored_by_the_density_of_the_change_with_it(seed: int) -> None:
+    change, covariance = drawn(9, seed)
+    columns = 0.05 * np.random.default_rng(seed + 10).standard_normal((9, 4))
+    scores = scores_beside(change, np.linalg.inv(covariance), columns)
+    for score, column in zip(scores, columns.T, strict=True):
+        with_it = covariance + np.outer(column, column)
+        volume = np.linalg.slogdet(with_it)[1] - np.linalg.slogdet(covariance)[1]
+        assert score == pytest.approx(change @ np.linalg.solve(with_it, change) + volume, rel=1e-9)
+
+
+def test_a_cell_that_moved_costs_its_price_and_nothing_else() -> None:
+    change, covariance = drawn(9, 1)
+    change[4] += 1.0
+    precision, others = np.linalg.inv(covariance), np.arange(9) != 4
+    lost, moved = selected(precision @ change, precision)
+    np.testing.assert_array_equal(moved, ~others)
+    left = change[others] @ np.linalg.solve(covariance[np.ix_(others, others)], change[others])
+    assert change @ precision @ change + lost == pytest.approx(PRICE + left, rel=1e-9)
+    score = scores_beside(change, precision, np.zeros((9, 1)))
+    assert score == pytest.approx([PRICE + left], rel=1e-9)
+
+
+def test_still_cells_have_the_likelihood_of_the_others_beside_changes_of_size_one() -> None:
+    change, covariance = drawn(12, 2)
+    change[[3, 7]] = -0.8, 0.3
+    cost, still = still_cells(change, covariance)
+    np.testing.assert_array_equal(np.flatnonzero(~still), [3, 7])
+    within = covariance[np.ix_(still, still)]
+    expected = change[still] @ np.linalg.solve(within, change[still]) + np.linalg.slogdet(within)[1]
+    assert cost == pytest.approx(expected + 0.8**2 + 0.3**2 + 2 * MOVED, rel=1e-9)
+
+
+def test_motion_widens_the_noise_of_swept_readings_and_counts_frames_that_it_exceeds() -> None:
+    scene = Scene(Panel(2, 2), TwoPointReadout())
+    value = np.full((4, 2, 2), 600.0)
+    value[2] += 40.0  # a load that comes in the third frame and presses a little more in the last
+    value[3] += 44.0
+    nothing = np.zeros(value.shape)
+    readings = Readings(value, nothing + 4.0, nothing, nothing + 1)
+    seen = NoiseSeen(nothing.astype(bool), 0.0, (), readings)
+    measured = np.arange(1, 4)
+    moved = 0.5 * swept(scene, readings, measured)
+    widened = seen.with_motion(scene, 0.5, measured)
+    np.testing.assert_allclose(widened.readings.sigma, np.hypot(4.0, moved))
+    exceeded = int(np.sum(np.sqrt(np.mean(moved**2, axis=(1, 2))) > 4.0))
+    assert exceeded == 2 and "in 2 frames" in widened.sentence
+    assert moved[3].any() and seen.with_motion(scene, 0.0, measured) is seen
+
+
+def test_absolute_losses_are_smoothed_by_the_root_of_squares_less_its_width() -> None:
+    scene, cells = Scene(Panel(3, 3), TwoPointReadout()), np.linspace(900.0, 1300.0, 9).reshape(1, 3, 3)
+    estimator = Estimator((Misfit(), TotalVariation(weight=2.0)), "reduced")
+    data = estimator.data(Readings.of(scene, two_point_resistance(1.1 * cells)), Background(scene))
+    at = Evaluation.at(estimator.cost(scene, 1, partial=data.partial), data, cells)
+    width = 0.01
+    smoothed = np.sum(2.0 * (np.sqrt(at.nonsmooth**2 + width**2) - width))
+    assert Smoothing(width, np.zeros(len(at.nonsmooth))).objective(at) == pytest.approx(
+        at.costs[0] + smoothed, rel=1e-12
+    )
+    plain = Evaluation.at(Estimator((Misfit(),), "reduced").cost(scene, 1, partial=data.partial), data, cells)
+    assert Smoothing(width, np.zeros(0)).objective(plain) == plain.objective
