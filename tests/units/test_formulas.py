@@ -1,4 +1,4 @@
-"""Formulas of the selection of changed cells, of motion and of smoothed losses, against their plain statements."""
+"""Formulas of changed cells, motion, smoothed losses and series resistances, against their plain statements."""
 
 import numpy as np
 import pytest
@@ -7,7 +7,9 @@ from lampest import Estimator, Misfit, Panel, Readings, Scene, TotalVariation, T
 from lampest.cost.given import Background
 from lampest.cost.problem import Evaluation
 from lampest.estimate.changed_cells import MOVED, PRICE, scores_beside, selected, still_cells
+from lampest.estimate.model_check import most_in_series
 from lampest.estimate.noise import NoiseSeen, swept
+from lampest.estimate.rivals import Question, Rival
 from lampest.panel.panel import Array
 from lampest.solvers.smoothing import Smoothing
 
@@ -81,3 +83,11 @@ def test_absolute_losses_are_smoothed_by_the_root_of_squares_less_its_width() ->
     )
     plain = Evaluation.at(Estimator((Misfit(),), "reduced").cost(scene, 1, partial=data.partial), data, cells)
     assert Smoothing(width, np.zeros(0)).objective(plain) == plain.objective
+
+
+@pytest.mark.parametrize("levels", [(900.0, 400.0), (400.0, 900.0)])
+def test_a_resistance_in_series_is_smaller_than_every_reading_of_both_frames(levels: tuple[float, float]) -> None:
+    recorded = np.repeat(levels, 2)[:, None, None] * np.ones((3, 3))
+    rival = Rival(Scene(Panel(3, 3), TwoPointReadout(), 100.0), recorded, np.ones(recorded.shape))
+    question = Question(rival, np.array([0, 1]), np.array([2, 3]), 1.0, np.arange(4))
+    assert 0.9 * min(levels) < most_in_series(rival, question) < min(levels)
