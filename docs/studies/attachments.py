@@ -35,9 +35,11 @@ UNLOADED, TOUCH_S, ATTACHED_S, BARE_S = 5, 2.0, 14.0, 4.0
 SWAY, SWAY_S = 0.03, 7200.0  # of the temperature: of all cells, a tenth of it different from cell to cell
 CREEP = ((1.0, 0.02), (10.0, 0.02), (100.0, 0.02))  # s, and the part of the answer that comes so late
 KEPT, FADES_S = 0.12, 60.0  # part of its largest answer that a film keeps, and for how long
-SHAKEN, STILL, PUMPING, BUMPED = "shaken cup", "still mouth", "pumping mouth", "bumped cup"
-KINDS = (*MAKERS, SHAKEN, STILL, PUMPING, BUMPED)
-LIVING = (*MOUTHS, PUMPING)
+SHAKEN, STILL, PUMPING, BUMPED, SLIDING = "shaken cup", "still mouth", "pumping mouth", "bumped cup", "sliding mouth"
+KINDS = (*MAKERS, SHAKEN, STILL, PUMPING, BUMPED, SLIDING)
+LIVING = (*MOUTHS, PUMPING, SLIDING)
+OF_COURSE = {SHAKEN: "cup", BUMPED: "cup", STILL: "mouth", PUMPING: "uneven mouth", SLIDING: "mouth"}  # their shapes
+SLIDES_MM, SLIDES_S = 15.0, (6.0, 8.0)  # along the rows, and between which times after the touch
 TABLE = (PUMPING, "cup", BUMPED, SHAKEN, "rod", "hand")
 POISSON_95 = (3.0, 4.74, 6.30, 7.75)  # upper limits of a mean of which so many events were seen
 PUMPED_S, DECAY = (20.0, 200.0), (0.1, 0.5)  # between pumps (Shi et al. 2021), and the part that is lost until one
@@ -174,13 +176,15 @@ def recording(
     rng = np.random.default_rng([seed, side, KINDS.index(kind)])
     panel = Panel(side, side)
     made, layer = (
-        MAKERS[{SHAKEN: "cup", BUMPED: "cup", STILL: "mouth", PUMPING: "uneven mouth"}.get(kind, kind)](rng, panel),
+        MAKERS[OF_COURSE.get(kind, kind)](rng, panel),
         film(rng, rng.choice(["real", "other"])),
     )
     frames = round((TOUCH_S + attached_s + max(BARE_S, 10 / rate)) * rate)
     time = np.concatenate([(np.arange(UNLOADED) - UNLOADED) / rate, np.arange(frames) / rate])
     course, depth, hertz = courses(rng, kind, time, attached_s)
     shake = rng.uniform(0.3, 1.5) * np.sin(2 * np.pi * hertz * time) * (kind == SHAKEN)
+    inwards = 1.0 if made.centres_mm and made.centres_mm[0][0] < panel.centres_mm()[0].mean() else -1.0
+    shake += inwards * SLIDES_MM * np.clip((time - TOUCH_S - SLIDES_S[0]) / np.ptp(SLIDES_S), 0, 1) * (kind == SLIDING)
     resistance = cells(rng, panel, made, layer, course, time - time[0], shake)
     scene = Scene(panel, TwoPointReadout(noise_lsb=0.7), 140.0, response=PublishedResponse())
     role = (np.arange(len(time)) >= UNLOADED).astype(np.uint8)

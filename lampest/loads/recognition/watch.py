@@ -2,8 +2,8 @@
 
 Steps are found by a matched filter on the logarithms of all readings (Page, Biometrika 41, 1954, of one). What stands
 there between two steps is recognised after 1, 2, 4 … seconds, from the median of the latest frames against the panel
-before the load came, and goes only by a step back to that, up to what the film remembers. A bare panel at rest follows
-the readings.
+before the load came, and goes only by a step back to that, up to what the film remembers. A step whose readings go back
+to the level before it, such as a deep breath or an outlier, was none. A bare panel at rest follows the readings.
 """
 
 from collections.abc import Callable
@@ -144,10 +144,14 @@ class Watch:
         Whether there was a recognition since the last step.
     next_s, breath_s, sample_s : float
         Times of the next recognition, of the next judgement of breath and of the next sample of suction.
+    judged_s : float
+        Time of the last frame in the last full window in which breath was judged.
     uncovered_s
         Time at which a load left that had been there before the first frame.
     uneven : bool
         Whether a load may lie on the panel in the unloaded frames.
+    former : Watch or None
+        The load before the last step; None once another was recognised since.
     """
 
     panelled: Panelled
@@ -171,9 +175,11 @@ class Watch:
     next_s: float = np.inf
     breath_s: float = np.inf
     sample_s: float = np.inf
+    judged_s: float = -np.inf
     uncovered_s: float | None = None
     uneven: bool = False
     attachments: tuple[Attachment, ...] = ()
+    former: "Watch | None" = None
 
     @classmethod
     def begin(cls, panelled: Panelled, measured: Array, sigma: Array, unloaded: Array, time: float) -> "Watch":
@@ -197,6 +203,7 @@ class Watch:
             return watch
         if not watch.known and watch._calm(watch._frame(watch.mean, time)):
             return watch._gone(watch.begun)
+        watch = watch._resumed(watch.mean) if time >= watch.next_s else watch
         watch = watch._recognised(time) if time >= watch.next_s and len(watch.window) >= FRAMES else watch
         if not (watch.present and watch.known):
             return watch
@@ -247,8 +254,12 @@ class Watch:
         before = self.window[-1][0] if self.window else self.begun
         scores = self.test.scores(shown - self.mean)
         fading = self.left / (1 + max(time - self.left_s, 0.0) / FOLLOWS_S)  # residue of the last load in the film
-        if np.any(scores >= np.maximum(self.test.least(), CHANGED * (self.size if self.present else fading))):
-            watch = replace(self, mean=shown, begun=before, window=((time, logarithm),), known=False)
+        if np.any(scores >= (self._least_step if self.present else np.maximum(self.test.least(), CHANGED * fading))):
+            resumed = self._resumed(shown)
+            if resumed is not self:
+                return resumed._stepped(shown, logarithm, time)
+            former = replace(self, former=None) if self.present else None
+            watch = replace(self, mean=shown, begun=before, window=((time, logarithm),), known=False, former=former)
             watch = watch if self.present else replace(watch, present=True, seen=None)
             size = self.test.sizes(shown - self.resting)
             watch = replace(watch, next_s=before + FIRST_S, breath_s=time + LEAST_S + 1 / LEAST_RATE)
@@ -262,6 +273,20 @@ class Watch:
             return watch
         test = replace(self.test, loud=self.test.loud + share * (scores**2 - self.test.loud))
         return replace(watch, resting=watch.mean, rest_s=time, rested=max(1 / follows, self.rested), test=test)
+
+    def _resumed(self, logarithm: Array) -> "Watch":
+        """Return the watch over the load before the last step, with the frames since, where readings are back there."""
+        former = self.former
+        if former is None or np.any(former.test.scores(logarithm - former.mean) >= former._least_step):
+            return self
+        window = (*former.window, *self.window)
+        lately = sum(at > window[-1][0] - WINDOW_S for at, _ in window)
+        return replace(former, recent=self.recent, sigma=self.sigma, window=window[-max(lately, FRAMES) :])
+
+    @property
+    def _least_step(self) -> Array:
+        """(discs) scores of a step while a load is present."""
+        return np.maximum(self.test.least(), CHANGED * self.size)
 
     def _frame(self, logarithm: Array, time: float) -> Observation:
         """Return readings against the panel before the load, with the film's residue of loads that left."""
@@ -305,9 +330,8 @@ class Watch:
         closed = tuple(
             replace(attachment, until_s=time) if attachment.present else attachment for attachment in self.attachments
         )
-        watch = replace(
-            self, present=False, known=False, attachments=closed, film_sd=0.0, next_s=np.inf, breath_s=np.inf
-        )
+        ended = replace(self, present=False, known=False, former=None, attachments=closed)
+        watch = replace(ended, film_sd=0.0, next_s=np.inf, breath_s=np.inf)
         if self.seen is None:
             return replace(watch, mean=self.resting, window=())
         return replace(watch, resting=self.mean, rest_s=time, rested=float(len(self.window)), left_s=time)
@@ -324,13 +348,13 @@ class Watch:
         if verdict.nothing > exp(-RARER) * (1 - verdict.nothing) or memory:  # some steps are noise, or a load's end
             if self._left(frame) and not (self.known and np.any(clear)):
                 return self._gone(time if self.known else self.begun)
-            return replace(self, known=True, next_s=again)
+            return replace(self, known=True, next_s=again, former=None)
         if self.seen is None and self._uncovered(verdict, median, time):
             return replace(self, seen=frame, left=size, uncovered_s=self.begun)._gone(self.begun)
         loads = attachments_of(frame, verdict, self.begun)
-        watch = replace(self, film_sd=self._keeps(frame), seen=frame, verdict=verdict, known=True, next_s=again)
+        watch = replace(self, film_sd=self._keeps(frame), seen=frame, verdict=verdict, known=True, former=None)
         every = continued_by(self.attachments, loads, self.begun, again=self.known)
-        return replace(watch, left=size, left_s=time, size=size, attachments=every)
+        return replace(watch, left=size, left_s=time, size=size, next_s=again, attachments=every)
 
     def _uncovered(self, verdict: Verdict, median: Array, time: float) -> bool:
         """Return whether the load that came is rather one that left the unloaded panel.
@@ -345,12 +369,13 @@ class Watch:
         return backwards.evidence > verdict.evidence + RARER
 
     def _breathed(self, time: float) -> "Watch":
-        """Return the watch with the breath that the window shows.
+        """Return the watch with the breath that the frames since the last full window show.
 
-        It is judged anew until it is full, and then window after window.
+        They are judged anew until they fill a window. The last frame may be the first of a release, which the next one
+        will show.
         """
         assert self.seen is not None and self.verdict is not None
-        settled = self.window[:-1]  # the last frame may be the first of a release, which the next one will show
+        settled = [frame for frame in self.window[:-1] if frame[0] > self.judged_s]
         times, logarithms = np.array([at for at, _ in settled]), np.array([logarithm for _, logarithm in settled])
         lasted = float(times[-1] - times[0])
         full = lasted > WINDOW_S - 2.5 * lasted / max(len(times) - 1, 1)
@@ -359,7 +384,9 @@ class Watch:
             present = [number for number, attachment in enumerate(attachments) if attachment.present]
             number = min(present, key=lambda number: attachments[number].distance(place))
             attachments[number] = attachments[number].breathed(breath, full=full)
-        return replace(self, attachments=tuple(attachments), breath_s=time + (WINDOW_S if full else FIRST_S))
+        judged_s = float(times[-1]) if full else self.judged_s
+        breath_s = time + (LEAST_S + 1 / LEAST_RATE if full else FIRST_S)
+        return replace(self, attachments=tuple(attachments), judged_s=judged_s, breath_s=breath_s)
 
     def _pumped(self, time: float) -> "Watch":
         """With one more sample of all suction, from the frames of the last BLOCK_S but FRAMES at least."""
