@@ -251,6 +251,22 @@ class PublishedResponse(Response):
         return TOLD_KPA
 
 
+@dataclass(frozen=True, kw_only=True)
+class BentSuction(PublishedResponse):
+    """The published curve, whose suction follows a power through its one published point: ln f = 2.02·(p/−10)^exponent.
+
+    A straight line of r through that point has exponents of ½ at −5 kPa and ⅓ at −30 kPa, a threshold of 2 kPa about 2.
+    """
+
+    exponent: float
+
+    def logarithm(self, pressure: ArrayLike) -> Array:
+        """ln f(p), any shape, kPa → 1."""
+        pressure = np.asarray(pressure, dtype=float)
+        share = np.minimum(pressure, 0.0) / TOLD_KPA[0]
+        return super().logarithm(np.maximum(pressure, 0.0)) + SUCTION_RATE * TOLD_KPA[0] * share**self.exponent
+
+
 AnyResponse = Annotated[TableResponse | PowerResponse | PublishedResponse, ByKind()]
 
 

@@ -16,7 +16,7 @@ from lampest.loads.recognition.evidence import COUNTS, RARER
 from lampest.loads.recognition.fit import ROUNDS, Fit
 from lampest.loads.recognition.observation import Observation
 from lampest.panel.panel import Array
-from lampest.panel.response import RESPONSE_SD, PublishedResponse
+from lampest.panel.response import RESPONSE_SD, SUCTION_RATE, TOLD_KPA, PublishedResponse
 
 RATES_HZ = (0.5, 2.5)  # of breathing; sea lampreys at rest 0.8 to 1.6 Hz
 LEAST_RATE = 3.8  # frames a second: those of four whose clock is slow; they show rates up to 2 Hz
@@ -28,6 +28,8 @@ MOST = 0.15  # relative amplitude of breathing: with more, the unevenness of a f
 # An assumption: relative standard deviation of the swing of all the rim over that of suction, which may press with more
 # than it bears; and of each cell's change by a movement, because where an edge crosses its film is not known.
 UNSURE = 0.5
+# ln r/r0 by which films whose suction shows from −2 kPa on stay behind the published curve's extension to 0 kPa.
+DELAY = SUCTION_RATE * TOLD_KPA[0] / (TOLD_KPA[0] / -2.0 - 1)
 MOVES = {"x": 1.0, "y": 1.0, "tilt_x": 0.1, "tilt_y": 0.1}  # of common movements, mm and 1
 
 
@@ -234,8 +236,8 @@ def _explained(root: Array, most: float, swings: Array, noise: float) -> Array:
 def _slopes(frame: Observation, rise: Array, scatter: float) -> Array:
     """(7, cells) ∂x/∂ln p of cells at x = `rise`: mean and deviations, as films differ by `scatter` and are bent.
 
-    The last deviation is that of the published curve under suction, which has one point there: an exponential and a
-    straight line of r are one standard deviation each from their geometric mean.
+    The last deviation is that of the published curve under suction, which has one point there: a straight line of r and
+    an exponential beyond a threshold are one standard deviation each from their geometric mean.
     """
     response, water = frame.baseline.response, frame.water
     points, weights = hermegauss(5)
@@ -243,9 +245,11 @@ def _slopes(frame: Observation, rise: Array, scatter: float) -> Array:
     logarithm = rise / gains + response.logarithm(water)
     pressure = response.pressure(logarithm) - water
     more, less = (response.logarithm(water + by * pressure) for by in (1 + BREATH, 1 - BREATH))
-    level = np.maximum(logarithm, 1e-9) * isinstance(response, PublishedResponse) + 1e-9
-    curve = 0.5 * np.log(-np.expm1(-level) / level)
-    slopes = (gains * (more - less) / (2 * BREATH) * np.exp(curve)).reshape(len(points), -1)
+    rise = np.maximum(logarithm, 0.1)
+    straight, delayed = np.log(-np.expm1(-rise) / rise), np.log1p(DELAY / rise)
+    unknown = (logarithm > 0) & isinstance(response, PublishedResponse)
+    middle, curve = unknown * (delayed + straight) / 2, unknown * (delayed - straight) / 2
+    slopes = (gains * (more - less) / (2 * BREATH) * np.exp(middle)).reshape(len(points), -1)
     shares = weights / weights.sum()
     mean = shares @ slopes
     common = shares @ (slopes * curve.reshape(slopes.shape))

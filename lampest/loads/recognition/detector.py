@@ -12,9 +12,10 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_solve
+from scipy.special import softmax
 
 from lampest.loads.recognition.candidates import FIELD, LOADS, UNIFORM, DiscSearch, Several, under
-from lampest.loads.recognition.evidence import Verdict, prior_cost, rises
+from lampest.loads.recognition.evidence import COUNTS, Verdict, prior_cost, rises
 from lampest.loads.recognition.field import field_fit, states
 from lampest.loads.recognition.fit import (
     ROUNDS,
@@ -38,7 +39,11 @@ from lampest.loads.recognition.observation import (
 from lampest.loads.shapes.disc import Disc
 from lampest.loads.shapes.shape import Candidate
 from lampest.panel.panel import Array, Panel
+from lampest.panel.response import BentSuction, PublishedResponse
 
+# Exponents of the published curve under suction, beside 1: ln f is known at one point, and a straight line or a
+# threshold go through it as well (docs/studies/mouths.md).
+EXPONENTS = (1 / 3, 2.0)
 LEVELS = (0.5, 1.2, 2.5)  # times the response's standard deviation: from a film as published to a bent, uneven one
 MOST_AT_ONCE = 3  # loads
 
@@ -258,13 +263,30 @@ class Detector:
         return bool(states(self.panel, left).max() > 1)
 
     def _spread(self, frame: Observation, verdict: Verdict) -> Verdict:
-        """Return the verdict with a single load as large as it may be."""
+        """Return the verdict with a single load as large, and its suction as strong, as they may be."""
         best = verdict.best
         if best.candidate not in self.loads:
             return verdict
         calm, whitening = self.with_errors(frame, best)
-        wide = along_diameter(self._fitting(best.candidate, calm), best, whitening)
+        wide = self._along_curves(calm, along_diameter(self._fitting(best.candidate, calm), best, whitening), whitening)
         return replace(verdict, fits=tuple(wide if fit is best else fit for fit in verdict.fits))
+
+    def _along_curves(self, calm: Observation, fit: Fit, whitening: Whitening) -> Fit:
+        """Return the fit of a load that sucks with the covariance over all curves that the film may have.
+
+        The film's own curve is fitted as `fit`; others, with EXPONENTS, move φ by as much as their evidence allows.
+        """
+        fits, baseline, film = [fit], calm.baseline, calm.baseline.response
+        if not fit.candidate.sucks or not isinstance(film, PublishedResponse):
+            return fit
+        for exponent in EXPONENTS:
+            bent = BentSuction(exponent=exponent, gain=film.gain, gain_sd=film.gain_sd)
+            frame = replace(calm, baseline=replace(baseline, scene=replace(baseline.scene, response=bent)))
+            fits.append(self._fitting(fit.candidate, frame).best(fit.parameters, whitening, quick=True))
+        shares = softmax(COUNTS * np.array([each.evidence for each in fits]))
+        apart = np.array([each.parameters for each in fits]) - fit.parameters
+        within = np.tensordot(shares, [each.covariance for each in fits], 1)
+        return replace(fit, covariance=within + (shares[:, None] * apart).T @ apart)
 
 
 def best_of(fits: Iterable[Fit]) -> Fit:
