@@ -16,7 +16,10 @@ from board.browser import Browser, browser
 from board.commands import COMMAND, ONE_THREAD, scene_file
 from matplotlib.image import imread
 
-from lampest import Recording
+from docs.studies.attachments import cells as mouth_cells
+from docs.studies.attachments import courses
+from docs.studies.mouth_scenes import MAKERS, film
+from lampest import Panel, Recording
 from lampest.panel.panel import Array
 from lampest.recording.recording import UNLOADED
 
@@ -233,6 +236,34 @@ def test_an_unplugged_board_is_waited_for_and_every_frame_is_recorded(tmp_path: 
     found = Recording.load(out)
     assert found.acquisition is not None and found.acquisition.session[-1] >= 1
     assert len(found.time) > before + 5 and found.role[:4].tolist() == [0, 0, 0, 1]
+
+
+def breathing_mouth(step_s: float, seconds: float) -> Array:
+    """(frames, rows, columns) ohm every `step_s`: a mouth that comes after TOUCH_S and breathes by 8 % at 1.1 Hz."""
+    rng, panel, time = np.random.default_rng(5), Panel(10, 10), np.arange(0.0, seconds, step_s)
+    course, _, _ = courses(rng, "still mouth", time, seconds)
+    breath = 1 + 0.08 * np.sin(2 * np.pi * 1.1 * time)
+    made, layer = MAKERS["uneven mouth"](rng, panel), film(rng, "real")
+    return mouth_cells(rng, panel, made, layer, course * breath[:, None], time, np.zeros(len(time)))
+
+
+@pytest.mark.slow
+def test_from_plugging_in_to_the_alarm(tmp_path: Path) -> None:
+    """The board is there before lampest, its mouth comes two seconds after the first frame."""
+    watched = "return document.getElementById('sentence').innerText"
+    with (
+        bench(tmp_path, breathing_mouth(0.125, 60.0), "--real-time", period=0.125) as board,
+        live(tmp_path, "--port", board.port, "--scene", scene_file(tmp_path), "--period", 0.25, "--baseline", 6) as (
+            window,
+            _,
+        ),
+    ):
+        window.until(watched, lambda text: "something that sucks (lamprey or cup)" in text, seconds=30)
+        window.until("return !document.getElementById('alarm').hidden", seconds=30)
+        assert window.text("alarmed").startswith("lamprey attached since")
+        assert "breathing 1.1" in window.text("alarmed")
+        window.run("document.getElementById('acknowledge').click()")
+        window.until("return document.getElementById('alarm').hidden", seconds=10)
 
 
 @pytest.mark.slow

@@ -121,7 +121,7 @@ class Detected:
             return f"{len(present)} contacts: {'; '.join(shown)} ({odds})"
         name = {SUCKS: "something that sucks (lamprey or cup)", PRESSES: "contact"}.get(self.answer, self.answer)
         said = [f"{name}{' attached' if load.sucks > 0.5 else ''} {_described(load)}"]
-        if self.answer == LAMPREY and load.pumps > 0.5:
+        if self.answer == LAMPREY and load.pumps >= SURE:
             said.append("pumping up its suction")
         if self.answer == LAMPREY and load.breathes > 0.5 and load.breathing_hz and load.breathing_depth:
             depth = (100 * load.breathing_depth[0], 100 * load.breathing_depth[1])
