@@ -54,17 +54,16 @@ if TYPE_CHECKING:
     from lampest.estimate.state import Step as Step
     from lampest.estimate.stream import Stream as Stream
     from lampest.files.errors import InputError as InputError
+    from lampest.loads.pressure import Tare as Tare
     from lampest.loads.shapes import Block as Block
     from lampest.loads.shapes import OralDisc as OralDisc
     from lampest.loads.shapes import Ring as Ring
     from lampest.loads.shapes import Rod as Rod
     from lampest.loads.shapes import Shape as Shape
     from lampest.loads.shapes import SuctionCup as SuctionCup
-    from lampest.loads.tare import Tare as Tare
     from lampest.panel.conditions import Experiment as Experiment
     from lampest.panel.conditions import Faults as Faults
     from lampest.panel.conditions import MeasuredSubject as MeasuredSubject
-    from lampest.panel.film import Film as Film
     from lampest.panel.panel import Array as Array
     from lampest.panel.panel import Panel as Panel
     from lampest.panel.readouts import GroundedReadout as GroundedReadout
@@ -77,6 +76,7 @@ if TYPE_CHECKING:
     from lampest.panel.readouts.wiring import ContactPrior as ContactPrior
     from lampest.panel.readouts.wiring import Contacts as Contacts
     from lampest.panel.readouts.wiring import Lines as Lines
+    from lampest.panel.response import Film as Film
     from lampest.panel.response import PowerResponse as PowerResponse
     from lampest.panel.response import PublishedResponse as PublishedResponse
     from lampest.panel.response import TableResponse as TableResponse

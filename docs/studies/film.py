@@ -20,10 +20,9 @@ from lampest.cost.terms import Misfit
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.sequence import reconstruct
 from lampest.loads.shapes import OralDisc, Rod
-from lampest.panel.film import Film
 from lampest.panel.panel import Panel
 from lampest.panel.readouts import TwoPointReadout
-from lampest.panel.response import PublishedResponse
+from lampest.panel.response import Film, PublishedResponse
 from lampest.panel.scene import Scene, Systematic, Water
 from lampest.recording.recording import Recording
 from lampest.recording.simulation.measure import Unmodelled

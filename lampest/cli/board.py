@@ -25,7 +25,7 @@ from lampest.cli.screen import (
 from lampest.files.errors import InputError
 
 if TYPE_CHECKING:
-    from lampest.estimate.calibration.calibration import Calibration
+    from lampest.estimate.calibration import Calibration
     from lampest.recording.board.record import Progress, Recorded
 
 PORT = "Serial port such as /dev/ttyACM0, or a URL. Default: the Arduino. Repeat it for each module, in order."

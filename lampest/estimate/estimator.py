@@ -11,7 +11,7 @@ from lampest.estimate.objective import AutoWeight as AutoWeight
 from lampest.estimate.objective import Bounds as Bounds
 from lampest.estimate.objective import Objective, checked_terms
 from lampest.files.errors import InputError, in_words
-from lampest.loads.tare import Tare
+from lampest.loads.pressure import Tare
 from lampest.panel.panel import Panel
 from lampest.panel.scene import Scene
 from lampest.recording.readings import Readings

@@ -15,7 +15,7 @@ from lampest.estimate.rivals import Question, Rival, changes_beyond_noise, rival
 from lampest.estimate.scatter import LEAST_FACTOR
 from lampest.files.errors import InputError
 from lampest.loads.recognition.detector import Detector
-from lampest.loads.recognition.settings import patch_of
+from lampest.loads.recognition.observation import patch_of
 from lampest.panel.panel import Modules
 from lampest.panel.scene import Scene
 from lampest.posterior.interval import chi_square_tail, largest_of

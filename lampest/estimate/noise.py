@@ -11,16 +11,16 @@ from lampest.estimate.nuisances import Besides, left_open, taken_off
 from lampest.estimate.outliers import LEAST_FRAMES, SHARE
 from lampest.estimate.scatter import LEAST_FACTOR, repeated_scatter, unloaded_scatter
 from lampest.estimate.still_cells import errors_left_possible
-from lampest.panel.memory import in_panel_order
 from lampest.panel.panel import Array, Modules
 from lampest.panel.readouts import Readout
+from lampest.panel.readouts.converter import ENDLESS, noise_of_variance, sigma_code
+from lampest.panel.readouts.readout import in_panel_order
 from lampest.panel.scene import Scene, Systematic
 from lampest.panel.systematic import SINES, Possible
 from lampest.posterior.frame_noise import FrameNoise
 from lampest.posterior.interval import chi_square_tail
 from lampest.recording.readings import Readings, strongest_frame
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
-from lampest.recording.repeats import ENDLESS, noise_of_variance, sigma_code
 
 FEWEST_OPEN = 5  # unloaded frames from which on noise that a scene leaves open is taken from them
 MOST_NAMED = 3  # modules in one sentence

@@ -31,9 +31,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lampest.panel.film import MOST_CREEP, Film, Strength
 from lampest.panel.panel import Array
-from lampest.panel.response import PUBLISHED, VACUUM_KPA, Response
+from lampest.panel.response import MOST_CREEP, PUBLISHED, VACUUM_KPA, Film, Response, Strength
 
 # Where the hyperbola is cut into lines: ln(s t/(1 − t)), 0 at the largest gap. The lines miss it by 0.4 % of the peak.
 CUTS = np.linspace(-2.6, 2.6, 11)

@@ -18,12 +18,11 @@ from lampest.panel.conditions import Faults as Faults
 from lampest.panel.conditions import Systematic as Systematic
 from lampest.panel.conditions import Temperature as Temperature
 from lampest.panel.conditions import Water as Water
-from lampest.panel.film import Film
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import AnyReadout, Readout, TwoPointReadout
 from lampest.panel.readouts.lines import PerLine, as_tuple, check_resistors, lines_text, per_line
 from lampest.panel.readouts.wiring import Contacts, Lines, Wiring
-from lampest.panel.response import AnyResponse
+from lampest.panel.response import AnyResponse, Film
 
 
 @dataclass(frozen=True)
@@ -89,7 +88,7 @@ class Scene(Configuration):
         Resistance of rows and columns themselves; None: zero.
     converter_memory : float, or None
         Fraction of the previously converted channel that remains in a reading, in volt at the converter; see
-        `lampest.panel.memory`. None: zero.
+        `lampest.panel.readouts.readout`. None: zero.
     contacts : Contacts, or None
         Resistance between the lines and their terminals, estimated beside the cells; None: none.
     film : Film, or None

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg
 
-from lampest.panel.memory import in_panel_order
 from lampest.panel.panel import Array
+from lampest.panel.readouts.readout import in_panel_order
 from lampest.panel.scene import Scene
 
 

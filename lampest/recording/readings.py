@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from lampest.files.errors import InputError, in_words
 from lampest.files.levels import ALIKE, DISTINCT, NOISE_REACH
 from lampest.files.typed import real_array
-from lampest.panel.memory import without_memory
 from lampest.panel.panel import Array, Modules, Panel, beyond_any_panel
+from lampest.panel.readouts.readout import without_memory
 from lampest.panel.scene import Scene
 
 VALUE, AT_LEAST, AT_MOST = 0.0, 1.0, -1.0

@@ -20,7 +20,7 @@ from lampest.files.document import Document, adapter, plain_content, read_docume
 from lampest.files.errors import InputError
 from lampest.files.typed import kinds_of, shipped, typed
 from lampest.files.whole import note_read
-from lampest.loads.tare import Tare
+from lampest.loads.pressure import Tare
 from lampest.panel.scene import Scene
 from lampest.recording.readings import Readings
 from lampest.recording.stored import StoredRecording, opened

@@ -5,8 +5,7 @@ import numpy as np
 from lampest.loads.recognition.candidates import LOADS
 from lampest.loads.recognition.detector import Detector
 from lampest.loads.recognition.evidence import Verdict
-from lampest.loads.recognition.observation import Baseline, Observation
-from lampest.loads.recognition.settings import ModelErrors
+from lampest.loads.recognition.observation import Baseline, ModelErrors, Observation
 from lampest.loads.shapes import Shape
 from lampest.loads.shapes.shape import Candidate
 from lampest.panel.panel import Panel

@@ -16,7 +16,7 @@ NOT_YET = (
     "lampest.files.parts",
     "lampest.panel.systematic",
     "lampest.panel.effects",
-    "lampest.panel.film",
+    "lampest.panel.response",
     "lampest.panel.response",
     "lampest.panel.trust_region",
     "lampest.panel.least_squares",

@@ -11,13 +11,13 @@ from hypothesis import strategies as st
 from laws.samples import examples
 
 from lampest.loads.pressure import pressure_of, water_pressure
-from lampest.panel.film import Film
 from lampest.panel.panel import Panel
 from lampest.panel.response import (
     PUBLISHED,
     RESPONSE_SD,
     TOLD_KPA,
     AnyResponse,
+    Film,
     PowerResponse,
     Response,
     TableResponse,

@@ -12,9 +12,8 @@ from lampest.loads.recognition.candidates import AND, FLAT, UNIFORM, Several
 from lampest.loads.recognition.candidates import LOADS as SHAPED
 from lampest.loads.recognition.detector import Detector, discs_of
 from lampest.loads.recognition.evidence import CANNOT_BE, RARER, Verdict, prior_cost, rises
-from lampest.loads.recognition.field import SD, field_fit, paid, prior, states
-from lampest.loads.recognition.observation import Baseline, Observation, Whitening, outliers
-from lampest.loads.recognition.settings import ModelErrors
+from lampest.loads.recognition.fit import SD, field_fit, paid, prior, states
+from lampest.loads.recognition.observation import Baseline, ModelErrors, Observation, Whitening, outliers
 from lampest.loads.shapes import Block, OralDisc, Ring, Rod, SuctionCup
 from lampest.loads.shapes.disc import Disc, pressure_at_places
 from lampest.loads.shapes.kinds import RoundCandidate

@@ -12,7 +12,7 @@ from lampest import Course, Faults, OralDisc, Panel, Rod, Scene, Simulation, Two
 from lampest.loads.recognition.attachment import Attachment
 from lampest.loads.recognition.detector import Detector
 from lampest.loads.recognition.image import ImageWatch, Window
-from lampest.loads.recognition.settings import ModelErrors
+from lampest.loads.recognition.observation import ModelErrors
 from lampest.panel.panel import EachModule, Modules
 from lampest.report.detect.detection import detect_recording
 

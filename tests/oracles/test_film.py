@@ -9,9 +9,8 @@ from lampest.files.document import parse_document, to_yaml, validated
 from lampest.files.errors import InputError
 from lampest.loads.film import Creep, FilmMemory, Plays
 from lampest.loads.shapes import Rod, SuctionCup
-from lampest.panel.film import Film
 from lampest.panel.panel import Array, Panel
-from lampest.panel.response import PUBLISHED, ratio_from_pressure
+from lampest.panel.response import PUBLISHED, Film, ratio_from_pressure
 from lampest.panel.scene import Scene, Water
 from lampest.recording.recording import Recording
 from lampest.recording.simulation.measure import Unmodelled

@@ -10,13 +10,12 @@ from docs.studies.attachments import recording as attached
 from lampest.loads.recognition.attachment import Attachment
 from lampest.loads.recognition.detector import Detector
 from lampest.loads.recognition.evidence import Verdict
-from lampest.loads.recognition.observation import Observation
-from lampest.loads.recognition.settings import ModelErrors
+from lampest.loads.recognition.observation import ModelErrors, Observation
 from lampest.loads.recognition.watch import Panelled, Watch
 from lampest.loads.shapes import OralDisc, Rod, Shape
-from lampest.panel.film import Film
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import TwoPointReadout
+from lampest.panel.response import Film
 from lampest.panel.scene import Scene
 from lampest.recording.recording import Recording
 from lampest.recording.simulation.measure import Unmodelled, measured

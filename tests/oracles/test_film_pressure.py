@@ -15,10 +15,9 @@ from lampest.files.hdf5 import existing_file, read_attribute
 from lampest.loads.film import Creep, FilmKnown
 from lampest.loads.pressure import Pressure, pressure_of
 from lampest.loads.shapes import Rod
-from lampest.panel.film import OPEN_CREEP, Film
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import TwoPointReadout
-from lampest.panel.response import PublishedResponse, TableResponse
+from lampest.panel.response import OPEN_CREEP, Film, PublishedResponse, TableResponse
 from lampest.panel.scene import Scene, Systematic
 from lampest.recording.recording import Recording
 from lampest.recording.simulation.simulation import Course, Simulation, simulate

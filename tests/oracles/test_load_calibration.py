@@ -15,9 +15,8 @@ from lampest.estimate.sequence import reconstruct
 from lampest.files.errors import InputError
 from lampest.loads.film import Creep, FilmKnown
 from lampest.loads.pressure import pressure_of
-from lampest.panel.film import Film
 from lampest.panel.panel import Array, Panel
-from lampest.panel.response import PUBLISHED, PowerResponse
+from lampest.panel.response import PUBLISHED, Film, PowerResponse
 from lampest.panel.scene import Scene
 from lampest.recording.simulation.measure import random_stream
 

@@ -10,9 +10,9 @@ from lampest.cost.terms import Misfit
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.sequence import reconstruct
 from lampest.files.errors import InputError
-from lampest.panel.memory import with_memory, without_memory
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import LoadedColumnsReadout, Readout, TwoPointReadout
+from lampest.panel.readouts.readout import with_memory, without_memory
 from lampest.panel.scene import Scene
 from lampest.recording.readings import AT_LEAST, AT_MOST, Readings
 from lampest.recording.recording import Recording

@@ -13,13 +13,11 @@ from lampest.estimate.estimator import Estimator
 from lampest.estimate.sequence import reconstruct
 from lampest.estimate.stream import Stream
 from lampest.files.errors import InputError
-from lampest.loads.pressure import pressure_of
+from lampest.loads.pressure import Tare, TareWatch, pressure_of
 from lampest.loads.shapes import OralDisc, Shape, SuctionCup
-from lampest.loads.tare import Tare, TareWatch
-from lampest.panel.film import Film
 from lampest.panel.panel import Panel
 from lampest.panel.readouts import TwoPointReadout
-from lampest.panel.response import PublishedResponse
+from lampest.panel.response import Film, PublishedResponse
 from lampest.panel.scene import Scene
 from lampest.recording.recording import Recording
 from lampest.recording.simulation.measure import Unmodelled

@@ -17,9 +17,8 @@ from lampest.recording.recording import Recording
 from lampest.report.compare import Table, compare, compare_files, comparison, legend, screen_blocks, write_csv
 from lampest.report.info import describe
 from lampest.report.plots import plot_results
-from lampest.report.plots.contours import ContourPlot
+from lampest.report.plots.contours import ContourPlot, SweepPlot
 from lampest.report.plots.style import save
-from lampest.report.plots.sweep import SweepPlot
 from lampest.report.strongest import strongest_index
 from lampest.runs.results import CaseResult, PublishedFigures, Results, StepFigures, write_results
 

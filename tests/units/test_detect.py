@@ -15,8 +15,8 @@ from support import invented_case
 from lampest.estimate.prepared import Prepared
 from lampest.files.errors import InputError
 from lampest.loads.recognition.attachment import Attachment, continued_by
+from lampest.loads.recognition.observation import ModelErrors
 from lampest.loads.recognition.pumping import Pumping
-from lampest.loads.recognition.settings import ModelErrors
 from lampest.loads.shapes import Block, OralDisc, Rod
 from lampest.panel.panel import Panel
 from lampest.panel.readouts import LoadedColumnsReadout, TwoPointReadout

@@ -19,13 +19,11 @@ from lampest.estimate.estimator import AutoWeight, Bounds, Estimator
 from lampest.estimate.prepared import Prepared
 from lampest.estimate.sequence import reconstruct
 from lampest.files.errors import InputError
-from lampest.loads.pressure import Pressure, total_force
+from lampest.loads.pressure import Pressure, Tare, total_force
 from lampest.loads.shapes import Rod
-from lampest.loads.tare import Tare
-from lampest.panel.film import Film
 from lampest.panel.panel import EachModule, Modules, Panel
 from lampest.panel.readouts import TwoPointReadout, VirtualGroundReadout
-from lampest.panel.response import PublishedResponse
+from lampest.panel.response import Film, PublishedResponse
 from lampest.panel.scene import Scene
 from lampest.recording.readings import Readings
 from lampest.recording.recording import MEASURED, UNLOADED, Recording

@@ -13,7 +13,7 @@ import numpy as np
 
 from lampest.cost.losses import Student
 from lampest.cost.terms import Misfit
-from lampest.estimate.calibration.calibration import Calibration, common_scene
+from lampest.estimate.calibration import Calibration, common_scene
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.methods.joint import BELIEVED
 from lampest.estimate.methods.smoother import SmootherMethod

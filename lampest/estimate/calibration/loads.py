@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.cost.terms import Misfit
-from lampest.estimate.calibration.calibration import Calibration, common_scene
+from lampest.estimate.calibration import Calibration, common_scene
 from lampest.estimate.calibration.known_loads import KnownLoad, KnownLoads
 from lampest.estimate.calibration.response import (
     FittedResponse,

@@ -16,17 +16,17 @@ import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.special import fdtrc
 
-from lampest.estimate.calibration.calibration import Calibration, common_scene
+from lampest.estimate.calibration import Calibration, common_scene
 from lampest.estimate.calibration.trials import BELIEF, Trial, usable_range, within_rails
 from lampest.files.errors import InputError
 from lampest.panel.least_squares import LevenbergMarquardt, SumOfSquares
-from lampest.panel.memory import with_memory
 from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout
+from lampest.panel.readouts.converter import MIN_REPEATS
 from lampest.panel.readouts.lines import MOST_OHM, LineNumber, Side
+from lampest.panel.readouts.readout import with_memory
 from lampest.panel.scene import Scene, SeriesPerLine
 from lampest.recording.recording import Recording
-from lampest.recording.repeats import MIN_REPEATS
 from lampest.recording.simulation.measure import SHORT_OHM
 
 BEST_OHM, TYPICAL_OHM, WORST_OHM = 40.0, 70.0, 160.0  # a channel of a CD74HC4067 at 5 V: its data sheet

@@ -13,9 +13,9 @@ from lampest.files.errors import InputError
 from lampest.files.whole import note_read
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import Readout
+from lampest.panel.readouts.converter import ENDLESS, averaged_variance, noise_of_variance, sigma_code
 from lampest.panel.readouts.lines import Side
 from lampest.recording.recording import Recording
-from lampest.recording.repeats import ENDLESS, averaged_variance, noise_of_variance, sigma_code
 from lampest.recording.simulation.measure import OPEN_OHM, SHORT_OHM
 
 BELIEF = 4.0  # repeats that the scene's noise counts as: few frames with equal codes do not mean no noise

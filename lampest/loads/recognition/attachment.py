@@ -113,7 +113,7 @@ class Attachment:
         return replace(later, sucks_s=began, moved_s=moved, **{name: getattr(self, name) for name in names})
 
     def breathed(self, seen: Breath, *, full: bool) -> "Attachment":
-        """After a window; full : whether its odds stay, and rate and depth are its. A mouth breathes in OFTEN of all."""
+        """After a window; full : whether its odds stay, as do its rate and depth. Mouths breathe in OFTEN of all."""
         odds = float(np.clip(self.before + np.logaddexp(log(1 - OFTEN), log(OFTEN) + seen.odds), PAUSED, SURE))
         breathing = replace(self, breathing=odds, before=odds if full else self.before)
         described = self.breathing_hz is not None and (seen.odds <= 0 or (self.before != 0 and not full))

@@ -16,7 +16,6 @@ from scipy.special import softmax
 
 from lampest.loads.recognition.candidates import FIELD, LOADS, UNIFORM, DiscSearch, Several, under
 from lampest.loads.recognition.evidence import COUNTS, Verdict, prior_cost, rises
-from lampest.loads.recognition.field import field_fit, states
 from lampest.loads.recognition.fit import (
     ROUNDS,
     STEPS,
@@ -26,6 +25,8 @@ from lampest.loads.recognition.fit import (
     Fitting,
     Linearisation,
     along_diameter,
+    field_fit,
+    states,
 )
 from lampest.loads.recognition.observation import (
     FARTHEST,

@@ -30,9 +30,8 @@ from lampest.loads.recognition.breathing import (
 from lampest.loads.recognition.candidates import FIELD, DiscSearch
 from lampest.loads.recognition.detector import Detector
 from lampest.loads.recognition.evidence import CANNOT_BE, RARER, Verdict
-from lampest.loads.recognition.observation import Baseline, Observation, counting, unit
+from lampest.loads.recognition.observation import Baseline, ModelErrors, Observation, counting, unit
 from lampest.loads.recognition.pumping import BLOCK_S, Pumping
-from lampest.loads.recognition.settings import ModelErrors
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 

@@ -1,6 +1,9 @@
-"""The analogue-to-digital converter that a readout ends in: codes, their noise, and the range that they cover."""
+"""The analogue-to-digital converter that a readout ends in: codes, their noise, and the range that they cover.
 
-from dataclasses import dataclass
+Means of codes keep what quantisation leaves, so that a variance over repeated readings is not the noise itself.
+"""
+
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Literal
 
@@ -155,3 +158,26 @@ class Converter(Configuration):
             edges = np.array([max(edges[0], within[0]), min(edges[1], within[1])])
         ends = self.recorded_from_volt(edges)
         return float(ends.min()), float(ends.max())
+
+
+MIN_REPEATS = 50  # they determine a noise to a tenth
+ENDLESS = 65535  # readings: the part of σ that remains does not average out
+
+
+def sigma_code(readout: Converter, noise_lsb: PerLine, readings: int | None = None) -> Array:
+    """Return σ of the mean code, in LSB, for another noise and another number of readings."""
+    return np.asarray(replace(readout, noise_lsb=noise_lsb, readings=readings or readout.readings).sigma_code())
+
+
+def averaged_variance(readout: Converter, noise_lsb: PerLine) -> Array:
+    """Return the variance that repeats average out, LSB²: σ²(readings) − σ²(endlessly many)."""
+    return np.asarray(sigma_code(readout, noise_lsb) ** 2 - sigma_code(readout, noise_lsb, ENDLESS) ** 2)
+
+
+def noise_of_variance(readout: Converter, variance: float) -> float:
+    """Return the noise, LSB, of which repeats average out that variance, LSB²; by bisection."""
+    low, high = 0.0, 2.0**readout.adc_bits
+    while high - low > 1e-6:
+        middle = (low + high) / 2
+        low, high = (middle, high) if float(averaged_variance(readout, middle)) < variance else (low, middle)
+    return low

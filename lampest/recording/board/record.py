@@ -20,6 +20,7 @@ from lampest.files import hdf5
 from lampest.files.errors import InputError
 from lampest.files.process import deaf, ending_signals
 from lampest.files.whole import check_output, folder_beside, is_locked, own
+from lampest.panel.readouts.converter import MIN_REPEATS, noise_of_variance
 from lampest.panel.scene import Scene
 from lampest.recording.acquisition import damaged_frames, whole_events
 from lampest.recording.board.journal import Journal
@@ -27,7 +28,6 @@ from lampest.recording.board.protocol import MOST_CODE
 from lampest.recording.board.several import samples_of
 from lampest.recording.board.stream import CLOCK_STOPPED, UNFIT_SECONDS, Sample, Samples, agreed_and_recorded
 from lampest.recording.recording import MEASURED, UNLOADED, Recording, head_of
-from lampest.recording.repeats import MIN_REPEATS, noise_of_variance
 from lampest.recording.stored import StoredRecording, opened, save_parts
 
 CLOCK_JUMP = "clock jump"  # label of the event

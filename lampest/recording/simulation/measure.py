@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 
 from lampest.files.typed import Configuration, check_not_negative, check_positive_fields, check_ranges
 from lampest.panel.effects import LineLeak, disturbance, neighbours
-from lampest.panel.memory import in_panel_order, with_memory
 from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout
 from lampest.panel.readouts.lines import of_side
+from lampest.panel.readouts.readout import in_panel_order, with_memory
 from lampest.panel.readouts.wiring import Contacts, Lines
 from lampest.panel.scene import Scene
 from lampest.panel.systematic import SINES

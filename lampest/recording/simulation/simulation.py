@@ -13,9 +13,8 @@ from lampest.files.typed import Configuration, check_not_negative, check_positiv
 from lampest.loads.film import FilmMemory
 from lampest.loads.pressure import water_pressure
 from lampest.loads.shapes import AnyShape
-from lampest.panel.film import MOST_CREEP, MOST_HYSTERESIS, Film
 from lampest.panel.panel import Array
-from lampest.panel.response import PUBLISHED, AnyResponse, ratio_from_pressure
+from lampest.panel.response import MOST_CREEP, MOST_HYSTERESIS, PUBLISHED, AnyResponse, Film, ratio_from_pressure
 from lampest.panel.scene import Scene, Water
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
 from lampest.recording.simulation.measure import OPEN_OHM, SHORT_OHM, Unmodelled, measured, random_stream, raw_sums

@@ -16,13 +16,12 @@ from lampest.estimate.warnings import warnings_of
 from lampest.files import hdf5
 from lampest.files.errors import InputError
 from lampest.files.process import ONE_BLAS_THREAD, told_reason
-from lampest.loads.pressure import water_pressure
+from lampest.loads.pressure import OF_DIFFERENCES, water_pressure
 from lampest.loads.recognition.breathing import too_slow
 from lampest.loads.recognition.detector import Detector
 from lampest.loads.recognition.image import ImageWatch
-from lampest.loads.recognition.settings import ModelErrors, patch_of
+from lampest.loads.recognition.observation import ModelErrors, patch_of
 from lampest.loads.recognition.watch import UNEVENLY, Panelled, Watch
-from lampest.loads.tare import OF_DIFFERENCES
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.posterior.frame_noise import FrameNoise

@@ -23,10 +23,11 @@ from lampest.report.plots.contours import (
     PressurePlot,
     ResidualPlot,
     ResistancePlot,
+    SweepPlot,
+    swept_numbers,
 )
 from lampest.report.plots.maps import Tile, banded_scale, maps_figure
 from lampest.report.plots.style import HALF_INCH, PICTURES, SUFFIXES, save, verbatim, write_all
-from lampest.report.plots.sweep import SweepPlot, swept_numbers
 from lampest.report.strongest import strongest_readings
 from lampest.runs.columns import Column
 from lampest.runs.results import FORMAT, CaseResult, read_results, stored_cases

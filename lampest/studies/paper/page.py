@@ -10,9 +10,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from matplotlib.figure import Figure
 
-from lampest.panel.film import Film
 from lampest.panel.panel import Array, Panel
-from lampest.panel.response import ratio_from_pressure, relative_change_from_pressure
+from lampest.panel.response import Film, ratio_from_pressure, relative_change_from_pressure
 from lampest.report.compare import Table
 from lampest.report.page.measures import filled
 from lampest.report.plots import style
