@@ -12,7 +12,7 @@ keep a part of their answer. Only the panel's two-point resistances are the pack
 
 import argparse
 import csv
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from time import process_time
@@ -124,8 +124,32 @@ def _wandering(rng: np.random.Generator, step: Array) -> Array:
     return np.array(found)
 
 
+def straight(pressure: Array) -> Array:
+    """r/r0 that under suction grows along a straight line through the published point, 7.54 at −10 kPa."""
+    return np.where(pressure < 0, 1 - 0.654 * pressure, ratio_from_pressure(np.maximum(pressure, 0)))
+
+
+def delayed(pressure: Array) -> Array:
+    """r/r0 through the same point that stays 1 up to a suction of 2 kPa."""
+    return ratio_from_pressure(np.where(pressure < 0, np.minimum(pressure + 2, 0) * 10 / 8, pressure))
+
+
+CURVES: dict[str, Callable[[Array], Array]] = {
+    "published": ratio_from_pressure,
+    "straight": straight,
+    "delayed": delayed,
+}
+
+
 def cells(
-    rng: np.random.Generator, panel: Panel, made: Made, layer: Film, course: Array, time: Array, shake: Array
+    rng: np.random.Generator,
+    panel: Panel,
+    made: Made,
+    layer: Film,
+    course: Array,
+    time: Array,
+    shake: Array,
+    curve: str = "published",
 ) -> Array:
     """(frames, rows, columns) ohm of a film that creeps; shake : (frames) mm by which the load stands off."""
     offset = ((np.arange(GRID) + 0.5) / GRID - 0.5) * layer.patch_mm
@@ -142,7 +166,7 @@ def cells(
     pressure = np.array([c * one[0] + s * one[1] for (c, s), one in zip(course, each, strict=True)])
     resting = 3050 * np.exp(layer.spread * rng.standard_normal(panel.shape))
     answer = layer.bent * np.exp(layer.scatter * rng.standard_normal(panel.shape))
-    logarithm = answer * np.log(ratio_from_pressure(pressure))
+    logarithm = answer * np.log(CURVES[curve](pressure))
     late, most, shown = [np.zeros(panel.shape) for _ in CREEP], np.zeros(panel.shape), []
     for now, step in zip(logarithm, np.diff(time, prepend=time[0]), strict=True):
         late = [old + (now - old) * (1 - np.exp(-step / lag)) for old, (lag, _) in zip(late, CREEP, strict=True)]
@@ -170,7 +194,7 @@ def recorded(rng: np.random.Generator, resistance: Array, time: Array) -> Array:
 
 
 def recording(
-    kind: str, rate: float, seed: int, side: int = 10, attached_s: float = ATTACHED_S
+    kind: str, rate: float, seed: int, side: int = 10, attached_s: float = ATTACHED_S, curve: str = "published"
 ) -> tuple[Recording, Made, float, float]:
     """(the recording, what stood there, breathing depth and rate)."""
     rng = np.random.default_rng([seed, side, KINDS.index(kind)])
@@ -185,7 +209,7 @@ def recording(
     shake = rng.uniform(0.3, 1.5) * np.sin(2 * np.pi * hertz * time) * (kind == SHAKEN)
     inwards = 1.0 if made.centres_mm and made.centres_mm[0][0] < panel.centres_mm()[0].mean() else -1.0
     shake += inwards * SLIDES_MM * np.clip((time - TOUCH_S - SLIDES_S[0]) / np.ptp(SLIDES_S), 0, 1) * (kind == SLIDING)
-    resistance = cells(rng, panel, made, layer, course, time - time[0], shake)
+    resistance = cells(rng, panel, made, layer, course, time - time[0], shake, curve)
     scene = Scene(panel, TwoPointReadout(noise_lsb=0.7), 140.0, response=PublishedResponse())
     role = (np.arange(len(time)) >= UNLOADED).astype(np.uint8)
     return (
@@ -196,9 +220,11 @@ def recording(
     )
 
 
-def seen(kind: str, rate: float, seed: int, side: int = 10, attached_s: float = ATTACHED_S) -> Seen:
+def seen(
+    kind: str, rate: float, seed: int, side: int = 10, attached_s: float = ATTACHED_S, curve: str = "published"
+) -> Seen:
     """One recording, and how `lampest detect` answers it at three times."""
-    whole, made, depth, hertz = recording(kind, rate, seed, side, attached_s)
+    whole, made, depth, hertz = recording(kind, rate, seed, side, attached_s, curve)
     touch = float(whole.time[UNLOADED]) + TOUCH_S
     begin = process_time()
     watched = known_of(Prepared(whole))
@@ -315,6 +341,10 @@ def report(everything: Sequence[Seen]) -> None:
     if len(deep):
         covered = _held(deep[:, 0] - deep[:, 1], deep[:, 2])
         print(f"breathing depth over true {_middle(deep[:, 0] / deep[:, 1])}, {covered}")
+    force = np.array([(one.suction, one.true_suction, one.suction_sd) for one in everything if one.sucks > 0.5])
+    if len(force):
+        covered = _held(force[:, 0] - force[:, 1], force[:, 2])
+        print(f"suction over true {_middle(force[:, 0] / force[:, 1])}, {covered}")
     print(f"median {np.median([one.cpu for one in everything]):.2f} s of processor time a recording")
 
 
@@ -391,13 +421,15 @@ if __name__ == "__main__":
     parser.add_argument("--read", type=Path, nargs="+", help="such tables, to report instead of new scenes")
     parser.add_argument("--side", type=int, default=10, help="of the panel, cells")
     parser.add_argument("--attached", type=float, default=ATTACHED_S, help="s")
+    parser.add_argument("--curve", choices=list(CURVES), default="published", help="of the film under suction")
     parser.add_argument("--figure", type=Path, help="ROC curves and calibration, such as roc.png")
     given = parser.parse_args()
     found = [one for path in given.read or () for one in read(path)]
     for number in range(0 if given.read else given.scenes):
         for rate in given.rates:
             for kind in given.kinds or (TABLE if given.table else KINDS):
-                found.append(seen(kind, rate, 1000 * given.seed + number, given.side, given.attached))
+                seed = 1000 * given.seed + number
+                found.append(seen(kind, rate, seed, given.side, given.attached, given.curve))
                 if given.out is not None:
                     write(given.out, found[-1])
     (table if given.table else report)(found)
