@@ -32,6 +32,11 @@ def test_frames_after_a_full_window_are_judged_before_the_next_is_full() -> None
     assert detected(whole).answer == LAMPREY
 
 
+def test_a_cup_that_is_shaken_is_no_lamprey_in_any_frame() -> None:
+    """Its first seconds look like breath."""
+    assert np.isnan(seen("shaken cup", 4.0, 812005).lamprey)
+
+
 @pytest.mark.parametrize("seed", range(1, 4))
 def test_a_mouth_that_slides_is_one_attachment(seed: int) -> None:
     whole, made, _, _ = recording(SLIDING, 4.0, seed, attached_s=20.0)

@@ -33,8 +33,9 @@ class Attachment:
     sucks : probability. since_s, until_s : s; until None: it is there. x_mm and so on : (value, standard deviation),
     None where it is not known. cells : how many it touches; conductance_s : increase of their conductance since rest.
     breathing, before : ln of the odds that it oscillates as breathing does, and those without the last window.
-    suction : probability that this is its suction, from the last window that shows it. sucks_s, moved_s : when it began
-    to suck, None: it does not; when it moved. clear : ln of how much more probable it is than an unloaded panel.
+    suction : probability that this is its suction, from the windows that show it; last_suction : from the last one.
+    sucks_s, moved_s : when it began to suck, None: it does not; when it moved. clear : ln of how much more probable it
+    is than an unloaded panel.
     track : its suction from then on, None: it has not been followed yet.
     """
 
@@ -53,6 +54,7 @@ class Attachment:
     breathing_hz: Pair | None = None
     breathing_depth: Pair | None = None
     suction: float = 1.0
+    last_suction: float = 0.5
     sucks_s: float | None = None
     moved_s: tuple[float, ...] = ()
     clear: float = 0.0
@@ -109,17 +111,22 @@ class Attachment:
         far = CLEAR * max(1.0, hypot(self.x_mm[1], self.y_mm[1], later.x_mm[1], later.y_mm[1]))
         moved = (*self.moved_s, later.since_s) if self.distance(later.place) > far else self.moved_s
         began = later.since_s if self.sucks_s is None and later.sucks > 0.5 else self.sucks_s
-        names = ("since_s", "breathing", "before", "breathing_hz", "breathing_depth", "suction", "track")
+        names = "since_s breathing before breathing_hz breathing_depth suction last_suction track".split()
         return replace(later, sucks_s=began, moved_s=moved, **{name: getattr(self, name) for name in names})
 
     def breathed(self, seen: Breath, *, full: bool) -> "Attachment":
-        """After a window; full : whether its odds stay, as do its rate and depth. Mouths breathe in OFTEN of all."""
+        """After a window; full : whether its odds stay, as do its rate and depth. Mouths breathe in OFTEN of all.
+
+        Two windows that are not full have to agree that it is suction that swings: by the last of them alone two of 75
+        shaken cups were lampreys for a second (docs/studies/mouths.md).
+        """
         odds = float(np.clip(self.before + np.logaddexp(log(1 - OFTEN), log(OFTEN) + seen.odds), PAUSED, SURE))
         breathing = replace(self, breathing=odds, before=odds if full else self.before)
-        described = self.breathing_hz is not None and (seen.odds <= 0 or (self.before != 0 and not full))
-        if described:
+        if self.breathing_hz is not None and (seen.odds <= 0 or (self.before != 0 and not full)):
             return breathing
-        return replace(breathing, breathing_hz=seen.hertz, breathing_depth=seen.depth, suction=seen.suction)
+        suction = seen.suction if full else min(seen.suction, self.last_suction)
+        described = replace(breathing, breathing_hz=seen.hertz, breathing_depth=seen.depth)
+        return replace(described, suction=suction, last_suction=seen.suction)
 
 
 def attachments_of(frame: Observation, verdict: Verdict, since: float) -> list[Attachment]:
