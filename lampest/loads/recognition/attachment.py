@@ -111,8 +111,8 @@ class Attachment:
         far = CLEAR * max(1.0, hypot(self.x_mm[1], self.y_mm[1], later.x_mm[1], later.y_mm[1]))
         moved = (*self.moved_s, later.since_s) if self.distance(later.place) > far else self.moved_s
         began = later.since_s if self.sucks_s is None and later.sucks > 0.5 else self.sucks_s
-        names = ["since_s", "breathing", "before", "breathing_hz", "breathing_depth", "suction", "last_suction", "track"]
-        return replace(later, sucks_s=began, moved_s=moved, **{name: getattr(self, name) for name in names})
+        names = ["since_s", "breathing", "before", "breathing_hz", "breathing_depth", "suction", "last_suction"]
+        return replace(later, sucks_s=began, moved_s=moved, **{name: getattr(self, name) for name in (*names, "track")})
 
     def breathed(self, seen: Breath, *, full: bool) -> "Attachment":
         """After a window; full : whether its odds stay, as do its rate and depth. Mouths breathe in OFTEN of all.
