@@ -160,6 +160,10 @@ class Squared(Loss):
         """Return Σ x², symbolic or numeric."""
         return casadi.sumsqr(residual)
 
+    def stiffness(self, residual: Array) -> Array:
+        """Return ones."""
+        return np.ones_like(residual)
+
 
 def _check_corner(corner: float) -> None:
     if not (isfinite(corner) and corner > 0):

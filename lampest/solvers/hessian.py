@@ -273,7 +273,7 @@ def slopes_of(hessian: Hessian, part: Part, value: Array) -> tuple[Array, Array]
             own = replace(smoothing, dual=smoothing.dual[cost.functions.nonsmooth_terms == number])
             slope[rows] = cost.weights[number] * own.slope(value[rows])
             stiffness[rows] = cost.weights[number] * own.stiffness(value[rows])
-        elif not term.loss.squared:
+        else:
             stiffness[rows] *= term.loss.stiffness(value[rows])
             slope[rows] = stiffness[rows] * value[rows]
     return slope, stiffness
