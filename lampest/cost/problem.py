@@ -4,6 +4,7 @@ import math
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from time import monotonic
+from typing import cast
 
 import casadi
 import numpy as np
@@ -16,20 +17,23 @@ from lampest.panel.compiled import Compiled, guarded
 from lampest.panel.network import Network
 from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout, TwoPointReadout
+from lampest.panel.readouts.floating import FloatingNetwork
 from lampest.panel.readouts.wiring import Wiring
 
 ROUNDING = 1e-15  # relative rounding error of a residual: four last bits of double precision
+BLOCK = 8  # panels by which compiled functions grow: fewer sizes to compile
+Panels = NDArray[np.intp] | int
 
 
 @dataclass(frozen=True, eq=False)
 class Data:
-    """Data of one solve.
+    """Data of one solve, or with a leading axis those of many panels of one shape.
 
     Attributes
     ----------
     given : Given
         Readings, noise, earlier frames.
-    lower, upper : array, shape (frames, rows, columns)
+    lower, upper : array, shape (…, frames, rows, columns)
         Bounds in ohm.
     readout, wiring
         Circuit by which readings follow from cells.
@@ -41,6 +45,8 @@ class Data:
         Whether no earlier frame was solved.
     parts : array, or None
         See `Scene.parts`.
+    place : int
+        Another one for each of several solves of many panels at the same time: compiled functions keep their arguments.
 
     >>> data = found.estimator.data(recording.readings()[2], lampest.cost.given.Background(recording.scene))
     """
@@ -54,6 +60,45 @@ class Data:
     until: float = math.inf
     first: bool = False
     parts: NDArray[np.intp] | None = None
+    place: int = 0
+
+    @property
+    def panels(self) -> tuple[int, ...]:
+        """Shape of the leading axis, (panels,); () of a single panel."""
+        return self.measured.shape[:-3]
+
+    def of_panels(self, place: int) -> "Data":
+        """Return the data of which each frame is a panel of its own."""
+        sources = self.given.sources()
+        named = {name: value[:, None] if sources[name].per_frame else value for name, value in self.given.named()}
+        frames = replace(self, given=replace(self.given, **named), lower=self.lower[:, None], upper=self.upper[:, None])
+        return replace(frames, place=place)
+
+    def some(self, panels: Panels) -> "Data":
+        """Return the data of some of many panels, or of one by its number."""
+        given = replace(self.given, **{name: value[panels] for name, value in self.given.named()})
+        chosen = replace(self, given=given, lower=self.lower[panels], upper=self.upper[panels])
+        chosen.__dict__["ties"] = self.ties[panels]
+        return chosen
+
+    def padded(self, values: Array) -> Array:
+        """Return values of many panels with the last one's repeated until there are as many as functions are built for.
+
+        (panels, …) → (panels, size).
+        """
+        flat = values.reshape(len(values), -1)
+        missing = -len(flat) % BLOCK
+        return np.concatenate([flat, np.repeat(flat[-1:], missing, axis=0)]) if missing else flat
+
+    @cached_property
+    def flat(self) -> dict[str, Array]:
+        """Arrays by name as compiled functions take them, `padded` of many panels; see `Given.flat`."""
+        if not self.panels:
+            return self.given.flat
+        known, blank = dict(self.given.named()), (*self.panels, self.measured[0].size)
+        absent = {name: source.absent for name, source in self.given.sources().items() if name not in known}
+        every = known | {name: np.full(blank, value) for name, value in absent.items()}
+        return {name: self.padded(values) for name, values in every.items()}
 
     def limited(self, seconds: float | None) -> "Data":
         """Return the data with a time limit of that many s from now on; None: no limit."""
@@ -112,23 +157,44 @@ class Data:
 
     @cached_property
     def ties(self) -> Array:
-        """(frames, rows + columns) siemens: each frame's ties to ground."""
-        return np.stack([self.readout.ties_of_parts(measured, self.parts) for measured in self.measured])
+        """(…, frames, rows + columns) siemens: each frame's ties to ground."""
+        if self.panels and self.parts is None:
+            return self.readout.ties(self.measured)
+        *leading, rows, columns = self.measured.shape
+        ties = [self.readout.ties_of_parts(frame, self.parts) for frame in self.measured.reshape(-1, rows, columns)]
+        return np.reshape(ties, (*leading, rows + columns))
 
     def network(self, frame: int, cell_resistance: Array) -> Network:
-        """Return the solved network of one frame's cells (rows, columns) ohm."""
-        return self.readout.network(cell_resistance, self.ties[frame], self.wiring)
+        """Return the solved network of one frame's cells (…, rows, columns) ohm."""
+        return self.readout.network(cell_resistance, self.ties[..., frame, :], self.wiring)
 
     def networks(self, cell_resistance: Array) -> tuple[Network, ...]:
-        """Return the solved networks of all frames."""
-        return tuple(self.network(frame, cells) for frame, cells in enumerate(cell_resistance))
+        """Return the solved networks of all frames, each with the leading axis of cells (…, frames, rows, columns)."""
+        frames = range(cell_resistance.shape[-3])
+        return tuple(self.network(frame, cell_resistance[..., frame, :, :]) for frame in frames)
+
+
+@lru_cache(maxsize=256)
+def _mapped(function: Compiled, panels: int, place: int) -> Compiled:
+    return function.mapped(panels)
 
 
 @dataclass(frozen=True, eq=False)
 class Evaluation:
-    """Cost φ and its derivatives at one point: cell resistance in ohm and the readings, (frames, rows, columns).
+    """Cost φ and its derivatives at one point, or with a leading axis at one point of each of many panels.
 
-    solved : networks of the frames, or None if not yet needed.
+    Plural names are arrays over the panels, () for a single one; singular ones are numbers of a single panel.
+
+    Attributes
+    ----------
+    cost : Cost
+    data : Data
+    cell_resistance, reading : array, shape (…, frames, rows, columns)
+        Ohm, and the readings.
+    solved : tuple of Network, or None
+        Networks of the frames, or None if not yet needed.
+    own_weights : array, shape (panels, terms), or None
+        Weights of each panel; None: those of the cost.
     """
 
     cost: Cost
@@ -136,16 +202,39 @@ class Evaluation:
     cell_resistance: Array
     reading: Array
     solved: tuple[Network, ...] | None
+    own_weights: Array | None = None
 
     @classmethod
-    def at(cls, cost: Cost, data: Data, cell_resistance: Array) -> "Evaluation":
-        """Solve the networks of a cell resistance (frames, rows, columns) ohm."""
+    def at(cls, cost: Cost, data: Data, cell_resistance: Array, own_weights: Array | None = None) -> "Evaluation":
+        """Solve the networks of a cell resistance (…, frames, rows, columns) ohm.
+
+        Raises numpy.linalg.LinAlgError where a line is not connected.
+        """
         networks = data.networks(cell_resistance)
-        return cls(cost, data, cell_resistance, np.stack([network.reading() for network in networks]), networks)
+        reading = np.stack([network.reading() for network in networks], axis=-3)
+        return cls(cost, data, cell_resistance, reading, networks, own_weights)
 
     def elsewhere(self, cell_resistance: Array) -> "Evaluation":
         """Return the evaluation of the same cost and data at other cells."""
-        return Evaluation.at(self.cost, self.data, cell_resistance)
+        return Evaluation.at(self.cost, self.data, cell_resistance, self.own_weights)
+
+    def some(self, panels: Panels) -> "Evaluation":
+        """Return the evaluation at some of many panels, or at one by its number, with what is known of the cost."""
+        networks = tuple(cast(FloatingNetwork, network).some(panels) for network in self.networks)
+        known = self.cell_resistance[panels], self.reading[panels]
+        if isinstance(panels, int):
+            pairs = zip(self.cost.terms, self.weights[panels].tolist(), strict=True)
+            cost = replace(self.cost, terms=tuple(replace(term, weight=weight) for term, weight in pairs))
+            return Evaluation(cost, self.data.some(panels), *known, networks)
+        chosen = Evaluation(self.cost, self.data.some(panels), *known, networks, self.weights[panels])
+        if "first" in self.__dict__:
+            chosen.__dict__["first"] = self.first[panels]
+        return chosen
+
+    @property
+    def weights(self) -> Array:
+        """(…, terms) of the terms."""
+        return self.cost.weights if self.own_weights is None else self.own_weights
 
     @cached_property
     def networks(self) -> tuple[Network, ...]:
@@ -153,15 +242,22 @@ class Evaluation:
         return self.data.networks(self.cell_resistance) if self.solved is None else self.solved
 
     def call(self, function: Compiled, dual: Array) -> Array:
-        """Return a function of the cost at this point."""
+        """Return a function of the cost at this point, (…, nonzeros)."""
         point = {
-            "cell_resistance": self.cell_resistance.ravel(),
-            "reading": self.reading.ravel(),
-            "weights": self.cost.weights,
+            "cell_resistance": self.cell_resistance,
+            "reading": self.reading,
+            "weights": self.weights,
             "dual": dual,
         }
-        given = self.data.given.flat
-        return function(*[point[name] if name in point else given[name] for name in function.names])
+        if not self.data.panels:
+            given = self.data.flat
+            return function(*[point[name] if name in point else given[name] for name in function.names])
+        (count,) = self.data.panels
+        point["dual"] = np.zeros((count, 0))  # costs with duals are solved panel by panel
+        given = self.data.flat | {name: self.data.padded(value) for name, value in point.items()}
+        size = len(given["reading"])
+        values = _mapped(function, size, self.data.place)(*(given[name] for name in function.names))
+        return values.reshape(size, -1)[:count]
 
     def of_terms(self, function: Compiled) -> Array:
         """Return a function of the terms' residuals at this point, which takes no duals."""
@@ -174,33 +270,44 @@ class Evaluation:
 
     @property
     def costs(self) -> Array:
-        """Costs weight · loss of the terms, summed over frames, in the order of the terms."""
-        return self.first[: len(self.cost.terms)]
+        """(…, terms) costs weight · loss of the terms, summed over frames, in the order of the terms."""
+        return self.first[..., : len(self.cost.terms)]
+
+    @cached_property
+    def objectives(self) -> Array:
+        """φ (…)."""
+        return np.asarray(self.costs.sum(axis=-1))
 
     @cached_property
     def objective(self) -> float:
-        """φ."""
-        return float(self.costs.sum())
+        """φ of a single panel."""
+        return float(self.objectives)
 
     def partials(self, dual: Array) -> tuple[Array, Array]:
-        """Return (∂φ/∂r at fixed readings y, ∂φ/∂y), each (frames, rows, columns)."""
+        """Return (∂φ/∂r at fixed readings y, ∂φ/∂y), each (…, frames, rows, columns)."""
         values = self.call(self.cost.functions.first, dual) if len(dual) else self.first
-        direct, through = values[2 * len(self.cost.terms) :].reshape(2, *self.cell_resistance.shape)
-        return direct, through
+        both = values[..., 2 * len(self.cost.terms) :].reshape(*self.data.panels, 2, *self.cell_resistance.shape[-3:])
+        return both[..., 0, :, :, :], both[..., 1, :, :, :]
 
     def log_gradient(self, dual: Array) -> Array:
-        """Return ∂φ/∂u, u = log r, (frames, rows, columns): r·∂φ/∂r + Jᵀ ∂φ/∂y; duals clipped to |z| ≤ 1."""
+        """Return ∂φ/∂u, u = log r, (…, frames, rows, columns): r·∂φ/∂r + Jᵀ ∂φ/∂y; duals clipped to |z| ≤ 1."""
         direct, through = self.partials(within_one(dual))
         gradient: Array = direct * self.cell_resistance
         for frame, network in enumerate(self.networks):
-            gradient[frame] += network.adjoint(through[frame])
+            gradient[..., frame, :, :] += network.adjoint(through[..., frame, :, :])
         return gradient
 
     @cached_property
+    def cost_scales(self) -> Array:
+        """Scale (…) against which a gradient is small: φ with the terms at f(r) = 0 for one cell, plus φ here."""
+        terms, cells = len(self.cost.terms), math.prod(self.cell_resistance.shape[-3:])
+        scale = self.first[..., terms : 2 * terms].sum(axis=-1) / cells + self.objectives
+        return np.asarray(np.where(scale == 0, 1.0, scale))
+
+    @cached_property
     def cost_scale(self) -> float:
-        """Scale against which a gradient is small: φ with the terms at f(r) = 0 for one cell, plus φ at this point."""
-        blank = self.first[len(self.cost.terms) : 2 * len(self.cost.terms)]
-        return (float(blank.sum()) / self.cell_resistance.size + self.objective) or 1.0
+        """That of a single panel."""
+        return float(self.cost_scales)
 
     @cached_property
     def nonsmooth(self) -> Array:
@@ -236,17 +343,22 @@ class Evaluation:
         Zero where the first-order optimality conditions hold. log_gradient : gradient for these duals, if it is known.
         """
         gap = self.dual_gap(within_one(dual)) / self.cost_scale if len(dual) else 0.0
-        return self.projected_gradient(self.log_gradient(dual) if log_gradient is None else log_gradient) + gap
+        return float(self.projected_gradients(self.log_gradient(dual) if log_gradient is None else log_gradient)) + gap
+
+    def projected_gradients(self, log_gradient: Array) -> Array:
+        """Return max |u − Π(u − ∇φ/s)| (…) of a known gradient (…, frames, rows, columns)."""
+        lower, upper = self.data.log_bounds
+        target = self.position - log_gradient / self.cost_scales[..., None, None, None]
+        away = np.abs(self.position - np.minimum(np.maximum(target, lower), upper))
+        return np.asarray(away.max(axis=(-3, -2, -1)))
 
     def projected_gradient(self, log_gradient: Array) -> float:
-        """Return max |u − Π(u − ∇φ/s)| of a known gradient."""
-        lower, upper = self.data.log_bounds
-        target = np.minimum(np.maximum(self.position - log_gradient / self.cost_scale, lower), upper)
-        return float(np.abs(self.position - target).max())
+        """Return that of a single panel."""
+        return float(self.projected_gradients(log_gradient))
 
     @cached_property
     def position(self) -> Array:
-        """Position u = log r, (frames, rows, columns)."""
+        """Position u = log r, (…, frames, rows, columns)."""
         return np.log(self.cell_resistance)
 
 

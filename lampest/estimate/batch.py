@@ -13,8 +13,9 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from lampest.cost.cost import Cost
 from lampest.cost.given import Background
-from lampest.cost.problem import Evaluation
+from lampest.cost.problem import BLOCK, Data, Evaluation
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.methods.method import OptimalMethod
 from lampest.estimate.objective import Objective
@@ -27,10 +28,9 @@ from lampest.posterior.batch import BatchErrors
 from lampest.posterior.linear import LinearModel
 from lampest.posterior.track import Bars, Track
 from lampest.recording.readings import Readings
-from lampest.solvers.batch import BatchOutcome, InverseHessians, solve
 from lampest.solvers.bounds import bounds_matter
 from lampest.solvers.multistart import BROKEN, SAME, several_minima
-from lampest.solvers.panel_batch import BLOCK, PanelBatch
+from lampest.solvers.projected_lbfgs import BatchOutcome, InverseHessians, serves, solve
 from lampest.solvers.solution import OPEN_FRACTION, VERIFIED, Settings, Solution, Status
 
 FEWEST = 20  # panels of a thread: with fewer, threads cost more than they save
@@ -189,8 +189,11 @@ class Together:
     numbers : array
         Numbers of the streams among all, which are of one shape and one kind of cost.
     streams : sequence of Stream
-    batch : PanelBatch
-        Their frames.
+    cost : Cost
+        With weights of one.
+    data : Data
+        Of their frames, over a leading axis.
+    weights : array, shape (streams, terms)
     settings : Settings
     weight_sigma : sequence of tuple
         Of each stream, see `Objective`.
@@ -198,7 +201,9 @@ class Together:
 
     numbers: NDArray[np.intp]
     streams: Sequence[Stream]
-    batch: PanelBatch
+    cost: Cost
+    data: Data
+    weights: Array
     settings: Settings
     weight_sigma: Sequence[tuple[float, ...]]
 
@@ -206,7 +211,7 @@ class Together:
     def of(
         cls, numbers: NDArray[np.intp], streams: Sequence[Stream], frames: Readings, place: int
     ) -> "Together | None":
-        """frames : (streams, rows, columns). place : as `PanelBatch`. None where batches cannot serve the cost."""
+        """frames : (streams, rows, columns). place : as in `Data`. None where batches cannot serve the cost."""
         first = streams[0]
         estimator = _unweighted(first.estimator, rested=first.rested)
         behind = Background(first.scene, first.period)
@@ -215,12 +220,12 @@ class Together:
             behind = replace(behind, previous=_previous(streams), baseline=resting)
         data = estimator.data(frames, behind)
         cost = estimator.cost(first.scene, 1, partial=data.partial)
-        if not PanelBatch.serves(cost, data):
+        if not serves(cost, data):
             return None
         objectives = [_objective(stream) for stream in streams]
         weights = np.array([[float(term.weight) for term in objective.terms] for objective in objectives])
         sigma = [objective.weight_sigma for objective in objectives]
-        return cls(numbers, streams, PanelBatch(cost, weights, data, place), estimator.solver, sigma)
+        return cls(numbers, streams, cost, data.of_panels(place), weights, estimator.solver, sigma)
 
     def rested(self, inverses: InverseHessians) -> list[Step | None]:
         """Return the step of every baseline, with the surroundings for error bars.
@@ -230,7 +235,7 @@ class Together:
         ended, steps = self._solved(inverses)
         for number, step in enumerate(steps):
             if step is not None and self.streams[number].track is not None:
-                surrounded = replace(step.solution, at=self._evaluation(ended, number), dual=NO_DUAL)
+                surrounded = replace(step.solution, at=ended.points.at.some(number), dual=NO_DUAL)
                 steps[number] = replace(step, solution=surrounded)
         return steps
 
@@ -253,13 +258,13 @@ class Together:
         barred, inside = dict[int, tuple[Track, Bars]](), [n for n in tracks if free[n]]
         for some in (inside[first : first + BLOCK] for first in range(0, len(inside), BLOCK)):
             with suppress(*BROKEN):
-                unknown = (np.nan,) * self.batch.weights.shape[1]
+                unknown = (np.nan,) * self.weights.shape[1]
                 sigma = np.array([self.weight_sigma[n] or unknown for n in some])
                 errors = BatchErrors(ended.points.some(np.array(some)), [tracks[n] for n in some], sigma)
                 barred |= dict(zip(some, errors.bars(), strict=True))
         for number in tracks.keys() - barred.keys():
             with suppress(*BROKEN):
-                at = self._evaluation(ended, number)
+                at = ended.points.at.some(number)
                 barred[number] = tracks[number].advanced(
                     LinearModel(at, NO_DUAL, weight_sigma=self.weight_sigma[number])
                 )
@@ -279,65 +284,58 @@ class Together:
         """Where the panels ended, and the step of each; None where the batch found no verified minimum."""
         begin, minima = perf_counter(), list[BatchOutcome]()
         for start in self._starts(inverses, minima):
-            minima.append(solve(self.batch, start, inverses, self.numbers, self.settings))
+            minima.append(solve(self._at(start, self.weights), inverses, self.numbers, self.settings))
         ended = reduce(_lower, minima)
         solutions = self._solutions(ended, len(minima))
         seconds = (perf_counter() - begin) / len(self.numbers)
         steps = [
             None if solution is None else Step(solution, seconds, tuple(weights), weight_sigma=sigma)
-            for solution, weights, sigma in zip(solutions, self.batch.weights.tolist(), self.weight_sigma, strict=True)
+            for solution, weights, sigma in zip(solutions, self.weights.tolist(), self.weight_sigma, strict=True)
         ]
         return ended, steps
 
     def _starts(self, inverses: InverseHessians, minima: Sequence[BatchOutcome]) -> Iterator[Array]:
         """As `lampest.solvers.multistart.starts`; found : where those before ended."""
-        cost, several = self.batch.cost, several_minima(self.batch.cost, self.batch.data)
+        several = several_minima(self.cost, self.data)
         if self.streams[0].rested:
-            yield _previous(self.streams)
+            yield _previous(self.streams)[:, None]
             if not (self.streams[0].first and several):
                 return
-        yield self.batch.data.uniform_start
+        yield self.data.uniform_start
         if several:
-            reads = [float(term.reads_measurement) for term in cost.terms]
-            data_alone = replace(self.batch, weights=self.batch.weights * reads)
-            near = minima[0].points.network.cell_resistance
-            yield solve(data_alone, near, inverses, self.numbers, self.settings).points.network.cell_resistance
+            reads = [float(term.reads_measurement) for term in self.cost.terms]
+            data_alone = self._at(minima[0].points.at.cell_resistance, self.weights * reads)
+            yield solve(data_alone, inverses, self.numbers, self.settings).points.at.cell_resistance
+
+    def _at(self, cells: Array, weights: Array) -> Evaluation:
+        """Return the costs at cells (streams, 1, rows, columns) ohm, within their bounds."""
+        return Evaluation.at(self.cost, self.data, np.clip(cells, self.data.lower, self.data.upper), weights)
 
     def _solutions(self, ended: BatchOutcome, starts: int) -> list[Solution | None]:
         """Return the checked solutions of all panels; None where one is not verified."""
-        points, data = ended.points, self.batch.data
-        cells, reading, costs = points.network.cell_resistance, points.reading, points.costs
+        points, data, at = ended.points, self.data, ended.points.at
+        cells = at.cell_resistance
         at_lower, open_cell = cells <= data.lower / OPEN_FRACTION, cells >= data.upper * OPEN_FRACTION
-        lower, upper = self.batch.log_bounds
-        held = np.asarray((~points.free & (lower < upper)).any(axis=1))
+        held = np.asarray((~points.free & (data.lower < data.upper).reshape(points.free.shape)).any(axis=1))
         solutions: list[Solution | None] = [None] * len(cells)
         for number in np.flatnonzero(ended.solved & (points.residual <= VERIFIED)).tolist():
-            alone = slice(number, number + 1)
-            figures = float(points.objective[number]), float(points.residual[number])
-            bounds, iterations = (at_lower[alone], open_cell[alone]), int(ended.iterations[number])
             solution = Solution(
-                cells[alone],
-                reading[alone],
-                costs[number],
-                *figures,
-                *bounds,
+                cells[number],
+                at.reading[number],
+                at.costs[number],
+                float(at.objectives[number]),
+                float(points.residual[number]),
+                at_lower[number],
+                open_cell[number],
                 Status.OPTIMUM,
-                iterations,
+                int(ended.iterations[number]),
                 starts=starts,
             )
-            gradient = points.gradient[number].reshape(cells[alone].shape)
-            if held[number] and bounds_matter(self._evaluation(ended, number), gradient, NO_DUAL):
+            gradient = points.gradient[number].reshape(cells[number].shape)
+            if held[number] and bounds_matter(at.some(number), gradient, NO_DUAL):
                 solution = replace(solution, status=Status.HELD)
             solutions[number] = solution
         return solutions
-
-    def _evaluation(self, ended: BatchOutcome, number: int) -> Evaluation:
-        """Of one panel, with the network that was solved."""
-        point = ended.points.some(np.array([number]))
-        pairs = zip(self.batch.cost.terms, self.batch.weights[number], strict=True)
-        terms = tuple(replace(term, weight=float(weight)) for term, weight in pairs)
-        cost, reading = replace(self.batch.cost, terms=terms), ended.points.reading[number][None]
-        return Evaluation(cost, point.batch.data, point.network.cell_resistance, reading, (point.network.some(0),))
 
 
 def _previous(streams: Sequence[Stream]) -> Array:
@@ -356,5 +354,5 @@ def _objective(stream: Stream) -> Objective:
 
 def _lower(first: BatchOutcome, second: BatchOutcome) -> BatchOutcome:
     """Of each panel the lower minimum of two; the first where they are one."""
-    better = second.solved & (~first.solved | (second.points.objective < first.points.objective * (1 - SAME)))
+    better = second.solved & (~first.solved | (second.points.at.objectives < first.points.at.objectives * (1 - SAME)))
     return first.where(~better, second)

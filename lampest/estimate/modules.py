@@ -24,7 +24,7 @@ from lampest.panel.scene import Scene
 from lampest.posterior.certainty import Certainty
 from lampest.posterior.track import Bars, Change, Track
 from lampest.recording.readings import Readings
-from lampest.solvers.batch import InverseHessians
+from lampest.solvers.projected_lbfgs import InverseHessians
 from lampest.solvers.solution import OPTIMA, Status
 
 WORST = (*OPTIMA, Status.APPROXIMATE)  # of all that count as estimates, the last is the weakest

@@ -16,13 +16,11 @@ STILL = 1e-12  # of the cost's scale: a smaller decrease is its rounding
 
 
 def free_cells(at: Evaluation, gradient: Array) -> NDArray[np.bool_]:
-    """(cells) those that have room and that the gradient does not press against a bound, flat."""
-    lower, upper = (bound.ravel() for bound in at.data.log_bounds)
-    position = at.position.ravel()
-    free: NDArray[np.bool_] = (lower < upper) & ~(
-        ((position <= lower) & (gradient > 0)) | ((position >= upper) & (gradient < 0))
-    )
-    return free
+    """(…, cells) those that have room and that the gradient (…, cells) does not press against a bound."""
+    (lower, upper), slope = at.data.log_bounds, gradient.reshape(at.position.shape)
+    held = ((at.position <= lower) & (slope > 0)) | ((at.position >= upper) & (slope < 0))
+    free: NDArray[np.bool_] = (lower < upper) & ~held
+    return free.reshape(gradient.shape)
 
 
 def within_bounds(at: Evaluation, free: NDArray[np.intp], step: Array) -> Array:

@@ -9,8 +9,10 @@ Source: Nocedal & Wright, Numerical Optimization, 2006, section 10.3.
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from math import prod
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import linalg, sparse
 
 from lampest.cost.cost import Entries
@@ -18,6 +20,7 @@ from lampest.cost.problem import Evaluation, Part, residuals
 from lampest.panel.network import Numbers, SecondOrder
 from lampest.panel.panel import Array
 from lampest.panel.trust_region import DENSE_CELLS
+from lampest.solvers.bounds import free_cells
 from lampest.solvers.smoothing import Smoothing
 
 DENSE_STIFF_CELLS = 600  # the same for absolute losses and joint pairs, whose products are more
@@ -25,7 +28,16 @@ DENSE_STIFF_CELLS = 600  # the same for absolute losses and joint pairs, whose p
 
 @dataclass(frozen=True, eq=False)
 class Hessian:
-    """∇²φ at one point; vectors are flat (frames · cells). `smoothing` replaces absolute losses."""
+    """∇²φ at one point, or with a leading axis at one point of each of many panels.
+
+    Vectors are flat (…, frames · cells). Products and matrices between some cells are those of a single panel.
+
+    Attributes
+    ----------
+    at : Evaluation
+    smoothing : Smoothing
+        Replaces absolute losses.
+    """
 
     at: Evaluation
     smoothing: Smoothing
@@ -39,6 +51,41 @@ class Hessian:
         stiff = len(self.at.cost.slope) > 0 or len(self.at.networks) > 1
         return stiff or int(np.sum(data.lower < data.upper)) <= DENSE_CELLS
 
+    def elsewhere(self, position: Array) -> "Hessian":
+        """Return the derivatives of a cost without absolute losses at other u, (…, cells), within the bounds.
+
+        Raises numpy.linalg.LinAlgError where a line is not connected.
+        """
+        data = self.at.data
+        cells = np.clip(np.exp(position).reshape(data.lower.shape), data.lower, data.upper)
+        return replace(self, at=self.at.elsewhere(cells))
+
+    def some(self, panels: Numbers) -> "Hessian":
+        """Return the derivatives at some of many panels, with what is known of them."""
+        chosen = replace(self, at=self.at.some(panels))
+        for name in ("gradient", "_smooth_terms"):
+            if name in self.__dict__:
+                chosen.__dict__[name] = self.__dict__[name][panels]
+        return chosen
+
+    @property
+    def position(self) -> Array:
+        """u = log r."""
+        return self._flat(self.at.position)
+
+    @cached_property
+    def residual(self) -> Array:
+        """The projected gradient (…), relative to the cost's scale."""
+        return self.at.projected_gradients(self.gradient.reshape(self.at.cell_resistance.shape))
+
+    @cached_property
+    def free(self) -> NDArray[np.bool_]:
+        """Cells that no bound holds, (…, cells)."""
+        return free_cells(self.at, self.gradient)
+
+    def _flat(self, maps: Array) -> Array:
+        return maps.reshape(*self.at.data.panels, prod(maps.shape[len(self.at.data.panels) :]))
+
     @cached_property
     def gradient(self) -> Array:
         """∇φ in u."""
@@ -51,16 +98,16 @@ class Hessian:
     @cached_property
     def direct(self) -> Array:
         """r·∂φ/∂r at fixed readings."""
-        return (self.at.cell_resistance * self._partials[0]).ravel()
+        return self._flat(self.at.cell_resistance * self._partials[0])
 
     @cached_property
     def through(self) -> Array:
         """Jᵀ·∂φ/∂y."""
-        return np.concatenate([second.adjoint().ravel() for second in self._second_orders])
+        return np.concatenate([self._flat(second.adjoint()) for second in self._second_orders], axis=-1)
 
     @property
     def by_reading(self) -> Array:
-        """∂φ/∂y, (frames, rows, columns)."""
+        """∂φ/∂y, (…, frames, rows, columns)."""
         return self._partials[1]
 
     def forward(self, step: Array) -> Array:
@@ -75,7 +122,8 @@ class Hessian:
 
     @cached_property
     def _second_orders(self) -> list[SecondOrder]:
-        return [net.second_order(slope) for net, slope in zip(self.at.networks, self.by_reading, strict=True)]
+        pairs = enumerate(self.at.networks)
+        return [network.second_order(self.by_reading[..., frame, :, :]) for frame, network in pairs]
 
     @cached_property
     def terms(self) -> sparse.csr_array:
@@ -173,12 +221,11 @@ class Hessian:
 
     @cached_property
     def matrix(self) -> Array:
-        """∇²φ, dense (frames · cells)²."""
-        count = self.at.cell_resistance.size
+        """∇²φ, dense (…, frames · cells, frames · cells)."""
         jacobians = [network.sensitivity() for network in self.at.networks]
         matrix = block_diagonal([second.matrix() for second in self._second_orders])
         self._add_terms(matrix, jacobians)
-        matrix.flat[:: count + 1] += self.direct - self.through
+        np.einsum("...ii->...i", matrix)[...] += self.direct - self.through
         return matrix
 
     @cached_property
@@ -229,20 +276,21 @@ class Hessian:
         return np.asarray(block_diagonal(blocks) + self.penalty_matrix.toarray())
 
     def _add_terms(self, matrix: Array, jacobians: Sequence[Array]) -> None:
-        cells = self.at.cell_resistance.ravel()
-        count = len(cells)
+        cells = self._flat(self.at.cell_resistance)
+        count = cells.shape[-1]
         entries, values = self._entries
         row, column = entries.at_cells
-        matrix[row, column] += values[entries.cells] * cells[row] * cells[column]
+        matrix[..., row, column] += values[..., entries.cells] * cells[..., row] * cells[..., column]
         if entries.at_model is None:
             jacobian = block_diagonal(jacobians)
             matrix += jacobian.T @ (self.terms[count:, count:] @ jacobian)
         else:
-            weight = np.zeros(count)
-            weight[entries.at_model] = values[entries.model]
+            weight = np.zeros_like(cells)
+            weight[..., entries.at_model] = values[..., entries.model]
+            size = count // len(jacobians)
             for number, jacobian in enumerate(jacobians):
-                span = slice(number * len(jacobian), (number + 1) * len(jacobian))
-                matrix[span, span] += weighted_square(jacobian, weight[span])
+                span = slice(number * size, (number + 1) * size)
+                matrix[..., span, span] += weighted_square(jacobian, weight[..., span])
         if entries.crossed:
             cross = cells[:, None] * (self.terms[:count, count:] @ block_diagonal(jacobians))
             matrix += cross + cross.T
@@ -290,9 +338,9 @@ def matrix_between(matrix: Array, chosen: Numbers) -> Array:
 
 
 def weighted_square(matrix: Array, weight: Array) -> Array:
-    """AᵀWA; a product of a matrix with its own transpose costs half."""
+    """AᵀWA (…, cells, cells); a product of a matrix with its own transpose costs half."""
     if weight.min(initial=0.0) < 0:
-        return (matrix * weight[:, None]).T @ matrix
-    scaled = matrix * np.sqrt(weight)[:, None]
-    square: Array = scaled.T @ scaled
+        return (matrix * weight[..., None]).swapaxes(-1, -2) @ matrix
+    scaled = matrix * np.sqrt(weight)[..., None]
+    square: Array = scaled.swapaxes(-1, -2) @ scaled
     return square

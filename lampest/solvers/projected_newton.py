@@ -123,7 +123,7 @@ class Iterate:
     @cached_property
     def residual(self) -> float:
         """The projected gradient, relative to the cost's scale."""
-        return self.at.projected_gradient(self.hessian.gradient.reshape(self.at.cell_resistance.shape))
+        return float(self.hessian.residual)
 
     @cached_property
     def gap(self) -> float:

@@ -36,9 +36,8 @@ from lampest.posterior.certainty import Certainty
 from lampest.posterior.frame_noise import FrameNoise
 from lampest.posterior.linear import LinearModel
 from lampest.posterior.track import Track
-from lampest.solvers.batch import BatchOutcome, InverseHessians, solve
 from lampest.solvers.multistart import best_solution
-from lampest.solvers.panel_batch import PanelBatch
+from lampest.solvers.projected_lbfgs import BatchOutcome, InverseHessians, serves, solve
 from lampest.solvers.projected_newton import ProjectedNewton
 from lampest.solvers.solution import Settings
 
@@ -54,19 +53,20 @@ def frames(noise: float, seed: int = 1) -> Readings:
     return Readings.of(SCENE, exact * np.exp(noise * random.standard_normal(exact.shape)))
 
 
-def batch_of(terms: tuple[Term, ...], readings: Readings) -> PanelBatch:
-    """The panels' problems; what they are compared with are equal cells."""
+def batch_of(terms: tuple[Term, ...], readings: Readings) -> Evaluation:
+    """The panels' problems at equal cells, with which they are compared."""
     estimator = Estimator(terms, "reduced")
     rest = np.full(readings.value.shape, 3000.0)
     data = estimator.data(readings, Background(SCENE, 1.0, rest, None, rest))
     cost = estimator.cost(SCENE, 1, partial=data.partial)
-    return PanelBatch(cost, np.tile(cost.weights, (len(rest), 1)), data)
+    data = data.of_panels(0)
+    cells = np.clip(np.full(data.measured.shape, 3000.0), data.lower, data.upper)
+    return Evaluation.at(cost, data, cells, np.tile(cost.weights, (len(rest), 1)))
 
 
-def solved(batch: PanelBatch) -> BatchOutcome:
+def solved(batch: Evaluation) -> BatchOutcome:
     """From equal cells."""
-    start = np.full(batch.data.measured.shape, 3000.0)
-    return solve(batch, start, InverseHessians.nothing(PANELS, 20), np.arange(PANELS), Settings())
+    return solve(batch, InverseHessians.nothing(PANELS, 20), np.arange(PANELS), Settings())
 
 
 @pytest.mark.parametrize(
@@ -81,18 +81,18 @@ def solved(batch: PanelBatch) -> BatchOutcome:
 @pytest.mark.parametrize("noise", [0.0, 1e-3, 2e-2])
 def test_each_panel_ends_where_the_solver_for_one_ends(terms: tuple[Term, ...], noise: float) -> None:
     batch = batch_of(terms, frames(noise))
-    assert PanelBatch.serves(batch.cost, batch.data)
-    start, kept = np.full(batch.data.measured.shape, 3000.0), InverseHessians.nothing(PANELS, 20)
-    found = solve(batch, start, kept, np.arange(PANELS), Settings())
+    assert serves(batch.cost, batch.data)
+    kept = InverseHessians.nothing(PANELS, 20)
+    found = solve(batch, kept, np.arange(PANELS), Settings())
     assert found.solved.sum() >= PANELS - 2
     for number in np.flatnonzero(found.solved):
-        one = batch.some(np.array([number])).data
-        alone = best_solution(ProjectedNewton(batch.cost, Settings()), one, start[:1])
+        one = batch.data.some(int(number))
+        alone = best_solution(ProjectedNewton(batch.cost, Settings()), one, np.full(one.measured.shape, 3000.0))
         assert alone.strict
         scale = float(np.sum((one.measured / 1e3) ** 2))
-        assert abs(found.points.objective[number] - alone.objective) <= 1e-6 * alone.objective + 1e-6 * scale
-        np.testing.assert_allclose(found.points.network.cell_resistance[number], alone.cell_resistance[0], rtol=1e-5)
-    again = solve(batch, found.points.network.cell_resistance, kept, np.arange(PANELS), Settings())
+        assert abs(found.points.at.objectives[number] - alone.objective) <= 1e-6 * alone.objective + 1e-6 * scale
+        np.testing.assert_allclose(found.points.at.cell_resistance[number], alone.cell_resistance, rtol=1e-5)
+    again = solve(found.points.at, kept, np.arange(PANELS), Settings())
     assert again.solved[found.solved].all() and again.iterations[found.solved].max() == 0
 
 
@@ -113,7 +113,7 @@ def test_a_panel_that_readings_leave_open_is_handed_back_and_costs_no_other() ->
     readings = frames(1e-3)
     readings.seen[2, 1] = 0.0
     batch = batch_of((Misfit(),), Readings(readings.value, readings.sigma, readings.side, readings.seen))
-    batch.data.given.seen[2, 1] = 0.0
+    batch.data.given.seen[2, :, 1] = 0.0
     found = solved(batch)
     assert not found.solved[2] and found.solved.sum() >= PANELS - 2
 
@@ -140,9 +140,7 @@ def test_error_bars_made_together_are_those_made_one_by_one(penalty: tuple[Term,
     sigmas = np.tile(sigma, (len(inside), 1))
     some = BatchErrors(found.points.some(inside), [tracks[number] for number in inside], sigmas)
     for number, (track, bars) in zip(inside, some.bars(), strict=True):
-        at = Evaluation.at(
-            batch.cost, batch.some(np.array([number])).data, np.exp(found.points.position[number]).reshape(1, 4, 5)
-        )
+        at = Evaluation.at(batch.cost, batch.data.some(int(number)), found.points.at.cell_resistance[number])
         before, alone = tracks[number].advanced(LinearModel(at, np.zeros(0), weight_sigma=tuple(sigma)))
         for name, expected in vars(alone.frame).items():
             np.testing.assert_allclose(getattr(bars.frame, name), expected, rtol=1e-8, atol=1e-12)
@@ -159,16 +157,15 @@ def test_error_bars_made_together_are_those_made_one_by_one(penalty: tuple[Term,
 def test_a_cell_at_a_bound_gets_its_bars_alone() -> None:
     batch = batch_of((Misfit(),), frames(0.1))
     ended = solved(batch)
-    lower, upper = batch.log_bounds
-    at_bound = ((ended.points.position <= lower) | (ended.points.position >= upper)).any(axis=1)
+    cells, data = ended.points.at.cell_resistance, batch.data
+    at_bound = ((cells <= data.lower) | (cells >= data.upper)).any(axis=(1, 2, 3))
     assert at_bound.any() and not BatchErrors.inside(ended.points)[at_bound].any()
 
 
 def test_inputs_that_nobody_gives_stand_as_absent_for_every_panel() -> None:
     estimator, readings = Estimator((Misfit(),), "reduced"), frames(0.0)
     data = estimator.data(readings, Background(SCENE, 1.0, None, None, None))
-    cost = estimator.cost(SCENE, 1, partial=data.partial)
-    named = PanelBatch(cost, np.tile(cost.weights, (PANELS, 1)), data).named
+    named = data.of_panels(0).flat
     sources, given = dict(data.given.sources()), dict(data.given.named())
     missing = sources.keys() - given.keys()
     assert missing

@@ -11,14 +11,20 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from lampest.cost.cost import Cost
+from lampest.cost.problem import Data, Evaluation
 from lampest.panel.panel import Array
+from lampest.panel.readouts import TwoPointReadout
 from lampest.solvers.bounds import MILLIONTH, STILL
 from lampest.solvers.certificate import clear_of_rounding
-from lampest.solvers.hessian import matrix_between
-from lampest.solvers.panel_batch import Mask, Numbers, PanelBatch, Points
+from lampest.solvers.hessian import Hessian, matrix_between
 from lampest.solvers.preconditioners import Cholesky
 from lampest.solvers.projected_newton import MAX_STEP, MAX_TRIES, MIN_RATIO, MOVED, RADIUS_FACTOR
+from lampest.solvers.smoothing import Smoothing
 from lampest.solvers.solution import Settings
+
+Mask = NDArray[np.bool_]
+Numbers = NDArray[np.intp]
 
 MOST_STEPS = 40  # of a panel in a batch; the solver for single panels goes on from there
 PAIRS = 4  # of steps and changes of the gradient that correct M
@@ -62,7 +68,7 @@ class InverseHessians:
         moved = np.abs(position - self.position[panels]).max(axis=1)
         return np.where(np.isnan(moved), np.inf, moved)
 
-    def shows_minimum(self, panels: Numbers, points: Points) -> Mask:
+    def shows_minimum(self, panels: Numbers, points: Hessian) -> Mask:
         """(of some panels) whether ∇²φ was positive definite so near that it still is."""
         near = self.distance(panels, points.position) <= CERTIFIED
         return near & self.positive[panels] & ~(points.free & ~self.free[panels]).any(axis=1)
@@ -77,17 +83,19 @@ class InverseHessians:
             np.matmul(self.inverse[panel], gradient[row], out=step[row])
         return step
 
-    def renew(self, panels: Numbers, points: Points) -> None:
+    def renew(self, panels: Numbers, points: Hessian) -> None:
         """Make M of some panels anew at their points, in place: there are 80 kB of each 10 × 10 panel.
 
-        Frames that begin at one estimate share M: their Hessians differ by what their residuals add.
+        M is ∇²φ in relative changes of conductances, whose quadratic model has ∇φ more on the diagonal. Frames that
+        begin at one estimate share M: their Hessians differ by what their residuals add.
         """
         if len(panels) > 1 and not np.ptp(points.position, axis=0).any():
             self.renew(panels[:1], points.some(np.array([0])))
             for values in (self.inverse, self.position, self.free, self.positive, self.worn):
                 values[panels[1:]] = values[panels[0]]
             return
-        matrices = points.matrix()
+        matrices = points.matrix.copy()
+        np.einsum("...ii->...i", matrices)[...] += points.gradient
         for number, panel in enumerate(panels):
             matrix, free = matrices[number], np.flatnonzero(points.free[number])
             scale = np.abs(np.diag(matrix))
@@ -107,13 +115,13 @@ class BatchOutcome:
 
     Attributes
     ----------
-    points : Points
+    points : Hessian
     solved : array of bool, shape (panels,)
         Whether a strict minimum is verified there.
     iterations : array of int, shape (panels,)
     """
 
-    points: Points
+    points: Hessian
     solved: Mask
     iterations: NDArray[np.int64]
 
@@ -124,30 +132,34 @@ class BatchOutcome:
         position = np.where(chosen[:, None], self.points.position, otherwise.points.position)
         solved = np.where(chosen, self.solved, otherwise.solved)
         iterations = np.where(chosen, self.iterations, otherwise.iterations)
-        return BatchOutcome(Points.at(self.points.batch, position), solved, iterations)
+        return BatchOutcome(self.points.elsewhere(position), solved, iterations)
 
 
-def solve(
-    batch: PanelBatch, start: Array, inverses: InverseHessians, numbers: Numbers, settings: Settings
-) -> BatchOutcome:
-    """Minimise the costs of a batch.
+def serves(cost: Cost, data: Data) -> bool:
+    """Return whether a batch can minimise a cost: smooth losses, and readings of floating lines without wire."""
+    if any(term.loss.enters == "dual" for term in cost.terms) or cost.frames != 1 or data.wiring is not None:
+        return False
+    entries = cost.functions.entries
+    return isinstance(data.readout, TwoPointReadout) and entries.at_model is not None and not entries.crossed
+
+
+def solve(start: Evaluation, inverses: InverseHessians, numbers: Numbers, settings: Settings) -> BatchOutcome:
+    """Minimise the costs of many panels.
 
     Parameters
     ----------
-    batch : PanelBatch
-    start : array, shape (panels, rows, columns)
-        Cells in ohm.
+    start : Evaluation
+        With a leading axis of panels, within their bounds.
     inverses : InverseHessians
         From earlier frames; renewed in place.
     numbers : array, shape (panels,)
-        Places of the batch's panels in `inverses`.
+        Places of these panels in `inverses`.
     settings : Settings
     """
-    lower, upper = batch.log_bounds
-    whole = Points.at(batch, np.clip(np.log(start).reshape(lower.shape), lower, upper))
-    ends, points = whole.position.copy(), whole
-    solved, iterations = np.zeros(len(start), dtype=bool), np.zeros(len(start), dtype=np.int64)
-    panels, secants = np.arange(len(start)), Secants()
+    whole = points = Hessian(start, Smoothing(1.0, np.zeros(0)))
+    ends, (count,) = whole.position.copy(), start.data.panels
+    solved, iterations = np.zeros(count, dtype=bool), np.zeros(count, dtype=np.int64)
+    panels, secants = np.arange(count), Secants()
     for _ in range(min(MOST_STEPS, settings.max_iterations)):
         if not len(panels):
             break
@@ -174,7 +186,7 @@ def solve(
             ends[panels] = points.position
             points, panels, secants = points.some(np.flatnonzero(moved)), panels[moved], secants.some(moved)
     ends[panels] = points.position
-    return BatchOutcome(Points.at(batch, np.clip(ends, lower, upper)), solved, iterations)
+    return BatchOutcome(whole.elsewhere(ends), solved, iterations)
 
 
 @dataclass(frozen=True, eq=False)
@@ -191,7 +203,7 @@ class Secants:
         """Those of some panels count no longer."""
         return Secants(tuple((s, y, np.where(forgotten, 0.0, size)) for s, y, size in self.pairs))
 
-    def after(self, before: Points, points: Points) -> "Secants":
+    def after(self, before: Hessian, points: Hessian) -> "Secants":
         """With one step more; cells that are not free at both ends do not count."""
         both = before.free & points.free
         step = np.where(both, points.position - before.position, 0.0)
@@ -200,7 +212,7 @@ class Secants:
         size = np.where(along > 0, 1 / np.where(along > 0, along, 1.0), 0.0)
         return Secants((*self.pairs, (step, change, size))[-PAIRS:])
 
-    def direction(self, points: Points, inverses: InverseHessians, panels: Numbers) -> Array:
+    def direction(self, points: Hessian, inverses: InverseHessians, panels: Numbers) -> Array:
         """−H ∇φ over the free cells by the two-loop recursion, H = M⁻¹ with its corrections."""
         slope, shares = np.where(points.free, points.gradient, 0.0), list[Array]()
         for step, change, size in reversed(self.pairs):
@@ -213,8 +225,8 @@ class Secants:
 
 
 def _advanced(
-    points: Points, secants: Secants, inverses: InverseHessians, panels: Numbers
-) -> tuple[Points, Secants, Mask]:
+    points: Hessian, secants: Secants, inverses: InverseHessians, panels: Numbers
+) -> tuple[Hessian, Secants, Mask]:
     """Return the points after one step each, and which of them found one that lowers the cost.
 
     Steps are relative changes of conductances, g ← g·(1 − s), in which readings are closest to quadratic.
@@ -223,18 +235,17 @@ def _advanced(
     if old.any():
         inverses.renew(panels[old], points.some(np.flatnonzero(old)))
         secants = secants.without(old)
-    step, (lower, upper) = secants.direction(points, inverses, panels), points.batch.log_bounds
+    step = secants.direction(points, inverses, panels)
     position, moved = points.position.copy(), np.zeros(len(panels), dtype=bool)
     trying, length = np.arange(len(panels)), 1.0
-    low, high = np.maximum(lower, points.position - MAX_STEP), np.minimum(upper, points.position + MAX_STEP)
+    low, high = points.position - MAX_STEP, points.position + MAX_STEP
     for attempt in range(MAX_TRIES):
         target = points.position[trying] - np.log1p(-np.minimum(length * step[trying], SHORTEST))
-        target = np.clip(target, low[trying], high[trying])
         some = points if len(trying) == len(panels) else points.some(trying)
-        trial = Points.at(some.batch, target)
-        gain = some.objective - trial.objective
-        expected = -(some.gradient * (target - some.position)).sum(axis=1)
-        invisible = STILL * np.abs(some.objective)
+        trial = some.elsewhere(np.clip(target, low[trying], high[trying]))
+        gain = some.at.objectives - trial.at.objectives
+        expected = -(some.gradient * (trial.position - some.position)).sum(axis=1)
+        invisible = STILL * np.abs(some.at.objectives)
         lowered = np.where(
             np.abs(expected) > invisible,
             gain >= MIN_RATIO * np.abs(expected),
@@ -248,5 +259,5 @@ def _advanced(
         trying, length = trying[~lowered], RADIUS_FACTOR * length
         if not len(trying):
             break
-    after = Points.at(points.batch, position)
+    after = points.elsewhere(position)
     return after, secants.after(points, after), moved
