@@ -157,16 +157,17 @@ class Data:
 
     @cached_property
     def ties(self) -> Array:
-        """(…, frames, rows + columns) siemens: each frame's ties to ground."""
+        """(…, frames, lines) siemens: each frame's ties to ground, (…, frames, modules, lines) of coupled modules."""
         if self.panels and self.parts is None:
             return self.readout.ties(self.measured)
-        *leading, rows, columns = self.measured.shape
-        ties = [self.readout.ties_of_parts(frame, self.parts) for frame in self.measured.reshape(-1, rows, columns)]
-        return np.reshape(ties, (*leading, rows + columns))
+        frames = self.measured.reshape(-1, *self.measured.shape[-2:])
+        ties = np.stack([self.readout.ties_of_parts(measured, self.parts) for measured in frames])
+        return ties.reshape(*self.measured.shape[:-2], *ties.shape[1:])
 
     def network(self, frame: int, cell_resistance: Array) -> Network:
         """Return the solved network of one frame's cells (…, rows, columns) ohm."""
-        return self.readout.network(cell_resistance, self.ties[..., frame, :], self.wiring)
+        ties = self.ties[:, frame] if self.panels else self.ties[frame]
+        return self.readout.network(cell_resistance, ties, self.wiring)
 
     def networks(self, cell_resistance: Array) -> tuple[Network, ...]:
         """Return the solved networks of all frames, each with the leading axis of cells (…, frames, rows, columns)."""
