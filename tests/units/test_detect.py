@@ -15,6 +15,7 @@ from support import invented_case
 from lampest.estimate.prepared import Prepared
 from lampest.files.errors import InputError
 from lampest.loads.recognition.attachment import Attachment, continued_by
+from lampest.loads.recognition.breathing import Breath
 from lampest.loads.recognition.observation import ModelErrors
 from lampest.loads.recognition.pumping import Pumping
 from lampest.loads.shapes import Block, OralDisc, Rod
@@ -137,6 +138,16 @@ def test_the_signs_add_up_and_the_sentence_says_which_decided() -> None:
     silent, both = (dataclasses.replace(still, breathing=odds) for odds in (-3.0, 2.0))
     assert answer_of(silent, 4.0)[0] == LAMPREY and both.lives > max(both.breathes, both.pumps)
     assert dataclasses.replace(SEEN, breathing=2.0).lives == pytest.approx(1 / (1 + np.exp(-2)))
+
+
+def test_windows_add_up_and_one_does_not_turn_the_answer() -> None:
+    """A cup that was shaken stays one, and a mouth one, where a single window looks otherwise."""
+    shaken, own = (Breath(8.0, suction, (1.1, 0.1), (0.05, 0.01)) for suction in (1e-4, 0.99))
+    unclear = dataclasses.replace(own, suction=0.2)
+    cup, mouth = SEEN.breathed(shaken, full=True), SEEN.breathed(own, full=True)
+    assert cup.suction < 1e-3 and mouth.suction == pytest.approx(0.99, rel=0.01)
+    assert cup.breathed(own, full=True).suction < 0.01
+    assert mouth.breathed(own, full=True).breathed(unclear, full=True).suction > 0.8
 
 
 def test_what_sucked_has_sucked_when_its_suction_has_leaked() -> None:

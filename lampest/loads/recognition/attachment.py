@@ -9,11 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
+from scipy.special import expit, logit
 
 from lampest.loads.pressure import CLEAR
 from lampest.loads.recognition.breathing import Breath
 from lampest.loads.recognition.candidates import UNIFORM, under
-from lampest.loads.recognition.evidence import Verdict
+from lampest.loads.recognition.evidence import RARER, Verdict
 from lampest.loads.recognition.observation import FARTHEST, Observation
 from lampest.loads.recognition.pumping import Pumping
 from lampest.panel.panel import Array, Panel
@@ -33,7 +34,8 @@ class Attachment:
     sucks : probability. since_s, until_s : s; until None: it is there. x_mm and so on : (value, standard deviation),
     None where it is not known. cells : how many it touches; conductance_s : increase of their conductance since rest.
     breathing, before : ln of the odds that it oscillates as breathing does, and those without the last window.
-    suction : probability that this is its suction, from the windows that show it; last_suction : from the last one.
+    suction : probability that this is its suction, from the windows that show it; last_suction : from the last one;
+    causes : ln of the odds of the full ones, without those beforehand.
     sucks_s, moved_s : when it began to suck, None: it does not; when it moved. clear : ln of how much more probable it
     is than an unloaded panel.
     track : its suction from then on, None: it has not been followed yet.
@@ -55,6 +57,7 @@ class Attachment:
     breathing_depth: Pair | None = None
     suction: float = 1.0
     last_suction: float = 0.5
+    causes: float = 0.0
     sucks_s: float | None = None
     moved_s: tuple[float, ...] = ()
     clear: float = 0.0
@@ -111,22 +114,33 @@ class Attachment:
         far = CLEAR * max(1.0, hypot(self.x_mm[1], self.y_mm[1], later.x_mm[1], later.y_mm[1]))
         moved = (*self.moved_s, later.since_s) if self.distance(later.place) > far else self.moved_s
         began = later.since_s if self.sucks_s is None and later.sucks > 0.5 else self.sucks_s
-        names = ["since_s", "breathing", "before", "breathing_hz", "breathing_depth", "suction", "last_suction"]
+        names = [
+            "since_s",
+            "breathing",
+            "before",
+            "breathing_hz",
+            "breathing_depth",
+            "suction",
+            "last_suction",
+            "causes",
+        ]
         return replace(later, sucks_s=began, moved_s=moved, **{name: getattr(self, name) for name in (*names, "track")})
 
     def breathed(self, seen: Breath, *, full: bool) -> "Attachment":
         """After a window; full : whether its odds stay, as do its rate and depth. Mouths breathe in OFTEN of all.
 
-        Two windows that are not full have to agree that it is suction that swings: by the last of them alone two of 75
-        shaken cups were lampreys for a second (docs/studies/mouths.md).
+        The odds of full windows multiply. Two that are not full have to agree that it is suction that swings: by the
+        last of them alone two of 75 shaken cups were lampreys for a second (docs/studies/mouths.md).
         """
         odds = float(np.clip(self.before + np.logaddexp(log(1 - OFTEN), log(OFTEN) + seen.odds), PAUSED, SURE))
         breathing = replace(self, breathing=odds, before=odds if full else self.before)
         if self.breathing_hz is not None and (seen.odds <= 0 or (self.before != 0 and not full)):
             return breathing
-        suction = seen.suction if full else min(seen.suction, self.last_suction)
-        described = replace(breathing, breathing_hz=seen.hertz, breathing_depth=seen.depth)
-        return replace(described, suction=suction, last_suction=seen.suction)
+        described = replace(breathing, breathing_hz=seen.hertz, breathing_depth=seen.depth, last_suction=seen.suction)
+        if not full:
+            return replace(described, suction=min(seen.suction, self.last_suction))
+        causes = float(np.clip(self.causes + logit(np.clip(seen.suction, 1e-9, 1 - 1e-9)) - RARER, -SURE, SURE))
+        return replace(described, suction=float(expit(causes + RARER)), causes=causes)
 
 
 def attachments_of(frame: Observation, verdict: Verdict, since: float) -> list[Attachment]:
