@@ -184,14 +184,14 @@ class ImageWatch:
     @ONE_BLAS_THREAD
     def push(self, measured: Array, sigma: Array, time: float) -> "ImageWatch":
         """As `Watch.push`."""
-        modules, opened, stepped = list(self.modules), list(self.opened), dict[int, float]()
+        modules, opened, stepped = list(self.modules), list(self.opened), list[int]()
         for number in set(range(len(modules))) - under_windows(opened):
             if (module := modules[number]) is not None:
                 cells = self._layout.cells(number)
                 modules[number] = module = module.followed(measured[cells], sigma[cells], time)
                 if module.present:
-                    stepped[number] = module.stands_out
-        for number in sorted(stepped, key=stepped.__getitem__, reverse=True):
+                    stepped.append(number)
+        for number in stepped:
             if number not in under_windows(opened):
                 window = Window.about(self.panelled.scene, self._place(number, modules[number]))
                 opened.append((window, self._begun(window, sigma), time))
