@@ -15,7 +15,7 @@ from support import invented_case
 from lampest.estimate.prepared import Prepared
 from lampest.files.errors import InputError
 from lampest.loads.recognition.attachment import Attachment, continued_by
-from lampest.loads.recognition.breathing import Breath
+from lampest.loads.recognition.breathing import Breath, Breathing
 from lampest.loads.recognition.observation import ModelErrors
 from lampest.loads.recognition.pumping import Pumping
 from lampest.loads.shapes import Block, OralDisc, Rod
@@ -45,7 +45,7 @@ PANEL = Panel(8, 10, 10.0)
 MOUTH = OralDisc(centre_mm=(48, 36), diameter_mm=33, rim_width_mm=5.5, pressure_kpa=-10, rim_kpa=85)
 BREATHING = Course(start_s=1, approach_s=0.5, attachment_s=0.5, breathing_hz=1.1, breathing_depth=0.1)
 SEEN = Attachment(0.99, 6.0, (44.1, 0.6), (46.0, 0.6), (35.0, 1.6), (-11.0, 1.9), cells=12, area_mm2=(1200.0, 100.0))
-BREATHES = dataclasses.replace(SEEN, sucks_s=6.0, breathing=6.0, breathing_hz=(1.1, 0.05), breathing_depth=(0.08, 0.01))
+BREATHES = dataclasses.replace(SEEN, sucks_s=6.0, breath=Breathing(6.0, hertz=(1.1, 0.05), depth=(0.08, 0.01)))
 
 
 def recorded(seed: int = 2, **known: Any) -> Recording:
@@ -89,23 +89,23 @@ def test_the_sentence_says_what_where_since_when_and_how_strong() -> None:
     ("change", "rate", "answer", "why"),
     [
         ({}, 1.0, SUCKS, "breathing shows at four frames a second or more, here there are 1"),
-        ({"breathing": -4.0, "before": -4.0}, 4.0, CUP, ""),
-        ({"breathing": -4.0}, 4.0, SUCKS, "whether it breathes is not clear"),
-        ({"breathing": 1.0}, 4.0, SUCKS, "whether it breathes is not clear (P = 0.73)"),
-        (
-            {"breathing": 4.0, "suction": 0.02},
-            4.0,
-            SUCKS,
-            "it moves at a breathing rate, but probably not by its suction",
-        ),
-        ({"breathing": 0.0, "breathing_hz": None}, 4.0, SUCKS, "breathing shows after 4.5 s at the earliest"),
-        ({"sucks": 0.02}, 4.0, PRESSES, ""),
+        ({"odds": -4.0, "before": -4.0}, 4.0, CUP, ""),
+        ({"odds": -4.0}, 4.0, SUCKS, "whether it breathes is not clear"),
+        ({"odds": 1.0}, 4.0, SUCKS, "whether it breathes is not clear (P = 0.73)"),
+        ({"odds": 4.0, "suction": 0.02}, 4.0, SUCKS, "it moves at a breathing rate, but probably not by its suction"),
+        ({"odds": 0.0, "hertz": None}, 4.0, SUCKS, "breathing shows after 4.5 s at the earliest"),
+        ({"suction": 1.0}, 4.0, LAMPREY, ""),
     ],
 )
 def test_the_answer_follows_from_two_probabilities(change: dict[str, Any], rate: float, answer: str, why: str) -> None:
-    one = dataclasses.replace(BREATHES, **({"breathing": 0.0} if rate == 1.0 else {}) | change)
+    breath = dataclasses.replace(BREATHES.breath, **({"odds": 0.0} if rate == 1.0 else {}) | change)
+    one = dataclasses.replace(BREATHES, breath=breath)
     said, probability, reason = answer_of(one, rate)
     assert said == answer and 0.5 <= probability <= 1 and reason.startswith(why) and bool(reason) == bool(why)
+
+
+def test_what_hardly_sucks_presses() -> None:
+    assert answer_of(dataclasses.replace(BREATHES, sucks=0.02), 4.0)[0] == PRESSES
 
 
 def test_the_most_alarming_attachment_is_the_answer() -> None:
@@ -135,19 +135,19 @@ def test_the_signs_add_up_and_the_sentence_says_which_decided() -> None:
     answer = Detected.of("mouth", (still,), 1.0)
     assert answer.answer == LAMPREY and "pumping up its suction" in answer.sentence
     assert answer.content()["attachments"][0]["pumps"] == pytest.approx(still.pumps, abs=1e-4)
-    silent, both = (dataclasses.replace(still, breathing=odds) for odds in (-3.0, 2.0))
+    silent, both = (dataclasses.replace(still, breath=Breathing(odds)) for odds in (-3.0, 2.0))
     assert answer_of(silent, 4.0)[0] == LAMPREY and both.lives > max(both.breathes, both.pumps)
-    assert dataclasses.replace(SEEN, breathing=2.0).lives == pytest.approx(1 / (1 + np.exp(-2)))
+    assert dataclasses.replace(SEEN, breath=Breathing(2.0)).lives == pytest.approx(1 / (1 + np.exp(-2)))
 
 
 def test_windows_add_up_and_one_does_not_turn_the_answer() -> None:
     """A cup that was shaken stays one, and a mouth one, where a single window looks otherwise."""
     shaken, own = (Breath(8.0, suction, (1.1, 0.1), (0.05, 0.01)) for suction in (1e-4, 0.99))
     unclear = dataclasses.replace(own, suction=0.2)
-    cup, mouth = SEEN.breathed(shaken, full=True), SEEN.breathed(own, full=True)
+    cup, mouth = Breathing().after(shaken, full=True), Breathing().after(own, full=True)
     assert cup.suction < 1e-3 and mouth.suction == pytest.approx(0.99, rel=0.01)
-    assert cup.breathed(own, full=True).suction < 0.01
-    assert mouth.breathed(own, full=True).breathed(unclear, full=True).suction > 0.8
+    assert cup.after(own, full=True).suction < 0.01
+    assert mouth.after(own, full=True).after(unclear, full=True).suction > 0.8
 
 
 def test_what_sucked_has_sucked_when_its_suction_has_leaked() -> None:
@@ -160,7 +160,7 @@ def test_what_sucked_has_sucked_when_its_suction_has_leaked() -> None:
 
 
 def test_a_probability_that_rounds_to_one_is_none() -> None:
-    sure = dataclasses.replace(BREATHES, sucks=1.0, breathing=9.0)
+    sure = dataclasses.replace(BREATHES, sucks=1.0, breath=dataclasses.replace(BREATHES.breath, odds=9.0))
     assert Detected.of("mouth", (sure,), 4.0).sentence.endswith("(P > 0.99)")
 
 

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from lampest.loads.recognition.attachment import Attachment
+from lampest.loads.recognition.breathing import Breathing
 from lampest.loads.shapes import OralDisc
 from lampest.panel.panel import Panel
 from lampest.panel.readouts import TwoPointReadout
@@ -24,8 +25,8 @@ from lampest.report.live.watcher import Unloaded, Watched, in_one_batch, watcher
 
 SCENE = Scene(Panel(6, 6), TwoPointReadout(noise_lsb=0.7), 140.0, response=PublishedResponse())
 MOUTH = OralDisc(centre_mm=(26, 24), diameter_mm=33, rim_width_mm=5.5, pressure_kpa=-10, rim_kpa=85)
-LAMPREY = Attachment(0.99, 6.0, (44.0, 0.6), (46.0, 0.6), (35.0, 1.6), (-11.0, 1.9), breathing=6.0)
-CUP = dataclasses.replace(LAMPREY, breathing=-6.0, before=-6.0, breathing_hz=(1.0, 0.1))
+LAMPREY = Attachment(0.99, 6.0, (44.0, 0.6), (46.0, 0.6), (35.0, 1.6), (-11.0, 1.9), breath=Breathing(6.0))
+CUP = dataclasses.replace(LAMPREY, breath=Breathing(-6.0, -6.0, hertz=(1.0, 0.1)))
 
 
 def taken(frames: int, loads: tuple[OralDisc, ...] = (), period_s: float = 0.25) -> Recording:
@@ -114,7 +115,7 @@ def test_an_alarm_stays_until_it_is_acknowledged_and_rises_once_for_each_lamprey
     assert seen.alarm == "" and with_detected(seen, gone).alarm == ""
     another = Detected.of("here", (LAMPREY, dataclasses.replace(LAMPREY, since_s=20.0)), 4.0)
     assert with_detected(seen, another).alarm == another.sentence
-    slow = Detected.of("here", (dataclasses.replace(LAMPREY, breathing=0.0, breathing_hz=None),), 1.0)
+    slow = Detected.of("here", (dataclasses.replace(LAMPREY, breath=Breathing()),), 1.0)
     assert with_detected(view, slow).alarm == slow.sentence, "nothing more will be known"
 
 

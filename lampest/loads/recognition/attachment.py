@@ -9,20 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
-from scipy.special import expit, logit
 
 from lampest.loads.pressure import CLEAR
-from lampest.loads.recognition.breathing import Breath
+from lampest.loads.recognition.breathing import PAUSED, SURE, Breathing
 from lampest.loads.recognition.candidates import UNIFORM, under
-from lampest.loads.recognition.evidence import RARER, Verdict
+from lampest.loads.recognition.evidence import Verdict
 from lampest.loads.recognition.observation import FARTHEST, Observation
 from lampest.loads.recognition.pumping import Pumping
 from lampest.panel.panel import Array, Panel
-
-# Windows in which a mouth breathes; and of ln odds, the evidence that absence of breathing, and breathing, can add up
-# to at most. Assumptions: of one mouth in twenty no window shows the breath, since it is faint or at half the frame
-# rate.
-OFTEN, PAUSED, SURE = 0.95, -3.0, 10.0
 
 Pair = tuple[float, float]
 
@@ -33,9 +27,7 @@ class Attachment:
 
     sucks : probability. since_s, until_s : s; until None: it is there. x_mm and so on : (value, standard deviation),
     None where it is not known. cells : how many it touches; conductance_s : increase of their conductance since rest.
-    breathing, before : ln of the odds that it oscillates as breathing does, and those without the last window.
-    suction : probability that this is its suction, from the windows that show it; last_suction : from the last one;
-    causes : ln of the odds of the full ones, without those beforehand.
+    breath : of its suction, from all windows.
     sucks_s, moved_s : when it began to suck, None: it does not; when it moved. clear : ln of how much more probable it
     is than an unloaded panel.
     track : its suction from then on, None: it has not been followed yet.
@@ -51,13 +43,7 @@ class Attachment:
     area_mm2: Pair | None = None
     conductance_s: Pair | None = None
     until_s: float | None = None
-    breathing: float = 0.0
-    before: float = 0.0
-    breathing_hz: Pair | None = None
-    breathing_depth: Pair | None = None
-    suction: float = 1.0
-    last_suction: float = 0.5
-    causes: float = 0.0
+    breath: Breathing = Breathing()
     sucks_s: float | None = None
     moved_s: tuple[float, ...] = ()
     clear: float = 0.0
@@ -66,7 +52,17 @@ class Attachment:
     @property
     def breathes(self) -> float:
         """Probability that its suction changes as breathing does, given that it sucks; 1/2 where nothing was seen."""
-        return self.suction / (1 + exp(-self.breathing))
+        return self.breath.probability
+
+    @property
+    def breathing_hz(self) -> Pair | None:
+        """Rate at which its suction changes."""
+        return self.breath.hertz
+
+    @property
+    def breathing_depth(self) -> Pair | None:
+        """Relative amplitude of that."""
+        return self.breath.depth
 
     @property
     def pumps(self) -> float:
@@ -114,33 +110,8 @@ class Attachment:
         far = CLEAR * max(1.0, hypot(self.x_mm[1], self.y_mm[1], later.x_mm[1], later.y_mm[1]))
         moved = (*self.moved_s, later.since_s) if self.distance(later.place) > far else self.moved_s
         began = later.since_s if self.sucks_s is None and later.sucks > 0.5 else self.sucks_s
-        names = [
-            "since_s",
-            "breathing",
-            "before",
-            "breathing_hz",
-            "breathing_depth",
-            "suction",
-            "last_suction",
-            "causes",
-        ]
-        return replace(later, sucks_s=began, moved_s=moved, **{name: getattr(self, name) for name in (*names, "track")})
-
-    def breathed(self, seen: Breath, *, full: bool) -> "Attachment":
-        """After a window; full : whether its odds stay, as do its rate and depth. Mouths breathe in OFTEN of all.
-
-        The odds of full windows multiply. Two that are not full have to agree that it is suction that swings: by the
-        last of them alone two of 75 shaken cups were lampreys for a second (docs/studies/mouths.md).
-        """
-        odds = float(np.clip(self.before + np.logaddexp(log(1 - OFTEN), log(OFTEN) + seen.odds), PAUSED, SURE))
-        breathing = replace(self, breathing=odds, before=odds if full else self.before)
-        if self.breathing_hz is not None and (seen.odds <= 0 or (self.before != 0 and not full)):
-            return breathing
-        described = replace(breathing, breathing_hz=seen.hertz, breathing_depth=seen.depth, last_suction=seen.suction)
-        if not full:
-            return replace(described, suction=min(seen.suction, self.last_suction))
-        causes = float(np.clip(self.causes + logit(np.clip(seen.suction, 1e-9, 1 - 1e-9)) - RARER, -SURE, SURE))
-        return replace(described, suction=float(expit(causes + RARER)), causes=causes)
+        same = replace(later, since_s=self.since_s, breath=self.breath, track=self.track)
+        return replace(same, sucks_s=began, moved_s=moved)
 
 
 def attachments_of(frame: Observation, verdict: Verdict, since: float) -> list[Attachment]:

@@ -5,11 +5,11 @@ amplitude in a window is a weighted mean of the readings; a trend is taken off. 
 docs/theory/recognition.md.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.polynomial.hermite_e import hermegauss
-from scipy.special import expit, logsumexp
+from scipy.special import expit, logit, logsumexp
 
 from lampest.loads.recognition.detector import Detector
 from lampest.loads.recognition.evidence import COUNTS, RARER
@@ -32,6 +32,13 @@ UNSURE = 0.5
 DELAY = SUCTION_RATE * TOLD_KPA[0] / (TOLD_KPA[0] / -2.0 - 1)
 MOVES = {"x": 1.0, "y": 1.0, "tilt_x": 0.1, "tilt_y": 0.1}  # of common movements, mm and 1
 
+# Windows in which a mouth breathes; and of ln odds, the evidence that absence of breathing, and breathing, can add up
+# to at most. Assumptions: of one mouth in twenty no window shows the breath, since it is faint or at half the frame
+# rate.
+OFTEN, PAUSED, SURE = 0.95, -3.0, 10.0
+
+Pair = tuple[float, float]
+
 
 def too_slow(rate: float) -> str:
     """Why so many frames a second show no breathing; '' where they do."""
@@ -47,8 +54,55 @@ class Breath:
 
     odds: float
     suction: float
-    hertz: tuple[float, float]
-    depth: tuple[float, float]
+    hertz: Pair
+    depth: Pair
+
+
+@dataclass(frozen=True)
+class Breathing:
+    """Breath of an attachment, from all windows.
+
+    Attributes
+    ----------
+    odds, before : float
+        ln of the odds that it oscillates as breathing does, and those without the last window.
+    suction, last : float
+        Probability that this is its suction, and that by the last window alone.
+    causes : float
+        ln of the odds of that in full windows, without those beforehand.
+    hertz, depth : (value, standard deviation), or None
+        Rate in Hz and relative amplitude, from the last window that shows them.
+    """
+
+    odds: float = 0.0
+    before: float = 0.0
+    suction: float = 1.0
+    last: float = 0.5
+    causes: float = 0.0
+    hertz: Pair | None = None
+    depth: Pair | None = None
+
+    @property
+    def probability(self) -> float:
+        """Probability that suction changes as breathing does; 1/2 where nothing was seen."""
+        return self.suction * float(expit(self.odds))
+
+    def after(self, seen: Breath, *, full: bool) -> "Breathing":
+        """Return the breath after a window; full : whether its odds stay, as do its rate and depth.
+
+        Mouths breathe in OFTEN of all windows. The odds of full windows multiply. Two that are not full have to agree
+        that it is suction that swings: by the last of them alone two of 75 shaken cups were lampreys for a second
+        (docs/studies/mouths.md).
+        """
+        odds = float(np.clip(self.before + np.logaddexp(np.log(1 - OFTEN), np.log(OFTEN) + seen.odds), PAUSED, SURE))
+        breathing = replace(self, odds=odds, before=odds if full else self.before)
+        if self.hertz is not None and (seen.odds <= 0 or (self.before != 0 and not full)):
+            return breathing
+        described = replace(breathing, hertz=seen.hertz, depth=seen.depth, last=seen.suction)
+        if not full:
+            return replace(described, suction=min(seen.suction, self.last))
+        causes = float(np.clip(self.causes + logit(np.clip(seen.suction, 1e-9, 1 - 1e-9)) - RARER, -SURE, SURE))
+        return replace(described, suction=float(expit(causes + RARER)), causes=causes)
 
 
 @dataclass(frozen=True, eq=False)

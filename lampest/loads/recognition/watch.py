@@ -382,7 +382,8 @@ class Watch:
         for place, breath in breaths(times, logarithms, self.seen, fit, self.test.whitening, detector):
             present = [number for number, attachment in enumerate(attachments) if attachment.present]
             number = min(present, key=lambda number: attachments[number].distance(place))
-            attachments[number] = attachments[number].breathed(breath, full=full)
+            own = attachments[number]
+            attachments[number] = replace(own, breath=own.breath.after(breath, full=full))
         judged_s = float(times[-1]) if full else self.judged_s
         breath_s = time + (LEAST_S + 1 / LEAST_RATE if full else FIRST_S)
         return replace(self, attachments=tuple(attachments), judged_s=judged_s, breath_s=breath_s)

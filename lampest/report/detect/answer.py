@@ -185,11 +185,11 @@ def answer_of(load: Attachment, rate: float) -> tuple[str, float, str]:
     why = too_slow(rate)
     if why:
         return SUCKS, load.sucks, f"{why}; whether suction is pumped up again shows within minutes"
-    if load.breathing > 0 and load.suction < 0.5:
+    if load.breath.odds > 0 and load.breath.suction < 0.5:
         why = "it moves at a breathing rate, but probably not by its suction: it may be shaken"
     elif load.breathing_hz is None:
         why = f"breathing shows after {LEAST_S:g} s at the earliest"
-    elif load.before < 0 and load.sucks * (1 - load.lives) >= SURE:  # a full window without breath
+    elif load.breath.before < 0 and load.sucks * (1 - load.lives) >= SURE:  # a full window without breath
         return CUP, load.sucks * (1 - load.lives), ""
     else:
         why = f"whether it breathes is not clear (P = {load.breathes:.2f})"
