@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from lampest.cost.given import Background
 from lampest.cost.problem import Data
 from lampest.cost.terms import Misfit
-from lampest.estimate.changed_cells import PRICE, selected
+from lampest.estimate.changed_cells import MOVED, PRICE, selected, usual_starts
 from lampest.estimate.estimator import Bounds, Estimator
 from lampest.estimate.rivals import Question, Rival
 from lampest.panel.effects import Effect, disturbed
@@ -285,18 +285,27 @@ class JointFit:
         change = self.position[1] - self.position[0]
         return np.asarray(change - np.median(change if self.moved.all() else change[~self.moved]))
 
-    def chosen_anew(self) -> NDArray[np.bool_]:
-        """Which cells must have moved (cells), by linear theory about this fit: all changes free, and priced."""
+    @cached_property
+    def _freed(self) -> SumOfSquares:
+        """Over the changes of all cells, with the other unknowns at their best."""
         wanted = np.column_stack([self.slopes[1], self.residual])
         left = wanted - self._common @ _solved(self._common, wanted)
-        precision = SumOfSquares(left[:, -1], left[:, :-1], SPREAD).normal
-        return selected(precision @ self._change - left[:, :-1].T @ left[:, -1], precision)[1]
+        return SumOfSquares(left[:, -1], left[:, :-1], SPREAD)
+
+    def chosen_anew(self) -> NDArray[np.bool_]:
+        """Which cells must have moved (cells), by linear theory about this fit."""
+        precision = self._freed.normal
+        slope = precision @ self._change - self._freed.gradient
+        starts = [self.moved, *usual_starts(np.linalg.solve(precision, slope))]
+        return selected(slope, precision, starts)[1]
 
     @property
     def score(self) -> float:
-        """χ², and the prices of moved cells, of readings taken for bounds and of another resistance in series."""
-        counted = self.moved.sum() + sum(readings.bounds.sum() for readings in self.pair)
-        return float(2 * self.squares.cost + PRICE * (int(counted) + (self.rival.in_series is not None)))
+        """−2 ln evidence up to a constant: χ², moved cells, readings taken for bounds, a resistance in series."""
+        slab = self._freed.normal[np.ix_(self.moved, self.moved)] + np.eye(int(self.moved.sum()))
+        moved = MOVED * len(slab) + np.linalg.slogdet(slab)[1] + np.sum(self._change[self.moved] ** 2)
+        bounds = sum(int(readings.bounds.sum()) for readings in self.pair)
+        return float(2 * self.squares.cost + moved + PRICE * (bounds + (self.rival.in_series is not None)))
 
     @cached_property
     def _expected(self) -> float:

@@ -1,26 +1,25 @@
-"""Selection of the cells that changed between the unloaded panel and a frame.
+"""Evidence of which cells changed between the unloaded panel and a frame: a spike and a slab.
 
-Log changes d of cells that stand still are N(0, C). Two criteria share C. `selected` counts the cells that must have
-moved for the others to stand still, each at the same price, and makes no assumption on how far they moved.
-`still_cells` compares likelihoods of changes from N(0, 1), which also determine the size of C.
+Log changes d of cells that stand still are N(0, P⁻¹). A cell moved with odds of one to four, and then by N(0, 1). The
+changes of the moved cells M are integrated out:
+
+    −2 ln evidence = dᵀ P d + MOVED |M| + ln |P_MM + 1| − s_Mᵀ (P_MM + 1)⁻¹ s_M,   s = P d
+
+Cells are exchanged one by one, each time the one that lowers this most, by the sweep operator.
+Sources: Mitchell & Beauchamp, J. Am. Stat. Assoc. 83, 1988; Goodnight, The American Statistician 33, 1979.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from lampest.panel.panel import Array
-from lampest.solvers.preconditioners import Cholesky
 
-# −2 log probability, per cell that is said to move: a cell's gain at random is χ² of one degree, and the largest of
-# 400 such exceeds 12 in one case of five.
-PRICE = 12.0
+MOVED = 2.8  # −2 ln of the odds that a cell moved: one in five
+PRICE = 12.0  # the same of a bound, an effect or a resistance in series that an explanation needs
 FEWEST = 0.3  # of the cells must stand still: else a load covers the panel
-MOVED = 2.8  # −2 log of the odds that a cell moved: one in five, and then by about 1 in the logarithm
-LINEAR = 0.15  # of log r: so large an error moves cells by more than one per cent beside the straight line
-LOADED = 3 * LINEAR  # of log r: so far a load moves a cell, and no error that is small enough for linear theory
 
 Chosen = NDArray[np.bool_]
 
@@ -40,21 +39,62 @@ def apart_from_moved(still: NDArray[np.bool_], shape: tuple[int, ...]) -> NDArra
     return apart if apart.mean() >= FEWEST else still
 
 
-def selected(slope: Array, precision: Array) -> tuple[float, Chosen]:
-    """Return the loss and the cells that must have moved, of changes d with −2 log density dᵀ·precision·d − 2 slope·d.
+def usual_starts(change: Array) -> list[Chosen]:
+    """Return the moved cells that a search may begin with: none, all, and the half that changed most; (cells) each."""
+    away = np.abs(change - np.median(change))
+    return [np.zeros(len(change), dtype=bool), np.ones(len(change), dtype=bool), away > np.median(away)]
 
-    Cells are taken back that are not needed, from those that one after the other must have moved, and from all.
+
+def selected(
+    slope: Array, precision: Array, starts: Sequence[Chosen], loaded: Chosen | None = None
+) -> tuple[float, Chosen]:
+    """Select the moved cells.
+
+    Parameters
+    ----------
+    slope : array, shape (cells,)
+        s.
+    precision : array, shape (cells, cells)
+        P.
+    starts : sequence of boolean array, shape (cells,)
+        Moved cells that the search begins with; the best of what it ends with is taken.
+    loaded : boolean array, shape (cells,), optional
+        Cells that moved in any case.
+
+    Returns
+    -------
+    float
+        −2 ln evidence, less dᵀ P d.
+    boolean array, shape (cells,)
+        The moved cells.
     """
-    _, added = _swept_alone(slope, precision, 1)
-    selections = []
-    for begun in (added, np.ones(len(slope), dtype=bool)):
-        free, moved = np.flatnonzero(begun), np.zeros(len(slope), dtype=bool)
-        covariance = np.linalg.inv(precision[np.ix_(free, free)])
-        change = covariance @ slope[free]
-        lost, tied = _swept_alone(change, covariance, -1)
-        moved[free[~tied]] = True
-        selections.append((PRICE * int(moved.sum()) + lost - float(slope[free] @ change), moved))
-    return min(selections, key=lambda selection: selection[0])
+    fixed = np.zeros(len(slope), dtype=bool) if loaded is None else loaded
+    slab = precision + np.eye(len(slope))
+    ends = (_exchanged(slope, slab, fixed | start, fixed) for start in starts)
+    return min(ends, key=lambda selection: selection[0])
+
+
+def _exchanged(slope: Array, slab: Array, moved: Chosen, fixed: Chosen) -> tuple[float, Chosen]:
+    """Exchange single cells, but for the fixed ones, until none lowers −2 ln evidence; slab : P + 1."""
+    inside, outside = np.flatnonzero(moved), np.flatnonzero(~moved)
+    moved, inverse = moved.copy(), np.linalg.inv(slab[np.ix_(inside, inside)])
+    table = np.column_stack([slab, slope])
+    pulled, across = inverse @ table[inside], slab[np.ix_(outside, inside)]
+    cost = MOVED * len(inside) - float(np.linalg.slogdet(inverse)[1] + slope[inside] @ pulled[:, -1])
+    table[outside] -= across @ pulled
+    table[inside], table[np.ix_(inside, inside)] = pulled, -inverse
+    table[np.ix_(outside, inside)] = pulled[:, outside].T
+    for _ in range(4 * len(slope)):
+        pivots = np.maximum(np.abs(np.diag(table)), 1e-300)
+        gains = np.where(moved, -1, 1) * (table[:, -1] ** 2 / pivots - MOVED) - np.log(pivots)
+        cell = int(np.argmax(np.where(fixed, -np.inf, gains)))
+        if fixed[cell] or not gains[cell] > 0:
+            break
+        cost, moved[cell] = cost - float(gains[cell]), not moved[cell]
+        pivot, row, column = table[cell, cell], table[cell].copy(), table[:, cell].copy()
+        table -= np.outer(column, row / pivot)
+        table[cell], table[:, cell], table[cell, cell] = row / abs(pivot), column / abs(pivot), -1 / pivot
+    return cost, moved
 
 
 def scores_beside(change: Array, precision: Array, columns: Array) -> Array:
@@ -75,44 +115,37 @@ def scores_beside(change: Array, precision: Array, columns: Array) -> Array:
     within = 1 + np.sum(weighted * columns.T, axis=1)
     pulled = weighted @ change / within
     slope = precision @ change - pulled[:, None] * weighted
-    size = np.diag(precision) - weighted**2 / within[:, None]
+    slab = precision + np.eye(len(change))
+    size = np.diag(slab) - weighted**2 / within[:, None]
 
     def column(cells: NDArray[np.intp]) -> Array:
         of_cell = np.take_along_axis(weighted, cells[:, None], axis=1)
-        return np.asarray(precision[cells] - of_cell * weighted / within[:, None])
+        return np.asarray(slab[cells] - of_cell * weighted / within[:, None])
 
-    gained, added = _swept(slope, size, column, 1)
     unexplained = float(change @ precision @ change) - within * pulled**2
-    return np.asarray(unexplained + PRICE * added.sum(axis=1) - gained + np.log(within))
+    return np.asarray(unexplained - _gained(slope, size, column) + np.log(within))
 
 
-def _swept_alone(vector: Array, matrix: Array, sign: int) -> tuple[float, Chosen]:
-    """As `_swept`, of a single hypothesis with its whole matrix."""
-    total, taken = _swept(vector[None], np.diag(matrix)[None], lambda cells: matrix[cells], sign)
-    return float(total[0]), taken[0]
-
-
-def _swept(
-    vector: Array, size: Array, column: Callable[[NDArray[np.intp]], Array], sign: int
-) -> tuple[Array, NDArray[np.bool_]]:
-    """(Σ v²/M, which) of cells taken one after the other: the largest down to PRICE (sign 1), or the least up to it.
+def _gained(vector: Array, size: Array, column: Callable[[NDArray[np.intp]], Array]) -> Array:
+    """Return the gain in −2 ln evidence of cells that are added one after the other, largest gain first, (hypotheses).
 
     Parameters
     ----------
     vector : array, shape (hypotheses, cells)
+        s of each.
     size : array, shape (hypotheses, cells)
-        Diagonal of each hypothesis' matrix M.
+        Diagonal of each P + 1.
     column : callable
-        Returns one column of each M, (hypotheses, cells), by the cells' numbers (hypotheses,).
-    sign : int
+        Returns one column of each P + 1, (hypotheses, cells), by the cells' numbers (hypotheses,).
     """
     every, total, taken = np.arange(len(vector)), np.zeros(len(vector)), np.zeros(vector.shape, dtype=bool)
     rows = np.empty((len(vector), 16, vector.shape[1]))  # of the pivoted Cholesky factors of the cells taken
     for number in range(vector.shape[1]):
-        worth = vector**2 / np.maximum(size, 1e-300)
-        cells = np.argmax(np.where(taken, -np.inf, sign * worth), axis=1)
-        largest = worth[every, cells]
-        active = ~taken[every, cells] & (sign * (largest - PRICE) >= 0)
+        pivots = np.maximum(size, 1e-300)
+        gains = np.where(taken, -np.inf, vector**2 / pivots - np.log(pivots) - MOVED)
+        cells = np.argmax(gains, axis=1)
+        largest = gains[every, cells]
+        active = largest > 0
         if not active.any():
             break
         total, taken[every[active], cells[active]] = total + np.where(active, largest, 0.0), True
@@ -125,32 +158,4 @@ def _swept(
         vector = vector - added * (vector[every, cells][:, None] / pivot)
         rows[:, number] = added / np.sqrt(pivot)
         size = size - rows[:, number] ** 2
-    return total, taken
-
-
-def still_cells(change: Array, covariance: Array, begun: Chosen | None = None) -> tuple[float, Chosen]:
-    """(−2 log likelihood, which stand still): each cell where it is likelier, given those that stand still.
-
-    A cell that moved has a change of variance 1, and costs MOVED; one beyond LOADED has. It ends where nothing is
-    better than before. begun : the cells that it begins with; None: the half that changed least.
-    """
-    away = np.abs(change - np.median(change))
-    still = (away <= np.median(away)) & (np.abs(change) < LOADED) if begun is None else begun
-    best: tuple[float, Chosen] = (np.inf, still)
-    while still.any():
-        factor = Cholesky.of(change, np.flatnonzero(still), covariance[np.ix_(still, still)])
-        if factor is None:
-            raise np.linalg.LinAlgError("a covariance is not positive definite")
-        root, moved = factor.inverse_root(), change[~still]
-        pull, own = root.T @ (root @ change[still]), np.sum(root**2, axis=0)  # C⁻¹ d, diag C⁻¹
-        cost = change[still] @ pull - 2 * np.log(np.diag(root)).sum() + (moved**2).sum() + MOVED * len(moved)
-        if not cost < best[0]:
-            break
-        best, across = (float(cost), still), covariance[np.ix_(~still, still)]
-        miss, variance = np.empty((2, len(change)))
-        miss[still], variance[still] = pull / own, 1 / own
-        miss[~still] = moved - across @ pull
-        variance[~still] = np.diag(covariance)[~still] - np.sum((root @ across.T) ** 2, axis=0)
-        variance = np.maximum(variance, 1e-300)
-        still = (miss**2 / variance + np.log(variance) < MOVED + change**2) & (np.abs(change) < LOADED)
-    return best
+    return total

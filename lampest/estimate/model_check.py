@@ -370,7 +370,7 @@ def better_rival(rivals: list[Rival], question: Question, specified: Explanation
     # Cells that moved under the rival may have moved under the specified circuit.
     again = specified.joint(question, best.moved)
     count, plain = int(best.moved.sum()), int(min(given.moved.sum(), again.moved.sum()))
-    if not _beaten(again, best) or count >= plain or not _beyond_channels(specified, best.rival, question):
+    if not _beaten(again, best) or not _beyond_channels(specified, best.rival, question):
         return Better()
     return Better(best.rival.name, question.loaded, count, plain)
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.estimate.cells_fit import CREEP, LEVEL, TOGETHER, CellsFit, fitted
-from lampest.estimate.changed_cells import PRICE, apart_from_moved, mostly_still, scores_beside, selected
+from lampest.estimate.changed_cells import PRICE, apart_from_moved, mostly_still, scores_beside, selected, usual_starts
 from lampest.estimate.rivals import MOVED
 from lampest.panel.effects import EFFECTS, Effect, LooseContact, disturbance
 from lampest.panel.network import Network
@@ -57,6 +57,8 @@ class Better:
     def reason(self) -> str:
         """Why it is named."""
         counts = f"{self.count} cells have moved then, and {self.plain} as specified"
+        if self.count >= self.plain:
+            counts = f"the misfit is smaller, with {self.count} moved cells"
         return f"between the unloaded panel and {self.frames} {counts}"
 
 
@@ -256,7 +258,7 @@ class FittedPair:
     def explained(self, columns: Array) -> Evidence:
         """With a factor that all cells share, and with effects' columns (cells, n)."""
         own, precision, added = self._beside(columns)
-        lost, moved = selected(precision @ self.change, precision)
+        lost, moved = selected(precision @ self.change, precision, usual_starts(self.change))
         score = float(self.change @ precision @ self.change) + lost + added + self._prior_score
         nothing = np.full(own.shape[1], np.nan)
         if moved.all():
@@ -419,6 +421,8 @@ def _grown(pair: FittedPair, evidence: Evidence) -> tuple[FittedPair, Evidence, 
         tried = sorted(_tried(pair, evidence), key=lambda candidate: candidate[1].score)
         if not tried or evidence.score - tried[0][1].score <= MARGIN:
             break
+        if tried[0][1].moved.sum() > evidence.moved.sum() - LEAST_SPARED:
+            break
         doubtful |= len(tried) > 1 and tried[1][1].score - tried[0][1].score < MARGIN / 2
         pair, evidence = tried[0]
         certain = certain if doubtful else pair
@@ -426,7 +430,7 @@ def _grown(pair: FittedPair, evidence: Evidence) -> tuple[FittedPair, Evidence, 
 
 
 def _tried(pair: FittedPair, plain: Evidence) -> Iterator[tuple[FittedPair, Evidence]]:
-    """Return the pair with one effect more, each of the likeliest, where fewer cells have moved with it."""
+    """Return the pair with one effect more, each of the likeliest."""
     effects = candidates(pair.shape)
     columns = pair.columns((*pair.effects, *effects))
     before, columns = np.split(columns, [len(pair.effects)], axis=1)
@@ -435,7 +439,7 @@ def _tried(pair: FittedPair, plain: Evidence) -> Iterator[tuple[FittedPair, Evid
         if scores[number] > plain.score - PRICE:
             return
         settled = replace(pair, effects=(*pair.effects, replace(effects[number], size=0.0))).settled()
-        if settled is not None and settled[1].moved.sum() <= plain.moved.sum() - LEAST_SPARED:
+        if settled is not None:
             yield settled
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from lampest.cost.given import Background
 from lampest.cost.problem import Data
 from lampest.estimate.cells_fit import CREEP, FIT, LEVEL, MOST_CELLS, TOGETHER, CellsFit, cells_alone, fitted
-from lampest.estimate.changed_cells import FEWEST, LINEAR, Chosen, apart_from_moved, still_cells
+from lampest.estimate.changed_cells import FEWEST, Chosen, apart_from_moved, selected
 from lampest.panel.least_squares import SumOfSquares
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene, Systematic
@@ -29,6 +29,8 @@ SURE = 6.6  # −2 log likelihood gained by chosen cells: χ² with one degree o
 HINT = 0.5  # the same, from which on bars allow for what may be chance: where nothing is, one in four is so large
 LARGER = 4.0  # the same, of a larger one, once something of the kind is there: two standard deviations
 CLEARLY = 4.0  # σ of a change that noise does not make
+LINEAR = 0.15  # of log r: so large an error moves cells by more than one per cent beside the straight line
+LOADED = 3 * LINEAR  # of log r: so far a load moves a cell, and no error that is small enough for linear theory
 SMOOTH, REACH = 0.3, 1.5  # of log r, and in cells: a skirt that a load has around it, or a load that covers many cells
 
 
@@ -138,6 +140,19 @@ class Moves:
         shared, own = self._parts
         return np.asarray(shared + size**2 * own)
 
+    def still(self, size: float, begun: Chosen | None = None) -> tuple[float, Chosen]:
+        """Return −2 ln evidence of such an error, and which cells stand still.
+
+        begun : those that the search begins with; None: the half that changed least, for a shared error may explain
+        a smooth load as well as its cells do.
+        """
+        away = np.abs(self.change - np.median(self.change))
+        begun = away <= np.median(away) if begun is None else begun
+        precision = np.linalg.inv(self.covariance(size))
+        slope = precision @ self.change
+        score, moved = selected(slope, precision, [~begun], np.abs(self.change) >= LOADED)
+        return score + float(self.change @ slope - np.linalg.slogdet(precision)[1]), ~moved
+
 
 def _smooth_loads(shape: tuple[int, ...], frames: int) -> Array:
     """(n, n) covariance of changes of log r of a load's skirt: smooth from cell to cell, free in every frame."""
@@ -151,12 +166,12 @@ def _own_error(moves: Moves, shape: tuple[int, ...]) -> tuple[float, Chosen]:
     sizes = (0.0, *(size for size in ERRORS[2::2] if size * moves.reach <= LINEAR))
     costs, begun = dict[float, tuple[float, Chosen]](), None
     for size in sizes:  # the cells that stand still change little from size to size
-        costs[size] = still_cells(moves.change, moves.covariance(size), begun)
+        costs[size] = moves.still(size, begun)
         begun = costs[size][1]
     size = min(costs, key=lambda size: costs[size][0])
     if costs[size][0] <= costs[0.0][0] - GAIN:
         for _ in range(3):
-            _, still = still_cells(moves.change, moves.covariance(min(size, LINEAR / moves.reach)))
+            _, still = moves.still(min(size, LINEAR / moves.reach))
             size, gained = _size_of(moves, apart_from_moved(still, shape))
         if gained > SURE:
             return size, still
@@ -185,7 +200,7 @@ def _possible(moves: Moves, size: float, shape: tuple[int, ...]) -> Array:
 
     No cell stands still under a load, however smooth it is.
     """
-    still = apart_from_moved(still_cells(moves.change, moves.covariance(size))[1], shape)
+    still = apart_from_moved(moves.still(size)[1], shape)
     columns = np.hstack([moves.a, size * moves.own]) if size else moves.a
     part = columns[still]
     weight = np.linalg.solve(moves.covariance(size)[np.ix_(still, still)], part)

@@ -142,9 +142,9 @@ def test_noise_grows_by_what_a_leak_takes_of_the_signal() -> None:
 
 
 def test_a_contact_that_another_one_explains_as_well_is_named_but_not_taken_off() -> None:
-    recording = panel(1, contact=(3, 200.0, 0))
+    recording = panel(8, contact=(3, 200.0, 0))
     found = Prepared(recording).effects
-    assert found.pair is None and Prepared(recording).noise.besides is None
+    assert found.better.name and found.pair is None and Prepared(recording).noise.besides is None
 
 
 @pytest.mark.parametrize("seed", range(4))
