@@ -17,13 +17,13 @@ import numpy as np
 import lampest
 from lampest import LoadedColumnsReadout, Recording, Scene, Simulation, TwoPointReadout
 from lampest.estimate.cells_fit import LEVEL
-from lampest.estimate.changed_cells import PRICE
 from lampest.estimate.model_check import Explanation, ModelCheck
 from lampest.estimate.prepared import Prepared
 from lampest.estimate.rivals import Question, Rival
 from lampest.recording.simulation.measure import measured
 
 SHOWN, SHOWN_FROM = ", where the data can show it", 100.0  # evidence; its noise is some ± 2 √evidence
+A_CELL = 12.0  # −2 ln evidence that a moved cell costs where its change is known to 1 %
 SIDES = (4, 6, 8, 10, 12, 16, 18)
 
 
@@ -150,8 +150,8 @@ def wrong(seed: int, side: int, bits: int, exact: bool = False) -> Iterator[tupl
 def evidence(exact: Recording) -> float:
     """By how much the truth is more probable than what the told circuit makes of readings without noise, as −2 log.
 
-    (χ² of the told circuit, at σ of the mean frames, and PRICE for each cell that has to move) less PRICE for each cell
-    that did, by more than 1 % beside the others; 0 where those are half of the panel or more, or the fit fails.
+    −2 ln evidence of the told circuit, at σ of the mean frames, less A_CELL for each cell that moved, by more than 1 %
+    beside the others; 0 where those are half of the panel or more, or the fit fails.
     """
     cells = exact.truth_cell_resistance
     assert cells is not None
@@ -164,7 +164,7 @@ def evidence(exact: Recording) -> float:
         return 0.0
     if found is None or min(fit.tail for fit in found.fits) < LEVEL:
         return float("inf")
-    return min(found.joint(question, start).score for start in (found.moving, moved)) - PRICE * int(moved.sum())
+    return min(found.joint(question, start).score for start in (found.moving, moved)) - A_CELL * int(moved.sum())
 
 
 def named(what: str, check: ModelCheck) -> bool:
