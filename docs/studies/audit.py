@@ -15,7 +15,7 @@ from docs.studies import script
 from lampest.estimate.estimates import Estimates
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.methods import AnyMethod, MethodName
-from lampest.estimate.outliers import TO_SIGMA
+from lampest.estimate.outliers import MAD_TO_SIGMA
 from lampest.estimate.sequence import reconstruct
 from lampest.files.errors import InputError
 from lampest.files.typed import Configuration, check_range
@@ -188,7 +188,7 @@ def _own_part(found: Estimates, truth: Array) -> dict[str, Any]:
     error = np.log(found.cell_resistance / truth)
     error = np.abs(error - np.nanmedian(error, axis=(1, 2), keepdims=True))
     there = np.isfinite(own) & np.isfinite(error)
-    size = TO_SIGMA * float(np.median(error[there])) if there.any() else nan
+    size = MAD_TO_SIGMA * float(np.median(error[there])) if there.any() else nan
     inside = int((error[there] <= NORMAL_95 * own[there]).sum())
     return {"alone": int(there.sum()), "alone_covered": inside, "ratio": float(np.median(own[there])) / size}
 

@@ -17,7 +17,7 @@ import psutil
 
 import lampest
 from lampest.recording.recording import Recording
-from lampest.recording.stored import BLOCK, save_parts
+from lampest.recording.stored import PART_READINGS, save_parts
 from lampest.runs import long_case
 from lampest.runs.batch import run_batch
 from lampest.runs.config import read_run
@@ -39,7 +39,7 @@ def parts(frames: int) -> Iterator[Recording]:
     scene, truth, rng = shipped.scene, shipped.truth_cell_resistance, np.random.default_rng(5)
     assert scene.readout is not None and truth is not None
     exact = np.asarray(scene.readout.to_recorded(scene.readout.exact_reading(truth), scene))
-    step = BLOCK // scene.panel.crossings
+    step = PART_READINGS // scene.panel.crossings
     for begin in range(0, frames, step):
         number = np.arange(begin, min(begin + step, frames))
         values = exact[np.where(number < UNLOADED, 0, 3 + (number // 5) % 21)]
@@ -94,7 +94,7 @@ def main() -> None:
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
     print(f"{told.folder / 'long.h5'}: {told.frames} frames, made with at most {peak:.1f} MB", flush=True)
     command = [sys.executable, "-m", "docs.studies.endless", "--run", "--folder", str(told.folder)]
-    killed(command, out, told.frames * 100 // BLOCK // 2)
+    killed(command, out, told.frames * 100 // PART_READINGS // 2)
     subprocess.run(command, check=True)
 
 

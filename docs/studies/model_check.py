@@ -16,7 +16,7 @@ import numpy as np
 
 import lampest
 from lampest import LoadedColumnsReadout, Recording, Scene, Simulation, TwoPointReadout
-from lampest.estimate.cells_fit import LEVEL
+from lampest.estimate.cells_fit import SIGNIFICANCE
 from lampest.estimate.model_check import Explanation, ModelCheck
 from lampest.estimate.prepared import Prepared
 from lampest.estimate.rivals import Question, Rival
@@ -162,7 +162,7 @@ def evidence(exact: Recording) -> float:
     found = Explanation.of(question.specified, question, patient=True)
     if 2 * moved.sum() >= moved.size:
         return 0.0
-    if found is None or min(fit.tail for fit in found.fits) < LEVEL:
+    if found is None or min(fit.tail for fit in found.fits) < SIGNIFICANCE:
         return float("inf")
     return min(found.joint(question, start).score for start in (found.moving, moved)) - A_CELL * int(moved.sum())
 

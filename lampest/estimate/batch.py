@@ -29,11 +29,11 @@ from lampest.posterior.linear import LinearModel
 from lampest.posterior.track import Bars, Track
 from lampest.recording.readings import Readings
 from lampest.solvers.bounds import bounds_matter
-from lampest.solvers.multistart import BROKEN, SAME, several_minima
+from lampest.solvers.multistart import BROKEN, SAME_MINIMUM, several_minima
 from lampest.solvers.projected_lbfgs import BatchOutcome, InverseHessians, serves, solve
 from lampest.solvers.solution import OPEN_FRACTION, VERIFIED, Settings, Solution, Status
 
-FEWEST = 20  # panels of a thread: with fewer, threads cost more than they save
+MIN_PANELS_PER_THREAD = 20  # panels of a thread: with fewer, threads cost more than they save
 MAX_BLOCK_FRAMES = 40  # that are solved together: 50 MB of inverse Hessians at 20 × 20
 MAX_BLOCK_CELLS = 400  # of their network: with more, inverse Hessians cost more than they save (docs/studies/speed.md)
 W = TypeVar("W")
@@ -145,7 +145,7 @@ def _batches(streams: Sequence[Stream | None], readings: Readings) -> "Iterator[
         several = len(
             set(map(id, group.values()))
         )  # frames of one stream stay in one thread, however many cores there are
-        blocks = max(1, min(cores, several // FEWEST))
+        blocks = max(1, min(cores, several // MIN_PANELS_PER_THREAD))
         for place, numbers in enumerate(np.array_split(list(group), blocks)):
             with suppress(*BROKEN), np.errstate(all="ignore"):
                 together = Together.of(
@@ -354,5 +354,7 @@ def _objective(stream: Stream) -> Objective:
 
 def _lower(first: BatchOutcome, second: BatchOutcome) -> BatchOutcome:
     """Of each panel the lower minimum of two; the first where they are one."""
-    better = second.solved & (~first.solved | (second.points.at.objectives < first.points.at.objectives * (1 - SAME)))
+    better = second.solved & (
+        ~first.solved | (second.points.at.objectives < first.points.at.objectives * (1 - SAME_MINIMUM))
+    )
     return first.where(~better, second)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from lampest.cost.given import Background
 from lampest.cost.problem import Data
 from lampest.cost.terms import Misfit
-from lampest.estimate.changed_cells import MOVED, PRICE, selected, usual_starts
+from lampest.estimate.changed_cells import MOVED_COST, PARAMETER_COST, selected, usual_starts
 from lampest.estimate.estimator import Bounds, Estimator
 from lampest.estimate.rivals import Question, Rival
 from lampest.panel.effects import Effect, disturbed
@@ -29,20 +29,20 @@ from lampest.recording.readings import Readings
 from lampest.solvers.multistart import BROKEN, best_solution, convex, evaluated, solved_from
 from lampest.solvers.solution import Settings
 
-LEVEL = 1e-4  # P(χ²) below which cells do not explain a frame: of each of a handful of tests
-EXACT = 1e-2  # χ² that changes no verdict
-FIT = LevenbergMarquardt(evaluations=16, settled=EXACT / 2, share=0.1, damping=0.0, longest=1.5)
+SIGNIFICANCE = 1e-4  # P(χ²) below which cells do not explain a frame: of each of a handful of tests
+EXACT_CHI_SQUARE = 1e-2  # χ² that changes no verdict
+FIT = LevenbergMarquardt(evaluations=16, settled=EXACT_CHI_SQUARE / 2, share=0.1, damping=0.0, longest=1.5)
 # Cells at the edge of r > 0 take some 20 iterations, a circuit that cannot explain its readings hundreds.
 BRIEF = Settings(max_iterations=25)
-EDGE = 1e-3  # of the least cell of estimates: a short behind a drive resistor of a kilo-ohm is smaller
+MIN_CELL_FACTOR = 1e-3  # of the least cell of estimates: a short behind a drive resistor of a kilo-ohm is smaller
 # χ² for each reading that noise at the edge of r > 0 never leaves; without it checks take four times longer.
-HOPELESS = 10.0
-MOST_CELLS = 400  # where matrices over the cells take tens of milliseconds; beyond, every reading counts as a degree
-SPREAD = 0.01  # 1/variance of log r: a cell that no reading sees may be anything within e^±10
+MAX_CHI_SQUARE = 10.0
+MAX_CELLS = 400  # where matrices over the cells take tens of milliseconds; beyond, every reading counts as a degree
+CELL_PRECISION = 0.01  # 1/variance of log r: a cell that no reading sees may be anything within e^±10
 
-TOGETHER = 0.05  # of log r: by so much all cells may change with temperature
-CREEP = 3e-3  # of log r, by which films creep on their own in seconds
-UNIT = 0.1  # of the largest resistance in series: what a step of log r by 1 is to it
+COMMON_SD = 0.05  # of log r: by so much all cells may change with temperature
+CREEP_SD = 3e-3  # of log r, by which films creep on their own in seconds
+SERIES_UNIT = 0.1  # of the largest resistance in series: what a step of log r by 1 is to it
 
 
 @cache
@@ -53,27 +53,27 @@ def cells_alone() -> Estimator:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class CellsFit(SumOfSquares):
-    """Of one frame over log r; its Jacobian has no columns on panels of more than MOST_CELLS.
+    """Of one frame over log r; its Jacobian has no columns on panels of more than MAX_CELLS.
 
     readings : (rows, columns). cells : the same shape, ohm.
     """
 
     readings: Readings
     cells: Array
-    ridge: float = SPREAD
+    ridge: float = CELL_PRECISION
 
     @classmethod
     def at(cls, data: Data, readings: Readings, network: Network) -> "CellsFit":
         """Return the fit of a solved network to the readings."""
         residual, weight = _residual(network, readings)
         jacobian = np.zeros((residual.size, 0))
-        if readings.value.size <= MOST_CELLS:
+        if readings.value.size <= MAX_CELLS:
             jacobian = network.sensitivity() * weight.reshape(-1, 1) * (data.lower < data.upper).ravel()
         return cls(residual=residual.ravel(), jacobian=jacobian, readings=readings, cells=network.cell_resistance)
 
     @property
     def small(self) -> bool:
-        """Whether the panel has no more than MOST_CELLS."""
+        """Whether the panel has no more than MAX_CELLS."""
         return bool(self.jacobian.size)
 
     @property
@@ -119,11 +119,11 @@ def fitted(
     try:
         with np.errstate(all="ignore"):
             data = cells_alone().data(readings.alone(), Background(scene))
-            data = replace(data, lower=EDGE * data.lower)
+            data = replace(data, lower=MIN_CELL_FACTOR * data.lower)
             fit = _fitted_near(data, readings, convex(data, None)[0] if near is None else near, scene, effects)
-            if fit.chi_square <= EXACT or effects:
+            if fit.chi_square <= EXACT_CHI_SQUARE or effects:
                 return fit
-            if not patient and fit.chi_square > HOPELESS * readings.value.size:
+            if not patient and fit.chi_square > MAX_CHI_SQUARE * readings.value.size:
                 return None
             alone = cells_alone() if patient else replace(cells_alone(), solver=BRIEF)
             solver = alone.problem(scene, 1, float("inf"), partial=data.partial)
@@ -146,9 +146,9 @@ def _fitted_near(data: Data, readings: Readings, start: Array, scene: Scene, eff
         given = replace(readings, value=readings.value - added) if effects else readings
         return CellsFit.at(data, given, network)
 
-    if start.size > MOST_CELLS:
+    if start.size > MAX_CELLS:
         return model(position)
-    return FIT.minimum(model, position, bounds, ended=lambda fit, _: fit.chi_square <= EXACT).at
+    return FIT.minimum(model, position, bounds, ended=lambda fit, _: fit.chi_square <= EXACT_CHI_SQUARE).at
 
 
 def _residual(network: Network, readings: Readings) -> tuple[Array, Array]:
@@ -161,7 +161,7 @@ def _residual(network: Network, readings: Readings) -> tuple[Array, Array]:
 
 def _followed(normal: Array) -> float:
     """Σ s²/(1 + s²) over the singular values s of J/σ: how many numbers of the noise the unknowns follow."""
-    seen = np.linalg.eigvalsh(normal) - SPREAD
+    seen = np.linalg.eigvalsh(normal) - CELL_PRECISION
     return float(np.sum(seen / (1 + seen)))
 
 
@@ -169,7 +169,7 @@ def _followed(normal: Array) -> float:
 class JointFit:
     """argmin χ² of an unloaded panel and a frame while only some cells have moved, beside a factor common to all.
 
-    Unknowns are log r of the unloaded cells, that of the factor, the resistance in series in UNIT of `most` (the
+    Unknowns are log r of the unloaded cells, that of the factor, the resistance in series in SERIES_UNIT of `most` (the
     largest one, ohm; 0: as it is), and the changes of moved cells beside the factor. pair : the readings of both
     frames. position : log r of each (2, cells). moved : (cells). series : d residual/d(the third), where the fit began.
     """
@@ -223,8 +223,8 @@ class JointFit:
         begun = replace(fit, position=np.stack([self.position[0], self.position[1] - gap])).stepped(step)
         low, high = np.full((2, len(step)), [[-np.inf], [np.inf]])
         if self.most:
-            low[place] = -begun.rival.ohm / (UNIT * self.most)
-            high[place] = 1 / UNIT + low[place]
+            low[place] = -begun.rival.ohm / (SERIES_UNIT * self.most)
+            high[place] = 1 / SERIES_UNIT + low[place]
         loop = replace(FIT, evaluations=60, settled=0.05, share=0.0)
         least = loop.minimum(lambda step: begun.stepped(step).squares, np.zeros(len(step)), (low, high))
         return begun.stepped(least.position)
@@ -235,7 +235,7 @@ class JointFit:
         position = self.position + step[:size]
         position[1] += step[size]
         position[1, self.moved] += step[size + 2 :]
-        fit = self._with_ohm(self.rival.ohm + UNIT * self.most * float(step[size + 1])) if self.most else self
+        fit = self._with_ohm(self.rival.ohm + SERIES_UNIT * self.most * float(step[size + 1])) if self.most else self
         return replace(fit, position=position)
 
     def _with_ohm(self, ohm: float) -> "JointFit":
@@ -246,7 +246,7 @@ class JointFit:
         if not self.most:
             return np.zeros_like(self.residual)
         step = 1e-4 * self.most * (1 if self.rival.ohm < self.most / 2 else -1)
-        return (self._with_ohm(self.rival.ohm + step).residual - self.residual) * (UNIT * self.most / step)
+        return (self._with_ohm(self.rival.ohm + step).residual - self.residual) * (SERIES_UNIT * self.most / step)
 
     @cached_property
     def _solved_networks(self) -> list[tuple[Network, Readings]]:
@@ -271,7 +271,9 @@ class JointFit:
     @cached_property
     def squares(self) -> SumOfSquares:
         """Over all unknowns."""
-        return SumOfSquares(self.residual, np.column_stack([self._common, self.slopes[1][:, self.moved]]), SPREAD)
+        return SumOfSquares(
+            self.residual, np.column_stack([self._common, self.slopes[1][:, self.moved]]), CELL_PRECISION
+        )
 
     @cached_property
     def _common(self) -> Array:
@@ -290,7 +292,7 @@ class JointFit:
         """Over the changes of all cells, with the other unknowns at their best."""
         wanted = np.column_stack([self.slopes[1], self.residual])
         left = wanted - self._common @ _solved(self._common, wanted)
-        return SumOfSquares(left[:, -1], left[:, :-1], SPREAD)
+        return SumOfSquares(left[:, -1], left[:, :-1], CELL_PRECISION)
 
     def chosen_anew(self) -> NDArray[np.bool_]:
         """Which cells must have moved (cells), by linear theory about this fit."""
@@ -303,9 +305,9 @@ class JointFit:
     def score(self) -> float:
         """−2 ln evidence up to a constant: χ², moved cells, readings taken for bounds, a resistance in series."""
         slab = self._freed.normal[np.ix_(self.moved, self.moved)] + np.eye(int(self.moved.sum()))
-        moved = MOVED * len(slab) + np.linalg.slogdet(slab)[1] + np.sum(self._change[self.moved] ** 2)
+        moved = MOVED_COST * len(slab) + np.linalg.slogdet(slab)[1] + np.sum(self._change[self.moved] ** 2)
         bounds = sum(int(readings.bounds.sum()) for readings in self.pair)
-        return float(2 * self.squares.cost + moved + PRICE * (bounds + (self.rival.in_series is not None)))
+        return float(2 * self.squares.cost + moved + PARAMETER_COST * (bounds + (self.rival.in_series is not None)))
 
     @cached_property
     def _expected(self) -> float:
@@ -324,6 +326,6 @@ class JointFit:
 
 
 def _solved(matrix: Array, wanted: Array) -> Array:
-    """argmin |matrix·x − wanted|² + SPREAD·|x|²."""
-    normal = matrix.T @ matrix + SPREAD * np.eye(matrix.shape[1])
+    """argmin |matrix·x − wanted|² + CELL_PRECISION·|x|²."""
+    normal = matrix.T @ matrix + CELL_PRECISION * np.eye(matrix.shape[1])
     return np.asarray(np.linalg.solve(normal, matrix.T @ wanted))

@@ -3,7 +3,7 @@
 Log changes d of cells that stand still are N(0, P⁻¹). A cell moved with odds of one to four, and then by N(0, 1). The
 changes of the moved cells M are integrated out:
 
-    −2 ln evidence = dᵀ P d + MOVED |M| + ln |P_MM + 1| − s_Mᵀ (P_MM + 1)⁻¹ s_M,   s = P d
+    −2 ln evidence = dᵀ P d + MOVED_COST |M| + ln |P_MM + 1| − s_Mᵀ (P_MM + 1)⁻¹ s_M,   s = P d
 
 Cells are exchanged one by one, each time the one that lowers this most, by the sweep operator.
 Sources: Mitchell & Beauchamp, J. Am. Stat. Assoc. 83, 1988; Goodnight, The American Statistician 33, 1979.
@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 
 from lampest.panel.panel import Array
 
-MOVED = 2.8  # −2 ln of the odds that a cell moved: one in five
-PRICE = 12.0  # the same of a bound, an effect or a resistance in series that an explanation needs
-FEWEST = 0.3  # of the cells must stand still: else a load covers the panel
+MOVED_COST = 2.8  # −2 ln of the odds that a cell moved: one in five
+PARAMETER_COST = 12.0  # the same of a bound, an effect or a resistance in series that an explanation needs
+MIN_STILL_SHARE = 0.3  # of the cells must stand still: else a load covers the panel
 
 Chosen = NDArray[np.bool_]
 
@@ -36,7 +36,7 @@ def apart_from_moved(still: NDArray[np.bool_], shape: tuple[int, ...]) -> NDArra
     """
     moved = np.pad(~still.reshape(-1, *shape), ((0, 0), (1, 1), (1, 1)))
     apart = still & ~sliding_window_view(moved, (3, 3), axis=(1, 2)).any(axis=(-2, -1)).ravel()
-    return apart if apart.mean() >= FEWEST else still
+    return apart if apart.mean() >= MIN_STILL_SHARE else still
 
 
 def usual_starts(change: Array) -> list[Chosen]:
@@ -80,13 +80,13 @@ def _exchanged(slope: Array, slab: Array, moved: Chosen, fixed: Chosen) -> tuple
     moved, inverse = moved.copy(), np.linalg.inv(slab[np.ix_(inside, inside)])
     table = np.column_stack([slab, slope])
     pulled, across = inverse @ table[inside], slab[np.ix_(outside, inside)]
-    cost = MOVED * len(inside) - float(np.linalg.slogdet(inverse)[1] + slope[inside] @ pulled[:, -1])
+    cost = MOVED_COST * len(inside) - float(np.linalg.slogdet(inverse)[1] + slope[inside] @ pulled[:, -1])
     table[outside] -= across @ pulled
     table[inside], table[np.ix_(inside, inside)] = pulled, -inverse
     table[np.ix_(outside, inside)] = pulled[:, outside].T
     for _ in range(4 * len(slope)):
         pivots = np.maximum(np.abs(np.diag(table)), 1e-300)
-        gains = np.where(moved, -1, 1) * (table[:, -1] ** 2 / pivots - MOVED) - np.log(pivots)
+        gains = np.where(moved, -1, 1) * (table[:, -1] ** 2 / pivots - MOVED_COST) - np.log(pivots)
         cell = int(np.argmax(np.where(fixed, -np.inf, gains)))
         if fixed[cell] or not gains[cell] > 0:
             break
@@ -142,7 +142,7 @@ def _gained(vector: Array, size: Array, column: Callable[[NDArray[np.intp]], Arr
     rows = np.empty((len(vector), 16, vector.shape[1]))  # of the pivoted Cholesky factors of the cells taken
     for number in range(vector.shape[1]):
         pivots = np.maximum(size, 1e-300)
-        gains = np.where(taken, -np.inf, vector**2 / pivots - np.log(pivots) - MOVED)
+        gains = np.where(taken, -np.inf, vector**2 / pivots - np.log(pivots) - MOVED_COST)
         cells = np.argmax(gains, axis=1)
         largest = gains[every, cells]
         active = largest > 0

@@ -17,7 +17,7 @@ from lampest.panel.scene import Scene
 from lampest.recording.readings import Readings
 from lampest.solvers.solution import Settings, Solver
 
-BARRED_CELLS = 600  # on larger panels error bars take longer than the estimate
+MAX_ERROR_BAR_CELLS = 600  # on larger panels error bars take longer than the estimate
 
 
 @dataclass(frozen=True)
@@ -82,7 +82,7 @@ class Estimator(Objective):
     def barred(self, readings: Readings) -> bool:
         """Whether estimates of such readings get error bars."""
         rows, columns = readings.value.shape[-2:]
-        few = rows * columns <= BARRED_CELLS or self.weighs_previous
+        few = rows * columns <= MAX_ERROR_BAR_CELLS or self.weighs_previous
         asked = self.error_bars if isinstance(self.error_bars, bool) else few
         return asked and self.method.optimum and readings.sigma is not None
 

@@ -8,11 +8,19 @@ from warnings import catch_warnings, simplefilter
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.estimate.cells_fit import LEVEL, CellsFit, JointFit, fitted
-from lampest.estimate.changed_cells import PRICE, mostly_still
-from lampest.estimate.nuisances import MARGIN, MOST_ASKED, Besides, Better, FittedFrame, FittedPair, besides_the_circuit
+from lampest.estimate.cells_fit import SIGNIFICANCE, CellsFit, JointFit, fitted
+from lampest.estimate.changed_cells import PARAMETER_COST, mostly_still
+from lampest.estimate.nuisances import (
+    MAX_CANDIDATES,
+    MIN_EVIDENCE_GAIN,
+    Besides,
+    Better,
+    FittedFrame,
+    FittedPair,
+    besides_the_circuit,
+)
 from lampest.estimate.rivals import Question, Rival, changes_beyond_noise, rivals_of, standing_frames
-from lampest.estimate.scatter import LEAST_FACTOR
+from lampest.estimate.scatter import MIN_EXCESS
 from lampest.files.errors import InputError
 from lampest.loads.recognition.detector import Detector
 from lampest.loads.recognition.observation import patch_of
@@ -24,13 +32,13 @@ from lampest.recording.recording import MEASURED, UNLOADED, Recording
 from lampest.solvers.multistart import BROKEN
 
 EXPLAINED = "the circuit explains its readings"
-MOST_MODULES = 3  # of which the circuit is checked: one after the other takes its time
+MAX_MODULES = 3  # of which the circuit is checked: one after the other takes its time
 # Of the log of a module's median reading at rest, beside the others': none of 1,640 simulated modules whose cells
 # scatter by 0.2 goes so far, and a reference off by 20 % does; and in robust standard deviations of the other modules.
-MIN_AWAY, MAX_SPREADS, ROBUST = 0.15, 4.0, 1.4826
-MOST_MISSING = 0.1  # of the readings: with a fifth missing or bounds, nothing shows which cells must have moved
-NEARLY_ALL = 0.98  # of the largest resistance in series: with all of it nothing is left for the panel
-GRID = 5  # resistances in series that are tried; values between are reached by steps
+MIN_AWAY, MAX_SPREADS, MAD_TO_SIGMA = 0.15, 4.0, 1.4826
+MAX_MISSING = 0.1  # of the readings: with a fifth missing or bounds, nothing shows which cells must have moved
+MAX_SERIES_SHARE = 0.98  # of the largest resistance in series: with all of it nothing is left for the panel
+SERIES_POINTS = 5  # resistances in series that are tried; values between are reached by steps
 
 
 @dataclass(frozen=True)
@@ -109,7 +117,7 @@ class ExplainedRecording:
         question = Question(specified, resting, standing, noise, named)
         compared = readings[np.concatenate([resting, standing])]
         bounded = float((compared.bounds & scene.asked).sum() / max((compared.seen > 0)[:, scene.asked].sum(), 1))
-        explanation = Explanation.of(specified, question, patient=True) if bounded <= MOST_MISSING else None
+        explanation = Explanation.of(specified, question, patient=True) if bounded <= MAX_MISSING else None
         return cls(recording, readings, question, bounded, float(compared.missing(scene).mean()), explanation)
 
     @cached_property
@@ -133,13 +141,13 @@ class ExplainedRecording:
     def check(self, besides: Besides) -> ModelCheck:
         """Return the check of the circuit, where other circuits and these effects may explain more."""
         question, noise, fault, explanation = self.question, self.question.widening, self.fault, self.explanation
-        few_bounds, scene = self.bounded <= MOST_MISSING, self.recording.scene
+        few_bounds, scene = self.bounded <= MAX_MISSING, self.recording.scene
         if explanation is None and not fault:
             if not few_bounds:
                 lawful = f"no readings break a law of the circuit; {100 * self.bounded:.0f} % of them are bounds"
                 return ModelCheck(explains=True, sentence=f"{lawful}, and no cells were fitted")
             return ModelCheck(None, "the circuit was not checked: no fit of its cells was found", noise=noise)
-        best, whole = Better(), self.missing <= MOST_MISSING and (few_bounds or bool(self.below))
+        best, whole = Better(), self.missing <= MAX_MISSING and (few_bounds or bool(self.below))
         if whole:
             change = changes_beyond_noise(scene, self.readings, self.recording.role)
             rivals = list(
@@ -173,7 +181,7 @@ class ExplainedRecording:
             latest = frame.refitted(question.readings(question.specified)[1], ())
             pairs += [] if latest is None else [(question.loaded, FittedPair.of(resting, latest))]
         search = Detector(scene.panel, patch_of(scene.panel)).search
-        lying = resting.fit.tail >= LEVEL and search.lies_on(np.log(resting.fit.cells))
+        lying = resting.fit.tail >= SIGNIFICANCE and search.lies_on(np.log(resting.fit.cells))
         return replace(besides_the_circuit(pairs), lying=lying)
 
 
@@ -196,7 +204,7 @@ def check_of_modules(recording: Recording, layout: Modules, of_module: Callable[
         moved = np.nan_to_num(np.nanmean(change, axis=(2, 3))).max(0, initial=0.0)
     unfit = {*recording.scene.dead_modules, *module_factors(recording, layout)}
     living = [number for number in np.argsort(moved)[::-1].tolist() if number not in unfit]
-    checks = {number: of_module(number) for number in sorted(living[:MOST_MODULES])}
+    checks = {number: of_module(number) for number in sorted(living[:MAX_MODULES])}
     if not checks:
         return ModelCheck(None, "the circuit was not checked: no module is like the others and reads values")
     explains = [check.explains for check in checks.values()]
@@ -225,7 +233,7 @@ def module_factors(recording: Recording, layout: Modules) -> dict[int, float]:
     for place, number in enumerate(np.flatnonzero(read).tolist() if len(levels) > 2 else ()):
         others = np.delete(levels, place)
         away = levels[place] - np.median(others)
-        if abs(away) > max(MIN_AWAY, MAX_SPREADS * ROBUST * float(np.median(np.abs(others - np.median(others))))):
+        if abs(away) > max(MIN_AWAY, MAX_SPREADS * MAD_TO_SIGMA * float(np.median(np.abs(others - np.median(others))))):
             factors[number] = float(np.exp(away))
     return factors
 
@@ -238,14 +246,14 @@ def noise_factor(resting: Readings) -> float:
         return 1.0
     chi_square = float(np.sum(((resting.value - resting.value.mean(axis=0)) / resting.sigma)[:, plain] ** 2))
     factor = float(np.sqrt(chi_square / degrees))
-    return factor if factor >= LEAST_FACTOR and chi_square_tail(chi_square, degrees) < LEVEL else 1.0
+    return factor if factor >= MIN_EXCESS and chi_square_tail(chi_square, degrees) < SIGNIFICANCE else 1.0
 
 
 def _unexplained(explanation: "Explanation", question: Question) -> str:
     """Return the unexplained part of the readings, in words; '' where there is none."""
     worst = int(np.argmin([fit.tail for fit in explanation.fits]))
     fit, what = explanation.fits[worst], question.loaded if worst else "the unloaded panel"
-    if fit.tail >= LEVEL:
+    if fit.tail >= SIGNIFICANCE:
         return ""
     squares = fit.residual.reshape(fit.cells.shape) ** 2
     rows, columns = squares.sum(axis=1), squares.sum(axis=0)
@@ -262,7 +270,7 @@ def _below_series(scene: Scene, specified: Rival, readings: Readings, named: NDA
         return ""
     left = scene.circuit.from_recorded(specified.recorded, scene)
     excess = np.where((readings.seen > 0) & np.isfinite(left), -left / readings.sigma, -np.inf)
-    if largest_of(excess.max(), excess.size) >= LEVEL:
+    if largest_of(excess.max(), excess.size) >= SIGNIFICANCE:
         return ""
     frame, row, column = (int(part) for part in np.unravel_index(np.argmax(excess), excess.shape))
     short = f"{-left[frame, row, column]:.3g} ohm below its series resistance, {excess[frame, row, column]:.3g} times"
@@ -278,7 +286,7 @@ def broken_law(scene: Scene, readings: Readings, noise: float, named: NDArray[np
     assert sigma is not None
     for test in scene.circuit.free_tests(readings.value, noise * sigma):
         frame = int(np.argmax(test.excess))
-        if largest_of(test.excess[frame], test.count * len(test.excess)) < LEVEL:
+        if largest_of(test.excess[frame], test.count * len(test.excess)) < SIGNIFICANCE:
             beyond = f"{test.excess[frame]:.3g} times its noise"
             return f"readings of frame {named[frame]} break a law of the circuit by {beyond}: {test.law}"
     return ""
@@ -315,7 +323,7 @@ class Explanation:
         try:
             for number, readings in enumerate(question.readings(rival)):
                 fit = fitted(rival.scene, readings, None if near is None else near.fits[number].cells, patient=patient)
-                if fit is None or (not patient and fit.tail < LEVEL):
+                if fit is None or (not patient and fit.tail < SIGNIFICANCE):
                     return None
                 fits.append(fit)
             if len(fits) < 2 or not fits[0].small:
@@ -330,7 +338,7 @@ class Explanation:
     def score(self) -> float:
         """−2 log density of the frame; a bound costs as much as a moved cell: no circuit gains by reading less."""
         bounds = sum(int(fit.readings.bounds.sum()) for fit in self.fits)
-        return 0.0 if self.pair is None else self.pair.density + PRICE * bounds
+        return 0.0 if self.pair is None else self.pair.density + PARAMETER_COST * bounds
 
     @property
     def moving(self) -> NDArray[np.bool_]:
@@ -344,7 +352,7 @@ class Explanation:
 
 
 def better_rival(rivals: list[Rival], question: Question, specified: Explanation | None) -> Better:
-    """Return the rival that explains the readings where the scene's circuit does not, or by MARGIN better.
+    """Return the rival that explains the readings where the scene's circuit does not, or by MIN_EVIDENCE_GAIN better.
 
     rivals : the scene's circuit first. specified : its explanation; None where it has none. No rival is one under
     which most cells have moved, for nothing then shows which have not, or as many as under the scene's circuit.
@@ -362,7 +370,7 @@ def better_rival(rivals: list[Rival], question: Question, specified: Explanation
     if specified.pair is None:
         return Better()
     given = specified.joint(question, specified.moving)
-    if given.beyond_noise < MARGIN:
+    if given.beyond_noise < MIN_EVIDENCE_GAIN:
         return Better()
     best = min(_others(given, specified, rivals[1:], question), key=lambda fit: fit.beyond_noise, default=None)
     if best is None or not _beaten(given, best):
@@ -376,23 +384,23 @@ def better_rival(rivals: list[Rival], question: Question, specified: Explanation
 
 
 def _beaten(specified: JointFit, best: JointFit) -> bool:
-    """Whether a rival explains better by MARGIN, wider where even the rival leaves more than noise."""
-    return bool(specified.beyond_noise > best.beyond_noise + MARGIN * best.excess)
+    """Whether a rival explains better by MIN_EVIDENCE_GAIN, wider where even the rival leaves more than noise."""
+    return bool(specified.beyond_noise > best.beyond_noise + MIN_EVIDENCE_GAIN * best.excess)
 
 
 def _beyond_channels(specified: Explanation, rival: Rival, question: Question) -> bool:
-    """Whether a rival's resistance in series explains better by MARGIN where channels may differ, too."""
+    """Whether a rival's resistance in series explains better by MIN_EVIDENCE_GAIN where channels may differ, too."""
     explanation = None if rival.in_series is None else _explanation(rival, question)
     if explanation is None or explanation.pair is None or specified.pair is None:
         return True
-    return specified.pair.plain.score > explanation.pair.plain.score + MARGIN
+    return specified.pair.plain.score > explanation.pair.plain.score + MIN_EVIDENCE_GAIN
 
 
 def _others(given: JointFit, specified: Explanation, rivals: list[Rival], question: Question) -> Iterator[JointFit]:
     """Return the fits of the specified circuit and of its likeliest rivals by linear theory, with exact networks."""
     plain = (_explanation(rival, question) for rival in rivals)
     better = (explanation for explanation in plain if explanation is not None and explanation.score < specified.score)
-    likely = sorted(better, key=lambda explanation: explanation.score)[:MOST_ASKED]
+    likely = sorted(better, key=lambda explanation: explanation.score)[:MAX_CANDIDATES]
     begun = (with_some_in_series(explanation.rival, question) for explanation in likely)
     for explanation in (specified, *likely, *(explanation for explanation in begun if explanation is not None)):
         try:
@@ -413,7 +421,7 @@ def with_some_in_series(rival: Rival, question: Question) -> Explanation | None:
     """Of a rival with the resistance in series that explains best of a few; None where it has none."""
     most = 0.0 if rival.in_series is not None else most_in_series(rival, question)
     explanations: list[Explanation] = []
-    for ohm in np.linspace(0, most, GRID)[int(rival.scene.specified_in_series == 0) :] if most else ():
+    for ohm in np.linspace(0, most, SERIES_POINTS)[int(rival.scene.specified_in_series == 0) :] if most else ():
         explanation = Explanation.of(
             rival.with_series(float(ohm)), question, explanations[-1] if explanations else None
         )
@@ -432,7 +440,7 @@ def most_in_series(rival: Rival, question: Question) -> float:
         return 0.0
     known = [(frame.value, sigma) for frame in read if (sigma := frame.sigma_of_values) is not None]
     most = min(without.scene.circuit.most_in_series(value[None], sigma[None]) for value, sigma in known)
-    return NEARLY_ALL * most if np.isfinite(most) and most > 0 else 0.0
+    return MAX_SERIES_SHARE * most if np.isfinite(most) and most > 0 else 0.0
 
 
 def _lawful(rival: Rival, question: Question) -> bool:

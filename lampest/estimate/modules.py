@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from lampest.estimate.batch import pushed_together, rested_together
 from lampest.estimate.estimator import Estimator
-from lampest.estimate.noise import MOST_NAMED, NoiseSeen
+from lampest.estimate.noise import MAX_NAMED, NoiseSeen
 from lampest.estimate.state import SequenceState, Step
 from lampest.estimate.stream import Stream
 from lampest.files.errors import InputError
@@ -278,7 +278,7 @@ def _sentence(layout: Modules, steps: Sequence[Step | None], status: Status) -> 
         return status.value
     said = [status.value]
     for reason, numbers in why.items():
-        named = ", ".join(str(list(layout.place(number))) for number in numbers[:MOST_NAMED])
-        more = f" and {len(numbers) - MOST_NAMED} more" if len(numbers) > MOST_NAMED else ""
+        named = ", ".join(str(list(layout.place(number))) for number in numbers[:MAX_NAMED])
+        more = f" and {len(numbers) - MAX_NAMED} more" if len(numbers) > MAX_NAMED else ""
         said.append(f"module{'s' if len(numbers) > 1 else ''} {named}{more}: {reason}")
     return "; ".join(said)

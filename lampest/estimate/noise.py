@@ -6,10 +6,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.estimate.cells_fit import LEVEL, fitted
+from lampest.estimate.cells_fit import SIGNIFICANCE, fitted
 from lampest.estimate.nuisances import Besides, left_open, taken_off
-from lampest.estimate.outliers import LEAST_FRAMES, SHARE
-from lampest.estimate.scatter import LEAST_FACTOR, repeated_scatter, unloaded_scatter
+from lampest.estimate.outliers import MAX_SHARE, MIN_FRAMES
+from lampest.estimate.scatter import MIN_EXCESS, repeated_scatter, unloaded_scatter
 from lampest.estimate.still_cells import errors_left_possible
 from lampest.panel.panel import Array, Modules
 from lampest.panel.readouts import Readout
@@ -22,13 +22,13 @@ from lampest.posterior.interval import chi_square_tail
 from lampest.recording.readings import Readings, strongest_frame
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
 
-FEWEST_OPEN = 5  # unloaded frames from which on noise that a scene leaves open is taken from them
-MOST_NAMED = 3  # modules in one sentence
+MIN_UNLOADED_FRAMES = 5  # unloaded frames from which on noise that a scene leaves open is taken from them
+MAX_NAMED = 3  # modules in one sentence
 
-SHARES = (0.25, 0.5, 0.75, 1.0)  # of the period that a scan may take
-MOST_MOVING = 3  # frames, those that move most, in which it is sought
-THIRD = 3.0  # by which χ² must fall, and the rms of Δ·τ in σ below which nobody would notice it
-LEAST_LEFT = 0.1  # of a reading, however fast it changes
+SCAN_SHARES = (0.25, 0.5, 0.75, 1.0)  # of the period that a scan may take
+MAX_MOVING_FRAMES = 3  # frames, those that move most, in which it is sought
+MIN_REDUCTION = 3.0  # by which χ² must fall, and the rms of Δ·τ in σ below which nobody would notice it
+MIN_REMAINING = 0.1  # of a reading, however fast it changes
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,7 +153,7 @@ def scatter_seen(recording: Recording, outliers: NDArray[np.bool_], cleaned: Rea
     """Return the noise that the unloaded frames of a single network show."""
     readout, resting = recording.scene.readout, recording.role == UNLOADED
     unloaded = int(resting.sum())
-    counted = outliers[resting] if unloaded >= LEAST_FRAMES and cleaned.sigma is not None else outliers
+    counted = outliers[resting] if unloaded >= MIN_FRAMES and cleaned.sigma is not None else outliers
     impossible = outliers & (cleaned.seen == 0) & ~resting[:, None, None]
     plain = NoiseSeen(outliers, float(counted.mean()), (), cleaned)
     plain = plain.warned(_impossible_in_words(int(impossible.sum())), _outliers_in_words(plain, outliers & ~impossible))
@@ -165,15 +165,15 @@ def scatter_seen(recording: Recording, outliers: NDArray[np.bool_], cleaned: Rea
     if parts is None:
         return plain
     used, specified = 1.0, readout is None or recording.sigma is not None or readout.noise_told
-    squares, few = parts.own**2 * parts.own_freedom, FEWEST_OPEN if readout and readout.noise_lsb is None else 2
+    squares, few = parts.own**2 * parts.own_freedom, MIN_UNLOADED_FRAMES if readout and readout.noise_lsb is None else 2
     if readout is not None and not specified:
         used = shown_factor(readout, parts.own) if unloaded >= few else 1.0
     # Noise that differs from the specified one beyond chance, and by more than changes any verdict.
-    elif parts.own >= LEAST_FACTOR and chi_square_tail(squares, parts.own_freedom) < LEVEL:
+    elif parts.own >= MIN_EXCESS and chi_square_tail(squares, parts.own_freedom) < SIGNIFICANCE:
         used = parts.own
     # Only of a converter it is known how small the noise may be: its step.
-    elif readout is not None and recording.sigma is None and parts.own <= 1 / LEAST_FACTOR:
-        significant = 1 - chi_square_tail(squares, parts.own_freedom) < LEVEL
+    elif readout is not None and recording.sigma is None and parts.own <= 1 / MIN_EXCESS:
+        significant = 1 - chi_square_tail(squares, parts.own_freedom) < SIGNIFICANCE
         used = shown_factor(readout, parts.own) if significant else 1.0
     error = parts.own / np.sqrt(2 * parts.own_freedom)
     said = _noise_in_words(readout, parts.own, unloaded=unloaded > 1) if specified and used != 1 else ""
@@ -200,10 +200,10 @@ def joined_noise(recording: Recording, layout: Modules, every: Sequence[NoiseSee
     said = [
         f"module {list(layout.place(n))}: {seen.sentence}" for n, seen in enumerate(every) if seen and seen.warnings
     ]
-    more = f"and {len(said) - MOST_NAMED} modules more" if len(said) > MOST_NAMED else ""
+    more = f"and {len(said) - MAX_NAMED} modules more" if len(said) > MAX_NAMED else ""
     rate = float(np.mean([seen.outlier_rate for seen in every if seen is not None]))
     whole = NoiseSeen(layout.joined(outliers), rate, (), Readings.of_parts(layout, readings), of_modules=tuple(every))
-    return whole.warned(*said[:MOST_NAMED], more)
+    return whole.warned(*said[:MAX_NAMED], more)
 
 
 def shown_factor(readout: Readout, factor: float) -> float:
@@ -275,27 +275,27 @@ def scan_share(scene: Scene, resting: Readings, readings: Readings, measured: ND
         return 0.0
     moved = passing(scene, readings, measured)
     size = np.sqrt(np.mean((moved / readings.sigma) ** 2, axis=(1, 2)))
-    moving = inner[np.argsort(-size[inner])][:MOST_MOVING]
-    if size[moving[0]] < THIRD:
+    moving = inner[np.argsort(-size[inner])][:MAX_MOVING_FRAMES]
+    if size[moving[0]] < MIN_REDUCTION:
         return 0.0
     base = fitted(scene, resting, patient=True)
-    if base is None or base.tail < LEVEL:
+    if base is None or base.tail < SIGNIFICANCE:
         return 0.0
 
     def left(share: float) -> tuple[list[float], float]:
         """(χ²'s tails, Σ log(1 + χ²)) of the frames' residuals once share·Δ·τ is taken off."""
-        freed = replace(readings, value=np.maximum(readings.value - share * moved, LEAST_LEFT * readings.value))
+        freed = replace(readings, value=np.maximum(readings.value - share * moved, MIN_REMAINING * readings.value))
         fits = [fit for frame in moving if (fit := fitted(scene, freed[frame], patient=True)) is not None]
         tails = [fit.tail for fit in fits] + [1.0] * (len(moving) - len(fits))
         return tails, float(sum(np.log1p(fit.chi_square) for fit in fits))
 
     tails, cost = left(0.0)
-    if min(tails) >= LEVEL:
+    if min(tails) >= SIGNIFICANCE:
         return 0.0
-    least, best = min((left(share)[1], share) for share in SHARES)
-    if least < cost - len(moving) * np.log(THIRD):
+    least, best = min((left(share)[1], share) for share in SCAN_SHARES)
+    if least < cost - len(moving) * np.log(MIN_REDUCTION):
         return best
-    return float(np.median(tails) < LEVEL)  # the whole period, or nothing
+    return float(np.median(tails) < SIGNIFICANCE)  # the whole period, or nothing
 
 
 def _shared_in_words(gain: float, together: float, apart: float) -> str:
@@ -318,7 +318,7 @@ def _outliers_in_words(seen: NoiseSeen, outliers: NDArray[np.bool_]) -> str:
     if count == 0:
         return ""
     text = f"{count} of {outliers.size} readings are outliers of one frame, replaced by their neighbours in time"
-    if seen.outlier_rate <= SHARE:  # else neighbours in time are outliers, too, and replace them badly
+    if seen.outlier_rate <= MAX_SHARE:  # else neighbours in time are outliers, too, and replace them badly
         return text
     rate = f"{100 * seen.outlier_rate:.2g} %"
     return f"{text}; at {rate} there are more that nobody sees, and error bars do not cover them"

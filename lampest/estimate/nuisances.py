@@ -13,9 +13,16 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.estimate.cells_fit import CREEP, LEVEL, TOGETHER, CellsFit, fitted
-from lampest.estimate.changed_cells import PRICE, apart_from_moved, mostly_still, scores_beside, selected, usual_starts
-from lampest.estimate.rivals import MOVED
+from lampest.estimate.cells_fit import COMMON_SD, CREEP_SD, SIGNIFICANCE, CellsFit, fitted
+from lampest.estimate.changed_cells import (
+    PARAMETER_COST,
+    apart_from_moved,
+    mostly_still,
+    scores_beside,
+    selected,
+    usual_starts,
+)
+from lampest.estimate.rivals import MIN_CHANGE
 from lampest.panel.effects import EFFECTS, Effect, LooseContact, disturbance
 from lampest.panel.network import Network
 from lampest.panel.panel import Array
@@ -26,17 +33,17 @@ from lampest.recording.readings import Readings
 # −2 log probability by which another circuit, or an effect beside it, must beat the scene's: e^18 to one. The best of
 # eight kinds, with any resistance in series, beat a right one by 32, 25 and 19 in three of some 430 recordings, else by
 # 15 or less.
-MARGIN = 36.0
-MOST_ASKED = 3  # rivals or effects: those that linear theory finds best
+MIN_EVIDENCE_GAIN = 36.0
+MAX_CANDIDATES = 3  # rivals or effects: those that linear theory finds best
 CHANNEL_OHM = 3.0  # standard deviation of a multiplexer's channels (CD74HC4067, data sheet: any two differ by 10 ohm)
-STEPS, SETTLED = 12, 0.1  # of θ, each within its prior's deviation; standard deviations at which they end
-MOST_BOUNDS = 0.02  # of the readings: cells behind bounds have no linear theory
-SURE = 5.0  # standard deviations: a common change that is said
-MOST_EFFECTS = 3  # beside each other
-LEAST_SPARED = 2  # cells that need not have moved with an effect: a converter's curve moves one
+MAX_STEPS, SETTLED_STEP = 12, 0.1  # of θ, each within its prior's deviation; standard deviations at which they end
+MAX_BOUND_SHARE = 0.02  # of the readings: cells behind bounds have no linear theory
+SIGNIFICANT = 5.0  # standard deviations: a common change that is said
+MAX_EFFECTS = 3  # beside each other
+MIN_SPARED_CELLS = 2  # cells that need not have moved with an effect: a converter's curve moves one
 TAKEN_OFF = "taken off the readings, which error bars allow for"
-SECANT = 1e-3  # of a prior
-LEAST_LEFT = 0.1  # of a reading, whatever is taken off
+SECANT_STEP = 1e-3  # of a prior
+MIN_REMAINING = 0.1  # of a reading, whatever is taken off
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,10 +150,10 @@ class FittedFrame:
     def may_fit(self) -> bool:
         """Whether effects can leave no more than noise: by linear theory, of as many as are ever taken.
 
-        Of the residual, the part that no cells follow is explained by one effect alone, and by MOST_EFFECTS of them no
+        Of the residual, the part that no cells follow is explained by one effect alone, and by MAX_EFFECTS of them no
         more than so many times as much as by the best one.
         """
-        if self.fit.tail >= LEVEL:
+        if self.fit.tail >= SIGNIFICANCE:
             return True
         sigma = self.fit.readings.sigma
         assert sigma is not None
@@ -154,7 +161,7 @@ class FittedFrame:
         columns = np.stack([(self.more(effect) / sigma).ravel() for effect in dict.fromkeys(small)], axis=1)
         columns -= self.fit.jacobian @ np.linalg.solve(self.fit.normal, self.fit.jacobian.T @ columns)
         explained = (columns.T @ self.fit.residual) ** 2 / np.maximum(np.sum(columns**2, axis=0), 1e-300)
-        return bool(MOST_EFFECTS * explained.max() >= self.fit.chi_square - self.fit.degrees)
+        return bool(MAX_EFFECTS * explained.max() >= self.fit.chi_square - self.fit.degrees)
 
     @cached_property
     def _every_answer(self) -> dict[Effect, Array]:
@@ -163,7 +170,7 @@ class FittedFrame:
     def _answered(self, effects: Sequence[Effect]) -> dict[Effect, Array]:
         distinct = list(dict.fromkeys(effects))
         changes = np.stack([self.more(effect).ravel() for effect in distinct], axis=1)
-        return dict(zip(distinct, (self.fit.gain @ changes).T / SECANT, strict=True))
+        return dict(zip(distinct, (self.fit.gain @ changes).T / SECANT_STEP, strict=True))
 
     def answers(self, effects: Sequence[Effect]) -> Array:
         """Return the effect of a unit of each θ on the log cells, (cells, effects), by secants."""
@@ -183,7 +190,7 @@ class FittedFrame:
 
 def _small(effect: Effect) -> Effect:
     """Return the effect of which a secant is taken."""
-    return replace(effect, since=False, size=SECANT * effect.prior)
+    return replace(effect, since=False, size=SECANT_STEP * effect.prior)
 
 
 @dataclass(frozen=True, eq=False)
@@ -224,7 +231,7 @@ class FittedPair:
     @cached_property
     def _covariance(self) -> Array:
         """Of d where no load is, (cells, cells)."""
-        noise = sum(frame.fit.covariance for frame in self.frames) + CREEP**2 * np.eye(len(self.change))
+        noise = sum(frame.fit.covariance for frame in self.frames) + CREEP_SD**2 * np.eye(len(self.change))
         return np.asarray(noise + self.channels @ self.channels.T)
 
     @cached_property
@@ -242,14 +249,14 @@ class FittedPair:
     @cached_property
     def _prior_score(self) -> float:
         """−2 log of the prior of the effects in the network."""
-        return sum(PRICE + (effect.size / effect.prior) ** 2 for effect in self.effects if effect.size)
+        return sum(PARAMETER_COST + (effect.size / effect.prior) ** 2 for effect in self.effects if effect.size)
 
     def _beside(self, columns: Array) -> tuple[Array, Array, float]:
         """Return a factor common to all cells with the columns, the precision of the change with both, and its log det.
 
         The last is the addition of both.
         """
-        own = np.column_stack([np.full(len(self.change), TOGETHER), columns])
+        own = np.column_stack([np.full(len(self.change), COMMON_SD), columns])
         weighted = self._precision @ own
         inner = np.eye(own.shape[1]) + own.T @ weighted
         precision = self._precision - weighted @ np.linalg.solve(inner, weighted.T)
@@ -311,7 +318,7 @@ class FittedPair:
         constant : whether those that are there in the unloaded frames are to change, too.
         """
         pair = self
-        for _ in range(STEPS):
+        for _ in range(MAX_STEPS):
             evidence = pair.explained(pair.columns(pair.effects))
             free = np.array([constant or effect.since for effect in pair.effects])
             step, sd = np.where(free, evidence.size[1:], 0.0), evidence.sd[1:]
@@ -322,7 +329,7 @@ class FittedPair:
             if after is None:
                 return None
             pair = after
-            if np.all(np.abs(step) < SETTLED * np.maximum(sd, SETTLED)):
+            if np.all(np.abs(step) < SETTLED_STEP * np.maximum(sd, SETTLED_STEP)):
                 break
         return pair, replace(pair.plain, sd=evidence.sd)
 
@@ -392,7 +399,7 @@ def besides_the_circuit(pairs: Sequence[tuple[str, FittedPair]]) -> Besides:
     """By pairs of the unloaded panel and named frames: of the frame that shows them best."""
     besides, together, most = Besides(), "", 0.0
     for name, pair in pairs:
-        if max(float(frame.given.bounds.mean()) for frame in pair.frames) > MOST_BOUNDS:
+        if max(float(frame.given.bounds.mean()) for frame in pair.frames) > MAX_BOUND_SHARE:
             continue
         if not all(frame.may_fit for frame in pair.frames):
             continue
@@ -402,9 +409,11 @@ def besides_the_circuit(pairs: Sequence[tuple[str, FittedPair]]) -> Besides:
         moved = after.moved.reshape(pair.shape)
         if not (plain.score - after.score > most and mostly_still(moved)):
             continue
-        if any(_beside_a_load(effect, moved) for effect in whole.effects) or pair.off_by_one(after.score + MARGIN):
+        if any(_beside_a_load(effect, moved) for effect in whole.effects) or pair.off_by_one(
+            after.score + MIN_EVIDENCE_GAIN
+        ):
             continue
-        most, fits_noise = plain.score - after.score, min(effect.fit.tail for effect in whole.frames) >= LEVEL
+        most, fits_noise = plain.score - after.score, min(effect.fit.tail for effect in whole.frames) >= SIGNIFICANCE
         names = " and ".join(effect.sentence(pair.shape[0]) for effect in whole.effects)
         better = Better(names, name, int(after.moved.sum()), int(plain.moved.sum()), fits_noise)
         besides = Besides(better, "", certain if certain.effects and fits_noise else None)
@@ -412,18 +421,18 @@ def besides_the_circuit(pairs: Sequence[tuple[str, FittedPair]]) -> Besides:
 
 
 def _grown(pair: FittedPair, evidence: Evidence) -> tuple[FittedPair, Evidence, FittedPair]:
-    """Return the pair with one effect after the other that beats those before by MARGIN, and its evidence.
+    """Return the pair with one effect after the other that beats those before by MIN_EVIDENCE_GAIN, and its evidence.
 
     The third item is the pair with the effects before the first that another one explains about as well.
     """
     certain, doubtful = pair, False
-    for _ in range(MOST_EFFECTS):
+    for _ in range(MAX_EFFECTS):
         tried = sorted(_tried(pair, evidence), key=lambda candidate: candidate[1].score)
-        if not tried or evidence.score - tried[0][1].score <= MARGIN:
+        if not tried or evidence.score - tried[0][1].score <= MIN_EVIDENCE_GAIN:
             break
-        if tried[0][1].moved.sum() > evidence.moved.sum() - LEAST_SPARED:
+        if tried[0][1].moved.sum() > evidence.moved.sum() - MIN_SPARED_CELLS:
             break
-        doubtful |= len(tried) > 1 and tried[1][1].score - tried[0][1].score < MARGIN / 2
+        doubtful |= len(tried) > 1 and tried[1][1].score - tried[0][1].score < MIN_EVIDENCE_GAIN / 2
         pair, evidence = tried[0]
         certain = certain if doubtful else pair
     return pair, evidence, certain
@@ -435,8 +444,8 @@ def _tried(pair: FittedPair, plain: Evidence) -> Iterator[tuple[FittedPair, Evid
     columns = pair.columns((*pair.effects, *effects))
     before, columns = np.split(columns, [len(pair.effects)], axis=1)
     scores = pair.scores_with(before, columns)
-    for number in np.argsort(scores)[:MOST_ASKED]:
-        if scores[number] > plain.score - PRICE:
+    for number in np.argsort(scores)[:MAX_CANDIDATES]:
+        if scores[number] > plain.score - PARAMETER_COST:
             return
         settled = replace(pair, effects=(*pair.effects, replace(effects[number], size=0.0))).settled()
         if settled is not None:
@@ -454,8 +463,8 @@ def _beside_a_load(effect: Effect, moved: NDArray[np.bool_]) -> bool:
 
 def _together(plain: Evidence) -> str:
     """How all cells that no load touches changed, in words; '' where that may be chance, or a load's rim."""
-    change, sd = float(TOGETHER * plain.size[0]), float(TOGETHER * plain.sd[0])
-    if not mostly_still(plain.moved) or not abs(change) > max(MOVED, SURE * sd):
+    change, sd = float(COMMON_SD * plain.size[0]), float(COMMON_SD * plain.sd[0])
+    if not mostly_still(plain.moved) or not abs(change) > max(MIN_CHANGE, SIGNIFICANT * sd):
         return ""
     return (
         f"cells that nobody touched changed together by {100 * change:+.2g} +- {100 * sd:.1g} %: creep, temperature or "
@@ -478,7 +487,7 @@ def taken_off(pair: FittedPair, readings: Readings, unloaded: NDArray[np.bool_])
         frames = frame if number else unloaded
         value[frames] -= pair_of_frame.frames[number].offset
         sigma[frames] *= pair_of_frame.frames[number].amplification
-    return replace(readings, value=np.maximum(value, LEAST_LEFT * readings.value), sigma=sigma)
+    return replace(readings, value=np.maximum(value, MIN_REMAINING * readings.value), sigma=sigma)
 
 
 def left_open(pair: FittedPair) -> Array:

@@ -22,11 +22,11 @@ from lampest.posterior.spectrum import Rule
 from lampest.recording.readings import AT_MOST, Readings, stand_in_spread
 from lampest.solvers.solution import Settings
 
-FARTHEST, SHORTED = 1e9, 1e-6  # of the apparent resistance: beyond, double precision sees no difference
-NEAREST = 1e-3  # of the upper bound, where a reading that contradicts it leaves the lower one
-MOST_CONTRADICTED = 0.5  # of the readings: bounds that most readings contradict are a mistake, not the readings
+OPEN_FACTOR, SHORT_FACTOR = 1e9, 1e-6  # of the apparent resistance: beyond, double precision sees no difference
+CONTRADICTED_FACTOR = 1e-3  # of the upper bound, where a reading that contradicts it leaves the lower one
+MAX_CONTRADICTED = 0.5  # of the readings: bounds that most readings contradict are a mistake, not the readings
 UNKNOWN_NOISE = 0.01  # of a reading, where nobody says it: that of a 10-bit divider
-MOST_WEIGHT = 0.99  # of a substitute for a reading: it is none
+MAX_STAND_IN_WEIGHT = 0.99  # of a substitute for a reading: it is none
 
 
 @dataclass(frozen=True)
@@ -70,7 +70,7 @@ class Bounds(Validated):
 
         Raises InputError where readings leave no room for most of the cells.
         """
-        lower, upper = readout.nearly_shorted(measured), readout.apparent_resistance(measured) * FARTHEST
+        lower, upper = readout.nearly_shorted(measured), readout.apparent_resistance(measured) * OPEN_FACTOR
         if self.lower == "measured":
             least = readout.least_cells(measured, sigma)
             lower = least if wiring is None else np.maximum(least - wiring.path_ohm(measured.shape[-2:]), lower)
@@ -81,13 +81,13 @@ class Bounds(Validated):
         elif not isinstance(self.upper, str):
             upper = np.full_like(measured, self.upper)
         contradicted = upper <= lower
-        if np.mean(contradicted) > MOST_CONTRADICTED:
+        if np.mean(contradicted) > MAX_CONTRADICTED:
             index = tuple(int(part) for part in np.argwhere(contradicted)[0])
             raise InputError(
                 f"bounds leave no room for cell {index[-2:]}: "
                 f"lower {lower[index]:.6g} ohm, upper {upper[index]:.6g} ohm"
             )
-        nothing = np.minimum(readout.nearly_shorted(measured), upper * NEAREST)
+        nothing = np.minimum(readout.nearly_shorted(measured), upper * CONTRADICTED_FACTOR)
         return np.where(contradicted, nothing, lower), upper
 
 
@@ -198,10 +198,10 @@ class Objective:
         if readings.partial:
             nearly_shorted = scene.circuit.nearly_shorted(measured)
             lower = np.where((readings.side == AT_MOST) | (readings.seen < 1), nearly_shorted, lower)
-            upper = np.where(readings.side != 0, apparent * FARTHEST, upper)
+            upper = np.where(readings.side != 0, apparent * OPEN_FACTOR, upper)
         if not scene.whole:
             typical = np.exp(np.mean(np.log(apparent), axis=(-2, -1), keepdims=True))
-            for known, factor in ((scene.open_cells, FARTHEST), (scene.shorted_cells, SHORTED)):
+            for known, factor in ((scene.open_cells, OPEN_FACTOR), (scene.shorted_cells, SHORT_FACTOR)):
                 lower, upper = (np.where(known, typical * factor, bound) for bound in (lower, upper))
         given, noisy = Given.of(readings, background), sigma is not None
         return Data(given, lower, upper, scene.circuit, scene.wiring, noisy, parts=scene.parts)
@@ -253,7 +253,7 @@ def weighed(readings: Readings, scene: Scene, stand_ins: NDArray[np.bool_]) -> R
             spread = stand_in_spread(readings.value[frame], plain)
             own[frame] = np.where(missing[frame], readings.value[frame] * spread, own[frame])
     share = np.where(
-        missing, np.minimum(usual / own, MOST_WEIGHT), np.where(bounded, np.minimum(usual / own, 1.0), 1.0)
+        missing, np.minimum(usual / own, MAX_STAND_IN_WEIGHT), np.where(bounded, np.minimum(usual / own, 1.0), 1.0)
     )
     sigma = None if readings.sigma is None else np.where(missing | bounded, own * share, readings.sigma)
     return replace(readings, sigma=sigma, seen=np.where(missing, share, readings.seen * share))

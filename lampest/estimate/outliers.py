@@ -16,16 +16,18 @@ from lampest.panel.scene import Scene
 from lampest.posterior.interval import largest_normal, largest_of
 from lampest.recording.readings import Readings
 
-FAR = 6.0  # σ: of the 2,400 readings of a usual recording noise goes there once in 200,000; loads go beyond
-STEADIER = 3.0  # times as far as the neighbours scatter: a load on its way is no outlier
-NEAREST = 4  # frames in time that are compared: one of them may have an outlier, too
+OUTLIER_THRESHOLD = (
+    6.0  # σ: of the 2,400 readings of a usual recording noise goes there once in 200,000; loads go beyond
+)
+MIN_RATIO_TO_SCATTER = 3.0  # times as far as the neighbours scatter: a load on its way is no outlier
+WINDOW = 4  # frames in time that are compared: one of them may have an outlier, too
 # Times as far as half of its row or half of its column. A load on one cell moves these by 0.22 of its own reading where
 # all lines float, whatever it is: the change has rank one (10 x 10; 0.21 at 32 x 32).
-ALONE = 6.0
-SHARE = 0.05  # of a frame's readings may be outliers, and twice what unloaded frames show: beyond, it was touched
-TO_SIGMA = 1.4826  # a normal distribution's σ over its median absolute deviation
-LEAST_FRAMES = 3  # that tell which of them is the odd one
-FALSE = 0.01  # recordings without outliers in which chance makes one
+MIN_RATIO_TO_LINES = 6.0
+MAX_SHARE = 0.05  # of a frame's readings may be outliers, and twice what unloaded frames show: beyond, it was touched
+MAD_TO_SIGMA = 1.4826  # a normal distribution's σ over its median absolute deviation
+MIN_FRAMES = 3  # that tell which of them is the odd one
+FALSE_ALARM_RATE = 0.01  # recordings without outliers in which chance makes one
 
 # (prediction of neighbours in time, its uncertainty by their scatter, and by noise as a multiple of its σ).
 Expected = tuple[Array, Array, Array]
@@ -38,12 +40,12 @@ def outliers_in_time(
     """Return outliers, the prediction of neighbouring frames and its σ beside noise, all of the readings' shape.
 
     value : (frames, …, rows, columns) of panels beside each other, NaN where there is none. scale : their σ. A frame of
-    a panel in which more than most_share would be outliers has none, nor have fewer than LEAST_FRAMES frames, nor
+    a panel in which more than most_share would be outliers has none, nor have fewer than MIN_FRAMES frames, nor
     readings beside σ = 0.
     """
-    predictors = [_by_median, *([_by_line] if len(value) > NEAREST else [])]
-    frames, width = np.arange(len(value)), min(len(value), NEAREST + 1)
-    first = np.clip(frames - NEAREST // 2, 0, len(value) - width)
+    predictors = [_by_median, *([_by_line] if len(value) > WINDOW else [])]
+    frames, width = np.arange(len(value)), min(len(value), WINDOW + 1)
+    first = np.clip(frames - WINDOW // 2, 0, len(value) - width)
     expected = [_from_window(value, first, frames - first, predict) for predict in predictors]
     scale = np.broadcast_to(median(scale), scale.shape)  # of the frames around: that of a touched cell is another
     outlying, size = np.zeros(value.shape, dtype=bool), len(value) * value.shape[-2] * value.shape[-1]
@@ -51,10 +53,12 @@ def outliers_in_time(
         for prediction, predict in zip(expected, predictors, strict=True):
             far = _stands_out(value, scale, prediction)
             some = far.any(axis=0)  # the scatter of the others is not needed
-            far[:, some] &= ~_usual(value[:, some], prediction[0][:, some], first, predict, largest_normal(size, FALSE))
+            far[:, some] &= ~_usual(
+                value[:, some], prediction[0][:, some], first, predict, largest_normal(size, FALSE_ALARM_RATE)
+            )
             outlying |= far
         outlying &= scale > 0
-    outlying &= (outlying.mean(axis=(-2, -1), keepdims=True) <= most_share) & (len(value) >= LEAST_FRAMES)
+    outlying &= (outlying.mean(axis=(-2, -1), keepdims=True) <= most_share) & (len(value) >= MIN_FRAMES)
     if not outlying.any():
         return outlying, value, np.zeros(value.shape)
     middles, spreads = (np.stack([prediction[part] for prediction in expected]) for part in (0, 1))
@@ -67,7 +71,7 @@ def outliers_in_time(
 def lawless(circuit: Readout, readings: Readings) -> NDArray[np.bool_]:
     """Single readings of a frame that are larger than any cells allow beside the others, (frames, …, rows, columns).
 
-    A contact that failed for one reading is such an outlier, however long it lasts. A frame with more than SHARE of
+    A contact that failed for one reading is such an outlier, however long it lasts. A frame with more than MAX_SHARE of
     them has another circuit, and no outliers of this kind. Outliers are left out, and the others are tested again.
     """
     shape = readings.value.shape
@@ -83,12 +87,12 @@ def lawless(circuit: Readout, readings: Readings) -> NDArray[np.bool_]:
 def _larger_than_cells_allow(circuit: Readout, value: Array, sigma: Array, beside: int) -> NDArray[np.bool_]:
     """As `lawless`, asked once; beside : of how many frames the worst is taken."""
     outliers, frames = np.zeros(value.shape, dtype=bool), np.arange(len(value))
-    for _ in range(int(SHARE * value[0].size) + 1):
+    for _ in range(int(MAX_SHARE * value[0].size) + 1):
         broken = np.zeros(len(frames), dtype=bool)
         for test in circuit.free_tests(value[frames], sigma[frames]):
             if test.single is None:
                 continue
-            broken |= (significant := largest_of(test.excess, test.count * beside) < FALSE)
+            broken |= (significant := largest_of(test.excess, test.count * beside) < FALSE_ALARM_RATE)
             place = test.single.reshape(len(frames), -1).argmax(axis=1)
             outliers.reshape(len(outliers), -1)[frames[significant], place[significant]] = True
         frames = frames[broken]
@@ -122,15 +126,15 @@ def without_these(
     outlying, instead, spread = np.zeros(value.shape, dtype=bool), value.copy(), np.zeros(value.shape)
     # σ may be wrong, and frames may differ together: the change of most readings from frame to frame is noise.
     seen = [_pair_scale(value[chosen], sigma[chosen]) for chosen in (unloaded, ~unloaded)]
-    scale = sigma * np.fmax(seen[0] if unloaded.sum() >= LEAST_FRAMES else seen[1], float(readings.sigma is not None))
+    scale = sigma * np.fmax(seen[0] if unloaded.sum() >= MIN_FRAMES else seen[1], float(readings.sigma is not None))
     most: float | Array = 1.0
     for chosen in (unloaded, ~unloaded):
-        if chosen.sum() >= LEAST_FRAMES:
+        if chosen.sum() >= MIN_FRAMES:
             detected = outliers_in_time(value[chosen], scale[chosen], most)
             outlying[chosen], instead[chosen], spread[chosen] = detected
-            most = np.maximum(SHARE, 2 * detected[0].mean(axis=(0, -2, -1), keepdims=True))
+            most = np.maximum(MAX_SHARE, 2 * detected[0].mean(axis=(0, -2, -1), keepdims=True))
         else:
-            most = SHARE
+            most = MAX_SHARE
     resting = np.broadcast_to(median(value[unloaded]) if unloaded.any() else np.nan, value.shape[1:])
     lies = unloaded.reshape(-1, *(1,) * resting.ndim)
     outlying &= lies | _alone_in_time(value, resting, ~unloaded)
@@ -162,7 +166,7 @@ def _replaced(readings: Readings, outlying: NDArray[np.bool_], instead: Array, s
 
 @dataclass(frozen=True, eq=False)
 class FramesBefore:
-    """The last frames of a stream, of which outliers are found as they come; the newest last, at most NEAREST.
+    """The last frames of a stream, of which outliers are found as they come; the newest last, at most WINDOW.
 
     A touch of one cell moves its row and its column where lines are tied by cells alone: there a single outlier shows
     from the frames before. Where a reading answers to its own cell only it does not, and readings stay as they are.
@@ -172,7 +176,7 @@ class FramesBefore:
 
     def after(self, readings: Readings) -> "FramesBefore":
         """Once a frame has come."""
-        return FramesBefore((*self.frames, readings)[-NEAREST:])
+        return FramesBefore((*self.frames, readings)[-WINDOW:])
 
     def without_outliers(
         self, readings: Readings, scene: Scene, resting: Readings, baseline: Array
@@ -185,7 +189,7 @@ class FramesBefore:
         count = int(impossible.sum())
         if count:
             readings = replace(readings, seen=np.where(impossible, 0.0, readings.seen))
-        if len(self.frames) < LEAST_FRAMES or readings.sigma is None or np.isnan(baseline).any():
+        if len(self.frames) < MIN_FRAMES or readings.sigma is None or np.isnan(baseline).any():
             return readings, count
         value = np.stack([frame.plain_values for frame in self.frames])
         scale = readings.sigma * np.fmax(_pair_scale(value, np.broadcast_to(readings.sigma, value.shape))[0], 1.0)
@@ -193,20 +197,20 @@ class FramesBefore:
         expected = middle[None], spread[None], np.ones((1, *middle.shape))
         with np.errstate(divide="ignore", invalid="ignore"):
             outlying = _stands_out(readings.plain_values[None], scale[None], expected)[0]
-        if not outlying.any() or outlying.mean() > SHARE:
+        if not outlying.any() or outlying.mean() > MAX_SHARE:
             return readings, count
         network = scene.circuit.network(baseline, scene.circuit.ties(resting.value), scene.wiring)
         for place in np.argwhere(outlying):  # would a load on this cell move its row or its column?
             step = np.zeros(scale.shape)
             step[*place] = 1.0
             moved = np.abs(network.forward(step)) / scale
-            outlying[*place] = ALONE * _beside(moved[None])[0][*place] > moved[*place]
+            outlying[*place] = MIN_RATIO_TO_LINES * _beside(moved[None])[0][*place] > moved[*place]
         return _replaced(readings, outlying, middle, spread), count + int(outlying.sum())
 
 
 def _from_window(value: Array, first: NDArray[np.intp], place: NDArray[np.intp], predict: Predictor) -> Expected:
     """Of frames first + place, each from the other frames of the window that begins at `first`."""
-    width = min(len(value), NEAREST + 1)
+    width = min(len(value), WINDOW + 1)
     within, target = first[:, None] + np.arange(width), first + place
     nearest = within[within != target[:, None]].reshape(len(first), width - 1).T
     return predict(value[nearest], nearest - target)
@@ -219,20 +223,20 @@ def _usual(
 
     value, expected : (frames, …). largest : multiple of σ that chance does not reach.
     """
-    frames, block = len(value), 2 * NEAREST  # errors are compared with those of a block before and one after
-    if frames - NEAREST - 1 < NEAREST:
+    frames, block = len(value), 2 * WINDOW  # errors are compared with those of a block before and one after
+    if frames - WINDOW - 1 < WINDOW:
         return np.zeros(value.shape, dtype=bool)
     place, usual = np.arange(frames) - first, np.zeros(value.shape)
-    middle, away = place == NEAREST // 2, np.nan_to_num(np.abs(value - expected))
+    middle, away = place == WINDOW // 2, np.nan_to_num(np.abs(value - expected))
     for begin in range(0, frames, block):
         around = slice(max(begin - block, 0), begin + 2 * block)
         usual[begin : begin + block] = median(away[around][middle[around]])
-    begins = np.arange(frames - NEAREST)
+    begins = np.arange(frames - WINDOW)
     for frame in np.flatnonzero(~middle):
         near = begins[np.argsort(np.abs(begins - first[frame]), kind="stable")[: 3 * block]]
         predicted, _, _ = _from_window(value, near, np.full(len(near), place[frame]), predict)
         usual[frame] = median(np.abs(value[near + place[frame]] - predicted))
-    usual = TO_SIGMA * np.nan_to_num(usual)
+    usual = MAD_TO_SIGMA * np.nan_to_num(usual)
     return np.asarray((usual > 0) & (away <= largest * usual))
 
 
@@ -240,7 +244,7 @@ def _by_median(beside: Array, offset: NDArray[np.intp]) -> Expected:
     """Return the median of the neighbours (neighbours, frames, …), with their scatter."""
     middle = median(beside)
     noise = np.sqrt(1 + np.pi / (2 * len(beside)))
-    return middle, TO_SIGMA * median(np.abs(beside - middle)), np.full(middle.shape, noise)
+    return middle, MAD_TO_SIGMA * median(np.abs(beside - middle)), np.full(middle.shape, noise)
 
 
 def _by_line(beside: Array, offset: NDArray[np.intp]) -> Expected:
@@ -259,10 +263,10 @@ def _stands_out(value: Array, scale: Array, expected: Expected) -> NDArray[np.bo
     """Return whether a reading is far from its prediction, while its row and its column are not."""
     middle, spread, noise = expected
     away = np.abs(value - middle)
-    far: NDArray[np.bool_] = away > np.fmax(FAR * noise * scale, STEADIER * spread)
+    far: NDArray[np.bool_] = away > np.fmax(OUTLIER_THRESHOLD * noise * scale, MIN_RATIO_TO_SCATTER * spread)
     some = far.any(axis=(-2, -1))  # frames of panels
     scale = np.broadcast_to(scale, away.shape)[some]
-    far[some] &= ~(away[some] <= ALONE * _beside(away[some] / scale) * scale)
+    far[some] &= ~(away[some] <= MIN_RATIO_TO_LINES * _beside(away[some] / scale) * scale)
     return far
 
 
@@ -274,7 +278,7 @@ def _beside(values: Array) -> Array:
 
 def median(values: Array) -> Array:
     """Over the first axis, NaN not counted; NaN where all are."""
-    if len(values) == NEAREST == 4:  # at a twentieth of the time that sorting takes
+    if len(values) == WINDOW == 4:  # at a twentieth of the time that sorting takes
         first, second, third, fourth = values
         inner = np.maximum(np.minimum(first, second), np.minimum(third, fourth))
         middle = np.asarray((inner + np.minimum(np.maximum(first, second), np.maximum(third, fourth))) / 2)
@@ -303,6 +307,6 @@ def _pair_scale(value: Array, sigma: Array) -> Array:
     if not difference.size:
         return np.full((1, *value.shape[1:-2], 1, 1), np.nan)
     if not np.isnan(difference).any():
-        return np.asarray(TO_SIGMA * np.median(difference, axis=over, keepdims=True))
+        return np.asarray(MAD_TO_SIGMA * np.median(difference, axis=over, keepdims=True))
     panels = np.moveaxis(difference, over, (0, 1, 2)).reshape(-1, *value.shape[1:-2])
-    return np.asarray(TO_SIGMA * _median_of_numbers(panels))[None, ..., None, None]
+    return np.asarray(MAD_TO_SIGMA * _median_of_numbers(panels))[None, ..., None, None]

@@ -13,7 +13,7 @@ from typing import Any, Literal, get_args, get_origin, get_type_hints
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.estimate.outliers import FAR
+from lampest.estimate.outliers import OUTLIER_THRESHOLD
 from lampest.files.errors import InputError
 from lampest.files.typed import members_of
 from lampest.panel.panel import Array
@@ -33,9 +33,9 @@ CALLED = {
 }
 # Of a resistance: beyond, what a divider makes of Gaussian volts is no longer nearly Gaussian. σ of a mean by which the
 # same curvature may shift it.
-LARGEST_NOISE, LARGEST_SHIFT = 0.05, 0.1
-MOVED = 0.01  # of a reading, or of log r: by so much loads and common errors change it at least
-ALIKE = 0.01  # tail of χ² of the difference of two frames, above which they are taken for the same
+MAX_RELATIVE_NOISE, MAX_SHIFT = 0.05, 0.1
+MIN_CHANGE = 0.01  # of a reading, or of log r: by so much loads and common errors change it at least
+MIN_TAIL = 0.01  # tail of χ² of the difference of two frames, above which they are taken for the same
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +83,7 @@ class Rival:
         sigma = self.readings().sigma
         if self.scene.circuit.unit != "ohm" or sigma is None:
             return np.ones(self.recorded.shape)
-        most = min(LARGEST_NOISE, LARGEST_SHIFT / np.sqrt(frames))
+        most = min(MAX_RELATIVE_NOISE, MAX_SHIFT / np.sqrt(frames))
         return np.where(sigma <= most * self.recorded, 1.0, 0.0)
 
 
@@ -168,7 +168,7 @@ def changes_beyond_noise(scene: Scene, readings: Readings, role: NDArray[np.uint
         return np.zeros((0, *scene.panel.shape))
     resting, values = readings[unloaded].mean().value, readings[measured].plain_values
     change = np.log(scene.circuit.apparent_resistance(values) / scene.circuit.apparent_resistance(resting))
-    beyond = (np.abs(values - resting) > FAR * readings.sigma[measured]) & (np.abs(change) > MOVED)
+    beyond = (np.abs(values - resting) > OUTLIER_THRESHOLD * readings.sigma[measured]) & (np.abs(change) > MIN_CHANGE)
     return np.where(beyond, change, 0.0)
 
 
@@ -217,6 +217,6 @@ def standing_frames(readings: Readings, frame: int, others: NDArray[np.intp], no
     plain = readings.plain & readings.plain[frame]
     spread = noise * np.hypot(readings.sigma, readings.sigma[frame])
     square = np.where(plain, (readings.value - readings.value[frame]) / spread, 0.0) ** 2
-    alike = chi_square_tail(square.sum(axis=(1, 2)), np.maximum(plain.sum(axis=(1, 2)), 1)) >= ALIKE
+    alike = chi_square_tail(square.sum(axis=(1, 2)), np.maximum(plain.sum(axis=(1, 2)), 1)) >= MIN_TAIL
     standing: NDArray[np.intp] = others[alike[others] | (others == frame)]
     return standing

@@ -9,16 +9,20 @@ from math import ceil, lgamma, log
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.estimate.outliers import FAR
+from lampest.estimate.outliers import OUTLIER_THRESHOLD
 from lampest.files.levels import NOISE_REACH
 from lampest.panel.panel import Array
 from lampest.recording.readings import Readings
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
 
-NEAR = 8.0 / 3.0  # of the width of voltages that count as the same: so far beyond, fewer channels end than at one
-SPREAD = 10.0  # of that width: over so much the other channels extend at least, else all are alike
-CHANCE = 2.5e-4  # an accident at the end of evenly spread channels is rarer; looked for at four ends: one in a thousand
-SEVERAL = 1 + ceil(log(CHANCE) / log(1 / SPREAD))  # channels: an accident of fewer is never so rare
+NEIGHBOUR_WIDTH = (
+    8.0 / 3.0
+)  # of the width of voltages that count as the same: so far beyond, fewer channels end than at one
+MIN_EXTENT = 10.0  # of that width: over so much the other channels extend at least, else all are alike
+MAX_PROBABILITY = (
+    2.5e-4  # an accident at the end of evenly spread channels is rarer; looked for at four ends: one in a thousand
+)
+MIN_CHANNELS = 1 + ceil(log(MAX_PROBABILITY) / log(1 / MIN_EXTENT))  # channels: an accident of fewer is never so rare
 
 
 @dataclass(frozen=True)
@@ -66,15 +70,15 @@ def saturated(recording: Recording) -> Saturated | None:
         volt = np.where(plain, sign * every, np.nan)
         resting = _largest(volt[unloaded])
         most = _largest(volt[measured]) if measured.any() else resting
-        moved = np.nan_to_num(most - resting, nan=0.0) > FAR * width
+        moved = np.nan_to_num(most - resting, nan=0.0) > OUTLIER_THRESHOLD * width
         for channels, others in ((most, moved), (resting, np.isfinite(resting))):
             end = float(np.nanmax(channels, initial=-np.inf))
             below = np.where(others, end - channels, np.inf)
-            piled, near = below <= width, (below > width) & (below <= NEAR * width)
-            apart = end - float(np.nanmin(channels, initial=end)) > SPREAD * float(np.mean(width))
+            piled, near = below <= width, (below > width) & (below <= NEIGHBOUR_WIDTH * width)
+            apart = end - float(np.nanmin(channels, initial=end)) > MIN_EXTENT * float(np.mean(width))
             lines = min(int(piled.any(axis=axis).sum()) for axis in (0, 1))
-            several, around = int(piled.sum()), int((below <= SPREAD * width).sum())
-            rare = several >= SEVERAL and _by_chance(several, around) < CHANCE
+            several, around = int(piled.sum()), int((below <= MIN_EXTENT * width).sum())
+            rare = several >= MIN_CHANNELS and _by_chance(several, around) < MAX_PROBABILITY
             if apart and lines > 1 and rare and several > near.sum():
                 level = float(np.median(volt[np.broadcast_to(piled, volt.shape) & (end - volt <= 2 * width)]))
                 resting_too = int((np.abs(resting - level) <= width).sum())
@@ -92,11 +96,11 @@ def as_passed(recording: Recording) -> Recording:
 
 
 def _by_chance(several: int, around: int) -> float:
-    """P that of channels evenly spread over SPREAD widths so many are in the first, where the last one is: binomial."""
+    """Return the binomial probability that so many of the channels, evenly spread over MIN_EXTENT, lie in the first."""
     others = around - 1
     ways = [lgamma(others + 1) - lgamma(n + 1) - lgamma(others - n + 1) for n in range(several - 1, around)]
     outside = others - np.arange(several - 1, around)
-    return float(np.sum(np.exp(ways + outside * log(SPREAD - 1) - others * log(SPREAD))))
+    return float(np.sum(np.exp(ways + outside * log(MIN_EXTENT - 1) - others * log(MIN_EXTENT))))
 
 
 def _may_pile(volt: Array, width: Array) -> bool:
@@ -106,7 +110,10 @@ def _may_pile(volt: Array, width: Array) -> bool:
     ends = np.fmax.reduce(volt, axis=0)
     with np.errstate(invalid="ignore"):
         below = np.nanmax(ends, initial=-np.inf) - ends
-    return bool((below <= NEAR * width).sum() >= SEVERAL and np.nanmax(below, initial=0.0) > SPREAD * np.mean(width))
+    return bool(
+        (below <= NEIGHBOUR_WIDTH * width).sum() >= MIN_CHANNELS
+        and np.nanmax(below, initial=0.0) > MIN_EXTENT * np.mean(width)
+    )
 
 
 def _differ(volt: Array, width: float) -> NDArray[np.bool_]:

@@ -1,8 +1,8 @@
 """Variance components of unloaded repeats: what a frame shares, what a scanned line shares, and each reading's own.
 
 Deviations are in units of the specified σ, channel by channel, so that an offset of volts is a constant of them, and a
-frame's gain a multiple of the voltages. Each part is kept where χ² of it, against the noise, has a tail below LEVEL;
-its variance is that of its deviations, less the noise's, times ν/(ν − 2), as of Student's t.
+frame's gain a multiple of the voltages. Each part is kept where χ² of it, against the noise, has a tail below
+SIGNIFICANCE; its variance is that of its deviations, less the noise's, times ν/(ν − 2), as of Student's t.
 """
 
 from dataclasses import dataclass
@@ -14,16 +14,16 @@ from lampest.posterior.interval import chi_square_tail
 from lampest.recording.readings import Readings
 from lampest.recording.recording import Recording
 
-LEVEL = 1e-3  # of each of three tests: one clean recording in 300 gets a part that it has not
-LEAST_FACTOR = 1.25  # of the noise: a smaller excess changes no verdict, and films that creep have it too
-FARTHEST = 3.0  # widths of Tracy and Widom's law beyond the edge: noise alone goes there once in thousands
-ENOUGH = 1.5  # samples for each channel, below which the smallest eigenvalues of noise come near zero
+SIGNIFICANCE = 1e-3  # of each of three tests: one clean recording in 300 gets a part that it has not
+MIN_EXCESS = 1.25  # of the noise: a smaller excess changes no verdict, and films that creep have it too
+EDGE_WIDTHS = 3.0  # widths of Tracy and Widom's law beyond the edge: noise alone goes there once in thousands
+MIN_SAMPLES_PER_CHANNEL = 1.5  # samples for each channel, below which the smallest eigenvalues of noise come near zero
 NORMAL_MEDIAN = 0.6745  # of the size of a standard normal variable
 MEDIAN_EFFICIENCY = 0.37  # of the median size as an estimate of σ, as a share of the readings (Hampel, 1974)
 PAIR_MEDIAN = 0.7960  # of the root mean square of two differences that share a frame, over √2 σ (by simulation)
-AT_REST = 1.25  # first differences over second ones: noise alone has 1.00 ± 0.06 with 100 readings
-QUIETEST = 0.25  # of the triples: loads that come and go make the others restless
-UNSURE = 2.0  # standard deviations by which the mean of the other eigenvalues may tell noise too small
+MAX_REST_RATIO = 1.25  # first differences over second ones: noise alone has 1.00 ± 0.06 with 100 readings
+QUIET_SHARE = 0.25  # of the triples: loads that come and go make the others restless
+EIGENVALUE_MARGIN = 2.0  # standard deviations by which the mean of the other eigenvalues may tell noise too small
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,9 +86,9 @@ def repeated_scatter(measured: Readings) -> Scatter | None:
     if not enough.any():
         return None
     of_second, of_first = (np.nanmedian(size[enough], axis=(1, 2)) for size in (second, first))
-    calmest = np.argsort(of_second)[: max(1, round(QUIETEST * len(of_second)))]
+    calmest = np.argsort(of_second)[: max(1, round(QUIET_SHARE * len(of_second)))]
     quiet, moving = float(of_second[calmest].mean()) / NORMAL_MEDIAN, float(of_first[calmest].mean()) / PAIR_MEDIAN
-    if quiet > 1 and moving > AT_REST * quiet:
+    if quiet > 1 and moving > MAX_REST_RATIO * quiet:
         return None
     nothing, count = np.zeros((1, 0)), int(np.isfinite(second[enough]).sum() / enough.sum() * MEDIAN_EFFICIENCY)
     return Scatter(quiet, max(count, 1), 0.0, nothing, nothing)
@@ -129,7 +129,7 @@ def scatter(deviation: Array, loudness: Array, repeats: int) -> Scatter:
 
 
 def _beyond_noise(squares: float, degrees: int) -> bool:
-    return degrees > 0 and bool(chi_square_tail(squares, degrees) < LEVEL)
+    return degrees > 0 and bool(chi_square_tail(squares, degrees) < SIGNIFICANCE)
 
 
 def _shrunk(sizes: Array, repeats: int) -> tuple[Array, float]:
@@ -148,16 +148,16 @@ def _patterns(rows: Array, freedom: float) -> tuple[float, Array]:
     """(variance of noise, root (channels, n) of the covariance beyond it) of rows (samples, channels).
 
     One direction after the other is taken off while it is stronger than the mean of all others lets noise be:
-    (√n + √p)²/n and FARTHEST times its width; source: Johnstone, Annals of Statistics 29(2), 2001.
+    (√n + √p)²/n and EDGE_WIDTHS times its width; source: Johnstone, Annals of Statistics 29(2), 2001.
     """
     channels = rows.shape[1]
     size, direction = np.linalg.eigh(rows.T @ rows / freedom)
     first, second = np.sqrt(freedom), np.sqrt(channels)
     width = (first + second) * (1 / first + 1 / second) ** (1 / 3)
-    unsure = 1 + UNSURE * np.sqrt(2 / (freedom * max(channels - 1, 1)))
-    edge = unsure * ((first + second) ** 2 + FARTHEST * width) / freedom
+    unsure = 1 + EIGENVALUE_MARGIN * np.sqrt(2 / (freedom * max(channels - 1, 1)))
+    edge = unsure * ((first + second) ** 2 + EDGE_WIDTHS * width) / freedom
     strong = 0
-    for strong in range(channels if freedom >= ENOUGH * channels else 0):
+    for strong in range(channels if freedom >= MIN_SAMPLES_PER_CHANNEL * channels else 0):
         others = size[: channels - strong - 1]
         if not len(others) or size[channels - strong - 1] <= edge * others.mean():
             break

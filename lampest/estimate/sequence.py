@@ -16,7 +16,7 @@ from lampest.estimate.estimates import Estimates
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.modules import begin_stream
 from lampest.estimate.noise import NoiseSeen
-from lampest.estimate.outliers import NEAREST
+from lampest.estimate.outliers import WINDOW
 from lampest.estimate.prepared import Prepared
 from lampest.estimate.state import CarriedOver, Step
 from lampest.estimate.stream import Stream
@@ -30,8 +30,10 @@ from lampest.recording.recording import MEASURED, UNLOADED, Recording
 from lampest.recording.stored import StoredRecording, first_unloaded, measured_part, of_parts, only_frames
 from lampest.solvers.solution import Status
 
-LEAD = 500  # unloaded frames, and measured ones around the strongest, that tell of the noise; no more than a part has
-OPENING = 10  # first frames that stand for the unloaded ones where there are none, if enough of one can be read
+LEAD_FRAMES = (
+    500  # unloaded frames, and measured ones around the strongest, that tell of the noise; no more than a part has
+)
+OPENING_FRAMES = 10  # first frames that stand for the unloaded ones where there are none, if enough of one can be read
 
 
 def default_terms(recording: Recording) -> tuple[Term, ...]:
@@ -289,7 +291,7 @@ class Parts:
 
     def _part(self, frames: range) -> MeasuredPart | None:
         """Return the measured ones of some frames, with the lead; None without any."""
-        part = measured_part(self.stored, frames, NEAREST)
+        part = measured_part(self.stored, frames, WINDOW)
         if part is None:
             return None
         recording = of_parts((self.lead, part))
@@ -328,13 +330,13 @@ def asked_frames(stored: StoredRecording) -> tuple[Recording, Prepared]:
 
     It reads the whole recording once.
     """
-    lead = first_unloaded(stored, min(LEAD, stored.length))
+    lead = first_unloaded(stored, min(LEAD_FRAMES, stored.length))
     if lead is None:
-        lead = only_frames(opening := stored.part(range(min(OPENING, stored.frames))), opening.role == MEASURED)
+        lead = only_frames(opening := stored.part(range(min(OPENING_FRAMES, stored.frames))), opening.role == MEASURED)
     resting = resting_readings(lead, lead.readings())
     best: tuple[float, int] = (-1.0, -1)
     for frames in stored.blocks():
-        part = measured_part(stored, frames, NEAREST)
+        part = measured_part(stored, frames, WINDOW)
         if part is None:
             continue
         recording = of_parts((lead, part))
@@ -347,7 +349,7 @@ def asked_frames(stored: StoredRecording) -> tuple[Recording, Prepared]:
         best = max(best, (float(size[at]), int(recording.number[own[at]])))
     if best[1] < 0:
         raise InputError(f"{stored.path}: no frame is measured (role 1)")
-    around = stored.part(range(best[1], best[1] + 1), min(LEAD // 2, stored.length))
+    around = stored.part(range(best[1], best[1] + 1), min(LEAD_FRAMES // 2, stored.length))
     return lead, Prepared(of_parts((lead, only_frames(around, around.role == MEASURED))))
 
 

@@ -19,7 +19,7 @@ from lampest.recording.readings import Readings
 from lampest.solvers.solution import Solution, Status, blank
 
 NO_DUAL = np.zeros(0)  # of a cost without absolute losses
-UNKNOWN = 10.0  # standard deviation of log r0 where nothing is known of it
+UNKNOWN_SD = 10.0  # standard deviation of log r0 where nothing is known of it
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,8 +13,8 @@ import numpy as np
 
 from lampest.cost.given import Background
 from lampest.cost.problem import Data
-from lampest.estimate.cells_fit import CREEP, FIT, LEVEL, MOST_CELLS, TOGETHER, CellsFit, cells_alone, fitted
-from lampest.estimate.changed_cells import FEWEST, Chosen, apart_from_moved, selected
+from lampest.estimate.cells_fit import COMMON_SD, CREEP_SD, FIT, MAX_CELLS, SIGNIFICANCE, CellsFit, cells_alone, fitted
+from lampest.estimate.changed_cells import MIN_STILL_SHARE, Chosen, apart_from_moved, selected
 from lampest.panel.least_squares import SumOfSquares
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene, Systematic
@@ -22,16 +22,23 @@ from lampest.panel.systematic import Possible, hidden_columns, recorded_share
 from lampest.posterior.frame_noise import FrameNoise
 from lampest.recording.readings import Readings
 
-ERRORS = np.geomspace(2.5e-4, 0.2, 30)  # of a reading's own that are tried, with equal odds for equal ratios
-SCATTERS = (0.03, 0.1, 0.2, 0.4)  # of unloaded cells: films of one batch scatter by a tenth, worn ones by 0.4
-GAIN = 15.0  # −2 log likelihood that an error of its own must gain: a cell that moved a little gains 8 to 12
-SURE = 6.6  # −2 log likelihood gained by chosen cells: χ² with one degree of freedom, once in a hundred
-HINT = 0.5  # the same, from which on bars allow for what may be chance: where nothing is, one in four is so large
-LARGER = 4.0  # the same, of a larger one, once something of the kind is there: two standard deviations
-CLEARLY = 4.0  # σ of a change that noise does not make
-LINEAR = 0.15  # of log r: so large an error moves cells by more than one per cent beside the straight line
-LOADED = 3 * LINEAR  # of log r: so far a load moves a cell, and no error that is small enough for linear theory
-SMOOTH, REACH = 0.3, 1.5  # of log r, and in cells: a skirt that a load has around it, or a load that covers many cells
+READING_ERRORS = np.geomspace(2.5e-4, 0.2, 30)  # of a reading's own that are tried, with equal odds for equal ratios
+CELL_SCATTERS = (0.03, 0.1, 0.2, 0.4)  # of unloaded cells: films of one batch scatter by a tenth, worn ones by 0.4
+MIN_ERROR_GAIN = 15.0  # −2 log likelihood that an error of its own must gain: a cell that moved a little gains 8 to 12
+SIGNIFICANT_GAIN = 6.6  # −2 log likelihood gained by chosen cells: χ² with one degree of freedom, once in a hundred
+MIN_HINT_GAIN = (
+    0.5  # the same, from which on bars allow for what may be chance: where nothing is, one in four is so large
+)
+LARGER_ERROR_GAIN = 4.0  # the same, of a larger one, once something of the kind is there: two standard deviations
+CHANGE_THRESHOLD = 4.0  # σ of a change that noise does not make
+LINEAR_LIMIT = 0.15  # of log r: so large an error moves cells by more than one per cent beside the straight line
+LOADED_CHANGE = (
+    3 * LINEAR_LIMIT
+)  # of log r: so far a load moves a cell, and no error that is small enough for linear theory
+SKIRT_SD, SKIRT_CELLS = (
+    0.3,
+    1.5,
+)  # of log r, and in cells: a skirt that a load has around it, or a load that covers many cells
 
 
 def errors_left_possible(
@@ -45,27 +52,27 @@ def errors_left_possible(
     def at_least(size: float) -> Systematic:
         return replace(sizes, reading_error=max(sizes.reading_error or 0.0, size) or None)
 
-    if resting.sigma is None or resting.value.size > MOST_CELLS:
+    if resting.sigma is None or resting.value.size > MAX_CELLS:
         return None
     fit = fitted(scene, resting, patient=True)
-    if fit is None or fit.tail < LEVEL:
+    if fit is None or fit.tail < SIGNIFICANCE:
         return Possible(at_least(_mean_square(_unloaded_costs(scene, resting))), None)
     moves, shape = Moves.of(scene, fit, frames, sizes, noise), resting.value.shape
     if moves is None:
         return None
     smoothed = replace(moves, noise=moves.noise + _smooth_loads(shape, len(frames.value)))
     size, still = _own_error(smoothed, shape)
-    apart, sure, linear = apart_from_moved(still, shape), size > 0, LINEAR / moves.reach
+    apart, sure, linear = apart_from_moved(still, shape), size > 0, LINEAR_LIMIT / moves.reach
     if sure:
         costs = _unloaded_costs(scene, resting)
-        larger = size < ERRORS[np.argmin(costs)] and np.interp(size, ERRORS, costs) > LARGER
+        larger = size < READING_ERRORS[np.argmin(costs)] and np.interp(size, READING_ERRORS, costs) > LARGER_ERROR_GAIN
         if size > linear or larger:
             return Possible(at_least(max(_mean_square(costs), min(size, linear))), None)
     else:  # an error that still cells make likelier than none, though that may be chance
         hint, gained = _size_of(smoothed, apart)
-        size = hint if gained > HINT and hint <= linear else 0.0
+        size = hint if gained > MIN_HINT_GAIN and hint <= linear else 0.0
     assumed = at_least(size)
-    root = None if still.mean() < FEWEST else _possible(moves, assumed.reading_error or 0.0, shape)
+    root = None if still.mean() < MIN_STILL_SHARE else _possible(moves, assumed.reading_error or 0.0, shape)
     return Possible(assumed, root, sure)
 
 
@@ -126,7 +133,7 @@ class Moves:
         covariance = np.tile(base[0], (count, count))
         for number, (error, *_) in enumerate(parts):
             part = slice(number * size, (number + 1) * size)
-            covariance[part, part] += error + CREEP**2 * np.eye(size) + TOGETHER**2
+            covariance[part, part] += error + CREEP_SD**2 * np.eye(size) + COMMON_SD**2
         hidden, own, known = (np.vstack(columns) for columns in list(zip(*parts, strict=True))[1:])
         reach = float(np.median(np.linalg.norm(base[2], axis=1)))
         return cls(np.concatenate(change), covariance + known @ known.T, hidden, own, reach)
@@ -150,7 +157,7 @@ class Moves:
         begun = away <= np.median(away) if begun is None else begun
         precision = np.linalg.inv(self.covariance(size))
         slope = precision @ self.change
-        score, moved = selected(slope, precision, [~begun], np.abs(self.change) >= LOADED)
+        score, moved = selected(slope, precision, [~begun], np.abs(self.change) >= LOADED_CHANGE)
         return score + float(self.change @ slope - np.linalg.slogdet(precision)[1]), ~moved
 
 
@@ -158,22 +165,22 @@ def _smooth_loads(shape: tuple[int, ...], frames: int) -> Array:
     """(n, n) covariance of changes of log r of a load's skirt: smooth from cell to cell, free in every frame."""
     row, column = (index.ravel() for index in np.indices(shape))
     square = (row[:, None] - row) ** 2 + (column[:, None] - column) ** 2
-    return np.kron(np.eye(frames), SMOOTH**2 * np.exp(-square / (2 * REACH**2)))
+    return np.kron(np.eye(frames), SKIRT_SD**2 * np.exp(-square / (2 * SKIRT_CELLS**2)))
 
 
 def _own_error(moves: Moves, shape: tuple[int, ...]) -> tuple[float, Chosen]:
     """(e, which cells stand still): 0 unless it gains with cells chosen anew for each size, and with the last ones."""
-    sizes = (0.0, *(size for size in ERRORS[2::2] if size * moves.reach <= LINEAR))
+    sizes = (0.0, *(size for size in READING_ERRORS[2::2] if size * moves.reach <= LINEAR_LIMIT))
     costs, begun = dict[float, tuple[float, Chosen]](), None
     for size in sizes:  # the cells that stand still change little from size to size
         costs[size] = moves.still(size, begun)
         begun = costs[size][1]
     size = min(costs, key=lambda size: costs[size][0])
-    if costs[size][0] <= costs[0.0][0] - GAIN:
+    if costs[size][0] <= costs[0.0][0] - MIN_ERROR_GAIN:
         for _ in range(3):
-            _, still = moves.still(min(size, LINEAR / moves.reach))
+            _, still = moves.still(min(size, LINEAR_LIMIT / moves.reach))
             size, gained = _size_of(moves, apart_from_moved(still, shape))
-        if gained > SURE:
+        if gained > SIGNIFICANT_GAIN:
             return size, still
     return 0.0, costs[0.0][1]
 
@@ -184,15 +191,15 @@ def _size_of(moves: Moves, still: Chosen) -> tuple[float, float]:
     lower = np.linalg.cholesky(moves.covariance(0.0)[np.ix_(still, still)])
     own, change = (np.linalg.solve(lower, values[still]) for values in (moves.own, moves.change))
     grown, turned = np.linalg.eigh(own @ own.T)
-    grows = 1 + np.square(ERRORS)[:, None] * np.maximum(grown, 0.0)
+    grows = 1 + np.square(READING_ERRORS)[:, None] * np.maximum(grown, 0.0)
     costs = np.sum((turned.T @ change) ** 2 / grows + np.log(grows), axis=1)
     return _mean_square(costs), float(change @ change) - float(costs.min())
 
 
 def _mean_square(costs: Array) -> float:
-    """√E[e²] from −2 log likelihoods of ERRORS: larger than the likeliest where the size is uncertain."""
+    """√E[e²] from −2 log likelihoods of READING_ERRORS: larger than the likeliest where the size is uncertain."""
     odds = np.exp(-(costs - costs.min()) / 2)
-    return float(np.sqrt(odds @ np.square(ERRORS) / odds.sum()))
+    return float(np.sqrt(odds @ np.square(READING_ERRORS) / odds.sum()))
 
 
 def _possible(moves: Moves, size: float, shape: tuple[int, ...]) -> Array:
@@ -216,14 +223,14 @@ def _steadied(scene: Scene, fit: CellsFit, near: Array, error: Array) -> CellsFi
     """Return the fit with cells that did not clearly move where they were, and the readings that these would give."""
     change = np.log(fit.cells / near)
     middle = np.median(change)
-    moved = np.abs(change - middle) > CLEARLY * np.sqrt(2 * np.diag(error)).reshape(change.shape)
+    moved = np.abs(change - middle) > CHANGE_THRESHOLD * np.sqrt(2 * np.diag(error)).reshape(change.shape)
     data = cells_alone().data(fit.readings.alone(), Background(scene))
     network = data.network(0, np.where(moved, fit.cells, near * np.exp(middle)))
     return CellsFit.at(data, replace(fit.readings, value=network.reading()), network)
 
 
 def _unloaded_costs(scene: Scene, resting: Readings) -> Array:
-    """−2 log likelihood of ERRORS, the least of them 0: unloaded cells scatter about one value, log r ~ N(μ, s²).
+    """Return −2 log likelihood of READING_ERRORS, the least of them 0, where unloaded cells are log r ~ N(μ, s²).
 
     About the most probable u, where t = y − f(u) + J u, readings are linear in the cells. With τ² = σ² + (e y')², where
     y' is the reading's derivative by its recorded value's logarithm, and AAᵀ = QΛQᵀ of A = J/τ,
@@ -235,15 +242,15 @@ def _unloaded_costs(scene: Scene, resting: Readings) -> Array:
     """
     assert resting.sigma is not None
     data, plain = cells_alone().data(resting.alone(), Background(scene)), resting.plain.ravel()
-    share, scatters = np.abs(recorded_share(resting.value, scene)), np.square(SCATTERS)[:, None]
-    cells, costs = np.log(data.uniform_start[0]), np.zeros((1, len(SCATTERS)))
-    for errors, before in ((ERRORS[1::4], ERRORS[-1:]), (ERRORS, ERRORS[1::4])):
+    share, scatters = np.abs(recorded_share(resting.value, scene)), np.square(CELL_SCATTERS)[:, None]
+    cells, costs = np.log(data.uniform_start[0]), np.zeros((1, len(CELL_SCATTERS)))
+    for errors, before in ((READING_ERRORS[1::4], READING_ERRORS[-1:]), (READING_ERRORS, READING_ERRORS[1::4])):
         row, column = np.unravel_index(np.argmin(costs), costs.shape)
         deviation = np.where(resting.plain, np.hypot(resting.sigma, before[row] * share), np.inf)
-        cells, jacobian = _most_probable(data, resting.value, deviation, SCATTERS[column], cells)
+        cells, jacobian = _most_probable(data, resting.value, deviation, CELL_SCATTERS[column], cells)
         missed = resting.value - data.network(0, np.exp(cells)).reading()
         target = missed.ravel() + jacobian @ cells.ravel()
-        costs = np.empty((len(errors), len(SCATTERS)))
+        costs = np.empty((len(errors), len(CELL_SCATTERS)))
         for number, error in enumerate(errors):
             tau = np.hypot(resting.sigma, error * share).ravel()[plain]
             scaled = jacobian[plain] / tau[:, None]

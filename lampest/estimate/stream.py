@@ -18,7 +18,9 @@ from lampest.recording.readings import Readings, mean_change
 from lampest.solvers.projected_newton import ProjectedNewton
 from lampest.solvers.solution import Status
 
-STRONGER = 1.1  # times the change at which weights were chosen before: a load that settles does not choose them again
+MIN_INCREASE = (
+    1.1  # times the change at which weights were chosen before: a load that settles does not choose them again
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,7 +139,7 @@ class Stream(SequenceState):
 
     def due(self, readings: Readings) -> bool:
         """Whether weights that the data of the strongest frame choose are to be chosen anew by a frame."""
-        return self.chooses and self.change(readings) > STRONGER * self.weighed_at
+        return self.chooses and self.change(readings) > MIN_INCREASE * self.weighed_at
 
     def choosing(self, readings: Readings) -> bool:
         """Whether a frame, of which enough was read, chooses the weights that the data of the strongest one choose."""

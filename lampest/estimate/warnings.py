@@ -9,14 +9,16 @@ from lampest.estimate.model_check import ModelCheck, module_factors
 from lampest.estimate.noise import NoiseSeen
 from lampest.estimate.nuisances import TAKEN_OFF
 from lampest.estimate.rivals import changes_beyond_noise
-from lampest.estimate.saturation import SEVERAL, saturated
+from lampest.estimate.saturation import MIN_CHANNELS, saturated
 from lampest.loads.recognition.watch import UNEVENLY
 from lampest.recording.readings import Readings
 from lampest.recording.recording import UNLOADED, Recording
 
-STEPS = 16  # of the converter: a median reading that close to a rail is known to 6 % at best
-OWN = "is its reference, series resistance or film another one? The scene's `modules` says what a module has of its own"
-QUIET, LOUD = 0.1, 10.0  # of the specified noise: no converter is specified so badly, units are
+MIN_STEPS_FROM_RAIL = 16  # of the converter: a median reading that close to a rail is known to 6 % at best
+MODULE_HINT = (
+    "is its reference, series resistance or film another one? The scene's `modules` says what a module has of its own"
+)
+MIN_NOISE_FACTOR, MAX_NOISE_FACTOR = 0.1, 10.0  # of the specified noise: no converter is specified so badly, units are
 
 
 @np.errstate(all="ignore")
@@ -70,7 +72,7 @@ def _unit(recording: Recording, readings: Readings) -> str:
         recorded = np.where(readings.plain, recorded, np.nan)
     volt = float(np.nanmedian(circuit.volt_from_recorded(recorded)))
     steps = min(volt, readout.full_scale_volt - volt) / readout.lsb_volt
-    if steps >= STEPS:
+    if steps >= MIN_STEPS_FROM_RAIL:
         return ""
     return (
         f"the median reading, {np.nanmedian(recorded):.3g} {circuit.unit}, is {max(steps, 0.0):.2g} "
@@ -88,7 +90,7 @@ def _modules(recording: Recording, readings: Readings) -> tuple[str, ...]:
     for number, factor in factors.items():
         stuck = "every reading is at a rail of the converter, or beyond: is it connected?"
         unread = stuck if sides[:, number].any() else "no reading is a value: is it connected?"
-        differs = f"readings at rest are {factor:.3g} times those of the other modules: {OWN}"
+        differs = f"readings at rest are {factor:.3g} times those of the other modules: {MODULE_HINT}"
         text = "dead, as the scene says" if number in dead else differs if np.isfinite(factor) else unread
         groups.setdefault(text, []).append(number)
     named = {text: ", ".join(str(list(layout.place(n))) for n in numbers) for text, numbers in groups.items()}
@@ -98,7 +100,12 @@ def _modules(recording: Recording, readings: Readings) -> tuple[str, ...]:
 def _scatter(recording: Recording, noise: NoiseSeen) -> str:
     """Noise that no converter of the scene's kind has."""
     readout = recording.scene.readout
-    if readout is None or not readout.noise_told or QUIET <= noise.factor <= LOUD or np.isnan(noise.factor):
+    if (
+        readout is None
+        or not readout.noise_told
+        or MIN_NOISE_FACTOR <= noise.factor <= MAX_NOISE_FACTOR
+        or np.isnan(noise.factor)
+    ):
         return ""
     return (
         f"readings at rest scatter {noise.factor:.2g} times as much as the scene's converter does: are units, "
@@ -109,7 +116,7 @@ def _scatter(recording: Recording, noise: NoiseSeen) -> str:
 def _less_load(recording: Recording, readings: Readings) -> str:
     """Where readings show less load than the unloaded frames alone: a load on these, or a circuit read in reverse."""
     circuit, change = recording.scene.circuit, changes_beyond_noise(recording.scene, readings, recording.role)
-    if (change > 0).any(axis=0).sum() < SEVERAL or (change < 0).any():
+    if (change > 0).any(axis=0).sum() < MIN_CHANNELS or (change < 0).any():
         return ""
     words = [
         f", or is it readout.{name}: {word}"

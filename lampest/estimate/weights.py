@@ -29,7 +29,7 @@ from lampest.posterior.linear import LinearModel
 from lampest.posterior.reference import MAX_CELLS, Reference, references
 from lampest.posterior.sampled import SampledErrors
 from lampest.posterior.spectrum import Spectrum, best_weight
-from lampest.posterior.track import MOST_DENSE
+from lampest.posterior.track import MAX_DENSE
 from lampest.solvers.multistart import BROKEN, best_solution, convex, evaluated
 from lampest.solvers.projected_newton import ProjectedNewton
 from lampest.solvers.solution import Settings
@@ -63,7 +63,7 @@ def with_chosen_weights(
     alike = tuple(further for further in others if further.partial == data.partial)
     search = WeightSearch(cost, (data, *alike), estimator.solver)
     first = convex(data, near) if near is None else near
-    small = data.measured[0].size <= MAX_CELLS and data.measured.size <= MOST_DENSE
+    small = data.measured[0].size <= MAX_CELLS and data.measured.size <= MAX_DENSE
     rule = estimator.auto_weight.rule or ("risk" if small else "evidence")
     if rule == "evidence" and not data.noise_known:
         reason = "auto_weight.rule: evidence" if estimator.auto_weight.rule else "weight: auto of a large panel"

@@ -26,8 +26,8 @@ from lampest.files.whole import note_read
 MAX_DEPTH = 50  # nested brackets: the parser's time grows with the square (tests/fuzz)
 MAX_SIZE = 100_000  # bytes of a text, parsed within 4 s, and values of a document (tests/fuzz)
 # Range of physical quantities in any unit: numbers beyond it lose their digits when they are squared.
-SMALLEST, LARGEST = 1e-30, 1e30
-NO_MEASURE = f"must be zero or lie between {SMALLEST:g} and {LARGEST:g}, whatever its sign"
+MIN_NUMBER, MAX_NUMBER = 1e-30, 1e30
+NO_MEASURE = f"must be zero or lie between {MIN_NUMBER:g} and {MAX_NUMBER:g}, whatever its sign"
 WITHOUT_UNIT = ("seed",)  # keys of numbers that are no physical quantity
 SHOULD_BE = "Input should be "
 UNKNOWN = "no such key"
@@ -214,7 +214,11 @@ def _out_of_range(content: Any, place: tuple[int | str, ...]) -> Iterator[tuple[
     elif isinstance(content, list | tuple):
         for index, value in enumerate(content):
             yield from _out_of_range(value, (*place, index))
-    elif isinstance(content, int | float) and abs(content) not in (0, inf) and not SMALLEST <= abs(content) <= LARGEST:
+    elif (
+        isinstance(content, int | float)
+        and abs(content) not in (0, inf)
+        and not MIN_NUMBER <= abs(content) <= MAX_NUMBER
+    ):
         yield place
 
 

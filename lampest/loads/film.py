@@ -32,26 +32,26 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lampest.panel.panel import Array
-from lampest.panel.response import MOST_CREEP, PUBLISHED, VACUUM_KPA, Film, Response, Strength
+from lampest.panel.response import MAX_CREEP, PUBLISHED, VACUUM_KPA, Film, Response, Strength
 
 # Where the hyperbola is cut into lines: ln(s t/(1 − t)), 0 at the largest gap. The lines miss it by 0.4 % of the peak.
 CUTS = np.linspace(-2.6, 2.6, 11)
 DECADES = 10.0 ** np.arange(6)  # τ_j, s
 # Strengths of creep that `FilmKnown.estimated` compares, per decade: as dense as their posteriors are narrow.
-CREEPS = MOST_CREEP * np.linspace(0, 1, 81) ** 2
+CREEPS = MAX_CREEP * np.linspace(0, 1, 81) ** 2
 # Of ln r/r0 of a cell that nothing touches, beside the estimate's own error: at once, and for each minute (drift).
-SETTLED, DRIFT = 0.005, 0.01
+UNLOADED_SD, DRIFT_SD = 0.005, 0.01
 # Relative error of a cell's predicted memory: peaks fall between frames; and the same where cells may differ.
-OWN, ALIKE = 0.05, 0.2
+MEMORY_SD, CELL_MEMORY_SD = 0.05, 0.2
 # The other explanation, that something still presses: as likely beforehand, and ln r/r0 anywhere within so much.
-RANGE = 4.0
+LOADED_RANGE = 4.0
 # Of the largest ln r/r0 of a cell, the residue once the load is gone that does not fade: such shares are compared, with
 # a prior of this mean; the mean creep beyond which a residue is no creep; and the share that may stay.
 RESIDUES = 0.25 * np.linspace(0, 1, 26) ** 2
-RESIDUE, MOST_LIKELY, MAY_STAY = 0.02, 0.2, 0.5
-INDEPENDENT = 3.0  # frames; errors of a cell stay from frame to frame, and all its frames count as so many
-SOONEST = 1e-3  # s between frames whose times do not increase
-MOST_ANSWER = 6.0  # of ln r/r0: beyond are open cells
+RESIDUE, MAX_CREEP_RESIDUE, MAX_LASTING_SHARE = 0.02, 0.2, 0.5
+INDEPENDENT_FRAMES = 3.0  # frames; errors of a cell stay from frame to frame, and all its frames count as so many
+MIN_PERIOD = 1e-3  # s between frames whose times do not increase
+MAX_ANSWER = 6.0  # of ln r/r0: beyond are open cells
 
 
 @dataclass(frozen=True, eq=False)
@@ -221,29 +221,29 @@ class FilmKnown:
         """With the creep that the recording shows; unchanged where the scene specifies it.
 
         Where a load is gone, a cell still shows c Σ s_j and a constant share ρ of its largest answer. P(c, ρ) ∝ P(c)
-        P(ρ) beforehand · Π [½ N(u; 0, σ) + ½/RANGE] over frames and cells, u the remainder of ln r/r_rest without both.
-        Where cells differ, each has its own posterior about that of all. Where the residue is more than any film
-        creeps, there is no creep. change, sd : (frames, rows, columns) ln(r/r_rest), NaN where a frame failed. time :
-        s.
+        P(ρ) beforehand · Π [½ N(u; 0, σ) + ½/LOADED_RANGE] over frames and cells, u the remainder of ln r/r_rest
+        without both. Where cells differ, each has its own posterior about that of all. Where the residue is more than
+        any film creeps, there is no creep. change, sd : (frames, rows, columns) ln(r/r_rest), NaN where a frame failed.
+        time : s.
         """
         if self.film.creep_per_decade != "auto":
             return self
         usual, data = self.film.creep_strength, (self.film.answer, change, sd, time)
-        each = _likelihood(*data, ALIKE, RESIDUES).sum(axis=(2, 3))
+        each = _likelihood(*data, CELL_MEMORY_SD, RESIDUES).sum(axis=(2, 3))
         logarithm = each - RESIDUES[:, None] / RESIDUE - CREEPS / usual.mean
         mean, shared = (float(number) for number in _moments(np.logaddexp.reduce(logarithm, axis=0)))
         volume = np.logaddexp.reduce(logarithm + np.log(np.gradient(CREEPS)), axis=1) + np.log(np.gradient(RESIDUES))
         weight = np.exp(volume - volume.max())
         weight /= weight.sum()
         residue = float(np.sqrt(weight @ RESIDUES**2))
-        if mean > MOST_LIKELY:
+        if mean > MAX_CREEP_RESIDUE:
             said = "creep not estimated: what stays after loads does not fade as creep does"
-            known = replace(self, creep=Strength(0.0, 0.0), residue=MAY_STAY)
+            known = replace(self, creep=Strength(0.0, 0.0), residue=MAX_LASTING_SHARE)
             return replace(known, sentence=known._said("", said))
         spread = float(np.hypot(shared, mean * self.film.cell_spread))
-        known = replace(self, creep=Strength(mean, float(np.hypot(spread, ALIKE * mean))), residue=residue)
+        known = replace(self, creep=Strength(mean, float(np.hypot(spread, CELL_MEMORY_SD * mean))), residue=residue)
         if spread > shared:
-            own = _likelihood(*data, OWN, weight[None] @ RESIDUES)[0]
+            own = _likelihood(*data, MEMORY_SD, weight[None] @ RESIDUES)[0]
             known = replace(known, cells=_moments(own - 0.5 * ((CREEPS[:, None, None] - mean) / spread) ** 2))
         said = f"estimated from the recording, and {100 * residue:.1f} % of a load may stay after it"
         return replace(known, sentence=known._said(said if shared <= 0.8 * usual.sd else "assumed"))
@@ -257,7 +257,7 @@ class FilmKnown:
         strength = np.stack([np.broadcast_to(size, change.shape[1:]) for size in (mean, mean + sd)])
         creep, answers, last = Creep.at_rest(strength), list[Array](), float(time[0]) - 1.0
         for frame, now in zip(change, time, strict=True):
-            seconds = max(float(now) - last, SOONEST)
+            seconds = max(float(now) - last, MIN_PERIOD)
             answers.append(creep.at_once(np.broadcast_to(frame, strength.shape), seconds))
             after, known = creep.after(answers[-1], seconds), np.isfinite(frame)
             creep, last = replace(creep, crept=np.where(known, after.crept, creep.crept)), float(now)
@@ -289,24 +289,26 @@ def _likelihood(gain: float, change: Array, sd: Array, time: Array, own: float, 
     own : relative standard deviation of the residue of a load. residues : ρ, (residues).
     """
     likelihood = np.zeros((len(residues), len(CREEPS), *change.shape[1:]))
-    felt = np.nanmax(-change, axis=0, initial=0.0) > SETTLED  # of all others each strength explains as much
+    felt = np.nanmax(-change, axis=0, initial=0.0) > UNLOADED_SD  # of all others each strength explains as much
     change, sd, share = change[:, felt], sd[:, felt], residues[:, None, None]
     creep, last = Creep.at_rest(np.broadcast_to(CREEPS[:, None], (len(CREEPS), felt.sum()))), float(time[0])
     total, resting = np.zeros((2, len(residues), *creep.strength.shape))
     peak = np.zeros(change.shape[1])
     for frame, error, now in zip(change, sd, time, strict=True):
-        seconds, known = max(float(now) - last, SOONEST), np.isfinite(frame) & np.isfinite(error)
+        seconds, known = max(float(now) - last, MIN_PERIOD), np.isfinite(frame) & np.isfinite(error)
         if not known.any():
             continue
         fading = creep.answer(np.zeros(creep.strength.shape), seconds)
-        answer = np.where(known, np.clip(-frame / gain, -MOST_ANSWER, MOST_ANSWER), fading)
-        drift, stays = np.hypot(SETTLED, DRIFT * (now - time[0]) / 60), fading + share * peak
+        answer = np.where(known, np.clip(-frame / gain, -MAX_ANSWER, MAX_ANSWER), fading)
+        drift, stays = np.hypot(UNLOADED_SD, DRIFT_SD * (now - time[0]) / 60), fading + share * peak
         variance = (np.where(known, error, 0.0) / gain) ** 2 + drift**2 + (own * stays) ** 2
         density = np.exp(-0.5 * (answer - stays) ** 2 / variance) / np.sqrt(2 * np.pi * variance)
-        density *= stays <= MAY_STAY * peak
-        total += known * np.log((density + 1 / RANGE) / 2)
-        resting += known * density / (density + 1 / RANGE)
+        density *= stays <= MAX_LASTING_SHARE * peak
+        total += known * np.log((density + 1 / LOADED_RANGE) / 2)
+        resting += known * density / (density + 1 / LOADED_RANGE)
         peak = np.fmax(peak, np.where(known, answer[0].clip(0.0), 0.0))
         creep, last = creep.after(creep.at_once(answer, seconds), seconds), float(now)
-    likelihood[..., felt] = total * (INDEPENDENT / np.maximum(resting.max(axis=1, keepdims=True), INDEPENDENT))
+    likelihood[..., felt] = total * (
+        INDEPENDENT_FRAMES / np.maximum(resting.max(axis=1, keepdims=True), INDEPENDENT_FRAMES)
+    )
     return likelihood

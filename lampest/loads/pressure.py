@@ -13,21 +13,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.files.typed import Validated, check_range
-from lampest.loads.film import DRIFT, SETTLED, SOONEST, FilmKnown, FilmMemory
+from lampest.loads.film import DRIFT_SD, MIN_PERIOD, UNLOADED_SD, FilmKnown, FilmMemory
 from lampest.panel.panel import Array, Panel
 from lampest.panel.response import PUBLISHED, RESPONSE_SD, VACUUM_KPA, Film
 from lampest.panel.scene import Scene, Water
 from lampest.panel.systematic import usual
 
-OWN = 0.4  # the part of a cell's memory that may be wrong
-FAR, FAR_MEAN = 6.0, 4.5  # standard deviations of a cell in one frame, and in the mean of all
-TOGETHER = 1.4  # mean square over the cells, in the same units
+MEMORY_SHARE = 0.4  # the part of a cell's memory that may be wrong
+MAX_DEVIATION, MAX_MEAN_DEVIATION = 6.0, 4.5  # standard deviations of a cell in one frame, and in the mean of all
+MAX_MEAN_SQUARE = 1.4  # mean square over the cells, in the same units
 # ln r/r0 beyond which a cell, and the mean of four neighbours, may be under a load: 0.8 and 0.3 kPa. The weakest
 # suction of a lamprey, 0.6 kPa, covers more cells than four; films drift cell by cell.
-MOST, MOST_OF_FOUR = 0.15, 0.06
+MAX_CHANGE, MAX_CHANGE_OF_FOUR = 0.15, 0.06
 FADES = 0.01  # ln r/r0
-WORTH = 2.0  # standard errors by which cells must have moved, in the root mean square, for a new zero to be worth it
-OF_DIFFERENCES = 1.4826 / np.sqrt(2)  # median of |differences of two| → standard deviation of one
+MIN_DEVIATION = (
+    2.0  # standard errors by which cells must have moved, in the root mean square, for a new zero to be worth it
+)
+DIFFERENCES_TO_SIGMA = 1.4826 / np.sqrt(2)  # median of |differences of two| → standard deviation of one
 
 
 @dataclass(frozen=True)
@@ -86,14 +88,16 @@ class TareWatch:
         """
         frames = np.stack([left for left, _, _ in self.frames])
         known = np.isfinite(frames).all(axis=0)
-        noise = OF_DIFFERENCES * np.median(np.abs(np.diff(frames[:, known], axis=0)), axis=0)
-        moved = np.sqrt(SETTLED**2 + (self.tare.drift_per_minute * minutes) ** 2 + (OWN * memory[known]) ** 2)
+        noise = DIFFERENCES_TO_SIGMA * np.median(np.abs(np.diff(frames[:, known], axis=0)), axis=0)
+        moved = np.sqrt(
+            UNLOADED_SD**2 + (self.tare.drift_per_minute * minutes) ** 2 + (MEMORY_SHARE * memory[known]) ** 2
+        )
         half = len(frames) // 2
         mean, error = frames[:half].mean(axis=0), noise / np.sqrt(half)
         each, all_in_all = frames[:, known] / np.hypot(noise, moved), mean[known] / np.hypot(2 * error, moved)
-        quiet = np.abs(each).max() < FAR and (each**2).mean(axis=1).max() < TOGETHER
-        worth = np.mean(mean[known] ** 2) >= WORTH**2 * np.mean(error**2)
-        if not (quiet and worth and np.abs(all_in_all).max() < FAR_MEAN) or _stands_out(frames.mean(axis=0)):
+        quiet = np.abs(each).max() < MAX_DEVIATION and (each**2).mean(axis=1).max() < MAX_MEAN_SQUARE
+        worth = np.mean(mean[known] ** 2) >= MIN_DEVIATION**2 * np.mean(error**2)
+        if not (quiet and worth and np.abs(all_in_all).max() < MAX_MEAN_DEVIATION) or _stands_out(frames.mean(axis=0)):
             return None
         return np.where(known, mean, np.nan)
 
@@ -102,13 +106,13 @@ def _stands_out(change: Array) -> bool:
     """Whether ln r/r0 (rows, columns) may be under a load, in a cell or in four neighbours; unknown cells are not."""
     cells = np.pad(np.nan_to_num(change), 1)
     four = (cells[:-1, :-1] + cells[1:, :-1] + cells[:-1, 1:] + cells[1:, 1:]) / 4
-    return bool(np.abs(cells).max() > MOST or np.abs(four).max() > MOST_OF_FOUR)
+    return bool(np.abs(cells).max() > MAX_CHANGE or np.abs(four).max() > MAX_CHANGE_OF_FOUR)
 
 
 GRAVITY = 9.81  # m/s²
 NORMAL_95 = 1.959964  # half the 95 % interval of a normal distribution, in standard deviations
-TOUCH = 0.1  # ln r/r0: less may be drift alone, half a kPa of the published film
-CLEAR = 3.0  # standard deviations: less than one cell of a panel of 700 seems to be pressed by noise alone
+MIN_TOUCH = 0.1  # ln r/r0: less may be drift alone, half a kPa of the published film
+SIGNIFICANT = 3.0  # standard deviations: less than one cell of a panel of 700 seems to be pressed by noise alone
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,7 +123,7 @@ class Pressure:
         `lower` is never below an empty space, `upper` may be infinite. errors : half the 68 % interval. own, common
         : its two parts, each cell's own and that which cells share, such as the film's curve.
     saturated : 1 where the response leaves the pressure open: the interval, water included, reaches beyond `told_kpa`
-        of the response. pressing : 1 where a load presses: ln r/r0 without the film's memory fell by CLEAR
+        of the response. pressing : 1 where a load presses: ln r/r0 without the film's memory fell by SIGNIFICANT
         standard deviations, those of the response aside.
     tared : (frames) why zero was taken anew after a frame; '' where it was not.
     """
@@ -244,7 +248,7 @@ class PressureTrack:
         with np.errstate(invalid="ignore"):
             alone = np.minimum(np.abs(of_change(scatter) - of_change(-scatter)) / 2, errors)
             common = np.where(np.isinf(errors), np.inf, np.sqrt(np.maximum(errors**2 - alone**2, 0.0)))
-            clear = -answer > CLEAR * np.hypot(np.hypot(rose / NORMAL_95, remembered), _distance(answers, answer))
+            clear = -answer > SIGNIFICANT * np.hypot(np.hypot(rose / NORMAL_95, remembered), _distance(answers, answer))
         known = (self.scene.response or PUBLISHED).told_kpa
         saturated = (least + water < known[0]) | (most + water > known[1])
         pressing = clear & (expected > 0) & ~self.scene.broken
@@ -284,7 +288,7 @@ class PressureTrack:
 
     def _seconds(self, time: float) -> float:
         """Since the last frame; a second before the first."""
-        return 1.0 if self.time is None else max(time - self.time, SOONEST)
+        return 1.0 if self.time is None else max(time - self.time, MIN_PERIOD)
 
     def _change(self, ratio: Array) -> Array:
         warmth = self.scene.temperature
@@ -299,8 +303,8 @@ class PressureTrack:
         """
         change, spread, warmth = self._change(ratio), np.zeros(ratio.shape), self.scene.temperature
         if self.residue and self.zeroed is not None:
-            drift = np.hypot(SETTLED, DRIFT * (time - self.zeroed) / 60)
-            gone = 1 - (change / np.maximum(self.peak, TOUCH)) ** 2
+            drift = np.hypot(UNLOADED_SD, DRIFT_SD * (time - self.zeroed) / 60)
+            gone = 1 - (change / np.maximum(self.peak, MIN_TOUCH)) ** 2
             spread = np.hypot(self.residue * self.peak, drift) * np.sqrt(np.maximum(gone, 0.0))
         warming_sd = 0.0 if warmth is None else warmth.difference_kelvin * warmth.coefficient_sd_per_kelvin
         return np.asarray(np.hypot(spread, warming_sd))

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from lampest.files.typed import Configuration, check_positive_fields, check_range, check_ranges
 from lampest.panel.panel import Modules, Panel
-from lampest.panel.readouts.lines import MOST_OHM
+from lampest.panel.readouts.lines import MAX_OHM
 
 
 @dataclass(frozen=True)
@@ -98,7 +98,7 @@ class Systematic(Configuration):
     def __post_init__(self) -> None:
         if not 0 <= self.reference_tolerance < 1:
             raise ValueError("reference_tolerance must be zero or positive, and below 1")
-        check_ranges(self, 0, MOST_OHM, "channel_spread_ohm", "series_ohm", "wire_ohm_per_cell")
+        check_ranges(self, 0, MAX_OHM, "channel_spread_ohm", "series_ohm", "wire_ohm_per_cell")
         check_ranges(self, 0, 2.0**32, "inl_lsb")
         check_ranges(self, 0, 10, "reading_error", "response_sd")
 

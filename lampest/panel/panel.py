@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.files.document import LARGEST, SMALLEST
+from lampest.files.document import MAX_NUMBER, MIN_NUMBER
 from lampest.files.process import check_memory
 from lampest.files.typed import Configuration, check_positive_fields, check_ranges
 
 Array = NDArray[np.floating[Any]]
-MOST_PITCH_MM = 1e6  # mm: a kilometre, beyond any panel
-MANY_LINES = 2000  # lines: matrices over fewer fit into 100 MB, and are not checked
+MAX_PITCH_MM = 1e6  # mm: a kilometre, beyond any panel
+MAX_UNCHECKED_LINES = 2000  # lines: matrices over fewer fit into 100 MB, and are not checked
 CellPlace = tuple[int, int, float, float]
 
 
@@ -43,7 +43,7 @@ class Modules(Configuration):
     def __post_init__(self) -> None:
         if min(self.rows, self.columns, self.each.rows, self.each.columns) < 1:
             raise ValueError("modules need at least one row and one column of modules, and of cells in each")
-        check_ranges(self, 0, MOST_PITCH_MM, "seam_mm")
+        check_ranges(self, 0, MAX_PITCH_MM, "seam_mm")
 
     @property
     def count(self) -> int:
@@ -117,7 +117,7 @@ class Panel(Configuration):
         if self.rows < 1 or self.columns < 1:
             raise ValueError("a panel needs at least one row and one column")
         check_positive_fields(self, "pitch_mm")
-        check_ranges(self, 1e-3, MOST_PITCH_MM, "pitch_mm")  # a transistor's width, a street's length
+        check_ranges(self, 1e-3, MAX_PITCH_MM, "pitch_mm")  # a transistor's width, a street's length
         if self.cells is not None:
             self._check_cells(self.cells)
 
@@ -125,8 +125,8 @@ class Panel(Configuration):
         for row, column, x, y in cells:
             if not (0 <= row < self.rows and 0 <= column < self.columns):
                 raise ValueError(f"cells: there is no crossing [{row}, {column}]")
-            if not max(abs(x), abs(y)) <= MOST_PITCH_MM:
-                raise ValueError(f"cells: [{row}, {column}] must lie within {MOST_PITCH_MM:g} mm of the origin")
+            if not max(abs(x), abs(y)) <= MAX_PITCH_MM:
+                raise ValueError(f"cells: [{row}, {column}] must lie within {MAX_PITCH_MM:g} mm of the origin")
         if not cells:
             raise ValueError("cells: a panel needs at least one cell")
         if len({cell[:2] for cell in cells}) < len(cells):
@@ -155,7 +155,7 @@ class Panel(Configuration):
     def check_memory(self, matrices: int = 3) -> None:
         """Raise InputError if memory cannot hold so many matrices (lines, lines) over the panel's lines."""
         lines = self.rows + self.columns
-        if lines > MANY_LINES:
+        if lines > MAX_UNCHECKED_LINES:
             label = f"a panel of {self.rows} × {self.columns} cells ({lines} lines)"
             check_memory(8.0 * matrices * lines**2, label)
 
@@ -233,14 +233,14 @@ def circle_neighbours(places: Array, number: int) -> NDArray[np.intp]:
 def beyond_any_panel(values: Array) -> NDArray[np.bool_]:
     """Return whether numbers, neither zero, infinite nor missing, are outside the range of physical quantities."""
     size = np.abs(values)
-    return np.asarray(np.isfinite(values) & (values != 0) & ((size < SMALLEST) | (size > LARGEST)))
+    return np.asarray(np.isfinite(values) & (values != 0) & ((size < MIN_NUMBER) | (size > MAX_NUMBER)))
 
 
 def as_panels_have(values: Array) -> Array:
     """Return numbers with zero below the range of physical quantities, and ±infinity above."""
     if not np.any(beyond := beyond_any_panel(values)):
         return values
-    return np.where(beyond, np.where(np.abs(values) < SMALLEST, 0.0, np.copysign(np.inf, values)), values)
+    return np.where(beyond, np.where(np.abs(values) < MIN_NUMBER, 0.0, np.copysign(np.inf, values)), values)
 
 
 def difference_matrix(length: int) -> Array:

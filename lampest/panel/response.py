@@ -18,14 +18,14 @@ from lampest.panel.panel import Array
 
 Table = tuple[tuple[float, ...], ...]
 # Lines between two points of a table: they miss the cubic by 1/1000 of the interval's fall, and invert exactly.
-PARTS = 16
+TABLE_PARTS = 16
 # Figure 1-e, kPa and r/r0: straight lines between the first three points, exponentials beyond.
 CURVE_KPA = np.array([0.0, 2.5, 28.0, 40.0, 235.0])
 CURVE_RATIO = np.array([1.0, 0.52, 0.112, 0.06, 0.02])
 SUCTION_RATE = np.log(7.54) / -10.0  # 1/kPa
 # kPa between which a resistance determines the pressure: nothing is published below; above, 1 % of the resistance is
 # 1.8 kPa and no longer 0.2.
-TOLD_KPA = (-10.0, 40.0)
+PUBLISHED_KPA = (-10.0, 40.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -143,12 +143,12 @@ class TableResponse(Response):
 
     @cached_property
     def _points(self) -> tuple[Array, Array]:
-        """kPa and ln f, PARTS for each interval."""
+        """kPa and ln f, TABLE_PARTS for each interval."""
         from scipy.interpolate import PchipInterpolator  # 0.1 s, and few scenes have a table
 
         pressure = np.array(self.pressure_kpa)
         cubic = PchipInterpolator(pressure, np.log(self.resistance_ohm))
-        steps = np.linspace(pressure[:-1], pressure[1:], PARTS, endpoint=False, axis=1)
+        steps = np.linspace(pressure[:-1], pressure[1:], TABLE_PARTS, endpoint=False, axis=1)
         at = np.append(steps.ravel(), pressure[-1])
         return at, cubic(at) - cubic(0.0)
 
@@ -252,7 +252,7 @@ class PublishedResponse(Response):
 
     @property
     def told_kpa(self) -> tuple[float, float]:
-        return TOLD_KPA
+        return PUBLISHED_KPA
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -267,8 +267,8 @@ class BentSuction(PublishedResponse):
     def logarithm(self, pressure: ArrayLike) -> Array:
         """ln f(p), any shape, kPa → 1."""
         pressure = np.asarray(pressure, dtype=float)
-        share = np.minimum(pressure, 0.0) / TOLD_KPA[0]
-        rise = SUCTION_RATE * TOLD_KPA[0] * share**self.exponent
+        share = np.minimum(pressure, 0.0) / PUBLISHED_KPA[0]
+        rise = SUCTION_RATE * PUBLISHED_KPA[0] * share**self.exponent
         return np.asarray(super().logarithm(np.maximum(pressure, 0.0)) + rise)
 
 
@@ -276,11 +276,11 @@ AnyResponse = Annotated[TableResponse | PowerResponse | PublishedResponse, ByKin
 
 
 def _straight_on(x: ArrayLike, at: Array, values: Array) -> Array:
-    """Lines through (at, values), the outermost continued by the mean slope of the PARTS next to them; NaN stays."""
+    """Interpolate linearly; beyond the table by the mean slope of its last TABLE_PARTS lines. NaN stays."""
     x = np.asarray(x, dtype=float)
     inside = np.interp(x, at, values)
-    first = (values[PARTS] - values[0]) / (at[PARTS] - at[0])
-    last = (values[-1] - values[-1 - PARTS]) / (at[-1] - at[-1 - PARTS])
+    first = (values[TABLE_PARTS] - values[0]) / (at[TABLE_PARTS] - at[0])
+    last = (values[-1] - values[-1 - TABLE_PARTS]) / (at[-1] - at[-1 - TABLE_PARTS])
     return np.asarray(inside + first * np.minimum(x - at[0], 0.0) + last * np.maximum(x - at[-1], 0.0))
 
 
@@ -302,7 +302,7 @@ def relative_change_from_pressure(pressure: ArrayLike) -> Array:
     return ratio_from_pressure(pressure) - 1.0
 
 
-MOST_HYSTERESIS, MOST_CREEP = 0.6, 0.5
+MAX_HYSTERESIS, MAX_CREEP = 0.6, 0.5
 # Where a scene leaves it open: 10 to 25 % of full scale are published for velostat; data sheets of kindred films
 # (Interlink FSR 400, Tekscan FlexiForce) promise less than 5 % for each decade, of a film alone. Mean and deviation.
 OPEN_HYSTERESIS, OPEN_CREEP = (0.17, 0.1), (0.04, 0.04)
@@ -344,7 +344,7 @@ class Film(Configuration):
     curvature_per_m: float = 0.0
 
     def __post_init__(self) -> None:
-        for name, most in (("hysteresis", MOST_HYSTERESIS), ("creep_per_decade", MOST_CREEP)):
+        for name, most in (("hysteresis", MAX_HYSTERESIS), ("creep_per_decade", MAX_CREEP)):
             if getattr(self, name) != "auto":
                 check_ranges(self, 0, most, name)
         check_ranges(self, 0, 1, "deviation", "cell_spread")

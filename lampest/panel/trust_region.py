@@ -14,8 +14,8 @@ from lampest.panel.panel import Array
 
 Linear = Callable[[Array], Array]
 DENSE_CELLS = 256  # unknowns up to which a factor costs less than the products that it spares
-MOST_PRODUCTS = 400
-LONGEST = 1.0  # relative change of a conductance, to which a direction of negative curvature is followed
+MAX_PRODUCTS = 400
+MAX_RELATIVE_CHANGE = 1.0  # relative change of a conductance, to which a direction of negative curvature is followed
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,13 +39,13 @@ def steihaug(
     accuracy: float,
     radius: float = inf,
     admits: Callable[[Array], bool] | None = None,
-    most_products: int = MOST_PRODUCTS,
+    most_products: int = MAX_PRODUCTS,
 ) -> SubproblemStep:
     """argmin gᵀs + ½ sᵀHs over ‖s‖_M ≤ radius; exact to `accuracy` where conjugate gradients end inside.
 
     product : H·p. precondition : M⁻¹·p, symmetric and positive definite. gradient : g.
     accuracy : ‖Hs + g‖ relative to ‖g‖, in the norm of M⁻¹, at which the iteration ends.
-    radius : may be infinite. A direction of negative curvature is followed to the radius or to LONGEST.
+    radius : may be infinite. A direction of negative curvature is followed to the radius or to MAX_RELATIVE_CHANGE.
     admits : whether a step may be taken; the iteration ends before the first but one that may not. None: any may.
     most_products : at which the iteration ends with the step so far.
     """
@@ -109,8 +109,8 @@ def _to_radius(inner: float, mixed: float, outer: float, radius: float) -> float
 
 
 def _to_longest(step: Array, search: Array) -> float:
-    """t ≥ 0 at which an entry of s + t p reaches LONGEST."""
-    room = LONGEST - np.abs(step)
+    """t ≥ 0 at which an entry of s + t p reaches MAX_RELATIVE_CHANGE."""
+    room = MAX_RELATIVE_CHANGE - np.abs(step)
     with np.errstate(divide="ignore"):
         reached = room / np.abs(search)
     return float(np.maximum(reached, 0.0).min(initial=inf))

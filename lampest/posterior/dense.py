@@ -33,7 +33,7 @@ from lampest.posterior.interval import one_sided
 from lampest.posterior.linear import IGNORANCE, LinearModel, least_widening
 from lampest.solvers.hessian import block_diagonal
 
-MOST_RANKED = 2048  # cells: beyond, a rank takes seconds, and that of penalties is nearly full
+MAX_RANKED = 2048  # cells: beyond, a rank takes seconds, and that of penalties is nearly full
 
 
 @dataclass(frozen=True, eq=False)
@@ -365,7 +365,7 @@ def inverse_and_volume(matrix: Array) -> tuple[Array, float]:
 def rank(cost: Cost) -> int:
     """Of all penalties' Jacobian at cells like any others; what bounds take away is not considered."""
     function = residuals(cost).penalties.by_cells
-    if function.shape[1] > MOST_RANKED:
+    if function.shape[1] > MAX_RANKED:
         return min(function.shape)
     anywhere = np.random.default_rng(0)
     values = function(*(anywhere.uniform(0.5, 2.0, size) for size in function.sizes))

@@ -17,8 +17,11 @@ from lampest.posterior.dense import DenseErrors, positive_inverse, rank
 from lampest.posterior.linear import IGNORANCE, LinearModel, penalty_curvature_of
 from lampest.posterior.sampled import SampledErrors
 
-MOST_ROUNDS, SETTLED = 30, 0.01  # of the fixed point; of log λ
-FLAT, NOTHING = 1e-9, 1e-12  # of the mean curvature, a ridge; of a residual's unit, below which there are none yet
+MAX_ROUNDS, TOLERANCE = 30, 0.01  # of the fixed point; of log λ
+RIDGE, MIN_RESIDUAL = (
+    1e-9,
+    1e-12,
+)  # of the mean curvature, a ridge; of a residual's unit, below which there are none yet
 
 
 def first_weights(model: LinearModel, weights: Sequence[float], open_terms: Collection[int]) -> list[float]:
@@ -33,7 +36,7 @@ def first_weights(model: LinearModel, weights: Sequence[float], open_terms: Coll
         evidence = PenaltyEvidence(size, float(np.abs(size).sum()), rows, float)
         total = model.at.cost.terms[number].loss.size(evidence)
         # An estimate that is its own reference has no residuals yet: as if each were of its unit's size.
-        chosen[number] = model.scale * rows / (total if total > NOTHING * rows else rows)
+        chosen[number] = model.scale * rows / (total if total > MIN_RESIDUAL * rows else rows)
     return chosen
 
 
@@ -56,12 +59,12 @@ def settled_weights(model: LinearModel, open_terms: Collection[int]) -> list[flo
     weighted = errors.jacobian.T * model.data_curvature
     data, slope = weighted @ errors.jacobian, weighted @ model.residual
     rows = model.penalty_jacobian.toarray()[:, model.free]
-    for _ in range(MOST_ROUNDS):
+    for _ in range(MAX_ROUNDS):
         curvature = penalty_curvature_of(model, np.asarray(weights))
         prior = (rows.T * curvature) @ rows
         inverse = positive_inverse(data + prior + IGNORANCE * model.scale * np.eye(len(data)))
         step = -inverse @ (slope + rows.T @ (curvature * model.penalty))
-        alone = positive_inverse(prior + FLAT * np.trace(prior) / len(prior) * np.eye(len(prior)))
+        alone = positive_inverse(prior + RIDGE * np.trace(prior) / len(prior) * np.eye(len(prior)))
         residual, before = model.penalty + rows @ step, weights
         weights = list(weights)
         for number in open_terms:
@@ -79,7 +82,7 @@ def settled_weights(model: LinearModel, open_terms: Collection[int]) -> list[flo
             count, used = (float(np.sum(curvature[own] * part)) for part in (free, posterior))
             evidence = PenaltyEvidence(mean, float(folded.sum()), count, partial(float, used))
             weights[number] = _weight(model, number, evidence)
-        if max(abs(np.log(weight / earlier)) for weight, earlier in zip(weights, before, strict=True)) < SETTLED:
+        if max(abs(np.log(weight / earlier)) for weight, earlier in zip(weights, before, strict=True)) < TOLERANCE:
             break
     return weights
 

@@ -8,7 +8,7 @@ from lampest.panel.panel import Array
 
 LEVEL = 0.95
 TWO_SIDED = float(ndtri((1 + LEVEL) / 2))
-FAR = 50.0  # standard deviations beyond which the tail of a normal distribution is an exponential one
+MAX_DEVIATIONS = 50.0  # standard deviations beyond which the tail of a normal distribution is an exponential one
 
 
 def one_sided(slope: ArrayLike, variance: ArrayLike) -> tuple[Array, Array]:
@@ -19,13 +19,13 @@ def one_sided(slope: ArrayLike, variance: ArrayLike) -> tuple[Array, Array]:
     slope, variance = np.asarray(slope, dtype=float), np.asarray(variance, dtype=float)
     size = np.sqrt(variance)
     away = slope * size
-    near = np.minimum(away, FAR)
+    near = np.minimum(away, MAX_DEVIATIONS)
     # What is left of the distribution beyond 0, and the rate at which it falls there (the inverse of Mills' ratio).
     left = log_ndtr(-near)
     rate = np.exp(-0.5 * near**2 - 0.5 * np.log(2 * np.pi) - left)
     deviation = size * np.sqrt(np.maximum(1 - rate * (rate - near), 0))
     quantile = size * (-near - ndtri_exp(np.log(1 - LEVEL) + left))
-    far = away > FAR
+    far = away > MAX_DEVIATIONS
     scale = 1 / np.where(far, slope, 1.0)
     return np.where(far, scale, deviation), np.where(far, -np.log(1 - LEVEL) * scale, quantile)
 

@@ -21,11 +21,11 @@ from lampest.posterior.sampled import SampledErrors
 from lampest.posterior.track import errors_of
 from lampest.recording.readings import Readings, stand_in_spread
 
-MOST = 3  # missing readings of a frame, of which each costs two solves or as much; tangents serve for others
-STEPS = 3  # of the tangent's length: the path ends within a tenth of an optimum with the cell held
-LONGEST = 0.5  # of log r, that of one step
-FARTHEST = 3.0  # tangents: a penalty in ohm rises slowly towards a short
-MOST_STEPS = 20  # which reach a factor of 20,000: where nothing decides the cell, its tangent has no end
+MAX_MISSING = 3  # missing readings of a frame, of which each costs two solves or as much; tangents serve for others
+PATH_STEPS = 3  # of the tangent's length: the path ends within a tenth of an optimum with the cell held
+MAX_STEP = 0.5  # of log r, that of one step
+MAX_TANGENTS = 3.0  # tangents: a penalty in ohm rises slowly towards a short
+MAX_STEPS = 20  # which reach a factor of 20,000: where nothing decides the cell, its tangent has no end
 
 Ends = Iterator[tuple[Array, Array, Array]]  # (tangent, lower end, upper end), each (frames · cells) of log r
 
@@ -54,9 +54,9 @@ class ProfileInterval:
         model, place = self.errors.model, self._place
         most = TWO_SIDED**2 * self.errors.variance[place] / self.errors.inverse[place, place]
         far = self.tangent[self.cell]
-        step, risen, before = side * min(far / STEPS, LONGEST), 0.0, 0.0
+        step, risen, before = side * min(far / PATH_STEPS, MAX_STEP), 0.0, 0.0
         ended = model.at.position
-        for position, force in self._path(step, round(min(FARTHEST * far / abs(step), MOST_STEPS))):
+        for position, force in self._path(step, round(min(MAX_TANGENTS * far / abs(step), MAX_STEPS))):
             ended, risen, before = position, risen + step * (before + force), force
             if risen >= most:
                 break
@@ -74,7 +74,7 @@ class ProfileInterval:
             force = (step - newton[place]) / column[place]
             change = np.zeros(model.at.position.size)
             change[model.free] = newton + force * column
-            change *= min(1.0, 2 * LONGEST / float(np.abs(change).max()))
+            change *= min(1.0, 2 * MAX_STEP / float(np.abs(change).max()))
             position = model.at.position + change.reshape(model.at.position.shape)
             position = np.clip(position, *model.at.data.log_bounds)
             yield position, float(force)
@@ -90,7 +90,7 @@ def beyond_tangents(
     (rows, columns) that follow, NaN where no solve ends; None: penalties decide.
     """
     errors, shape = errors_of(model, None), readings.value.shape
-    places = np.argwhere(missing)[:MOST]
+    places = np.argwhere(missing)[:MAX_MISSING]
     first = model.at.cell_resistance.size - readings.value.size
     profiles = _profiled(errors, places @ (shape[1], 1) + first)
     if moved is not None:

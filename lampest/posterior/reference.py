@@ -29,18 +29,22 @@ from lampest.posterior.dense import inverse_and_volume
 from lampest.posterior.interval import LEVEL
 
 MAX_CELLS = 400  # of a panel: beyond, the matrices of the model take seconds
-FREEDOM = 3.0  # ν: the fewest degrees of freedom with a variance
-RATIO = 2.0  # of one s of the grid to the next: a factor of √2 in σ changes no weight by more than its uncertainty
+DEGREES_OF_FREEDOM = 3.0  # ν: the fewest degrees of freedom with a variance
+SCALE_RATIO = (
+    2.0  # of one s of the grid to the next: a factor of √2 in σ changes no weight by more than its uncertainty
+)
 MAX_SCALES = 14  # in one direction
 MIN_GAIN = 6.0  # of −2 log p, for another s than that of the noise: e³ to one
-IMPROBABLE = 6.0  # of −2 log p above its least value, where the search ends: a twentieth of the probability
-EXACT = 1e-4  # first s where the noise is unknown, as a fraction of the reading: no sensor is read to more digits
+MAX_EXCESS = 6.0  # of −2 log p above its least value, where the search ends: a twentieth of the probability
+MIN_RELATIVE_NOISE = (
+    1e-4  # first s where the noise is unknown, as a fraction of the reading: no sensor is read to more digits
+)
 MAX_STEPS, MAX_ROUNDS = 8, 4  # Gauss–Newton steps of one s; updates of the weights of one linearisation
 SETTLED_BOUND, SETTLED_STEP, SETTLED_VARIANCE = 0.5, 0.02, 0.03  # of −2 log p; of log r; of log τ²
 PRIOR_VARIANCE = (
     0.015  # τ² that counts like one step: covers draws of a prior that noise hides (docs/studies/calibration.md)
 )
-LONGEST = 1.4  # of log r in one step
+MAX_STEP = 1.4  # of log r in one step
 RIDGE = 1e-9  # of the mean curvature
 
 
@@ -114,7 +118,7 @@ def references(solves: Sequence[Data], cost: Cost, *, believed: bool = False) ->
     """
     frames = [ReferenceFit.of(data, cost, frame) for data in solves for frame in range(len(data.measured))]
     known = solves[0].noise_known
-    tried = _search(frames, 1.0 if known else EXACT, 1 if known and believed else MAX_SCALES)
+    tried = _search(frames, 1.0 if known else MIN_RELATIVE_NOISE, 1 if known and believed else MAX_SCALES)
     scales = sorted(tried)
     bounds = np.array([_bound(tried[scale]) for scale in scales])
     share = np.cumsum(np.exp((bounds.min() - bounds) / 2))
@@ -137,17 +141,19 @@ def _bound(fits: Sequence["ReferenceFit"]) -> float:
 
 
 def _search(frames: Sequence["ReferenceFit"], first: float, count: int) -> dict[float, list["ReferenceFit"]]:
-    """Fits at s = first, first·RATIO, …, each begun at the one before, until the bound has risen for a while."""
+    """Fits at s = first, first·SCALE_RATIO, …, each begun at the one before, until the bound has risen for a while."""
     tried, fits, scale, lowest = dict[float, list[ReferenceFit]](), list(frames), first, np.inf
     for _ in range(count):
         fits = [fit.settled(scale**2) for fit in fits]
         tried[scale] = fits
         lowest = min(lowest, _bound(fits))
         excess = np.sqrt(max(fit.residual_variance for fit in fits)) / scale
-        if _bound(fits) > lowest + IMPROBABLE and excess <= 1:
+        if _bound(fits) > lowest + MAX_EXCESS and excess <= 1:
             break
-        skipped = int(np.log(max(excess, 1.0)) / np.log(RATIO)) // 2  # residuals that are far too large need no more
-        scale *= RATIO ** (1 + skipped)
+        skipped = (
+            int(np.log(max(excess, 1.0)) / np.log(SCALE_RATIO)) // 2
+        )  # residuals that are far too large need no more
+        scale *= SCALE_RATIO ** (1 + skipped)
     return tried
 
 
@@ -312,7 +318,7 @@ class ReferenceFit:
     def moved(self, square: float) -> "ReferenceFit | None":
         """After as much of the step as lowers the cost; None where none does."""
         lower, upper = (np.ravel(bound[self.frame]) for bound in self.data.log_bounds)
-        cost, change = self._cost(square), np.clip(self.change, -LONGEST, LONGEST)
+        cost, change = self._cost(square), np.clip(self.change, -MAX_STEP, MAX_STEP)
         for share in (1.0, 0.3, 0.1, 0.03):
             trial = self.at(np.clip(self.position + share * change, lower, upper))
             if trial._cost(square) <= cost:
@@ -327,7 +333,9 @@ class ReferenceFit:
     def errors(self, scale: float) -> Array:
         """√E e² s² of the readings that are values, from their weights."""
         weights = self.reading_weights[self.residual(self.reading)[2]]
-        return np.asarray(scale * np.sqrt(np.maximum((FREEDOM + 1) / np.maximum(weights, 1e-12) - FREEDOM, 0.0)))
+        return np.asarray(
+            scale * np.sqrt(np.maximum((DEGREES_OF_FREEDOM + 1) / np.maximum(weights, 1e-12) - DEGREES_OF_FREEDOM, 0.0))
+        )
 
     def deviation(self, scale: float) -> Array:
         """Return standard deviation of every reading, flat, in its unit."""
@@ -433,7 +441,9 @@ class Posterior:
     def weights(self, square: float, variance: float) -> tuple[Array, Array]:
         """Return the expected precisions of readings and steps, in units of 1/s² and 1/τ²."""
         of_missed, of_stepped = self._squares
-        return (FREEDOM + 1) / (FREEDOM + of_missed / square), (FREEDOM + 1) / (FREEDOM + of_stepped / variance)
+        return (DEGREES_OF_FREEDOM + 1) / (DEGREES_OF_FREEDOM + of_missed / square), (DEGREES_OF_FREEDOM + 1) / (
+            DEGREES_OF_FREEDOM + of_stepped / variance
+        )
 
     def bound(self, square: float, variance: float) -> float:
         """Return −2 log p(y | s), up to a constant."""
@@ -445,4 +455,4 @@ class Posterior:
 
 def _tails(squares: Array, variance: float) -> float:
     """−2 log of Student's density of squared residuals, without constants and the scale."""
-    return float((FREEDOM + 1) * np.sum(np.log1p(squares / (FREEDOM * variance))))
+    return float((DEGREES_OF_FREEDOM + 1) * np.sum(np.log1p(squares / (DEGREES_OF_FREEDOM * variance))))

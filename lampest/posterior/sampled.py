@@ -21,7 +21,7 @@ from lampest.solvers.preconditioners import TwoLevel
 from lampest.solvers.smoothing import Smoothing
 
 SAMPLES, PROBES = 100, 8  # of the error, which standard deviations of 7 % suffice for; of a trace
-ACCURACY, FINE = 1e-3, 1e-7  # of a solve by conjugate gradients: of a sample, and of what is reported itself
+ACCURACY, FINE_ACCURACY = 1e-3, 1e-7  # of a solve by conjugate gradients: of a sample, and of what is reported itself
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +74,7 @@ class SampledErrors(DenseErrors):
 
     def gained(self, rows: Array, *, fine: bool = False) -> Array:
         right = self.weighed(rows)[self.model.free]
-        return _by_columns(lambda column: self._solved(column, FINE if fine else ACCURACY), right, len(right))
+        return _by_columns(lambda column: self._solved(column, FINE_ACCURACY if fine else ACCURACY), right, len(right))
 
     @cached_property
     def _system(self) -> tuple[Linear, Linear]:

@@ -22,7 +22,10 @@ from lampest.posterior.linear import IGNORANCE, LinearModel
 Rule = Literal["risk", "evidence"]
 GRID = 80  # points in log λ, between which the minimum is refined
 PRECISION = 0.005  # of log λ
-REACH, NEGLIGIBLE = 1e4, 1e-12  # factors beyond the stiffest and softest direction; share of the stiffest that counts
+EXTENT_FACTOR, NEGLIGIBLE = (
+    1e4,
+    1e-12,
+)  # factors beyond the stiffest and softest direction; share of the stiffest that counts
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,7 +171,7 @@ class Spectrum:
         """log of the smallest and of the largest λ that make a difference to what data determine."""
         stiffness = self.stiffness[self.determined]
         effective = stiffness[stiffness > NEGLIGIBLE * stiffness.max()]
-        return -float(np.log(REACH * effective.max())), float(np.log(REACH / effective.min()))
+        return -float(np.log(EXTENT_FACTOR * effective.max())), float(np.log(EXTENT_FACTOR / effective.min()))
 
 
 def best_weight(spectra: Sequence[Spectrum], rule: Rule) -> float:

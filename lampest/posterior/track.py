@@ -13,10 +13,10 @@ from lampest.posterior.interval import TWO_SIDED
 from lampest.posterior.linear import LinearModel
 from lampest.posterior.sampled import SampledErrors, SampledMemory
 
-MOST_DENSE = 1200  # unknowns; from there on samples are faster
+MAX_DENSE = 1200  # unknowns; from there on samples are faster
 
 
-LEAST_NOISE = 1e-4  # of a deviation with each reading's own error: rounding of their difference
+MIN_NOISE_SHARE = 1e-4  # of a deviation with each reading's own error: rounding of their difference
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,7 +123,7 @@ class Track:
         if self.shared is None or not self.shared.weighed:
             return deviation
         noise = deviation**2 - self.shared.own_error(measured) ** 2
-        return np.asarray(np.sqrt(np.maximum(noise, (LEAST_NOISE * deviation) ** 2)))
+        return np.asarray(np.sqrt(np.maximum(noise, (MIN_NOISE_SHARE * deviation) ** 2)))
 
     def _errors(self, model: LinearModel, memory: Memory | None, *, baseline: bool) -> DenseErrors:
         """With V, and with each reading's own error; baseline : whether the first frame is the unloaded ones' mean."""
@@ -163,6 +163,6 @@ def errors_of(model: LinearModel, memory: Memory | None, drawn: Array | None = N
 
     memory : that of the frame before, or None. drawn : V.
     """
-    if isinstance(memory, SampledMemory) or model.at.cell_resistance.size > MOST_DENSE:
+    if isinstance(memory, SampledMemory) or model.at.cell_resistance.size > MAX_DENSE:
         return SampledErrors(model, memory if isinstance(memory, SampledMemory) else None, drawn)
     return DenseErrors(model, memory, drawn)

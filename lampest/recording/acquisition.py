@@ -35,7 +35,7 @@ FRAME_CHECKSUM, EVENT_CHECKSUM = "acquisition/crc32", "acquisition/event_crc32"
 EVENT_PATHS = ("acquisition/event_time", "acquisition/event_label")
 SUMS = "raw/sums"
 NO_SUM = 0xFFFF  # marks a missing sum: 64 readings of 10 bits sum to at most 65,472
-AT_ONCE = 1000  # frames of a block that is checked at once, to bound memory
+BLOCK_FRAMES = 1000  # frames of a block that is checked at once, to bound memory
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,8 +148,8 @@ def damaged_frames(file: h5py.File, scene: Scene, group: str) -> tuple[int, NDAr
     checked = hdf5.has(file, f"/entry/{FRAME_CHECKSUM}")
     frames = hdf5.length_of(file, f"/entry/{FRAME_CHECKSUM}") if checked else written
     wrong: list[NDArray[np.intp]] = []
-    for begin in range(0, min(frames, written), AT_ONCE):
-        part = slice(begin, min(begin + AT_ONCE, frames, written))
+    for begin in range(0, min(frames, written), BLOCK_FRAMES):
+        part = slice(begin, min(begin + BLOCK_FRAMES, frames, written))
         columns = stored_rows(file, paths, part)
         recorded, sums = columns[0], columns[paths.index(SUMS)]
         if sums.shape != recorded.shape or recorded.ndim != 3:

@@ -18,8 +18,8 @@ from lampest.panel.scene import Scene
 from lampest.recording.acquisition import undamaged_frames
 from lampest.recording.recording import MEASURED, UNLOADED, Recording, group_of, head_of
 
-WHOLE = 2_000_000  # readings of a recording that is held at once: 2 GB, as error bars take 1 kB of each
-BLOCK = 500_000  # readings of a part, where a recording has more
+MAX_READINGS = 2_000_000  # readings of a recording that is held at once: 2 GB, as error bars take 1 kB of each
+PART_READINGS = 500_000  # readings of a part, where a recording has more
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +53,7 @@ class StoredRecording:
     @property
     def length(self) -> int:
         """Number of frames of a part."""
-        return max(16, BLOCK // self.scene.panel.crossings)
+        return max(16, PART_READINGS // self.scene.panel.crossings)
 
     def blocks(self) -> tuple[range, ...]:
         """Return the ranges of frames that are estimated and written part by part.
@@ -149,9 +149,9 @@ def save_parts(path: Path, parts: Iterable[Recording]) -> None:
 
 def too_long(frames: int, cells: int) -> bool:
     """Return whether so many frames are too many to hold at once."""
-    return frames * cells > WHOLE
+    return frames * cells > MAX_READINGS
 
 
 def opened(path: Path) -> Recording | StoredRecording:
     """Open a recording, whole unless it is too long. Raises InputError as `Recording.load`."""
-    return Recording.load_up_to(path, WHOLE) or StoredRecording.of(path)
+    return Recording.load_up_to(path, MAX_READINGS) or StoredRecording.of(path)

@@ -24,7 +24,7 @@ Steps = Literal["all", "initial", "following"]
 T = TypeVar("T")
 Row = Mapping[str, Any]  # header of the CSV file → figure of a case over some of its steps, None where there is none
 ASIDE = ("label", "warnings", "chosen weights")  # of a row, but not of the table
-LEAST = 1e-3  # percent or ms: less is rounding
+MIN_DIFFERENCE = 1e-3  # percent or ms: less is rounding
 STEPS = {"all": "", "initial": " first", "following": " later"}
 NOTES = {  # what a header that begins so means
     "solved": "solved: frames at a verified local optimum, the best of all starts; approximate formulations: all "
@@ -280,8 +280,8 @@ def _plus_minus(row: Row, header: str, factor: float = 1.0) -> str:
     mean, sd = (row[header.format(name)] for name in ("mean", "sd"))
     if mean is None:
         return ""
-    if 0 < mean * factor < LEAST:
-        return f"< {LEAST:g}"
+    if 0 < mean * factor < MIN_DIFFERENCE:
+        return f"< {MIN_DIFFERENCE:g}"
     return digits(factor * mean, 2) + ("" if sd is None else f" ± {digits(factor * sd, 2, like=factor * mean)}")
 
 

@@ -17,12 +17,12 @@ from lampest.panel.scene import Faults, Scene
 from lampest.recording.readings import touching_columns, touching_rows
 from lampest.recording.recording import FORMAT as RECORDING
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
-from lampest.recording.stored import BLOCK, WHOLE, StoredRecording, opened, too_long
+from lampest.recording.stored import MAX_READINGS, PART_READINGS, StoredRecording, opened, too_long
 from lampest.report.strongest import as_recorded, mean_reading, strongest_index, strongest_readings
 from lampest.report.words import spanned
 from lampest.runs.results import FORMAT, CaseResult, Results, read_each, read_results, stored_cases
 
-MOST_ROWS = 48  # of a map
+MAX_ROWS = 48  # of a map
 FALLS, RISES, UNKNOWN = " ░▒▓█", " .+*#", "?"
 READINGS = ("/entry/two_point/resistance", "/entry/readings/volt")
 SEALED = "as written: {bytes} bytes in {datasets} datasets agree with their checksums"
@@ -46,7 +46,7 @@ def describe(path: str | Path) -> list[str]:
         cases = stored_cases(path)
         if not any(too_long(case.frames, case.cells) for case in cases):
             return [head, *_results_lines(read_results(path))]
-        part = next(read_each(path, BLOCK))
+        part = next(read_each(path, PART_READINGS))
         first, last = int(part.frame[0]), int(part.frame[-1])
         long = [f"  {case.estimator}  {case.frames} frames  case {case.case_id}" for case in cases]
         shown = _results_lines(read_results(path, frames=range(first, last + 1)))
@@ -250,7 +250,7 @@ def checked_sentence(path: Path) -> str:
         form = hdf5.read_attribute(file, "/", "lampest_format")
     size, datasets = hdf5.checked(path)
     if form == FORMAT:
-        for _ in read_each(path, WHOLE):
+        for _ in read_each(path, MAX_READINGS):
             pass
     elif form == RECORDING or not datasets:
         recording = opened(path)
@@ -263,7 +263,7 @@ def checked_sentence(path: Path) -> str:
 def text_map(values: Array) -> list[str]:
     """Return a matrix (rows, columns) as lines of numbers, cropped to the screen."""
     columns = values.shape[1]
-    texts = [["-" if np.isnan(value) else f"{value:.4g}" for value in row] for row in values[:MOST_ROWS]]
+    texts = [["-" if np.isnan(value) else f"{value:.4g}" for value in row] for row in values[:MAX_ROWS]]
     lines = [[*map(str, range(columns))], *texts]
     width = max(len(text) for line in lines for text in line) + 2
     labels = ["column", *(f"row {row}" for row in range(len(texts)))]
@@ -298,7 +298,7 @@ def shaded_map(change: Array) -> list[str]:
     keys += [f"{UNKNOWN} no value"] if not np.all(np.isfinite(change)) else []
     lines = [
         f"{row:>{label - 1}} " + "".join(wide * str(sign) for sign in line[:fitting])
-        for row, line in enumerate(signs[:MOST_ROWS])
+        for row, line in enumerate(signs[:MAX_ROWS])
     ]
     return [*(line.rstrip() for line in lines), "; ".join(keys) or "nothing changes", *_cropped(change, fitting)]
 
@@ -308,7 +308,7 @@ def _room() -> int:
 
 
 def _cropped(values: Array, columns: int) -> list[str]:
-    rows = min(len(values), MOST_ROWS)
+    rows = min(len(values), MAX_ROWS)
     if (rows, columns) == values.shape:
         return []
     return [f"(the first {rows} of {values.shape[0]} rows and {columns} of {values.shape[1]} columns)"]

@@ -111,15 +111,15 @@ def cores() -> int:
     return len(os.sched_getaffinity(0))
 
 
-MOST_TRIES = 4  # of a task whose process dies: whoever kills processes from outside may meet the same one again
-DIED = f"its process died {MOST_TRIES} times"
+MAX_TRIES = 4  # of a task whose process dies: whoever kills processes from outside may meet the same one again
+DIED = f"its process died {MAX_TRIES} times"
 HUNG = (
     "a frame went on far beyond solver.time_limit_s, in a step that nothing interrupts, so that its process was ended"
 )
-FEW = 12  # so many tasks of half a second end before processes have started
+MIN_TASKS = 12  # so many tasks of half a second end before processes have started
 # A worker of Dask is handed one task at a time where there are many.
 SCHEDULING = {
-    "distributed.scheduler.allowed-failures": MOST_TRIES - 1,
+    "distributed.scheduler.allowed-failures": MAX_TRIES - 1,
     "distributed.scheduler.worker-saturation": 1.0,
     "distributed.scheduler.work-stealing": False,
 }
@@ -204,7 +204,7 @@ class Processes(Executor):
                         tries[number] += 1
                         workers.append(Worker.start(function))
                         idle.append(workers[-1])
-                        if not worker.hung and tries[number] < MOST_TRIES:
+                        if not worker.hung and tries[number] < MAX_TRIES:
                             waiting.appendleft(number)
                             continue
                         outcome = TimeoutError(HUNG) if worker.hung else RuntimeError(DIED)
@@ -419,7 +419,7 @@ def each_of(
     function : importable by other processes. on_done : receives the numbers of finished and of all items. in_process :
     whether all calls are made in this process, for items whose classes others cannot import.
     """
-    executor: Executor = Processes() if len(things) > FEW and not in_process else Serial()
+    executor: Executor = Processes() if len(things) > MIN_TASKS and not in_process else Serial()
     results: dict[int, Any] = {}
     with closing(executor.results(function, things)) as ends:
         for count, (thing, outcome) in enumerate(ends, 1):

@@ -11,8 +11,8 @@ from lampest.cost.problem import Evaluation, within_one
 from lampest.panel.panel import Array
 
 MILLIONTH = 1e-6  # of a reading or a cell: what may be left of it where no noise is known
-LENGTHS = (1.0, 0.3, 0.1, 0.03, 0.01)  # of log r, of the cell that moves most
-STILL = 1e-12  # of the cost's scale: a smaller decrease is its rounding
+STEP_LENGTHS = (1.0, 0.3, 0.1, 0.03, 0.01)  # of log r, of the cell that moves most
+MIN_DECREASE_SHARE = 1e-12  # of the cost's scale: a smaller decrease is its rounding
 
 
 def free_cells(at: Evaluation, gradient: Array) -> NDArray[np.bool_]:
@@ -34,8 +34,8 @@ def within_bounds(at: Evaluation, free: NDArray[np.intp], step: Array) -> Array:
 
 def lower_along(at: Evaluation, along: Array) -> Evaluation | None:
     """Return a point forth or back along a direction (cells) of u where the cost is lower; None where there is none."""
-    least, size = _certain_cost(at) - STILL * at.cost_scale, float(np.abs(along).max(initial=0.0)) or 1.0
-    lengths = [sign * length / size for length in LENGTHS for sign in (1.0, -1.0)]
+    least, size = _certain_cost(at) - MIN_DECREASE_SHARE * at.cost_scale, float(np.abs(along).max(initial=0.0)) or 1.0
+    lengths = [sign * length / size for length in STEP_LENGTHS for sign in (1.0, -1.0)]
     beside = (moved_by(at, length * along) for length in lengths)
     return next((point for point in beside if point is not None and _certain_cost(point) < least), None)
 

@@ -21,13 +21,15 @@ from lampest.solvers.bounds import MILLIONTH, free_cells, lower_along, within_bo
 from lampest.solvers.hessian import Hessian
 from lampest.solvers.preconditioners import Cholesky, Numbers, Preconditioner, TwoLevel
 
-SHARE = 1e-3  # of a cell's posterior deviation: what a verified estimate may still move by where the noise is known
-NOTHING = 1e-10  # of the cost's scale: four digits below what a verified cost may be off by
-REPRODUCED = 1e-5  # of a reading: second derivatives of readings add no larger part to JᵀWJ
-SOLVED = 0.3  # of log r: so near within the bounds, cells that reproduce all readings minimise the cost
-REPRODUCED_CELLS = 1024  # up to which a solve with J is affordable where no noise says what may be off
+DEVIATION_SHARE = (
+    1e-3  # of a cell's posterior deviation: what a verified estimate may still move by where the noise is known
+)
+MIN_COST_SHARE = 1e-10  # of the cost's scale: four digits below what a verified cost may be off by
+MAX_RELATIVE_MISFIT = 1e-5  # of a reading: second derivatives of readings add no larger part to JᵀWJ
+MAX_DISTANCE = 0.3  # of log r: so near within the bounds, cells that reproduce all readings minimise the cost
+MAX_EXACT_CELLS = 1024  # up to which a solve with J is affordable where no noise says what may be off
 ACCURACY = 0.1  # of a predicted step on large panels
-UNSEEN = 1e-14  # of the cost's scale, over a change of one in log r: below any digit of the cost itself
+MIN_CURVATURE = 1e-14  # of the cost's scale, over a change of one in log r: below any digit of the cost itself
 ROUNDING = 1e-11  # of a matrix with a unit diagonal: what differences of impedances leave of 16 digits
 
 
@@ -73,7 +75,7 @@ class Certificate:
         """Whether a strict minimum is so near that no cell would notice."""
         if self.definiteness is not Definiteness.POSITIVE:
             return False
-        return float(np.abs(self.step).max(initial=0.0)) <= MILLIONTH or self.deviations <= SHARE
+        return float(np.abs(self.step).max(initial=0.0)) <= MILLIONTH or self.deviations <= DEVIATION_SHARE
 
     def after(self, at: Evaluation, gradient: Array) -> "Certificate":
         """Return the same at the end of its short step.
@@ -97,7 +99,7 @@ class Certificate:
         small = float(np.abs(self.step).max(initial=0.0)) <= MILLIONTH
         flat = self.definiteness is Definiteness.UNDETERMINED and self.left <= MILLIONTH * cost_scale
         known = self.definiteness is Definiteness.POSITIVE or flat
-        return small and known and self.decrement**2 <= NOTHING * cost_scale
+        return small and known and self.decrement**2 <= MIN_COST_SHARE * cost_scale
 
 
 def _deviations(hessian: Hessian, decrement: float) -> float:
@@ -133,15 +135,15 @@ def _of_reproduced(hessian: Hessian) -> Certificate | None:
     if not np.all(curvature > 0):
         return None
     missed = hessian.by_reading.ravel() / curvature / reading
-    known, close = hessian.at.data.noise_known, float(np.abs(missed).max()) <= REPRODUCED
-    if len(reading) > (DENSE_CELLS if known else REPRODUCED_CELLS) or (known and not close):
+    known, close = hessian.at.data.noise_known, float(np.abs(missed).max()) <= MAX_RELATIVE_MISFIT
+    if len(reading) > (DENSE_CELLS if known else MAX_EXACT_CELLS) or (known and not close):
         return None
     sensitivity, every = hessian.at.networks[0].sensitivity() / reading[:, None], np.arange(len(reading))
     _, _, step, singular = lapack.dgesv(sensitivity, -missed)
     if singular or not np.all(np.isfinite(step)):
         return Certificate.of(hessian, Definiteness.UNDETERMINED, every, 0 * missed, np.inf) if close else None
     inside = within_bounds(hessian.at, every, step)
-    if not close and (float(np.abs(step).max()) > SOLVED or not np.array_equal(inside, step)):
+    if not close and (float(np.abs(step).max()) > MAX_DISTANCE or not np.array_equal(inside, step)):
         return None
     decrement = float(np.sqrt(np.sum(curvature * (missed * reading) ** 2)))
     return Certificate.of(hessian, Definiteness.POSITIVE, every, step, decrement)
@@ -223,7 +225,7 @@ def _by_conjugate_gradients(
     if solved.negative:
         along = solved.step / (float(np.abs(solved.step).max()) or 1.0)
         curvature, size = float(along @ product(along)), hessian.diagonal[chosen]
-        rounding = max(ROUNDING * float(along @ (size * along)), UNSEEN * hessian.at.cost_scale)
+        rounding = max(ROUNDING * float(along @ (size * along)), MIN_CURVATURE * hessian.at.cost_scale)
         definiteness = Definiteness.UNDETERMINED if curvature > -rounding else Definiteness.INDEFINITE
     definiteness, lower = _confirmed(hessian, definiteness, chosen, solved.step)
     return Certificate.of(hessian, definiteness, chosen, solved.step, None, lower=lower)

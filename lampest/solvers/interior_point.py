@@ -20,15 +20,19 @@ from lampest.solvers.hessian import Hessian
 from lampest.solvers.preconditioners import TwoLevel
 from lampest.solvers.smoothing import Smoothing
 
-ROOM = 0.05  # of the median conductance: how far from its bounds a cell begins, or a fiftieth of what lies between them
-CENTRED = 0.2  # of μ: the next one, after a step of which bounds left at least half
-BOUNDARY = 0.99  # of the way to the next bound
-SHORTEST = 0.03  # of a step: conjugate gradients end before bounds leave less of it (directions of nearly no curvature)
-MOST_STEPS = 90
+START_MARGIN = (
+    0.05  # of the median conductance: how far from its bounds a cell begins, or a fiftieth of what lies between them
+)
+BARRIER_REDUCTION = 0.2  # of μ: the next one, after a step of which bounds left at least half
+STEP_TO_BOUNDARY = 0.99  # of the way to the next bound
+MIN_STEP = 0.03  # of a step: conjugate gradients end before bounds leave less of it (directions of nearly no curvature)
+MAX_STEPS = 90
 DECREASE, HALVINGS = 1e-4, 12  # as in Nocedal & Wright, section 3.1
 # Of the cost's scale, its gradient: frames in sequence begin at 0.05, what is solved again at its tolerance.
-NEAR = 1e-3
-NOTHING = 1e-8  # of the cost: what the bounds still add to it where the last steps are left to Newton's method
+START_TOLERANCE = 1e-3
+MAX_BARRIER_SHARE = (
+    1e-8  # of the cost: what the bounds still add to it where the last steps are left to Newton's method
+)
 
 
 def by_interior_point(start: Evaluation) -> tuple[Evaluation, int]:
@@ -39,7 +43,7 @@ def by_interior_point(start: Evaluation) -> tuple[Evaluation, int]:
     if not crowds_bounds(start):
         return start, 0
     barrier, steps = _Barrier.of(start), 0
-    while steps < MOST_STEPS and barrier.added > NOTHING * barrier.at.objective and not start.data.overdue:
+    while steps < MAX_STEPS and barrier.added > MAX_BARRIER_SHARE * barrier.at.objective and not start.data.overdue:
         moved = barrier.moved()
         if moved is None:
             break
@@ -54,7 +58,7 @@ def crowds_bounds(start: Evaluation) -> bool:
     if hessian.dense or not hessian.only_data or not all(term.loss.squared for term in start.cost.terms):
         return False
     cells = start.cell_resistance
-    if start.projected_gradient(hessian.gradient.reshape(cells.shape)) <= NEAR:
+    if start.projected_gradient(hessian.gradient.reshape(cells.shape)) <= START_TOLERANCE:
         return False
     stopped = int(np.sum(((cells <= data.lower) | (cells >= data.upper)) & (data.lower < data.upper)))
     return stopped > sum(cells.shape[1:]) and bool(np.all(np.isfinite([1 / data.lower, data.upper])))
@@ -78,7 +82,7 @@ class _Barrier:
         """Somewhat inside the bounds, with the same force times room everywhere."""
         low, high = _bounds(start)
         conductance = 1 / start.cell_resistance[0]
-        room = np.minimum(ROOM * float(np.median(conductance)), (high - low) / 50)
+        room = np.minimum(START_MARGIN * float(np.median(conductance)), (high - low) / 50)
         at = start.elsewhere(1 / np.clip(conductance, low + room, high - room)[None])
         bare = cls(at, np.zeros_like(low), np.zeros_like(low), 0.0)
         mean = 0.1 * float(np.mean((np.abs(bare.gradient) * np.minimum(*bare.rooms))[bare.moving]))
@@ -122,7 +126,7 @@ class _Barrier:
 
     def moved(self) -> "_Barrier | None":
         """After one step; None where no step leads lower."""
-        mean = self.mean * (CENTRED if self.length > 0.5 else 1.0)
+        mean = self.mean * (BARRIER_REDUCTION if self.length > 0.5 else 1.0)
         push = np.where(self.moving, -self.gradient + _over(mean, self.rooms[0]) - _over(mean, self.rooms[1]), 0.0)
         step = self._step(push)
         length = min(_reach(self.rooms[0], step), _reach(self.rooms[1], -step))
@@ -149,7 +153,7 @@ class _Barrier:
         rooms = [(room / self.conductance).ravel()[chosen] for room in self.rooms]
 
         def admits(step: Array) -> bool:
-            return min(_reach(rooms[0], step), _reach(rooms[1], -step)) >= SHORTEST
+            return min(_reach(rooms[0], step), _reach(rooms[1], -step)) >= MIN_STEP
 
         solved = steihaug(restricted(exact, chosen, push.size), precondition, slope, accuracy, admits=admits)
         if solved.negative:
@@ -193,4 +197,4 @@ def _over(force: Array | float, room: Array) -> Array:
 def _reach(room: Array, change: Array) -> float:
     """How far along a change all rooms stay positive, at most one."""
     falling = (change < 0) & (room > 0)
-    return float(min(1.0, BOUNDARY * float((-room[falling] / change[falling]).min(initial=np.inf))))
+    return float(min(1.0, STEP_TO_BOUNDARY * float((-room[falling] / change[falling]).min(initial=np.inf))))

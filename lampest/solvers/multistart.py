@@ -16,13 +16,13 @@ from lampest.files.process import delayed_interrupt
 from lampest.panel.panel import Array
 from lampest.solvers.preconditioners import Preconditioner
 from lampest.solvers.projected_newton import ProjectedNewton
-from lampest.solvers.solution import MOST_STARTS, VERIFIED, Outcome, Settings, Solution, Solver, Status, check, failure
+from lampest.solvers.solution import MAX_STARTS, VERIFIED, Outcome, Settings, Solution, Solver, Status, check, failure
 
 BROKEN = (ArithmeticError, ValueError, RuntimeError)  # what numpy, LAPACK, SuperLU and CasADi raise for numbers
 FIRST_STARTS = 3
-MOST_SPENT, MOST_UNSOLVED = 100, 300  # iterations of all starts, after which a frame with, without an estimate ends
-SPREAD = 20.0  # times the apparent resistance, to which scattered starts reach
-SAME = 1e-9  # of the cost: minima that differ by less are one, reached from two sides
+MAX_SPENT, MAX_UNSOLVED = 100, 300  # iterations of all starts, after which a frame with, without an estimate ends
+START_SPREAD = 20.0  # times the apparent resistance, to which scattered starts reach
+SAME_MINIMUM = 1e-9  # of the cost: minima that differ by less are one, reached from two sides
 LAST_STEPS = Settings(max_iterations=20)
 # Readings in volt are large beside their noise, and so is the cost against which the test of optimality is scaled.
 FINE_STEPS = Settings(tolerance=1e-12, max_iterations=20)
@@ -64,12 +64,12 @@ def _lowest(solver: Solver, data: Data, previous: Array | None) -> Solution:
     places = chain(starts(solver.cost, data, previous), scattered(data) if wanted else ())
     for start in evaluable(solver.cost, data, places):
         solved = best is not None and best.solved
-        enough = tried >= most or (wanted is None and spent > MOST_SPENT)
-        if tried and (data.overdue or (solved and enough) or (wanted is None and spent > MOST_UNSOLVED)):
+        enough = tried >= most or (wanted is None and spent > MAX_SPENT)
+        if tried and (data.overdue or (solved and enough) or (wanted is None and spent > MAX_UNSOLVED)):
             break
         solution, tried = solved_from(solver, start), tried + 1
         spent += solution.iterations
-        lower = best is None or not best.solved or solution.objective < best.objective * (1 - SAME)
+        lower = best is None or not best.solved or solution.objective < best.objective * (1 - SAME_MINIMUM)
         best = solution if best is None or (solution.solved and lower) else best
         if wanted is None and solution.strict and solution.convex:
             break
@@ -98,7 +98,7 @@ def starts(cost: Cost, data: Data, previous: Array | None) -> Iterator[Array]:
 
 
 def scattered(data: Data) -> Iterator[Array]:
-    """Apparent resistances times 1 to SPREAD, without end and the same for everybody.
+    """Apparent resistances times 1 to START_SPREAD, without end and the same for everybody.
 
     The exponents are fractions of √2·n², which lie evenly (Rudnick, Sarnak & Zaharescu, Invent. Math. 145, 2001).
     """
@@ -106,7 +106,7 @@ def scattered(data: Data) -> Iterator[Array]:
     for drawn in count():
         places = np.arange(1, size + 1, dtype=float) + size * drawn
         share = (np.sqrt(2.0) * places**2 % 1.0).reshape(data.measured.shape)
-        yield data.apparent_resistance * SPREAD**share
+        yield data.apparent_resistance * START_SPREAD**share
 
 
 def convex(data: Data, near: Array | None) -> Array:
@@ -124,7 +124,7 @@ def evaluated(cost: Cost, data: Data, start: Array) -> Evaluation:
 
 def evaluable(cost: Cost, data: Data, places: Iterable[Array]) -> Iterator[Evaluation]:
     """Return the cost at those starts where it is a number."""
-    for start in islice(places, MOST_STARTS):
+    for start in islice(places, MAX_STARTS):
         with suppress(*BROKEN):
             point = evaluated(cost, data, start)
             if np.isfinite(point.objective):

@@ -22,9 +22,11 @@ from lampest.panel.panel import Array
 from lampest.panel.trust_region import Linear, restricted
 from lampest.solvers.hessian import Hessian
 
-LEAST = 1e-12  # of the largest entry of a diagonal: double precision does not distinguish a smaller one from zero
+MIN_DIAGONAL = (
+    1e-12  # of the largest entry of a diagonal: double precision does not distinguish a smaller one from zero
+)
 SHIFTS = (1e-10, 1e-6, 1e-3)  # of a unit diagonal: where rounding makes Gauss–Newton's matrix indefinite
-WEAK = 1e-3  # of the largest weight: readings beyond a loss's corner, which still tie a line together
+WEAK_WEIGHT = 1e-3  # of the largest weight: readings beyond a loss's corner, which still tie a line together
 Numbers = NDArray[np.intp]
 Free = NDArray[np.bool_]
 
@@ -127,7 +129,9 @@ class TwoLevel(Preconditioner):
             return sparse.csr_array(inverse @ (hessian.penalty_matrix + added) @ inverse)
 
         if len(cells) == 1:
-            weight = np.maximum(hessian.reading_weight[0], WEAK * (hessian.reading_weight.max(initial=0.0) or 1.0))
+            weight = np.maximum(
+                hessian.reading_weight[0], WEAK_WEIGHT * (hessian.reading_weight.max(initial=0.0) or 1.0)
+            )
             parts = hessian.at.networks[0].normal_by_lines(weight)
             level = local(parts.own.ravel())
             level_parts = (level, parts.along / cells, parts.mixed)
@@ -258,8 +262,8 @@ def gauss_newton_factor(hessian: Hessian, free: Free, damping: float = SHIFTS[0]
 
 
 def floored(diagonal: Array) -> Array:
-    """None below LEAST of the largest."""
-    return np.asarray(np.maximum(diagonal, LEAST * (float(diagonal.max(initial=0.0)) or 1.0)))
+    """None below MIN_DIAGONAL of the largest."""
+    return np.asarray(np.maximum(diagonal, MIN_DIAGONAL * (float(diagonal.max(initial=0.0)) or 1.0)))
 
 
 def sparse_inverse(matrix: sparse.csr_array) -> Linear:

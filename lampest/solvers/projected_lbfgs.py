@@ -15,22 +15,22 @@ from lampest.cost.cost import Cost
 from lampest.cost.problem import Data, Evaluation
 from lampest.panel.panel import Array
 from lampest.panel.readouts import TwoPointReadout
-from lampest.solvers.bounds import MILLIONTH, STILL
+from lampest.solvers.bounds import MILLIONTH, MIN_DECREASE_SHARE
 from lampest.solvers.certificate import clear_of_rounding
 from lampest.solvers.hessian import Hessian, matrix_between
 from lampest.solvers.preconditioners import Cholesky
-from lampest.solvers.projected_newton import MAX_STEP, MAX_TRIES, MIN_RATIO, MOVED, RADIUS_FACTOR
+from lampest.solvers.projected_newton import MAX_REUSE_DISTANCE, MAX_STEP, MAX_TRIES, MIN_RATIO, RADIUS_FACTOR
 from lampest.solvers.smoothing import Smoothing
 from lampest.solvers.solution import Settings
 
 Mask = NDArray[np.bool_]
 Numbers = NDArray[np.intp]
 
-MOST_STEPS = 40  # of a panel in a batch; the solver for single panels goes on from there
+MAX_STEPS = 40  # of a panel in a batch; the solver for single panels goes on from there
 PAIRS = 4  # of steps and changes of the gradient that correct M
-CERTIFIED = 0.1  # of log r: ∇²φ changes by as much, and its definiteness is shown again beyond
+CERTIFIED_DISTANCE = 0.1  # of log r: ∇²φ changes by as much, and its definiteness is shown again beyond
 LAST_STEP = 0.01 * MILLIONTH  # of log r: M⁻¹ ∇φ misses Newton’s step by a tenth of it
-SHORTEST = 1 - 1e-3  # of a relative change of a conductance: the step that MAX_STEP cuts off
+MAX_RELATIVE_CHANGE = 1 - 1e-3  # of a relative change of a conductance: the step that MAX_STEP cuts off
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +70,7 @@ class InverseHessians:
 
     def shows_minimum(self, panels: Numbers, points: Hessian) -> Mask:
         """(of some panels) whether ∇²φ was positive definite so near that it still is."""
-        near = self.distance(panels, points.position) <= CERTIFIED
+        near = self.distance(panels, points.position) <= CERTIFIED_DISTANCE
         return near & self.positive[panels] & ~(points.free & ~self.free[panels]).any(axis=1)
 
     def newton(self, panels: Numbers, gradient: Array) -> Array:
@@ -160,7 +160,7 @@ def solve(start: Evaluation, inverses: InverseHessians, numbers: Numbers, settin
     ends, (count,) = whole.position.copy(), start.data.panels
     solved, iterations = np.zeros(count, dtype=bool), np.zeros(count, dtype=np.int64)
     panels, secants = np.arange(count), Secants()
-    for _ in range(min(MOST_STEPS, settings.max_iterations)):
+    for _ in range(min(MAX_STEPS, settings.max_iterations)):
         if not len(panels):
             break
         near = points.residual <= settings.tolerance
@@ -231,7 +231,7 @@ def _advanced(
 
     Steps are relative changes of conductances, g ← g·(1 − s), in which readings are closest to quadratic.
     """
-    old = inverses.worn[panels] | (inverses.distance(panels, points.position) > MOVED)
+    old = inverses.worn[panels] | (inverses.distance(panels, points.position) > MAX_REUSE_DISTANCE)
     if old.any():
         inverses.renew(panels[old], points.some(np.flatnonzero(old)))
         secants = secants.without(old)
@@ -240,12 +240,12 @@ def _advanced(
     trying, length = np.arange(len(panels)), 1.0
     low, high = points.position - MAX_STEP, points.position + MAX_STEP
     for attempt in range(MAX_TRIES):
-        target = points.position[trying] - np.log1p(-np.minimum(length * step[trying], SHORTEST))
+        target = points.position[trying] - np.log1p(-np.minimum(length * step[trying], MAX_RELATIVE_CHANGE))
         some = points if len(trying) == len(panels) else points.some(trying)
         trial = some.elsewhere(np.clip(target, low[trying], high[trying]))
         gain = some.at.objectives - trial.at.objectives
         expected = -(some.gradient * (trial.position - some.position)).sum(axis=1)
-        invisible = STILL * np.abs(some.at.objectives)
+        invisible = MIN_DECREASE_SHARE * np.abs(some.at.objectives)
         lowered = np.where(
             np.abs(expected) > invisible,
             gain >= MIN_RATIO * np.abs(expected),

@@ -17,7 +17,7 @@ from lampest.cost.cost import Cost
 from lampest.cost.problem import Data, Evaluation
 from lampest.panel.panel import Array
 from lampest.panel.trust_region import Linear, restricted, steihaug
-from lampest.solvers.bounds import MILLIONTH, STILL, free_cells, moved_by
+from lampest.solvers.bounds import MILLIONTH, MIN_DECREASE_SHARE, free_cells, moved_by
 from lampest.solvers.certificate import Certificate, Definiteness, certificate
 from lampest.solvers.hessian import Hessian
 from lampest.solvers.interior_point import by_interior_point
@@ -31,12 +31,15 @@ RADIUS_FACTOR = 0.25  # of a rejected step: the radius for the next try
 MAX_STEP = float(np.log(4.0))  # of log r in one step: beyond, the quadratic model of a cell is wrong
 MAX_TRIES = 15  # solves of a direction, in which cells stop at bounds; tries of a step (4⁻¹⁵ is rounding); last steps
 GAUSS_NEWTON = 3  # steps with JᵀWJ before a direction of negative curvature is followed
-WORN = {True: 5, False: 30}  # products of a step after which a kept preconditioner is made anew: dense, sparse
+MAX_REUSE_PRODUCTS = {
+    True: 5,
+    False: 30,
+}  # products of a step after which a kept preconditioner is made anew: dense, sparse
 MAX_PRODUCTS = {True: 40, False: 400}  # of a solve: a factor anew is cheaper on small problems
-MOVED = 0.7  # of log r: the same; without it small panels take a third more products
-LEAST_COST = 1e-4  # of the cost's scale: a cost near zero needs no smoothing finer than this
-NEAR = 0.01  # of log r: second derivatives change by as much; before a step of its square ∇²φ is factored
-MIN_DAMPING, DAMPED, MAX_DAMPING = 1e-15, 1e-4, 1e3  # μ: to begin with, of a second try, at most
+MAX_REUSE_DISTANCE = 0.7  # of log r: the same; without it small panels take a third more products
+MIN_SMOOTHED_COST = 1e-4  # of the cost's scale: a cost near zero needs no smoothing finer than this
+REFACTOR_DISTANCE = 0.01  # of log r: second derivatives change by as much; before a step of its square ∇²φ is factored
+MIN_DAMPING, NEXT_DAMPING, MAX_DAMPING = 1e-15, 1e-4, 1e3  # μ: to begin with, of a second try, at most
 
 
 @dataclass(frozen=True)
@@ -134,7 +137,7 @@ class Iterate:
 
     def sharp(self, tolerance: float) -> bool:
         """Return whether smoothing costs no more than `tolerance` of the cost."""
-        allowed = min(self.at.cost_scale, max(self.at.objective, LEAST_COST * self.at.cost_scale))
+        allowed = min(self.at.cost_scale, max(self.at.objective, MIN_SMOOTHED_COST * self.at.cost_scale))
         return self.gap * self.at.cost_scale <= tolerance * allowed
 
     @property
@@ -152,7 +155,11 @@ class Iterate:
     def certificate(self) -> Certificate:
         """Certificate of this point, reusing a previous factor while the Hessian has hardly changed."""
         previous, cells = self.nearby, self.at.cell_resistance
-        if previous is not None and previous.factor is not None and previous.factor.distance(cells) <= NEAR**2:
+        if (
+            previous is not None
+            and previous.factor is not None
+            and previous.factor.distance(cells) <= REFACTOR_DISTANCE**2
+        ):
             free = np.flatnonzero(free_cells(self.at, self.hessian.gradient))
             if previous.definiteness is Definiteness.POSITIVE and np.array_equal(free, previous.factor.cells):
                 return previous.after(self.at, self.hessian.gradient)
@@ -174,7 +181,7 @@ class Iterate:
         final: Certificate | None = self.__dict__.get("certificate")
         cells, dual = self.at.cell_resistance, self.hessian.smoothing.slope(self.at.nonsmooth)
         factored = final is not None and final.factor is not None and final.settled and not len(dual)
-        if final is not None and factored and MILLIONTH / 1000 < float(np.abs(final.step).max()) <= NEAR:
+        if final is not None and factored and MILLIONTH / 1000 < float(np.abs(final.step).max()) <= REFACTOR_DISTANCE:
             cells = np.exp(self.at.position + final.step.reshape(cells.shape))
         return Outcome(cells, dual, status, iterations, final, self.newest, self.convex, self.at)
 
@@ -211,10 +218,10 @@ def trust_region_step(point: Iterate) -> Iterate | None:
     Every iteration begins with an infinite radius: readings at a rail curve the cost on one side alone.
     """
     hessian, cells = point.hessian, point.at.cell_resistance
-    if point.expected <= NEAR**2 and not len(point.at.nonsmooth):
+    if point.expected <= REFACTOR_DISTANCE**2 and not len(point.at.nonsmooth):
         _ = point.certificate
     free, cached = free_cells(point.at, hessian.gradient), point.newest
-    if cached is None or cached.distance(cells) > MOVED:
+    if cached is None or cached.distance(cells) > MAX_REUSE_DISTANCE:
         cached = preconditioner(hessian, free)
     radius, patience, convex = inf, point.gauss_newton, point.convex
     curved = np.zeros_like(hessian.gradient) if shares_conductance(point.at) else hessian.gradient
@@ -232,7 +239,7 @@ def trust_region_step(point: Iterate) -> Iterate | None:
             direction = newton_direction(point, cached, free, product, radius)
         trial = point.at_step(direction.step)
         if trial is not None and decrease_ratio(point, trial, direction.predicted) >= MIN_RATIO:
-            worn = direction.products > WORN[hessian.dense]
+            worn = direction.products > MAX_REUSE_PRODUCTS[hessian.dense]
             patience = patience if direction.negative or product is not exact else GAUSS_NEWTON
             expected = point.expects(trial) if hessian.dense else inf
             cached, nearby = None if worn else cached, None if worn else point.known
@@ -247,7 +254,7 @@ def decrease_ratio(point: Iterate, trial: Iterate, predicted: float) -> float:
     """Return actual over predicted decrease; where rounding hides it, 1 if the gradient halved, else −1."""
     if not np.isfinite(trial.objective):
         return -1.0
-    decrease, rounding = point.objective - trial.objective, STILL * abs(point.objective)
+    decrease, rounding = point.objective - trial.objective, MIN_DECREASE_SHARE * abs(point.objective)
     if predicted > rounding:
         return decrease / predicted
     return 1.0 if abs(decrease) <= rounding and trial.residual <= point.residual / 2 else -1.0
@@ -346,5 +353,5 @@ def levenberg_step(point: Iterate) -> Iterate | None:
             if trial is not None and (decrease := point.objective - trial.objective) > MIN_RATIO * predicted:
                 eased = damping / 10 if decrease > predicted / 2 else damping
                 return replace(trial, preconditioner=None, damping=max(eased, MIN_DAMPING))
-        damping = max(10 * damping, DAMPED)
+        damping = max(10 * damping, NEXT_DAMPING)
     return None

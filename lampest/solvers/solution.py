@@ -19,8 +19,8 @@ from lampest.solvers.smoothing import Smoothing
 
 VERIFIED = MILLIONTH
 OPEN_FRACTION = 0.99
-MOST_STARTS = 1000
-SHARP = 1e-8  # of the largest residual with an absolute loss: width of the smoothing
+MAX_STARTS = 1000
+SMOOTHING_WIDTH = 1e-8  # of the largest residual with an absolute loss: width of the smoothing
 
 
 class Status(Enum):
@@ -103,7 +103,7 @@ class Settings(Validated):
             raise ValueError("tolerance must lie between 0 and 1")
         check_ranges(self, 1, 1_000_000, "max_iterations")
         check_positive_fields(self, "time_limit_s")
-        check_ranges(self, 1, MOST_STARTS, "starts")
+        check_ranges(self, 1, MAX_STARTS, "starts")
 
 
 @dataclass(frozen=True, eq=False)
@@ -223,8 +223,8 @@ def check(start: Evaluation, outcome: Outcome) -> Solution:
 
 
 def _sharp(at: Evaluation, outcome: Outcome) -> Hessian:
-    """Return second derivatives with absolute losses smoothed by `SHARP` of the largest residual."""
-    return Hessian(at, Smoothing(SHARP * (float(np.abs(at.nonsmooth).max(initial=0.0)) or 1.0), outcome.dual))
+    """Return second derivatives with absolute losses smoothed by `SMOOTHING_WIDTH` of the largest residual."""
+    return Hessian(at, Smoothing(SMOOTHING_WIDTH * (float(np.abs(at.nonsmooth).max(initial=0.0)) or 1.0), outcome.dual))
 
 
 def _cause(at: Evaluation, gradient: Array, outcome: Outcome, fault: Status) -> Status:

@@ -26,7 +26,7 @@ from lampest.recording.simulation.simulation import Course, Simulation, simulate
 from lampest.report.compare import Table
 from lampest.solvers.solution import Settings
 from lampest.studies import common, study
-from lampest.studies.common import NO_GAP, TimedFrame, inverse_time, outcome, peak_memory, pushed
+from lampest.studies.common import MIN_GAP, TimedFrame, inverse_time, outcome, peak_memory, pushed
 from lampest.studies.study import OnStep, column
 
 
@@ -56,7 +56,7 @@ class BenchLimits(Configuration):
     joint : largest side on which relative methods solve the first frame jointly with the baseline.
     """
 
-    reduced: int = common.LARGEST_SIDE
+    reduced: int = common.MAX_SIDE
     nodal: int = 16
     joint: int = 10
 
@@ -114,8 +114,8 @@ class BenchFile(Configuration):
     def __post_init__(self) -> None:
         if not self.sizes or not self.estimators:
             raise ValueError("sizes and estimators must hold at least one")
-        common.check_sides(self.shapes, 2, common.LARGEST_SIDE)
-        check_range("a panel's side", self.memory, 2, common.LARGEST_SIDE)
+        common.check_sides(self.shapes, 2, common.MAX_SIDE)
+        check_range("a panel's side", self.memory, 2, common.MAX_SIDE)
         for rows, columns in self.shapes:
             if not self.solvers((rows, columns)):
                 raise ValueError(f"limits leave no solver for {rows} × {columns}")
@@ -357,7 +357,7 @@ SCREEN: study.Screen = {
     ),
     "inverses": "{inverses:digits}",
     "steps": "{iterations:g}",
-    "gap": lambda row: study.text_of(row.gap, ".0e") if row.gap is None or row.gap > NO_GAP else f"< {NO_GAP:.0e}",
+    "gap": lambda row: study.text_of(row.gap, ".0e") if row.gap is None or row.gap > MIN_GAP else f"< {MIN_GAP:.0e}",
     "verified": "{verified}/{count}",
     "MB": "{memory_mb:.0f}",
 }

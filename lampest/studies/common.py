@@ -23,7 +23,7 @@ from lampest.runs.executors import Processes
 from lampest.solvers.solution import STRICT
 from lampest.studies.study import column
 
-LARGEST_SIDE = 1000  # of a simulated panel
+MAX_SIDE = 1000  # of a simulated panel
 SERIES_OHM = 140  # two multiplexer channels, as in the shipped scenes
 Shape = tuple[int, int]
 Sizes = tuple[int | Shape, ...]  # sides of square panels, or [rows, columns]
@@ -107,7 +107,7 @@ def lamprey_mouth(centre_mm: tuple[float, float], diameter_mm: float = 35.0) -> 
 
 Result = TypeVar("Result")
 Task = TypeVar("Task")
-NO_GAP = 1e-12  # less is rounding
+MIN_GAP = 1e-12  # less is rounding
 STATUS = Path("/proc/self/status")  # where Linux says how much a process holds
 
 

@@ -61,10 +61,10 @@ class TradeoffLimits(Configuration):
     joint : largest side for methods that compare frames, whose joint first pair takes minutes on larger panels.
     """
 
-    naive: int = common.LARGEST_SIDE
-    scaled: int = common.LARGEST_SIDE
-    linearised: int = common.LARGEST_SIDE
-    truncated: int = common.LARGEST_SIDE
+    naive: int = common.MAX_SIDE
+    scaled: int = common.MAX_SIDE
+    linearised: int = common.MAX_SIDE
+    truncated: int = common.MAX_SIDE
     nodal: int = 16
     per_pixel: int = 10
     joint: int = 16
@@ -95,7 +95,7 @@ class Simulated(Configuration):
     def __post_init__(self) -> None:
         if not self.sizes or not self.noise or not self.scenes:
             raise ValueError("sizes, noise and scenes must hold at least one")
-        common.check_sides(common.shapes_of(self.sizes), 8, common.LARGEST_SIDE)
+        common.check_sides(common.shapes_of(self.sizes), 8, common.MAX_SIDE)
         for name in (*self.noise, *self.scenes):
             check_name(name, "noise or scene")
         check_positive_fields(self, "diameter_mm")
@@ -179,7 +179,7 @@ class TradeoffFile(Configuration):
 
     def rungs(self, shape: common.Shape) -> dict[str, Method]:
         """Return the formulations that are measured on a panel, by label."""
-        allowed = (rung for rung in self.ladder if max(shape) <= getattr(self.limits, rung.kind, common.LARGEST_SIDE))
+        allowed = (rung for rung in self.ladder if max(shape) <= getattr(self.limits, rung.kind, common.MAX_SIDE))
         return {label(rung): rung for rung in allowed}
 
     def methods(self, shape: common.Shape) -> list[str]:

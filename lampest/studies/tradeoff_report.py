@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from lampest.report.compare import Table
 from lampest.report.plots.style import SMALL_POINT, TEXT_POINT, dressed, new_figure
 from lampest.studies import study
-from lampest.studies.common import NO_GAP
+from lampest.studies.common import MIN_GAP
 from lampest.studies.tradeoff import Plan, TradeoffFrame, read_plan, run_tradeoff
 
 COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00")
@@ -127,7 +127,7 @@ def _draw(axes: Axes, rows: Sequence[study.Row], methods: list[str], rungs: list
     axes.set_xscale("log")
     axes.set_yscale("log")
     known = [row for row in rows if getattr(row, what) is not None and np.isfinite(getattr(row, what))]
-    places = {(row.method, row.formulation): (row.frame_ms, max(getattr(row, what), NO_GAP)) for row in known}
+    places = {(row.method, row.formulation): (row.frame_ms, max(getattr(row, what), MIN_GAP)) for row in known}
     for method, colour in zip(methods[1:], COLOURS, strict=False):
         if points := [place for (own, _), place in places.items() if own == method]:
             axes.plot(*zip(*points, strict=True), "o", label=method, color=colour, ms=2.8, mew=0, alpha=0.75)
@@ -143,9 +143,9 @@ def _draw(axes: Axes, rows: Sequence[study.Row], methods: list[str], rungs: list
             axes.plot(*point, "o", ms=8, mfc=fill, mec="black", mew=0.8, zorder=3)
             look: dict[str, Any] = {"color": ink, "ha": "center", "va": "center_baseline", "zorder": 4}
             axes.annotate(str(rungs.index(rung) + 1), point, fontsize=SMALL_POINT - 1, **look)
-    if min(value for _, value in points) <= NO_GAP:
-        axes.axhline(NO_GAP, color="0.5", lw=0.6, ls=":")
-        axes.set_ylim(bottom=NO_GAP / 30)
+    if min(value for _, value in points) <= MIN_GAP:
+        axes.axhline(MIN_GAP, color="0.5", lw=0.6, ls=":")
+        axes.set_ylim(bottom=MIN_GAP / 30)
     axes.margins(0.12, 0.14)
 
 

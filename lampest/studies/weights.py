@@ -27,7 +27,7 @@ from lampest.panel.scene import Scene
 from lampest.posterior.dense import DenseErrors
 from lampest.posterior.linear import LinearModel
 from lampest.posterior.spectrum import Rule, Spectrum
-from lampest.posterior.track import MOST_DENSE
+from lampest.posterior.track import MAX_DENSE
 from lampest.recording.recording import Recording
 from lampest.runs.config import Case
 from lampest.solvers.multistart import BROKEN, best_solution, convex, evaluated
@@ -136,8 +136,8 @@ def why_not(estimator: Estimator, readings: int) -> str | None:
     if misfits != 1 or len(terms) != 2:
         penalties = len(terms) - misfits
         return f"it has {penalties} penalty terms, not one" if penalties else "it has no penalty to weigh"
-    if readings > MOST_DENSE:
-        return f"one solve has {readings} readings, more than {MOST_DENSE}"
+    if readings > MAX_DENSE:
+        return f"one solve has {readings} readings, more than {MAX_DENSE}"
     return None
 
 

@@ -183,7 +183,7 @@ def test_common_step_is_that_of_most_readings() -> None:
 def test_samples_agree_with_matrices_along_a_sequence(monkeypatch: pytest.MonkeyPatch) -> None:
     """Every frame's noise is new: the same samples again and again would not average out."""
     dense = estimated(walk(0, 2.0), Arrival())
-    monkeypatch.setattr("lampest.posterior.track.MOST_DENSE", 1)
+    monkeypatch.setattr("lampest.posterior.track.MAX_DENSE", 1)
     sampled = estimated(walk(0, 2.0), Arrival())
     assert size(deviation(sampled)[-1]) == pytest.approx(size(deviation(dense)[-1]), rel=0.06)
     assert_allclose(sampled.cell_resistance, dense.cell_resistance, rtol=0.05)

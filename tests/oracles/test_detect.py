@@ -11,7 +11,7 @@ from scipy.stats import multivariate_normal
 from lampest.loads.recognition.candidates import AND, FLAT, UNIFORM, Several
 from lampest.loads.recognition.candidates import LOADS as SHAPED
 from lampest.loads.recognition.detector import Detector, discs_of
-from lampest.loads.recognition.evidence import CANNOT_BE, RARER, Verdict, prior_cost, rises
+from lampest.loads.recognition.evidence import IMPOSSIBLE, MOUTH_LOG_ODDS, Verdict, prior_cost, rises
 from lampest.loads.recognition.fit import SD, field_fit, paid, prior, states
 from lampest.loads.recognition.observation import Baseline, ModelErrors, Observation, Whitening, outliers
 from lampest.loads.shapes import Block, OralDisc, Ring, Rod, SuctionCup
@@ -163,11 +163,13 @@ def test_two_small_mouths_are_two_on_any_panel(side: int, places: tuple[tuple[fl
 def test_loads_do_not_stand_in_one_place() -> None:
     fit = seen(frames_of(recorded(MOUTH)))[-1].best
     both = Several.of((OralDisc.candidate, OralDisc.candidate))
-    for shift, cost in ((0.0, CANNOT_BE), (60.0, 0.0)):
+    for shift, cost in ((0.0, IMPOSSIBLE), (60.0, 0.0)):
         other = fit.parameters + np.eye(len(fit.parameters))[0] * shift
         twice = replace(fit, candidate=both, parameters=np.concatenate([fit.parameters, other]))
-        alone = prior_cost(PANEL, replace(fit, parameters=other)) if shift == 0 else CANNOT_BE  # no cell rises there
-        assert prior_cost(PANEL, twice) == pytest.approx(prior_cost(PANEL, fit) + alone + cost + RARER, abs=0.5)
+        alone = prior_cost(PANEL, replace(fit, parameters=other)) if shift == 0 else IMPOSSIBLE  # no cell rises there
+        assert prior_cost(PANEL, twice) == pytest.approx(
+            prior_cost(PANEL, fit) + alone + cost + MOUTH_LOG_ODDS, abs=0.5
+        )
 
 
 @pytest.mark.parametrize("told", [0.0, 0.05])
@@ -215,9 +217,9 @@ def test_hidden_suction_counts_less() -> None:
     verdict = seen(frames_of(recorded(MOUTH)))[-1]
     assert verdict.best.change.max() > 1 and prior_cost(PANEL, verdict.best) == pytest.approx(0, abs=0.1)
     hidden = replace(verdict.best, change=np.minimum(verdict.best.change, 0))
-    assert prior_cost(PANEL, hidden) == CANNOT_BE
+    assert prior_cost(PANEL, hidden) == IMPOSSIBLE
     pressed = frames_of(recorded(Rod(centre_mm=(45, 45), diameter_mm=35, mass_g=500)))[-1]
-    assert not rises(pressed) and prior_cost(PANEL, verdict.best, pressed) > 0.8 * CANNOT_BE
+    assert not rises(pressed) and prior_cost(PANEL, verdict.best, pressed) > 0.8 * IMPOSSIBLE
     assert prior_cost(PANEL, replace(hidden, candidate=Ring.candidate)) == 0
 
 

@@ -11,7 +11,7 @@ import lampest
 from docs.studies.model_check import named, sound, wrong
 from lampest import Misfit, Recording, Scene, Simulation, TwoPointReadout
 from lampest.cli.results import compare as compare_command
-from lampest.estimate.cells_fit import MOST_CELLS, fitted
+from lampest.estimate.cells_fit import MAX_CELLS, fitted
 from lampest.estimate.outliers import without_outliers
 from lampest.estimate.prepared import Prepared
 from lampest.estimate.rivals import standing_frames
@@ -217,7 +217,7 @@ def test_the_misfit_of_cells_alone_is_no_larger_than_its_degrees_say() -> None:
 @pytest.mark.slow
 def test_a_large_panel_is_held_against_cells_alone() -> None:
     side = 21
-    assert side**2 > MOST_CELLS
+    assert side**2 > MAX_CELLS
     readout = lampest.LoadedColumnsReadout(drive_ohm=0.0, adc_bits=12, readings=20)
     scene = Scene(lampest.Panel(side, side, 10.0), readout)
     cells = 3000 * np.exp(0.2 * np.random.default_rng(6).standard_normal((2, side, side)))

@@ -6,7 +6,7 @@ import pytest
 from lampest import Estimator, Misfit, Panel, Readings, Scene, TotalVariation, TwoPointReadout, two_point_resistance
 from lampest.cost.given import Background
 from lampest.cost.problem import Evaluation
-from lampest.estimate.changed_cells import MOVED, PRICE, scores_beside, selected, still_cells
+from lampest.estimate.changed_cells import MOVED_COST, PARAMETER_COST, scores_beside, selected, still_cells
 from lampest.estimate.model_check import most_in_series
 from lampest.estimate.noise import NoiseSeen, swept
 from lampest.estimate.rivals import Question, Rival
@@ -39,9 +39,9 @@ def test_a_cell_that_moved_costs_its_price_and_nothing_else() -> None:
     lost, moved = selected(precision @ change, precision)
     np.testing.assert_array_equal(moved, ~others)
     left = change[others] @ np.linalg.solve(covariance[np.ix_(others, others)], change[others])
-    assert change @ precision @ change + lost == pytest.approx(PRICE + left, rel=1e-9)
+    assert change @ precision @ change + lost == pytest.approx(PARAMETER_COST + left, rel=1e-9)
     score = scores_beside(change, precision, np.zeros((9, 1)))
-    assert score == pytest.approx([PRICE + left], rel=1e-9)
+    assert score == pytest.approx([PARAMETER_COST + left], rel=1e-9)
 
 
 def test_still_cells_have_the_likelihood_of_the_others_beside_changes_of_size_one() -> None:
@@ -51,7 +51,7 @@ def test_still_cells_have_the_likelihood_of_the_others_beside_changes_of_size_on
     np.testing.assert_array_equal(np.flatnonzero(~still), [3, 7])
     within = covariance[np.ix_(still, still)]
     expected = change[still] @ np.linalg.solve(within, change[still]) + np.linalg.slogdet(within)[1]
-    assert cost == pytest.approx(expected + 0.8**2 + 0.3**2 + 2 * MOVED, rel=1e-9)
+    assert cost == pytest.approx(expected + 0.8**2 + 0.3**2 + 2 * MOVED_COST, rel=1e-9)
 
 
 def test_motion_widens_the_noise_of_swept_readings_and_counts_frames_that_it_exceeds() -> None:

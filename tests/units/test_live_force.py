@@ -15,7 +15,7 @@ from lampest.panel.response import PublishedResponse, ratio_from_pressure
 from lampest.panel.scene import Faults, Scene, Water
 from lampest.recording.readings import Readings
 from lampest.report.live.engine import with_picture
-from lampest.report.live.message import POINTS, Picture, View, view_text
+from lampest.report.live.message import HISTORY_FRAMES, Picture, View, view_text
 from lampest.report.live.state import read_load, verdict_of
 
 
@@ -99,11 +99,15 @@ def test_what_is_on_the_panel_in_a_word(change: dict[tuple[int, int], float], ve
 def test_the_history_keeps_its_newest_points() -> None:
     nothing = np.full((1, 1), np.nan)
     view = View("here", "LSM", "receiving", Panel(1, 1))
-    for number in range(1, POINTS + 50):
+    for number in range(1, HISTORY_FRAMES + 50):
         view = with_picture(
             view, Picture(number, float(number), 0.0, nothing, nothing, nothing > 0, Force(1.0, 0.1), "fine", 0.0, 0)
         )
-    assert len(view.history) == POINTS and view.history[-1].number == POINTS + 49
-    content = json.loads(view_text(view, 0.0, known=POINTS + 46))
-    assert content["history"] == [[POINTS + 47.0, 1.0], [POINTS + 48.0, 1.0], [POINTS + 49.0, 1.0]]
-    assert json.loads(view_text(view, 0.0, known=POINTS + 49))["picture"] is None
+    assert len(view.history) == HISTORY_FRAMES and view.history[-1].number == HISTORY_FRAMES + 49
+    content = json.loads(view_text(view, 0.0, known=HISTORY_FRAMES + 46))
+    assert content["history"] == [
+        [HISTORY_FRAMES + 47.0, 1.0],
+        [HISTORY_FRAMES + 48.0, 1.0],
+        [HISTORY_FRAMES + 49.0, 1.0],
+    ]
+    assert json.loads(view_text(view, 0.0, known=HISTORY_FRAMES + 49))["picture"] is None

@@ -49,7 +49,7 @@ import os, re, signal, sys
 from pathlib import Path
 from lampest.recording import stored
 from lampest.runs import long_case
-stored.WHOLE, stored.BLOCK, left = int(sys.argv[3]), int(sys.argv[3]), int(sys.argv[4])
+stored.MAX_READINGS, stored.PART_READINGS, left = int(sys.argv[3]), int(sys.argv[3]), int(sys.argv[4])
 write = long_case.write_carried
 def counted(path, carried):
     global left
@@ -120,8 +120,8 @@ def started(folder: Path, out: str, readings: int, parts: int = 10**6) -> "subpr
 
 @pytest.fixture
 def small(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(stored, "WHOLE", 600)
-    monkeypatch.setattr(stored, "BLOCK", 400)
+    monkeypatch.setattr(stored, "MAX_READINGS", 600)
+    monkeypatch.setattr(stored, "PART_READINGS", 400)
 
 
 @pytest.mark.slow
@@ -137,7 +137,7 @@ def test_parts_make_the_results_of_the_whole(tmp_path: Path, lampest: Command, s
     assert (ended.code, ended.err) == (0, "")
     assert [file.suffix for file in (tmp_path / "parts" / "cases").iterdir()] == [".h5"] * 3
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(stored, "WHOLE", 10**6)
+        patch.setattr(stored, "MAX_READINGS", 10**6)
         lampest("run", tmp_path / "run.yaml", "--out", tmp_path / "whole", "--jobs", "1")
     parts, whole = (read_results(tmp_path / name / "results.h5") for name in ("parts", "whole"))
     for ours, theirs in zip(parts.cases, whole.cases, strict=True):
@@ -286,8 +286,8 @@ def test_a_long_recording_is_closed_by_parts(tmp_path: Path, monkeypatch: pytest
         unclosed_recording(tmp_path / f"{name}.h5", SCENE, 50, UNLOADED)
         (tmp_path / "growing.h5").unlink()
     assert repair(tmp_path / "whole.h5") == (50, 0)
-    monkeypatch.setattr(stored, "WHOLE", 600)
-    monkeypatch.setattr(stored, "BLOCK", 400)
+    monkeypatch.setattr(stored, "MAX_READINGS", 600)
+    monkeypatch.setattr(stored, "PART_READINGS", 400)
     assert repair(tmp_path / "parts.h5") == repair(tmp_path / "parts.h5") == (50, 0)
     same(*(content(tmp_path / f"{name}.h5") for name in ("whole", "parts")), 1e-12)
     with h5py.File(tmp_path / "whole.h5") as whole, h5py.File(tmp_path / "parts.h5") as parts:
@@ -299,7 +299,7 @@ def test_a_long_recording_is_closed_by_parts(tmp_path: Path, monkeypatch: pytest
 def test_parts_are_joined_as_they_are_packed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Parts end with a chunk of measured frames; of what lies along time no more than the last chunk is packed anew."""
     monkeypatch.setattr(hdf5, "CHUNK", 4 * SCENE.panel.crossings)
-    monkeypatch.setattr(stored, "BLOCK", 400)
+    monkeypatch.setattr(stored, "PART_READINGS", 400)
     save(tmp_path, frames(97))
     long, anew = stored.StoredRecording.of(tmp_path / "long.h5"), list[int]()
     ends = [block.stop for block in long.blocks()]
@@ -375,7 +375,7 @@ def test_what_holds_all_of_a_recording_asks_for_its_memory(
 ) -> None:
     save(tmp_path, frames(2000))
     (tmp_path / "run.yaml").write_text(RUN)
-    monkeypatch.setattr("lampest.recording.stored.WHOLE", 600)
+    monkeypatch.setattr("lampest.recording.stored.MAX_READINGS", 600)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("LAMPEST_MEMORY", "1000000")
     ended = lampest(*command)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from lampest.loads.recognition.pumping import BLOCK_S, REST, Pumping
+from lampest.loads.recognition.pumping import BLOCK_S, MIN_LOG_ODDS, Pumping
 from lampest.panel.panel import Array
 
 TIMES = np.arange(0, 480, BLOCK_S)
@@ -72,7 +72,7 @@ def test_a_mouth_that_rested_is_known_again_within_minutes() -> None:
     for number in range(1, 100):
         value = float(pumped(45.0, 0.3)[number])
         long = long.after(np.full((3, 1), value), began + number * BLOCK_S)
-    assert long.odds > np.log(9) > REST
+    assert long.odds > np.log(9) > MIN_LOG_ODDS
 
 
 def test_what_was_learned_stays_when_a_mouth_has_moved() -> None:

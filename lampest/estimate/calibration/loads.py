@@ -18,7 +18,7 @@ from lampest.estimate.calibration.response import (
 )
 from lampest.estimate.estimates import log_change
 from lampest.estimate.estimator import Estimator
-from lampest.estimate.outliers import TO_SIGMA
+from lampest.estimate.outliers import MAD_TO_SIGMA
 from lampest.estimate.sequence import reconstruct
 from lampest.files.errors import InputError
 from lampest.loads.pressure import water_pressure
@@ -121,7 +121,7 @@ def _odd_loads(loaded: Loaded) -> NDArray[np.bool_]:
     if np.isnan(deviation).all():
         return np.zeros(len(deviation), dtype=bool)
     deviation -= np.nanmedian(deviation)
-    usual = TO_SIGMA * float(np.nanmedian(np.abs(deviation)))
+    usual = MAD_TO_SIGMA * float(np.nanmedian(np.abs(deviation)))
     return np.asarray(np.nan_to_num(np.abs(deviation)) > ODD * max(usual, ALIKE))
 
 

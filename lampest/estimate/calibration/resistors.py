@@ -23,7 +23,7 @@ from lampest.panel.least_squares import LevenbergMarquardt, SumOfSquares
 from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout
 from lampest.panel.readouts.converter import MIN_REPEATS
-from lampest.panel.readouts.lines import MOST_OHM, LineNumber, Side
+from lampest.panel.readouts.lines import MAX_OHM, LineNumber, Side
 from lampest.panel.readouts.readout import with_memory
 from lampest.panel.scene import Scene, SeriesPerLine
 from lampest.recording.recording import Recording
@@ -38,10 +38,10 @@ WIRE = tuple(LineNumber(f"lines.{line}_ohm_per_cell", (), in_scene=True) for lin
 TYPICAL = {MEMORY: 0.03} | dict.fromkeys(WIRE, 1.0)
 STEP = 1e-5  # of an unknown, or of the logarithm of a resistor, for differences
 DIGITS, MEMORY_DIGITS = 3, 5  # of an ohm, below what any contact repeats to; of a fraction: a hundredth of a code
-SURE = 5.0  # σ by which one of 32 lines is off by chance once in 50,000 calibrations
+SIGNIFICANT = 5.0  # σ by which one of 32 lines is off by chance once in 50,000 calibrations
 # σ of a determined number: 0.3 of its value, or of a channel less than channels differ by, or these.
 MAX_SIGMA = {MEMORY.name: 0.01} | {wire.name: 0.5 for wire in WIRE} | {"diode.drop_volt": 0.2}
-LIKELY = {True: "channels of a CD74HC4067 have 40 to 160 ohm", False: "resistors of 5 % differ by less"}
+PLAUSIBLE_RANGE = {True: "channels of a CD74HC4067 have 40 to 160 ohm", False: "resistors of 5 % differ by less"}
 SPOKEN = {MEMORY.name: "converter memory", "diode.drop_volt": "diode drop"} | dict(
     zip((wire.name for wire in WIRE), ("wire of rows", "wire of columns"), strict=True)
 )
@@ -77,7 +77,7 @@ class CircuitNumber:
     def differ(self) -> bool:
         """Whether lines differ by more than chance, and more than a scene is written to."""
         least = 10.0**-DIGITS
-        return any(bool(np.any(np.abs(lines.off_ohm) > SURE * lines.sigma_ohm + least)) for lines in self.lines)
+        return any(bool(np.any(np.abs(lines.off_ohm) > SIGNIFICANT * lines.sigma_ohm + least)) for lines in self.lines)
 
     @property
     def label(self) -> str:
@@ -166,7 +166,7 @@ def noise_of(trials: Sequence[Trial]) -> float | tuple[float, ...] | None:
     mean = float(np.average(each[enough], weights=repeats[enough]))
     quantisation = 1 / 12  # LSB²: below it, lines that differ make no difference
     off = np.abs(np.log((each[enough] + quantisation) / (mean + quantisation)))
-    if np.all(off < SURE * np.sqrt(2 / repeats[enough])):
+    if np.all(off < SIGNIFICANT * np.sqrt(2 / repeats[enough])):
         return round(float(np.sqrt(mean)), DIGITS)
     return tuple(round(float(variance) ** 0.5, DIGITS) for variance in np.where(enough, each, mean))
 
@@ -261,7 +261,7 @@ class Problem:
                 each = common + sum(off.values())
                 # ln(1 + exp R) is R from some ohm on, never below zero, and always has a slope.
                 volts = self.readout.lsb_volt, self.readout.full_scale_volt
-                limits = volts if number.unit == "volt" else (SHORT_OHM, MOST_OHM)
+                limits = volts if number.unit == "volt" else (SHORT_OHM, MAX_OHM)
                 each = np.clip(np.logaddexp(0, each) if off else each, *limits)
                 fields[number.name] = tuple(each.tolist()) if off else float(each)
         circuit: Any = with_numbers(self.readout, fields)
@@ -441,7 +441,7 @@ def _check_number(where: str, estimate: CircuitNumber, specified: float) -> None
         )
     # Equal cells look like a larger series resistance: channels have at most what the worst have, or as much above it.
     most = max(channels * WORST_OHM, specified + channels * (WORST_OHM - TYPICAL_OHM))
-    if number.in_scene and number.channel and estimate.value - SURE * estimate.sigma > most:
+    if number.in_scene and number.channel and estimate.value - SIGNIFICANT * estimate.sigma > most:
         raise InputError(
             f"{where}a {number.name} of {estimate.value:.4g} ohm is more than the {most:g} ohm that {channels} "
             f"channels have at worst; were the known resistors in place of the panel, and are their values right?"
@@ -450,10 +450,10 @@ def _check_number(where: str, estimate: CircuitNumber, specified: float) -> None
     for side, off, sigma in estimate.lines:
         high, low = int(np.nanargmax(off)), int(np.nanargmin(off))
         apart = float(off[high] - off[low])
-        if apart - SURE * np.hypot(sigma[high], sigma[low]) > most:
+        if apart - SIGNIFICANT * np.hypot(sigma[high], sigma[low]) > most:
             raise InputError(
                 f"{where}{number.name} of {side} {high} and {low} would differ by {apart:.4g} ohm, and at most "
-                f"{most:.4g} ohm is likely ({LIKELY[number.channel]})"
+                f"{most:.4g} ohm is likely ({PLAUSIBLE_RANGE[number.channel]})"
             )
 
 

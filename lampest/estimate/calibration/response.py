@@ -24,9 +24,9 @@ THIRDS = 0.5 * 2.0 ** (np.arange(19) / 3)
 ENDS = np.concatenate([-THIRDS[::-1], [0.0], THIRDS])
 # An assumption, of the logarithm: how much steeper than the base a film is from a piece to the next; as a whole σ is 1.
 # The published curve has a corner at 2.5 kPa at which it becomes twelve times as flat, and other films have none.
-WALK = 0.6
+STEP_SD = 0.6
 MIN_SD = 1e-3  # of ln(r/r0): no answer counts as better known
-BEGIN, RANGE = (0.2, 0.05), (1e-3, 2.0)  # spread and scatter, relative: where their search begins, and where they lie
+START, RANGE = (0.2, 0.05), (1e-3, 2.0)  # spread and scatter, relative: where their search begins, and where they lie
 ROUNDS = 4  # of least squares and evidence, one after the other
 PER_OCTAVE, MIN_KPA = 3, 0.25  # points of the table, and the one next to 0 kPa
 UNLOADED_OHM = 1000.0  # of the table: only ratios to it count
@@ -117,7 +117,7 @@ def fit_loads(loaded: Loaded) -> FittedResponse:
         loaded.change[felt], np.maximum(loaded.sd[felt], MIN_SD), np.nonzero(felt)[1], loaded.falls()[felt], place
     )
     fitted = FittedResponse(
-        np.zeros(loaded.change.shape[1]), np.zeros(len(ENDS) + 1), np.zeros((0, 0)), *BEGIN, felt.any(axis=0)
+        np.zeros(loaded.change.shape[1]), np.zeros(len(ENDS) + 1), np.zeros((0, 0)), *START, felt.any(axis=0)
     )
     for _ in range(ROUNDS):
         fitted = answers.with_evidence(answers.with_least_squares(fitted))
@@ -168,7 +168,7 @@ class _Answers:
         level = (np.arange(pieces) == np.searchsorted(ENDS, 0.0) + 1)[None]
         prior = np.zeros((cells + pieces, cells + pieces))
         prior[:cells, :cells] = np.eye(cells) / fitted.spread
-        prior[cells:, cells:] = np.vstack([np.diff(np.eye(pieces), axis=0) / WALK, level])
+        prior[cells:, cells:] = np.vstack([np.diff(np.eye(pieces), axis=0) / STEP_SD, level])
 
         def split(state: Array) -> FittedResponse:
             return replace(fitted, gains=state[:cells], pieces=state[cells:])

@@ -28,12 +28,12 @@ from lampest.posterior.frame_noise import FrameNoise
 from lampest.posterior.linear import IGNORANCE, LinearModel
 from lampest.posterior.track import Bars, Change
 
-COMMON = 0.1  # τ, of log r: temperature and supply move all cells by some percent from frame to frame, not by more
+COMMON_SD = 0.1  # τ, of log r: temperature and supply move all cells by some percent from frame to frame, not by more
 ROUNDING = 1e-11  # of Φ, a sum of some thousand parts
 # Share of the frames' information on z that is believed: cells that move a little and are taken for still pull at it,
 # too.
 BELIEVED = 0.5
-HELD = 1e8  # precision of z that is held, in standard deviations before anything is read
+HELD_PRECISION = 1e8  # precision of z that is held, in standard deviations before anything is read
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,8 +157,8 @@ class Joint:
     @property
     def certainty(self) -> Array:
         """1/variance of z and c before anything is read."""
-        known = 1.0 if self.held is None else HELD
-        return np.concatenate([np.full(self._sharing, known), np.full(len(self.stiffness), COMMON**-2)])
+        known = 1.0 if self.held is None else HELD_PRECISION
+        return np.concatenate([np.full(self._sharing, known), np.full(len(self.stiffness), COMMON_SD**-2)])
 
     @property
     def ties(self) -> Array:

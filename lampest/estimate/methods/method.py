@@ -15,7 +15,7 @@ from lampest.cost.problem import Data
 from lampest.cost.terms import Term
 from lampest.estimate.contacts import with_contacts
 from lampest.estimate.objective import Objective
-from lampest.estimate.state import UNKNOWN, S, SequenceState, Step
+from lampest.estimate.state import UNKNOWN_SD, S, SequenceState, Step
 from lampest.estimate.weights import with_chosen_weights
 from lampest.files.errors import InputError
 from lampest.files.process import delayed_interrupt, ended_where_hung
@@ -117,7 +117,7 @@ class Method(Validated):
         if objective.weighs_previous:  # an open cell, and one without error bars, is not known at all
             known_deviation = None if state.previous is None else state.previous_deviation
             deviation = np.fmin(
-                np.full(state.scene.panel.shape, np.nan) if known_deviation is None else known_deviation, UNKNOWN
+                np.full(state.scene.panel.shape, np.nan) if known_deviation is None else known_deviation, UNKNOWN_SD
             )
         behind = replace(behind, previous=known, baseline=resting, previous_deviation=deviation)
         data = objective.data(readings.alone(), behind)

@@ -41,13 +41,16 @@ from lampest.solvers.bounds import bounds_matter
 from lampest.solvers.multistart import BROKEN
 from lampest.solvers.solution import OPEN_FRACTION, VERIFIED, Settings, Solution, Solver, Status, blank
 
-STILL = 1e-3  # of a standard deviation: largest change of a cell by one more step
-MOST_PARTS = 5  # of the unloaded frames: enough to identify a wrong reading; more cost time
-WIDE = 3.0  # q at the start over the noise: as large jumps as three deviations
-MOST_ROUNDS = 40  # 15 to 40 were needed on simulated lampreys
-SETTLED = 0.3  # of a standard deviation, by which a round may still move a cell
+MAX_LAST_CHANGE = 1e-3  # of a standard deviation: largest change of a cell by one more step
+MAX_UNLOADED_PARTS = 5  # of the unloaded frames: enough to identify a wrong reading; more cost time
+START_WIDTH = 3.0  # q at the start over the noise: as large jumps as three deviations
+MAX_ROUNDS = 40  # 15 to 40 were needed on simulated lampreys
+MAX_ROUND_CHANGE = 0.3  # of a standard deviation, by which a round may still move a cell
 JUMP_SD = 1.0  # of log r: prior standard deviation of jumps and of cells that no reading determines
-FAST, SLOW = 0.6, 0.8  # from one walk to the next; slowly where the ties make a step's variance, which then must follow
+FAST_DECREASE, SLOW_DECREASE = (
+    0.6,
+    0.8,
+)  # from one walk to the next; slowly where the ties make a step's variance, which then must follow
 # Of q²: the median of squared steps of still cells from where on that is so, and where ties have followed the walk.
 TIED, FOLLOWED = 0.5, 1.5
 
@@ -109,7 +112,7 @@ class SmootherMethod(Method):
         read = [readings[frame] for frame in np.flatnonzero(enough)]
         # Means of the unloaded frames, in up to so many parts that one wrong reading is seen; or of all there is.
         numbers = np.flatnonzero(resting.enough(state.scene))
-        parts = np.array_split(numbers, min(len(numbers), MOST_PARTS)) if len(numbers) else []
+        parts = np.array_split(numbers, min(len(numbers), MAX_UNLOADED_PARTS)) if len(numbers) else []
         groups = [resting[part].mean() for part in parts] or [state.resting]
         state, steps = self._together(state, groups, read, [], on_frame)
         missing, solved = state.unsolved(Status.UNREAD if rested else Status.UNRESTED), iter(steps)
@@ -197,7 +200,7 @@ def _begun(
 
 def _checked(joint: Joint, rounds: int, fault: Status) -> list[Solution]:
     """Every frame where the joint cost's optimality conditions hold for it; NaN and the fault elsewhere."""
-    faint = np.any(np.abs(joint.newton()[0]) > STILL * np.sqrt(joint.chain.variance), axis=1)
+    faint = np.any(np.abs(joint.newton()[0]) > MAX_LAST_CHANGE * np.sqrt(joint.chain.variance), axis=1)
     solutions, slopes = [], 2 * joint.gradient[:, : joint.cells]
     for at, residual, weak, slope in zip(joint.at, joint.kkt_residual, faint, slopes, strict=True):
         cells, data = at.cell_resistance, at.data
@@ -268,7 +271,7 @@ class Walk:
         if self.deviation <= least or np.mean((stiffness * squares)[:, still]) > 1:
             return self, False
         size = np.median(squares[:, still]) / self.deviation**2
-        factor = 1.0 if size > FOLLOWED else SLOW if size > TIED else FAST
+        factor = 1.0 if size > FOLLOWED else SLOW_DECREASE if size > TIED else FAST_DECREASE
         return replace(self, deviation=max(self.deviation * factor, least)), True
 
     def near_loads(self, squares: Array, shape: tuple[int, ...]) -> NDArray[np.bool_]:
@@ -308,12 +311,12 @@ def smoothed(frames: JointData, alone: Array, walk: Walk, settings: Settings, un
     inverses = [positive_inverse(rows.T @ rows + np.diag(own)) for rows in joint.sensitivities]
     variance = np.minimum([np.diag(inverse)[: alone.shape[1]] for inverse in inverses], JUMP_SD**2)
     noise = float(np.sqrt(np.median(variance)))
-    walk, least = replace(walk, deviation=WIDE * noise), walk.deviation * noise
+    walk, least = replace(walk, deviation=START_WIDTH * noise), walk.deviation * noise
     frames = frames.sharing(joint.at)
     shift = np.zeros(frames.shared.shape[2] + len(start) - 1)
     joint = Joint(frames, start, shift, walk.stiffness(joint.steps**2 + variance[1:] + variance[:-1]))
     rounds, moving, taken = 0, True, walk.deviation
-    while rounds < MOST_ROUNDS and moving and monotonic() < until:
+    while rounds < MAX_ROUNDS and moving and monotonic() < until:
         before, joint = joint, joint.stepped()
         moved = np.abs(joint.log_cells - before.log_cells).max(initial=0.0, where=~joint.pressed[:, : joint.cells])
         squares = joint.expected_squares()
@@ -322,7 +325,7 @@ def smoothed(frames: JointData, alone: Array, walk: Walk, settings: Settings, un
         if not on or walk.deviation < taken / 2:
             joint, taken = replace(joint, frames=joint.frames.sharing(joint.at)), walk.deviation
         joint, rounds = replace(joint, stiffness=walk.stiffness(squares)), rounds + 1
-        moving = on or moved > SETTLED * noise
+        moving = on or moved > MAX_ROUND_CHANGE * noise
     near = walk.near_loads(joint.expected_squares(), frames.data[0].measured.shape[-2:])
     joint = joint.agreeing(np.where(near, JUMP_SD**-2, joint.stiffness)).stepped()
     for _ in range(settings.max_iterations):

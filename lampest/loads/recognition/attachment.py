@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from lampest.loads.pressure import CLEAR
-from lampest.loads.recognition.breathing import PAUSED, SURE, Breathing
+from lampest.loads.pressure import SIGNIFICANT
+from lampest.loads.recognition.breathing import MAX_LOG_ODDS, PAUSE_LOG_ODDS, Breathing
 from lampest.loads.recognition.candidates import UNIFORM, under
 from lampest.loads.recognition.evidence import Verdict
-from lampest.loads.recognition.observation import FARTHEST, Observation
+from lampest.loads.recognition.observation import OUTLIER_THRESHOLD, Observation
 from lampest.loads.recognition.pumping import Pumping
 from lampest.panel.panel import Array, Panel
 
@@ -72,12 +72,12 @@ class Attachment:
     @property
     def lives(self) -> float:
         """Probability that it is a mouth, given that it sucks: the odds of both signs, which are independent."""
-        breathes = max(log(max(self.breathes, 1e-9) / max(1 - self.breathes, 1e-9)), PAUSED)
+        breathes = max(log(max(self.breathes, 1e-9) / max(1 - self.breathes, 1e-9)), PAUSE_LOG_ODDS)
         return 1 / (1 + exp(-breathes - self._pumping))
 
     @property
     def _pumping(self) -> float:
-        return 0.0 if self.track is None else min(self.track.odds, SURE)
+        return 0.0 if self.track is None else min(self.track.odds, MAX_LOG_ODDS)
 
     @property
     def present(self) -> bool:
@@ -107,7 +107,7 @@ class Attachment:
         """As it was recognised later; as before where it sucked and now shows less: leaking suction leaves no shape."""
         if self.sucks > 0.5 > later.sucks and later.clear < self.clear:
             return self
-        far = CLEAR * max(1.0, hypot(self.x_mm[1], self.y_mm[1], later.x_mm[1], later.y_mm[1]))
+        far = SIGNIFICANT * max(1.0, hypot(self.x_mm[1], self.y_mm[1], later.x_mm[1], later.y_mm[1]))
         moved = (*self.moved_s, later.since_s) if self.distance(later.place) > far else self.moved_s
         began = later.since_s if self.sucks_s is None and later.sucks > 0.5 else self.sucks_s
         same = replace(later, since_s=self.since_s, breath=self.breath, track=self.track)
@@ -159,7 +159,7 @@ class _ChangedCells:
         shape = frame.measured.shape
         cells = frame.cells(np.zeros(shape), np.eye(frame.measured.size))
         change, sd = cells.state.reshape(shape), np.sqrt(np.diag(cells.covariance)).reshape(shape)
-        moved = np.abs(change) > CLEAR * np.hypot(sd, frame.baseline.model_errors.resting_sd(frame.seconds))
+        moved = np.abs(change) > SIGNIFICANT * np.hypot(sd, frame.baseline.model_errors.resting_sd(frame.seconds))
         resting = np.exp(-frame.baseline.logarithm)
         more, errors = resting * np.expm1(-change), resting * np.exp(-change) * sd
         return cls(change, moved, more, errors, frame.baseline.scene.panel)
@@ -172,7 +172,9 @@ class _ChangedCells:
         _, labels = connected_components(pairs, directed=False)
         groups = [labels.reshape(self.moved.shape) == label for label in dict.fromkeys(labels[self.moved.ravel()])]
         sure = [
-            group for group in groups if abs(self.more[group].sum()) > FARTHEST * np.hypot.reduce(self.errors[group])
+            group
+            for group in groups
+            if abs(self.more[group].sum()) > OUTLIER_THRESHOLD * np.hypot.reduce(self.errors[group])
         ]
         return sure or [self.moved]
 

@@ -12,37 +12,39 @@ from numpy.polynomial.hermite_e import hermegauss
 from scipy.special import expit, logit, logsumexp
 
 from lampest.loads.recognition.detector import Detector
-from lampest.loads.recognition.evidence import COUNTS, RARER
-from lampest.loads.recognition.fit import ROUNDS, Fit
+from lampest.loads.recognition.evidence import EVIDENCE_SHARE, MOUTH_LOG_ODDS
+from lampest.loads.recognition.fit import MAX_ROUNDS, Fit
 from lampest.loads.recognition.observation import Observation
 from lampest.panel.panel import Array
-from lampest.panel.response import RESPONSE_SD, SUCTION_RATE, TOLD_KPA, PublishedResponse
+from lampest.panel.response import PUBLISHED_KPA, RESPONSE_SD, SUCTION_RATE, PublishedResponse
 
 RATES_HZ = (0.5, 2.5)  # of breathing; sea lampreys at rest 0.8 to 1.6 Hz
-LEAST_RATE = 3.8  # frames a second: those of four whose clock is slow; they show rates up to 2 Hz
+MIN_RATE_HZ = 3.8  # frames a second: those of four whose clock is slow; they show rates up to 2 Hz
 # A: the amplitude of mouths is 5.4 % of their suction in the mean (docs/studies/mouths.md). Of loads that do not
 # breathe it is an assumption: cups tremble and leak, but at no single rate.
-BREATH, STEADY = 0.045, 0.002
-WINDOW_S, LEAST_S = 8.0, 4.5  # over which a rhythm is steady; and the least that shows one
-MOST = 0.15  # relative amplitude of breathing: with more, the unevenness of a film explains the swings of a shaken cup
+BREATHING_SD, TREMBLE_SD = 0.045, 0.002
+WINDOW_S, MIN_WINDOW_S = 8.0, 4.5  # over which a rhythm is steady; and the least that shows one
+MAX_AMPLITUDE = (
+    0.15  # relative amplitude of breathing: with more, the unevenness of a film explains the swings of a shaken cup
+)
 # An assumption: relative standard deviation of the swing of all the rim over that of suction, which may press with more
 # than it bears; and of each cell's change by a movement, because where an edge crosses its film is not known.
-UNSURE = 0.5
+EDGE_SD = 0.5
 # ln r/r0 by which films whose suction shows from −2 kPa on stay behind the published curve's extension to 0 kPa.
-DELAY = SUCTION_RATE * TOLD_KPA[0] / (TOLD_KPA[0] / -2.0 - 1)
-MOVES = {"x": 1.0, "y": 1.0, "tilt_x": 0.1, "tilt_y": 0.1}  # of common movements, mm and 1
+THRESHOLD_DELAY = SUCTION_RATE * PUBLISHED_KPA[0] / (PUBLISHED_KPA[0] / -2.0 - 1)
+MOVEMENT_SD = {"x": 1.0, "y": 1.0, "tilt_x": 0.1, "tilt_y": 0.1}  # of common movements, mm and 1
 
 # Windows in which a mouth breathes; and of ln odds, the evidence that absence of breathing, and breathing, can add up
 # to at most. Assumptions: of one mouth in twenty no window shows the breath, since it is faint or at half the frame
 # rate.
-OFTEN, PAUSED, SURE = 0.95, -3.0, 10.0
+BREATHING_SHARE, PAUSE_LOG_ODDS, MAX_LOG_ODDS = 0.95, -3.0, 10.0
 
 Pair = tuple[float, float]
 
 
 def too_slow(rate: float) -> str:
     """Why so many frames a second show no breathing; '' where they do."""
-    return "" if rate >= LEAST_RATE else f"breathing shows at four frames a second or more, here there are {rate:.3g}"
+    return "" if rate >= MIN_RATE_HZ else f"breathing shows at four frames a second or more, here there are {rate:.3g}"
 
 
 @dataclass(frozen=True)
@@ -90,19 +92,29 @@ class Breathing:
     def after(self, seen: Breath, *, full: bool) -> "Breathing":
         """Return the breath after a window; full : whether its odds stay, as do its rate and depth.
 
-        Mouths breathe in OFTEN of all windows. The odds of full windows multiply. Two that are not full have to agree
-        that it is suction that swings: by the last of them alone two of 75 shaken cups were lampreys for a second
-        (docs/studies/mouths.md).
+        Mouths breathe in BREATHING_SHARE of all windows. The odds of full windows multiply. Two that are not full have
+        to agree that it is suction that swings: by the last of them alone two of 75 shaken cups were lampreys for a
+        second (docs/studies/mouths.md).
         """
-        odds = float(np.clip(self.before + np.logaddexp(np.log(1 - OFTEN), np.log(OFTEN) + seen.odds), PAUSED, SURE))
+        odds = float(
+            np.clip(
+                self.before + np.logaddexp(np.log(1 - BREATHING_SHARE), np.log(BREATHING_SHARE) + seen.odds),
+                PAUSE_LOG_ODDS,
+                MAX_LOG_ODDS,
+            )
+        )
         breathing = replace(self, odds=odds, before=odds if full else self.before)
         if self.hertz is not None and (seen.odds <= 0 or (self.before != 0 and not full)):
             return breathing
         described = replace(breathing, hertz=seen.hertz, depth=seen.depth, last=seen.suction)
         if not full:
             return replace(described, suction=min(seen.suction, self.last))
-        causes = float(np.clip(self.causes + logit(np.clip(seen.suction, 1e-9, 1 - 1e-9)) - RARER, -SURE, SURE))
-        return replace(described, suction=float(expit(causes + RARER)), causes=causes)
+        causes = float(
+            np.clip(
+                self.causes + logit(np.clip(seen.suction, 1e-9, 1 - 1e-9)) - MOUTH_LOG_ODDS, -MAX_LOG_ODDS, MAX_LOG_ODDS
+            )
+        )
+        return replace(described, suction=float(expit(causes + MOUTH_LOG_ODDS)), causes=causes)
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,10 +138,10 @@ class Patterns:
         their own.
         """
         mean, rim = slopes[0], rise < 0
-        own = np.column_stack([mean, UNSURE * rim * mean, slopes[1:].T, np.diag(spread)])
+        own = np.column_stack([mean, EDGE_SD * rim * mean, slopes[1:].T, np.diag(spread)])
         alone = np.delete(own, 1, axis=1) * rim[:, None]
         changes = np.linalg.norm(moves, axis=0)
-        moving = np.column_stack([moves.T, np.diag(UNSURE * np.hypot(changes, np.sqrt(np.mean(changes**2))))])
+        moving = np.column_stack([moves.T, np.diag(EDGE_SD * np.hypot(changes, np.sqrt(np.mean(changes**2))))])
         return cls(by_cell @ own, by_cell @ alone, by_cell @ moving, others)
 
     def beside_others(self, changes: Array) -> tuple["Patterns", Array]:
@@ -171,7 +183,7 @@ def patterns_of(
         disc = part.disc(own)
         if disc is not None and part.sucks:
             names = list(part.priors(panel))
-            moving = [sd * by_parameter[names.index(name), under] for name, sd in MOVES.items() if name in names]
+            moving = [sd * by_parameter[names.index(name), under] for name, sd in MOVEMENT_SD.items() if name in names]
             moves = np.array(moving).reshape(len(moving), -1)
             others = np.column_stack([whitening.sum(axis=1), by_cell[:, np.any(cells, axis=0) & ~under]])
             own_cells = by_cell[:, under], rise.ravel()[under], slopes[:, under], spread[under]
@@ -199,7 +211,7 @@ def suction_weights(patterns: Patterns, whitening: Array) -> Array:
     Changes of all readings alike, of other loads, and of the load's place and rim by themselves count little.
     """
     own, _ = patterns.beside_others(np.zeros((1, len(whitening))))
-    return np.asarray(whitening.T @ own.weights(MOST, 1.0, UNSURE))
+    return np.asarray(whitening.T @ own.weights(MAX_AMPLITUDE, 1.0, EDGE_SD))
 
 
 def breath(times: Array, changes: Array, patterns: Patterns) -> Breath | None:
@@ -209,7 +221,7 @@ def breath(times: Array, changes: Array, patterns: Patterns) -> Breath | None:
     """
     lasted = times[-1] - times[0]
     rate = (len(times) - 1) / max(lasted, 1e-9)
-    if lasted < LEAST_S or rate < LEAST_RATE:
+    if lasted < MIN_WINDOW_S or rate < MIN_RATE_HZ:
         return None
     at = (times - times[0]) / lasted
     trend = np.linalg.qr(np.column_stack([np.ones_like(at), at, at**2, np.log1p(10 * at)]))[0]
@@ -221,11 +233,11 @@ def breath(times: Array, changes: Array, patterns: Patterns) -> Breath | None:
     axes, gain = np.swapaxes(axes, 1, 2), sizes**2
     swings = axes @ changes  # (rates, 2, readings)
     noise = max(1.0, float(np.quantile((swings**2).mean(axis=(1, 2)), 0.25)))  # a wave leaks into other rates
-    series = changes @ patterns.weights(STEADY, noise / gain.mean())
+    series = changes @ patterns.weights(TREMBLE_SD, noise / gain.mean())
     amplitude, total = axes @ series, float(series @ series)
     power = (amplitude**2).sum(axis=1)
     freedom, best = len(times) - trend.shape[1], int(np.argmax(power))
-    breathing, steady = (logsumexp(_evidence(total, amplitude, gain, sd, freedom)) for sd in (BREATH, STEADY))
+    breathing, steady = (logsumexp(_evidence(total, amplitude, gain, sd, freedom)) for sd in (BREATHING_SD, TREMBLE_SD))
     left = max(total - power[best], 1e-12) / max(freedom - 2, 1)
     spread = np.sqrt(3 * left / max(power[best], 1e-12)) / (np.pi * lasted)  # Rife, Boorstyn, IEEE Trans. IT-20, 1974
     return Breath(
@@ -242,15 +254,15 @@ def _depth(patterns: Patterns, changes: Array, waves: Array, at: Array, noise: f
     waves : (frames, 2). at : (frames) from 0 to 1. noise : variance of the amplitude in each reading.
     """
     basis = np.hstack([waves, 12**0.5 * (at[:, None] - 0.5) * waves])
-    inverse, depth, variance = np.linalg.pinv(basis), BREATH, 0.0
-    for _ in range(ROUNDS):
+    inverse, depth, variance = np.linalg.pinv(basis), BREATHING_SD, 0.0
+    for _ in range(MAX_ROUNDS):
         weights = patterns.weights(depth, noise)
         series = changes @ weights
         coefficients = inverse @ series
         freedom = max(len(at) - 8, 1)  # four numbers here, four of trend
         left = float(np.sum((series - basis @ coefficients) ** 2)) / freedom
         each = left * (inverse**2).sum(axis=1)
-        depth = max(float(coefficients @ coefficients - each[2:].sum()), STEADY**2) ** 0.5
+        depth = max(float(coefficients @ coefficients - each[2:].sum()), TREMBLE_SD**2) ** 0.5
         film = float(np.sum((weights @ patterns.own[:, 1:]) ** 2)) + RESPONSE_SD**2
         variance = depth**2 * film + float(each[:2].mean())
     return depth / (1 - RESPONSE_SD), variance**0.5 / (1 - RESPONSE_SD)
@@ -272,16 +284,16 @@ def _suction(patterns: Patterns, swings: Array, noise: float, gain: float) -> fl
     swings : (rates, 2, readings). Each cause at its own rate: the square of a movement oscillates twice as fast.
     noise : their variance. gain : square of the swings at unit amplitude.
     """
-    causes = (patterns.own, MOST), (patterns.rim, 1.0), (patterns.moves, 10.0)
+    causes = (patterns.own, MAX_AMPLITUDE), (patterns.rim, 1.0), (patterns.moves, 10.0)
     own, *others = (_explained(gain**0.5 * root, most, swings, noise).max() for root, most in causes)
-    odds = COUNTS * (own - np.array(others)) + RARER + np.log(2)  # both together are as rare
+    odds = EVIDENCE_SHARE * (own - np.array(others)) + MOUTH_LOG_ODDS + np.log(2)  # both together are as rare
     return float(expit(-logsumexp(-odds)))
 
 
 def _explained(root: Array, most: float, swings: Array, noise: float) -> Array:
     """ln P of swings (rates, 2, readings) of a cause over that of noise, (rates), summed over its size up to `most`."""
     along, lengths, _ = np.linalg.svd(root, full_matrices=False)
-    square, sizes = (swings @ along) ** 2 / noise, np.geomspace(STEADY, most, 13)
+    square, sizes = (swings @ along) ** 2 / noise, np.geomspace(TREMBLE_SD, most, 13)
     wide = (sizes[:, None] * lengths) ** 2 / noise
     each = np.tensordot(square.sum(axis=1), wide / (1 + wide), (1, 1)) / 2 - np.log1p(wide).sum(axis=1)
     return np.asarray(logsumexp(each, axis=1, b=1 / len(sizes)))
@@ -298,12 +310,12 @@ def _slopes(frame: Observation, rise: Array, scatter: float) -> Array:
     gains = response.gains * np.exp(np.hypot(scatter, frame.baseline.model_errors.bent) * points[:, None, None])
     logarithm = rise / gains + response.logarithm(water)
     pressure = response.pressure(logarithm) - water
-    more, less = (response.logarithm(water + by * pressure) for by in (1 + BREATH, 1 - BREATH))
+    more, less = (response.logarithm(water + by * pressure) for by in (1 + BREATHING_SD, 1 - BREATHING_SD))
     rise = np.maximum(logarithm, 0.1)
-    straight, delayed = np.log(-np.expm1(-rise) / rise), np.log1p(DELAY / rise)
+    straight, delayed = np.log(-np.expm1(-rise) / rise), np.log1p(THRESHOLD_DELAY / rise)
     unknown = (logarithm > 0) & isinstance(response, PublishedResponse)
     middle, curve = unknown * (delayed + straight) / 2, unknown * (delayed - straight) / 2
-    slopes = (gains * (more - less) / (2 * BREATH) * np.exp(middle)).reshape(len(points), -1)
+    slopes = (gains * (more - less) / (2 * BREATHING_SD) * np.exp(middle)).reshape(len(points), -1)
     shares = weights / weights.sum()
     mean = shares @ slopes
     common = shares @ (slopes * curve.reshape(slopes.shape))

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
-from lampest.loads.recognition.observation import FARTHEST, Observation, unit
+from lampest.loads.recognition.observation import OUTLIER_THRESHOLD, Observation, unit
 from lampest.loads.shapes import shape_types
 from lampest.loads.shapes.disc import Disc, pressure_at_places
 from lampest.loads.shapes.shape import Candidate, Prior, Template
@@ -18,7 +18,7 @@ from lampest.panel.response import RESPONSE_SD
 
 AND = " and "
 # σ: of 720 bare panels, films uneven by 12 to 25 %, some alike in neighbours or with faulty cells, the largest had 6.4.
-UNEVEN = 8.0
+MAX_UNEVENNESS = 8.0
 FULL_KPA, HOLLOW_KPA = (0.0, 8.0), (-6.0, 30.0)  # inside and under the rim, where a fit begins
 
 
@@ -154,15 +154,15 @@ class DiscSearch:
         return np.asarray(frame.slope(np.zeros(self.panel.shape)) @ self.changes[:, self.faint])
 
     def lies_on(self, logarithm: Array) -> bool:
-        """Whether unloaded cells, ln r (rows, columns), are uneven in the shape of a load: tᵀδ < −UNEVEN σ of one t.
+        """Whether unloaded cells, ln r (rows, columns), are uneven in a load's shape: tᵀδ < −MAX_UNEVENNESS σ of one t.
 
-        δ is about the median and σ is robust, that of an even film at least. Beyond FARTHEST σ cells count no more, so
-        that a faulty one is no load.
+        δ is about the median and σ is robust, that of an even film at least. Beyond OUTLIER_THRESHOLD σ cells count no
+        more, so that a faulty one is no load.
         """
         apart = (logarithm - np.median(logarithm[self.panel.present])) * self.panel.present
         sd = max(1.4826 * float(np.median(np.abs(apart[self.panel.present]))), RESPONSE_SD)
-        drawn_in = np.clip(apart.ravel(), -FARTHEST * sd, FARTHEST * sd)
-        return bool(np.min(drawn_in @ self.changes) < -UNEVEN * sd)
+        drawn_in = np.clip(apart.ravel(), -OUTLIER_THRESHOLD * sd, OUTLIER_THRESHOLD * sd)
+        return bool(np.min(drawn_in @ self.changes) < -MAX_UNEVENNESS * sd)
 
     def starts(self, normal: Array, pull: Array) -> dict[Template, Disc]:
         """Where each template, as strong as it may be, explains most: (tᵀb)²/tᵀΛt of ln r/r0 with Λ (cells, cells), b.

@@ -15,11 +15,11 @@ from scipy.linalg import cho_solve
 from scipy.special import softmax
 
 from lampest.loads.recognition.candidates import FIELD, LOADS, UNIFORM, DiscSearch, Several, under
-from lampest.loads.recognition.evidence import COUNTS, Verdict, prior_cost, rises
+from lampest.loads.recognition.evidence import EVIDENCE_SHARE, Verdict, prior_cost, rises
 from lampest.loads.recognition.fit import (
-    ROUNDS,
-    STEPS,
-    UNLIKELY,
+    MAX_EVALUATIONS,
+    MAX_LOG_RATIO,
+    MAX_ROUNDS,
     CellLikelihood,
     Fit,
     Fitting,
@@ -29,8 +29,8 @@ from lampest.loads.recognition.fit import (
     states,
 )
 from lampest.loads.recognition.observation import (
-    FARTHEST,
-    SUSPICIOUS,
+    MAX_CHI_SQUARE,
+    OUTLIER_THRESHOLD,
     Explained,
     Observation,
     Whitening,
@@ -45,8 +45,12 @@ from lampest.panel.response import BentSuction, PublishedResponse
 # Exponents of the published curve under suction, beside 1: ln f is known at one point, and a straight line or a
 # threshold go through it as well (docs/studies/mouths.md).
 EXPONENTS = (1 / 3, 2.0)
-LEVELS = (0.5, 1.2, 2.5)  # times the response's standard deviation: from a film as published to a bent, uneven one
-MOST_AT_ONCE = 3  # loads
+RESPONSE_LEVELS = (
+    0.5,
+    1.2,
+    2.5,
+)  # times the response's standard deviation: from a film as published to a bent, uneven one
+MAX_LOADS = 3  # loads
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +85,7 @@ class Detector:
             coarse = self._coarse(kinds, field, without)
             verdicts.append(self._settled(frame, coarse, field, without))
         single, discs = verdicts[-1], list[Disc]()
-        for _ in range(MOST_AT_ONCE):
+        for _ in range(MAX_LOADS):
             beside = self.search.beside(field.change, discs) if self._doubtful(verdicts[-1], field) else None
             if beside is None:
                 break
@@ -98,12 +102,12 @@ class Detector:
         calm = frame.without(outliers(whitening, residual))
         errors = Whitening.at_rest(calm) @ residual
         stands_out = unit(whitening @ self.search.readings(frame)).T @ errors
-        return calm if errors @ errors < SUSPICIOUS * errors.size and stands_out.max() < FARTHEST else None
+        return calm if errors @ errors < MAX_CHI_SQUARE * errors.size and stands_out.max() < OUTLIER_THRESHOLD else None
 
     def fitted(self, candidate: Candidate, frame: Observation, start: Fit | None) -> Fit:
         """One candidate whether or not anything else would do; from everywhere, unless the start of before fits."""
         fit = None if start is None else self._whole(frame, start, start, frame)
-        if fit is None or fit.chi2 > SUSPICIOUS * frame.measured.size:
+        if fit is None or fit.chi2 > MAX_CHI_SQUARE * frame.measured.size:
             field, calm = field_fit(frame)
             (begin,) = self._coarse((candidate,), field, calm)
             anew = self._whole(frame, begin, field, calm)
@@ -155,7 +159,7 @@ class Detector:
         a better fit explains.
         """
         dropped: list[int] | None = None
-        for _ in range(ROUNDS):
+        for _ in range(MAX_ROUNDS):
             whitening = Whitening.of(calm, self.explained(calm, explains), scatter)
             fit = explains = self._fitting(fit.candidate, calm).best(fit.parameters, whitening, quick=True)
             far = self._contradicting(frame, fit)
@@ -167,7 +171,7 @@ class Detector:
     def _contradicting(self, frame: Observation, fit: Fit) -> NDArray[np.intp]:
         whitening = Whitening.of(frame, self.explained(frame, fit), fit.scatter)
         errors = whitening @ fit.residual
-        suspicious = errors @ errors > SUSPICIOUS * len(errors)
+        suspicious = errors @ errors > MAX_CHI_SQUARE * len(errors)
         return outliers(whitening, fit.residual) if suspicious else np.zeros(0, dtype=np.intp)
 
     def _coarse(self, kinds: Sequence[Candidate], field: Fit, calm: Observation) -> list[Fit]:
@@ -179,8 +183,8 @@ class Detector:
         for load in kinds:
             fitting, descents = self._fitting(load, calm), list[Linearisation]()
             for disc in (starts[template] for template in load.templates):
-                most = min((descent.cost for descent in descents), default=np.inf) + UNLIKELY
-                descents.append(fitting.descended(load.start(disc), likelihood, STEPS // 2, most)[0])
+                most = min((descent.cost for descent in descents), default=np.inf) + MAX_LOG_RATIO
+                descents.append(fitting.descended(load.start(disc), likelihood, MAX_EVALUATIONS // 2, most)[0])
             fits.append(
                 fitting.fit_at(min(descents, key=lambda descent: descent.cost), likelihood, whitening, quick=True)
             )
@@ -190,16 +194,16 @@ class Detector:
         """Return the verdict on all candidates from coarse fits; field, calm : of `field_fit`.
 
         All are weighed by the errors about the best of them, from their own points or from its point. The film's
-        relative deviation is that of LEVELS under which the frame is most probable.
+        relative deviation is that of RESPONSE_LEVELS under which the frame is most probable.
         """
-        explains, scatter = field, LEVELS[-1] * frame.baseline.model_errors.response
+        explains, scatter = field, RESPONSE_LEVELS[-1] * frame.baseline.model_errors.response
         for _ in range(len(fits)):
             best = best_of(fits)
             others = [fit for fit in fits if fit is not best]
             calm, best = self._sharpened(frame, best, explains, calm, scatter)
             best, whitening = self._own(calm, best)
             besides = [self._beside(calm, fit, best, whitening) for fit in others]
-            near = [self._own(calm, fit)[0] if fit.cost < best.cost + UNLIKELY else fit for fit in besides]
+            near = [self._own(calm, fit)[0] if fit.cost < best.cost + MAX_LOG_RATIO else fit for fit in besides]
             fits, explains = [best, *near], best
             if best_of(fits) is best:
                 break
@@ -208,18 +212,18 @@ class Detector:
     def _own(self, calm: Observation, fit: Fit) -> tuple[Fit, Whitening]:
         """Return a fit with the errors about the cells that it explains, and these errors.
 
-        Of LEVELS, that is taken under which the frame is most probable.
+        Of RESPONSE_LEVELS, that is taken under which the frame is most probable.
         """
         fitting, explained = self._fitting(fit.candidate, calm), self.explained(calm, fit)
         response = calm.baseline.model_errors.response
-        errors = [Whitening.of(calm, explained, level * response) for level in LEVELS]
+        errors = [Whitening.of(calm, explained, level * response) for level in RESPONSE_LEVELS]
         levels = [fitting.stays(fit.parameters, whitening).evidence for whitening in errors]
         whitening = errors[int(np.argmax(levels))]
         return fitting.best(fit.parameters, whitening), whitening
 
     def _beside(self, calm: Observation, fit: Fit, best: Fit, whitening: Whitening) -> Fit:
         """Another load with the same errors, from where it is; where that is hopeless, from where the best is."""
-        fitting, most = self._fitting(fit.candidate, calm), best.cost + UNLIKELY
+        fitting, most = self._fitting(fit.candidate, calm), best.cost + MAX_LOG_RATIO
         descended = fitting.best(fit.parameters, whitening, most)
         like = fit.candidate.like(best.candidate, best.parameters) if descended.cost > most else None
         return descended if like is None else best_of([descended, fitting.best(like, whitening, most)])
@@ -232,7 +236,7 @@ class Detector:
         def fitted(loads: Sequence[tuple[Candidate, Array]]) -> Fit:
             parts, own = zip(*sorted(loads, key=lambda load: not load[0].sucks), strict=True)
             fitting = self._fitting(Several.of(parts), calm)
-            descended, _ = fitting.descended(np.concatenate(own), likelihood, STEPS // 2)
+            descended, _ = fitting.descended(np.concatenate(own), likelihood, MAX_EVALUATIONS // 2)
             return fitting.fit_at(descended, likelihood, whitening, quick=True)
 
         def likely(fit: Fit) -> float:
@@ -257,7 +261,7 @@ class Detector:
 
     def _doubtful(self, verdict: Verdict, field: Fit) -> bool:
         """Whether another number of loads might explain more, or cells beside the best have clearly changed."""
-        if verdict.best.candidate is FIELD or verdict.goodness > SUSPICIOUS:
+        if verdict.best.candidate is FIELD or verdict.goodness > MAX_CHI_SQUARE:
             return True
         explained = [verdict.best.change != 0, *(under(self.panel, disc) for disc in discs_of(verdict.best))]
         left = np.where(np.any(explained, axis=0), 0.0, field.change)
@@ -284,7 +288,7 @@ class Detector:
             bent = BentSuction(exponent=exponent, gain=film.gain, gain_sd=film.gain_sd)
             frame = replace(calm, baseline=replace(baseline, scene=replace(baseline.scene, response=bent)))
             fits.append(self._fitting(fit.candidate, frame).best(fit.parameters, whitening, quick=True))
-        shares = softmax(COUNTS * np.array([each.evidence for each in fits]))
+        shares = softmax(EVIDENCE_SHARE * np.array([each.evidence for each in fits]))
         apart = np.array([each.parameters for each in fits]) - fit.parameters
         within = np.tensordot(shares, [each.covariance for each in fits], 1)
         return replace(fit, covariance=within + (shares[:, None] * apart).T @ apart)

@@ -1,4 +1,4 @@
-"""The comparison of evidence: P(fit) ∝ e^(evidence·COUNTS)·P(fit beforehand).
+"""The comparison of evidence: P(fit) ∝ e^(evidence·EVIDENCE_SHARE)·P(fit beforehand).
 
 Beforehand all kinds are alike, but for further loads, suction that raises no cell, and loads in one place: with those,
 rims that cancel suction between patches fit any outline, and of outlines there are many more than candidates.
@@ -13,7 +13,7 @@ import numpy as np
 from scipy.special import softmax
 
 from lampest.loads.recognition.candidates import FIELD, UNIFORM, under
-from lampest.loads.recognition.fit import UNLIKELY, Fit
+from lampest.loads.recognition.fit import MAX_LOG_RATIO, Fit
 from lampest.loads.recognition.observation import Observation
 from lampest.loads.shapes.disc import Disc
 from lampest.panel.panel import Panel
@@ -22,15 +22,15 @@ from lampest.panel.response import PUBLISHED
 # Of ln P, assumptions: of every further load, or a rim that moves without its suction; and of impossible pairs, hidden
 # suction and two loads in one place. Loads that are no candidates are fitted by such with up to e⁶⁰ times their
 # evidence.
-RARER, CANNOT_BE = log(20), 60.0
+MOUTH_LOG_ODDS, IMPOSSIBLE = log(20), 60.0
 # ln r/r0 that a panel shows clearly, a suction of 1 kPa; and the part of the change that a cell under suction alone
 # would show. Mouths of 24 to 45 mm at a pitch of 10 mm show more than 0.7 in some cell, and nine in ten more than 0.9.
 # Of 60 mouths pressed with 30 to 80 kPa more, 47 are recognised with a part of 0.35, 52 with 0.25; with 0.2 or less two
 # mouths 70 mm apart are one. Hands, rocks, fins, fish, rods and rings raise no cell by more than 0.1.
-SHOWN, SHARE = 0.2, 0.25
+MIN_RISE, MIN_RISE_SHARE = 0.2, 0.25
 # By how much differences of evidence count: films and loads differ from their models in more ways than errors say.
 # Fitted by log-likelihood to scenes made without this package's simulation; see docs/studies/mouths.md.
-COUNTS = 0.5
+EVIDENCE_SHARE = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +53,7 @@ class Verdict:
         before = np.array([prior_cost(panel, fit, frame) for fit in fits])
         evidence = np.array([fit.evidence for fit in fits])
         goodness = fits[int(np.argmax(evidence - before))].chi2 / frame.measured.size
-        counts = (COUNTS if len(fits) > len(UNIFORM) else 1.0) / max(1.0, goodness)
+        counts = (EVIDENCE_SHARE if len(fits) > len(UNIFORM) else 1.0) / max(1.0, goodness)
         shares = softmax(counts * evidence - before)
         return cls(tuple(fits), tuple(map(float, shares)), goodness, float(max(evidence - before)))
 
@@ -96,17 +96,17 @@ def prior_cost(panel: Panel, fit: Fit, frame: Observation | None = None) -> floa
             maps = [fit.change] if frame is None else [fit.change, frame.highest]
             rise = min(float(pressure[under_disc].max(initial=0.0)) for pressure in maps)
             cost += _hidden(rise, full)
-    return RARER * (len(loads) - 1) + CANNOT_BE * cost
+    return MOUTH_LOG_ODDS * (len(loads) - 1) + IMPOSSIBLE * cost
 
 
 def rises(frame: Observation) -> bool:
     """Whether ln r/r0 may rise enough for suction to be possible: less makes it too rare to be searched."""
-    return CANNOT_BE * _hidden(float(frame.highest.max()), 0.0) < 2 * UNLIKELY
+    return IMPOSSIBLE * _hidden(float(frame.highest.max()), 0.0) < 2 * MAX_LOG_RATIO
 
 
 def _hidden(rise: float, full: float) -> float:
     """1 where no cell rises under suction that would raise a cell by `full`, 0 where one does; ln r/r0."""
-    return exp(-((rise / max(SHOWN, SHARE * full)) ** 2))
+    return exp(-((rise / max(MIN_RISE, MIN_RISE_SHARE * full)) ** 2))
 
 
 def _overlapping(first: Disc, second: Disc) -> float:
@@ -114,7 +114,7 @@ def _overlapping(first: Disc, second: Disc) -> float:
     apart = hypot(first.x_mm - second.x_mm, first.y_mm - second.y_mm)
     common = (first.diameter_mm + second.diameter_mm) / 2 - apart
     share = max(common, 0.0) / min(first.diameter_mm, second.diameter_mm)
-    return 1 - exp(-((share / SHARE) ** 2))
+    return 1 - exp(-((share / MIN_RISE_SHARE) ** 2))
 
 
 def _sucks(fit: Fit, disc: Disc | None) -> bool:

@@ -12,8 +12,8 @@ from scipy.special import softmax
 
 from lampest.loads.recognition.candidates import FIELD
 from lampest.loads.recognition.observation import (
-    FARTHEST,
-    SUSPICIOUS,
+    MAX_CHI_SQUARE,
+    OUTLIER_THRESHOLD,
     Explained,
     MostProbable,
     Observation,
@@ -26,10 +26,10 @@ from lampest.panel.least_squares import LevenbergMarquardt
 from lampest.panel.panel import Array, Panel
 
 # Evaluations of the pressure with one linearised circuit; of ln P, below which a step changes nothing that is reported.
-STEPS, ENOUGH = 30, 0.3
-ROUNDS = 4  # linearisations of the circuit in a fit, and fits with the errors about the one before, at most
-LOOSE = 0.3  # of the prior's width: wider axes of the posterior are measured, see `Fitting._widths`
-UNLIKELY = 20.0  # of ln P: candidates so far below the best do not count
+MAX_EVALUATIONS, TOLERANCE = 30, 0.3
+MAX_ROUNDS = 4  # linearisations of the circuit in a fit, and fits with the errors about the one before, at most
+MIN_MEASURED_WIDTH = 0.3  # of the prior's width: wider axes of the posterior are measured, see `Fitting._widths`
+MAX_LOG_RATIO = 20.0  # of ln P: candidates so far below the best do not count
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,7 +142,7 @@ class Fitting:
         self,
         start: Array,
         likelihood: CellLikelihood,
-        steps: int = STEPS,
+        steps: int = MAX_EVALUATIONS,
         most: float = np.inf,
         held: int | None = None,
     ) -> tuple[Linearisation, int]:
@@ -151,10 +151,10 @@ class Fitting:
         most : a cost above which they end early. held : the number of a parameter that stays.
         """
         mean, sd, longest = self._prior
-        low, high = mean - FARTHEST * sd, mean + FARTHEST * sd
+        low, high = mean - OUTLIER_THRESHOLD * sd, mean + OUTLIER_THRESHOLD * sd
         if held is not None:
             low[held] = high[held] = start[held]
-        minimum = LevenbergMarquardt(steps, ENOUGH, longest=longest).minimum(
+        minimum = LevenbergMarquardt(steps, TOLERANCE, longest=longest).minimum(
             lambda parameters: self.at(parameters, likelihood),
             start,
             (low, high),
@@ -179,13 +179,13 @@ class Fitting:
         """
         likelihood, steps = self.about(start, whitening), 0
         parameters, best = start, None
-        for _ in range(ROUNDS):
-            point, count = self.descended(parameters, likelihood, STEPS, most, held)
+        for _ in range(MAX_ROUNDS):
+            point, count = self.descended(parameters, likelihood, MAX_EVALUATIONS, most, held)
             likelihood, steps = CellLikelihood.about(self.frame, whitening, point.change), steps + count
             parameters, exact = point.parameters, point.cost - point.misfit + likelihood.exact
             if best is None or exact < best[0].cost:
                 best = replace(point, cost=exact), likelihood
-            if abs(exact - point.cost) < ENOUGH or min(exact, point.cost) > most:
+            if abs(exact - point.cost) < TOLERANCE or min(exact, point.cost) > most:
                 break
         assert best is not None
         return *best, steps
@@ -239,7 +239,7 @@ class Fitting:
         sd = self._prior[1]
         stiffness, axes = np.linalg.eigh(point.normal * np.outer(sd, sd))
         widths, axes = 1 / np.sqrt(np.maximum(stiffness, 1.0)), sd[:, None] * axes
-        for axis in np.flatnonzero(widths > (np.inf if quick else LOOSE)):
+        for axis in np.flatnonzero(widths > (np.inf if quick else MIN_MEASURED_WIDTH)):
             step = widths[axis] * axes[:, axis]
             rises = [self.at(point.parameters + sign * step, likelihood).cost - point.cost for sign in (1, -1)]
             widths[axis] *= np.mean(1 / np.sqrt(np.maximum(1.0, 2 * np.array(rises))))
@@ -267,9 +267,9 @@ def along_diameter(fitting: Fitting, fit: Fit, whitening: Whitening) -> Fit:
     apart = fitting.patch_mm / POINTS / float(np.exp(fit.parameters[place]))  # as points of a patch are
     for step in (1, -1) * np.array(max(apart, fit.covariance[place, place] ** 0.5 / 2)):
         point = points[0]
-        while point.cost < points[0].cost + UNLIKELY / 2:
+        while point.cost < points[0].cost + MAX_LOG_RATIO / 2:
             begin = point.parameters + step * np.eye(len(names))[place]
-            point = fitting.settled(begin, whitening, points[0].cost + UNLIKELY / 2, place)[0]
+            point = fitting.settled(begin, whitening, points[0].cost + MAX_LOG_RATIO / 2, place)[0]
             points.append(point)
     # A centre a pitch further on would have touched other patches.
     centred = np.diag(fitting.centred * 12 / fitting.panel.pitch_mm**2)
@@ -295,7 +295,7 @@ def field_fit(frame: Observation) -> tuple[Fit, Observation]:
     field pays.
     """
     fit, most_probable = _of_two_maps(frame)
-    if fit.chi2 < SUSPICIOUS * frame.measured.size:
+    if fit.chi2 < MAX_CHI_SQUARE * frame.measured.size:
         return fit, frame
     calm = frame.without(outliers(Whitening(most_probable.root), most_probable.apart))
     return max((fit, frame), (_of_two_maps(calm)[0], calm), key=lambda pair: pair[0].evidence)

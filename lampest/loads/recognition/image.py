@@ -22,7 +22,7 @@ from lampest.panel.panel import Array, Modules, Panel
 from lampest.panel.response import Response
 from lampest.panel.scene import Scene
 
-REACH = 3.0  # pitches from a load's place to a module on which it may lie: half of the widest mouth, and a cell
+REACH_PITCHES = 3.0  # pitches from a load's place to a module on which it may lie: half of the widest mouth, and a cell
 CALM_S = 60.0  # s: three times as long as the mean of frames takes to follow them
 
 
@@ -127,7 +127,7 @@ class Window:
         sizes = layout.each.columns, layout.each.rows
         for at, axis, size in zip(place, scene.panel.centres_mm(), sizes, strict=True):
             first, last = axis[::size], axis[size - 1 :: size]
-            reach = min(REACH * scene.panel.pitch_mm, float(last[0] - first[0]) / 2)
+            reach = min(REACH_PITCHES * scene.panel.pitch_mm, float(last[0] - first[0]) / 2)
             away = np.maximum(first - at, at - last)
             spans.append(np.flatnonzero((away <= reach) | (away == away.min())))
         columns, rows = spans

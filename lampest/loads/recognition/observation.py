@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_solve, cholesky, lapack
 
-from lampest.loads.pressure import CLEAR
+from lampest.loads.pressure import SIGNIFICANT
 from lampest.panel.network import Network
 from lampest.panel.panel import Array, Panel
 from lampest.panel.response import PUBLISHED, RESPONSE_SD, Response
@@ -105,17 +105,20 @@ class ModelErrors:
 
 # Of ln r: the longest Gauss-Newton step; and the most a load may change, beyond which a cell is open or shorted to all
 # readings, and a network soon has no inverse.
-LONGEST, MOST_CHANGED = 1.5, 12.0
+MAX_STEP, MAX_LOG_CHANGE = 1.5, 12.0
 # Of cells in ln r/r0 while a load is looked for, on a map of them, and at rest in coarse fits; assumptions.
 MAP_SD, COARSE_SD = 0.5, 0.2
-FARTHEST, OUTLIERS = 5.0, 0.03  # σ, which normal numbers pass once in 10⁶; the part of the readings that may do so
-SUSPICIOUS = 1.4  # χ² per reading beyond which outliers, or another position, are looked for: 3 σ of 100 readings
-DROPPED = 1e3  # so many times its σ, or its reading, is the σ of one that does not count
+OUTLIER_THRESHOLD, OUTLIER_SHARE = (
+    5.0,
+    0.03,
+)  # σ, which normal numbers pass once in 10⁶; the part of the readings that may do so
+MAX_CHI_SQUARE = 1.4  # χ² per reading beyond which outliers, or another position, are looked for: 3 σ of 100 readings
+DROPPED_FACTOR = 1e3  # so many times its σ, or its reading, is the σ of one that does not count
 
 
 def counting(sigma: Array, measured: Array) -> Array:
     """σ, so large that a reading does not count where it is no value (no finite, positive σ); any shape, ohm."""
-    return np.where(np.isfinite(sigma) & (sigma > 0), sigma, DROPPED * measured)
+    return np.where(np.isfinite(sigma) & (sigma > 0), sigma, DROPPED_FACTOR * measured)
 
 
 def unit(columns: Array) -> Array:
@@ -154,7 +157,7 @@ def most_probable(
         across = prior @ slope.T
         root = cholesky(slope @ across + noise, lower=True)
         apart = residual + slope @ (state - mean)
-        step = np.clip(mean + across @ cho_solve((root, True), apart) - state, -LONGEST, LONGEST)
+        step = np.clip(mean + across @ cho_solve((root, True), apart) - state, -MAX_STEP, MAX_STEP)
         state = state + step
         if np.abs(step).max() < settled:
             break
@@ -190,7 +193,7 @@ class Baseline:
         mean[:cells] = np.log(np.median(circuit.uniform_start(measured)))
         prior[:cells, :cells] = 9.0 + model_errors.cell_spread**2 * np.eye(cells)  # their mean is open: σ = 3
         absent = np.flatnonzero(~scene.panel.present)
-        mean[absent] += MOST_CHANGED
+        mean[absent] += MAX_LOG_CHANGE
         prior[absent] = prior[:, absent] = 0.0
         shared, noise = 0.0 if common is None else common @ common.T, sigma.ravel() ** 2
 
@@ -200,8 +203,8 @@ class Baseline:
             residual = measured.ravel() - network.reading().ravel() - spread @ state[cells:]
             return residual, np.hstack([network.sensitivity(), spread]), np.diag(noise) + shared
 
-        coarse = most_probable(model, mean, mean, prior, LONGEST / 10)
-        noise[outliers(Whitening(coarse.root), coarse.apart)] *= DROPPED**2
+        coarse = most_probable(model, mean, mean, prior, MAX_STEP / 10)
+        noise[outliers(Whitening(coarse.root), coarse.apart)] *= DROPPED_FACTOR**2
         fine = most_probable(model, coarse.state, mean, prior, 1e-6)
         logarithm, shifts = fine.state[:cells].reshape(measured.shape), fine.state[cells:]
         return cls(logarithm, shifts, fine.covariance, model_errors, scene)
@@ -262,11 +265,13 @@ class Observation:
         return self.baseline.network(change).sensitivity()
 
     def change(self, pressure: Array) -> tuple[Array, Array]:
-        """x of pressures and its slope, (rows, columns), 1 and 1/kPa; MOST_CHANGED at most."""
+        """x of pressures and its slope, (rows, columns), 1 and 1/kPa; MAX_LOG_CHANGE at most."""
         response, step = self.baseline.response, 1e-3  # kPa: the slope is a difference, F has corners
         near = pressure + self.water + np.array([0.0, step, -step])[:, None, None]
         change, up, down = response.gains * (response.logarithm(near) - self._immersed)
-        return np.clip(change, -MOST_CHANGED, MOST_CHANGED), (up - down) / (2 * step) * (np.abs(change) < MOST_CHANGED)
+        return np.clip(change, -MAX_LOG_CHANGE, MAX_LOG_CHANGE), (up - down) / (2 * step) * (
+            np.abs(change) < MAX_LOG_CHANGE
+        )
 
     @cached_property
     def _immersed(self) -> Array:
@@ -294,7 +299,7 @@ class Observation:
             slope = network.sensitivity()
             return self.target - network.reading().ravel(), slope, self.covariance(slope)
 
-        return most_probable(model, start.ravel(), np.zeros(start.size), prior, LONGEST / 10)
+        return most_probable(model, start.ravel(), np.zeros(start.size), prior, MAX_STEP / 10)
 
     @cached_property
     def _mapped(self) -> MostProbable:
@@ -308,8 +313,8 @@ class Observation:
 
     @cached_property
     def highest(self) -> Array:
-        """ln r/r0 that the readings do not clearly exclude, (rows, columns): the map and CLEAR standard deviations."""
-        return self.map + CLEAR * np.sqrt(np.diag(self._mapped.covariance)).reshape(self.measured.shape)
+        """Map of ln r/r0 plus SIGNIFICANT standard deviations, (rows, columns): the readings exclude more."""
+        return self.map + SIGNIFICANT * np.sqrt(np.diag(self._mapped.covariance)).reshape(self.measured.shape)
 
     @cached_property
     def target(self) -> Array:
@@ -324,7 +329,7 @@ class Observation:
     def without(self, dropped: NDArray[np.intp]) -> "Observation":
         """With some readings' σ so large that they no longer count."""
         sigma = self.sigma.copy()
-        sigma.flat[dropped] *= DROPPED
+        sigma.flat[dropped] *= DROPPED_FACTOR
         return replace(self, sigma=sigma)
 
 
@@ -383,10 +388,10 @@ def outliers(whitening: Whitening, residual: Array) -> NDArray[np.intp]:
     inverse = whitening @ np.eye(len(residual))
     precision = inverse.T @ inverse
     pull, left = precision @ residual, np.ones(len(residual), dtype=bool)
-    for _ in range(max(1, int(OUTLIERS * len(residual)))):
+    for _ in range(max(1, int(OUTLIER_SHARE * len(residual)))):
         score = np.where(left, np.abs(pull) / np.sqrt(np.where(left, np.diag(precision), 1.0)), 0.0)
         worst = int(np.argmax(score))
-        if score[worst] <= FARTHEST:
+        if score[worst] <= OUTLIER_THRESHOLD:
             break
         left[worst] = False
         column = precision[:, worst] / precision[worst, worst]

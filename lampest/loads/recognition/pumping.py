@@ -15,17 +15,19 @@ from lampest.panel.panel import Array
 
 # Jumps a second of the three kinds, and their share beforehand. Pumps: the geometric mean of 20 and 200 s. Others are
 # assumptions: a single jump must not decide, and nothing but a pump is frequent and goes upwards alone.
-RATES_HZ, SHARES = np.array([1 / 200, 1 / 30, 1 / 63]), np.array([0.45, 0.05, 0.5])
-SOONEST_S = 10.0  # between pumps; half of the shortest published interval
-SIZES = np.array([[0.0, 0.6], [0.0, 0.6], [0.4, 0.3]])  # mean and standard deviation of a jump; assumptions
+RATES_HZ, RATE_ODDS = np.array([1 / 200, 1 / 30, 1 / 63]), np.array([0.45, 0.05, 0.5])
+MIN_INTERVAL_S = 10.0  # between pumps; half of the shortest published interval
+JUMP_PRIORS = np.array([[0.0, 0.6], [0.0, 0.6], [0.4, 0.3]])  # mean and standard deviation of a jump; assumptions
 LEAKS = np.array([0.0, 0.001, 0.003, 0.01, 0.03])  # 1/s: between pumps a tenth is lost within 200 s, or half in 20 s
 NOISES = np.geomspace(0.003, 0.2, 6)  # of a sample: from quiet readings to breathing that frames are too few to show
 DRIFTS = np.array([0.0005, 0.003, 0.015])  # of u for each root of a second: creep, warmth, aliased breathing
 HYPOTHESES = 8  # times of the last jump that are remembered for each combination
-UNSEEN = 0.2  # of mouths whose pumps do not show, for which their absence is no evidence; an assumption
+HIDDEN_SHARE = 0.2  # of mouths whose pumps do not show, for which their absence is no evidence; an assumption
 BLOCK_S = 3.0  # of frames whose median is one sample, at least: outliers and most of the breath are gone
-FORGOTTEN = 20.0  # of ln P, by which no noise, drift or leak is ever less probable than the best: they may change
-REST = -5.0  # ln odds below which absence counts no more, so that a mouth that rested for hours is soon recognised
+MAX_LOG_RATIO = 20.0  # of ln P, by which no noise, drift or leak is ever less probable than the best: they may change
+MIN_LOG_ODDS = (
+    -5.0
+)  # ln odds below which absence counts no more, so that a mouth that rested for hours is soon recognised
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +58,7 @@ class Pumping:
         cls, weights: Array, reference: Array, time: float, moves: int, before: "Pumping | None" = None
     ) -> "Pumping":
         """Return the state before the first sample; before : of the same attachment in another place."""
-        kinds = np.log(SHARES)[:, None, None, None, None] + np.zeros(GRID)
+        kinds = np.log(RATE_ODDS)[:, None, None, None, None] + np.zeros(GRID)
         known = kinds if before is None else logsumexp(before.logarithm, axis=-1, keepdims=True) + np.zeros(GRID)
         return cls(weights, reference, time, moves, known, np.zeros(GRID), np.ones(GRID), np.zeros(GRID))
 
@@ -65,9 +67,9 @@ class Pumping:
         sample = float(self.weights @ (np.median(logarithms, axis=0) - self.reference))
         seconds = time - self.since_s
         leak, noise, drift = LEAKS[:, None, None, None], NOISES[:, None, None], DRIFTS[:, None]
-        jump, jump_sd, rate = (values[:, None, None, None, None] for values in (*SIZES.T, RATES_HZ))
-        pumps = np.arange(len(SHARES)).reshape(jump.shape) == len(SHARES) - 1
-        rate = np.where(pumps & (self.age_s < SOONEST_S), RATES_HZ[0] / 2, rate)
+        jump, jump_sd, rate = (values[:, None, None, None, None] for values in (*JUMP_PRIORS.T, RATES_HZ))
+        pumps = np.arange(len(RATE_ODDS)).reshape(jump.shape) == len(RATE_ODDS) - 1
+        rate = np.where(pumps & (self.age_s < MIN_INTERVAL_S), RATES_HZ[0] / 2, rate)
         mean = self.mean - leak * seconds
         variance = self.variance + drift**2 * seconds
         jumps = self.logarithm + np.log(-np.expm1(-rate * seconds))
@@ -96,8 +98,8 @@ class Pumping:
             variance=variance * (1 - variance / wide),
             age_s=age,
         )
-        low = max(0.0, REST - updated._kinds)
-        least = updated.logarithm.max(axis=(1, 2, 3, 4), keepdims=True) - FORGOTTEN
+        low = max(0.0, MIN_LOG_ODDS - updated._kinds)
+        least = updated.logarithm.max(axis=(1, 2, 3, 4), keepdims=True) - MAX_LOG_RATIO
         return replace(updated, logarithm=np.maximum(updated.logarithm, least) + low * pumps)
 
     @property
@@ -108,8 +110,8 @@ class Pumping:
 
     @property
     def odds(self) -> float:
-        """ln of the odds that suction is pumped up, as UNSEEN of all mouths show no pumps."""
-        return float(np.logaddexp(np.log(UNSEEN), np.log(1 - UNSEEN) + self._kinds))
+        """ln of the odds that suction is pumped up, as HIDDEN_SHARE of all mouths show no pumps."""
+        return float(np.logaddexp(np.log(HIDDEN_SHARE), np.log(1 - HIDDEN_SHARE) + self._kinds))
 
 
-GRID = (len(SHARES), len(LEAKS), len(NOISES), len(DRIFTS), HYPOTHESES)
+GRID = (len(RATE_ODDS), len(LEAKS), len(NOISES), len(DRIFTS), HYPOTHESES)

@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 from scipy.linalg import cholesky, solve_triangular
 
 from lampest.files.process import ONE_BLAS_THREAD
-from lampest.loads.pressure import CLEAR
+from lampest.loads.pressure import SIGNIFICANT
 from lampest.loads.recognition.attachment import Attachment, attachments_of, continued_by
 from lampest.loads.recognition.breathing import (
-    LEAST_RATE,
-    LEAST_S,
+    MIN_RATE_HZ,
+    MIN_WINDOW_S,
     WINDOW_S,
     Patterns,
     breaths,
@@ -29,22 +29,24 @@ from lampest.loads.recognition.breathing import (
 )
 from lampest.loads.recognition.candidates import FIELD, DiscSearch
 from lampest.loads.recognition.detector import Detector
-from lampest.loads.recognition.evidence import CANNOT_BE, RARER, Verdict
+from lampest.loads.recognition.evidence import IMPOSSIBLE, MOUTH_LOG_ODDS, Verdict
 from lampest.loads.recognition.observation import Baseline, ModelErrors, Observation, counting, unit
 from lampest.loads.recognition.pumping import BLOCK_S, Pumping
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 
-STEP = 6.0  # standard deviations: with some 1000 patterns normal noise passes them once in 10⁶ frames
-FREE = 0.1  # σ of ln r and of ln y that all cells and all readings may share: temperature, waves, supply; an assumption
-NEAR = 3.0  # pitches about a disc in which a load's pattern counts for it
+STEP_THRESHOLD = 6.0  # standard deviations: with some 1000 patterns normal noise passes them once in 10⁶ frames
+COMMON_SD = (
+    0.1  # σ of ln r and of ln y that all cells and all readings may share: temperature, waves, supply; an assumption
+)
+NEAR_PITCHES = 3.0  # pitches about a disc in which a load's pattern counts for it
 FOLLOWS_S = 20.0  # in which the mean of frames follows them
 SETTLES_S = 60.0  # of drift that is expected within the unloaded frames
 # Of what stands there, as patterns see it: a change beyond it is another load, or one that left. And the standard
 # deviation of what a film keeps of a load that left, in its ln r/r0.
-CHANGED, FILM_KEEPS = 0.5, 0.12
+MIN_CHANGE, RESIDUE_SD = 0.5, 0.12
 UNEVENLY = "a load may lie on the panel in the unloaded frames: its cells are uneven in the shape of one"
-FIRST_S, FRAMES = 1.0, 3  # after which something is recognised first, and at least; breathing is judged again
+FIRST_S, MIN_FRAMES = 1.0, 3  # after which something is recognised first, and at least; breathing is judged again
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,7 +77,7 @@ class Panelled:
 
 @dataclass(frozen=True, eq=False)
 class StepTest:
-    """|t_kᵀ W δ| > STEP·v_k of a change δ of ln y. A change that all cells share is free.
+    """|t_kᵀ W δ| > STEP_THRESHOLD·v_k of a change δ of ln y. A change that all cells share is free.
 
     patterns : (discs, cells) t_kᵀ W, those of discs, whitened and of unit length. near : (discs, discs) which are near.
     whitening : W (cells, cells). loud : (discs) v_k², the mean square in frames without a load: ripple and noise that
@@ -93,14 +95,14 @@ class StepTest:
         value, cells = frame.measured.ravel(), frame.measured.size
         slope = frame.slope(np.zeros(frame.measured.shape)) / value[:, None]
         settled = frame.baseline.model_errors.settled**2 * slope @ slope.T
-        shared = [FREE * slope.sum(axis=1, keepdims=True), FREE * np.ones((cells, 1))]
+        shared = [COMMON_SD * slope.sum(axis=1, keepdims=True), COMMON_SD * np.ones((cells, 1))]
         shared += [] if frame.common is None else [frame.common / value[:, None]]
         columns = np.hstack(shared)
         root = cholesky(np.diag((frame.sigma.ravel() / value) ** 2) + settled + columns @ columns.T, lower=True)
         whitening = solve_triangular(root, np.eye(cells), lower=True)
         patterns = unit(whitening @ (search.readings(frame) / value[:, None])).T @ whitening
         x, y = search.places.T / frame.baseline.scene.panel.pitch_mm
-        near = np.hypot(x[:, None] - x, y[:, None] - y) < NEAR
+        near = np.hypot(x[:, None] - x, y[:, None] - y) < NEAR_PITCHES
         scores = unloaded @ patterns.T
         spreads = [np.mean((first - second) ** 2) / 2 for first, second in combinations(scores, 2)]
         usual = np.quantile(spreads or [1.0], 0.25, method="lower")  # a frame with an outlier, or a touch, is in many
@@ -111,12 +113,12 @@ class StepTest:
         return np.abs(self.patterns @ change)
 
     def sizes(self, change: Array) -> Array:
-        """(discs) the largest score of a change within NEAR of each disc."""
+        """(discs) the largest score of a change within NEAR_PITCHES of each disc."""
         return np.asarray(np.where(self.near, self.scores(change), 0.0).max(axis=1))
 
     def least(self) -> Array:
         """(discs) scores beyond which something has happened."""
-        return np.asarray(STEP * np.sqrt(np.maximum(self.loud, max(1.0, float(self.loud.mean())))))
+        return np.asarray(STEP_THRESHOLD * np.sqrt(np.maximum(self.loud, max(1.0, float(self.loud.mean())))))
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,7 +134,7 @@ class Watch:
     recent : tuple of two arrays
         The last two frames.
     window : tuple of (s, array)
-        Frames since the step, of WINDOW_S or FRAMES if that is more.
+        Frames since the step, of WINDOW_S or MIN_FRAMES if that is more.
     size, left, left_s
         Scores of the present load (discs), of the last one that was recognised, and when, s.
     film_sd : array, or 0
@@ -203,7 +205,7 @@ class Watch:
         if not watch.known and watch._calm(watch._frame(watch.mean, time)):
             return watch._gone(watch.begun)
         watch = watch._resumed(watch.mean) if time >= watch.next_s else watch
-        watch = watch._recognised(time) if time >= watch.next_s and len(watch.window) >= FRAMES else watch
+        watch = watch._recognised(time) if time >= watch.next_s and len(watch.window) >= MIN_FRAMES else watch
         if not (watch.present and watch.known):
             return watch
         watch = watch._breathed(time) if time >= watch.breath_s else watch
@@ -253,7 +255,7 @@ class Watch:
         before = self.window[-1][0] if self.window else self.begun
         scores = self.test.scores(shown - self.mean)
         fading = self.left / (1 + max(time - self.left_s, 0.0) / FOLLOWS_S)  # residue of the last load in the film
-        if np.any(scores >= (self._least_step if self.present else np.maximum(self.test.least(), CHANGED * fading))):
+        if np.any(scores >= (self._least_step if self.present else np.maximum(self.test.least(), MIN_CHANGE * fading))):
             resumed = self._resumed(shown)
             if resumed is not self:
                 return resumed._stepped(shown, logarithm, time)
@@ -261,12 +263,12 @@ class Watch:
             watch = replace(self, mean=shown, begun=before, window=((time, logarithm),), known=False, former=former)
             watch = watch if self.present else replace(watch, present=True, seen=None)
             size = self.test.sizes(shown - self.resting)
-            watch = replace(watch, next_s=before + FIRST_S, breath_s=time + LEAST_S + 1 / LEAST_RATE)
+            watch = replace(watch, next_s=before + FIRST_S, breath_s=time + MIN_WINDOW_S + 1 / MIN_RATE_HZ)
             return replace(watch, size=size, sample_s=before + BLOCK_S)
         share = min((time - before) / FOLLOWS_S, 1.0)
         follows = max(1 / (len(self.window) + 1), share)
         lately = sum(sample[0] > time - WINDOW_S for sample in self.window)
-        window = (*self.window[-max(lately, FRAMES - 1) :], (time, logarithm))
+        window = (*self.window[-max(lately, MIN_FRAMES - 1) :], (time, logarithm))
         watch = replace(self, mean=self.mean + follows * (shown - self.mean), window=window)
         if self.present:
             return watch
@@ -280,12 +282,12 @@ class Watch:
             return self
         window = (*former.window, *self.window)
         lately = sum(at > window[-1][0] - WINDOW_S for at, _ in window)
-        return replace(former, recent=self.recent, sigma=self.sigma, window=window[-max(lately, FRAMES) :])
+        return replace(former, recent=self.recent, sigma=self.sigma, window=window[-max(lately, MIN_FRAMES) :])
 
     @property
     def _least_step(self) -> Array:
         """(discs) scores of a step while a load is present."""
-        return np.maximum(self.test.least(), CHANGED * self.size)
+        return np.maximum(self.test.least(), MIN_CHANGE * self.size)
 
     def _frame(self, logarithm: Array, time: float) -> Observation:
         """Return readings against the panel before the load, with the film's residue of loads that left."""
@@ -309,14 +311,14 @@ class Watch:
             return True
         before = self._before
         common = np.median(frame.map[before == 0]) if np.any(before == 0) else 0.0
-        return bool(np.sum((frame.map - common) * before) <= CLEAR * FILM_KEEPS * np.sum(before**2))
+        return bool(np.sum((frame.map - common) * before) <= SIGNIFICANT * RESIDUE_SD * np.sum(before**2))
 
     def _keeps(self, frame: Observation) -> Array | float:
         """Return `film_sd` once a step has changed the recognised load: by the decrease of each cell."""
         if self.known or self.seen is None:
             return self.film_sd
         less = np.maximum(np.abs(self._before) - np.abs(frame.map), 0.0).ravel()
-        return np.asarray(np.maximum(self.film_sd, FILM_KEEPS * less))
+        return np.asarray(np.maximum(self.film_sd, RESIDUE_SD * less))
 
     @property
     def _before(self) -> Array:
@@ -343,8 +345,12 @@ class Watch:
         frame = self._frame(median, time)
         verdict = self.panelled.detector.verdict(frame, self.verdict if self.known else None)
         change, before = verdict.best.change, self._before
-        memory = not self.known and np.sum(change**2) < CLEAR * FILM_KEEPS * np.sum(change * before)  # where it was
-        if verdict.nothing > exp(-RARER) * (1 - verdict.nothing) or memory:  # some steps are noise, or a load's end
+        memory = not self.known and np.sum(change**2) < SIGNIFICANT * RESIDUE_SD * np.sum(
+            change * before
+        )  # where it was
+        if (
+            verdict.nothing > exp(-MOUTH_LOG_ODDS) * (1 - verdict.nothing) or memory
+        ):  # some steps are noise, or a load's end
             if self._left(frame) and not (self.known and np.any(clear)):
                 return self._gone(time if self.known else self.begun)
             return replace(self, known=True, next_s=again, former=None)
@@ -361,11 +367,11 @@ class Watch:
         It explains the frames better backwards.
         """
         field = max(fit.evidence for fit in verdict.fits if fit.candidate is FIELD)
-        if field < verdict.best.evidence - CANNOT_BE:
+        if field < verdict.best.evidence - IMPOSSIBLE:
             return False
         watch = replace(self, resting=median, rested=float(len(self.window)), rest_s=time)
         backwards = self.panelled.detector.verdict(watch._frame(self.resting, time))
-        return backwards.evidence > verdict.evidence + RARER
+        return backwards.evidence > verdict.evidence + MOUTH_LOG_ODDS
 
     def _breathed(self, time: float) -> "Watch":
         """Return the watch with the breath that the frames since the last full window show.
@@ -385,14 +391,14 @@ class Watch:
             own = attachments[number]
             attachments[number] = replace(own, breath=own.breath.after(breath, full=full))
         judged_s = float(times[-1]) if full else self.judged_s
-        breath_s = time + (LEAST_S + 1 / LEAST_RATE if full else FIRST_S)
+        breath_s = time + (MIN_WINDOW_S + 1 / MIN_RATE_HZ if full else FIRST_S)
         return replace(self, attachments=tuple(attachments), judged_s=judged_s, breath_s=breath_s)
 
     def _pumped(self, time: float) -> "Watch":
-        """With one more sample of all suction, from the frames of the last BLOCK_S but FRAMES at least."""
+        """With one more sample of all suction, from the frames of the last BLOCK_S but MIN_FRAMES at least."""
         assert self.seen is not None and self.verdict is not None
         block = np.array([logarithm for at, logarithm in self.window if at > self.sample_s - BLOCK_S])
-        if len(block) < FRAMES:
+        if len(block) < MIN_FRAMES:
             return self
         attachments, patterns = list(self.attachments), list[tuple[tuple[float, float], Patterns]]()
         for number, attachment in enumerate(attachments):

@@ -16,7 +16,7 @@ from lampest.panel.panel import Array
 from lampest.panel.readouts.lines import PerLine, Side, along, as_tuple, check_lines, lines_text
 
 USUAL_NOISE_LSB = 0.7  # LSB: noise of the shipped boards, sufficient dither for averaging
-LEAST_VOLT, MOST_VOLT = 1e-3, 1e3  # V: a thermocouple's; low voltage by IEC 60038
+MIN_VOLT, MAX_VOLT = 1e-3, 1e3  # V: a thermocouple's; low voltage by IEC 60038
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,7 +50,7 @@ class Converter(Configuration):
     passes_volt: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
-        check_range("supply_volt", self.supply_volt, LEAST_VOLT, MOST_VOLT, " V")
+        check_range("supply_volt", self.supply_volt, MIN_VOLT, MAX_VOLT, " V")
         check_ranges(self, 1, 32, "adc_bits")
         check_ranges(self, 1, 65535, "readings")
         check_lines("noise_lsb", self.assumed_noise)

@@ -17,7 +17,7 @@ import numpy as np
 from lampest.panel.network import inverse_of
 from lampest.panel.panel import Array
 from lampest.panel.readouts.lines import (
-    LEAST_OHM,
+    MIN_OHM,
     LineNumber,
     PerLine,
     Side,
@@ -30,12 +30,12 @@ from lampest.panel.readouts.lines import (
     per_line,
     with_channels,
 )
-from lampest.panel.readouts.readout import LEAST_SHARE, SHORT_SHARE, FreeTest, Readout, Surroundings
+from lampest.panel.readouts.readout import MIN_LOAD_SHARE, SHORT_SHARE, FreeTest, Readout, Surroundings
 
-END = 1e-9  # share of the supply below which a reading shows an open cell
+OPEN_SHARE = 1e-9  # share of the supply below which a reading shows an open cell
 # Alternating start: rounds, change of log g at convergence, and range of conductances about those of the closed form,
 # beyond which a reading no longer depends on its cell (tests/oracles).
-MAX_ROUNDS, CONVERGED, LEAST, LARGEST = 40, 1e-3, 0.02, 1e3
+MAX_ROUNDS, CONVERGED, MIN_RATIO, MAX_RATIO = 40, 1e-3, 0.02, 1e3
 
 
 class DrivenReadout(Readout):
@@ -132,7 +132,7 @@ class DrivenReadout(Readout):
         driven, sensed = of_side(self.driven, *shape)
         load, gain = (along(opposite(self.driven), values) for values in self._sensed(sensed))
         drive = along(self.driven, per_line("drive_ohm", self.drive_ohm, driven))
-        return drive if self.idle_floats else np.maximum(drive, LEAST_OHM), load, gain
+        return drive if self.idle_floats else np.maximum(drive, MIN_OHM), load, gain
 
     def ties(self, measured: Array) -> Array:
         """1/Rd at the driven lines or none; 1/Rs at the sensed ones or none."""
@@ -154,9 +154,9 @@ class DrivenReadout(Readout):
     def apparent_resistance(self, measured: Array) -> Array:
         """Return Rs·((Vcc − V_d)·c/V − 1) − Rd, the naive divider's resistance of a reading."""
         drive, load, gain = self._circuit(measured.shape[-2:])
-        volt = np.maximum(measured / gain, END * self.driving_volt)
+        volt = np.maximum(measured / gain, OPEN_SHARE * self.driving_volt)
         whole = load * (self.driving_volt - self._lost(volt / load)) / volt
-        return np.asarray(np.maximum(whole - load - drive, LEAST_SHARE * whole))
+        return np.asarray(np.maximum(whole - load - drive, MIN_LOAD_SHARE * whole))
 
     def uniform_start(self, measured: Array) -> Array:
         """Of idle lines at ground r_ij = Rs_j·(1 − Σ_k v_kj)/v_ij, right where Rd = 0: (…, rows, columns) ohm.
@@ -168,27 +168,27 @@ class DrivenReadout(Readout):
         _, load, gain = self._circuit(measured.shape[-2:])
         driven = -3 - self._along_sensed
         share = measured / (self.driving_volt * gain)
-        share = np.maximum(share, END * share.max(axis=(-2, -1), keepdims=True))
+        share = np.maximum(share, OPEN_SHARE * share.max(axis=(-2, -1), keepdims=True))
         remainder = 1 - share.sum(axis=driven, keepdims=True)
         # A negative remainder is noise, or the substitute of a dead line. Then the load counts as one more cell.
-        return np.asarray(load * np.where(remainder > LEAST_SHARE, remainder, 1 / (1 + share.shape[driven])) / share)
+        return np.asarray(load * np.where(remainder > MIN_LOAD_SHARE, remainder, 1 / (1 + share.shape[driven])) / share)
 
     def start(self, measured: Array, upper: Array, near: Array | None = None) -> Array:
         """Cells (rows, columns) ohm that reproduce the readings: potentials and cells in turn.
 
         Given cells, all driven lines p stand at u_p while i is driven and j is read. Given those, Σ_p g_pj (u_p − v_ij)
         = v_ij/Rs_j is linear in the cells of one sensed line. Both in turn converge to cells that reproduce the
-        readings: some six rounds, up to 40 where drives are large. A start, not an estimate: within LEAST and LARGEST
-        of the uniform start's.
+        readings: some six rounds, up to 40 where drives are large. A start, not an estimate: within MIN_RATIO and
+        MAX_RATIO of the uniform start's.
         """
         drive, load, gain = self._circuit(measured.shape)
         volt, ideal = self._turned(measured / gain), self._turned(1 / self.uniform_start(measured))
         drive, load = drive.ravel(), load.ravel()
-        conductance = ideal if near is None else np.clip(self._turned(1 / near), LEAST * ideal, LARGEST * ideal)
+        conductance = ideal if near is None else np.clip(self._turned(1 / near), MIN_RATIO * ideal, MAX_RATIO * ideal)
         for _ in range(MAX_ROUNDS):
             potentials, before = self._driven_potentials(conductance, volt, drive, load), conductance
             solved = np.linalg.solve(potentials - volt.T[:, :, None], (volt / load).T[:, :, None])[:, :, 0].T
-            conductance = np.clip(solved, LEAST * ideal, LARGEST * ideal)
+            conductance = np.clip(solved, MIN_RATIO * ideal, MAX_RATIO * ideal)
             if np.abs(np.log(conductance / before)).max() < CONVERGED:
                 break
         return np.asarray(np.minimum(self._turned(1 / conductance), upper))

@@ -15,10 +15,12 @@ from lampest.panel.network import Entries, Loading, Network, NormalByLines, Numb
 from lampest.panel.panel import Array
 from lampest.panel.trust_region import DENSE_CELLS, steihaug
 
-LEAST_SHARE = 0.05  # of R²: smallest diagonal of the stencil, where the lines alone explain a cell's own response
+MIN_DIAGONAL_SHARE = (
+    0.05  # of R²: smallest diagonal of the stencil, where the lines alone explain a cell's own response
+)
 MAX_ITERATIONS = 30  # 6 suffice from the uniform start at 10 × 10 to 32 × 32 without noise
-LENGTHS = tuple(0.5**power for power in range(20))  # of a step: below, none lowers the cost in double precision
-REPRODUCED = 1e-9  # relative misfit of any reading; near a solution each step doubles the digits
+STEP_LENGTHS = tuple(0.5**power for power in range(20))  # of a step: below, none lowers the cost in double precision
+MAX_RELATIVE_MISFIT = 1e-9  # relative misfit of any reading; near a solution each step doubles the digits
 DECREASE = 1e-4  # Armijo's share, as in Nocedal & Wright, Numerical Optimization, 2006, section 3.1
 
 
@@ -139,7 +141,7 @@ def _parts(conductance: Array, two_point_resistance: Array) -> tuple[Array, Arra
     """(d, K): the diagonal (rows, columns) of the stencil, and 1/A², 1/B² of the lines."""
     of_rows, of_columns = conductance.sum(axis=1) ** -2.0, conductance.sum(axis=0) ** -2.0
     square = two_point_resistance**2
-    diagonal = np.maximum(square - of_rows[:, None] - of_columns, LEAST_SHARE * square)
+    diagonal = np.maximum(square - of_rows[:, None] - of_columns, MIN_DIAGONAL_SHARE * square)
     return diagonal, np.concatenate([of_rows, of_columns])
 
 
@@ -163,10 +165,10 @@ def convex_start(measured: Array, upper: Array, near: Array | None = None) -> Ar
     for _ in range(MAX_ITERATIONS):
         gradient = measured - network.reading()
         free = (conductance > least * (1 + 1e-12)) | (gradient < 0)
-        if np.max(np.abs(gradient[free] / measured[free]), initial=0) < REPRODUCED:
+        if np.max(np.abs(gradient[free] / measured[free]), initial=0) < MAX_RELATIVE_MISFIT:
             break
         step = _step(network, gradient, free)
-        for length in LENGTHS:
+        for length in STEP_LENGTHS:
             trial = np.maximum(conductance + length * step, np.maximum(least, conductance / 10))
             trial_value, trial_network = at(trial)
             if trial_value <= value + DECREASE * float(np.sum(gradient * (trial - conductance))):

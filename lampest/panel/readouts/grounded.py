@@ -10,9 +10,9 @@ import numpy as np
 
 from lampest.files.typed import check_ranges
 from lampest.panel.panel import Array
-from lampest.panel.readouts.converter import LEAST_VOLT, MOST_VOLT
+from lampest.panel.readouts.converter import MAX_VOLT, MIN_VOLT
 from lampest.panel.readouts.driven import DrivenReadout
-from lampest.panel.readouts.lines import LEAST_OHM, PerLine, Side, lines_text, opposite, parallel, per_line
+from lampest.panel.readouts.lines import MIN_OHM, PerLine, Side, lines_text, opposite, parallel, per_line
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -129,7 +129,7 @@ class VirtualGroundReadout(DrivenReadout):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        check_ranges(self, LEAST_VOLT, MOST_VOLT, "drive_volt", "converter_volt")
+        check_ranges(self, MIN_VOLT, MAX_VOLT, "drive_volt", "converter_volt")
 
     @property
     def driving_volt(self) -> float:
@@ -149,5 +149,5 @@ class VirtualGroundReadout(DrivenReadout):
 
     def _sensed(self, lines: int) -> tuple[Array, Array]:
         """(Rc, Rf/Rc)."""
-        sense = np.maximum(per_line("sense_ohm", self.sense_ohm, lines), LEAST_OHM)
+        sense = np.maximum(per_line("sense_ohm", self.sense_ohm, lines), MIN_OHM)
         return sense, per_line("feedback_ohm", self.feedback_ohm, lines) / sense

@@ -10,7 +10,7 @@ from lampest.panel.panel import Array
 PerLine = float | tuple[float, ...]
 Side = Literal["rows", "columns"]
 # Beside cells of kilo-ohms: a wire, and an insulator that leaves ten of sixteen digits.
-LEAST_OHM, MOST_OHM = 1e-6, 1e9
+MIN_OHM, MAX_OHM = 1e-6, 1e9
 
 
 @dataclass(frozen=True)
@@ -70,11 +70,11 @@ def check_lines(name: str, value: PerLine, *, open_end: bool = False) -> None:
         raise ValueError(f"{name} must be {'positive' if open_end else 'zero or positive'} and finite")
 
 
-def check_resistors(name: str, value: PerLine, *, open_end: bool = True, most: float = MOST_OHM) -> None:
+def check_resistors(name: str, value: PerLine, *, open_end: bool = True, most: float = MAX_OHM) -> None:
     """Raise ValueError as `check_lines`, and if a resistance is so small or so large that digits are lost."""
     check_lines(name, value, open_end=open_end)
-    if not all(LEAST_OHM <= number <= most for number in as_tuple(value) if number):
-        raise ValueError(f"{name} must lie between {LEAST_OHM:g} and {most:g} ohm")
+    if not all(MIN_OHM <= number <= most for number in as_tuple(value) if number):
+        raise ValueError(f"{name} must lie between {MIN_OHM:g} and {most:g} ohm")
 
 
 def per_line(name: str, value: PerLine, lines: int) -> Array:

@@ -17,7 +17,7 @@ from lampest.panel.readouts.lines import LineNumber, of_side, per_line
 from lampest.panel.readouts.tied import TiedNetwork
 from lampest.panel.readouts.wiring import WiredNetwork, Wiring
 
-LEAST_SHARE = 1e-3  # of a load: remaining apparent resistance of a reading at its end
+MIN_LOAD_SHARE = 1e-3  # of a load: remaining apparent resistance of a reading at its end
 SHORT_SHARE = 1e-6  # of the apparent resistance: between it and a dead short readings change by a millionth
 
 

@@ -71,12 +71,12 @@ class Journal:
         """Add the undamaged frames and events of another journal; damaged frames count as lost before the next one."""
         paths, whole = self._paths, np.setdiff1d(np.arange(frames), damaged)
         dropped = np.diff(whole, prepend=-1) - 1
-        for begin in range(0, len(whole), acquisition.AT_ONCE):
-            numbers = whole[begin : begin + acquisition.AT_ONCE]
+        for begin in range(0, len(whole), acquisition.BLOCK_FRAMES):
+            numbers = whole[begin : begin + acquisition.BLOCK_FRAMES]
             rows = acquisition.stored_rows(source, paths, slice(int(numbers[0]), int(numbers[-1]) + 1))
             values = [column[numbers - numbers[0]] for column in rows]
             lost = paths.index("acquisition/lost")
-            values[lost] = values[lost] + dropped[begin : begin + acquisition.AT_ONCE]
+            values[lost] = values[lost] + dropped[begin : begin + acquisition.BLOCK_FRAMES]
             self._push(paths, values, acquisition.FRAME_CHECKSUM)
         events = acquisition.whole_events(source)
         rows = acquisition.stored_rows(source, acquisition.EVENT_PATHS, slice(len(events)))

@@ -56,7 +56,7 @@ COLUMN_FIRST = re.compile(rf"(?:[a-z]+{GAP})??{COLUMN}{GAP}(\d+){GAP}{ROW}{GAP}(
 TWO_NUMBERS = re.compile(rf"(?:[a-z]+{GAP}|{GAP})(\d+){BETWEEN}(\d+){GAP}")
 ONE_NUMBER = re.compile(rf"([^\W\d]*){GAP}(\d+){GAP}")
 
-LONGEST = 100  # characters of a name or a number that are looked at: patterns would take long over more
+MAX_LENGTH = 100  # characters of a name or a number that are looked at: patterns would take long over more
 # What programs write where they have no number: NumPy, R, MATLAB, JSON, Arduino's Print (ovf), multimeters (OL),
 # Microsoft's C library (1.#QNAN) and Excel (#DIV/0!).
 MISSING = (
@@ -86,7 +86,7 @@ Where = Callable[[int], str]
 
 def parted(name: str) -> tuple[str, str]:
     """Return a name in small letters, its words joined by underscores, and the unit at its end as written or ''."""
-    text, unit = name[:LONGEST].strip(), ""
+    text, unit = name[:MAX_LENGTH].strip(), ""
     match = PARTED.fullmatch(text)
     if match and (match[2].strip(" _") in BRACKETS or match[3].lower() in UNITS or ELECTRIC.fullmatch(match[3])):
         text, unit = match[1], match[3]
@@ -152,7 +152,7 @@ def number_of(text: str, *, comma: bool) -> float | None:
 
     comma : whether it is decimal; the other sign may set thousands apart.
     """
-    if len(text) <= LONGEST and (COMMA if comma else POINT).fullmatch(text):
+    if len(text) <= MAX_LENGTH and (COMMA if comma else POINT).fullmatch(text):
         return float(text.replace(".", "").replace(",", ".") if comma else text.replace(",", ""))
     word = text.lower()
     if word in MISSING_WORDS or not word.strip("-"):

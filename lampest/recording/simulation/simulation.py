@@ -14,14 +14,14 @@ from lampest.loads.film import FilmMemory
 from lampest.loads.pressure import water_pressure
 from lampest.loads.shapes import AnyShape
 from lampest.panel.panel import Array
-from lampest.panel.response import MOST_CREEP, MOST_HYSTERESIS, PUBLISHED, AnyResponse, Film, ratio_from_pressure
+from lampest.panel.response import MAX_CREEP, MAX_HYSTERESIS, PUBLISHED, AnyResponse, Film, ratio_from_pressure
 from lampest.panel.scene import Scene, Water
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
 from lampest.recording.simulation.measure import OPEN_OHM, SHORT_OHM, Unmodelled, measured, random_stream, raw_sums
 
 TRAVEL_MM = 20.0  # two cells of the usual panel: a load that starts in the middle stays on it
 PUMPED_S = 1.0  # that a pump, or the pull before a release, takes; an assumption
-MOMENTS, AT_ONCE = 8, 64  # within a frame's period at which the film feels the load, and frames looked at together
+MOMENTS, BLOCK_FRAMES = 8, 64  # within a frame's period at which the film feels the load, and frames looked at together
 
 
 @dataclass(frozen=True)
@@ -284,8 +284,8 @@ def _film_ratio(simulation: Simulation, time: Array, later_s: float) -> Array:
         )
     water, strengths = water_pressure(scene.panel, simulation.water or scene.water), list[Array]()
     for name, value, most in (
-        ("hysteresis", film.hysteresis, MOST_HYSTERESIS),
-        ("creep", film.creep_per_decade, MOST_CREEP),
+        ("hysteresis", film.hysteresis, MAX_HYSTERESIS),
+        ("creep", film.creep_per_decade, MAX_CREEP),
     ):
         assert value != "auto"
         stream = random_stream(
@@ -295,8 +295,8 @@ def _film_ratio(simulation: Simulation, time: Array, later_s: float) -> Array:
         strengths.append(np.minimum(value * np.exp(film.deviation * shared + film.cell_spread * own), most))
     gain = np.broadcast_to(film.answer * response.gains, water.shape)
     memory, ratios = FilmMemory.at_rest(strengths[0], strengths[1], gain, water, response), list[Array]()
-    for begin in range(0, len(time), AT_ONCE):
-        felt = time[begin : begin + AT_ONCE, None] - step * np.arange(MOMENTS)[::-1] - first
+    for begin in range(0, len(time), BLOCK_FRAMES):
+        felt = time[begin : begin + BLOCK_FRAMES, None] - step * np.arange(MOMENTS)[::-1] - first
         for number, loaded in enumerate(pressure_at(simulation, felt.ravel(), later_s) - water, 1):
             memory, change = memory.answered(loaded, step)
             if number % MOMENTS == 0:

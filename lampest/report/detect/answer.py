@@ -9,15 +9,17 @@ import numpy as np
 
 from lampest.files import hdf5
 from lampest.loads.recognition.attachment import Attachment, Pair
-from lampest.loads.recognition.breathing import LEAST_S, too_slow
+from lampest.loads.recognition.breathing import MIN_WINDOW_S, too_slow
 from lampest.panel.panel import Array, Panel
 from lampest.report.compare import Table
 
 FORMAT, FILE = "detections/2", "detections.h5"
 ANSWERS = ("lamprey", "sucks", "suction cup", "presses", "nothing", "cannot say")
 LAMPREY, SUCKS, CUP, PRESSES, NOTHING, CANNOT_SAY = ANSWERS
-BARE = 0.99  # probability that a panel is bare on which nothing stepped: weak loads make no step; an assumption
-SURE = 0.9  # from which on an attachment is called lamprey, or suction cup
+BARE_PROBABILITY = (
+    0.99  # probability that a panel is bare on which nothing stepped: weak loads make no step; an assumption
+)
+MIN_PROBABILITY = 0.9  # from which on an attachment is called lamprey, or suction cup
 MAX_CONTACTS = 4  # that a sentence describes
 PAIRS = {
     "x_mm": ("mm", "centre across the columns, column 0 at 0"),
@@ -87,7 +89,7 @@ class Detected:
         """
         loads = [*filter(lambda load: load.present, reversed(attachments)), *reversed(attachments)]
         called = [answer_of(load, rate) for load in loads]
-        chosen = min(called, key=lambda load: ANSWERS.index(load[0]), default=(NOTHING, BARE, ""))
+        chosen = min(called, key=lambda load: ANSWERS.index(load[0]), default=(NOTHING, BARE_PROBABILITY, ""))
         return cls(recording, *chosen, rate, notes, tuple(attachments), course, change, panel)
 
     @classmethod
@@ -121,7 +123,7 @@ class Detected:
             return f"{len(present)} contacts: {'; '.join(shown)} ({odds})"
         name = {SUCKS: "something that sucks (lamprey or cup)", PRESSES: "contact"}.get(self.answer, self.answer)
         said = [f"{name}{' attached' if load.sucks > 0.5 else ''} {_described(load)}"]
-        if self.answer == LAMPREY and load.pumps >= SURE:
+        if self.answer == LAMPREY and load.pumps >= MIN_PROBABILITY:
             said.append("pumping up its suction")
         if self.answer == LAMPREY and load.breathes > 0.5 and load.breathing_hz and load.breathing_depth:
             depth = (100 * load.breathing_depth[0], 100 * load.breathing_depth[1])
@@ -180,7 +182,7 @@ def answer_of(load: Attachment, rate: float) -> tuple[str, float, str]:
     """(one of ANSWERS, its probability, why no more can be said or '') of a load at so many frames a second."""
     if load.sucks <= 0.5:
         return PRESSES, 1 - load.sucks, ""
-    if load.sucks * load.lives >= SURE:
+    if load.sucks * load.lives >= MIN_PROBABILITY:
         return LAMPREY, load.sucks * load.lives, ""
     why = too_slow(rate)
     if why:
@@ -188,8 +190,8 @@ def answer_of(load: Attachment, rate: float) -> tuple[str, float, str]:
     if load.breath.odds > 0 and load.breath.suction < 0.5:
         why = "it moves at a breathing rate, but probably not by its suction: it may be shaken"
     elif load.breathing_hz is None:
-        why = f"breathing shows after {LEAST_S:g} s at the earliest"
-    elif load.breath.before < 0 and load.sucks * (1 - load.lives) >= SURE:  # a full window without breath
+        why = f"breathing shows after {MIN_WINDOW_S:g} s at the earliest"
+    elif load.breath.before < 0 and load.sucks * (1 - load.lives) >= MIN_PROBABILITY:  # a full window without breath
         return CUP, load.sucks * (1 - load.lives), ""
     else:
         why = f"whether it breathes is not clear (P = {load.breathes:.2f})"

@@ -16,7 +16,7 @@ from lampest.estimate.warnings import warnings_of
 from lampest.files import hdf5
 from lampest.files.errors import InputError
 from lampest.files.process import ONE_BLAS_THREAD, told_reason
-from lampest.loads.pressure import OF_DIFFERENCES, water_pressure
+from lampest.loads.pressure import DIFFERENCES_TO_SIGMA, water_pressure
 from lampest.loads.recognition.breathing import too_slow
 from lampest.loads.recognition.detector import Detector
 from lampest.loads.recognition.image import ImageWatch
@@ -37,8 +37,8 @@ from lampest.runs.results import Results
 RESULTS = "results/"  # how the format of such a file begins
 BY = "from the readings; cells by Gauss-Newton steps with a Gaussian prior"
 NO_RESPONSE = "no pressures and forces, since the scene names no response; shapes are fitted with the published one"
-HEAD = 100  # measured frames from which the noise is learned, with those without a load
-MOST_CELLS = 1024  # patterns of loads take 64 bytes for each pair of cells: 134 MB, and 2 GB on 64 × 64
+HEAD_FRAMES = 100  # measured frames from which the noise is learned, with those without a load
+MAX_CELLS = 1024  # patterns of loads take 64 bytes for each pair of cells: 134 MB, and 2 GB on 64 × 64
 Frames = Iterator[tuple[Array, Array, float]]
 
 
@@ -70,8 +70,8 @@ class Known:
     def watch(self) -> Watch | ImageWatch:
         """Before the first frame. Raises ValueError where the panel cannot be watched, or was not free."""
         panel, layout, noise = self.scene.panel, self.scene.panel.modules, self.noise
-        if panel.network.crossings > MOST_CELLS:
-            raise ValueError(f"loads are recognised on panels and modules of up to {MOST_CELLS} cells")
+        if panel.network.crossings > MAX_CELLS:
+            raise ValueError(f"loads are recognised on panels and modules of up to {MAX_CELLS} cells")
         common = None if noise is None or layout else lambda measured: noise.columns(measured[None], baseline=False)
         mat = self.scene.purpose == "mat"
         water, errors = water_pressure(panel, self.scene.water), ModelErrors().of_scene(self.scene, self.reading_error)
@@ -166,7 +166,7 @@ def detect_recording(
     """
     stored = StoredRecording.of(path)
     part = stored.part(stored.blocks()[0])
-    measured = np.flatnonzero(part.role == MEASURED)[:HEAD]
+    measured = np.flatnonzero(part.role == MEASURED)[:HEAD_FRAMES]
     if not len(measured):
         raise InputError(f"{path}: no frame is measured (role 1)")
     head = Prepared(stored.part(range(int(measured[-1]) + 1)))
@@ -227,7 +227,7 @@ def measured_frames(part: Recording, watched: Known, asked: NDArray[np.bool_]) -
 def _scattered(value: Array) -> tuple[Array, tuple[str, ...]]:
     """(σ (rows, columns) from differences of neighbouring frames, how it was found)."""
     with np.errstate(invalid="ignore"):
-        relative = OF_DIFFERENCES * np.nanmedian(np.abs(np.diff(np.log(value), axis=0)), axis=0)
+        relative = DIFFERENCES_TO_SIGMA * np.nanmedian(np.abs(np.diff(np.log(value), axis=0)), axis=0)
     size = float(np.nanmedian(relative))
     said = f"the noise is unknown: {100 * size:.2g} % a reading, from differences of neighbouring frames"
     return np.nanmedian(value, axis=0) * np.fmax(np.nan_to_num(relative), max(size, 1e-6)), (said,)

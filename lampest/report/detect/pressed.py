@@ -16,7 +16,7 @@ from lampest.runs.results import Results
 
 FILE = "pressed.csv"
 SIDES = 4  # of a cell: with fewer neighbours touched, it lies on the outline
-WITHIN = 1 / 12  # variance of where in a cell, or of how much of it, in cells: uniform
+POSITION_VARIANCE = 1 / 12  # variance of where in a cell, or of how much of it, in cells: uniform
 HEADERS = ("centre x [mm]", "centre y [mm]", "area [mm²]", "peak [kPa]", "force [N]")
 
 
@@ -76,10 +76,12 @@ def _frame(
     for at in panel.places_mm[:, touched]:
         centre = float(p @ at / force)
         values.append(centre)
-        variances.append(sum_sd((at - centre) / force, own, common) ** 2 + pitch**2 * WITHIN * np.sum((p / force) ** 2))
+        variances.append(
+            sum_sd((at - centre) / force, own, common) ** 2 + pitch**2 * POSITION_VARIANCE * np.sum((p / force) ** 2)
+        )
     peak = int(np.argmax(p))
     values += [len(p) * cell, p[peak], KPA_MM2 * cell * force]
-    variances += [outline * cell**2 * WITHIN, own[peak] ** 2 + common[peak] ** 2]
+    variances += [outline * cell**2 * POSITION_VARIANCE, own[peak] ** 2 + common[peak] ** 2]
     variances += [sum_sd(KPA_MM2 * cell, own, common) ** 2]
     return np.array(values), np.sqrt(variances)
 

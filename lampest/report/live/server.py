@@ -21,10 +21,10 @@ from lampest.files.errors import InputError
 from lampest.report.live.handover import Newest
 from lampest.report.live.message import View, view_text
 
-MOST_STREAMS = 16  # pages that look on at once, a thread each
+MAX_STREAMS = 16  # pages that look on at once, a thread each
 HEARTBEAT_SECONDS, FAREWELL_SECONDS = 2.0, 1.0  # between signs of life, for the last view to go out
 TURN_SECONDS = 60.0  # after which a page gives its seat to one that found none; it comes again by itself
-FEWEST_SIGNS = 16  # of a token: 10²⁸ of them
+MIN_TOKEN_LENGTH = 16  # of a token: 10²⁸ of them
 HINT = ": open the address that lampest printed when it began, with its token if it has one"
 WISH = "X-Lampest"  # no foreign page may send a header of its own without having asked, and here nobody answers that
 HEADERS = {
@@ -57,8 +57,8 @@ class Access:
     secret: str = field(default_factory=lambda: secrets.token_urlsafe(24))
 
     def __post_init__(self) -> None:
-        if self.token and not re.fullmatch(rf"[A-Za-z0-9._~-]{{{FEWEST_SIGNS},}}", self.token):
-            signs = f"at least {FEWEST_SIGNS} letters, digits or any of - _ . ~"
+        if self.token and not re.fullmatch(rf"[A-Za-z0-9._~-]{{{MIN_TOKEN_LENGTH},}}", self.token):
+            signs = f"at least {MIN_TOKEN_LENGTH} letters, digits or any of - _ . ~"
             raise InputError(f"--token: give {signs} (or none: one is made up)")
 
     @classmethod
@@ -128,7 +128,7 @@ class PageServer(ThreadingHTTPServer):
     def __init__(self, host: str, port: int, shown: Newest[View], token: str | None, asks: Asks) -> None:
         self.shown, self.asks = shown, asks
         self.page = files("lampest.report.live").joinpath("page.html").read_bytes()
-        self.seats, self.refused = BoundedSemaphore(MOST_STREAMS), Event()
+        self.seats, self.refused = BoundedSemaphore(MAX_STREAMS), Event()
         self.address_family = socket.AF_INET6 if ":" in host else socket.AF_INET
         super().__init__((host, port), PageHandler)
         self.local = ip_address(str(self.server_address[0])).is_loopback
@@ -296,5 +296,5 @@ def serving(
             server.shutdown()
             thread.join()
             until = time.monotonic() + FAREWELL_SECONDS
-            for _ in range(MOST_STREAMS):
+            for _ in range(MAX_STREAMS):
                 server.seats.acquire(timeout=max(0.0, until - time.monotonic()))

@@ -17,13 +17,15 @@ from lampest.panel.scene import Scene
 from lampest.posterior.track import Bars, Track
 from lampest.recording.readings import Readings
 from lampest.report.live.message import BOTH, NOTHING, PRESSING, SUCKING, Picture
-from lampest.solvers.multistart import SAME
+from lampest.solvers.multistart import SAME_MINIMUM
 
 ASKED = "it was asked for"
 # Standard deviations that one reading of 100 passes by chance about twice in 10⁷ frames of normal noise: four days at
 # 30 frames a second have 10⁷. And percent where the noise is unknown: far above any readout's, and what a finger does.
-NOTICED, NOTICED_PERCENT = 6.0, 1.0
-SHARE = 0.3  # of the strongest |ln r/r₀|: what penalties leave beside a load stays below, a mouth's inside lies above
+NOTICED_SIGMA, NOTICED_PERCENT = 6.0, 1.0
+MIN_SHARE = (
+    0.3  # of the strongest |ln r/r₀|: what penalties leave beside a load stays below, a mouth's inside lies above
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,7 +87,7 @@ class SecondLook:
         cells, lower, force = step.estimate(-1), None, None
         if cells is not None:
             same = stream.weights == self.stream.weights
-            lower = None if same and step.solution.objective > self.objective * (1 - SAME) else cells
+            lower = None if same and step.solution.objective > self.objective * (1 - SAME_MINIMUM) else cells
             if step.bars is not None and not np.isnan(stream.baseline_resistance).any():
                 force = read_load(self.load, cells / stream.baseline_resistance, step.bars, self.time)[1]
         return Findings(self.number, stream.weights, stream.weighed_at, lower, force)
@@ -252,12 +254,12 @@ def verdict_of(readings: Readings, resting: Readings, ratio: Array, open_cell: N
     moved -= np.nanmedian(moved)
     now, before, least = readings.sigma_of_values, resting.sigma_of_values, np.asarray(NOTICED_PERCENT / 100)
     if now is not None and before is not None:
-        least = NOTICED * np.hypot(now / readings.shown, before / resting.shown)
+        least = NOTICED_SIGMA * np.hypot(now / readings.shown, before / resting.shown)
     with np.errstate(invalid="ignore"):
         noticed = np.abs(moved) > least
     change = np.log(ratio[~open_cell & np.isfinite(ratio)])
     if not np.any(noticed) or not change.size:
         return NOTHING
-    least_pressed = SHARE * float(np.max(np.abs(change)))
+    least_pressed = MIN_SHARE * float(np.max(np.abs(change)))
     pressing, sucking = -float(np.min(change)) > least_pressed, float(np.max(change)) > least_pressed
     return BOTH if pressing and sucking else SUCKING if sucking else PRESSING

@@ -16,11 +16,11 @@ from lampest.panel.scene import Scene
 from lampest.recording.readings import Readings
 from lampest.recording.recording import UNLOADED, Recording
 from lampest.report.detect.answer import Detected
-from lampest.report.detect.detection import HEAD, Known, frame_rate, known_of
+from lampest.report.detect.detection import HEAD_FRAMES, Known, frame_rate, known_of
 from lampest.report.live.handover import Beside
 
-LATEST = 16  # attachments that live remembers, beside those that are there
-MOST_WAITING = 2000  # frames; beyond, every second one is left out: a fit on 32 × 32 cells takes a minute
+MAX_REMEMBERED = 16  # attachments that live remembers, beside those that are there
+MAX_WAITING = 2000  # frames; beyond, every second one is left out: a fit on 32 × 32 cells takes a minute
 WAITING = "waiting for frames of the unloaded panel"
 DIED = "the process that recognises loads has died; restart lampest live"
 
@@ -82,7 +82,7 @@ class Watched:
     known, watch
         As in `lampest detect`, None if the unloaded frames are unusable.
     times : tuple of float
-        Times in s of the last HEAD frames.
+        Times in s of the last HEAD_FRAMES frames.
     missing : int
         Frames still required for a new zero.
     zero : tuple of Scan
@@ -140,10 +140,10 @@ class Watched:
             return self
         readings = Readings.of(self.known.scene, scan.recorded, scan.sigma)
         watch = self.watch.push(*self.known.values(readings), scan.time)
-        ended = [attachment for attachment in watch.attachments if not attachment.present][-LATEST:]
+        ended = [attachment for attachment in watch.attachments if not attachment.present][-MAX_REMEMBERED:]
         remembered = (each for each in watch.attachments if each.present or each in ended)
         watch = replace(watch, attachments=tuple(remembered))
-        return replace(self, why="", watch=watch, times=(*self.times[-HEAD:], scan.time))
+        return replace(self, why="", watch=watch, times=(*self.times[-HEAD_FRAMES:], scan.time))
 
 
 class Desk:
@@ -169,9 +169,9 @@ def watcher(name: str, on_answer: Callable[[Detected], None]) -> Beside[list[New
 
 
 def in_one_batch(more: list[News], waiting: list[list[News]]) -> list[list[News]]:
-    """Merge waiting news into one batch; beyond MOST_WAITING every second frame is dropped, except the last."""
+    """Merge waiting news into one batch; beyond MAX_WAITING every second frame is dropped, except the last."""
     batch = [*(waiting[0] if waiting else []), *more]
-    if len(batch) > MOST_WAITING:
+    if len(batch) > MAX_WAITING:
         odd = len(batch) % 2
         batch = [news for number, news in enumerate(batch, odd) if number % 2 or not isinstance(news, Scan)]
     return [batch]

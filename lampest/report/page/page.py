@@ -8,7 +8,7 @@ from typing import Any, Literal
 import numpy as np
 
 from lampest.files.whole import write_whole
-from lampest.report.compare import LEAST, Table
+from lampest.report.compare import MIN_DIFFERENCE, Table
 from lampest.report.page.compared import Batch, Comparison, advise, compared, doubts, read_batch, without_copies
 from lampest.report.page.measures import (
     DRAWS,
@@ -42,7 +42,7 @@ DIFFERENT = (
     "Cells in which two estimators differ by more than their joint 95 % interval; grey: they do not. The titles give "
     "the share of such cells over all frames. Up to 5 % are expected by chance."
 )
-MOST = 6  # recordings with all figures, and estimators in them
+MAX_FIGURES = 6  # recordings with all figures, and estimators in them
 
 
 def write_report(
@@ -69,7 +69,7 @@ def report(batch: Batch, on_recording: Callable[[int, int], None] = lambda done,
         doubted = doubts(advice.estimator, list(map(figures, by_estimator[advice.estimator])))
         advice = replace(advice, warnings=(*advice.warnings, *doubted))
     first = [row.estimator for row in comparison.standings] if comparison else []
-    drawn = [*dict.fromkeys((*first, *batch.estimators))][:MOST]
+    drawn = [*dict.fromkeys((*first, *batch.estimators))][:MAX_FIGURES]
     tasks = [(name, cases, number, drawn) for number, (name, cases) in enumerate(batch.recordings.items())]
     sections = each_of(_section, tasks, on_recording)
     return filled(
@@ -80,9 +80,9 @@ def report(batch: Batch, on_recording: Callable[[int, int], None] = lambda done,
         standings=comparison and standing_table(comparison),
         units=comparison and len(comparison.units) <= 200 and unit_table(comparison),
         together=case_table(by_estimator) if len(own) > 1 else None,
-        whole=sections[:MOST],
-        others=sections[MOST:],
-        most=MOST,
+        whole=sections[:MAX_FIGURES],
+        others=sections[MAX_FIGURES:],
+        most=MAX_FIGURES,
         origins={name: case for cases in [*batch.recordings.values()][::-1] for name, case in cases.items()},
         draws=DRAWS,
         counted=counted,
@@ -93,7 +93,7 @@ def report(batch: Batch, on_recording: Callable[[int, int], None] = lambda done,
 def _section(task: tuple[str, Mapping[str, CaseResult], int, Sequence[str]]) -> dict[str, Any]:
     """Return the content of a recording's section: contours and a table; for the first ones, all figures."""
     name, every, number, drawn = task
-    whole = number < MOST
+    whole = number < MAX_FIGURES
     cases = [case for estimator, case in every.items() if estimator in drawn] or [*every.values()][:1]
     place, pairs = strongest_index(cases), disagreements(cases) if whole else ()
     with verbatim():
@@ -167,7 +167,7 @@ def _figure(values: Sequence[float]) -> str:
     if all(isinstance(value, int) for value in values):
         return f"{sum(values):,}"
     value = float(np.median(values))
-    return f"<{HARD}{LEAST:g}" if 0 < value < LEAST else digits(value)
+    return f"<{HARD}{MIN_DIFFERENCE:g}" if 0 < value < MIN_DIFFERENCE else digits(value)
 
 
 def _optima(cases: Sequence[CaseResult]) -> str:

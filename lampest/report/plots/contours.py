@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from lampest.files.errors import InputError
 from lampest.files.typed import Validated
 from lampest.panel.panel import Array
-from lampest.report.compare import LEAST, figures_of, weighted_residual
+from lampest.report.compare import MIN_DIFFERENCE, figures_of, weighted_residual
 from lampest.report.plots import maps, style
 from lampest.report.strongest import as_recorded, percent_change, strongest_index
 from lampest.report.words import digits
@@ -221,7 +221,11 @@ class ResidualPlot(MapsPlot):
         for case, residual in zip(cases, residuals, strict=True):
             shown = None if residual is None or not case.solved[index] else residual[index]
             rms = None if shown is None else float(np.sqrt(np.nanmean(shown**2)))
-            note = "" if rms is None else f"rms {digits(rms, 2) if rms >= LEAST else f'< {LEAST}'} {unit}"
+            note = (
+                ""
+                if rms is None
+                else f"rms {digits(rms, 2) if rms >= MIN_DIFFERENCE else f'< {MIN_DIFFERENCE}'} {unit}"
+            )
             tiles.append(maps.Tile(case.estimator, shown, note))
         return maps.signed_scale(maps.values_of(tiles), label, least), tiles
 
@@ -242,7 +246,7 @@ class RowsPlot(Plot):
         index, title = self.shown(cases)
         rows, panel = self.rows(cases, index), cases[0].scene.panel
         tall = (style.WIDTH_INCH - 1.2) / max(len(cases), 2) * maps.proportion(panel)
-        figure = style.new_figure(min(len(rows) * (tall + 0.25) + 0.8, style.TALLEST_INCH))
+        figure = style.new_figure(min(len(rows) * (tall + 0.25) + 0.8, style.MAX_HEIGHT_INCH))
         grid = figure.subplots(len(rows), len(cases), squeeze=False, sharex=True, sharey=True)
         for number, (scale, tiles) in enumerate(rows):
             painter = maps.MapPainter(panel, scale)
@@ -373,7 +377,9 @@ def _draw_lines(axes: Axes, key: str, cases: Sequence[CaseResult], errors: Seque
     for case, error in zip(cases, errors, strict=True):
         if error is not None and (key in case.swept or case.swept.keys().isdisjoint(keys)):
             further = (f"{swept} {value}" for swept, value in case.swept.items() if swept != key)
-            lines.setdefault((case.unswept_name, *further), []).append((case.swept.get(key), max(error, LEAST)))
+            lines.setdefault((case.unswept_name, *further), []).append(
+                (case.swept.get(key), max(error, MIN_DIFFERENCE))
+            )
     for name, points in lines.items():
         look: dict[str, Any] = {"color": f"C{estimators.index(name[0]) % 10}", "lw": 1, "label": ", ".join(name)}
         if points[0][0] is None:

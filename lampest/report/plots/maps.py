@@ -24,7 +24,7 @@ from lampest.report.plots import style
 SIGNED, PRESSING = "RdBu_r", "RdBu"  # what presses is blue: it lowers resistance and raises pressure
 ACROSS_LABEL, DOWN_LABEL = "x [mm]", "y [mm]"
 NO_NUMBER = "0.88"  # grey
-TALLEST = 0.75  # of a figure, in its width
+MAX_ASPECT = 0.75  # of a figure, in its width
 FACTORS = (1.1, 1.5, 2, 3, 5, 10, 20)  # between bands of large changes
 
 
@@ -317,8 +317,10 @@ def maps_figure(
         return abs(height(across) - width / 1.5) + 0.3 * (-len(tiles) % across)
 
     across = min(range(1, min(len(tiles), int((width - 1.0) / 0.88)) + 1), key=unfit)
-    beyond = max(height(across) - TALLEST * width, 0.0) / proportion(panel)  # of a tall panel: the maps get narrower
-    figure = style.new_figure(min(height(across), TALLEST * width), width - beyond * across / ceil(len(tiles) / across))
+    beyond = max(height(across) - MAX_ASPECT * width, 0.0) / proportion(panel)  # of a tall panel: the maps get narrower
+    figure = style.new_figure(
+        min(height(across), MAX_ASPECT * width), width - beyond * across / ceil(len(tiles) / across)
+    )
     grid = figure.subplots(ceil(len(tiles) / across), across, squeeze=False, sharex=True, sharey=True)
     signs = max(10, int(17 * wide(across)))  # that fit over a map
     painters = [MapPainter(panel, each, contoured) for each in scales]

@@ -17,7 +17,7 @@ from lampest.files.errors import InputError
 from lampest.files.whole import whole_file
 from lampest.runs.executors import each_of
 
-WIDTH_INCH, HALF_INCH, TALLEST_INCH = 7.2, 3.6, 9.0  # of a page of a journal
+WIDTH_INCH, HALF_INCH, MAX_HEIGHT_INCH = 7.2, 3.6, 9.0  # of a page of a journal
 TEXT_POINT, SMALL_POINT = 8, 6.5
 BLUE, ORANGE = "#0072B2", "#D55E00"
 SUFFIXES = (".png", ".svg", ".pdf")

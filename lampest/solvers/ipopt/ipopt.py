@@ -25,7 +25,7 @@ STATUS = {
     "Infeasible_Problem_Detected": Status.INFEASIBLE,
     "Invalid_Option": Status.UNAVAILABLE,
 }
-INSIDE = 0.01  # (split unit) p, q begin as far from their bound 0 as IPOPT's option bound_push has it by default
+SPLIT_START = 0.01  # (split unit) p, q begin as far from their bound 0 as IPOPT's option bound_push has it by default
 PUSH = 1e-9  # of a bound, at least of 1: how far IPOPT keeps off it; far below what a cell is known to
 # A start brings its multipliers, see `Ipopt._multipliers`; from these the adaptive barrier follows.
 WARM = {
@@ -36,7 +36,7 @@ WARM = {
     "mu_strategy": "adaptive",
 }
 # A start in the right minimum must not be pushed out of it: a low barrier, and no retreat from the bounds.
-NEAR = {"mu_init": 1e-7, "bound_mult_init_method": "mu-based", "bound_push": PUSH, "bound_frac": PUSH}
+CLOSE_START = {"mu_init": 1e-7, "bound_mult_init_method": "mu-based", "bound_push": PUSH, "bound_frac": PUSH}
 # MUMPS orders by approximate minimum degree (0), the fastest: see docs/studies/speed.md.
 OPTIONS = {"mumps_pivot_order": 0, "bound_relax_factor": 0.0, "nlp_scaling_method": "none", "print_level": 0}
 
@@ -107,7 +107,7 @@ class Ipopt:
         potentials = [self.formulation.potentials(self.readout, network) / scale for network in start.networks]
         blocks = self.cost.functions.split_blocks
         parts = np.split(split, np.cumsum(blocks, dtype=int)[:-1])
-        sides = [np.maximum(side, 0) + INSIDE for part in parts[: len(blocks)] for side in (part, -part)]
+        sides = [np.maximum(side, 0) + SPLIT_START for part in parts[: len(blocks)] for side in (part, -part)]
         return np.concatenate([conductance, *potentials, *sides])
 
     def _multipliers(
@@ -155,7 +155,7 @@ def _built(cost: Cost, readout: Readout, formulation: Formulation, settings: Set
     limits = {"tol": settings.tolerance, "max_iter": settings.max_iterations, "sb": "yes"}
     limits |= {} if settings.time_limit_s is None else {"max_wall_time": settings.time_limit_s}
     several_minima = not readout.unique or any(term.needs_previous for term in cost.terms)
-    begin = WARM if program.split.is_empty() else NEAR if several_minima else {"mu_strategy": "adaptive"}
+    begin = WARM if program.split.is_empty() else CLOSE_START if several_minima else {"mu_strategy": "adaptive"}
     options: dict[str, Any] = {"ipopt": OPTIONS | begin | limits, "hess_lag": program.hessian(), "print_time": False}
     solver = casadi.nlpsol("ipopt", "ipopt", program.nlp, options)
     return Built(solver, tuple(program.parameters), Compiled(program.slope()))

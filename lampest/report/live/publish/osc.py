@@ -10,7 +10,7 @@ from lampest.files.errors import InputError, extra
 from lampest.report.live.message import COMPACT, Message
 from lampest.report.live.publish.publish import Publish, Say, Send
 
-MOST_BYTES = 65_507  # of a UDP datagram over IPv4
+MAX_BYTES = 65_507  # of a UDP datagram over IPv4
 
 
 @dataclass(frozen=True)
@@ -54,6 +54,6 @@ class OscPublish(Publish):
                 built.add_arg(value, kind)
             bundle.add_content(built.build())
         whole = bundle.build()
-        if whole.size > MOST_BYTES:
-            raise OSError(f"a frame has {whole.size} bytes, a datagram {MOST_BYTES} at most")
+        if whole.size > MAX_BYTES:
+            raise OSError(f"a frame has {whole.size} bytes, a datagram {MAX_BYTES} at most")
         return whole

@@ -14,7 +14,7 @@ from typing import Any, ClassVar
 from lampest.files.errors import InputError, extra
 from lampest.report.live.handover import Newest
 from lampest.report.live.publish.publish import Publish, Say, Send, waited
-from lampest.report.live.server import MOST_STREAMS, Access, ip_named
+from lampest.report.live.server import MAX_STREAMS, Access, ip_named
 
 CLOSE_SECONDS = 1.0  # for a listener to introduce itself, and to take the last message
 STALLED_SECONDS = 40.0  # for a listener to take any other, before its place is given away
@@ -52,7 +52,7 @@ class WebsocketPublish(Publish):
             if access.token and not access.shown_by(request.path, request.headers.get("Authorization", "")):
                 return connection.respond(HTTPStatus.FORBIDDEN, "the token is missing or wrong\n")
             cut_off(time.monotonic() - STALLED_SECONDS)
-            full = len(listeners) >= MOST_STREAMS
+            full = len(listeners) >= MAX_STREAMS
             return connection.respond(HTTPStatus.SERVICE_UNAVAILABLE, "too many listen\n") if full else None
 
         def listening(connection: Any) -> None:
