@@ -10,7 +10,7 @@ from time import process_time
 import numpy as np
 
 import lampest
-from lampest.estimate.batch import pushed_in_block
+from lampest.estimate.batch import push_block
 from lampest.estimate.prepared import Prepared
 from lampest.estimate.sequence import first_stream
 from lampest.files.process import ONE_BLAS_THREAD
@@ -66,7 +66,7 @@ def _measured(recording: lampest.Recording, terms: tuple[lampest.Term, ...]) -> 
             later, step = later.push(readings[int(frame)])
             cells.append(step.cell_resistance)
         alone, begin = process_time() - begin, process_time()
-        steps = [step for _, step in pushed_in_block(stream, readings[frames[1:]])]
+        steps = [step for _, step in push_block(stream, readings[frames[1:]])]
         blocks, begin = process_time() - begin, process_time()
         lampest.reconstruct(recording, terms)
         times.append((alone / (FRAMES - 1), blocks / (FRAMES - 1), (process_time() - begin) / FRAMES))

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 import lampest
 from lampest.cost.given import Background
 from lampest.cost.problem import Data
-from lampest.estimate.outliers import lawless
+from lampest.estimate.outliers import impossible_readings
 
 DATA = Path(__file__).parents[2] / "data"
 SHIPPED = (DATA / "insole_walking.h5", DATA / "insole_standing.h5")
@@ -75,7 +75,7 @@ class Withheld:
     def of(cls, recording: lampest.Recording, share: float, seed: int) -> "Withheld":
         """Withhold readings that are values and that some cells allow, in every frame."""
         rng, readings, scene = np.random.default_rng(seed), recording.readings(), recording.scene
-        usable = readings.plain & scene.panel.present & ~lawless(scene.circuit, readings)
+        usable = readings.plain & scene.panel.present & ~impossible_readings(scene.circuit, readings)
         held = np.zeros(usable.shape, dtype=bool)
         measured = recording.measured_frames()
         for frame in measured:

@@ -16,7 +16,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 import lampest
-from lampest.estimate.deciding import deciding_frame, resting_readings
+from lampest.estimate.deciding import baseline_readings, deciding_frame
 from lampest.estimate.modules import begin_stream
 from lampest.estimate.sequence import deciding_data, first_stream
 from lampest.estimate.stream import Stream
@@ -107,7 +107,7 @@ def with_one_weight(penalty: lampest.Term, seed: int) -> str:
 
     def own(scene: lampest.Scene, number: int | None) -> tuple[lampest.Estimator, lampest.Readings]:
         part, read = recording.modules[number or 0], readings.of_module(layout, number or 0)
-        resting = resting_readings(part, read)
+        resting = baseline_readings(part, read)
         frame = deciding_frame(part, read, resting)
         assert frame is not None
         data = deciding_data(estimator, scene, resting, read[frame])

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from docs.studies import script
 from lampest.cost.given import Background
 from lampest.estimate.estimator import Estimator
-from lampest.estimate.outliers import lawless
+from lampest.estimate.outliers import impossible_readings
 from lampest.estimate.prepared import Prepared
 from lampest.estimate.sequence import first_stream
 from lampest.files.errors import InputError
@@ -79,7 +79,7 @@ def predictions(recording: Recording, case: Case, share: float, draws: int, seed
     scene, readings, rng = recording.scene, recording.readings(), np.random.default_rng(seed)
     estimator = first_stream(recording, Prepared(recording).noise.readings, case.estimator).estimator
     unit = "percent" if scene.readout is None else "LSB"
-    impossible, frames = lawless(scene.circuit, readings), recording.measured_frames()
+    impossible, frames = impossible_readings(scene.circuit, readings), recording.measured_frames()
     frames = frames[readings.enough(scene)[frames]]
     for frame in frames[np.unique(np.linspace(0, len(frames) - 1, MOST_FRAMES).round().astype(int))]:
         plain, recorded = readings[frame].plain & scene.panel.present & ~impossible[frame], recording.recorded[frame]

@@ -39,7 +39,7 @@ MAX_BLOCK_CELLS = 400  # of their network: with more, inverse Hessians cost more
 W = TypeVar("W")
 
 
-def pushed_together(
+def push_streams(
     streams: Sequence[Stream | None], readings: Readings, inverses: InverseHessians
 ) -> list[tuple[Stream | None, Step | None]]:
     """Return every stream after its frame, and the step that solved it; None stays None.
@@ -53,7 +53,7 @@ def pushed_together(
         Of every stream by its number, from solves of earlier frames; renewed in place.
     """
     streams = _weighed(streams, readings)
-    solved = _solved_together(streams, readings, inverses, Together.pushed)
+    solved = _solved_together(streams, readings, inverses, StreamBatch.push)
     alone = {n: stream.push(readings[n]) for n, stream in enumerate(streams) if stream is not None and n not in solved}
     return [(solved | alone).get(number, (None, None)) for number in range(len(streams))]
 
@@ -62,7 +62,7 @@ def _weighed(streams: Sequence[Stream | None], readings: Readings) -> list[Strea
     """Return the streams, with new weights for all that are alike where the frame of any is due to choose them."""
     weighed, groups = list(streams), dict[Hashable, dict[int, Stream]]()
     for number, stream in enumerate(streams):
-        if stream is None or not stream.chooses or not (stream.rested or not stream.estimator.relative):
+        if stream is None or not stream.chooses_weights or not (stream.rested or not stream.estimator.relative):
             continue
         if readings[number].enough(stream.scene):
             kind = id(stream.estimator), stream.rested, converter_and_faults(stream.scene)
@@ -81,7 +81,7 @@ def _weighed(streams: Sequence[Stream | None], readings: Readings) -> list[Strea
     return weighed
 
 
-def pushed_in_block(stream: Stream, readings: Readings) -> Iterator[tuple[Stream, Step]]:
+def push_block(stream: Stream, readings: Readings) -> Iterator[tuple[Stream, Step]]:
     """Yield the stream after each of its next frames, and the step that solved it; readings : (frames, rows, columns).
 
     Frames of a network that depend on no earlier one are solved over a leading axis, all begun at the last estimate.
@@ -89,24 +89,24 @@ def pushed_in_block(stream: Stream, readings: Readings) -> Iterator[tuple[Stream
     where there can be no block.
     """
     size, count, solved = readings.value[0].size, 1, dict[int, tuple[Stream, Step]]()
-    if size <= MAX_BLOCK_CELLS and not stream.first and stream.stands_alone:
+    if size <= MAX_BLOCK_CELLS and not stream.first and stream.is_independent:
         count = min(len(readings.value), MAX_BLOCK_FRAMES)
     if count > 1:
         inverses = InverseHessians.nothing(count, size)
-        solved = _solved_together([stream] * count, readings[:count], inverses, Together.pushed)
+        solved = _solved_together([stream] * count, readings[:count], inverses, StreamBatch.push)
     for number in range(count):
         stream, step = solved.get(number) or stream.push(readings[number])
         yield stream, step
 
 
-def rested_together(streams: Sequence[Stream | None]) -> list[Stream | None]:
+def solve_baselines(streams: Sequence[Stream | None]) -> list[Stream | None]:
     """Every stream with its baseline; None stays None."""
     first = next(stream for stream in streams if stream is not None)
     resting = [first.resting if stream is None else stream.resting for stream in streams]
     inverses = InverseHessians.nothing(len(streams), first.resting.value.size)
     together = resting[0].together(*resting[1:])
     weighed = _weighed([stream and replace(stream, weights=None) for stream in streams], together)
-    solved = _solved_together(weighed, together, inverses, Together.rested)
+    solved = _solved_together(weighed, together, inverses, StreamBatch.solve_baselines)
     return [stream and stream.with_rest(solved.get(number)) for number, stream in enumerate(streams)]
 
 
@@ -114,11 +114,11 @@ def _solved_together(
     streams: Sequence[Stream | None],
     readings: Readings,
     inverses: InverseHessians,
-    solve: Callable[["Together", InverseHessians], Sequence[W | None]],
+    solve: Callable[["StreamBatch", InverseHessians], Sequence[W | None]],
 ) -> dict[int, W]:
     """Return the results of `solve` for the streams that batches solve, by number; blocks run in threads."""
 
-    def solved(block: Together) -> dict[int, W]:
+    def solved(block: StreamBatch) -> dict[int, W]:
         with np.errstate(all="ignore"), suppress(*BROKEN):
             pairs = zip(block.numbers.tolist(), solve(block, inverses), strict=True)
             return {number: solution for number, solution in pairs if solution is not None}
@@ -131,7 +131,7 @@ def _solved_together(
         return {number: solution for part in pool.map(solved, blocks) for number, solution in part.items()}
 
 
-def _batches(streams: Sequence[Stream | None], readings: Readings) -> "Iterator[Together]":
+def _batches(streams: Sequence[Stream | None], readings: Readings) -> "Iterator[StreamBatch]":
     """Streams that can be solved together, those of one kind of cost and one history in one batch."""
     groups: dict[tuple[object, ...], dict[int, Stream]] = {}
     cores = 1 if parent_process() else len(os.sched_getaffinity(0))  # of several processes each has one
@@ -148,7 +148,7 @@ def _batches(streams: Sequence[Stream | None], readings: Readings) -> "Iterator[
         blocks = max(1, min(cores, several // MIN_PANELS_PER_THREAD))
         for place, numbers in enumerate(np.array_split(list(group), blocks)):
             with suppress(*BROKEN), np.errstate(all="ignore"):
-                together = Together.of(
+                together = StreamBatch.of(
                     numbers, [group[number] for number in numbers.tolist()], readings[numbers], place
                 )
                 if together is not None:
@@ -181,7 +181,7 @@ def _unweighted(estimator: Estimator, *, rested: bool) -> Estimator:
 
 
 @dataclass(frozen=True, eq=False)
-class Together:
+class StreamBatch:
     """Streams whose frames are solved together.
 
     Attributes
@@ -210,7 +210,7 @@ class Together:
     @classmethod
     def of(
         cls, numbers: NDArray[np.intp], streams: Sequence[Stream], frames: Readings, place: int
-    ) -> "Together | None":
+    ) -> "StreamBatch | None":
         """frames : (streams, rows, columns). place : as in `Data`. None where batches cannot serve the cost."""
         first = streams[0]
         estimator = _unweighted(first.estimator, rested=first.rested)
@@ -227,7 +227,7 @@ class Together:
         sigma = [objective.weight_sigma for objective in objectives]
         return cls(numbers, streams, cost, data.of_panels(place), weights, estimator.solver, sigma)
 
-    def rested(self, inverses: InverseHessians) -> list[Step | None]:
+    def solve_baselines(self, inverses: InverseHessians) -> list[Step | None]:
         """Return the step of every baseline, with the surroundings for error bars.
 
         None where no minimum was verified.
@@ -239,15 +239,15 @@ class Together:
                 steps[number] = replace(step, solution=surrounded)
         return steps
 
-    def pushed(self, inverses: InverseHessians) -> list[tuple[Stream, Step] | None]:
+    def push(self, inverses: InverseHessians) -> list[tuple[Stream, Step] | None]:
         """Every stream after its frame, with error bars where it has them."""
         (ended, steps), begin = self._solved(inverses), perf_counter()
-        barred = self._barred(ended, steps)
+        barred = self._error_bars(ended, steps)
         seconds = (perf_counter() - begin) / max(len(barred), 1)
         every = enumerate(steps)
         return [None if step is None else self._after(n, step, barred.get(n), seconds) for n, step in every]
 
-    def _barred(self, ended: BatchOutcome, steps: Sequence[Step | None]) -> dict[int, tuple[Track, Bars]]:
+    def _error_bars(self, ended: BatchOutcome, steps: Sequence[Step | None]) -> dict[int, tuple[Track, Bars]]:
         """Return the track after its frame and the error bars of every panel, by number.
 
         Panels without a cell at a bound are treated together.

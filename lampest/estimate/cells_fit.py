@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 from lampest.cost.given import Background
 from lampest.cost.problem import Data
 from lampest.cost.terms import Misfit
-from lampest.estimate.changed_cells import MOVED_COST, PARAMETER_COST, selected, usual_starts
+from lampest.estimate.changed_cells import MOVED_COST, PARAMETER_COST, select_changed, usual_starts
 from lampest.estimate.estimator import Bounds, Estimator
 from lampest.estimate.rivals import Question, Rival
-from lampest.panel.effects import Effect, disturbed
+from lampest.panel.effects import Effect, with_effects
 from lampest.panel.least_squares import LevenbergMarquardt, SumOfSquares
 from lampest.panel.network import Network
 from lampest.panel.panel import Array
@@ -142,7 +142,7 @@ def _fitted_near(data: Data, readings: Readings, start: Array, scene: Scene, eff
     position = np.clip(np.log(start).ravel(), *bounds)
 
     def model(position: Array) -> CellsFit:
-        network, added = disturbed(effects, scene, data.network(0, np.exp(position).reshape(start.shape)))
+        network, added = with_effects(effects, scene, data.network(0, np.exp(position).reshape(start.shape)))
         given = replace(readings, value=readings.value - added) if effects else readings
         return CellsFit.at(data, given, network)
 
@@ -299,7 +299,7 @@ class JointFit:
         precision = self._freed.normal
         slope = precision @ self._change - self._freed.gradient
         starts = [self.moved, *usual_starts(np.linalg.solve(precision, slope))]
-        return selected(slope, precision, starts)[1]
+        return select_changed(slope, precision, starts)[1]
 
     @property
     def score(self) -> float:

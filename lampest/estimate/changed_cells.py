@@ -29,7 +29,7 @@ def mostly_still(moved: NDArray[np.bool_]) -> bool:
     return 2 * int(moved.sum()) < moved.size
 
 
-def apart_from_moved(still: NDArray[np.bool_], shape: tuple[int, ...]) -> NDArray[np.bool_]:
+def away_from_changed(still: NDArray[np.bool_], shape: tuple[int, ...]) -> NDArray[np.bool_]:
     """Return the still cells of all frames, flat, without those that touch one that moved.
 
     A load does not end at a cell.
@@ -45,7 +45,7 @@ def usual_starts(change: Array) -> list[Chosen]:
     return [np.zeros(len(change), dtype=bool), np.ones(len(change), dtype=bool), away > np.median(away)]
 
 
-def selected(
+def select_changed(
     slope: Array, precision: Array, starts: Sequence[Chosen], loaded: Chosen | None = None
 ) -> tuple[float, Chosen]:
     """Select the moved cells.
@@ -70,11 +70,11 @@ def selected(
     """
     fixed = np.zeros(len(slope), dtype=bool) if loaded is None else loaded
     slab = precision + np.eye(len(slope))
-    ends = (_exchanged(slope, slab, fixed | start, fixed) for start in starts)
+    ends = (_exchange_cells(slope, slab, fixed | start, fixed) for start in starts)
     return min(ends, key=lambda selection: selection[0])
 
 
-def _exchanged(slope: Array, slab: Array, moved: Chosen, fixed: Chosen) -> tuple[float, Chosen]:
+def _exchange_cells(slope: Array, slab: Array, moved: Chosen, fixed: Chosen) -> tuple[float, Chosen]:
     """Exchange single cells, but for the fixed ones, until none lowers −2 ln evidence; slab : P + 1."""
     inside, outside = np.flatnonzero(moved), np.flatnonzero(~moved)
     moved, inverse = moved.copy(), np.linalg.inv(slab[np.ix_(inside, inside)])
@@ -97,7 +97,7 @@ def _exchanged(slope: Array, slab: Array, moved: Chosen, fixed: Chosen) -> tuple
     return cost, moved
 
 
-def scores_beside(change: Array, precision: Array, columns: Array) -> Array:
+def scores_with_errors(change: Array, precision: Array, columns: Array) -> Array:
     """Return −2 log evidence with one error more, for each of several; moved cells are only added.
 
     The change of still cells is d = a θ + noise with θ ~ N(0, 1): the precision P becomes

@@ -9,7 +9,7 @@ from lampest.recording.recording import UNLOADED, Recording
 MAX_NEIGHBOURS = 2  # frames or networks that decide with the strongest one
 
 
-def resting_readings(recording: Recording, readings: Readings) -> Readings:
+def baseline_readings(recording: Recording, readings: Readings) -> Readings:
     """Return the mean of the unloaded frames.
 
     Without any, or where too little of them was read, the first frame of which enough was read.

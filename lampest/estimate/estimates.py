@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from lampest.cost.terms import term_kind
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.model_check import ModelCheck
-from lampest.estimate.noise import NoiseSeen
+from lampest.estimate.noise import NoiseEstimate
 from lampest.estimate.prepared import Prepared
 from lampest.estimate.state import Step
 from lampest.estimate.warnings import unsolved
@@ -257,7 +257,7 @@ class Estimates:
         of_cells = np.stack([np.full(scene.panel.shape, np.nan) if each is None else each for each in deviation])
         if scene.readout is not None:
             model = np.stack([step.solution.reading[-1] for step in self.steps])
-            at_model = self.noise.used * scene.readout.sigma(scene.circuit.to_recorded(model, scene))
+            at_model = self.noise.sigma_factor * scene.readout.sigma(scene.circuit.to_recorded(model, scene))
             noise = np.where(self.readings.plain, noise, at_model)
         return np.asarray(np.hypot(of_cells, noise))
 
@@ -297,7 +297,7 @@ class Estimates:
         return replace(check, sentence=check.sentence + said)
 
     @property
-    def noise(self) -> NoiseSeen:
+    def noise(self) -> NoiseEstimate:
         """Noise of the recording's readings; it includes the model's error where readings show one."""
         return self.prepared.noise
 

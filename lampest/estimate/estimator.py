@@ -75,11 +75,11 @@ class Estimator(Objective):
         return self.method.joint_start(self)
 
     @property
-    def looks_back(self) -> bool:
+    def uses_previous(self) -> bool:
         """Whether estimates depend on those of earlier frames by more than where their search begins."""
         return self.relative or not self.method.optimum
 
-    def barred(self, readings: Readings) -> bool:
+    def has_error_bars(self, readings: Readings) -> bool:
         """Whether estimates of such readings get error bars."""
         rows, columns = readings.value.shape[-2:]
         few = rows * columns <= MAX_ERROR_BAR_CELLS or self.weighs_previous

@@ -13,11 +13,11 @@ from lampest.estimate.changed_cells import PARAMETER_COST, mostly_still
 from lampest.estimate.nuisances import (
     MAX_CANDIDATES,
     MIN_EVIDENCE_GAIN,
-    Besides,
-    Better,
+    BetterExplanation,
+    CircuitEffects,
     FittedFrame,
     FittedPair,
-    besides_the_circuit,
+    find_effects,
 )
 from lampest.estimate.rivals import Question, Rival, changes_beyond_noise, rivals_of, standing_frames
 from lampest.estimate.scatter import MIN_EXCESS
@@ -138,7 +138,7 @@ class ExplainedRecording:
         assert self.question.named is not None
         return self.question.named
 
-    def check(self, besides: Besides) -> ModelCheck:
+    def check(self, besides: CircuitEffects) -> ModelCheck:
         """Return the check of the circuit, where other circuits and these effects may explain more."""
         question, noise, fault, explanation = self.question, self.question.widening, self.fault, self.explanation
         few_bounds, scene = self.bounded <= MAX_MISSING, self.recording.scene
@@ -147,13 +147,13 @@ class ExplainedRecording:
                 lawful = f"no readings break a law of the circuit; {100 * self.bounded:.0f} % of them are bounds"
                 return ModelCheck(explains=True, sentence=f"{lawful}, and no cells were fitted")
             return ModelCheck(None, "the circuit was not checked: no fit of its cells was found", noise=noise)
-        best, whole = Better(), self.missing <= MAX_MISSING and (few_bounds or bool(self.below))
+        best, whole = BetterExplanation(), self.missing <= MAX_MISSING and (few_bounds or bool(self.below))
         if whole:
             change = changes_beyond_noise(scene, self.readings, self.recording.role)
             rivals = list(
                 rivals_of(question.specified, reversed_too=bool(change.max(initial=0.0) > -change.min(initial=0.0)))
             )
-            best, effect = better_rival(rivals, question, None if fault else explanation), besides.better
+            best, effect = better_rival(rivals, question, None if fault else explanation), besides.best
             if effect.name and (effect.fits_noise or not fault) and (not best.name or effect.count < best.count):
                 best = effect
         if not whole:
@@ -164,16 +164,18 @@ class ExplainedRecording:
             sentence = f"{best.name} explains the readings better: {best.reason}" if best.name else EXPLAINED
         if noise > 1:
             sentence += f"; the unloaded frames scatter by {noise:.2g} times the specified noise, which is allowed for"
-        named_best = bool(best.name) and best is besides.better
+        named_best = bool(best.name) and best is besides.best
         explains = not fault and not best.name
-        return ModelCheck(explains, sentence, best.name, noise, besides.together, named_best, besides.lying)
+        return ModelCheck(
+            explains, sentence, best.name, noise, besides.common_change, named_best, besides.loaded_at_rest
+        )
 
-    def effects(self) -> Besides:
+    def effects(self) -> CircuitEffects:
         """Return the effects beside the circuit, in the frames that changed most and in the last one."""
         scene, role, explanation = self.recording.scene, self.recording.role, self.explanation
         last = np.flatnonzero(role == MEASURED)[-1:]
         if explanation is None or explanation.pair is None or scene.readout is None or not np.any(role == UNLOADED):
-            return Besides()
+            return CircuitEffects()
         resting, frame = explanation.pair.frames
         pairs = [(self.question.loaded, explanation.pair)]
         if last[0] not in self.question.standing:
@@ -182,7 +184,7 @@ class ExplainedRecording:
             pairs += [] if latest is None else [(question.loaded, FittedPair.of(resting, latest))]
         search = Detector(scene.panel, patch_of(scene.panel)).search
         lying = resting.fit.tail >= SIGNIFICANCE and search.lies_on(np.log(resting.fit.cells))
-        return replace(besides_the_circuit(pairs), lying=lying)
+        return replace(find_effects(pairs), loaded_at_rest=lying)
 
 
 def check_of_modules(recording: Recording, layout: Modules, of_module: Callable[[int], ModelCheck]) -> ModelCheck:
@@ -344,14 +346,14 @@ class Explanation:
     def moving(self) -> NDArray[np.bool_]:
         """Which cells have moved, (rows, columns); none where circuits cannot be compared."""
         shape = self.fits[0].cells.shape
-        return np.zeros(shape, dtype=bool) if self.pair is None else self.pair.plain.moved.reshape(shape)
+        return np.zeros(shape, dtype=bool) if self.pair is None else self.pair.without_effects.moved.reshape(shape)
 
     def joint(self, question: Question, moving: NDArray[np.bool_]) -> JointFit:
         """Both frames explained by the network itself, as if these cells had moved to begin with."""
         return JointFit.of(self.rival, question, [fit.cells for fit in self.fits], moving)
 
 
-def better_rival(rivals: list[Rival], question: Question, specified: Explanation | None) -> Better:
+def better_rival(rivals: list[Rival], question: Question, specified: Explanation | None) -> BetterExplanation:
     """Return the rival that explains the readings where the scene's circuit does not, or by MIN_EVIDENCE_GAIN better.
 
     rivals : the scene's circuit first. specified : its explanation; None where it has none. No rival is one under
@@ -364,23 +366,23 @@ def better_rival(rivals: list[Rival], question: Question, specified: Explanation
             for explanation in tried
             if explanation is not None and mostly_still(explanation.moving) and _lawful(explanation.rival, question)
         ]
-        return Better(
+        return BetterExplanation(
             min(((explanation.score, explanation.rival.name) for explanation in better), default=(0.0, ""))[1]
         )
     if specified.pair is None:
-        return Better()
+        return BetterExplanation()
     given = specified.joint(question, specified.moving)
     if given.beyond_noise < MIN_EVIDENCE_GAIN:
-        return Better()
+        return BetterExplanation()
     best = min(_others(given, specified, rivals[1:], question), key=lambda fit: fit.beyond_noise, default=None)
     if best is None or not _beaten(given, best):
-        return Better()
+        return BetterExplanation()
     # Cells that moved under the rival may have moved under the specified circuit.
     again = specified.joint(question, best.moved)
     count, plain = int(best.moved.sum()), int(min(given.moved.sum(), again.moved.sum()))
     if not _beaten(again, best) or not _beyond_channels(specified, best.rival, question):
-        return Better()
-    return Better(best.rival.name, question.loaded, count, plain)
+        return BetterExplanation()
+    return BetterExplanation(best.rival.name, question.loaded, count, plain)
 
 
 def _beaten(specified: JointFit, best: JointFit) -> bool:
@@ -393,7 +395,7 @@ def _beyond_channels(specified: Explanation, rival: Rival, question: Question) -
     explanation = None if rival.in_series is None else _explanation(rival, question)
     if explanation is None or explanation.pair is None or specified.pair is None:
         return True
-    return specified.pair.plain.score > explanation.pair.plain.score + MIN_EVIDENCE_GAIN
+    return specified.pair.without_effects.score > explanation.pair.without_effects.score + MIN_EVIDENCE_GAIN
 
 
 def _others(given: JointFit, specified: Explanation, rivals: list[Rival], question: Question) -> Iterator[JointFit]:

@@ -14,8 +14,8 @@ from lampest.cost.cost import Cost
 from lampest.cost.given import Background
 from lampest.cost.problem import Data
 from lampest.cost.terms import LogGradient, Misfit, RelativeChange, Term
-from lampest.estimate.deciding import deciding_frame, frames_beside, resting_readings
-from lampest.estimate.noise import NoiseSeen
+from lampest.estimate.deciding import baseline_readings, deciding_frame, frames_beside
+from lampest.estimate.noise import NoiseEstimate
 from lampest.estimate.objective import AutoWeight, Bounds, PlainObjective
 from lampest.panel.scene import Scene
 from lampest.panel.systematic import own_errors
@@ -46,7 +46,7 @@ def error_factor(scale: ErrorScale) -> float:
     return factor if factor >= MIN_FACTOR else 1.0
 
 
-def with_model_error(noise: NoiseSeen, recording: Recording) -> NoiseSeen:
+def with_model_error(noise: NoiseEstimate, recording: Recording) -> NoiseEstimate:
     """Return the noise of a single network with the model's error, where readings under load show one.
 
     Where still cells can say how far each reading is off on its own, that is the model's error. Elsewhere cells are
@@ -55,7 +55,7 @@ def with_model_error(noise: NoiseSeen, recording: Recording) -> NoiseSeen:
     errors that stay from frame to frame hardly show in changes.
     """
     readings, scene = noise.readings, recording.scene
-    if noise.hidden is not None:
+    if noise.possible_errors is not None:
         return with_reading_error(noise, recording)
     if readings.sigma is None or scene.panel.crossings > MAX_CELLS:
         return noise
@@ -68,11 +68,11 @@ def with_model_error(noise: NoiseSeen, recording: Recording) -> NoiseSeen:
     if not factors:
         return noise
     factor = max(factors)
-    said = _in_words(factor, noise.used, scene)
-    return scaled(replace(noise, used=factor * noise.used), factor).warned(said)
+    said = _in_words(factor, noise.sigma_factor, scene)
+    return scaled(replace(noise, sigma_factor=factor * noise.sigma_factor), factor).with_warnings(said)
 
 
-def with_reading_error(noise: NoiseSeen, recording: Recording) -> NoiseSeen:
+def with_reading_error(noise: NoiseEstimate, recording: Recording) -> NoiseEstimate:
     """Return the noise with each reading's own error in σ, for weights; error bars know it as one that frames share.
 
     Repeats do not reduce it, so σ of an unloaded frame is such that their mean has all of it.
@@ -86,7 +86,7 @@ def with_reading_error(noise: NoiseSeen, recording: Recording) -> NoiseSeen:
     return replace(noise, readings=replace(noise.readings, sigma=np.hypot(sigma, own)))
 
 
-def scaled(noise: NoiseSeen, factor: float) -> NoiseSeen:
+def scaled(noise: NoiseEstimate, factor: float) -> NoiseEstimate:
     """Return the noise with σ times a factor, which is the model's error."""
     sigma = noise.readings.sigma
     readings = noise.readings if sigma is None else replace(noise.readings, sigma=factor * sigma)
@@ -95,7 +95,7 @@ def scaled(noise: NoiseSeen, factor: float) -> NoiseSeen:
 
 def _judges(recording: Recording, readings: Readings) -> Iterator[tuple[list[Data], Cost]]:
     """Frames under load as both descriptions have them; changes since rest where there are unloaded frames."""
-    scene, resting = recording.scene, resting_readings(recording, readings)
+    scene, resting = recording.scene, baseline_readings(recording, readings)
     frame = deciding_frame(recording, readings, resting)
     if frame is None:
         return

@@ -10,9 +10,9 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.estimate.batch import pushed_together, rested_together
+from lampest.estimate.batch import push_streams, solve_baselines
 from lampest.estimate.estimator import Estimator
-from lampest.estimate.noise import MAX_NAMED, NoiseSeen
+from lampest.estimate.noise import MAX_NAMED, NoiseEstimate
 from lampest.estimate.state import SequenceState, Step
 from lampest.estimate.stream import Stream
 from lampest.files.errors import InputError
@@ -37,7 +37,7 @@ def begin_stream(
     scene: Scene,
     period: float,
     resting: Readings,
-    noise: NoiseSeen | None = None,
+    noise: NoiseEstimate | None = None,
     own: Own | None = None,
 ) -> Stream:
     """Return the stream of a scene, of modules or not; see `Stream.begin`.
@@ -64,7 +64,7 @@ def begin_stream(
         module, dead = scene.of_modules[number], number in scene.dead_modules
         alone, unloaded = (estimator, resting) if dead else of_network(module, number)
         streams.append(None if dead else Stream.unrested(alone, module, period, unloaded, seen))
-    modules = rested_together(streams)
+    modules = solve_baselines(streams)
     first = next(stream for stream in modules if stream is not None)
     blank = replace(first.resting, side=np.zeros_like(first.resting.side), seen=np.zeros_like(first.resting.seen))
     whole = Readings.of_parts(layout, [blank if stream is None else stream.resting for stream in modules])
@@ -103,7 +103,7 @@ class CoupledStream(Stream):
         return np.where(self._unread(self.resting), np.nan, super().baseline_resistance)
 
     @property
-    def stands_alone(self) -> bool:
+    def is_independent(self) -> bool:
         """False: a batch has no network that falls into modules."""
         return False
 
@@ -134,8 +134,8 @@ class ModulesStream(Stream):
     def tared(self, resting: Readings) -> "ModulesStream":
         """As `Stream.tared`, of every module."""
         every = enumerate(self.modules)
-        modules = rested_together(
-            [module and module.anew(resting.of_module(self._layout, number)) for number, module in every]
+        modules = solve_baselines(
+            [module and module.without_baseline(resting.of_module(self._layout, number)) for number, module in every]
         )
         return replace(self, resting=resting, modules=tuple(modules), track=None, baseline=None).rested_whole()
 
@@ -143,7 +143,7 @@ class ModulesStream(Stream):
         """As `Stream.push`; modules of which too little was read stay as they were, and are NaN in the image."""
         layout = self._layout
         inverses = self.prepared or InverseHessians.nothing(layout.count, layout.each.rows * layout.each.columns)
-        modules, steps = zip(*pushed_together(self.modules, readings.each(layout.split), inverses), strict=True)
+        modules, steps = zip(*push_streams(self.modules, readings.each(layout.split), inverses), strict=True)
         after = replace(self, modules=modules, prepared=inverses, first=False)
         return after if self.rested else after.rested_whole(), image_step(layout, steps)
 
@@ -151,7 +151,7 @@ class ModulesStream(Stream):
         self, resting: Readings, readings: Readings, on_frame: Callable[[], None]
     ) -> tuple[Stream, list[Step]]:
         """As `Stream.sequence`; methods that need all frames together take those of one module after the other."""
-        if not self.estimator.method.together:
+        if not self.estimator.method.needs_all_frames:
             return super().sequence(resting, readings, on_frame)
         layout, frames = self._layout, len(readings.value)
         modules, columns = list[Stream | None](), list[Sequence[Step | None]]()
@@ -166,11 +166,11 @@ class ModulesStream(Stream):
         return whole, [image_step(layout, steps) for steps in zip(*columns, strict=True)]
 
     @property
-    def stands_alone(self) -> bool:
+    def is_independent(self) -> bool:
         """False: modules are the batch."""
         return False
 
-    def due(self, readings: Readings) -> bool:
+    def weights_due(self, readings: Readings) -> bool:
         """Modules choose their weights themselves."""
         return False
 

@@ -7,10 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.estimate.cells_fit import SIGNIFICANCE, fitted
-from lampest.estimate.nuisances import Besides, left_open, taken_off
+from lampest.estimate.nuisances import CircuitEffects, remaining_errors, without_effects_of
 from lampest.estimate.outliers import MAX_SHARE, MIN_FRAMES
 from lampest.estimate.scatter import MIN_EXCESS, repeated_scatter, unloaded_scatter
-from lampest.estimate.still_cells import errors_left_possible
+from lampest.estimate.still_cells import possible_errors
 from lampest.panel.panel import Array, Modules
 from lampest.panel.readouts import Readout
 from lampest.panel.readouts.converter import ENDLESS, noise_of_variance, sigma_code
@@ -32,18 +32,19 @@ MIN_REMAINING = 0.1  # of a reading, however fast it changes
 
 
 @dataclass(frozen=True, eq=False)
-class NoiseSeen:
+class NoiseEstimate:
     """Noise that unloaded frames and neighbours in time show.
 
     outliers : (frames, rows, columns). outlier_rate : share of the unloaded readings that are, or, without enough of
     them, of all. warnings : contradictions of the scene and pitfalls, a line each. readings : of all frames, which
     allow for all this. factor, factor_error : of each reading's own noise against the specified one, and its standard
-    deviation; NaN where fewer than two unloaded frames show nothing. used : factor of σ, 1 where nothing
-    contradicts the scene. frame : errors that the readings of a frame share, or None. gain : as a fraction; together,
-    apart : rms in LSB, of the part that all scanned lines of a frame share and of that of each line; 0 where not seen.
-    hidden : what still cells leave possible of errors that all frames share, or None. share : of its period that a scan
-    seems to take, where loads move within it; else 0. of_modules : the same of each module, None of a dead one; () of a
-    single network. besides : the effects that are taken off the readings, or None.
+    deviation; NaN where fewer than two unloaded frames show nothing. sigma_factor : factor of σ, 1 where nothing
+    contradicts the scene. frame : errors that the readings of a frame share, or None. gain : as a fraction;
+    common_ripple_lsb, line_ripple_lsb : rms in LSB, of the part that all scanned lines of a frame share and of that of
+    each line; 0 where not seen. possible_errors : what still cells leave possible of errors that all frames share, or
+    None. scan_share : of its period that a scan seems to take, where loads move within it; else 0. of_modules : the
+    same of each module, None of a dead one; () of a single network. corrected_effects : the effects that are taken off
+    the readings, or None.
     """
 
     outliers: NDArray[np.bool_]
@@ -52,15 +53,15 @@ class NoiseSeen:
     readings: Readings
     factor: float = np.nan
     factor_error: float = np.nan
-    used: float = 1.0
+    sigma_factor: float = 1.0
     frame: FrameNoise | None = None
     gain: float = 0.0
-    together: float = 0.0
-    apart: float = 0.0
-    hidden: Possible | None = None
-    share: float = 0.0
-    of_modules: tuple["NoiseSeen | None", ...] = ()
-    besides: Besides | None = None
+    common_ripple_lsb: float = 0.0
+    line_ripple_lsb: float = 0.0
+    possible_errors: Possible | None = None
+    scan_share: float = 0.0
+    of_modules: tuple["NoiseEstimate | None", ...] = ()
+    corrected_effects: CircuitEffects | None = None
     model_factor: float = 1.0
 
     @property
@@ -69,55 +70,61 @@ class NoiseSeen:
         return "; ".join(self.warnings)
 
     @property
-    def taken(self) -> str:
+    def corrections(self) -> str:
         """The effects that are taken off the readings, in words; ''."""
-        return "" if self.besides is None else self.besides.taken
+        return "" if self.corrected_effects is None else self.corrected_effects.corrections
 
     @property
     def reading_error(self) -> float:
         """Standard deviation of the logarithm of a factor on each reading, the same in all frames; 0 where not seen."""
-        return 0.0 if self.hidden is None else self.hidden.sizes.reading_error or 0.0
+        return 0.0 if self.possible_errors is None else self.possible_errors.sizes.reading_error or 0.0
 
     @property
-    def learned(self) -> str:
+    def summary(self) -> str:
         """Noise of the frames in one line, contradiction or not; '' where it is unknown."""
         if np.isnan(self.factor):
             return ""
-        taken = "not rescaled" if self.used == 1 else f"rescaled by {self.used:.3g}"
-        shared = ((100 * self.gain, "% gain"), (self.together, "LSB along a scan"), (self.apart, "LSB of a line"))
+        taken = "not rescaled" if self.sigma_factor == 1 else f"rescaled by {self.sigma_factor:.3g}"
+        shared = (
+            (100 * self.gain, "% gain"),
+            (self.common_ripple_lsb, "LSB along a scan"),
+            (self.line_ripple_lsb, "LSB of a line"),
+        )
         frames = ", ".join(f"{size:.2g} {name}" for size, name in shared if size)
         said = (
             f"scatter {self.factor:.3g} +- {self.factor_error:.1g} times as specified, {taken}",
             f"frames share {frames or 'nothing'}",
             f"{int(self.outliers.sum())} of {self.outliers.size} readings are outliers",
-            "" if self.hidden is None else _sizes_in_words(self.hidden),
+            "" if self.possible_errors is None else _sizes_in_words(self.possible_errors),
         )
         return "; ".join(filter(None, said))
 
-    def warned(self, *said: str) -> "NoiseSeen":
+    def with_warnings(self, *said: str) -> "NoiseEstimate":
         """With more warnings, of which some may be ''."""
         return replace(self, warnings=(*self.warnings, *filter(None, said)))
 
-    def with_motion(self, scene: Scene, share: float, measured: NDArray[np.intp]) -> "NoiseSeen":
+    def with_motion(self, scene: Scene, share: float, measured: NDArray[np.intp]) -> "NoiseEstimate":
         """With wider σ where readings were taken while loads moved."""
         sigma = self.readings.sigma
         if not share or sigma is None:
             return self
-        moved = share * swept(scene, self.readings, measured)
+        moved = share * largest_change_within_scan(scene, self.readings, measured)
         count = int(np.sum(np.sqrt(np.mean((moved / sigma) ** 2, axis=(1, 2))) > 1))
         said = (
             f"motion within a scan: as if a scan took {share:.2g} of the time between frames, in {count} frames; "
             "error bars allow for it as far as their neighbours show"
         )
-        return replace(self, readings=replace(self.readings, sigma=np.hypot(sigma, moved)), share=share).warned(said)
+        return replace(
+            self, readings=replace(self.readings, sigma=np.hypot(sigma, moved)), scan_share=share
+        ).with_warnings(said)
 
 
-def with_still_cells(seen: NoiseSeen, recording: Recording, sizes: Systematic) -> NoiseSeen:
+def with_still_cells(seen: NoiseEstimate, recording: Recording, sizes: Systematic) -> NoiseEstimate:
     """Return the noise with the errors that the still cells of a single network show.
 
     Parameters
     ----------
-    seen : NoiseSeen
+    seen : NoiseEstimate
     recording : Recording
         With unloaded and with measured frames.
     sizes : Systematic
@@ -128,16 +135,16 @@ def with_still_cells(seen: NoiseSeen, recording: Recording, sizes: Systematic) -
     still = seen.with_motion(scene, scan_share(scene, resting, seen.readings, measured), measured)
     strongest = strongest_frame(still.readings.plain_values, resting.value, measured)
     chosen = np.unique([strongest, measured[0] if strongest != measured[0] else measured[-1]])
-    hidden = errors_left_possible(scene, sizes, resting, still.readings[chosen], seen.frame)
-    own = hidden.sizes.reading_error or 0.0 if hidden is not None and hidden.sure else 0.0
+    hidden = possible_errors(scene, sizes, resting, still.readings[chosen], seen.frame)
+    own = hidden.sizes.reading_error or 0.0 if hidden is not None and hidden.certain else 0.0
     said = (
         f"cells that nobody touched seem to move as if each reading were off by {100 * own:.2g} %, the same in all "
         "frames, which error bars allow for"
     )
-    return replace(still, hidden=hidden).warned(said if own > (sizes.reading_error or 0.0) else "")
+    return replace(still, possible_errors=hidden).with_warnings(said if own > (sizes.reading_error or 0.0) else "")
 
 
-def without_effects(seen: NoiseSeen, recording: Recording, besides: Besides | None) -> NoiseSeen:
+def without_effects(seen: NoiseEstimate, recording: Recording, besides: CircuitEffects | None) -> NoiseEstimate:
     """Return the noise with the effects of leaks and contacts taken off the readings."""
     if besides is None or besides.pair is None:
         return seen
@@ -145,18 +152,23 @@ def without_effects(seen: NoiseSeen, recording: Recording, besides: Besides | No
     frame, nothing = seen.frame, np.zeros((recording.scene.panel.shape[1 - recording.scene.circuit.by_columns], 0))
     if frame is None:
         frame = FrameNoise(recording.scene, int(unloaded.sum()), 0.0, nothing, nothing)
-    readings, frame = taken_off(besides.pair, seen.readings, unloaded), replace(frame, left=left_open(besides.pair))
-    return replace(seen, readings=readings, frame=frame, besides=besides)
+    readings, frame = (
+        without_effects_of(besides.pair, seen.readings, unloaded),
+        replace(frame, effect_errors=remaining_errors(besides.pair)),
+    )
+    return replace(seen, readings=readings, frame=frame, corrected_effects=besides)
 
 
-def scatter_seen(recording: Recording, outliers: NDArray[np.bool_], cleaned: Readings) -> NoiseSeen:
+def estimate_noise(recording: Recording, outliers: NDArray[np.bool_], cleaned: Readings) -> NoiseEstimate:
     """Return the noise that the unloaded frames of a single network show."""
     readout, resting = recording.scene.readout, recording.role == UNLOADED
     unloaded = int(resting.sum())
     counted = outliers[resting] if unloaded >= MIN_FRAMES and cleaned.sigma is not None else outliers
     impossible = outliers & (cleaned.seen == 0) & ~resting[:, None, None]
-    plain = NoiseSeen(outliers, float(counted.mean()), (), cleaned)
-    plain = plain.warned(_impossible_in_words(int(impossible.sum())), _outliers_in_words(plain, outliers & ~impossible))
+    plain = NoiseEstimate(outliers, float(counted.mean()), (), cleaned)
+    plain = plain.with_warnings(
+        _impossible_in_words(int(impossible.sum())), _outliers_in_words(plain, outliers & ~impossible)
+    )
     if cleaned.sigma is None:
         return plain
     parts = unloaded_scatter(recording, cleaned[resting]) if unloaded > 1 else None
@@ -180,18 +192,18 @@ def scatter_seen(recording: Recording, outliers: NDArray[np.bool_], cleaned: Rea
     frame, sizes = None, (0.0, 0.0)
     if readout is not None:
         volt = float(np.mean(readout.sigma_volt()))
-        roots = parts.together * volt, parts.apart * volt
+        roots = parts.common_ripple * volt, parts.line_ripple * volt
         together, apart = (float(np.sqrt((root**2).sum() / len(root))) / readout.lsb_volt for root in roots)
         sizes = together, apart
-        if parts.gain or parts.together.size or parts.apart.size:
+        if parts.gain or parts.common_ripple.size or parts.line_ripple.size:
             frame = FrameNoise(recording.scene, unloaded, parts.gain, *roots)
     scaled = cleaned if used == 1 else replace(cleaned, sigma=used * cleaned.sigma)
     shared = (plain.outliers, plain.outlier_rate, plain.warnings, scaled)
-    seen = NoiseSeen(*shared, parts.own, error, used, frame, parts.gain, *sizes)
-    return seen.warned(said, _shared_in_words(parts.gain, *sizes))
+    seen = NoiseEstimate(*shared, parts.own, error, used, frame, parts.gain, *sizes)
+    return seen.with_warnings(said, _shared_in_words(parts.gain, *sizes))
 
 
-def joined_noise(recording: Recording, layout: Modules, every: Sequence[NoiseSeen | None]) -> NoiseSeen:
+def noise_of_modules(recording: Recording, layout: Modules, every: Sequence[NoiseEstimate | None]) -> NoiseEstimate:
     """Return the noise that the frames of all modules show; a dead module shows none."""
     given = recording.readings()
     readings = [given.of_module(layout, n) if seen is None else seen.readings for n, seen in enumerate(every)]
@@ -202,8 +214,10 @@ def joined_noise(recording: Recording, layout: Modules, every: Sequence[NoiseSee
     ]
     more = f"and {len(said) - MAX_NAMED} modules more" if len(said) > MAX_NAMED else ""
     rate = float(np.mean([seen.outlier_rate for seen in every if seen is not None]))
-    whole = NoiseSeen(layout.joined(outliers), rate, (), Readings.of_parts(layout, readings), of_modules=tuple(every))
-    return whole.warned(*said[:MAX_NAMED], more)
+    whole = NoiseEstimate(
+        layout.joined(outliers), rate, (), Readings.of_parts(layout, readings), of_modules=tuple(every)
+    )
+    return whole.with_warnings(*said[:MAX_NAMED], more)
 
 
 def shown_factor(readout: Readout, factor: float) -> float:
@@ -233,7 +247,7 @@ def _noise_in_words(readout: Readout | None, factor: float, *, unloaded: bool) -
     )
 
 
-def passing(scene: Scene, readings: Readings, measured: NDArray[np.intp]) -> Array:
+def change_within_scan(scene: Scene, readings: Readings, measured: NDArray[np.intp]) -> Array:
     """Δ·τ (frames, rows, columns) of the measured frames in the unit of readings; 0 for frames before them.
 
     Δ is half the difference of the frames before and after; the first and the last one have one neighbour.
@@ -244,8 +258,8 @@ def passing(scene: Scene, readings: Readings, measured: NDArray[np.intp]) -> Arr
     return moved * _late(scene, readings)
 
 
-def swept(scene: Scene, readings: Readings, measured: NDArray[np.intp]) -> Array:
-    """|τ| times the larger of a reading's steps from the frame before and to the one after, as `passing`.
+def largest_change_within_scan(scene: Scene, readings: Readings, measured: NDArray[np.intp]) -> Array:
+    """|τ| times the larger of a reading's steps from the frame before and to the one after, as `change_within_scan`.
 
     A load that has come and gone from one frame to the next but one leaves no difference between these.
     """
@@ -273,7 +287,7 @@ def scan_share(scene: Scene, resting: Readings, readings: Readings, measured: ND
     inner = measured[1:-1]
     if not len(inner) or readings.sigma is None or resting.sigma is None:
         return 0.0
-    moved = passing(scene, readings, measured)
+    moved = change_within_scan(scene, readings, measured)
     size = np.sqrt(np.mean((moved / readings.sigma) ** 2, axis=(1, 2)))
     moving = inner[np.argsort(-size[inner])][:MAX_MOVING_FRAMES]
     if size[moving[0]] < MIN_REDUCTION:
@@ -312,7 +326,7 @@ def _impossible_in_words(count: int) -> str:
     return f"{count} {many} larger than any cells allow beside the others, and left out" if count else ""
 
 
-def _outliers_in_words(seen: NoiseSeen, outliers: NDArray[np.bool_]) -> str:
+def _outliers_in_words(seen: NoiseEstimate, outliers: NDArray[np.bool_]) -> str:
     """Return the number of outliers and their treatment in words; ''."""
     count = int(outliers.sum())
     if count == 0:

@@ -16,18 +16,18 @@ from numpy.typing import NDArray
 from lampest.estimate.cells_fit import COMMON_SD, CREEP_SD, SIGNIFICANCE, CellsFit, fitted
 from lampest.estimate.changed_cells import (
     PARAMETER_COST,
-    apart_from_moved,
+    away_from_changed,
     mostly_still,
-    scores_beside,
-    selected,
+    scores_with_errors,
+    select_changed,
     usual_starts,
 )
 from lampest.estimate.rivals import MIN_CHANGE
-from lampest.panel.effects import EFFECTS, Effect, LooseContact, disturbance
+from lampest.panel.effects import EFFECTS, Effect, LooseContact, effect_on_readings
 from lampest.panel.network import Network
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
-from lampest.panel.systematic import usual
+from lampest.panel.systematic import systematic_of
 from lampest.recording.readings import Readings
 
 # −2 log probability by which another circuit, or an effect beside it, must beat the scene's: e^18 to one. The best of
@@ -47,24 +47,24 @@ MIN_REMAINING = 0.1  # of a reading, whatever is taken off
 
 
 @dataclass(frozen=True, eq=False)
-class Better:
+class BetterExplanation:
     """A better explanation of the readings than the scene's circuit: another one, or an effect beside it.
 
-    name : '' where nothing does. count, plain : cells that have moved from the unloaded panel to frames (in words),
-    with it and as specified. fits_noise : whether cells give the readings of both within their noise.
+    name : '' where nothing does. count, count_as_specified : cells that have moved from the unloaded panel to frames
+    (in words), with it and as specified. fits_noise : whether cells give the readings of both within their noise.
     """
 
     name: str = ""
     frames: str = ""
     count: int = 0
-    plain: int = 0
+    count_as_specified: int = 0
     fits_noise: bool = True
 
     @property
     def reason(self) -> str:
         """Why it is named."""
-        counts = f"{self.count} cells have moved then, and {self.plain} as specified"
-        if self.count >= self.plain:
+        counts = f"{self.count} cells have moved then, and {self.count_as_specified} as specified"
+        if self.count >= self.count_as_specified:
             counts = f"the misfit is smaller, with {self.count} moved cells"
         return f"between the unloaded panel and {self.frames} {counts}"
 
@@ -102,7 +102,7 @@ class FittedFrame:
     Attributes
     ----------
     scene : Scene
-    given : Readings
+    readings : Readings
         Of the frame, as measured.
     fit : CellsFit
         With the effects in the network.
@@ -110,7 +110,7 @@ class FittedFrame:
     """
 
     scene: Scene
-    given: Readings
+    readings: Readings
     fit: CellsFit
     effects: tuple[Effect, ...] = ()
 
@@ -140,11 +140,11 @@ class FittedFrame:
     @cached_property
     def offset(self) -> Array:
         """Sum of the effects on the readings, (rows, columns)."""
-        return disturbance(self.effects, self.scene, self.network)
+        return effect_on_readings(self.effects, self.scene, self.network)
 
     def more(self, effect: Effect) -> Array:
         """Return the change of the readings by one effect more, (rows, columns)."""
-        return disturbance((*self.effects, effect), self.scene, self.network) - self.offset
+        return effect_on_readings((*self.effects, effect), self.scene, self.network) - self.offset
 
     @property
     def may_fit(self) -> bool:
@@ -213,7 +213,7 @@ class FittedPair:
     @classmethod
     def of(cls, resting: FittedFrame, frame: FittedFrame) -> "FittedPair":
         """Return the pair with channels that differ as specified, or as those of one multiplexer do."""
-        sizes = usual(frame.scene)
+        sizes = systematic_of(frame.scene)
         spread = CHANNEL_OHM if sizes is None else sizes.channel_spread_ohm or CHANNEL_OHM
         return cls((resting, frame), spread * (frame.channels - resting.channels))
 
@@ -251,7 +251,7 @@ class FittedPair:
         """−2 log of the prior of the effects in the network."""
         return sum(PARAMETER_COST + (effect.size / effect.prior) ** 2 for effect in self.effects if effect.size)
 
-    def _beside(self, columns: Array) -> tuple[Array, Array, float]:
+    def _with_columns(self, columns: Array) -> tuple[Array, Array, float]:
         """Return a factor common to all cells with the columns, the precision of the change with both, and its log det.
 
         The last is the addition of both.
@@ -264,19 +264,19 @@ class FittedPair:
 
     def explained(self, columns: Array) -> Evidence:
         """With a factor that all cells share, and with effects' columns (cells, n)."""
-        own, precision, added = self._beside(columns)
-        lost, moved = selected(precision @ self.change, precision, usual_starts(self.change))
+        own, precision, added = self._with_columns(columns)
+        lost, moved = select_changed(precision @ self.change, precision, usual_starts(self.change))
         score = float(self.change @ precision @ self.change) + lost + added + self._prior_score
         nothing = np.full(own.shape[1], np.nan)
         if moved.all():
             return Evidence(score, moved, nothing, nothing)
-        still = apart_from_moved(~moved, self.shape)
+        still = away_from_changed(~moved, self.shape)
         within = np.linalg.solve(self._covariance[np.ix_(still, still)], own[still])
         left = np.linalg.inv(np.eye(own.shape[1]) + own[still].T @ within)
         return Evidence(score, moved, left @ within.T @ self.change[still], np.sqrt(np.diag(left)))
 
     @cached_property
-    def plain(self) -> Evidence:
+    def without_effects(self) -> Evidence:
         """The evidence without further effects."""
         return self.explained(self.columns(()))
 
@@ -287,15 +287,15 @@ class FittedPair:
         A circuit gains nothing by being blind: the Jacobian of its readings belongs to it.
         """
         seen, spread = np.linalg.slogdet(self.frames[1].fit.normal)[1], np.linalg.slogdet(self._covariance)[1]
-        return self.plain.score + float(seen + spread)
+        return self.without_effects.score + float(seen + spread)
 
     def scores_with(self, columns: Array, candidates: Array) -> Array:
         """Return −2 log evidence of `explained` with each of the candidates (cells, n) beside the columns.
 
         Moved cells are only added.
         """
-        _, precision, added = self._beside(columns)
-        return scores_beside(self.change, precision, candidates) + added + self._prior_score
+        _, precision, added = self._with_columns(columns)
+        return scores_with_errors(self.change, precision, candidates) + added + self._prior_score
 
     def off_by_one(self, score: float) -> bool:
         """Whether a single reading that is off explains to that score: an outlier as a load comes is hardly seen."""
@@ -305,8 +305,8 @@ class FittedPair:
         """Return the pair with effects of other sizes; None where no cells give the readings then."""
         effects = tuple(replace(effect, size=size) for effect, size in zip(self.effects, sizes, strict=True))
         constant, (resting, frame) = tuple(effect for effect in effects if not effect.since), self.frames
-        early = resting.refitted(resting.given, constant) if constant else resting
-        late = frame.refitted(frame.given, effects)
+        early = resting.refitted(resting.readings, constant) if constant else resting
+        late = frame.refitted(frame.readings, effects)
         if early is None or late is None:
             return None
         after = replace(self, frames=(early, late), effects=effects)
@@ -331,7 +331,7 @@ class FittedPair:
             pair = after
             if np.all(np.abs(step) < SETTLED_STEP * np.maximum(sd, SETTLED_STEP)):
                 break
-        return pair, replace(pair.plain, sd=evidence.sd)
+        return pair, replace(pair.without_effects, sd=evidence.sd)
 
     def _without_late(self) -> tuple[Effect, ...]:
         """Return the effects, those since the unloaded frames of no size."""
@@ -356,7 +356,7 @@ class FittedPair:
             pairs.append(replace(self, frames=(self.frames[0], frame), effects=effects))
         if not late:
             return pairs[0]
-        settled, without = pairs[0].settled(constant=False), pairs[1].plain
+        settled, without = pairs[0].settled(constant=False), pairs[1].without_effects
         return pairs[1] if settled is None or without.score <= settled[1].score else settled[0]
 
     def _stepped(self, step: Array) -> "FittedPair | None":
@@ -368,42 +368,42 @@ class FittedPair:
 
 
 @dataclass(frozen=True, eq=False)
-class Besides:
+class CircuitEffects:
     """Effects beside the circuit.
 
     Attributes
     ----------
-    better : Better
+    best : BetterExplanation
         All effects that are named.
-    together : str
+    common_change : str
         How all cells changed, in words; ''.
     pair : FittedPair or None
         With those effects alone that no others explain as well.
-    lying : bool
+    loaded_at_rest : bool
         Whether a load may lie on the unloaded panel.
     """
 
-    better: Better = field(default_factory=Better)
-    together: str = ""
+    best: BetterExplanation = field(default_factory=BetterExplanation)
+    common_change: str = ""
     pair: FittedPair | None = None
-    lying: bool = False
+    loaded_at_rest: bool = False
 
     @property
-    def taken(self) -> str:
+    def corrections(self) -> str:
         """Effects that are taken off the readings, in words."""
         names = [] if self.pair is None else [effect.sentence(self.pair.shape[0]) for effect in self.pair.effects]
         return f"{' and '.join(names)}: {TAKEN_OFF}"
 
 
-def besides_the_circuit(pairs: Sequence[tuple[str, FittedPair]]) -> Besides:
+def find_effects(pairs: Sequence[tuple[str, FittedPair]]) -> CircuitEffects:
     """By pairs of the unloaded panel and named frames: of the frame that shows them best."""
-    besides, together, most = Besides(), "", 0.0
+    besides, together, most = CircuitEffects(), "", 0.0
     for name, pair in pairs:
-        if max(float(frame.given.bounds.mean()) for frame in pair.frames) > MAX_BOUND_SHARE:
+        if max(float(frame.readings.bounds.mean()) for frame in pair.frames) > MAX_BOUND_SHARE:
             continue
         if not all(frame.may_fit for frame in pair.frames):
             continue
-        plain = pair.plain
+        plain = pair.without_effects
         together = _together(plain) or together
         whole, after, certain = _grown(pair, plain)
         moved = after.moved.reshape(pair.shape)
@@ -415,9 +415,9 @@ def besides_the_circuit(pairs: Sequence[tuple[str, FittedPair]]) -> Besides:
             continue
         most, fits_noise = plain.score - after.score, min(effect.fit.tail for effect in whole.frames) >= SIGNIFICANCE
         names = " and ".join(effect.sentence(pair.shape[0]) for effect in whole.effects)
-        better = Better(names, name, int(after.moved.sum()), int(plain.moved.sum()), fits_noise)
-        besides = Besides(better, "", certain if certain.effects and fits_noise else None)
-    return besides if besides.better.name else replace(besides, together=together)
+        better = BetterExplanation(names, name, int(after.moved.sum()), int(plain.moved.sum()), fits_noise)
+        besides = CircuitEffects(better, "", certain if certain.effects and fits_noise else None)
+    return besides if besides.best.name else replace(besides, common_change=together)
 
 
 def _grown(pair: FittedPair, evidence: Evidence) -> tuple[FittedPair, Evidence, FittedPair]:
@@ -472,7 +472,7 @@ def _together(plain: Evidence) -> str:
     )
 
 
-def taken_off(pair: FittedPair, readings: Readings, unloaded: NDArray[np.bool_]) -> Readings:
+def without_effects_of(pair: FittedPair, readings: Readings, unloaded: NDArray[np.bool_]) -> Readings:
     """Return the readings (frames, rows, columns) of the same cells without the pair's effects, frame after frame.
 
     Those since the unloaded frames are estimated anew in every measured one: they come, grow and go. A frame of which
@@ -490,12 +490,12 @@ def taken_off(pair: FittedPair, readings: Readings, unloaded: NDArray[np.bool_])
     return replace(readings, value=np.maximum(value, MIN_REMAINING * readings.value), sigma=sigma)
 
 
-def left_open(pair: FittedPair) -> Array:
+def remaining_errors(pair: FittedPair) -> Array:
     """Return one standard deviation of each effect as fractions of readings, (2, effects, rows, columns)."""
     sd = pair.explained(pair.columns(pair.effects)).sd[1:]
     left = np.zeros((2, len(sd), *pair.shape))
     for place, (effect, deviation) in enumerate(zip(pair.effects, np.nan_to_num(sd), strict=True)):
         more = replace(effect, size=float(deviation) * effect.prior)
         for number in (1,) if effect.since else (0, 1):
-            left[number, place] = pair.frames[number].more(more) / pair.frames[number].given.value
+            left[number, place] = pair.frames[number].more(more) / pair.frames[number].readings.value
     return left

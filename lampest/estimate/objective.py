@@ -192,7 +192,7 @@ class Objective:
         # Missing readings have substitutes where no penalty determines their cells.
         stood_in = np.full(len(measured), not self.penalised)
         stood_in[:-1] = all(term.reads_measurement for term in self.absolute_terms)
-        readings = weighed(readings, scene, stood_in)
+        readings = with_weights_of_missing(readings, scene, stood_in)
         lower, upper = self.bounds.limits(scene.circuit, measured, sigma, scene.wiring)
         apparent = scene.circuit.apparent_resistance(measured)
         if readings.partial:
@@ -227,7 +227,7 @@ class PlainObjective(Objective):
     weight_sigma: tuple[float, ...] = ()
 
 
-def weighed(readings: Readings, scene: Scene, stand_ins: NDArray[np.bool_]) -> Readings:
+def with_weights_of_missing(readings: Readings, scene: Scene, stand_ins: NDArray[np.bool_]) -> Readings:
     """Return the readings with weights (`seen`) for substitutes: as if their noise were that of the frame's values.
 
     A bound counts by its own noise: at a rail that is a thousand times a value's, and in ohm one false infinity would

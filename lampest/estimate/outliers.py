@@ -34,7 +34,7 @@ Expected = tuple[Array, Array, Array]
 Predictor = Callable[[Array, NDArray[np.intp]], Expected]  # of neighbours, and by how many frames each is off
 
 
-def outliers_in_time(
+def detect_outliers(
     value: Array, scale: Array, most_share: float | Array = 1.0
 ) -> tuple[NDArray[np.bool_], Array, Array]:
     """Return outliers, the prediction of neighbouring frames and its σ beside noise, all of the readings' shape.
@@ -51,9 +51,9 @@ def outliers_in_time(
     outlying, size = np.zeros(value.shape, dtype=bool), len(value) * value.shape[-2] * value.shape[-1]
     with np.errstate(divide="ignore", invalid="ignore"):
         for prediction, predict in zip(expected, predictors, strict=True):
-            far = _stands_out(value, scale, prediction)
+            far = _exceeds_threshold(value, scale, prediction)
             some = far.any(axis=0)  # the scatter of the others is not needed
-            far[:, some] &= ~_usual(
+            far[:, some] &= ~_is_usual(
                 value[:, some], prediction[0][:, some], first, predict, largest_normal(size, FALSE_ALARM_RATE)
             )
             outlying |= far
@@ -68,7 +68,7 @@ def outliers_in_time(
     return outlying, middle, np.hypot(spread, np.nan_to_num(apart))
 
 
-def lawless(circuit: Readout, readings: Readings) -> NDArray[np.bool_]:
+def impossible_readings(circuit: Readout, readings: Readings) -> NDArray[np.bool_]:
     """Single readings of a frame that are larger than any cells allow beside the others, (frames, …, rows, columns).
 
     A contact that failed for one reading is such an outlier, however long it lasts. A frame with more than MAX_SHARE of
@@ -85,7 +85,7 @@ def lawless(circuit: Readout, readings: Readings) -> NDArray[np.bool_]:
 
 
 def _larger_than_cells_allow(circuit: Readout, value: Array, sigma: Array, beside: int) -> NDArray[np.bool_]:
-    """As `lawless`, asked once; beside : of how many frames the worst is taken."""
+    """As `impossible_readings`, asked once; beside : of how many frames the worst is taken."""
     outliers, frames = np.zeros(value.shape, dtype=bool), np.arange(len(value))
     for _ in range(int(MAX_SHARE * value[0].size) + 1):
         broken = np.zeros(len(frames), dtype=bool)
@@ -106,11 +106,11 @@ def _larger_than_cells_allow(circuit: Readout, value: Array, sigma: Array, besid
 def without_outliers(
     circuit: Readout, readings: Readings, unloaded: NDArray[np.bool_]
 ) -> tuple[NDArray[np.bool_], Readings]:
-    """(outliers (frames, rows, columns), the readings without them): see `without_these`."""
-    return without_these(lawless(circuit, readings), readings, unloaded)
+    """(outliers (frames, rows, columns), the readings without them): see `without_outliers_at`."""
+    return without_outliers_at(impossible_readings(circuit, readings), readings, unloaded)
 
 
-def without_these(
+def without_outliers_at(
     impossible: NDArray[np.bool_], readings: Readings, unloaded: NDArray[np.bool_]
 ) -> tuple[NDArray[np.bool_], Readings]:
     """(outliers (frames, …, rows, columns), the readings without them): unloaded ones are left out, others replaced.
@@ -130,7 +130,7 @@ def without_these(
     most: float | Array = 1.0
     for chosen in (unloaded, ~unloaded):
         if chosen.sum() >= MIN_FRAMES:
-            detected = outliers_in_time(value[chosen], scale[chosen], most)
+            detected = detect_outliers(value[chosen], scale[chosen], most)
             outlying[chosen], instead[chosen], spread[chosen] = detected
             most = np.maximum(MAX_SHARE, 2 * detected[0].mean(axis=(0, -2, -1), keepdims=True))
         else:
@@ -185,7 +185,7 @@ class FramesBefore:
 
         resting : unloaded readings, of which baseline is the estimate, ohm, or NaN; all (rows, columns).
         """
-        impossible = lawless(scene.circuit, readings.alone())[0]
+        impossible = impossible_readings(scene.circuit, readings.alone())[0]
         count = int(impossible.sum())
         if count:
             readings = replace(readings, seen=np.where(impossible, 0.0, readings.seen))
@@ -196,7 +196,7 @@ class FramesBefore:
         middle, spread, _ = _by_median(value, np.zeros(0, dtype=int))
         expected = middle[None], spread[None], np.ones((1, *middle.shape))
         with np.errstate(divide="ignore", invalid="ignore"):
-            outlying = _stands_out(readings.plain_values[None], scale[None], expected)[0]
+            outlying = _exceeds_threshold(readings.plain_values[None], scale[None], expected)[0]
         if not outlying.any() or outlying.mean() > MAX_SHARE:
             return readings, count
         network = scene.circuit.network(baseline, scene.circuit.ties(resting.value), scene.wiring)
@@ -216,7 +216,7 @@ def _from_window(value: Array, first: NDArray[np.intp], place: NDArray[np.intp],
     return predict(value[nearest], nearest - target)
 
 
-def _usual(
+def _is_usual(
     value: Array, expected: Array, first: NDArray[np.intp], predict: Predictor, largest: float
 ) -> NDArray[np.bool_]:
     """Return whether a reading is as near to its prediction as chance allows, by its errors in other windows.
@@ -259,7 +259,7 @@ def _by_line(beside: Array, offset: NDArray[np.intp]) -> Expected:
     return height - slope * centre, 2 * np.sqrt(left) * noise, np.broadcast_to(noise, height.shape)
 
 
-def _stands_out(value: Array, scale: Array, expected: Expected) -> NDArray[np.bool_]:
+def _exceeds_threshold(value: Array, scale: Array, expected: Expected) -> NDArray[np.bool_]:
     """Return whether a reading is far from its prediction, while its row and its column are not."""
     middle, spread, noise = expected
     away = np.abs(value - middle)

@@ -11,21 +11,21 @@ from numpy.typing import NDArray
 from lampest.estimate.model_check import ExplainedRecording, ModelCheck, check_of_modules
 from lampest.estimate.model_error import scaled, with_model_error, with_reading_error
 from lampest.estimate.noise import (
-    NoiseSeen,
-    joined_noise,
-    scatter_seen,
+    NoiseEstimate,
+    estimate_noise,
+    noise_of_modules,
     with_still_cells,
     without_effects,
 )
-from lampest.estimate.nuisances import Besides
-from lampest.estimate.outliers import lawless, without_these
-from lampest.estimate.saturation import as_passed
+from lampest.estimate.nuisances import CircuitEffects
+from lampest.estimate.outliers import impossible_readings, without_outliers_at
+from lampest.estimate.saturation import with_saturated_stage
 from lampest.estimate.warnings import warnings_of
 from lampest.files.errors import InputError, in_words
 from lampest.files.process import ONE_BLAS_THREAD
 from lampest.panel.panel import Modules
 from lampest.panel.readouts import Readout
-from lampest.panel.systematic import unshown_text, usual
+from lampest.panel.systematic import systematic_of, unobservable_numbers
 from lampest.recording.readings import Readings
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
 from lampest.solvers.multistart import BROKEN
@@ -58,14 +58,14 @@ class Prepared:
     Attributes
     ----------
     recording : Recording
-    known : NoiseSeen or None
+    whole_recording : NoiseEstimate or None
         Of a part of a longer recording, the effects and the motion that are known of all of it.
     cleaned_module : Cleaned or None
         Of a module, the cleaned readings that were determined together with those of the other modules.
     """
 
     recording: Recording
-    known: NoiseSeen | None = None
+    whole_recording: NoiseEstimate | None = None
     cleaned_module: Cleaned | None = None
 
     @classmethod
@@ -90,7 +90,7 @@ class Prepared:
         dead = self.recording.scene.dead_modules
         living = [number for number in range(self.layout.count) if number not in dead]
         parts = [self.recording.modules[number] for number in living]
-        known = self.known.of_modules if self.known else (None,) * self.layout.count
+        known = self.whole_recording.of_modules if self.whole_recording else (None,) * self.layout.count
         each = zip(living, parts, cleaned_together(parts), strict=True)
         prepared = {number: Prepared(part, known[number], cleaned) for number, part, cleaned in each}
         return tuple(prepared.get(number) for number in range(self.layout.count))
@@ -101,12 +101,12 @@ class Prepared:
         return self.cleaned_module or cleaned_together([self.recording])[0]
 
     @cached_property
-    def frame_noise(self) -> NoiseSeen:
+    def frame_noise(self) -> NoiseEstimate:
         """Noise of the frames, estimated from unloaded frames and from neighbours in time."""
         if self.layout is not None:
             every = [None if module is None else module.frame_noise for module in self.modules]
-            return joined_noise(self.recording, self.layout, every)
-        return scatter_seen(self.cleaned.recording, self.cleaned.outliers, self.cleaned.readings)
+            return noise_of_modules(self.recording, self.layout, every)
+        return estimate_noise(self.cleaned.recording, self.cleaned.outliers, self.cleaned.readings)
 
     @cached_property
     @ONE_BLAS_THREAD
@@ -118,12 +118,12 @@ class Prepared:
 
     @cached_property
     @ONE_BLAS_THREAD
-    def effects(self) -> Besides:
+    def effects(self) -> CircuitEffects:
         """Effects beside the circuit of a single network."""
         with suppress(*BROKEN), np.errstate(all="ignore"):
             if self.cleaned.readings.sigma is not None and self.explained is not None:
                 return self.explained.effects()
-        return Besides()
+        return CircuitEffects()
 
     @cached_property
     def check(self) -> ModelCheck:
@@ -131,7 +131,7 @@ class Prepared:
 
         Where it explains the readings, the sentence adds the numbers that no frame shows.
         """
-        check, unshown = self._check, unshown_text(self.recording.scene)
+        check, unshown = self._check, unobservable_numbers(self.recording.scene)
         return replace(check, sentence=f"{check.sentence}; {unshown}") if check.explains and unshown else check
 
     @cached_property
@@ -154,23 +154,25 @@ class Prepared:
 
     @cached_property
     @ONE_BLAS_THREAD
-    def noise(self) -> NoiseSeen:
+    def noise(self) -> NoiseEstimate:
         """Noise of the frames, and errors that all frames share; its readings allow for both."""
         if self.layout is not None:
             every = [None if module is None else module.noise for module in self.modules]
-            return joined_noise(self.recording, self.layout, every)
+            return noise_of_modules(self.recording, self.layout, every)
         noise, recording = self.frame_noise, self.recording
         unloaded, measured = (np.flatnonzero(recording.role == role) for role in (UNLOADED, MEASURED))
-        sizes = usual(recording.scene)
+        sizes = systematic_of(recording.scene)
         with suppress(*BROKEN), np.errstate(all="ignore"):
-            if self.known is not None:
-                noise = without_effects(noise, recording, self.known.besides)
-                noise = noise.with_motion(recording.scene, self.known.share, measured)
-                noise = with_reading_error(replace(noise, hidden=self.known.hidden), recording)
-                return scaled(noise, self.known.model_factor)
+            if self.whole_recording is not None:
+                noise = without_effects(noise, recording, self.whole_recording.corrected_effects)
+                noise = noise.with_motion(recording.scene, self.whole_recording.scan_share, measured)
+                noise = with_reading_error(
+                    replace(noise, possible_errors=self.whole_recording.possible_errors), recording
+                )
+                return scaled(noise, self.whole_recording.model_factor)
             if sizes is not None and len(unloaded) and len(measured):
                 if self.effects.pair is not None and self.check.besides:
-                    noise = without_effects(noise, recording, self.effects).warned(self.effects.taken)
+                    noise = without_effects(noise, recording, self.effects).with_warnings(self.effects.corrections)
                 noise = with_still_cells(noise, recording, sizes)
             noise = with_model_error(noise, recording)
         return noise
@@ -183,13 +185,13 @@ class Prepared:
 
 def cleaned_together(recordings: Sequence[Recording]) -> list[Cleaned]:
     """Return the cleaned readings of networks of one shape that were recorded together."""
-    passed = [as_passed(recording) for recording in recordings]
+    passed = [with_saturated_stage(recording) for recording in recordings]
     first, *others = [recording.readings() for recording in passed]
     together, alike = first.together(*others, axis=-3), dict[Readout, list[int]]()
     for place, recording in enumerate(passed):
         alike.setdefault(recording.scene.circuit, []).append(place)
     impossible = np.zeros(together.value.shape, dtype=bool)
     for circuit, places in alike.items():
-        impossible[:, places] = lawless(circuit, together[:, places])
-    outliers, readings = without_these(impossible, together, passed[0].role == UNLOADED)
+        impossible[:, places] = impossible_readings(circuit, together[:, places])
+    outliers, readings = without_outliers_at(impossible, together, passed[0].role == UNLOADED)
     return [Cleaned(recording, outliers[:, place], readings[:, place]) for place, recording in enumerate(passed)]

@@ -86,7 +86,7 @@ def saturated(recording: Recording) -> Saturated | None:
     return None
 
 
-def as_passed(recording: Recording) -> Recording:
+def with_saturated_stage(recording: Recording) -> Recording:
     """Return the recording with the stage that its frames show in the scene; itself where they show none."""
     stage, readout = saturated(recording), recording.scene.readout
     if stage is None or readout is None:

@@ -31,15 +31,15 @@ class Scatter:
     """In units of the specified σ.
 
     own : standard deviation of each reading alone; own_freedom : degrees behind it. gain : of the factor of a frame, as
-    a fraction, or 0. together, apart : (channels of a line, n) roots of the covariances of what all lines of a frame
-    share (a ripple in step with the scan), and of what each line has anew.
+    a fraction, or 0. common_ripple, line_ripple : (channels of a line, n) roots of the covariances of what all lines of
+    a frame share (a ripple in step with the scan), and of what each line has anew.
     """
 
     own: float
     own_freedom: int
     gain: float
-    together: Array
-    apart: Array
+    common_ripple: Array
+    line_ripple: Array
 
 
 def unloaded_scatter(recording: Recording, resting: Readings) -> Scatter | None:

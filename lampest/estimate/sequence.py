@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 from lampest.cost.given import Background
 from lampest.cost.problem import Data
 from lampest.cost.terms import LogGradient, Misfit, Term
-from lampest.estimate.batch import pushed_in_block
-from lampest.estimate.deciding import deciding_frame, frames_beside, resting_readings
+from lampest.estimate.batch import push_block
+from lampest.estimate.deciding import baseline_readings, deciding_frame, frames_beside
 from lampest.estimate.estimates import Estimates
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.modules import begin_stream
-from lampest.estimate.noise import NoiseSeen
+from lampest.estimate.noise import NoiseEstimate
 from lampest.estimate.outliers import WINDOW
 from lampest.estimate.prepared import Prepared
 from lampest.estimate.state import CarriedOver, Step
@@ -113,11 +113,11 @@ class MeasuredPart:
             missing = [stream.unsolved(Status.BROKEN_OFF)] * (count - len(steps))
             return self._estimates(stream, readings, steps + missing)
 
-        if stream.estimator.method.together:
+        if stream.estimator.method.needs_all_frames:
             numbers, resting = iter(range(1, count + 1)), self.readings[self.recording.role == UNLOADED]
             stream, steps = stream.sequence(resting, readings, lambda: on_frame(next(numbers, count), count, None))
         while len(steps) < count:
-            for after, step in pushed_in_block(stream, readings[len(steps) :]):
+            for after, step in push_block(stream, readings[len(steps) :]):
                 stream = after
                 steps.append(step)
                 on_frame(len(steps), count, so_far)
@@ -145,13 +145,13 @@ def first_stream(
     recording: Recording,
     readings: Readings,
     estimator: Estimator,
-    noise: NoiseSeen | None = None,
+    noise: NoiseEstimate | None = None,
     period: float | None = None,
 ) -> Stream:
-    """Return the stream before a recording's first measured frame; see `resting_readings`. noise : learned from frames.
+    """Return the stream before a recording's first measured frame; see `baseline_readings`.
 
-    period : s between frames; None: the recording's. Networks that are alike share the weights that those of them
-    choose that differ most from rest.
+    noise : learned from frames. period : s between frames; None: the recording's. Networks that are alike share the
+    weights that those of them choose that differ most from rest.
     """
     layout, chosen = recording.scene.panel.modules, dict[Hashable, Estimator]()
 
@@ -161,7 +161,7 @@ def first_stream(
             part, read = replace(recording, scene=scene), readings
         else:
             part, read = recording.modules[number], readings.of_module(layout, number)
-        return part, read, resting_readings(part, read)
+        return part, read, baseline_readings(part, read)
 
     def own(scene: Scene, number: int | None) -> tuple[Estimator, Readings]:
         resting = network(scene, number)[2]
@@ -237,7 +237,7 @@ class Parts:
     stored : StoredRecording
     lead : Recording
         The unloaded frames, or the first ones where there are none.
-    asked : Prepared
+    sample : Prepared
         The lead, and frames around the strongest.
     stream : Stream
         Before the first frame.
@@ -247,7 +247,7 @@ class Parts:
 
     stored: StoredRecording
     lead: Recording
-    asked: Prepared
+    sample: Prepared
     stream: Stream
     automatic: bool
 
@@ -260,17 +260,17 @@ class Parts:
         return cls(stored, *asked, stream, estimator.automatic)
 
     @property
-    def apart(self) -> bool:
+    def independent(self) -> bool:
         """Whether parts can be solved in any order."""
-        return self.stream.rested and not self.stream.estimator.looks_back
+        return self.stream.rested and not self.stream.estimator.uses_previous
 
     def estimates(self, done: Callable[[int], CarriedOver | None]) -> Iterator[SolvedPart]:
         """Solve every part that is not `done`. done : number → state after its last frame, where estimates are kept."""
         stream = begun = self.stream
         for number, frames in enumerate(self.stored.blocks()):
             carried = done(number)
-            if self.apart:
-                yield from () if carried is not None else self.alone(number)
+            if self.independent:
+                yield from () if carried is not None else self.solve_part(number)
                 continue
             part = self._part(frames) if carried is None or not begun.rested else None
             if carried is not None:
@@ -283,9 +283,9 @@ class Parts:
                 begun = stream.restarted(self.stream)
                 stream = carried.onto(begun)
 
-    def alone(self, number: int) -> Iterator[SolvedPart]:
+    def solve_part(self, number: int) -> Iterator[SolvedPart]:
         """Solve a part, where it stands apart and some of its frames are measured."""
-        if self.apart and (part := self._part(self.stored.blocks()[number])) is not None:
+        if self.independent and (part := self._part(self.stored.blocks()[number])) is not None:
             stream, estimates = part.solve(self.stream)
             yield number, estimates, CarriedOver.of(stream)
 
@@ -295,8 +295,8 @@ class Parts:
         if part is None:
             return None
         recording = of_parts((self.lead, part))
-        readings = Prepared(recording, self.asked.noise).noise.readings
-        return MeasuredPart(recording, _own_frames(recording, frames), readings, self.asked, self.automatic)
+        readings = Prepared(recording, self.sample.noise).noise.readings
+        return MeasuredPart(recording, _own_frames(recording, frames), readings, self.sample, self.automatic)
 
     def _with_baseline(self, begun: Stream, part: MeasuredPart) -> Stream:
         """Return a stream whose baseline is solved together with a frame once it has come to that frame."""
@@ -310,7 +310,7 @@ class Parts:
 def check_by_parts(estimator: Estimator, stored: StoredRecording) -> None:
     """Raise InputError where an estimator, or the pressures of a scene, need all frames of a long recording at once."""
     reason = ""
-    if estimator.method.together:
+    if estimator.method.needs_all_frames:
         reason = f"formulation: {estimator.method.kind} estimates all frames together"
     elif stored.scene.film is not None:
         reason = "film: what it remembers is followed through all frames"
@@ -333,7 +333,7 @@ def asked_frames(stored: StoredRecording) -> tuple[Recording, Prepared]:
     lead = first_unloaded(stored, min(LEAD_FRAMES, stored.length))
     if lead is None:
         lead = only_frames(opening := stored.part(range(min(OPENING_FRAMES, stored.frames))), opening.role == MEASURED)
-    resting = resting_readings(lead, lead.readings())
+    resting = baseline_readings(lead, lead.readings())
     best: tuple[float, int] = (-1.0, -1)
     for frames in stored.blocks():
         part = measured_part(stored, frames, WINDOW)

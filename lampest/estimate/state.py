@@ -74,15 +74,14 @@ class Step:
 class SequenceState:
     """Where a sequence of frames stands.
 
-    Parameters
-    ----------
-    estimator, scene : what is minimised, and what is measured how. period : s between frames. resting : the unloaded
-    readings (rows, columns). baseline : how the baseline was solved; None for a relative method until a frame was.
-    previous : (rows, columns) ohm, the last estimate, or None. previous_deviation : of its logarithm; None where it
-    has no error bars. prepared : what the method keeps between frames, or None. track : what error bars need of earlier
-    frames; None where there are to be none. hasty : whether frames take the weights that there are, though others would
-    be chosen. first : whether no frame but the baseline was solved yet. reading_error : of the logarithm of each
-    reading, the same in all frames. frame_noise : what readings of a frame share by chance, or None.
+    Parameters ---------- estimator, scene : what is minimised, and what is measured how. period : s between frames.
+    resting : the unloaded readings (rows, columns). baseline : how the baseline was solved; None for a relative method
+    until a frame was. previous : (rows, columns) ohm, the last estimate, or None. previous_deviation : of its
+    logarithm; None where it has no error bars. prepared : what the method keeps between frames, or None. track : what
+    error bars need of earlier frames; None where there are to be none. keeps_weights : whether frames take the weights
+    that there are, though others would be chosen. first : whether no frame but the baseline was solved yet.
+    reading_error : of the logarithm of each reading, the same in all frames. frame_noise : what readings of a frame
+    share by chance, or None.
     """
 
     estimator: Objective
@@ -94,7 +93,7 @@ class SequenceState:
     previous_deviation: Array | None = None
     prepared: Any = None
     track: Track | None = None
-    hasty: bool = False
+    keeps_weights: bool = False
     first: bool = True
     reading_error: float = 0.0
     frame_noise: FrameNoise | None = None

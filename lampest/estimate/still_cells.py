@@ -14,7 +14,7 @@ import numpy as np
 from lampest.cost.given import Background
 from lampest.cost.problem import Data
 from lampest.estimate.cells_fit import COMMON_SD, CREEP_SD, FIT, MAX_CELLS, SIGNIFICANCE, CellsFit, cells_alone, fitted
-from lampest.estimate.changed_cells import MIN_STILL_SHARE, Chosen, apart_from_moved, selected
+from lampest.estimate.changed_cells import MIN_STILL_SHARE, Chosen, away_from_changed, select_changed
 from lampest.panel.least_squares import SumOfSquares
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene, Systematic
@@ -41,7 +41,7 @@ SKIRT_SD, SKIRT_CELLS = (
 )  # of log r, and in cells: a skirt that a load has around it, or a load that covers many cells
 
 
-def errors_left_possible(
+def possible_errors(
     scene: Scene, sizes: Systematic, resting: Readings, frames: Readings, noise: FrameNoise | None
 ) -> Possible | None:
     """Return what the still cells leave possible of shared errors; None where cells cannot say.
@@ -57,12 +57,12 @@ def errors_left_possible(
     fit = fitted(scene, resting, patient=True)
     if fit is None or fit.tail < SIGNIFICANCE:
         return Possible(at_least(_mean_square(_unloaded_costs(scene, resting))), None)
-    moves, shape = Moves.of(scene, fit, frames, sizes, noise), resting.value.shape
+    moves, shape = CellChanges.of(scene, fit, frames, sizes, noise), resting.value.shape
     if moves is None:
         return None
     smoothed = replace(moves, noise=moves.noise + _smooth_loads(shape, len(frames.value)))
     size, still = _own_error(smoothed, shape)
-    apart, sure, linear = apart_from_moved(still, shape), size > 0, LINEAR_LIMIT / moves.reach
+    apart, sure, linear = away_from_changed(still, shape), size > 0, LINEAR_LIMIT / moves.reach
     if sure:
         costs = _unloaded_costs(scene, resting)
         larger = size < READING_ERRORS[np.argmin(costs)] and np.interp(size, READING_ERRORS, costs) > LARGER_ERROR_GAIN
@@ -101,7 +101,7 @@ def _of_frame(
 
 
 @dataclass(frozen=True, eq=False)
-class Moves:
+class CellChanges:
     """Of the cells of all frames: change (n), covariance (n, n) of its noise, a (n, k), and own (n, cells).
 
     reach : median standard deviation of log r of the unloaded cells under readings' own errors of 1.
@@ -116,7 +116,7 @@ class Moves:
     @classmethod
     def of(
         cls, scene: Scene, resting: CellsFit, frames: Readings, sizes: Systematic, noise: FrameNoise | None
-    ) -> "Moves | None":
+    ) -> "CellChanges | None":
         """Return the changes of all cells from the unloaded panel to the frames; None where one is not fitted."""
         if not resting.small:
             return None
@@ -157,7 +157,7 @@ class Moves:
         begun = away <= np.median(away) if begun is None else begun
         precision = np.linalg.inv(self.covariance(size))
         slope = precision @ self.change
-        score, moved = selected(slope, precision, [~begun], np.abs(self.change) >= LOADED_CHANGE)
+        score, moved = select_changed(slope, precision, [~begun], np.abs(self.change) >= LOADED_CHANGE)
         return score + float(self.change @ slope - np.linalg.slogdet(precision)[1]), ~moved
 
 
@@ -168,7 +168,7 @@ def _smooth_loads(shape: tuple[int, ...], frames: int) -> Array:
     return np.kron(np.eye(frames), SKIRT_SD**2 * np.exp(-square / (2 * SKIRT_CELLS**2)))
 
 
-def _own_error(moves: Moves, shape: tuple[int, ...]) -> tuple[float, Chosen]:
+def _own_error(moves: CellChanges, shape: tuple[int, ...]) -> tuple[float, Chosen]:
     """(e, which cells stand still): 0 unless it gains with cells chosen anew for each size, and with the last ones."""
     sizes = (0.0, *(size for size in READING_ERRORS[2::2] if size * moves.reach <= LINEAR_LIMIT))
     costs, begun = dict[float, tuple[float, Chosen]](), None
@@ -179,13 +179,13 @@ def _own_error(moves: Moves, shape: tuple[int, ...]) -> tuple[float, Chosen]:
     if costs[size][0] <= costs[0.0][0] - MIN_ERROR_GAIN:
         for _ in range(3):
             _, still = moves.still(min(size, LINEAR_LIMIT / moves.reach))
-            size, gained = _size_of(moves, apart_from_moved(still, shape))
+            size, gained = _size_of(moves, away_from_changed(still, shape))
         if gained > SIGNIFICANT_GAIN:
             return size, still
     return 0.0, costs[0.0][1]
 
 
-def _size_of(moves: Moves, still: Chosen) -> tuple[float, float]:
+def _size_of(moves: CellChanges, still: Chosen) -> tuple[float, float]:
     """(√E[e²] of readings' own errors by the marginal likelihood of the still cells, −2 log of what it gains)."""
     # C₀ = LLᵀ, L⁻¹ O L⁻ᵀ = QΛQᵀ: (C₀ + e²O)⁻¹ = L⁻ᵀ Q (1 + e²Λ)⁻¹ Qᵀ L⁻¹, and |C₀ + e²O| = |C₀| Π (1 + e²λ).
     lower = np.linalg.cholesky(moves.covariance(0.0)[np.ix_(still, still)])
@@ -202,12 +202,12 @@ def _mean_square(costs: Array) -> float:
     return float(np.sqrt(odds @ np.square(READING_ERRORS) / odds.sum()))
 
 
-def _possible(moves: Moves, size: float, shape: tuple[int, ...]) -> Array:
+def _possible(moves: CellChanges, size: float, shape: tuple[int, ...]) -> Array:
     """Return a root (n, n) of E[z zᵀ], given the still cells: covariance and mean of z.
 
     No cell stands still under a load, however smooth it is.
     """
-    still = apart_from_moved(moves.still(size)[1], shape)
+    still = away_from_changed(moves.still(size)[1], shape)
     columns = np.hstack([moves.a, size * moves.own]) if size else moves.a
     part = columns[still]
     weight = np.linalg.solve(moves.covariance(size)[np.ix_(still, still)], part)

@@ -6,7 +6,7 @@ from typing import Self
 
 from lampest.cost.problem import Data
 from lampest.estimate.estimator import Estimator
-from lampest.estimate.noise import NoiseSeen
+from lampest.estimate.noise import NoiseEstimate
 from lampest.estimate.state import SequenceState, Step
 from lampest.files.errors import InputError, in_words
 from lampest.files.process import ONE_BLAS_THREAD
@@ -61,7 +61,7 @@ class Stream(SequenceState):
     @classmethod
     @ONE_BLAS_THREAD
     def begin(
-        cls, estimator: Estimator, scene: Scene, period: float, resting: Readings, noise: NoiseSeen | None = None
+        cls, estimator: Estimator, scene: Scene, period: float, resting: Readings, noise: NoiseEstimate | None = None
     ) -> Self:
         """Before the first frame; an absolute method solves its baseline now. noise : learned from frames.
 
@@ -71,7 +71,7 @@ class Stream(SequenceState):
 
     @classmethod
     def unrested(
-        cls, estimator: Estimator, scene: Scene, period: float, resting: Readings, noise: NoiseSeen | None = None
+        cls, estimator: Estimator, scene: Scene, period: float, resting: Readings, noise: NoiseEstimate | None = None
     ) -> Self:
         """Before its baseline.
 
@@ -80,8 +80,8 @@ class Stream(SequenceState):
         """
         estimator.check(scene)
         _check_frame(resting, scene)
-        hidden, frame = (None, None) if noise is None else (noise.hidden, noise.frame)
-        track = Track(Shared.of(scene, None, hidden), noise=frame) if estimator.barred(resting) else None
+        hidden, frame = (None, None) if noise is None else (noise.possible_errors, noise.frame)
+        track = Track(Shared.of(scene, None, hidden), noise=frame) if estimator.has_error_bars(resting) else None
         sizes = scene.specified_systematic if hidden is None else hidden.sizes
         own = 0.0 if sizes is None else sizes.reading_error or 0.0
         return cls(estimator, scene, period, resting, track=track, reading_error=own, frame_noise=frame)
@@ -93,9 +93,9 @@ class Stream(SequenceState):
 
         resting : the mean of frames in which nothing touched the panel. Raises InputError as `begin`.
         """
-        return self.anew(resting).with_rest()
+        return self.without_baseline(resting).with_rest()
 
-    def anew(self, resting: Readings) -> Self:
+    def without_baseline(self, resting: Readings) -> Self:
         """Return the same before its baseline."""
         _check_frame(resting, self.scene)
         track = None if self.track is None else Track(self.track.shared, noise=self.track.noise)
@@ -126,36 +126,36 @@ class Stream(SequenceState):
             return self, self.unsolved(Status.UNREAD)
         if method.compares(terms) and not self.resting.enough(self.scene):
             return self, self.unsolved(Status.UNRESTED)
-        if self.chooses and self.weights is not None and not self.choosing(readings):
+        if self.chooses_weights and self.weights is not None and not self.choosing(readings):
             chosen = self.estimator.with_weights(self.weights, self.weight_sigma)
             stream, step = method.push(replace(self, estimator=chosen), readings)
             return replace(stream, estimator=self.estimator), step
         stream, step = method.push(self, readings)
-        if self.chooses and step.solution.solved:
+        if self.chooses_weights and step.solution.solved:
             stream = replace(
                 stream, weights=step.weights, weight_sigma=step.weight_sigma, weighed_at=self.change(readings)
             )
         return stream, step
 
-    def due(self, readings: Readings) -> bool:
+    def weights_due(self, readings: Readings) -> bool:
         """Whether weights that the data of the strongest frame choose are to be chosen anew by a frame."""
-        return self.chooses and self.change(readings) > MIN_INCREASE * self.weighed_at
+        return self.chooses_weights and self.change(readings) > MIN_INCREASE * self.weighed_at
 
     def choosing(self, readings: Readings) -> bool:
         """Whether a frame, of which enough was read, chooses the weights that the data of the strongest one choose."""
-        asked = self.weights is None or (self.due(readings) and not self.hasty)
-        return self.chooses and asked and bool(readings.enough(self.scene))
+        asked = self.weights is None or (self.weights_due(readings) and not self.keeps_weights)
+        return self.chooses_weights and asked and bool(readings.enough(self.scene))
 
     @property
-    def stands_alone(self) -> bool:
+    def is_independent(self) -> bool:
         """Whether an estimate depends on no frame but its own and the unloaded ones, and Newton's method finds it."""
         estimator = self.estimator
-        if not self.rested or estimator.looks_back or estimator.automatic:
+        if not self.rested or estimator.uses_previous or estimator.automatic:
             return False
         return isinstance(estimator.problem(self.scene, 1, self.period), ProjectedNewton)
 
     @property
-    def chooses(self) -> bool:
+    def chooses_weights(self) -> bool:
         """Whether the data of the strongest frame choose weights."""
         return self.estimator.automatic and self.estimator.auto_weight.per == "recording"
 
@@ -170,7 +170,7 @@ class Stream(SequenceState):
 
         resting : of the unloaded frames, of which the stream has the mean. on_frame : called after every frame.
         """
-        if self.estimator.method.together:
+        if self.estimator.method.needs_all_frames:
             return self.estimator.method.sequence(self, resting, readings, on_frame)
         stream: Stream = self
         steps = []

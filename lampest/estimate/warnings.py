@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.estimate.model_check import ModelCheck, module_factors
-from lampest.estimate.noise import NoiseSeen
+from lampest.estimate.noise import NoiseEstimate
 from lampest.estimate.nuisances import TAKEN_OFF
 from lampest.estimate.rivals import changes_beyond_noise
 from lampest.estimate.saturation import MIN_CHANNELS, saturated
@@ -22,13 +22,13 @@ MIN_NOISE_FACTOR, MAX_NOISE_FACTOR = 0.1, 10.0  # of the specified noise: no con
 
 
 @np.errstate(all="ignore")
-def warnings_of(recording: Recording, noise: NoiseSeen, check: ModelCheck) -> tuple[str, ...]:
+def warnings_of(recording: Recording, noise: NoiseEstimate, check: ModelCheck) -> tuple[str, ...]:
     """Return the warnings of a recording, the plainest first. Raises InputError as `Readings.of`."""
     readings = recording.readings()
     less = "" if check.better else _less_load(recording, readings)
     frames = _roles(recording.role), _times(recording), _unit(recording, readings), _scatter(recording, noise)
     plain = (*frames, *_modules(recording, readings), less)
-    circuit, taken = check.sentence if check.mark in ("no", "not checked") else "", noise.taken
+    circuit, taken = check.sentence if check.mark in ("no", "not checked") else "", noise.corrections
     learned = tuple(line for line in noise.warnings if not (circuit and line == taken))
     circuit += f"; it is {TAKEN_OFF}" if circuit and taken else ""
     stage = saturated(recording)
@@ -97,7 +97,7 @@ def _modules(recording: Recording, readings: Readings) -> tuple[str, ...]:
     return tuple(f"{'modules' if len(groups[text]) > 1 else 'module'} {at}: {text}" for text, at in named.items())
 
 
-def _scatter(recording: Recording, noise: NoiseSeen) -> str:
+def _scatter(recording: Recording, noise: NoiseEstimate) -> str:
     """Noise that no converter of the scene's kind has."""
     readout = recording.scene.readout
     if (

@@ -17,7 +17,7 @@ from lampest.loads.film import DRIFT_SD, MIN_PERIOD, UNLOADED_SD, FilmKnown, Fil
 from lampest.panel.panel import Array, Panel
 from lampest.panel.response import PUBLISHED, RESPONSE_SD, VACUUM_KPA, Film
 from lampest.panel.scene import Scene, Water
-from lampest.panel.systematic import usual
+from lampest.panel.systematic import systematic_of
 
 MEMORY_SHARE = 0.4  # the part of a cell's memory that may be wrong
 MAX_DEVIATION, MAX_MEAN_DEVIATION = 6.0, 4.5  # standard deviations of a cell in one frame, and in the mean of all
@@ -327,7 +327,7 @@ def _distance(alternatives: Iterable[Array], expected: Array) -> Array:
 
 def response_sd(scene: Scene, answer: Array) -> Array:
     """Relative standard deviation, of cells and the curve, of ln(r/r0) = `answer` (…, rows, columns) at a pressure."""
-    response, named = scene.response or PUBLISHED, usual(scene)
+    response, named = scene.response or PUBLISHED, systematic_of(scene)
     own = RESPONSE_SD if named is None or named.response_sd is None else named.response_sd
     scatter = np.array(own if response.gain_sd is None else response.gain_sd)
     return np.asarray(np.hypot(scatter, response.curve_sd(response.pressure(answer / response.gains))))

@@ -113,7 +113,7 @@ class LooseContact(Effect):
 EFFECTS: tuple[type[Effect], ...] = (LineLeak, LooseContact)  # all that are looked for
 
 
-def disturbed(effects: Sequence[Effect], scene: Scene, network: Network) -> tuple[Network, Array]:
+def with_effects(effects: Sequence[Effect], scene: Scene, network: Network) -> tuple[Network, Array]:
     """Return (the network with all effects, what they add to its readings beside that (rows, columns))."""
     added = sum((effect.added(scene, network) for effect in effects), np.zeros(network.conductance.shape))
     for effect in effects:
@@ -121,7 +121,7 @@ def disturbed(effects: Sequence[Effect], scene: Scene, network: Network) -> tupl
     return network, np.asarray(added)
 
 
-def disturbance(effects: Sequence[Effect], scene: Scene, network: Network) -> Array:
+def effect_on_readings(effects: Sequence[Effect], scene: Scene, network: Network) -> Array:
     """Return what effects do to the readings of a network, (rows, columns)."""
-    leaking, added = disturbed(effects, scene, network)
+    leaking, added = with_effects(effects, scene, network)
     return np.asarray(leaking.reading() - network.reading() + added)

@@ -36,16 +36,16 @@ class Possible:
         Standard deviation of each.
     root : array, shape (n, n), or None
         Lower triangular root of the covariance of z in the order of the columns; None: the sizes alone are known.
-    sure : bool
+    certain : bool
         Whether each reading's own error is specified, or determined beyond chance.
     """
 
     sizes: Systematic
     root: Array | None
-    sure: bool = True
+    certain: bool = True
 
 
-def usual(scene: Scene) -> Systematic | None:
+def systematic_of(scene: Scene) -> Systematic | None:
     """Return the sizes of errors that a scene names, or leaves possible by silence.
 
     None where it has no readout, or says that there are none.
@@ -59,14 +59,14 @@ def usual(scene: Scene) -> Systematic | None:
     return USUAL if scene.circuit.series_name else replace(USUAL, series_ohm=None)
 
 
-def unshown_text(scene: Scene) -> str:
+def unobservable_numbers(scene: Scene) -> str:
     """Return a sentence on the numbers of a circuit that no frame shows, with the tolerances of error bars; ASCII.
 
     '' for a scene without a readout.
     """
     if scene.readout is None:
         return ""
-    sizes = usual(scene) or Systematic()
+    sizes = systematic_of(scene) or Systematic()
     within = f"within {100 * sizes.reference_tolerance:.3g} %", f"within {sizes.series_ohm or 0.0:.3g} ohm"
     known = {number.name: within[number.channel] for number in scene.circuit.line_numbers()}
     others = {"reference_ohm": within[0], "drive_volt": "exact", "converter_volt": "exact"}
@@ -124,14 +124,14 @@ class Shared:
 
     contact_root : (lines, n) ohm, a root of the covariance of contacts, or None. hidden_root : (n, n) of what
     is possible of the hidden errors, in units of their sizes, lower triangular; None: of each on its own as much as its
-    size. weighed : whether the readings' σ includes each reading's own error.
+    size. in_sigma : whether the readings' σ includes each reading's own error.
     """
 
     systematic: Systematic | None
     scene: Scene
     contact_root: Array | None = None
     hidden_root: Array | None = None
-    weighed: bool = False
+    in_sigma: bool = False
 
     @classmethod
     def of(cls, scene: Scene, contact_root: Array | None = None, hidden: Possible | None = None) -> "Shared | None":
@@ -142,7 +142,7 @@ class Shared:
         """
         if contact_root is None and scene.contacts is not None:
             contact_root = np.diag(scene.contacts.deviation(scene.panel.shape))
-        sizes = usual(scene) if hidden is None else hidden.sizes
+        sizes = systematic_of(scene) if hidden is None else hidden.sizes
         if sizes is None and contact_root is None:
             return None
         return cls(sizes, scene, contact_root, None if hidden is None else hidden.root, hidden is not None)

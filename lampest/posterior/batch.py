@@ -14,7 +14,7 @@ from scipy import sparse
 
 from lampest.cost.problem import Part, residuals
 from lampest.panel.panel import Array
-from lampest.posterior.certainty import Certainty, alike
+from lampest.posterior.certainty import Certainty, common_variance
 from lampest.posterior.dense import positive_inverse, rank
 from lampest.posterior.linear import IGNORANCE, NEAR_BOUND
 from lampest.posterior.track import Bars, Track
@@ -99,7 +99,7 @@ class BatchErrors:
             if track.noise is not None:
                 columns = track.noise.columns(self.points.at.data.measured[number], baseline=False)
                 answer = self._gain[number] @ columns
-                drawn[number], shared[number] = (answer**2).sum(axis=1, keepdims=True), alike(answer)[:, None]
+                drawn[number], shared[number] = (answer**2).sum(axis=1, keepdims=True), common_variance(answer)[:, None]
         variance = variance + drawn
         at = self.points.at
         return Certainty.inside(at.cell_resistance, at.data, (variance, np.minimum(shared, variance)), shares)

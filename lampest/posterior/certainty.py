@@ -91,7 +91,9 @@ class Certainty(LogInterval):
         """
         rows, columns = self.deviation.shape[-2:]
         answers = answer.reshape(*self.deviation.shape[:-2], rows * columns, -1)
-        variance, common = (part.reshape(self.deviation.shape) for part in ((answers**2).sum(axis=-1), alike(answers)))
+        variance, common = (
+            part.reshape(self.deviation.shape) for part in ((answers**2).sum(axis=-1), common_variance(answers))
+        )
         wider = self.reaching_farther(TWO_SIDED**2 * variance, TWO_SIDED**2 * variance)
         deviation, common = np.sqrt(self.deviation**2 + variance), np.sqrt(self.common**2 + common)
         return replace(wider, deviation=deviation, common=common)
@@ -113,8 +115,8 @@ class Certainty(LogInterval):
         return Certainty(*(getattr(self, field.name)[frame] for field in fields(self)))
 
 
-def alike(answer: Array) -> Array:
-    """Variance (…, cells) by which independent errors of variance 1 move all cells alike: Σ a² − (a − ā)², at least 0.
+def common_variance(answer: Array) -> Array:
+    """Return the variance (…, cells) by which independent errors move all cells alike: Σ a² − (a − ā)², at least 0.
 
     answer : a (…, cells, n), what each does to log r. ā is the median of the cells; a − ā is each cell's own.
     """

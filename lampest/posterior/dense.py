@@ -28,7 +28,7 @@ from scipy.linalg import blas, lapack
 from lampest.cost.cost import Cost
 from lampest.cost.problem import residuals
 from lampest.panel.panel import Array
-from lampest.posterior.certainty import Certainty, alike
+from lampest.posterior.certainty import Certainty, common_variance
 from lampest.posterior.interval import one_sided
 from lampest.posterior.linear import IGNORANCE, LinearModel, least_widening
 from lampest.solvers.hessian import block_diagonal
@@ -277,7 +277,7 @@ class DenseErrors:
             return common
         answer = self.answer(self.drawn, *np.zeros((2, size, self.drawn.shape[1])))
         for frame in np.unique(free // size):
-            common[free // size == frame] = alike(answer[free // size == frame])
+            common[free // size == frame] = common_variance(answer[free // size == frame])
         return np.asarray(np.minimum(common, self.variance))
 
     def answer(self, rows: Array, last: Array, baseline: Array) -> Array:

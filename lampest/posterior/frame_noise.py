@@ -17,25 +17,28 @@ from lampest.panel.scene import Scene
 class FrameNoise:
     """scene : with a readout, whose converter it acts on. unloaded : frames that the baseline is the mean of.
 
-    gain : standard deviation of the factor of a frame's voltages, as a fraction. together, apart : (channels of a
-    scanned line, n) volt, see `lampest.estimate.scatter`. left : (2, n, rows, columns) what effects that are taken off
-    leave, as fractions of the readings, one standard deviation each: in the unloaded panel, and in frames.
+    gain : standard deviation of the factor of a frame's voltages, as a fraction. common_ripple, line_ripple : (channels
+    of a scanned line, n) volt, see `lampest.estimate.scatter`. effect_errors : (2, n, rows, columns) what effects that
+    are taken off leave, as fractions of the readings, one standard deviation each: in the unloaded panel, and in
+    frames.
     """
 
     scene: Scene
     unloaded: int
     gain: float
-    together: Array
-    apart: Array
-    left: Array | None = None
+    common_ripple: Array
+    line_ripple: Array
+    effect_errors: Array | None = None
 
     def columns(self, measured: Array, *, baseline: bool) -> Array:
         """V (frames · cells, n) of readings (frames, rows, columns); baseline : the first is the unloaded mean."""
         parts = [self._of_frame(frame) for frame in measured]
         if baseline:
             parts[0] = parts[0] / np.sqrt(self.unloaded)
-        if self.left is not None:
-            each = [self.left[int(number > 0 or not baseline)] * frame for number, frame in enumerate(measured)]
+        if self.effect_errors is not None:
+            each = [
+                self.effect_errors[int(number > 0 or not baseline)] * frame for number, frame in enumerate(measured)
+            ]
             parts = [
                 np.column_stack([part, fraction.reshape(len(fraction), -1).T])
                 for part, fraction in zip(parts, each, strict=True)
@@ -57,9 +60,9 @@ class FrameNoise:
     def _patterns(self, shape: tuple[int, ...]) -> Array:
         """(n, rows, columns) volt: those of all lines, then those of each line."""
         lines, channels = shape[::-1] if self.scene.circuit.by_columns else shape
-        common = np.repeat(self.together.T[:, None, :], lines, axis=1)
-        own = np.zeros((lines, self.apart.shape[1], lines, channels))
+        common = np.repeat(self.common_ripple.T[:, None, :], lines, axis=1)
+        own = np.zeros((lines, self.line_ripple.shape[1], lines, channels))
         for line in range(lines):
-            own[line, :, line] = self.apart.T
+            own[line, :, line] = self.line_ripple.T
         flat = np.concatenate([common.reshape(-1, lines * channels), own.reshape(-1, lines * channels)])
         return in_panel_order(self.scene.circuit, flat, (len(flat), *shape))

@@ -6,7 +6,7 @@ import numpy as np
 
 from lampest.panel.panel import Array
 from lampest.panel.systematic import Shared
-from lampest.posterior.certainty import Certainty, LogInterval, alike, own_part
+from lampest.posterior.certainty import Certainty, LogInterval, common_variance, own_part
 from lampest.posterior.dense import DenseErrors, Memory, active_bounds
 from lampest.posterior.frame_noise import FrameNoise
 from lampest.posterior.interval import TWO_SIDED
@@ -113,14 +113,14 @@ class Track:
         if self.baseline is None:
             return track, Bars(frame, None)
         shape = frame.deviation.shape
-        common = (alike(answer) + alike(resting) - alike(answer - resting)) / 2
+        common = (common_variance(answer) + common_variance(resting) - common_variance(answer - resting)) / 2
         together = np.sum(answer * resting, axis=1) + (0.0 if memory is None else memory.shared())
         change = Change.between(frame, self.baseline, together.reshape(shape), common.reshape(shape))
         return track, Bars(frame, change)
 
     def noise_alone(self, deviation: Array, measured: Array) -> Array:
         """Return the readings' deviation without each one's own error, where it is part of it."""
-        if self.shared is None or not self.shared.weighed:
+        if self.shared is None or not self.shared.in_sigma:
             return deviation
         noise = deviation**2 - self.shared.own_error(measured) ** 2
         return np.asarray(np.sqrt(np.maximum(noise, (MIN_NOISE_SHARE * deviation) ** 2)))

@@ -112,7 +112,7 @@ def _noise_lines(recording: Recording) -> list[str]:
         from lampest.estimate.prepared import Prepared  # with all of the estimate, which results do without
 
         prepared = Prepared(recording)
-        learned = prepared.frame_noise.learned
+        learned = prepared.frame_noise.summary
         lines += [_line("noise", learned)] if learned else []
         lines += [_line("warning", joined) for joined in prepared.warnings]
     return lines

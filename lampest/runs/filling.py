@@ -20,8 +20,8 @@ from lampest.runs.config import Case, hash_of
 from lampest.runs.held import all_columns
 
 LIBRARIES = ("lampest", "casadi", "numpy", "h5py")
-# Of the noise that readings of a frame share: numbers, and patterns in volt.
-NUMBERS, PATTERNS = ("gain", "unloaded"), ("together", "apart")
+NUMBERS = ("gain", "unloaded")  # of the noise that readings of a frame share
+PATTERNS = {"together": "common_ripple", "apart": "line_ripple"}  # in volt: stored name → attribute
 
 
 def case_result(case: Case, estimates: Estimates) -> CaseResult:
@@ -64,7 +64,7 @@ def _filled(estimates: Estimates, columns: Sequence[Column], names: dict[str, st
         model_mark=estimates.model_check.mark,
         model_sentence=estimates.model_check.sentence,
         noise_sentence=estimates.noise.sentence,
-        noise_learned=estimates.noise.learned,
+        noise_learned=estimates.noise.summary,
         warnings="\n".join(estimates.checks),
         reading_error=estimates.noise.reading_error,
         frame_noise=_arrays_of(estimates.noise.frame),
@@ -85,8 +85,9 @@ def _arrays_of(noise: FrameNoise | None) -> dict[str, Array]:
     """Its numbers, and patterns in volt where there are such; nothing of None."""
     if noise is None:
         return {}
-    found = {name: np.array(getattr(noise, name), dtype=float, order="C") for name in (*NUMBERS, *PATTERNS)}
-    return {name: value for name, value in found.items() if value.size}
+    attributes = {**{name: name for name in NUMBERS}, **PATTERNS}
+    arrays = {name: np.array(getattr(noise, part), dtype=float, order="C") for name, part in attributes.items()}
+    return {name: value for name, value in arrays.items() if value.size}
 
 
 def frame_noise_of(arrays: Mapping[str, Array], scene: Scene) -> FrameNoise | None:

@@ -76,10 +76,10 @@ class PartFiles:
 def solve_long(case: Case, stored: StoredRecording, file: Path) -> StoredCase:
     """Solve a case part by part, from the first one on that is not done, and write its result, whole or not at all."""
     files, solved = PartFiles.beside(case, file), list[int]()
-    if case.estimator.looks_back or not set(stored.measured_blocks) <= set(files.whole):
+    if case.estimator.uses_previous or not set(stored.measured_blocks) <= set(files.whole):
         parts = _parts(case.estimator, stored)
         # What stands behind a part that is solved now followed from another one, unless parts stand apart.
-        for part in parts.estimates(lambda at: None if solved and not parts.apart else files.done(at)):
+        for part in parts.estimates(lambda at: None if solved and not parts.independent else files.done(at)):
             solved.append(files.write(*part))
     join_case(file, [files.results(number) for number in files.whole], case.recording)
     files.clear()
@@ -92,7 +92,7 @@ def parts_to_solve(case: Case, stored: StoredRecording, file: Path) -> list[int]
     A damaged one goes.
     """
     files = PartFiles.beside(case, file)
-    every = () if case.estimator.looks_back else stored.measured_blocks
+    every = () if case.estimator.uses_previous else stored.measured_blocks
     waiting = [number for number in every if files.done(number) is None]
     for number in waiting:
         remove_own(files.results(number))
@@ -101,7 +101,7 @@ def parts_to_solve(case: Case, stored: StoredRecording, file: Path) -> list[int]
 
 def solve_part(case: Case, stored: StoredRecording, file: Path, number: int) -> None:
     """Solve one of these, where that is possible without those before."""
-    for part in _parts(case.estimator, stored).alone(number):
+    for part in _parts(case.estimator, stored).solve_part(number):
         PartFiles.beside(case, file).write(*part)
 
 

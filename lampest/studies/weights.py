@@ -16,7 +16,7 @@ from scipy.special import erfcx
 from lampest.cost.cost import Cost
 from lampest.cost.problem import Data
 from lampest.cost.terms import Term
-from lampest.estimate.deciding import deciding_frame, frames_beside, resting_readings
+from lampest.estimate.deciding import baseline_readings, deciding_frame, frames_beside
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.methods import named_method
 from lampest.estimate.sequence import deciding_data
@@ -71,7 +71,7 @@ class WeightSubject:
     def of(cls, case: Case, recording: Recording) -> "WeightSubject | None":
         """Return the deciding frame of a recording, with the baseline if terms need it; None without usable frames."""
         readings, scene = recording.readings(), recording.scene
-        resting = resting_readings(recording, readings)
+        resting = baseline_readings(recording, readings)
         frame = deciding_frame(recording, readings, resting)
         if frame is None:
             return None

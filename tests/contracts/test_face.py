@@ -272,7 +272,7 @@ def test_a_reconstruction_in_one_line(found: Reconstruction) -> None:
 
 def test_a_result_says_what_was_chosen_and_what_speaks_against_it(found: Reconstruction) -> None:
     assert found.weights.keys() == {"gradient"} and np.all(found.weights["gradient"] == 1e-3)
-    assert found.noise.learned and isinstance(found.checks, tuple)
+    assert found.noise.summary and isinstance(found.checks, tuple)
     shown = found._repr_html_()
     assert "gradient: 0.001" in shown and "[[Cells in frame 6 at 6 s]]" in shown and 'src="data:image/' in shown
 

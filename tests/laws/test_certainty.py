@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.testing import assert_allclose
 
-from lampest.posterior.certainty import Certainty, alike
+from lampest.posterior.certainty import Certainty, common_variance
 
 
 def test_an_interval_ends_at_the_bounds_but_for_the_noise_of_the_reading() -> None:
@@ -53,4 +53,4 @@ def test_intervals_by_conductance_end_where_the_conductance_may_fall_to() -> Non
 def test_errors_move_cells_alike_by_their_median_and_never_by_less_than_nothing() -> None:
     """Two errors on three cells: a² − (a − ā)², ā the median, where positive; their sum."""
     answer = np.array([[1.0, 1.0], [1.0, -1.0], [3.0, 1.0]])
-    assert_allclose(alike(answer), [1 + 1, 1 + 0, 5 + 1])
+    assert_allclose(common_variance(answer), [1 + 1, 1 + 0, 5 + 1])

@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 import lampest
-from lampest.panel.effects import EFFECTS, Effect, disturbance
+from lampest.panel.effects import EFFECTS, Effect, effect_on_readings
 
 SCENE = lampest.Scene(lampest.Panel(3, 4), lampest.TwoPointReadout(), series_resistance_ohm=140.0)
 CELLS = np.random.default_rng(1).uniform(500.0, 5000.0, (3, 4))
@@ -21,8 +21,10 @@ def test_an_effect_is_smooth_in_its_size_and_nothing_at_zero(kind: type[Effect])
     for lines in places:
         assert all(0 <= line < 7 for line in lines)
         effect = kind(lines)
-        once, twice = (disturbance([replace(effect, size=n * 1e-3 * kind.prior)], SCENE, network) for n in (1, 2))
-        assert_allclose(disturbance([effect], SCENE, network), 0.0, atol=1e-9 * CELLS.max())
+        once, twice = (
+            effect_on_readings([replace(effect, size=n * 1e-3 * kind.prior)], SCENE, network) for n in (1, 2)
+        )
+        assert_allclose(effect_on_readings([effect], SCENE, network), 0.0, atol=1e-9 * CELLS.max())
         assert np.abs(once).max() > 0
         assert_allclose(twice, 2 * once, rtol=1e-2, atol=1e-2 * np.abs(once).max())
 

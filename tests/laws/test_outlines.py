@@ -8,7 +8,7 @@ import pytest
 
 import lampest
 from lampest.cost.given import Background
-from lampest.estimate.outliers import lawless
+from lampest.estimate.outliers import impossible_readings
 from lampest.estimate.prepared import Prepared
 from lampest.estimate.sequence import first_stream
 from lampest.panel.panel import Panel
@@ -231,7 +231,7 @@ def test_a_reading_that_no_cells_allow_is_left_out() -> None:
     assert Prepared(recording).check.mark == "yes"
     wrong = exact.copy()
     wrong[:, 2:4, 1:5] *= 4
-    assert not lawless(scene.circuit, lampest.Readings.of(scene, wrong)).any()
+    assert not impossible_readings(scene.circuit, lampest.Readings.of(scene, wrong)).any()
     assert Prepared(lampest.Recording(scene, wrong, np.arange(4.0), role)).check.mark == "no"
 
 

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 import lampest
 from docs.studies.audit import AuditFile, AuditTask
 from lampest import Estimator, Gradient, Misfit, Panel, Scene, two_point_resistance
-from lampest.estimate.noise import passing, swept
-from lampest.estimate.outliers import outliers_in_time, without_outliers
+from lampest.estimate.noise import change_within_scan, largest_change_within_scan
+from lampest.estimate.outliers import detect_outliers, without_outliers
 from lampest.estimate.prepared import Prepared
 from lampest.estimate.scatter import scatter
 from lampest.estimate.sequence import reconstruct
@@ -72,7 +72,7 @@ def test_what_few_frames_share_has_no_quiet_directions() -> None:
     for _ in range(20):
         columns = 3.0 * rng.standard_normal((5, 1, CHANNELS))
         deviation = rng.standard_normal((5, LINES, CHANNELS)) + columns
-        found = scatter(deviation - deviation.mean(axis=0), np.full((LINES, CHANNELS), 3000.0), 4).together
+        found = scatter(deviation - deviation.mean(axis=0), np.full((LINES, CHANNELS), 3000.0), 4).common_ripple
         loudness = np.linalg.eigvalsh(found @ found.T)
         assert loudness[0] > 1 and 4 < loudness.mean() < 25
 
@@ -88,10 +88,10 @@ def test_a_lone_leap_is_one_and_a_touch_of_one_frame_is_none() -> None:
     cells = np.full((7, 8, 8), 2000.0)
     cells[3, 4, 4] = 500.0
     touched = two_point_resistance(cells)
-    assert not outliers_in_time(touched, 1e-3 * touched)[0].any()
+    assert not detect_outliers(touched, 1e-3 * touched)[0].any()
     hit = two_point_resistance(np.full((7, 8, 8), 2000.0))
     hit[3, 2, 6] *= 1.05
-    outlying, instead, _ = outliers_in_time(hit, 1e-3 * hit)
+    outlying, instead, _ = detect_outliers(hit, 1e-3 * hit)
     assert np.argwhere(outlying).tolist() == [[3, 2, 6]]
     assert instead[3, 2, 6] == pytest.approx(hit[2, 2, 6])
 
@@ -114,7 +114,7 @@ def test_leaps_are_seen_while_a_load_breathes() -> None:
         sigma = 5e-4 * exact
         hit = rng.random(exact.shape) < 5e-3
         noisy = exact + sigma * rng.standard_normal(exact.shape) + hit * 0.15 * exact
-        outlying, instead, spread = outliers_in_time(noisy, sigma)
+        outlying, instead, spread = detect_outliers(noisy, sigma)
         found, missed = found + np.sum(outlying & hit), missed + np.sum(hit & ~outlying)
         false += np.sum(outlying & ~hit)
         off += list((np.abs(instead - exact) / np.hypot(sigma, spread))[outlying & hit])
@@ -182,7 +182,7 @@ def test_noise_left_open_is_that_of_the_frames(told: str | None) -> None:
 
 def test_few_frames_leave_the_usual_noise() -> None:
     own, _ = recorded(1, scene_of(None), lambda exact, rng: converted(exact, rng, 0.7), frames=6, unloaded=3)
-    assert Prepared(own).noise.used == 1
+    assert Prepared(own).noise.sigma_factor == 1
 
 
 def test_told_noise_that_frames_contradict_is_widened_and_said() -> None:
@@ -317,14 +317,14 @@ def test_the_size_of_static_errors_is_learned_from_cells_that_stand_still() -> N
     sizes, shares = [], []
     for seed in range(4):
         recording, cells = recorded(seed, scene_of(0.7, None), static)
-        hidden = Prepared(recording).noise.hidden
+        hidden = Prepared(recording).noise.possible_errors
         assert hidden is not None
         sizes.append(hidden.sizes.reading_error or 0.0)
         shares.append(held(reconstruct(recording, LSM), cells))
     assert np.median(sizes) == pytest.approx(0.01, rel=0.4)
     assert np.mean(shares, axis=0).min() > 0.85
     clean, _ = recorded(9, scene_of(0.7, None), lambda exact, rng: converted(exact, rng, 0.7))
-    hidden = Prepared(clean).noise.hidden
+    hidden = Prepared(clean).noise.possible_errors
     assert hidden is not None and not hidden.sizes.reading_error
 
 
@@ -352,7 +352,7 @@ def test_static_errors_that_bend_the_answer_have_their_size_from_unloaded_cells_
     sizes, shares = [], []
     for seed in range(20, 23):
         recording, cells = recorded(seed, scene_of(0.7, None), static)
-        hidden = Prepared(recording).noise.hidden
+        hidden = Prepared(recording).noise.possible_errors
         assert hidden is not None
         sizes.append(hidden.sizes.reading_error or 0.0)
         shares.append(held(reconstruct(recording, LSM), cells))
@@ -365,7 +365,7 @@ def test_a_told_static_error_is_not_added_to_itself() -> None:
         return converted(exact * np.exp(0.005 * rng.standard_normal(exact.shape[1:])), rng, 0.7)
 
     recording, _ = recorded(0, scene_of(0.7, Systematic(reading_error=0.02)), static)
-    hidden = Prepared(recording).noise.hidden
+    hidden = Prepared(recording).noise.possible_errors
     assert hidden is not None and hidden.sizes.reading_error == 0.02
 
 
@@ -416,7 +416,7 @@ def test_a_gentle_load_is_no_resistance_in_series() -> None:
     """A body that changes few cells, smoothly and by 14 %: 15 standard deviations of it were left possible."""
     down, across = np.indices((10, 10)) - 4.5
     body = np.maximum(1 - (down / 5) ** 2 - ((across - 1) / 2) ** 2, 0)
-    hidden = Prepared(breathing(0, body, 0.75)).noise.hidden
+    hidden = Prepared(breathing(0, body, 0.75)).noise.possible_errors
     assert hidden is not None and hidden.root is not None
     assert np.linalg.norm(hidden.root[0]) < 1.5
 
@@ -427,8 +427,8 @@ def test_a_reading_that_comes_and_goes_is_swept_by_its_steps() -> None:
     value[1] = 400.0
     readings = Readings.of(scene, value)
     late = np.array([[0.375, 0.125], [0.125, 0.375]])  # of a period, from the middle of the scan
-    assert_allclose(swept(scene, readings, np.arange(3)), 400 * late * np.ones((3, 1, 1)))
-    assert not passing(scene, readings, np.arange(3))[1].any()
+    assert_allclose(largest_change_within_scan(scene, readings, np.arange(3)), 400 * late * np.ones((3, 1, 1)))
+    assert not change_within_scan(scene, readings, np.arange(3))[1].any()
 
 
 @pytest.mark.slow
@@ -451,14 +451,16 @@ def test_noisy_cells_are_not_taken_for_a_static_error(seed: int) -> None:
     """So noisy that a large error of each reading would explain the cells that moved, too."""
     rod = lampest.Rod(centre_mm=(35.0, 35.0), diameter_mm=40.0, mass_g=400.0)
     scene = Scene(Panel(8, 8), TwoPointReadout(readings=1, noise_lsb=2), 140.0)
-    hidden = Prepared(lampest.simulate(lampest.Simulation(1, seed, scene, frames=3, loads=(rod,)))).noise.hidden
+    hidden = Prepared(
+        lampest.simulate(lampest.Simulation(1, seed, scene, frames=3, loads=(rod,)))
+    ).noise.possible_errors
     assert hidden is not None and not hidden.sizes.reading_error
 
 
 def test_still_cells_show_a_series_resistance_beyond_the_usual() -> None:
     """40 ohm where 35 are usual: the rms of what is left possible is near the actual error."""
     wrong, cells = recorded(11, scene_of(0.7, None), lambda exact, rng: converted(exact + 40, rng, 0.7))
-    hidden = Prepared(wrong).noise.hidden
+    hidden = Prepared(wrong).noise.possible_errors
     assert hidden is not None and hidden.root is not None
     assert np.sqrt((hidden.root[0] ** 2).sum()) == pytest.approx(40 / 35, rel=0.3)
     assert min(held(reconstruct(wrong, LSM), cells)) > 0.85

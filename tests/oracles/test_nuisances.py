@@ -102,7 +102,7 @@ def test_an_outlier_while_a_load_comes_is_no_contact(seed: int) -> None:
     recorded = recording.recorded[: UNLOADED + 1].copy()
     recorded[-1, 0, 9] = 0.7 * recorded[:-1, 0, 9].mean() + 0.3 * recording.recorded[-1, 0, 9] + 25
     alone = {"time": recording.time[: len(recorded)], "role": recording.role[: len(recorded)]}
-    assert Prepared(replace(recording, recorded=recorded, **alone)).effects.better.name == ""
+    assert Prepared(replace(recording, recorded=recorded, **alone)).effects.best.name == ""
 
 
 @pytest.mark.parametrize(
@@ -118,12 +118,12 @@ def test_what_a_leak_and_a_contact_do_is_taken_off_the_frames_that_have_it(effec
     """The same noise is in both recordings; what the sizes leave open is a fraction of it."""
     dirty, clean = Prepared(panel(1, **effect)).noise, panel(1).readings()
     assert clean.sigma is not None and dirty.readings.sigma is not None and dirty.frame is not None
-    assert dirty.frame.left is not None and 0 < np.abs(dirty.frame.left[1]).max() < 0.01
-    open_ohm = np.hypot(dirty.readings.sigma, np.linalg.norm(dirty.frame.left[1], axis=0) * clean.value)
+    assert dirty.frame.effect_errors is not None and 0 < np.abs(dirty.frame.effect_errors[1]).max() < 0.01
+    open_ohm = np.hypot(dirty.readings.sigma, np.linalg.norm(dirty.frame.effect_errors[1], axis=0) * clean.value)
     off = np.abs((dirty.readings.value - clean.value) / open_ohm)
     assert np.quantile(off, 0.95, axis=(1, 2)).max() < 4  # of the sizes in 22 frames the largest
     assert np.abs((panel(1, **effect).readings().value - clean.value) / open_ohm)[-1].max() > 10
-    assert bool(np.any(dirty.frame.left[0])) == ("leak_from" not in effect and "contact" not in effect)
+    assert bool(np.any(dirty.frame.effect_errors[0])) == ("leak_from" not in effect and "contact" not in effect)
 
 
 def test_detect_looks_at_frames_without_the_leak() -> None:
@@ -144,13 +144,13 @@ def test_noise_grows_by_what_a_leak_takes_of_the_signal() -> None:
 def test_a_contact_that_another_one_explains_as_well_is_named_but_not_taken_off() -> None:
     recording = panel(8, contact=(3, 200.0, 0))
     found = Prepared(recording).effects
-    assert found.better.name and found.pair is None and Prepared(recording).noise.besides is None
+    assert found.best.name and found.pair is None and Prepared(recording).noise.corrected_effects is None
 
 
 @pytest.mark.parametrize("seed", range(4))
 def test_nothing_is_taken_off_where_nothing_is(seed: int) -> None:
     recording = panel(seed)
-    assert Prepared(recording).noise.besides is None
+    assert Prepared(recording).noise.corrected_effects is None
     assert np.array_equal(Prepared(recording).noise.readings.value, recording.readings().value)
 
 
@@ -184,7 +184,7 @@ def test_the_size_of_a_leak_is_found() -> None:
 
 def test_the_curve_of_a_converter_is_no_leak() -> None:
     audit = read_settings(AuditFile)(Path(__file__).parents[2] / "configs" / "audit.yaml")
-    assert Prepared(AuditTask(audit, "INL 2 LSB", 403).recording()).effects.better.name == ""
+    assert Prepared(AuditTask(audit, "INL 2 LSB", 403).recording()).effects.best.name == ""
 
 
 def test_the_edge_of_a_load_on_half_the_panel_is_no_contact() -> None:
@@ -194,7 +194,7 @@ def test_the_edge_of_a_load_on_half_the_panel_is_no_contact() -> None:
     scene = Scene(lampest.Panel(9, 7), TwoPointReadout(readings=20, noise_lsb=0.7), 140.0)
     cells = Cells(spread=0.085013)
     found = simulate(Simulation(1, 9125, scene, cells, frames=18, frame_period_s=0.1, loads=(block,), course=course))
-    assert Prepared(found).effects.better.name == ""
+    assert Prepared(found).effects.best.name == ""
 
 
 @pytest.mark.parametrize("mouth", ["lamprey_25mm", "lamprey_35mm"])

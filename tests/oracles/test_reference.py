@@ -15,7 +15,7 @@ from lampest.cost.losses import Absolute, Huber, Loss, Squared, Student
 from lampest.cost.problem import Data
 from lampest.cost.terms import CellResistance
 from lampest.estimate.estimates import Estimates
-from lampest.estimate.outliers import lawless
+from lampest.estimate.outliers import impossible_readings
 from lampest.panel.panel import Array
 from lampest.posterior import reference
 from lampest.posterior.reference import references
@@ -137,7 +137,7 @@ def without_a_tenth(path: Path) -> tuple[Recording, Recording, Array]:
     """A recording, the same without a tenth of its readings, and which these are."""
     whole = Recording.load(path)
     readings, rng = whole.readings(), np.random.default_rng(3)
-    usable = readings.plain & whole.scene.panel.present & ~lawless(whole.scene.circuit, readings)
+    usable = readings.plain & whole.scene.panel.present & ~impossible_readings(whole.scene.circuit, readings)
     withheld = usable & (rng.random(usable.shape) < 0.1)
     return whole, replace(whole, recorded=np.where(withheld, np.nan, whole.recorded)), withheld
 

@@ -6,9 +6,9 @@ import pytest
 from lampest import Estimator, Misfit, Panel, Readings, Scene, TotalVariation, TwoPointReadout, two_point_resistance
 from lampest.cost.given import Background
 from lampest.cost.problem import Evaluation
-from lampest.estimate.changed_cells import MOVED_COST, PARAMETER_COST, scores_beside, selected, still_cells
+from lampest.estimate.changed_cells import MOVED_COST, PARAMETER_COST, scores_with_errors, select_changed, still_cells
 from lampest.estimate.model_check import most_in_series
-from lampest.estimate.noise import NoiseSeen, swept
+from lampest.estimate.noise import NoiseEstimate, largest_change_within_scan
 from lampest.estimate.rivals import Question, Rival
 from lampest.panel.panel import Array
 from lampest.solvers.smoothing import Smoothing
@@ -25,7 +25,7 @@ def drawn(cells: int, seed: int) -> tuple[Array, Array]:
 def test_an_error_more_is_scored_by_the_density_of_the_change_with_it(seed: int) -> None:
     change, covariance = drawn(9, seed)
     columns = 0.05 * np.random.default_rng(seed + 10).standard_normal((9, 4))
-    scores = scores_beside(change, np.linalg.inv(covariance), columns)
+    scores = scores_with_errors(change, np.linalg.inv(covariance), columns)
     for score, column in zip(scores, columns.T, strict=True):
         with_it = covariance + np.outer(column, column)
         volume = np.linalg.slogdet(with_it)[1] - np.linalg.slogdet(covariance)[1]
@@ -36,11 +36,11 @@ def test_a_cell_that_moved_costs_its_price_and_nothing_else() -> None:
     change, covariance = drawn(9, 1)
     change[4] += 1.0
     precision, others = np.linalg.inv(covariance), np.arange(9) != 4
-    lost, moved = selected(precision @ change, precision)
+    lost, moved = select_changed(precision @ change, precision)
     np.testing.assert_array_equal(moved, ~others)
     left = change[others] @ np.linalg.solve(covariance[np.ix_(others, others)], change[others])
     assert change @ precision @ change + lost == pytest.approx(PARAMETER_COST + left, rel=1e-9)
-    score = scores_beside(change, precision, np.zeros((9, 1)))
+    score = scores_with_errors(change, precision, np.zeros((9, 1)))
     assert score == pytest.approx([PARAMETER_COST + left], rel=1e-9)
 
 
@@ -61,9 +61,9 @@ def test_motion_widens_the_noise_of_swept_readings_and_counts_frames_that_it_exc
     value[3] += 44.0
     nothing = np.zeros(value.shape)
     readings = Readings(value, nothing + 4.0, nothing, nothing + 1)
-    seen = NoiseSeen(nothing.astype(bool), 0.0, (), readings)
+    seen = NoiseEstimate(nothing.astype(bool), 0.0, (), readings)
     measured = np.arange(1, 4)
-    moved = 0.5 * swept(scene, readings, measured)
+    moved = 0.5 * largest_change_within_scan(scene, readings, measured)
     widened = seen.with_motion(scene, 0.5, measured)
     np.testing.assert_allclose(widened.readings.sigma, np.hypot(4.0, moved))
     exceeded = int(np.sum(np.sqrt(np.mean(moved**2, axis=(1, 2))) > 4.0))

@@ -161,7 +161,7 @@ def test_coupled_modules_leave_weights_to_second_looks_and_modules_by_themselves
     for coupled in (True, False):
         scene = Scene(Panel(modules=Modules(1, 2, EachModule(4, 4), coupled=coupled)))
         resting = Readings.of(scene, np.full((4, 8), 1000.0))
-        assert PanelState.begin(METHODS["smooth"], scene, 0.25, resting, hasty=True).stream.hasty == coupled
+        assert PanelState.begin(METHODS["smooth"], scene, 0.25, resting, hasty=True).stream.keeps_weights == coupled
 
 
 def test_a_reading_that_leaps_alone_stands_as_before_and_a_touch_does_not(lamprey: Recording) -> None:

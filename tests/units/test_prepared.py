@@ -16,7 +16,7 @@ from lampest.estimate.sequence import reconstruct
 from lampest.files.errors import InputError
 from lampest.report.detect.detection import known_of
 
-STEPS = ("cleaned_together", "scatter_seen", "with_still_cells", "warnings_of")
+STEPS = ("cleaned_together", "estimate_noise", "with_still_cells", "warnings_of")
 
 
 @pytest.fixture

@@ -24,7 +24,7 @@ from lampest.files.errors import InputError
 from lampest.panel.panel import Array
 from lampest.panel.readouts.driven import DrivenReadout
 from lampest.panel.scene import Scene, SeriesPerLine, Systematic
-from lampest.panel.systematic import USUAL, usual
+from lampest.panel.systematic import USUAL, systematic_of
 from lampest.posterior.dense import positive_inverse
 from lampest.recording.recording import Recording
 from lampest.solvers.multistart import BROKEN
@@ -142,7 +142,7 @@ def _circuit(scene: Scene) -> Scene:
 
 def _with_all_errors(scene: Scene) -> Scene:
     """Return the scene with the sizes of all errors, those of channels included."""
-    sizes = usual(scene) or replace(USUAL, series_ohm=None, inl_lsb=None, wire_ohm_per_cell=None)
+    sizes = systematic_of(scene) or replace(USUAL, series_ohm=None, inl_lsb=None, wire_ohm_per_cell=None)
     spread = sizes.channel_spread_ohm or CHANNEL_OHM
     return replace(scene, systematic=replace(sizes, channel_spread_ohm=spread, reading_error=None))
 

@@ -42,7 +42,7 @@ class Method(Validated):
 
     optimum : whether it ends at a verified optimum over the cells, which error bars are for. joint : whether a method
     that compares frames solves its baseline together with the first frame. delays : whether it keeps Ctrl-C itself.
-    together : whether it needs all frames of a recording at once.
+    needs_all_frames : whether it needs all frames of a recording at once.
 
     >>> issubclass(lampest.TruncatedMethod, lampest.Method)
     True
@@ -51,7 +51,7 @@ class Method(Validated):
     __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
     optimum: ClassVar[bool] = False
     delays: ClassVar[bool] = False
-    together: ClassVar[bool] = False
+    needs_all_frames: ClassVar[bool] = False
 
     @property
     def joint(self) -> bool:
@@ -166,7 +166,7 @@ class Method(Validated):
         step, pair = self.solve(state, data, start), len(data.measured) == 2
         if pair:
             state, step = with_contacts(state, readings, step, self._elsewhere)
-        track, step = self._barred(state, step, readings)
+        track, step = self._with_error_bars(state, step, readings)
         prepared, step, estimate = self.prepared_by(step.solution, state.prepared), step.bare(), step.estimate(-1)
         state = replace(state, baseline=step if pair else state.baseline, prepared=prepared, track=track)
         if estimate is not None:
@@ -188,7 +188,7 @@ class Method(Validated):
         """Return a frame solved with another state, begun at cells that are known."""
         return self.solve(state, self.given(state, readings)[0], near)
 
-    def _barred(self, state: SequenceState, step: Step, readings: Readings) -> tuple[Track | None, Step]:
+    def _with_error_bars(self, state: SequenceState, step: Step, readings: Readings) -> tuple[Track | None, Step]:
         """Return the step that was solved from readings with error bars, where they are wanted and can be had."""
         if state.track is None or (model := step.surroundings()) is None:
             return state.track, step

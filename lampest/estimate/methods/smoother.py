@@ -71,7 +71,7 @@ class SmootherMethod(Method):
     """
 
     optimum: ClassVar[bool] = True
-    together: ClassVar[bool] = True
+    needs_all_frames: ClassVar[bool] = True
     kind: Literal["smoother"] = "smoother"
     walk: float = 0.1
     jump: float = 3.0

@@ -66,7 +66,7 @@ class Breathing:
 
     Attributes
     ----------
-    odds, before : float
+    odds, previous_odds : float
         ln of the odds that it oscillates as breathing does, and those without the last window.
     suction, last : float
         Probability that this is its suction, and that by the last window alone.
@@ -77,7 +77,7 @@ class Breathing:
     """
 
     odds: float = 0.0
-    before: float = 0.0
+    previous_odds: float = 0.0
     suction: float = 1.0
     last: float = 0.5
     causes: float = 0.0
@@ -98,13 +98,13 @@ class Breathing:
         """
         odds = float(
             np.clip(
-                self.before + np.logaddexp(np.log(1 - BREATHING_SHARE), np.log(BREATHING_SHARE) + seen.odds),
+                self.previous_odds + np.logaddexp(np.log(1 - BREATHING_SHARE), np.log(BREATHING_SHARE) + seen.odds),
                 PAUSE_LOG_ODDS,
                 MAX_LOG_ODDS,
             )
         )
-        breathing = replace(self, odds=odds, before=odds if full else self.before)
-        if self.hertz is not None and (seen.odds <= 0 or (self.before != 0 and not full)):
+        breathing = replace(self, odds=odds, previous_odds=odds if full else self.previous_odds)
+        if self.hertz is not None and (seen.odds <= 0 or (self.previous_odds != 0 and not full)):
             return breathing
         described = replace(breathing, hertz=seen.hertz, depth=seen.depth, last=seen.suction)
         if not full:

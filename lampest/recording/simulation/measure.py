@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.files.typed import Configuration, check_not_negative, check_positive_fields, check_ranges
-from lampest.panel.effects import LineLeak, disturbance, neighbours
+from lampest.panel.effects import LineLeak, effect_on_readings, neighbours
 from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout
 from lampest.panel.readouts.lines import of_side
@@ -175,7 +175,7 @@ def _read(actual: Readout, scene: Scene, cells: Array, unmodelled: Unmodelled, s
     leak = LineLeak(neighbours(*scene.panel.shape), size=1 / unmodelled.leak_ohm)
     for frame in range(begin, len(cells)):
         network = actual.network(cells[frame], actual.ties(reading[frame]), scene.wiring)
-        reading[frame] += disturbance((leak,), scene, network)
+        reading[frame] += effect_on_readings((leak,), scene, network)
     return actual.to_recorded(reading, scene)
 
 

@@ -191,7 +191,9 @@ def answer_of(load: Attachment, rate: float) -> tuple[str, float, str]:
         why = "it moves at a breathing rate, but probably not by its suction: it may be shaken"
     elif load.breathing_hz is None:
         why = f"breathing shows after {MIN_WINDOW_S:g} s at the earliest"
-    elif load.breath.before < 0 and load.sucks * (1 - load.lives) >= MIN_PROBABILITY:  # a full window without breath
+    elif (
+        load.breath.previous_odds < 0 and load.sucks * (1 - load.lives) >= MIN_PROBABILITY
+    ):  # no breath in a full window
         return CUP, load.sucks * (1 - load.lives), ""
     else:
         why = f"whether it breathes is not clear (P = {load.breathes:.2f})"

@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.estimate.deciding import resting_readings
-from lampest.estimate.noise import NoiseSeen
-from lampest.estimate.nuisances import Besides, taken_off
+from lampest.estimate.deciding import baseline_readings
+from lampest.estimate.noise import NoiseEstimate
+from lampest.estimate.nuisances import CircuitEffects, without_effects_of
 from lampest.estimate.prepared import Prepared
-from lampest.estimate.saturation import as_passed
+from lampest.estimate.saturation import with_saturated_stage
 from lampest.estimate.warnings import warnings_of
 from lampest.files import hdf5
 from lampest.files.errors import InputError
@@ -48,9 +48,9 @@ class Known:
 
     resting, sigma : (rows, columns) the unloaded readings, and the noise of one frame. unloaded : (frames, rows,
     columns) those that they are the mean of, NaN where one is no value. begin : s, of the last one. reading_error : as
-    `NoiseSeen` has it. noise : what readings of a frame share, or None. notes : what was assumed. patch_mm : edge of a
-    cell's film, None: not said. specified : σ before frames have shown their noise; None: the same. besides : what is
-    taken off the readings, or None.
+    `NoiseEstimate` has it. noise : what readings of a frame share, or None. notes : what was assumed. patch_mm : edge
+    of a cell's film, None: not said. specified : σ before frames have shown their noise; None: the same. effects : what
+    is taken off the readings, or None.
     """
 
     name: str
@@ -64,7 +64,7 @@ class Known:
     notes: tuple[str, ...]
     patch_mm: float | None = None
     specified: Array | None = None
-    besides: Besides | None = None
+    effects: CircuitEffects | None = None
 
     @ONE_BLAS_THREAD
     def watch(self) -> Watch | ImageWatch:
@@ -193,7 +193,7 @@ def known_of(prepared: Prepared, patch_mm: float | None = None) -> "Known | Dete
     readings, notes = head.readings(), tuple[str, ...]()
     unloaded = np.flatnonzero(head.role == UNLOADED)
     seen = None if readings.sigma is None else recognition_noise(prepared)
-    resting = resting_readings(head, readings if seen is None else seen.readings)
+    resting = baseline_readings(head, readings if seen is None else seen.readings)
     if not resting.enough(head.scene):
         return Detected.unknown(head.name, "no frame has enough readings for a comparison")
     noise, error, specified, scene, besides = None, 0.0, None, head.scene, None
@@ -202,24 +202,29 @@ def known_of(prepared: Prepared, patch_mm: float | None = None) -> "Known | Dete
             return Detected.unknown(head.name, "the noise is unknown, and too few frames show it")
         sigma, notes = _scattered(readings.plain_values)
     else:
-        noise, error, besides, scene = seen.frame, seen.reading_error, seen.besides, as_passed(head).scene
+        noise, error, besides, scene = (
+            seen.frame,
+            seen.reading_error,
+            seen.corrected_effects,
+            with_saturated_stage(head).scene,
+        )
         specified = np.min(np.where(readings.plain, readings.sigma, np.inf), axis=0)
-        sigma, readings = seen.used / seen.model_factor * specified, seen.readings
+        sigma, readings = seen.sigma_factor / seen.model_factor * specified, seen.readings
     begin = float(head.time[unloaded[-1] if len(unloaded) else 0])
     before = resting.value, sigma, readings.plain_values[unloaded], begin, error, noise, notes, patch_mm, specified
     return Known(head.name, scene, *before, besides)
 
 
-def recognition_noise(prepared: Prepared) -> NoiseSeen:
+def recognition_noise(prepared: Prepared) -> NoiseEstimate:
     """Return the noise that recognition allows for; of modules that of their frames, which needs no fits."""
     return prepared.noise if prepared.layout is None else prepared.frame_noise
 
 
 def measured_frames(part: Recording, watched: Known, asked: NDArray[np.bool_]) -> Frames:
     """(value, sigma, s) of the measured frames that were asked for."""
-    readings, besides = Readings.of(watched.scene, part.recorded, part.sigma), watched.besides
+    readings, besides = Readings.of(watched.scene, part.recorded, part.sigma), watched.effects
     if besides is not None and besides.pair is not None:
-        readings = taken_off(besides.pair, readings, part.role == UNLOADED)
+        readings = without_effects_of(besides.pair, readings, part.role == UNLOADED)
     for number in np.flatnonzero((part.role == MEASURED) & asked):
         yield *watched.values(readings[number]), float(part.time[number])
 

@@ -169,9 +169,9 @@ class Engine:
             if isinstance(findings, Exception):
                 raise findings
             state = replace(state, stream=findings.into(state.stream))
-        if self._beside is not None and self._beside.gone and state.stream.hasty:
+        if self._beside is not None and self._beside.gone and state.stream.keeps_weights:
             track = state.track or state.stream.track
-            return replace(state, stream=replace(state.stream, hasty=False, track=track), track=None)
+            return replace(state, stream=replace(state.stream, keeps_weights=False, track=track), track=None)
         return state
 
     def _look_again(self, look: SecondLook | None) -> None:

@@ -50,7 +50,7 @@ class Findings:
     lower: Array | None
     force: Force | None
 
-    def into(self, stream: Stream) -> Stream:
+    def apply_to(self, stream: Stream) -> Stream:
         """Return the stream with these findings applied."""
         stream = replace(stream, weights=self.weights, weighed_at=self.weighed_at)
         return stream if self.lower is None else replace(stream, previous=self.lower)
@@ -111,7 +111,7 @@ class PanelState:
         Data for the error bars of second looks, if frames are solved in haste.
     look : SecondLook or None
         Second look that the last frame requires.
-    before : FramesBefore
+    previous : FramesBefore
         Previous frames as they arrived.
     """
 
@@ -122,7 +122,7 @@ class PanelState:
     zeroed: str = ""
     track: Track | None = None
     look: SecondLook | None = None
-    before: FramesBefore = FramesBefore()
+    previous: FramesBefore = FramesBefore()
 
     @classmethod
     def begin(
@@ -146,7 +146,9 @@ class PanelState:
         if stream.weights is None and baseline is not None and len(baseline.weights) == len(stream.estimator.terms):
             stream = replace(stream, weights=baseline.weights if baseline.solution.solved else None)
         track = None if stream.estimator.relative else stream.track
-        return replace(self, stream=replace(stream, hasty=True, track=None if track else stream.track), track=track)
+        return replace(
+            self, stream=replace(stream, keeps_weights=True, track=None if track else stream.track), track=track
+        )
 
     def after(self, readings: Readings, ratio: Array | None, time: float) -> "PanelState":
         """Return the state after a solved frame; a requested zero, or an untouched panel, renews the zero."""
@@ -163,11 +165,11 @@ class PanelState:
 
     def second_look(self, number: int, time: float, readings: Readings, step: Step) -> SecondLook | None:
         """Return the second look at a frame that was solved in haste, or None if nothing is open."""
-        stream, due = self.stream, self.stream.due(readings)
-        if not stream.hasty or not step.solution.solved or not (due or self.track is not None):
+        stream, due = self.stream, self.stream.weights_due(readings)
+        if not stream.keeps_weights or not step.solution.solved or not (due or self.track is not None):
             return None
         baseline = None if stream.baseline is None else stream.baseline.bare()
-        stream = replace(stream, hasty=False, prepared=None, track=self.track, baseline=baseline)
+        stream = replace(stream, keeps_weights=False, prepared=None, track=self.track, baseline=baseline)
         return SecondLook(number, time, stream, self.load, readings, step.solution.objective, due)
 
     def ratio(self, step: Step) -> Array | None:
@@ -186,14 +188,14 @@ class PanelState:
         except InputError:
             return replace(self, missing=None, recent=())
         begun = PanelState(stream, self.load.rebased(time), zeroed=why)
-        return begun.in_haste() if stream.hasty else begun
+        return begun.in_haste() if stream.keeps_weights else begun
 
 
 def solved_picture(state: PanelState, readings: Readings, picture: Picture) -> tuple[PanelState, Picture]:
     """Solve a frame without its outliers; return the next state and the picture, with NaN if the solve failed."""
-    stream, before, outliers = state.stream, state.before, 0
+    stream, before, outliers = state.stream, state.previous, 0
     if not stream.parts:
-        state = replace(state, before=before.after(readings))
+        state = replace(state, previous=before.after(readings))
         known = stream.scene, stream.resting, stream.baseline_resistance
         readings, outliers = before.without_outliers(readings, *known)
     picture = replace(picture, outliers=outliers)
