@@ -151,8 +151,12 @@ class Given:
     def of_frame(self, frame: int, baseline: casadi.SX | None, *, looks_back: bool) -> dict[str, Any]:
         """Return the symbols by name as a term sees them in one frame.
 
-        baseline : cells of a baseline that is solved together with the frame, or None. looks_back : whether earlier
-        frames are given.
+        Parameters
+        ----------
+        baseline : casadi.SX or None
+            Cells of a baseline that is solved together with the frame, or None.
+        looks_back : bool
+            Whether earlier frames are given.
         """
         parts = {}
         for name, source in self.sources().items():

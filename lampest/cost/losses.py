@@ -23,8 +23,13 @@ from lampest.panel.panel import Array
 class Lowered:
     """Minimum of `objective` over p, q ≥ 0 subject to `equation` = 0, which equals weight·loss of residuals x.
 
-    split : p and q, (rows, 1) each, in a unit that makes them of order one, or (). equation : (rows, 1), x in that unit
-    − p + q, with multipliers weight·unit·z, z the duals; None unless the loss enters through duals.
+    Attributes
+    ----------
+    split : tuple of casadi.SX
+        p and q, (rows, 1) each, in a unit that makes them of order one, or ().
+    equation : casadi.SX or None
+        (rows, 1), x in that unit − p + q, with multipliers weight·unit·z, z the duals; None unless the loss enters
+        through duals.
     """
 
     objective: casadi.SX

@@ -55,7 +55,12 @@ def cells_alone() -> Estimator:
 class CellsFit(SumOfSquares):
     """Of one frame over log r; its Jacobian has no columns on panels of more than MAX_CELLS.
 
-    readings : (rows, columns). cells : the same shape, ohm.
+    Attributes
+    ----------
+    readings : Readings
+        (rows, columns).
+    cells : array
+        The same shape, ohm.
     """
 
     readings: Readings
@@ -113,8 +118,14 @@ def fitted(
 ) -> CellsFit | None:
     """argmin Σ ((f(r) − y)/σ)² of one frame over r > 0; None where it is not reached, or arithmetic breaks down.
 
-    near : cells (rows, columns) ohm to begin at; None: the readout's start. patient : every start is tried, else a few
-    iterations must do. effects : of the network beside its circuit; the fit that is reached from `near` is taken then.
+    Parameters
+    ----------
+    near : array or None
+        Cells (rows, columns) ohm to begin at; None: the readout's start.
+    patient : bool
+        Every start is tried, else a few iterations must do.
+    effects : sequence of Effect
+        Of the network beside its circuit; the fit that is reached from `near` is taken then.
     """
     try:
         with np.errstate(all="ignore"):
@@ -170,8 +181,17 @@ class JointFit:
     """argmin χ² of an unloaded panel and a frame while only some cells have moved, beside a factor common to all.
 
     Unknowns are log r of the unloaded cells, that of the factor, the resistance in series in SERIES_UNIT of `most` (the
-    largest one, ohm; 0: as it is), and the changes of moved cells beside the factor. pair : the readings of both
-    frames. position : log r of each (2, cells). moved : (cells). series : d residual/d(the third), where the fit began.
+    largest one, ohm; 0: as it is), and the changes of moved cells beside the factor.
+
+    Attributes
+    ----------
+    pair : tuple of Readings
+        The readings of both frames.
+    position : array
+        log r of each (2, cells).
+    moved : boolean array, shape (cells)
+    series : array
+        d residual/d(the third), where the fit began.
     """
 
     rival: Rival

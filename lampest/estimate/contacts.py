@@ -32,7 +32,12 @@ FIT = LevenbergMarquardt(evaluations=20, settled=1e-6, damping=0.0)
 class SolvedContacts:
     """The cells solved for contacts `ohm`, as a sum of squares over the contacts; all (lines) ohm.
 
-    scale : s². mean, precision : of the prior. Its normal matrix is S/s².
+    Attributes
+    ----------
+    scale : float
+        s².
+    mean, precision : array
+        Of the prior. Its normal matrix is S/s².
     """
 
     step: Step
@@ -87,8 +92,13 @@ def with_contacts(
 ) -> tuple[S, Step]:
     """Return the state that knows its contacts, and the step that was solved for them.
 
-    readings : what `solved` was solved from. solve : the same for another state, begun at cells. As they are where the
-    scene names no contacts, or the estimate gets no error bars, which say how well they are known.
+    Parameters
+    ----------
+    readings : Readings
+        What `solved` was solved from.
+    solve : callable
+        The same for another state, begun at cells. As they are where the scene names no contacts, or the estimate gets
+        no error bars, which say how well they are known.
     """
     prior, shape, model = state.scene.contacts, state.scene.panel.shape, solved.surroundings()
     if prior is None or state.track is None or model is None:

@@ -24,15 +24,22 @@ MAX_ERROR_BAR_CELLS = 600  # on larger panels error bars take longer than the es
 class Estimator(Objective):
     """Terms, the method that minimises them, its settings, and bounds.
 
-    formulation : how the estimate is computed, a word or a method with its options.
-    error_bars : whether estimates get them; 'auto': on panels of up to 600 cells, or where a term needs them. Only
-    verified optima of readings whose noise is known can have them.
-    auto_weight : how weights are chosen that the terms leave open.
-    tare : when the zero of pressures is taken anew, because nothing touches the panel; None: never.
-    weight_sigma : see `Objective`; set where weights are chosen.
+    Raises InputError without a data term, for a formulation that does not exist or does not fit the terms, where a term
+    weighs the previous frame by its error bars and there can be none, or where a part is of another class.
 
-    Raises InputError without a data term, for a formulation that does not exist or does not fit the terms, where a
-    term weighs the previous frame by its error bars and there can be none, or where a part is of another class.
+    Attributes
+    ----------
+    formulation : MethodName or Method
+        How the estimate is computed, a word or a method with its options.
+    error_bars : 'auto' or bool
+        Whether estimates get them; 'auto': on panels of up to 600 cells, or where a term needs them. Only verified
+        optima of readings whose noise is known can have them.
+    auto_weight : AutoWeight
+        How weights are chosen that the terms leave open.
+    tare : Tare or None
+        When the zero of pressures is taken anew, because nothing touches the panel; None: never.
+    weight_sigma : tuple of float
+        See `Objective`; set where weights are chosen.
 
     >>> lampest.Estimator((lampest.Misfit(),), formulation="reduced").relative
     False

@@ -45,11 +45,21 @@ SERIES_POINTS = 5  # resistances in series that are tried; values between are re
 class ModelCheck:
     """Result of the check, for people in `sentence` (ASCII, as results files keep it).
 
-    explains : whether nothing speaks against the specified circuit; None: not checked, because the noise is unknown or
-    no fit was found. better : the circuit that explains the readings better, as a scene would name it; ''.
-    noise : by how much the unloaded frames scatter beyond the specified noise; 1 where not noticeably. together : how
-    all cells changed alike, in words; ''. besides : whether effects beside the circuit explain best. lying :
-    whether a load may lie on the unloaded panel.
+    Attributes
+    ----------
+    explains : bool or None
+        Whether nothing speaks against the specified circuit; None: not checked, because the noise is unknown or no fit
+        was found.
+    better : str
+        The circuit that explains the readings better, as a scene would name it; ''.
+    noise : float
+        By how much the unloaded frames scatter beyond the specified noise; 1 where not noticeably.
+    together : str
+        How all cells changed alike, in words; ''.
+    besides : bool
+        Whether effects beside the circuit explain best.
+    lying : bool
+        Whether a load may lie on the unloaded panel.
 
     >>> lampest.ModelCheck(True, "the circuit explains its readings").mark
     'yes'
@@ -282,7 +292,12 @@ def _below_series(scene: Scene, specified: Rival, readings: Readings, named: NDA
 def broken_law(scene: Scene, readings: Readings, noise: float, named: NDArray[np.intp]) -> str:
     """Return the inequality of the circuit that readings break by more than their noise, in words; '' where none.
 
-    noise : factor on every σ. named : (frames) the numbers by which the words name them.
+    Parameters
+    ----------
+    noise : float
+        Factor on every σ.
+    named : integer array, shape (frames)
+        The numbers by which the words name them.
     """
     sigma = readings.sigma_of_values
     assert sigma is not None
@@ -316,10 +331,15 @@ class Explanation:
     def of(
         cls, rival: Rival, question: Question, near: "Explanation | None" = None, *, patient: bool = False
     ) -> "Explanation | None":
-        """Of a circuit; None where no fit is found. near : of a circuit much like it, or None.
+        """Of a circuit; None where no fit is found.
 
-        patient : the fit is searched for from every start, and taken whatever it leaves; else a circuit is given up as
-        soon as it fails.
+        Parameters
+        ----------
+        near : Explanation or None
+            Of a circuit much like it, or None.
+        patient : bool
+            The fit is searched for from every start, and taken whatever it leaves; else a circuit is given up as soon
+            as it fails.
         """
         fits: list[CellsFit] = []
         try:
@@ -356,8 +376,13 @@ class Explanation:
 def better_rival(rivals: list[Rival], question: Question, specified: Explanation | None) -> BetterExplanation:
     """Return the rival that explains the readings where the scene's circuit does not, or by MIN_EVIDENCE_GAIN better.
 
-    rivals : the scene's circuit first. specified : its explanation; None where it has none. No rival is one under
-    which most cells have moved, for nothing then shows which have not, or as many as under the scene's circuit.
+    Parameters
+    ----------
+    rivals : list of Rival
+        The scene's circuit first.
+    specified : Explanation or None
+        Its explanation; None where it has none. No rival is one under which most cells have moved, for nothing then
+        shows which have not, or as many as under the scene's circuit.
     """
     if specified is None:
         tried = (with_some_in_series(rivals[0], question), *(_explanation(rival, question) for rival in rivals[1:]))

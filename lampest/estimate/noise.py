@@ -35,16 +35,34 @@ MIN_REMAINING = 0.1  # of a reading, however fast it changes
 class NoiseEstimate:
     """Noise that unloaded frames and neighbours in time show.
 
-    outliers : (frames, rows, columns). outlier_rate : share of the unloaded readings that are, or, without enough of
-    them, of all. warnings : contradictions of the scene and pitfalls, a line each. readings : of all frames, which
-    allow for all this. factor, factor_error : of each reading's own noise against the specified one, and its standard
-    deviation; NaN where fewer than two unloaded frames show nothing. sigma_factor : factor of σ, 1 where nothing
-    contradicts the scene. frame : errors that the readings of a frame share, or None. gain : as a fraction;
-    common_ripple_lsb, line_ripple_lsb : rms in LSB, of the part that all scanned lines of a frame share and of that of
-    each line; 0 where not seen. possible_errors : what still cells leave possible of errors that all frames share, or
-    None. scan_share : of its period that a scan seems to take, where loads move within it; else 0. of_modules : the
-    same of each module, None of a dead one; () of a single network. corrected_effects : the effects that are taken off
-    the readings, or None.
+    Attributes
+    ----------
+    outliers : boolean array, shape (frames, rows, columns)
+    outlier_rate : float
+        Share of the unloaded readings that are, or, without enough of them, of all.
+    warnings : tuple of str
+        Contradictions of the scene and pitfalls, a line each.
+    readings : Readings
+        Of all frames, which allow for all this.
+    factor, factor_error : float
+        Of each reading's own noise against the specified one, and its standard deviation; NaN where fewer than two
+        unloaded frames show nothing.
+    sigma_factor : float
+        Factor of σ, 1 where nothing contradicts the scene.
+    frame : FrameNoise or None
+        Errors that the readings of a frame share, or None.
+    gain : float
+        As a fraction.
+    common_ripple_lsb, line_ripple_lsb : float
+        rms in LSB, of the part that all scanned lines of a frame share and of that of each line; 0 where not seen.
+    possible_errors : Possible or None
+        What still cells leave possible of errors that all frames share, or None.
+    scan_share : float
+        Of its period that a scan seems to take, where loads move within it; else 0.
+    of_modules : tuple of NoiseEstimate or None
+        The same of each module, None of a dead one; () of a single network.
+    corrected_effects : CircuitEffects or None
+        The effects that are taken off the readings, or None.
     """
 
     outliers: NDArray[np.bool_]

@@ -50,8 +50,14 @@ MIN_REMAINING = 0.1  # of a reading, whatever is taken off
 class BetterExplanation:
     """A better explanation of the readings than the scene's circuit: another one, or an effect beside it.
 
-    name : '' where nothing does. count, count_as_specified : cells that have moved from the unloaded panel to frames
-    (in words), with it and as specified. fits_noise : whether cells give the readings of both within their noise.
+    Attributes
+    ----------
+    name : str
+        '' where nothing does.
+    count, count_as_specified : int
+        Cells that have moved from the unloaded panel to frames (in words), with it and as specified.
+    fits_noise : bool
+        Whether cells give the readings of both within their noise.
     """
 
     name: str = ""

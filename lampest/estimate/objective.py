@@ -95,9 +95,13 @@ class Bounds(Validated):
 class AutoWeight(Validated):
     """How `weight: auto` is chosen.
 
-    rule : 'risk', the least expected error of log r, judged by a reference estimate; 'evidence', the most probable
-    weight. By default risk; evidence of panels with more than 400 cells.
-    per : 'recording', one weight from its strongest frame; 'frame', one for every frame.
+    Attributes
+    ----------
+    rule : Rule or None
+        'risk', the least expected error of log r, judged by a reference estimate; 'evidence', the most probable weight.
+        By default risk; evidence of panels with more than 400 cells.
+    per : 'recording' or 'frame'
+        'recording', one weight from its strongest frame; 'frame', one for every frame.
 
     >>> lampest.AutoWeight().per
     'recording'
@@ -129,8 +133,14 @@ def checked_terms(terms: Sequence[Term]) -> tuple[Term, ...]:
 class Objective:
     """Terms, bounds and settings of an estimator, whatever its method.
 
-    terms : with weights, numbers or 'auto'. solver, bounds, auto_weight : as `Estimator` has them. weight_sigma : of
-    every term the standard deviation of log λ where the data chose it, else NaN; () before they did.
+    Attributes
+    ----------
+    terms : tuple of Term
+        With weights, numbers or 'auto'.
+    solver, bounds, auto_weight : AutoWeight or Bounds or Settings
+        As `Estimator` has them.
+    weight_sigma : tuple of float
+        Of every term the standard deviation of log λ where the data chose it, else NaN; () before they did.
     """
 
     terms: tuple[Term, ...]
@@ -236,7 +246,11 @@ def with_weights_of_missing(readings: Readings, scene: Scene, stand_ins: NDArray
     than cells, and whatever the others gain by moving it would be taken for its value. A penalty says what is expected
     of it; without one, this does. What the scene's faults make blind keeps no weight.
 
-    readings : (frames, rows, columns). stand_ins : (frames).
+    Parameters
+    ----------
+    readings : Readings
+        (frames, rows, columns).
+    stand_ins : boolean array, shape (frames)
     """
     if not readings.partial:
         return readings

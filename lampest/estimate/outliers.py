@@ -39,9 +39,13 @@ def detect_outliers(
 ) -> tuple[NDArray[np.bool_], Array, Array]:
     """Return outliers, the prediction of neighbouring frames and its σ beside noise, all of the readings' shape.
 
-    value : (frames, …, rows, columns) of panels beside each other, NaN where there is none. scale : their σ. A frame of
-    a panel in which more than most_share would be outliers has none, nor have fewer than MIN_FRAMES frames, nor
-    readings beside σ = 0.
+    Parameters
+    ----------
+    value : array, shape (frames, …, rows, columns)
+        Of panels beside each other, NaN where there is none.
+    scale : array
+        Their σ. A frame of a panel in which more than most_share would be outliers has none, nor have fewer than
+        MIN_FRAMES frames, nor readings beside σ = 0.
     """
     predictors = [_by_median, *([_by_line] if len(value) > WINDOW else [])]
     frames, width = np.arange(len(value)), min(len(value), WINDOW + 1)
@@ -115,9 +119,13 @@ def without_outliers_at(
 ) -> tuple[NDArray[np.bool_], Readings]:
     """(outliers (frames, …, rows, columns), the readings without them): unloaded ones are left out, others replaced.
 
-    impossible : readings that no cells allow; they are left out whenever they were read. unloaded : (frames); these and
-    the measured ones are compared apart, because between them a load comes. Bounds are no outliers. Every panel of
-    those beside each other is judged by itself.
+    Parameters
+    ----------
+    impossible : boolean array
+        Readings that no cells allow; they are left out whenever they were read.
+    unloaded : boolean array, shape (frames)
+        These and the measured ones are compared apart, because between them a load comes. Bounds are no outliers. Every
+        panel of those beside each other is judged by itself.
     """
     if impossible.any():
         readings = replace(readings, seen=np.where(impossible, 0.0, readings.seen))
@@ -221,7 +229,11 @@ def _is_usual(
 ) -> NDArray[np.bool_]:
     """Return whether a reading is as near to its prediction as chance allows, by its errors in other windows.
 
-    value, expected : (frames, …). largest : multiple of σ that chance does not reach.
+    Parameters
+    ----------
+    value, expected : array, shape (frames, …)
+    largest : float
+        Multiple of σ that chance does not reach.
     """
     frames, block = len(value), 2 * WINDOW  # errors are compared with those of a block before and one after
     if frames - WINDOW - 1 < WINDOW:

@@ -40,10 +40,20 @@ MIN_TAIL = 0.01  # tail of χ² of the difference of two frames, above which the
 
 @dataclass(frozen=True, eq=False)
 class Rival:
-    """scene : with the circuit. recorded : its recorded values of the same codes.
+    """A circuit that may have made a recording.
 
-    sigma : of these, where the recording has its own; None: the readout's. kind : in words, '' of the specified one.
-    in_series : the resistance that is tried in series, ohm; None: that of the scene.
+    Attributes
+    ----------
+    scene : Scene
+        With the circuit.
+    recorded : array
+        Its recorded values of the same codes.
+    sigma : array or None
+        Of these, where the recording has its own; None: the readout's.
+    kind : str
+        In words, '' of the specified one.
+    in_series : float or None
+        The resistance that is tried in series, ohm; None: that of the scene.
     """
 
     scene: Scene
@@ -176,8 +186,16 @@ def changes_beyond_noise(scene: Scene, readings: Readings, role: NDArray[np.uint
 class Question:
     """Frames that a circuit has to explain.
 
-    specified : the circuit as the scene has it. resting, standing : the numbers of the unloaded frames, and of measured
-    ones that are alike but for their noise. widening : factor on every σ. named : (frames) their numbers in sentences.
+    Attributes
+    ----------
+    specified : Rival
+        The circuit as the scene has it.
+    resting, standing : integer array
+        The numbers of the unloaded frames, and of measured ones that are alike but for their noise.
+    widening : float
+        Factor on every σ.
+    named : integer array, shape (frames) or None
+        Their numbers in sentences.
     """
 
     specified: Rival
@@ -211,7 +229,14 @@ class Question:
 def standing_frames(readings: Readings, frame: int, others: NDArray[np.intp], noise: float) -> NDArray[np.intp]:
     """Those of the other frames that differ from one frame by no more than their noise; that one among them.
 
-    Their mean says the same with less noise. readings : (frames, rows, columns). noise : factor on every σ.
+    Their mean says the same with less noise.
+
+    Parameters
+    ----------
+    readings : Readings
+        (frames, rows, columns).
+    noise : float
+        Factor on every σ.
     """
     assert readings.sigma is not None
     plain = readings.plain & readings.plain[frame]

@@ -29,9 +29,14 @@ MIN_CHANNELS = 1 + ceil(log(MAX_PROBABILITY) / log(1 / MIN_EXTENT))  # channels:
 class Saturated:
     """Voltage at which channels end.
 
-    volt : of the stage. loaded, unloaded : channels that end there under load, or always.
-
-    highest : whether it is the largest voltage that the stage passes, else the least.
+    Attributes
+    ----------
+    volt : float
+        Of the stage.
+    loaded, unloaded : int
+        Channels that end there under load, or always.
+    highest : bool
+        Whether it is the largest voltage that the stage passes, else the least.
     """
 
     volt: float

@@ -30,9 +30,17 @@ EIGENVALUE_MARGIN = 2.0  # standard deviations by which the mean of the other ei
 class Scatter:
     """In units of the specified σ.
 
-    own : standard deviation of each reading alone; own_freedom : degrees behind it. gain : of the factor of a frame, as
-    a fraction, or 0. common_ripple, line_ripple : (channels of a line, n) roots of the covariances of what all lines of
-    a frame share (a ripple in step with the scan), and of what each line has anew.
+    Attributes
+    ----------
+    own : float
+        Standard deviation of each reading alone.
+    own_freedom : int
+        Degrees behind it.
+    gain : float
+        Of the factor of a frame, as a fraction, or 0.
+    common_ripple, line_ripple : array, shape (channels of a line, n)
+        Roots of the covariances of what all lines of a frame share (a ripple in step with the scan), and of what each
+        line has anew.
     """
 
     own: float
@@ -97,7 +105,12 @@ def repeated_scatter(measured: Readings) -> Scatter | None:
 def scatter(deviation: Array, loudness: Array, repeats: int) -> Scatter:
     """Of deviations (frames, lines, channels) about their mean over frames, NaN where a reading says nothing.
 
-    loudness : (lines, channels) what a gain of 1 would do, in σ. repeats : degrees of freedom of each channel.
+    Parameters
+    ----------
+    loudness : array, shape (lines, channels)
+        What a gain of 1 would do, in σ.
+    repeats : int
+        Degrees of freedom of each channel.
     """
     known = ~np.isnan(deviation)
     lines, channels = deviation.shape[1:]

@@ -150,8 +150,13 @@ def first_stream(
 ) -> Stream:
     """Return the stream before a recording's first measured frame; see `baseline_readings`.
 
-    noise : learned from frames. period : s between frames; None: the recording's. Networks that are alike share the
-    weights that those of them choose that differ most from rest.
+    Parameters
+    ----------
+    noise : NoiseEstimate or None
+        Learned from frames.
+    period : float or None
+        s between frames; None: the recording's. Networks that are alike share the weights that those of them choose
+        that differ most from rest.
     """
     layout, chosen = recording.scene.panel.modules, dict[Hashable, Estimator]()
 

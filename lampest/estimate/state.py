@@ -26,9 +26,16 @@ UNKNOWN_SD = 10.0  # standard deviation of log r0 where nothing is known of it
 class Step:
     """One solve of a sequence: the last of its frames is the frame's estimate, the first of two the baseline's.
 
-    weights : of the terms; weight_sigma : as `Objective` has it. bars : the estimate's error bars, or None; they took
-    `bars_seconds`.
-    sentence : the status of an image of modules; else ''.
+    Attributes
+    ----------
+    weights : tuple of float
+        Of the terms.
+    weight_sigma : tuple of float
+        As `Objective` has it.
+    bars : Bars or None
+        The estimate's error bars, or None; they took `bars_seconds`.
+    sentence : str
+        The status of an image of modules; else ''.
 
     >>> step = found.steps[0]
     >>> step.cell_resistance.shape, step.status
@@ -74,14 +81,33 @@ class Step:
 class SequenceState:
     """Where a sequence of frames stands.
 
-    Parameters ---------- estimator, scene : what is minimised, and what is measured how. period : s between frames.
-    resting : the unloaded readings (rows, columns). baseline : how the baseline was solved; None for a relative method
-    until a frame was. previous : (rows, columns) ohm, the last estimate, or None. previous_deviation : of its
-    logarithm; None where it has no error bars. prepared : what the method keeps between frames, or None. track : what
-    error bars need of earlier frames; None where there are to be none. keeps_weights : whether frames take the weights
-    that there are, though others would be chosen. first : whether no frame but the baseline was solved yet.
-    reading_error : of the logarithm of each reading, the same in all frames. frame_noise : what readings of a frame
-    share by chance, or None.
+    Attributes
+    ----------
+    estimator : Objective
+        Terms, bounds and settings.
+    scene : Scene
+    period : float
+        Time between frames, s.
+    resting : Readings
+        The unloaded readings (rows, columns).
+    baseline : Step or None
+        How the baseline was solved; None for a relative method until a frame was.
+    previous : array, shape (rows, columns), or None
+        Last estimate, ohm.
+    previous_deviation : array or None
+        Of its logarithm; None where it has no error bars.
+    prepared : object
+        What the method keeps between frames, or None.
+    track : Track or None
+        What error bars need of earlier frames; None where there are to be none.
+    keeps_weights : bool
+        Whether frames take the weights that there are, though others would be chosen.
+    first : bool
+        Whether no frame but the baseline was solved yet.
+    reading_error : float
+        Of the logarithm of each reading, the same in all frames.
+    frame_noise : FrameNoise or None
+        What readings of a frame share by chance, or None.
     """
 
     estimator: Objective

@@ -44,13 +44,18 @@ class Stream(SequenceState):
     ...     print(step.status, step.cell_resistance.round()[1])
     optimum verified [1033. 1033.  700. 1033.]
 
-    Beside the fields of `SequenceState`:
-
-    Parameters
+    Attributes
     ----------
-    estimator : the method too.
-    weights, weight_sigma, weighed_at : those that the data chose for the terms, the standard deviations of their
-    logarithms, and how far that frame was from rest; None, (), 0 before.
+    estimator : Estimator
+        Terms, and the method.
+    weights : tuple of float, or None
+        Those that the data chose for the terms; None before they did.
+    weight_sigma : tuple of float
+        Standard deviations of their logarithms.
+    weighed_at : float
+        How far the frame that chose them was from rest.
+
+    All others are those of `SequenceState`.
     """
 
     estimator: Estimator
@@ -168,7 +173,12 @@ class Stream(SequenceState):
     ) -> tuple["Stream", list[Step]]:
         """Return the stream after a whole recording's readings (frames, rows, columns), and how they were solved.
 
-        resting : of the unloaded frames, of which the stream has the mean. on_frame : called after every frame.
+        Parameters
+        ----------
+        resting : Readings
+            Of the unloaded frames, of which the stream has the mean.
+        on_frame : callable
+            Called after every frame.
         """
         if self.estimator.method.needs_all_frames:
             return self.estimator.method.sequence(self, resting, readings, on_frame)

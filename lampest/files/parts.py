@@ -14,9 +14,20 @@ OF_AXES = ("DIMENSION_LIST", "REFERENCE_LIST", "CLASS", "NAME")  # by which HDF5
 
 
 class DatasetPlan(NamedTuple):
-    """A dataset as it is to be; length : of its chunks, packing : of these. scales : the paths of its axes'.
+    """A dataset as it is to be.
 
-    is_scale : whether it is an axis itself. along : whether its first axis is time. owner : the last file that has it.
+    Attributes
+    ----------
+    length : int
+        Of its chunks, packing : of these.
+    scales : tuple of str
+        The paths of its axes'.
+    is_scale : bool
+        Whether it is an axis itself.
+    along : bool
+        Whether its first axis is time.
+    owner : Path
+        The last file that has it.
     """
 
     shape: tuple[int, ...]

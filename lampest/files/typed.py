@@ -203,8 +203,12 @@ def of_kind(kind: str, noun: str, known: Sequence[Kind]) -> Kind:
 class ByKind:
     """Marker of Annotated[A | B, ByKind()]: validation picks the member whose `kind: Literal[...]` the input names.
 
-    group : of entry points by which installed packages add members; '' for none. default : the kind that is meant where
-    the input names none; '' where it must.
+    Attributes
+    ----------
+    group : str
+        Of entry points by which installed packages add members; '' for none.
+    default : str
+        The kind that is meant where the input names none; '' where it must.
     """
 
     group: str = ""

@@ -56,7 +56,17 @@ MAX_ANSWER = 6.0  # of ln r/r0: beyond are open cells
 
 @dataclass(frozen=True, eq=False)
 class Plays:
-    """weight : (1 + plays, ...) of p and of the plays. reach : (plays, ...) b_i. held : (plays, ...) z_i, kPa."""
+    """Hysteresis as a sum of plays.
+
+    Attributes
+    ----------
+    weight : array
+        (1 + plays, ...) of p and of the plays.
+    reach : array
+        (plays, ...) b_i.
+    held : array
+        (plays, ...) z_i, kPa.
+    """
 
     weight: Array
     reach: Array
@@ -103,7 +113,15 @@ class Plays:
 
 @dataclass(frozen=True, eq=False)
 class Creep:
-    """strength : (...) c, a fraction per decade. crept : (decades, ...) s_j."""
+    """Creep of a film.
+
+    Attributes
+    ----------
+    strength : array
+        (...) c, a fraction per decade.
+    crept : array
+        (decades, ...) s_j.
+    """
 
     strength: Array
     crept: Array
@@ -190,8 +208,12 @@ class FilmMemory:
 class FilmKnown:
     """Strengths of a film's memory, and their sources.
 
-    cells : (rows, columns) the creep of each cell and its deviation, estimated from a recording; else None.
-    residue : of the largest ln r/r0 of a cell, the root mean square of the residue after the load that does not fade.
+    Attributes
+    ----------
+    cells : tuple or None
+        (rows, columns) the creep of each cell and its deviation, estimated from a recording; else None.
+    residue : float
+        Of the largest ln r/r0 of a cell, the root mean square of the residue after the load that does not fade.
     """
 
     film: Film
@@ -223,8 +245,14 @@ class FilmKnown:
         Where a load is gone, a cell still shows c Σ s_j and a constant share ρ of its largest answer. P(c, ρ) ∝ P(c)
         P(ρ) beforehand · Π [½ N(u; 0, σ) + ½/LOADED_RANGE] over frames and cells, u the remainder of ln r/r_rest
         without both. Where cells differ, each has its own posterior about that of all. Where the residue is more than
-        any film creeps, there is no creep. change, sd : (frames, rows, columns) ln(r/r_rest), NaN where a frame failed.
-        time : s.
+        any film creeps, there is no creep.
+
+        Parameters
+        ----------
+        change, sd : array, shape (frames, rows, columns)
+            ln(r/r_rest), NaN where a frame failed.
+        time : array
+            s.
         """
         if self.film.creep_per_decade != "auto":
             return self
@@ -251,7 +279,12 @@ class FilmKnown:
     def at_once(self, change: Array, time: Array) -> tuple[Array, Array]:
         """Return ln r/r_rest without creep, and its deviation as creep is known, (frames, rows, columns); NaN stays.
 
-        change : (frames, rows, columns) ln r/r_rest. time : (frames) s.
+        Parameters
+        ----------
+        change : array, shape (frames, rows, columns)
+            ln r/r_rest.
+        time : array, shape (frames)
+            s.
         """
         mean, sd = self.cells or self.creep
         strength = np.stack([np.broadcast_to(size, change.shape[1:]) for size in (mean, mean + sd)])
@@ -286,7 +319,12 @@ def _moments(logarithm: Array) -> tuple[Array, Array]:
 def _likelihood(gain: float, change: Array, sd: Array, time: Array, own: float, residues: Array) -> Array:
     """ln P(frames of a cell | ρ, c) for every c of CREEPS, up to a common term, (residues, strengths, rows, columns).
 
-    own : relative standard deviation of the residue of a load. residues : ρ, (residues).
+    Parameters
+    ----------
+    own : float
+        Relative standard deviation of the residue of a load.
+    residues : array
+        ρ, (residues).
     """
     likelihood = np.zeros((len(residues), len(CREEPS), *change.shape[1:]))
     felt = np.nanmax(-change, axis=0, initial=0.0) > UNLOADED_SD  # of all others each strength explains as much

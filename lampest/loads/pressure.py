@@ -36,8 +36,12 @@ DIFFERENCES_TO_SIGMA = 1.4826 / np.sqrt(2)  # median of |differences of two| →
 class Tare(Validated):
     """Take zero anew where nothing has touched the panel for so many frames in a row.
 
-    frames : how many; from fewer than five, noise cannot be told from a load.
-    drift_per_minute : standard deviation of ln r of a cell at rest for each minute since the last zero.
+    Attributes
+    ----------
+    frames : int
+        How many; from fewer than five, noise cannot be told from a load.
+    drift_per_minute : float
+        Standard deviation of ln r of a cell at rest for each minute since the last zero.
 
     >>> lampest.Tare().frames
     20
@@ -56,8 +60,13 @@ class Tare(Validated):
 class TareWatch:
     """The frames since the last one that was not at rest.
 
-    zeroed : s, of the last zero; None before the first frame. frames : at most as many as `tare` asks for: (rows,
-    columns) ln r/r_zero without the film's memory, (rows, columns) that memory, and s.
+    Attributes
+    ----------
+    zeroed : float or None
+        s, of the last zero; None before the first frame.
+    frames : tuple of tuple
+        At most as many as `tare` asks for: (rows, columns) ln r/r_zero without the film's memory, (rows, columns) that
+        memory, and s.
     """
 
     tare: Tare
@@ -151,16 +160,26 @@ def pressure_of(
 ) -> Pressure:
     """p = f⁻¹(f(p_w)·e^{x/κ}) − p_w with x = ln(r/r_baseline) − α (T − T_b), (frames, rows, columns) kPa.
 
-    The interval's ends are those of x, mapped like x itself: f is monotone. Three errors are added in quadrature:
-    that of the estimate (each side its own), |T − T_b|·σ_α, and the response's, `response_sd`·|x|. Where the scene
-    names a film, its memory of earlier frames is taken off; a possible residue is one more error.
-
-    ratio : (frames, rows, columns) r/r_baseline; NaN where a frame failed. lower, upper : ends of its 95 % interval; 0
-    and infinity where that is open, `ratio` itself at a bound. time : (frames) s; None: a second apart. known : of the
-    film; None: as the scene has it. tare : when zero is taken anew; None: never. own : standard deviation of log ratio
-    that each cell has on its own; None: all of the interval.
+    The interval's ends are those of x, mapped like x itself: f is monotone. Three errors are added in quadrature: that
+    of the estimate (each side its own), |T − T_b|·σ_α, and the response's, `response_sd`·|x|. Where the scene names a
+    film, its memory of earlier frames is taken off; a possible residue is one more error.
 
     Raises ValueError where shapes disagree, a ratio is not positive and finite, or lies outside its interval.
+
+    Parameters
+    ----------
+    ratio : array, shape (frames, rows, columns)
+        r/r_baseline; NaN where a frame failed.
+    lower, upper : array
+        Ends of its 95 % interval; 0 and infinity where that is open, `ratio` itself at a bound.
+    time : array, shape (frames) or None
+        s; None: a second apart.
+    known : FilmKnown or None
+        Of the film; None: as the scene has it.
+    tare : Tare or None
+        When zero is taken anew; None: never.
+    own : array or None
+        Standard deviation of log ratio that each cell has on its own; None: all of the interval.
     """
     if ratio.shape[1:] != scene.panel.shape or not ratio.shape == lower.shape == upper.shape:
         raise ValueError("ratio, lower and upper must all be frames × rows × columns of the scene's panel")
@@ -184,11 +203,20 @@ def pressure_of(
 class PressureTrack:
     """Pressures of frames as they come, and where the film stands after the last one.
 
-    films : the mean film, then one with each of its strengths by a standard deviation more, (films, rows, columns).
-    zeros : (films, rows, columns) ln(r/r_rest) that counts as none beside the memory: a tare. peak : (rows, columns)
-    the largest |ln(r/r_rest)| so far, of which a share `residue` may stay. time, zeroed : s, of the last frame and of
-    the zero, None before them.
-    watch : whether something touches the panel; None where zero stays. tared : why zero was taken anew, or ''.
+    Attributes
+    ----------
+    films : FilmMemory
+        The mean film, then one with each of its strengths by a standard deviation more, (films, rows, columns).
+    zeros : array
+        (films, rows, columns) ln(r/r_rest) that counts as none beside the memory: a tare.
+    peak : array, shape (rows, columns)
+        The largest |ln(r/r_rest)| so far, of which a share `residue` may stay.
+    time, zeroed : float or None
+        s, of the last frame and of the zero, None before them.
+    watch : TareWatch or None
+        Whether something touches the panel; None where zero stays.
+    tared : str
+        Why zero was taken anew, or ''.
     """
 
     scene: Scene

@@ -30,11 +30,17 @@ class Water(Configuration):
 class Temperature(Configuration):
     """r(T) = r(T_b)·exp(α (T − T_b)): how the film's temperature changes every cell between baseline and measurement.
 
-    coefficient_per_kelvin : α. coefficient_sd_per_kelvin : its standard deviation.
-    baseline_celsius, measured_celsius : T_b of the unloaded and T of the measured frames.
-
     1 + α (T − T_b), with which it agrees within (α (T − T_b))²/2, turns negative far from T_b. Raises ValueError where
     a number is out of range.
+
+    Attributes
+    ----------
+    coefficient_per_kelvin : float
+        α.
+    coefficient_sd_per_kelvin : float
+        Its standard deviation.
+    baseline_celsius, measured_celsius : float
+        T_b of the unloaded and T of the measured frames.
 
     >>> lampest.Temperature(-0.003, baseline_celsius=20.0, measured_celsius=12.0).difference_kelvin
     -8.0

@@ -13,11 +13,15 @@ from lampest.panel.panel import MAX_UNCHECKED_LINES, Array, Panel
 def current_balance(conductance: Any, row_potential: Any, column_potential: Any) -> tuple[Any, Any]:
     """Return the net current out of every line: I_j = Σ_k g_jk (u_j − v_k) and I_k = Σ_j g_jk (v_k − u_j).
 
-    conductance : (rows, columns) siemens.
-    row_potential, column_potential : (rows, patterns) and (columns, patterns) volt, one column for each pattern.
+    Returns the two balances in ampere, same shapes as the potentials. numpy arrays and CasADi matrices alike. Source:
+    paper, equation (2).
 
-    Returns the two balances in ampere, same shapes as the potentials. numpy arrays and CasADi matrices alike.
-    Source: paper, equation (2).
+    Parameters
+    ----------
+    conductance : object
+        (rows, columns) siemens.
+    row_potential, column_potential : object
+        (rows, patterns) and (columns, patterns) volt, one column for each pattern.
     """
     rows, columns = conductance.shape
     from_rows = (conductance @ np.ones((columns, 1))) * row_potential - conductance @ column_potential

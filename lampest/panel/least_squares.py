@@ -63,7 +63,16 @@ P = TypeVar("P", bound=Linearised)
 
 @dataclass(frozen=True, eq=False)
 class Minimum(Generic[P]):
-    """position : (unknowns). at : the sum of squares there. evaluations : of the model, the first included."""
+    """Minimum of a sum of squares.
+
+    Attributes
+    ----------
+    position : array, shape (unknowns)
+    at : P
+        The sum of squares there.
+    evaluations : int
+        Of the model, the first included.
+    """
 
     position: Array
     at: P
@@ -107,8 +116,14 @@ class LevenbergMarquardt:
     ) -> Minimum[P]:
         """Return the least sum of squares that is reached from `start` (unknowns).
 
-        model : position → the sum of squares about it; one whose cost is no number is never taken. ended : whether to
-        end at a point after so many evaluations. Raises numpy.linalg.LinAlgError where JᵀJ is singular without damping.
+        Raises numpy.linalg.LinAlgError where JᵀJ is singular without damping.
+
+        Parameters
+        ----------
+        model : callable
+            Position → the sum of squares about it; one whose cost is no number is never taken.
+        ended : callable
+            Whether to end at a point after so many evaluations.
         """
         low, high = (np.broadcast_to(bound, start.shape) for bound in bounds)
         position = np.clip(start, low, high)

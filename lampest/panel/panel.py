@@ -30,8 +30,12 @@ class EachModule(Configuration):
 class Modules(Configuration):
     """rows · columns modules, each as `each` says; module (j, k) has the number j·columns + k.
 
-    seam_mm : additional distance between neighbouring cells of two modules, in millimetre. coupled : whether
-    terms that compare neighbours go over the seams; the image is one problem then.
+    Attributes
+    ----------
+    seam_mm : float
+        Additional distance between neighbouring cells of two modules, in millimetre.
+    coupled : bool
+        Whether terms that compare neighbours go over the seams; the image is one problem then.
     """
 
     rows: int

@@ -53,8 +53,14 @@ class SeriesPerLine(Configuration):
 class OwnOfModule(Configuration):
     """Deviations of one module from the scene; None: as the scene says.
 
-    at : (row, column) of the module. readout : of the scene's kind. faults : by the module's own rows and columns, in
-    addition to the scene's.
+    Attributes
+    ----------
+    at : tuple
+        (row, column) of the module.
+    readout : AnyReadout or None
+        Of the scene's kind.
+    faults : Faults or None
+        By the module's own rows and columns, in addition to the scene's.
     """
 
     at: tuple[int, int]

@@ -120,11 +120,21 @@ def own_errors(measured: Array, scene: Scene, size: float) -> Array:
 
 @dataclass(frozen=True)
 class Shared:
-    """systematic : how large such errors are, or None. scene : what they are errors of.
+    """Errors that all readings have in common.
 
-    contact_root : (lines, n) ohm, a root of the covariance of contacts, or None. hidden_root : (n, n) of what
-    is possible of the hidden errors, in units of their sizes, lower triangular; None: of each on its own as much as its
-    size. in_sigma : whether the readings' σ includes each reading's own error.
+    Attributes
+    ----------
+    systematic : Systematic or None
+        How large such errors are, or None.
+    scene : Scene
+        What they are errors of.
+    contact_root : array, shape (lines, n) or None
+        Ohm, a root of the covariance of contacts, or None.
+    hidden_root : array, shape (n, n) or None
+        Of what is possible of the hidden errors, in units of their sizes, lower triangular; None: of each on its own as
+        much as its size.
+    in_sigma : bool
+        Whether the readings' σ includes each reading's own error.
     """
 
     systematic: Systematic | None

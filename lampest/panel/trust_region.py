@@ -20,9 +20,20 @@ MAX_RELATIVE_CHANGE = 1.0  # relative change of a conductance, to which a direct
 
 @dataclass(frozen=True, eq=False)
 class SubproblemStep:
-    """step : s. length : ‖s‖_M. decrease : −gᵀs − ½ sᵀHs. negative : whether negative curvature was met.
+    """Step of the trust-region subproblem.
 
-    products : how many with H it took.
+    Attributes
+    ----------
+    step : array
+        s.
+    length : float
+        ‖s‖_M.
+    decrease : float
+        −gᵀs − ½ sᵀHs.
+    negative : bool
+        Whether negative curvature was met.
+    products : int
+        How many with H it took.
     """
 
     step: Array
@@ -43,11 +54,22 @@ def steihaug(
 ) -> SubproblemStep:
     """argmin gᵀs + ½ sᵀHs over ‖s‖_M ≤ radius; exact to `accuracy` where conjugate gradients end inside.
 
-    product : H·p. precondition : M⁻¹·p, symmetric and positive definite. gradient : g.
-    accuracy : ‖Hs + g‖ relative to ‖g‖, in the norm of M⁻¹, at which the iteration ends.
-    radius : may be infinite. A direction of negative curvature is followed to the radius or to MAX_RELATIVE_CHANGE.
-    admits : whether a step may be taken; the iteration ends before the first but one that may not. None: any may.
-    most_products : at which the iteration ends with the step so far.
+    Parameters
+    ----------
+    product : Linear
+        H·p.
+    precondition : Linear
+        M⁻¹·p, symmetric and positive definite.
+    gradient : array
+        g.
+    accuracy : float
+        ‖Hs + g‖ relative to ‖g‖, in the norm of M⁻¹, at which the iteration ends.
+    radius : float
+        May be infinite. A direction of negative curvature is followed to the radius or to MAX_RELATIVE_CHANGE.
+    admits : callable or None
+        Whether a step may be taken; the iteration ends before the first but one that may not. None: any may.
+    most_products : int
+        At which the iteration ends with the step so far.
     """
     step, residual = np.zeros_like(gradient), gradient
     scaled = precondition(residual)

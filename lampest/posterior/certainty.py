@@ -30,8 +30,12 @@ class LogInterval:
 class Certainty(LogInterval):
     """Of log r, all (frames, rows, columns); deviation and above are infinite for an open cell.
 
-    resolution, data_share : diagonal and row sums of the averaging kernel, 0 where a bound decides. common : the part
-    of the deviation that cells share.
+    Attributes
+    ----------
+    resolution, data_share : array
+        Diagonal and row sums of the averaging kernel, 0 where a bound decides.
+    common : array
+        The part of the deviation that cells share.
     """
 
     resolution: Array
@@ -47,8 +51,12 @@ class Certainty(LogInterval):
     def inside(cls, cells: Array, data: Data, variances: tuple[Array, Array], shares: tuple[Array, Array]) -> Self:
         """Two-sided, of cells away from their bounds; below a lower bound as far as its reading's noise. Any shape.
 
-        variances : of log r, and the part of it that one chance moves together in a frame. shares : diagonal and row
-        sums of the averaging kernel.
+        Parameters
+        ----------
+        variances : tuple
+            Of log r, and the part of it that one chance moves together in a frame.
+        shares : tuple
+            Diagonal and row sums of the averaging kernel.
         """
         shape, (lower, upper) = cells.shape, data.log_bounds
         deviation, common = (np.sqrt(variance).reshape(shape) for variance in variances)
@@ -67,9 +75,14 @@ class Certainty(LogInterval):
         shares: tuple[Array, Array],
         released: Callable[[NDArray[np.intp]], Array],
     ) -> Self:
-        """As `inside` for free cells, one-sided at active bounds. variances, shares : of the free cells.
+        """As `inside` for free cells, one-sided at active bounds.
 
-        released : variance of cells (numbers) that stand at a bound, if each alone were free.
+        Parameters
+        ----------
+        variances, shares : tuple
+            Of the free cells.
+        released : callable
+            Variance of cells (numbers) that stand at a bound, if each alone were free.
         """
         at, whole = model.at, np.zeros((4, model.at.cell_resistance.size))
         whole[:, model.free] = *variances, *shares

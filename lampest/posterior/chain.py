@@ -17,9 +17,20 @@ from lampest.posterior.dense import positive_inverse
 
 @dataclass(frozen=True, eq=False)
 class Chain:
-    """own : (frames, cells, cells), A_t. tie : (frames − 1, cells), Λ. border : (frames, cells, n), B. corner : C.
+    """Block tridiagonal matrix with a border.
 
     Raises numpy.linalg.LinAlgError, when it is asked for anything, where H is not positive definite.
+
+    Attributes
+    ----------
+    own : array, shape (frames, cells, cells)
+        A_t.
+    tie : array, shape (frames − 1, cells)
+        Λ.
+    border : array, shape (frames, cells, n)
+        B.
+    corner : array
+        C.
     """
 
     own: Array

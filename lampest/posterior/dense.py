@@ -78,10 +78,16 @@ class DenseMemory(Memory):
 
 @dataclass(frozen=True, eq=False)
 class DenseErrors:
-    """model : the estimate's surroundings. before : what is known of the previous frame's error, if it is read.
+    """Errors of an estimate as matrices over the cells.
 
-    drawn : V (data rows, n), what one chance moves together in the frames that are solved; None: each reading alone
-    errs.
+    Attributes
+    ----------
+    model : LinearModel
+        The estimate's surroundings.
+    before : object
+        What is known of the previous frame's error, if it is read.
+    drawn : array or None
+        V (data rows, n), what one chance moves together in the frames that are solved; None: each reading alone errs.
     """
 
     model: LinearModel

@@ -15,12 +15,21 @@ from lampest.panel.scene import Scene
 
 @dataclass(frozen=True, eq=False)
 class FrameNoise:
-    """scene : with a readout, whose converter it acts on. unloaded : frames that the baseline is the mean of.
+    """Errors that the readings of a frame share by chance.
 
-    gain : standard deviation of the factor of a frame's voltages, as a fraction. common_ripple, line_ripple : (channels
-    of a scanned line, n) volt, see `lampest.estimate.scatter`. effect_errors : (2, n, rows, columns) what effects that
-    are taken off leave, as fractions of the readings, one standard deviation each: in the unloaded panel, and in
-    frames.
+    Attributes
+    ----------
+    scene : Scene
+        With a readout, whose converter it acts on.
+    unloaded : int
+        Frames that the baseline is the mean of.
+    gain : float
+        Standard deviation of the factor of a frame's voltages, as a fraction.
+    common_ripple, line_ripple : array, shape (channels of a scanned line, n)
+        Volt, see `lampest.estimate.scatter`.
+    effect_errors : array or None
+        (2, n, rows, columns) what effects that are taken off leave, as fractions of the readings, one standard
+        deviation each: in the unloaded panel, and in frames.
     """
 
     scene: Scene

@@ -24,11 +24,20 @@ IGNORANCE = 1e-4  # precision of log r where neither data nor penalties say anyt
 
 @dataclass(frozen=True, eq=False)
 class LinearModel:
-    """at : the estimate. dual : of its absolute losses. All vectors are flat over (frames · cells) or over rows.
+    """Linear model about an estimate.
 
-    own_error : standard deviation of what each reading is off by in all frames, as `Data.measured`, or 0.
-    deviation : standard deviation of the readings, the same shape; None: that of the data, σ. weight_sigma : of every
-    term the standard deviation of log λ where the data chose its weight, else NaN; (): none was chosen.
+    Attributes
+    ----------
+    at : Evaluation
+        The estimate.
+    dual : array
+        Of its absolute losses. All vectors are flat over (frames · cells) or over rows.
+    own_error : array or float
+        Standard deviation of what each reading is off by in all frames, as `Data.measured`, or 0.
+    deviation : array or None
+        Standard deviation of the readings, the same shape; None: that of the data, σ.
+    weight_sigma : tuple of float
+        Of every term the standard deviation of log λ where the data chose its weight, else NaN; (): none was chosen.
     """
 
     at: Evaluation

@@ -32,7 +32,15 @@ Ends = Iterator[tuple[Array, Array, Array]]  # (tangent, lower end, upper end), 
 
 @dataclass(frozen=True, eq=False)
 class ProfileInterval:
-    """errors : of the estimate, at which the cell is one of the free ones. cell : its number."""
+    """Interval of a cell by its profile likelihood.
+
+    Attributes
+    ----------
+    errors : DenseErrors
+        Of the estimate, at which the cell is one of the free ones.
+    cell : int
+        Its number.
+    """
 
     errors: DenseErrors
     cell: int
@@ -86,8 +94,14 @@ def beyond_tangents(
 ) -> tuple[Array, Array]:
     """Return what to add to the squares of how far intervals of log r reach down and up, (rows, columns) each.
 
-    readings : (rows, columns) what the estimate was solved from. missing : which of them. moved : readings → log r
-    (rows, columns) that follow, NaN where no solve ends; None: penalties decide.
+    Parameters
+    ----------
+    readings : Readings
+        (rows, columns) what the estimate was solved from.
+    missing : boolean array
+        Which of them.
+    moved : callable or None
+        Readings → log r (rows, columns) that follow, NaN where no solve ends; None: penalties decide.
     """
     errors, shape = errors_of(model, None), readings.value.shape
     places = np.argwhere(missing)[:MAX_MISSING]

@@ -32,9 +32,14 @@ class Change(LogInterval):
 
     @classmethod
     def between(cls, frame: Certainty, baseline: Certainty, shared: Array, common: Array | None = None) -> "Change":
-        """√(a² + b² − 2·shared), ends apart; shared : covariance of the two errors, (rows, columns).
+        """√(a² + b² − 2·shared), ends apart.
 
-        common : covariance of what cells share of them; None: not known.
+        Parameters
+        ----------
+        shared : array
+            Covariance of the two errors, (rows, columns).
+        common : array or None
+            Covariance of what cells share of them; None: not known.
         """
 
         def joined(of_frame: Array, of_baseline: Array, shared: Array) -> Array:
@@ -53,9 +58,14 @@ class Change(LogInterval):
 
 @dataclass(frozen=True, eq=False)
 class Bars:
-    """One frame's error bars, all (rows, columns). change : None where the baseline's are not known.
+    """One frame's error bars, all (rows, columns).
 
-    reading : standard deviation of the readings of the estimated cells, without their noise; None: not computed.
+    Attributes
+    ----------
+    change : Change or None
+        None where the baseline's are not known.
+    reading : array or None
+        Standard deviation of the readings of the estimated cells, without their noise; None: not computed.
     """
 
     frame: Certainty
@@ -72,10 +82,22 @@ class Bars:
 class Track:
     """What error bars of later frames need of earlier ones; None where there is none.
 
-    shared : errors that all readings have in common. baseline : of the baseline. deviation : of log r of the last frame
-    without shared errors, (rows, columns). memory : of the last frame's error. answers : what shared errors did to log
-    r of the last frame and of the baseline, (cells, n) each. noise : what the readings of a frame have in common by
-    chance. beyond : squares of how far intervals reach on top because of what the baseline left unread.
+    Attributes
+    ----------
+    shared : Shared or None
+        Errors that all readings have in common.
+    baseline : Certainty or None
+        Of the baseline.
+    deviation : array or None
+        Of log r of the last frame without shared errors, (rows, columns).
+    memory : Memory or None
+        Of the last frame's error.
+    answers : tuple or None
+        What shared errors did to log r of the last frame and of the baseline, (cells, n) each.
+    noise : FrameNoise or None
+        What the readings of a frame have in common by chance.
+    beyond : tuple or None
+        Squares of how far intervals reach on top because of what the baseline left unread.
     """
 
     shared: Shared | None = None
@@ -161,7 +183,12 @@ class Track:
 def errors_of(model: LinearModel, memory: Memory | None, drawn: Array | None = None) -> DenseErrors:
     """Return the errors of an estimate, as matrices or from samples.
 
-    memory : that of the frame before, or None. drawn : V.
+    Parameters
+    ----------
+    memory : Memory or None
+        That of the frame before, or None.
+    drawn : array or None
+        V.
     """
     if isinstance(memory, SampledMemory) or model.at.cell_resistance.size > MAX_DENSE:
         return SampledErrors(model, memory if isinstance(memory, SampledMemory) else None, drawn)

@@ -139,9 +139,16 @@ class Column(Validated):
         return tuple(np.asarray(values).tolist()) if self.dtype is str else np.asarray(values, self.dtype)
 
     def read(self, file: Any, group: str, sizes: Mapping[str, int], part: slice = hdf5.ALL) -> Any:
-        """Read the values in a group of a file. sizes : axis → length. part : of the frames.
+        """Read the values in a group of a file.
 
         Raises InputError for missing, damaged and unfit values.
+
+        Parameters
+        ----------
+        sizes : mapping
+            Axis → length.
+        part : slice
+            Of the frames.
         """
         path, shape = f"{group}/{self.path}", tuple(sizes[axis] for axis in self.axes)
         part = part if self.axes[:1] == FRAMES else hdf5.ALL

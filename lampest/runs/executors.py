@@ -416,8 +416,14 @@ def each_of(
 ) -> list[Any]:
     """Return the results of a function for all items in order; raises the first exception of a call.
 
-    function : importable by other processes. on_done : receives the numbers of finished and of all items. in_process :
-    whether all calls are made in this process, for items whose classes others cannot import.
+    Parameters
+    ----------
+    function : Function
+        Importable by other processes.
+    on_done : callable
+        Receives the numbers of finished and of all items.
+    in_process : bool
+        Whether all calls are made in this process, for items whose classes others cannot import.
     """
     executor: Executor = Processes() if len(things) > MIN_TASKS and not in_process else Serial()
     results: dict[int, Any] = {}

@@ -37,8 +37,14 @@ def case_result(case: Case, estimates: Estimates) -> CaseResult:
 def named_result(estimates: Estimates, name: str | None, columns: Sequence[Column] = ()) -> CaseResult:
     """Return the same of estimates that no run's file asked for.
 
-    name : of the estimator; None: its terms, `misfit + gradient`. columns : besides those of lampest and of installed
-    packages. Raises InputError as `case_result`.
+    Raises InputError as `case_result`.
+
+    Parameters
+    ----------
+    name : str or None
+        Of the estimator; None: its terms, `misfit + gradient`.
+    columns : sequence of Column
+        Besides those of lampest and of installed packages.
     """
     recording, estimator = estimates.recording, estimates.estimator
     names = {

@@ -43,12 +43,25 @@ class Definiteness(Enum):
 
 @dataclass(frozen=True, eq=False)
 class Certificate:
-    """definiteness : of ∇²φ. step : (cells) of log r by which a Newton step would move each, within its bounds.
+    """Proof that an estimate is a minimum.
 
-    decrement : δ = √(gᵀ H⁻¹ g). deviations : δ/(√2·s₀), s₀² = ½ mean ∂²φ/∂y² σ² over the readings that count: at least
-    |s_c| over its cell's posterior deviation; infinite where the noise is not known, or where the step is a millionth
-    anyway. left : the largest entry of the gradient in undetermined directions; infinite where nobody asked.
-    factor : of ∇²φ, where it was made by Cholesky. lower : beside a saddle, a point of lower cost.
+    Attributes
+    ----------
+    definiteness : Definiteness
+        Of ∇²φ.
+    step : array, shape (cells)
+        Of log r by which a Newton step would move each, within its bounds.
+    decrement : float
+        δ = √(gᵀ H⁻¹ g).
+    deviations : float
+        δ/(√2·s₀), s₀² = ½ mean ∂²φ/∂y² σ² over the readings that count: at least |s_c| over its cell's posterior
+        deviation; infinite where the noise is not known, or where the step is a millionth anyway.
+    left : float
+        The largest entry of the gradient in undetermined directions; infinite where nobody asked.
+    factor : Cholesky or None
+        Of ∇²φ, where it was made by Cholesky.
+    lower : Evaluation or None
+        Beside a saddle, a point of lower cost.
     """
 
     definiteness: Definiteness

@@ -66,9 +66,18 @@ def crowds_bounds(start: Evaluation) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class _Barrier:
-    """at : the cost. below, above : z, w, the forces that the bounds of g exert, (rows, columns) cost/siemens.
+    """Point of the interior-point method.
 
-    mean : μ, the mean force times room that the next step aims at. length : of the last step, as far as bounds let it.
+    Attributes
+    ----------
+    at : Evaluation
+        The cost.
+    below, above : array
+        z, w, the forces that the bounds of g exert, (rows, columns) cost/siemens.
+    mean : float
+        μ, the mean force times room that the next step aims at.
+    length : float
+        Of the last step, as far as bounds let it.
     """
 
     at: Evaluation

@@ -50,9 +50,16 @@ class Preconditioner(ABC):
 
 @dataclass(frozen=True, eq=False)
 class Cholesky(Preconditioner):
-    """UᵀU = D⁻¹MD⁻¹ over some cells (numbers); diagonal : of M, for the other cells. norm : ‖UᵀU‖₁.
+    """UᵀU = D⁻¹MD⁻¹ over some cells (numbers).
 
     Below its diagonal, `triangle` holds what nobody reads.
+
+    Attributes
+    ----------
+    diagonal : array
+        Of M, for the other cells.
+    norm : float
+        ‖UᵀU‖₁.
     """
 
     cells: Numbers
@@ -182,9 +189,16 @@ class Woodbury(Preconditioner):
 
 @dataclass(frozen=True, eq=False)
 class CoarseLines:
-    """V = [diag(v)·U for v in along], U the incidence of cells and lines; local : T + diag(c). mixed : S.
+    """V = [diag(v)·U for v in along], U the incidence of cells and lines.
 
-    coarse : (VᵀAV)⁻¹.
+    Attributes
+    ----------
+    local : sparse.csr_array
+        T + diag(c).
+    mixed : array
+        S.
+    coarse : array
+        (VᵀAV)⁻¹.
     """
 
     local: sparse.csr_array

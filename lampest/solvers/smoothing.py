@@ -14,9 +14,16 @@ from lampest.panel.panel import Array
 
 @dataclass(frozen=True, eq=False)
 class Smoothing:
-    """width : β in the unit of the residuals. dual : z, |z| ≤ 1, which stand in for x/√(x² + β²) in second derivatives.
+    """Smoothing of absolute losses.
 
     Without absolute losses all arrays are empty and nothing is smoothed.
+
+    Attributes
+    ----------
+    width : float
+        β in the unit of the residuals.
+    dual : array
+        z, |z| ≤ 1, which stand in for x/√(x² + β²) in second derivatives.
     """
 
     width: float

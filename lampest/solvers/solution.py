@@ -82,11 +82,20 @@ OPTIMA = (*STRICT, Status.FLAT, Status.FAINT)
 
 @dataclass(frozen=True)
 class Settings(Validated):
-    """tolerance : on the solver's scaled optimality error. max_iterations : of one solve.
+    """Settings of a solver.
 
-    time_limit_s : s that one frame may take, in all starts together; what is then not solved holds NaN and says so.
-    None for no limit: then no result depends on how fast the computer is. starts : places from which every frame is
-    begun, the lowest minimum is taken; None: three for a first frame, one for each that follows another.
+    Attributes
+    ----------
+    tolerance : float
+        On the solver's scaled optimality error.
+    max_iterations : int
+        Of one solve.
+    time_limit_s : float or None
+        s that one frame may take, in all starts together; what is then not solved holds NaN and says so. None for no
+        limit: then no result depends on how fast the computer is.
+    starts : int or None
+        Places from which every frame is begun, the lowest minimum is taken; None: three for a first frame, one for each
+        that follows another.
 
     >>> lampest.Settings(max_iterations=50).max_iterations
     50
@@ -110,9 +119,20 @@ class Settings(Validated):
 class Outcome:
     """What a solver hands back before anybody checked it.
 
-    cell_resistance : (frames, rows, columns) ohm. dual : of the absolute losses, |z| ≤ 1. certificate : of these cells,
-    or None. preconditioner : one for a frame like this one, or None. convex : whether no direction of negative
-    curvature was met. at : the cost at these cells or near them, or None.
+    Attributes
+    ----------
+    cell_resistance : array, shape (frames, rows, columns)
+        Ohm.
+    dual : array
+        Of the absolute losses, |z| ≤ 1.
+    certificate : Certificate or None
+        Of these cells, or None.
+    preconditioner : Preconditioner or None
+        One for a frame like this one, or None.
+    convex : bool
+        Whether no direction of negative curvature was met.
+    at : Evaluation or None
+        The cost at these cells or near them, or None.
 
     >>> cells, dual = found.cell_resistance, np.zeros(0)
     >>> lampest.Outcome(cells, dual, lampest.Status.APPROXIMATE, iterations=1).iterations
@@ -133,9 +153,20 @@ class Outcome:
 class Solution:
     """A checked estimate; NaN unless it is an optimum, or what else was asked for.
 
-    cell_resistance, reading : (frames, rows, columns) ohm, and the model's readings. costs : of each term.
-    kkt_residual : see `Evaluation.kkt_residual`. at_lower, open_cell : where a bound is reached. at, dual,
-    preconditioner, convex : see `Outcome`; None where nothing was solved. starts : how many were tried.
+    Attributes
+    ----------
+    cell_resistance, reading : array, shape (frames, rows, columns)
+        Ohm, and the model's readings.
+    costs : array
+        Of each term.
+    kkt_residual : float
+        See `Evaluation.kkt_residual`.
+    at_lower, open_cell : boolean array
+        Where a bound is reached.
+    at, dual, preconditioner, convex : Evaluation or None or Preconditioner or None or array or None or bool
+        See `Outcome`; None where nothing was solved.
+    starts : int
+        How many were tried.
 
     >>> found.steps[0].solution.solved
     True

@@ -204,8 +204,14 @@ def of_tasks(
 ) -> tuple[Measured, ...]:
     """Return the results of a function for all tasks in order; `lost` makes a result for a task that died.
 
-    executor : by default all cores. on_step : receives the numbers of finished and of all tasks. Raises InputError if
-    the executor cannot run here.
+    Raises InputError if the executor cannot run here.
+
+    Parameters
+    ----------
+    executor : Executor or None
+        By default all cores.
+    on_step : OnStep
+        Receives the numbers of finished and of all tasks.
     """
     executor = executor or local(None, len(tasks))
     executor.ready()

@@ -145,8 +145,14 @@ def why_not(estimator: Estimator, readings: int) -> str | None:
 class CurvePoint:
     """Figures at a weight λ, NaN if not solved or unknown.
 
-    Evidence requires σ, risk a reference estimate. misfit : ρ/s², equal to the number of data for residuals of one
-    standard deviation; ρ if σ is unknown. cells : (frames, rows, columns) ohm.
+    Evidence requires σ, risk a reference estimate.
+
+    Attributes
+    ----------
+    misfit : float
+        ρ/s², equal to the number of data for residuals of one standard deviation; ρ if σ is unknown.
+    cells : array, shape (frames, rows, columns) or None
+        Ohm.
     """
 
     weight: float = column("1", "weight of the penalty")

@@ -46,9 +46,14 @@ class LoadCalibration(Calibration):
 def calibrate_loads(recordings: Sequence[Recording], known: KnownLoads, tolerance: float) -> LoadCalibration:
     """Estimate the curve and gains that explain known loads best; see `lampest.estimate.calibration.response`.
 
-    recordings : of one scene, unloaded frames included. tolerance : by which fraction all loads together may be off.
-
     Raises InputError where loads and recordings do not fit each other, or no film answers so.
+
+    Parameters
+    ----------
+    recordings : sequence of Recording
+        Of one scene, unloaded frames included.
+    tolerance : float
+        By which fraction all loads together may be off.
     """
     scene, loads = common_scene(recordings), known.loads
     place = _places([recording.name for recording in recordings], loads)

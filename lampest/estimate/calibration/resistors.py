@@ -101,7 +101,15 @@ class CircuitNumber:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ResistorCalibration(Calibration):
-    """numbers : of the electronics. readings : how many took part."""
+    """Result of a calibration with known resistors.
+
+    Attributes
+    ----------
+    numbers : tuple of CircuitNumber
+        Of the electronics.
+    readings : int
+        How many took part.
+    """
 
     numbers: tuple[CircuitNumber, ...]
     readings: int

@@ -38,9 +38,20 @@ HELD_PRECISION = 1e8  # precision of z that is held, in standard deviations befo
 
 @dataclass(frozen=True, eq=False)
 class JointData:
-    """cost, data : of every frame alone, the unloaded panel first. errors : shared by all readings, or None.
+    """Data of all frames.
 
-    anchor : a (frames, cells). drawn : V (frames, readings, n). shared : U (frames, readings, n).
+    Attributes
+    ----------
+    cost, data : tuple of Cost or tuple of Data
+        Of every frame alone, the unloaded panel first.
+    errors : Shared or None
+        Shared by all readings, or None.
+    anchor : array
+        A (frames, cells).
+    drawn : array
+        V (frames, readings, n).
+    shared : array
+        U (frames, readings, n).
     """
 
     cost: tuple[Cost, ...]
@@ -86,9 +97,18 @@ class JointData:
 
 @dataclass(frozen=True, eq=False)
 class Joint:
-    """Φ at a point. position : (u, w) (frames, cells + n). shift : (z, c). stiffness : λ (frames − 1, cells).
+    """Φ at a point.
 
-    held : ẑ with its precision, where z has been found; Φ holds it there. None: it is free.
+    Attributes
+    ----------
+    position : array
+        (u, w) (frames, cells + n).
+    shift : array
+        (z, c).
+    stiffness : array
+        λ (frames − 1, cells).
+    held : tuple or None
+        ẑ with its precision, where z has been found; Φ holds it there. None: it is free.
     """
 
     frames: JointData

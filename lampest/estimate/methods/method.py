@@ -40,9 +40,16 @@ NODAL_CELLS, NODAL_PERIOD = 144, 0.5  # up to so many cells, and from so many se
 class Method(Validated):
     """How an estimate is computed: the value of `formulation:`, a bare word or a word with options.
 
-    optimum : whether it ends at a verified optimum over the cells, which error bars are for. joint : whether a method
-    that compares frames solves its baseline together with the first frame. delays : whether it keeps Ctrl-C itself.
-    needs_all_frames : whether it needs all frames of a recording at once.
+    Attributes
+    ----------
+    optimum : bool
+        Whether it ends at a verified optimum over the cells, which error bars are for.
+    joint : bool
+        Whether a method that compares frames solves its baseline together with the first frame.
+    delays : bool
+        Whether it keeps Ctrl-C itself.
+    needs_all_frames : bool
+        Whether it needs all frames of a recording at once.
 
     >>> issubclass(lampest.TruncatedMethod, lampest.Method)
     True
@@ -82,7 +89,12 @@ class Method(Validated):
     def solution(self, solver: Solver, data: Data, previous: Array | None, prepared: Any) -> Solution:
         """Return the cells of a frame.
 
-        previous : (1, rows, columns) ohm or None; prepared : `SequenceState.prepared`.
+        Parameters
+        ----------
+        previous : array or None
+            (1, rows, columns) ohm or None.
+        prepared : object
+            `SequenceState.prepared`.
         """
 
     def guess(self, readout: Readout, measured: Array) -> Array:
@@ -179,8 +191,14 @@ class Method(Validated):
     ) -> tuple[S, list[Step]]:
         """Return the state after a whole recording's readings (frames, rows, columns), and how they were solved.
 
-        Of methods that need all frames `together`. resting : of the unloaded frames, of which the state has the mean.
-        on_frame : called after every frame.
+        Of methods that need all frames `together`.
+
+        Parameters
+        ----------
+        resting : Readings
+            Of the unloaded frames, of which the state has the mean.
+        on_frame : callable
+            Called after every frame.
         """
         raise TypeError(f"{self.kind} takes frames one by one")
 

@@ -62,9 +62,17 @@ class SmootherMethod(Method):
     Most cells stand still, some never do, and any may jump; a step that all cells have in common is free. Frames as
     they come are estimated together with those before, back to `lag`.
 
-    walk : the least that a still cell is taken to walk from frame to frame, over the noise of a frame that is estimated
-    alone, in the median; frames may show that it is more. jump : so many walks a jump costs at most. lag : of how many
-    frames before. Raises ValueError where a number is out of range.
+    Raises ValueError where a number is out of range.
+
+    Attributes
+    ----------
+    walk : float
+        The least that a still cell is taken to walk from frame to frame, over the noise of a frame that is estimated
+        alone, in the median; frames may show that it is more.
+    jump : float
+        So many walks a jump costs at most.
+    lag : int
+        Of how many frames before.
 
     >>> lampest.SmootherMethod().kind
     'smoother'
@@ -229,7 +237,7 @@ def _barred(state: S, track: Track, joint: Joint, steps: list[Step]) -> tuple[S,
 
 @dataclass(frozen=True)
 class Walk:
-    """Cost of steps x between the frames; deviation : q, of log r. most : κ, so many q a jump costs at most.
+    """Cost of steps x between the frames.
 
         n k Σ_i log(1 + a_i) + Σ x²/JUMP_SD²,   a_i the mean over the n steps of cell i of κ² S/(κ² + S),   S = K x²/q²
 
@@ -238,6 +246,13 @@ class Walk:
     are all a little larger than noise each is taken for a step. k is such that a cell whose steps are as large as the
     walk is tied by 1/q². The walk begins at several times the noise and is drawn down as far as still cells allow, so
     that small jumps are seen after large ones.
+
+    Attributes
+    ----------
+    deviation : float
+        q, of log r.
+    most : float
+        κ, so many q a jump costs at most.
     """
 
     deviation: float
@@ -297,10 +312,18 @@ def averaged(steps: Array) -> Array:
 
 
 def smoothed(frames: JointData, alone: Array, walk: Walk, settings: Settings, until: float = inf) -> tuple[Joint, int]:
-    """(where Φ is least, rounds). alone : log r of every frame alone, (frames, cells).
+    """(where Φ is least, rounds).
 
-    walk : its deviation is the least, over the noise of frames alone. until : s on the clock of `time.monotonic`, when
-    rounds end. Raises numpy.linalg.LinAlgError where arithmetic breaks down.
+    Raises numpy.linalg.LinAlgError where arithmetic breaks down.
+
+    Parameters
+    ----------
+    alone : array
+        log r of every frame alone, (frames, cells).
+    walk : Walk
+        Its deviation is the least, over the noise of frames alone.
+    until : float
+        s on the clock of `time.monotonic`, when rounds end.
     """
     # The median with the frames before and after, so that a wrong reading begins as no jump.
     lasting = np.median(np.stack([alone[:-2], alone[1:-1], alone[2:]]), axis=0)

@@ -25,12 +25,24 @@ Pair = tuple[float, float]
 class Attachment:
     """A load from when it came until it left.
 
-    sucks : probability. since_s, until_s : s; until None: it is there. x_mm and so on : (value, standard deviation),
-    None where it is not known. cells : how many it touches; conductance_s : increase of their conductance since rest.
-    breath : of its suction, from all windows.
-    sucks_s, moved_s : when it began to suck, None: it does not; when it moved. clear : ln of how much more probable it
-    is than an unloaded panel.
-    track : its suction from then on, None: it has not been followed yet.
+    Attributes
+    ----------
+    sucks : float
+        Probability.
+    since_s, until_s : float or float or None
+        s; until None: it is there. x_mm and so on : (value, standard deviation), None where it is not known.
+    cells : int
+        How many it touches.
+    conductance_s : Pair or None
+        Increase of their conductance since rest.
+    breath : Breathing
+        Of its suction, from all windows.
+    sucks_s, moved_s : float or None or tuple of float
+        When it began to suck, None: it does not; when it moved.
+    clear : float
+        ln of how much more probable it is than an unloaded panel.
+    track : Pumping or None
+        Its suction from then on, None: it has not been followed yet.
     """
 
     sucks: float

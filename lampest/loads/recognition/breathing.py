@@ -49,9 +49,16 @@ def too_slow(rate: float) -> str:
 
 @dataclass(frozen=True)
 class Breath:
-    """odds : ln of P(oscillates)/P(does not) from one window. hertz, depth : with standard deviations.
+    """Breath in one window.
 
-    suction : probability that it is the suction that does, and not something else that moves at a breathing rate.
+    Attributes
+    ----------
+    odds : float
+        ln of P(oscillates)/P(does not) from one window.
+    hertz, depth : Pair
+        With standard deviations.
+    suction : float
+        Probability that it is the suction that does, and not something else that moves at a breathing rate.
     """
 
     odds: float
@@ -121,8 +128,16 @@ class Breathing:
 class Patterns:
     """Effects of swings on readings of unit variance: roots of their covariance at unit amplitude, (readings, n).
 
-    own : suction with its rim; the first column is its mean, the others are possible additions of a film. rim : the rim
-    alone. moves : the load's place and tilt. others : further changes, of any size.
+    Attributes
+    ----------
+    own : array
+        Suction with its rim; the first column is its mean, the others are possible additions of a film.
+    rim : array
+        The rim alone.
+    moves : array
+        The load's place and tilt.
+    others : array
+        Further changes, of any size.
     """
 
     own: Array
@@ -132,10 +147,19 @@ class Patterns:
 
     @classmethod
     def of(cls, by_cell: Array, rise: Array, slopes: Array, spread: Array, moves: Array, others: Array) -> "Patterns":
-        """Of a load. by_cell : (readings, cells). rise : (cells) ln r/r0, < 0 under the rim. moves : (moves, cells).
+        """Of a load.
 
-        slopes : (1 + n, cells) of ln r/r0 by ln p, and n by which all cells' may differ together. spread : (cells) σ of
-        their own.
+        Parameters
+        ----------
+        by_cell : array, shape (readings, cells)
+        rise : array, shape (cells)
+            ln r/r0, < 0 under the rim.
+        moves : array
+            (moves, cells).
+        slopes : array
+            (1 + n, cells) of ln r/r0 by ln p, and n by which all cells' may differ together.
+        spread : array, shape (cells)
+            σ of their own.
         """
         mean, rim = slopes[0], rise < 0
         own = np.column_stack([mean, EDGE_SD * rim * mean, slopes[1:].T, np.diag(spread)])
@@ -168,7 +192,11 @@ def patterns_of(
 ) -> list[tuple[tuple[float, float], Patterns]]:
     """Return (centre, patterns) of every load of a fit that sucks.
 
-    frame, fit : the recognised frame and its fit. whitening : (readings, readings).
+    Parameters
+    ----------
+    frame, fit : Fit or Observation
+        The recognised frame and its fit.
+    whitening : array, shape (readings, readings)
     """
     panel = detector.panel
     departure, covariance = detector.departure(frame, fit)
@@ -196,7 +224,12 @@ def breaths(
 ) -> list[tuple[tuple[float, float], Breath]]:
     """Return (centre, breath) of every load that sucks, from the frames of a window.
 
-    times : (frames) s. logarithms : (frames, readings) ln y. Others : as `patterns_of` has them.
+    Parameters
+    ----------
+    times : array, shape (frames)
+        s.
+    logarithms : array, shape (frames, readings)
+        ln y. Others : as `patterns_of` has them.
     """
     pressure, _ = fit.candidate.pressure(detector.panel, detector.patch_mm, fit.parameters)
     changes = settled(logarithms - np.log(frame.measured.ravel()))
@@ -217,7 +250,12 @@ def suction_weights(patterns: Patterns, whitening: Array) -> Array:
 def breath(times: Array, changes: Array, patterns: Patterns) -> Breath | None:
     """Return the breath of a window; None where it is too short.
 
-    times : (frames) s. changes : (frames, readings) of unit variance.
+    Parameters
+    ----------
+    times : array, shape (frames)
+        s.
+    changes : array, shape (frames, readings)
+        Of unit variance.
     """
     lasted = times[-1] - times[0]
     rate = (len(times) - 1) / max(lasted, 1e-9)
@@ -251,7 +289,13 @@ def breath(times: Array, changes: Array, patterns: Patterns) -> Breath | None:
 def _depth(patterns: Patterns, changes: Array, waves: Array, at: Array, noise: float) -> tuple[float, float]:
     """(relative amplitude of the suction, its σ), of a wave whose amplitude and phase may run linearly over the window.
 
-    waves : (frames, 2). at : (frames) from 0 to 1. noise : variance of the amplitude in each reading.
+    Parameters
+    ----------
+    waves : array, shape (frames, 2)
+    at : array, shape (frames)
+        From 0 to 1.
+    noise : float
+        Variance of the amplitude in each reading.
     """
     basis = np.hstack([waves, 12**0.5 * (at[:, None] - 0.5) * waves])
     inverse, depth, variance = np.linalg.pinv(basis), BREATHING_SD, 0.0
@@ -281,8 +325,14 @@ def _evidence(total: float, amplitude: Array, gain: Array, sd: float, freedom: i
 def _suction(patterns: Patterns, swings: Array, noise: float, gain: float) -> float:
     """How probable it is that suction oscillates with its rim, not the rim alone nor the load's place or tilt.
 
-    swings : (rates, 2, readings). Each cause at its own rate: the square of a movement oscillates twice as fast.
-    noise : their variance. gain : square of the swings at unit amplitude.
+    Parameters
+    ----------
+    swings : array
+        (rates, 2, readings). Each cause at its own rate: the square of a movement oscillates twice as fast.
+    noise : float
+        Their variance.
+    gain : float
+        Square of the swings at unit amplitude.
     """
     causes = (patterns.own, MAX_AMPLITUDE), (patterns.rim, 1.0), (patterns.moves, 10.0)
     own, *others = (_explained(gain**0.5 * root, most, swings, noise).max() for root, most in causes)

@@ -108,8 +108,12 @@ def _steps_between(places: Array) -> tuple[Array, NDArray[np.intp]]:
 class DiscSearch:
     """A matched filter: round templates about every cell's centre and between four of them.
 
-    discs : (discs) starts of fits where one of them matches, one template after the other. changes : (cells,
-    discs) ln r/r0 of unit length.
+    Attributes
+    ----------
+    discs : tuple of Disc
+        (discs) starts of fits where one of them matches, one template after the other.
+    changes : array, shape (cells, discs)
+        ln r/r0 of unit length.
     """
 
     panel: Panel

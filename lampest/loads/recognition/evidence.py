@@ -37,9 +37,17 @@ EVIDENCE_SHARE = 0.5
 class Verdict:
     """Verdict on a frame.
 
-    fits : those of UNIFORM first; of these alone where nothing stood out. shares : (fits) how probable each is.
-    goodness : χ² per reading of the best fit. evidence : ln of the frame's probability under the best fit and of that
-    beforehand, up to a common term of all fits to the frame.
+    Attributes
+    ----------
+    fits : tuple of Fit
+        Those of UNIFORM first; of these alone where nothing stood out.
+    shares : tuple of float
+        (fits) how probable each is.
+    goodness : float
+        χ² per reading of the best fit.
+    evidence : float
+        ln of the frame's probability under the best fit and of that beforehand, up to a common term of all fits to the
+        frame.
     """
 
     fits: tuple[Fit, ...]

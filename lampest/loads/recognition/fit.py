@@ -36,10 +36,28 @@ MAX_LOG_RATIO = 20.0  # of ln P: candidates so far below the best do not count
 class Fit:
     """The most probable parameters φ of a candidate.
 
-    parameters, covariance : (parameters) and its square. change : (rows, columns) ln r/r0. by_parameter : (parameters,
-    cells) its slopes. residual : (cells) ohm. chi2 : of the readings. cost : half of it plus half the priors'.
-    volume : ½ ln det of the errors' covariance. evidence : ln of the frame's probability under the candidate, up to
-    a common term of all candidates. scatter : the film's relative deviation. steps : evaluations of the pressure.
+    Attributes
+    ----------
+    parameters, covariance : array
+        (parameters) and its square.
+    change : array, shape (rows, columns)
+        ln r/r0.
+    by_parameter : array
+        (parameters, cells) its slopes.
+    residual : array, shape (cells)
+        Ohm.
+    chi2 : float
+        Of the readings.
+    cost : float
+        Half of it plus half the priors'.
+    volume : float
+        ½ ln det of the errors' covariance.
+    evidence : float
+        ln of the frame's probability under the candidate, up to a common term of all candidates.
+    scatter : float
+        The film's relative deviation.
+    steps : int
+        Evaluations of the pressure.
     """
 
     candidate: Candidate
@@ -70,8 +88,14 @@ class Fit:
 class CellLikelihood:
     """−ln P of a frame as a square of x = ln r/r0, the circuit linearised at one x₀: ½ xᵀΛx − bᵀx + constant.
 
-    With whitened residual e and slope A at x₀, Λ = AᵀA and b = Aᵀ(e + A x₀). residual : (cells) ohm, at x₀. exact :
-    ½ eᵀe, its value there.
+    With whitened residual e and slope A at x₀, Λ = AᵀA and b = Aᵀ(e + A x₀).
+
+    Attributes
+    ----------
+    residual : array, shape (cells)
+        Ohm, at x₀.
+    exact : float
+        ½ eᵀe, its value there.
     """
 
     normal: Array
@@ -96,7 +120,12 @@ class CellLikelihood:
 class Linearisation:
     """The model about φ: cost is that of readings and priors, with its slope and curvature of Gauss and Newton.
 
-    change : (rows, columns) ln r/r0. by_parameter : (parameters, cells).
+    Attributes
+    ----------
+    change : array, shape (rows, columns)
+        ln r/r0.
+    by_parameter : array
+        (parameters, cells).
     """
 
     parameters: Array
@@ -148,7 +177,12 @@ class Fitting:
     ) -> tuple[Linearisation, int]:
         """Return (the model at the most probable φ that Levenberg and Marquardt's steps reach, its evaluations).
 
-        most : a cost above which they end early. held : the number of a parameter that stays.
+        Parameters
+        ----------
+        most : float
+            A cost above which they end early.
+        held : int or None
+            The number of a parameter that stays.
         """
         mean, sd, longest = self._prior
         low, high = mean - OUTLIER_THRESHOLD * sd, mean + OUTLIER_THRESHOLD * sd
@@ -165,7 +199,12 @@ class Fitting:
     def best(self, start: Array, whitening: Whitening, most: float = np.inf, *, quick: bool = False) -> Fit:
         """Return the fit at the most probable φ.
 
-        most : cost above which the search ends early. quick : whether widths are those of the curvature.
+        Parameters
+        ----------
+        most : float
+            Cost above which the search ends early.
+        quick : bool
+            Whether widths are those of the curvature.
         """
         point, likelihood, steps = self.settled(start, whitening, most)
         return replace(self.fit_at(point, likelihood, whitening, quick=quick or point.cost > most), steps=steps)

@@ -129,7 +129,18 @@ def unit(columns: Array) -> Array:
 class MostProbable(NamedTuple):
     """x that minimises ‖y − f(x)‖² in C + ‖x − mean‖² in P, with f linearised where the last step began.
 
-    state : x (n). prior : P. across : P Aᵀ (n, readings). root : of A P Aᵀ + C, lower. apart : y − f(mean) (readings).
+    Attributes
+    ----------
+    state : array
+        x (n).
+    prior : array
+        P.
+    across : array
+        P Aᵀ (n, readings).
+    root : array
+        Of A P Aᵀ + C, lower.
+    apart : array
+        y − f(mean) (readings).
     """
 
     state: Array
@@ -168,8 +179,16 @@ def most_probable(
 class Baseline:
     """ln r0 and the readings' offsets, Gaussian after the unloaded readings.
 
-    logarithm : (rows, columns) mean of ln r0. offsets : those of `ModelErrors.offsets`, in standard deviations.
-    covariance : of both together, (cells + offsets)². scene : circuit, panel and response.
+    Attributes
+    ----------
+    logarithm : array, shape (rows, columns)
+        Mean of ln r0.
+    offsets : array
+        Those of `ModelErrors.offsets`, in standard deviations.
+    covariance : array
+        Of both together, (cells + offsets)².
+    scene : Scene
+        Circuit, panel and response.
     """
 
     logarithm: Array
@@ -184,8 +203,12 @@ class Baseline:
     ) -> "Baseline":
         """argmin ‖(R0 − f(r0) − E δ)/σ‖² + ‖(ln r0 − mean)/spread‖² + ‖δ‖², outliers left out.
 
-        measured, sigma : (rows, columns) in the readout's unit. common : (cells, n), a root of the covariance of what
-        they share by chance; None: nothing.
+        Parameters
+        ----------
+        measured, sigma : array, shape (rows, columns)
+            In the readout's unit.
+        common : array, shape (cells, n) or None
+            A root of the covariance of what they share by chance; None: nothing.
         """
         circuit, spread = scene.circuit, model_errors.offsets(measured, scene)
         cells, offsets = spread.shape
@@ -244,9 +267,17 @@ class Baseline:
 class Observation:
     """A frame's readings and the baseline that they are compared with.
 
-    measured, sigma : (rows, columns) ohm. water : (rows, columns) kPa, that of the unloaded frames too. seconds : since
-    the baseline. common : (cells, n) ohm, a root of the covariance of what the frame's readings share by chance, its
-    gain and patterns along scanned lines; None: nothing.
+    Attributes
+    ----------
+    measured, sigma : array, shape (rows, columns)
+        Ohm.
+    water : array, shape (rows, columns)
+        KPa, that of the unloaded frames too.
+    seconds : float
+        Since the baseline.
+    common : array, shape (cells, n) or None
+        Ohm, a root of the covariance of what the frame's readings share by chance, its gain and patterns along scanned
+        lines; None: nothing.
     """
 
     measured: Array

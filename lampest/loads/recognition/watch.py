@@ -79,9 +79,16 @@ class Panelled:
 class StepTest:
     """|t_kᵀ W δ| > STEP_THRESHOLD·v_k of a change δ of ln y. A change that all cells share is free.
 
-    patterns : (discs, cells) t_kᵀ W, those of discs, whitened and of unit length. near : (discs, discs) which are near.
-    whitening : W (cells, cells). loud : (discs) v_k², the mean square in frames without a load: ripple and noise that
-    nobody specified count.
+    Attributes
+    ----------
+    patterns : array
+        (discs, cells) t_kᵀ W, those of discs, whitened and of unit length.
+    near : boolean array
+        (discs, discs) which are near.
+    whitening : array
+        W (cells, cells).
+    loud : array
+        (discs) v_k², the mean square in frames without a load: ripple and noise that nobody specified count.
     """
 
     patterns: Array
@@ -91,7 +98,15 @@ class StepTest:
 
     @classmethod
     def of(cls, frame: Observation, search: DiscSearch, unloaded: Array) -> "StepTest":
-        """About a panel at rest; frame : its readings with the noise of one frame. unloaded : (frames, cells) ln y."""
+        """About a panel at rest.
+
+        Parameters
+        ----------
+        frame : Observation
+            Its readings with the noise of one frame.
+        unloaded : array, shape (frames, cells)
+            ln y.
+        """
         value, cells = frame.measured.ravel(), frame.measured.size
         slope = frame.slope(np.zeros(frame.measured.shape)) / value[:, None]
         settled = frame.baseline.model_errors.settled**2 * slope @ slope.T
@@ -186,8 +201,16 @@ class Watch:
     def begin(cls, panelled: Panelled, measured: Array, sigma: Array, unloaded: Array, time: float) -> "Watch":
         """Against unloaded readings (rows, columns).
 
-        measured : their mean. sigma : of one frame. unloaded : (frames, rows, columns) those that are values, NaN else.
-        time : s, of the last one.
+        Parameters
+        ----------
+        measured : array
+            Their mean.
+        sigma : array
+            Of one frame.
+        unloaded : array, shape (frames, rows, columns)
+            Those that are values, NaN else.
+        time : float
+            s, of the last one.
         """
         frames, sigma, resting = max(len(unloaded), 1), counting(sigma, measured), np.log(measured.ravel())
         frame = panelled.frame(measured, sigma, panelled.baseline(measured, sigma, frames), 0.0)

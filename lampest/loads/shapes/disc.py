@@ -38,8 +38,12 @@ class Disc(NamedTuple):
 class Unevenness(NamedTuple):
     """How a load departs from a disc; all relative.
 
-    along, across : its long axis is longer by this in log, its short one shorter: along the rows, and 45° from it.
-    lobe_along, lobe_across : amplitude of the rim's pressure by cos 2θ and sin 2θ.
+    Attributes
+    ----------
+    along, across : float
+        Its long axis is longer by this in log, its short one shorter: along the rows, and 45° from it.
+    lobe_along, lobe_across : float
+        Amplitude of the rim's pressure by cos 2θ and sin 2θ.
     """
 
     along: float

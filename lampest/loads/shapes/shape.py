@@ -26,8 +26,12 @@ class Prior(NamedTuple):
 class Template(NamedTuple):
     """A disc that is laid over a map of the cells, where a search begins; inner_mm is 0 where it is full.
 
-    inside : effect of the inside on ln r, 0 for none, 1 for as much as the rim the other way. faint : whether it is
-    looked for in the noise of a panel at rest too.
+    Attributes
+    ----------
+    inside : float
+        Effect of the inside on ln r, 0 for none, 1 for as much as the rim the other way.
+    faint : bool
+        Whether it is looked for in the noise of a panel at rest too.
     """
 
     outer_mm: float
@@ -40,8 +44,14 @@ class Template(NamedTuple):
 class Candidate(ABC):
     """Candidate shape of recognition: parameters φ without bounds, their priors and the pressure they mean.
 
-    label : its name in tables, files and pictures. sucks : whether it is attached, and not only touching.
-    templates : patterns that the search lays over the panel for it, starts of all kinds.
+    Attributes
+    ----------
+    label : str
+        Its name in tables, files and pictures.
+    sucks : bool
+        Whether it is attached, and not only touching.
+    templates : tuple of Template
+        Patterns that the search lays over the panel for it, starts of all kinds.
     """
 
     label: str

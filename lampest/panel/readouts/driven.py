@@ -200,7 +200,12 @@ class DrivenReadout(Readout):
     def _driven_potentials(self, conductance: Array, volt: Array, drive: Array, load: Array) -> Array:
         """Return u (sensed, driven, driven) volt of driven lines p, the last axis, while j is read and i is driven.
 
-        conductance, volt : (driven, sensed) siemens, and voltages of sensed lines. drive, load : Rd and Rs.
+        Parameters
+        ----------
+        conductance, volt : array
+            (driven, sensed) siemens, and voltages of sensed lines.
+        drive, load : array
+            Rd and Rs.
         """
         count = len(drive)
         impedance = inverse_of(conductance, np.concatenate([1 / drive, 1 / load if self.all_loaded else 0 * load]))

@@ -100,9 +100,14 @@ class FloatingNetwork(Network):
 class Stencil:
     """(D∘D)⁻¹ as a preconditioner: (D∘D)_il ≈ 1/A_j² for cells of one row j, 1/B_k² of one column k, R_l² at i = l.
 
-    A and B are the lines' total conductances. Inverted through one matrix of lines × lines (Woodbury). diagonal :
-    (rows, columns) 1/d, zero at cells that are left out. inner : (S⁻¹ + Uᵀ diag(1/d) U)⁻¹, (lines)², U with a column
-    for every line and S its 1/A² or 1/B².
+    A and B are the lines' total conductances. Inverted through one matrix of lines × lines (Woodbury).
+
+    Attributes
+    ----------
+    diagonal : array, shape (rows, columns)
+        1/d, zero at cells that are left out.
+    inner : array
+        (S⁻¹ + Uᵀ diag(1/d) U)⁻¹, (lines)², U with a column for every line and S its 1/A² or 1/B².
     """
 
     diagonal: Array

@@ -182,7 +182,12 @@ class Readout(Converter, ABC):
     def common_step(self, measured: Array, expected: Array, chosen: NDArray[np.bool_]) -> float:
         """Return the factor by which all cells grew together; 1 if readings do not show it.
 
-        measured, expected : (rows, columns) readings and their prediction; chosen : those that count.
+        Parameters
+        ----------
+        measured, expected : array, shape (rows, columns)
+            Readings and their prediction.
+        chosen : boolean array
+            Those that count.
         """
         return 1.0
 
@@ -287,8 +292,14 @@ def with_memory(readout: Readout, fraction: float, volt: Array) -> Array:
 
         V_n = (1 − m)·U_n + m·V_(n−1)
 
-    n counts the channels in scan order; the first one of a frame follows the last one of the same frame. fraction : m.
-    volt : (…, rows, columns) in the panel's order.
+    n counts the channels in scan order; the first one of a frame follows the last one of the same frame.
+
+    Parameters
+    ----------
+    fraction : float
+        m.
+    volt : array
+        (…, rows, columns) in the panel's order.
     """
     channels = in_scan_order(readout, volt)
     held, last = np.empty_like(channels), np.zeros(channels.shape[:-1])

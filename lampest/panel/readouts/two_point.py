@@ -23,14 +23,20 @@ class TwoPointReadout(Readout):
     """R_jk = Z_jj + Z_kk − 2 Z_jk, all other lines floating; an ADC reads a divider with a reference resistor.
 
     supply_volt : divider supply and ADC reference in volt.
-    reference_ohm : reference resistor in ohm.
-    measured_across : 'reference': R = (Vcc − V)/V · Rref; 'sensor': R = V/(Vcc − V) · Rref.
-    input_ohm : input resistance of the converter, parallel to the measured resistor; None: none that matters.
-    adc_bits, readings, noise_lsb : see `Converter`.
 
     Recorded is the value of the divider equation, as if the converter took no current, with the scene's series
     resistance. Raises ValueError if a number is out of range. Source: paper, equation (1) (across the sensor) and
     section V.B (across the reference).
+
+    Attributes
+    ----------
+    reference_ohm : float
+        Reference resistor in ohm.
+    measured_across : 'reference' or 'sensor'
+        'reference': R = (Vcc − V)/V · Rref; 'sensor': R = V/(Vcc − V) · Rref.
+    input_ohm : float or None
+        Input resistance of the converter, parallel to the measured resistor; None: none that matters. adc_bits,
+        readings, noise_lsb : see `Converter`.
 
     >>> lampest.TwoPointReadout(adc_bits=12).unit
     'ohm'

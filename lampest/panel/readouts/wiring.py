@@ -100,7 +100,17 @@ class Contacts(Configuration):
 
 @dataclass(frozen=True)
 class Wiring:
-    """lines : their wire. joined : groups of lines that touch, by their numbers, rows first. contacts : or None."""
+    """Lines, contacts and joined lines of a panel.
+
+    Attributes
+    ----------
+    lines : Lines
+        Their wire.
+    joined : tuple of tuple of int
+        Groups of lines that touch, by their numbers, rows first.
+    contacts : Contacts or None
+        Or None.
+    """
 
     lines: Lines = Lines()
     joined: tuple[tuple[int, ...], ...] = ()
@@ -211,8 +221,14 @@ class WiredNetwork(TiedNetwork):
     −D_ac D_bc as without wire. With X = diag(r) − r K⁻¹ r + DᵀCᵀ r, those for a unit current through every cell,
     ∂D_ac/∂g_d = −D_ad X_dc. Without wire X = BᵀZB.
 
-    ties : (lines) siemens. wiring, ladder : wire between terminals and cells, and its K⁻¹. currents : C (cells,
-    lines) siemens.
+    Attributes
+    ----------
+    ties : array, shape (lines)
+        Siemens.
+    wiring, ladder : Ladder or Wiring
+        Wire between terminals and cells, and its K⁻¹.
+    currents : array
+        C (cells, lines) siemens.
     """
 
     ties: Array

@@ -173,7 +173,15 @@ class Recorder:
     """Recorder on request: takes every sample from one thread; any thread may start or end a recording.
 
     The unloaded frames with which a watch began, or the last zero that was asked for, come first in every file.
-    folder : of the files. baseline : so many frames are unloaded. say : gets a sentence, and whether a recording runs.
+
+    Attributes
+    ----------
+    folder : Path
+        Of the files.
+    baseline : int
+        So many frames are unloaded.
+    say : callable
+        Gets a sentence, and whether a recording runs.
     """
 
     def __init__(self, folder: Path, scene: Scene | None, baseline: int, say: Callable[[str, bool], None]) -> None:

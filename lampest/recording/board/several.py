@@ -59,7 +59,12 @@ def samples_of(
 class Alignment:
     """State of the alignment: of each board the waiting frames, oldest first, the last one shown, and recent delays.
 
-    moment, began : of the image's newest and first frame, s on the host's clock. missing : boards not in the newest.
+    Attributes
+    ----------
+    moment, began : float or None
+        Of the image's newest and first frame, s on the host's clock.
+    missing : frozenset[int]
+        Boards not in the newest.
     """
 
     waiting: tuple[tuple[Stamped, ...], ...]

@@ -246,9 +246,15 @@ def board_samples(
 ) -> Samples:
     """Yield samples as they come, in batches, which may be empty. Close the generator to stop the board.
 
-    on_state : called with a sentence when the board is gone. ending : asked again and again; once it says so, what the
-    port has delivered comes as one last batch. Raises InputError where no board answers at first, where it does not fit
-    the scene, cannot be that fast, or the line talks without a frame that fits.
+    Raises InputError where no board answers at first, where it does not fit the scene, cannot be that fast, or the line
+    talks without a frame that fits.
+
+    Parameters
+    ----------
+    on_state : callable
+        Called with a sentence when the board is gone.
+    ending : callable
+        Asked again and again; once it says so, what the port has delivered comes as one last batch.
     """
     line = _Line(url, scene, period, ending)
     while not ending():

@@ -126,8 +126,14 @@ def measured(
     one. Without a readout readings are exact and there are no sums. Raises ValueError where the spread of the channels
     leaves a reading without positive resistance.
 
-    cells : (frames, rows, columns) ohm. scanned : for loads that travel, the cells while each line is read, in order.
-    on_frame : called after each frame was converted.
+    Parameters
+    ----------
+    cells : array, shape (frames, rows, columns)
+        Ohm.
+    scanned : sequence of array
+        For loads that travel, the cells while each line is read, in order.
+    on_frame : callable
+        Called after each frame was converted.
     """
     if scene.panel.modules is not None:
         return _of_modules(scene, cells, unmodelled, seed, period_s, scanned, on_frame)

@@ -231,8 +231,12 @@ def simulate(simulation: Simulation, name: str = "simulated", on_frame: Callable
 def pressure_at(simulation: Simulation, time: Array, later_s: float = 0.0) -> Array:
     """Return p(t) = contact(t)·p_contact + suction(t)·p_suction + p_water over patches, (frames, rows, columns) kPa.
 
-    time : (frames) s after the first measured frame; loads are absent before it. later_s : from the middle of the scan;
-    loads that travel TRAVEL_MM along x and back are elsewhere then, and press as much.
+    Parameters
+    ----------
+    time : array, shape (frames)
+        s after the first measured frame; loads are absent before it.
+    later_s : float
+        From the middle of the scan; loads that travel TRAVEL_MM along x and back are elsewhere then, and press as much.
     """
     panel, way = simulation.scene.panel, (simulation.unmodelled.load_speed_mm_s or 0.0) * (time + later_s)
     way = np.mod(way + TRAVEL_MM / 2, 2 * TRAVEL_MM)

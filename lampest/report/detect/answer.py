@@ -43,7 +43,15 @@ NUMBERS = {
 
 @dataclass(frozen=True)
 class Event:
-    """Something that changed. kind : touched, attached (it sucks), moved or released; number : of the attachment."""
+    """Something that changed.
+
+    Attributes
+    ----------
+    kind : str
+        Touched, attached (it sucks), moved or released.
+    number : int
+        Of the attachment.
+    """
 
     kind: str
     time_s: float
@@ -54,10 +62,26 @@ class Event:
 class Detected:
     """What one recording is answered with.
 
-    answer : one of ANSWERS. probability : of it. why : why nothing more can be said, a sentence, or ''.
-    notes : assumptions and inputs. warnings : what speaks against the recording, a line each. attachments : loads in
-    the order in which they came. course : (2, frames) s and by how many standard deviations the readings stand out.
-    change : (rows, columns) ln r/r0 when something was recognised last, or None. panel : its cells.
+    Attributes
+    ----------
+    answer : str
+        One of ANSWERS.
+    probability : float
+        Of it.
+    why : str
+        Why nothing more can be said, a sentence, or ''.
+    notes : tuple of str
+        Assumptions and inputs.
+    warnings : tuple of str
+        What speaks against the recording, a line each.
+    attachments : tuple of Attachment
+        Loads in the order in which they came.
+    course : array or None
+        (2, frames) s and by how many standard deviations the readings stand out.
+    change : array, shape (rows, columns) or None
+        ln r/r0 when something was recognised last, or None.
+    panel : Panel or None
+        Its cells.
     """
 
     recording: str

@@ -46,11 +46,26 @@ Frames = Iterator[tuple[Array, Array, float]]
 class Known:
     """What is known of a recording before its first measured frame.
 
-    resting, sigma : (rows, columns) the unloaded readings, and the noise of one frame. unloaded : (frames, rows,
-    columns) those that they are the mean of, NaN where one is no value. begin : s, of the last one. reading_error : as
-    `NoiseEstimate` has it. noise : what readings of a frame share, or None. notes : what was assumed. patch_mm : edge
-    of a cell's film, None: not said. specified : σ before frames have shown their noise; None: the same. effects : what
-    is taken off the readings, or None.
+    Attributes
+    ----------
+    resting, sigma : array, shape (rows, columns)
+        The unloaded readings, and the noise of one frame.
+    unloaded : array, shape (frames, rows, columns)
+        Those that they are the mean of, NaN where one is no value.
+    begin : float
+        s, of the last one.
+    reading_error : float
+        As `NoiseEstimate` has it.
+    noise : FrameNoise or None
+        What readings of a frame share, or None.
+    notes : tuple of str
+        What was assumed.
+    patch_mm : float or None
+        Edge of a cell's film, None: not said.
+    specified : array or None
+        σ before frames have shown their noise; None: the same.
+    effects : CircuitEffects or None
+        What is taken off the readings, or None.
     """
 
     name: str

@@ -24,9 +24,13 @@ HEADERS = ("centre x [mm]", "centre y [mm]", "area [mm²]", "peak [kPa]", "force
 class PressedCells:
     """One estimate of a recording, frame by frame; NaN where nothing presses clearly or the frame was not solved.
 
-    values, errors : (frames, 5) in the order of HEADERS, and standard deviations.
-    saturated : (frames) how many of the pressed cells have a pressure that the response leaves open. With one, peak and
-    force are lower bounds: such a cell counts with no more than the response determines.
+    Attributes
+    ----------
+    values, errors : array, shape (frames, 5)
+        In the order of HEADERS, and standard deviations.
+    saturated : integer array, shape (frames)
+        How many of the pressed cells have a pressure that the response leaves open. With one, peak and force are lower
+        bounds: such a cell counts with no more than the response determines.
     """
 
     case: CaseResult

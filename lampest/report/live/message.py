@@ -160,7 +160,12 @@ def acknowledged(view: View) -> View:
 class Message:
     """A frame for other programs, sent again after a change of the answer or the alarm.
 
-    picture : the frame. view : the view when it was solved.
+    Attributes
+    ----------
+    picture : Picture
+        The frame.
+    view : View
+        The view when it was solved.
     """
 
     panel: Panel

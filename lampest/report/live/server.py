@@ -278,8 +278,14 @@ def serving(
 ) -> Iterator[PageServer]:
     """Run a server in a thread; at the end all clients get the last view.
 
-    token : required of visitors; by default none on the loopback address and a generated one elsewhere. asks : requests
-    that visitors may send. Raises InputError if the server cannot listen or the token is too short.
+    Raises InputError if the server cannot listen or the token is too short.
+
+    Parameters
+    ----------
+    token : str or None
+        Required of visitors; by default none on the loopback address and a generated one elsewhere.
+    asks : Asks or None
+        Requests that visitors may send.
     """
     Access(token or "")
     try:

@@ -230,8 +230,16 @@ def solved_picture(state: PanelState, readings: Readings, picture: Picture) -> t
 def read_load(load: PressureTrack, ratio: Array, bars: Bars | None, time: float) -> tuple[Pressure | None, Force]:
     """Return pressures of the cells of a frame and their total force, or None and NaN without a response.
 
-    Cells are saturated regardless of the errors of the estimate. ratio : r/r_baseline (rows, columns). bars : error
-    bars of the estimate, or None. time : s.
+    Cells are saturated regardless of the errors of the estimate.
+
+    Parameters
+    ----------
+    ratio : array
+        r/r_baseline (rows, columns).
+    bars : Bars or None
+        Error bars of the estimate, or None.
+    time : float
+        s.
     """
     if load.scene.response is None:
         return None, Force(np.nan, np.nan)
@@ -247,10 +255,16 @@ def read_load(load: PressureTrack, ratio: Array, bars: Bars | None, time: float)
 def verdict_of(readings: Readings, resting: Readings, ratio: Array, open_cell: NDArray[np.bool_]) -> str:
     """One of `message.VERDICTS` of a frame that was solved.
 
-    Nothing where no reading differs from its unloaded value by more than six standard deviations of the difference,
-    the median of all differences left aside, which a drift of the supply moves; else pressing where the lowest
-    ln r/r₀, and sucking where the highest, is more than three tenths of the strongest. ratio : r/r₀ (rows, columns).
-    open_cell : (rows, columns) where a cell cannot be told from an open one, which do not count.
+    Nothing where no reading differs from its unloaded value by more than six standard deviations of the difference, the
+    median of all differences left aside, which a drift of the supply moves; else pressing where the lowest ln r/r₀, and
+    sucking where the highest, is more than three tenths of the strongest.
+
+    Parameters
+    ----------
+    ratio : array
+        r/r₀ (rows, columns).
+    open_cell : boolean array, shape (rows, columns)
+        Where a cell cannot be told from an open one, which do not count.
     """
     moved = np.log(readings.shown / resting.shown)
     moved -= np.nanmedian(moved)

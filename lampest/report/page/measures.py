@@ -94,8 +94,12 @@ def log_error(case: CaseResult) -> Array:
 class Disagreement(NamedTuple):
     """Significant differences between two estimators of a recording.
 
-    significant : (frames, rows, columns) difference of relative change in percentage points, NaN if not significant.
-    share : percentage of cells with a significant difference, in frames that both solved.
+    Attributes
+    ----------
+    significant : array, shape (frames, rows, columns)
+        Difference of relative change in percentage points, NaN if not significant.
+    share : float
+        Percentage of cells with a significant difference, in frames that both solved.
     """
 
     title: str

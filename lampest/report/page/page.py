@@ -53,8 +53,14 @@ def write_report(
 ) -> None:
     """Write the report of some results files; the same files give the same bytes.
 
-    on_recording : gets how many of how many recordings are drawn. frames : as `read_results` takes them.
     Raises InputError where a file cannot be read, there is nothing in them, or the place cannot be written.
+
+    Parameters
+    ----------
+    on_recording : callable
+        Gets how many of how many recordings are drawn.
+    frames : range or None
+        As `read_results` takes them.
     """
     write_whole(out, report(read_batch(paths, frames), on_recording))
 

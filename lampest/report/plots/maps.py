@@ -301,7 +301,12 @@ def maps_figure(
 ) -> Figure:
     """Draw maps side by side, so many that the figure is about three wide to two high with few gaps.
 
-    scale : one for all maps, or one for each. about : a remark on the maps, behind the label of x.
+    Parameters
+    ----------
+    scale : Scale or sequence of Scale
+        One for all maps, or one for each.
+    about : str
+        A remark on the maps, behind the label of x.
     """
     common = isinstance(scale, Scale)
     scales = [scale] * len(tiles) if isinstance(scale, Scale) else scale

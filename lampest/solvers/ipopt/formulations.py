@@ -17,10 +17,16 @@ from lampest.panel.readouts.tied import reads_own
 
 @dataclass(frozen=True, eq=False)
 class NetworkSymbols:
-    """potentials : (n, 1) node voltages for unit currents, the unknowns.
+    """Symbols of a network.
 
-    balance : (n, 1) Kirchhoff's current law; zero at a solution, bilinear in conductances and potentials.
-    reading : (cells, 1) row-major, in the readout's unit.
+    Attributes
+    ----------
+    potentials : casadi.SX
+        (n, 1) node voltages for unit currents, the unknowns.
+    balance : casadi.SX
+        (n, 1) Kirchhoff's current law; zero at a solution, bilinear in conductances and potentials.
+    reading : casadi.SX
+        (cells, 1) row-major, in the readout's unit.
     """
 
     potentials: casadi.SX

@@ -135,7 +135,15 @@ class Ipopt:
 
 @dataclass(frozen=True, eq=False)
 class Built(CasadiOwner):
-    """A program that serves all weights. parameters : their names in order. slope : ∂f/∂(potentials) of (x, p)."""
+    """A program that serves all weights.
+
+    Attributes
+    ----------
+    parameters : tuple of str
+        Their names in order.
+    slope : Compiled
+        ∂f/∂(potentials) of (x, p).
+    """
 
     solver: casadi.Function
     parameters: tuple[str, ...]

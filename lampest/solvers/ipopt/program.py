@@ -17,10 +17,15 @@ from lampest.solvers.ipopt.formulations import Formulation
 class Program:
     """Symbols of the program; x = (conductance, potentials, split), g = (balance, split_balance) = 0.
 
-    split : p and q of residuals that enter through duals, then of others, in units of their size.
-    split_balance : the equations of the former, so that their multipliers are the last.
-    parameters : name → symbol: what `Given` holds, `ties` (lines, frames) in 1/s, the terms' `weights`, `scale` s in
-    ohm, `cost_scale`, the size of the cost, and `split_scale`, that of the residuals that are split.
+    Attributes
+    ----------
+    split : casadi.SX
+        p and q of residuals that enter through duals, then of others, in units of their size.
+    split_balance : casadi.SX
+        The equations of the former, so that their multipliers are the last.
+    parameters : mapping
+        Name → symbol: what `Given` holds, `ties` (lines, frames) in 1/s, the terms' `weights`, `scale` s in ohm,
+        `cost_scale`, the size of the cost, and `split_scale`, that of the residuals that are split.
     """
 
     conductance: casadi.SX

@@ -102,7 +102,15 @@ def _failed(sample: AtlasSample, method: str, formulation: str, part: str, statu
 
 
 class _Part(NamedTuple):
-    """Solve of a sequence with its data; frames : slice of the scene's; estimator : that of its cost."""
+    """Solve of a sequence with its data.
+
+    Attributes
+    ----------
+    frames : slice
+        Slice of the scene's.
+    estimator : Estimator
+        That of its cost.
+    """
 
     name: str
     frames: slice

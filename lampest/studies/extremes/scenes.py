@@ -45,7 +45,12 @@ class AtlasSample:
 class Made(NamedTuple):
     """Cells (2, rows, columns) ohm, unloaded and loaded, with statements of the scene about them.
 
-    still : whether both frames are equal, including noise. weight : of all penalties, instead of their own.
+    Attributes
+    ----------
+    still : bool
+        Whether both frames are equal, including noise.
+    weight : float or None
+        Of all penalties, instead of their own.
     """
 
     cells: Array
@@ -59,8 +64,16 @@ class Made(NamedTuple):
 class Extreme(NamedTuple):
     """Kind of scene.
 
-    make : usual cells → scene. single_fault : whether one cell or line is broken. contrasted : whether it has the
-    contrast of the sample. shapes : its panels, instead of those of the atlas.
+    Attributes
+    ----------
+    make : callable
+        Usual cells → scene.
+    single_fault : bool
+        Whether one cell or line is broken.
+    contrasted : bool
+        Whether it has the contrast of the sample.
+    shapes : tuple of Shape
+        Its panels, instead of those of the atlas.
     """
 
     make: Callable[[Array, AtlasSample, Generator], Made]

@@ -43,7 +43,12 @@ def paper_study(
 ) -> Study[Published, Paper]:
     """Return the study; what was solved in the folder before is taken from it.
 
-    jobs : processes, None for all cores. further : makes a third side of the paper's panel.
+    Parameters
+    ----------
+    jobs : int or None
+        Processes, None for all cores.
+    further : callable or None
+        Makes a third side of the paper's panel.
     """
 
     def measured(published: Published, on_step: OnStep) -> Paper:
