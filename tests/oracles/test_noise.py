@@ -52,7 +52,7 @@ def test_noise_alone_is_noise_alone(frames: int) -> None:
     rng = np.random.default_rng(frames)
     found = [parts(rng, frames) for _ in range(60)]
     assert np.mean([one.own for one in found]) == pytest.approx(1, abs=0.02)
-    false = sum(one.gain > 0 or one.together.size > 0 or one.apart.size > 0 for one in found)
+    false = sum(one.gain > 0 or one.common_ripple.size > 0 or one.line_ripple.size > 0 for one in found)
     assert false <= 2
 
 
@@ -60,10 +60,10 @@ def test_parts_are_found_with_their_sizes() -> None:
     rng = np.random.default_rng(1)
     assert np.mean([parts(rng, 10, gain=0.002).gain for _ in range(20)]) == pytest.approx(0.002, rel=0.25)
     apart = [parts(rng, 5, offset=3.0) for _ in range(20)]
-    assert np.mean([(one.apart**2).sum() / CHANNELS for one in apart]) == pytest.approx(9, rel=0.2)
+    assert np.mean([(one.line_ripple**2).sum() / CHANNELS for one in apart]) == pytest.approx(9, rel=0.2)
     assert np.mean([one.own for one in apart]) == pytest.approx(1, abs=0.06)
     wave = [parts(rng, 10, wave=3.0) for _ in range(20)]
-    assert np.mean([(one.together**2).sum() / CHANNELS for one in wave]) == pytest.approx(4.5, rel=0.5)
+    assert np.mean([(one.common_ripple**2).sum() / CHANNELS for one in wave]) == pytest.approx(4.5, rel=0.5)
 
 
 def test_what_few_frames_share_has_no_quiet_directions() -> None:

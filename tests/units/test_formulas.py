@@ -1,12 +1,15 @@
 """Formulas of changed cells, motion, smoothed losses and series resistances, against their plain statements."""
 
+from itertools import product
+
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from lampest import Estimator, Misfit, Panel, Readings, Scene, TotalVariation, TwoPointReadout, two_point_resistance
 from lampest.cost.given import Background
 from lampest.cost.problem import Evaluation
-from lampest.estimate.changed_cells import MOVED_COST, PARAMETER_COST, scores_with_errors, select_changed, still_cells
+from lampest.estimate.changed_cells import MOVED_COST, scores_with_errors, select_changed, usual_starts
 from lampest.estimate.model_check import most_in_series
 from lampest.estimate.noise import NoiseEstimate, largest_change_within_scan
 from lampest.estimate.rivals import Question, Rival
@@ -32,26 +35,31 @@ def test_an_error_more_is_scored_by_the_density_of_the_change_with_it(seed: int)
         assert score == pytest.approx(change @ np.linalg.solve(with_it, change) + volume, rel=1e-9)
 
 
-def test_a_cell_that_moved_costs_its_price_and_nothing_else() -> None:
-    change, covariance = drawn(9, 1)
-    change[4] += 1.0
-    precision, others = np.linalg.inv(covariance), np.arange(9) != 4
-    lost, moved = select_changed(precision @ change, precision)
-    np.testing.assert_array_equal(moved, ~others)
-    left = change[others] @ np.linalg.solve(covariance[np.ix_(others, others)], change[others])
-    assert change @ precision @ change + lost == pytest.approx(PARAMETER_COST + left, rel=1e-9)
-    score = scores_with_errors(change, precision, np.zeros((9, 1)))
-    assert score == pytest.approx([PARAMETER_COST + left], rel=1e-9)
+def evidence(change: Array, covariance: Array, moved: NDArray[np.bool_]) -> float:
+    """−2 ln of N(d; 0, C + 1 of moved cells) over that of no moved cells, with the odds of each moved cell."""
+    with_moved = covariance + np.diag(moved.astype(float))
+    volume = np.linalg.slogdet(with_moved)[1] - np.linalg.slogdet(covariance)[1]
+    return float(change @ np.linalg.solve(with_moved, change) + volume + MOVED_COST * moved.sum())
 
 
-def test_still_cells_have_the_likelihood_of_the_others_beside_changes_of_size_one() -> None:
-    change, covariance = drawn(12, 2)
-    change[[3, 7]] = -0.8, 0.3
-    cost, still = still_cells(change, covariance)
-    np.testing.assert_array_equal(np.flatnonzero(~still), [3, 7])
-    within = covariance[np.ix_(still, still)]
-    expected = change[still] @ np.linalg.solve(within, change[still]) + np.linalg.slogdet(within)[1]
-    assert cost == pytest.approx(expected + 0.8**2 + 0.3**2 + 2 * MOVED_COST, rel=1e-9)
+@pytest.mark.parametrize("seed", range(6))
+def test_the_selected_cells_have_the_most_evidence_of_all_subsets(seed: int) -> None:
+    change, covariance = drawn(8, seed)
+    change[[2, 5]] += -0.8, 0.1 * seed
+    precision = np.linalg.inv(covariance)
+    lost, moved = select_changed(precision @ change, precision, usual_starts(change))
+    assert change @ precision @ change + lost == pytest.approx(evidence(change, covariance, moved), rel=1e-9)
+    subsets = (np.array(chosen) for chosen in product((False, True), repeat=8))
+    assert evidence(change, covariance, moved) == pytest.approx(min(evidence(change, covariance, m) for m in subsets))
+    score = scores_with_errors(change, precision, np.zeros((8, 1)))  # adds cells only, and may end above
+    assert score[0] > evidence(change, covariance, moved) - 1e-9
+
+
+def test_loaded_cells_have_moved_in_any_case() -> None:
+    change, covariance = drawn(8, 3)
+    precision, loaded = np.linalg.inv(covariance), np.arange(8) == 6
+    lost, moved = select_changed(precision @ change, precision, [np.zeros(8, dtype=bool)], loaded)
+    assert moved[6] and change @ precision @ change + lost == pytest.approx(evidence(change, covariance, moved))
 
 
 def test_motion_widens_the_noise_of_swept_readings_and_counts_frames_that_it_exceeds() -> None:

@@ -136,7 +136,7 @@ def test_a_request_with_two_names_of_the_host_is_refused() -> None:
 
 
 def test_guests_that_never_read_give_their_seats_to_others(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(server_module, "MOST_STREAMS", 2)
+    monkeypatch.setattr(server_module, "MAX_STREAMS", 2)
     monkeypatch.setattr(server_module, "TURN_SECONDS", 0.3)
     monkeypatch.setattr(server_module, "HEARTBEAT_SECONDS", 0.1)
     with serving("127.0.0.1", 0, Newest(View("here", "LSM", "receiving"))) as server, ExitStack() as guests:

@@ -93,7 +93,7 @@ def test_a_new_zero_ends_what_was_attached() -> None:
 
 
 def test_only_the_latest_of_what_has_left_is_remembered(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(watcher_module, "LATEST", 1)
+    monkeypatch.setattr(watcher_module, "MAX_REMEMBERED", 1)
     recording = taken(4)
     here = watched(recording)
     assert here.watch is not None
@@ -144,7 +144,7 @@ def test_streams_of_numbers_have_the_answer_too() -> None:
 
 
 def test_more_than_can_be_watched_is_watched_less_often(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(watcher_module, "MOST_WAITING", 4)
+    monkeypatch.setattr(watcher_module, "MAX_WAITING", 4)
     (unloaded, *scans), waiting = news(taken(8)), []
     for one in (unloaded, *scans):
         waiting = in_one_batch([one], waiting)  # type: ignore[list-item]

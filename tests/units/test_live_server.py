@@ -162,7 +162,7 @@ def test_clients_may_come_and_go_as_they_like(page: SimpleNamespace, capfd: pyte
 
 
 def test_more_clients_than_seats_are_told_so(page: SimpleNamespace) -> None:
-    for _ in range(server_module.MOST_STREAMS):
+    for _ in range(server_module.MAX_STREAMS):
         assert page.ask(path="/views").status == 200
     assert page.ask(path="/views").status == 503
     assert page.ask().status == 200

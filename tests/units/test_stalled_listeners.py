@@ -119,7 +119,7 @@ def test_a_websocket_that_never_reads_loses_its_place(monkeypatch: pytest.Monkey
     from websockets.exceptions import InvalidStatus
     from websockets.sync.client import connect
 
-    monkeypatch.setattr(websocket, "MOST_STREAMS", 1)
+    monkeypatch.setattr(websocket, "MAX_STREAMS", 1)
     monkeypatch.setattr(websocket, "STALLED_SECONDS", 0.2)
     with publish_at("websocket://127.0.0.1:0").opened(lambda sentence: None) as (where, send):
         port = int(where.split(":")[2].strip("/"))
