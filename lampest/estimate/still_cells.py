@@ -24,21 +24,13 @@ from lampest.recording.readings import Readings
 
 READING_ERRORS = np.geomspace(2.5e-4, 0.2, 30)  # of a reading's own that are tried, with equal odds for equal ratios
 CELL_SCATTERS = (0.03, 0.1, 0.2, 0.4)  # of unloaded cells: films of one batch scatter by a tenth, worn ones by 0.4
-MIN_ERROR_GAIN = 15.0  # −2 log likelihood that an error of its own must gain: a cell that moved a little gains 8 to 12
-SIGNIFICANT_GAIN = 6.6  # −2 log likelihood gained by chosen cells: χ² with one degree of freedom, once in a hundred
-MIN_HINT_GAIN = (
-    0.5  # the same, from which on bars allow for what may be chance: where nothing is, one in four is so large
-)
-LARGER_ERROR_GAIN = 4.0  # the same, of a larger one, once something of the kind is there: two standard deviations
-CHANGE_THRESHOLD = 4.0  # σ of a change that noise does not make
+MIN_ERROR_GAIN = 15.0  # in −2 ln evidence, from which on an error is said: a cell that moved a little gains 8 to 12
+MIN_HINT_GAIN = 0.5  # from which on bars allow for what may be chance: one in four recordings without error gains it
+CHANGE_THRESHOLD = 4.0  # standard deviations of a change that noise does not make
 LINEAR_LIMIT = 0.15  # of log r: so large an error moves cells by more than one per cent beside the straight line
-LOADED_CHANGE = (
-    3 * LINEAR_LIMIT
-)  # of log r: so far a load moves a cell, and no error that is small enough for linear theory
-SKIRT_SD, SKIRT_CELLS = (
-    0.3,
-    1.5,
-)  # of log r, and in cells: a skirt that a load has around it, or a load that covers many cells
+LOADED_CHANGE = 0.45  # of log r, by which loads move cells, and errors within the linear limit do not
+# Of log r, and in cells: the skirt of a load, or a load that covers many cells.
+SKIRT_SD, SKIRT_CELLS = 0.3, 1.5
 
 
 def possible_errors(
@@ -60,20 +52,20 @@ def possible_errors(
     moves, shape = CellChanges.of(scene, fit, frames, sizes, noise), resting.value.shape
     if moves is None:
         return None
-    smoothed = replace(moves, noise=moves.noise + _smooth_loads(shape, len(frames.value)))
-    size, still = _own_error(smoothed, shape)
-    apart, sure, linear = away_from_changed(still, shape), size > 0, LINEAR_LIMIT / moves.reach
-    if sure:
-        costs = _unloaded_costs(scene, resting)
-        larger = size < READING_ERRORS[np.argmin(costs)] and np.interp(size, READING_ERRORS, costs) > LARGER_ERROR_GAIN
-        if size > linear or larger:
-            return Possible(at_least(max(_mean_square(costs), min(size, linear))), None)
-    else:  # an error that still cells make likelier than none, though that may be chance
-        hint, gained = _size_of(smoothed, apart)
-        size = hint if gained > MIN_HINT_GAIN and hint <= linear else 0.0
+    costs, still = _error_costs(replace(moves, noise=moves.noise + _smooth_loads(shape, len(frames.value))))
+    gain = float(costs[0] - costs.min())
+    certain = gain >= MIN_ERROR_GAIN
+    if certain:
+        costs[1:] += _unloaded_costs(scene, resting)
+        size = _mean_square(costs[1:])
+        if size * moves.reach > LINEAR_LIMIT:
+            return Possible(at_least(size), None)
+    else:  # an error that the changes make likelier than none, though that may be chance
+        within = READING_ERRORS * moves.reach <= LINEAR_LIMIT
+        size = _mean_square(np.where(within, costs[1:], np.inf)) if gain > MIN_HINT_GAIN else 0.0
     assumed = at_least(size)
     root = None if still.mean() < MIN_STILL_SHARE else _possible(moves, assumed.reading_error or 0.0, shape)
-    return Possible(assumed, root, sure)
+    return Possible(assumed, root, certain)
 
 
 def _of_frame(
@@ -168,32 +160,19 @@ def _smooth_loads(shape: tuple[int, ...], frames: int) -> Array:
     return np.kron(np.eye(frames), SKIRT_SD**2 * np.exp(-square / (2 * SKIRT_CELLS**2)))
 
 
-def _own_error(moves: CellChanges, shape: tuple[int, ...]) -> tuple[float, Chosen]:
-    """(e, which cells stand still): 0 unless it gains with cells chosen anew for each size, and with the last ones."""
-    sizes = (0.0, *(size for size in READING_ERRORS[2::2] if size * moves.reach <= LINEAR_LIMIT))
-    costs, begun = dict[float, tuple[float, Chosen]](), None
-    for size in sizes:  # the cells that stand still change little from size to size
-        costs[size] = moves.still(size, begun)
-        begun = costs[size][1]
-    size = min(costs, key=lambda size: costs[size][0])
-    if costs[size][0] <= costs[0.0][0] - MIN_ERROR_GAIN:
-        for _ in range(3):
-            _, still = moves.still(min(size, LINEAR_LIMIT / moves.reach))
-            size, gained = _size_of(moves, away_from_changed(still, shape))
-        if gained > SIGNIFICANT_GAIN:
-            return size, still
-    return 0.0, costs[0.0][1]
+def _error_costs(moves: CellChanges) -> tuple[Array, Chosen]:
+    """Return −2 ln evidence of no error and of READING_ERRORS, (1 + errors), and the still cells of the likeliest.
 
-
-def _size_of(moves: CellChanges, still: Chosen) -> tuple[float, float]:
-    """(√E[e²] of readings' own errors by the marginal likelihood of the still cells, −2 log of what it gains)."""
-    # C₀ = LLᵀ, L⁻¹ O L⁻ᵀ = QΛQᵀ: (C₀ + e²O)⁻¹ = L⁻ᵀ Q (1 + e²Λ)⁻¹ Qᵀ L⁻¹, and |C₀ + e²O| = |C₀| Π (1 + e²λ).
-    lower = np.linalg.cholesky(moves.covariance(0.0)[np.ix_(still, still)])
-    own, change = (np.linalg.solve(lower, values[still]) for values in (moves.own, moves.change))
-    grown, turned = np.linalg.eigh(own @ own.T)
-    grows = 1 + np.square(READING_ERRORS)[:, None] * np.maximum(grown, 0.0)
-    costs = np.sum((turned.T @ change) ** 2 / grows + np.log(grows), axis=1)
-    return _mean_square(costs), float(change @ change) - float(costs.min())
+    Beyond the linear limit changes say nothing more. The still cells change little from size to size.
+    """
+    sizes = [0.0, *(size for size in READING_ERRORS[2::2] if size * moves.reach <= LINEAR_LIMIT)]
+    costs, selections, begun = list[float](), list[Chosen](), None
+    for size in sizes:
+        cost, begun = moves.still(size, begun)
+        costs.append(cost)
+        selections.append(begun)
+    between = np.interp(np.log(READING_ERRORS), np.log(sizes[1:]), costs[1:])
+    return np.concatenate([costs[:1], between]), selections[int(np.argmin(costs))]
 
 
 def _mean_square(costs: Array) -> float:
