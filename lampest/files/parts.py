@@ -10,7 +10,6 @@ import numpy as np
 from lampest.files import hdf5
 
 TIME = "time"  # the axis along which parts follow each other
-OF_AXES = ("DIMENSION_LIST", "REFERENCE_LIST", "CLASS", "NAME")  # by which HDF5 ties axes to datasets
 
 
 class DatasetPlan(NamedTuple):
@@ -42,7 +41,8 @@ def join_parts(parts: Sequence[Path], target: h5py.Group, group: str) -> None:
         with hdf5.existing_file(part) as file:
             begins.append(_lengths(plans))
             for path, node in _below(file[group]):
-                attributes[path] = {name: value for name, value in node.attrs.items() if name not in OF_AXES}
+                ties = ("DIMENSION_LIST", "REFERENCE_LIST", "CLASS", "NAME")  # of axes to datasets
+                attributes[path] = {name: value for name, value in node.attrs.items() if name not in ties}
                 if isinstance(node, h5py.Dataset):
                     plans[path] = _planned(node, part, plans.get(path))
                 elif path:
