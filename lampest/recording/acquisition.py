@@ -118,11 +118,8 @@ def frame_paths(group: str, signal: str) -> tuple[str, ...]:
 
 def checksums(columns: Sequence[NDArray[Any]]) -> NDArray[np.uint32]:
     """Return the CRC-32 of each row over all columns."""
-    count = len(columns[0])
-    if not count:
-        return np.zeros(0, dtype=np.uint32)
-    values = [np.ascontiguousarray(column).reshape(count, -1).view(np.uint8) for column in columns]
-    return np.array([crc32(row.tobytes()) for row in np.concatenate(values, axis=1)], dtype=np.uint32)
+    rows = (b"".join(column[row : row + 1].tobytes() for column in columns) for row in range(len(columns[0])))
+    return np.array(list(map(crc32, rows)), dtype=np.uint32)
 
 
 def undamaged_frames(file: h5py.File, scene: Scene, group: str) -> slice:

@@ -4,6 +4,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
+from math import prod
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ from lampest.files.parts import join_parts
 from lampest.files.whole import folder_beside
 from lampest.panel.scene import Scene
 from lampest.recording.acquisition import undamaged_frames
-from lampest.recording.recording import MEASURED, UNLOADED, Recording, group_of, head_of
+from lampest.recording.recording import MEASURED, UNLOADED, Recording, group_of, recording_file
 
 WHOLE = 2_000_000  # readings of a recording that is held at once: 2 GB, as error bars take 1 kB of each
 BLOCK = 500_000  # readings of a part, where a recording has more
@@ -34,8 +35,7 @@ class StoredRecording:
     @classmethod
     def of(cls, path: Path) -> "StoredRecording":
         """Read the head of a file. Raises InputError if it is no recording, or its frames disagree."""
-        with hdf5.existing_file(path) as file:
-            scene, group, signal = head_of(file, path)
+        with recording_file(path) as (file, scene, group, signal):
             shape = hdf5.shape_of(file, f"{group}/{signal}")
             if not shape[0]:
                 raise InputError(f"{path}: {group}/{signal} holds no frame")
@@ -154,4 +154,6 @@ def too_long(frames: int, cells: int) -> bool:
 
 def opened(path: Path) -> Recording | StoredRecording:
     """Open a recording, whole unless it is too long. Raises InputError as `Recording.load`."""
-    return Recording.load_up_to(path, WHOLE) or StoredRecording.of(path)
+    with recording_file(path) as (file, _, group, signal):
+        readings = prod(hdf5.shape_of(file, f"{group}/{signal}"))
+    return StoredRecording.of(path) if readings > WHOLE else Recording.load(path)

@@ -27,7 +27,7 @@ from lampest.recording.board.journal import Journal
 from lampest.recording.board.protocol import MOST_CODE
 from lampest.recording.board.several import samples_of
 from lampest.recording.board.stream import CLOCK_STOPPED, UNFIT_SECONDS, Sample, Samples, agreed_and_recorded
-from lampest.recording.recording import MEASURED, UNLOADED, Recording, head_of
+from lampest.recording.recording import MEASURED, UNLOADED, Recording, recording_file
 from lampest.recording.stored import StoredRecording, opened, save_parts
 
 CLOCK_JUMP = "clock jump"  # label of the event
@@ -319,8 +319,7 @@ def repair(path: Path) -> tuple[int, int]:
     if is_locked(path):
         raise InputError(f"{path}: still being recorded")
     with folder_beside(path) as folder:
-        with hdf5.existing_file(path) as file:
-            scene, group, _ = head_of(file, path)
+        with recording_file(path) as (file, scene, group, _):
             frames, damaged = damaged_frames(file, scene, group)
             if not len(damaged) and np.all(whole_events(file)):
                 whole = path
