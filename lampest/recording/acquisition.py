@@ -33,7 +33,6 @@ FRAME_FIELDS = (
 
 FRAME_CHECKSUM, EVENT_CHECKSUM = "acquisition/crc32", "acquisition/event_crc32"
 EVENT_PATHS = ("acquisition/event_time", "acquisition/event_label")
-SUMS = "raw/sums"
 NO_SUM = 0xFFFF  # marks a missing sum: 64 readings of 10 bits sum to at most 65,472
 AT_ONCE = 1000  # frames of a block that is checked at once, to bound memory
 
@@ -113,7 +112,7 @@ class Acquisition(Validated):
 def frame_paths(group: str, signal: str) -> tuple[str, ...]:
     """Return the datasets with a row for every frame, below /entry, in the order of its checksum."""
     acquired = (f"acquisition/{name}" for name, *_ in FRAME_FIELDS)
-    return (f"{group}/{signal}", f"{group}/time", f"{group}/role", SUMS, *acquired)
+    return (f"{group}/{signal}", f"{group}/time", f"{group}/role", "raw/sums", *acquired)
 
 
 def checksums(columns: Sequence[NDArray[Any]]) -> NDArray[np.uint32]:
@@ -148,7 +147,7 @@ def damaged_frames(file: h5py.File, scene: Scene, group: str) -> tuple[int, NDAr
     for begin in range(0, min(frames, written), AT_ONCE):
         part = slice(begin, min(begin + AT_ONCE, frames, written))
         columns = stored_rows(file, paths, part)
-        recorded, sums = columns[0], columns[paths.index(SUMS)]
+        recorded, sums = columns[0], columns[paths.index("raw/sums")]
         if sums.shape != recorded.shape or recorded.ndim != 3:
             raise InputError(f"{file.filename}: /entry/raw/sums has another shape than the frames")
         expected = recorded_of_sums(scene, sums, readings)

@@ -29,8 +29,8 @@ from lampest.recording.readings import Readings, check_sigma
 FORMAT = "recording/1"
 UNLOADED, MEASURED = ROLES = 0, 1
 TRUTHS = ("/entry/truth/cell_resistance", "/entry/truth/pressure")
-FOREIGN = (".csv", ".txt", ".log", ".tsv", ".xlsx", ".xlsm", ".npy", ".npz", ".mat")  # suffixes of `import_file`
 STILL = 0.01  # relative change of readings beyond which a load may have come or gone: far above drift
+FOREIGN = (".csv", ".txt", ".log", ".tsv", ".xlsx", ".xlsm", ".npy", ".npz", ".mat")  # suffixes of `import_file`
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -92,10 +92,10 @@ def test_the_numbers_are_the_same() -> None:
     header = constants()
     assert header["PROTOCOL_VERSION"] == protocol.PROTOCOL_VERSION
     assert header["BAUD"] == protocol.BAUD
-    assert header["MOST_ROWS"] == protocol.MOST_ROWS
-    assert header["MOST_COLUMNS"] == protocol.MOST_COLUMNS
-    assert header["MOST_READINGS"] == protocol.MOST_READINGS
-    assert 2 ** header["ADC_BITS"] - 1 == protocol.MOST_CODE
+    assert header["MOST_ROWS"] == protocol.MAX_ROWS
+    assert header["MOST_COLUMNS"] == protocol.MAX_COLUMNS
+    assert header["MOST_READINGS"] == protocol.MAX_READINGS
+    assert 2 ** header["ADC_BITS"] - 1 == protocol.MAX_CODE
     assert {kind.name: header[kind.name] for kind in Kind} == {kind.name: kind.value for kind in Kind}
     assert [header[result.name] for result in protocol.RESULT_CODES] == list(range(len(Result)))
     for place, across in enumerate(protocol.ACROSS):

@@ -6,8 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lampest.recording.board.protocol import (
-    MOST_CODE,
-    MOST_STUFFED,
+    MAX_CODE,
+    MAX_STUFFED,
     PROTOCOL_VERSION,
     Answer,
     Foreign,
@@ -38,7 +38,7 @@ def frames() -> st.SearchStrategy[Frame]:
         rows, columns = draw(st.integers(1, 16)), draw(st.integers(1, 16))
         readings = draw(st.integers(1, 64))
         seed = draw(st.integers(0, 2**32 - 1))
-        most = readings * MOST_CODE if draw(st.booleans()) else 3
+        most = readings * MAX_CODE if draw(st.booleans()) else 3
         sums = np.random.default_rng(seed).integers(0, most + 1, (rows, columns)).astype(np.uint16)
         counts = [draw(st.integers(0, 2**bits - 1)) for bits in (32, 32, 16)]
         return Frame(readings, *counts, sums)
@@ -90,7 +90,7 @@ def test_cobs_takes_all_zeros_away_and_gives_them_back(body: bytes) -> None:
 @given(frames())
 def test_a_frame_comes_back(frame: Frame) -> None:
     wire = message(frame_body(frame))
-    assert len(wire) - 2 <= MOST_STUFFED
+    assert len(wire) - 2 <= MAX_STUFFED
     (back,) = received(wire)
     assert same(back, frame)
 
@@ -139,7 +139,7 @@ def test_byte_by_byte_a_frame_is_complete_at_its_last_byte_and_not_before() -> N
 def test_noise_is_never_a_frame_and_never_an_error(noise: bytes) -> None:
     receiver, found = Receiver().feed(noise)
     assert not any(isinstance(item, Frame) for item in found)
-    assert len(receiver.pending) <= MOST_STUFFED + 1
+    assert len(receiver.pending) <= MAX_STUFFED + 1
 
 
 @given(frames(), st.data())
@@ -166,9 +166,9 @@ def test_another_version_is_named_and_not_read(version: int, frame: Frame) -> No
 
 
 def test_impossible_content_with_a_right_crc_is_garbage() -> None:
-    frame = Frame(2, 0, 0, 0, np.full((2, 2), 2 * MOST_CODE, dtype=np.uint16))
+    frame = Frame(2, 0, 0, 0, np.full((2, 2), 2 * MAX_CODE, dtype=np.uint16))
     body = frame_body(frame)
-    too_high = body[:-2] + (2 * MOST_CODE + 1).to_bytes(2, "little")
+    too_high = body[:-2] + (2 * MAX_CODE + 1).to_bytes(2, "little")
     for wrong in (too_high, body + b"\0", body[:-1], body[:2] + b"\3" + body[3:], body[:1] + b"\x0e" + body[2:]):
         assert received(message(wrong)) == (Garbage(len(message(wrong)) - 2),)
 
@@ -178,6 +178,6 @@ def test_an_endless_message_fills_no_memory() -> None:
     for _ in range(50):
         receiver, items = receiver.feed(b"\x07" * 1000)
         assert items == ()
-    assert len(receiver.pending) == MOST_STUFFED + 1
+    assert len(receiver.pending) == MAX_STUFFED + 1
     _, items = receiver.feed(message(frame_body(Frame(1, 0, 0, 0, np.zeros((1, 1), dtype=np.uint16)))))
     assert isinstance(items[0], Garbage) and isinstance(items[1], Frame)

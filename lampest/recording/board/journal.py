@@ -23,8 +23,6 @@ from lampest.recording import acquisition
 from lampest.recording.board.stream import Sample
 from lampest.recording.recording import FORMAT, group_of
 
-CHUNK_FRAMES = 16  # frames of a chunk of sums, written anew with every frame
-
 
 @dataclass(frozen=True)
 class Journal:
@@ -128,6 +126,6 @@ def _lay_out(file: h5py.File, scene: Scene, readings: int) -> None:
 
 
 def _grow(group: h5py.Group, name: str, kind: str, units: str, long_name: str, shape: tuple[int, ...] = ()) -> None:
-    chunk = (CHUNK_FRAMES if shape else 1024, *shape)
+    chunk = (16 if shape else 1024, *shape)  # a chunk is written anew with every frame
     dataset = group.create_dataset(name, (0, *shape), kind, maxshape=(None, *shape), chunks=chunk)
     hdf5.set_attributes(dataset, units=units, long_name=long_name)

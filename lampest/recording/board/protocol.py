@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 PROTOCOL_VERSION = 1
 BAUD = 500_000
-MOST_ROWS = MOST_COLUMNS = 16
-MOST_READINGS = 64
-MOST_CODE = 1023
+MAX_ROWS = MAX_COLUMNS = 16
+MAX_READINGS = 64
+MAX_CODE = 1023
 _HELLO = struct.Struct("<BBBBBBBBHIIHHIBBB")
 _HELLO_WIRING = struct.Struct("<BI")
 _FRAME = struct.Struct("<BBBBBIIH")
@@ -59,8 +59,8 @@ def message(body: bytes) -> bytes:
     return b"\0" + stuffed(body + struct.pack(">H", crc16(body))) + b"\0"
 
 
-MOST_BODY = _FRAME.size + 2 * MOST_ROWS * MOST_COLUMNS
-MOST_STUFFED = MOST_BODY + 2 + (MOST_BODY + 2) // 254 + 1  # bytes of the longest message between its zeros
+MAX_BODY = _FRAME.size + 2 * MAX_ROWS * MAX_COLUMNS
+MAX_STUFFED = MAX_BODY + 2 + (MAX_BODY + 2) // 254 + 1  # bytes of the longest message between its zeros
 
 
 class Kind(IntEnum):
@@ -121,10 +121,10 @@ class Hello:
     @property
     def fault(self) -> str:
         """Sentence about the first field with an impossible value, or ''."""
-        limits = dict.fromkeys(("rows", "columns", "most_rows", "most_columns"), MOST_ROWS)
-        limits |= dict.fromkeys(("readings", "most_readings"), MOST_READINGS)
+        limits = dict.fromkeys(("rows", "columns", "most_rows", "most_columns"), MAX_ROWS)
+        limits |= dict.fromkeys(("readings", "most_readings"), MAX_READINGS)
         limits |= dict.fromkeys(("period_us", "shortest_period_us", "reference_milliohm"), 2**32 - 1)
-        limits |= {"supply_millivolt": 2**16 - 1, "adc_bits": MOST_CODE.bit_length()}
+        limits |= {"supply_millivolt": 2**16 - 1, "adc_bits": MAX_CODE.bit_length()}
         wrong = (name for name, most in limits.items() if not 1 <= getattr(self, name) <= most)
         return next((f"the board says that {n} is {getattr(self, n)}; 1 to {limits[n]} is possible" for n in wrong), "")
 
@@ -182,7 +182,7 @@ class Receiver:
         """Cut data at zeros and read each piece; never raises, whatever the bytes."""
         *pieces, pending = (self.pending + data).split(b"\0")
         # One byte too many is enough to know that a piece is no message.
-        return Receiver(pending[: MOST_STUFFED + 1]), tuple(_read_piece(piece) for piece in pieces if piece)
+        return Receiver(pending[: MAX_STUFFED + 1]), tuple(_read_piece(piece) for piece in pieces if piece)
 
 
 def command(kind: Kind, tag: int = 0, value: int = 0) -> bytes:
@@ -191,7 +191,7 @@ def command(kind: Kind, tag: int = 0, value: int = 0) -> bytes:
 
 
 def _read_piece(piece: bytes) -> Message:
-    content = unstuffed(piece) if len(piece) <= MOST_STUFFED else None
+    content = unstuffed(piece) if len(piece) <= MAX_STUFFED else None
     # The CRC over a body and its own CRC is zero.
     if content is None or len(content) < 4 or crc16(content) != 0:
         return Garbage(len(piece))
@@ -218,8 +218,8 @@ def _read_frame(body: bytes) -> Frame:
     _, _, rows, columns, readings, sequence, device_ms, missed = _FRAME.unpack_from(body)
     sums = np.frombuffer(body, "<u2", offset=_FRAME.size).astype(np.uint16).reshape(rows, columns)
     # More than a CRC of 16 bits can promise: no converter gives such a sum.
-    possible = readings <= MOST_READINGS and sums.max() <= readings * MOST_CODE
-    if not (possible and rows <= MOST_ROWS and columns <= MOST_COLUMNS and readings):
+    possible = readings <= MAX_READINGS and sums.max() <= readings * MAX_CODE
+    if not (possible and rows <= MAX_ROWS and columns <= MAX_COLUMNS and readings):
         raise ValueError("no board sends such a frame")
     return Frame(readings, sequence, device_ms, missed, sums)
 

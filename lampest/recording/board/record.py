@@ -24,13 +24,12 @@ from lampest.panel.readouts.converter import MIN_REPEATS, noise_of_variance
 from lampest.panel.scene import Scene
 from lampest.recording.acquisition import damaged_frames, whole_events
 from lampest.recording.board.journal import Journal
-from lampest.recording.board.protocol import MOST_CODE
+from lampest.recording.board.protocol import MAX_CODE
 from lampest.recording.board.several import samples_of
 from lampest.recording.board.stream import CLOCK_STOPPED, UNFIT_SECONDS, Sample, Samples, agreed_and_recorded
 from lampest.recording.recording import MEASURED, UNLOADED, Recording, recording_file
 from lampest.recording.stored import StoredRecording, opened, save_parts
 
-CLOCK_JUMP = "clock jump"  # label of the event
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")  # no dot, no separator: a file of one folder, and no hidden one
 
 
@@ -276,7 +275,7 @@ def appended(
     recorded = np.stack([agreed_and_recorded(sample, scene)[1] for sample in batch])
     journal.append(batch, recorded, [UNLOADED if number < unloaded else MEASURED for number in range(len(batch))])
     for sample in batch:
-        for event in (*sample.events, *([CLOCK_JUMP] if sample.clock_jump else ()), *keys()):
+        for event in (*sample.events, *(["clock jump"] if sample.clock_jump else ()), *keys()):
             journal.mark(sample.time, event)
 
 
@@ -367,7 +366,7 @@ def noise_from_repeats(parts: Iterable[Recording]) -> float | None:
         pairs = (part.role[1:] == UNLOADED) & (part.role[:-1] == UNLOADED)
         if part.acquisition is not None:
             pairs &= np.diff(part.acquisition.session.astype(int)) == 0
-        inside = (mean_code > 2) & (mean_code < MOST_CODE - 2)
+        inside = (mean_code > 2) & (mean_code < MAX_CODE - 2)
         difference = np.diff(mean_code, axis=0)[(inside[1:] & inside[:-1]) & pairs[:, None, None]]
         total, count = total + float(np.sum(difference**2)), count + len(difference)
     if readout is None or count < MIN_REPEATS:

@@ -21,10 +21,7 @@ from lampest.recording.acquisition import NO_SUM
 from lampest.recording.board.port import only_port
 from lampest.recording.board.stream import RETRY_SECONDS, Sample, Samples, board_samples
 
-CLOCKED = 50  # newest frames, of which the least delayed one sets a board's clock
-NEAR = 0.75  # periods between a board's frame and a moment: half a period, and the jitter of clocks
 LATE_SECONDS = 0.3  # s, and 1.5 periods, after which a silent board counts as missing
-POLL_SECONDS = 0.02  # s: longest wait for a sample before states are updated
 Stamped = tuple[float, Sample]  # s on the host's clock, when the scan began
 Arrived = SimpleQueue[tuple[int, Sample | str | InputError | None]]  # by board
 
@@ -85,7 +82,7 @@ class Alignment:
         known = [*filter(None, [self.shown[board]]), *self.waiting[board]]
         before = self.delays[board] if known and known[-1][1].session == sample.session else ()
         delays, waiting = list(self.delays), list(self.waiting)
-        delays[board] = (*before, sample.host_time - sample.time)[-CLOCKED:]
+        delays[board] = (*before, sample.host_time - sample.time)[-50:]  # the least of these sets the board's clock
         waiting[board] = (*waiting[board], (sample.time + min(delays[board]), sample))
         return replace(self, waiting=tuple(waiting), delays=tuple(delays))
 
@@ -101,7 +98,8 @@ class Alignment:
             if not (late or board in self.missing) and (not known or known[-1][0] < at - period / 2):
                 return None
             nearest = min(known, key=lambda stamped: abs(stamped[0] - at), default=None)
-            if nearest is not None and abs(nearest[0] - at) <= NEAR * period:
+            # Half a period, and the jitter of clocks.
+            if nearest is not None and abs(nearest[0] - at) <= 0.75 * period:
                 parts[board] = nearest
         remaining = [
             tuple(part for part in waiting if part[0] > (parts[board][0] if board in parts else at - period))
@@ -154,7 +152,7 @@ class _Boards:
                 if ending():
                     ended.set()
                 with suppress(Empty):
-                    board, item = arrived.get(timeout=POLL_SECONDS)
+                    board, item = arrived.get(timeout=0.02)
                     if isinstance(item, Sample):
                         current, states[board] = current.taking(board, item), ""
                     elif isinstance(item, InputError) and (current.moment is None or len(listening) == 1):

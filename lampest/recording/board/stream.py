@@ -20,11 +20,7 @@ SHARED = {
     "two_point": ("supply_volt", "reference_ohm", "measured_across", "adc_bits"),
     "loaded_columns": ("driven", "polarity", "supply_volt", "adc_bits", "load_ohm"),
 }
-# A calibrated load differs from the one that is printed on it: 5 % of ordinary resistors, twice.
-LOAD_TOLERANCE = 0.1
 ROUND = 2**32  # numbers and the board's clock begin anew after so many
-# A board's clock is not further ahead of the host's than this; a simulated board runs 300 times as fast as a real one.
-FASTEST, AHEAD_SECONDS = 1000.0, 10.0
 UNFIT_SECONDS = 30.0  # s without a fitting frame on a line that is not silent
 RETRY_SECONDS = 0.2  # s between attempts to open a port
 SILENCE_SECONDS = 2.5  # s of silence after which a board is asked who it is
@@ -36,30 +32,26 @@ def scene_of(hello: Hello, scene: Scene | None) -> Scene:
     declared = declared_readout(hello)
     if scene is None:
         return Scene(Panel(hello.rows, hello.columns), declared)
-    ours, panel = scene.readout, scene.panel
+    ours = scene.readout
     if ours is None:
         return replace(scene, readout=declared)
     if ours.kind != hello.wiring:
-        raise InputError(
-            f"the scene's readout.kind is {ours.kind}, but the board says that it is wired as {hello.wiring} "
-            f"(firmware pins.h)"
-        )
+        wired = f"but the board says that it is wired as {hello.wiring} (firmware pins.h)"
+        raise InputError(f"the scene's readout.kind is {ours.kind}, {wired}")
     for name in SHARED[hello.wiring]:
-        theirs, each = getattr(declared, name), as_tuple(getattr(ours, name))
-        within = LOAD_TOLERANCE * theirs if name == "load_ohm" else 0.0
-        for mine in each:
-            if mine != theirs and not (within and abs(mine - theirs) <= within):
-                said = [f"{value:g}" if isinstance(value, float) else value for value in (mine, theirs)]
+        theirs = getattr(declared, name)
+        for mine in as_tuple(getattr(ours, name)):
+            # A calibrated load differs from the one that is printed on it: 5 % of ordinary resistors, twice.
+            if mine != theirs and not (name == "load_ohm" and abs(mine - theirs) <= 0.1 * theirs):
+                both = [f"{value:g}" if isinstance(value, float) else value for value in (mine, theirs)]
                 raise InputError(
-                    f"the scene's readout.{name} is {said[0]}, but the board says {said[1]} (firmware pins.h)"
+                    f"the scene's readout.{name} is {both[0]}, but the board says {both[1]} (firmware pins.h)"
                 )
-    for name, asked, most in (
-        ("panel.rows", panel.rows, hello.most_rows),
-        ("panel.columns", panel.columns, hello.most_columns),
-        ("readout.readings", ours.readings, hello.most_readings),
-    ):
-        if asked > most:
-            raise InputError(f"the scene's {name} is {asked}, but the board can do at most {most}")
+    size = (*scene.panel.shape, ours.readings)
+    most = (hello.most_rows, hello.most_columns, hello.most_readings)
+    for name, needed, possible in zip(("panel.rows", "panel.columns", "readout.readings"), size, most, strict=True):
+        if needed > possible:
+            raise InputError(f"the scene's {name} is {needed}, but the board can do at most {possible}")
     return scene
 
 
@@ -207,7 +199,8 @@ class Scanning:
 
     def _most_ms(self, host_time: float) -> float:
         """Return the largest possible advance of the board's clock since a time of the host's, in ms."""
-        return 1e3 * (FASTEST * max(time.time() - host_time, 0.0) + AHEAD_SECONDS + 3 * self.period)
+        # A simulated board runs 300 times as fast as a real one.
+        return 1e3 * (1000 * max(time.time() - host_time, 0.0) + 10 + 3 * self.period)
 
     def _resumed(self, frame: Frame, after: Frame) -> Sample | None:
         """Return the first sample after a jump of the clock or of the numbers; None if the frame is a repetition.

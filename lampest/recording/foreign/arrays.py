@@ -22,8 +22,8 @@ from lampest.files.typed import Validated, real_array
 from lampest.panel.panel import Array
 from lampest.recording.foreign.words import Clock, clock_of_numbers, role_of
 
-MOST_BYTES = 500_000_000  # of a file, unpacked, and of its values in memory (tests/attack)
-COMPRESSED, MATRIX = 15, 14  # data elements of a .mat file
+MAX_BYTES = 500_000_000  # of a file, unpacked, and of its values in memory (tests/attack)
+COMPRESSED = 15  # data element of a .mat file
 NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
 ONE, STACKED, FRAMES = "(rows, columns)", "(rows, columns, frames)", "(frames, rows, columns)"
 FLAT = "(frames, rows·columns), row by row"
@@ -116,16 +116,16 @@ class Layout(Validated):
 
 def check_count(where: object, values: int) -> None:
     """Raise InputError where a file claims more values than are imported."""
-    if 8 * values > MOST_BYTES:
-        raise InputError(f"{where}: {values} values, more than {MOST_BYTES // 8} are not imported")
+    if 8 * values > MAX_BYTES:
+        raise InputError(f"{where}: {values} values, more than {MAX_BYTES // 8} are not imported")
 
 
 def check_archive(path: Path) -> None:
     """Raise InputError where a file is no zip archive, or its parts claim more bytes than are imported."""
     with reading(path), zipfile.ZipFile(path) as archive:
         claimed = sum(part.file_size for part in archive.infolist())
-    if claimed > MOST_BYTES:
-        raise InputError(f"{path}: unpacks to {claimed} bytes, more than {MOST_BYTES} are not imported")
+    if claimed > MAX_BYTES:
+        raise InputError(f"{path}: unpacks to {claimed} bytes, more than {MAX_BYTES} are not imported")
 
 
 @contextmanager
@@ -138,8 +138,8 @@ def reading(path: Path) -> Iterator[None]:
     except (OSError, MemoryError, InputError):
         raise
     except Exception as error:
-        said = " ".join(str(error).split()) or type(error).__name__
-        raise InputError(f"{path}: no readable {path.suffix.lower()} file ({said})") from error
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise InputError(f"{path}: no readable {path.suffix.lower()} file ({reason})") from error
 
 
 def _of_npy(path: Path) -> Arrays:
@@ -179,8 +179,8 @@ def _of_mat(path: Path) -> Arrays:
         if kind == COMPRESSED:
             head = np.frombuffer(zlib.decompressobj().decompress(body, 64), dtype=order + "u4").tolist()
             check_count(path, prod(head[8 : 8 + head[7] // 4]))  # dimensions come behind eight words
-            kind, body, _ = _element(memoryview(zlib.decompressobj().decompress(body, MOST_BYTES)), 0, order)
-        name, array = _matrix(body, order) if kind == MATRIX else ("", None)
+            kind, body, _ = _element(memoryview(zlib.decompressobj().decompress(body, MAX_BYTES)), 0, order)
+        name, array = _matrix(body, order) if kind == 14 else ("", None)
         if array is not None:
             arrays[name] = array
     return arrays

@@ -13,7 +13,7 @@ from lampest.files.typed import installed, typed
 from lampest.files.whole import note_read
 from lampest.panel.panel import Panel
 from lampest.panel.scene import Scene
-from lampest.recording.foreign.arrays import MOST_BYTES, READERS, Frames, Layout, Shape, frames_of_arrays
+from lampest.recording.foreign.arrays import MAX_BYTES, READERS, Frames, Layout, Shape, frames_of_arrays
 from lampest.recording.foreign.layouts import frames_of
 from lampest.recording.foreign.table import lines_of_sheets, lines_of_text, readings_table
 from lampest.recording.foreign.unit import check_shorted, check_unit, recorded_values, understood_unit
@@ -23,7 +23,6 @@ from lampest.recording.recording import MEASURED, UNLOADED, Recording
 NOT_READ = {".xls": "save it as .xlsx", ".ods": "save it as .xlsx or .csv", ".xlsb": "save it as .xlsx"}
 SHEETS = (".xlsx", ".xlsm")
 NAMED = (".mat", ".npz", *SHEETS)
-MISSING = ("mark", "skip-frame", "refuse")
 
 
 @typed
@@ -88,8 +87,8 @@ def import_file(  # noqa: PLR0913 # the options of a command
     array([[505., 515., 250.]])
     """
     path = Path(path)
-    if missing not in MISSING:
-        raise InputError(f"missing readings: '{missing}' is unknown; there are {', '.join(MISSING)}")
+    if missing not in ("mark", "skip-frame", "refuse"):
+        raise InputError(f"missing readings: '{missing}' is unknown; there are mark, skip-frame, refuse")
     panel = _panel(rows, columns, scene)
     check_unit(unit, scene, path)
     own = {known.kind: known for known in installed("lampest.layouts", Layout)}
@@ -161,8 +160,8 @@ def _read_frames(path: Path, shape: Shape, variable: str | None, layout: str | L
         size = path.stat().st_size
         if not path.is_file():
             raise InputError(f"{path}: no file")
-        if size > MOST_BYTES:
-            raise InputError(f"{path}: {size} bytes, more than {MOST_BYTES} are not imported")
+        if size > MAX_BYTES:
+            raise InputError(f"{path}: {size} bytes, more than {MAX_BYTES} are not imported")
         if isinstance(layout, Layout):
             return layout.frames(path, shape)
         if kind in NOT_READ:

@@ -20,10 +20,10 @@ from lampest.panel.panel import Array
 from lampest.recording.foreign.arrays import Frames, Index, Shape, Timing, check_archive, check_count, reading
 from lampest.recording.foreign.words import clock_of, has_decimal_comma, is_stamp, line_of, number_of, role_of
 
-MOST_FIELDS = 10_000_000  # 50 bytes each in memory
+MAX_FIELDS = 10_000_000  # 50 bytes each in memory
 SAMPLED = 50_000  # characters or fields of a file's beginning that decide how it is written
 SAMPLED_LINES = 1000
-MOST_NAMED = 10  # lines that a sentence names
+MAX_NAMED = 10  # lines that a sentence names
 DELIMITERS = {";": "semicolon", "\t": "tab", ",": "comma", " ": "blank"}
 COMMENT = re.compile(r"#(?!N/?A|DIV/0!|NUM!|VALUE!|REF!)|%|//", re.IGNORECASE)  # not where Excel has no number
 # '12:34:56.789 -> ' of the Arduino IDE, '12:34:56.789 > ' of PlatformIO, '[2025-01-31 12:34:56.789] ' of others
@@ -31,7 +31,6 @@ DATE, TIME = r"(?:\d{4}-\d{2}-\d{2}[ T]|\d{1,2}\.\d{1,2}\.\d{4} )?", r"\d{1,2}:\
 STAMPED = re.compile(rf"\s*\[?({DATE}{TIME})\s*(?:\]|->|>|\|)\s*")
 LABELLED = re.compile(r"\s*([^\W\d]+[ _]?\d+)\s*[=:]\s*(?=[-+.\d])")  # 'ROW0=512,511', 'R0: 512 511'
 LISTED = re.compile(r"[\[{(]+\s*[-+.\d]")  # '[512, 511],' of Python and JSON, '{512, 511},' of C
-BRACKETS = str.maketrans("[]{}()", "      ")
 # 'Frame 3, t = 1250 ms', 'time: 2025-01-31 12:00:01', 'millis=123'
 TITLE_TIME = re.compile(
     r"(?:\b(?P<word>t|time|timestamp|millis|ms|zeit)\s*[:=]\s*)(?P<value>\d[\d.,]*)\s*(?P<unit>ms|us|s)?(?![\d:/-])"
@@ -90,8 +89,8 @@ def _lines(
     for line in lines:
         read.append(line)
         total, width = total + len(line.texts), max(width, len(line.texts))
-        if max(total, len(read) * width // 2) > MOST_FIELDS:
-            raise InputError(f"{at(line.number, None)}: more than {MOST_FIELDS} fields are not imported")
+        if max(total, len(read) * width // 2) > MAX_FIELDS:
+            raise InputError(f"{at(line.number, None)}: more than {MAX_FIELDS} fields are not imported")
     fields = np.full((len(read), width), "", dtype=object)
     for number, line in enumerate(read):
         fields[number, : len(line.texts)] = line.texts
@@ -113,7 +112,7 @@ def lines_of_text(path: Path) -> FieldLines:
             raise InputError(f"{path}:{number}: longer than 1000000 characters, which no table is")
         stamped = STAMPED.match(line)
         content = line[stamped.end() :] if stamped else line.strip(" ")
-        content = content.translate(BRACKETS) if LISTED.match(content) else content
+        content = re.sub(r"[\[\]{}()]", " ", content) if LISTED.match(content) else content
         if labelled := LABELLED.match(content):  # the name becomes a field
             sign = next((sign for sign in DELIMITERS if sign in content[labelled.end() :]), " ")
             content = f"{labelled[1]}{sign}{content[labelled.end() :]}"
@@ -139,8 +138,8 @@ def _decoded(path: Path) -> tuple[str, list[str]]:
     """Return the text in UTF-8, or in UTF-16 by its mark or its zero bytes, and a note on the latter."""
     data = path.read_bytes()
     count = max(data.count(b"\n"), data.count(b"\r"))
-    if count > MOST_FIELDS:
-        raise InputError(f"{path}: {count} lines, more than {MOST_FIELDS} are not imported")
+    if count > MAX_FIELDS:
+        raise InputError(f"{path}: {count} lines, more than {MAX_FIELDS} are not imported")
     marks = {b"\xff\xfe": "utf-16-le", b"\xfe\xff": "utf-16-be"}
     encoding = marks.get(data[:2]) or ("utf-16-le" if data[1:2] == b"\0" else "utf-16-be" if data[:1] == b"\0" else "")
     data = data[: len(data) // 2 * 2] if encoding else data
@@ -391,8 +390,8 @@ def readings_table(source: FieldLines, layout: str | None = None) -> ReadingsTab
     left = np.flatnonzero(~data & differs & ~comment & np.any(fields != "", axis=1))
     if len(left):
         shown = " ".join(fields[left[0]]).strip()[:40]
-        named = ", ".join(str(source.lines[line].number) for line in left[:MOST_NAMED])
-        named += f" and {len(left) - MOST_NAMED} more" if len(left) > MOST_NAMED else ""
+        named = ", ".join(str(source.lines[line].number) for line in left[:MAX_NAMED])
+        named += f" and {len(left) - MAX_NAMED} more" if len(left) > MAX_NAMED else ""
         called = f"lines {named} (the first: {shown!r})" if len(left) > 1 else f"line {named} ({shown!r})"
         notes.append(f"left out: {called.replace('line', source.word)}, no readings or cut off")
     names = [""] * width if header is None else [text.lstrip("#% ") for text in fields[header, :width]]

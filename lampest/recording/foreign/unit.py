@@ -13,7 +13,7 @@ from lampest.recording.readings import AT_LEAST, AT_MOST, Readings
 
 FACTORS = {"ohm": 1.0, "kohm": 1e3, "volt": 1.0, "mV": 1e-3, "code": 1.0}
 RESISTANCES = ("ohm", "kohm")
-LEAST_USED = 0.01  # of the converter's range: readings that use less were taken in another unit or range
+MIN_USED = 0.01  # of the converter's range: readings that use less were taken in another unit or range
 
 
 def check_unit(unit: str | None, scene: Scene | None, source: object) -> None:
@@ -61,14 +61,14 @@ def _fitting(finite: Array, allowed: Sequence[str], readout: Readout | None) -> 
         fits = {"ohm": middle >= 1, "kohm": middle < 10}  # a multiplexer's channel has more than an ohm
         return [unit for unit in allowed if fits[unit]], "without a readout they are kohm below 1, ohm from 10 on"
     top, supply = 2**readout.adc_bits - 1, readout.full_scale_volt
-    lowest = 1000 * supply * LEAST_USED
+    lowest = 1000 * supply * MIN_USED
     sums, slack = finite * readout.readings, max(_rounding(finite), 1e-9) * readout.readings
     code = bool(finite.max() <= top and np.all(np.abs(sums - np.round(sums)) <= slack))
     whole = code and bool(np.all(finite == np.round(finite)))  # a converter's own numbers come before rounded mV
     fits = {"code": code, "volt": finite.max() <= supply, "mV": lowest < finite.max() <= 1000 * supply and not whole}
     for unit in RESISTANCES:
         share = float(readout.volt_from_recorded(np.array(middle * FACTORS[unit]))) / supply
-        fits[unit] = LEAST_USED <= share <= 1 - LEAST_USED
+        fits[unit] = MIN_USED <= share <= 1 - MIN_USED
     units = [unit for unit in allowed if fits[unit]]
     if len(units) > 1 and readout.unit == "ohm":
         seen = {unit: _on_steps(finite, unit, readout) for unit in units}
