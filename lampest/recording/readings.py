@@ -121,8 +121,6 @@ class Readings:
         check_sigma(scene, recorded, sigma)
         if scene.panel.modules is not None:
             return cls._of_modules(scene, scene.panel.modules, recorded, sigma)
-        if sigma is None and (plain := cls._plain(scene, recorded)) is not None:
-            return plain
         within, side = _within_rails(scene, recorded)
         if scene.converter_memory is not None:
             if scene.readout is None:
@@ -136,17 +134,14 @@ class Readings:
         seen = np.where(np.isnan(recorded), 0.0, 1.0)
         if noise is not None:
             seen = np.where(np.isfinite(noise), seen, 0.0)
-        if not scene.whole:
-            seen[..., scene.blind] = 0.0
+        seen[..., scene.blind] = 0.0
         if scene.circuit.unit == "ohm":
-            least = np.zeros_like(network) if noise is None else NOISE_REACH * noise
-            if noise is not None and scene.readout is not None:  # where nothing but the series resistance is read
+            reach = least = np.zeros_like(network) if noise is None else NOISE_REACH * noise
+            if scene.readout is not None:  # where nothing but the series resistance is read
                 series = scene.readout.sigma(np.broadcast_to(scene.series_ohm, scene.panel.shape))
-                least = NOISE_REACH * np.minimum(noise, series)
+                least = np.minimum(reach, NOISE_REACH * series)
             small = (network <= least) & (side != AT_LEAST)
-            side = np.where(small, AT_MOST, side)
-            if noise is not None:
-                network = np.where(small, np.maximum(network, 0) + NOISE_REACH * noise, network)
+            side, network = np.where(small, AT_MOST, side), np.where(small, np.maximum(network, 0) + reach, network)
         network, seen = _numbered(network, seen)
         side = np.where(seen > 0, side, VALUE)
         network = np.where((seen > 0) | scene.panel.present, network, _filled(network, seen))
@@ -161,8 +156,8 @@ class Readings:
         noise = None if sigma is None else np.broadcast_to(layout.split(sigma), values.shape)
         parts: dict[int, Readings] = {}
         for own, numbers in scene.alike:
-            some = cls.of(own, values[..., numbers, :, :], None if noise is None else noise[..., numbers, :, :])
-            parts |= {number: some[..., at, :, :] for at, number in enumerate(numbers)}
+            alike = cls.of(own, values[..., numbers, :, :], None if noise is None else noise[..., numbers, :, :])
+            parts |= {number: alike[..., at, :, :] for at, number in enumerate(numbers)}
         return cls.of_parts(layout, [parts[number] for number in range(layout.count)])
 
     def each(self, change: Callable[[Array], Array]) -> "Readings":
@@ -187,22 +182,6 @@ class Readings:
         )
         known = [part.sigma for part in parts if part.sigma is not None]
         return Readings(value, np.stack(known, axis) if len(known) == len(parts) else None, side, seen)
-
-    @classmethod
-    def _plain(cls, scene: Scene, recorded: Array) -> "Readings | None":
-        """Return readings that are all plain values, at a fifth of the time; None if any is not."""
-        readout = scene.readout
-        if readout is None or not scene.whole or scene.converter_memory is not None:
-            return None
-        least, largest = readout.rails()
-        if not (recorded.size and least <= recorded.min() and recorded.max() <= largest < np.inf):
-            return None
-        network, noise = scene.circuit.from_recorded(recorded, scene), _noise(scene, recorded, None)
-        assert noise is not None  # of a readout
-        small = NOISE_REACH * noise if scene.circuit.unit == "ohm" else 0.0
-        if not (network > small).all() or not np.isfinite(network + noise).all():
-            return None
-        return cls(network, noise, np.zeros(network.shape), np.ones(network.shape))
 
     def __getitem__(self, frames: Any) -> "Readings":
         """Return the readings of some frames."""
@@ -238,8 +217,6 @@ class Readings:
         Of the scene's asked readings at most half are missing, and half are values, or M + N − 1 are: these describe a
         panel whose lines alone differ.
         """
-        if not self.partial:
-            return np.ones(self.value.shape[:-2], dtype=bool)
         asked = scene.asked
         lines = int(asked.any(axis=1).sum() + asked.any(axis=0).sum())
         least = min(-(-int(asked.sum()) // 2), lines - 1)

@@ -102,30 +102,26 @@ class Journal:
 
 
 def _lay_out(file: h5py.File, scene: Scene, readings: int) -> None:
-    hdf5.set_attributes(file, NX_class="NXroot", default="entry", lampest_format=FORMAT, lampest_unfinished=np.uint8(1))
+    circuit, shape, frames = scene.circuit, scene.panel.shape, group_of(scene.circuit)
+    growing = (
+        (f"{frames}/{circuit.signal}", "f8", circuit.unit, circuit.signal_name, shape),
+        (f"{frames}/time", "f8", "s", "time of the frame", ()),
+        (f"{frames}/role", "u1", "1", "0 unloaded baseline, 1 measured", ()),
+        ("raw/sums", "u2", "1", "sums of ADC codes", shape),
+        *((f"acquisition/{name}", *described, ()) for name, *described in acquisition.FRAME_FIELDS),
+        (acquisition.FRAME_CHECKSUM, "u4", "1", "CRC-32 of all that belongs to the frame", ()),
+        (acquisition.EVENT_CHECKSUM, "u4", "1", "CRC-32 of all that belongs to the event", ()),
+        ("acquisition/event_time", "f8", "s", "time of the event", ()),
+        ("acquisition/event_label", f"S{acquisition.LABEL_BYTES}", "1", "label of the event", ()),
+    )
     entry = file.create_group("entry")
-    circuit, shape = scene.circuit, scene.panel.shape
-    hdf5.set_attributes(entry, NX_class="NXentry", default=group_of(circuit))
     hdf5.write_text(entry, "scene", to_yaml(scene))
-    frames = entry.create_group(group_of(circuit))
-    hdf5.set_attributes(frames, NX_class="NXdata", signal=circuit.signal, axes=["time", "row", "column"])
-    _grow(frames, circuit.signal, "f8", circuit.unit, circuit.signal_name, shape)
-    _grow(frames, "time", "f8", "s", "time of the frame")
-    _grow(frames, "role", "u1", "1", "0 unloaded baseline, 1 measured")
-    raw = entry.create_group("raw")
-    hdf5.set_attributes(raw, NX_class="NXdata", signal="sums", readings=np.uint16(readings))
-    _grow(raw, "sums", "u2", "1", "sums of ADC codes", shape)
-    acquired = entry.create_group("acquisition")
-    hdf5.set_attributes(acquired, NX_class="NXcollection")
-    for name, kind, units, long_name in acquisition.FRAME_FIELDS:
-        _grow(acquired, name, kind, units, long_name)
-    _grow(entry, acquisition.FRAME_CHECKSUM, "u4", "1", "CRC-32 of all that belongs to the frame")
-    _grow(entry, acquisition.EVENT_CHECKSUM, "u4", "1", "CRC-32 of all that belongs to the event")
-    _grow(acquired, "event_time", "f8", "s", "time of the event")
-    _grow(acquired, "event_label", f"S{acquisition.LABEL_BYTES}", "1", "label of the event")
-
-
-def _grow(group: h5py.Group, name: str, kind: str, units: str, long_name: str, shape: tuple[int, ...] = ()) -> None:
-    chunk = (16 if shape else 1024, *shape)  # a chunk is written anew with every frame
-    dataset = group.create_dataset(name, (0, *shape), kind, maxshape=(None, *shape), chunks=chunk)
-    hdf5.set_attributes(dataset, units=units, long_name=long_name)
+    for path, kind, units, long_name, cells in growing:
+        chunk = (16 if cells else 1024, *cells)  # a chunk is written anew with every frame
+        dataset = entry.create_dataset(path, (0, *cells), kind, maxshape=(None, *cells), chunks=chunk)
+        hdf5.set_attributes(dataset, units=units, long_name=long_name)
+    hdf5.set_attributes(file, NX_class="NXroot", default="entry", lampest_format=FORMAT, lampest_unfinished=np.uint8(1))
+    hdf5.set_attributes(entry, NX_class="NXentry", default=frames)
+    hdf5.set_attributes(entry[frames], NX_class="NXdata", signal=circuit.signal, axes=["time", "row", "column"])
+    hdf5.set_attributes(entry["raw"], NX_class="NXdata", signal="sums", readings=np.uint16(readings))
+    hdf5.set_attributes(entry["acquisition"], NX_class="NXcollection")
