@@ -161,7 +161,7 @@ def record(  # noqa: PLR0913 # the options of a command
         if made is None or last is None:
             raise InputError(f"{out}: ended before the first frame; nothing is written")
         short = seconds is not None and not asked() and count["frames"] != frames
-        silent = max((seconds or 0.0) - last.time - last.period, 0.0) if short else 0.0
+        silent = max((seconds or 0.0) - last.time - last.hello.period, 0.0) if short else 0.0
         counts: Any = {**count, "clock_stopped": count["clock_stopped"] > 0}
         scene, _, noise = made
         ending: Any = {"ended_by": asked(), "noise_lsb": noise, "silent": round(silent, 3)}
@@ -293,7 +293,7 @@ def _wanted(batches: Samples, frames: int | None, seconds: float | None, period:
         batch = batch if frames is None else batch[: frames - count]
         if seconds is not None:
             began = began or time.monotonic()
-            late = (number for number, item in enumerate(batch, 1) if item.time + item.period > seconds - 1e-3)
+            late = (number for number, item in enumerate(batch, 1) if item.time + item.hello.period > seconds - 1e-3)
             until = next(late, None)
             batch = batch[:until]
             ended = until is not None or time.monotonic() - began > 1.05 * seconds + period + 1

@@ -63,14 +63,9 @@ class Alignment:
     shown: tuple[Stamped | None, ...]
     delays: tuple[tuple[float, ...], ...]
     moment: float | None = None
-    missing: frozenset[int] = frozenset()
+    missing: tuple[int, ...] = ()
     frames: int = 0
     began: float | None = None
-
-    @property
-    def gone(self) -> list[int]:
-        """Numbers of the missing boards, in order."""
-        return sorted(self.missing)
 
     @classmethod
     def of(cls, boards: int) -> "Alignment":
@@ -91,7 +86,7 @@ class Alignment:
         led = self._led(now)
         if led is None:
             return None
-        at, period = led[0], led[1].period
+        at, period = led[0], led[1].hello.period
         late, parts = now > at + 1.5 * period + LATE_SECONDS, dict[int, Stamped]()
         for board, waiting in enumerate(self.waiting):
             known = [*filter(None, [self.shown[board]]), *waiting]
@@ -106,7 +101,7 @@ class Alignment:
             for board, waiting in enumerate(self.waiting)
         ]
         shown = tuple(parts.get(board, last) for board, last in enumerate(self.shown))
-        missing = frozenset(range(len(shown))) - parts.keys()
+        missing = tuple(board for board in range(len(shown)) if board not in parts)
         began, frames = at if self.began is None else self.began, self.frames + 1
         after = Alignment(tuple(remaining), shown, self.delays, at, missing, frames, began)
         return after, {board: sample for board, (_, sample) in parts.items()}
@@ -117,13 +112,13 @@ class Alignment:
             if not all(self.waiting):
                 return None
             begin = max(waiting[0][0] for waiting in self.waiting)
-            return next((led for led in self.waiting[0] if led[0] > begin - led[1].period / 2), None)
+            return next((led for led in self.waiting[0] if led[0] > begin - led[1].hello.period / 2), None)
         for board, waiting in enumerate(self.waiting):
             for led in waiting:
-                if led[0] > self.moment + led[1].period / 2:
+                if led[0] > self.moment + led[1].hello.period / 2:
                     return led
             last = self.shown[board]
-            if board not in self.missing and last and now < self.moment + 2.5 * last[1].period + LATE_SECONDS:
+            if board not in self.missing and last and now < self.moment + 2.5 * last[1].hello.period + LATE_SECONDS:
                 return None
         return None
 
@@ -168,7 +163,7 @@ class _Boards:
                 yield tuple(made)
                 gone = [
                     f"{self._place(board)} at {self.ports[board]}: {states[board] or 'no frame came'}"
-                    for board in current.gone
+                    for board in current.missing
                 ]
                 if made and gone:
                     on_state("module " + "; module ".join(gone))
@@ -187,8 +182,8 @@ class _Boards:
             sums[self.numbers[board]] = sample.frame.sums
         fresh = [sample for board, sample in parts.items() if before.shown[board] != after.shown[board]]
         missed, whole = max(sample.frame.missed for sample in every), self.layout.joined(sums)
-        events = [f"gone: {self._place(board)}" for board in after.gone if board not in before.missing]
-        events += [f"back: {self._place(board)}" for board in before.gone if board not in after.missing]
+        events = [f"gone: {self._place(board)}" for board in after.missing if board not in before.missing]
+        events += [f"back: {self._place(board)}" for board in before.missing if board not in after.missing]
         return Sample(
             replace(first.frame, sequence=before.frames, missed=missed, sums=whole),
             replace(first.hello, rows=rows, columns=columns),
