@@ -191,10 +191,11 @@ def stored_rows(file: h5py.File, paths: Sequence[str], part: slice) -> list[NDAr
 def recorded_of_sums(scene: Scene, sums: NDArray[Any], readings: int) -> Array:
     """Return recorded readings of sums of codes (…, rows, columns), by the readout of each module; NaN for NO_SUM."""
     layout = scene.panel.modules
-    parts = sums[..., None, :, :] if layout is None else layout.split(sums)
-    recorded = np.full(parts.shape, np.nan)
-    for own, numbers in ((scene, (0,)),) if layout is None else scene.alike:
-        assert own.readout is not None
-        recorded[..., numbers, :, :] = own.readout.recorded_from_sums(parts[..., numbers, :, :], readings)
-    recorded[parts == NO_SUM] = np.nan
-    return recorded[..., 0, :, :] if layout is None else layout.joined(recorded)
+    if layout is None:
+        assert scene.readout is not None
+        return np.where(sums == NO_SUM, np.nan, scene.readout.recorded_from_sums(sums, readings))
+    parts = layout.split(sums)
+    recorded = np.empty(parts.shape)
+    for own, numbers in scene.alike:
+        recorded[..., numbers, :, :] = recorded_of_sums(own, parts[..., numbers, :, :], readings)
+    return layout.joined(recorded)

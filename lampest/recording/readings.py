@@ -176,12 +176,12 @@ class Readings:
 
     def together(self, *frames: "Readings", axis: int = 0) -> "Readings":
         """Return frames (rows, columns) as (frames, rows, columns); σ is unknown if it is for one of them."""
-        parts = (self, *frames)
-        value, side, seen = (
-            np.stack([getattr(part, name) for part in parts], axis) for name in ("value", "side", "seen")
-        )
-        known = [part.sigma for part in parts if part.sigma is not None]
-        return Readings(value, np.stack(known, axis) if len(known) == len(parts) else None, side, seen)
+
+        def stacked(name: str) -> Any:
+            arrays = [getattr(part, name) for part in (self, *frames)]
+            return None if any(array is None for array in arrays) else np.stack(arrays, axis)
+
+        return Readings(*map(stacked, ("value", "sigma", "side", "seen")))
 
     def __getitem__(self, frames: Any) -> "Readings":
         """Return the readings of some frames."""

@@ -103,8 +103,8 @@ def _each_frame(parts: Sequence[Recording], chosen: NDArray[Any]) -> Recording:
     first = parts[0]
     names = ["recorded", "time", "role", "number", "truth_cell_resistance", "truth_pressure"]
     names += ["sigma"] if first.sigma is not None and first.sigma.ndim == 3 else []
-    held = [name for name in names if getattr(first, name) is not None]
-    each: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts])[chosen] for name in held}
+    present = [name for name in names if getattr(first, name) is not None]
+    each: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts])[chosen] for name in present}
     return replace(first, **each, raw_sums=None, raw_readings=None, acquisition=None)
 
 

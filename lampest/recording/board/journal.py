@@ -26,11 +26,10 @@ from lampest.recording.recording import FORMAT, group_of
 
 @dataclass(frozen=True)
 class Journal:
-    """Open, growing recording file; group and signal are those of its frames."""
+    """Open, growing recording file, and the paths of the datasets with a row for every frame."""
 
     file: h5py.File
-    group: str
-    signal: str
+    paths: tuple[str, ...]
 
     @classmethod
     @contextmanager
@@ -47,18 +46,14 @@ class Journal:
             file.flush()
             file.swmr_mode = True
             with locked(path):  # HDF5's own lock ended where SWMR began
-                yield cls(file, group_of(scene.circuit), scene.circuit.signal)
-
-    @property
-    def _paths(self) -> tuple[str, ...]:
-        return acquisition.frame_paths(self.group, self.signal)
+                yield cls(file, acquisition.frame_paths(group_of(scene.circuit), scene.circuit.signal))
 
     def append(self, samples: Sequence[Sample], recorded: Array, roles: Sequence[int]) -> None:
         """Add frames, which then survive; recorded (frames, rows, columns). Raises InputError: the disk is full."""
         fields = [vars(sample.frame) | vars(sample) for sample in samples]
         names = ("time", "sums", *(name for name, *_ in acquisition.FRAME_FIELDS))
         time, sums, *acquired = ([field[name] for field in fields] for name in names)
-        self._push(self._paths, (recorded, time, roles, sums, *acquired), acquisition.FRAME_CHECKSUM)
+        self._push(self.paths, (recorded, time, roles, sums, *acquired), acquisition.FRAME_CHECKSUM)
 
     def mark(self, time: float, label: str) -> None:
         """Add an event, whose label is cut to LABEL_BYTES."""
@@ -67,15 +62,14 @@ class Journal:
 
     def keep(self, source: h5py.File, damaged: NDArray[np.intp], frames: int) -> None:
         """Add the undamaged frames and events of another journal; damaged frames count as lost before the next one."""
-        paths, whole = self._paths, np.setdiff1d(np.arange(frames), damaged)
+        whole, lost = np.setdiff1d(np.arange(frames), damaged), self.paths.index("acquisition/lost")
         dropped = np.diff(whole, prepend=-1) - 1
         for begin in range(0, len(whole), acquisition.AT_ONCE):
             numbers = whole[begin : begin + acquisition.AT_ONCE]
-            rows = acquisition.stored_rows(source, paths, slice(int(numbers[0]), int(numbers[-1]) + 1))
+            rows = acquisition.stored_rows(source, self.paths, slice(int(numbers[0]), int(numbers[-1]) + 1))
             values = [column[numbers - numbers[0]] for column in rows]
-            lost = paths.index("acquisition/lost")
             values[lost] = values[lost] + dropped[begin : begin + acquisition.AT_ONCE]
-            self._push(paths, values, acquisition.FRAME_CHECKSUM)
+            self._push(self.paths, values, acquisition.FRAME_CHECKSUM)
         events = acquisition.whole_events(source)
         rows = acquisition.stored_rows(source, acquisition.EVENT_PATHS, slice(len(events)))
         self._push(acquisition.EVENT_PATHS, [column[events] for column in rows], acquisition.EVENT_CHECKSUM)

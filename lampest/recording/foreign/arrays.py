@@ -281,9 +281,7 @@ def _chosen(path: Path, arrays: Arrays, fits: dict[str, list[str]], shape: Shape
 
 
 def _fits(size: Sequence[int], wanted: Sequence[int | None]) -> bool:
-    return len(size) == len(wanted) and all(
-        has == want or (want is None and has > 0) for has, want in zip(size, wanted, strict=True)
-    )
+    return len(size) == len(wanted) and all(has and want in (has, None) for has, want in zip(size, wanted, strict=True))
 
 
 def _by(size: Sequence[int]) -> str:

@@ -101,9 +101,8 @@ class Unmodelled(Configuration):
     @property
     def needs_converter(self) -> tuple[str, ...]:
         """Names of the present effects that need a readout in the scene."""
-        of_readings = ("reference_tolerance", "outlier_probability", "noise_factor", "saturation")
-        names = (*of_readings, "supply_ripple_lsb", "gain_spread", "inl_lsb")
-        return tuple(name for name in names if getattr(self, name))
+        names = "reference_tolerance outlier_probability noise_factor saturation supply_ripple_lsb gain_spread inl_lsb"
+        return tuple(name for name in names.split() if getattr(self, name))
 
 
 def random_stream(seed: int, purpose: str) -> np.random.Generator:

@@ -75,10 +75,9 @@ class Course(Configuration):
         check_not_negative(self, *(field.name for field in fields(self) if field.name != "start_s"))
         if not isfinite(self.start_s):
             raise ValueError("start_s must be finite")
-        if self.breathing_depth >= 1:
-            raise ValueError("breathing_depth must be below 1")
-        if self.pump_loss >= 1:
-            raise ValueError("pump_loss must be below 1")
+        for name in ("breathing_depth", "pump_loss"):
+            if getattr(self, name) >= 1:
+                raise ValueError(f"{name} must be below 1")
 
     def contact_and_suction(self, time: Array) -> tuple[Array, Array]:
         """Return factors of contact pressure and suction, (frames) s → 1; suction starts when the approach is over."""
