@@ -146,10 +146,8 @@ def _decoded(path: Path) -> tuple[str, list[str]]:
     try:
         text = data.decode(encoding or "utf-8").removeprefix("\ufeff")
     except UnicodeDecodeError as error:
-        line = data.count(b"\n", 0, error.start) + 1
-        raise InputError(
-            f"{path}:{line}: no text table (byte {error.start} is not {error.encoding}; save it in UTF-8)"
-        ) from error
+        line, wrong = data.count(b"\n", 0, error.start) + 1, f"byte {error.start} is not {error.encoding}"
+        raise InputError(f"{path}:{line}: no text table ({wrong}; save it in UTF-8)") from error
     if "\0" in text:
         raise InputError(f"{path}: no text table (it holds zero bytes)")
     return text, ["UTF-16"] if encoding else []

@@ -214,9 +214,8 @@ def simulate(simulation: Simulation, name: str = "simulated", on_frame: Callable
     time, moves = np.arange(frames) * simulation.frame_period_s, bool(unmodelled.load_speed_mm_s)
     each = scene.panel.network
     # Pressures, cells, their factors, readings, sums; and cells while each line is read.
-    check_memory(
-        8.0 * (10 + moves * sum(each.shape)) * simulation.values, f"{frames} frames of {scene.panel.crossings} cells"
-    )
+    size = 8.0 * (10 + moves * sum(each.shape)) * simulation.values
+    check_memory(size, f"{frames} frames of {scene.panel.crossings} cells")
     loaded_time = time - time[simulation.baseline_frames]
     cells = cells_under(simulation, time)
     lines = (each.columns if scene.circuit.by_columns else each.rows) if moves else 0
@@ -289,9 +288,8 @@ def _film_ratio(simulation: Simulation, time: Array, later_s: float) -> Array:
     scene, first, step = simulation.scene, time[simulation.baseline_frames], simulation.frame_period_s / MOMENTS
     response, film = simulation.response or scene.response or PUBLISHED, simulation.film or scene.film
     if film is None:
-        return np.asarray(
-            ratio_from_pressure(pressure_at(simulation, time - first, later_s), response) ** response.gains
-        )
+        pressure = pressure_at(simulation, time - first, later_s)
+        return np.asarray(ratio_from_pressure(pressure, response) ** response.gains)
     water = water_pressure(scene.panel, simulation.water or scene.water)
 
     def strength(name: str, value: float | Literal["auto"], most: float) -> Array:
