@@ -168,7 +168,7 @@ def handled(handler: Callable[[int], object]) -> Iterator[None]:
         yield
         return
     numbers = [number for number in ENDING if number in WANTED or signal.getsignal(number) is not signal.SIG_IGN]
-    before = {number: signal.signal(number, lambda seen, frame: handler(seen)) for number in numbers}
+    before = {number: signal.signal(number, lambda received, frame: handler(received)) for number in numbers}
     try:
         yield
     finally:

@@ -143,7 +143,7 @@ def damaged_frames(file: h5py.File, scene: Scene, group: str) -> tuple[int, NDAr
     written = min(hdf5.length_of(file, f"/entry/{path}") for path in paths)
     checked = hdf5.has(file, f"/entry/{FRAME_CHECKSUM}")
     frames = hdf5.length_of(file, f"/entry/{FRAME_CHECKSUM}") if checked else written
-    wrong: list[NDArray[np.intp]] = []
+    damaged = np.ones(frames, dtype=np.bool_)
     for begin in range(0, min(frames, written), AT_ONCE):
         part = slice(begin, min(begin + AT_ONCE, frames, written))
         columns = stored_rows(file, paths, part)
@@ -151,16 +151,14 @@ def damaged_frames(file: h5py.File, scene: Scene, group: str) -> tuple[int, NDAr
         if sums.shape != recorded.shape or recorded.ndim != 3:
             raise InputError(f"{file.filename}: /entry/raw/sums has another shape than the frames")
         expected = recorded_of_sums(scene, sums, readings)
-        differs = np.any((expected != recorded) & ~(np.isnan(expected) & np.isnan(recorded)), axis=(1, 2))
+        damaged[part] = np.any((expected != recorded) & ~(np.isnan(expected) & np.isnan(recorded)), axis=(1, 2))
         if checked:
-            differs |= checksums(columns) != stored_rows(file, (FRAME_CHECKSUM,), part)[0]
+            damaged[part] |= checksums(columns) != stored_rows(file, (FRAME_CHECKSUM,), part)[0]
         # HDF5 returns zero for unwritten values; a board's codes stand for the middle of their interval.
         elif len(unwritten := np.flatnonzero(np.any(recorded == 0, axis=(1, 2)))):
             frames = begin + int(unwritten[0])
-            wrong.append(begin + np.flatnonzero(differs[: unwritten[0]]))
             break
-        wrong.append(begin + np.flatnonzero(differs))
-    return frames, np.concatenate([*wrong, np.arange(written, frames)])
+    return frames, np.flatnonzero(damaged[:frames])
 
 
 def whole_events(file: h5py.File) -> NDArray[np.bool_]:

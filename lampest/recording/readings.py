@@ -33,8 +33,8 @@ def stand_in_spread(value: Array, known: NDArray[np.bool_]) -> Array:
     if not known.any():
         return np.ones(known.shape)
     diagonal = np.add.outer(*map(np.arange, known.shape)) % max(known.shape)
-    left = known & (diagonal != np.arange(max(known.shape))[:, None, None])
-    alone = np.take_along_axis(_polished(value, left)[0], diagonal[None], axis=0)[0]
+    remaining = known & (diagonal != np.arange(max(known.shape))[:, None, None])
+    alone = np.take_along_axis(_polished(value, remaining)[0], diagonal[None], axis=0)[0]
     stray = np.abs(alone - np.log(np.where(known, value, 1.0)))[known]
     size = max(np.sqrt(np.mean(stray**2)), np.quantile(stray, 0.95, method="higher") / 1.96)
     # Below, a frame is a simulation without noise.
@@ -53,12 +53,12 @@ def _polished(value: Array, known: NDArray[np.bool_]) -> tuple[Array, Array]:
             step = _median(residual, axis)
             effects[axis], residual = effects[axis] + step, residual - step
     for axis, effect in effects.items():
-        some, across = known.any(axis=axis, keepdims=True), -3 - axis
-        count = np.maximum(some.sum(axis=across, keepdims=True), 1)
-        mean = np.where(some, effect, 0.0).sum(axis=across, keepdims=True) / count
-        square = np.where(some, (effect - mean) ** 2, 0.0).sum(axis=across, keepdims=True) / count
-        expected = expected + np.where(some, effect, mean)
-        between = between + np.where(some, 0.0, square)
+        known_lines, across = known.any(axis=axis, keepdims=True), -3 - axis
+        count = np.maximum(known_lines.sum(axis=across, keepdims=True), 1)
+        mean = np.where(known_lines, effect, 0.0).sum(axis=across, keepdims=True) / count
+        square = np.where(known_lines, (effect - mean) ** 2, 0.0).sum(axis=across, keepdims=True) / count
+        expected = expected + np.where(known_lines, effect, mean)
+        between = between + np.where(known_lines, 0.0, square)
     return expected, between
 
 
@@ -273,21 +273,24 @@ def strongest_frame(value: Array, resting: Array, frames: NDArray[np.intp]) -> i
     return int(frames[np.flatnonzero(change == change.max())[-1]])
 
 
-def check_sigma(scene: Scene, recorded: Array, sigma: Array | None) -> None:
-    """Raise InputError unless readings have the panel's shape, and their σ (or None) theirs and is nowhere ≤ 0."""
+def check_sigma(scene: Scene, recorded: Array, sigma: Array | None, where: str = "") -> None:
+    """Raise InputError unless readings have the panel's shape, and their σ (or None) theirs and is nowhere ≤ 0.
+
+    where : beginning of the message.
+    """
     shape = scene.panel.shape
     if recorded.shape[-2:] != shape:
         size = " × ".join(str(length) for length in recorded.shape)
-        raise InputError(f"the readings are {size}, but the scene's panel is {shape[0]} × {shape[1]}")
+        raise InputError(f"{where}the readings are {size}, but the scene's panel is {shape[0]} × {shape[1]}")
     if sigma is None:
         return
     if sigma.shape not in (recorded.shape, shape):
-        raise InputError("sigma has another shape than the readings")
+        raise InputError(f"{where}sigma has another shape than the readings")
     if np.any(out := beyond_any_panel(sigma)):
-        raise InputError(f"sigma holds {sigma[out][0]:.6g} {scene.circuit.unit}, which no electronics has")
+        raise InputError(f"{where}sigma holds {sigma[out][0]:.6g} {scene.circuit.unit}, which no electronics has")
     if np.any(sigma <= 0):
         index = tuple(int(part) for part in np.argwhere(sigma <= 0)[0])
-        raise InputError(f"sigma{list(index)} is {sigma[index]:.6g} {scene.circuit.unit}; it must be positive")
+        raise InputError(f"{where}sigma{list(index)} is {sigma[index]:.6g} {scene.circuit.unit}; it must be positive")
 
 
 def _noise(scene: Scene, recorded: Array, sigma: Array | None) -> Array | None:

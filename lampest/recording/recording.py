@@ -100,10 +100,7 @@ class Recording(Validated):
                 f"{shape[0]} × {shape[1]} with at least one frame"
             )
         where = f"{self.name}: {self._group}/"
-        try:
-            check_sigma(self.scene, self.recorded, self.sigma)
-        except InputError as error:
-            raise InputError(f"{where}{error}") from error
+        check_sigma(self.scene, self.recorded, self.sigma, where)
         object.__setattr__(self, "recorded", as_panels_have(self.recorded))  # no value refuses a recording
         if np.any(np.abs(self.time) > 1e13):  # clocks count milliseconds since 1970, with room
             raise InputError(f"{where}time goes beyond 1e+13 s")

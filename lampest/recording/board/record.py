@@ -133,10 +133,10 @@ def record(  # noqa: PLR0913 # the options of a command
         raise InputError(f"{out}: exists already; a recording is never written over")
     urls: Sequence[str] = (ports,) if isinstance(ports, str) else ports or ()
     count, states, last = Counter[str](), [""], None
-    with ending_signals(lambda: count["frames"] > 0 and not states[-1]) as asked:
+    with ending_signals(lambda: count["frames"] > 0 and not states[-1]) as ended_by:
         try:
             with contextlib.ExitStack() as stack:
-                batches = samples_of(urls, scene, period, states.append, lambda: bool(asked()))
+                batches = samples_of(urls, scene, period, states.append, lambda: bool(ended_by()))
                 stack.enter_context(contextlib.closing(batches))
                 journal: Journal | None = None
                 for batch in _wanted(batches, frames, seconds, period or 1.0):
@@ -146,7 +146,7 @@ def record(  # noqa: PLR0913 # the options of a command
                         appended(journal, batch, scene, baseline - count["frames"], keys)
                     for last in batch:
                         count.update(frames=1, lost=last.lost, clock_jumps=last.clock_jump, parted=last.missing > 0)
-                        count.update(clock_stopped=CLOCK_STOPPED in last.events, behind=bool(asked()))
+                        count.update(clock_stopped=CLOCK_STOPPED in last.events, behind=bool(ended_by()))
                         on_progress(Progress(last, count["frames"], count["lost"], ""))
                     if not batch and states[-1]:
                         on_progress(Progress(None, count["frames"], count["lost"], states[-1]))
@@ -160,11 +160,11 @@ def record(  # noqa: PLR0913 # the options of a command
             made = finished(out) if last else None
         if made is None or last is None:
             raise InputError(f"{out}: ended before the first frame; nothing is written")
-        short = seconds is not None and not asked() and count["frames"] != frames
+        short = seconds is not None and not ended_by() and count["frames"] != frames
         silent = max((seconds or 0.0) - last.time - last.hello.period, 0.0) if short else 0.0
         counts: Any = {**count, "clock_stopped": count["clock_stopped"] > 0}
         scene, _, noise = made
-        ending: Any = {"ended_by": asked(), "noise_lsb": noise, "silent": round(silent, 3)}
+        ending: Any = {"ended_by": ended_by(), "noise_lsb": noise, "silent": round(silent, 3)}
         return Recorded(path=out, scene=scene, restarts=last.session, **counts, **ending)
 
 
@@ -351,8 +351,8 @@ def _with_sigma(recording: Recording, noise: float | None) -> Recording:
     readout = recording.scene.readout
     if readout is None or recording.scene.panel.modules is not None:  # whose modules have their own
         return recording
-    seen = readout if noise is None else dataclasses.replace(readout, noise_lsb=noise)
-    return dataclasses.replace(recording, sigma=seen.sigma(recording.recorded))
+    readout = readout if noise is None else dataclasses.replace(readout, noise_lsb=noise)
+    return dataclasses.replace(recording, sigma=readout.sigma(recording.recorded))
 
 
 def noise_from_repeats(parts: Iterable[Recording]) -> float | None:

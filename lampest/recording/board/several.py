@@ -205,15 +205,12 @@ def _listen(board: int, port: str, own: Scene, period: float | None, arrived: Ar
 
     One that fails later is opened anew, as often as need be: a hub that hangs is unplugged, and comes back.
     """
-
-    def said(sentence: str) -> None:
-        arrived.put((board, sentence))
-
     sessions = 0
     while not ended.is_set():
         before = sessions
         try:
-            with closing(board_samples(port, own, period, said, ended.is_set)) as batches:
+            samples = board_samples(port, own, period, lambda sentence: arrived.put((board, sentence)), ended.is_set)
+            with closing(samples) as batches:
                 for sample in (sample for batch in batches for sample in batch):
                     sessions = before + sample.session + 1
                     arrived.put((board, replace(sample, session=sessions - 1)))

@@ -298,12 +298,12 @@ class _Line:
         silent_after = max(SILENCE_SECONDS, 3 * hello.period)
         heard = time.monotonic()
         while True:
-            asked = self._ending()
-            run, samples, over = self._taken(run, board.last_messages() if asked else board.messages())
+            ending = self._ending()
+            run, samples, over = self._taken(run, board.last_messages() if ending else board.messages())
             if samples:
                 heard = time.monotonic()
             yield samples
-            if over or asked:
+            if over or ending:
                 return
             self.check(hello.period)
             if time.monotonic() - heard > silent_after:

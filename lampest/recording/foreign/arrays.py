@@ -108,7 +108,7 @@ class Layout(Validated):
 
         def clock(unit: str | None) -> Clock:
             seconds = real_array(times, f"{path}: times of layout {self.kind}").astype(float)
-            return clock_of_numbers(seconds, "", lambda frame: f"{path}: time of frame {frame}", unit).said("")
+            return clock_of_numbers(seconds, "", lambda frame: f"{path}: time of frame {frame}", unit).read_from("")
 
         number = np.arange(values.size).reshape(values.shape)
         return Frames(values.ravel(), number, named, clock if times is not None else None, (f"layout {self.kind}",), ())
@@ -261,7 +261,7 @@ def frames_of_arrays(path: Path, shape: Shape, variable: str | None) -> Frames:
     def clock(unit: str | None) -> Clock:
         values = np.asarray(arrays[times[0]], dtype=float).ravel()
         read = clock_of_numbers(values, times[0], lambda frame: f"{path}: {times[0]}[{frame}]", unit)
-        return read.said(f"array {times[0]} in ")
+        return read.read_from(f"array {times[0]} in ")
 
     times = [time for time in arrays if role_of(time) == "time" and arrays[time].size == len(number) and time != name]
     return Frames(array.ravel(), number, named, clock if len(times) == 1 else None, (note,), (name,))

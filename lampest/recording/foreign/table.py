@@ -338,10 +338,10 @@ class ReadingsTable:
         name = matches[0]["unit"] or matches[0]["word"] or ""
         return self._timing(texts, name, begins, None, "before each block in ")
 
-    def _timing(self, texts: Sequence[str], name: str, lines: Sequence[int], field: int | None, said: str) -> Timing:
+    def _timing(self, texts: Sequence[str], name: str, lines: Sequence[int], field: int | None, origin: str) -> Timing:
         return lambda unit: clock_of(
             texts, name, lambda at: self.place(lines[at], field), comma=self.comma, unit=unit
-        ).said(said)
+        ).read_from(origin)
 
 
 def kind_of(text: str) -> str:
@@ -381,16 +381,16 @@ def readings_table(source: FieldLines, layout: str | None = None) -> ReadingsTab
     long = data & np.any(fields[:, width:] != "", axis=1)
     if np.any(long):
         line, plain = int(np.argmax(long)), int(np.argmax(data & ~long))
-        said = f"{counts[line]} fields, where {source.called(plain)} has {width}"
-        raise InputError(f"{source.at(source.lines[line].number, None)}: {said}")
+        mismatch = f"{counts[line]} fields, where {source.called(plain)} has {width}"
+        raise InputError(f"{source.at(source.lines[line].number, None)}: {mismatch}")
     notes = [", ".join((*source.notes, *(["decimal commas"] if comma else [])))]
     notes += [] if header is None else [f"{source.called(header)} taken as header"]
-    left = np.flatnonzero(~data & differs & ~comment & np.any(fields != "", axis=1))
-    if len(left):
-        shown = " ".join(fields[left[0]]).strip()[:40]
-        named = ", ".join(str(source.lines[line].number) for line in left[:MAX_NAMED])
-        named += f" and {len(left) - MAX_NAMED} more" if len(left) > MAX_NAMED else ""
-        called = f"lines {named} (the first: {shown!r})" if len(left) > 1 else f"line {named} ({shown!r})"
+    excluded = np.flatnonzero(~data & differs & ~comment & np.any(fields != "", axis=1))
+    if len(excluded):
+        shown = " ".join(fields[excluded[0]]).strip()[:40]
+        named = ", ".join(str(source.lines[line].number) for line in excluded[:MAX_NAMED])
+        named += f" and {len(excluded) - MAX_NAMED} more" if len(excluded) > MAX_NAMED else ""
+        called = f"lines {named} (the first: {shown!r})" if len(excluded) > 1 else f"line {named} ({shown!r})"
         notes.append(f"left out: {called.replace('line', source.word)}, no readings or cut off")
     names = [""] * width if header is None else [text.lstrip("#% ") for text in fields[header, :width]]
     if layout is not None:

@@ -26,18 +26,18 @@ def check_unit(unit: str | None, scene: Scene | None, source: object) -> None:
         raise InputError(f"{source}: the scene's readout gives {scene.circuit.unit}; say unit volt, mV or code")
 
 
-def understood_unit(values: Array, said: Sequence[str], scene: Scene | None, source: object) -> tuple[str, str]:
+def understood_unit(values: Array, named: Sequence[str], scene: Scene | None, source: object) -> tuple[str, str]:
     """Return the unit of values (any shape, NaN if missing), and a sentence on the reason.
 
-    said : units that the header permits, () if it names none. Raises InputError where no unit fits, or
+    named : units that the header permits, () if it names none. Raises InputError where no unit fits, or
     two do.
     """
     readout = None if scene is None else scene.readout
     possible = RESISTANCES if readout is None else tuple(FACTORS) if readout.unit == "ohm" else ("volt", "mV", "code")
-    allowed = [unit for unit in possible if not said or unit in said]
-    if len(said) == 1 or not allowed:
-        check_unit(said[0], scene, source)
-        return said[0], f"unit {said[0]}, as the header says"
+    allowed = [unit for unit in possible if not named or unit in named]
+    if len(named) == 1 or not allowed:
+        check_unit(named[0], scene, source)
+        return named[0], f"unit {named[0]}, as the header says"
     finite = values[np.isfinite(values)]
     if finite.size == 0:
         return allowed[0], f"unit {allowed[0]}, assumed: no reading says otherwise"
@@ -71,11 +71,11 @@ def _fitting(finite: Array, allowed: Sequence[str], readout: Readout | None) -> 
         fits[unit] = MIN_USED <= share <= 1 - MIN_USED
     units = [unit for unit in allowed if fits[unit]]
     if len(units) > 1 and readout.unit == "ohm":
-        seen = {unit: _on_steps(finite, unit, readout) for unit in units}
-        stepped = [unit for unit in units if seen[unit] is True]
+        on_steps = {unit: _on_steps(finite, unit, readout) for unit in units}
+        stepped = [unit for unit in units if on_steps[unit] is True]
         if len(stepped) == 1:
             return stepped, "as such they lie on the converter's steps"
-        fitting = [unit for unit in units if unit in RESISTANCES or seen[unit] is not False]  # they may be filtered
+        fitting = [unit for unit in units if unit in RESISTANCES or on_steps[unit] is not False]  # they may be filtered
         missed = " or ".join(unit for unit in units if unit not in fitting)
         return fitting, f"as {missed} they would miss the converter's steps"
     least, largest = readout.rails()

@@ -165,7 +165,7 @@ class Clock(NamedTuple):
     start: str | None
     sentence: str
 
-    def said(self, where: str) -> "Clock":
+    def read_from(self, where: str) -> "Clock":
         """Return the clock with the place of the times in its sentence."""
         return self._replace(sentence=f"time: {where}{self.sentence}")
 
