@@ -54,7 +54,7 @@ def read_through(file: h5py.File) -> tuple[int, bool]:
     Raises InputError with the path of the first damaged dataset.
     """
     covered, datasets = True, 0
-    for path, node in _all_below(file, "/"):
+    for path, node in nodes_below(file, "/"):
         with located(file, path):
             covered &= h5py.h5o.get_info(node.id).hdr.version > 1
             for name, value in node.attrs.items():
@@ -65,7 +65,7 @@ def read_through(file: h5py.File) -> tuple[int, bool]:
     return datasets, covered
 
 
-def _all_below(file: h5py.File, path: str) -> Iterator[tuple[str, Any]]:
+def nodes_below(file: h5py.File, path: str) -> Iterator[tuple[str, Any]]:
     """Yield (path, group or dataset) of a group and of everything within it; links to other files are not followed."""
     with located(file, path):
         group = file[path]
@@ -76,7 +76,7 @@ def _all_below(file: h5py.File, path: str) -> Iterator[tuple[str, Any]]:
         with located(file, inner):
             node = file[inner]
         if isinstance(node, h5py.Group):
-            yield from _all_below(file, inner)
+            yield from nodes_below(file, inner)
         else:
             yield inner, node
 

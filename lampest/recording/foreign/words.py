@@ -48,15 +48,15 @@ TIME_UNIT_OF_WORD = _by_word(
     min="min minute minutes",
     h="h hour hours",
 )
-UNITS, BRACKETS = UNITS_OF_WORD | TIME_UNIT_OF_WORD, ("[", "(", "<", "{")
+UNITS = UNITS_OF_WORD | TIME_UNIT_OF_WORD
 PARTED = re.compile(r"(.*?)(\s*[\[(<{]\s*|\s+in\s+|\s*/\s*|[\s_]+)([^\W\d_]+)\s*[\])>}]?")
 ELECTRIC = re.compile(r".*(ohms?|[ωΩΩ]|volts?)|.?v", re.IGNORECASE)
 ROW, COLUMN = r"(?:r|rows?|zeile|z|y)", r"(?:c|cols?|columns?|spalte|s|x)"
-GAP, BETWEEN = r"[_,;/|=\[\]()]*", r"[_,;/|x\[\]()]+"
+GAP = r"[_,;/|=\[\]()]*"
 CELLS = (
     re.compile(rf"(?:[a-z]+{GAP})??{ROW}{GAP}(?P<row>\d+){GAP}{COLUMN}{GAP}(?P<column>\d+){GAP}"),
     re.compile(rf"(?:[a-z]+{GAP})??{COLUMN}{GAP}(?P<column>\d+){GAP}{ROW}{GAP}(?P<row>\d+){GAP}"),
-    re.compile(rf"(?:[a-z]+{GAP}|{GAP})(?P<row>\d+){BETWEEN}(?P<column>\d+){GAP}"),
+    re.compile(rf"(?:[a-z]+{GAP}|{GAP})(?P<row>\d+)[_,;/|x\[\]()]+(?P<column>\d+){GAP}"),
 )
 ONE_NUMBER = re.compile(rf"([^\W\d]*){GAP}(\d+){GAP}")
 
@@ -89,7 +89,7 @@ def parted(name: str) -> tuple[str, str]:
     """Return a name in small letters, its words joined by underscores, and the unit at its end as written or ''."""
     text, unit = name[:LONGEST].strip(), ""
     match = PARTED.fullmatch(text)
-    if match and (match[2].strip(" _") in BRACKETS or match[3].lower() in UNITS or ELECTRIC.fullmatch(match[3])):
+    if match and (match[2].strip(" _") in tuple("[(<{") or match[3].lower() in UNITS or ELECTRIC.fullmatch(match[3])):
         text, unit = match[1], match[3]
     return re.sub(r"[\s_\-.:]+", "_", text.strip("#% ").lower()).strip("_"), unit
 

@@ -32,7 +32,7 @@ from lampest.recording.simulation.measure import OPEN_OHM, SHORT_OHM, Unmodelled
 
 TRAVEL_MM = 20.0  # two cells of the usual panel: a load that starts in the middle stays on it
 PUMPED_S = 1.0  # that a pump, or the pull before a release, takes; an assumption
-MOMENTS, AT_ONCE = 8, 64  # within a frame's period at which the film feels the load, and frames looked at together
+MOMENTS = 8  # within a frame's period at which the film feels the load
 
 
 @dataclass(frozen=True)
@@ -303,8 +303,8 @@ def _film_ratio(simulation: Simulation, time: Array, later_s: float) -> Array:
     creep = strength("creep", film.creep_per_decade, MOST_CREEP)
     gain = np.broadcast_to(film.answer * response.gains, water.shape)
     memory, ratios = FilmMemory.at_rest(hysteresis, creep, gain, water, response), list[Array]()
-    for begin in range(0, len(time), AT_ONCE):
-        felt = time[begin : begin + AT_ONCE, None] - step * np.arange(MOMENTS)[::-1] - first
+    for begin in range(0, len(time), 64):
+        felt = time[begin : begin + 64, None] - step * np.arange(MOMENTS)[::-1] - first
         for number, loaded in enumerate(pressure_at(simulation, felt.ravel(), later_s) - water, 1):
             memory, change = memory.answered(loaded, step)
             if number % MOMENTS == 0:
