@@ -25,7 +25,7 @@ def unclosed_recording(path: Path, scene: Scene, frames: int, unloaded: int) -> 
             journal.append((sample,), readout.recorded_from_sums(sums, READINGS)[None], [int(number >= unloaded)])
         journal.mark(0.3, "touch")
         journal.mark(0.5, "leave")
-        journal.file[f"entry/{journal.group}/{journal.signal}"].resize(frames + 1, axis=0)
+        journal.file[f"entry/{journal.paths[0]}"].resize(frames + 1, axis=0)
         journal.file.flush()
         path.write_bytes(path.with_name("growing.h5").read_bytes())
     return path

@@ -24,7 +24,7 @@ from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.scene import Scene
 from lampest.recording.recording import MEASURED, UNLOADED
-from lampest.recording.simulation.files import read_simulations
+from lampest.recording.simulation import read_simulations
 from lampest.recording.simulation.measure import Unmodelled
 from lampest.recording.simulation.simulation import Cells, Course, Simulation, simulate
 from lampest.studies.paper.sides import FILE, read_published

@@ -102,14 +102,14 @@ def run(
 
 def refuse_large(cases: "Sequence[Case]") -> None:
     """Raise InputError where a case's first frame takes more than two minutes, or more memory than there is."""
-    from lampest.files.hdf5 import existing_file
     from lampest.files.process import in_bytes, memory_limit
-    from lampest.recording.recording import head_of
+    from lampest.recording.recording import recording_file
 
     panels: dict[Path, Panel | None] = {}
     for path in {case.path for case in cases}:
-        with suppress(InputError), existing_file(path) as file:  # one that cannot be read fails when its turn comes
-            panels[path] = head_of(file, path)[0].panel
+        # One that cannot be read fails when its turn comes.
+        with suppress(InputError), recording_file(path) as (_, scene, _, _):
+            panels[path] = scene.panel
     for case in cases:
         panel = panels.get(case.path)
         seconds, size = case.estimator.effort(panel) if panel else (0.0, 0.0)

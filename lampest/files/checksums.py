@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 from lampest.files.errors import InputError
 
 DIGEST = "sha256"  # attribute: of values that stand outside of the metadata and in no chunk
-FILTER_FAILED = "filter returned failure during read"  # of HDF5
 # Superblock of version 3: signature, version, two sizes, flags, base, extension, end of the file, root, checksum.
 SUPERBLOCK = struct.Struct("<8sBBBBQQQQI")
 
@@ -32,8 +31,9 @@ def located(file: h5py.File, path: str) -> Iterator[None]:
     except InputError:
         raise
     except Exception as error:
-        said = " ".join(str(error).split()).replace(FILTER_FAILED, "checksum or packing of its values is wrong")
-        raise InputError(f"{file.filename}: {path} is damaged ({said})") from error
+        wrong = "checksum or packing of its values is wrong"
+        reason = " ".join(str(error).split()).replace("filter returned failure during read", wrong)
+        raise InputError(f"{file.filename}: {path} is damaged ({reason})") from error
 
 
 def digest_of(values: NDArray[Any]) -> str:
@@ -53,19 +53,19 @@ def read_through(file: h5py.File) -> tuple[int, bool]:
 
     Raises InputError with the path of the first damaged dataset.
     """
-    vouched, datasets = [], 0
-    for path, node in _all_below(file, "/"):
+    covered, datasets = True, 0
+    for path, node in nodes_below(file, "/"):
         with located(file, path):
-            vouched.append(h5py.h5o.get_info(node.id).hdr.version > 1)
+            covered &= h5py.h5o.get_info(node.id).hdr.version > 1
             for name, value in node.attrs.items():
                 check_digest(node.attrs, value, name)
             if isinstance(node, h5py.Dataset) and node.size:
-                vouched.append(_read_values(node))
+                covered &= _read_values(node)
                 datasets += 1
-    return datasets, all(vouched)
+    return datasets, covered
 
 
-def _all_below(file: h5py.File, path: str) -> Iterator[tuple[str, Any]]:
+def nodes_below(file: h5py.File, path: str) -> Iterator[tuple[str, Any]]:
     """Yield (path, group or dataset) of a group and of everything within it; links to other files are not followed."""
     with located(file, path):
         group = file[path]
@@ -76,7 +76,7 @@ def _all_below(file: h5py.File, path: str) -> Iterator[tuple[str, Any]]:
         with located(file, inner):
             node = file[inner]
         if isinstance(node, h5py.Group):
-            yield from _all_below(file, inner)
+            yield from nodes_below(file, inner)
         else:
             yield inner, node
 
@@ -95,11 +95,8 @@ def is_left_open(path: Path) -> bool:
     """Return whether a file has an intact superblock that marks it as being written."""
     with path.open("rb") as stream:
         head = stream.read(SUPERBLOCK.size)
-    return (
-        len(head) == SUPERBLOCK.size
-        and bool(head[11] & 4)  # being written
-        and head[-4:] == struct.pack("<I", lookup3(head))
-    )
+    fields = SUPERBLOCK.unpack(head) if len(head) == SUPERBLOCK.size else (0,) * 10
+    return bool(fields[4] & 4) and fields[9] == lookup3(head)
 
 
 def bytes_beyond(path: Path) -> int:
@@ -136,16 +133,15 @@ def lookup3(superblock: bytes) -> int:
     """Return HDF5's checksum of the first 44 bytes. Source: Jenkins, lookup3.c, 2006."""
     words: tuple[int, ...] = struct.unpack("<11I", superblock[:44])
     a = b = c = 0xDEADBEEF + 44
+
+    def rotated(word: int, shift: int) -> int:
+        return (word % 2**32) << shift | (word % 2**32) >> 32 - shift
+
     for first in range(0, 9, 3):
         a, b, c = a + words[first], b + words[first + 1], c + words[first + 2]
         for shift in (4, 6, 8, 16, 19, 4):
-            a, b, c = b, c + b, (a - c) ^ _turned(c, shift)
+            a, b, c = b, c + b, (a - c) ^ rotated(c, shift)
     a, b = a + words[9], b + words[10]
     for shift in (14, 11, 25, 16, 4, 14, 24):
-        a, b, c = b, (c ^ b) - _turned(b, shift), a
+        a, b, c = b, (c ^ b) - rotated(b, shift), a
     return b % 2**32
-
-
-def _turned(word: int, shift: int) -> int:
-    word %= 2**32
-    return word << shift | word >> 32 - shift

@@ -28,12 +28,7 @@ MAX_SIZE = 100_000  # bytes of a text, parsed within 4 s, and values of a docume
 # Range of physical quantities in any unit: numbers beyond it lose their digits when they are squared.
 MIN_NUMBER, MAX_NUMBER = 1e-30, 1e30
 NO_MEASURE = f"must be zero or lie between {MIN_NUMBER:g} and {MAX_NUMBER:g}, whatever its sign"
-WITHOUT_UNIT = ("seed",)  # keys of numbers that are no physical quantity
-SHOULD_BE = "Input should be "
 UNKNOWN = "no such key"
-TABLES = (("panel", "cells"), ("scene", "panel", "cells"))  # entries that may name a file
-OF_TAGS = ("union_tag_not_found", "model_attributes_type")  # faults that repeat another fault of the same union
-UNKNOWN_KEY = ("extra_forbidden", "unexpected_keyword_argument")
 
 
 @dataclass(frozen=True)
@@ -95,7 +90,7 @@ def read_document(path: Path, settings: Sequence[str] = ()) -> Document:
         if not separator or not key:
             raise InputError(f"'{setting}' is not of the form PATH=VALUE")
         document = document.with_value(tuple(key.split(".")), parse_document(value, f"'{value}'").content)
-    for place in TABLES:
+    for place in (("panel", "cells"), ("scene", "panel", "cells")):
         document = _with_table(document, place)
     return document
 
@@ -209,7 +204,7 @@ def _out_of_range(content: Any, place: tuple[int | str, ...]) -> Iterator[tuple[
     """Yield the places of finite, nonzero numbers that no physical quantity has."""
     if isinstance(content, dict):
         for key, value in content.items():
-            if key not in WITHOUT_UNIT:
+            if key != "seed":  # which is no physical quantity
                 yield from _out_of_range(value, (*place, key))
     elif isinstance(content, list | tuple):
         for index, value in enumerate(content):
@@ -239,9 +234,8 @@ def conformed(validator: TypeAdapter[Any], value: Any) -> Any:
         return validator.validate_python(value, strict=True)
     except ValidationError as error:
         faults = error.errors(include_url=False)
-        faults = [fault for fault in faults if fault["type"] not in OF_TAGS] or faults
-        first, *alternatives = dict.fromkeys(_sentence(fault).removeprefix("Value error, ") for fault in faults)
-        message = " or ".join([first, *(text.removeprefix(SHOULD_BE) for text in alternatives)])
+        repeating = ("union_tag_not_found", "model_attributes_type")  # another fault of the same union
+        message = _sentence_of([fault for fault in faults if fault["type"] not in repeating] or faults)
         close = meant(value, re.findall(r"'(\w+)'", message)) if isinstance(value, str) else ""
         raise InputError(f"{message}, not {in_words(value)}{close}") from error
     except (TypeError, ValueError, ArithmeticError, AttributeError) as error:
@@ -271,24 +265,29 @@ def _worst(faults: list[Any], content: Any) -> tuple[tuple[Any, ...], str]:
     A misspelt key also leaves its field missing; the key is the part that the user can see. For a value of one of
     several types, the deepest fault belongs to the intended type.
     """
-    if first := next((fault for fault in faults if fault["type"] in UNKNOWN_KEY), None):
-        return _location(first, content), UNKNOWN
+    for fault in faults:
+        if fault["type"] in ("extra_forbidden", "unexpected_keyword_argument"):
+            return _location(fault, content), UNKNOWN
     within = _location(faults[0], content)
     inside = [(_location(fault, content), fault) for fault in faults]
     inside = [(place, fault) for place, fault in inside if place[: len(within)] == within]
     place, worst = max(inside, key=lambda pair: (len(pair[0]), pair[1]["type"] == "value_error"))
     if worst["type"] == "value_error":
         return place, worst["msg"].removeprefix("Value error, ")
-    alternatives = [_sentence(fault) for where, fault in inside if where == place]
-    return place, " or ".join([alternatives[0], *(text.removeprefix(SHOULD_BE) for text in alternatives[1:])])
+    return place, _sentence_of([fault for where, fault in inside if where == place])
 
 
-def _sentence(fault: Any) -> str:
-    """Return the sentence of a fault, without the validating library's words for kinds."""
-    if fault["type"] != "union_tag_invalid":
-        return str(fault["msg"])
-    known = fault["ctx"]["expected_tags"].replace("'", "")
-    return f"there is no kind {fault['ctx']['tag']} in lampest or an installed package; there are {known}"
+def _sentence_of(faults: Sequence[Any]) -> str:
+    """Return one sentence on the alternative faults of a value, without the validating library's words for kinds."""
+    sentences = []
+    for fault in faults:
+        sentence = fault["msg"].removeprefix("Value error, ")
+        if fault["type"] == "union_tag_invalid":
+            known = fault["ctx"]["expected_tags"].replace("'", "")
+            sentence = f"there is no kind {fault['ctx']['tag']} in lampest or an installed package; there are {known}"
+        sentences.append(sentence)
+    first, *alternatives = dict.fromkeys(sentences)
+    return " or ".join([first, *(sentence.removeprefix("Input should be ") for sentence in alternatives)])
 
 
 def _location(fault: Any, content: Any) -> tuple[Any, ...]:

@@ -6,14 +6,7 @@ from difflib import get_close_matches
 from typing import Any
 
 # module → the package that brings it, where their names differ
-PACKAGES = {
-    "serial": "pyserial",
-    "ruamel": "ruamel.yaml",
-    "paho": "paho-mqtt",
-    "pythonosc": "python-osc",
-    "PIL": "pillow",
-    "dateutil": "python-dateutil",
-}
+PACKAGES = {"serial": "pyserial", "ruamel": "ruamel.yaml", "PIL": "pillow", "dateutil": "python-dateutil"}
 
 
 class InputError(ValueError):

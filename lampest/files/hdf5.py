@@ -4,9 +4,10 @@ Format v110 has checksums of all metadata, small values among it; larger values 
 unless they are many and noise fills their digits.
 """
 
+import os
 import zlib
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, contextmanager
 from functools import wraps
 from pathlib import Path
 from typing import Any, ParamSpec, TypeVar, cast
@@ -34,9 +35,7 @@ MAX_TEXT_BYTES = 5_000_000  # of a text or an attribute (tests/attack)
 UNPACKED: Mapping[str, Any] = {"fletcher32": True}
 PACKED: Mapping[str, Any] = {**UNPACKED, "compression": "gzip", "shuffle": True}
 CHUNK = 100_000  # values of a chunk, which holds whole frames
-MAX_COMPRESSED = 2 / 3  # of a sample's bytes: above, compression takes twenty times the time of writing for little
 ALL = slice(None)
-OPEN_FOR_WRITING = ("already open for", "truncated file")
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -70,10 +69,7 @@ def new_large_file(path: Path, size: int) -> Iterator[h5py.File]:
 @contextmanager
 def existing_file(path: Path) -> Iterator[h5py.File]:
     """Open a file for reading. Raises InputError if it is missing, no HDF5 file, truncated or damaged."""
-    exists = False
-    with suppress(OSError, ValueError):  # a name that is too long, or holds a zero byte
-        exists = path.is_file()
-    if not exists:
+    if not os.path.isfile(path):  # noqa: PTH113 # Path.is_file raises for a name that is too long
         raise InputError(f"{path}: no such file")
     note_read(path)
     try:
@@ -89,7 +85,8 @@ def _opened(path: Path) -> Iterator[h5py.File]:
         try:
             file = h5py.File(path, "r")
         except OSError as error:
-            if not any(words in str(error) for words in OPEN_FOR_WRITING) or not is_left_open(path):
+            suspected = "already open for" in str(error) or "truncated file" in str(error)
+            if not suspected or not is_left_open(path):
                 raise
             # Of one that is being recorded a wrong checksum is waited for until the recorder makes it right.
             alive = is_locked(path)
@@ -157,7 +154,8 @@ def _shrinks(data: NDArray[Any]) -> bool:
         return True
     sample = np.ascontiguousarray(data.reshape(len(data), -1)[:16, :512])
     planes = sample.view(np.uint8).reshape(sample.size, -1).T.tobytes()
-    return len(zlib.compress(planes, 1)) < MAX_COMPRESSED * len(planes)
+    # Above, compression takes twenty times the time of writing for little.
+    return len(zlib.compress(planes, 1)) < 2 / 3 * len(planes)
 
 
 def attach_scales(group: h5py.Group, axes: Mapping[str, tuple[str, ...]]) -> None:
@@ -216,13 +214,13 @@ def _located(function: Callable[P, R]) -> Callable[P, R]:
 @_located
 def has(file: h5py.File, path: str) -> bool:
     """Return whether a group or dataset exists. Raises InputError if the path is damaged or leaves the file."""
-    return _found(file, path) is not None
+    return _node_or_none(file, path) is not None
 
 
 @_located
 def shape_of(file: h5py.File, path: str) -> tuple[int, ...]:
     """Return the lengths of a dataset's axes. Raises InputError if it is absent or empty."""
-    shape = _dataset(file, path).shape
+    shape = _node(file, path, h5py.Dataset).shape
     if shape is None:
         raise InputError(f"{file.filename}: {path} is missing")
     return tuple(map(int, shape))
@@ -265,7 +263,7 @@ def read_array(
     InputError
         If the dataset is absent, of another shape, damaged, absurdly large, or does not fit the integer type.
     """
-    dataset = _dataset(file, path)
+    dataset = _node(file, path, h5py.Dataset)
     wanted = (dimensions,) if isinstance(dimensions, int) else dimensions
     if dataset.shape is None or dataset.ndim not in wanted or dataset.dtype.kind not in "iuf":
         numbers = " or ".join(str(number) for number in wanted)
@@ -293,7 +291,7 @@ def read_array(
 @_located
 def read_text(file: h5py.File, path: str) -> str:
     """Read a scalar text. Raises InputError if it is absent or no text."""
-    dataset = _found(file, path, h5py.Dataset)
+    dataset = _node_or_none(file, path, h5py.Dataset)
     if dataset is None or dataset.shape != () or dataset.dtype.kind not in "SO":
         raise InputError(f"{file.filename}: {path} is missing or no text")
     if dataset.dtype.itemsize > MAX_TEXT_BYTES:
@@ -309,7 +307,7 @@ def read_texts(file: h5py.File, path: str, length: int | None = None, part: slic
 
     Raises InputError if it is absent, of another length, or something else.
     """
-    dataset = _found(file, path, h5py.Dataset)
+    dataset = _node_or_none(file, path, h5py.Dataset)
     size = None if dataset is None or dataset.shape is None or dataset.ndim != 1 else len(dataset)
     if dataset is None or size is None or length not in (None, size) or dataset.dtype.kind != "S":
         raise InputError(f"{file.filename}: {path} is missing or not {length or 'some'} texts of a fixed length")
@@ -367,17 +365,17 @@ def _children(file: h5py.File, path: str, kind: type[Any]) -> list[str]:
     group = _node(file, path)
     if not isinstance(group, h5py.Group):
         raise InputError(f"{file.filename}: {path} is no group")
-    return [name for name in group if _found(file, f"{path}/{name}", kind) is not None]
+    return [name for name in group if _node_or_none(file, f"{path}/{name}", kind) is not None]
 
 
-def _node(file: h5py.File, path: str) -> Any:
-    node = _found(file, path)
+def _node(file: h5py.File, path: str, kind: type[Any] = object) -> Any:
+    node = _node_or_none(file, path, kind)
     if node is None:
         raise InputError(f"{file.filename}: {path} is missing")
     return node
 
 
-def _found(file: h5py.File, path: str, kind: type[Any] = object) -> Any:
+def _node_or_none(file: h5py.File, path: str, kind: type[Any] = object) -> Any:
     """Return the group or dataset at a path, None if absent or of another kind. Raises InputError for links."""
     node: Any = file
     for part in filter(None, path.split("/")):
@@ -390,13 +388,6 @@ def _found(file: h5py.File, path: str, kind: type[Any] = object) -> Any:
     if isinstance(node, h5py.Dataset) and (node.is_virtual or node.external):
         raise InputError(f"{file.filename}: {path} has its values in another file, which is not read")
     return node if isinstance(node, kind) else None
-
-
-def _dataset(file: h5py.File, path: str) -> Any:
-    dataset = _found(file, path, h5py.Dataset)
-    if dataset is None:
-        raise InputError(f"{file.filename}: {path} is missing")
-    return dataset
 
 
 def _text(value: Any) -> str:

@@ -8,9 +8,9 @@ import h5py
 import numpy as np
 
 from lampest.files import hdf5
+from lampest.files.checksums import nodes_below
 
 TIME = "time"  # the axis along which parts follow each other
-OF_AXES = ("DIMENSION_LIST", "REFERENCE_LIST", "CLASS", "NAME")  # by which HDF5 ties axes to datasets
 
 
 class DatasetPlan(NamedTuple):
@@ -52,8 +52,9 @@ def join_parts(parts: Sequence[Path], target: h5py.Group, group: str) -> None:
     for part in parts:
         with hdf5.existing_file(part) as file:
             begins.append(_lengths(plans))
-            for path, node in _below(file[group]):
-                attributes[path] = {name: value for name, value in node.attrs.items() if name not in OF_AXES}
+            for path, node in _within(file, group):
+                ties = ("DIMENSION_LIST", "REFERENCE_LIST", "CLASS", "NAME")  # of axes to datasets
+                attributes[path] = {name: value for name, value in node.attrs.items() if name not in ties}
                 if isinstance(node, h5py.Dataset):
                     plans[path] = _planned(node, part, plans.get(path))
                 elif path:
@@ -65,7 +66,7 @@ def join_parts(parts: Sequence[Path], target: h5py.Group, group: str) -> None:
         target.create_dataset(path, shape, plan.dtype, chunks=chunks, fillvalue=nothing, **plan.packing)
     for part, begin in zip(parts, begins, strict=True):
         with hdf5.existing_file(part) as file:
-            for path, node in _below(file[group]):
+            for path, node in _within(file, group):
                 if path in joined:
                     first = begin.get(path.split("/", 1)[0], 0)
                     _append(target[path], node, first)
@@ -112,11 +113,7 @@ def _lengths(plans: Mapping[str, DatasetPlan]) -> dict[str, int]:
     return {path.split("/", 1)[0]: plan.shape[0] for path, plan in times.items()}
 
 
-def _below(group: h5py.Group, before: str = "") -> Iterator[tuple[str, Any]]:
+def _within(file: h5py.File, group: str) -> Iterator[tuple[str, Any]]:
     """(path from the group on, node) of the group itself and all that it holds, groups before what is in them."""
-    yield before.rstrip("/"), group
-    for name in group:
-        if isinstance(group[name], h5py.Group):
-            yield from _below(group[name], f"{before}{name}/")
-        else:
-            yield f"{before}{name}", group[name]
+    for path, node in nodes_below(file, group):
+        yield path.removeprefix(group).lstrip("/"), node

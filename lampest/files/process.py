@@ -23,14 +23,11 @@ if TYPE_CHECKING:
 
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")  # small matrices
 ALLOWED = "LAMPEST_MEMORY"  # the environment variable by which a user says how much may be taken, such as 8GB
-SIZE = re.compile(r"(\d+(?:\.\d+)?)\s*([KMGT]?)(?:i?B)?", re.IGNORECASE)
 # Signals that nohup ignores stay ignored, except the first two, which are sent on purpose.
 WANTED = (signal.SIGINT, signal.SIGTERM)
 ENDING = (*WANTED, signal.SIGHUP, signal.SIGQUIT)
 HUNG_SECONDS = 120.0  # s, and ten times a frame's limit: no library call took longer (tests/units/test_time_limit.py)
 EXPENDABLE = ContextVar("expendable", default=False)  # whether a parent process replaces this one if it is ended
-LOG = "LAMPEST_LOG"
-BEYOND = "cannot compute this panel: its values exceed the numerical range ({kind}; details: LAMPEST_LOG)"
 FOREIGN = (ArithmeticError, LookupError, ValueError, TypeError, AttributeError, AssertionError, MemoryError)
 
 
@@ -82,19 +79,19 @@ def memory_limit() -> float:
 
     Raises InputError if the user's limit is no size.
     """
-    if said := os.environ.get(ALLOWED):
-        size = SIZE.fullmatch(said.strip())
+    if setting := os.environ.get(ALLOWED):
+        size = re.fullmatch(r"(\d+(?:\.\d+)?)\s*([KMGT]?)(?:i?B)?", setting.strip(), re.IGNORECASE)
         if size is None or not float(size[1]):
-            raise InputError(f"{ALLOWED}: {said!r} is no size such as 8GB")
+            raise InputError(f"{ALLOWED}: {setting!r} is no size such as 8GB")
         return float(size[1]) * 1024.0 ** " KMGT".index(size[2].upper() or " ")
-    left = [float(psutil.virtual_memory().available)]
+    free = [float(psutil.virtual_memory().available)]
     with suppress(OSError, ValueError):  # without Linux' control groups, or where the most is 'max'
         most, taken = (float(Path("/sys/fs/cgroup", name).read_text()) for name in ("memory.max", "memory.current"))
-        left.append(most - taken)
+        free.append(most - taken)
     addresses = resource.getrlimit(resource.RLIMIT_AS)[0]
     if addresses != resource.RLIM_INFINITY:
-        left.append(float(addresses - psutil.Process().memory_info().vms))
-    return 0.9 * min(left)  # a tenth for buffers that no estimate counts
+        free.append(float(addresses - psutil.Process().memory_info().vms))
+    return 0.9 * min(free)  # a tenth for buffers that no estimate counts
 
 
 def in_bytes(size: float) -> str:
@@ -126,11 +123,11 @@ def ended_where_hung(limit_s: float | None) -> Iterator[None]:
 @contextmanager
 def delayed_interrupt() -> Iterator[None]:
     """Keep Ctrl-C and its kin until the end of a solve: CasADi would take it for a failed evaluation."""
-    seen: list[int] = []
-    with handled(seen.append):
+    signals: list[int] = []
+    with handled(signals.append):
         yield
-    if seen:
-        signal.raise_signal(seen[0])
+    if signals:
+        signal.raise_signal(signals[0])
 
 
 @contextmanager
@@ -140,16 +137,16 @@ def ending_signals(worth_finishing: Callable[[], bool] = lambda: False) -> Itera
     If nothing is worth finishing, and at a second signal, KeyboardInterrupt is raised at once. Signals within a second
     are one request: a closing terminal sends several.
     """
-    asked: list[tuple[str, float]] = []
+    requests: list[tuple[str, float]] = []
 
-    def ask(number: int) -> None:
+    def note(number: int) -> None:
         # Noted first: an exception raised inside a destructor is lost, the note is not.
-        asked.append((signal.Signals(number).name, time.monotonic()))
-        if not worth_finishing() or asked[-1][1] - asked[0][1] > 1:
+        requests.append((signal.Signals(number).name, time.monotonic()))
+        if not worth_finishing() or requests[-1][1] - requests[0][1] > 1:
             raise KeyboardInterrupt
 
-    with handled(ask):
-        yield lambda: asked[0][0] if asked else ""
+    with handled(note):
+        yield lambda: requests[0][0] if requests else ""
 
 
 def interrupted(error: BaseException | None) -> bool:
@@ -171,7 +168,7 @@ def handled(handler: Callable[[int], object]) -> Iterator[None]:
         yield
         return
     numbers = [number for number in ENDING if number in WANTED or signal.getsignal(number) is not signal.SIG_IGN]
-    before = {number: signal.signal(number, lambda seen, frame: handler(seen)) for number in numbers}
+    before = {number: signal.signal(number, lambda received, frame: handler(received)) for number in numbers}
     try:
         yield
     finally:
@@ -182,7 +179,7 @@ def handled(handler: Callable[[int], object]) -> Iterator[None]:
 @contextmanager
 def libraries_to_the_log() -> Iterator[None]:
     """Send warnings, and errors that `told_reason` shortens, to the file that LAMPEST_LOG names."""
-    path = os.environ.get(LOG)
+    path = os.environ.get("LAMPEST_LOG")
     handler = logging.FileHandler(Path(path), delay=True) if path else logging.NullHandler()
     loggers = [logging.getLogger(name) for name in ("lampest", "py.warnings")]
     logging.captureWarnings(capture=True)
@@ -212,4 +209,5 @@ def told_reason(error: BaseException, of: str) -> str:
     if ours or isinstance(error, InputError) or not isinstance(error, FOREIGN):
         return " ".join(str(error).split())
     logging.getLogger("lampest").error("%s", of, exc_info=error)
-    return BEYOND.format(kind=type(error).__name__)
+    kind = type(error).__name__
+    return f"cannot compute this panel: its values exceed the numerical range ({kind}; details: LAMPEST_LOG)"

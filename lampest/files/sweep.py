@@ -116,12 +116,10 @@ def _is_place(content: Any, value: Any, parts: list[str]) -> bool:
             if isinstance(value, dict):
                 return False
             content = None
-        if isinstance(value, dict):
-            value = value.get(part)
-        elif isinstance(value, list | tuple) and part.isdigit():
-            value = value[int(part)]
+        if isinstance(value, list | tuple):
+            value = value[int(part)] if part.isdigit() else None
         else:
-            value = getattr(value, part, None) if dataclasses.is_dataclass(value) else None
+            value = value.get(part) if isinstance(value, dict) else getattr(value, part, None)
     return True
 
 

@@ -178,15 +178,14 @@ def installed(group: str, kind: type[Kind]) -> tuple[Kind, ...]:
 
     objects = []
     for point in sorted(entry_points(group=group), key=lambda point: point.name):
+        named = f"{group}: {point.name} = {point.value} of an installed package"
         try:
-            thing = point.load()
+            member = point.load()
         except Exception as error:  # whatever the package does when it is imported
-            raise InputError(
-                f"{group}: {point.name} = {point.value} of an installed package cannot be loaded ({error})"
-            ) from error
-        if not isinstance(thing, kind):
-            raise InputError(f"{group}: {point.name} = {point.value} of an installed package is no {kind.__name__}")
-        objects.append(thing)
+            raise InputError(f"{named} cannot be loaded ({error})") from error
+        if not isinstance(member, kind):
+            raise InputError(f"{named} is no {kind.__name__}")
+        objects.append(member)
     return tuple(objects)
 
 

@@ -17,9 +17,6 @@ from zlib import crc32
 from lampest.files.errors import InputError
 from lampest.files.process import in_bytes
 
-# By the letter that `ls` has for them.
-KINDS = {"d": "a folder", "l": "a link", "c": "a device", "b": "a device", "p": "a pipe", "s": "a socket"}
-
 
 @dataclass(frozen=True)
 class Touched:
@@ -158,9 +155,9 @@ def check_output(path: Path) -> None:
     """Raise InputError unless `path` is free, or a regular file that is neither an input nor another output."""
     if path.name in ("", ".."):
         raise InputError(f"'{path}' names no file that could be written")
-    kind = _kind(path)
-    if kind not in (None, "-"):
-        raise InputError(f"{path}: is {KINDS[kind]}; an output replaces regular files alone")
+    kinds = {"d": "a folder", "l": "a link", "c": "a device", "b": "a device", "p": "a pipe", "s": "a socket"}
+    if kind := kinds.get(_letter(path)):
+        raise InputError(f"{path}: is {kind}; an output replaces regular files alone")
     _refuse_touched(path)
 
 
@@ -186,10 +183,10 @@ def output_folder(folder: Path) -> Path:
 def inner_folder(folder: Path, name: str) -> Path:
     """Return a folder within a folder. Raises InputError if it is no folder, or a link that leads out."""
     inner = folder / name
-    kind = _kind(inner)
-    if kind == "l" and not inner.resolve().is_relative_to(folder.resolve()):
+    letter = _letter(inner)
+    if letter == "l" and not inner.resolve().is_relative_to(folder.resolve()):
         raise InputError(f"{inner}: is a link that leads out of {folder}; nothing is written or removed there")
-    if kind not in (None, "d", "l"):
+    if letter not in ("", "d", "l"):
         raise InputError(f"{inner}: is no folder")
     return inner
 
@@ -199,7 +196,7 @@ def opened_for_locking(path: Path, *, make: bool = False) -> int:
 
     Raises OSError where it cannot be opened, InputError where it is something else.
     """
-    if _kind(path) not in (None, "-"):
+    if _letter(path) not in ("", "-"):
         check_output(path)
     made = os.O_RDWR | os.O_CREAT if make else os.O_RDONLY
     descriptor = os.open(path, made | os.O_NOFOLLOW | os.O_NONBLOCK, 0o666)
@@ -229,15 +226,15 @@ def is_locked(path: Path) -> bool:
 
 def remove_own(path: Path) -> None:
     """Remove a regular file, if there is one; anything else of that name stays."""
-    if _kind(path) == "-":
+    if _letter(path) == "-":
         path.unlink(missing_ok=True)
 
 
-def _kind(path: Path) -> str | None:
-    """Return the type letter of `ls` for a path, '-' for a regular file; None if nothing exists."""
+def _letter(path: Path) -> str:
+    """Return the type letter of `ls` for a path, '-' for a regular file; '' if nothing exists."""
     try:
         return stat.filemode(path.lstat().st_mode)[0]
     except FileNotFoundError:
-        return None
+        return ""
     except (OSError, ValueError) as error:
         raise InputError(f"{path}: cannot be written ({getattr(error, 'strerror', None) or error})") from error

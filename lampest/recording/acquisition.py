@@ -33,7 +33,6 @@ FRAME_FIELDS = (
 
 FRAME_CHECKSUM, EVENT_CHECKSUM = "acquisition/crc32", "acquisition/event_crc32"
 EVENT_PATHS = ("acquisition/event_time", "acquisition/event_label")
-SUMS = "raw/sums"
 NO_SUM = 0xFFFF  # marks a missing sum: 64 readings of 10 bits sum to at most 65,472
 BLOCK_FRAMES = 1000  # frames of a block that is checked at once, to bound memory
 
@@ -113,16 +112,13 @@ class Acquisition(Validated):
 def frame_paths(group: str, signal: str) -> tuple[str, ...]:
     """Return the datasets with a row for every frame, below /entry, in the order of its checksum."""
     acquired = (f"acquisition/{name}" for name, *_ in FRAME_FIELDS)
-    return (f"{group}/{signal}", f"{group}/time", f"{group}/role", SUMS, *acquired)
+    return (f"{group}/{signal}", f"{group}/time", f"{group}/role", "raw/sums", *acquired)
 
 
 def checksums(columns: Sequence[NDArray[Any]]) -> NDArray[np.uint32]:
     """Return the CRC-32 of each row over all columns."""
-    count = len(columns[0])
-    if not count:
-        return np.zeros(0, dtype=np.uint32)
-    values = [np.ascontiguousarray(column).reshape(count, -1).view(np.uint8) for column in columns]
-    return np.array([crc32(row.tobytes()) for row in np.concatenate(values, axis=1)], dtype=np.uint32)
+    rows = (b"".join(column[row : row + 1].tobytes() for column in columns) for row in range(len(columns[0])))
+    return np.array(list(map(crc32, rows)), dtype=np.uint32)
 
 
 def undamaged_frames(file: h5py.File, scene: Scene, group: str) -> slice:
@@ -147,24 +143,22 @@ def damaged_frames(file: h5py.File, scene: Scene, group: str) -> tuple[int, NDAr
     written = min(hdf5.length_of(file, f"/entry/{path}") for path in paths)
     checked = hdf5.has(file, f"/entry/{FRAME_CHECKSUM}")
     frames = hdf5.length_of(file, f"/entry/{FRAME_CHECKSUM}") if checked else written
-    wrong: list[NDArray[np.intp]] = []
+    damaged = np.ones(frames, dtype=np.bool_)
     for begin in range(0, min(frames, written), BLOCK_FRAMES):
         part = slice(begin, min(begin + BLOCK_FRAMES, frames, written))
         columns = stored_rows(file, paths, part)
-        recorded, sums = columns[0], columns[paths.index(SUMS)]
+        recorded, sums = columns[0], columns[paths.index("raw/sums")]
         if sums.shape != recorded.shape or recorded.ndim != 3:
             raise InputError(f"{file.filename}: /entry/raw/sums has another shape than the frames")
         expected = recorded_of_sums(scene, sums, readings)
-        differs = np.any((expected != recorded) & ~(np.isnan(expected) & np.isnan(recorded)), axis=(1, 2))
+        damaged[part] = np.any((expected != recorded) & ~(np.isnan(expected) & np.isnan(recorded)), axis=(1, 2))
         if checked:
-            differs |= checksums(columns) != stored_rows(file, (FRAME_CHECKSUM,), part)[0]
+            damaged[part] |= checksums(columns) != stored_rows(file, (FRAME_CHECKSUM,), part)[0]
         # HDF5 returns zero for unwritten values; a board's codes stand for the middle of their interval.
         elif len(unwritten := np.flatnonzero(np.any(recorded == 0, axis=(1, 2)))):
             frames = begin + int(unwritten[0])
-            wrong.append(begin + np.flatnonzero(differs[: unwritten[0]]))
             break
-        wrong.append(begin + np.flatnonzero(differs))
-    return frames, np.concatenate([*wrong, np.arange(written, frames)])
+    return frames, np.flatnonzero(damaged[:frames])
 
 
 def whole_events(file: h5py.File) -> NDArray[np.bool_]:
@@ -195,10 +189,11 @@ def stored_rows(file: h5py.File, paths: Sequence[str], part: slice) -> list[NDAr
 def recorded_of_sums(scene: Scene, sums: NDArray[Any], readings: int) -> Array:
     """Return recorded readings of sums of codes (…, rows, columns), by the readout of each module; NaN for NO_SUM."""
     layout = scene.panel.modules
-    parts = sums[..., None, :, :] if layout is None else layout.split(sums)
-    recorded = np.full(parts.shape, np.nan)
-    for own, numbers in ((scene, (0,)),) if layout is None else scene.alike:
-        assert own.readout is not None
-        recorded[..., numbers, :, :] = own.readout.recorded_from_sums(parts[..., numbers, :, :], readings)
-    recorded[parts == NO_SUM] = np.nan
-    return recorded[..., 0, :, :] if layout is None else layout.joined(recorded)
+    if layout is None:
+        assert scene.readout is not None
+        return np.where(sums == NO_SUM, np.nan, scene.readout.recorded_from_sums(sums, readings))
+    parts = layout.split(sums)
+    recorded = np.empty(parts.shape)
+    for own, numbers in scene.alike:
+        recorded[..., numbers, :, :] = recorded_of_sums(own, parts[..., numbers, :, :], readings)
+    return layout.joined(recorded)

@@ -9,13 +9,11 @@ from pathlib import Path
 from lampest.files.errors import InputError
 from lampest.recording.recording import Recording
 
-PACKAGE = Path(__file__).parents[1]
-
 
 def folder() -> Path:
     """Return the folder of `configs/` and `data/`, whose files `lampest run` takes like any other."""
-    inside = PACKAGE / "shipped"
-    return inside if inside.is_dir() else PACKAGE.parent
+    package = Path(__file__).parents[1]
+    return package / "shipped" if (package / "shipped").is_dir() else package.parent
 
 
 def names() -> tuple[str, ...]:

@@ -33,8 +33,8 @@ def stand_in_spread(value: Array, known: NDArray[np.bool_]) -> Array:
     if not known.any():
         return np.ones(known.shape)
     diagonal = np.add.outer(*map(np.arange, known.shape)) % max(known.shape)
-    left = known & (diagonal != np.arange(max(known.shape))[:, None, None])
-    alone = np.take_along_axis(_polished(value, left)[0], diagonal[None], axis=0)[0]
+    remaining = known & (diagonal != np.arange(max(known.shape))[:, None, None])
+    alone = np.take_along_axis(_polished(value, remaining)[0], diagonal[None], axis=0)[0]
     stray = np.abs(alone - np.log(np.where(known, value, 1.0)))[known]
     size = max(np.sqrt(np.mean(stray**2)), np.quantile(stray, 0.95, method="higher") / 1.96)
     # Below, a frame is a simulation without noise.
@@ -53,12 +53,12 @@ def _polished(value: Array, known: NDArray[np.bool_]) -> tuple[Array, Array]:
             step = _median(residual, axis)
             effects[axis], residual = effects[axis] + step, residual - step
     for axis, effect in effects.items():
-        some, across = known.any(axis=axis, keepdims=True), -3 - axis
-        count = np.maximum(some.sum(axis=across, keepdims=True), 1)
-        mean = np.where(some, effect, 0.0).sum(axis=across, keepdims=True) / count
-        square = np.where(some, (effect - mean) ** 2, 0.0).sum(axis=across, keepdims=True) / count
-        expected = expected + np.where(some, effect, mean)
-        between = between + np.where(some, 0.0, square)
+        known_lines, across = known.any(axis=axis, keepdims=True), -3 - axis
+        count = np.maximum(known_lines.sum(axis=across, keepdims=True), 1)
+        mean = np.where(known_lines, effect, 0.0).sum(axis=across, keepdims=True) / count
+        square = np.where(known_lines, (effect - mean) ** 2, 0.0).sum(axis=across, keepdims=True) / count
+        expected = expected + np.where(known_lines, effect, mean)
+        between = between + np.where(known_lines, 0.0, square)
     return expected, between
 
 
@@ -121,8 +121,6 @@ class Readings:
         check_sigma(scene, recorded, sigma)
         if scene.panel.modules is not None:
             return cls._of_modules(scene, scene.panel.modules, recorded, sigma)
-        if sigma is None and (plain := cls._plain(scene, recorded)) is not None:
-            return plain
         within, side = _within_rails(scene, recorded)
         if scene.converter_memory is not None:
             if scene.readout is None:
@@ -136,17 +134,14 @@ class Readings:
         seen = np.where(np.isnan(recorded), 0.0, 1.0)
         if noise is not None:
             seen = np.where(np.isfinite(noise), seen, 0.0)
-        if not scene.whole:
-            seen[..., scene.blind] = 0.0
+        seen[..., scene.blind] = 0.0
         if scene.circuit.unit == "ohm":
-            least = np.zeros_like(network) if noise is None else NOISE_REACH * noise
-            if noise is not None and scene.readout is not None:  # where nothing but the series resistance is read
+            reach = least = np.zeros_like(network) if noise is None else NOISE_REACH * noise
+            if scene.readout is not None:  # where nothing but the series resistance is read
                 series = scene.readout.sigma(np.broadcast_to(scene.series_ohm, scene.panel.shape))
-                least = NOISE_REACH * np.minimum(noise, series)
+                least = np.minimum(reach, NOISE_REACH * series)
             small = (network <= least) & (side != AT_LEAST)
-            side = np.where(small, AT_MOST, side)
-            if noise is not None:
-                network = np.where(small, np.maximum(network, 0) + NOISE_REACH * noise, network)
+            side, network = np.where(small, AT_MOST, side), np.where(small, np.maximum(network, 0) + reach, network)
         network, seen = _numbered(network, seen)
         side = np.where(seen > 0, side, VALUE)
         network = np.where((seen > 0) | scene.panel.present, network, _filled(network, seen))
@@ -161,8 +156,8 @@ class Readings:
         noise = None if sigma is None else np.broadcast_to(layout.split(sigma), values.shape)
         parts: dict[int, Readings] = {}
         for own, numbers in scene.alike:
-            some = cls.of(own, values[..., numbers, :, :], None if noise is None else noise[..., numbers, :, :])
-            parts |= {number: some[..., at, :, :] for at, number in enumerate(numbers)}
+            alike = cls.of(own, values[..., numbers, :, :], None if noise is None else noise[..., numbers, :, :])
+            parts |= {number: alike[..., at, :, :] for at, number in enumerate(numbers)}
         return cls.of_parts(layout, [parts[number] for number in range(layout.count)])
 
     def each(self, change: Callable[[Array], Array]) -> "Readings":
@@ -181,28 +176,12 @@ class Readings:
 
     def together(self, *frames: "Readings", axis: int = 0) -> "Readings":
         """Return frames (rows, columns) as (frames, rows, columns); σ is unknown if it is for one of them."""
-        parts = (self, *frames)
-        value, side, seen = (
-            np.stack([getattr(part, name) for part in parts], axis) for name in ("value", "side", "seen")
-        )
-        known = [part.sigma for part in parts if part.sigma is not None]
-        return Readings(value, np.stack(known, axis) if len(known) == len(parts) else None, side, seen)
 
-    @classmethod
-    def _plain(cls, scene: Scene, recorded: Array) -> "Readings | None":
-        """Return readings that are all plain values, at a fifth of the time; None if any is not."""
-        readout = scene.readout
-        if readout is None or not scene.whole or scene.converter_memory is not None:
-            return None
-        least, largest = readout.rails()
-        if not (recorded.size and least <= recorded.min() and recorded.max() <= largest < np.inf):
-            return None
-        network, noise = scene.circuit.from_recorded(recorded, scene), _noise(scene, recorded, None)
-        assert noise is not None  # of a readout
-        small = NOISE_REACH * noise if scene.circuit.unit == "ohm" else 0.0
-        if not (network > small).all() or not np.isfinite(network + noise).all():
-            return None
-        return cls(network, noise, np.zeros(network.shape), np.ones(network.shape))
+        def stacked(name: str) -> Any:
+            arrays = [getattr(part, name) for part in (self, *frames)]
+            return None if any(array is None for array in arrays) else np.stack(arrays, axis)
+
+        return Readings(*map(stacked, ("value", "sigma", "side", "seen")))
 
     def __getitem__(self, frames: Any) -> "Readings":
         """Return the readings of some frames."""
@@ -238,8 +217,6 @@ class Readings:
         Of the scene's asked readings at most half are missing, and half are values, or M + N − 1 are: these describe a
         panel whose lines alone differ.
         """
-        if not self.partial:
-            return np.ones(self.value.shape[:-2], dtype=bool)
         asked = scene.asked
         lines = int(asked.any(axis=1).sum() + asked.any(axis=0).sum())
         least = min(-(-int(asked.sum()) // 2), lines - 1)
@@ -296,21 +273,24 @@ def strongest_frame(value: Array, resting: Array, frames: NDArray[np.intp]) -> i
     return int(frames[np.flatnonzero(change == change.max())[-1]])
 
 
-def check_sigma(scene: Scene, recorded: Array, sigma: Array | None) -> None:
-    """Raise InputError unless readings have the panel's shape, and their σ (or None) theirs and is nowhere ≤ 0."""
+def check_sigma(scene: Scene, recorded: Array, sigma: Array | None, where: str = "") -> None:
+    """Raise InputError unless readings have the panel's shape, and their σ (or None) theirs and is nowhere ≤ 0.
+
+    where : beginning of the message.
+    """
     shape = scene.panel.shape
     if recorded.shape[-2:] != shape:
         size = " × ".join(str(length) for length in recorded.shape)
-        raise InputError(f"the readings are {size}, but the scene's panel is {shape[0]} × {shape[1]}")
+        raise InputError(f"{where}the readings are {size}, but the scene's panel is {shape[0]} × {shape[1]}")
     if sigma is None:
         return
     if sigma.shape not in (recorded.shape, shape):
-        raise InputError("sigma has another shape than the readings")
+        raise InputError(f"{where}sigma has another shape than the readings")
     if np.any(out := beyond_any_panel(sigma)):
-        raise InputError(f"sigma holds {sigma[out][0]:.6g} {scene.circuit.unit}, which no electronics has")
+        raise InputError(f"{where}sigma holds {sigma[out][0]:.6g} {scene.circuit.unit}, which no electronics has")
     if np.any(sigma <= 0):
         index = tuple(int(part) for part in np.argwhere(sigma <= 0)[0])
-        raise InputError(f"sigma{list(index)} is {sigma[index]:.6g} {scene.circuit.unit}; it must be positive")
+        raise InputError(f"{where}sigma{list(index)} is {sigma[index]:.6g} {scene.circuit.unit}; it must be positive")
 
 
 def _noise(scene: Scene, recorded: Array, sigma: Array | None) -> Array | None:

@@ -2,6 +2,8 @@
 
 import re
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from math import prod
@@ -27,8 +29,8 @@ from lampest.recording.readings import Readings, check_sigma
 FORMAT = "recording/1"
 UNLOADED, MEASURED = ROLES = 0, 1
 TRUTHS = ("/entry/truth/cell_resistance", "/entry/truth/pressure")
-FOREIGN = (".csv", ".txt", ".log", ".tsv", ".xlsx", ".xlsm", ".npy", ".npz", ".mat")  # suffixes of `import_file`
 MIN_SPREAD = 0.01  # relative change of readings beyond which a load may have come or gone: far above drift
+FOREIGN = (".csv", ".txt", ".log", ".tsv", ".xlsx", ".xlsm", ".npy", ".npz", ".mat")  # suffixes of `import_file`
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -98,10 +100,7 @@ class Recording(Validated):
                 f"{shape[0]} × {shape[1]} with at least one frame"
             )
         where = f"{self.name}: {self._group}/"
-        try:
-            check_sigma(self.scene, self.recorded, self.sigma)
-        except InputError as error:
-            raise InputError(f"{where}{error}") from error
+        check_sigma(self.scene, self.recorded, self.sigma, where)
         object.__setattr__(self, "recorded", as_panels_have(self.recorded))  # no value refuses a recording
         if np.any(np.abs(self.time) > 1e13):  # clocks count milliseconds since 1970, with room
             raise InputError(f"{where}time goes beyond 1e+13 s")
@@ -161,42 +160,26 @@ class Recording(Validated):
 
         Raises InputError with the dataset's path where it is wrong.
         """
-        recording = cls.load_up_to(path, None, part)
-        assert recording is not None
-        return recording
-
-    @classmethod
-    def load_up_to(cls, path: str | Path, most: int | None, part: slice = hdf5.ALL) -> "Recording | None":
-        """Load a recording file; return None if it holds more than so many readings."""
         path = Path(path)
-        if path.suffix.lower() in FOREIGN:
-            raise InputError(f"{path}: is no recording; lampest.import_file (lampest import) makes one of it")
-        with hdf5.existing_file(path) as file:
-            if str(hdf5.read_attribute(file, "/", "lampest_format")).startswith("results/"):
-                raise InputError(f"{path}: holds results; lampest.read_results reads them")
-            scene, group, signal = head_of(file, path)
-            if most is not None and prod(hdf5.shape_of(file, f"{group}/{signal}")) > most:
-                return None
+        with recording_file(path) as (file, scene, group, signal):
             chosen = part
             if part == hdf5.ALL:
                 chosen = undamaged_frames(file, scene, group)
                 _check_held(file, f"{group}/{signal}", f"{group}/sigma", *TRUTHS)
 
-            def read(path: str, dimensions: int | tuple[int, int] = 3) -> Array | None:
+            def read(path: str, dimensions: int | tuple[int, int] = 3, kind: Any = None) -> Any:
                 """Read the chosen frames; None if the file has none."""
                 if not hdf5.has(file, path):
                     return None
                 flat = dimensions == (2, 3) and len(hdf5.shape_of(file, path)) == 2
-                values = hdf5.read_array(file, path, dimensions, part=hdf5.ALL if flat else chosen)
-                return np.asarray(values, dtype=None if path.endswith("/role") else float)
+                return hdf5.read_array(file, path, dimensions, part=hdf5.ALL if flat else chosen, kind=kind)
 
             def text(path: str) -> str | None:
                 return hdf5.read_text(file, path) if hdf5.has(file, path) else None
 
-            recorded = np.asarray(hdf5.read_array(file, f"{group}/{signal}", 3, part=chosen), dtype=float)
-            time, number = read(f"{group}/time", 1), (chosen.start or 0) + np.arange(len(recorded))
-            role: Any = read(f"{group}/role", 1)
-            raw = hdf5.has(file, "/entry/raw/sums")
+            recorded = hdf5.read_array(file, f"{group}/{signal}", 3, part=chosen)
+            number = (chosen.start or 0) + np.arange(len(recorded))
+            time, role, sums = read(f"{group}/time", 1), read(f"{group}/role", 1), read("/entry/raw/sums", 3, np.uint16)
             acquisition, start_time = Acquisition.read(file, chosen), text("/entry/start_time")
             if acquisition is not None and start_time is None and len(recorded) and time is not None:
                 start_time = acquisition.start(float(time[0]))
@@ -208,8 +191,8 @@ class Recording(Validated):
                 read(f"{group}/sigma", (2, 3)),
                 read(TRUTHS[0]),
                 read(TRUTHS[1]),
-                hdf5.read_array(file, "/entry/raw/sums", 3, part=chosen, kind=np.uint16) if raw else None,
-                int(hdf5.read_number(file, "/entry/raw", "readings", 0)) if raw else None,
+                sums,
+                None if sums is None else int(hdf5.read_number(file, "/entry/raw", "readings", 0)),
                 path.stem,
                 text("/entry/truth/simulation"),
                 acquisition,
@@ -340,14 +323,22 @@ class Recording(Validated):
         return frames
 
 
-def head_of(file: h5py.File, path: Path) -> tuple[Scene, str, str]:
-    """Return (scene, group of the frames, its signal). Raises InputError if there is no valid scene."""
-    text = hdf5.read_text(file, "/entry/scene")
-    scene = _scene_of(text, f"{path}:/entry/scene")
-    group, signal = f"/entry/{group_of(scene.circuit)}", scene.circuit.signal
-    if len(hdf5.shape_of(file, f"{group}/{signal}")) != 3:
-        raise InputError(f"{path}: {group}/{signal} must be frames × rows × columns")
-    return scene, group, signal
+@contextmanager
+def recording_file(path: Path) -> Iterator[tuple[h5py.File, Scene, str, str]]:
+    """Yield an open recording file, its scene, the group of its frames and their signal.
+
+    Raises InputError where the file is no recording, or has no valid scene.
+    """
+    if path.suffix.lower() in FOREIGN:
+        raise InputError(f"{path}: is no recording; lampest.import_file (lampest import) makes one of it")
+    with hdf5.existing_file(path) as file:
+        if str(hdf5.read_attribute(file, "/", "lampest_format")).startswith("results/"):
+            raise InputError(f"{path}: holds results; lampest.read_results reads them")
+        scene = _scene_of(hdf5.read_text(file, "/entry/scene"), f"{path}:/entry/scene")
+        group, signal = f"/entry/{group_of(scene.circuit)}", scene.circuit.signal
+        if len(hdf5.shape_of(file, f"{group}/{signal}")) != 3:
+            raise InputError(f"{path}: {group}/{signal} must be frames × rows × columns")
+        yield file, scene, group, signal
 
 
 @lru_cache(maxsize=8)  # a recording too long for memory is opened for every part

@@ -4,6 +4,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
+from math import prod
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ from lampest.files.parts import join_parts
 from lampest.files.whole import folder_beside
 from lampest.panel.scene import Scene
 from lampest.recording.acquisition import undamaged_frames
-from lampest.recording.recording import MEASURED, UNLOADED, Recording, group_of, head_of
+from lampest.recording.recording import MEASURED, UNLOADED, Recording, group_of, recording_file
 
 MAX_READINGS = 2_000_000  # readings of a recording that is held at once: 2 GB, as error bars take 1 kB of each
 PART_READINGS = 500_000  # readings of a part, where a recording has more
@@ -34,8 +35,7 @@ class StoredRecording:
     @classmethod
     def of(cls, path: Path) -> "StoredRecording":
         """Read the head of a file. Raises InputError if it is no recording, or its frames disagree."""
-        with hdf5.existing_file(path) as file:
-            scene, group, signal = head_of(file, path)
+        with recording_file(path) as (file, scene, group, signal):
             shape = hdf5.shape_of(file, f"{group}/{signal}")
             if not shape[0]:
                 raise InputError(f"{path}: {group}/{signal} holds no frame")
@@ -103,8 +103,8 @@ def _each_frame(parts: Sequence[Recording], chosen: NDArray[Any]) -> Recording:
     first = parts[0]
     names = ["recorded", "time", "role", "number", "truth_cell_resistance", "truth_pressure"]
     names += ["sigma"] if first.sigma is not None and first.sigma.ndim == 3 else []
-    held = [name for name in names if getattr(first, name) is not None]
-    each: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts])[chosen] for name in held}
+    present = [name for name in names if getattr(first, name) is not None]
+    each: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts])[chosen] for name in present}
     return replace(first, **each, raw_sums=None, raw_readings=None, acquisition=None)
 
 
@@ -154,4 +154,6 @@ def too_long(frames: int, cells: int) -> bool:
 
 def opened(path: Path) -> Recording | StoredRecording:
     """Open a recording, whole unless it is too long. Raises InputError as `Recording.load`."""
-    return Recording.load_up_to(path, MAX_READINGS) or StoredRecording.of(path)
+    with recording_file(path) as (file, _, group, signal):
+        readings = prod(hdf5.shape_of(file, f"{group}/{signal}"))
+    return StoredRecording.of(path) if readings > MAX_READINGS else Recording.load(path)

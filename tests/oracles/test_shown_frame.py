@@ -10,7 +10,7 @@ from lampest.panel.panel import Panel
 from lampest.panel.readouts import TwoPointReadout
 from lampest.recording.readings import Readings
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
-from lampest.recording.simulation.files import read_simulations
+from lampest.recording.simulation import read_simulations
 from lampest.recording.simulation.simulation import simulate
 from lampest.report.strongest import likely_change, strongest_index
 

@@ -23,16 +23,13 @@ from lampest.recording import acquisition
 from lampest.recording.board.stream import Sample
 from lampest.recording.recording import FORMAT, group_of
 
-CHUNK_FRAMES = 16  # frames of a chunk of sums, written anew with every frame
-
 
 @dataclass(frozen=True)
 class Journal:
-    """Open, growing recording file; group and signal are those of its frames."""
+    """Open, growing recording file, and the paths of the datasets with a row for every frame."""
 
     file: h5py.File
-    group: str
-    signal: str
+    paths: tuple[str, ...]
 
     @classmethod
     @contextmanager
@@ -49,18 +46,14 @@ class Journal:
             file.flush()
             file.swmr_mode = True
             with locked(path):  # HDF5's own lock ended where SWMR began
-                yield cls(file, group_of(scene.circuit), scene.circuit.signal)
-
-    @property
-    def _paths(self) -> tuple[str, ...]:
-        return acquisition.frame_paths(self.group, self.signal)
+                yield cls(file, acquisition.frame_paths(group_of(scene.circuit), scene.circuit.signal))
 
     def append(self, samples: Sequence[Sample], recorded: Array, roles: Sequence[int]) -> None:
         """Add frames, which then survive; recorded (frames, rows, columns). Raises InputError: the disk is full."""
         fields = [vars(sample.frame) | vars(sample) for sample in samples]
         names = ("time", "sums", *(name for name, *_ in acquisition.FRAME_FIELDS))
         time, sums, *acquired = ([field[name] for field in fields] for name in names)
-        self._push(self._paths, (recorded, time, roles, sums, *acquired), acquisition.FRAME_CHECKSUM)
+        self._push(self.paths, (recorded, time, roles, sums, *acquired), acquisition.FRAME_CHECKSUM)
 
     def mark(self, time: float, label: str) -> None:
         """Add an event, whose label is cut to LABEL_BYTES."""
@@ -69,15 +62,14 @@ class Journal:
 
     def keep(self, source: h5py.File, damaged: NDArray[np.intp], frames: int) -> None:
         """Add the undamaged frames and events of another journal; damaged frames count as lost before the next one."""
-        paths, whole = self._paths, np.setdiff1d(np.arange(frames), damaged)
+        whole, lost = np.setdiff1d(np.arange(frames), damaged), self.paths.index("acquisition/lost")
         dropped = np.diff(whole, prepend=-1) - 1
         for begin in range(0, len(whole), acquisition.BLOCK_FRAMES):
             numbers = whole[begin : begin + acquisition.BLOCK_FRAMES]
-            rows = acquisition.stored_rows(source, paths, slice(int(numbers[0]), int(numbers[-1]) + 1))
+            rows = acquisition.stored_rows(source, self.paths, slice(int(numbers[0]), int(numbers[-1]) + 1))
             values = [column[numbers - numbers[0]] for column in rows]
-            lost = paths.index("acquisition/lost")
             values[lost] = values[lost] + dropped[begin : begin + acquisition.BLOCK_FRAMES]
-            self._push(paths, values, acquisition.FRAME_CHECKSUM)
+            self._push(self.paths, values, acquisition.FRAME_CHECKSUM)
         events = acquisition.whole_events(source)
         rows = acquisition.stored_rows(source, acquisition.EVENT_PATHS, slice(len(events)))
         self._push(acquisition.EVENT_PATHS, [column[events] for column in rows], acquisition.EVENT_CHECKSUM)
@@ -104,30 +96,26 @@ class Journal:
 
 
 def _lay_out(file: h5py.File, scene: Scene, readings: int) -> None:
-    hdf5.set_attributes(file, NX_class="NXroot", default="entry", lampest_format=FORMAT, lampest_unfinished=np.uint8(1))
+    circuit, shape, frames = scene.circuit, scene.panel.shape, group_of(scene.circuit)
+    growing = (
+        (f"{frames}/{circuit.signal}", "f8", circuit.unit, circuit.signal_name, shape),
+        (f"{frames}/time", "f8", "s", "time of the frame", ()),
+        (f"{frames}/role", "u1", "1", "0 unloaded baseline, 1 measured", ()),
+        ("raw/sums", "u2", "1", "sums of ADC codes", shape),
+        *((f"acquisition/{name}", *described, ()) for name, *described in acquisition.FRAME_FIELDS),
+        (acquisition.FRAME_CHECKSUM, "u4", "1", "CRC-32 of all that belongs to the frame", ()),
+        (acquisition.EVENT_CHECKSUM, "u4", "1", "CRC-32 of all that belongs to the event", ()),
+        ("acquisition/event_time", "f8", "s", "time of the event", ()),
+        ("acquisition/event_label", f"S{acquisition.LABEL_BYTES}", "1", "label of the event", ()),
+    )
     entry = file.create_group("entry")
-    circuit, shape = scene.circuit, scene.panel.shape
-    hdf5.set_attributes(entry, NX_class="NXentry", default=group_of(circuit))
     hdf5.write_text(entry, "scene", to_yaml(scene))
-    frames = entry.create_group(group_of(circuit))
-    hdf5.set_attributes(frames, NX_class="NXdata", signal=circuit.signal, axes=["time", "row", "column"])
-    _grow(frames, circuit.signal, "f8", circuit.unit, circuit.signal_name, shape)
-    _grow(frames, "time", "f8", "s", "time of the frame")
-    _grow(frames, "role", "u1", "1", "0 unloaded baseline, 1 measured")
-    raw = entry.create_group("raw")
-    hdf5.set_attributes(raw, NX_class="NXdata", signal="sums", readings=np.uint16(readings))
-    _grow(raw, "sums", "u2", "1", "sums of ADC codes", shape)
-    acquired = entry.create_group("acquisition")
-    hdf5.set_attributes(acquired, NX_class="NXcollection")
-    for name, kind, units, long_name in acquisition.FRAME_FIELDS:
-        _grow(acquired, name, kind, units, long_name)
-    _grow(entry, acquisition.FRAME_CHECKSUM, "u4", "1", "CRC-32 of all that belongs to the frame")
-    _grow(entry, acquisition.EVENT_CHECKSUM, "u4", "1", "CRC-32 of all that belongs to the event")
-    _grow(acquired, "event_time", "f8", "s", "time of the event")
-    _grow(acquired, "event_label", f"S{acquisition.LABEL_BYTES}", "1", "label of the event")
-
-
-def _grow(group: h5py.Group, name: str, kind: str, units: str, long_name: str, shape: tuple[int, ...] = ()) -> None:
-    chunk = (CHUNK_FRAMES if shape else 1024, *shape)
-    dataset = group.create_dataset(name, (0, *shape), kind, maxshape=(None, *shape), chunks=chunk)
-    hdf5.set_attributes(dataset, units=units, long_name=long_name)
+    for path, kind, units, long_name, cells in growing:
+        chunk = (16 if cells else 1024, *cells)  # a chunk is written anew with every frame
+        dataset = entry.create_dataset(path, (0, *cells), kind, maxshape=(None, *cells), chunks=chunk)
+        hdf5.set_attributes(dataset, units=units, long_name=long_name)
+    hdf5.set_attributes(file, NX_class="NXroot", default="entry", lampest_format=FORMAT, lampest_unfinished=np.uint8(1))
+    hdf5.set_attributes(entry, NX_class="NXentry", default=frames)
+    hdf5.set_attributes(entry[frames], NX_class="NXdata", signal=circuit.signal, axes=["time", "row", "column"])
+    hdf5.set_attributes(entry["raw"], NX_class="NXdata", signal="sums", readings=np.uint16(readings))
+    hdf5.set_attributes(entry["acquisition"], NX_class="NXcollection")

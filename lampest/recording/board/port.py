@@ -22,7 +22,7 @@ from lampest.recording.board.protocol import Answer, Foreign, Frame, Garbage, He
 
 BOOT_SECONDS = 2.0  # a Mega's bootloader listens for one second after a reset, and must not be confused
 HELLO_SECONDS = 8.0  # longest wait for a board: a slow bootloader, and HELLOs a second apart
-ANSWER_SECONDS, TRIES = 0.5, 4  # wait for an answer, and repetitions of a command on a disturbed line
+ANSWER_SECONDS = 0.5  # wait for an answer
 ARDUINO_VENDORS = (0x2341, 0x2A03, 0x1A86, 0x0403)  # USB: Arduino (two), WCH and FTDI, whose chips clones have
 
 
@@ -77,9 +77,8 @@ class Board:
         except (OSError, ValueError) as error:
             raise NoBoardError(f"{url}: cannot be opened ({' '.join(str(error).split())})") from error
         try:
-            with contextlib.suppress(
-                OSError, ValueError
-            ):  # ports without DTR, which resets an Arduino, stay as they are
+            # Ports without DTR, which resets an Arduino, stay as they are.
+            with contextlib.suppress(OSError, ValueError):
                 port.reset_input_buffer()
                 port.dtr = False
                 time.sleep(0.1)
@@ -104,7 +103,7 @@ class Board:
     def hello(self) -> Hello:
         """Wait for the board's HELLO; ask, and stop a board that did not reset. Raises NoBoardError for silence."""
         began = time.monotonic()
-        asked = began - ANSWER_SECONDS
+        requested = began - ANSWER_SECONDS
         while time.monotonic() < began + HELLO_SECONDS:
             messages = self.messages()
             for item in messages:
@@ -112,11 +111,11 @@ class Board:
                     return item
             # Whatever talks without a HELLO was not reset by opening the port.
             patient = 0.3 if any(isinstance(item, Frame) for item in messages) else BOOT_SECONDS
-            if time.monotonic() > max(began + patient, asked + ANSWER_SECONDS):
+            if time.monotonic() > max(began + patient, requested + ANSWER_SECONDS):
                 self._port.write(command(Kind.STOP) + command(Kind.IDENTIFY))
-                asked = time.monotonic()
-        said = "though the line is not silent" if self.heard else "and nothing came"
-        raise NoBoardError(f"{self._url}: no lampest board answered within {HELLO_SECONDS:g} s, {said}")
+                requested = time.monotonic()
+        line = "though the line is not silent" if self.heard else "and nothing came"
+        raise NoBoardError(f"{self._url}: no lampest board answered within {HELLO_SECONDS:g} s, {line}")
 
     def order(self, kind: Kind, value: int = 0) -> None:
         """Send a command until it is answered. Raises InputError where it is refused, NoBoardError for silence."""
@@ -127,10 +126,8 @@ class Board:
 
         answer = self._ask(command(kind, tag, value), wanted, kind.name)
         # A board that runs already has carried out a START whose answer was lost.
-        if answer.result is not protocol.Result.DONE and (kind, answer.result) != (
-            Kind.START,
-            protocol.Result.REFUSED_RUNNING,
-        ):
+        runs = kind is Kind.START and answer.result is protocol.Result.REFUSED_RUNNING
+        if answer.result is not protocol.Result.DONE and not runs:
             raise InputError(f"{self._url}: {kind.name} {value} refused: {answer.result.value}")
 
     def identify(self) -> Hello:
@@ -140,7 +137,7 @@ class Board:
 
     def _ask(self, wire: bytes, wanted: Callable[[Message], bool], name: str) -> Any:
         """Send until the wanted message comes; other messages, except garbage, wait to be read."""
-        for _ in range(TRIES):
+        for _ in range(4):  # a line may be disturbed
             self._port.write(wire)
             until = time.monotonic() + ANSWER_SECONDS
             while time.monotonic() < until:

@@ -129,6 +129,11 @@ class Hello:
         return next((f"the board says that {n} is {getattr(self, n)}; 1 to {limits[n]} is possible" for n in wrong), "")
 
     @property
+    def period(self) -> float:
+        """Time between frames in s."""
+        return self.period_us * 1e-6
+
+    @property
     def size(self) -> tuple[int, int, int]:
         """Rows, columns and readings."""
         return self.rows, self.columns, self.readings

@@ -27,10 +27,9 @@ from lampest.recording.board.journal import Journal
 from lampest.recording.board.protocol import MAX_CODE
 from lampest.recording.board.several import samples_of
 from lampest.recording.board.stream import CLOCK_STOPPED, UNFIT_SECONDS, Sample, Samples, agreed_and_recorded
-from lampest.recording.recording import MEASURED, UNLOADED, Recording, head_of
+from lampest.recording.recording import MEASURED, UNLOADED, Recording, recording_file
 from lampest.recording.stored import StoredRecording, opened, save_parts
 
-CLOCK_JUMP = "clock jump"  # label of the event
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")  # no dot, no separator: a file of one folder, and no hidden one
 
 
@@ -134,10 +133,10 @@ def record(  # noqa: PLR0913 # the options of a command
         raise InputError(f"{out}: exists already; a recording is never written over")
     urls: Sequence[str] = (ports,) if isinstance(ports, str) else ports or ()
     count, states, last = Counter[str](), [""], None
-    with ending_signals(lambda: count["frames"] > 0 and not states[-1]) as asked:
+    with ending_signals(lambda: count["frames"] > 0 and not states[-1]) as ended_by:
         try:
             with contextlib.ExitStack() as stack:
-                batches = samples_of(urls, scene, period, states.append, lambda: bool(asked()))
+                batches = samples_of(urls, scene, period, states.append, lambda: bool(ended_by()))
                 stack.enter_context(contextlib.closing(batches))
                 journal: Journal | None = None
                 for batch in _wanted(batches, frames, seconds, period or 1.0):
@@ -147,7 +146,7 @@ def record(  # noqa: PLR0913 # the options of a command
                         appended(journal, batch, scene, baseline - count["frames"], keys)
                     for last in batch:
                         count.update(frames=1, lost=last.lost, clock_jumps=last.clock_jump, parted=last.missing > 0)
-                        count.update(clock_stopped=CLOCK_STOPPED in last.events, behind=bool(asked()))
+                        count.update(clock_stopped=CLOCK_STOPPED in last.events, behind=bool(ended_by()))
                         on_progress(Progress(last, count["frames"], count["lost"], ""))
                     if not batch and states[-1]:
                         on_progress(Progress(None, count["frames"], count["lost"], states[-1]))
@@ -161,11 +160,11 @@ def record(  # noqa: PLR0913 # the options of a command
             made = finished(out) if last else None
         if made is None or last is None:
             raise InputError(f"{out}: ended before the first frame; nothing is written")
-        short = seconds is not None and not asked() and count["frames"] != frames
-        silent = max((seconds or 0.0) - last.time - last.period, 0.0) if short else 0.0
+        short = seconds is not None and not ended_by() and count["frames"] != frames
+        silent = max((seconds or 0.0) - last.time - last.hello.period, 0.0) if short else 0.0
         counts: Any = {**count, "clock_stopped": count["clock_stopped"] > 0}
         scene, _, noise = made
-        ending: Any = {"ended_by": asked(), "noise_lsb": noise, "silent": round(silent, 3)}
+        ending: Any = {"ended_by": ended_by(), "noise_lsb": noise, "silent": round(silent, 3)}
         return Recorded(path=out, scene=scene, restarts=last.session, **counts, **ending)
 
 
@@ -284,7 +283,7 @@ def appended(
     recorded = np.stack([agreed_and_recorded(sample, scene)[1] for sample in batch])
     journal.append(batch, recorded, [UNLOADED if number < unloaded else MEASURED for number in range(len(batch))])
     for sample in batch:
-        for event in (*sample.events, *([CLOCK_JUMP] if sample.clock_jump else ()), *keys()):
+        for event in (*sample.events, *(["clock jump"] if sample.clock_jump else ()), *keys()):
             journal.mark(sample.time, event)
 
 
@@ -302,7 +301,7 @@ def _wanted(batches: Samples, frames: int | None, seconds: float | None, period:
         batch = batch if frames is None else batch[: frames - count]
         if seconds is not None:
             began = began or time.monotonic()
-            late = (number for number, item in enumerate(batch, 1) if item.time + item.period > seconds - 1e-3)
+            late = (number for number, item in enumerate(batch, 1) if item.time + item.hello.period > seconds - 1e-3)
             until = next(late, None)
             batch = batch[:until]
             ended = until is not None or time.monotonic() - began > 1.05 * seconds + period + 1
@@ -327,8 +326,7 @@ def repair(path: Path) -> tuple[int, int]:
     if is_locked(path):
         raise InputError(f"{path}: still being recorded")
     with folder_beside(path) as folder:
-        with hdf5.existing_file(path) as file:
-            scene, group, _ = head_of(file, path)
+        with recording_file(path) as (file, scene, group, _):
             frames, damaged = damaged_frames(file, scene, group)
             if not len(damaged) and np.all(whole_events(file)):
                 whole = path
@@ -361,8 +359,8 @@ def _with_sigma(recording: Recording, noise: float | None) -> Recording:
     readout = recording.scene.readout
     if readout is None or recording.scene.panel.modules is not None:  # whose modules have their own
         return recording
-    seen = readout if noise is None else dataclasses.replace(readout, noise_lsb=noise)
-    return dataclasses.replace(recording, sigma=seen.sigma(recording.recorded))
+    readout = readout if noise is None else dataclasses.replace(readout, noise_lsb=noise)
+    return dataclasses.replace(recording, sigma=readout.sigma(recording.recorded))
 
 
 def noise_from_repeats(parts: Iterable[Recording]) -> float | None:

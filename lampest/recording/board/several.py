@@ -21,10 +21,7 @@ from lampest.recording.acquisition import NO_SUM
 from lampest.recording.board.port import only_port
 from lampest.recording.board.stream import RETRY_SECONDS, Sample, Samples, board_samples
 
-CLOCKED = 50  # newest frames, of which the least delayed one sets a board's clock
-NEAR = 0.75  # periods between a board's frame and a moment: half a period, and the jitter of clocks
 LATE_SECONDS = 0.3  # s, and 1.5 periods, after which a silent board counts as missing
-POLL_SECONDS = 0.02  # s: longest wait for a sample before states are updated
 Stamped = tuple[float, Sample]  # s on the host's clock, when the scan began
 Arrived = SimpleQueue[tuple[int, Sample | str | InputError | None]]  # by board
 
@@ -63,7 +60,7 @@ class Alignment:
     ----------
     moment, began : float or None
         Of the image's newest and first frame, s on the host's clock.
-    missing : frozenset[int]
+    missing : tuple of int
         Boards not in the newest.
     """
 
@@ -71,14 +68,9 @@ class Alignment:
     shown: tuple[Stamped | None, ...]
     delays: tuple[tuple[float, ...], ...]
     moment: float | None = None
-    missing: frozenset[int] = frozenset()
+    missing: tuple[int, ...] = ()
     frames: int = 0
     began: float | None = None
-
-    @property
-    def gone(self) -> list[int]:
-        """Numbers of the missing boards, in order."""
-        return sorted(self.missing)
 
     @classmethod
     def of(cls, boards: int) -> "Alignment":
@@ -90,7 +82,7 @@ class Alignment:
         known = [*filter(None, [self.shown[board]]), *self.waiting[board]]
         before = self.delays[board] if known and known[-1][1].session == sample.session else ()
         delays, waiting = list(self.delays), list(self.waiting)
-        delays[board] = (*before, sample.host_time - sample.time)[-CLOCKED:]
+        delays[board] = (*before, sample.host_time - sample.time)[-50:]  # the least of these sets the board's clock
         waiting[board] = (*waiting[board], (sample.time + min(delays[board]), sample))
         return replace(self, waiting=tuple(waiting), delays=tuple(delays))
 
@@ -99,21 +91,22 @@ class Alignment:
         led = self._led(now)
         if led is None:
             return None
-        at, period = led[0], led[1].period
+        at, period = led[0], led[1].hello.period
         late, parts = now > at + 1.5 * period + LATE_SECONDS, dict[int, Stamped]()
         for board, waiting in enumerate(self.waiting):
             known = [*filter(None, [self.shown[board]]), *waiting]
             if not (late or board in self.missing) and (not known or known[-1][0] < at - period / 2):
                 return None
             nearest = min(known, key=lambda stamped: abs(stamped[0] - at), default=None)
-            if nearest is not None and abs(nearest[0] - at) <= NEAR * period:
+            # Half a period, and the jitter of clocks.
+            if nearest is not None and abs(nearest[0] - at) <= 0.75 * period:
                 parts[board] = nearest
         remaining = [
             tuple(part for part in waiting if part[0] > (parts[board][0] if board in parts else at - period))
             for board, waiting in enumerate(self.waiting)
         ]
         shown = tuple(parts.get(board, last) for board, last in enumerate(self.shown))
-        missing = frozenset(range(len(shown))) - parts.keys()
+        missing = tuple(board for board in range(len(shown)) if board not in parts)
         began, frames = at if self.began is None else self.began, self.frames + 1
         after = Alignment(tuple(remaining), shown, self.delays, at, missing, frames, began)
         return after, {board: sample for board, (_, sample) in parts.items()}
@@ -124,13 +117,13 @@ class Alignment:
             if not all(self.waiting):
                 return None
             begin = max(waiting[0][0] for waiting in self.waiting)
-            return next((led for led in self.waiting[0] if led[0] > begin - led[1].period / 2), None)
+            return next((led for led in self.waiting[0] if led[0] > begin - led[1].hello.period / 2), None)
         for board, waiting in enumerate(self.waiting):
             for led in waiting:
-                if led[0] > self.moment + led[1].period / 2:
+                if led[0] > self.moment + led[1].hello.period / 2:
                     return led
             last = self.shown[board]
-            if board not in self.missing and last and now < self.moment + 2.5 * last[1].period + LATE_SECONDS:
+            if board not in self.missing and last and now < self.moment + 2.5 * last[1].hello.period + LATE_SECONDS:
                 return None
         return None
 
@@ -159,7 +152,7 @@ class _Boards:
                 if ending():
                     ended.set()
                 with suppress(Empty):
-                    board, item = arrived.get(timeout=POLL_SECONDS)
+                    board, item = arrived.get(timeout=0.02)
                     if isinstance(item, Sample):
                         current, states[board] = current.taking(board, item), ""
                     elif isinstance(item, InputError) and (current.moment is None or len(listening) == 1):
@@ -175,7 +168,7 @@ class _Boards:
                 yield tuple(made)
                 gone = [
                     f"{self._place(board)} at {self.ports[board]}: {states[board] or 'no frame came'}"
-                    for board in current.gone
+                    for board in current.missing
                 ]
                 if made and gone:
                     on_state("module " + "; module ".join(gone))
@@ -194,8 +187,8 @@ class _Boards:
             sums[self.numbers[board]] = sample.frame.sums
         fresh = [sample for board, sample in parts.items() if before.shown[board] != after.shown[board]]
         missed, whole = max(sample.frame.missed for sample in every), self.layout.joined(sums)
-        events = [f"gone: {self._place(board)}" for board in after.gone if board not in before.missing]
-        events += [f"back: {self._place(board)}" for board in before.gone if board not in after.missing]
+        events = [f"gone: {self._place(board)}" for board in after.missing if board not in before.missing]
+        events += [f"back: {self._place(board)}" for board in before.missing if board not in after.missing]
         return Sample(
             replace(first.frame, sequence=before.frames, missed=missed, sums=whole),
             replace(first.hello, rows=rows, columns=columns),
@@ -217,15 +210,12 @@ def _listen(board: int, port: str, own: Scene, period: float | None, arrived: Ar
 
     One that fails later is opened anew, as often as need be: a hub that hangs is unplugged, and comes back.
     """
-
-    def said(sentence: str) -> None:
-        arrived.put((board, sentence))
-
     sessions = 0
     while not ended.is_set():
         before = sessions
         try:
-            with closing(board_samples(port, own, period, said, ended.is_set)) as batches:
+            samples = board_samples(port, own, period, lambda sentence: arrived.put((board, sentence)), ended.is_set)
+            with closing(samples) as batches:
                 for sample in (sample for batch in batches for sample in batch):
                     sessions = before + sample.session + 1
                     arrived.put((board, replace(sample, session=sessions - 1)))

@@ -20,11 +20,7 @@ SHARED = {
     "two_point": ("supply_volt", "reference_ohm", "measured_across", "adc_bits"),
     "loaded_columns": ("driven", "polarity", "supply_volt", "adc_bits", "load_ohm"),
 }
-# A calibrated load differs from the one that is printed on it: 5 % of ordinary resistors, twice.
-LOAD_TOLERANCE = 0.1
 ROUND = 2**32  # numbers and the board's clock begin anew after so many
-# A board's clock is not further ahead of the host's than this; a simulated board runs 300 times as fast as a real one.
-FASTEST, AHEAD_SECONDS = 1000.0, 10.0
 UNFIT_SECONDS = 30.0  # s without a fitting frame on a line that is not silent
 RETRY_SECONDS = 0.2  # s between attempts to open a port
 SILENCE_SECONDS = 2.5  # s of silence after which a board is asked who it is
@@ -36,30 +32,26 @@ def scene_of(hello: Hello, scene: Scene | None) -> Scene:
     declared = declared_readout(hello)
     if scene is None:
         return Scene(Panel(hello.rows, hello.columns), declared)
-    ours, panel = scene.readout, scene.panel
+    ours = scene.readout
     if ours is None:
         return replace(scene, readout=declared)
     if ours.kind != hello.wiring:
-        raise InputError(
-            f"the scene's readout.kind is {ours.kind}, but the board says that it is wired as {hello.wiring} "
-            f"(firmware pins.h)"
-        )
+        wired = f"but the board says that it is wired as {hello.wiring} (firmware pins.h)"
+        raise InputError(f"the scene's readout.kind is {ours.kind}, {wired}")
     for name in SHARED[hello.wiring]:
-        theirs, each = getattr(declared, name), as_tuple(getattr(ours, name))
-        within = LOAD_TOLERANCE * theirs if name == "load_ohm" else 0.0
-        for mine in each:
-            if mine != theirs and not (within and abs(mine - theirs) <= within):
-                said = [f"{value:g}" if isinstance(value, float) else value for value in (mine, theirs)]
+        theirs = getattr(declared, name)
+        for mine in as_tuple(getattr(ours, name)):
+            # A calibrated load differs from the one that is printed on it: 5 % of ordinary resistors, twice.
+            if mine != theirs and not (name == "load_ohm" and abs(mine - theirs) <= 0.1 * theirs):
+                both = [f"{value:g}" if isinstance(value, float) else value for value in (mine, theirs)]
                 raise InputError(
-                    f"the scene's readout.{name} is {said[0]}, but the board says {said[1]} (firmware pins.h)"
+                    f"the scene's readout.{name} is {both[0]}, but the board says {both[1]} (firmware pins.h)"
                 )
-    for name, asked, most in (
-        ("panel.rows", panel.rows, hello.most_rows),
-        ("panel.columns", panel.columns, hello.most_columns),
-        ("readout.readings", ours.readings, hello.most_readings),
-    ):
-        if asked > most:
-            raise InputError(f"the scene's {name} is {asked}, but the board can do at most {most}")
+    size = (*scene.panel.shape, ours.readings)
+    most = (hello.most_rows, hello.most_columns, hello.most_readings)
+    for name, needed, possible in zip(("panel.rows", "panel.columns", "readout.readings"), size, most, strict=True):
+        if needed > possible:
+            raise InputError(f"the scene's {name} is {needed}, but the board can do at most {possible}")
     return scene
 
 
@@ -105,11 +97,6 @@ class Sample:
     missing: int = 0
     events: tuple[str, ...] = ()
 
-    @property
-    def period(self) -> float:
-        """Time between frames in s."""
-        return self.hello.period_us * 1e-6
-
 
 Samples = Generator[tuple[Sample, ...], None, None]
 
@@ -148,11 +135,6 @@ class Scanning:
     stopped: bool = False
     since: float = field(default_factory=time.time)
 
-    @property
-    def period(self) -> float:
-        """Time between frames in s."""
-        return self.hello.period_us * 1e-6
-
     def taking(self, frame: Frame) -> tuple["Scanning", tuple[Sample, ...]]:
         """Return the run with a further frame, and its samples: one, two, or none if the frame does not follow."""
         if self.before is None:
@@ -161,7 +143,7 @@ class Scanning:
             if self._follows(frame, newest.frame, newest.host_time):
                 steps, elapsed_ms = _since(newest.frame, frame)
                 sample = self._sample(frame, newest.time + elapsed_ms / 1000, steps - 1)
-                return replace(self, before=newest)._with(self._marked(sample))
+                return replace(self, before=newest)._with(sample)
         stray = self.stray
         if stray and _since(stray, frame)[0] == 1 and (first := self._resumed(stray, frame)) is not None:
             run, more = self._with(first)[0].taking(frame)
@@ -173,41 +155,36 @@ class Scanning:
         return replace(self, before=self.earlier, stray=None)
 
     def _with(self, sample: Sample) -> tuple["Scanning", tuple[Sample, ...]]:
+        # A late scan explains two frames at the same time, but not three.
+        elapsed_ms = _since(self.earlier.frame, sample.frame)[1] if self.earlier else 1
+        stopped = elapsed_ms == 0 and self.hello.period > 2e-3
+        if stopped and not self.stopped:
+            sample = replace(sample, events=(CLOCK_STOPPED,))
         run = replace(self, session=sample.session, last=sample, before=sample, earlier=self.before, stray=None)
-        return replace(run, stopped=self._stands_still(sample.frame)), (sample,)
-
-    def _stands_still(self, frame: Frame) -> bool:
-        """Return whether the clock of a third frame is that of the first: a late scan explains two."""
-        return self.earlier is not None and self.period > 2e-3 and _since(self.earlier.frame, frame)[1] == 0
-
-    def _marked(self, sample: Sample) -> Sample:
-        begins = not self.stopped and self._stands_still(sample.frame)
-        return replace(sample, events=(CLOCK_STOPPED,)) if begins else sample
+        return replace(run, stopped=stopped), (sample,)
 
     def _sample(self, frame: Frame, at: float, lost: int, anew: int = 0, *, jump: bool = False) -> Sample:
         """Return a sample at a time, but later than the last one; anew : 1 if the numbers started again."""
         now = time.time()
         if self.last is not None and at <= self.last.time:
-            at = self.last.time + max(now - self.last.host_time, self.period)
+            at = self.last.time + max(now - self.last.host_time, self.hello.period)
         return Sample(frame, self.hello, at, now, lost, self.session + anew, jump)
 
     def _first(self, frame: Frame) -> Sample:
         """Return the first sample of a run; numbers start with 0, unless the clock had no time for so many frames."""
-        time_for_all = 990 * frame.sequence * self.period <= min(frame.device_ms + 2, self._most_ms(self.since))
-        lost = frame.sequence if time_for_all else 0
-        if self.last is None:
-            return self._sample(frame, 0.0, lost)
-        return self._sample(frame, self.last.time + max(time.time() - self.last.host_time, self.period), lost)
+        time_for_all = 990 * frame.sequence * self.hello.period <= min(frame.device_ms + 2, self._most_ms(self.since))
+        return self._sample(frame, 0.0, frame.sequence if time_for_all else 0)
 
     def _follows(self, frame: Frame, before: Frame, host_time: float) -> bool:
         (steps, elapsed_ms), most_ms = _since(before, frame), self._most_ms(host_time)
         # The board counts its missed scans; either scan may begin up to a period late.
-        most_ms = min(most_ms, 1010 * (1 + steps * (1 + frame.missed)) * self.period + 2)
-        return 0 < steps < ROUND // 2 and 990 * (steps - 1) * self.period - 2 <= elapsed_ms <= most_ms
+        most_ms = min(most_ms, 1010 * (1 + steps * (1 + frame.missed)) * self.hello.period + 2)
+        return 0 < steps < ROUND // 2 and 990 * (steps - 1) * self.hello.period - 2 <= elapsed_ms <= most_ms
 
     def _most_ms(self, host_time: float) -> float:
         """Return the largest possible advance of the board's clock since a time of the host's, in ms."""
-        return 1e3 * (FASTEST * max(time.time() - host_time, 0.0) + AHEAD_SECONDS + 3 * self.period)
+        # A simulated board runs 300 times as fast as a real one.
+        return 1e3 * (1000 * max(time.time() - host_time, 0.0) + 10 + 3 * self.hello.period)
 
     def _resumed(self, frame: Frame, after: Frame) -> Sample | None:
         """Return the first sample after a jump of the clock or of the numbers; None if the frame is a repetition.
@@ -217,13 +194,13 @@ class Scanning:
         assert self.before is not None and self.last is not None
         newest = max(self.before.time, self.last.time)
         steps, elapsed_ms = _since(self.before.frame, frame)
-        if steps == 1 or 0 < 1e3 * steps * self.period <= self._most_ms(self.before.host_time):
-            return self._sample(frame, newest + (steps + frame.missed) * self.period, steps - 1, jump=True)
+        if steps == 1 or 0 < 1e3 * steps * self.hello.period <= self._most_ms(self.before.host_time):
+            return self._sample(frame, newest + (steps + frame.missed) * self.hello.period, steps - 1, jump=True)
         if not (0 < elapsed_ms < ROUND // 2 and self._follows(after, frame, time.time())):
             return None
         # After a longer silence of the line the board is asked who it is.
-        moved = min(elapsed_ms / 1000, SILENCE_SECONDS + max(time.time() - self.last.host_time, self.period))
-        return self._sample(frame, newest + moved, max(round(moved / self.period) - 1, 0), anew=1)
+        moved = min(elapsed_ms / 1000, SILENCE_SECONDS + max(time.time() - self.last.host_time, self.hello.period))
+        return self._sample(frame, newest + moved, max(round(moved / self.hello.period) - 1, 0), anew=1)
 
 
 def _since(before: Frame, frame: Frame) -> tuple[int, int]:
@@ -294,10 +271,10 @@ class _Line:
         """Start the time of unfit items anew: a frame fitted, or no board is present."""
         self._since, self._unfit = time.monotonic(), Counter[str]()
 
-    def check(self, period_us: int = 0) -> None:
+    def check(self, period: float = 0.0) -> None:
         """Raise InputError where the line has talked for 30 s and three periods, and nothing fitted."""
         waited = time.monotonic() - self._since
-        if self._unfit and waited > UNFIT_SECONDS + 3e-6 * period_us:
+        if self._unfit and waited > UNFIT_SECONDS + 3 * period:
             came = ", ".join(f"{number} {kind}" for kind, number in self._unfit.most_common())
             raise InputError(f"{self._url}: nothing fit for {waited:.0f} s, though the line is not silent ({came})")
 
@@ -317,24 +294,24 @@ class _Line:
                 if self._ending():
                     return
                 yield ()
-                self.check(settings.period_us)
+                self.check(settings.period)
                 hello = board.hello()
         finally:
             board.stop()
 
     def _run(self, board: Board, hello: Hello) -> Samples:
         run = Scanning(hello, 0 if self.last is None else self.last.session + 1, self.last)
-        silent_after = max(SILENCE_SECONDS, 3e-6 * hello.period_us)
+        silent_after = max(SILENCE_SECONDS, 3 * hello.period)
         heard = time.monotonic()
         while True:
-            asked = self._ending()
-            run, samples, over = self._taken(run, board.last_messages() if asked else board.messages())
+            ending = self._ending()
+            run, samples, over = self._taken(run, board.last_messages() if ending else board.messages())
             if samples:
                 heard = time.monotonic()
             yield samples
-            if over or asked:
+            if over or ending:
                 return
-            self.check(hello.period_us)
+            self.check(hello.period)
             if time.monotonic() - heard > silent_after:
                 came = board.heard
                 try:

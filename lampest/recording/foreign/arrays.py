@@ -23,7 +23,7 @@ from lampest.panel.panel import Array
 from lampest.recording.foreign.words import Clock, clock_of_numbers, role_of
 
 MAX_BYTES = 500_000_000  # of a file, unpacked, and of its values in memory (tests/attack)
-COMPRESSED, MATRIX = 15, 14  # data elements of a .mat file
+COMPRESSED = 15  # kind of a data element of a .mat file
 NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
 ONE, STACKED, FRAMES = "(rows, columns)", "(rows, columns, frames)", "(frames, rows, columns)"
 FLAT = "(frames, rows·columns), row by row"
@@ -108,7 +108,7 @@ class Layout(Validated):
 
         def clock(unit: str | None) -> Clock:
             seconds = real_array(times, f"{path}: times of layout {self.kind}").astype(float)
-            return clock_of_numbers(seconds, "", lambda frame: f"{path}: time of frame {frame}", unit).said("")
+            return clock_of_numbers(seconds, "", lambda frame: f"{path}: time of frame {frame}", unit).read_from("")
 
         number = np.arange(values.size).reshape(values.shape)
         return Frames(values.ravel(), number, named, clock if times is not None else None, (f"layout {self.kind}",), ())
@@ -138,8 +138,8 @@ def reading(path: Path) -> Iterator[None]:
     except (OSError, MemoryError, InputError):
         raise
     except Exception as error:
-        said = " ".join(str(error).split()) or type(error).__name__
-        raise InputError(f"{path}: no readable {path.suffix.lower()} file ({said})") from error
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise InputError(f"{path}: no readable {path.suffix.lower()} file ({reason})") from error
 
 
 def _of_npy(path: Path) -> Arrays:
@@ -173,16 +173,14 @@ def _of_mat(path: Path) -> Arrays:
     order = {b"IM": "<", b"MI": ">"}.get(data[126:128])
     if order is None:
         raise InputError(f"{path}: no readable .mat file (save it with the option -v7)")
-    arrays, at = {}, 128
+    arrays, at = Arrays(), 128
     while at + 8 <= len(data):
         kind, body, at = _element(memoryview(data), at, order)
         if kind == COMPRESSED:
             head = np.frombuffer(zlib.decompressobj().decompress(body, 64), dtype=order + "u4").tolist()
             check_count(path, prod(head[8 : 8 + head[7] // 4]))  # dimensions come behind eight words
             kind, body, _ = _element(memoryview(zlib.decompressobj().decompress(body, MAX_BYTES)), 0, order)
-        name, array = _matrix(body, order) if kind == MATRIX else ("", None)
-        if array is not None:
-            arrays[name] = array
+        arrays |= _matrix(body, order) if kind == 14 else {}
     return arrays
 
 
@@ -197,18 +195,18 @@ def _element(view: memoryview, at: int, order: str) -> tuple[int, memoryview, in
     return kind, view[begin : begin + size], after
 
 
-def _matrix(body: memoryview, order: str) -> tuple[str, NDArray[Any] | None]:
-    """Return name and values of a matrix element; None for texts, structures, cells and complex values."""
+def _matrix(body: memoryview, order: str) -> Arrays:
+    """Return name → values of a matrix element; nothing of texts, structures, cells and complex values."""
     _, flags, at = _element(body, 0, order)
     _, size, at = _element(body, at, order)
     _, name, at = _element(body, at, order)
     (word,) = struct.unpack_from(order + "I", flags)
     if not 6 <= word & 0xFF <= 15 or word & 0x800:  # double to uint64; complex
-        return "", None
+        return {}
     kind, values, _ = _element(body, at, order)
     shape = np.frombuffer(size, dtype=order + "u4").tolist()
     array = np.frombuffer(values, dtype=order + NUMBERS[kind]).reshape(shape, order="F")
-    return bytes(name).decode("ascii", "replace"), array
+    return {bytes(name).decode("ascii", "replace"): array}
 
 
 def _of_level_7(path: Path) -> Arrays:
@@ -261,7 +259,7 @@ def frames_of_arrays(path: Path, shape: Shape, variable: str | None) -> Frames:
     def clock(unit: str | None) -> Clock:
         values = np.asarray(arrays[times[0]], dtype=float).ravel()
         read = clock_of_numbers(values, times[0], lambda frame: f"{path}: {times[0]}[{frame}]", unit)
-        return read.said(f"array {times[0]} in ")
+        return read.read_from(f"array {times[0]} in ")
 
     times = [time for time in arrays if role_of(time) == "time" and arrays[time].size == len(number) and time != name]
     return Frames(array.ravel(), number, named, clock if len(times) == 1 else None, (note,), (name,))
@@ -281,9 +279,7 @@ def _chosen(path: Path, arrays: Arrays, fits: dict[str, list[str]], shape: Shape
 
 
 def _fits(size: Sequence[int], wanted: Sequence[int | None]) -> bool:
-    return len(size) == len(wanted) and all(
-        has == want or (want is None and has > 0) for has, want in zip(size, wanted, strict=True)
-    )
+    return len(size) == len(wanted) and all(has and want in (has, None) for has, want in zip(size, wanted, strict=True))
 
 
 def _by(size: Sequence[int]) -> str:

@@ -23,7 +23,6 @@ from lampest.recording.recording import MEASURED, UNLOADED, Recording
 NOT_READ = {".xls": "save it as .xlsx", ".ods": "save it as .xlsx or .csv", ".xlsb": "save it as .xlsx"}
 SHEETS = (".xlsx", ".xlsm")
 NAMED = (".mat", ".npz", *SHEETS)
-MISSING = ("mark", "skip-frame", "refuse")
 
 
 @typed
@@ -88,8 +87,8 @@ def import_file(  # noqa: PLR0913 # the options of a command
     array([[505., 515., 250.]])
     """
     path = Path(path)
-    if missing not in MISSING:
-        raise InputError(f"missing readings: '{missing}' is unknown; there are {', '.join(MISSING)}")
+    if missing not in ("mark", "skip-frame", "refuse"):
+        raise InputError(f"missing readings: '{missing}' is unknown; there are mark, skip-frame, refuse")
     panel = _panel(rows, columns, scene)
     check_unit(unit, scene, path)
     own = {known.kind: known for known in installed("lampest.layouts", Layout)}
@@ -121,10 +120,10 @@ def import_file(  # noqa: PLR0913 # the options of a command
 def _panel(rows: int | None, columns: int | None, scene: Scene | None) -> Panel:
     """Return the requested panel, or the scene's; both must agree."""
     if scene is not None:
-        has = scene.panel.shape
-        asked = (has[0] if rows is None else rows, has[1] if columns is None else columns)
-        if has != asked:
-            raise InputError(f"the scene's panel has {has[0]} × {has[1]} cells, not {asked[0]} × {asked[1]}")
+        shape = scene.panel.shape
+        size = (shape[0] if rows is None else rows, shape[1] if columns is None else columns)
+        if shape != size:
+            raise InputError(f"the scene's panel has {shape[0]} × {shape[1]} cells, not {size[0]} × {size[1]}")
         return scene.panel
     if rows is None or columns is None:
         raise InputError("how large is the panel? Say `rows` and `columns`, or give a `scene`")
@@ -219,21 +218,21 @@ def _without_missing(blank: NDArray[np.bool_], missing: str, path: Path) -> tupl
         return ~gaps, "no reading is missing"
     if np.all(blank):
         raise InputError(f"{path}: all readings are missing")
-    said = f"{_counted(int(blank.sum()), 'reading')} missing, in {int(gaps.sum())} of {_counted(len(blank), 'frame')}"
+    note = f"{_counted(int(blank.sum()), 'reading')} missing, in {int(gaps.sum())} of {_counted(len(blank), 'frame')}"
     if missing == "mark":
-        return np.ones_like(gaps), f"{said}: NaN in the recording"
+        return np.ones_like(gaps), f"{note}: NaN in the recording"
     if np.all(gaps):
-        raise InputError(f"{path}: {said}, so that no frame would be left; `missing='mark'` keeps them")
-    return ~gaps, f"{said}: these frames are left out"
+        raise InputError(f"{path}: {note}, so that no frame would be left; `missing='mark'` keeps them")
+    return ~gaps, f"{note}: these frames are left out"
 
 
 def _assumed(scene: Scene, *, given: bool) -> str:
     series = f"series resistance {scene.series_text}" if scene.circuit.unit == "ohm" else ""
     pitch = "" if "panel.pitch_mm" in scene.assumed else f"pitch {scene.panel.pitch_mm:g} mm"
-    both = " and ".join(filter(None, (series, pitch)))
-    said = both and f"{both}, {'by the scene' if given else 'assumed; a scene says otherwise'}"
+    values = " and ".join(filter(None, (series, pitch)))
+    origin = values and f"{values}, {'by the scene' if given else 'assumed; a scene says otherwise'}"
     assumed = scene.assumed_text and f"{scene.assumed_text} assumed: the scene does not say"
-    return "; ".join(filter(None, (said, assumed)))
+    return "; ".join(filter(None, (origin, assumed)))
 
 
 def _summary(recording: Recording) -> Iterator[str]:

@@ -53,10 +53,10 @@ def _cells_by_name(source: str, names: Sequence[str], shape: Shape) -> tuple[Cel
         return None
     first = min(1, *map(min, named.values()))
     cells = {field: (row - first, column - first) for field, (row, column) in named.items()}
-    seen: dict[tuple[int, int], int] = {}
+    fields: dict[tuple[int, int], int] = {}
     for field, (row, column) in cells.items():
-        if seen.setdefault((row, column), field) != field:
-            same = f"{names[seen[row, column]]!r} and {names[field]!r}"
+        if fields.setdefault((row, column), field) != field:
+            same = f"{names[fields[row, column]]!r} and {names[field]!r}"
             raise InputError(f"{source}: the header's {same} are the same cell")
         if row >= shape[0] or column >= shape[1]:
             turned = "; with `transpose` it would fit" if row < shape[1] and column < shape[0] else ""
@@ -95,9 +95,9 @@ def _frames_in_lines(table: ReadingsTable, shape: Shape, named: tuple[Cells, str
     fields = sorted(named[0])
     rows, columns = np.transpose([named[0][field] for field in fields])
     unused = [names[field] for field in range(table.width) if field not in fields and field not in times]
-    left = f"; left out: {', '.join(name or 'a column without a name' for name in unused[:5])}" if unused else ""
+    omitted = f"; left out: {', '.join(name or 'a column without a name' for name in unused[:5])}" if unused else ""
     every = np.arange(len(table.lines))
-    note = f"one frame a line, {named[1]}{left}"
+    note = f"one frame a line, {named[1]}{omitted}"
     return table.frames((every[:, None], rows, columns), fields, shape, table.timing(times, range(len(every))), note)
 
 
@@ -151,8 +151,8 @@ def _frames_of_single_values(table: ReadingsTable, shape: Shape, order: dict[str
         raise InputError(f"{table.place(int(twice[0]), None)}: the same cell as in {earlier}{hint}")
     times = [order[role] for role in ("date", "time") if role in order]
     timing = table.timing(times, np.unique(frames, return_index=True)[1].tolist())
-    said = ", ".join(sorted(order, key=order.__getitem__))
-    note = f"one value a line as {said}; indices count from {first}{how}"
+    roles = ", ".join(sorted(order, key=order.__getitem__))
+    note = f"one value a line as {roles}; indices count from {first}{how}"
     at = (frames[:, None], rows[:, None], columns[:, None])
     return table.frames(at, [order["value"]], shape, timing, note)
 
@@ -188,17 +188,17 @@ def _frame_numbers(table: ReadingsTable, cells: Index, order: dict[str, int]) ->
     number = {stamp: at for at, stamp in enumerate(dict.fromkeys(stamps))}  # in the order in which they come
     if len(number) < len(cells) or len(cells) == 1:
         return np.array([number[stamp] for stamp in stamps], dtype=np.intp), "; frames by their time"
-    said = "; every line has a time of its own, a new frame begins where a cell comes again"
-    return np.cumsum(_begins_again(cells, [False] * len(cells))), said
+    how = "; every line has a time of its own, a new frame begins where a cell comes again"
+    return np.cumsum(_begins_again(cells, [False] * len(cells))), how
 
 
 def _begins_again(numbers: Index, ended: Sequence[bool]) -> NDArray[np.bool_]:
     """Return (lines) whether a frame begins at a line: its number comes again, or a title stands before it."""
-    seen, begins = set[int](), np.zeros(len(numbers), dtype=bool)
+    numbers_of_frame, begins = set[int](), np.zeros(len(numbers), dtype=bool)
     for line, number in enumerate(numbers.tolist()):
-        if number in seen or (ended[line] and line):
-            begins[line], seen = True, set()
-        seen.add(number)
+        if number in numbers_of_frame or (ended[line] and line):
+            begins[line], numbers_of_frame = True, set()
+        numbers_of_frame.add(number)
     return begins
 
 
@@ -263,13 +263,13 @@ def _blocks(table: ReadingsTable, rows: int) -> tuple[Index, Index, list[int], s
     groups, title = _grouped(table, rows)
     frame, row = np.full(len(table.lines), -1), np.zeros(len(table.lines), dtype=np.intp)
     begins: list[int] = []
-    said: list[str] = []
+    notes: list[str] = []
     for number, lines in enumerate(groups):
         place, cut = table.source.called(int(table.lines[lines[0]])), len(lines) % rows
         if number == 0 and len(groups) > 1 and len(lines) < rows:
-            said.append(f"the first block ({place}) is cut and left out")
+            notes.append(f"the first block ({place}) is cut and left out")
         elif cut and number < len(groups) - 1:  # nobody knows which row was lost
-            said.append(f"the block at {place} has {len(lines)} of {rows} lines and is missing")
+            notes.append(f"the block at {place} has {len(lines)} of {rows} lines and is missing")
             begins.append(lines[0])
         else:
             frame[lines] = len(begins) + np.arange(len(lines)) // rows
@@ -277,8 +277,8 @@ def _blocks(table: ReadingsTable, rows: int) -> tuple[Index, Index, list[int], s
             begins += lines[::rows]
     passed = [item for before in table.before[1:] for item in before.items() if title is not None and item[0]]
     skipped = [place for text, place in passed if kind_of(text) != title]
-    said += [f"skipped between rows: {', '.join(skipped)}"] if skipped else []
-    return frame, row, begins, "".join(f"; {sentence}" for sentence in said), title
+    notes += [f"skipped between rows: {', '.join(skipped)}"] if skipped else []
+    return frame, row, begins, "".join(f"; {sentence}" for sentence in notes), title
 
 
 def _grouped(table: ReadingsTable, rows: int) -> tuple[list[range], str | None]:

@@ -31,7 +31,6 @@ DATE, TIME = r"(?:\d{4}-\d{2}-\d{2}[ T]|\d{1,2}\.\d{1,2}\.\d{4} )?", r"\d{1,2}:\
 STAMPED = re.compile(rf"\s*\[?({DATE}{TIME})\s*(?:\]|->|>|\|)\s*")
 LABELLED = re.compile(r"\s*([^\W\d]+[ _]?\d+)\s*[=:]\s*(?=[-+.\d])")  # 'ROW0=512,511', 'R0: 512 511'
 LISTED = re.compile(r"[\[{(]+\s*[-+.\d]")  # '[512, 511],' of Python and JSON, '{512, 511},' of C
-BRACKETS = str.maketrans("[]{}()", "      ")
 # 'Frame 3, t = 1250 ms', 'time: 2025-01-31 12:00:01', 'millis=123'
 TITLE_TIME = re.compile(
     r"(?:\b(?P<word>t|time|timestamp|millis|ms|zeit)\s*[:=]\s*)(?P<value>\d[\d.,]*)\s*(?P<unit>ms|us|s)?(?![\d:/-])"
@@ -113,7 +112,7 @@ def lines_of_text(path: Path) -> FieldLines:
             raise InputError(f"{path}:{number}: longer than 1000000 characters, which no table is")
         stamped = STAMPED.match(line)
         content = line[stamped.end() :] if stamped else line.strip(" ")
-        content = content.translate(BRACKETS) if LISTED.match(content) else content
+        content = re.sub(r"[\[\]{}()]", " ", content) if LISTED.match(content) else content
         if labelled := LABELLED.match(content):  # the name becomes a field
             sign = next((sign for sign in DELIMITERS if sign in content[labelled.end() :]), " ")
             content = f"{labelled[1]}{sign}{content[labelled.end() :]}"
@@ -147,10 +146,8 @@ def _decoded(path: Path) -> tuple[str, list[str]]:
     try:
         text = data.decode(encoding or "utf-8").removeprefix("\ufeff")
     except UnicodeDecodeError as error:
-        line = data.count(b"\n", 0, error.start) + 1
-        raise InputError(
-            f"{path}:{line}: no text table (byte {error.start} is not {error.encoding}; save it in UTF-8)"
-        ) from error
+        line, wrong = data.count(b"\n", 0, error.start) + 1, f"byte {error.start} is not {error.encoding}"
+        raise InputError(f"{path}:{line}: no text table ({wrong}; save it in UTF-8)") from error
     if "\0" in text:
         raise InputError(f"{path}: no text table (it holds zero bytes)")
     return text, ["UTF-16"] if encoding else []
@@ -341,10 +338,10 @@ class ReadingsTable:
         name = matches[0]["unit"] or matches[0]["word"] or ""
         return self._timing(texts, name, begins, None, "before each block in ")
 
-    def _timing(self, texts: Sequence[str], name: str, lines: Sequence[int], field: int | None, said: str) -> Timing:
+    def _timing(self, texts: Sequence[str], name: str, lines: Sequence[int], field: int | None, origin: str) -> Timing:
         return lambda unit: clock_of(
             texts, name, lambda at: self.place(lines[at], field), comma=self.comma, unit=unit
-        ).said(said)
+        ).read_from(origin)
 
 
 def kind_of(text: str) -> str:
@@ -384,16 +381,16 @@ def readings_table(source: FieldLines, layout: str | None = None) -> ReadingsTab
     long = data & np.any(fields[:, width:] != "", axis=1)
     if np.any(long):
         line, plain = int(np.argmax(long)), int(np.argmax(data & ~long))
-        said = f"{counts[line]} fields, where {source.called(plain)} has {width}"
-        raise InputError(f"{source.at(source.lines[line].number, None)}: {said}")
+        mismatch = f"{counts[line]} fields, where {source.called(plain)} has {width}"
+        raise InputError(f"{source.at(source.lines[line].number, None)}: {mismatch}")
     notes = [", ".join((*source.notes, *(["decimal commas"] if comma else [])))]
     notes += [] if header is None else [f"{source.called(header)} taken as header"]
-    left = np.flatnonzero(~data & differs & ~comment & np.any(fields != "", axis=1))
-    if len(left):
-        shown = " ".join(fields[left[0]]).strip()[:40]
-        named = ", ".join(str(source.lines[line].number) for line in left[:MAX_NAMED])
-        named += f" and {len(left) - MAX_NAMED} more" if len(left) > MAX_NAMED else ""
-        called = f"lines {named} (the first: {shown!r})" if len(left) > 1 else f"line {named} ({shown!r})"
+    excluded = np.flatnonzero(~data & differs & ~comment & np.any(fields != "", axis=1))
+    if len(excluded):
+        shown = " ".join(fields[excluded[0]]).strip()[:40]
+        named = ", ".join(str(source.lines[line].number) for line in excluded[:MAX_NAMED])
+        named += f" and {len(excluded) - MAX_NAMED} more" if len(excluded) > MAX_NAMED else ""
+        called = f"lines {named} (the first: {shown!r})" if len(excluded) > 1 else f"line {named} ({shown!r})"
         notes.append(f"left out: {called.replace('line', source.word)}, no readings or cut off")
     names = [""] * width if header is None else [text.lstrip("#% ") for text in fields[header, :width]]
     if layout is not None:

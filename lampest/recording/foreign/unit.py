@@ -13,7 +13,7 @@ from lampest.recording.readings import AT_LEAST, AT_MOST, Readings
 
 FACTORS = {"ohm": 1.0, "kohm": 1e3, "volt": 1.0, "mV": 1e-3, "code": 1.0}
 RESISTANCES = ("ohm", "kohm")
-MIN_RANGE_SHARE = 0.01  # of the converter's range: readings that use less were taken in another unit or range
+MIN_USED = 0.01  # of the converter's range: readings that use less were taken in another unit or range
 
 
 def check_unit(unit: str | None, scene: Scene | None, source: object) -> None:
@@ -26,18 +26,18 @@ def check_unit(unit: str | None, scene: Scene | None, source: object) -> None:
         raise InputError(f"{source}: the scene's readout gives {scene.circuit.unit}; say unit volt, mV or code")
 
 
-def understood_unit(values: Array, said: Sequence[str], scene: Scene | None, source: object) -> tuple[str, str]:
+def understood_unit(values: Array, named: Sequence[str], scene: Scene | None, source: object) -> tuple[str, str]:
     """Return the unit of values (any shape, NaN if missing), and a sentence on the reason.
 
-    said : units that the header permits, () if it names none. Raises InputError where no unit fits, or
+    named : units that the header permits, () if it names none. Raises InputError where no unit fits, or
     two do.
     """
     readout = None if scene is None else scene.readout
     possible = RESISTANCES if readout is None else tuple(FACTORS) if readout.unit == "ohm" else ("volt", "mV", "code")
-    allowed = [unit for unit in possible if not said or unit in said]
-    if len(said) == 1 or not allowed:
-        check_unit(said[0], scene, source)
-        return said[0], f"unit {said[0]}, as the header says"
+    allowed = [unit for unit in possible if not named or unit in named]
+    if len(named) == 1 or not allowed:
+        check_unit(named[0], scene, source)
+        return named[0], f"unit {named[0]}, as the header says"
     finite = values[np.isfinite(values)]
     if finite.size == 0:
         return allowed[0], f"unit {allowed[0]}, assumed: no reading says otherwise"
@@ -61,21 +61,21 @@ def _fitting(finite: Array, allowed: Sequence[str], readout: Readout | None) -> 
         fits = {"ohm": middle >= 1, "kohm": middle < 10}  # a multiplexer's channel has more than an ohm
         return [unit for unit in allowed if fits[unit]], "without a readout they are kohm below 1, ohm from 10 on"
     top, supply = 2**readout.adc_bits - 1, readout.full_scale_volt
-    lowest = 1000 * supply * MIN_RANGE_SHARE
+    lowest = 1000 * supply * MIN_USED
     sums, slack = finite * readout.readings, max(_rounding(finite), 1e-9) * readout.readings
     code = bool(finite.max() <= top and np.all(np.abs(sums - np.round(sums)) <= slack))
     whole = code and bool(np.all(finite == np.round(finite)))  # a converter's own numbers come before rounded mV
     fits = {"code": code, "volt": finite.max() <= supply, "mV": lowest < finite.max() <= 1000 * supply and not whole}
     for unit in RESISTANCES:
         share = float(readout.volt_from_recorded(np.array(middle * FACTORS[unit]))) / supply
-        fits[unit] = MIN_RANGE_SHARE <= share <= 1 - MIN_RANGE_SHARE
+        fits[unit] = MIN_USED <= share <= 1 - MIN_USED
     units = [unit for unit in allowed if fits[unit]]
     if len(units) > 1 and readout.unit == "ohm":
-        seen = {unit: _on_steps(finite, unit, readout) for unit in units}
-        stepped = [unit for unit in units if seen[unit] is True]
+        on_steps = {unit: _on_steps(finite, unit, readout) for unit in units}
+        stepped = [unit for unit in units if on_steps[unit] is True]
         if len(stepped) == 1:
             return stepped, "as such they lie on the converter's steps"
-        fitting = [unit for unit in units if unit in RESISTANCES or seen[unit] is not False]  # they may be filtered
+        fitting = [unit for unit in units if unit in RESISTANCES or on_steps[unit] is not False]  # they may be filtered
         missed = " or ".join(unit for unit in units if unit not in fitting)
         return fitting, f"as {missed} they would miss the converter's steps"
     least, largest = readout.rails()

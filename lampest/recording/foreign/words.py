@@ -13,64 +13,65 @@ from numpy.typing import NDArray
 from lampest.files.errors import InputError
 from lampest.panel.panel import Array
 
-ROLES = {
-    "row": "row rows zeile reihe y i",
-    "column": "column columns col cols spalte x j",
-    "cell": "cell taxel pixel index sensor",
-    "value": "value values reading resistance ohm kohm volt voltage code adc raw counts mv r v "
-    "wert widerstand spannung",
-    "frame": "frame frames scan step sample frame_id frame_nr frame_no scan_nr nr messung bild",
-    "date": "date datum day tag",
-    "time": "time times t timestamp timestamps time_stamp datetime date_time zeit uhrzeit zeitstempel elapsed clock "
+
+def _by_word(**words: str) -> dict[str, str]:
+    """Return word → meaning, of words that are separated by blanks."""
+    return {word: meaning for meaning, listed in words.items() for word in listed.split()}
+
+
+ROLE_OF_WORD = _by_word(
+    row="row rows zeile reihe y i",
+    column="column columns col cols spalte x j",
+    cell="cell taxel pixel index sensor",
+    value="value values reading resistance ohm kohm volt voltage code adc raw counts mv r v wert widerstand spannung",
+    frame="frame frames scan step sample frame_id frame_nr frame_no scan_nr nr messung bild",
+    date="date datum day tag",
+    time="time times t timestamp timestamps time_stamp datetime date_time zeit uhrzeit zeitstempel elapsed clock "
     "millis micros ms us µs s sec second seconds unix epoch",
-}
-ROLE_OF_WORD = {word: role for role, words in ROLES.items() for word in words.split()}
-# Units by the words for them; a quantity's name leaves two.
-UNIT_WORDS = {
-    ("ohm",): "ohm ohms ω",
-    ("kohm",): "kohm kohms kω kiloohm kiloohms k",
-    ("volt",): "volt volts",
-    ("mV",): "mv millivolt millivolts",
-    ("code",): "code codes adc count counts raw lsb digits digit dn",
-    ("ohm", "kohm"): "resistance resistances widerstand r",
-    ("volt", "mV"): "voltage voltages spannung",
-}
-UNITS_OF_WORD = {word: units for units, words in UNIT_WORDS.items() for word in words.split()}
+)
+QUANTITIES = {"resistance": ("ohm", "kohm"), "voltage": ("volt", "mV")}  # whose names leave two units
+UNITS_OF_WORD = _by_word(
+    ohm="ohm ohms ω",
+    kohm="kohm kohms kω kiloohm kiloohms k",
+    volt="volt volts",
+    mV="mv millivolt millivolts",
+    code="code codes adc count counts raw lsb digits digit dn",
+    resistance="resistance resistances widerstand r",
+    voltage="voltage voltages spannung",
+)
 SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0}
-TIME_WORDS = {
-    "s": "s sec secs second seconds sekunde sekunden",
-    "ms": "ms milli millis millisecond milliseconds msec",
-    "us": "us µs μs micro micros microsecond microseconds usec",
-    "ns": "ns nanosecond nanoseconds",
-    "min": "min minute minutes",
-    "h": "h hour hours",
-}
-TIME_UNIT_OF_WORD = {word: unit for unit, words in TIME_WORDS.items() for word in words.split()}
-UNITS, BRACKETS = UNITS_OF_WORD | TIME_UNIT_OF_WORD, ("[", "(", "<", "{")
+TIME_UNIT_OF_WORD = _by_word(
+    s="s sec secs second seconds sekunde sekunden",
+    ms="ms milli millis millisecond milliseconds msec",
+    us="us µs μs micro micros microsecond microseconds usec",
+    ns="ns nanosecond nanoseconds",
+    min="min minute minutes",
+    h="h hour hours",
+)
+UNITS = UNITS_OF_WORD | TIME_UNIT_OF_WORD
 PARTED = re.compile(r"(.*?)(\s*[\[(<{]\s*|\s+in\s+|\s*/\s*|[\s_]+)([^\W\d_]+)\s*[\])>}]?")
 ELECTRIC = re.compile(r".*(ohms?|[ωΩΩ]|volts?)|.?v", re.IGNORECASE)
 ROW, COLUMN = r"(?:r|rows?|zeile|z|y)", r"(?:c|cols?|columns?|spalte|s|x)"
-GAP, BETWEEN = r"[_,;/|=\[\]()]*", r"[_,;/|x\[\]()]+"
-ROW_FIRST = re.compile(rf"(?:[a-z]+{GAP})??{ROW}{GAP}(\d+){GAP}{COLUMN}{GAP}(\d+){GAP}")
-COLUMN_FIRST = re.compile(rf"(?:[a-z]+{GAP})??{COLUMN}{GAP}(\d+){GAP}{ROW}{GAP}(\d+){GAP}")
-TWO_NUMBERS = re.compile(rf"(?:[a-z]+{GAP}|{GAP})(\d+){BETWEEN}(\d+){GAP}")
+GAP = r"[_,;/|=\[\]()]*"
+CELLS = (
+    re.compile(rf"(?:[a-z]+{GAP})??{ROW}{GAP}(?P<row>\d+){GAP}{COLUMN}{GAP}(?P<column>\d+){GAP}"),
+    re.compile(rf"(?:[a-z]+{GAP})??{COLUMN}{GAP}(?P<column>\d+){GAP}{ROW}{GAP}(?P<row>\d+){GAP}"),
+    re.compile(rf"(?:[a-z]+{GAP}|{GAP})(?P<row>\d+)[_,;/|x\[\]()]+(?P<column>\d+){GAP}"),
+)
 ONE_NUMBER = re.compile(rf"([^\W\d]*){GAP}(\d+){GAP}")
 
 MAX_LENGTH = 100  # characters of a name or a number that are looked at: patterns would take long over more
 # What programs write where they have no number: NumPy, R, MATLAB, JSON, Arduino's Print (ovf), multimeters (OL),
 # Microsoft's C library (1.#QNAN) and Excel (#DIV/0!).
-MISSING = (
-    "nan -nan +nan na n/a null none nil ovf -ovf ol o.l o.l. overload overflow over err error missing ? ?? . -inf "
-    "-infinity nan(ind) -nan(ind) 1.#ind -1.#ind 1.#qnan #n/a #na #div/0! #num! #value! #ref!"
+NO_NUMBERS = _by_word(
+    nan="nan -nan +nan na n/a null none nil ovf -ovf ol o.l o.l. overload overflow over err error missing ? ?? . -inf "
+    "-infinity nan(ind) -nan(ind) 1.#ind -1.#ind 1.#qnan #n/a #na #div/0! #num! #value! #ref!",
+    inf="inf +inf infinity +infinity ∞ 1.#inf",
 )
-MISSING_WORDS = frozenset(MISSING.split())
-INFINITE_WORDS = frozenset(("inf", "+inf", "infinity", "+infinity", "∞", "1.#inf"))
 NUMBER = r"[+-]?(\d+({0}\d*)?|{0}\d+|\d{{1,3}}({1}\d{{3}})+({0}\d*)?)([eE][+-]?\d+)?"
 POINT, COMMA = (re.compile(NUMBER.format(*signs), re.ASCII) for signs in ((r"\.", ","), (",", r"\.")))
 
 EPOCH = 1e9  # s since 1970 begin there, in 2001; a board's own clock would have run for thirty years
-# Median steps of whole numbers from which they count ms, and us: frames come every 10 ms to 10 s.
-MILLISECONDS, MICROSECONDS = 10.0, 10_000.0
 MAX_CUT = 0.1  # of the stamps may be cut and interpolated: more are another clock, or no times
 COUNTER = 2.0**32  # where millis() and micros() of an Arduino begin again
 STAMP = re.compile(
@@ -88,7 +89,7 @@ def parted(name: str) -> tuple[str, str]:
     """Return a name in small letters, its words joined by underscores, and the unit at its end as written or ''."""
     text, unit = name[:MAX_LENGTH].strip(), ""
     match = PARTED.fullmatch(text)
-    if match and (match[2].strip(" _") in BRACKETS or match[3].lower() in UNITS or ELECTRIC.fullmatch(match[3])):
+    if match and (match[2].strip(" _") in tuple("[(<{") or match[3].lower() in UNITS or ELECTRIC.fullmatch(match[3])):
         text, unit = match[1], match[3]
     return re.sub(r"[\s_\-.:]+", "_", text.strip("#% ").lower()).strip("_"), unit
 
@@ -102,11 +103,9 @@ def role_of(name: str) -> str | None:
 def cell_of(name: str) -> tuple[int, int] | None:
     """Return (row, column) of r0c0, R1C1, 'row 0 col 3', c3_r0, Z1S1, cell_0_3, (0, 3), [0][3]; else None."""
     plain, _ = parted(name)
-    for pattern in (ROW_FIRST, COLUMN_FIRST, TWO_NUMBERS):
-        match = pattern.fullmatch(plain)
-        if match and len(match[1]) + len(match[2]) < 12:
-            first, second = int(match[1]), int(match[2])
-            return (second, first) if pattern is COLUMN_FIRST else (first, second)
+    for match in filter(None, (pattern.fullmatch(plain) for pattern in CELLS)):
+        if len(match[1]) + len(match[2]) < 12:
+            return int(match["row"]), int(match["column"])
     return None
 
 
@@ -121,12 +120,12 @@ def units_of(names: Sequence[str]) -> tuple[str, ...]:
 
     Raises InputError where they name a unit that is not imported, or contradict each other.
     """
-    said: tuple[str, ...] = ()
+    permitted: tuple[str, ...] = ()
     for units in filter(None, map(_units_of_one, names)):
-        if said and not set(said) & set(units):
-            raise InputError(f"the headers name both {said[0]} and {units[0]}; `unit` says which it is")
-        said = units if not said or len(units) < len(said) else said
-    return said
+        if permitted and not set(permitted) & set(units):
+            raise InputError(f"the headers name both {permitted[0]} and {units[0]}; `unit` says which it is")
+        permitted = units if not permitted or len(units) < len(permitted) else permitted
+    return permitted
 
 
 def _units_of_one(name: str) -> tuple[str, ...]:
@@ -137,7 +136,8 @@ def _units_of_one(name: str) -> tuple[str, ...]:
     if unit.lower() not in UNITS_OF_WORD and ELECTRIC.fullmatch(unit):
         raise InputError(f"the header's unit {unit!r} is none of ohm, kohm, volt, mV and code; `unit` overrides")
     ends = [word for word in (plain.split("_")[0], plain.split("_")[-1]) if len(word) > 1]  # r_0_c_1 is a cell
-    return next((UNITS_OF_WORD[word] for word in (unit.lower(), plain, *ends) if word in UNITS_OF_WORD), ())
+    names = (UNITS_OF_WORD[word] for word in (unit.lower(), plain, *ends) if word in UNITS_OF_WORD)
+    return next((QUANTITIES.get(name, (name,)) for name in names), ())
 
 
 def has_decimal_comma(fields: Sequence[str]) -> bool:
@@ -154,10 +154,8 @@ def number_of(text: str, *, comma: bool) -> float | None:
     """
     if len(text) <= MAX_LENGTH and (COMMA if comma else POINT).fullmatch(text):
         return float(text.replace(".", "").replace(",", ".") if comma else text.replace(",", ""))
-    word = text.lower()
-    if word in MISSING_WORDS or not word.strip("-"):
-        return np.nan
-    return np.inf if word in INFINITE_WORDS else None
+    word = NO_NUMBERS.get(text.lower(), "" if text.strip("-") else "nan")
+    return float(word) if word else None
 
 
 class Clock(NamedTuple):
@@ -167,7 +165,7 @@ class Clock(NamedTuple):
     start: str | None
     sentence: str
 
-    def said(self, where: str) -> "Clock":
+    def read_from(self, where: str) -> "Clock":
         """Return the clock with the place of the times in its sentence."""
         return self._replace(sentence=f"time: {where}{self.sentence}")
 
@@ -255,9 +253,10 @@ def clock_of_numbers(values: Array, name: str, where: Where, unit: str | None) -
     whole = bool(np.all(finite == np.round(finite)))
     rises = np.concatenate([[False], steps[:-1] > COUNTER / 2])  # as one cut stamp does, before it falls
     again = np.cumsum(np.concatenate([[False], (steps < -COUNTER / 2) & ~rises]))
-    plain, said = parted(name)
-    named = unit or TIME_UNIT_OF_WORD.get(said.lower()) or TIME_UNIT_OF_WORD.get(plain)
-    counted = "us" if usual >= MICROSECONDS else "ms" if usual >= MILLISECONDS else None
+    plain, suffix = parted(name)
+    named = unit or TIME_UNIT_OF_WORD.get(suffix.lower()) or TIME_UNIT_OF_WORD.get(plain)
+    # Frames come every 10 ms to 10 s.
+    counted = "us" if usual >= 10_000 else "ms" if usual >= 10 else None
     how, unit = " (as specified)" if unit else "", named
     if unit is None and counted and whole and largest < (EPOCH if counted == "ms" and not again[-1] else COUNTER):
         unit, how = counted, f" (guessed: whole numbers that grow by {usual:g}; --time-unit says otherwise)"

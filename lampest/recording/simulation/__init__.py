@@ -1,7 +1,6 @@
 """Simulated recordings: loads on a panel, their course, the electronics, and effects that no scene names."""
 
-from lampest.recording.simulation.files import read_simulations, run
 from lampest.recording.simulation.measure import Unmodelled
-from lampest.recording.simulation.simulation import Cells, Course, Simulation, simulate
+from lampest.recording.simulation.simulation import Cells, Course, Simulation, read_simulations, run, simulate
 
 __all__ = ["Cells", "Course", "Simulation", "Unmodelled", "read_simulations", "run", "simulate"]

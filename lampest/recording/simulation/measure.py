@@ -101,9 +101,8 @@ class Unmodelled(Configuration):
     @property
     def needs_converter(self) -> tuple[str, ...]:
         """Names of the present effects that need a readout in the scene."""
-        of_readings = ("reference_tolerance", "outlier_probability", "noise_factor", "saturation")
-        names = (*of_readings, "supply_ripple_lsb", "gain_spread", "inl_lsb")
-        return tuple(name for name in names if getattr(self, name))
+        names = "reference_tolerance outlier_probability noise_factor saturation supply_ripple_lsb gain_spread inl_lsb"
+        return tuple(name for name in names.split() if getattr(self, name))
 
 
 def random_stream(seed: int, purpose: str) -> np.random.Generator:
@@ -135,8 +134,19 @@ def measured(
     on_frame : callable
         Called after each frame was converted.
     """
-    if scene.panel.modules is not None:
-        return _of_modules(scene, cells, unmodelled, seed, period_s, scanned, on_frame)
+    if (layout := scene.panel.modules) is not None:  # each with random numbers of its own
+        modules = []
+        for number, own in enumerate(scene.of_modules):
+            inside = (..., *layout.cells(number))
+            drawn = int(random_stream(seed, f"module {number}").integers(2**63))
+            travelling = [part[inside] for part in scanned]
+            modules.append(measured(own, cells[inside], unmodelled, drawn, period_s, travelling))
+        for _ in cells:
+            on_frame()
+        recorded = np.stack([values for values, _ in modules], axis=-3)
+        recorded[..., list(scene.dead_modules), :, :] = np.nan
+        codes = [sums for _, sums in modules if sums is not None]
+        return layout.joined(recorded), layout.joined(np.stack(codes, axis=-3)) if codes else None
     off = unmodelled.reference_tolerance * random_stream(seed, "reference").uniform(-1, 1)
     actual = scene.circuit.off_by(off)
     if scene.contacts is not None:
@@ -161,9 +171,8 @@ def measured(
         volt = with_memory(actual, scene.converter_memory, actual.volt_from_recorded(total))
         total = actual.recorded_from_volt(volt)
     if unmodelled.supply_ripple_lsb or unmodelled.gain_spread or unmodelled.inl_lsb or unmodelled.saturation:
-        total = actual.recorded_from_volt(
-            _disturbed(actual, actual.volt_from_recorded(total), unmodelled, seed, period_s)
-        )
+        volt = _disturbed(actual, actual.volt_from_recorded(total), unmodelled, seed, period_s)
+        total = actual.recorded_from_volt(volt)
     sums = sums_of_codes(actual, total, unmodelled, seed, on_frame)
     return scene.readout.recorded_from_sums(sums, scene.readout.readings), sums
 
@@ -183,30 +192,6 @@ def _read(actual: Readout, scene: Scene, cells: Array, unmodelled: Unmodelled, s
         network = actual.network(cells[frame], actual.ties(reading[frame]), scene.wiring)
         reading[frame] += effect_on_readings((leak,), scene, network)
     return actual.to_recorded(reading, scene)
-
-
-def _of_modules(
-    scene: Scene,
-    cells: Array,
-    unmodelled: Unmodelled,
-    seed: int,
-    period_s: float,
-    scanned: Sequence[Array],
-    on_frame: Callable[[], None],
-) -> tuple[Array, NDArray[np.int64] | None]:
-    """Measure a panel of modules, each with random numbers of its own; NaN if one is dead."""
-    layout, recorded, sums = scene.panel.modules, [], []
-    assert layout is not None
-    for number, own in enumerate(scene.of_modules):
-        inside = (..., *layout.cells(number))
-        drawn = int(random_stream(seed, f"module {number}").integers(2**63))
-        values, codes = measured(own, cells[inside], unmodelled, drawn, period_s, [part[inside] for part in scanned])
-        recorded.append(np.full_like(values, np.nan) if number in scene.dead_modules else values)
-        sums += [] if codes is None else [codes]
-    for _ in cells:
-        on_frame()
-    joined = layout.joined(np.stack(sums, axis=-3)) if sums else None
-    return layout.joined(np.stack(recorded, axis=-3)), joined
 
 
 def true_contacts(scene: Scene, seed: int) -> Contacts:

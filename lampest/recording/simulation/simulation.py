@@ -1,15 +1,26 @@
-"""Simulated recordings with their truth, from the loads on a panel and its electronics."""
+"""Simulated recordings with their truth, from the loads on a panel and its electronics; files that describe them.
 
+A file is YAML with an optional sweep. A number may be given as `{uniform: [low, high]}`: it is drawn from the seed and
+by the place where it stands, so that other drawn numbers do not change it. A recording keeps the drawn numbers, in
+/entry/truth/simulation.
+"""
+
+import re
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields, replace
+from itertools import count
 from math import isfinite
-from typing import Literal
+from pathlib import Path
+from typing import Any, Literal, cast
 
 import numpy as np
 
-from lampest.files.document import to_yaml
+from lampest.files.document import Document, read_document, to_yaml, validated
+from lampest.files.errors import InputError
 from lampest.files.process import check_memory
+from lampest.files.sweep import combinations
 from lampest.files.typed import Configuration, check_not_negative, check_positive_fields, check_range, typed
+from lampest.files.whole import check_room
 from lampest.loads.film import FilmMemory
 from lampest.loads.pressure import water_pressure
 from lampest.loads.shapes import AnyShape
@@ -21,7 +32,7 @@ from lampest.recording.simulation.measure import OPEN_OHM, SHORT_OHM, Unmodelled
 
 TRAVEL_MM = 20.0  # two cells of the usual panel: a load that starts in the middle stays on it
 PUMPED_S = 1.0  # that a pump, or the pull before a release, takes; an assumption
-MOMENTS, BLOCK_FRAMES = 8, 64  # within a frame's period at which the film feels the load, and frames looked at together
+MOMENTS = 8  # within a frame's period at which the film feels the load
 
 
 @dataclass(frozen=True)
@@ -64,10 +75,9 @@ class Course(Configuration):
         check_not_negative(self, *(field.name for field in fields(self) if field.name != "start_s"))
         if not isfinite(self.start_s):
             raise ValueError("start_s must be finite")
-        if self.breathing_depth >= 1:
-            raise ValueError("breathing_depth must be below 1")
-        if self.pump_loss >= 1:
-            raise ValueError("pump_loss must be below 1")
+        for name in ("breathing_depth", "pump_loss"):
+            if getattr(self, name) >= 1:
+                raise ValueError(f"{name} must be below 1")
 
     def contact_and_suction(self, time: Array) -> tuple[Array, Array]:
         """Return factors of contact pressure and suction, (frames) s → 1; suction starts when the approach is over."""
@@ -204,9 +214,8 @@ def simulate(simulation: Simulation, name: str = "simulated", on_frame: Callable
     time, moves = np.arange(frames) * simulation.frame_period_s, bool(unmodelled.load_speed_mm_s)
     each = scene.panel.network
     # Pressures, cells, their factors, readings, sums; and cells while each line is read.
-    check_memory(
-        8.0 * (10 + moves * sum(each.shape)) * simulation.values, f"{frames} frames of {scene.panel.crossings} cells"
-    )
+    size = 8.0 * (10 + moves * sum(each.shape)) * simulation.values
+    check_memory(size, f"{frames} frames of {scene.panel.crossings} cells")
     loaded_time = time - time[simulation.baseline_frames]
     cells = cells_under(simulation, time)
     lines = (each.columns if scene.circuit.by_columns else each.rows) if moves else 0
@@ -283,26 +292,133 @@ def _film_ratio(simulation: Simulation, time: Array, later_s: float) -> Array:
     scene, first, step = simulation.scene, time[simulation.baseline_frames], simulation.frame_period_s / MOMENTS
     response, film = simulation.response or scene.response or PUBLISHED, simulation.film or scene.film
     if film is None:
-        return np.asarray(
-            ratio_from_pressure(pressure_at(simulation, time - first, later_s), response) ** response.gains
-        )
-    water, strengths = water_pressure(scene.panel, simulation.water or scene.water), list[Array]()
-    for name, value, most in (
-        ("hysteresis", film.hysteresis, MAX_HYSTERESIS),
-        ("creep", film.creep_per_decade, MAX_CREEP),
-    ):
+        pressure = pressure_at(simulation, time - first, later_s)
+        return np.asarray(ratio_from_pressure(pressure, response) ** response.gains)
+    water = water_pressure(scene.panel, simulation.water or scene.water)
+
+    def strength(name: str, value: float | Literal["auto"], most: float) -> Array:
         assert value != "auto"
-        stream = random_stream(
-            simulation.seed, f"film {name}"
-        )  # all cells together by its deviation, each by its spread
+        stream = random_stream(simulation.seed, f"film {name}")
+        # All cells together vary by the film's deviation, each by its spread.
         shared, own = stream.standard_normal(), stream.standard_normal(water.shape)
-        strengths.append(np.minimum(value * np.exp(film.deviation * shared + film.cell_spread * own), most))
+        return np.minimum(value * np.exp(film.deviation * shared + film.cell_spread * own), most)
+
+    hysteresis = strength("hysteresis", film.hysteresis, MAX_HYSTERESIS)
+    creep = strength("creep", film.creep_per_decade, MAX_CREEP)
     gain = np.broadcast_to(film.answer * response.gains, water.shape)
-    memory, ratios = FilmMemory.at_rest(strengths[0], strengths[1], gain, water, response), list[Array]()
-    for begin in range(0, len(time), BLOCK_FRAMES):
-        felt = time[begin : begin + BLOCK_FRAMES, None] - step * np.arange(MOMENTS)[::-1] - first
+    memory, ratios = FilmMemory.at_rest(hysteresis, creep, gain, water, response), list[Array]()
+    for begin in range(0, len(time), 64):
+        felt = time[begin : begin + 64, None] - step * np.arange(MOMENTS)[::-1] - first
         for number, loaded in enumerate(pressure_at(simulation, felt.ravel(), later_s) - water, 1):
             memory, change = memory.answered(loaded, step)
             if number % MOMENTS == 0:
                 ratios.append(np.exp(gain * response.logarithm(water) + change))
     return film.lowering * np.stack(ratios)
+
+
+def run(
+    path: Path,
+    out: Path | None,
+    on_frame: Callable[[int, int], None] = lambda done, frames: None,
+    settings: tuple[str, ...] = (),
+) -> list[Path]:
+    """Simulate all that a file describes and write the recordings; returns their paths.
+
+    Without `out` they go where the file's `output` says; with it, to that file, or to that folder where the file sweeps
+    into several. All are computed before the first is written.
+
+    on_frame : called with how many frames how many are done. Raises InputError.
+    """
+    planned = read_simulations(path, settings)
+    targets = _targets(path, out, [name for name, _ in planned])
+    # Of a value with its truth and sums, and of a file, at most, in bytes.
+    needed = sum(32 * simulation.values + 100_000 for _, simulation in planned)
+    check_memory(needed, f"{path}: all recordings of the sweep at once")
+    check_room(targets[0], needed)
+    recordings, done = [], count(1)
+    frames = sum(simulation.all_frames for _, simulation in planned)
+    for (name, simulation), target in zip(planned, targets, strict=True):
+        try:
+            recordings.append(simulate(simulation, target.stem, lambda: on_frame(next(done), frames)))
+        except ValueError as error:
+            raise InputError(f"{path}: {name}: {error}") from error
+    for target, recording in zip(targets, recordings, strict=True):
+        recording.save(target)
+    return targets
+
+
+@typed
+def read_simulations(path: Path, settings: tuple[str, ...] = ()) -> list[tuple[str, Simulation]]:
+    """Return every combination of a file's sweep: (output path as the file names it, simulation).
+
+    settings : PATH=VALUE entries that override the file's. Raises InputError with line and column.
+
+    >>> _ = Path("simulation.yaml").write_text("{schema: 1, seed: 1, scene: {panel: {rows: 2, columns: 3}}}")
+    >>> len(lampest.read_simulations(Path("simulation.yaml")))
+    1
+    """
+    document = read_document(path, settings)
+    simulations: dict[str, Simulation] = {}
+    planned = combinations(document, lambda varied: cast(Simulation, validated(_drawn(varied), Simulation)))
+    for number, case in enumerate(planned, start=1):
+        template = case.value.output or f"{path.stem}{'_{case:03d}' if len(planned) > 1 else ''}.h5"
+        name = _filled(document, template, case.value.seed, number, case.assignments)
+        if name in simulations:
+            raise document.error(("output",), f"two recordings would be written to {name}; name the swept values in it")
+        simulations[name] = replace(case.value, output=name)
+    return list(simulations.items())
+
+
+def _drawn(document: Document) -> Document:
+    """Return a copy with a drawn number for every `{uniform: [low, high]}`, by the seed. Raises InputError."""
+    content = document.content
+    seed = content.get("seed") if isinstance(content, dict) else None
+    if type(seed) is not int or seed < 0:
+        return document
+
+    def walk(node: Any, place: tuple[int | str, ...]) -> Any:
+        if isinstance(node, list):
+            return [walk(item, (*place, index)) for index, item in enumerate(node)]
+        if not isinstance(node, dict):
+            return node
+        if set(node) != {"uniform"}:
+            return {key: walk(item, (*place, key)) for key, item in node.items()}
+        bounds = node["uniform"]
+        numbers = isinstance(bounds, list) and all(type(bound) in (int, float) for bound in bounds)
+        if not numbers or len(bounds) != 2 or not -1e12 < bounds[0] <= bounds[1] < 1e12:
+            raise document.error((*place, "uniform"), "must be a list of two numbers, the lower one first")
+        return round(float(random_stream(seed, ".".join(map(str, place))).uniform(*bounds)), 6)
+
+    return replace(document, content=walk(content, ()))
+
+
+def _filled(document: Document, template: str, seed: int, number: int, assignments: dict[str, Any]) -> str:
+    """Return the output's name with {seed}, {case} and the last words of swept paths filled in; also {word:03d}."""
+    values = {path.split(".")[-1]: value for path, value in assignments.items()} | {"seed": seed, "case": number}
+
+    def value(match: re.Match[str]) -> str:
+        if match[1] not in values:
+            raise document.error(("output",), f"{{{match[1]}}} is none of {', '.join(sorted(values))}")
+        part = values[match[1]]
+        return f"{part:0{match[2]}d}" if match[2] and isinstance(part, int) else str(part)
+
+    name = re.sub(r"\{(\w+)(?::0([1-9])d)?\}", value, template)
+    if "{" in name or "}" in name or not name.endswith(".h5"):
+        raise document.error(("output",), f"'{name}' is no name of a recording: it must end in .h5 and hold no braces")
+    return name
+
+
+def _targets(path: Path, out: Path | None, names: list[str]) -> list[Path]:
+    """Return the paths of the recordings. Raises InputError if `out` is a file for several, or a folder for one."""
+    if out is None:
+        return [(path.parent / name).parent.resolve() / Path(name).name for name in names]
+    if len(names) == 1:
+        if out.is_dir():
+            raise InputError(f"{out}: is a folder; name the file for the one recording of {path}")
+        return [out]
+    if out.is_file() or out.suffix == ".h5":
+        raise InputError(f"{out}: must be a folder, because {path} makes {len(names)} recordings")
+    targets = [out / Path(name).name for name in names]
+    if len(set(targets)) < len(targets):
+        raise InputError(f"{path}: output names differ only by their folders; they cannot all go into {out}")
+    return targets

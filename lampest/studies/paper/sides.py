@@ -13,7 +13,7 @@ from lampest.panel.panel import Array, Panel
 from lampest.recording.datasets import folder as shipped_folder
 from lampest.recording.readings import Readings
 from lampest.recording.recording import UNLOADED, Recording
-from lampest.recording.simulation.files import run as simulated
+from lampest.recording.simulation import run as simulated
 from lampest.report.compare import Steps, compare
 from lampest.report.strongest import furthest, percent_change
 from lampest.runs.batch import run_batch
