@@ -89,7 +89,7 @@ def test_the_sentence_says_what_where_since_when_and_how_strong() -> None:
     ("change", "rate", "answer", "why"),
     [
         ({}, 1.0, SUCKS, "breathing shows at four frames a second or more, here there are 1"),
-        ({"odds": -4.0, "before": -4.0}, 4.0, CUP, ""),
+        ({"odds": -4.0, "previous_odds": -4.0}, 4.0, CUP, ""),
         ({"odds": -4.0}, 4.0, SUCKS, "whether it breathes is not clear"),
         ({"odds": 1.0}, 4.0, SUCKS, "whether it breathes is not clear (P = 0.73)"),
         ({"odds": 4.0, "suction": 0.02}, 4.0, SUCKS, "it moves at a breathing rate, but probably not by its suction"),

@@ -340,7 +340,7 @@ def test_noise_is_not_packed_and_what_repeats_is(tmp_path: Path) -> None:
 def test_commands_read_long_files_by_parts(tmp_path: Path, lampest: Command, monkeypatch: pytest.MonkeyPatch) -> None:
     """`info` and `check` of all; one frame is drawn, and some are compared, exported and looked at."""
     for module in ("lampest.recording.stored", "lampest.report.info"):
-        for name, readings in (("WHOLE", 600), ("BLOCK", 400)):
+        for name, readings in (("MAX_READINGS", 600), ("PART_READINGS", 400)):
             monkeypatch.setattr(f"{module}.{name}", readings, raising=False)
     save(tmp_path, frames(60))
     (tmp_path / "run.yaml").write_text(RUN.replace("relative:", "r:").split("  r:")[0])

@@ -168,7 +168,7 @@ class Engine:
             findings = self._found.get()
             if isinstance(findings, Exception):
                 raise findings
-            state = replace(state, stream=findings.into(state.stream))
+            state = replace(state, stream=findings.apply_to(state.stream))
         if self._beside is not None and self._beside.gone and state.stream.keeps_weights:
             track = state.track or state.stream.track
             return replace(state, stream=replace(state.stream, keeps_weights=False, track=track), track=None)
