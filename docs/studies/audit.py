@@ -15,11 +15,10 @@ from docs.studies import script
 from lampest.estimate.estimates import Estimates
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.methods import AnyMethod, MethodName
-from lampest.estimate.outliers import MAD_TO_SIGMA
 from lampest.estimate.sequence import reconstruct
 from lampest.files.errors import InputError
+from lampest.files.levels import MAD_TO_SIGMA, TWO_SIDED
 from lampest.files.typed import Configuration, check_range
-from lampest.loads.pressure import NORMAL_95
 from lampest.panel.panel import Array
 from lampest.recording.readings import Readings
 from lampest.recording.recording import UNLOADED, Recording
@@ -189,7 +188,7 @@ def _own_part(found: Estimates, truth: Array) -> dict[str, Any]:
     error = np.abs(error - np.nanmedian(error, axis=(1, 2), keepdims=True))
     there = np.isfinite(own) & np.isfinite(error)
     size = MAD_TO_SIGMA * float(np.median(error[there])) if there.any() else nan
-    inside = int((error[there] <= NORMAL_95 * own[there]).sum())
+    inside = int((error[there] <= TWO_SIDED * own[there]).sum())
     return {"alone": int(there.sum()), "alone_covered": inside, "ratio": float(np.median(own[there])) / size}
 
 

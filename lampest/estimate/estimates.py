@@ -14,8 +14,9 @@ from lampest.estimate.noise import NoiseEstimate
 from lampest.estimate.prepared import Prepared
 from lampest.estimate.state import Step
 from lampest.estimate.warnings import unsolved
+from lampest.files.levels import TWO_SIDED
 from lampest.loads.film import FilmKnown
-from lampest.loads.pressure import NORMAL_95, Pressure, pressure_of
+from lampest.loads.pressure import Pressure, pressure_of
 from lampest.panel.panel import Array
 from lampest.panel.readouts.wiring import Contacts
 from lampest.posterior.certainty import Certainty
@@ -384,4 +385,4 @@ def log_change(estimates: Estimates) -> tuple[Array, Array] | None:
     with np.errstate(divide="ignore"):
         width = np.log(estimates._bars["ratio_upper"]) - np.log(estimates._bars["ratio_lower"])
     change = np.log(estimates.cell_resistance / estimates.baseline_resistance)
-    return change - (0.0 if warmth is None else warmth.logarithm), width / (2 * NORMAL_95)
+    return change - (0.0 if warmth is None else warmth.logarithm), width / (2 * TWO_SIDED)

@@ -22,6 +22,7 @@ from lampest.estimate.nuisances import (
 from lampest.estimate.rivals import Question, Rival, changes_beyond_noise, rivals_of, standing_frames
 from lampest.estimate.scatter import MIN_EXCESS
 from lampest.files.errors import InputError
+from lampest.files.levels import MAD_TO_SIGMA
 from lampest.loads.recognition.detector import Detector
 from lampest.loads.recognition.observation import patch_of
 from lampest.panel.panel import Modules
@@ -35,7 +36,7 @@ EXPLAINED = "the circuit explains its readings"
 MAX_MODULES = 3  # of which the circuit is checked: one after the other takes its time
 # Of the log of a module's median reading at rest, beside the others': none of 1,640 simulated modules whose cells
 # scatter by 0.2 goes so far, and a reference off by 20 % does; and in robust standard deviations of the other modules.
-MIN_AWAY, MAX_SPREADS, MAD_TO_SIGMA = 0.15, 4.0, 1.4826
+MIN_AWAY, MAX_SPREADS = 0.15, 4.0
 MAX_MISSING = 0.1  # of the readings: with a fifth missing or bounds, nothing shows which cells must have moved
 MAX_SERIES_SHARE = 0.98  # of the largest resistance in series: with all of it nothing is left for the panel
 SERIES_POINTS = 5  # resistances in series that are tried; values between are reached by steps

@@ -17,9 +17,9 @@ from lampest.cost.terms import LogGradient, Misfit, RelativeChange, Term
 from lampest.estimate.deciding import baseline_readings, deciding_frame, frames_beside
 from lampest.estimate.noise import NoiseEstimate
 from lampest.estimate.objective import AutoWeight, Bounds, PlainObjective
+from lampest.files.levels import TWO_SIDED
 from lampest.panel.scene import Scene
 from lampest.panel.systematic import own_errors
-from lampest.posterior.interval import TWO_SIDED
 from lampest.posterior.reference import MAX_CELLS, ErrorScale, references
 from lampest.recording.readings import Readings
 from lampest.recording.recording import UNLOADED, Recording

@@ -33,7 +33,7 @@ MIN_REMAINING = 0.1  # of a reading, however fast it changes
 
 @dataclass(frozen=True, eq=False)
 class NoiseEstimate:
-    """Noise that unloaded frames and neighbours in time show.
+    """Noise of a recording, estimated from its unloaded frames and from neighbours in time.
 
     Attributes
     ----------

@@ -23,6 +23,7 @@ from lampest.estimate.changed_cells import (
     usual_starts,
 )
 from lampest.estimate.rivals import MIN_CHANGE
+from lampest.files.levels import SIGNIFICANT
 from lampest.panel.effects import EFFECTS, Effect, LooseContact, effect_on_readings
 from lampest.panel.network import Network
 from lampest.panel.panel import Array
@@ -30,15 +31,13 @@ from lampest.panel.scene import Scene
 from lampest.panel.systematic import systematic_of
 from lampest.recording.readings import Readings
 
-# −2 log probability by which another circuit, or an effect beside it, must beat the scene's: e^18 to one. The best of
-# eight kinds, with any resistance in series, beat a right one by 32, 25 and 19 in three of some 430 recordings, else by
-# 15 or less.
+# In −2 ln evidence, of another circuit or effect. 430 recordings with the right circuit gain 32 at most, and nearly all
+# less than 15: no false alarm (docs/theory/model_check.md).
 MIN_EVIDENCE_GAIN = 36.0
 MAX_CANDIDATES = 3  # rivals or effects: those that linear theory finds best
 CHANNEL_OHM = 3.0  # standard deviation of a multiplexer's channels (CD74HC4067, data sheet: any two differ by 10 ohm)
 MAX_STEPS, SETTLED_STEP = 12, 0.1  # of θ, each within its prior's deviation; standard deviations at which they end
 MAX_BOUND_SHARE = 0.02  # of the readings: cells behind bounds have no linear theory
-SIGNIFICANT = 5.0  # standard deviations: a common change that is said
 MAX_EFFECTS = 3  # beside each other
 MIN_SPARED_CELLS = 2  # cells that need not have moved with an effect: a converter's curve moves one
 TAKEN_OFF = "taken off the readings, which error bars allow for"

@@ -1,7 +1,8 @@
-"""Outliers in time: single readings that one frame has otherwise than the frames around it let expect.
+"""Detection of outliers of a single frame.
 
-A loose contact or a lost bit moves one reading of one frame; a touch moves many together. Unloaded outliers are left
-out of the mean, measured ones replaced by the prediction of their neighbours in time.
+A loose contact or a lost bit changes one reading in one frame; a touch changes many readings at once. A reading is an
+outlier if it deviates from the prediction of its neighbouring frames while its row and column do not. Outliers in
+unloaded frames are excluded from the mean. In measured frames the prediction replaces them.
 """
 
 from collections.abc import Callable
@@ -10,23 +11,20 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from lampest.files.levels import MAD_TO_SIGMA, OUTLIER_THRESHOLD
 from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout
 from lampest.panel.scene import Scene
 from lampest.posterior.interval import largest_normal, largest_of
 from lampest.recording.readings import Readings
 
-OUTLIER_THRESHOLD = (
-    6.0  # σ: of the 2,400 readings of a usual recording noise goes there once in 200,000; loads go beyond
-)
-MIN_RATIO_TO_SCATTER = 3.0  # times as far as the neighbours scatter: a load on its way is no outlier
-WINDOW = 4  # frames in time that are compared: one of them may have an outlier, too
-# Times as far as half of its row or half of its column. A load on one cell moves these by 0.22 of its own reading where
-# all lines float, whatever it is: the change has rank one (10 x 10; 0.21 at 32 x 32).
+MIN_RATIO_TO_SCATTER = 3.0  # deviation over the scatter of the neighbours, so that an arriving load is not flagged
+WINDOW = 4  # neighbouring frames that are compared
+# Deviation over that of half the row or half the column. A load on one cell changes these by 0.22 of its own reading
+# where all lines float: the change has rank one (10 x 10; 0.21 at 32 x 32).
 MIN_RATIO_TO_LINES = 6.0
-MAX_SHARE = 0.05  # of a frame's readings may be outliers, and twice what unloaded frames show: beyond, it was touched
-MAD_TO_SIGMA = 1.4826  # a normal distribution's σ over its median absolute deviation
-MIN_FRAMES = 3  # that tell which of them is the odd one
+MAX_SHARE = 0.05  # of a frame's readings, and of twice the unloaded rate: a frame with more was touched
+MIN_FRAMES = 3  # with fewer, the deviating frame cannot be identified
 FALSE_ALARM_RATE = 0.01  # recordings without outliers in which chance makes one
 
 # (prediction of neighbours in time, its uncertainty by their scatter, and by noise as a multiple of its σ).
@@ -35,17 +33,24 @@ Predictor = Callable[[Array, NDArray[np.intp]], Expected]  # of neighbours, and 
 
 
 def detect_outliers(
-    value: Array, scale: Array, most_share: float | Array = 1.0
+    value: Array, scale: Array, max_share: float | Array = 1.0
 ) -> tuple[NDArray[np.bool_], Array, Array]:
-    """Return outliers, the prediction of neighbouring frames and its σ beside noise, all of the readings' shape.
+    """Flag readings that deviate from the prediction of their neighbouring frames.
 
     Parameters
     ----------
-    value : array, shape (frames, …, rows, columns)
-        Of panels beside each other, NaN where there is none.
-    scale : array
-        Their σ. A frame of a panel in which more than most_share would be outliers has none, nor have fewer than
-        MIN_FRAMES frames, nor readings beside σ = 0.
+    value : array, shape (frames, ..., rows, columns)
+        Readings in temporal order; NaN where missing.
+    scale : array, same shape
+        Standard deviations of the readings; where it is zero, nothing is flagged.
+    max_share : float or array
+        Frames with a larger share of flagged readings were touched, and are not flagged.
+
+    Returns
+    -------
+    flagged : boolean array, same shape
+    predicted, predicted_sigma : arrays, same shape
+        Value predicted from the neighbours, and its standard deviation beside the noise.
     """
     predictors = [_by_median, *([_by_line] if len(value) > WINDOW else [])]
     frames, width = np.arange(len(value)), min(len(value), WINDOW + 1)
@@ -62,7 +67,7 @@ def detect_outliers(
             )
             outlying |= far
         outlying &= scale > 0
-    outlying &= (outlying.mean(axis=(-2, -1), keepdims=True) <= most_share) & (len(value) >= MIN_FRAMES)
+    outlying &= (outlying.mean(axis=(-2, -1), keepdims=True) <= max_share) & (len(value) >= MIN_FRAMES)
     if not outlying.any():
         return outlying, value, np.zeros(value.shape)
     middles, spreads = (np.stack([prediction[part] for prediction in expected]) for part in (0, 1))

@@ -9,19 +9,16 @@ from math import ceil, lgamma, log
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.estimate.outliers import OUTLIER_THRESHOLD
-from lampest.files.levels import NOISE_REACH
+from lampest.files.levels import NOISE_REACH, OUTLIER_THRESHOLD
 from lampest.panel.panel import Array
 from lampest.recording.readings import Readings
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
 
-NEIGHBOUR_WIDTH = (
-    8.0 / 3.0
-)  # of the width of voltages that count as the same: so far beyond, fewer channels end than at one
+# Of the width of voltages that count as the same: so far beyond, fewer channels end than at one.
+NEIGHBOUR_WIDTH = 8.0 / 3.0
 MIN_EXTENT = 10.0  # of that width: over so much the other channels extend at least, else all are alike
-MAX_PROBABILITY = (
-    2.5e-4  # an accident at the end of evenly spread channels is rarer; looked for at four ends: one in a thousand
-)
+# An accident at the end of evenly spread channels is rarer; looked for at four ends: one in a thousand.
+MAX_PROBABILITY = 2.5e-4
 MIN_CHANNELS = 1 + ceil(log(MAX_PROBABILITY) / log(1 / MIN_EXTENT))  # channels: an accident of fewer is never so rare
 
 

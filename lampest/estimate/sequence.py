@@ -30,9 +30,8 @@ from lampest.recording.recording import MEASURED, UNLOADED, Recording
 from lampest.recording.stored import StoredRecording, first_unloaded, measured_part, of_parts, only_frames
 from lampest.solvers.solution import Status
 
-LEAD_FRAMES = (
-    500  # unloaded frames, and measured ones around the strongest, that tell of the noise; no more than a part has
-)
+# Unloaded frames, and measured ones around the strongest, that tell of the noise; no more than a part has.
+LEAD_FRAMES = 500
 OPENING_FRAMES = 10  # first frames that stand for the unloaded ones where there are none, if enough of one can be read
 
 

@@ -18,9 +18,8 @@ from lampest.recording.readings import Readings, mean_change
 from lampest.solvers.projected_newton import ProjectedNewton
 from lampest.solvers.solution import Status
 
-MIN_INCREASE = (
-    1.1  # times the change at which weights were chosen before: a load that settles does not choose them again
-)
+# Times the change at which weights were chosen before: a load that settles does not choose them again.
+MIN_INCREASE = 1.1
 
 
 @dataclass(frozen=True, eq=False)

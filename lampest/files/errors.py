@@ -5,7 +5,7 @@ from contextlib import contextmanager
 from difflib import get_close_matches
 from typing import Any
 
-# module → the package that brings it, where their names differ
+# Module → the package that brings it, where their names differ.
 PACKAGES = {"serial": "pyserial", "ruamel": "ruamel.yaml", "PIL": "pillow", "dateutil": "python-dateutil"}
 
 

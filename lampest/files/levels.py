@@ -5,8 +5,9 @@ room states one of its own where a level of this table has the same meaning.
 """
 
 # Standard deviations of a reading. Gaussian noise exceeds it once in 370 readings, on one side once in 740. Bounds of
-# cells and rails give way by it: with 1 % noise the truth itself violates exact bounds in a third of cases
-# (tests/laws/test_readouts.py); a resistance below it is indistinguishable from zero (tests/laws/test_holes.py).
+# cells and rails give way by it, and a cell that answers by more is pressed: with 1 % noise the truth itself violates
+# exact bounds in a third of cases (tests/laws/test_readouts.py); a resistance below it is indistinguishable from zero
+# (tests/laws/test_holes.py).
 NOISE_REACH = 3.0
 
 # Standard deviations of the mean square difference of two lines, below which they are read alike: once in 15,000 pairs
@@ -16,3 +17,14 @@ ALIKE = 4.0
 # Mean square difference of two lines in units of their noise, from which a line counts as distinct (five standard
 # deviations): panels whose lines are all nearly equal name no touching lines (tests/oracles/test_wires.py).
 DISTINCT = 25.0
+
+# Standard deviations of a deviation that is named or taken off: noise alone exceeds it once in 1.7 million numbers, of
+# 32 channels once in 50,000 calibrations (tests/oracles/test_nuisances.py, tests/oracles/test_calibration.py).
+SIGNIFICANT = 5.0
+
+# Standard deviations of one among very many numbers, readings or patterns of all frames: noise alone exceeds it once in
+# 500 million, in one of 200,000 recordings of 2,400 readings (tests/oracles/test_noise.py, tests/units/test_watch.py).
+OUTLIER_THRESHOLD = 6.0
+
+TWO_SIDED = 1.959963984540054  # standard deviations of half a 95 % interval of a normal distribution
+MAD_TO_SIGMA = 1.4826  # standard deviation of a normal distribution over its median absolute deviation

@@ -12,6 +12,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from lampest.files.levels import MAD_TO_SIGMA, NOISE_REACH, OUTLIER_THRESHOLD, TWO_SIDED
 from lampest.files.typed import Validated, check_range
 from lampest.loads.film import DRIFT_SD, MIN_PERIOD, UNLOADED_SD, FilmKnown, FilmMemory
 from lampest.panel.panel import Array, Panel
@@ -20,16 +21,15 @@ from lampest.panel.scene import Scene, Water
 from lampest.panel.systematic import systematic_of
 
 MEMORY_SHARE = 0.4  # the part of a cell's memory that may be wrong
-MAX_DEVIATION, MAX_MEAN_DEVIATION = 6.0, 4.5  # standard deviations of a cell in one frame, and in the mean of all
+MAX_MEAN_DEVIATION = 4.5  # standard deviations of a cell in the mean of all frames
 MAX_MEAN_SQUARE = 1.4  # mean square over the cells, in the same units
 # ln r/r0 beyond which a cell, and the mean of four neighbours, may be under a load: 0.8 and 0.3 kPa. The weakest
 # suction of a lamprey, 0.6 kPa, covers more cells than four; films drift cell by cell.
 MAX_CHANGE, MAX_CHANGE_OF_FOUR = 0.15, 0.06
 FADES = 0.01  # ln r/r0
-MIN_DEVIATION = (
-    2.0  # standard errors by which cells must have moved, in the root mean square, for a new zero to be worth it
-)
-DIFFERENCES_TO_SIGMA = 1.4826 / np.sqrt(2)  # median of |differences of two| → standard deviation of one
+# Standard errors by which cells must have moved, in the root mean square, for a new zero to be worth it.
+MIN_DEVIATION = 2.0
+DIFFERENCES_TO_SIGMA = MAD_TO_SIGMA / np.sqrt(2)  # median of |differences of two| → standard deviation of one
 
 
 @dataclass(frozen=True)
@@ -104,7 +104,7 @@ class TareWatch:
         half = len(frames) // 2
         mean, error = frames[:half].mean(axis=0), noise / np.sqrt(half)
         each, all_in_all = frames[:, known] / np.hypot(noise, moved), mean[known] / np.hypot(2 * error, moved)
-        quiet = np.abs(each).max() < MAX_DEVIATION and (each**2).mean(axis=1).max() < MAX_MEAN_SQUARE
+        quiet = np.abs(each).max() < OUTLIER_THRESHOLD and (each**2).mean(axis=1).max() < MAX_MEAN_SQUARE
         worth = np.mean(mean[known] ** 2) >= MIN_DEVIATION**2 * np.mean(error**2)
         if not (quiet and worth and np.abs(all_in_all).max() < MAX_MEAN_DEVIATION) or _stands_out(frames.mean(axis=0)):
             return None
@@ -119,9 +119,7 @@ def _stands_out(change: Array) -> bool:
 
 
 GRAVITY = 9.81  # m/s²
-NORMAL_95 = 1.959964  # half the 95 % interval of a normal distribution, in standard deviations
 MIN_TOUCH = 0.1  # ln r/r0: less may be drift alone, half a kPa of the published film
-SIGNIFICANT = 3.0  # standard deviations: less than one cell of a panel of 700 seems to be pressed by noise alone
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,7 +130,7 @@ class Pressure:
         `lower` is never below an empty space, `upper` may be infinite. errors : half the 68 % interval. own, common
         : its two parts, each cell's own and that which cells share, such as the film's curve.
     saturated : 1 where the response leaves the pressure open: the interval, water included, reaches beyond `told_kpa`
-        of the response. pressing : 1 where a load presses: ln r/r0 without the film's memory fell by SIGNIFICANT
+        of the response. pressing : 1 where a load presses: ln r/r0 without the film's memory fell by NOISE_REACH
         standard deviations, those of the response aside.
     tared : (frames) why zero was taken anew after a frame; '' where it was not.
     """
@@ -261,22 +259,22 @@ class PressureTrack:
             """p, were ln r another by so much all the time: the film's loops grow in proportion to the load."""
             return np.asarray(share * self._of_films(self.films.effective, change + moved, time)[0])
 
-        shared = NORMAL_95 * np.hypot(remembered, self._film_sd(answer) * answer)
+        shared = TWO_SIDED * np.hypot(remembered, self._film_sd(answer) * answer)
         with np.errstate(divide="ignore"):
             fell, rose = np.log(ratio) - np.log(lower), np.log(upper) - np.log(ratio)
         below, above = np.hypot(fell, shared), np.hypot(rose, shared)
         least, most = of_change(above), of_change(-below)
-        errors = (of_change(-below / NORMAL_95) - of_change(above / NORMAL_95)) / 2
+        errors = (of_change(-below / TWO_SIDED) - of_change(above / TWO_SIDED)) / 2
         if alternatives:
             open_kpa = _distance(alternatives, expected)
-            least = np.maximum(expected - np.hypot(expected - least, NORMAL_95 * open_kpa), VACUUM_KPA - water)
-            most, errors = expected + np.hypot(most - expected, NORMAL_95 * open_kpa), np.hypot(errors, open_kpa)
-        half = (fell + rose) / (2 * NORMAL_95) if own is None else own
+            least = np.maximum(expected - np.hypot(expected - least, TWO_SIDED * open_kpa), VACUUM_KPA - water)
+            most, errors = expected + np.hypot(most - expected, TWO_SIDED * open_kpa), np.hypot(errors, open_kpa)
+        half = (fell + rose) / (2 * TWO_SIDED) if own is None else own
         scatter = np.hypot(half, scatter_sd(self.scene) * answer)
         with np.errstate(invalid="ignore"):
             alone = np.minimum(np.abs(of_change(scatter) - of_change(-scatter)) / 2, errors)
             common = np.where(np.isinf(errors), np.inf, np.sqrt(np.maximum(errors**2 - alone**2, 0.0)))
-            clear = -answer > SIGNIFICANT * np.hypot(np.hypot(rose / NORMAL_95, remembered), _distance(answers, answer))
+            clear = -answer > NOISE_REACH * np.hypot(np.hypot(rose / TWO_SIDED, remembered), _distance(answers, answer))
         known = (self.scene.response or PUBLISHED).told_kpa
         saturated = (least + water < known[0]) | (most + water > known[1])
         pressing = clear & (expected > 0) & ~self.scene.broken

@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.cost.problem import Data
+from lampest.files.levels import TWO_SIDED
 from lampest.panel.panel import Array
-from lampest.posterior.interval import TWO_SIDED, one_sided
+from lampest.posterior.interval import one_sided
 from lampest.posterior.linear import LinearModel
 
 

@@ -18,10 +18,8 @@ from lampest.posterior.linear import IGNORANCE, LinearModel, penalty_curvature_o
 from lampest.posterior.sampled import SampledErrors
 
 MAX_ROUNDS, TOLERANCE = 30, 0.01  # of the fixed point; of log λ
-RIDGE, MIN_RESIDUAL = (
-    1e-9,
-    1e-12,
-)  # of the mean curvature, a ridge; of a residual's unit, below which there are none yet
+# Of the mean curvature, a ridge; of a residual's unit, below which there are none yet.
+RIDGE, MIN_RESIDUAL = 1e-9, 1e-12
 
 
 def first_weights(model: LinearModel, weights: Sequence[float], open_terms: Collection[int]) -> list[float]:

@@ -7,7 +7,6 @@ from scipy.special import gammaincc, log_ndtr, ndtr, ndtri, ndtri_exp
 from lampest.panel.panel import Array
 
 LEVEL = 0.95
-TWO_SIDED = float(ndtri((1 + LEVEL) / 2))
 MAX_DEVIATIONS = 50.0  # standard deviations beyond which the tail of a normal distribution is an exponential one
 
 

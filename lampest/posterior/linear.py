@@ -15,8 +15,9 @@ from scipy import sparse
 from lampest.cost.cost import Cost
 from lampest.cost.losses import Loss
 from lampest.cost.problem import Evaluation, Residuals, residuals
+from lampest.files.levels import TWO_SIDED
 from lampest.panel.panel import Array
-from lampest.posterior.interval import LEVEL, TWO_SIDED
+from lampest.posterior.interval import LEVEL
 
 NEAR_BOUND = 1e-3  # in log r
 IGNORANCE = 1e-4  # precision of log r where neither data nor penalties say anything

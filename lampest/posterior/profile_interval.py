@@ -13,9 +13,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from lampest.files.levels import TWO_SIDED
 from lampest.panel.panel import Array
 from lampest.posterior.dense import DenseErrors
-from lampest.posterior.interval import TWO_SIDED
 from lampest.posterior.linear import LinearModel
 from lampest.posterior.sampled import SampledErrors
 from lampest.posterior.track import errors_of

@@ -30,20 +30,17 @@ from lampest.posterior.interval import LEVEL
 
 MAX_CELLS = 400  # of a panel: beyond, the matrices of the model take seconds
 DEGREES_OF_FREEDOM = 3.0  # ν: the fewest degrees of freedom with a variance
-SCALE_RATIO = (
-    2.0  # of one s of the grid to the next: a factor of √2 in σ changes no weight by more than its uncertainty
-)
+# Of one s of the grid to the next: a factor of √2 in σ changes no weight by more than its uncertainty.
+SCALE_RATIO = 2.0
 MAX_SCALES = 14  # in one direction
 MIN_GAIN = 6.0  # of −2 log p, for another s than that of the noise: e³ to one
 MAX_EXCESS = 6.0  # of −2 log p above its least value, where the search ends: a twentieth of the probability
-MIN_RELATIVE_NOISE = (
-    1e-4  # first s where the noise is unknown, as a fraction of the reading: no sensor is read to more digits
-)
+# First s where the noise is unknown, as a fraction of the reading: no sensor is read to more digits.
+MIN_RELATIVE_NOISE = 1e-4
 MAX_STEPS, MAX_ROUNDS = 8, 4  # Gauss–Newton steps of one s; updates of the weights of one linearisation
 SETTLED_BOUND, SETTLED_STEP, SETTLED_VARIANCE = 0.5, 0.02, 0.03  # of −2 log p; of log r; of log τ²
-PRIOR_VARIANCE = (
-    0.015  # τ² that counts like one step: covers draws of a prior that noise hides (docs/studies/calibration.md)
-)
+# τ² that counts like one step: covers draws of a prior that noise hides (docs/studies/calibration.md)
+PRIOR_VARIANCE = 0.015
 MAX_STEP = 1.4  # of log r in one step
 RIDGE = 1e-9  # of the mean curvature
 

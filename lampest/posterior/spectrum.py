@@ -22,10 +22,8 @@ from lampest.posterior.linear import IGNORANCE, LinearModel
 Rule = Literal["risk", "evidence"]
 GRID = 80  # points in log λ, between which the minimum is refined
 PRECISION = 0.005  # of log λ
-EXTENT_FACTOR, NEGLIGIBLE = (
-    1e4,
-    1e-12,
-)  # factors beyond the stiffest and softest direction; share of the stiffest that counts
+# Factors beyond the stiffest and softest direction; share of the stiffest that counts.
+EXTENT_FACTOR, NEGLIGIBLE = 1e4, 1e-12
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,12 +4,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from lampest.files.levels import TWO_SIDED
 from lampest.panel.panel import Array
 from lampest.panel.systematic import Shared
 from lampest.posterior.certainty import Certainty, LogInterval, common_variance, own_part
 from lampest.posterior.dense import DenseErrors, Memory, active_bounds
 from lampest.posterior.frame_noise import FrameNoise
-from lampest.posterior.interval import TWO_SIDED
 from lampest.posterior.linear import LinearModel
 from lampest.posterior.sampled import SampledErrors, SampledMemory
 

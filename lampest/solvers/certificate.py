@@ -21,9 +21,8 @@ from lampest.solvers.bounds import MILLIONTH, free_cells, lower_along, within_bo
 from lampest.solvers.hessian import Hessian
 from lampest.solvers.preconditioners import Cholesky, Numbers, Preconditioner, TwoLevel
 
-DEVIATION_SHARE = (
-    1e-3  # of a cell's posterior deviation: what a verified estimate may still move by where the noise is known
-)
+# Of a cell's posterior deviation: what a verified estimate may still move by where the noise is known.
+DEVIATION_SHARE = 1e-3
 MIN_COST_SHARE = 1e-10  # of the cost's scale: four digits below what a verified cost may be off by
 MAX_RELATIVE_MISFIT = 1e-5  # of a reading: second derivatives of readings add no larger part to JᵀWJ
 MAX_DISTANCE = 0.3  # of log r: so near within the bounds, cells that reproduce all readings minimise the cost

@@ -20,9 +20,8 @@ from lampest.solvers.hessian import Hessian
 from lampest.solvers.preconditioners import TwoLevel
 from lampest.solvers.smoothing import Smoothing
 
-START_MARGIN = (
-    0.05  # of the median conductance: how far from its bounds a cell begins, or a fiftieth of what lies between them
-)
+# Of the median conductance: how far from its bounds a cell begins, or a fiftieth of what lies between them.
+START_MARGIN = 0.05
 BARRIER_REDUCTION = 0.2  # of μ: the next one, after a step of which bounds left at least half
 STEP_TO_BOUNDARY = 0.99  # of the way to the next bound
 MIN_STEP = 0.03  # of a step: conjugate gradients end before bounds leave less of it (directions of nearly no curvature)
@@ -30,9 +29,8 @@ MAX_STEPS = 90
 DECREASE, HALVINGS = 1e-4, 12  # as in Nocedal & Wright, section 3.1
 # Of the cost's scale, its gradient: frames in sequence begin at 0.05, what is solved again at its tolerance.
 START_TOLERANCE = 1e-3
-MAX_BARRIER_SHARE = (
-    1e-8  # of the cost: what the bounds still add to it where the last steps are left to Newton's method
-)
+# Of the cost: what the bounds still add to it where the last steps are left to Newton's method.
+MAX_BARRIER_SHARE = 1e-8
 
 
 def by_interior_point(start: Evaluation) -> tuple[Evaluation, int]:

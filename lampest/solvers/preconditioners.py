@@ -22,9 +22,8 @@ from lampest.panel.panel import Array
 from lampest.panel.trust_region import Linear, restricted
 from lampest.solvers.hessian import Hessian
 
-MIN_DIAGONAL = (
-    1e-12  # of the largest entry of a diagonal: double precision does not distinguish a smaller one from zero
-)
+# Of the largest entry of a diagonal: double precision does not distinguish a smaller one from zero.
+MIN_DIAGONAL = 1e-12
 SHIFTS = (1e-10, 1e-6, 1e-3)  # of a unit diagonal: where rounding makes Gauss–Newton's matrix indefinite
 WEAK_WEIGHT = 1e-3  # of the largest weight: readings beyond a loss's corner, which still tie a line together
 Numbers = NDArray[np.intp]

@@ -18,16 +18,16 @@ from lampest.estimate.calibration.response import (
 )
 from lampest.estimate.estimates import log_change
 from lampest.estimate.estimator import Estimator
-from lampest.estimate.outliers import MAD_TO_SIGMA
 from lampest.estimate.sequence import reconstruct
 from lampest.files.errors import InputError
+from lampest.files.levels import MAD_TO_SIGMA, SIGNIFICANT
 from lampest.loads.pressure import water_pressure
 from lampest.panel.panel import Array
 from lampest.panel.response import PUBLISHED, Response
 from lampest.recording.recording import Recording
 
 MAX_SCATTER = 0.6  # from load to load, in ln r: films scatter by a tenth, hysteresis makes it a quarter
-SIGNIFICANT, ODD = 5.0, 4.0  # standard deviations of a cell's change, and of the usual load's answer
+ODD = 4.0  # standard deviations of the usual load's answer
 MIN_JUDGED, MAX_JUDGED = 5, 60  # loads: fewer show no usual one; each costs a fit
 ALIKE = 0.02  # of ln of an answer: so well films repeat at best
 UNLIKE = 2.0  # of ln of the first guess's steepness, two standard deviations of its prior: units are wrong more often

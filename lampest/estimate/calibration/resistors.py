@@ -19,6 +19,7 @@ from scipy.special import fdtrc
 from lampest.estimate.calibration import Calibration, common_scene
 from lampest.estimate.calibration.trials import BELIEF, Trial, usable_range, within_rails
 from lampest.files.errors import InputError
+from lampest.files.levels import SIGNIFICANT
 from lampest.panel.least_squares import LevenbergMarquardt, SumOfSquares
 from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout
@@ -38,7 +39,6 @@ WIRE = tuple(LineNumber(f"lines.{line}_ohm_per_cell", (), in_scene=True) for lin
 TYPICAL = {MEMORY: 0.03} | dict.fromkeys(WIRE, 1.0)
 STEP = 1e-5  # of an unknown, or of the logarithm of a resistor, for differences
 DIGITS, MEMORY_DIGITS = 3, 5  # of an ohm, below what any contact repeats to; of a fraction: a hundredth of a code
-SIGNIFICANT = 5.0  # σ by which one of 32 lines is off by chance once in 50,000 calibrations
 # σ of a determined number: 0.3 of its value, or of a channel less than channels differ by, or these.
 MAX_SIGMA = {MEMORY.name: 0.01} | {wire.name: 0.5 for wire in WIRE} | {"diode.drop_volt": 0.2}
 PLAUSIBLE_RANGE = {True: "channels of a CD74HC4067 have 40 to 160 ohm", False: "resistors of 5 % differ by less"}

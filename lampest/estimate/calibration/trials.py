@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.files.errors import InputError
+from lampest.files.levels import MAD_TO_SIGMA
 from lampest.files.whole import note_read
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import Readout
@@ -141,7 +142,7 @@ def _valid(name: str, readout: Readout, volt: Array, across: int) -> NDArray[np.
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # all-NaN lines
         deviation = (volt - np.nanmedian(volt, axis=0)) / readout.lsb_volt
-        robust = 1.4826 * np.nanmedian(np.abs(deviation), axis=(0, 1 + across))
+        robust = MAD_TO_SIGMA * np.nanmedian(np.abs(deviation), axis=(0, 1 + across))
     # Codes come in steps, and where noise is smaller the median deviation is zero.
     least = np.maximum(sigma_code(readout, readout.assumed_noise), 1 / readout.readings)
     wild = np.abs(deviation) > 7.0 * np.expand_dims(np.maximum(np.nan_to_num(robust), least), across)  # robust σ

@@ -47,10 +47,8 @@ START_WIDTH = 3.0  # q at the start over the noise: as large jumps as three devi
 MAX_ROUNDS = 40  # 15 to 40 were needed on simulated lampreys
 MAX_ROUND_CHANGE = 0.3  # of a standard deviation, by which a round may still move a cell
 JUMP_SD = 1.0  # of log r: prior standard deviation of jumps and of cells that no reading determines
-FAST_DECREASE, SLOW_DECREASE = (
-    0.6,
-    0.8,
-)  # from one walk to the next; slowly where the ties make a step's variance, which then must follow
+# From one walk to the next; slowly where the ties make a step's variance, which then must follow.
+FAST_DECREASE, SLOW_DECREASE = 0.6, 0.8
 # Of q²: the median of squared steps of still cells from where on that is so, and where ties have followed the walk.
 TIED, FOLLOWED = 0.5, 1.5
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from lampest.loads.pressure import SIGNIFICANT
+from lampest.files.levels import NOISE_REACH
 from lampest.loads.recognition.breathing import MAX_LOG_ODDS, PAUSE_LOG_ODDS, Breathing
 from lampest.loads.recognition.candidates import UNIFORM, under
 from lampest.loads.recognition.evidence import Verdict
@@ -119,7 +119,7 @@ class Attachment:
         """As it was recognised later; as before where it sucked and now shows less: leaking suction leaves no shape."""
         if self.sucks > 0.5 > later.sucks and later.clear < self.clear:
             return self
-        far = SIGNIFICANT * max(1.0, hypot(self.x_mm[1], self.y_mm[1], later.x_mm[1], later.y_mm[1]))
+        far = NOISE_REACH * max(1.0, hypot(self.x_mm[1], self.y_mm[1], later.x_mm[1], later.y_mm[1]))
         moved = (*self.moved_s, later.since_s) if self.distance(later.place) > far else self.moved_s
         began = later.since_s if self.sucks_s is None and later.sucks > 0.5 else self.sucks_s
         same = replace(later, since_s=self.since_s, breath=self.breath, track=self.track)
@@ -171,7 +171,7 @@ class _ChangedCells:
         shape = frame.measured.shape
         cells = frame.cells(np.zeros(shape), np.eye(frame.measured.size))
         change, sd = cells.state.reshape(shape), np.sqrt(np.diag(cells.covariance)).reshape(shape)
-        moved = np.abs(change) > SIGNIFICANT * np.hypot(sd, frame.baseline.model_errors.resting_sd(frame.seconds))
+        moved = np.abs(change) > NOISE_REACH * np.hypot(sd, frame.baseline.model_errors.resting_sd(frame.seconds))
         resting = np.exp(-frame.baseline.logarithm)
         more, errors = resting * np.expm1(-change), resting * np.exp(-change) * sd
         return cls(change, moved, more, errors, frame.baseline.scene.panel)

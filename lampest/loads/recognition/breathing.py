@@ -24,13 +24,12 @@ MIN_RATE_HZ = 3.8  # frames a second: those of four whose clock is slow; they sh
 # breathe it is an assumption: cups tremble and leak, but at no single rate.
 BREATHING_SD, TREMBLE_SD = 0.045, 0.002
 WINDOW_S, MIN_WINDOW_S = 8.0, 4.5  # over which a rhythm is steady; and the least that shows one
-MAX_AMPLITUDE = (
-    0.15  # relative amplitude of breathing: with more, the unevenness of a film explains the swings of a shaken cup
-)
+# Relative amplitude of breathing: with more, the unevenness of a film explains the swings of a shaken cup.
+MAX_AMPLITUDE = 0.15
 # An assumption: relative standard deviation of the swing of all the rim over that of suction, which may press with more
 # than it bears; and of each cell's change by a movement, because where an edge crosses its film is not known.
 EDGE_SD = 0.5
-# ln r/r0 by which films whose suction shows from −2 kPa on stay behind the published curve's extension to 0 kPa.
+# Ln r/r0 by which films whose suction shows from −2 kPa on stay behind the published curve's extension to 0 kPa.
 THRESHOLD_DELAY = SUCTION_RATE * PUBLISHED_KPA[0] / (PUBLISHED_KPA[0] / -2.0 - 1)
 MOVEMENT_SD = {"x": 1.0, "y": 1.0, "tilt_x": 0.1, "tilt_y": 0.1}  # of common movements, mm and 1
 

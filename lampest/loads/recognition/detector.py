@@ -45,11 +45,8 @@ from lampest.panel.response import BentSuction, PublishedResponse
 # Exponents of the published curve under suction, beside 1: ln f is known at one point, and a straight line or a
 # threshold go through it as well (docs/studies/mouths.md).
 EXPONENTS = (1 / 3, 2.0)
-RESPONSE_LEVELS = (
-    0.5,
-    1.2,
-    2.5,
-)  # times the response's standard deviation: from a film as published to a bent, uneven one
+# Times the response's standard deviation: from a film as published to a bent, uneven one.
+RESPONSE_LEVELS = 0.5, 1.2, 2.5
 MAX_LOADS = 3  # loads
 
 

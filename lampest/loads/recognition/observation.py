@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_solve, cholesky, lapack
 
-from lampest.loads.pressure import SIGNIFICANT
+from lampest.files.levels import NOISE_REACH
 from lampest.panel.network import Network
 from lampest.panel.panel import Array, Panel
 from lampest.panel.response import PUBLISHED, RESPONSE_SD, Response
@@ -108,10 +108,8 @@ class ModelErrors:
 MAX_STEP, MAX_LOG_CHANGE = 1.5, 12.0
 # Of cells in ln r/r0 while a load is looked for, on a map of them, and at rest in coarse fits; assumptions.
 MAP_SD, COARSE_SD = 0.5, 0.2
-OUTLIER_THRESHOLD, OUTLIER_SHARE = (
-    5.0,
-    0.03,
-)  # σ, which normal numbers pass once in 10⁶; the part of the readings that may do so
+# σ, which normal numbers pass once in 10⁶; the part of the readings that may do so
+OUTLIER_THRESHOLD, OUTLIER_SHARE = 5.0, 0.03
 MAX_CHI_SQUARE = 1.4  # χ² per reading beyond which outliers, or another position, are looked for: 3 σ of 100 readings
 DROPPED_FACTOR = 1e3  # so many times its σ, or its reading, is the σ of one that does not count
 
@@ -344,8 +342,8 @@ class Observation:
 
     @cached_property
     def highest(self) -> Array:
-        """Map of ln r/r0 plus SIGNIFICANT standard deviations, (rows, columns): the readings exclude more."""
-        return self.map + SIGNIFICANT * np.sqrt(np.diag(self._mapped.covariance)).reshape(self.measured.shape)
+        """Map of ln r/r0 plus NOISE_REACH standard deviations, (rows, columns): the readings exclude more."""
+        return self.map + NOISE_REACH * np.sqrt(np.diag(self._mapped.covariance)).reshape(self.measured.shape)
 
     @cached_property
     def target(self) -> Array:

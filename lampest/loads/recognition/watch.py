@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cholesky, solve_triangular
 
+from lampest.files.levels import NOISE_REACH, OUTLIER_THRESHOLD
 from lampest.files.process import ONE_BLAS_THREAD
-from lampest.loads.pressure import SIGNIFICANT
 from lampest.loads.recognition.attachment import Attachment, attachments_of, continued_by
 from lampest.loads.recognition.breathing import (
     MIN_RATE_HZ,
@@ -35,10 +35,8 @@ from lampest.loads.recognition.pumping import BLOCK_S, Pumping
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 
-STEP_THRESHOLD = 6.0  # standard deviations: with some 1000 patterns normal noise passes them once in 10⁶ frames
-COMMON_SD = (
-    0.1  # σ of ln r and of ln y that all cells and all readings may share: temperature, waves, supply; an assumption
-)
+# σ of ln r and of ln y that all cells and all readings may share: temperature, waves, supply; an assumption
+COMMON_SD = 0.1
 NEAR_PITCHES = 3.0  # pitches about a disc in which a load's pattern counts for it
 FOLLOWS_S = 20.0  # in which the mean of frames follows them
 SETTLES_S = 60.0  # of drift that is expected within the unloaded frames
@@ -77,7 +75,7 @@ class Panelled:
 
 @dataclass(frozen=True, eq=False)
 class StepTest:
-    """|t_kᵀ W δ| > STEP_THRESHOLD·v_k of a change δ of ln y. A change that all cells share is free.
+    """|t_kᵀ W δ| > OUTLIER_THRESHOLD·v_k of a change δ of ln y. A change that all cells share is free.
 
     Attributes
     ----------
@@ -133,7 +131,7 @@ class StepTest:
 
     def least(self) -> Array:
         """(discs) scores beyond which something has happened."""
-        return np.asarray(STEP_THRESHOLD * np.sqrt(np.maximum(self.loud, max(1.0, float(self.loud.mean())))))
+        return np.asarray(OUTLIER_THRESHOLD * np.sqrt(np.maximum(self.loud, max(1.0, float(self.loud.mean())))))
 
 
 @dataclass(frozen=True, eq=False)
@@ -334,7 +332,7 @@ class Watch:
             return True
         before = self._before
         common = np.median(frame.map[before == 0]) if np.any(before == 0) else 0.0
-        return bool(np.sum((frame.map - common) * before) <= SIGNIFICANT * RESIDUE_SD * np.sum(before**2))
+        return bool(np.sum((frame.map - common) * before) <= NOISE_REACH * RESIDUE_SD * np.sum(before**2))
 
     def _keeps(self, frame: Observation) -> Array | float:
         """Return `film_sd` once a step has changed the recognised load: by the decrease of each cell."""
@@ -368,7 +366,7 @@ class Watch:
         frame = self._frame(median, time)
         verdict = self.panelled.detector.verdict(frame, self.verdict if self.known else None)
         change, before = verdict.best.change, self._before
-        memory = not self.known and np.sum(change**2) < SIGNIFICANT * RESIDUE_SD * np.sum(
+        memory = not self.known and np.sum(change**2) < NOISE_REACH * RESIDUE_SD * np.sum(
             change * before
         )  # where it was
         if (

@@ -15,9 +15,8 @@ from lampest.panel.network import Entries, Loading, Network, NormalByLines, Numb
 from lampest.panel.panel import Array
 from lampest.panel.trust_region import DENSE_CELLS, steihaug
 
-MIN_DIAGONAL_SHARE = (
-    0.05  # of R²: smallest diagonal of the stencil, where the lines alone explain a cell's own response
-)
+# Of R²: smallest diagonal of the stencil, where the lines alone explain a cell's own response.
+MIN_DIAGONAL_SHARE = 0.05
 MAX_ITERATIONS = 30  # 6 suffice from the uniform start at 10 × 10 to 32 × 32 without noise
 STEP_LENGTHS = tuple(0.5**power for power in range(20))  # of a step: below, none lowers the cost in double precision
 MAX_RELATIVE_MISFIT = 1e-9  # relative misfit of any reading; near a solution each step doubles the digits

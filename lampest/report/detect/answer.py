@@ -16,9 +16,8 @@ from lampest.report.compare import Table
 FORMAT, FILE = "detections/2", "detections.h5"
 ANSWERS = ("lamprey", "sucks", "suction cup", "presses", "nothing", "cannot say")
 LAMPREY, SUCKS, CUP, PRESSES, NOTHING, CANNOT_SAY = ANSWERS
-BARE_PROBABILITY = (
-    0.99  # probability that a panel is bare on which nothing stepped: weak loads make no step; an assumption
-)
+# Probability that a panel is bare on which nothing stepped: weak loads make no step; an assumption.
+BARE_PROBABILITY = 0.99
 MIN_PROBABILITY = 0.9  # from which on an attachment is called lamprey, or suction cup
 MAX_CONTACTS = 4  # that a sentence describes
 PAIRS = {

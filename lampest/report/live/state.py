@@ -11,6 +11,7 @@ from lampest.estimate.outliers import FramesBefore
 from lampest.estimate.state import Step
 from lampest.estimate.stream import Stream
 from lampest.files.errors import InputError
+from lampest.files.levels import OUTLIER_THRESHOLD
 from lampest.loads.pressure import Force, Pressure, PressureTrack, total_force
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
@@ -20,12 +21,10 @@ from lampest.report.live.message import BOTH, NOTHING, PRESSING, SUCKING, Pictur
 from lampest.solvers.multistart import SAME_MINIMUM
 
 ASKED = "it was asked for"
-# Standard deviations that one reading of 100 passes by chance about twice in 10⁷ frames of normal noise: four days at
-# 30 frames a second have 10⁷. And percent where the noise is unknown: far above any readout's, and what a finger does.
-NOTICED_SIGMA, NOTICED_PERCENT = 6.0, 1.0
-MIN_SHARE = (
-    0.3  # of the strongest |ln r/r₀|: what penalties leave beside a load stays below, a mouth's inside lies above
-)
+# Percent where the noise is unknown: far above any readout's, and what a finger does.
+NOTICED_PERCENT = 1.0
+# Of the strongest |ln r/r₀|: what penalties leave beside a load stays below, a mouth's inside lies above.
+MIN_SHARE = 0.3
 
 
 @dataclass(frozen=True, eq=False)
@@ -270,7 +269,7 @@ def verdict_of(readings: Readings, resting: Readings, ratio: Array, open_cell: N
     moved -= np.nanmedian(moved)
     now, before, least = readings.sigma_of_values, resting.sigma_of_values, np.asarray(NOTICED_PERCENT / 100)
     if now is not None and before is not None:
-        least = NOTICED_SIGMA * np.hypot(now / readings.shown, before / resting.shown)
+        least = OUTLIER_THRESHOLD * np.hypot(now / readings.shown, before / resting.shown)
     with np.errstate(invalid="ignore"):
         noticed = np.abs(moved) > least
     change = np.log(ratio[~open_cell & np.isfinite(ratio)])

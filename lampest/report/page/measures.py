@@ -11,6 +11,7 @@ import numpy as np
 from jinja2 import Environment, FunctionLoader, StrictUndefined
 from numpy.typing import NDArray
 
+from lampest.files.levels import MAD_TO_SIGMA
 from lampest.panel.panel import Array
 from lampest.report.compare import figures_of, statistics, weighted_residual
 from lampest.report.words import digits
@@ -67,7 +68,7 @@ def figures(case: CaseResult) -> dict[str, Any]:
     Counts are int; None if unknown.
     """
     residual, lower, upper = weighted_residual(case), case.cell_resistance_lower, case.cell_resistance_upper
-    spread = None if residual is None else 1.4826 * np.abs(residual)  # 1/Φ⁻¹(3/4): from median deviation to σ
+    spread = None if residual is None else MAD_TO_SIGMA * np.abs(residual)
     known: dict[str, Any] = figures_of(case, np.ones(len(case.time), bool))
     known |= statistics(None if residual is None else residual**2, "residuals: {} of ((model − measured)/σ)²", "mean")
     known[SPREAD] = statistics(spread, "{}", "median")["median"]
