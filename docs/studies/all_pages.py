@@ -15,7 +15,7 @@ COMMAND = re.compile(r"^    ((?:lampest|python -m (?:docs|tests))\b[^#\n]*?) *(?
 
 def commands(page: Path) -> list[str]:
     """The indented commands of a page, without optional arguments in brackets."""
-    return [re.sub(r" *\[[^\]]*\]", "", found) for found in COMMAND.findall(page.read_text(encoding="utf-8"))]
+    return [re.sub(r" *\[[^\]]*\]", "", results) for results in COMMAND.findall(page.read_text(encoding="utf-8"))]
 
 
 def main() -> int:

@@ -216,10 +216,10 @@ def left_by_solver(
     else:
         baseline = problem.alone(resting).point
         ended = [problem.alone(frame) for frame in frames]
-    cells = np.stack([one.point.reshape(panel.shape) for one in ended])
-    model = np.stack([_network(one.point, frame).reading() for one, frame in zip(ended, frames, strict=True)])
-    counts = np.array([one.evaluations for one in ended])
-    why = tuple(one.why for one in ended)
+    cells = np.stack([record.point.reshape(panel.shape) for record in ended])
+    model = np.stack([_network(record.point, frame).reading() for record, frame in zip(ended, frames, strict=True)])
+    counts = np.array([record.evaluations for record in ended])
+    why = tuple(record.why for record in ended)
     return LeftBySolver(baseline.reshape(panel.shape), cells, model, measured, counts, why, relative)
 
 

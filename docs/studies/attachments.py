@@ -117,9 +117,9 @@ def _pumped(rng: np.random.Generator, since: Array) -> Array:
 def _wandering(rng: np.random.Generator, step: Array) -> Array:
     """Noise of unit variance that is alike within 0.3 s."""
     value, found = 0.0, []
-    for one in step:
-        kept = np.exp(-one / 0.3)
-        value = kept * value + np.sqrt(1 - kept**2) * rng.standard_normal()
+    for record in step:
+        cached = np.exp(-record / 0.3)
+        value = cached * value + np.sqrt(1 - cached**2) * rng.standard_normal()
         found.append(value)
     return np.array(found)
 
@@ -163,7 +163,7 @@ def cells(
         for at in places.tolist()
     }
     each = [maps[at] for at in np.round(shake, 2).tolist()]
-    pressure = np.array([c * one[0] + s * one[1] for (c, s), one in zip(course, each, strict=True)])
+    pressure = np.array([c * record[0] + s * record[1] for (c, s), record in zip(course, each, strict=True)])
     resting = 3050 * np.exp(layer.spread * rng.standard_normal(panel.shape))
     answer = layer.bent * np.exp(layer.scatter * rng.standard_normal(panel.shape))
     logarithm = answer * np.log(CURVES[curve](pressure))
@@ -235,10 +235,10 @@ def seen(
         moments += [watch] if len(moments) < 2 and time >= touch + (5, 10)[len(moments)] else []
         if np.isnan(lamprey) and Detected.of(kind, watch.attachments, rate).answer == LAMPREY:
             lamprey = time - touch
-    early, later, full = (Detected.of(kind, one.attachments, rate) for one in (*moments, watch))
+    early, later, full = (Detected.of(kind, record.attachments, rate) for record in (*moments, watch))
     cpu = process_time() - begin
     first, best = full.chosen, later.chosen
-    sucking = max((one.sucks for one in early.attachments if one.present), default=0.0)
+    sucking = max((record.sucks for record in early.attachments if record.present), default=0.0)
     suction, x = np.nan, np.zeros(1)
     if first and made.centres_mm:
         at = min(made.centres_mm, key=first.distance)
@@ -259,7 +259,7 @@ def seen(
         best.breathes if best else 0.5,
         first.since_s - touch if first else np.nan,
         first.until_s - touch - attached_s if first and first.until_s is not None else np.nan,
-        sum(one.until_s is None or one.until_s - one.since_s > 3 for one in full.attachments),
+        sum(record.until_s is None or record.until_s - record.since_s > 3 for record in full.attachments),
         made.diameters_mm[0] if len(made.diameters_mm) == 1 else np.nan,
         size,
         size_sd,
@@ -283,14 +283,14 @@ def read(path: Path) -> Iterator[Seen]:
             yield Seen(**{name: kinds[name](text) for name, text in row.items()})  # type: ignore[operator]
 
 
-def write(path: Path, one: Seen) -> None:
+def write(path: Path, record: Seen) -> None:
     """Append a recording to a table."""
     new = not path.exists()
     with path.open("a", newline="") as file:
         table = csv.writer(file)
         if new:
             table.writerow([field.name for field in fields(Seen)])
-        table.writerow(list(asdict(one).values()))
+        table.writerow(list(asdict(record).values()))
 
 
 def area_under_curve(true: Array, false: Array) -> float:
@@ -300,19 +300,22 @@ def area_under_curve(true: Array, false: Array) -> float:
 
 def report(everything: Sequence[Seen]) -> None:
     """Print the tables of docs/studies/mouths.md."""
-    for rate in sorted({one.rate for one in everything}):
-        here = [one for one in everything if one.rate == rate]
+    for rate in sorted({record.rate for record in everything}):
+        here = [record for record in everything if record.rate == rate]
         print(
             f"\n{rate:g} frames a second\n| scene | recordings | answers after 10 s | P(sucks) after 5 s "
             "| P(breathes) | touched | released | kept as one | diameter: error, in 95 % | suction over true, in 95 % |"
         )
         for kind in KINDS:
-            some = [one for one in here if one.kind == kind]
+            some = [record for record in here if record.kind == kind]
             if not some:
                 continue
-            answers = {name: sum(one.answer == name for one in some) for name in sorted({one.answer for one in some})}
-            size = np.array([(one.diameter - one.true_diameter, one.diameter_sd) for one in some])
-            force = np.array([(one.suction, one.true_suction, one.suction_sd) for one in some])
+            answers = {
+                name: sum(record.answer == name for record in some)
+                for name in sorted({record.answer for record in some})
+            }
+            size = np.array([(record.diameter - record.true_diameter, record.diameter_sd) for record in some])
+            force = np.array([(record.suction, record.true_suction, record.suction_sd) for record in some])
             print(
                 f"| {kind} | {len(some)} | {', '.join(f'{name} {n}' for name, n in answers.items())} "
                 f"| {np.median([one.early for one in some]):.2f} | {np.median([one.breathes for one in some]):.2f} "
@@ -323,25 +326,35 @@ def report(everything: Sequence[Seen]) -> None:
             )
         sucking = ("mouth", "cup")
         early = {
-            one: [seen.early for seen in here if any(word in seen.kind for word in sucking) is one]
-            for one in (True, False)
+            record: [seen.early for seen in here if any(word in seen.kind for word in sucking) is record]
+            for record in (True, False)
         }
         if all(early.values()):
             print(f"sucks, after 5 s: AUC {area_under_curve(*map(np.array, early.values())):.4f}")
-        breathing = [np.array([one.breathes for one in here if one.kind in kinds]) for kinds in (MOUTHS, ("cup",))]
+        breathing = [
+            np.array([record.breathes for record in here if record.kind in kinds]) for kinds in (MOUTHS, ("cup",))
+        ]
         if all(map(len, breathing)):
             print(f"breathes: AUC {area_under_curve(*breathing):.4f}")
-        called = np.array([one.sucks * one.breathes for one in here])
-        are = np.array([one.kind in LIVING for one in here])
+        called = np.array([record.sucks * record.breathes for record in here])
+        are = np.array([record.kind in LIVING for record in here])
         for low, high in ((0, 0.1), (0.1, 0.5), (0.5, 0.9), (0.9, 1.01)):
             of = (called >= low) & (called < high)
             share = are[of].mean() if of.any() else np.nan
             print(f"P(lamprey) {low:g} to {min(high, 1):g}: {of.sum()} recordings, {share:.0%} are mouths")
-    deep = np.array([(one.seen_depth, one.depth, one.depth_sd) for one in everything if one.depth and one.sucks > 0.5])
+    deep = np.array(
+        [
+            (record.seen_depth, record.depth, record.depth_sd)
+            for record in everything
+            if record.depth and record.sucks > 0.5
+        ]
+    )
     if len(deep):
         covered = _held(deep[:, 0] - deep[:, 1], deep[:, 2])
         print(f"breathing depth over true {_middle(deep[:, 0] / deep[:, 1])}, {covered}")
-    force = np.array([(one.suction, one.true_suction, one.suction_sd) for one in everything if one.sucks > 0.5])
+    force = np.array(
+        [(record.suction, record.true_suction, record.suction_sd) for record in everything if record.sucks > 0.5]
+    )
     if len(force):
         covered = _held(force[:, 0] - force[:, 1], force[:, 2])
         print(f"suction over true {_middle(force[:, 0] / force[:, 1])}, {covered}")
@@ -352,27 +365,33 @@ def table(everything: Sequence[Seen]) -> None:
     """Print minutes to the answer, recall and false alarms for each frame rate."""
     print("| frames a second | mouths | called lamprey | minutes after: median, latest | others, hours | false |")
     print("|---|---|---|---|---|---|")
-    for rate in sorted({one.rate for one in everything}):
+    for rate in sorted({record.rate for record in everything}):
         mouths, others = (
-            [one for one in everything if one.rate == rate and (one.kind in LIVING) is is_one]
+            [record for record in everything if record.rate == rate and (record.kind in LIVING) is is_one]
             for is_one in (True, False)
         )
-        minutes = np.array([one.lamprey for one in mouths if np.isfinite(one.lamprey)]) / 60
-        hours, false = sum(one.watched for one in others) / 3600, sum(np.isfinite(one.lamprey) for one in others)
+        minutes = np.array([record.lamprey for record in mouths if np.isfinite(record.lamprey)]) / 60
+        hours, false = (
+            sum(record.watched for record in others) / 3600,
+            sum(np.isfinite(record.lamprey) for record in others),
+        )
         times = f"{np.median(minutes):.1f}, {minutes.max():.1f}" if len(minutes) else "–"
         bound = 24 * POISSON_95[min(false, 3)] / max(hours, 1e-9)
-        told = f"{false} ({24 * false / max(hours, 1e-9):.0f} a day, below {bound:.0f} with 95 %)"
-        print(f"| {rate:g} | {len(mouths)} | {len(minutes)} | {times} | {len(others)}, {hours:.1f} | {told} |")
+        stated = f"{false} ({24 * false / max(hours, 1e-9):.0f} a day, below {bound:.0f} with 95 %)"
+        print(f"| {rate:g} | {len(mouths)} | {len(minutes)} | {times} | {len(others)}, {hours:.1f} | {stated} |")
 
 
 def plot(everything: Sequence[Seen], path: Path) -> None:
     """ROC curves of both questions, at four frames a second and more, and how often what is called lamprey is one."""
     from matplotlib import pyplot
 
-    fast = [one for one in everything if one.rate > 3.8]
-    sucking = np.array([any(word in one.kind for word in ("mouth", "cup")) for one in fast])
-    mouths = np.array([one.kind in LIVING for one in fast])
-    early, called = np.array([one.early for one in fast]), np.array([one.sucks * one.breathes for one in fast])
+    fast = [record for record in everything if record.rate > 3.8]
+    sucking = np.array([any(word in record.kind for word in ("mouth", "cup")) for record in fast])
+    mouths = np.array([record.kind in LIVING for record in fast])
+    early, called = (
+        np.array([record.early for record in fast]),
+        np.array([record.sucks * record.breathes for record in fast]),
+    )
     figure, (left, right) = pyplot.subplots(1, 2, figsize=(9, 4), layout="constrained")
     for name, score, true in (("sucks, after 5 s", early, sucking), ("lamprey, after 10 s", called, mouths)):
         levels = np.unique(np.append(score, [-1.0, 2.0]))[::-1]
@@ -424,7 +443,7 @@ if __name__ == "__main__":
     parser.add_argument("--curve", choices=list(CURVES), default="published", help="of the film under suction")
     parser.add_argument("--figure", type=Path, help="ROC curves and calibration, such as roc.png")
     given = parser.parse_args()
-    found = [one for path in given.read or () for one in read(path)]
+    found = [record for path in given.read or () for record in read(path)]
     for number in range(0 if given.read else given.scenes):
         for rate in given.rates:
             for kind in given.kinds or (TABLE if given.table else KINDS):

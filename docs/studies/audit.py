@@ -155,36 +155,36 @@ def audited(task: AuditTask) -> tuple[Audited, ...]:
 
 def _counted(task: AuditTask, name: str, method: StudyMethod, recording: Recording) -> Audited:
     try:
-        found = reconstruct(recording, Estimator(method.parts, task.audit.formulation, error_bars=True))
+        results = reconstruct(recording, Estimator(method.parts, task.audit.formulation, error_bars=True))
     except InputError as error:
         return _failed(task, name, error)
     assert recording.truth_cell_resistance is not None and recording.truth_pressure is not None
     resting = np.exp(np.log(recording.truth_cell_resistance[recording.role == UNLOADED]).mean(axis=0))
-    truth = recording.truth_cell_resistance[found.frame]
-    load = recording.truth_pressure[found.frame] - recording.truth_pressure[0]
+    truth = recording.truth_cell_resistance[results.frame]
+    load = recording.truth_pressure[results.frame] - recording.truth_pressure[0]
     # A cell counts as loaded from 0.5 kPa on: below, a film's answer is smaller than its creep.
     intervals = {
-        "cells": _covered(found.cell_resistance_lower, truth, found.cell_resistance_upper),
-        "change": _covered(found.relative_change_lower, 100 * (truth / resting - 1), found.relative_change_upper),
-        "pressure": _covered(found.pressure_lower, load, found.pressure_upper, np.abs(load) > 0.5),
+        "cells": _covered(results.cell_resistance_lower, truth, results.cell_resistance_upper),
+        "change": _covered(results.relative_change_lower, 100 * (truth / resting - 1), results.relative_change_upper),
+        "pressure": _covered(results.pressure_lower, load, results.pressure_upper, np.abs(load) > 0.5),
     }
     counts: dict[str, Any] = {name: there for name, (there, _) in intervals.items()}
     counts |= {f"{name}_covered": inside for name, (_, inside) in intervals.items()}
-    if found.cell_resistance_errors is not None:
-        counts["width"] = float(np.nanmedian(found.cell_resistance_errors / found.cell_resistance))
-    for part, sigma in (("own", found.sigma_own), ("common", found.sigma_common)):
+    if results.cell_resistance_errors is not None:
+        counts["width"] = float(np.nanmedian(results.cell_resistance_errors / results.cell_resistance))
+    for part, sigma in (("own", results.sigma_own), ("common", results.sigma_common)):
         counts[part] = nan if sigma is None else float(np.nanmedian(sigma))
-    counts |= _own_part(found, truth) | {"chi_square": repeats_chi_square(recording)}
+    counts |= _own_part(results, truth) | {"chi_square": repeats_chi_square(recording)}
     failed = "" if counts["cells"] else "no error bars"
-    return Audited(task.effect, task.seed, name, failed, sentence="; ".join(found.checks), **counts)
+    return Audited(task.effect, task.seed, name, failed, sentence="; ".join(results.checks), **counts)
 
 
-def _own_part(found: Estimates, truth: Array) -> dict[str, Any]:
+def _own_part(results: Estimates, truth: Array) -> dict[str, Any]:
     """Cells within 1.96 σ_own of the median error of their frame, and σ_own over the robust error."""
-    own = found.sigma_own
+    own = results.sigma_own
     if own is None:
         return {}
-    error = np.log(found.cell_resistance / truth)
+    error = np.log(results.cell_resistance / truth)
     error = np.abs(error - np.nanmedian(error, axis=(1, 2), keepdims=True))
     there = np.isfinite(own) & np.isfinite(error)
     size = MAD_TO_SIGMA * float(np.median(error[there])) if there.any() else nan
@@ -212,20 +212,22 @@ def repeats_chi_square(recording: Recording) -> float:
 
 def _usual_sentence(own: Sequence[Audited]) -> str:
     """The most frequent one that results carry, whatever its numbers."""
-    kinds = study.grouped(own, lambda one: "".join(letter for letter in one.sentence if not letter.isdigit()))
-    said = [alike for kind, alike in kinds.items() if kind]
-    return max(said, key=len)[0].sentence if said else ""
+    kinds = study.grouped(own, lambda record: "".join(letter for letter in record.sentence if not letter.isdigit()))
+    messages = [similar for kind, similar in kinds.items() if kind]
+    return max(messages, key=len)[0].sentence if messages else ""
 
 
 def _share(own: Sequence[Audited], what: str) -> float:
     """Percent of all intervals that cover the truth; NaN where there is none."""
-    counted = sum(getattr(one, what) for one in own)
-    return 100 * sum(getattr(one, f"{what}_covered") for one in own) / counted if counted else nan
+    counted = sum(getattr(record, what) for record in own)
+    return 100 * sum(getattr(record, f"{what}_covered") for record in own) / counted if counted else nan
 
 
 def _spread(own: Sequence[Audited], what: str) -> float:
     """Standard error of that percentage, from the recordings', percent; NaN of fewer than two."""
-    shares = [100 * getattr(one, f"{what}_covered") / getattr(one, what) for one in own if getattr(one, what)]
+    shares = [
+        100 * getattr(record, f"{what}_covered") / getattr(record, what) for record in own if getattr(record, what)
+    ]
     return float(np.std(shares, ddof=1) / np.sqrt(len(shares))) if len(shares) > 1 else nan
 
 
@@ -244,15 +246,15 @@ def _verdict(shares: Sequence[float]) -> str:
 
 def _row(own: Sequence[Audited]) -> study.Row:
     """Coverages in percent, `silent_` those of recordings without a sentence; failed ones count nowhere."""
-    good = [one for one in own if not one.failed]
-    silent = [one for one in good if not one.sentence]
+    good = [record for record in own if not record.failed]
+    silent = [record for record in good if not record.sentence]
     coverage: dict[str, float] = {}
     for what in ("cells", "change"):
         coverage |= {what: _share(good, what), f"{what}_sd": _spread(good, what)}
     coverage["pressure"] = _share(good, "pressure")
     coverage |= {f"silent_{what}": _share(silent, what) for what in ("cells", "change", "pressure")}
     medians = {
-        what: float(np.median([getattr(one, what) for one in good])) if good else nan
+        what: float(np.median([getattr(record, what) for record in good])) if good else nan
         for what in ("chi_square", "width", "own", "common", "ratio")
     }
     return study.Row(
@@ -270,7 +272,7 @@ def _row(own: Sequence[Audited]) -> study.Row:
     )
 
 
-audit_rows = study.rows_by(lambda one: (one.effect, one.estimator), _row)
+audit_rows = study.rows_by(lambda record: (record.effect, record.estimator), _row)
 SCREEN: study.Screen = {
     "effect": "{effect}",
     "estimator": "{estimator}",
@@ -284,22 +286,22 @@ SCREEN: study.Screen = {
 }
 
 
-def audit_remarks(found: Sequence[Audited]) -> list[str]:
+def audit_remarks(results: Sequence[Audited]) -> list[str]:
     """What the columns mean, where the promise is broken, and the sentences that results carry."""
-    rows = audit_rows(found)
+    rows = audit_rows(results)
     broken = [f"{row.effect} × {row.estimator}" for row in rows if row.verdict in ("short", "uncovered")]
-    kept = f"{len(rows) - len(broken)} of {len(rows)} rows keep the promise"
+    cached = f"{len(rows) - len(broken)} of {len(rows)} rows keep the promise"
     lines = [
         "cells, change, press.: how many 95 % intervals cover the truth, ± their standard deviation over recordings;",
         "press. of loaded cells. own: cells whose error beside their frame's median lies within the own part; ratio:",
         "own part over that error. reported: results that carry a sentence.",
         f"promise, of results without a sentence: {LEAST:g} to {MOST:g} % (covered; more is wide), never below "
         f"{NEVER_BELOW:g} % (uncovered).",
-        kept + (f"; not: {', '.join(broken)}" if broken else ""),
+        cached + (f"; not: {', '.join(broken)}" if broken else ""),
     ]
-    said = {row.effect: row.sentence for row in rows if row.sentence}
-    lines += [f"{effect}: {sentence}" for effect, sentence in said.items()]
-    failures = Counter(f"{one.effect} × {one.estimator}: {one.failed}" for one in found if one.failed)
+    message = {row.effect: row.sentence for row in rows if row.sentence}
+    lines += [f"{effect}: {sentence}" for effect, sentence in message.items()]
+    failures = Counter(f"{record.effect} × {record.estimator}: {record.failed}" for record in results if record.failed)
     return lines + [f"{count} × {failure}" for failure, count in failures.items()]
 
 
@@ -312,7 +314,7 @@ STUDY: study.Study[AuditFile, Sequence[Audited]] = study.Study(
     rows=audit_rows,
     screen=SCREEN,
     form="audit/1",
-    records=lambda found: [study.RecordGroup("recordings", found, "cells_covered")],
+    records=lambda results: [study.RecordGroup("recordings", results, "cells_covered")],
     remarks=audit_remarks,
 )
 

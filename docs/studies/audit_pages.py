@@ -15,11 +15,11 @@ SHARES = ("cells", "change", "pressure")
 
 def rows_of(folder: Path) -> dict[str, dict[str, dict[str, str]]]:
     """effect → estimator → columns of audit.csv."""
-    found: dict[str, dict[str, dict[str, str]]] = {}
+    results: dict[str, dict[str, dict[str, str]]] = {}
     with (folder / "audit.csv").open(encoding="utf-8", newline="") as file:
         for row in csv.DictReader(file):
-            found.setdefault(row["effect"], {})[row["estimator"]] = row
-    return found
+            results.setdefault(row["effect"], {})[row["estimator"]] = row
+    return results
 
 
 def table(run: dict[str, dict[str, dict[str, str]]]) -> str:
@@ -50,5 +50,5 @@ def with_table(text: str, new: str) -> str:
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("folder", type=Path)
-    found = table(rows_of(parser.parse_args().folder))
-    PAGE.write_text(with_table(PAGE.read_text(encoding="utf-8"), found), encoding="utf-8")
+    results = table(rows_of(parser.parse_args().folder))
+    PAGE.write_text(with_table(PAGE.read_text(encoding="utf-8"), results), encoding="utf-8")

@@ -53,7 +53,7 @@ class Trf:
         point = _Point(self, data, np.sqrt(2 / start.cost_scale))
         lower, upper = (bound.ravel() for bound in data.log_bounds)
         try:
-            found = least_squares(
+            results = least_squares(
                 point.residuals,
                 np.clip(np.log(start.cell_resistance).ravel(), lower, upper),
                 point.jacobian if self.jacobian == "exact" else "2-point",
@@ -65,8 +65,8 @@ class Trf:
             )
         except (ValueError, np.linalg.LinAlgError):
             return Outcome(start.cell_resistance, np.zeros(0), Status.BREAKDOWN, 0)
-        status = Status.OPTIMUM if found.status > 0 else Status.ITERATIONS
-        return Outcome(np.exp(found.x).reshape(data.measured.shape), np.zeros(0), status, int(found.njev))
+        status = Status.OPTIMUM if results.status > 0 else Status.ITERATIONS
+        return Outcome(np.exp(results.x).reshape(data.measured.shape), np.zeros(0), status, int(results.njev))
 
     @cached_property
     @guarded

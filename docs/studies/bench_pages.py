@@ -22,9 +22,9 @@ def sections(text: str) -> dict[str, str]:
 def with_tables(text: str, tables: dict[str, str]) -> str:
     """A page with its tables replaced; one that was not measured stays as it is."""
 
-    def table(found: re.Match[str]) -> str:
-        name = found[1]
-        return f"<!-- bench: {name} -->\n\n{tables[name]}\n<!-- /bench -->\n" if name in tables else found[0]
+    def table(results: re.Match[str]) -> str:
+        name = results[1]
+        return f"<!-- bench: {name} -->\n\n{tables[name]}\n<!-- /bench -->\n" if name in tables else results[0]
 
     return MARKED.sub(table, text)
 

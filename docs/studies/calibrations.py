@@ -100,8 +100,8 @@ def draw(kind: str, rng: np.random.Generator) -> Draw:
     printed = resistors(kind, placed, (rows, columns), driven, rng)
     true = printed * (1 + tolerance * rng.uniform(-1, 1, printed.shape))
     cells = np.where(np.isinf(printed), OPEN, np.maximum(true, 1e-3))
-    told = Scene(Panel(rows, columns), readout)
-    return Draw(told, actual, truth, printed, cells, int(rng.integers(3, 15)), tolerance, placed)
+    stated = Scene(Panel(rows, columns), readout)
+    return Draw(stated, actual, truth, printed, cells, int(rng.integers(3, 15)), tolerance, placed)
 
 
 def resistors(kind: str, placed: str, shape: tuple[int, int], driven: str, rng: np.random.Generator) -> Array:
@@ -128,41 +128,44 @@ def resistors(kind: str, placed: str, shape: tuple[int, int], driven: str, rng: 
     return three
 
 
-def errors(found: ResistorCalibration, truth: tuple[Array, Array]) -> tuple[list[float], list[float]]:
+def errors(results: ResistorCalibration, truth: tuple[Array, Array]) -> tuple[list[float], list[float]]:
     """(found − true)/σ of means, and of what single lines add."""
     means, single = [], []
     sides = iter(truth)
-    for one in found.numbers:
+    for record in results.numbers:
         mean = 0.0
-        for lines in one.lines:
+        for lines in record.lines:
             measured, true = np.isfinite(lines.off_ohm), next(sides)
             mean += true[measured].mean()
             off = (lines.off_ohm - (true - true[measured].mean()))[measured]
             single += (off / lines.sigma_ohm[measured]).tolist() if measured.sum() > 1 else []
-        means.append((one.value - mean) / one.sigma)
+        means.append((record.value - mean) / record.sigma)
     return means, single
 
 
-def foam(one: Draw, rng: np.random.Generator) -> Array:
+def foam(record: Draw, rng: np.random.Generator) -> Array:
     """A panel of some 3 kΩ in place of the resistors."""
-    return np.exp(rng.normal(np.log(3050), 0.3, one.cells.shape))
+    return np.exp(rng.normal(np.log(3050), 0.3, record.cells.shape))
 
 
-def pressed(one: Draw, rng: np.random.Generator) -> Array:
+def pressed(record: Draw, rng: np.random.Generator) -> Array:
     """The same, a third of its cells pressed ever more."""
-    touched, cells = rng.random(one.cells.shape) < 0.3, foam(one, rng)
-    return cells * np.exp(-0.05 * np.arange(max(one.frames, 6))[:, None, None] * touched)
+    touched, cells = rng.random(record.cells.shape) < 0.3, foam(record, rng)
+    return cells * np.exp(-0.05 * np.arange(max(record.frames, 6))[:, None, None] * touched)
 
 
 Bad = Callable[[Draw, np.random.Generator], tuple[Array, Array]]
 BAD: dict[str, Bad] = {
-    "panel, said to be the resistors": lambda one, rng: (foam(one, rng), one.printed),
-    "panel, said to be shorted": lambda one, rng: (foam(one, rng), np.zeros(one.cells.shape)),
-    "panel pressed, said to be 3050 ohm": lambda one, rng: (pressed(one, rng), np.full(one.cells.shape, 3050.0)),
-    "table turned by 180 degrees": lambda one, rng: (one.cells, one.printed[::-1, ::-1]),
-    "values off by 35 %, either way": lambda one, rng: (
-        one.cells,
-        one.printed * np.exp(rng.choice([-0.3, 0.3], one.cells.shape)),
+    "panel, said to be the resistors": lambda record, rng: (foam(record, rng), record.printed),
+    "panel, said to be shorted": lambda record, rng: (foam(record, rng), np.zeros(record.cells.shape)),
+    "panel pressed, said to be 3050 ohm": lambda record, rng: (
+        pressed(record, rng),
+        np.full(record.cells.shape, 3050.0),
+    ),
+    "table turned by 180 degrees": lambda record, rng: (record.cells, record.printed[::-1, ::-1]),
+    "values off by 35 %, either way": lambda record, rng: (
+        record.cells,
+        record.printed * np.exp(rng.choice([-0.3, 0.3], record.cells.shape)),
     ),
 }
 
@@ -173,14 +176,14 @@ def good(kind: str, draws: int) -> None:
     single: list[float] = []
     refused = 0
     for seed in range(draws):
-        one = draw(kind, np.random.default_rng([seed, KINDS.index(kind)]))
+        record = draw(kind, np.random.default_rng([seed, KINDS.index(kind)]))
         try:
-            found = calibrate_resistors([one.recorded(one.cells, seed)], [one.printed], one.tolerance)
+            results = calibrate_resistors([record.recorded(record.cells, seed)], [record.printed], record.tolerance)
         except InputError as error:
             refused += 1
-            print(f"  {seed}, {one.placed}: {error}")
+            print(f"  {seed}, {record.placed}: {error}")
             continue
-        of_means, of_lines = errors(found, one.truth)
+        of_means, of_lines = errors(results, record.truth)
         means += of_means
         single += of_lines
     held, of_single = (100 * np.mean(np.abs(part) < 1.96) for part in (means, single))
@@ -196,14 +199,14 @@ def bad(kind: str, draws: int) -> None:
         count, accepted = 0, []
         for seed in range(5000, 5000 + draws):
             rng = np.random.default_rng([seed, KINDS.index(kind)])
-            one = draw(kind, rng)
-            if name.startswith(("table", "values")) and one.placed in ("three", "shorted"):
+            record = draw(kind, rng)
+            if name.startswith(("table", "values")) and record.placed in ("three", "shorted"):
                 continue  # three resistors turned or off are another good calibration, or next to one
-            cells, known = spoil(one, rng)
+            cells, known = spoil(record, rng)
             count += 1
             try:
-                calibrate_resistors([one.recorded(cells, seed)], [known], one.tolerance)
-                accepted.append(f"{seed} ({one.placed})")
+                calibrate_resistors([record.recorded(cells, seed)], [known], record.tolerance)
+                accepted.append(f"{seed} ({record.placed})")
             except InputError:
                 pass
         print(f"{kind}, {name}: {count - len(accepted)} of {count} refused {' '.join(accepted)}", flush=True)

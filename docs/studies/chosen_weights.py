@@ -85,13 +85,13 @@ def excess(recording: lampest.Recording, cells: Array, penalty: lampest.Term) ->
         terms, auto = [lampest.Misfit(weighting="noise"), replace(penalty, weight=weight)], weight == "auto"
         return lampest.reconstruct(recording, terms, auto_weight=lampest.AutoWeight(rule=rule), error_bars=auto)
 
-    def error(found: lampest.Estimates) -> float:
-        return float(np.sqrt(np.mean(np.log(found.cell_resistance[-1] / cells[-1]) ** 2)))
+    def error(results: lampest.Estimates) -> float:
+        return float(np.sqrt(np.mean(np.log(results.cell_resistance[-1] / cells[-1]) ** 2)))
 
     chosen = [fitted("auto", rule) for rule in RULES]
-    middle = np.exp(np.mean([np.log(found.steps[-1].weights[1]) for found in chosen]))
+    middle = np.exp(np.mean([np.log(results.steps[-1].weights[1]) for results in chosen]))
     others = [error(fitted(float(middle * factor))) for factor in FACTORS]
-    errors = np.array([error(found) for found in chosen])
+    errors = np.array([error(results) for results in chosen])
     return np.asarray(errors / np.nanmin([*others, *errors]))
 
 
@@ -105,8 +105,8 @@ def table(mats: int, seed: int) -> Iterator[str]:
         figures = []
         for name, penalty in PENALTIES.items():
             drawn = [recording_of(condition, seed + number) for number in range(mats if name in usable else 0)]
-            found = np.array([excess(*each, penalty) for each in drawn]).reshape(-1, len(RULES))
-            figures += [f"{np.median(own):.2f} / {own.max():.2f}" if len(own) else "" for own in found.T]
+            results = np.array([excess(*each, penalty) for each in drawn]).reshape(-1, len(RULES))
+            figures += [f"{np.median(own):.2f} / {own.max():.2f}" if len(own) else "" for own in results.T]
         yield f"| {about} | {' | '.join(figures)} |"
 
 

@@ -59,12 +59,12 @@ def study(scenes: int, seed: int) -> None:
     for _ in range(scenes):
         recording, cells = mouth(rng)
         for name, terms in METHODS.items():
-            found = reconstruct(recording, Estimator(terms, formulation="reduced"))
-            step = found.steps[0]
+            results = reconstruct(recording, Estimator(terms, formulation="reduced"))
+            step = results.steps[0]
             if not step.solution.solved or step.bars is None:
                 print(f"{name}: no error bars ({step.solution.status.value})")
                 continue
-            bars, error = step.bars.frame, np.log(found.cell_resistance[0] / cells[1])
+            bars, error = step.bars.frame, np.log(results.cell_resistance[0] / cells[1])
             free = ~(step.solution.at_lower[-1] | step.solution.open_cell[-1])
             held[name].append(((error <= bars.below) & (-error <= bars.above))[free].astype(float))
             standard[name].append((error / bars.deviation)[free])

@@ -81,20 +81,20 @@ def main() -> None:
     parser.add_argument("--error-bars", action="store_true")
     parser.add_argument("--folder", type=Path, default=Path("results/endless"))
     parser.add_argument("--run", action="store_true", help="The run alone, in this process.")
-    told = parser.parse_args()
-    config, out = told.folder / "run.yaml", told.folder / "out"
-    if told.run:
+    stated = parser.parse_args()
+    config, out = stated.folder / "run.yaml", stated.folder / "out"
+    if stated.run:
         run(config, out)
         return
-    told.folder.mkdir(parents=True, exist_ok=True)
-    penalty = "" if told.formulation == "naive" else ", gradient: {weight: auto}"
-    bars = str(told.error_bars).lower()
-    config.write_text(RUN.format(formulation=told.formulation, bars=bars, penalty=penalty))
-    save_parts(told.folder / "long.h5", parts(told.frames))
+    stated.folder.mkdir(parents=True, exist_ok=True)
+    penalty = "" if stated.formulation == "naive" else ", gradient: {weight: auto}"
+    bars = str(stated.error_bars).lower()
+    config.write_text(RUN.format(formulation=stated.formulation, bars=bars, penalty=penalty))
+    save_parts(stated.folder / "long.h5", parts(stated.frames))
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
-    print(f"{told.folder / 'long.h5'}: {told.frames} frames, made with at most {peak:.1f} MB", flush=True)
-    command = [sys.executable, "-m", "docs.studies.endless", "--run", "--folder", str(told.folder)]
-    killed(command, out, told.frames * 100 // PART_READINGS // 2)
+    print(f"{stated.folder / 'long.h5'}: {stated.frames} frames, made with at most {peak:.1f} MB", flush=True)
+    command = [sys.executable, "-m", "docs.studies.endless", "--run", "--folder", str(stated.folder)]
+    killed(command, out, stated.frames * 100 // PART_READINGS // 2)
     subprocess.run(command, check=True)
 
 

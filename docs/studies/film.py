@@ -68,21 +68,23 @@ def pressures(count: int, seed: int) -> None:
         for number in range(count):
             film, kpa = film_of(rng, 0.24, spread), float(rng.uniform(10, 24))
             made = pressed(rng, seed + number, film, tell(film), kpa)
-            found = reconstruct(made, Estimator((Misfit(),), "reduced"))
-            assert made.truth_pressure is not None and found.pressure is not None
-            assert found.pressure_lower is not None and found.pressure_upper is not None
-            truth = made.truth_pressure[found.frame]
+            results = reconstruct(made, Estimator((Misfit(),), "reduced"))
+            assert made.truth_pressure is not None and results.pressure is not None
+            assert results.pressure_lower is not None and results.pressure_upper is not None
+            truth = made.truth_pressure[results.frame]
             under = truth.max(axis=0) > 0.2 * truth.max()
-            errors.append(100 * np.abs(found.pressure - truth)[:, under] / truth.max())
-            held.append(((found.pressure_lower <= truth) & (truth <= found.pressure_upper))[:, under])
+            errors.append(100 * np.abs(results.pressure - truth)[:, under] / truth.max())
+            held.append(((results.pressure_lower <= truth) & (truth <= results.pressure_upper))[:, under])
         parts = {"loading": slice(0, 45), "unloading": slice(45, 60), "after": slice(62, None)}
-        said = [
+        messages = [
             f"{part} {np.percentile(np.concatenate([one[at].ravel() for one in errors]), 95):.1f} "
             f"(worst {max(one[at].max() for one in errors):.1f})"
             for part, at in parts.items()
         ]
-        within = 100 * np.mean(np.concatenate([one.ravel() for one in held]))
-        print(f"cells by {spread:4}, {name:10s} 95th percentile: {', '.join(said)}; within {within:.0f} %", flush=True)
+        within = 100 * np.mean(np.concatenate([record.ravel() for record in held]))
+        print(
+            f"cells by {spread:4}, {name:10s} 95th percentile: {', '.join(messages)}; within {within:.0f} %", flush=True
+        )
 
 
 def left(rng: np.random.Generator, seed: int, film: Film, told: Film | None) -> tuple[Recording, int]:
@@ -116,12 +118,12 @@ def memories(count: int, seed: int, name: str) -> None:
             film = film_of(rng)
             made, first = left(rng, seed + number, film, TOLD[name](film))
             made.save(Path(folder) / "left.h5")
-            found = detect_recording(Path(folder) / "left.h5").attachments
+            results = detect_recording(Path(folder) / "left.h5").attachments
             released = float(made.time[3 + first - 2])
-            here = [one for one in found if one.sucks > 0.5 and one.since_s < released]
+            here = [record for record in results if record.sucks > 0.5 and record.since_s < released]
             seen += bool(here)
-            late += [one.until_s - released for one in here if one.until_s is not None]
-            again += sum(one.since_s > released + 1 for one in found)
+            late += [record.until_s - released for record in here if record.until_s is not None]
+            again += sum(record.since_s > released + 1 for record in results)
     print(
         f"{name}: {seen} of {count} mouths seen, {len(late)} released, {np.median(late):.1f} s after the truth in the "
         f"median and {np.max(late):.1f} s at most; {again} loads in {count * AFTER} frames after that"

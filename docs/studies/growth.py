@@ -27,12 +27,12 @@ def main() -> None:
     parser.add_argument("--sides", type=int, nargs="+", default=[32, 64, 100])
     parser.add_argument("--methods", choices=PAPER, nargs="+", default=list(PAPER))
     parser.add_argument("--recording", type=int, default=2)
-    told = parser.parse_args()
+    stated = parser.parse_args()
     bench = read_settings(BenchFile)(Path("configs/bench.yaml"))
-    for method in told.methods:
-        spent = np.array([_spent(bench, method, side, told.recording - 1) for side in told.sides])
+    for method in stated.methods:
+        spent = np.array([_spent(bench, method, side, stated.recording - 1) for side in stated.sides])
         for name, seconds in zip(("first", "later"), spent.T, strict=True):
-            power = np.polyfit(np.log(told.sides), np.log(seconds), 1)[0] if len(told.sides) > 1 else np.nan
+            power = np.polyfit(np.log(stated.sides), np.log(seconds), 1)[0] if len(stated.sides) > 1 else np.nan
             print(f"{method}, {name}: side^{power:.2f}", flush=True)
 
 
@@ -42,18 +42,20 @@ def _spent(bench: BenchFile, method: str, side: int, number: int) -> tuple[float
     readings, times = recording.readings(), []
     stream = first_stream(recording, readings, bench.estimator(method, "reduced", (1, 1)))  # a pair on any panel
     for place, frame in enumerate(recording.measured_frames()[:FRAMES]):
-        begun = process_time()
+        start = process_time()
         stream, step = stream.push(readings[frame])
-        times.append(process_time() - begun)
+        times.append(process_time() - start)
         _print(f"{side} × {side}, {method}, frame {place}", times[-1], step.solution)
         if not step.solution.solved:
             raise SystemExit(step.status)
     return times[0], float(np.median(times[1:]))
 
 
-def _print(name: str, seconds: float, found: Solution) -> None:
+def _print(name: str, seconds: float, results: Solution) -> None:
     memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    print(f"{name}: {seconds:.2f} s, iterations {found.iterations}, {found.status.value}, {memory:.0f} MB", flush=True)
+    print(
+        f"{name}: {seconds:.2f} s, iterations {results.iterations}, {results.status.value}, {memory:.0f} MB", flush=True
+    )
 
 
 if __name__ == "__main__":

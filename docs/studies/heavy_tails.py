@@ -64,8 +64,8 @@ def study(count: int, seed: int, real: bool) -> None:
     names = ("attached, real", "rods, real") if real else ("attached", "rods, one taps")
     every = [SETTINGS[names[number % 2]].recording(seed + 7 * number) for number in range(count)]
     for term in TERMS:
-        found = np.array([excess(one, Estimator((Misfit(), term), "reduced")) for one in every])
-        both = zip(np.median(found, axis=0), np.percentile(found, 95, axis=0), strict=True)
+        results = np.array([excess(record, Estimator((Misfit(), term), "reduced")) for record in every])
+        both = zip(np.median(results, axis=0), np.percentile(results, 95, axis=0), strict=True)
         cells, change = (f"{middle:.2f} / {high:.2f}" for middle, high in both)
         print(f"{term.kind:25} {term.loss.kind:8} cells {cells}, changes {change}", flush=True)
 

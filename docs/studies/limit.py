@@ -148,35 +148,37 @@ def bound(recording: Recording, frames: NDArray[np.intp], cells: Array) -> Array
     """What |error| of log r has as its median at the Cramér–Rao bound, (frames, rows, columns), no more than 1."""
     readings, circuit = recording.readings(), recording.scene.circuit
     assert readings.sigma is not None
-    found = []
+    results = []
     for number, truth in zip(frames, cells, strict=True):
         network = circuit.network(truth, circuit.ties(readings.value[number]))
         rows = network.sensitivity() / readings.sigma[number].ravel()[:, None]
-        found.append(np.sqrt(np.diag(np.linalg.inv(rows.T @ rows + 1e-4 * np.eye(rows.shape[1])))))
-    return np.asarray(np.minimum(NORMAL_MEDIAN * np.stack(found), 1.0)).reshape(cells.shape)
+        results.append(np.sqrt(np.diag(np.linalg.inv(rows.T @ rows + 1e-4 * np.eye(rows.shape[1])))))
+    return np.asarray(np.minimum(NORMAL_MEDIAN * np.stack(results), 1.0)).reshape(cells.shape)
 
 
 def measure(recording: Recording, terms: tuple[Term, ...], formulation: str | SmootherMethod) -> Array:
     """Median error, percent; over the bound; 95th; held, of cells, changed ones, round jumps, changes; ms; solved."""
     begin = process_time()
-    found = reconstruct(recording, Estimator(terms, formulation))  # type: ignore[arg-type]
-    lower, upper = found.cell_resistance_lower, found.cell_resistance_upper
+    results = reconstruct(recording, Estimator(terms, formulation))  # type: ignore[arg-type]
+    lower, upper = results.cell_resistance_lower, results.cell_resistance_upper
     seconds = process_time() - begin
-    truth, solved = recording.truth_cell_resistance, found.solved
+    truth, solved = recording.truth_cell_resistance, results.solved
     assert truth is not None and lower is not None and upper is not None
-    cells, resting = truth[found.frame], truth[RESTING - 1]
-    error = 100 * np.abs(found.cell_resistance / cells - 1)
+    cells, resting = truth[results.frame], truth[RESTING - 1]
+    error = 100 * np.abs(results.cell_resistance / cells - 1)
     steps = np.abs(np.diff(np.log(truth), axis=0)).max(axis=(1, 2)) > STEPPED
-    around = (steps[found.frame - 1] | np.append(steps, False)[found.frame]) & solved
+    around = (steps[results.frame - 1] | np.append(steps, False)[results.frame]) & solved
     changed = (np.abs(np.log(cells / resting)) > STEPPED) & solved[:, None, None]
     held = 100.0 * ((lower <= cells) & (cells <= upper))
     change = 100 * (cells / resting - 1)
-    low, high = found.relative_change_lower, found.relative_change_upper
-    kept = np.full(cells.shape, np.nan) if low is None or high is None else 100.0 * ((low <= change) & (change <= high))
-    share = np.median(error[solved]) / (100 * np.median(bound(recording, found.frame, cells)[solved]))
+    low, high = results.relative_change_lower, results.relative_change_upper
+    cached = (
+        np.full(cells.shape, np.nan) if low is None or high is None else 100.0 * ((low <= change) & (change <= high))
+    )
+    share = np.median(error[solved]) / (100 * np.median(bound(recording, results.frame, cells)[solved]))
     return np.array(
         [np.median(error[solved]), share, np.percentile(error[solved], 95), held[solved].mean(), held[changed].mean(),
-         held[around].mean() if around.any() else np.nan, kept[solved].mean(), 1e3 * seconds / len(cells),
+         held[around].mean() if around.any() else np.nan, cached[solved].mean(), 1e3 * seconds / len(cells),
          100.0 * solved.mean()]
     )  # fmt: skip
 
@@ -193,7 +195,7 @@ def study(count: int, seed: int, settings: list[str], methods: list[str]) -> Non
             of_paper = every[:, 0] if method == "LSR-dCR" else of_paper
             error, share, high, *held, ms, solved = np.nanmean(every, axis=0)
             ratio = np.median(every[:, 0] / of_paper)
-            shown = " ".join(f"{one:5.1f}" for one in held)
+            shown = " ".join(f"{record:5.1f}" for record in held)
             text = f"{error:6.3f} % ({ratio:4.2f}) {share:5.2f} {high:6.2f} %; {shown} %; {ms:5.0f} ms; {solved:.0f} %"
             print(f"  {method:14} {text}", flush=True)
 

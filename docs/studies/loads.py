@@ -35,16 +35,16 @@ COLUMNS = ("mean", "median", "90 %", "weight", "held")
 def measured_forces(bench: Bench, scene: Scene, groups: list[list[Shape]]) -> Array:
     """(touches and figures): |error| of the force, the same against the weight; and the share of pressures held."""
     recording = bench.recorded(groups, "fresh", replace(scene, response=scene.response or PublishedResponse()))
-    found, truth = reconstruct(recording, Estimator((Misfit(),), "reduced")), recording.truth_pressure
-    assert truth is not None and found.pressure is not None
-    assert found.pressure_lower is not None and found.pressure_upper is not None
+    results, truth = reconstruct(recording, Estimator((Misfit(),), "reduced")), recording.truth_pressure
+    assert truth is not None and results.pressure is not None
+    assert results.pressure_lower is not None and results.pressure_upper is not None
     rows = []
     for number, group in enumerate(groups):
         first, _ = bench.frames_of(number)
         at, there = first - RESTING, truth[first]
         felt = there > 0.5
-        held = ((found.pressure_lower[at] <= there) & (there <= found.pressure_upper[at]))[felt].mean()
-        newton = forces(found.pressure[at], group, bench.panel)
+        held = ((results.pressure_lower[at] <= there) & (there <= results.pressure_upper[at]))[felt].mean()
+        newton = forces(results.pressure[at], group, bench.panel)
         weights = np.array([load.mass_g * 9.81e-3 for load in group if isinstance(load, Rod)])
         off = np.abs(newton / forces(there, group, bench.panel) - 1), np.abs(newton / weights - 1)
         rows.append(np.stack([*off, np.full(len(group), held)], axis=1))
@@ -65,10 +65,10 @@ def study(panels: int, seed: int, film: str, plan: str, repeat: float) -> None:
     for number in range(panels):
         bench = Bench(seed + number, repeat=repeat, response=FILMS[film])
         groups, known = moved_over(bench, kpa, 30.0, step)
-        found = calibrate_loads([bench.recorded(groups, "loads")], KnownLoads(schema=1, loads=tuple(known)), 0.01)
+        results = calibrate_loads([bench.recorded(groups, "loads")], KnownLoads(schema=1, loads=tuple(known)), 0.01)
         rng = np.random.default_rng(seed + 1000 + number)
         fresh = [touches(rng, bench.panel, int(rng.integers(2, 4))) for _ in range(FRESH)]
-        for name, scene in (("naive", bench.scene), ("calibrated", found.scene)):
+        for name, scene in (("naive", bench.scene), ("calibrated", results.scene)):
             errors[name].append(measured_forces(bench, scene, fresh))
     means = {name: np.concatenate(parts) for name, parts in errors.items()}
     for name, parts in means.items():

@@ -215,12 +215,14 @@ COLUMNS: dict[str, Callable[[Any], str]] = {
     "mat": lambda own: f"{own[0].side} × {own[0].side}",
     "noise": lambda own: f"{own[0].noise_percent:g} %",
     "solver": lambda own: own[0].solver,
-    "ms": lambda own: text_of(np.median([1e3 * one.seconds for one in own])),
-    "networks": lambda own: "" if own[0].evaluations is None else text_of(np.median([one.evaluations for one in own])),
-    "misfit %": lambda own: _percent(max(one.reading_error for one in own)),
-    "cell %": lambda own: _percent(np.median([one.cell_error for one in own])),
-    "worst %": lambda own: _percent(max(one.worst_cell_error for one in own)),
-    "g < 0": lambda own: str(sum(one.negative for one in own)),
+    "ms": lambda own: text_of(np.median([1e3 * record.seconds for record in own])),
+    "networks": lambda own: (
+        "" if own[0].evaluations is None else text_of(np.median([record.evaluations for record in own]))
+    ),
+    "misfit %": lambda own: _percent(max(record.reading_error for record in own)),
+    "cell %": lambda own: _percent(np.median([record.cell_error for record in own])),
+    "worst %": lambda own: _percent(max(record.worst_cell_error for record in own)),
+    "g < 0": lambda own: str(sum(record.negative for record in own)),
     "ended": lambda own: f"{sum(one.converged for one in own)}/{len(own)}",
 }
 
@@ -231,7 +233,7 @@ def _percent(value: float) -> str:
 
 def table(solves: Sequence[MatSolve]) -> str:
     """By side, noise and solver: each on all mats."""
-    groups = grouped(solves, lambda one: (one.side, one.noise_percent, one.solver))
+    groups = grouped(solves, lambda record: (record.side, record.noise_percent, record.solver))
     return markdown(screen_table(groups.values(), COLUMNS))
 
 

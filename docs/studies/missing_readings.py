@@ -50,15 +50,15 @@ def study(count: int, seed: int) -> None:
             for number in range(count):
                 made = mouth(rng, seed + number)
                 holes = (rng.random(made.recorded.shape) < share) & (made.role == MEASURED)[:, None, None]
-                found = reconstruct(
+                results = reconstruct(
                     replace(made, recorded=np.where(holes, np.nan, made.recorded)), Estimator(terms, "reduced")
                 )
-                lower, upper = found.cell_resistance_lower, found.cell_resistance_upper
+                lower, upper = results.cell_resistance_lower, results.cell_resistance_upper
                 assert made.truth_cell_resistance is not None and lower is not None and upper is not None
-                truth, hole = made.truth_cell_resistance[found.frame], holes[found.frame]
-                error, held = 100 * np.abs(found.cell_resistance / truth - 1), (lower <= truth) & (truth <= upper)
+                truth, hole = made.truth_cell_resistance[results.frame], holes[results.frame]
+                error, held = 100 * np.abs(results.cell_resistance / truth - 1), (lower <= truth) & (truth <= upper)
                 for parts, chosen in ((read, ~hole), (blind, hole)):
-                    chosen &= found.solved[:, None, None]
+                    chosen &= results.solved[:, None, None]
                     parts.append((error[chosen], held[chosen].astype(float)))
             print(f"{100 * share:4.0f} % {name:8} read: {_text(read)}   missing: {_text(blind)}", flush=True)
 

@@ -116,10 +116,10 @@ def wrong(seed: int, side: int, bits: int, exact: bool = False) -> Iterator[tupl
     """
     random = np.random.default_rng([seed, 2])
     panel = lampest.Panel(side, side, 10.0)
-    told = {"supply_volt": 3.3, "adc_bits": bits, "readings": 4, "noise_lsb": 1.0}
-    read = TwoPointReadout(**told, reference_ohm=1000.0)
-    divider = TwoPointReadout(**told, reference_ohm=10000.0)
-    loaded = LoadedColumnsReadout(**told, load_ohm=10000.0, drive_ohm=1080.0)
+    stated = {"supply_volt": 3.3, "adc_bits": bits, "readings": 4, "noise_lsb": 1.0}
+    read = TwoPointReadout(**stated, reference_ohm=1000.0)
+    divider = TwoPointReadout(**stated, reference_ohm=10000.0)
+    loaded = LoadedColumnsReadout(**stated, load_ohm=10000.0, drive_ohm=1080.0)
     shapes = ()
     while not shapes:
         shapes = loads(random, panel)
@@ -159,12 +159,12 @@ def evidence(exact: Recording) -> float:
     change = np.log(cells[measured[0]] / cells[0])
     moved = np.abs(change - np.median(change)) > 0.01
     question = Question(Rival(exact.scene, exact.recorded, exact.sigma), unloaded, measured)
-    found = Explanation.of(question.specified, question, patient=True)
+    results = Explanation.of(question.specified, question, patient=True)
     if 2 * moved.sum() >= moved.size:
         return 0.0
-    if found is None or min(fit.tail for fit in found.fits) < SIGNIFICANCE:
+    if results is None or min(fit.tail for fit in results.fits) < SIGNIFICANCE:
         return float("inf")
-    return min(found.joint(question, start).score for start in (found.moving, moved)) - A_CELL * int(moved.sum())
+    return min(results.joint(question, start).score for start in (results.moving, moved)) - A_CELL * int(moved.sum())
 
 
 def named(what: str, check: ModelCheck) -> bool:

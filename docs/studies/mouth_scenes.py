@@ -93,14 +93,14 @@ def annulus(rng: np.random.Generator, place: tuple[float, float], outer: float, 
     return Scene("", contact, suction if inner else _none, (outer,), (place,))
 
 
-def both(label: str, one: Scene, two: Scene) -> Scene:
+def both(label: str, record: Scene, two: Scene) -> Scene:
     """Two loads at once."""
     return Scene(
         label,
-        lambda x, y: one.contact(x, y) + two.contact(x, y),
-        lambda x, y: one.suction(x, y) + two.suction(x, y),
-        one.diameters_mm + two.diameters_mm,
-        one.centres_mm + two.centres_mm,
+        lambda x, y: record.contact(x, y) + two.contact(x, y),
+        lambda x, y: record.suction(x, y) + two.suction(x, y),
+        record.diameters_mm + two.diameters_mm,
+        record.centres_mm + two.centres_mm,
     )
 
 
@@ -230,10 +230,10 @@ def bubbles(rng: np.random.Generator, panel: Panel) -> Scene:
 def apart(rng: np.random.Generator, panel: Panel, make: Callable[[], Scene], label: str) -> Scene:
     """Two of a kind that stand clear by 4 mm, drawn until they do. Raises ValueError where a panel has no room."""
     for _ in range(5000):
-        one, two = make(), make()
-        clear = np.hypot(*np.subtract(one.centres_mm[0], two.centres_mm[0])) - 4
-        if clear > (one.diameters_mm[0] + two.diameters_mm[0]) / 2:
-            return both(label, one, two)
+        record, two = make(), make()
+        clear = np.hypot(*np.subtract(record.centres_mm[0], two.centres_mm[0])) - 4
+        if clear > (record.diameters_mm[0] + two.diameters_mm[0]) / 2:
+            return both(label, record, two)
     raise ValueError(f"{label} do not find room on {panel.rows} x {panel.columns} cells")
 
 

@@ -17,17 +17,19 @@ from lampest.studies.paper.sides import MEASURED, Published, Side, StepsSeen, sh
 def its_solver(panel: Side, published: Published) -> Side:
     """Return the side that the paper's solver leaves; times are evaluations, at the time that one took the paper."""
     changes, steps = {}, {}
-    methods = ({one.method for one in published.ranges} | {one.method for one in published.errors}) - {MEASURED}
+    methods = ({record.method for record in published.ranges} | {record.method for record in published.errors}) - {
+        MEASURED
+    }
     for method, number in (*((method, 0) for method in sorted(methods)), (published.mouth_method, 1)):
         mouth = panel.mouths[number]
         frames = mouth.recorded[mouth.measured_frames()]
-        found = left_by_solver(method, mouth.scene.panel, unloaded(mouth), frames)
-        changes[method, number] = found.change
-        parts = {"initial": slice(1), "following": slice(1, None)} if found.joint else {"all": slice(None)}
+        results = left_by_solver(method, mouth.scene.panel, unloaded(mouth), frames)
+        changes[method, number] = results.change
+        parts = {"initial": slice(1), "following": slice(1, None)} if results.joint else {"all": slice(None)}
         for name, part in parts.items() if not number else ():
-            mean, sd = statistics(found.data_error[part], "{}", "mean", "sd").values()
+            mean, sd = statistics(results.data_error[part], "{}", "mean", "sd").values()
             # Table I: LSM's 16.45 ± 0.40 s are its limit of 10,000 evaluations and one derivative.
-            time = 16.45 / 10_100 * float(found.evaluations[part].mean())
+            time = 16.45 / 10_100 * float(results.evaluations[part].mean())
             steps[method, name] = StepsSeen(nan if mean is None else mean, nan if sd is None else sd, time)
     return shown(replace(panel, name="its solver", word="solver", changes=changes, steps=steps))
 

@@ -101,37 +101,37 @@ def figures_of(simulation: Simulation, weights: Weights, methods: Sequence[str])
     resting = recording.recorded[recording.role == UNLOADED].mean(axis=0)
     frames = recording.recorded[recording.role == MEASURED]
     measured = 100 * (frames[0] / resting - 1)
-    found = {("measured", "low"): float(measured.min()), ("measured", "high"): float(measured.max())}
+    results = {("measured", "low"): float(measured.min()), ("measured", "high"): float(measured.max())}
     for method in methods:
         if method == "measured":
             continue
         left = left_by_solver(method, simulation.scene.panel, resting, frames, weights)
-        found[method, "low"], found[method, "high"] = float(left.change[0].min()), float(left.change[0].max())
+        results[method, "low"], results[method, "high"] = float(left.change[0].min()), float(left.change[0].max())
         if left.joint:
             within = inside(mouth_of(simulation), simulation.scene.panel)
-            found[method, "inside"] = float(left.change[0][within].max(initial=-100.0))
+            results[method, "inside"] = float(left.change[0][within].max(initial=-100.0))
         parts = (
             {"initial": left.data_error[:1], "following": left.data_error[1:]}
             if left.joint
             else {"all": left.data_error}
         )
         for steps, error in parts.items():
-            found[method, steps], found[method, f"{steps} sd"] = float(error.mean()), float(error.std(ddof=1))
-        found[method, "evaluations"] = float(left.evaluations.mean())
-    return found
+            results[method, steps], results[method, f"{steps} sd"] = float(error.mean()), float(error.std(ddof=1))
+        results[method, "evaluations"] = float(left.evaluations.mean())
+    return results
 
 
 def published() -> dict[tuple[str, str], float]:
     """The same of the paper, standard deviations included."""
     numbers = read_published(FILE)
-    found: dict[tuple[str, str], float] = {}
-    for one in numbers.ranges:
-        found[one.method, "low"], found[one.method, "high"] = one.low, one.high
-        if METHODS.get(one.method, ("", False))[1]:
-            found[one.method, "inside"] = one.high
+    results: dict[tuple[str, str], float] = {}
+    for record in numbers.ranges:
+        results[record.method, "low"], results[record.method, "high"] = record.low, record.high
+        if METHODS.get(record.method, ("", False))[1]:
+            results[record.method, "inside"] = record.high
     for row in numbers.errors:
-        found[row.method, row.steps], found[row.method, f"{row.steps} sd"] = row.error_percent, row.error_sd_percent
-    return found
+        results[row.method, row.steps], results[row.method, f"{row.steps} sd"] = row.error_percent, row.error_sd_percent
+    return results
 
 
 def off(ours: Mapping[tuple[str, str], float], methods: Sequence[str]) -> Array:
@@ -157,26 +157,26 @@ def off(ours: Mapping[tuple[str, str], float], methods: Sequence[str]) -> Array:
 
 def reproduced(ours: Mapping[tuple[str, str], float]) -> dict[tuple[str, str], bool]:
     """Which of the nineteen numbers lie within a quarter of the published one."""
-    wanted = {key: value for key, value in published().items() if not key[1].endswith(("sd", "inside"))}
-    return {key: abs(ours[key] - value) <= 0.25 * abs(value) for key, value in wanted.items()}
+    requested = {key: value for key, value in published().items() if not key[1].endswith(("sd", "inside"))}
+    return {key: abs(ours[key] - value) <= 0.25 * abs(value) for key, value in requested.items()}
 
 
 def numbers_at(place: Array) -> dict[str, float]:
     """Numbers of a place in the unit cube."""
-    found = {}
+    results = {}
     for part, (name, (least, most, logarithmic)) in zip(place, BOX.items(), strict=True):
-        found[name] = float(least * (most / least) ** part if logarithmic else least + (most - least) * part)
-    return found
+        results[name] = float(least * (most / least) ** part if logarithmic else least + (most - least) * part)
+    return results
 
 
 def place_of(numbers: Mapping[str, float]) -> Array:
     """The place of numbers, kept within the cube."""
-    found = []
+    results = []
     for name, (least, most, logarithmic) in BOX.items():
         value = numbers[name]
         part = np.log(value / least) / np.log(most / least) if logarithmic else (value - least) / (most - least)
-        found.append(part)
-    return np.clip(np.array(found), 0, 1)
+        results.append(part)
+    return np.clip(np.array(results), 0, 1)
 
 
 def distance(place: Array, fitted: Sequence[str], bound: float) -> float:
@@ -209,9 +209,9 @@ def search(seconds: float, seed: int, fitted: Sequence[str], first: Sequence[Map
         elif tried <= 60 and not first:
             place = rng.random(len(BOX))
         else:
-            one, two, three = (pool[min(int(rng.exponential(3)), len(pool) - 1)][1] for _ in range(3))
+            record, two, three = (pool[min(int(rng.exponential(3)), len(pool) - 1)][1] for _ in range(3))
             step = rng.normal(0, 0.08 * rng.random(), len(BOX)) * (rng.random(len(BOX)) < 0.4)
-            place = one + 0.6 * (two - three) * (rng.random() < 0.7) + step
+            place = record + 0.6 * (two - three) * (rng.random() < 0.7) + step
             place = np.clip(np.where(place < 0, -place, np.where(place > 1, 2 - place, place)), 0, 1)
         bound = pool[min(7, len(pool) - 1)][0] if pool else 12.0
         pool.append((distance(place, fitted, bound), place))
@@ -224,9 +224,9 @@ def search(seconds: float, seed: int, fitted: Sequence[str], first: Sequence[Map
 
 def check(file: Path, seeds: int, weights: Weights) -> None:
     """Every number of a shipped scene with its own seed, median and range over others; and what each effect does."""
-    ((_, told),) = read_simulations(file)
-    told = dataclasses.replace(told, frames=min(told.frames, 3))
-    runs = _seeds(told, weights, seeds)
+    ((_, stated),) = read_simulations(file)
+    stated = dataclasses.replace(stated, frames=min(stated.frames, 3))
+    runs = _seeds(stated, weights, seeds)
     for (method, what), target in published().items():
         own, *others = (run[method, what] for run in runs)
         within = np.mean([abs(other - target) <= 0.25 * abs(target) for other in others])
@@ -236,7 +236,7 @@ def check(file: Path, seeds: int, weights: Weights) -> None:
         )
     print("evaluations:", {method: runs[0][method, "evaluations"] for method in METHODS})
     print("within a quarter, of 19:", [sum(reproduced(run).values()) for run in runs])
-    for name, (simulation, with_weights) in _without(told, weights).items():
+    for name, (simulation, with_weights) in _without(stated, weights).items():
         varied = _seeds(simulation, with_weights, min(seeds, 4))
         counts = [sum(reproduced(run).values()) for run in varied]
         lost = [" ".join(key) for key, good in reproduced(varied[0]).items() if not good and reproduced(runs[0])[key]]
@@ -259,7 +259,7 @@ def _without(told: Simulation, weights: Weights) -> dict[str, tuple[Simulation, 
         "140 ohm in series": dataclasses.replace(hidden, series_resistance_ohm=140.0),
         "noise 10 times instead": dataclasses.replace(hidden, reading_error=0.0, noise_factor=10.0),
     }
-    varied = {name: (dataclasses.replace(told, unmodelled=one), weights) for name, one in changed.items()}
+    varied = {name: (dataclasses.replace(told, unmodelled=record), weights) for name, record in changed.items()}
     varied["cells alike (spread 0.2)"] = dataclasses.replace(told, cells=Cells(3050.0, 0.2)), weights
     varied["nothing on the other cells"] = dataclasses.replace(told, loads=(mouth,)), weights
     for name, relative in (("changes in percent: 10", 10.0), ("100 outside the square: 0.1", 0.1)):
@@ -276,11 +276,11 @@ def main() -> None:
     parser.add_argument("--first", type=json.loads, default=[], help="scenes to begin with, as printed, in a list")
     parser.add_argument("--check", type=Path)
     parser.add_argument("--seeds", type=int, default=10)
-    asked = parser.parse_args()
-    if asked.check:
-        check(asked.check, asked.seeds, WEIGHTS)
+    requested = parser.parse_args()
+    if requested.check:
+        check(requested.check, requested.seeds, WEIGHTS)
     else:
-        search(asked.seconds, asked.seed, ("measured", *METHODS) if asked.all else FITTED, asked.first)
+        search(requested.seconds, requested.seed, ("measured", *METHODS) if requested.all else FITTED, requested.first)
 
 
 if __name__ == "__main__":

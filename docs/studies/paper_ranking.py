@@ -22,22 +22,22 @@ MEASURED = "measured"
 def likeness(change: Array, truth: Array) -> Array:
     """Correlation of clipped maps, frame by frame."""
     drawn, true = (np.clip(maps, -100, 100).reshape(len(maps), -1) for maps in (change, truth))
-    return np.array([np.corrcoef(one, other)[0, 1] for one, other in zip(drawn, true, strict=True)])
+    return np.array([np.corrcoef(record, other)[0, 1] for record, other in zip(drawn, true, strict=True)])
 
 
 def looks(results: Results) -> dict[str, list[float]]:
     """Source → likeness of every frame that is solved."""
-    found: dict[str, list[float]] = {}
+    estimates: dict[str, list[float]] = {}
     for name in results.recordings():
         cases = results.of(name)
         truth = _true_change(cases[0])
-        found.setdefault(MEASURED, []).extend(
+        estimates.setdefault(MEASURED, []).extend(
             likeness(percent_change(cases[0].measured, cases[0].measured_baseline), truth)
         )
         for case in cases:
             good = case.solved
-            found.setdefault(case.estimator, []).extend(likeness(case.relative_change[good], truth[good]))
-    return found
+            estimates.setdefault(case.estimator, []).extend(likeness(case.relative_change[good], truth[good]))
+    return estimates
 
 
 def _true_change(case: CaseResult) -> Array:

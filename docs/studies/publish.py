@@ -65,8 +65,8 @@ def heard(kind: str, where: str, seconds: float) -> None:
     came: list[tuple[int, float, float]] = []
 
     def on_text(text: str | bytes) -> None:
-        now, told = time.time(), json.loads(text)
-        came.append((told["sequence"], now - told["health"]["arrived"], told["health"]["solve_seconds"]))
+        now, stated = time.time(), json.loads(text)
+        came.append((stated["sequence"], now - stated["health"]["arrived"], stated["health"]["solve_seconds"]))
 
     until = time.monotonic() + seconds
     address, _, topic = where.partition("://")[2].partition("/")
@@ -109,8 +109,8 @@ def heard(kind: str, where: str, seconds: float) -> None:
     else:
         import pylsl
 
-        found = pylsl.resolve_byprop("name", "lampest-study", timeout=seconds)
-        inlet = pylsl.StreamInlet(found[0])
+        results = pylsl.resolve_byprop("name", "lampest-study", timeout=seconds)
+        inlet = pylsl.StreamInlet(results[0])
         while time.monotonic() < until:
             sample, stamp = inlet.pull_sample(timeout=0.2)
             if sample is not None:

@@ -63,14 +63,14 @@ def coverage(name: str, draws: int, seed: int) -> None:
         for _ in range(draws):
             side = int(rng.integers(6, 17))
             cells = mouth_cells(rng, side)
-            found = reconstruct(
+            results = reconstruct(
                 measured(Scene(Panel(side, side), readout, series), cells, rng), Estimator(terms, "reduced")
             )
-            step = found.steps[0]
+            step = results.steps[0]
             if not step.solution.solved or step.bars is None:
                 failed += 1
                 continue
-            bars, error = step.bars.frame, np.log(found.cell_resistance[0] / cells[1])
+            bars, error = step.bars.frame, np.log(results.cell_resistance[0] / cells[1])
             free = ~(step.solution.at_lower[-1] | step.solution.open_cell[-1])
             held.append(((error <= bars.below) & (-error <= bars.above))[free])
             sizes.append((error / bars.deviation)[free])
@@ -106,10 +106,10 @@ def contrast(draws: int, seed: int) -> None:
         for _ in range(draws):
             cells = middle * np.exp(rng.uniform(-0.5, 0.5, (2, 16, 16)) * np.log(77))
             recording = measured(Scene(Panel(16, 16), readout, series), cells, rng)
-            for formulation, found in off.items():
+            for formulation, results in off.items():
                 done = reconstruct(recording, Estimator(METHODS["LSM"], formulation, error_bars=False))  # type: ignore[arg-type]
-                found.append(float(np.median(np.abs(done.cell_resistance[0] / cells[1] - 1))))
-        text = ", ".join(f"{name} {100 * np.median(found):.2f} %" for name, found in off.items())
+                results.append(float(np.median(np.abs(done.cell_resistance[0] / cells[1] - 1))))
+        text = ", ".join(f"{name} {100 * np.median(results):.2f} %" for name, results in off.items())
         print(f"cells round {middle / 1e3:g} kohm: {text} off in the median cell")
 
 

@@ -195,11 +195,11 @@ def interpolation(frame: Frame) -> Array:
 
 def fixed_point(frame: Frame) -> Array:
     """g ← max(g − β(G(g) − G_m), 0) from g = G_m; a cell without a reading is the mean of its neighbours."""
-    wanted = 1 / frame.measured
-    conductance, absent = frame.interpolated(np.where(frame.present, wanted, 0.0)), 1 / frame.data.upper[0]
+    requested = 1 / frame.measured
+    conductance, absent = frame.interpolated(np.where(frame.present, requested, 0.0)), 1 / frame.data.upper[0]
     for _ in range(MAX_STEPS):
         conductance = np.where(frame.present, np.maximum(conductance, absent), absent)
-        misfit = 1 / np.asarray(frame.data.network(0, 1 / conductance).reading()) - wanted
+        misfit = 1 / np.asarray(frame.data.network(0, 1 / conductance).reading()) - requested
         conductance = frame.interpolated(np.where(frame.known, np.maximum(conductance - STEP * misfit, 0), conductance))
     return frame.predicted(1 / np.where(frame.present, np.maximum(conductance, absent), absent))
 
@@ -275,10 +275,10 @@ def rows(study: Withheld) -> Iterator[Row]:
     frames = [Frame.of(study, number) for number in study.frames]
     without = study.errors(np.stack([interpolation(frame) for frame in frames]))
     for name, method in OTHERS.items():
-        begun = process_time()
+        start = process_time()
         with np.errstate(all="ignore"):
             errors = study.errors(np.stack([method(frame) for frame in frames]))
-        milliseconds = 1e3 * (process_time() - begun) / len(frames)
+        milliseconds = 1e3 * (process_time() - start) / len(frames)
         yield Row(study.whole.name, name, np.median(errors), np.median(errors / without), milliseconds)
     for name, (terms, auto_weight) in ESTIMATORS.items():
         yield _estimated(study, without, name, terms, auto_weight)
@@ -287,20 +287,20 @@ def rows(study: Withheld) -> Iterator[Row]:
 def _estimated(
     study: Withheld, without: Array, name: str, terms: Sequence[lampest.Term], rule: lampest.AutoWeight | None
 ) -> Row:
-    begun = process_time()
+    start = process_time()
     options = {} if rule is None else {"auto_weight": rule}
-    found = lampest.reconstruct(study.recording, list(terms), **options)
-    milliseconds = 1e3 * (process_time() - begun) / len(found.steps)
-    judged = np.searchsorted(found.frame, study.frames)
-    model = np.stack([found.steps[number].solution.reading[-1] for number in judged])
-    solved = found.solved[judged]
+    results = lampest.reconstruct(study.recording, list(terms), **options)
+    milliseconds = 1e3 * (process_time() - start) / len(results.steps)
+    judged = np.searchsorted(results.frame, study.frames)
+    model = np.stack([results.steps[number].solution.reading[-1] for number in judged])
+    solved = results.solved[judged]
     errors = np.where(solved, study.errors(study.shown(model)), np.nan)
-    covered, sigma = np.nan, found.reading_sigma
+    covered, sigma = np.nan, results.reading_sigma
     if sigma is not None:
         true = study.whole.readings().value[study.frames]
         inside = np.abs(true - model) <= 1.96 * sigma[judged]
         covered = float(np.mean(inside[study.held[study.frames] & np.isfinite(sigma[judged])]))
-    step = found.steps[int(judged[0])]
+    step = results.steps[int(judged[0])]
     weight, weight_sigma = (float(pair[1]) if len(pair) > 1 else np.nan for pair in (step.weights, step.weight_sigma))
     medians = np.nanmedian(errors), np.nanmedian(errors / without)
     return Row(study.whole.name, name, *medians, milliseconds, covered, weight, weight_sigma, float(solved.mean()))

@@ -75,18 +75,18 @@ def measured(rng: np.random.Generator, cells: Array, channels: Array, reference:
 
 def measure(made: Recording, method: str) -> Array:
     """Median error of cells and of changes, rms error of changes, percent; coverage of cells and of changes."""
-    found = reconstruct(made, Estimator(*METHODS[method]))  # type: ignore[arg-type]
-    assert made.truth_cell_resistance is not None and found.relative_change_lower is not None
-    assert found.cell_resistance_lower is not None and found.cell_resistance_upper is not None
-    cells, resting = made.truth_cell_resistance[found.frame], made.truth_cell_resistance[RESTING - 1]
-    assert found.relative_change_upper is not None
-    solved, change = found.solved, 100 * (cells / resting - 1)
-    error = np.log(found.cell_resistance / cells)[solved]
-    of_change = (np.log(found.cell_resistance / found.baseline_resistance) - np.log(cells / resting))[solved]
-    inside = ((found.cell_resistance_lower <= cells) & (cells <= found.cell_resistance_upper))[solved]
-    kept = ((found.relative_change_lower <= change) & (change <= found.relative_change_upper))[solved]
+    results = reconstruct(made, Estimator(*METHODS[method]))  # type: ignore[arg-type]
+    assert made.truth_cell_resistance is not None and results.relative_change_lower is not None
+    assert results.cell_resistance_lower is not None and results.cell_resistance_upper is not None
+    cells, resting = made.truth_cell_resistance[results.frame], made.truth_cell_resistance[RESTING - 1]
+    assert results.relative_change_upper is not None
+    solved, change = results.solved, 100 * (cells / resting - 1)
+    error = np.log(results.cell_resistance / cells)[solved]
+    of_change = (np.log(results.cell_resistance / results.baseline_resistance) - np.log(cells / resting))[solved]
+    inside = ((results.cell_resistance_lower <= cells) & (cells <= results.cell_resistance_upper))[solved]
+    cached = ((results.relative_change_lower <= change) & (change <= results.relative_change_upper))[solved]
     sizes = np.median(np.abs(error)), np.median(np.abs(of_change)), np.sqrt(np.mean(of_change**2))
-    return 100 * np.array([*sizes, inside.mean(), kept.mean()])
+    return 100 * np.array([*sizes, inside.mean(), cached.mean()])
 
 
 def study(count: int, seed: int, calibrate: int, loads: int) -> None:
@@ -98,7 +98,7 @@ def study(count: int, seed: int, calibrate: int, loads: int) -> None:
     rng = np.random.default_rng(seed)
     board = 3.0 * rng.standard_normal(2 * SIDE), float(rng.uniform(-0.01, 0.01))
     every = [made(seed + number) for number in range(count)]
-    of_paper = np.stack([measure(one, "LSR-dCR") for one in every])
+    of_paper = np.stack([measure(record, "LSR-dCR") for record in every])
 
     def told(name: str, rows: Array) -> None:
         ratios = rows[:, :3] / of_paper[:, :3]
@@ -106,16 +106,16 @@ def study(count: int, seed: int, calibrate: int, loads: int) -> None:
         print(f"{name:22} {rows.mean(axis=0).round(2)}; over LSR-dCR, median / worst: {shown}", flush=True)
 
     told("LSR-dCR", of_paper)
-    told("smoother", np.stack([measure(one, "smoother") for one in every]))
+    told("smoother", np.stack([measure(record, "smoother") for record in every]))
     if not calibrate:
         return
-    found = calibrate_channels([made(seed + 10_000 + number) for number in range(calibrate)])
-    off = (found.errors[1:] - board[0]).reshape(2, SIDE)
+    results = calibrate_channels([made(seed + 10_000 + number) for number in range(calibrate)])
+    off = (results.errors[1:] - board[0]).reshape(2, SIDE)
     left = np.sqrt(np.sum((off - off.mean(axis=1, keepdims=True)) ** 2) / (2 * SIDE - 2))
-    print(f"{found.summary()}; truly off by {left:.2f} ohm; the reference was off by {100 * board[1]:+.2f} %")
-    again = [replace(one, scene=found.scene) for one in every]
+    print(f"{results.summary()}; truly off by {left:.2f} ohm; the reference was off by {100 * board[1]:+.2f} %")
+    again = [replace(record, scene=results.scene) for record in every]
     for method in ("LSR-dCR", "smoother"):
-        told(f"{method}, calibrated", np.stack([measure(one, method) for one in again]))
+        told(f"{method}, calibrated", np.stack([measure(record, method) for record in again]))
 
 
 if __name__ == "__main__":

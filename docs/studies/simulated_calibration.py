@@ -89,10 +89,10 @@ def calibration(penalty: lampest.Term, noise: float, step: float, chosen: bool, 
         readings, sigma = exact * (1 + noise * rng.standard_normal(exact.shape)), noise * exact
         recording = lampest.Recording(SCENE, readings, np.zeros(1), np.ones(1, dtype=np.uint8), sigma=sigma)
         terms = (MISFIT, replace(penalty, weight="auto" if chosen else weight))
-        found = lampest.reconstruct(recording, terms, bounds=lampest.Bounds("none", "none"))
-        deviation = np.asarray(found.cell_resistance_errors) / found.cell_resistance
-        scores.append((np.log(cells / found.cell_resistance) / deviation).ravel())
-        weights.append(found.steps[0].weights[1] / weight)
+        results = lampest.reconstruct(recording, terms, bounds=lampest.Bounds("none", "none"))
+        deviation = np.asarray(results.cell_resistance_errors) / results.cell_resistance
+        scores.append((np.log(cells / results.cell_resistance) / deviation).ravel())
+        weights.append(results.steps[0].weights[1] / weight)
     return Calibration(np.array(scores), np.array(weights))
 
 
@@ -116,15 +116,15 @@ def table(draws: int, seed: int) -> Iterator[str]:
     for name, penalty in PRIORS.items():
         for noise, step in SETTINGS.values():
             for chosen in (False, True):
-                found = calibration(penalty, noise, step, chosen, draws, seed)
-                quantiles = " / ".join(f"{value:.2g}" for value in np.quantile(found.weights, (0.1, 0.5, 0.9)))
+                results = calibration(penalty, noise, step, chosen, draws, seed)
+                quantiles = " / ".join(f"{value:.2g}" for value in np.quantile(results.weights, (0.1, 0.5, 0.9)))
                 figures = (
                     f"`{name}`",
                     f"{100 * noise:g} %; {100 * step:g} %",
                     "chosen" if chosen else "known",
-                    *(f"{100 * share:.1f}" for share in found.coverage),
-                    f"{np.sqrt(np.mean(found.scores**2)):.2f}",
-                    ", ".join(f"{tail:.2f}" for tail in found.uniformity),
+                    *(f"{100 * share:.1f}" for share in results.coverage),
+                    f"{np.sqrt(np.mean(results.scores**2)):.2f}",
+                    ", ".join(f"{tail:.2f}" for tail in results.uniformity),
                     quantiles if chosen else "",
                 )
                 yield f"| {' | '.join(figures)} |"

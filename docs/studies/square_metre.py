@@ -165,8 +165,8 @@ def main() -> None:
     for name in ESTIMATORS if runs else ():
         (few, (short, _)), (many, (long, memory)) = ((frames, runs[frames][name]) for frames in (min(runs), max(runs)))
         each = (long - short) / max(many - few, 1)
-        said = f"{1e3 * each:5.0f} ms a frame, {short - few * each:5.1f} s once, peak {memory:.0f} MB"
-        print(f"{name:20} {few} frames {short:5.1f} s, {many} frames {long:5.1f} s: {said}", flush=True)
+        message = f"{1e3 * each:5.0f} ms a frame, {short - few * each:5.1f} s once, peak {memory:.0f} MB"
+        print(f"{name:20} {few} frames {short:5.1f} s, {many} frames {long:5.1f} s: {message}", flush=True)
     if given.disk:
         return
     for seed in (1, 2, 3) if given.weights else ():

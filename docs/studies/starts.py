@@ -39,10 +39,10 @@ class Tally:
 def tally(case: Case, random_starts: int, seed: int) -> Tally:
     """Of the frames of which enough was read to be solved."""
     excess, minima, ended = [], [], 0
-    for found, others, unit in _objectives(case, random_starts, np.random.default_rng(seed)):
-        least, ended = min([found, *others]), ended + len(others)
-        excess.append((found - least) / (least + unit))
-        ordered = np.sort(np.array([found, *others]) / (least + unit))
+    for results, others, unit in _objectives(case, random_starts, np.random.default_rng(seed)):
+        least, ended = min([results, *others]), ended + len(others)
+        excess.append((results - least) / (least + unit))
+        ordered = np.sort(np.array([results, *others]) / (least + unit))
         ordered = ordered[np.isfinite(ordered)]
         minima.append(int(1 + np.sum(np.diff(ordered) > 1e-6)) if len(ordered) else 0)
     at_best = sum(value <= 1e-6 for value in excess)
@@ -68,15 +68,15 @@ def _objectives(case: Case, count: int, generator: np.random.Generator) -> Itera
         places = (np.exp(generator.uniform(0, np.log(60), data.measured.shape)) for _ in range(count))
         ends = [solved_from(solver, evaluated(cost, data, data.apparent_resistance * place)) for place in places]
         least = evaluated(cost, data, data.lower)
-        found = step.solution.objective if step.solution.solved else np.inf
-        yield found, [end.objective for end in ends if end.solved], least.cost_scale - least.objective
+        results = step.solution.objective if step.solution.solved else np.inf
+        yield results, [end.objective for end in ends if end.solved], least.cost_scale - least.objective
 
 
 SCREEN: Screen = {
     "recording": "{recording}",
     "estimator": "{estimator}",
     "frames at the best": "{best}/{frames}",
-    "worst excess [%]": lambda one: f"{100 * one.worst_excess:.2g}",
+    "worst excess [%]": lambda record: f"{100 * record.worst_excess:.2g}",
     "most minima": "{most_minima}",
     "random solved": "{random_solved}/{random}",
 }

@@ -55,14 +55,14 @@ def study(count: int, seed: int) -> None:
             terms = (Misfit(weighting="noise", loss=loss), *penalties)
             parts: dict[int, list[tuple[Array, Array]]] = {STRUCK - 1: [], STRUCK: [], STRUCK + 1: []}
             for recording, cells in made:
-                found = reconstruct(recording, Estimator(terms, formulation="reduced"))
-                lower, upper = found.cell_resistance_lower, found.cell_resistance_upper
+                results = reconstruct(recording, Estimator(terms, formulation="reduced"))
+                lower, upper = results.cell_resistance_lower, results.cell_resistance_upper
                 assert lower is not None and upper is not None
-                free = ~(found.open_cell | found.at_lower_bound)
-                error = 100 * np.abs(found.cell_resistance / cells - 1)
+                free = ~(results.open_cell | results.at_lower_bound)
+                error = 100 * np.abs(results.cell_resistance / cells - 1)
                 held = (lower <= cells) & (cells <= upper)
                 for frame, own in parts.items():
-                    if found.solved[frame]:
+                    if results.solved[frame]:
                         own.append((error[frame].ravel(), held[frame][free[frame]].astype(float)))
             for frame, word in zip(parts, ("before", "struck", "after"), strict=True):
                 error, held = (np.concatenate(part) for part in zip(*parts[frame], strict=True))

@@ -93,8 +93,8 @@ def predictions(recording: Recording, case: Case, share: float, draws: int, seed
             without = interpolated(scene.panel, shown, (rest.seen > 0) & scene.panel.present)
             for factor, weights, cells in _estimates(estimator, scene, rest):
                 model = scene.circuit.to_recorded(scene.circuit.exact_reading(cells, scene.wiring), scene)
-                missed = ((one - shown)[held] for one in (visible(scene, model), without))
-                error, ignorant = (float(np.sqrt(np.mean(one**2))) for one in missed)
+                missed = ((record - shown)[held] for record in (visible(scene, model), without))
+                error, ignorant = (float(np.sqrt(np.mean(record**2))) for record in missed)
                 solved, hidden = bool(np.isfinite(cells).all()), float(np.median((cells / apparent)[used]))
                 about = (recording.name, case.name, unit, int(frame), factor, weights, solved, int(held.sum()))
                 yield Withheld(*about, error, ignorant, hidden)
@@ -108,10 +108,10 @@ def _estimates(
     for factor in FACTORS:
         weights = [float(term.weight) * (1.0 if term.reads_measurement else factor) for term in estimator.terms]
         cost = estimator.with_weights(weights).cost(scene, 1, partial=data.partial)
-        found = best_solution(ProjectedNewton(cost, estimator.solver), data, near)
-        near = found.cell_resistance if found.solved else near
+        results = best_solution(ProjectedNewton(cost, estimator.solver), data, near)
+        near = results.cell_resistance if results.solved else near
         of_penalties = zip(weights, estimator.terms, strict=True)
-        cells = found.cell_resistance[0] if found.solved else np.full(scene.panel.shape, np.nan)
+        cells = results.cell_resistance[0] if results.solved else np.full(scene.panel.shape, np.nan)
         yield factor, tuple(weight for weight, term in of_penalties if not term.reads_measurement), cells
 
 
@@ -138,30 +138,30 @@ def withheld_study(share: float, draws: int = 5, seed: int = 0) -> study.Study[R
         lambda run, on_step: study.of_cases(predicted, run, on_step, "predict"),
         rows=lambda cases: withheld_rows(cases.measured),
         screen=SCREEN,
-        left_out=lambda found: found.left_out,
+        left_out=lambda results: results.left_out,
     )
 
 
-def _row(ones: Sequence[Withheld]) -> study.Row:
+def _row(records: Sequence[Withheld]) -> study.Row:
     """Of a case at one weight: medians over frames and draws."""
-    solved = [(one.error, one.error / one.interpolated, one.hidden) for one in ones if one.solved]
+    solved = [(record.error, record.error / record.interpolated, record.hidden) for record in records if record.solved]
     error, ratio, hidden = np.median(solved or [(np.nan,) * 3], axis=0).tolist()
     return study.Row(
-        recording=ones[0].recording,
-        estimator=ones[0].estimator,
-        weight=" ".join(f"{weight:.3g}" for weight in ones[0].weights),
-        in_use=int(ones[0].factor == 1),
-        frames=len({one.frame for one in ones}),
-        withheld=sum(one.readings for one in ones),
-        solved=len(solved) / len(ones),
+        recording=records[0].recording,
+        estimator=records[0].estimator,
+        weight=" ".join(f"{weight:.3g}" for weight in records[0].weights),
+        in_use=int(records[0].factor == 1),
+        frames=len({record.frame for record in records}),
+        withheld=sum(record.readings for record in records),
+        solved=len(solved) / len(records),
         median_rms=error,
-        unit=ones[0].unit,
+        unit=records[0].unit,
         over_interpolation=ratio,
         cell_over_reading=hidden,
     )
 
 
-withheld_rows = study.rows_by(lambda one: (one.recording, one.estimator, one.factor), _row)
+withheld_rows = study.rows_by(lambda record: (record.recording, record.estimator, record.factor), _row)
 SCREEN: study.Screen = {
     "recording": "{recording}",
     "estimator": "{estimator}",

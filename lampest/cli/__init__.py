@@ -159,8 +159,8 @@ def main() -> None:
         warn(as_options(str(error)))
         sys.exit(WRONG_INPUT)
     except MemoryError as error:
-        said = " ".join(str(error).split()) or "no details"
-        warn(f"not enough memory ({said})")
+        message = " ".join(str(error).split()) or "no details"
+        warn(f"not enough memory ({message})")
         sys.exit(WRONG_INPUT)
     except SystemExit as end:
         if end.code == INTERRUPTED:

@@ -138,8 +138,8 @@ def fitted(
                 return None
             alone = cells_alone() if patient else replace(cells_alone(), solver=BRIEF)
             solver = alone.problem(scene, 1, float("inf"), partial=data.partial)
-            begun = None if patient else evaluated(solver.cost, data, fit.cells[None])
-            solution = best_solution(solver, data, None) if begun is None else solved_from(solver, begun)
+            start = None if patient else evaluated(solver.cost, data, fit.cells[None])
+            solution = best_solution(solver, data, None) if start is None else solved_from(solver, start)
             if solution.solved and solution.at is not None:
                 return CellsFit.at(data, readings, solution.at.networks[0])
     except BROKEN:
@@ -213,8 +213,8 @@ class JointFit:
         cells, moved : where to begin, (rows, columns) ohm of both frames, and which of them moved.
         """
         position = np.log([frame.ravel() for frame in cells])
-        begun = cls(rival, question, most, question.readings(rival), position, moved.ravel(), np.zeros(0))
-        best = begun.tied()
+        start = cls(rival, question, most, question.readings(rival), position, moved.ravel(), np.zeros(0))
+        best = start.tied()
         while not np.array_equal(moved := best.chosen_anew(), best.moved):
             anew = replace(best, moved=moved).tied()
             if not anew.score < best.score:
@@ -240,14 +240,14 @@ class JointFit:
         gap = np.where(self.moved, 0.0, self._change)
         step = _solved(fit.squares.jacobian, fit.slopes[1] @ gap - fit.residual)
         step *= min(1.0, FIT.longest / max(float(np.abs(step).max()), 1e-300))
-        begun = replace(fit, position=np.stack([self.position[0], self.position[1] - gap])).stepped(step)
+        start = replace(fit, position=np.stack([self.position[0], self.position[1] - gap])).stepped(step)
         low, high = np.full((2, len(step)), [[-np.inf], [np.inf]])
         if self.most:
-            low[place] = -begun.rival.ohm / (SERIES_UNIT * self.most)
+            low[place] = -start.rival.ohm / (SERIES_UNIT * self.most)
             high[place] = 1 / SERIES_UNIT + low[place]
         loop = replace(FIT, evaluations=60, settled=0.05, share=0.0)
-        least = loop.minimum(lambda step: begun.stepped(step).squares, np.zeros(len(step)), (low, high))
-        return begun.stepped(least.position)
+        least = loop.minimum(lambda step: start.stepped(step).squares, np.zeros(len(step)), (low, high))
+        return start.stepped(least.position)
 
     def stepped(self, step: Array) -> "JointFit":
         """Return the fit a step of its unknowns further."""
@@ -310,8 +310,8 @@ class JointFit:
     @cached_property
     def _freed(self) -> SumOfSquares:
         """Over the changes of all cells, with the other unknowns at their best."""
-        wanted = np.column_stack([self.slopes[1], self.residual])
-        left = wanted - self._common @ _solved(self._common, wanted)
+        requested = np.column_stack([self.slopes[1], self.residual])
+        left = requested - self._common @ _solved(self._common, requested)
         return SumOfSquares(left[:, -1], left[:, :-1], CELL_PRECISION)
 
     def chosen_anew(self) -> NDArray[np.bool_]:

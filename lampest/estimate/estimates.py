@@ -192,14 +192,14 @@ class Estimates:
     @property
     def status(self) -> tuple[str, ...]:
         """(frames) how each solve ended, a sentence; it names the converter's rails where they leave cells open."""
-        readout, said = self.recording.scene.readout, []
+        readout, messages = self.recording.scene.readout, []
         if readout is None or self.recording.scene.panel.modules is not None:
             return tuple(step.status for step in self.steps)
         for step, recorded in zip(self.steps, self.recording.recorded[self.frame], strict=True):
             sentence = AT_RAILS.get(step.solution.status)
             rails = readout.rails_reached(recorded) if sentence else ""
-            said.append(sentence.format(rails) if sentence and rails else step.status)
-        return tuple(said)
+            messages.append(sentence.format(rails) if sentence and rails else step.status)
+        return tuple(messages)
 
     @property
     def solved(self) -> NDArray[np.bool_]:
@@ -294,8 +294,8 @@ class Estimates:
         check, number = self.prepared.check, self.prepared.recording.number
         if not self._is_part or number is None:
             return check
-        said = f"; of a long recording {len(number)} frames between {number[0]} and {number[-1]} were asked"
-        return replace(check, sentence=check.sentence + said)
+        message = f"; of a long recording {len(number)} frames between {number[0]} and {number[-1]} were asked"
+        return replace(check, sentence=check.sentence + message)
 
     @property
     def noise(self) -> NoiseEstimate:

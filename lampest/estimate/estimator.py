@@ -90,8 +90,8 @@ class Estimator(Objective):
         """Whether estimates of such readings get error bars."""
         rows, columns = readings.value.shape[-2:]
         few = rows * columns <= MAX_ERROR_BAR_CELLS or self.weighs_previous
-        asked = self.error_bars if isinstance(self.error_bars, bool) else few
-        return asked and self.method.optimum and readings.sigma is not None
+        requested = self.error_bars if isinstance(self.error_bars, bool) else few
+        return requested and self.method.optimum and readings.sigma is not None
 
     def effort(self, panel: Panel) -> tuple[float, float]:
         """(s, bytes) of a first frame with penalties, about; zeros where less is asked for.

@@ -83,8 +83,8 @@ class ModelCheck:
 
     def without(self, outliers: int) -> "ModelCheck":
         """Return the check with the count of outliers that were left out."""
-        said = f"; {outliers} outlier{'s' if outliers > 1 else ''} of one frame left out" if outliers else ""
-        return replace(self, sentence=self.sentence + said)
+        message = f"; {outliers} outlier{'s' if outliers > 1 else ''} of one frame left out" if outliers else ""
+        return replace(self, sentence=self.sentence + message)
 
 
 @dataclass(frozen=True, eq=False)
@@ -194,8 +194,8 @@ class ExplainedRecording:
             latest = frame.refitted(question.readings(question.specified)[1], ())
             pairs += [] if latest is None else [(question.loaded, FittedPair.of(resting, latest))]
         search = Detector(scene.panel, patch_of(scene.panel)).search
-        lying = resting.fit.tail >= SIGNIFICANCE and search.lies_on(np.log(resting.fit.cells))
-        return replace(find_effects(pairs), loaded_at_rest=lying)
+        loaded = resting.fit.tail >= SIGNIFICANCE and search.lies_on(np.log(resting.fit.cells))
+        return replace(find_effects(pairs), loaded_at_rest=loaded)
 
 
 def check_of_modules(recording: Recording, layout: Modules, of_module: Callable[[int], ModelCheck]) -> ModelCheck:
@@ -222,13 +222,13 @@ def check_of_modules(recording: Recording, layout: Modules, of_module: Callable[
         return ModelCheck(None, "the circuit was not checked: no module is like the others and reads values")
     explains = [check.explains for check in checks.values()]
     verdict = False if False in explains else True if True in explains else None
-    said = {number: check for number, check in checks.items() if check.explains is verdict}
-    sentence = "; ".join(f"module {list(layout.place(number))}: {check.sentence}" for number, check in said.items())
+    agreeing = {number: check for number, check in checks.items() if check.explains is verdict}
+    sentence = "; ".join(f"module {list(layout.place(number))}: {check.sentence}" for number, check in agreeing.items())
     if len(checks) < layout.count:
         sentence += f"; {len(checks)} of {layout.count} modules were checked, those that move most"
-    better = next((check.better for check in said.values() if check.better), "")
-    lying = any(check.lying for check in checks.values())
-    return ModelCheck(verdict, sentence, better, max(check.noise for check in checks.values()), lying=lying)
+    better = next((check.better for check in agreeing.values() if check.better), "")
+    loaded = any(check.lying for check in checks.values())
+    return ModelCheck(verdict, sentence, better, max(check.noise for check in checks.values()), lying=loaded)
 
 
 def module_factors(recording: Recording, layout: Modules) -> dict[int, float]:
@@ -429,8 +429,8 @@ def _others(given: JointFit, specified: Explanation, rivals: list[Rival], questi
     plain = (_explanation(rival, question) for rival in rivals)
     better = (explanation for explanation in plain if explanation is not None and explanation.score < specified.score)
     likely = sorted(better, key=lambda explanation: explanation.score)[:MAX_CANDIDATES]
-    begun = (with_some_in_series(explanation.rival, question) for explanation in likely)
-    for explanation in (specified, *likely, *(explanation for explanation in begun if explanation is not None)):
+    start = (with_some_in_series(explanation.rival, question) for explanation in likely)
+    for explanation in (specified, *likely, *(explanation for explanation in start if explanation is not None)):
         try:
             fit = given if explanation is specified else explanation.joint(question, explanation.moving)
             most = most_in_series(fit.rival, question)

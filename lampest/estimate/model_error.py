@@ -68,8 +68,8 @@ def with_model_error(noise: NoiseEstimate, recording: Recording) -> NoiseEstimat
     if not factors:
         return noise
     factor = max(factors)
-    said = _in_words(factor, noise.sigma_factor, scene)
-    return scaled(replace(noise, sigma_factor=factor * noise.sigma_factor), factor).with_warnings(said)
+    message = _in_words(factor, noise.sigma_factor, scene)
+    return scaled(replace(noise, sigma_factor=factor * noise.sigma_factor), factor).with_warnings(message)
 
 
 def with_reading_error(noise: NoiseEstimate, recording: Recording) -> NoiseEstimate:
@@ -104,8 +104,8 @@ def _judges(recording: Recording, readings: Readings) -> Iterator[tuple[list[Dat
     def posed(penalty: Term, behind: Background) -> tuple[list[Data], Cost]:
         objective = PlainObjective((Misfit(weighting="noise"), penalty), Settings(), Bounds(), AutoWeight())
         solves = [objective.data(readings[number].alone(), behind) for number in frames]
-        alike = [data for data in solves if data.partial == solves[0].partial]
-        return alike, objective.cost(scene, 1, partial=solves[0].partial)
+        similar = [data for data in solves if data.partial == solves[0].partial]
+        return similar, objective.cost(scene, 1, partial=solves[0].partial)
 
     yield posed(LogGradient(weight=1.0), Background(scene))
     if np.any(recording.role == UNLOADED):

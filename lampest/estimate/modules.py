@@ -184,7 +184,7 @@ class ModulesStream(Stream):
         """As `Stream.restarted`, of every module."""
         assert isinstance(first, ModulesStream)
         pairs = zip(self.modules, first.modules, strict=True)
-        modules = tuple(module and begun and module.restarted(begun) for module, begun in pairs)
+        modules = tuple(module and start and module.restarted(start) for module, start in pairs)
         return replace(self, modules=modules, prepared=None)
 
     @property
@@ -276,9 +276,9 @@ def _sentence(layout: Modules, steps: Sequence[Step | None], status: Status) -> 
             why.setdefault("dead" if step is None else step.status, []).append(number)
     if sum(map(len, why.values())) == len(steps):
         return status.value
-    said = [status.value]
+    messages = [status.value]
     for reason, numbers in why.items():
         named = ", ".join(str(list(layout.place(number))) for number in numbers[:MAX_NAMED])
         more = f" and {len(numbers) - MAX_NAMED} more" if len(numbers) > MAX_NAMED else ""
-        said.append(f"module{'s' if len(numbers) > 1 else ''} {named}{more}: {reason}")
-    return "; ".join(said)
+        messages.append(f"module{'s' if len(numbers) > 1 else ''} {named}{more}: {reason}")
+    return "; ".join(messages)

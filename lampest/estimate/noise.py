@@ -109,13 +109,13 @@ class NoiseEstimate:
             (self.line_ripple_lsb, "LSB of a line"),
         )
         frames = ", ".join(f"{size:.2g} {name}" for size, name in shared if size)
-        said = (
+        messages = (
             f"scatter {self.factor:.3g} +- {self.factor_error:.1g} times as specified, {taken}",
             f"frames share {frames or 'nothing'}",
             f"{int(self.outliers.sum())} of {self.outliers.size} readings are outliers",
             "" if self.possible_errors is None else _sizes_in_words(self.possible_errors),
         )
-        return "; ".join(filter(None, said))
+        return "; ".join(filter(None, messages))
 
     def with_warnings(self, *said: str) -> "NoiseEstimate":
         """With more warnings, of which some may be ''."""
@@ -128,13 +128,13 @@ class NoiseEstimate:
             return self
         moved = share * largest_change_within_scan(scene, self.readings, measured)
         count = int(np.sum(np.sqrt(np.mean((moved / sigma) ** 2, axis=(1, 2))) > 1))
-        said = (
+        message = (
             f"motion within a scan: as if a scan took {share:.2g} of the time between frames, in {count} frames; "
             "error bars allow for it as far as their neighbours show"
         )
         return replace(
             self, readings=replace(self.readings, sigma=np.hypot(sigma, moved)), scan_share=share
-        ).with_warnings(said)
+        ).with_warnings(message)
 
 
 def with_still_cells(seen: NoiseEstimate, recording: Recording, sizes: Systematic) -> NoiseEstimate:
@@ -155,11 +155,11 @@ def with_still_cells(seen: NoiseEstimate, recording: Recording, sizes: Systemati
     chosen = np.unique([strongest, measured[0] if strongest != measured[0] else measured[-1]])
     hidden = possible_errors(scene, sizes, resting, still.readings[chosen], seen.frame)
     own = hidden.sizes.reading_error or 0.0 if hidden is not None and hidden.certain else 0.0
-    said = (
+    message = (
         f"cells that nobody touched seem to move as if each reading were off by {100 * own:.2g} %, the same in all "
         "frames, which error bars allow for"
     )
-    return replace(still, possible_errors=hidden).with_warnings(said if own > (sizes.reading_error or 0.0) else "")
+    return replace(still, possible_errors=hidden).with_warnings(message if own > (sizes.reading_error or 0.0) else "")
 
 
 def without_effects(seen: NoiseEstimate, recording: Recording, besides: CircuitEffects | None) -> NoiseEstimate:
@@ -206,7 +206,7 @@ def estimate_noise(recording: Recording, outliers: NDArray[np.bool_], cleaned: R
         significant = 1 - chi_square_tail(squares, parts.own_freedom) < SIGNIFICANCE
         used = shown_factor(readout, parts.own) if significant else 1.0
     error = parts.own / np.sqrt(2 * parts.own_freedom)
-    said = _noise_in_words(readout, parts.own, unloaded=unloaded > 1) if specified and used != 1 else ""
+    message = _noise_in_words(readout, parts.own, unloaded=unloaded > 1) if specified and used != 1 else ""
     frame, sizes = None, (0.0, 0.0)
     if readout is not None:
         volt = float(np.mean(readout.sigma_volt()))
@@ -218,7 +218,7 @@ def estimate_noise(recording: Recording, outliers: NDArray[np.bool_], cleaned: R
     scaled = cleaned if used == 1 else replace(cleaned, sigma=used * cleaned.sigma)
     shared = (plain.outliers, plain.outlier_rate, plain.warnings, scaled)
     seen = NoiseEstimate(*shared, parts.own, error, used, frame, parts.gain, *sizes)
-    return seen.with_warnings(said, _shared_in_words(parts.gain, *sizes))
+    return seen.with_warnings(message, _shared_in_words(parts.gain, *sizes))
 
 
 def noise_of_modules(recording: Recording, layout: Modules, every: Sequence[NoiseEstimate | None]) -> NoiseEstimate:
@@ -227,15 +227,15 @@ def noise_of_modules(recording: Recording, layout: Modules, every: Sequence[Nois
     readings = [given.of_module(layout, n) if seen is None else seen.readings for n, seen in enumerate(every)]
     nothing = np.zeros(recording.modules[0].recorded.shape, dtype=bool)
     outliers = np.stack([nothing if seen is None else seen.outliers for seen in every], axis=-3)
-    said = [
+    messages = [
         f"module {list(layout.place(n))}: {seen.sentence}" for n, seen in enumerate(every) if seen and seen.warnings
     ]
-    more = f"and {len(said) - MAX_NAMED} modules more" if len(said) > MAX_NAMED else ""
+    more = f"and {len(messages) - MAX_NAMED} modules more" if len(messages) > MAX_NAMED else ""
     rate = float(np.mean([seen.outlier_rate for seen in every if seen is not None]))
     whole = NoiseEstimate(
         layout.joined(outliers), rate, (), Readings.of_parts(layout, readings), of_modules=tuple(every)
     )
-    return whole.with_warnings(*said[:MAX_NAMED], more)
+    return whole.with_warnings(*messages[:MAX_NAMED], more)
 
 
 def shown_factor(readout: Readout, factor: float) -> float:
@@ -331,12 +331,12 @@ def scan_share(scene: Scene, resting: Readings, readings: Readings, measured: ND
 
 
 def _shared_in_words(gain: float, together: float, apart: float) -> str:
-    said = [
+    messages = [
         f"the gain of a frame varies by {100 * gain:.2g} %" if gain else "",
         f"the lines of a scan vary together by {together:.2g} LSB" if together else "",
         f"the readings of a scanned line vary together by {apart:.2g} LSB" if apart else "",
     ]
-    return f"{', '.join(filter(None, said))}, which error bars allow for" if any(said) else ""
+    return f"{', '.join(filter(None, messages))}, which error bars allow for" if any(messages) else ""
 
 
 def _impossible_in_words(count: int) -> str:

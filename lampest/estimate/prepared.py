@@ -187,11 +187,11 @@ def cleaned_together(recordings: Sequence[Recording]) -> list[Cleaned]:
     """Return the cleaned readings of networks of one shape that were recorded together."""
     passed = [with_saturated_stage(recording) for recording in recordings]
     first, *others = [recording.readings() for recording in passed]
-    together, alike = first.together(*others, axis=-3), dict[Readout, list[int]]()
+    together, similar = first.together(*others, axis=-3), dict[Readout, list[int]]()
     for place, recording in enumerate(passed):
-        alike.setdefault(recording.scene.circuit, []).append(place)
+        similar.setdefault(recording.scene.circuit, []).append(place)
     impossible = np.zeros(together.value.shape, dtype=bool)
-    for circuit, places in alike.items():
+    for circuit, places in similar.items():
         impossible[:, places] = impossible_readings(circuit, together[:, places])
     outliers, readings = without_outliers_at(impossible, together, passed[0].role == UNLOADED)
     return [Cleaned(recording, outliers[:, place], readings[:, place]) for place, recording in enumerate(passed)]

@@ -242,6 +242,6 @@ def standing_frames(readings: Readings, frame: int, others: NDArray[np.intp], no
     plain = readings.plain & readings.plain[frame]
     spread = noise * np.hypot(readings.sigma, readings.sigma[frame])
     square = np.where(plain, (readings.value - readings.value[frame]) / spread, 0.0) ** 2
-    alike = chi_square_tail(square.sum(axis=(1, 2)), np.maximum(plain.sum(axis=(1, 2)), 1)) >= MIN_TAIL
-    standing: NDArray[np.intp] = others[alike[others] | (others == frame)]
+    similar = chi_square_tail(square.sum(axis=(1, 2)), np.maximum(plain.sum(axis=(1, 2)), 1)) >= MIN_TAIL
+    standing: NDArray[np.intp] = others[similar[others] | (others == frame)]
     return standing

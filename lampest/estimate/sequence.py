@@ -173,12 +173,12 @@ def first_stream(
             return estimator, resting
         if (kind := converter_and_faults(scene)) not in chosen:
             every = recording.scene.of_modules if number is not None else (scene,)
-            alike = [
+            similar = [
                 n
                 for n, module in enumerate(every)
                 if converter_and_faults(module) == kind and n not in recording.scene.dead_modules
             ]
-            some = [network(every[n], None if number is None else n) for n in alike]
+            some = [network(every[n], None if number is None else n) for n in similar]
             chosen[kind] = _weighted(estimator, some)
         return chosen[kind], resting
 
@@ -270,22 +270,22 @@ class Parts:
 
     def estimates(self, done: Callable[[int], CarriedOver | None]) -> Iterator[SolvedPart]:
         """Solve every part that is not `done`. done : number → state after its last frame, where estimates are kept."""
-        stream = begun = self.stream
+        stream = start = self.stream
         for number, frames in enumerate(self.stored.blocks()):
             carried = done(number)
             if self.independent:
                 yield from () if carried is not None else self.solve_part(number)
                 continue
-            part = self._part(frames) if carried is None or not begun.rested else None
+            part = self._part(frames) if carried is None or not start.rested else None
             if carried is not None:
-                begun = begun if part is None else self._with_baseline(begun, part)
-                stream = carried.onto(begun)
+                start = start if part is None else self._with_baseline(start, part)
+                stream = carried.onto(start)
             elif part is not None:
                 stream, estimates = part.solve(stream)
                 carried = CarriedOver.of(stream)
                 yield number, estimates, carried
-                begun = stream.restarted(self.stream)
-                stream = carried.onto(begun)
+                start = stream.restarted(self.stream)
+                stream = carried.onto(start)
 
     def solve_part(self, number: int) -> Iterator[SolvedPart]:
         """Solve a part, where it stands apart and some of its frames are measured."""

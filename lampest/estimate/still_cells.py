@@ -166,11 +166,11 @@ def _error_costs(moves: CellChanges) -> tuple[Array, Chosen]:
     Beyond the linear limit changes say nothing more. The still cells change little from size to size.
     """
     sizes = [0.0, *(size for size in READING_ERRORS[2::2] if size * moves.reach <= LINEAR_LIMIT)]
-    costs, selections, begun = list[float](), list[Chosen](), None
+    costs, selections, start = list[float](), list[Chosen](), None
     for size in sizes:
-        cost, begun = moves.still(size, begun)
+        cost, start = moves.still(size, start)
         costs.append(cost)
-        selections.append(begun)
+        selections.append(start)
     between = np.interp(np.log(READING_ERRORS), np.log(sizes[1:]), costs[1:])
     return np.concatenate([costs[:1], between]), selections[int(np.argmin(costs))]
 

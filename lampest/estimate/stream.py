@@ -147,8 +147,8 @@ class Stream(SequenceState):
 
     def choosing(self, readings: Readings) -> bool:
         """Whether a frame, of which enough was read, chooses the weights that the data of the strongest one choose."""
-        asked = self.weights is None or (self.weights_due(readings) and not self.keeps_weights)
-        return self.chooses_weights and asked and bool(readings.enough(self.scene))
+        requested = self.weights is None or (self.weights_due(readings) and not self.keeps_weights)
+        return self.chooses_weights and requested and bool(readings.enough(self.scene))
 
     @property
     def is_independent(self) -> bool:
@@ -203,7 +203,7 @@ def _check_frame(readings: Readings, scene: Scene) -> None:
     if not isinstance(readings, Readings):
         raise InputError(f"a stream takes Readings.of(scene, values), not {in_words(readings)}")
     if readings.value.shape != scene.panel.shape:
-        held, wanted = (" × ".join(map(str, shape)) for shape in (readings.value.shape, scene.panel.shape))
+        held, requested = (" × ".join(map(str, shape)) for shape in (readings.value.shape, scene.panel.shape))
         raise InputError(
-            f"a stream takes one frame of {wanted} readings, not {held}; of several, take one or their mean()"
+            f"a stream takes one frame of {requested} readings, not {held}; of several, take one or their mean()"
         )

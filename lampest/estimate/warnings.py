@@ -33,8 +33,8 @@ def warnings_of(recording: Recording, noise: NoiseEstimate, check: ModelCheck) -
     circuit += f"; it is {TAKEN_OFF}" if circuit and taken else ""
     stage = saturated(recording)
     piled = "" if stage is None else stage.sentence
-    lying = UNEVENLY if check.lying and not less else ""
-    return tuple(filter(None, (*plain, lying, piled, circuit, check.together, *learned)))
+    loaded = UNEVENLY if check.lying and not less else ""
+    return tuple(filter(None, (*plain, loaded, piled, circuit, check.together, *learned)))
 
 
 def unsolved(solved: NDArray[np.bool_], status: tuple[str, ...]) -> str:
@@ -125,5 +125,5 @@ def _less_load(recording: Recording, readings: Readings) -> str:
         for word in get_args(get_type_hints(type(circuit))[name])
         if word != getattr(circuit, name)
     ]
-    said = "readings only ever show less load than the unloaded frames: did something lie on the panel then"
-    return f"{said}{''.join(words)}?"
+    message = "readings only ever show less load than the unloaded frames: did something lie on the panel then"
+    return f"{message}{''.join(words)}?"

@@ -60,8 +60,8 @@ def with_chosen_weights(
     Raises InputError where the noise is needed and unknown.
     """
     cost = estimator.cost(scene, len(data.measured), partial=data.partial)
-    alike = tuple(further for further in others if further.partial == data.partial)
-    search = WeightSearch(cost, (data, *alike), estimator.solver)
+    similar = tuple(further for further in others if further.partial == data.partial)
+    search = WeightSearch(cost, (data, *similar), estimator.solver)
     first = convex(data, near) if near is None else near
     small = data.measured[0].size <= MAX_CELLS and data.measured.size <= MAX_DENSE
     rule = estimator.auto_weight.rule or ("risk" if small else "evidence")

@@ -250,12 +250,12 @@ def _known_keys(kind: Any, content: Any, location: tuple[Any, ...]) -> set[str]:
     schema = adapter(kind).json_schema()
     objects = [item.get("properties", {}) for item in (schema, *schema.get("$defs", {}).values())]
     # An object of another kind has another word for a shared key.
-    alike = [
+    similar = [
         -1 if any(known[key].get("const", present[key]) != present[key] for key in shared) else len(shared)
         for known in objects
         for shared in [known.keys() & present.keys()]
     ]
-    keys = {key for known, like in zip(objects, alike, strict=True) if like == max(alike) for key in known}
+    keys = {key for known, like in zip(objects, similar, strict=True) if like == max(similar) for key in known}
     return keys - {*present, location[-1]}
 
 

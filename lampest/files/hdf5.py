@@ -264,9 +264,9 @@ def read_array(
         If the dataset is absent, of another shape, damaged, absurdly large, or does not fit the integer type.
     """
     dataset = _node(file, path, h5py.Dataset)
-    wanted = (dimensions,) if isinstance(dimensions, int) else dimensions
-    if dataset.shape is None or dataset.ndim not in wanted or dataset.dtype.kind not in "iuf":
-        numbers = " or ".join(str(number) for number in wanted)
+    requested = (dimensions,) if isinstance(dimensions, int) else dimensions
+    if dataset.shape is None or dataset.ndim not in requested or dataset.dtype.kind not in "iuf":
+        numbers = " or ".join(str(number) for number in requested)
         raise InputError(f"{file.filename}: {path} must be numeric with {numbers} dimensions")
     if shape and dataset.shape != shape:
         actual, required = (" × ".join(map(str, sizes)) for sizes in (dataset.shape, shape))

@@ -265,16 +265,16 @@ class FilmKnown:
         weight /= weight.sum()
         residue = float(np.sqrt(weight @ RESIDUES**2))
         if mean > MAX_CREEP_RESIDUE:
-            said = "creep not estimated: what stays after loads does not fade as creep does"
+            message = "creep not estimated: what stays after loads does not fade as creep does"
             known = replace(self, creep=Strength(0.0, 0.0), residue=MAX_LASTING_SHARE)
-            return replace(known, sentence=known._said("", said))
+            return replace(known, sentence=known._said("", message))
         spread = float(np.hypot(shared, mean * self.film.cell_spread))
         known = replace(self, creep=Strength(mean, float(np.hypot(spread, CELL_MEMORY_SD * mean))), residue=residue)
         if spread > shared:
             own = _likelihood(*data, MEMORY_SD, weight[None] @ RESIDUES)[0]
             known = replace(known, cells=_moments(own - 0.5 * ((CREEPS[:, None, None] - mean) / spread) ** 2))
-        said = f"estimated from the recording, and {100 * residue:.1f} % of a load may stay after it"
-        return replace(known, sentence=known._said(said if shared <= 0.8 * usual.sd else "assumed"))
+        message = f"estimated from the recording, and {100 * residue:.1f} % of a load may stay after it"
+        return replace(known, sentence=known._said(message if shared <= 0.8 * usual.sd else "assumed"))
 
     def at_once(self, change: Array, time: Array) -> tuple[Array, Array]:
         """Return ln r/r_rest without creep, and its deviation as creep is known, (frames, rows, columns); NaN stays.

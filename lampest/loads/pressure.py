@@ -84,11 +84,11 @@ class TareWatch:
         mean = watch._zero(memory, (time - zeroed) / 60) if steady else None
         if mean is None:
             return watch, None, ""
-        said = (
+        message = (
             f"nothing touched the panel for {count} frames ({time - first_time:.3g} s): no cell was off by more than "
             f"{100 * np.expm1(np.nanmax(np.abs(mean))):.2g} %, as drift and the film's memory allow"
         )
-        return TareWatch(self.tare, time), mean, said
+        return TareWatch(self.tare, time), mean, message
 
     def _zero(self, memory: Array, minutes: float) -> Array | None:
         """Return the mean of the first half.

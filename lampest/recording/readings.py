@@ -156,8 +156,8 @@ class Readings:
         noise = None if sigma is None else np.broadcast_to(layout.split(sigma), values.shape)
         parts: dict[int, Readings] = {}
         for own, numbers in scene.alike:
-            alike = cls.of(own, values[..., numbers, :, :], None if noise is None else noise[..., numbers, :, :])
-            parts |= {number: alike[..., at, :, :] for at, number in enumerate(numbers)}
+            similar = cls.of(own, values[..., numbers, :, :], None if noise is None else noise[..., numbers, :, :])
+            parts |= {number: similar[..., at, :, :] for at, number in enumerate(numbers)}
         return cls.of_parts(layout, [parts[number] for number in range(layout.count)])
 
     def each(self, change: Callable[[Array], Array]) -> "Readings":
@@ -217,11 +217,11 @@ class Readings:
         Of the scene's asked readings at most half are missing, and half are values, or M + N − 1 are: these describe a
         panel whose lines alone differ.
         """
-        asked = scene.asked
-        lines = int(asked.any(axis=1).sum() + asked.any(axis=0).sum())
-        least = min(-(-int(asked.sum()) // 2), lines - 1)
-        missing = ((self.seen == 0) & asked).sum(axis=(-2, -1))
-        return np.asarray(((self.plain & asked).sum(axis=(-2, -1)) >= least) & (2 * missing <= asked.sum()))
+        requested = scene.asked
+        lines = int(requested.any(axis=1).sum() + requested.any(axis=0).sum())
+        least = min(-(-int(requested.sum()) // 2), lines - 1)
+        missing = ((self.seen == 0) & requested).sum(axis=(-2, -1))
+        return np.asarray(((self.plain & requested).sum(axis=(-2, -1)) >= least) & (2 * missing <= requested.sum()))
 
     @cached_property
     def partial(self) -> bool:
@@ -369,11 +369,11 @@ def touching_rows(readings: Readings) -> tuple[tuple[int, ...], ...]:
         square = np.where(plain, (value[:, [row]] - value) / np.where(plain, spread, 1.0), 0.0) ** 2
         count[row] = plain.sum(axis=0)
         unlike[row] = square.sum(axis=0) / np.maximum(count[row], 1)
-    alike = (unlike <= 1 + ALIKE * np.sqrt(2 / np.maximum(count, 1))) & (count >= 4)  # readings of two lines
-    distant = np.where(alike | (count < 4), np.nan, unlike)
+    similar = (unlike <= 1 + ALIKE * np.sqrt(2 / np.maximum(count, 1))) & (count >= 4)  # readings of two lines
+    distant = np.where(similar | (count < 4), np.nan, unlike)
     with np.errstate(invalid="ignore"):
         distinct = np.array([np.nanmedian(row) if np.any(row > 0) else 0.0 for row in distant]) > DISTINCT
-    groups, group = scipy.sparse.csgraph.connected_components(alike & distinct & distinct[:, None], directed=False)
+    groups, group = scipy.sparse.csgraph.connected_components(similar & distinct & distinct[:, None], directed=False)
     members = (np.flatnonzero(group == number) for number in range(groups))
     return tuple(tuple(lines.tolist()) for lines in members if len(lines) > 1)
 

@@ -237,9 +237,9 @@ class Recording(Validated):
         """
         array = values.astype(float)
         known = read_scene(scene) if isinstance(scene, str | Path) else scene
-        wanted = ("rows", "columns") if known is None else known.panel.shape
-        if array.ndim != 3 or array.size == 0 or (known is not None and array.shape[1:] != wanted):
-            shapes = f"(frames, {wanted[0]}, {wanted[1]}) with at least one frame, not {array.shape}"
+        requested = ("rows", "columns") if known is None else known.panel.shape
+        if array.ndim != 3 or array.size == 0 or (known is not None and array.shape[1:] != requested):
+            shapes = f"(frames, {requested[0]}, {requested[1]}) with at least one frame, not {array.shape}"
             raise InputError(f"values must have the shape {shapes}")
         if not 0 <= baseline <= len(array):
             raise InputError(f"baseline must be a number of frames from 0 to {len(array)}, not {baseline}")

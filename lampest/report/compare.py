@@ -270,7 +270,7 @@ def _title(group: Sequence[Row], *, several: bool) -> str:
 
 def _table(title: str, things: Sequence[T], columns: Mapping[str, Callable[[T], str]]) -> Table:
     """Return a table with a row for each item, without empty columns."""
-    texts = {header: [text(thing) for thing in things] for header, text in columns.items()}
+    texts = {header: [text(item) for item in things] for header, text in columns.items()}
     filled = {header: column for header, column in texts.items() if any(column)}
     return Table(tuple(filled), tuple(zip(*filled.values(), strict=True)), title)
 

@@ -133,8 +133,8 @@ def _scene_lines(scene: Scene) -> list[str]:
         "assumed": scene.assumed and f"{scene.assumed_text}: the scene does not say",
         "series": scene.circuit.unit == "ohm" and scene.series_text,
     }
-    said = ("panel", "readout", "assumed", "series_resistance_ohm")
-    texts |= {name: _in_words(part) or "none" for name, part in plain_content(scene).items() if name not in said}
+    messages = ("panel", "readout", "assumed", "series_resistance_ohm")
+    texts |= {name: _in_words(part) or "none" for name, part in plain_content(scene).items() if name not in messages}
     return [_line(name, text) for name, text in texts.items() if text]
 
 

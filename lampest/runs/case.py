@@ -82,12 +82,12 @@ class CaseResult(Held):
     @property
     def chosen_weights(self) -> str:
         """Weights chosen by the data with the standard deviation of ln λ, as text."""
-        said = []
+        messages = []
         for term, sigma in self.weight_sigma.items():
             known, weights = sigma[np.isfinite(sigma)], self.weights[term][np.isfinite(self.weights[term])]
             if known.size and weights.size:
-                said.append(f"{term} λ = {np.median(weights):.3g} (ln λ ± {np.median(known):.2g})")
-        return ", ".join(said)
+                messages.append(f"{term} λ = {np.median(weights):.3g} (ln λ ± {np.median(known):.2g})")
+        return ", ".join(messages)
 
     @cached_property
     def swept(self) -> dict[str, Any]:
@@ -117,13 +117,13 @@ class CaseResult(Held):
             return ""
         known, words = np.isfinite(self.sigma_own) & (self.sigma_own > 0), "own {:.2g} {unit}, common {:.2g} {unit}"
         own, common = (100 * float(np.median(part[known])) for part in (self.sigma_own, self.sigma_common))
-        said, parts = (
+        message, parts = (
             f"standard deviation of cells: {words.format(own, common, unit='%')}",
             self.pressed_errors(self.solved),
         )
         if parts is None or not parts[0].size:
-            return said
-        return f"{said}; of pressures: {words.format(*map(np.median, parts), unit='kPa')}"
+            return message
+        return f"{message}; of pressures: {words.format(*map(np.median, parts), unit='kPa')}"
 
     def pressed_errors(self, chosen: NDArray[np.bool_]) -> tuple[Array, Array] | None:
         """Return own and common standard deviations of pressure in kPa of the pressed cells in some frames."""
@@ -233,8 +233,8 @@ class CaseResult(Held):
         sizes = dict(zip(MAPS, self.measured.shape, strict=True))
         shape = tuple(sizes[axis] for axis in axes)
         if np.shape(values) != shape:
-            held, wanted = (" × ".join(map(str, sizes)) or "one value" for sizes in (np.shape(values), shape))
-            raise InputError(f"{path} is {held}; the frames ask for {wanted}")
+            held, requested = (" × ".join(map(str, sizes)) or "one value" for sizes in (np.shape(values), shape))
+            raise InputError(f"{path} is {held}; the frames ask for {requested}")
 
 
 @dataclass(frozen=True)

@@ -204,11 +204,11 @@ class Series:
     @property
     def attributes(self) -> dict[str, Any]:
         """Units, long name, and flags as the CF conventions have them (section 3.5)."""
-        said = {"units": self.units, "long_name": self.long_name}
+        attributes = {"units": self.units, "long_name": self.long_name}
         if not self.flags:
-            return said
+            return attributes
         values = np.array([value for value, _ in self.flags], dtype=np.uint8 if self.dtype is bool else self.dtype)
-        return said | {"flag_values": values, "flag_meanings": " ".join(word for _, word in self.flags)}
+        return attributes | {"flag_values": values, "flag_meanings": " ".join(word for _, word in self.flags)}
 
 
 def declared(axes: tuple[str, ...], units: str, words: str, *checks: Check, default: Any = MISSING, **more: Any) -> Any:

@@ -34,8 +34,8 @@ FORBID: dict[str, Any] = {"extra": "forbid"}
 
 def terms_class(kinds: Mapping[str, type[Term]], *bases: type[Any]) -> type[Any]:
     """Return a dataclass with a field for every kind of term, None by default."""
-    said = "The cost terms of an estimator, by kind."
-    space = {"__pydantic_config__": FORBID, "__module__": __name__, "__doc__": said}
+    summary = "The cost terms of an estimator, by kind."
+    space = {"__pydantic_config__": FORBID, "__module__": __name__, "__doc__": summary}
     terms = [(kind, term | None, field(default=None)) for kind, term in kinds.items()]
     return make_dataclass("Terms", terms, bases=bases, frozen=True, namespace=space)
 
@@ -302,12 +302,12 @@ def resolve(document: Document, run: RunFile, name: str) -> Estimator:
     own = document.content["estimators"][name]
     merged = shared | own | {part: shared.get(part, {}) | own.get(part, {}) for part in ("solver", "bounds")}
     try:
-        said: EstimatorEntry = adapter(EstimatorEntry).validate_json(json.dumps(merged))
+        entry: EstimatorEntry = adapter(EstimatorEntry).validate_json(json.dumps(merged))
     except ValueError as error:
         raise document.error(("estimators", name), "does not fit the run") from error
     try:
         check_name(name, "estimator")
-        return Estimator(terms_of(said.terms), *(getattr(said, item.name) for item in fields(Choices)))
+        return Estimator(terms_of(entry.terms), *(getattr(entry, item.name) for item in fields(Choices)))
     except ValueError as error:
         raise document.error(("estimators", name), str(error)) from error
 

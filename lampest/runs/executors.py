@@ -428,9 +428,9 @@ def each_of(
     executor: Executor = Processes() if len(things) > MIN_TASKS and not in_process else Serial()
     results: dict[int, Any] = {}
     with closing(executor.results(function, things)) as ends:
-        for count, (thing, outcome) in enumerate(ends, 1):
+        for count, (item, outcome) in enumerate(ends, 1):
             if isinstance(outcome, BaseException):
                 raise outcome
-            results[id(thing)] = outcome
+            results[id(item)] = outcome
             on_done(count, len(things))
-    return [results[id(thing)] for thing in things]
+    return [results[id(item)] for item in things]

@@ -348,9 +348,9 @@ def _read_recording(file: h5py.File, name: str, table: Sequence[Column], part: s
         group = f"/entry/{name}/{estimator}"
         values = given | held(group, (column for column in table if not column.shared))
         figures = {each.name: _read_figures(file, f"{group}/{each.folder}", shape[:1], part) for each in FIGURES}
-        said = known | _read_attributes(file, group) | figures
+        attributes = known | _read_attributes(file, group) | figures
         try:
-            case = CaseResult.of(values, estimator=estimator, **said)
+            case = CaseResult.of(values, estimator=estimator, **attributes)
             case.check(table)
         except InputError as error:
             raise InputError(f"{file.filename}: {error}") from error

@@ -58,20 +58,20 @@ def best_solution(
 
 
 def _lowest(solver: Solver, data: Data, previous: Array | None) -> Solution:
-    wanted, best, tried, spent = solver.settings.starts, None, 0, 0
+    requested, best, tried, spent = solver.settings.starts, None, 0, 0
     first = previous is None or data.first
-    most = wanted or (FIRST_STARTS if first and several_minima(solver.cost, data) else 1)
-    places = chain(starts(solver.cost, data, previous), scattered(data) if wanted else ())
+    most = requested or (FIRST_STARTS if first and several_minima(solver.cost, data) else 1)
+    places = chain(starts(solver.cost, data, previous), scattered(data) if requested else ())
     for start in evaluable(solver.cost, data, places):
         solved = best is not None and best.solved
-        enough = tried >= most or (wanted is None and spent > MAX_SPENT)
-        if tried and (data.overdue or (solved and enough) or (wanted is None and spent > MAX_UNSOLVED)):
+        enough = tried >= most or (requested is None and spent > MAX_SPENT)
+        if tried and (data.overdue or (solved and enough) or (requested is None and spent > MAX_UNSOLVED)):
             break
         solution, tried = solved_from(solver, start), tried + 1
         spent += solution.iterations
         lower = best is None or not best.solved or solution.objective < best.objective * (1 - SAME_MINIMUM)
         best = solution if best is None or (solution.solved and lower) else best
-        if wanted is None and solution.strict and solution.convex:
+        if requested is None and solution.strict and solution.convex:
             break
     return _broken(solver.cost, data) if best is None else replace(best, starts=tried)
 

@@ -182,12 +182,12 @@ class BenchPart(NamedTuple):
     def expected_s(self, bench: BenchFile, done: Sequence[BenchFrame]) -> float:
         """Predict the time from the largest panel up to this size, growing as (M + N)³."""
         solvers, lines = bench.solvers(self.shape), sum(self.shape)
-        alike = [frame for frame in done if frame.method == self.method and frame.solver in solvers]
-        alike = [frame for frame in alike if sum(frame.shape) <= lines]
-        nearest = max((sum(frame.shape) for frame in alike), default=lines)
-        alike = [frame for frame in alike if sum(frame.shape) == nearest]
-        recordings = len({(frame.shape, frame.recording) for frame in alike}) or 1
-        return sum(frame.seconds for frame in alike) / recordings * (lines / nearest) ** 3
+        similar = [frame for frame in done if frame.method == self.method and frame.solver in solvers]
+        similar = [frame for frame in similar if sum(frame.shape) <= lines]
+        nearest = max((sum(frame.shape) for frame in similar), default=lines)
+        similar = [frame for frame in similar if sum(frame.shape) == nearest]
+        recordings = len({(frame.shape, frame.recording) for frame in similar}) or 1
+        return sum(frame.seconds for frame in similar) / recordings * (lines / nearest) ** 3
 
 
 LeftOut = tuple[common.Shape, str, str]  # a panel, a method, and what of them there was no time for
@@ -235,8 +235,8 @@ def _frames(bench: BenchFile, recording: Recording, part: BenchPart, end: float)
     estimators = {name: bench.estimator(part.method, name, part.shape) for name in bench.solvers(part.shape)}
     readings, matrix = recording.readings(), laplacian(np.ones(part.shape))[1:, 1:]
     stream = first_stream(recording, readings, bench.estimator(part.method, "reduced", part.shape))
-    begun = stream.previous if stream.estimator.relative else None  # without it, the first frame is a cold start
-    streams = {name: replace(stream, estimator=estimator, previous=begun) for name, estimator in estimators.items()}
+    start = stream.previous if stream.estimator.relative else None  # without it, the first frame is a cold start
+    streams = {name: replace(stream, estimator=estimator, previous=start) for name, estimator in estimators.items()}
     kind = "pair" if stream.estimator.joint_start else "first"
     for number, frame in enumerate(recording.measured_frames()):
         begin, turns = perf_counter(), []

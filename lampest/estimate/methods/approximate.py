@@ -86,14 +86,14 @@ class LinearisedMethod(Method):
     def begin(self, state: S, solved: Step | None = None) -> S:
         """Return the state with its baseline and the baseline's factor; without a factor where it has no optimum."""
         alone, reduced = state.without_comparisons(), OptimalMethod("reduced")
-        begun = state.with_baseline(solved or reduced.solve(alone, *reduced.given(alone, state.resting)))
-        if begun.previous is None:
-            return begun
+        start = state.with_baseline(solved or reduced.solve(alone, *reduced.given(alone, state.resting)))
+        if start.previous is None:
+            return start
         objective = state.estimator
-        background = replace(state.background, previous=begun.previous if objective.relative else None)
+        background = replace(state.background, previous=start.previous if objective.relative else None)
         data = objective.data(state.resting.alone(), background)
         cost = objective.cost(state.scene, 1, partial=data.partial)
-        return replace(begun, prepared=FactoredBaseline(evaluated(cost, data, begun.previous[None])))
+        return replace(start, prepared=FactoredBaseline(evaluated(cost, data, start.previous[None])))
 
     def solution(self, solver: Solver, data: Data, previous: Array | None, prepared: Any) -> Solution:
         """Return the step for a frame; the optimum where there is no factor."""

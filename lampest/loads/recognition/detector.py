@@ -244,9 +244,9 @@ class Detector:
         for place in range(len(best.loads)):
             for kind in kinds:
                 loads = best.loads
-                alike = kind.like(*loads[place])
-                if kind is not loads[place][0] and alike is not None:
-                    loads[place] = kind, alike
+                similar = kind.like(*loads[place])
+                if kind is not loads[place][0] and similar is not None:
+                    loads[place] = kind, similar
                     best = max(best, fitted(loads), key=likely)
         return [best] if best is sucking else [best, sucking]
 

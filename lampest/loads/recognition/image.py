@@ -270,11 +270,11 @@ class ImageWatch:
         shape, baseline = window.scene.panel.shape, whole(lambda part: part.resting)
         detector = replace(panelled.detector, panel=window.scene.panel)
         own = replace(panelled, scene=cast(Scene, window.scene), detector=detector, water=panelled.water[window.cells])
-        begun = Watch.begin(own, np.exp(baseline), sigma[window.cells], np.zeros((0, *shape)), known[0].rest_s)
-        loud = np.full(len(begun.test.loud), max(float(part.test.loud.mean()) for part in known))
+        start = Watch.begin(own, np.exp(baseline), sigma[window.cells], np.zeros((0, *shape)), known[0].rest_s)
+        loud = np.full(len(start.test.loud), max(float(part.test.loud.mean()) for part in known))
         return replace(
-            begun,
-            test=replace(begun.test, loud=loud),
+            start,
+            test=replace(start.test, loud=loud),
             rested=min(part.rested for part in known),
             rest_s=max(part.rest_s for part in known),
             mean=whole(lambda part: part.mean).ravel(),

@@ -255,9 +255,9 @@ class Baseline:
         sizes.
         """
         errors, (change, edges, patches) = self.model_errors, (part.ravel() for part in explained)
-        alike = errors.common + errors.near * self.near + (1 - errors.common - errors.near) * np.eye(len(self.near))
+        similar = errors.common + errors.near * self.near + (1 - errors.common - errors.near) * np.eye(len(self.near))
         shared = np.stack([errors.bent * change, errors.patch * patches])
-        uneven = alike * np.outer(change, change) + np.diag((errors.edge_mm * edges) ** 2)
+        uneven = similar * np.outer(change, change) + np.diag((errors.edge_mm * edges) ** 2)
         return np.asarray(scatter**2 * uneven + shared.T @ shared)
 
 

@@ -79,10 +79,10 @@ class Pumping:
         share = np.exp(jumps - total)
         middle = (share * mean).sum(axis=(1, 4), keepdims=True)
         spread = (share * (variance + (mean - middle) ** 2)).sum(axis=(1, 4), keepdims=True)
-        begun = (total - np.log(len(LEAKS)), middle + jump, spread + jump_sd**2, np.zeros_like(total))
+        start = (total - np.log(len(LEAKS)), middle + jump, spread + jump_sd**2, np.zeros_like(total))
         logarithm, mean, variance, age = (
             np.concatenate([np.broadcast_to(new, (*GRID[:-1], 1)), old], axis=-1)
-            for new, old in zip(begun, (stays, mean, variance, self.age_s + seconds), strict=True)
+            for new, old in zip(start, (stays, mean, variance, self.age_s + seconds), strict=True)
         )
         wide = variance + noise**2
         logarithm = logarithm - 0.5 * ((sample - mean) ** 2 / wide + np.log(wide))

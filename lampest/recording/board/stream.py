@@ -285,8 +285,8 @@ class _Line:
             while True:
                 agreed = scene_of(hello, self._scene)
                 readings = agreed.readout.readings if agreed.readout else hello.readings
-                wanted = None if self._period is None else round(self._period * 1e6)
-                settings = board.start(agreed.panel.rows, agreed.panel.columns, readings, wanted)
+                requested = None if self._period is None else round(self._period * 1e6)
+                settings = board.start(agreed.panel.rows, agreed.panel.columns, readings, requested)
                 for samples in self._run(board, settings):
                     if samples:
                         self.last, self._scene = samples[-1], agreed

@@ -145,15 +145,15 @@ class Detected:
             shown += [f"{len(present) - MAX_CONTACTS} more"] if len(present) > MAX_CONTACTS else []
             return f"{len(present)} contacts: {'; '.join(shown)} ({odds})"
         name = {SUCKS: "something that sucks (lamprey or cup)", PRESSES: "contact"}.get(self.answer, self.answer)
-        said = [f"{name}{' attached' if load.sucks > 0.5 else ''} {_described(load)}"]
+        messages = [f"{name}{' attached' if load.sucks > 0.5 else ''} {_described(load)}"]
         if self.answer == LAMPREY and load.pumps >= MIN_PROBABILITY:
-            said.append("pumping up its suction")
+            messages.append("pumping up its suction")
         if self.answer == LAMPREY and load.breathes > 0.5 and load.breathing_hz and load.breathing_depth:
             depth = (100 * load.breathing_depth[0], 100 * load.breathing_depth[1])
-            said += [f"breathing {load.breathing_hz[0]:.1f} Hz", _shown(depth, "%")]
+            messages += [f"breathing {load.breathing_hz[0]:.1f} Hz", _shown(depth, "%")]
         if more := len(present) - load.present:
-            said.append(f"and {more} more")
-        return f"{', '.join(said)} ({odds}){why}"
+            messages.append(f"and {more} more")
+        return f"{', '.join(messages)} ({odds}){why}"
 
     @property
     def events(self) -> tuple[Event, ...]:
@@ -234,12 +234,12 @@ def _described(load: Attachment) -> str:
     """Return when an attachment was there, where, and how large it is, in words."""
     until = "since {:.1f} s" if load.until_s is None else "from {:.1f} s to {:.1f} s"
     diameter = f", {_shown(load.diameter_mm, 'mm')}" if load.diameter_mm else ""
-    said = [f"{until.format(load.since_s, load.until_s)}{diameter} at ({load.x_mm[0]:.0f}, {load.y_mm[0]:.0f}) mm"]
+    messages = [f"{until.format(load.since_s, load.until_s)}{diameter} at ({load.x_mm[0]:.0f}, {load.y_mm[0]:.0f}) mm"]
     if load.suction_kpa and load.sucks > 0.5:
-        said.append(_shown(load.suction_kpa, "kPa"))
+        messages.append(_shown(load.suction_kpa, "kPa"))
     if load.diameter_mm is None and load.area_mm2 is not None:
-        said += [f"{load.cells} cells", _shown(load.area_mm2, "mm²")]
-    return ", ".join(said)
+        messages += [f"{load.cells} cells", _shown(load.area_mm2, "mm²")]
+    return ", ".join(messages)
 
 
 def _round(number: float) -> float:

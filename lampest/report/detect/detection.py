@@ -165,8 +165,8 @@ def _of_case(task: tuple[CaseResult, float | None]) -> Detected:
     begin = float(case.time[0] - (np.median(np.diff(case.time)) if len(case.time) > 1 else 0.0))
     before = baseline, own, baseline[None], begin, case.reading_error, noise, notes, patch_mm
     values = zip(side, np.where(case.valued, spread, np.inf), map(float, case.time), strict=True)
-    said = tuple(filter(None, case.warnings.split("\n")))
-    return replace(Known(case.recording, case.scene, *before).answer(values), warnings=said)
+    messages = tuple(filter(None, case.warnings.split("\n")))
+    return replace(Known(case.recording, case.scene, *before).answer(values), warnings=messages)
 
 
 def detect_recording(
@@ -186,20 +186,22 @@ def detect_recording(
         raise InputError(f"{path}: no frame is measured (role 1)")
     head = Prepared(stored.part(range(int(measured[-1]) + 1)))
     watched, warnings = known_of(head, patch_mm), warnings_of(head.recording, recognition_noise(head), head.check)
-    said = tuple(warning for warning in warnings if warning != UNEVENLY)
+    messages = tuple(warning for warning in warnings if warning != UNEVENLY)
     if isinstance(watched, Detected):
-        return replace(watched, warnings=said)
-    asked = range(stored.frames) if frames is None else frames
+        return replace(watched, warnings=messages)
+    requested = range(stored.frames) if frames is None else frames
     blocks = stored.blocks()
 
     def looked_at() -> Frames:
         for block in blocks:
-            for done, frame in enumerate(measured_frames(stored.part(block), watched, np.isin(block, asked)), block[0]):
+            for done, frame in enumerate(
+                measured_frames(stored.part(block), watched, np.isin(block, requested)), block[0]
+            ):
                 on_frame(done, stored.frames)
                 yield frame
             on_frame(block[-1] + 1, stored.frames)
 
-    return replace(watched.answer(looked_at()), warnings=said)
+    return replace(watched.answer(looked_at()), warnings=messages)
 
 
 def known_of(prepared: Prepared, patch_mm: float | None = None) -> "Known | Detected":
@@ -249,5 +251,5 @@ def _scattered(value: Array) -> tuple[Array, tuple[str, ...]]:
     with np.errstate(invalid="ignore"):
         relative = DIFFERENCES_TO_SIGMA * np.nanmedian(np.abs(np.diff(np.log(value), axis=0)), axis=0)
     size = float(np.nanmedian(relative))
-    said = f"the noise is unknown: {100 * size:.2g} % a reading, from differences of neighbouring frames"
-    return np.nanmedian(value, axis=0) * np.fmax(np.nan_to_num(relative), max(size, 1e-6)), (said,)
+    message = f"the noise is unknown: {100 * size:.2g} % a reading, from differences of neighbouring frames"
+    return np.nanmedian(value, axis=0) * np.fmax(np.nan_to_num(relative), max(size, 1e-6)), (message,)

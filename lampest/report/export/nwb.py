@@ -58,9 +58,9 @@ def _session(cases: Sequence[CaseResult]) -> Any:
     with suppress(ValueError):
         start = datetime.fromisoformat(first.start_time)
     if start is None or start.tzinfo is None:
-        said = f"at {first.start_time}, without a zone" if first.start_time else "nowhere"
+        message = f"at {first.start_time}, without a zone" if first.start_time else "nowhere"
         raise InputError(
-            f"an NWB file says when a session began; {first.recording} says it {said}: give it with "
+            f"an NWB file says when a session began; {first.recording} says it {message}: give it with "
             "--start 2026-05-04T09:30:00+02:00"
         )
     celsius = experiment.water_temperature_celsius
@@ -104,16 +104,16 @@ def _elements(case: CaseResult, *, shared: bool) -> Iterator[Any]:
     places = [("row", "row line", rows), ("column", "column line", lines)]
     places += [("y_mm", "position of the cell, mm", y), ("x_mm", "position of the cell, mm", x)]
     time = [("time", "time of the frame, s", case.time)]
-    for name, words, first, wanted in (
+    for name, words, first, requested in (
         ("frames", "what frames say in words", time, [series for series in held if series.dtype is str]),
         ("cells", "what has no time", places, [series for series in held if series.axes == CELLS]),
     ):
-        columns = [*first, *((series.name, f"{series.meaning}, {series.units}", series.values) for series in wanted)]
+        columns = [*first, *((series.name, f"{series.meaning}, {series.units}", series.values) for series in requested)]
         vectors = [
             VectorData(
                 name=called, description=text, data=list(values) if isinstance(values, tuple) else np.ravel(values)
             )
             for called, text, values in columns
         ]
-        if wanted:
+        if requested:
             yield DynamicTable(name=name, description=words, columns=vectors)

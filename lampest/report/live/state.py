@@ -133,8 +133,8 @@ class PanelState:
         """
         if scene.panel.modules is not None and estimator.error_bars == "auto":
             estimator = replace(estimator, error_bars=False)
-        begun = cls(begin_stream(estimator, scene, period, resting), PressureTrack.begin(scene, tare=estimator.tare))
-        return begun.in_haste() if hasty and not begun.stream.parts else begun
+        start = cls(begin_stream(estimator, scene, period, resting), PressureTrack.begin(scene, tare=estimator.tare))
+        return start.in_haste() if hasty and not start.stream.parts else start
 
     def in_haste(self) -> "PanelState":
         """Return a state that solves frames as fast as possible and leaves error bars and weights to second looks.
@@ -186,8 +186,8 @@ class PanelState:
             stream = stream.tared(first.together(*following).mean())
         except InputError:
             return replace(self, missing=None, recent=())
-        begun = PanelState(stream, self.load.rebased(time), zeroed=why)
-        return begun.in_haste() if stream.keeps_weights else begun
+        start = PanelState(stream, self.load.rebased(time), zeroed=why)
+        return start.in_haste() if stream.keeps_weights else start
 
 
 def solved_picture(state: PanelState, readings: Readings, picture: Picture) -> tuple[PanelState, Picture]:

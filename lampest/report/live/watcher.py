@@ -120,16 +120,16 @@ class Watched:
         """Return the state for new unloaded frames; previous attachments have ended."""
         times = np.array([scan.time for scan in news.scans])
         known = known_of(Prepared(as_recording(news.scene, news.scans, times, [UNLOADED] * len(times), self.name)))
-        begun = Watched(self.name, "", news.scene, times=self.times)
+        start = Watched(self.name, "", news.scene, times=self.times)
         if isinstance(known, Detected):
-            return replace(begun, why=known.why)
+            return replace(start, why=known.why)
         try:
             watch = known.watch()
         except (ArithmeticError, ValueError) as error:
-            return replace(begun, why=told_reason(error, self.name))
+            return replace(start, why=told_reason(error, self.name))
         before, end = () if self.watch is None else self.watch.attachments, news.scans[0].time
         closed = tuple(replace(attachment, until_s=end) if attachment.present else attachment for attachment in before)
-        return replace(begun, known=known, watch=replace(watch, attachments=closed))
+        return replace(start, known=known, watch=replace(watch, attachments=closed))
 
     def _zeroed(self, scan: Scan) -> "Watched":
         zeroed = replace(self, missing=self.missing - 1, zero=(*self.zero, scan))

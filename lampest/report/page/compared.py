@@ -343,18 +343,18 @@ def advise(batch: Batch, comparison: Comparison | None) -> Advice:
     warnings = (*_few(comparison), *left_out)
     best = comparison.standings[0]
     # Nobody sees less in a map or a force.
-    alike = [row for row in comparison.standings if row.mean.value <= (1 + 0.05) * best.mean.value]
-    taken = min(alike, key=lambda row: comparison.milliseconds[row.estimator])
+    similar = [row for row in comparison.standings if row.mean.value <= (1 + 0.05) * best.mean.value]
+    taken = min(similar, key=lambda row: comparison.milliseconds[row.estimator])
     if comparison.milliseconds[best.estimator] < 1.1 * comparison.milliseconds[taken.estimator]:  # nobody notices less
         taken = best
     weights = weights_text([case.weights for case in comparison.match.cases(taken.estimator)])
     named = f"{taken.estimator}{f' ({weights})' if weights else ''}"
     headline = f"On these data take {named}."
-    if len(alike) > 1:
+    if len(similar) > 1:
         why = "has the smallest error" if taken is best else "is the fastest"
-        names = listed([row.estimator for row in alike])
+        names = listed([row.estimator for row in similar])
         headline = f"No practical difference between {names}; {named} {why} of them."
-    return Advice(taken.estimator, headline, tuple(_reasons(comparison, taken, alike)), warnings)
+    return Advice(taken.estimator, headline, tuple(_reasons(comparison, taken, similar)), warnings)
 
 
 def _reasons(comparison: Comparison, taken: Standing, alike: Sequence[Standing]) -> Iterator[str]:

@@ -70,8 +70,8 @@ class WebsocketPublish(Publish):
         try:
             server = serve(listening, str(host), self.port, **settings)
         except OSError as error:
-            said = error.strerror or error
-            raise InputError(f"--publish: websocket: cannot listen at {host}:{self.port} ({said})") from error
+            sentence = error.strerror or error
+            raise InputError(f"--publish: websocket: cannot listen at {host}:{self.port} ({sentence})") from error
         thread = Thread(target=server.serve_forever, name="lampest-websocket", daemon=True)
         thread.start()
         where = f"{f'[{host}]' if host.version == 6 else host}:{server.socket.getsockname()[1]}"
