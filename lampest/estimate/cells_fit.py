@@ -102,6 +102,10 @@ class CellsFit(SumOfSquares):
         assert self.readings.sigma is not None
         return np.asarray(np.linalg.solve(self.normal, self.jacobian.T / self.readings.sigma.ravel()))
 
+    def response(self, errors: Array) -> Array:
+        """Return K U: the effect on the log cells (cells, n) of errors U of the readings (n, rows, columns)."""
+        return np.asarray(self.gain @ errors.reshape(len(errors), self.cells.size).T)
+
     @property
     def tail(self) -> float:
         """P(χ² of so many degrees is as large)."""

@@ -140,7 +140,7 @@ class FittedFrame:
         """Effect of an ohm more in each line's channel on the log cells, (cells, lines)."""
         cells, measured = self.fit.cells, self.fit.readings.value
         errors = self.scene.circuit.shared_errors(cells, measured, self.scene, 0.0, 1.0)[1:]
-        return np.asarray(self.fit.gain @ errors.reshape(len(errors), -1).T)
+        return self.fit.response(errors)
 
     @cached_property
     def offset(self) -> Array:
@@ -174,8 +174,8 @@ class FittedFrame:
 
     def _answered(self, effects: Sequence[Effect]) -> dict[Effect, Array]:
         distinct = list(dict.fromkeys(effects))
-        changes = np.stack([self.more(effect).ravel() for effect in distinct], axis=1)
-        return dict(zip(distinct, (self.fit.gain @ changes).T / SECANT_STEP, strict=True))
+        responses = self.fit.response(np.stack([self.more(effect) for effect in distinct]))
+        return dict(zip(distinct, responses.T / SECANT_STEP, strict=True))
 
     def answers(self, effects: Sequence[Effect]) -> Array:
         """Return the effect of a unit of each θ on the log cells, (cells, effects), by secants."""

@@ -78,18 +78,17 @@ def _of_frame(
     """
     error = fit.covariance
     at = fit if near is None else _steadied(scene, fit, near, error)
-    gain = at.gain
     if noise is not None:
-        drawn = gain @ noise.columns(at.readings.value[None], baseline=near is None)
+        drawn = at.gain @ noise.columns(at.readings.value[None], baseline=near is None)
         error = error + drawn @ drawn.T
     point, circuit = (at.cells, at.readings.value), scene.circuit
     network = circuit.network(at.cells, circuit.ties_of_parts(at.readings.value, scene.parts), scene.wiring)
     columns = (
         hidden_columns(network, at.readings.value, scene, replace(sizes, reading_error=None)),
-        np.diag(recorded_share(at.readings.value, scene).ravel()),
+        np.diag(recorded_share(at.readings.value, scene).ravel()).reshape(-1, *at.cells.shape),
         circuit.shared_errors(*point, scene, sizes.reference_tolerance / np.sqrt(3), sizes.channel_spread_ohm),
     )
-    return [error, *(gain @ errors.reshape(len(errors), gain.shape[1]).T for errors in columns)]
+    return [error, *map(at.response, columns)]
 
 
 @dataclass(frozen=True, eq=False)
