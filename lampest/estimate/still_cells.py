@@ -1,9 +1,10 @@
 """Errors that all frames share, from cells that nobody touched: under a wrong circuit they seem to move.
 
 Errors z that baseline and frames share move the estimated log change of a cell by a = K_f U_f − K_b U_b times z, with U
-as of `lampest.panel.systematic` and K the inverse of the readings' derivative. Over the cells that stand still,
-d = a z + noise, z ~ N(0, 1), of which each reading's own error ~ N(0, e²): their marginal likelihood gives e, and what
-is left possible of z. Errors too large for that have e from the unloaded panel alone.
+as of `lampest.panel.systematic` and K the inverse of the readings' derivative. Over the cells that stand still, d = a z
++ noise, z ~ N(0, 1). The readings' own errors are N(0, e²). The posterior of e joins the evidence of the changes, with
+moved cells chosen anew for each e (`lampest.estimate.changed_cells`), and the likelihood of the unloaded panel. The
+still cells then leave a covariance of z. Errors too large for linear theory have e alone.
 """
 
 from dataclasses import dataclass, replace
