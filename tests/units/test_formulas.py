@@ -6,7 +6,17 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from lampest import Estimator, Misfit, Panel, Readings, Scene, TotalVariation, TwoPointReadout, two_point_resistance
+from lampest import (
+    Bounds,
+    Estimator,
+    Misfit,
+    Panel,
+    Readings,
+    Scene,
+    TotalVariation,
+    TwoPointReadout,
+    two_point_resistance,
+)
 from lampest.cost.given import Background
 from lampest.cost.problem import Evaluation
 from lampest.estimate.changed_cells import MOVED_COST, scores_with_errors, select_changed, usual_starts
@@ -14,6 +24,7 @@ from lampest.estimate.model_check import most_in_series
 from lampest.estimate.noise import NoiseEstimate, largest_change_within_scan
 from lampest.estimate.rivals import Question, Rival
 from lampest.panel.panel import Array
+from lampest.solvers.bounds import bounds_matter
 from lampest.solvers.smoothing import Smoothing
 
 
@@ -91,6 +102,22 @@ def test_absolute_losses_are_smoothed_by_the_root_of_squares_less_its_width() ->
     )
     plain = Evaluation.at(Estimator((Misfit(),), "reduced").cost(scene, 1, partial=data.partial), data, cells)
     assert Smoothing(width, np.zeros(0)).objective(plain) == plain.objective
+
+
+@pytest.mark.parametrize(("deviations", "matters"), [(1.2, True), (0.8, False)])
+def test_a_bound_matters_where_a_reading_is_missed_by_more_than_its_noise(deviations: float, matters: bool) -> None:
+    """A cell stands at its lower bound, 500 ohm below which the truth lies; σ is the misfit over `deviations`."""
+    scene, truth = Scene(Panel(3, 3), TwoPointReadout()), np.full((3, 3), 1000.0)
+    held = truth.copy()
+    truth[1, 1] = 500.0
+    value, nothing = two_point_resistance(truth), np.zeros((1, 3, 3))
+    missed = np.abs(two_point_resistance(held) - value)
+    readings = Readings(value[None], np.full((1, 3, 3), missed.max() / deviations), nothing, nothing + 1)
+    estimator = Estimator((Misfit(),), "reduced", bounds=Bounds(lower=1000.0, upper="none"))
+    data = estimator.data(readings, Background(scene))
+    at = Evaluation.at(estimator.cost(scene, 1, partial=data.partial), data, held[None])
+    assert bounds_matter(at, at.log_gradient(np.zeros(0)), np.zeros(0)) is matters
+    assert not bounds_matter(at, -at.log_gradient(np.zeros(0)), np.zeros(0))  # no cell presses against a bound
 
 
 @pytest.mark.parametrize("levels", [(900.0, 400.0), (400.0, 900.0)])
