@@ -25,8 +25,8 @@ from lampest.recording.readings import Readings
 
 READING_ERRORS = np.geomspace(2.5e-4, 0.2, 30)  # of a reading's own that are tried, with equal odds for equal ratios
 CELL_SCATTERS = (0.03, 0.1, 0.2, 0.4)  # of unloaded cells: films of one batch scatter by a tenth, worn ones by 0.4
-MIN_ERROR_GAIN = 15.0  # in −2 ln evidence, from which on an error is said: a cell that moved a little gains 8 to 12
-MIN_HINT_GAIN = 0.5  # from which on bars allow for what may be chance: one in four recordings without error gains it
+MIN_ERROR_GAIN = 15.0  # in −2 ln evidence, from which on an error is named: recordings without error gain 6 at most
+MIN_HINT_GAIN = 2.7  # from which on bars allow for it: one in eight recordings without error, and 0.2 % gains 12
 CHANGE_THRESHOLD = 4.0  # standard deviations of a change that noise does not make
 LINEAR_LIMIT = 0.15  # of log r: so large an error moves cells by more than one per cent beside the straight line
 LOADED_CHANGE = 0.45  # of log r, by which loads move cells, and errors within the linear limit do not
