@@ -27,7 +27,7 @@ READING_ERRORS = np.geomspace(2.5e-4, 0.2, 30)  # of a reading's own that are tr
 CELL_SCATTERS = (0.03, 0.1, 0.2, 0.4)  # of unloaded cells: films of one batch scatter by a tenth, worn ones by 0.4
 # Of the evidence of cells that touch a moved one: a skirt of lightly pressed cells gains 40 by an error of readings.
 BESIDE_SHARE = 0.1
-# In −2 ln evidence, from which on an error is named, and from which on bars allow for it. Of 60 recordings without error
+# In −2 ln evidence, from which on an error is named, and from which on bars allow for it. Of 60 recordings without one
 # those of mouths and rods gain 2.0 at most, nearly all of them nothing; 0.2 % gains 2 to 60.
 MIN_ERROR_GAIN, MIN_HINT_GAIN = 6.6, 2.2
 CHANGE_THRESHOLD = 4.0  # standard deviations of a change that noise does not make
