@@ -6,7 +6,14 @@ from difflib import get_close_matches
 from typing import Any
 
 # Module → the package that brings it, where their names differ.
-PACKAGES = {"serial": "pyserial", "ruamel": "ruamel.yaml", "PIL": "pillow", "dateutil": "python-dateutil"}
+PACKAGES = {
+    "serial": "pyserial",
+    "ruamel": "ruamel.yaml",
+    "paho": "paho-mqtt",
+    "pythonosc": "python-osc",
+    "PIL": "pillow",
+    "dateutil": "python-dateutil",
+}
 
 
 class InputError(ValueError):
