@@ -13,7 +13,7 @@ from scipy import sparse
 
 from lampest.cost.cost import Cost, Symbols
 from lampest.cost.given import Given
-from lampest.panel.compiled import Compiled, guarded
+from lampest.panel.compiled import Compiled, guarded, with_entries
 from lampest.panel.network import Network
 from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout, TwoPointReadout
@@ -194,7 +194,7 @@ class Evaluation:
         Ohm, and the readings.
     solved : tuple of Network, or None
         Networks of the frames, or None if not yet needed.
-    own_weights : array, shape (panels, terms), or None
+    own_weights : array, shape (…, terms), or None
         Weights of each panel; None: those of the cost.
     """
 
@@ -223,10 +223,6 @@ class Evaluation:
         """Return the evaluation at some of many panels, or at one by its number, with what is known of the cost."""
         networks = tuple(cast(FloatingNetwork, network).some(panels) for network in self.networks)
         known = self.cell_resistance[panels], self.reading[panels]
-        if isinstance(panels, int):
-            pairs = zip(self.cost.terms, self.weights[panels].tolist(), strict=True)
-            cost = replace(self.cost, terms=tuple(replace(term, weight=weight) for term, weight in pairs))
-            return Evaluation(cost, self.data.some(panels), *known, networks)
         chosen = Evaluation(self.cost, self.data.some(panels), *known, networks, self.weights[panels])
         if "first" in self.__dict__:
             chosen.__dict__["first"] = self.first[panels]
@@ -395,20 +391,9 @@ class Part:
 
     def jacobian(self, name: str, at: Evaluation) -> sparse.csc_array:
         """Return one of the derivatives at a point, (rows, unknowns) sparse."""
-        structure = self._structures[name]
-        if not structure.nnz:
-            return structure
-        values = at.of_terms(getattr(self, name))
-        return sparse.csc_array((values, structure.indices, structure.indptr), shape=structure.shape)
-
-    @cached_property
-    def _structures(self) -> dict[str, sparse.csc_array]:
-        names = ("by_cells", "by_model", "by_previous", "by_baseline")
-        functions: dict[str, Compiled] = {name: getattr(self, name) for name in names}
-        return {
-            name: sparse.csc_array((np.ones(len(part.by_columns[0])), *part.by_columns), shape=part.shape)
-            for name, part in functions.items()
-        }
+        derivative: Compiled = getattr(self, name)
+        structure = derivative.structure
+        return with_entries(structure, at.of_terms(derivative)) if structure.nnz else structure
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from lampest.cost.cost import Cost
 from lampest.cost.given import Background
-from lampest.cost.problem import BLOCK, Data, Evaluation
+from lampest.cost.problem import Data, Evaluation
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.methods.method import OptimalMethod
 from lampest.estimate.objective import Objective
@@ -24,7 +24,6 @@ from lampest.estimate.stream import Stream
 from lampest.estimate.weights import converter_and_faults, strongest, with_chosen_weights
 from lampest.panel.panel import Array
 from lampest.panel.readouts import TwoPointReadout
-from lampest.posterior.batch import BatchErrors
 from lampest.posterior.linear import LinearModel
 from lampest.posterior.track import Bars, Track
 from lampest.recording.readings import Readings
@@ -248,26 +247,13 @@ class StreamBatch:
         return [None if step is None else self._after(n, step, barred.get(n), seconds) for n, step in every]
 
     def _error_bars(self, ended: BatchOutcome, steps: Sequence[Step | None]) -> dict[int, tuple[Track, Bars]]:
-        """Return the track after its frame and the error bars of every panel, by number.
-
-        Panels without a cell at a bound are treated together.
-        """
-        pairs = enumerate(zip(self.streams, steps, strict=True))
-        tracks = {n: stream.track for n, (stream, step) in pairs if step is not None and stream.track is not None}
-        free = BatchErrors.inside(ended.points).tolist() if tracks else []
-        barred, inside = dict[int, tuple[Track, Bars]](), [n for n in tracks if free[n]]
-        for some in (inside[first : first + BLOCK] for first in range(0, len(inside), BLOCK)):
-            with suppress(*BROKEN):
-                unknown = (np.nan,) * self.weights.shape[1]
-                sigma = np.array([self.weight_sigma[n] or unknown for n in some])
-                errors = BatchErrors(ended.points.some(np.array(some)), [tracks[n] for n in some], sigma)
-                barred |= dict(zip(some, errors.bars(), strict=True))
-        for number in tracks.keys() - barred.keys():
-            with suppress(*BROKEN):
-                at = ended.points.at.some(number)
-                barred[number] = tracks[number].advanced(
-                    LinearModel(at, NO_DUAL, weight_sigma=self.weight_sigma[number])
-                )
+        """Return the track after its frame and the error bars of every panel that has them, by number."""
+        barred = dict[int, tuple[Track, Bars]]()
+        for number, (stream, step) in enumerate(zip(self.streams, steps, strict=True)):
+            if step is not None and stream.track is not None:
+                model = LinearModel(ended.points.at.some(number), NO_DUAL, weight_sigma=self.weight_sigma[number])
+                with suppress(*BROKEN):
+                    barred[number] = stream.track.advanced(model)
         return barred
 
     def _after(self, number: int, step: Step, barred: tuple[Track, Bars] | None, seconds: float) -> tuple[Stream, Step]:

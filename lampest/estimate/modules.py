@@ -16,6 +16,7 @@ from lampest.estimate.noise import MAX_NAMED, NoiseEstimate
 from lampest.estimate.state import SequenceState, Step
 from lampest.estimate.stream import Stream
 from lampest.files.errors import InputError
+from lampest.files.process import ONE_BLAS_THREAD
 from lampest.panel.conditions import Faults
 from lampest.panel.panel import Array, Modules, Panel
 from lampest.panel.readouts import TwoPointReadout
@@ -32,6 +33,7 @@ C = TypeVar("C", Certainty, Change)
 Own = Callable[[Scene, int | None], tuple[Estimator, Readings]]  # of a network: its module's number, or None
 
 
+@ONE_BLAS_THREAD
 def begin_stream(
     estimator: Estimator,
     scene: Scene,
@@ -131,6 +133,7 @@ class ModulesStream(Stream):
 
     modules: tuple[Stream | None, ...] = ()
 
+    @ONE_BLAS_THREAD
     def tared(self, resting: Readings) -> "ModulesStream":
         """As `Stream.tared`, of every module."""
         every = enumerate(self.modules)
@@ -139,6 +142,7 @@ class ModulesStream(Stream):
         )
         return replace(self, resting=resting, modules=tuple(modules), track=None, baseline=None).rested_whole()
 
+    @ONE_BLAS_THREAD
     def push(self, readings: Readings) -> tuple["ModulesStream", Step]:
         """As `Stream.push`; modules of which too little was read stay as they were, and are NaN in the image."""
         layout = self._layout

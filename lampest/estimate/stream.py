@@ -90,6 +90,7 @@ class Stream(SequenceState):
         own = 0.0 if sizes is None else sizes.reading_error or 0.0
         return cls(estimator, scene, period, resting, track=track, reading_error=own, frame_noise=frame)
 
+    @ONE_BLAS_THREAD
     def tared(self, resting: Readings) -> Self:
         """Return the stream against another unloaded panel from here on.
 

@@ -255,6 +255,7 @@ def members_of(union: Any) -> tuple[type[Any], ...]:
     return (*shipped(union), *_installed_members(shipped(union), typing.get_args(union)[1].group))
 
 
+@cache
 def members_by_kind(union: Any) -> dict[str, type[Any]]:
     """Return kind → class, for every word of every member. Raises InputError as `members_of`."""
     return {kind: member for member in members_of(union) for kind in kinds_of(member)}

@@ -9,6 +9,7 @@ import os
 import sys
 from collections import deque
 from collections.abc import Callable
+from copy import copy
 from dataclasses import dataclass
 from functools import cached_property, wraps
 from threading import RLock
@@ -17,6 +18,7 @@ from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import sparse
 
 from lampest.panel.panel import Array
 
@@ -128,7 +130,15 @@ class Compiled(CasadiOwner):
 
     @cached_property
     @guarded
-    def by_columns(self) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-        """(row of every nonzero, number of the first nonzero of every column and of all)."""
+    def structure(self) -> sparse.csc_array:
+        """The output with entries of one."""
         sparsity = self.function.sparsity_out(0)
-        return np.array(sparsity.row(), dtype=np.int32), np.array(sparsity.colind(), dtype=np.int32)
+        rows, first = (np.array(numbers, dtype=np.int32) for numbers in (sparsity.row(), sparsity.colind()))
+        return sparse.csc_array((np.ones(len(rows)), rows, first), shape=self.function.size_out(0))
+
+
+def with_entries(structure: sparse.csc_array, entries: Array) -> sparse.csc_array:
+    """Return a matrix of the same structure with other entries, without the checks of SciPy's constructor."""
+    matrix = copy(structure)
+    matrix.data = entries
+    return matrix

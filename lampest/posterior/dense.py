@@ -27,6 +27,7 @@ from scipy.linalg import blas, lapack
 
 from lampest.cost.cost import Cost
 from lampest.cost.problem import residuals
+from lampest.panel.compiled import with_entries
 from lampest.panel.panel import Array
 from lampest.posterior.certainty import Certainty, common_variance
 from lampest.posterior.interval import one_sided
@@ -125,8 +126,7 @@ class DenseErrors:
     def _sparse_penalties(self) -> sparse.csc_array:
         """√Ω Z."""
         rows = self._of_free(self.model.penalty_jacobian)
-        size = np.sqrt(self.model.penalty_curvature)[rows.indices]
-        return sparse.csc_array((rows.data * size, rows.indices, rows.indptr), shape=rows.shape)
+        return with_entries(rows, rows.data * np.sqrt(self.model.penalty_curvature)[rows.indices])
 
     @cached_property
     def _penalties(self) -> Array:
@@ -142,7 +142,7 @@ class DenseErrors:
         if not len(self.model.free):
             return np.zeros((0, 0))
         matrix = blas.dsyrk(1.0, (self.jacobian * np.sqrt(self.model.data_curvature)[:, None]).T)
-        if len(self._penalties):
+        if len(self.model.penalty_term):
             matrix = blas.dsyrk(1.0, self._penalties.T, 1.0, matrix, overwrite_c=True)
         matrix[np.diag_indices(len(matrix))] += self.model.ignorance * self.model.scale
         return positive_inverse(matrix)
@@ -178,7 +178,7 @@ class DenseErrors:
     @cached_property
     def _determined(self) -> dict[int, float]:
         model, rows = self.model, self._penalties
-        used = np.einsum("ij,ji->i", rows, self._pulls)
+        used = (rows * self._pulls.T).sum(axis=1)
         numbers = [int(number) for number in np.unique(model.penalty_term)]
         if len(numbers) == 1:
             known = min(rank(model.at.cost.unweighted), len(self.inverse))
@@ -197,15 +197,13 @@ class DenseErrors:
     def _parts(self) -> list[tuple[Array, Array]]:
         """(rows, variances) of which S is the sum over rows · variances · rowsᵀ, without the previous frame's."""
         model = self.model
-        moved = np.zeros((len(self.inverse), 0)) if self.drawn is None else self._gain @ self.drawn
-        return [
-            (self._gain, model.noise**2),
-            (self._pulls, model.scale * self.widening),
-            (self._held, np.ones(self._held.shape[1])),
-            (self._reweighted, np.ones(self._reweighted.shape[1])),
-            (moved, np.ones(moved.shape[1])),
-            (self.inverse, model.scale**2 * model.ignorance),
-        ]
+        parts = [(self._gain, model.noise**2), (self.inverse, model.scale**2 * model.ignorance)]
+        if len(model.penalty_term):
+            independent = np.hstack([self._held, self._reweighted])
+            parts += [(self._pulls, model.scale * self.widening), (independent, np.ones(independent.shape[1]))]
+        if self.drawn is not None:
+            parts.append((self._gain @ self.drawn, np.ones(self.drawn.shape[1])))
+        return parts
 
     @cached_property
     def variance(self) -> Array:

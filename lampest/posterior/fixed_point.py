@@ -40,7 +40,7 @@ def first_weights(model: LinearModel, weights: Sequence[float], open_terms: Coll
 
 def next_weights(model: LinearModel, open_terms: Collection[int]) -> list[float]:
     """One step of the fixed point at an estimate, traces from probes."""
-    errors, weights = SampledErrors(model), list(model.at.cost.weights)
+    errors, weights = SampledErrors(model), list(model.at.weights)
     share = min(rank(model.at.cost.unweighted), len(model.free)) / len(np.unique(model.penalty_term))
     for number in open_terms:
         residual = model.penalty[model.penalty_term == number]
@@ -51,7 +51,7 @@ def next_weights(model: LinearModel, open_terms: Collection[int]) -> list[float]
 
 def settled_weights(model: LinearModel, open_terms: Collection[int]) -> list[float]:
     """Where the open weights settle while the estimate follows them within the linear model, by matrices."""
-    errors, weights = DenseErrors(model), list(model.at.cost.weights)
+    errors, weights = DenseErrors(model), list(model.at.weights)
     if not len(model.free):
         return weights
     weighted = errors.jacobian.T * model.data_curvature

@@ -16,6 +16,7 @@ from lampest.cost.cost import Cost
 from lampest.cost.losses import Loss
 from lampest.cost.problem import Evaluation, Residuals, residuals
 from lampest.files.levels import TWO_SIDED
+from lampest.panel.compiled import with_entries
 from lampest.panel.panel import Array
 from lampest.posterior.interval import LEVEL
 
@@ -123,7 +124,7 @@ class LinearModel:
     def data_curvature(self) -> Array:
         """ω of the data; zero where a row is missing, and where it reads what only bounds the truth."""
         side = self.at.data.given.side
-        curvature: Array = self.at.cost.weights[self._residuals.data.term] * (self.noise > 0)
+        curvature: Array = self.at.weights[self._residuals.data.term] * (self.noise > 0)
         if side is not None and np.any(side):
             curvature = curvature * ~(abs(self.through) @ np.abs(side.ravel()) > 0)
         for _, loss, rows in curved_rows(self.at.cost, self._residuals.data.term):
@@ -161,26 +162,26 @@ class LinearModel:
     @cached_property
     def penalty_curvature(self) -> Array:
         """ω of the penalties."""
-        return penalty_curvature_of(self, self.at.cost.weights)
+        return penalty_curvature_of(self, self.at.weights)
 
     @cached_property
     def weight_pulls(self) -> Array:
         """σ λ Zᵀ ½ρ'(x̂) (cells, n) of the terms whose weights the data chose: how the slope varies with log λ."""
-        columns = []
+        slopes = [np.zeros((0, len(self.penalty_term)))]
         for number, sigma in enumerate(self.weight_sigma):
             rows = self.penalty_term == number
             if np.isfinite(sigma) and rows.any():
-                loss, residual = self.at.cost.terms[number].loss, self.penalty[rows]
-                slope = self.at.cost.weights[number] * loss.stiffness(residual) * residual
-                columns.append(sigma * (self.penalty_jacobian[rows].T @ slope))
-        return np.stack(columns, axis=1) if columns else np.zeros((self.at.cell_resistance.size, 0))
+                loss, residual = self.at.cost.terms[number].loss, self.penalty
+                slope = self.at.weights[number] * loss.stiffness(residual) * residual
+                slopes.append(np.where(rows, sigma * slope, 0.0)[None])
+        return np.asarray(self.penalty_jacobian.T @ np.concatenate(slopes).T)
 
     @cached_property
     def steady_pull(self) -> Array:
         """H of the penalties: what pulls at the estimate beyond ω x̂, as half of ∂φ/∂x; see `Loss.steady_pull`."""
         pull = np.zeros(len(self.penalty_term))
         for number, loss, rows in curved_rows(self.at.cost, self.penalty_term):
-            pull[rows] = self.at.cost.weights[number] * loss.steady_pull(self.penalty[rows])
+            pull[rows] = self.at.weights[number] * loss.steady_pull(self.penalty[rows])
         return pull
 
     @cached_property
@@ -188,7 +189,7 @@ class LinearModel:
         """∂x/∂u of the penalties."""
         jacobian = self._residuals.penalties.jacobian("by_cells", self.at)
         cells = np.repeat(self.at.cell_resistance.ravel(), np.diff(jacobian.indptr))
-        return sparse.csc_array((jacobian.data * cells, jacobian.indices, jacobian.indptr), shape=jacobian.shape)
+        return with_entries(jacobian, jacobian.data * cells)
 
     @cached_property
     def previous_jacobian(self) -> sparse.csc_array:
@@ -251,4 +252,4 @@ def least_widening(model: LinearModel) -> Array:
 
 def _squares(rows: sparse.csc_array) -> sparse.csc_array:
     """Element by element."""
-    return sparse.csc_array((rows.data**2, rows.indices, rows.indptr), shape=rows.shape)
+    return with_entries(rows, rows.data**2)

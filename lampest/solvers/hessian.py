@@ -17,6 +17,7 @@ from scipy import linalg, sparse
 
 from lampest.cost.cost import Entries
 from lampest.cost.problem import Evaluation, Part, residuals
+from lampest.panel.compiled import with_entries
 from lampest.panel.network import Numbers, SecondOrder
 from lampest.panel.panel import Array
 from lampest.panel.trust_region import DENSE_CELLS
@@ -126,15 +127,14 @@ class Hessian:
         return [network.second_order(self.by_reading[..., frame, :, :]) for frame, network in pairs]
 
     @cached_property
-    def terms(self) -> sparse.csr_array:
-        """T, (2·frames·cells)² sparse; it is symmetric, so that its columns are its rows."""
-        functions, size = self.at.cost.functions, 2 * self.at.cell_resistance.size
-        matrix = sparse.csr_array((self._smooth_terms, *functions.hessian.by_columns), shape=(size, size))
-        if len(self.at.cost.slope):
-            jacobian = self.smoothing.jacobian(self.at)
-            weight = self.at.cost.slope * self.smoothing.stiffness(self.at.nonsmooth)
-            matrix = matrix + jacobian.T @ (sparse.diags_array(weight) @ jacobian)
-        return sparse.csr_array(matrix)
+    def terms(self) -> sparse.csc_array:
+        """T, (2·frames·cells)² sparse."""
+        matrix = with_entries(self.at.cost.functions.hessian.structure, self._smooth_terms)
+        if not len(self.at.cost.slope):
+            return matrix
+        jacobian = self.smoothing.jacobian(self.at)
+        weight = self.at.cost.slope * self.smoothing.stiffness(self.at.nonsmooth)
+        return sparse.csc_array(matrix + jacobian.T @ (sparse.diags_array(weight) @ jacobian))
 
     @cached_property
     def diagonal_of_terms(self) -> Array:
@@ -310,8 +310,8 @@ class Hessian:
 
 def slopes_of(hessian: Hessian, part: Part, value: Array) -> tuple[Array, Array]:
     """weight·(ρ'(x), ρ'(x)/x) of every residual x of a part; absolute losses are smoothed."""
-    cost, smoothing = hessian.at.cost, hessian.smoothing
-    stiffness: Array = 2 * cost.weights[part.term]
+    cost, weights, smoothing = hessian.at.cost, hessian.at.weights, hessian.smoothing
+    stiffness: Array = 2 * weights[part.term]
     slope = stiffness * value
     for number, term in enumerate(cost.terms):
         rows = part.term == number
@@ -319,8 +319,8 @@ def slopes_of(hessian: Hessian, part: Part, value: Array) -> tuple[Array, Array]
             continue
         if term.loss.enters == "dual":
             own = replace(smoothing, dual=smoothing.dual[cost.functions.nonsmooth_terms == number])
-            slope[rows] = cost.weights[number] * own.slope(value[rows])
-            stiffness[rows] = cost.weights[number] * own.stiffness(value[rows])
+            slope[rows] = weights[number] * own.slope(value[rows])
+            stiffness[rows] = weights[number] * own.stiffness(value[rows])
         else:
             stiffness[rows] *= term.loss.stiffness(value[rows])
             slope[rows] = stiffness[rows] * value[rows]

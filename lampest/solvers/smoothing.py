@@ -9,6 +9,7 @@ import numpy as np
 from scipy import sparse
 
 from lampest.cost.problem import Evaluation
+from lampest.panel.compiled import with_entries
 from lampest.panel.panel import Array
 
 
@@ -48,11 +49,10 @@ class Smoothing:
         smoothed = squares / (np.sqrt(squares + self.width**2) + self.width)
         return float(np.delete(at.costs, np.unique(at.cost.functions.nonsmooth_terms)).sum() + at.cost.slope @ smoothed)
 
-    def jacobian(self, at: Evaluation) -> sparse.csr_array:
+    def jacobian(self, at: Evaluation) -> sparse.csc_array:
         """∂x/∂(r; y), sparse."""
         function = at.cost.functions.nonsmooth_jacobian
-        shape = (len(at.nonsmooth), 2 * at.cell_resistance.size)
-        return sparse.csr_array((at.call(function, self.dual), function.pattern), shape=shape)
+        return with_entries(function.structure, at.call(function, self.dual))
 
     @classmethod
     def start(cls, at: Evaluation) -> "Smoothing":

@@ -29,10 +29,7 @@ from lampest.panel.network import inverse_of
 from lampest.panel.panel import Panel
 from lampest.panel.readouts.floating import grounding
 from lampest.panel.readouts.star_mesh import two_point_resistance
-from lampest.panel.scene import Systematic
-from lampest.panel.systematic import Possible, Shared
-from lampest.posterior.batch import BatchErrors
-from lampest.posterior.certainty import Certainty
+from lampest.panel.systematic import Shared
 from lampest.posterior.frame_noise import FrameNoise
 from lampest.posterior.linear import LinearModel
 from lampest.posterior.track import Track
@@ -119,47 +116,23 @@ def test_a_panel_that_readings_leave_open_is_handed_back_and_costs_no_other() ->
 
 
 @pytest.mark.parametrize("penalty", [(), (CellResistance(weight=1e-4),), (Gradient(weight=1e-7),)])
-def test_error_bars_made_together_are_those_made_one_by_one(penalty: tuple[Term, ...]) -> None:
-    batch = batch_of((Misfit(), *penalty), frames(1e-3))
-    found = solved(batch)
-    hidden, several = Systematic(series_ohm=20, inl_lsb=0.5, wire_ohm_per_cell=0.2, reading_error=0.01), np.eye(27)
-    shared = [
-        None,
-        Shared.of(SCENE),
-        Shared.of(SCENE, hidden=Possible(hidden, None)),
-        Shared.of(SCENE, hidden=Possible(hidden, several + np.tri(27) / 9)),
-        Shared(Systematic(reference_tolerance=0.01, channel_spread_ohm=3), SCENE),
-        Shared.of(SCENE),
-    ]
-    noise = FrameNoise(SCENE, 4, 1e-3, np.full((5, 1), 1e-3), np.full((5, 2), 1e-3))
-    tracks = [Track(one, noise=noise if number % 2 else None) for number, one in enumerate(shared)]
-    tracks[5] = replace(tracks[1], baseline=Certainty(*np.full((6, 4, 5), 0.01)))
-    inside = np.flatnonzero(BatchErrors.inside(found.points))
-    assert len(inside) >= PANELS - 1
-    sigma = np.array([np.nan, *(0.3 for _ in penalty)])
-    sigmas = np.tile(sigma, (len(inside), 1))
-    some = BatchErrors(found.points.some(inside), [tracks[number] for number in inside], sigmas)
-    for number, (track, bars) in zip(inside, some.bars(), strict=True):
-        at = Evaluation.at(batch.cost, batch.data.some(int(number)), found.points.at.cell_resistance[number])
-        before, alone = tracks[number].advanced(LinearModel(at, np.zeros(0), weight_sigma=tuple(sigma)))
-        for name, expected in vars(alone.frame).items():
-            np.testing.assert_allclose(getattr(bars.frame, name), expected, rtol=1e-8, atol=1e-12)
-        assert bars.reading is not None and alone.reading is not None
-        np.testing.assert_allclose(bars.reading, alone.reading, rtol=1e-8)
-        assert (bars.change is None) == (alone.change is None) == (number != 5)
-        if bars.change is not None and alone.change is not None:
-            np.testing.assert_allclose(bars.change.deviation, alone.change.deviation, rtol=1e-8)
-        assert track.answers is not None and before.answers is not None
-        np.testing.assert_allclose(track.answers[0], before.answers[0], rtol=1e-8, atol=1e-12)
-        np.testing.assert_allclose(track.deviation, before.deviation, rtol=1e-8)
-
-
-def test_a_cell_at_a_bound_gets_its_bars_alone() -> None:
-    batch = batch_of((Misfit(),), frames(0.1))
-    ended = solved(batch)
-    cells, data = ended.points.at.cell_resistance, batch.data
-    at_bound = ((cells <= data.lower) | (cells >= data.upper)).any(axis=(1, 2, 3))
-    assert at_bound.any() and not BatchErrors.inside(ended.points)[at_bound].any()
+def test_error_bars_of_a_panel_of_a_batch_are_those_of_the_panel_alone(penalty: tuple[Term, ...]) -> None:
+    batch, random = batch_of((Misfit(), *penalty), frames(1e-3)), np.random.default_rng(4)
+    weights = batch.weights * random.uniform(0.5, 2.0, (PANELS, 1))
+    ended = solved(replace(batch, own_weights=weights)).points.at
+    sigma = (np.nan, *(0.3 for _ in penalty))
+    track = Track(Shared.of(SCENE), noise=FrameNoise(SCENE, 4, 1e-3, np.full((5, 1), 1e-3), np.full((5, 2), 1e-3)))
+    for number in range(PANELS):
+        terms = tuple(replace(term, weight=size) for term, size in zip(batch.cost.terms, weights[number], strict=True))
+        data, cells = batch.data.some(number), ended.cell_resistance[number]
+        alone = Evaluation.at(replace(batch.cost, terms=terms), data, cells)
+        bars, expected = (
+            track.advanced(LinearModel(at, np.zeros(0), weight_sigma=sigma))[1] for at in (ended.some(number), alone)
+        )
+        for name, values in vars(expected.frame).items():
+            np.testing.assert_allclose(getattr(bars.frame, name), values, rtol=1e-8, atol=1e-12)
+        assert bars.reading is not None and expected.reading is not None
+        np.testing.assert_allclose(bars.reading, expected.reading, rtol=1e-8)
 
 
 def test_inputs_that_nobody_gives_stand_as_absent_for_every_panel() -> None:
