@@ -14,10 +14,9 @@ from lampest.files.errors import InputError, in_words
 from lampest.loads.pressure import Tare
 from lampest.panel.panel import Panel
 from lampest.panel.scene import Scene
+from lampest.panel.trust_region import MATRIX_CELLS
 from lampest.recording.readings import Readings
 from lampest.solvers.solution import Settings, Solver
-
-MAX_ERROR_BAR_CELLS = 600  # on larger panels error bars take longer than the estimate
 
 
 @dataclass(frozen=True)
@@ -89,7 +88,7 @@ class Estimator(Objective):
     def has_error_bars(self, readings: Readings) -> bool:
         """Whether estimates of such readings get error bars."""
         rows, columns = readings.value.shape[-2:]
-        few = rows * columns <= MAX_ERROR_BAR_CELLS or self.weighs_previous
+        few = rows * columns <= MATRIX_CELLS or self.weighs_previous
         requested = self.error_bars if isinstance(self.error_bars, bool) else few
         return requested and self.method.optimum and readings.sigma is not None
 

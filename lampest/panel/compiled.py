@@ -17,8 +17,8 @@ from traceback import clear_frames
 from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import sparse
 
 from lampest.panel.panel import Array
 
@@ -130,14 +130,14 @@ class Compiled(CasadiOwner):
 
     @cached_property
     @guarded
-    def structure(self) -> sparse.csc_array:
+    def structure(self) -> "scipy.sparse.csc_array":
         """The output with entries of one."""
         sparsity = self.function.sparsity_out(0)
         rows, first = (np.array(numbers, dtype=np.int32) for numbers in (sparsity.row(), sparsity.colind()))
-        return sparse.csc_array((np.ones(len(rows)), rows, first), shape=self.function.size_out(0))
+        return scipy.sparse.csc_array((np.ones(len(rows)), rows, first), shape=self.function.size_out(0))
 
 
-def with_entries(structure: sparse.csc_array, entries: Array) -> sparse.csc_array:
+def with_entries(structure: "scipy.sparse.csc_array", entries: Array) -> "scipy.sparse.csc_array":
     """Return a matrix of the same structure with other entries, without the checks of SciPy's constructor."""
     matrix = copy(structure)
     matrix.data = entries

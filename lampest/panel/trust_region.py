@@ -14,6 +14,9 @@ from lampest.panel.panel import Array
 
 Linear = Callable[[Array], Array]
 DENSE_CELLS = 256  # unknowns up to which a factor costs less than the products that it spares
+MATRIX_CELLS = 600  # the same where products are many: absolute losses, joint pairs, error bars
+MAX_DENSE = 1200  # unknowns beyond which matrices take seconds, and products or samples replace them
+SUFFICIENT_DECREASE = 1e-4  # of the predicted decrease, as in Nocedal & Wright, 2006, section 3.1, algorithm 4.1
 MAX_PRODUCTS = 400
 MAX_RELATIVE_CHANGE = 1.0  # relative change of a conductance, to which a direction of negative curvature is followed
 

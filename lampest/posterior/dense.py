@@ -29,12 +29,11 @@ from lampest.cost.cost import Cost
 from lampest.cost.problem import residuals
 from lampest.panel.compiled import with_entries
 from lampest.panel.panel import Array
+from lampest.panel.trust_region import MAX_DENSE
 from lampest.posterior.certainty import Certainty, common_variance
 from lampest.posterior.interval import one_sided
 from lampest.posterior.linear import IGNORANCE, LinearModel, least_widening
 from lampest.solvers.hessian import block_diagonal
-
-MAX_RANKED = 2048  # cells: beyond, a rank takes seconds, and that of penalties is nearly full
 
 
 @dataclass(frozen=True, eq=False)
@@ -367,9 +366,12 @@ def inverse_and_volume(matrix: Array) -> tuple[Array, float]:
 
 @lru_cache(maxsize=64)
 def rank(cost: Cost) -> int:
-    """Of all penalties' Jacobian at cells like any others; what bounds take away is not considered."""
+    """Of all penalties' Jacobian at cells like any others; what bounds take away is not considered.
+
+    Of large panels the full rank, which those of penalties nearly have.
+    """
     function = residuals(cost).penalties.by_cells
-    if function.shape[1] > MAX_RANKED:
+    if function.shape[1] > MAX_DENSE:
         return min(function.shape)
     anywhere = np.random.default_rng(0)
     values = function(*(anywhere.uniform(0.5, 2.0, size) for size in function.sizes))

@@ -7,14 +7,12 @@ import numpy as np
 from lampest.files.levels import TWO_SIDED
 from lampest.panel.panel import Array
 from lampest.panel.systematic import Shared
+from lampest.panel.trust_region import MAX_DENSE
 from lampest.posterior.certainty import Certainty, LogInterval, common_variance, own_part
 from lampest.posterior.dense import DenseErrors, Memory, active_bounds
 from lampest.posterior.frame_noise import FrameNoise
 from lampest.posterior.linear import LinearModel
 from lampest.posterior.sampled import SampledErrors, SampledMemory
-
-MAX_DENSE = 1200  # unknowns; from there on samples are faster
-
 
 MIN_NOISE_SHARE = 1e-4  # of a deviation with each reading's own error: rounding of their difference
 

@@ -16,7 +16,7 @@ from scipy.linalg import lapack
 
 from lampest.cost.problem import Evaluation
 from lampest.panel.panel import Array
-from lampest.panel.trust_region import DENSE_CELLS, restricted, steihaug
+from lampest.panel.trust_region import DENSE_CELLS, MAX_DENSE, restricted, steihaug
 from lampest.solvers.bounds import MILLIONTH, free_cells, lower_along, within_bounds
 from lampest.solvers.hessian import Hessian
 from lampest.solvers.preconditioners import Cholesky, Numbers, Preconditioner, TwoLevel
@@ -26,7 +26,6 @@ DEVIATION_SHARE = 1e-3
 MIN_COST_SHARE = 1e-10  # of the cost's scale: four digits below what a verified cost may be off by
 MAX_RELATIVE_MISFIT = 1e-5  # of a reading: second derivatives of readings add no larger part to JᵀWJ
 MAX_DISTANCE = 0.3  # of log r: so near within the bounds, cells that reproduce all readings minimise the cost
-MAX_EXACT_CELLS = 1024  # up to which a solve with J is affordable where no noise says what may be off
 ACCURACY = 0.1  # of a predicted step on large panels
 MIN_CURVATURE = 1e-14  # of the cost's scale, over a change of one in log r: below any digit of the cost itself
 ROUNDING = 1e-11  # of a matrix with a unit diagonal: what differences of impedances leave of 16 digits
@@ -148,7 +147,7 @@ def _of_reproduced(hessian: Hessian) -> Certificate | None:
         return None
     missed = hessian.by_reading.ravel() / curvature / reading
     known, close = hessian.at.data.noise_known, float(np.abs(missed).max()) <= MAX_RELATIVE_MISFIT
-    if len(reading) > (DENSE_CELLS if known else MAX_EXACT_CELLS) or (known and not close):
+    if len(reading) > (DENSE_CELLS if known else MAX_DENSE) or (known and not close):
         return None
     sensitivity, every = hessian.at.networks[0].sensitivity() / reading[:, None], np.arange(len(reading))
     _, _, step, singular = lapack.dgesv(sensitivity, -missed)

@@ -20,11 +20,9 @@ from lampest.cost.problem import Evaluation, Part, residuals
 from lampest.panel.compiled import with_entries
 from lampest.panel.network import Numbers, SecondOrder
 from lampest.panel.panel import Array
-from lampest.panel.trust_region import DENSE_CELLS
+from lampest.panel.trust_region import DENSE_CELLS, MATRIX_CELLS
 from lampest.solvers.bounds import free_cells
 from lampest.solvers.smoothing import Smoothing
-
-DENSE_STIFF_CELLS = 600  # the same for absolute losses and joint pairs, whose products are more
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +45,7 @@ class Hessian:
     def dense(self) -> bool:
         """Whether the cells that can move are few enough for a matrix."""
         data, size = self.at.data, self.at.cell_resistance.size
-        if size <= DENSE_CELLS or size > DENSE_STIFF_CELLS:
+        if size <= DENSE_CELLS or size > MATRIX_CELLS:
             return size <= DENSE_CELLS
         stiff = len(self.at.cost.slope) > 0 or len(self.at.networks) > 1
         return stiff or int(np.sum(data.lower < data.upper)) <= DENSE_CELLS

@@ -14,23 +14,54 @@ from numpy.typing import NDArray
 
 from lampest.cost.problem import Evaluation
 from lampest.panel.panel import Array
-from lampest.panel.trust_region import Linear, restricted, steihaug
+from lampest.panel.trust_region import SUFFICIENT_DECREASE, Linear, restricted, steihaug
 from lampest.solvers.certificate import ACCURACY
 from lampest.solvers.hessian import Hessian
 from lampest.solvers.preconditioners import TwoLevel
 from lampest.solvers.smoothing import Smoothing
 
-# Of the median conductance: how far from its bounds a cell begins, or a fiftieth of what lies between them.
-START_MARGIN = 0.05
-BARRIER_REDUCTION = 0.2  # of μ: the next one, after a step of which bounds left at least half
-STEP_TO_BOUNDARY = 0.99  # of the way to the next bound
-MIN_STEP = 0.03  # of a step: conjugate gradients end before bounds leave less of it (directions of nearly no curvature)
-MAX_STEPS = 90
-DECREASE, HALVINGS = 1e-4, 12  # as in Nocedal & Wright, section 3.1
-# Of the cost's scale, its gradient: frames in sequence begin at 0.05, what is solved again at its tolerance.
-START_TOLERANCE = 1e-3
-# Of the cost: what the bounds still add to it where the last steps are left to Newton's method.
-MAX_BARRIER_SHARE = 1e-8
+
+@dataclass(frozen=True)
+class InteriorPoint:
+    """Parameters of the method.
+
+    Attributes
+    ----------
+    start_margin : float
+        Distance from its bounds at which a cell begins, as a share of the median conductance; a fiftieth of what lies
+        between its bounds at most.
+    barrier_reduction : float
+        The next μ over this one, after a step of which bounds left at least half.
+    step_to_boundary : float
+        Share of the way to the next bound that a step may go.
+    min_step : float
+        Share of a step that bounds must leave: conjugate gradients end before (directions of nearly no curvature).
+    max_steps, max_halvings : int
+        Of the method, and of one step.
+    start_tolerance : float
+        Gradient, of the cost's scale, below which it does not begin: frames in sequence begin at 0.05, what is solved
+        again at its tolerance.
+    max_barrier_share : float
+        Part of the cost that bounds still add where the last steps are left to Newton's method.
+    """
+
+    start_margin: float = 0.05
+    barrier_reduction: float = 0.2
+    step_to_boundary: float = 0.99
+    min_step: float = 0.03
+    max_steps: int = 90
+    max_halvings: int = 12
+    start_tolerance: float = 1e-3
+    max_barrier_share: float = 1e-8
+
+    def reach(self, room: Array, change: Array) -> float:
+        """Return how far along a change all rooms stay positive, at most one."""
+        falling = (change < 0) & (room > 0)
+        nearest = float((-room[falling] / change[falling]).min(initial=np.inf))
+        return min(1.0, self.step_to_boundary * nearest)
+
+
+METHOD = InteriorPoint()
 
 
 def by_interior_point(start: Evaluation) -> tuple[Evaluation, int]:
@@ -41,7 +72,11 @@ def by_interior_point(start: Evaluation) -> tuple[Evaluation, int]:
     if not crowds_bounds(start):
         return start, 0
     barrier, steps = _Barrier.of(start), 0
-    while steps < MAX_STEPS and barrier.added > MAX_BARRIER_SHARE * barrier.at.objective and not start.data.overdue:
+    while (
+        steps < METHOD.max_steps
+        and barrier.added > METHOD.max_barrier_share * barrier.at.objective
+        and not start.data.overdue
+    ):
         moved = barrier.moved()
         if moved is None:
             break
@@ -56,7 +91,7 @@ def crowds_bounds(start: Evaluation) -> bool:
     if hessian.dense or not hessian.only_data or not all(term.loss.squared for term in start.cost.terms):
         return False
     cells = start.cell_resistance
-    if start.projected_gradient(hessian.gradient.reshape(cells.shape)) <= START_TOLERANCE:
+    if start.projected_gradient(hessian.gradient.reshape(cells.shape)) <= METHOD.start_tolerance:
         return False
     stopped = int(np.sum(((cells <= data.lower) | (cells >= data.upper)) & (data.lower < data.upper)))
     return stopped > sum(cells.shape[1:]) and bool(np.all(np.isfinite([1 / data.lower, data.upper])))
@@ -89,7 +124,7 @@ class _Barrier:
         """Somewhat inside the bounds, with the same force times room everywhere."""
         low, high = _bounds(start)
         conductance = 1 / start.cell_resistance[0]
-        room = np.minimum(START_MARGIN * float(np.median(conductance)), (high - low) / 50)
+        room = np.minimum(METHOD.start_margin * float(np.median(conductance)), (high - low) / 50)
         at = start.elsewhere(1 / np.clip(conductance, low + room, high - room)[None])
         bare = cls(at, np.zeros_like(low), np.zeros_like(low), 0.0)
         mean = 0.1 * float(np.mean((np.abs(bare.gradient) * np.minimum(*bare.rooms))[bare.moving]))
@@ -133,16 +168,16 @@ class _Barrier:
 
     def moved(self) -> "_Barrier | None":
         """After one step; None where no step leads lower."""
-        mean = self.mean * (BARRIER_REDUCTION if self.length > 0.5 else 1.0)
+        mean = self.mean * (METHOD.barrier_reduction if self.length > 0.5 else 1.0)
         push = np.where(self.moving, -self.gradient + _over(mean, self.rooms[0]) - _over(mean, self.rooms[1]), 0.0)
         step = self._step(push)
-        length = min(_reach(self.rooms[0], step), _reach(self.rooms[1], -step))
+        length = min(METHOD.reach(self.rooms[0], step), METHOD.reach(self.rooms[1], -step))
         before, along = self._merit(self.at, mean), float(np.sum(push * step))
-        for _ in range(HALVINGS):
+        for _ in range(METHOD.max_halvings):
             cells = 1 / (self.conductance + length * step)
             with suppress(np.linalg.LinAlgError):
                 trial = self.at.elsewhere(cells[None])
-                if self._merit(trial, mean) <= before - DECREASE * length * along:
+                if self._merit(trial, mean) <= before - SUFFICIENT_DECREASE * length * along:
                     return self._forced(trial, step, mean, length)
             length /= 2
         return None
@@ -160,7 +195,7 @@ class _Barrier:
         rooms = [(room / self.conductance).ravel()[chosen] for room in self.rooms]
 
         def admits(step: Array) -> bool:
-            return min(_reach(rooms[0], step), _reach(rooms[1], -step)) >= MIN_STEP
+            return min(METHOD.reach(rooms[0], step), METHOD.reach(rooms[1], -step)) >= METHOD.min_step
 
         solved = steihaug(restricted(exact, chosen, push.size), precondition, slope, accuracy, admits=admits)
         if solved.negative:
@@ -179,7 +214,7 @@ class _Barrier:
         """At the point found, with forces that follow as far as they stay positive."""
         below = _over(mean - self.below * step, self.rooms[0]) - self.below
         above = _over(mean + self.above * step, self.rooms[1]) - self.above
-        length = min(_reach(self.below, below), _reach(self.above, above))
+        length = min(METHOD.reach(self.below, below), METHOD.reach(self.above, above))
         return _Barrier(trial, self.below + length * below, self.above + length * above, mean, min(length, ahead))
 
     def put_at_bounds(self) -> Evaluation:
@@ -199,9 +234,3 @@ def _bounds(at: Evaluation) -> tuple[Array, Array]:
 def _over(force: Array | float, room: Array) -> Array:
     """force/room; zero where there is no room at all."""
     return np.asarray(np.divide(force, room, out=np.zeros_like(room), where=room > 0))
-
-
-def _reach(room: Array, change: Array) -> float:
-    """How far along a change all rooms stay positive, at most one."""
-    falling = (change < 0) & (room > 0)
-    return float(min(1.0, STEP_TO_BOUNDARY * float((-room[falling] / change[falling]).min(initial=np.inf))))

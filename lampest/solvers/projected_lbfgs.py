@@ -15,11 +15,12 @@ from lampest.cost.cost import Cost
 from lampest.cost.problem import Data, Evaluation
 from lampest.panel.panel import Array
 from lampest.panel.readouts import TwoPointReadout
+from lampest.panel.trust_region import SUFFICIENT_DECREASE
 from lampest.solvers.bounds import MILLIONTH, MIN_DECREASE_SHARE
 from lampest.solvers.certificate import clear_of_rounding
 from lampest.solvers.hessian import Hessian, matrix_between
 from lampest.solvers.preconditioners import Cholesky
-from lampest.solvers.projected_newton import MAX_REUSE_DISTANCE, MAX_STEP, MAX_TRIES, MIN_RATIO, RADIUS_FACTOR
+from lampest.solvers.projected_newton import MAX_REUSE_DISTANCE, MAX_STEP, MAX_TRIES, RADIUS_FACTOR
 from lampest.solvers.smoothing import Smoothing
 from lampest.solvers.solution import Settings
 
@@ -248,7 +249,7 @@ def _advanced(
         invisible = MIN_DECREASE_SHARE * np.abs(some.at.objectives)
         lowered = np.where(
             np.abs(expected) > invisible,
-            gain >= MIN_RATIO * np.abs(expected),
+            gain >= SUFFICIENT_DECREASE * np.abs(expected),
             (np.abs(gain) <= invisible) & (trial.residual <= some.residual / 2),
         )
         if attempt == 0 and lowered.all():

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from lampest.cost.cost import Cost
 from lampest.cost.problem import Data, Evaluation
 from lampest.panel.panel import Array
-from lampest.panel.trust_region import Linear, restricted, steihaug
+from lampest.panel.trust_region import SUFFICIENT_DECREASE, Linear, restricted, steihaug
 from lampest.solvers.bounds import MILLIONTH, MIN_DECREASE_SHARE, free_cells, moved_by
 from lampest.solvers.certificate import Certificate, Definiteness, certificate
 from lampest.solvers.hessian import Hessian
@@ -26,7 +26,6 @@ from lampest.solvers.smoothing import Smoothing
 from lampest.solvers.solution import Outcome, Settings, Status
 from lampest.solvers.termination import ProgressWindow
 
-MIN_RATIO = 1e-4  # of the predicted decrease, as in Nocedal & Wright, 2006, algorithm 4.1
 RADIUS_FACTOR = 0.25  # of a rejected step: the radius for the next try
 MAX_STEP = float(np.log(4.0))  # of log r in one step: beyond, the quadratic model of a cell is wrong
 MAX_TRIES = 15  # solves of a direction, in which cells stop at bounds; tries of a step (4⁻¹⁵ is rounding); last steps
@@ -238,7 +237,7 @@ def trust_region_step(point: Iterate) -> Iterate | None:
             cached = gauss_newton_factor(hessian, free) or cached
             direction = newton_direction(point, cached, free, product, radius)
         trial = point.at_step(direction.step)
-        if trial is not None and decrease_ratio(point, trial, direction.predicted) >= MIN_RATIO:
+        if trial is not None and decrease_ratio(point, trial, direction.predicted) >= SUFFICIENT_DECREASE:
             worn = direction.products > MAX_REUSE_PRODUCTS[hessian.dense]
             patience = patience if direction.negative or product is not exact else GAUSS_NEWTON
             expected = point.expects(trial) if hessian.dense else inf
@@ -350,7 +349,7 @@ def levenberg_step(point: Iterate) -> Iterate | None:
             step = np.zeros(free.size)
             step[free] = np.clip(factor.solve(-slope), -MAX_STEP, MAX_STEP)
             trial, predicted = point.at_step(step), -0.5 * float(step[free] @ slope)
-            if trial is not None and (decrease := point.objective - trial.objective) > MIN_RATIO * predicted:
+            if trial is not None and (decrease := point.objective - trial.objective) > SUFFICIENT_DECREASE * predicted:
                 eased = damping / 10 if decrease > predicted / 2 else damping
                 return replace(trial, preconditioner=None, damping=max(eased, MIN_DAMPING))
         damping = max(10 * damping, NEXT_DAMPING)

@@ -5,11 +5,7 @@ leave a valley whose floor is flat, or a loss has corners that second derivative
 Source: Nocedal & Wright, Numerical Optimization, 2006, section 3.1 (stopping by the decrease of the cost).
 """
 
-from dataclasses import dataclass
-
-WINDOW = 20  # iterations over which progress is measured; well-posed frames end within 15
-MIN_DECREASE = 1e-8  # of the cost over the window: a joint pair on a plateau still ends verified (test_random_problems)
-MIN_REDUCTION = 0.1  # of the projected gradient over the window: a solve that still converges is not stopped
+from dataclasses import dataclass, replace
 
 
 @dataclass(frozen=True)
@@ -22,20 +18,30 @@ class ProgressWindow:
         Width of the smoothing of absolute losses. Another width is another cost, and begins anew.
     history : tuple of (cost, projected gradient)
         The newest last.
+    iterations : int
+        Length of the window; well-posed frames end within 15.
+    min_decrease : float
+        Of the cost over the window: a joint pair on a plateau still ends verified (test_random_problems).
+    min_reduction : float
+        Of the projected gradient over the window: a solve that still converges is not stopped.
     """
 
     width: float = 0.0
     history: tuple[tuple[float, float], ...] = ()
+    iterations: int = 20
+    min_decrease: float = 1e-8
+    min_reduction: float = 0.1
 
     def after(self, width: float, cost: float, residual: float) -> "ProgressWindow":
         """Return the progress with one more iteration."""
         previous = self.history if width == self.width else ()
-        return ProgressWindow(width, (*previous, (cost, residual))[-WINDOW - 1 :])
+        history = (*previous, (cost, residual))[-self.iterations - 1 :]
+        return replace(self, width=width, history=history)
 
     @property
     def stalled(self) -> bool:
         """Whether neither cost nor gradient fell over the window."""
-        if len(self.history) <= WINDOW:
+        if len(self.history) <= self.iterations:
             return False
         (first, steep), (last, residual) = self.history[0], self.history[-1]
-        return first - last < MIN_DECREASE * abs(last) and residual > MIN_REDUCTION * steep
+        return first - last < self.min_decrease * abs(last) and residual > self.min_reduction * steep

@@ -24,10 +24,10 @@ from lampest.estimate.weights import WeightSearch, with_chosen_weights
 from lampest.files.errors import InputError
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
+from lampest.panel.trust_region import MAX_DENSE
 from lampest.posterior.dense import DenseErrors
 from lampest.posterior.linear import LinearModel
 from lampest.posterior.spectrum import Rule, Spectrum
-from lampest.posterior.track import MAX_DENSE
 from lampest.recording.recording import Recording
 from lampest.runs.config import Case
 from lampest.solvers.multistart import BROKEN, best_solution, convex, evaluated

@@ -65,7 +65,7 @@ def test_products_and_factors_agree(name: str, noise: float, monkeypatch: pytest
     factored = reconstruct(recorded, estimator)
     for module in (hessian, floating):
         monkeypatch.setattr(module, "DENSE_CELLS", 0)
-    monkeypatch.setattr(hessian, "DENSE_STIFF_CELLS", 0)
+    monkeypatch.setattr(hessian, "MATRIX_CELLS", 0)
     products = reconstruct(recorded, estimator)
     for one, other in zip(factored.steps, products.steps, strict=True):
         assert one.solution.solved

@@ -43,7 +43,7 @@ def test_a_joint_pair_ends_where_nothing_else_finds_less(
     method: str, most: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Of several hundred unknowns, most of a disc's cells bending the cost downwards."""
-    monkeypatch.setattr(hessian, "DENSE_STIFF_CELLS", most)
+    monkeypatch.setattr(hessian, "MATRIX_CELLS", most)
     cells, readout = mouth(), TwoPointReadout(reference_ohm=1000.0, adc_bits=10, readings=20, noise_lsb=0.7)
     exact = two_point_resistance(cells)
     sigma = readout.sigma(exact)

@@ -13,14 +13,13 @@ from numpy.typing import NDArray
 from lampest.panel.kirchhoff import bipartite_matrix, line_sums
 from lampest.panel.network import Entries, Loading, Network, NormalByLines, Numbers, across, inverse_of
 from lampest.panel.panel import Array
-from lampest.panel.trust_region import DENSE_CELLS, steihaug
+from lampest.panel.trust_region import DENSE_CELLS, SUFFICIENT_DECREASE, steihaug
 
 # Of R²: smallest diagonal of the stencil, where the lines alone explain a cell's own response.
 MIN_DIAGONAL_SHARE = 0.05
 MAX_ITERATIONS = 30  # 6 suffice from the uniform start at 10 × 10 to 32 × 32 without noise
 STEP_LENGTHS = tuple(0.5**power for power in range(20))  # of a step: below, none lowers the cost in double precision
 MAX_RELATIVE_MISFIT = 1e-9  # relative misfit of any reading; near a solution each step doubles the digits
-DECREASE = 1e-4  # Armijo's share, as in Nocedal & Wright, Numerical Optimization, 2006, section 3.1
 
 
 def grounding(two_point_resistance: Array, parts: Numbers | None = None) -> Array:
@@ -175,7 +174,7 @@ def convex_start(measured: Array, upper: Array, near: Array | None = None) -> Ar
         for length in STEP_LENGTHS:
             trial = np.maximum(conductance + length * step, np.maximum(least, conductance / 10))
             trial_value, trial_network = at(trial)
-            if trial_value <= value + DECREASE * float(np.sum(gradient * (trial - conductance))):
+            if trial_value <= value + SUFFICIENT_DECREASE * float(np.sum(gradient * (trial - conductance))):
                 break
         else:
             break
