@@ -160,10 +160,11 @@ def _shrinks(data: NDArray[Any]) -> bool:
 
 def attach_scales(group: h5py.Group, axes: Mapping[str, tuple[str, ...]]) -> None:
     """Attach to each dataset, by its path in the group, the scales of its axes; '' for an axis without a scale."""
+    nodes = {name: group[name].id for path, names in axes.items() for name in (path, *filter(None, names))}
     for path, names in axes.items():
         for axis, name in enumerate(names):
             if name:
-                group[path].dims[axis].attach_scale(group[name])
+                h5py.h5ds.attach_scale(nodes[path], nodes[name], axis)
 
 
 def write_plain(group: h5py.Group, name: str, data: NDArray[Any]) -> h5py.Dataset:
