@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
-from lampest.loads.recognition.observation import OUTLIER_THRESHOLD, Observation, unit
+from lampest.files.levels import MAD_TO_SIGMA, SIGNIFICANT
+from lampest.loads.recognition.observation import Observation, unit
 from lampest.loads.shapes import shape_types
 from lampest.loads.shapes.disc import Disc, pressure_at_places
 from lampest.loads.shapes.shape import Candidate, Prior, Template
@@ -160,12 +161,12 @@ class DiscSearch:
     def lies_on(self, logarithm: Array) -> bool:
         """Whether unloaded cells, ln r (rows, columns), are uneven in a load's shape: tᵀδ < −MAX_UNEVENNESS σ of one t.
 
-        δ is about the median and σ is robust, that of an even film at least. Beyond OUTLIER_THRESHOLD σ cells count no
+        δ is about the median and σ is robust, that of an even film at least. Beyond SIGNIFICANT σ cells count no
         more, so that a faulty one is no load.
         """
         apart = (logarithm - np.median(logarithm[self.panel.present])) * self.panel.present
-        sd = max(1.4826 * float(np.median(np.abs(apart[self.panel.present]))), RESPONSE_SD)
-        drawn_in = np.clip(apart.ravel(), -OUTLIER_THRESHOLD * sd, OUTLIER_THRESHOLD * sd)
+        sd = max(MAD_TO_SIGMA * float(np.median(np.abs(apart[self.panel.present]))), RESPONSE_SD)
+        drawn_in = np.clip(apart.ravel(), -SIGNIFICANT * sd, SIGNIFICANT * sd)
         return bool(np.min(drawn_in @ self.changes) < -MAX_UNEVENNESS * sd)
 
     def starts(self, normal: Array, pull: Array) -> dict[Template, Disc]:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scipy.linalg import cho_solve
 from scipy.special import softmax
 
+from lampest.files.levels import SIGNIFICANT
 from lampest.loads.recognition.candidates import FIELD, LOADS, UNIFORM, DiscSearch, Several, under
 from lampest.loads.recognition.evidence import EVIDENCE_SHARE, Verdict, prior_cost, rises
 from lampest.loads.recognition.fit import (
@@ -30,7 +31,6 @@ from lampest.loads.recognition.fit import (
 )
 from lampest.loads.recognition.observation import (
     MAX_CHI_SQUARE,
-    OUTLIER_THRESHOLD,
     Explained,
     Observation,
     Whitening,
@@ -99,7 +99,7 @@ class Detector:
         calm = frame.without(outliers(whitening, residual))
         errors = Whitening.at_rest(calm) @ residual
         stands_out = unit(whitening @ self.search.readings(frame)).T @ errors
-        return calm if errors @ errors < MAX_CHI_SQUARE * errors.size and stands_out.max() < OUTLIER_THRESHOLD else None
+        return calm if errors @ errors < MAX_CHI_SQUARE * errors.size and stands_out.max() < SIGNIFICANT else None
 
     def fitted(self, candidate: Candidate, frame: Observation, start: Fit | None) -> Fit:
         """One candidate whether or not anything else would do; from everywhere, unless the start of before fits."""
@@ -181,7 +181,7 @@ class Detector:
             fitting, descents = self._fitting(load, calm), list[Linearisation]()
             for disc in (starts[template] for template in load.templates):
                 most = min((descent.cost for descent in descents), default=np.inf) + MAX_LOG_RATIO
-                descents.append(fitting.descended(load.start(disc), likelihood, MAX_EVALUATIONS // 2, most)[0])
+                descents.append(fitting.descended(load.start(disc), likelihood, MAX_EVALUATIONS // 2, most))
             fits.append(
                 fitting.fit_at(min(descents, key=lambda descent: descent.cost), likelihood, whitening, quick=True)
             )
@@ -233,7 +233,7 @@ class Detector:
         def fitted(loads: Sequence[tuple[Candidate, Array]]) -> Fit:
             parts, own = zip(*sorted(loads, key=lambda load: not load[0].sucks), strict=True)
             fitting = self._fitting(Several.of(parts), calm)
-            descended, _ = fitting.descended(np.concatenate(own), likelihood, MAX_EVALUATIONS // 2)
+            descended = fitting.descended(np.concatenate(own), likelihood, MAX_EVALUATIONS // 2)
             return fitting.fit_at(descended, likelihood, whitening, quick=True)
 
         def likely(fit: Fit) -> float:

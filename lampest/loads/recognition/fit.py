@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import softmax
 
+from lampest.files.levels import SIGNIFICANT
 from lampest.loads.recognition.candidates import FIELD
 from lampest.loads.recognition.observation import (
     MAX_CHI_SQUARE,
-    OUTLIER_THRESHOLD,
     Explained,
     MostProbable,
     Observation,
@@ -56,8 +56,6 @@ class Fit:
         ln of the frame's probability under the candidate, up to a common term of all candidates.
     scatter : float
         The film's relative deviation.
-    steps : int
-        Evaluations of the pressure.
     """
 
     candidate: Candidate
@@ -71,7 +69,6 @@ class Fit:
     volume: float
     evidence: float
     scatter: float = 0.0
-    steps: int = 0
 
     @property
     def score(self) -> float:
@@ -174,8 +171,8 @@ class Fitting:
         steps: int = MAX_EVALUATIONS,
         most: float = np.inf,
         held: int | None = None,
-    ) -> tuple[Linearisation, int]:
-        """Return (the model at the most probable φ that Levenberg and Marquardt's steps reach, its evaluations).
+    ) -> Linearisation:
+        """Return the model at the most probable φ that Levenberg and Marquardt's steps reach.
 
         Parameters
         ----------
@@ -185,16 +182,16 @@ class Fitting:
             The number of a parameter that stays.
         """
         mean, sd, longest = self._prior
-        low, high = mean - OUTLIER_THRESHOLD * sd, mean + OUTLIER_THRESHOLD * sd
+        low, high = mean - SIGNIFICANT * sd, mean + SIGNIFICANT * sd
         if held is not None:
             low[held] = high[held] = start[held]
-        minimum = LevenbergMarquardt(steps, TOLERANCE, longest=longest).minimum(
+        loop = LevenbergMarquardt(steps, TOLERANCE, longest=longest)
+        return loop.minimum(
             lambda parameters: self.at(parameters, likelihood),
             start,
             (low, high),
             lambda point, count: count > 4 and point.cost > most,
-        )
-        return minimum.at, minimum.evaluations
+        ).at
 
     def best(self, start: Array, whitening: Whitening, most: float = np.inf, *, quick: bool = False) -> Fit:
         """Return the fit at the most probable φ.
@@ -206,28 +203,27 @@ class Fitting:
         quick : bool
             Whether widths are those of the curvature.
         """
-        point, likelihood, steps = self.settled(start, whitening, most)
-        return replace(self.fit_at(point, likelihood, whitening, quick=quick or point.cost > most), steps=steps)
+        point, likelihood = self.settled(start, whitening, most)
+        return self.fit_at(point, likelihood, whitening, quick=quick or point.cost > most)
 
     def settled(
         self, start: Array, whitening: Whitening, most: float = np.inf, held: int | None = None
-    ) -> tuple[Linearisation, CellLikelihood, int]:
-        """Return (the most probable φ with its exact cost, the likelihood about it, evaluations).
+    ) -> tuple[Linearisation, CellLikelihood]:
+        """Return (the most probable φ with its exact cost, the likelihood about it).
 
         The circuit is linearised anew where the last search ended, until that changes nothing. most, held : as above.
         """
-        likelihood, steps = self.about(start, whitening), 0
-        parameters, best = start, None
+        likelihood, parameters, best = self.about(start, whitening), start, None
         for _ in range(MAX_ROUNDS):
-            point, count = self.descended(parameters, likelihood, MAX_EVALUATIONS, most, held)
-            likelihood, steps = CellLikelihood.about(self.frame, whitening, point.change), steps + count
+            point = self.descended(parameters, likelihood, MAX_EVALUATIONS, most, held)
+            likelihood = CellLikelihood.about(self.frame, whitening, point.change)
             parameters, exact = point.parameters, point.cost - point.misfit + likelihood.exact
             if best is None or exact < best[0].cost:
                 best = replace(point, cost=exact), likelihood
             if abs(exact - point.cost) < TOLERANCE or min(exact, point.cost) > most:
                 break
         assert best is not None
-        return *best, steps
+        return best
 
     def stays(self, parameters: Array, whitening: Whitening) -> Fit:
         """Return the fit at φ as it is."""
@@ -251,7 +247,7 @@ class Fitting:
     @cached_property
     def _prior(self) -> Array:
         """Mean, standard deviation and longest step of φ, (3, parameters)."""
-        return np.array(list(self.candidate.priors(self.panel).values())).reshape(-1, 3).T
+        return np.array([prior[:3] for prior in self.candidate.priors(self.panel).values()]).reshape(-1, 3).T
 
     def pressure(self, parameters: Array, larger: float = 1.0) -> tuple[Array, Array]:
         return self.candidate.pressure(self.panel, self.patch_mm * larger, parameters)

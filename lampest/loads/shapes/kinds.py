@@ -55,7 +55,7 @@ class RoundCandidate(Candidate):
     suction: Prior | None = None
     rim: Prior | None = None
     push: Prior | None = None
-    tilt: Prior = Prior(0, 0.25, step=0.3)
+    tilt: Prior = Prior(0, 0.25, step=0.3, sway=0.1)
     uneven: tuple[float, ...] = (0.02, 0.02, 0.08, 0.08)
     edge_mm: float = 0.7
 

@@ -16,11 +16,22 @@ POINTS = 8  # along either edge of a patch; an edge of a footprint is then off b
 
 
 class Prior(NamedTuple):
-    """A parameter's mean and standard deviation before anything is measured, and its longest step of Gauss-Newton."""
+    """A parameter before anything is measured.
+
+    Attributes
+    ----------
+    mean, sd : float
+        Mean and standard deviation.
+    step : float
+        Longest step of Gauss-Newton.
+    sway : float
+        Standard deviation by which the whole load may swing in it.
+    """
 
     mean: float
     sd: float
     step: float = 0.7
+    sway: float = 0.0
 
 
 class Template(NamedTuple):
@@ -99,10 +110,11 @@ class Candidate(ABC):
 
 
 def centre_priors(panel: Panel) -> dict[str, Prior]:
-    """x and y in mm: mean and standard deviation of a centre that is uniform over the panel; half a pitch a step."""
+    """x and y in mm of a centre that is uniform over the panel; half a pitch a step, and a sway of 1 mm."""
     pitch, extents = panel.pitch_mm, zip("xy", panel.extents_mm, strict=True)
     return {
-        name: Prior((least + most) / 2, (most - least + pitch) / 12**0.5, pitch / 2) for name, (least, most) in extents
+        name: Prior((least + most) / 2, (most - least + pitch) / 12**0.5, pitch / 2, sway=1.0)
+        for name, (least, most) in extents
     }
 
 
