@@ -95,16 +95,6 @@ def under(panel: Panel, disc: Disc) -> NDArray[np.bool_]:
     return np.asarray(np.hypot(across - disc.x_mm, down - disc.y_mm) < (disc.diameter_mm + panel.pitch_mm) / 2)
 
 
-def _steps_between(places: Array) -> tuple[Array, NDArray[np.intp]]:
-    """(distinct steps, which of them is taken from every place to every other), of places in mm.
-
-    Distinct places are compared, because few rows and columns have many cells and sorting all pairs takes long.
-    """
-    distinct, of_place = np.unique(places, return_inverse=True)
-    steps, of_pair = np.unique(np.round(distinct - distinct[:, None], 6), return_inverse=True)
-    return steps, of_pair.reshape(len(distinct), -1)[of_place[:, None], of_place]
-
-
 @dataclass(frozen=True, eq=False)
 class DiscSearch:
     """A matched filter: round templates about every cell's centre and between four of them.
@@ -127,18 +117,15 @@ class DiscSearch:
         """All templates laid over a panel."""
         discs, patterns = [], []
         x, y = panel.places_mm[:, panel.present]
-        across, down = _steps_between(x), _steps_between(y)
-        numbers = across[1] * len(down[0]) + down[1]
-        used = np.flatnonzero(np.bincount(numbers.ravel()))
-        ways = np.stack([across[0][used // len(down[0])], down[0][used % len(down[0])]])
-        way = np.searchsorted(used, numbers)
+        places = x + 1j * y  # one number a place: regular panels have few distinct steps between two places
+        steps, step = np.unique(np.round(places - places[:, None], 6), return_inverse=True)
         for template in templates:
             size = (template.outer_mm, template.inner_mm)
             pressures = HOLLOW_KPA if template.inner_mm else FULL_KPA
             for shift in (0.0, panel.pitch_mm / 2):
                 shifted = Disc(shift, shift, *size, template.inside, -1.0, 0.0, 0.0)
-                pattern, _ = pressure_at_places(ways, patch_mm, shifted)
-                patterns.append(pattern[way.ravel()].reshape(len(x), -1))
+                pattern, _ = pressure_at_places(np.stack([steps.real, steps.imag]), patch_mm, shifted)
+                patterns.append(pattern[step.reshape(len(places), -1)])
                 discs += [Disc(*at, *size, *pressures, 0.0, 0.0) for at in zip(x + shift, y + shift, strict=True)]
         changes = np.zeros((panel.crossings, len(discs)))
         changes[panel.present.ravel()] = np.concatenate(patterns).T

@@ -332,7 +332,7 @@ def field_fit(frame: Observation) -> tuple[Fit, Observation]:
     fit, most_probable = _of_two_maps(frame)
     if fit.chi2 < MAX_CHI_SQUARE * frame.measured.size:
         return fit, frame
-    calm = frame.without(outliers(Whitening(most_probable.root), most_probable.apart))
+    calm = frame.without(outliers(most_probable.whitening, most_probable.apart))
     return max((fit, frame), (_of_two_maps(calm)[0], calm), key=lambda pair: pair[0].evidence)
 
 
@@ -346,7 +346,7 @@ def _with_states(frame: Observation, start: Array) -> tuple[Fit, MostProbable]:
     panel, none = frame.baseline.scene.panel, np.zeros(0)
     of_cells = states(panel, start)
     most_probable = frame.cells(start, prior(frame, SD[of_cells].ravel()))
-    change, whitening = most_probable.state.reshape(start.shape), Whitening(most_probable.root)
+    change, whitening = most_probable.state.reshape(start.shape), most_probable.whitening
     errors, left = whitening @ most_probable.apart, frame.residual(change)
     misfit = Whitening(np.linalg.cholesky(frame.covariance(frame.slope(change)))) @ left
     cost = float(errors @ errors) / 2

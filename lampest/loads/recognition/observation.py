@@ -139,8 +139,8 @@ class MostProbable(NamedTuple):
         P.
     across : array
         P Aᵀ (n, readings).
-    root : array
-        Of A P Aᵀ + C, lower.
+    whitening : Whitening
+        Of A P Aᵀ + C.
     apart : array
         y − f(mean) (readings).
     """
@@ -148,13 +148,13 @@ class MostProbable(NamedTuple):
     state: Array
     prior: Array
     across: Array
-    root: Array
+    whitening: "Whitening"
     apart: Array
 
     @property
     def covariance(self) -> Array:
         """Of x after the readings, (n, n)."""
-        return np.asarray(self.prior - self.across @ cho_solve((self.root, True), self.across.T))
+        return np.asarray(self.prior - self.across @ cho_solve((self.whitening.root, True), self.across.T))
 
 
 def most_probable(
@@ -174,7 +174,7 @@ def most_probable(
         state = state + step
         if np.abs(step).max() < settled:
             break
-    return MostProbable(state, prior, across, root, apart)
+    return MostProbable(state, prior, across, Whitening(root), apart)
 
 
 @dataclass(frozen=True, eq=False)
@@ -229,7 +229,7 @@ class Baseline:
             return residual, np.hstack([network.sensitivity(), spread]), np.diag(noise) + shared
 
         coarse = most_probable(model, mean, mean, prior, MAX_STEP / 10)
-        noise[outliers(Whitening(coarse.root), coarse.apart)] *= DROPPED_FACTOR**2
+        noise[outliers(coarse.whitening, coarse.apart)] *= DROPPED_FACTOR**2
         fine = most_probable(model, coarse.state, mean, prior, 1e-6)
         logarithm, shifts = fine.state[:cells].reshape(measured.shape), fine.state[cells:]
         return cls(logarithm, shifts, fine.covariance, model_errors, scene)
