@@ -18,7 +18,7 @@ from lampest.loads.recognition.evidence import EVIDENCE_SHARE, RARE_LOG_ODDS
 from lampest.loads.recognition.fit import MAX_ROUNDS, Fit
 from lampest.loads.recognition.observation import Observation
 from lampest.panel.panel import Array
-from lampest.panel.response import PUBLISHED_KPA, RESPONSE_SD, SUCTION_RATE, PublishedResponse
+from lampest.panel.response import CURVE_KPA, CURVE_RATIO, RESPONSE_SD, PublishedResponse
 
 RATES_HZ = (0.5, 2.5)  # of breathing; sea lampreys at rest 0.8 to 1.6 Hz
 MIN_RATE_HZ = 3.8  # frames a second: those of four whose clock is slow; they show rates up to 2 Hz
@@ -31,8 +31,7 @@ MAX_AMPLITUDE = 0.15
 # An assumption: relative standard deviation of the swing of all the rim over that of suction, which may press with more
 # than it bears; and of each cell's change by a movement, because where an edge crosses its film is not known.
 EDGE_SD = 0.5
-# Ln r/r0 by which films whose suction shows from −2 kPa on stay behind the published curve's extension to 0 kPa.
-THRESHOLD_DELAY = SUCTION_RATE * PUBLISHED_KPA[0] / (PUBLISHED_KPA[0] / -2.0 - 1)
+THRESHOLD_KPA = -2.0  # from which on suction may show, another curve through the published point than that from 0 kPa
 MAX_LOG_ODDS = 10.0  # that evidence of breathing can add up to
 
 Pair = tuple[float, float]
@@ -349,8 +348,8 @@ def _slopes(frame: Observation, rise: Array, scatter: float) -> Array:
     logarithm = rise / gains + response.logarithm(water)
     pressure = response.pressure(logarithm) - water
     more, less = (response.logarithm(water + by * pressure) for by in (1 + BREATHING_SD, 1 - BREATHING_SD))
-    rise = np.maximum(logarithm, 0.1)
-    straight, delayed = np.log(-np.expm1(-rise) / rise), np.log1p(THRESHOLD_DELAY / rise)
+    rise, delay = np.maximum(logarithm, 0.1), np.log(CURVE_RATIO[0]) / (CURVE_KPA[0] / THRESHOLD_KPA - 1)
+    straight, delayed = np.log(-np.expm1(-rise) / rise), np.log1p(delay / rise)
     unknown = (logarithm > 0) & isinstance(response, PublishedResponse)
     middle, curve = unknown * (delayed + straight) / 2, unknown * (delayed - straight) / 2
     slopes = (gains * (more - less) / (2 * BREATHING_SD) * np.exp(middle)).reshape(len(points), -1)

@@ -25,8 +25,8 @@ from lampest.loads.shapes.shape import Candidate
 from lampest.panel.least_squares import LevenbergMarquardt
 from lampest.panel.panel import Array, Panel
 
-# Evaluations of the pressure with one linearised circuit; of ln P, below which a step changes nothing that is reported.
-MAX_EVALUATIONS, TOLERANCE = 30, 0.3
+# With one linearised circuit; a step that changes ln P by less than `settled` changes nothing that is reported.
+SEARCH = LevenbergMarquardt(evaluations=30, settled=0.3)
 MAX_ROUNDS = 4  # linearisations of the circuit in a fit, and fits with the errors about the one before, at most
 MIN_MEASURED_WIDTH = 0.3  # of the prior's width: wider axes of the posterior are measured, see `Fitting._widths`
 MAX_LOG_RATIO = 20.0  # of ln P: candidates so far below the best do not count
@@ -168,7 +168,7 @@ class Fitting:
         self,
         start: Array,
         likelihood: CellLikelihood,
-        steps: int = MAX_EVALUATIONS,
+        steps: int = SEARCH.evaluations,
         most: float = np.inf,
         held: int | None = None,
     ) -> Linearisation:
@@ -185,7 +185,7 @@ class Fitting:
         low, high = mean - SIGNIFICANT * sd, mean + SIGNIFICANT * sd
         if held is not None:
             low[held] = high[held] = start[held]
-        loop = LevenbergMarquardt(steps, TOLERANCE, longest=longest)
+        loop = replace(SEARCH, evaluations=steps, longest=longest)
         return loop.minimum(
             lambda parameters: self.at(parameters, likelihood),
             start,
@@ -215,12 +215,12 @@ class Fitting:
         """
         likelihood, parameters, best = self.about(start, whitening), start, None
         for _ in range(MAX_ROUNDS):
-            point = self.descended(parameters, likelihood, MAX_EVALUATIONS, most, held)
+            point = self.descended(parameters, likelihood, most=most, held=held)
             likelihood = CellLikelihood.about(self.frame, whitening, point.change)
             parameters, exact = point.parameters, point.cost - point.misfit + likelihood.exact
             if best is None or exact < best[0].cost:
                 best = replace(point, cost=exact), likelihood
-            if abs(exact - point.cost) < TOLERANCE or min(exact, point.cost) > most:
+            if abs(exact - point.cost) < SEARCH.settled or min(exact, point.cost) > most:
                 break
         assert best is not None
         return best
