@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from lampest.files.levels import MAD_TO_SIGMA, NOISE_REACH, OUTLIER_THRESHOLD, TWO_SIDED
 from lampest.files.typed import Validated, check_range
-from lampest.loads.film import DRIFT_SD, MIN_PERIOD, UNLOADED_SD, FilmKnown, FilmMemory
+from lampest.loads.film import ERRORS, MIN_PERIOD, FilmKnown, FilmMemory
 from lampest.panel.panel import Array, Panel
 from lampest.panel.response import PUBLISHED, RESPONSE_SD, VACUUM_KPA, Film
 from lampest.panel.scene import Scene, Water
@@ -99,7 +99,7 @@ class TareWatch:
         known = np.isfinite(frames).all(axis=0)
         noise = DIFFERENCES_TO_SIGMA * np.median(np.abs(np.diff(frames[:, known], axis=0)), axis=0)
         moved = np.sqrt(
-            UNLOADED_SD**2 + (self.tare.drift_per_minute * minutes) ** 2 + (MEMORY_SHARE * memory[known]) ** 2
+            ERRORS.unloaded**2 + (self.tare.drift_per_minute * minutes) ** 2 + (MEMORY_SHARE * memory[known]) ** 2
         )
         half = len(frames) // 2
         mean, error = frames[:half].mean(axis=0), noise / np.sqrt(half)
@@ -329,7 +329,7 @@ class PressureTrack:
         """
         change, spread, warmth = self._change(ratio), np.zeros(ratio.shape), self.scene.temperature
         if self.residue and self.zeroed is not None:
-            drift = np.hypot(UNLOADED_SD, DRIFT_SD * (time - self.zeroed) / 60)
+            drift = ERRORS.resting_sd((time - self.zeroed) / 60)
             gone = 1 - (change / np.maximum(self.peak, MIN_TOUCH)) ** 2
             spread = np.hypot(self.residue * self.peak, drift) * np.sqrt(np.maximum(gone, 0.0))
         warming_sd = 0.0 if warmth is None else warmth.difference_kelvin * warmth.coefficient_sd_per_kelvin
