@@ -12,7 +12,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.files.levels import MAD_TO_SIGMA, NOISE_REACH, OUTLIER_THRESHOLD, TWO_SIDED
+from lampest.files.levels import MAD_TO_SIGMA, MAX_MEAN_SQUARE, NOISE_REACH, OUTLIER_THRESHOLD, TWO_SIDED
 from lampest.files.typed import Validated, check_range
 from lampest.loads.film import ERRORS, MIN_PERIOD, FilmKnown, FilmMemory
 from lampest.panel.panel import Array, Panel
@@ -20,16 +20,9 @@ from lampest.panel.response import PUBLISHED, RESPONSE_SD, VACUUM_KPA, Film
 from lampest.panel.scene import Scene, Water
 from lampest.panel.systematic import systematic_of
 
-MEMORY_SHARE = 0.4  # the part of a cell's memory that may be wrong
-MAX_MEAN_DEVIATION = 4.5  # standard deviations of a cell in the mean of all frames
-MAX_MEAN_SQUARE = 1.4  # mean square over the cells, in the same units
 # ln r/r0 beyond which a cell, and the mean of four neighbours, may be under a load: 0.8 and 0.3 kPa. The weakest
 # suction of a lamprey, 0.6 kPa, covers more cells than four; films drift cell by cell.
 MAX_CHANGE, MAX_CHANGE_OF_FOUR = 0.15, 0.06
-FADES = 0.01  # ln r/r0
-# Standard errors by which cells must have moved, in the root mean square, for a new zero to be worth it.
-MIN_DEVIATION = 2.0
-DIFFERENCES_TO_SIGMA = MAD_TO_SIGMA / np.sqrt(2)  # median of |differences of two| → standard deviation of one
 
 
 @dataclass(frozen=True)
@@ -65,28 +58,25 @@ class TareWatch:
     zeroed : float or None
         s, of the last zero; None before the first frame.
     frames : tuple of tuple
-        At most as many as `tare` asks for: (rows, columns) ln r/r_zero without the film's memory, (rows, columns) that
-        memory, and s.
+        At most as many as `tare` asks for: (rows, columns) ln r/r_zero without the film's memory, and s.
     """
 
     tare: Tare
     zeroed: float | None = None
-    frames: tuple[tuple[Array, Array, float], ...] = ()
+    frames: tuple[tuple[Array, float], ...] = ()
 
     def after(self, left: Array, memory: Array, time: float) -> tuple["TareWatch", Array | None, str]:
         """(watch, new zero or None, why or ''); left : ln r/r_zero (rows, columns) without the film's memory."""
         zeroed, count = time if self.zeroed is None else self.zeroed, self.tare.frames
         if not np.isfinite(left).any():
             return TareWatch(self.tare, zeroed), None, ""
-        watch = TareWatch(self.tare, zeroed, (*self.frames, (left, memory, time))[-count:])
-        _, first_memory, first_time = watch.frames[0]
-        steady = len(watch.frames) == count and np.abs(first_memory - memory).max() < FADES
-        mean = watch._zero(memory, (time - zeroed) / 60) if steady else None
+        watch = TareWatch(self.tare, zeroed, (*self.frames, (left, time))[-count:])
+        mean = watch._zero(memory, (time - zeroed) / 60) if len(watch.frames) == count else None
         if mean is None:
             return watch, None, ""
         message = (
-            f"nothing touched the panel for {count} frames ({time - first_time:.3g} s): no cell was off by more than "
-            f"{100 * np.expm1(np.nanmax(np.abs(mean))):.2g} %, as drift and the film's memory allow"
+            f"nothing touched the panel for {count} frames ({time - watch.frames[0][1]:.3g} s): no cell was off by "
+            f"more than {100 * np.expm1(np.nanmax(np.abs(mean))):.2g} %, as drift and the film's memory allow"
         )
         return TareWatch(self.tare, time), mean, message
 
@@ -95,20 +85,22 @@ class TareWatch:
 
         None where something stands out in any frame, or where it is not worth a new zero.
         """
-        frames = np.stack([left for left, _, _ in self.frames])
+        frames = np.stack([left for left, _ in self.frames])
         known = np.isfinite(frames).all(axis=0)
-        noise = DIFFERENCES_TO_SIGMA * np.median(np.abs(np.diff(frames[:, known], axis=0)), axis=0)
-        moved = np.sqrt(
-            ERRORS.unloaded**2 + (self.tare.drift_per_minute * minutes) ** 2 + (MEMORY_SHARE * memory[known]) ** 2
-        )
-        half = len(frames) // 2
-        mean, error = frames[:half].mean(axis=0), noise / np.sqrt(half)
-        each, all_in_all = frames[:, known] / np.hypot(noise, moved), mean[known] / np.hypot(2 * error, moved)
+        noise, half = sigma_of_frames(frames[:, known]), len(frames) // 2
+        drift = np.hypot(ERRORS.unloaded, self.tare.drift_per_minute * minutes)
+        moved = np.hypot(drift, ERRORS.cell_memory * memory[known])
+        each, mean = frames[:, known] / np.hypot(noise, moved), frames[:half].mean(axis=0)
         quiet = np.abs(each).max() < OUTLIER_THRESHOLD and (each**2).mean(axis=1).max() < MAX_MEAN_SQUARE
-        worth = np.mean(mean[known] ** 2) >= MIN_DEVIATION**2 * np.mean(error**2)
-        if not (quiet and worth and np.abs(all_in_all).max() < MAX_MEAN_DEVIATION) or _stands_out(frames.mean(axis=0)):
+        worth = np.mean(mean[known] ** 2) >= TWO_SIDED**2 * np.mean(noise**2) / half
+        if not (quiet and worth) or _stands_out(frames.mean(axis=0)):
             return None
         return np.where(known, mean, np.nan)
+
+
+def sigma_of_frames(frames: Array) -> Array:
+    """Return the noise of one frame, (...), from the differences of neighbours among (frames, ...); NaN: missing."""
+    return np.asarray(MAD_TO_SIGMA * np.nanmedian(np.abs(np.diff(frames, axis=0)), axis=0) / np.sqrt(2))
 
 
 def _stands_out(change: Array) -> bool:

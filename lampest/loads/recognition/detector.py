@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.linalg import cho_solve
 from scipy.special import softmax
 
-from lampest.files.levels import SIGNIFICANT
+from lampest.files.levels import MAX_MEAN_SQUARE, SIGNIFICANT
 from lampest.loads.recognition.candidates import FIELD, LOADS, UNIFORM, DiscSearch, Several, under
 from lampest.loads.recognition.evidence import EVIDENCE_SHARE, Verdict, prior_cost, rises
 from lampest.loads.recognition.fit import (
@@ -30,7 +30,6 @@ from lampest.loads.recognition.fit import (
     states,
 )
 from lampest.loads.recognition.observation import (
-    MAX_CHI_SQUARE,
     Explained,
     Observation,
     Whitening,
@@ -105,12 +104,12 @@ class Detector:
         calm = frame.without(outliers(whitening, residual))
         errors = Whitening.at_rest(calm) @ residual
         stands_out = unit(whitening @ self.search.readings(frame)).T @ errors
-        return calm if errors @ errors < MAX_CHI_SQUARE * errors.size and stands_out.max() < SIGNIFICANT else None
+        return calm if errors @ errors < MAX_MEAN_SQUARE * errors.size and stands_out.max() < SIGNIFICANT else None
 
     def fitted(self, candidate: Candidate, frame: Observation, start: Fit | None) -> Fit:
         """One candidate whether or not anything else would do; from everywhere, unless the start of before fits."""
         fit = None if start is None else self._whole(frame, start, start, frame)
-        if fit is None or fit.chi2 > MAX_CHI_SQUARE * frame.measured.size:
+        if fit is None or fit.chi2 > MAX_MEAN_SQUARE * frame.measured.size:
             field, calm = field_fit(frame)
             (begin,) = self._coarse((candidate,), field, calm)
             anew = self._whole(frame, begin, field, calm)
@@ -174,7 +173,7 @@ class Detector:
     def _contradicting(self, frame: Observation, fit: Fit) -> NDArray[np.intp]:
         whitening = Whitening.of(frame, self.explained(frame, fit), fit.scatter)
         errors = whitening @ fit.residual
-        suspicious = errors @ errors > MAX_CHI_SQUARE * len(errors)
+        suspicious = errors @ errors > MAX_MEAN_SQUARE * len(errors)
         return outliers(whitening, fit.residual) if suspicious else np.zeros(0, dtype=np.intp)
 
     def _coarse(self, kinds: Sequence[Candidate], field: Fit, calm: Observation) -> list[Fit]:
@@ -264,7 +263,7 @@ class Detector:
 
     def _doubtful(self, verdict: Verdict, field: Fit) -> bool:
         """Whether another number of loads might explain more, or cells beside the best have clearly changed."""
-        if verdict.best.candidate is FIELD or verdict.goodness > MAX_CHI_SQUARE:
+        if verdict.best.candidate is FIELD or verdict.goodness > MAX_MEAN_SQUARE:
             return True
         explained = [verdict.best.change != 0, *(under(self.panel, disc) for disc in discs_of(verdict.best))]
         left = np.where(np.any(explained, axis=0), 0.0, field.change)

@@ -10,10 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import softmax
 
-from lampest.files.levels import SIGNIFICANT
+from lampest.files.levels import MAX_MEAN_SQUARE, SIGNIFICANT
 from lampest.loads.recognition.candidates import FIELD
 from lampest.loads.recognition.observation import (
-    MAX_CHI_SQUARE,
     Explained,
     MostProbable,
     Observation,
@@ -330,7 +329,7 @@ def field_fit(frame: Observation) -> tuple[Fit, Observation]:
     field pays.
     """
     fit, most_probable = _of_two_maps(frame)
-    if fit.chi2 < MAX_CHI_SQUARE * frame.measured.size:
+    if fit.chi2 < MAX_MEAN_SQUARE * frame.measured.size:
         return fit, frame
     calm = frame.without(outliers(most_probable.whitening, most_probable.apart))
     return max((fit, frame), (_of_two_maps(calm)[0], calm), key=lambda pair: pair[0].evidence)

@@ -114,7 +114,6 @@ class ModelErrors:
 # readings, and a network soon has no inverse.
 MAX_STEP, MAX_LOG_CHANGE = 1.5, 12.0
 OUTLIER_SHARE = 0.03  # part of the readings that may be outliers
-MAX_CHI_SQUARE = 1.4  # χ² per reading beyond which outliers, or another position, are looked for: 3 σ of 100 readings
 DROPPED_FACTOR = 1e3  # so many times its σ, or its reading, is the σ of one that does not count
 
 
