@@ -33,13 +33,13 @@ from math import hypot
 import numpy as np
 
 from lampest.panel.panel import Array
-from lampest.panel.response import MAX_CREEP, PUBLISHED, VACUUM_KPA, Film, Response, Strength
+from lampest.panel.response import PUBLISHED, VACUUM_KPA, Film, Response, Strength
 
 # Where the hyperbola is cut into lines: ln(s t/(1 − t)), 0 at the largest gap. The lines miss it by 0.4 % of the peak.
 CUTS = np.linspace(-2.6, 2.6, 11)
 DECADES = 10.0 ** np.arange(6)  # τ_j, s
 # Strengths of creep that `FilmKnown.estimated` compares, per decade: as dense as their posteriors are narrow.
-CREEPS = MAX_CREEP * np.linspace(0, 1, 81) ** 2
+CREEPS = Film.most["creep_per_decade"] * np.linspace(0, 1, 81) ** 2
 # Of the largest ln r/r0 of a cell, the residue once the load is gone that does not fade: shares that are compared.
 RESIDUES = 0.25 * np.linspace(0, 1, 26) ** 2
 MIN_PERIOD = 1e-3  # s between frames whose times do not increase

@@ -7,17 +7,17 @@ a guard against a load that begins to come.
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lampest.files.levels import MAD_TO_SIGMA, MAX_MEAN_SQUARE, NOISE_REACH, OUTLIER_THRESHOLD, TWO_SIDED
-from lampest.files.typed import Validated, check_range
+from lampest.files.typed import Configuration, check_range
 from lampest.loads.film import ERRORS, MIN_PERIOD, FilmKnown, FilmMemory
 from lampest.panel.panel import Array, Panel
 from lampest.panel.response import PUBLISHED, RESPONSE_SD, VACUUM_KPA, Film
-from lampest.panel.scene import Scene, Water
+from lampest.panel.scene import Scene, Systematic, Water
 from lampest.panel.systematic import systematic_of
 
 # ln r/r0 beyond which a cell, and the mean of four neighbours, may be under a load: 0.8 and 0.3 kPa. The weakest
@@ -26,7 +26,7 @@ MAX_CHANGE, MAX_CHANGE_OF_FOUR = 0.15, 0.06
 
 
 @dataclass(frozen=True)
-class Tare(Validated):
+class Tare(Configuration):
     """Take zero anew where nothing has touched the panel for so many frames in a row.
 
     Attributes
@@ -40,7 +40,6 @@ class Tare(Validated):
     20
     """
 
-    __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
     frames: int = 20
     drift_per_minute: float = 0.02
 
@@ -223,10 +222,7 @@ class PressureTrack:
     def begin(cls, scene: Scene, known: FilmKnown | None = None, tare: Tare | None = None) -> "PressureTrack":
         """Before the first frame; known, tare : as `pressure_of` has them."""
         known, water = known or FilmKnown.specified(scene.film or Film()), water_pressure(scene.panel, scene.water)
-        films, residue = (
-            known.at_rest(water, scene.response or PUBLISHED),
-            known.residue if known.film.remembers else 0.0,
-        )
+        films, residue = known.at_rest(water, scene.response or PUBLISHED), known.residue * known.film.remembers
         watch = None if tare is None else TareWatch(tare)
         return cls(scene, films, np.zeros(films.gain.shape), np.zeros(water.shape), residue, watch=watch)
 
@@ -241,7 +237,6 @@ class PressureTrack:
         own : as `pressure_of`.
         """
         change, remembered = self._change(ratio), self._kept(ratio, time)
-        water = water_pressure(self.scene.panel, self.scene.water)
         answer, *answers = -self._of_films(self.films.at_once, change, time)
         effective, *_ = self._of_films(self.films.effective, change, time)
         expected, *alternatives = self._of_films(self.films.pressure, change, time)
@@ -258,17 +253,17 @@ class PressureTrack:
         least, most = of_change(above), of_change(-below)
         errors = (of_change(-below / TWO_SIDED) - of_change(above / TWO_SIDED)) / 2
         if alternatives:
-            open_kpa = _distance(alternatives, expected)
-            least = np.maximum(expected - np.hypot(expected - least, TWO_SIDED * open_kpa), VACUUM_KPA - water)
+            open_kpa, empty = _distance(alternatives, expected), VACUUM_KPA - self.films.water
+            least = np.maximum(expected - np.hypot(expected - least, TWO_SIDED * open_kpa), empty)
             most, errors = expected + np.hypot(most - expected, TWO_SIDED * open_kpa), np.hypot(errors, open_kpa)
         half = (fell + rose) / (2 * TWO_SIDED) if own is None else own
-        scatter = np.hypot(half, scatter_sd(self.scene) * answer)
+        scatter = np.hypot(half, scatter_sd(self.scene, self.scene.specified_systematic) * answer)
         with np.errstate(invalid="ignore"):
             alone = np.minimum(np.abs(of_change(scatter) - of_change(-scatter)) / 2, errors)
             common = np.where(np.isinf(errors), np.inf, np.sqrt(np.maximum(errors**2 - alone**2, 0.0)))
             clear = -answer > NOISE_REACH * np.hypot(np.hypot(rose / TWO_SIDED, remembered), _distance(answers, answer))
-        known = (self.scene.response or PUBLISHED).told_kpa
-        saturated = (least + water < known[0]) | (most + water > known[1])
+        lowest, highest = self.films.response.told_kpa
+        saturated = (least + self.films.water < lowest) | (most + self.films.water > highest)
         pressing = clear & (expected > 0) & ~self.scene.broken
         return Pressure(
             expected, least, most, errors, alone, common, saturated.astype(np.uint8), pressing.astype(np.uint8)
@@ -338,24 +333,21 @@ class PressureTrack:
 
 def _distance(alternatives: Iterable[Array], expected: Array) -> Array:
     """√Σ (other − here)², any shape."""
-    return np.asarray(
-        np.sqrt(sum(((alternative - expected) ** 2 for alternative in alternatives), np.zeros(expected.shape)))
-    )
+    return np.asarray(np.sqrt(np.sum([(alternative - expected) ** 2 for alternative in alternatives], axis=0)))
 
 
 def response_sd(scene: Scene, answer: Array) -> Array:
     """Relative standard deviation, of cells and the curve, of ln(r/r0) = `answer` (…, rows, columns) at a pressure."""
-    response, named = scene.response or PUBLISHED, systematic_of(scene)
-    own = RESPONSE_SD if named is None or named.response_sd is None else named.response_sd
-    scatter = np.array(own if response.gain_sd is None else response.gain_sd)
-    return np.asarray(np.hypot(scatter, response.curve_sd(response.pressure(answer / response.gains))))
+    response = scene.response or PUBLISHED
+    curve = response.curve_sd(response.pressure(answer / response.gains))
+    return np.asarray(np.hypot(scatter_sd(scene, systematic_of(scene)), curve))
 
 
-def scatter_sd(scene: Scene) -> Array:
-    """Return the part of it that each cell has on its own: as specified; else as cells of one film scatter."""
-    response, stated = scene.response or PUBLISHED, scene.specified_systematic
-    own = RESPONSE_SD if stated is None or stated.response_sd is None else stated.response_sd
-    return np.array(own if response.gain_sd is None else response.gain_sd)
+def scatter_sd(scene: Scene, errors: Systematic | None) -> Array:
+    """Return the part of it that each cell has on its own: as these errors say; else as cells of one film scatter."""
+    own = RESPONSE_SD if errors is None or errors.response_sd is None else errors.response_sd
+    measured = None if scene.response is None else scene.response.gain_sd
+    return np.array(own if measured is None else measured)
 
 
 def water_pressure(panel: Panel, water: Water | None) -> Array:

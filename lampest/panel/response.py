@@ -8,7 +8,7 @@ from abc import abstractmethod
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import hypot, isfinite
-from typing import Annotated, Literal, NamedTuple, Self
+from typing import Annotated, ClassVar, Literal, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -291,11 +291,6 @@ def relative_change_from_pressure(pressure: ArrayLike) -> Array:
     return ratio_from_pressure(pressure) - 1.0
 
 
-MAX_HYSTERESIS, MAX_CREEP = 0.6, 0.5
-# Where a scene leaves it open: 10 to 25 % of full scale are published for velostat; data sheets of kindred films
-# (Interlink FSR 400, Tekscan FlexiForce) promise less than 5 % for each decade, of a film alone. Mean and deviation.
-OPEN_HYSTERESIS, OPEN_CREEP = (0.17, 0.1), (0.04, 0.04)
-
 # Bent single cells: curvature in 1/m, unloaded resistance in ohm, and ΔR/R0 at 40 kPa (paper, figure 2-a and -d).
 BENT = np.array([[0.0, 3050.0, -0.94], [20.0, 1030.0, -0.82], [30.3, 560.0, -0.69], [58.8, 350.0, -0.81]])
 CURVATURES, BENT_OHM, BENT_CHANGE = BENT.T
@@ -317,6 +312,9 @@ class Film(Configuration):
     creep_per_decade : by which fraction of itself ln(r/r0) grows for each decade of time under a load that stays, and
         by which it fades afterwards. 'auto': not known; estimated from the recording where a load was taken off, and
         0.04 ± 0.04 where none was.
+    most : largest value of the two.
+    usual : of the two where a scene leaves them open. 10 to 25 % of full scale are published for velostat; data sheets
+        of kindred films (Interlink FSR 400, Tekscan FlexiForce) promise less than 5 % for each decade, of a film alone.
     deviation : relative standard deviation of the two, for all cells alike: how well they are known.
     cell_spread : relative standard deviation of the two from cell to cell.
     curvature_per_m : of the bent panel, the same in all frames; 0: flat.
@@ -325,6 +323,8 @@ class Film(Configuration):
     0.1
     """
 
+    most: ClassVar[dict[str, float]] = {"hysteresis": 0.6, "creep_per_decade": 0.5}
+    usual: ClassVar[dict[str, Strength]] = {"hysteresis": Strength(0.17, 0.1), "creep_per_decade": Strength(0.04, 0.04)}
     hysteresis: float | Literal["auto"] = 0.0
     creep_per_decade: float | Literal["auto"] = 0.0
     deviation: float = 0.0
@@ -332,7 +332,7 @@ class Film(Configuration):
     curvature_per_m: float = 0.0
 
     def __post_init__(self) -> None:
-        for name, most in (("hysteresis", MAX_HYSTERESIS), ("creep_per_decade", MAX_CREEP)):
+        for name, most in self.most.items():
             if getattr(self, name) != "auto":
                 check_ranges(self, 0, most, name)
         check_ranges(self, 0, 1, "deviation", "cell_spread")
@@ -346,15 +346,16 @@ class Film(Configuration):
     @property
     def hysteresis_strength(self) -> Strength:
         """As specified, or what is usual where it is open."""
-        return self._strength(self.hysteresis, OPEN_HYSTERESIS)
+        return self._strength("hysteresis")
 
     @property
     def creep_strength(self) -> Strength:
         """The same, a fraction for each decade."""
-        return self._strength(self.creep_per_decade, OPEN_CREEP)
+        return self._strength("creep_per_decade")
 
-    def _strength(self, value: float | Literal["auto"], usual: tuple[float, float]) -> Strength:
-        mean, sd = usual if value == "auto" else (value, value * self.deviation)
+    def _strength(self, name: str) -> Strength:
+        value = getattr(self, name)
+        mean, sd = self.usual[name] if value == "auto" else (value, value * self.deviation)
         return Strength(mean, hypot(sd, mean * self.cell_spread))
 
     @property

@@ -14,7 +14,6 @@ from lampest.panel.panel import Array
 
 Linear = Callable[[Array], Array]
 DENSE_CELLS = 256  # unknowns up to which a factor costs less than the products that it spares
-MAX_PRODUCTS = 400
 MAX_RELATIVE_CHANGE = 1.0  # relative change of a conductance, to which a direction of negative curvature is followed
 
 
@@ -50,7 +49,7 @@ def steihaug(
     accuracy: float,
     radius: float = inf,
     admits: Callable[[Array], bool] | None = None,
-    most_products: int = MAX_PRODUCTS,
+    most_products: int = 400,
 ) -> SubproblemStep:
     """argmin gᵀs + ½ sᵀHs over ‖s‖_M ≤ radius; exact to `accuracy` where conjugate gradients end inside.
 

@@ -4,11 +4,11 @@ import dataclasses
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 
-from lampest.files.typed import Validated, check_positive_fields, check_range
+from lampest.files.typed import Configuration, check_positive_fields, check_range
 from lampest.loads.shapes.disc import Disc
 from lampest.panel.panel import Array, Panel
 
@@ -119,7 +119,7 @@ def centre_priors(panel: Panel) -> dict[str, Prior]:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Shape(Validated):
+class Shape(Configuration):
     """A load somewhere on the panel, of any footprint.
 
     A subclass adds its numbers and `kind`, and has `reach_mm` and `pressure_at`; simulation needs no more. `candidate`
@@ -134,7 +134,6 @@ class Shape(Validated):
     True
     """
 
-    __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
     candidate: ClassVar[Candidate | None] = None
     positive: ClassVar[tuple[str, ...]] = ()
     centre_mm: tuple[float, float]
