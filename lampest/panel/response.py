@@ -74,9 +74,9 @@ class Response(Configuration):
     def pressure(self, logarithm: ArrayLike) -> Array:
         """p where ln f(p) is so much, any shape, 1 → kPa; ±∞ gives ∓∞, NaN stays."""
 
-    @abstractmethod
     def curve_sd(self, pressure: ArrayLike) -> Array:
-        """Relative standard deviation of ln f(p), for all cells alike; any shape."""
+        """Return the relative standard deviation of ln f(p), for all cells alike; any shape. Zero: exact."""
+        return np.zeros(np.shape(pressure))
 
     @property
     @abstractmethod
@@ -227,9 +227,6 @@ class PublishedResponse(Response):
 
     def pressure(self, logarithm: ArrayLike) -> Array:
         return _straight_on(-_level(logarithm), -_level(np.log(CURVE_RATIO)), CURVE_KPA)
-
-    def curve_sd(self, pressure: ArrayLike) -> Array:
-        return np.zeros(np.shape(pressure))
 
     @property
     def told_kpa(self) -> tuple[float, float]:

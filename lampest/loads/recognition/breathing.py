@@ -26,8 +26,9 @@ MIN_RATE_HZ = 3.8  # frames a second: those of four whose clock is slow; they sh
 # breathe it is an assumption: cups tremble and leak, but at no single rate.
 BREATHING_SD, TREMBLE_SD = 0.045, 0.002
 WINDOW_S, MIN_WINDOW_S = 8.0, 4.5  # over which a rhythm is steady; and the least that shows one
-# Relative amplitude of breathing: with more, the unevenness of a film explains the swings of a shaken cup.
-MAX_AMPLITUDE = 0.15
+# Largest swings of each cause, by its pattern. Suction: with more than 15 %, the unevenness of a film explains the
+# swings of a shaken cup. The rim alone: by all that it presses. Movements: ten times as far as is common.
+MAX_SWINGS = {"own": 0.15, "rim": 1.0, "moves": 10.0}
 # An assumption: relative standard deviation of the swing of all the rim over that of suction, which may press with more
 # than it bears; and of each cell's change by a movement, because where an edge crosses its film is not known.
 EDGE_SD = 0.5
@@ -231,7 +232,7 @@ def suction_weights(patterns: Patterns, whitening: Array) -> Array:
     Changes of all readings alike, of other loads, and of the load's place and rim by themselves count little.
     """
     own, _ = patterns.beside_others(np.zeros((1, len(whitening))))
-    return np.asarray(whitening.T @ own.weights(MAX_AMPLITUDE, 1.0, EDGE_SD))
+    return np.asarray(whitening.T @ own.weights(MAX_SWINGS["own"], 1.0, EDGE_SD))
 
 
 def breath(times: Array, changes: Array, patterns: Patterns) -> Breath | None:
@@ -321,8 +322,8 @@ def _suction(patterns: Patterns, swings: Array, noise: float, gain: float) -> fl
     gain : float
         Square of the swings at unit amplitude.
     """
-    causes = (patterns.own, MAX_AMPLITUDE), (patterns.rim, 1.0), (patterns.moves, 10.0)
-    own, *others = (_explained(gain**0.5 * root, most, swings, noise).max() for root, most in causes)
+    causes = ((gain**0.5 * getattr(patterns, name), most) for name, most in MAX_SWINGS.items())
+    own, *others = (_explained(root, most, swings, noise).max() for root, most in causes)
     odds = EVIDENCE_SHARE * (own - np.array(others)) + RARE_LOG_ODDS + np.log(2)  # both together are as rare
     return float(expit(-logsumexp(-odds)))
 

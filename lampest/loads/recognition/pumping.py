@@ -16,7 +16,7 @@ from lampest.loads.recognition.fit import MAX_LOG_RATIO
 from lampest.panel.panel import Array
 
 
-class Course(NamedTuple):
+class Jumps(NamedTuple):
     """A hypothesis on the jumps of suction.
 
     Attributes
@@ -41,12 +41,12 @@ class Course(NamedTuple):
 # A quiet cup, one that is disturbed, and a mouth. Pumps: at the geometric mean of 20 and 200 s, not within half of the
 # shortest published interval. Others are assumptions: a single jump must not decide, and nothing but a pump is frequent
 # and goes upwards alone.
-COURSES = (
-    Course(0.45, 1 / 200, 0.0, 0.6),
-    Course(0.05, 1 / 30, 0.0, 0.6),
-    Course(0.5, 1 / 63, 0.4, 0.3, interval_s=10.0),
+KINDS = (
+    Jumps(0.45, 1 / 200, 0.0, 0.6),
+    Jumps(0.05, 1 / 30, 0.0, 0.6),
+    Jumps(0.5, 1 / 63, 0.4, 0.3, interval_s=10.0),
 )
-OF_KINDS = Course(*np.array(COURSES).T[..., None, None, None, None])  # the same, along the first axis of GRID
+OF_KINDS = Jumps(*np.array(KINDS).T[..., None, None, None, None])  # the same, along the first axis of GRID
 LEAKS = np.array([0.0, 0.001, 0.003, 0.01, 0.03])  # 1/s: between pumps a tenth is lost within 200 s, or half in 20 s
 NOISES = np.geomspace(0.003, 0.2, 6)  # of a sample: from quiet readings to breathing that frames are too few to show
 DRIFTS = np.array([0.0005, 0.003, 0.015])  # of u for each root of a second: creep, warmth, aliased breathing
@@ -94,7 +94,7 @@ class Pumping:
         sample = float(self.weights @ (np.median(logarithms, axis=0) - self.reference))
         seconds = time - self.since_s
         leak, noise, drift = LEAKS[:, None, None, None], NOISES[:, None, None], DRIFTS[:, None]
-        rate = np.where(self.age_s < OF_KINDS.interval_s, COURSES[0].rate_hz / 2, OF_KINDS.rate_hz)
+        rate = np.where(self.age_s < OF_KINDS.interval_s, KINDS[0].rate_hz / 2, OF_KINDS.rate_hz)
         mean = self.mean - leak * seconds
         variance = self.variance + drift**2 * seconds
         jumps = self.logarithm + np.log(-np.expm1(-rate * seconds))
@@ -141,4 +141,4 @@ class Pumping:
         return float(np.logaddexp(np.log(HIDDEN_SHARE), np.log(1 - HIDDEN_SHARE) + self._kinds))
 
 
-GRID = (len(COURSES), len(LEAKS), len(NOISES), len(DRIFTS), HYPOTHESES)
+GRID = (len(KINDS), len(LEAKS), len(NOISES), len(DRIFTS), HYPOTHESES)
