@@ -192,9 +192,7 @@ class CostFunctions:
         """Differentiate the terms symbolically, and compile the sparse results."""
         symbols, weights = cost.symbols(), casadi.SX.sym("weights", len(cost.terms))
         parts = summands(cost.terms, cost.residuals(symbols), weights)
-        costs = [casadi.SX(0) for _ in cost.terms]
-        for part in parts:
-            costs[part.term] += part.cost
+        costs = [sum((part.cost for part in parts if part.term == n), casadi.SX(0)) for n in range(len(cost.terms))]
         through_duals = [part for part in parts if not part.smooth]
         nonsmooth, slope = stacked(through_duals)
         dual = casadi.SX.sym("dual", nonsmooth.shape[0])

@@ -90,9 +90,9 @@ class Source:
     after: Callable[[casadi.SX], casadi.SX] | None = None
 
 
-def given(source: Source) -> Any:
-    """Declare a field of `Given`, None unless it is set."""
-    return field(default=None, metadata={"source": source})
+def given(of: Callable[[FrameReadings, Background], Array | None], absent: float, **more: Any) -> Any:
+    """Declare a field of `Given`, None unless it is set; arguments : as `Source` has them."""
+    return field(default=None, metadata={"source": Source(of, absent, **more)})
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -115,19 +115,13 @@ class Given:
         Standard deviation of log r0; 0 if r0 is an unknown of the same solve.
     """
 
-    measured: Any = given(Source(lambda readings, behind: readings.value, 1.0, per_frame=True))
-    sigma: Any = given(Source(lambda readings, behind: _noise(readings), 1.0, per_frame=True))
-    side: Any = given(
-        Source(lambda readings, behind: _mark(readings, readings.side), 0.0, per_frame=True, partial=True)
-    )
-    seen: Any = given(
-        Source(lambda readings, behind: _mark(readings, readings.seen), 1.0, per_frame=True, partial=True)
-    )
-    previous: Any = given(Source(lambda readings, behind: behind.previous, 1.0, after=lambda cells: cells))
-    baseline: Any = given(Source(lambda readings, behind: _baseline(behind), 1.0, after=lambda cells: cells))
-    previous_deviation: Any = given(
-        Source(lambda readings, behind: behind.previous_deviation, 0.0, after=lambda cells: 0 * cells)
-    )
+    measured: Any = given(lambda readings, behind: readings.value, 1.0, per_frame=True)
+    sigma: Any = given(lambda readings, behind: _noise(readings), 1.0, per_frame=True)
+    side: Any = given(lambda readings, behind: _mark(readings, readings.side), 0.0, per_frame=True, partial=True)
+    seen: Any = given(lambda readings, behind: _mark(readings, readings.seen), 1.0, per_frame=True, partial=True)
+    previous: Any = given(lambda readings, behind: behind.previous, 1.0, after=lambda r: r)
+    baseline: Any = given(lambda readings, behind: _baseline(behind), 1.0, after=lambda r: r)
+    previous_deviation: Any = given(lambda readings, behind: behind.previous_deviation, 0.0, after=lambda r: 0 * r)
 
     @staticmethod
     @cache

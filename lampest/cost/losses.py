@@ -8,13 +8,12 @@ from abc import abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
-from math import isfinite
 from typing import Annotated, Any, ClassVar, Literal
 
 import casadi
 import numpy as np
 
-from lampest.files.typed import ByKind, Validated
+from lampest.files.typed import ByKind, Configuration, check_positive_fields
 from lampest.panel.compiled import guarded
 from lampest.panel.panel import Array
 
@@ -73,7 +72,7 @@ class PenaltyEvidence:
 
 
 @dataclass(frozen=True)
-class Loss(Validated):
+class Loss(Configuration):
     """Sum Σ ρ(x) over the residuals of a term.
 
     Attributes
@@ -90,7 +89,6 @@ class Loss(Validated):
     True
     """
 
-    __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
     enters: ClassVar[Entry] = "whole"
     squared: ClassVar[bool] = False
     convex: ClassVar[bool] = True
@@ -170,11 +168,6 @@ class Squared(Loss):
         return np.ones_like(residual)
 
 
-def _check_corner(corner: float) -> None:
-    if not (isfinite(corner) and corner > 0):
-        raise ValueError("corner must be positive and finite")
-
-
 @dataclass(frozen=True)
 class Huber(Loss):
     """Σ x² where |x| ≤ corner, Σ (2·corner·|x| − corner²) elsewhere; once differentiable.
@@ -191,7 +184,7 @@ class Huber(Loss):
     kind: Literal["huber"] = "huber"
 
     def __post_init__(self) -> None:
-        _check_corner(self.corner)
+        check_positive_fields(self, "corner")
 
     def cost(self, residual: Any) -> Any:
         """Return Σ c·(2x − c), c = x clipped to |c| ≤ corner; symbolic or numeric."""
@@ -269,7 +262,7 @@ class Student(Loss):
     kind: Literal["student"] = "student"
 
     def __post_init__(self) -> None:
-        _check_corner(self.corner)
+        check_positive_fields(self, "corner")
 
     def cost(self, residual: Any) -> Any:
         """Return Σ c²·log(1 + (x/c)²), symbolic or numeric."""

@@ -3,14 +3,21 @@
 from abc import abstractmethod
 from dataclasses import dataclass
 from functools import cache
-from math import isfinite
 from typing import Annotated, Any, ClassVar, Literal
 
 import casadi
 
 from lampest.cost.given import Given
 from lampest.cost.losses import Absolute, AnyLoss, Huber, Squared
-from lampest.files.typed import ByKind, Validated, kinds_of, members_by_kind, shipped
+from lampest.files.typed import (
+    ByKind,
+    Configuration,
+    check_not_negative,
+    check_positive_fields,
+    kinds_of,
+    members_by_kind,
+    shipped,
+)
 from lampest.panel.panel import Panel, difference_matrix
 
 Reference = Literal["baseline", "previous"]
@@ -95,7 +102,7 @@ Weight = float | Literal["auto"]
 
 
 @dataclass(frozen=True)
-class Term(Validated):
+class Term(Configuration):
     """A summand of the cost function: weight · loss(residual(state)).
 
     Attributes
@@ -120,7 +127,6 @@ class Term(Validated):
     True
     """
 
-    __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
     reads_measurement: ClassVar[bool] = False
     needs_previous: ClassVar[bool] = False
     weighs_previous: ClassVar[bool] = False
@@ -131,10 +137,8 @@ class Term(Validated):
 
     def __post_init__(self) -> None:
         _check_class(type(self))
-        if self.weight == "auto":
-            return
-        if not (isfinite(self.weight) and self.weight >= 0):
-            raise ValueError("weight must be zero or positive, and finite")
+        if self.weight != "auto":
+            check_not_negative(self, "weight")
 
     @abstractmethod
     def residual(self, state: State) -> Any:
@@ -349,8 +353,7 @@ class Arrival(Term):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not (isfinite(self.walk_percent) and self.walk_percent > 0):
-            raise ValueError("walk_percent must be positive and finite")
+        check_positive_fields(self, "walk_percent")
 
     def residual(self, state: State) -> Any:
         """Return the logarithmic change in standard deviations, (cells, 1)."""

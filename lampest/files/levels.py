@@ -26,5 +26,10 @@ SIGNIFICANT = 5.0
 # 500 million, in one of 200,000 recordings of 2,400 readings (tests/oracles/test_noise.py, tests/units/test_watch.py).
 OUTLIER_THRESHOLD = 6.0
 
+# Mean square of about a hundred deviations over their variance: noise alone exceeds it, three standard deviations of a
+# mean of a hundred squares, once in 700 frames. Beyond, frames are not at rest or a shape does not explain them
+# (tests/oracles/test_tare.py, tests/oracles/test_detect.py).
+MAX_MEAN_SQUARE = 1.4
+
 TWO_SIDED = 1.959963984540054  # standard deviations of half a 95 % interval of a normal distribution
 MAD_TO_SIGMA = 1.4826  # standard deviation of a normal distribution over its median absolute deviation

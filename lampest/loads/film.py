@@ -28,30 +28,21 @@ Control Theory Appl. 148, 185 (2001), a row of relaxations beside hysteresis, an
 """
 
 from dataclasses import dataclass, replace
+from math import hypot
 
 import numpy as np
 
 from lampest.panel.panel import Array
-from lampest.panel.response import MAX_CREEP, PUBLISHED, VACUUM_KPA, Film, Response, Strength
+from lampest.panel.response import PUBLISHED, VACUUM_KPA, Film, Response, Strength
 
 # Where the hyperbola is cut into lines: ln(s t/(1 − t)), 0 at the largest gap. The lines miss it by 0.4 % of the peak.
 CUTS = np.linspace(-2.6, 2.6, 11)
 DECADES = 10.0 ** np.arange(6)  # τ_j, s
 # Strengths of creep that `FilmKnown.estimated` compares, per decade: as dense as their posteriors are narrow.
-CREEPS = MAX_CREEP * np.linspace(0, 1, 81) ** 2
-# Of ln r/r0 of a cell that nothing touches, beside the estimate's own error: at once, and for each minute (drift).
-UNLOADED_SD, DRIFT_SD = 0.005, 0.01
-# Relative error of a cell's predicted memory: peaks fall between frames; and the same where cells may differ.
-MEMORY_SD, CELL_MEMORY_SD = 0.05, 0.2
-# The other explanation, that something still presses: as likely beforehand, and ln r/r0 anywhere within so much.
-LOADED_RANGE = 4.0
-# Of the largest ln r/r0 of a cell, the residue once the load is gone that does not fade: such shares are compared, with
-# a prior of this mean; the mean creep beyond which a residue is no creep; and the share that may stay.
+CREEPS = Film.most["creep_per_decade"] * np.linspace(0, 1, 81) ** 2
+# Of the largest ln r/r0 of a cell, the residue once the load is gone that does not fade: shares that are compared.
 RESIDUES = 0.25 * np.linspace(0, 1, 26) ** 2
-RESIDUE, MAX_CREEP_RESIDUE, MAX_LASTING_SHARE = 0.02, 0.2, 0.5
-INDEPENDENT_FRAMES = 3.0  # frames; errors of a cell stay from frame to frame, and all its frames count as so many
 MIN_PERIOD = 1e-3  # s between frames whose times do not increase
-MAX_ANSWER = 6.0  # of ln r/r0: beyond are open cells
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,7 +157,8 @@ class FilmMemory:
 
     def answered(self, pressure: Array, seconds: float) -> tuple["FilmMemory", Array]:
         """Return (the film afterwards, ln(r/r_rest)) of a pressure (...) kPa of a load that lasts for so long."""
-        at_once = self._at_once(self.plays.effective(pressure))
+        effective = self.plays.effective(pressure)
+        at_once = self.response.logarithm(self.water) - self.response.logarithm(self.water + effective)
         answer = self.gain * self.creep.answer(at_once, seconds)
         return replace(self, plays=self.plays.after(pressure), creep=self.creep.after(at_once, seconds)), -answer
 
@@ -183,14 +175,10 @@ class FilmMemory:
     def observed(self, change: Array, seconds: float) -> "FilmMemory":
         """Return the film after an interval with ln(r/r_rest) = `change` at its end; a cell of NaN stands still."""
         known = np.isfinite(change)
-        effective = self.effective(np.where(known, change, 0.0), seconds)
-        held = self.plays.after(self.plays.pressure(effective)).held
-        crept = self.creep.after(self._at_once(effective), seconds).crept
-        return replace(
-            self,
-            plays=replace(self.plays, held=np.where(known, held, self.plays.held)),
-            creep=replace(self.creep, crept=np.where(known, crept, self.creep.crept)),
-        )
+        after, _ = self.answered(self.pressure(np.where(known, change, 0.0), seconds), seconds)
+        held = np.where(known, after.plays.held, self.plays.held)
+        crept = np.where(known, after.creep.crept, self.creep.crept)
+        return replace(self, plays=replace(self.plays, held=held), creep=replace(self.creep, crept=crept))
 
     def fading(self, seconds: float) -> Array:
         """ln(r/r_rest) (...) after an interval without load: the residue of earlier loads."""
@@ -200,8 +188,46 @@ class FilmMemory:
         """−ln(r/r_rest) (...) without creep, at the end of such an interval."""
         return np.asarray(self.gain * self.creep.at_once(-change / self.gain, seconds))
 
-    def _at_once(self, effective: Array) -> Array:
-        return self.response.logarithm(self.water) - self.response.logarithm(self.water + effective)
+
+@dataclass(frozen=True)
+class MemoryErrors:
+    """Assumptions by which the memory of a film is told from a load.
+
+    Attributes
+    ----------
+    unloaded, drift : float
+        Standard deviation of ln r/r0 of a cell that nothing touches, beside the estimate's own error: at once, and for
+        each minute.
+    memory, cell_memory : float
+        Relative error of a cell's predicted memory: peaks fall between frames; and the same where cells may differ.
+    loaded_range : float
+        The other explanation, that something still presses, is as likely beforehand; ln r/r0 is then anywhere within.
+    open_cell : float
+        ln r/r0 beyond which a cell is open.
+    independent_frames : float
+        Errors of a cell stay from frame to frame: all its frames count as so many.
+    most_creep : float
+        Mean creep beyond which a residue is no creep.
+    lasting_share : float
+        Share of a load that may stay.
+    """
+
+    unloaded: float = 0.005
+    drift: float = 0.01
+    memory: float = 0.05
+    cell_memory: float = 0.2
+    loaded_range: float = 4.0
+    open_cell: float = 6.0
+    independent_frames: float = 3.0
+    most_creep: float = 0.2
+    lasting_share: float = 0.5
+
+    def resting_sd(self, minutes: float) -> float:
+        """Return the standard deviation of ln r/r0 of a cell that nothing touches, so long after its zero."""
+        return hypot(self.unloaded, self.drift * minutes)
+
+
+ERRORS = MemoryErrors()
 
 
 @dataclass(frozen=True)
@@ -213,7 +239,8 @@ class FilmKnown:
     cells : tuple or None
         (rows, columns) the creep of each cell and its deviation, estimated from a recording; else None.
     residue : float
-        Of the largest ln r/r0 of a cell, the root mean square of the residue after the load that does not fade.
+        Of the largest ln r/r0 of a cell, the root mean square of the residue after the load that does not fade; its
+        mean beforehand.
     """
 
     film: Film
@@ -221,7 +248,7 @@ class FilmKnown:
     creep: Strength
     sentence: str = ""
     cells: tuple[Array, Array] | None = None
-    residue: float = RESIDUE
+    residue: float = 0.02
 
     @classmethod
     def specified(cls, film: Film) -> "FilmKnown":
@@ -243,7 +270,7 @@ class FilmKnown:
         """With the creep that the recording shows; unchanged where the scene specifies it.
 
         Where a load is gone, a cell still shows c Σ s_j and a constant share ρ of its largest answer. P(c, ρ) ∝ P(c)
-        P(ρ) beforehand · Π [½ N(u; 0, σ) + ½/LOADED_RANGE] over frames and cells, u the remainder of ln r/r_rest
+        P(ρ) beforehand · Π [½ N(u; 0, σ) + ½/`loaded_range`] over frames and cells, u the remainder of ln r/r_rest
         without both. Where cells differ, each has its own posterior about that of all. Where the residue is more than
         any film creeps, there is no creep.
 
@@ -257,21 +284,21 @@ class FilmKnown:
         if self.film.creep_per_decade != "auto":
             return self
         usual, data = self.film.creep_strength, (self.film.answer, change, sd, time)
-        each = _likelihood(*data, CELL_MEMORY_SD, RESIDUES).sum(axis=(2, 3))
-        logarithm = each - RESIDUES[:, None] / RESIDUE - CREEPS / usual.mean
+        each = _likelihood(*data, ERRORS.cell_memory, RESIDUES).sum(axis=(2, 3))
+        logarithm = each - RESIDUES[:, None] / self.residue - CREEPS / usual.mean
         mean, shared = (float(number) for number in _moments(np.logaddexp.reduce(logarithm, axis=0)))
         volume = np.logaddexp.reduce(logarithm + np.log(np.gradient(CREEPS)), axis=1) + np.log(np.gradient(RESIDUES))
         weight = np.exp(volume - volume.max())
         weight /= weight.sum()
         residue = float(np.sqrt(weight @ RESIDUES**2))
-        if mean > MAX_CREEP_RESIDUE:
+        if mean > ERRORS.most_creep:
             message = "creep not estimated: what stays after loads does not fade as creep does"
-            known = replace(self, creep=Strength(0.0, 0.0), residue=MAX_LASTING_SHARE)
+            known = replace(self, creep=Strength(0.0, 0.0), residue=ERRORS.lasting_share)
             return replace(known, sentence=known._said("", message))
         spread = float(np.hypot(shared, mean * self.film.cell_spread))
-        known = replace(self, creep=Strength(mean, float(np.hypot(spread, CELL_MEMORY_SD * mean))), residue=residue)
+        known = replace(self, creep=Strength(mean, float(np.hypot(spread, ERRORS.cell_memory * mean))), residue=residue)
         if spread > shared:
-            own = _likelihood(*data, MEMORY_SD, weight[None] @ RESIDUES)[0]
+            own = _likelihood(*data, ERRORS.memory, weight[None] @ RESIDUES)[0]
             known = replace(known, cells=_moments(own - 0.5 * ((CREEPS[:, None, None] - mean) / spread) ** 2))
         message = f"estimated from the recording, and {100 * residue:.1f} % of a load may stay after it"
         return replace(known, sentence=known._said(message if shared <= 0.8 * usual.sd else "assumed"))
@@ -327,7 +354,7 @@ def _likelihood(gain: float, change: Array, sd: Array, time: Array, own: float, 
         ρ, (residues).
     """
     likelihood = np.zeros((len(residues), len(CREEPS), *change.shape[1:]))
-    felt = np.nanmax(-change, axis=0, initial=0.0) > UNLOADED_SD  # of all others each strength explains as much
+    felt = np.nanmax(-change, axis=0, initial=0.0) > ERRORS.unloaded  # of all others each strength explains as much
     change, sd, share = change[:, felt], sd[:, felt], residues[:, None, None]
     creep, last = Creep.at_rest(np.broadcast_to(CREEPS[:, None], (len(CREEPS), felt.sum()))), float(time[0])
     total, resting = np.zeros((2, len(residues), *creep.strength.shape))
@@ -337,16 +364,14 @@ def _likelihood(gain: float, change: Array, sd: Array, time: Array, own: float, 
         if not known.any():
             continue
         fading = creep.answer(np.zeros(creep.strength.shape), seconds)
-        answer = np.where(known, np.clip(-frame / gain, -MAX_ANSWER, MAX_ANSWER), fading)
-        drift, stays = np.hypot(UNLOADED_SD, DRIFT_SD * (now - time[0]) / 60), fading + share * peak
+        answer = np.where(known, np.clip(-frame / gain, -ERRORS.open_cell, ERRORS.open_cell), fading)
+        drift, stays = ERRORS.resting_sd((now - time[0]) / 60), fading + share * peak
         variance = (np.where(known, error, 0.0) / gain) ** 2 + drift**2 + (own * stays) ** 2
         density = np.exp(-0.5 * (answer - stays) ** 2 / variance) / np.sqrt(2 * np.pi * variance)
-        density *= stays <= MAX_LASTING_SHARE * peak
-        total += known * np.log((density + 1 / LOADED_RANGE) / 2)
-        resting += known * density / (density + 1 / LOADED_RANGE)
+        density *= stays <= ERRORS.lasting_share * peak
+        total += known * np.log((density + 1 / ERRORS.loaded_range) / 2)
+        resting += known * density / (density + 1 / ERRORS.loaded_range)
         peak = np.fmax(peak, np.where(known, answer[0].clip(0.0), 0.0))
         creep, last = creep.after(creep.at_once(answer, seconds), seconds), float(now)
-    likelihood[..., felt] = total * (
-        INDEPENDENT_FRAMES / np.maximum(resting.max(axis=1, keepdims=True), INDEPENDENT_FRAMES)
-    )
+    likelihood[..., felt] = total / np.maximum(resting.max(axis=1, keepdims=True) / ERRORS.independent_frames, 1.0)
     return likelihood

@@ -7,33 +7,26 @@ a guard against a load that begins to come.
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.files.levels import MAD_TO_SIGMA, NOISE_REACH, OUTLIER_THRESHOLD, TWO_SIDED
-from lampest.files.typed import Validated, check_range
-from lampest.loads.film import DRIFT_SD, MIN_PERIOD, UNLOADED_SD, FilmKnown, FilmMemory
+from lampest.files.levels import MAD_TO_SIGMA, MAX_MEAN_SQUARE, NOISE_REACH, OUTLIER_THRESHOLD, TWO_SIDED
+from lampest.files.typed import Configuration, check_range
+from lampest.loads.film import ERRORS, MIN_PERIOD, FilmKnown, FilmMemory
 from lampest.panel.panel import Array, Panel
 from lampest.panel.response import PUBLISHED, RESPONSE_SD, VACUUM_KPA, Film
-from lampest.panel.scene import Scene, Water
+from lampest.panel.scene import Scene, Systematic, Water
 from lampest.panel.systematic import systematic_of
 
-MEMORY_SHARE = 0.4  # the part of a cell's memory that may be wrong
-MAX_MEAN_DEVIATION = 4.5  # standard deviations of a cell in the mean of all frames
-MAX_MEAN_SQUARE = 1.4  # mean square over the cells, in the same units
 # ln r/r0 beyond which a cell, and the mean of four neighbours, may be under a load: 0.8 and 0.3 kPa. The weakest
 # suction of a lamprey, 0.6 kPa, covers more cells than four; films drift cell by cell.
 MAX_CHANGE, MAX_CHANGE_OF_FOUR = 0.15, 0.06
-FADES = 0.01  # ln r/r0
-# Standard errors by which cells must have moved, in the root mean square, for a new zero to be worth it.
-MIN_DEVIATION = 2.0
-DIFFERENCES_TO_SIGMA = MAD_TO_SIGMA / np.sqrt(2)  # median of |differences of two| → standard deviation of one
 
 
 @dataclass(frozen=True)
-class Tare(Validated):
+class Tare(Configuration):
     """Take zero anew where nothing has touched the panel for so many frames in a row.
 
     Attributes
@@ -47,7 +40,6 @@ class Tare(Validated):
     20
     """
 
-    __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
     frames: int = 20
     drift_per_minute: float = 0.02
 
@@ -65,28 +57,25 @@ class TareWatch:
     zeroed : float or None
         s, of the last zero; None before the first frame.
     frames : tuple of tuple
-        At most as many as `tare` asks for: (rows, columns) ln r/r_zero without the film's memory, (rows, columns) that
-        memory, and s.
+        At most as many as `tare` asks for: (rows, columns) ln r/r_zero without the film's memory, and s.
     """
 
     tare: Tare
     zeroed: float | None = None
-    frames: tuple[tuple[Array, Array, float], ...] = ()
+    frames: tuple[tuple[Array, float], ...] = ()
 
     def after(self, left: Array, memory: Array, time: float) -> tuple["TareWatch", Array | None, str]:
         """(watch, new zero or None, why or ''); left : ln r/r_zero (rows, columns) without the film's memory."""
         zeroed, count = time if self.zeroed is None else self.zeroed, self.tare.frames
         if not np.isfinite(left).any():
             return TareWatch(self.tare, zeroed), None, ""
-        watch = TareWatch(self.tare, zeroed, (*self.frames, (left, memory, time))[-count:])
-        _, first_memory, first_time = watch.frames[0]
-        steady = len(watch.frames) == count and np.abs(first_memory - memory).max() < FADES
-        mean = watch._zero(memory, (time - zeroed) / 60) if steady else None
+        watch = TareWatch(self.tare, zeroed, (*self.frames, (left, time))[-count:])
+        mean = watch._zero(memory, (time - zeroed) / 60) if len(watch.frames) == count else None
         if mean is None:
             return watch, None, ""
         message = (
-            f"nothing touched the panel for {count} frames ({time - first_time:.3g} s): no cell was off by more than "
-            f"{100 * np.expm1(np.nanmax(np.abs(mean))):.2g} %, as drift and the film's memory allow"
+            f"nothing touched the panel for {count} frames ({time - watch.frames[0][1]:.3g} s): no cell was off by "
+            f"more than {100 * np.expm1(np.nanmax(np.abs(mean))):.2g} %, as drift and the film's memory allow"
         )
         return TareWatch(self.tare, time), mean, message
 
@@ -95,20 +84,22 @@ class TareWatch:
 
         None where something stands out in any frame, or where it is not worth a new zero.
         """
-        frames = np.stack([left for left, _, _ in self.frames])
+        frames = np.stack([left for left, _ in self.frames])
         known = np.isfinite(frames).all(axis=0)
-        noise = DIFFERENCES_TO_SIGMA * np.median(np.abs(np.diff(frames[:, known], axis=0)), axis=0)
-        moved = np.sqrt(
-            UNLOADED_SD**2 + (self.tare.drift_per_minute * minutes) ** 2 + (MEMORY_SHARE * memory[known]) ** 2
-        )
-        half = len(frames) // 2
-        mean, error = frames[:half].mean(axis=0), noise / np.sqrt(half)
-        each, all_in_all = frames[:, known] / np.hypot(noise, moved), mean[known] / np.hypot(2 * error, moved)
+        noise, half = sigma_of_frames(frames[:, known]), len(frames) // 2
+        drift = np.hypot(ERRORS.unloaded, self.tare.drift_per_minute * minutes)
+        moved = np.hypot(drift, ERRORS.cell_memory * memory[known])
+        each, mean = frames[:, known] / np.hypot(noise, moved), frames[:half].mean(axis=0)
         quiet = np.abs(each).max() < OUTLIER_THRESHOLD and (each**2).mean(axis=1).max() < MAX_MEAN_SQUARE
-        worth = np.mean(mean[known] ** 2) >= MIN_DEVIATION**2 * np.mean(error**2)
-        if not (quiet and worth and np.abs(all_in_all).max() < MAX_MEAN_DEVIATION) or _stands_out(frames.mean(axis=0)):
+        worth = np.mean(mean[known] ** 2) >= TWO_SIDED**2 * np.mean(noise**2) / half
+        if not (quiet and worth) or _stands_out(frames.mean(axis=0)):
             return None
         return np.where(known, mean, np.nan)
+
+
+def sigma_of_frames(frames: Array) -> Array:
+    """Return the noise of one frame, (...), from the differences of neighbours among (frames, ...); NaN: missing."""
+    return np.asarray(MAD_TO_SIGMA * np.nanmedian(np.abs(np.diff(frames, axis=0)), axis=0) / np.sqrt(2))
 
 
 def _stands_out(change: Array) -> bool:
@@ -231,10 +222,7 @@ class PressureTrack:
     def begin(cls, scene: Scene, known: FilmKnown | None = None, tare: Tare | None = None) -> "PressureTrack":
         """Before the first frame; known, tare : as `pressure_of` has them."""
         known, water = known or FilmKnown.specified(scene.film or Film()), water_pressure(scene.panel, scene.water)
-        films, residue = (
-            known.at_rest(water, scene.response or PUBLISHED),
-            known.residue if known.film.remembers else 0.0,
-        )
+        films, residue = known.at_rest(water, scene.response or PUBLISHED), known.residue * known.film.remembers
         watch = None if tare is None else TareWatch(tare)
         return cls(scene, films, np.zeros(films.gain.shape), np.zeros(water.shape), residue, watch=watch)
 
@@ -249,7 +237,6 @@ class PressureTrack:
         own : as `pressure_of`.
         """
         change, remembered = self._change(ratio), self._kept(ratio, time)
-        water = water_pressure(self.scene.panel, self.scene.water)
         answer, *answers = -self._of_films(self.films.at_once, change, time)
         effective, *_ = self._of_films(self.films.effective, change, time)
         expected, *alternatives = self._of_films(self.films.pressure, change, time)
@@ -266,17 +253,17 @@ class PressureTrack:
         least, most = of_change(above), of_change(-below)
         errors = (of_change(-below / TWO_SIDED) - of_change(above / TWO_SIDED)) / 2
         if alternatives:
-            open_kpa = _distance(alternatives, expected)
-            least = np.maximum(expected - np.hypot(expected - least, TWO_SIDED * open_kpa), VACUUM_KPA - water)
+            open_kpa, empty = _distance(alternatives, expected), VACUUM_KPA - self.films.water
+            least = np.maximum(expected - np.hypot(expected - least, TWO_SIDED * open_kpa), empty)
             most, errors = expected + np.hypot(most - expected, TWO_SIDED * open_kpa), np.hypot(errors, open_kpa)
         half = (fell + rose) / (2 * TWO_SIDED) if own is None else own
-        scatter = np.hypot(half, scatter_sd(self.scene) * answer)
+        scatter = np.hypot(half, scatter_sd(self.scene, self.scene.specified_systematic) * answer)
         with np.errstate(invalid="ignore"):
             alone = np.minimum(np.abs(of_change(scatter) - of_change(-scatter)) / 2, errors)
             common = np.where(np.isinf(errors), np.inf, np.sqrt(np.maximum(errors**2 - alone**2, 0.0)))
             clear = -answer > NOISE_REACH * np.hypot(np.hypot(rose / TWO_SIDED, remembered), _distance(answers, answer))
-        known = (self.scene.response or PUBLISHED).told_kpa
-        saturated = (least + water < known[0]) | (most + water > known[1])
+        lowest, highest = self.films.response.told_kpa
+        saturated = (least + self.films.water < lowest) | (most + self.films.water > highest)
         pressing = clear & (expected > 0) & ~self.scene.broken
         return Pressure(
             expected, least, most, errors, alone, common, saturated.astype(np.uint8), pressing.astype(np.uint8)
@@ -329,7 +316,7 @@ class PressureTrack:
         """
         change, spread, warmth = self._change(ratio), np.zeros(ratio.shape), self.scene.temperature
         if self.residue and self.zeroed is not None:
-            drift = np.hypot(UNLOADED_SD, DRIFT_SD * (time - self.zeroed) / 60)
+            drift = ERRORS.resting_sd((time - self.zeroed) / 60)
             gone = 1 - (change / np.maximum(self.peak, MIN_TOUCH)) ** 2
             spread = np.hypot(self.residue * self.peak, drift) * np.sqrt(np.maximum(gone, 0.0))
         warming_sd = 0.0 if warmth is None else warmth.difference_kelvin * warmth.coefficient_sd_per_kelvin
@@ -346,24 +333,21 @@ class PressureTrack:
 
 def _distance(alternatives: Iterable[Array], expected: Array) -> Array:
     """√Σ (other − here)², any shape."""
-    return np.asarray(
-        np.sqrt(sum(((alternative - expected) ** 2 for alternative in alternatives), np.zeros(expected.shape)))
-    )
+    return np.asarray(np.sqrt(np.sum([(alternative - expected) ** 2 for alternative in alternatives], axis=0)))
 
 
 def response_sd(scene: Scene, answer: Array) -> Array:
     """Relative standard deviation, of cells and the curve, of ln(r/r0) = `answer` (…, rows, columns) at a pressure."""
-    response, named = scene.response or PUBLISHED, systematic_of(scene)
-    own = RESPONSE_SD if named is None or named.response_sd is None else named.response_sd
-    scatter = np.array(own if response.gain_sd is None else response.gain_sd)
-    return np.asarray(np.hypot(scatter, response.curve_sd(response.pressure(answer / response.gains))))
+    response = scene.response or PUBLISHED
+    curve = response.curve_sd(response.pressure(answer / response.gains))
+    return np.asarray(np.hypot(scatter_sd(scene, systematic_of(scene)), curve))
 
 
-def scatter_sd(scene: Scene) -> Array:
-    """Return the part of it that each cell has on its own: as specified; else as cells of one film scatter."""
-    response, stated = scene.response or PUBLISHED, scene.specified_systematic
-    own = RESPONSE_SD if stated is None or stated.response_sd is None else stated.response_sd
-    return np.array(own if response.gain_sd is None else response.gain_sd)
+def scatter_sd(scene: Scene, errors: Systematic | None) -> Array:
+    """Return the part of it that each cell has on its own: as these errors say; else as cells of one film scatter."""
+    own = RESPONSE_SD if errors is None or errors.response_sd is None else errors.response_sd
+    measured = None if scene.response is None else scene.response.gain_sd
+    return np.array(own if measured is None else measured)
 
 
 def water_pressure(panel: Panel, water: Water | None) -> Array:

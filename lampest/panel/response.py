@@ -8,7 +8,7 @@ from abc import abstractmethod
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import hypot, isfinite
-from typing import Annotated, Literal, NamedTuple, Self
+from typing import Annotated, ClassVar, Literal, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -19,13 +19,9 @@ from lampest.panel.panel import Array
 Table = tuple[tuple[float, ...], ...]
 # Lines between two points of a table: they miss the cubic by 1/1000 of the interval's fall, and invert exactly.
 TABLE_PARTS = 16
-# Figure 1-e, kPa and r/r0: straight lines between the first three points, exponentials beyond.
-CURVE_KPA = np.array([0.0, 2.5, 28.0, 40.0, 235.0])
-CURVE_RATIO = np.array([1.0, 0.52, 0.112, 0.06, 0.02])
-SUCTION_RATE = np.log(7.54) / -10.0  # 1/kPa
-# kPa between which a resistance determines the pressure: nothing is published below; above, 1 % of the resistance is
-# 1.8 kPa and no longer 0.2.
-PUBLISHED_KPA = (-10.0, 40.0)
+# Figure 1-e, kPa and r/r0: straight lines from 0 to 28 kPa, exponentials elsewhere.
+CURVE = np.array([[-10.0, 7.54], [0.0, 1.0], [2.5, 0.52], [28.0, 0.112], [40.0, 0.06], [235.0, 0.02]])
+CURVE_KPA, CURVE_RATIO = CURVE.T
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,9 +74,9 @@ class Response(Configuration):
     def pressure(self, logarithm: ArrayLike) -> Array:
         """p where ln f(p) is so much, any shape, 1 → kPa; ±∞ gives ∓∞, NaN stays."""
 
-    @abstractmethod
     def curve_sd(self, pressure: ArrayLike) -> Array:
-        """Relative standard deviation of ln f(p), for all cells alike; any shape."""
+        """Return the relative standard deviation of ln f(p), for all cells alike; any shape. Zero: exact."""
+        return np.zeros(np.shape(pressure))
 
     @property
     @abstractmethod
@@ -127,11 +123,11 @@ class TableResponse(Response):
 
     def logarithm(self, pressure: ArrayLike) -> Array:
         at, logarithm = self._points
-        return _straight_on(pressure, at, logarithm)
+        return _straight_on(pressure, at, logarithm, TABLE_PARTS)
 
     def pressure(self, logarithm: ArrayLike) -> Array:
         at, fallen = self._points
-        return _straight_on(-np.asarray(logarithm, dtype=float), -fallen, at)
+        return _straight_on(-np.asarray(logarithm, dtype=float), -fallen, at, TABLE_PARTS)
 
     def curve_sd(self, pressure: ArrayLike) -> Array:
         sd = self.sd or np.zeros(len(self.pressure_kpa))
@@ -225,34 +221,24 @@ class PublishedResponse(Response):
     kind: Literal["published"] = "published"
 
     def logarithm(self, pressure: ArrayLike) -> Array:
-        pressure = np.asarray(pressure, dtype=float)
-        linear = np.interp(pressure, CURVE_KPA[:3], CURVE_RATIO[:3])
-        saturating, saturated = self._rates
-        logarithm = SUCTION_RATE * np.minimum(pressure, 0.0)
-        logarithm = logarithm + saturating * np.clip(pressure - 28.0, 0.0, 12.0)
-        logarithm = logarithm + saturated * np.maximum(pressure - 40.0, 0.0)
-        return np.asarray(np.log(linear) + logarithm)
-
-    @cached_property
-    def _rates(self) -> Array:
-        """1/kPa of ln(r/r0), of the last two pieces."""
-        return np.asarray(np.log(CURVE_RATIO[3:] / CURVE_RATIO[2:-1]) / np.diff(CURVE_KPA[2:]))
+        level = _straight_on(pressure, CURVE_KPA, _level(np.log(CURVE_RATIO)))
+        linear = np.clip(level, CURVE_RATIO[3], 1.0)
+        return np.asarray(np.log(linear) + (level - linear))
 
     def pressure(self, logarithm: ArrayLike) -> Array:
-        logarithm = np.asarray(logarithm, dtype=float)
-        start, rates = np.log(CURVE_RATIO[2]), self._rates
-        linear = np.interp(-np.exp(np.clip(logarithm, start, 0.0)), -CURVE_RATIO[:3], CURVE_KPA[:3])
-        suction = np.maximum(logarithm, 0.0) / SUCTION_RATE
-        below = np.minimum(logarithm - start, 0.0)
-        saturating = np.maximum(below, 12.0 * rates[0])
-        return np.asarray(linear + suction + saturating / rates[0] + (below - saturating) / rates[1])
-
-    def curve_sd(self, pressure: ArrayLike) -> Array:
-        return np.zeros(np.shape(pressure))
+        return _straight_on(-_level(logarithm), -_level(np.log(CURVE_RATIO)), CURVE_KPA)
 
     @property
     def told_kpa(self) -> tuple[float, float]:
-        return PUBLISHED_KPA
+        """From the lowest published pressure to 40 kPa, above which 1 % of the resistance is 1.8 kPa and not 0.2."""
+        return float(CURVE_KPA[0]), float(CURVE_KPA[-2])
+
+
+def _level(logarithm: ArrayLike) -> Array:
+    """Return the level in which the published curve is straight between points: f where that is linear, else ln f."""
+    logarithm = np.asarray(logarithm, dtype=float)
+    linear = np.clip(logarithm, np.log(CURVE_RATIO[3]), 0.0)
+    return np.asarray(np.exp(linear) + (logarithm - linear))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -267,20 +253,20 @@ class BentSuction(PublishedResponse):
     def logarithm(self, pressure: ArrayLike) -> Array:
         """ln f(p), any shape, kPa → 1."""
         pressure = np.asarray(pressure, dtype=float)
-        share = np.minimum(pressure, 0.0) / PUBLISHED_KPA[0]
-        rise = SUCTION_RATE * PUBLISHED_KPA[0] * share**self.exponent
+        share = np.minimum(pressure, 0.0) / CURVE_KPA[0]
+        rise = np.log(CURVE_RATIO[0]) * share**self.exponent
         return np.asarray(super().logarithm(np.maximum(pressure, 0.0)) + rise)
 
 
 AnyResponse = Annotated[TableResponse | PowerResponse | PublishedResponse, ByKind()]
 
 
-def _straight_on(x: ArrayLike, at: Array, values: Array) -> Array:
-    """Interpolate linearly; beyond the table by the mean slope of its last TABLE_PARTS lines. NaN stays."""
+def _straight_on(x: ArrayLike, at: Array, values: Array, parts: int = 1) -> Array:
+    """Interpolate linearly; beyond the table by the mean slope of its last `parts` lines. NaN stays."""
     x = np.asarray(x, dtype=float)
     inside = np.interp(x, at, values)
-    first = (values[TABLE_PARTS] - values[0]) / (at[TABLE_PARTS] - at[0])
-    last = (values[-1] - values[-1 - TABLE_PARTS]) / (at[-1] - at[-1 - TABLE_PARTS])
+    first = (values[parts] - values[0]) / (at[parts] - at[0])
+    last = (values[-1] - values[-1 - parts]) / (at[-1] - at[-1 - parts])
     return np.asarray(inside + first * np.minimum(x - at[0], 0.0) + last * np.maximum(x - at[-1], 0.0))
 
 
@@ -302,15 +288,9 @@ def relative_change_from_pressure(pressure: ArrayLike) -> Array:
     return ratio_from_pressure(pressure) - 1.0
 
 
-MAX_HYSTERESIS, MAX_CREEP = 0.6, 0.5
-# Where a scene leaves it open: 10 to 25 % of full scale are published for velostat; data sheets of kindred films
-# (Interlink FSR 400, Tekscan FlexiForce) promise less than 5 % for each decade, of a film alone. Mean and deviation.
-OPEN_HYSTERESIS, OPEN_CREEP = (0.17, 0.1), (0.04, 0.04)
-
 # Bent single cells: curvature in 1/m, unloaded resistance in ohm, and ΔR/R0 at 40 kPa (paper, figure 2-a and -d).
-CURVATURES = np.array([0.0, 20.0, 30.3, 58.8])
-BENT_OHM = np.array([3050.0, 1030.0, 560.0, 350.0])
-BENT_CHANGE = np.array([-0.94, -0.82, -0.69, -0.81])
+BENT = np.array([[0.0, 3050.0, -0.94], [20.0, 1030.0, -0.82], [30.3, 560.0, -0.69], [58.8, 350.0, -0.81]])
+CURVATURES, BENT_OHM, BENT_CHANGE = BENT.T
 
 
 class Strength(NamedTuple):
@@ -329,6 +309,9 @@ class Film(Configuration):
     creep_per_decade : by which fraction of itself ln(r/r0) grows for each decade of time under a load that stays, and
         by which it fades afterwards. 'auto': not known; estimated from the recording where a load was taken off, and
         0.04 ± 0.04 where none was.
+    most : largest value of the two.
+    usual : of the two where a scene leaves them open. 10 to 25 % of full scale are published for velostat; data sheets
+        of kindred films (Interlink FSR 400, Tekscan FlexiForce) promise less than 5 % for each decade, of a film alone.
     deviation : relative standard deviation of the two, for all cells alike: how well they are known.
     cell_spread : relative standard deviation of the two from cell to cell.
     curvature_per_m : of the bent panel, the same in all frames; 0: flat.
@@ -337,6 +320,8 @@ class Film(Configuration):
     0.1
     """
 
+    most: ClassVar[dict[str, float]] = {"hysteresis": 0.6, "creep_per_decade": 0.5}
+    usual: ClassVar[dict[str, Strength]] = {"hysteresis": Strength(0.17, 0.1), "creep_per_decade": Strength(0.04, 0.04)}
     hysteresis: float | Literal["auto"] = 0.0
     creep_per_decade: float | Literal["auto"] = 0.0
     deviation: float = 0.0
@@ -344,7 +329,7 @@ class Film(Configuration):
     curvature_per_m: float = 0.0
 
     def __post_init__(self) -> None:
-        for name, most in (("hysteresis", MAX_HYSTERESIS), ("creep_per_decade", MAX_CREEP)):
+        for name, most in self.most.items():
             if getattr(self, name) != "auto":
                 check_ranges(self, 0, most, name)
         check_ranges(self, 0, 1, "deviation", "cell_spread")
@@ -358,15 +343,16 @@ class Film(Configuration):
     @property
     def hysteresis_strength(self) -> Strength:
         """As specified, or what is usual where it is open."""
-        return self._strength(self.hysteresis, OPEN_HYSTERESIS)
+        return self._strength("hysteresis")
 
     @property
     def creep_strength(self) -> Strength:
         """The same, a fraction for each decade."""
-        return self._strength(self.creep_per_decade, OPEN_CREEP)
+        return self._strength("creep_per_decade")
 
-    def _strength(self, value: float | Literal["auto"], usual: tuple[float, float]) -> Strength:
-        mean, sd = usual if value == "auto" else (value, value * self.deviation)
+    def _strength(self, name: str) -> Strength:
+        value = getattr(self, name)
+        mean, sd = self.usual[name] if value == "auto" else (value, value * self.deviation)
         return Strength(mean, hypot(sd, mean * self.cell_spread))
 
     @property

@@ -115,7 +115,7 @@ def own_errors(measured: Array, scene: Scene, size: float) -> Array:
     """Return what an error of the logarithm of each recorded value does to the readings (frames, rows, columns)."""
     if not size:
         return np.zeros(measured.shape)
-    return np.asarray(size * np.abs(np.stack([recorded_share(frame, scene) for frame in measured])))
+    return np.asarray(size * np.abs(recorded_share(measured, scene)))
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,6 @@ DENSE_CELLS = 256  # unknowns up to which a factor costs less than the products 
 MATRIX_CELLS = 600  # the same where products are many: absolute losses, joint pairs, error bars
 MAX_DENSE = 1200  # unknowns beyond which matrices take seconds, and products or samples replace them
 SUFFICIENT_DECREASE = 1e-4  # of the predicted decrease, as in Nocedal & Wright, 2006, section 3.1, algorithm 4.1
-MAX_PRODUCTS = 400
 MAX_RELATIVE_CHANGE = 1.0  # relative change of a conductance, to which a direction of negative curvature is followed
 
 
@@ -53,7 +52,7 @@ def steihaug(
     accuracy: float,
     radius: float = inf,
     admits: Callable[[Array], bool] | None = None,
-    most_products: int = MAX_PRODUCTS,
+    most_products: int = 400,
 ) -> SubproblemStep:
     """argmin gᵀs + ½ sᵀHs over ‖s‖_M ≤ radius; exact to `accuracy` where conjugate gradients end inside.
 

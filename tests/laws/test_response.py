@@ -14,7 +14,6 @@ from lampest.loads.pressure import pressure_of, water_pressure
 from lampest.panel.panel import Panel
 from lampest.panel.response import (
     PUBLISHED,
-    PUBLISHED_KPA,
     RESPONSE_SD,
     AnyResponse,
     Film,
@@ -72,7 +71,7 @@ def test_infinite_logarithms_give_infinite_pressures() -> None:
 
 
 def test_flat_begins_where_the_scatter_of_the_response_exceeds_the_pressure() -> None:
-    """σ_p/p = RESPONSE_SD·|ln f|/(|d ln f/dp|·p) jumps over 1 where PUBLISHED_KPA ends; the slope falls ninefold."""
+    """σ_p/p = RESPONSE_SD·|ln f|/(|d ln f/dp|·p) jumps over 1 where `told_kpa` ends; the slope falls ninefold."""
 
     def slope(pressure: float) -> float:
         return float(-np.diff(np.log(ratio_from_pressure([pressure - 1e-3, pressure + 1e-3])))[0] / 2e-3)
@@ -80,7 +79,7 @@ def test_flat_begins_where_the_scatter_of_the_response_exceeds_the_pressure() ->
     def relative(pressure: float) -> float:
         return float(-RESPONSE_SD * np.log(ratio_from_pressure(pressure)) / slope(pressure) / pressure)
 
-    flat = PUBLISHED_KPA[1]
+    flat = PUBLISHED.told_kpa[1]
     assert relative(flat - 0.01) < 0.2
     assert relative(flat + 0.01) > 1
     assert slope(flat - 0.01) / slope(flat + 0.01) == pytest.approx(9.2, abs=0.1)

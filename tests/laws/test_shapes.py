@@ -14,9 +14,10 @@ from laws.recognised import PATCH_MM, frame_under, verdict_on
 
 from lampest.estimate.calibration.known_loads import KnownLoad
 from lampest.files.document import adapter, parse_document, to_yaml, validated
+from lampest.files.levels import SIGNIFICANT
 from lampest.loads.recognition.candidates import FIELD, LOADS, UNIFORM
 from lampest.loads.recognition.fit import Fitting
-from lampest.loads.recognition.observation import OUTLIER_THRESHOLD, Whitening
+from lampest.loads.recognition.observation import Whitening
 from lampest.loads.shapes import OralDisc, Rod, Shape, shape_types
 from lampest.loads.shapes.disc import pressure_at_places
 from lampest.loads.shapes.kinds import RoundCandidate
@@ -120,7 +121,7 @@ def test_any_numbers_that_a_fit_may_try_make_readings(candidate: Candidate) -> N
     fitting, whitening = Fitting(panel, PATCH_MM, candidate, frame), Whitening.at_rest(frame)
     mean, sd = candidate.mean(panel), candidate.sd(panel)
     for _ in range(60):
-        parameters = mean + OUTLIER_THRESHOLD * sd * rng.choice([-1, 0, 1], len(mean))
+        parameters = mean + SIGNIFICANT * sd * rng.choice([-1, 0, 1], len(mean))
         here = fitting.at(parameters, fitting.about(parameters, whitening))
         assert np.isfinite(here.cost)
         assert np.isfinite(here.gradient).all() and np.isfinite(here.normal).all()

@@ -11,7 +11,7 @@ from scipy.stats import multivariate_normal
 from lampest.loads.recognition.candidates import AND, FLAT, UNIFORM, Several
 from lampest.loads.recognition.candidates import LOADS as SHAPED
 from lampest.loads.recognition.detector import Detector, discs_of
-from lampest.loads.recognition.evidence import IMPOSSIBLE, MOUTH_LOG_ODDS, Verdict, prior_cost, rises
+from lampest.loads.recognition.evidence import IMPOSSIBLE, RARE_LOG_ODDS, Verdict, prior_cost, rises
 from lampest.loads.recognition.fit import SD, field_fit, paid, prior, states
 from lampest.loads.recognition.observation import Baseline, ModelErrors, Observation, Whitening, outliers
 from lampest.loads.shapes import Block, OralDisc, Ring, Rod, SuctionCup
@@ -167,9 +167,7 @@ def test_loads_do_not_stand_in_one_place() -> None:
         other = fit.parameters + np.eye(len(fit.parameters))[0] * shift
         twice = replace(fit, candidate=both, parameters=np.concatenate([fit.parameters, other]))
         alone = prior_cost(PANEL, replace(fit, parameters=other)) if shift == 0 else IMPOSSIBLE  # no cell rises there
-        assert prior_cost(PANEL, twice) == pytest.approx(
-            prior_cost(PANEL, fit) + alone + cost + MOUTH_LOG_ODDS, abs=0.5
-        )
+        assert prior_cost(PANEL, twice) == pytest.approx(prior_cost(PANEL, fit) + alone + cost + RARE_LOG_ODDS, abs=0.5)
 
 
 @pytest.mark.parametrize("told", [0.0, 0.05])

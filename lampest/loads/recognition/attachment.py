@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from lampest.files.levels import NOISE_REACH
-from lampest.loads.recognition.breathing import MAX_LOG_ODDS, PAUSE_LOG_ODDS, Breathing
+from lampest.files.levels import NOISE_REACH, SIGNIFICANT
+from lampest.loads.recognition.breathing import MAX_LOG_ODDS, Breathing
 from lampest.loads.recognition.candidates import UNIFORM, under
-from lampest.loads.recognition.evidence import Verdict
-from lampest.loads.recognition.observation import OUTLIER_THRESHOLD, Observation
+from lampest.loads.recognition.evidence import RARE_LOG_ODDS, Verdict
+from lampest.loads.recognition.observation import Observation
 from lampest.loads.recognition.pumping import Pumping
 from lampest.panel.panel import Array, Panel
 
@@ -84,7 +84,7 @@ class Attachment:
     @property
     def lives(self) -> float:
         """Probability that it is a mouth, given that it sucks: the odds of both signs, which are independent."""
-        breathes = max(log(max(self.breathes, 1e-9) / max(1 - self.breathes, 1e-9)), PAUSE_LOG_ODDS)
+        breathes = max(log(max(self.breathes, 1e-9) / max(1 - self.breathes, 1e-9)), -RARE_LOG_ODDS)
         return 1 / (1 + exp(-breathes - self._pumping))
 
     @property
@@ -184,9 +184,7 @@ class _ChangedCells:
         _, labels = connected_components(pairs, directed=False)
         groups = [labels.reshape(self.moved.shape) == label for label in dict.fromkeys(labels[self.moved.ravel()])]
         sure = [
-            group
-            for group in groups
-            if abs(self.more[group].sum()) > OUTLIER_THRESHOLD * np.hypot.reduce(self.errors[group])
+            group for group in groups if abs(self.more[group].sum()) > SIGNIFICANT * np.hypot.reduce(self.errors[group])
         ]
         return sure or [self.moved]
 

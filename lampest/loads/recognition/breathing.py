@@ -6,17 +6,19 @@ docs/theory/recognition.md.
 """
 
 from dataclasses import dataclass, replace
+from math import exp
 
 import numpy as np
 from numpy.polynomial.hermite_e import hermegauss
 from scipy.special import expit, logit, logsumexp
 
+from lampest.files.levels import MAD_TO_SIGMA
 from lampest.loads.recognition.detector import Detector
-from lampest.loads.recognition.evidence import EVIDENCE_SHARE, MOUTH_LOG_ODDS
+from lampest.loads.recognition.evidence import EVIDENCE_SHARE, RARE_LOG_ODDS
 from lampest.loads.recognition.fit import MAX_ROUNDS, Fit
 from lampest.loads.recognition.observation import Observation
 from lampest.panel.panel import Array
-from lampest.panel.response import PUBLISHED_KPA, RESPONSE_SD, SUCTION_RATE, PublishedResponse
+from lampest.panel.response import CURVE_KPA, CURVE_RATIO, RESPONSE_SD, PublishedResponse
 
 RATES_HZ = (0.5, 2.5)  # of breathing; sea lampreys at rest 0.8 to 1.6 Hz
 MIN_RATE_HZ = 3.8  # frames a second: those of four whose clock is slow; they show rates up to 2 Hz
@@ -24,19 +26,14 @@ MIN_RATE_HZ = 3.8  # frames a second: those of four whose clock is slow; they sh
 # breathe it is an assumption: cups tremble and leak, but at no single rate.
 BREATHING_SD, TREMBLE_SD = 0.045, 0.002
 WINDOW_S, MIN_WINDOW_S = 8.0, 4.5  # over which a rhythm is steady; and the least that shows one
-# Relative amplitude of breathing: with more, the unevenness of a film explains the swings of a shaken cup.
-MAX_AMPLITUDE = 0.15
+# Largest swings of each cause, by its pattern. Suction: with more than 15 %, the unevenness of a film explains the
+# swings of a shaken cup. The rim alone: by all that it presses. Movements: ten times as far as is common.
+MAX_SWINGS = {"own": 0.15, "rim": 1.0, "moves": 10.0}
 # An assumption: relative standard deviation of the swing of all the rim over that of suction, which may press with more
 # than it bears; and of each cell's change by a movement, because where an edge crosses its film is not known.
 EDGE_SD = 0.5
-# Ln r/r0 by which films whose suction shows from −2 kPa on stay behind the published curve's extension to 0 kPa.
-THRESHOLD_DELAY = SUCTION_RATE * PUBLISHED_KPA[0] / (PUBLISHED_KPA[0] / -2.0 - 1)
-MOVEMENT_SD = {"x": 1.0, "y": 1.0, "tilt_x": 0.1, "tilt_y": 0.1}  # of common movements, mm and 1
-
-# Windows in which a mouth breathes; and of ln odds, the evidence that absence of breathing, and breathing, can add up
-# to at most. Assumptions: of one mouth in twenty no window shows the breath, since it is faint or at half the frame
-# rate.
-BREATHING_SHARE, PAUSE_LOG_ODDS, MAX_LOG_ODDS = 0.95, -3.0, 10.0
+THRESHOLD_KPA = -2.0  # from which on suction may show, another curve through the published point than that from 0 kPa
+MAX_LOG_ODDS = 10.0  # that evidence of breathing can add up to
 
 Pair = tuple[float, float]
 
@@ -98,29 +95,22 @@ class Breathing:
     def after(self, seen: Breath, *, full: bool) -> "Breathing":
         """Return the breath after a window; full : whether its odds stay, as do its rate and depth.
 
-        Mouths breathe in BREATHING_SHARE of all windows. The odds of full windows multiply. Two that are not full have
+        Of one mouth in twenty no window shows the breath, since it is faint or at half the frame rate, and a mouth
+        pauses in one window of twenty: assumptions. The odds of full windows multiply. Two that are not full have
         to agree that it is suction that swings: by the last of them alone two of 75 shaken cups were lampreys for a
         second (docs/studies/mouths.md).
         """
-        odds = float(
-            np.clip(
-                self.previous_odds + np.logaddexp(np.log(1 - BREATHING_SHARE), np.log(BREATHING_SHARE) + seen.odds),
-                PAUSE_LOG_ODDS,
-                MAX_LOG_ODDS,
-            )
-        )
+        window = np.logaddexp(-RARE_LOG_ODDS, np.log1p(-exp(-RARE_LOG_ODDS)) + seen.odds)
+        odds = float(np.clip(self.previous_odds + window, -RARE_LOG_ODDS, MAX_LOG_ODDS))
         breathing = replace(self, odds=odds, previous_odds=odds if full else self.previous_odds)
         if self.hertz is not None and (seen.odds <= 0 or (self.previous_odds != 0 and not full)):
             return breathing
         described = replace(breathing, hertz=seen.hertz, depth=seen.depth, last=seen.suction)
         if not full:
             return replace(described, suction=min(seen.suction, self.last))
-        causes = float(
-            np.clip(
-                self.causes + logit(np.clip(seen.suction, 1e-9, 1 - 1e-9)) - MOUTH_LOG_ODDS, -MAX_LOG_ODDS, MAX_LOG_ODDS
-            )
-        )
-        return replace(described, suction=float(expit(causes + MOUTH_LOG_ODDS)), causes=causes)
+        window = logit(np.clip(seen.suction, 1e-9, 1 - 1e-9)) - RARE_LOG_ODDS
+        causes = float(np.clip(self.causes + window, -MAX_LOG_ODDS, MAX_LOG_ODDS))
+        return replace(described, suction=float(expit(causes + RARE_LOG_ODDS)), causes=causes)
 
 
 @dataclass(frozen=True, eq=False)
@@ -209,9 +199,8 @@ def patterns_of(
     for (part, own), under, by_parameter in zip(loads, cells, by_load, strict=False):
         disc = part.disc(own)
         if disc is not None and part.sucks:
-            names = list(part.priors(panel))
-            moving = [sd * by_parameter[names.index(name), under] for name, sd in MOVEMENT_SD.items() if name in names]
-            moves = np.array(moving).reshape(len(moving), -1)
+            sways = np.array([prior.sway for prior in part.priors(panel).values()])
+            moves = (sways[:, None] * by_parameter[:, under])[sways > 0]
             others = np.column_stack([whitening.sum(axis=1), by_cell[:, np.any(cells, axis=0) & ~under]])
             own_cells = by_cell[:, under], rise.ravel()[under], slopes[:, under], spread[under]
             patterns.append(((disc.x_mm, disc.y_mm), Patterns.of(*own_cells, moves, others)))
@@ -243,7 +232,7 @@ def suction_weights(patterns: Patterns, whitening: Array) -> Array:
     Changes of all readings alike, of other loads, and of the load's place and rim by themselves count little.
     """
     own, _ = patterns.beside_others(np.zeros((1, len(whitening))))
-    return np.asarray(whitening.T @ own.weights(MAX_AMPLITUDE, 1.0, EDGE_SD))
+    return np.asarray(whitening.T @ own.weights(MAX_SWINGS["own"], 1.0, EDGE_SD))
 
 
 def breath(times: Array, changes: Array, patterns: Patterns) -> Breath | None:
@@ -333,9 +322,9 @@ def _suction(patterns: Patterns, swings: Array, noise: float, gain: float) -> fl
     gain : float
         Square of the swings at unit amplitude.
     """
-    causes = (patterns.own, MAX_AMPLITUDE), (patterns.rim, 1.0), (patterns.moves, 10.0)
-    own, *others = (_explained(gain**0.5 * root, most, swings, noise).max() for root, most in causes)
-    odds = EVIDENCE_SHARE * (own - np.array(others)) + MOUTH_LOG_ODDS + np.log(2)  # both together are as rare
+    causes = ((gain**0.5 * getattr(patterns, name), most) for name, most in MAX_SWINGS.items())
+    own, *others = (_explained(root, most, swings, noise).max() for root, most in causes)
+    odds = EVIDENCE_SHARE * (own - np.array(others)) + RARE_LOG_ODDS + np.log(2)  # both together are as rare
     return float(expit(-logsumexp(-odds)))
 
 
@@ -360,8 +349,8 @@ def _slopes(frame: Observation, rise: Array, scatter: float) -> Array:
     logarithm = rise / gains + response.logarithm(water)
     pressure = response.pressure(logarithm) - water
     more, less = (response.logarithm(water + by * pressure) for by in (1 + BREATHING_SD, 1 - BREATHING_SD))
-    rise = np.maximum(logarithm, 0.1)
-    straight, delayed = np.log(-np.expm1(-rise) / rise), np.log1p(THRESHOLD_DELAY / rise)
+    rise, delay = np.maximum(logarithm, 0.1), np.log(CURVE_RATIO[0]) / (CURVE_KPA[0] / THRESHOLD_KPA - 1)
+    straight, delayed = np.log(-np.expm1(-rise) / rise), np.log1p(delay / rise)
     unknown = (logarithm > 0) & isinstance(response, PublishedResponse)
     middle, curve = unknown * (delayed + straight) / 2, unknown * (delayed - straight) / 2
     slopes = (gains * (more - less) / (2 * BREATHING_SD) * np.exp(middle)).reshape(len(points), -1)
@@ -385,5 +374,5 @@ def _of_water(changes: Array, frame: Observation, fit: Fit, pressure: Array) -> 
 def settled(series: Array) -> Array:
     """(frames, …) outliers, values beyond four robust standard deviations from the median, are drawn in to that."""
     middle = np.median(series, axis=0)
-    most = 4 * 1.4826 * np.median(np.abs(series - middle), axis=0)
+    most = 4 * MAD_TO_SIGMA * np.median(np.abs(series - middle), axis=0)
     return np.asarray(np.clip(series, middle - most, middle + most))

@@ -2,14 +2,15 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from itertools import accumulate, pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_array
+from scipy.sparse import csc_array, csr_array, vstack
 
-from lampest.loads.recognition.observation import OUTLIER_THRESHOLD, Observation, unit
+from lampest.files.levels import MAD_TO_SIGMA, SIGNIFICANT
+from lampest.loads.recognition.observation import Observation
 from lampest.loads.shapes import shape_types
 from lampest.loads.shapes.disc import Disc, pressure_at_places
 from lampest.loads.shapes.shape import Candidate, Prior, Template
@@ -94,16 +95,6 @@ def under(panel: Panel, disc: Disc) -> NDArray[np.bool_]:
     return np.asarray(np.hypot(across - disc.x_mm, down - disc.y_mm) < (disc.diameter_mm + panel.pitch_mm) / 2)
 
 
-def _steps_between(places: Array) -> tuple[Array, NDArray[np.intp]]:
-    """(distinct steps, which of them is taken from every place to every other), of places in mm.
-
-    Distinct places are compared, because few rows and columns have many cells and sorting all pairs takes long.
-    """
-    distinct, of_place = np.unique(places, return_inverse=True)
-    steps, of_pair = np.unique(np.round(distinct - distinct[:, None], 6), return_inverse=True)
-    return steps, of_pair.reshape(len(distinct), -1)[of_place[:, None], of_place]
-
-
 @dataclass(frozen=True, eq=False)
 class DiscSearch:
     """A matched filter: round templates about every cell's centre and between four of them.
@@ -112,36 +103,36 @@ class DiscSearch:
     ----------
     discs : tuple of Disc
         (discs) starts of fits where one of them matches, one template after the other.
-    changes : array, shape (cells, discs)
+    changes : sparse array, shape (cells, discs)
         ln r/r0 of unit length.
     """
 
     panel: Panel
     templates: tuple[Template, ...]
     discs: tuple[Disc, ...]
-    changes: Array
+    changes: csc_array
 
     @classmethod
+    @lru_cache(maxsize=16)
     def over(cls, panel: Panel, patch_mm: float, templates: tuple[Template, ...]) -> "DiscSearch":
         """All templates laid over a panel."""
         discs, patterns = [], []
         x, y = panel.places_mm[:, panel.present]
-        across, down = _steps_between(x), _steps_between(y)
-        numbers = across[1] * len(down[0]) + down[1]
-        used = np.flatnonzero(np.bincount(numbers.ravel()))
-        ways = np.stack([across[0][used // len(down[0])], down[0][used % len(down[0])]])
-        way = np.searchsorted(used, numbers)
+        places = x + 1j * y  # one number a place: regular panels have few distinct steps between two places
+        steps, step = np.unique(np.round(places - places[:, None], 6), return_inverse=True)
         for template in templates:
             size = (template.outer_mm, template.inner_mm)
             pressures = HOLLOW_KPA if template.inner_mm else FULL_KPA
             for shift in (0.0, panel.pitch_mm / 2):
                 shifted = Disc(shift, shift, *size, template.inside, -1.0, 0.0, 0.0)
-                pattern, _ = pressure_at_places(ways, patch_mm, shifted)
-                patterns.append(pattern[way.ravel()].reshape(len(x), -1))
+                pattern, _ = pressure_at_places(np.stack([steps.real, steps.imag]), patch_mm, shifted)
+                patterns.append(csr_array(pattern[step.reshape(len(places), -1)]))
                 discs += [Disc(*at, *size, *pressures, 0.0, 0.0) for at in zip(x + shift, y + shift, strict=True)]
-        changes = np.zeros((panel.crossings, len(discs)))
-        changes[panel.present.ravel()] = np.concatenate(patterns).T
-        return cls(panel, templates, tuple(discs), unit(changes))
+        changes = vstack(patterns)
+        changes.data /= np.repeat(np.sqrt(changes.power(2).sum(axis=1)), np.diff(changes.indptr))
+        cells = np.flatnonzero(panel.present)[changes.indices]
+        shape = panel.crossings, len(discs)
+        return cls(panel, templates, tuple(discs), csc_array((changes.data, cells, changes.indptr), shape))
 
     @cached_property
     def faint(self) -> NDArray[np.bool_]:
@@ -160,12 +151,12 @@ class DiscSearch:
     def lies_on(self, logarithm: Array) -> bool:
         """Whether unloaded cells, ln r (rows, columns), are uneven in a load's shape: tᵀδ < −MAX_UNEVENNESS σ of one t.
 
-        δ is about the median and σ is robust, that of an even film at least. Beyond OUTLIER_THRESHOLD σ cells count no
+        δ is about the median and σ is robust, that of an even film at least. Beyond SIGNIFICANT σ cells count no
         more, so that a faulty one is no load.
         """
         apart = (logarithm - np.median(logarithm[self.panel.present])) * self.panel.present
-        sd = max(1.4826 * float(np.median(np.abs(apart[self.panel.present]))), RESPONSE_SD)
-        drawn_in = np.clip(apart.ravel(), -OUTLIER_THRESHOLD * sd, OUTLIER_THRESHOLD * sd)
+        sd = max(MAD_TO_SIGMA * float(np.median(np.abs(apart[self.panel.present]))), RESPONSE_SD)
+        drawn_in = np.clip(apart.ravel(), -SIGNIFICANT * sd, SIGNIFICANT * sd)
         return bool(np.min(drawn_in @ self.changes) < -MAX_UNEVENNESS * sd)
 
     def starts(self, normal: Array, pull: Array) -> dict[Template, Disc]:
@@ -173,7 +164,7 @@ class DiscSearch:
 
         Templates are where ln r/r0 falls, so tᵀb has their sign.
         """
-        patterns = csr_array(self.changes.T)
+        patterns = self.changes.T
         pulled, size = patterns @ pull, patterns.multiply(patterns @ normal).sum(axis=1)
         gain = pulled * np.abs(pulled) / np.maximum(size, 1e-300)
         best = np.argmax(gain.reshape(len(self.templates), -1), axis=1)

@@ -14,12 +14,13 @@ from numpy.typing import NDArray
 from scipy.linalg import cho_solve
 from scipy.special import softmax
 
+from lampest.files.levels import MAX_MEAN_SQUARE, SIGNIFICANT
 from lampest.loads.recognition.candidates import FIELD, LOADS, UNIFORM, DiscSearch, Several, under
 from lampest.loads.recognition.evidence import EVIDENCE_SHARE, Verdict, prior_cost, rises
 from lampest.loads.recognition.fit import (
-    MAX_EVALUATIONS,
     MAX_LOG_RATIO,
     MAX_ROUNDS,
+    SEARCH,
     CellLikelihood,
     Fit,
     Fitting,
@@ -29,8 +30,6 @@ from lampest.loads.recognition.fit import (
     states,
 )
 from lampest.loads.recognition.observation import (
-    MAX_CHI_SQUARE,
-    OUTLIER_THRESHOLD,
     Explained,
     Observation,
     Whitening,
@@ -42,25 +41,31 @@ from lampest.loads.shapes.shape import Candidate
 from lampest.panel.panel import Array, Panel
 from lampest.panel.response import BentSuction, PublishedResponse
 
-# Exponents of the published curve under suction, beside 1: ln f is known at one point, and a straight line or a
-# threshold go through it as well (docs/studies/mouths.md).
-EXPONENTS = (1 / 3, 2.0)
-# Times the response's standard deviation: from a film as published to a bent, uneven one.
-RESPONSE_LEVELS = 0.5, 1.2, 2.5
-MAX_LOADS = 3  # loads
-
 
 @dataclass(frozen=True, eq=False)
 class Detector:
     """A panel whose cells have films of an edge of `patch_mm`, and the loads that may stand on it.
 
-    any_form : contacts of any form are expected, and no shape is fitted.
+    Attributes
+    ----------
+    any_form : bool
+        Whether contacts of any form are expected, and no shape is fitted.
+    most_loads : int
+        Loads that are fitted together.
+    response_levels : tuple of float
+        Times the response's standard deviation: from a film as published to a bent, uneven one.
+    exponents : tuple of float
+        Of the published curve under suction, beside 1: ln f is known at one point, and a straight line or a threshold
+        go through it as well (docs/studies/mouths.md).
     """
 
     panel: Panel
     patch_mm: float
     loads: tuple[Candidate, ...] = LOADS
     any_form: bool = False
+    most_loads: int = 3
+    response_levels: tuple[float, ...] = (0.5, 1.2, 2.5)
+    exponents: tuple[float, ...] = (1 / 3, 2.0)
 
     @cached_property
     def search(self) -> DiscSearch:
@@ -82,7 +87,7 @@ class Detector:
             coarse = self._coarse(kinds, field, without)
             verdicts.append(self._settled(frame, coarse, field, without))
         single, discs = verdicts[-1], list[Disc]()
-        for _ in range(MAX_LOADS):
+        for _ in range(self.most_loads):
             beside = self.search.beside(field.change, discs) if self._doubtful(verdicts[-1], field) else None
             if beside is None:
                 break
@@ -99,12 +104,12 @@ class Detector:
         calm = frame.without(outliers(whitening, residual))
         errors = Whitening.at_rest(calm) @ residual
         stands_out = unit(whitening @ self.search.readings(frame)).T @ errors
-        return calm if errors @ errors < MAX_CHI_SQUARE * errors.size and stands_out.max() < OUTLIER_THRESHOLD else None
+        return calm if errors @ errors < MAX_MEAN_SQUARE * errors.size and stands_out.max() < SIGNIFICANT else None
 
     def fitted(self, candidate: Candidate, frame: Observation, start: Fit | None) -> Fit:
         """One candidate whether or not anything else would do; from everywhere, unless the start of before fits."""
         fit = None if start is None else self._whole(frame, start, start, frame)
-        if fit is None or fit.chi2 > MAX_CHI_SQUARE * frame.measured.size:
+        if fit is None or fit.chi2 > MAX_MEAN_SQUARE * frame.measured.size:
             field, calm = field_fit(frame)
             (begin,) = self._coarse((candidate,), field, calm)
             anew = self._whole(frame, begin, field, calm)
@@ -168,7 +173,7 @@ class Detector:
     def _contradicting(self, frame: Observation, fit: Fit) -> NDArray[np.intp]:
         whitening = Whitening.of(frame, self.explained(frame, fit), fit.scatter)
         errors = whitening @ fit.residual
-        suspicious = errors @ errors > MAX_CHI_SQUARE * len(errors)
+        suspicious = errors @ errors > MAX_MEAN_SQUARE * len(errors)
         return outliers(whitening, fit.residual) if suspicious else np.zeros(0, dtype=np.intp)
 
     def _coarse(self, kinds: Sequence[Candidate], field: Fit, calm: Observation) -> list[Fit]:
@@ -181,7 +186,7 @@ class Detector:
             fitting, descents = self._fitting(load, calm), list[Linearisation]()
             for disc in (starts[template] for template in load.templates):
                 most = min((descent.cost for descent in descents), default=np.inf) + MAX_LOG_RATIO
-                descents.append(fitting.descended(load.start(disc), likelihood, MAX_EVALUATIONS // 2, most)[0])
+                descents.append(fitting.descended(load.start(disc), likelihood, SEARCH.evaluations // 2, most))
             fits.append(
                 fitting.fit_at(min(descents, key=lambda descent: descent.cost), likelihood, whitening, quick=True)
             )
@@ -191,9 +196,9 @@ class Detector:
         """Return the verdict on all candidates from coarse fits; field, calm : of `field_fit`.
 
         All are weighed by the errors about the best of them, from their own points or from its point. The film's
-        relative deviation is that of RESPONSE_LEVELS under which the frame is most probable.
+        relative deviation is that of `response_levels` under which the frame is most probable.
         """
-        explains, scatter = field, RESPONSE_LEVELS[-1] * frame.baseline.model_errors.response
+        explains, scatter = field, self.response_levels[-1] * frame.baseline.model_errors.response
         for _ in range(len(fits)):
             best = best_of(fits)
             others = [fit for fit in fits if fit is not best]
@@ -209,11 +214,11 @@ class Detector:
     def _own(self, calm: Observation, fit: Fit) -> tuple[Fit, Whitening]:
         """Return a fit with the errors about the cells that it explains, and these errors.
 
-        Of RESPONSE_LEVELS, that is taken under which the frame is most probable.
+        Of `response_levels`, that is taken under which the frame is most probable.
         """
         fitting, explained = self._fitting(fit.candidate, calm), self.explained(calm, fit)
         response = calm.baseline.model_errors.response
-        errors = [Whitening.of(calm, explained, level * response) for level in RESPONSE_LEVELS]
+        errors = [Whitening.of(calm, explained, level * response) for level in self.response_levels]
         levels = [fitting.stays(fit.parameters, whitening).evidence for whitening in errors]
         whitening = errors[int(np.argmax(levels))]
         return fitting.best(fit.parameters, whitening), whitening
@@ -233,7 +238,7 @@ class Detector:
         def fitted(loads: Sequence[tuple[Candidate, Array]]) -> Fit:
             parts, own = zip(*sorted(loads, key=lambda load: not load[0].sucks), strict=True)
             fitting = self._fitting(Several.of(parts), calm)
-            descended, _ = fitting.descended(np.concatenate(own), likelihood, MAX_EVALUATIONS // 2)
+            descended = fitting.descended(np.concatenate(own), likelihood, SEARCH.evaluations // 2)
             return fitting.fit_at(descended, likelihood, whitening, quick=True)
 
         def likely(fit: Fit) -> float:
@@ -258,7 +263,7 @@ class Detector:
 
     def _doubtful(self, verdict: Verdict, field: Fit) -> bool:
         """Whether another number of loads might explain more, or cells beside the best have clearly changed."""
-        if verdict.best.candidate is FIELD or verdict.goodness > MAX_CHI_SQUARE:
+        if verdict.best.candidate is FIELD or verdict.goodness > MAX_MEAN_SQUARE:
             return True
         explained = [verdict.best.change != 0, *(under(self.panel, disc) for disc in discs_of(verdict.best))]
         left = np.where(np.any(explained, axis=0), 0.0, field.change)
@@ -276,12 +281,12 @@ class Detector:
     def _along_curves(self, calm: Observation, fit: Fit, whitening: Whitening) -> Fit:
         """Return the fit of a load that sucks with the covariance over all curves that the film may have.
 
-        The film's own curve is fitted as `fit`; others, with EXPONENTS, move φ by as much as their evidence allows.
+        The film's own curve is fitted as `fit`; others, with `exponents`, move φ by as much as their evidence allows.
         """
         fits, baseline, film = [fit], calm.baseline, calm.baseline.response
         if not fit.candidate.sucks or not isinstance(film, PublishedResponse):
             return fit
-        for exponent in EXPONENTS:
+        for exponent in self.exponents:
             bent = BentSuction(exponent=exponent, gain=film.gain, gain_sd=film.gain_sd)
             frame = replace(calm, baseline=replace(baseline, scene=replace(baseline.scene, response=bent)))
             fits.append(self._fitting(fit.candidate, frame).best(fit.parameters, whitening, quick=True))

@@ -19,10 +19,10 @@ from lampest.loads.shapes.disc import Disc
 from lampest.panel.panel import Panel
 from lampest.panel.response import PUBLISHED
 
-# Of ln P, assumptions: of every further load, or a rim that moves without its suction; and of impossible pairs, hidden
-# suction and two loads in one place. Loads that are no candidates are fitted by such with up to e⁶⁰ times their
-# evidence.
-MOUTH_LOG_ODDS, IMPOSSIBLE = log(20), 60.0
+# Of ln P, assumptions: of one in twenty, as every further load, a rim that moves without its suction, and a mouth that
+# does not breathe; and of impossible pairs, hidden suction and two loads in one place. Loads that are no candidates are
+# fitted by such with up to e⁶⁰ times their evidence.
+RARE_LOG_ODDS, IMPOSSIBLE = log(20), 60.0
 # ln r/r0 that a panel shows clearly, a suction of 1 kPa; and the part of the change that a cell under suction alone
 # would show. Mouths of 24 to 45 mm at a pitch of 10 mm show more than 0.7 in some cell, and nine in ten more than 0.9.
 # Of 60 mouths pressed with 30 to 80 kPa more, 47 are recognised with a part of 0.35, 52 with 0.25; with 0.2 or less two
@@ -104,7 +104,7 @@ def prior_cost(panel: Panel, fit: Fit, frame: Observation | None = None) -> floa
             maps = [fit.change] if frame is None else [fit.change, frame.highest]
             rise = min(float(pressure[under_disc].max(initial=0.0)) for pressure in maps)
             cost += _hidden(rise, full)
-    return MOUTH_LOG_ODDS * (len(loads) - 1) + IMPOSSIBLE * cost
+    return RARE_LOG_ODDS * (len(loads) - 1) + IMPOSSIBLE * cost
 
 
 def rises(frame: Observation) -> bool:

@@ -10,10 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import softmax
 
+from lampest.files.levels import MAX_MEAN_SQUARE, SIGNIFICANT
 from lampest.loads.recognition.candidates import FIELD
 from lampest.loads.recognition.observation import (
-    MAX_CHI_SQUARE,
-    OUTLIER_THRESHOLD,
     Explained,
     MostProbable,
     Observation,
@@ -25,8 +24,8 @@ from lampest.loads.shapes.shape import Candidate
 from lampest.panel.least_squares import LevenbergMarquardt
 from lampest.panel.panel import Array, Panel
 
-# Evaluations of the pressure with one linearised circuit; of ln P, below which a step changes nothing that is reported.
-MAX_EVALUATIONS, TOLERANCE = 30, 0.3
+# With one linearised circuit; a step that changes ln P by less than `settled` changes nothing that is reported.
+SEARCH = LevenbergMarquardt(evaluations=30, settled=0.3)
 MAX_ROUNDS = 4  # linearisations of the circuit in a fit, and fits with the errors about the one before, at most
 MIN_MEASURED_WIDTH = 0.3  # of the prior's width: wider axes of the posterior are measured, see `Fitting._widths`
 MAX_LOG_RATIO = 20.0  # of ln P: candidates so far below the best do not count
@@ -56,8 +55,6 @@ class Fit:
         ln of the frame's probability under the candidate, up to a common term of all candidates.
     scatter : float
         The film's relative deviation.
-    steps : int
-        Evaluations of the pressure.
     """
 
     candidate: Candidate
@@ -71,7 +68,6 @@ class Fit:
     volume: float
     evidence: float
     scatter: float = 0.0
-    steps: int = 0
 
     @property
     def score(self) -> float:
@@ -171,11 +167,11 @@ class Fitting:
         self,
         start: Array,
         likelihood: CellLikelihood,
-        steps: int = MAX_EVALUATIONS,
+        steps: int = SEARCH.evaluations,
         most: float = np.inf,
         held: int | None = None,
-    ) -> tuple[Linearisation, int]:
-        """Return (the model at the most probable φ that Levenberg and Marquardt's steps reach, its evaluations).
+    ) -> Linearisation:
+        """Return the model at the most probable φ that Levenberg and Marquardt's steps reach.
 
         Parameters
         ----------
@@ -185,16 +181,16 @@ class Fitting:
             The number of a parameter that stays.
         """
         mean, sd, longest = self._prior
-        low, high = mean - OUTLIER_THRESHOLD * sd, mean + OUTLIER_THRESHOLD * sd
+        low, high = mean - SIGNIFICANT * sd, mean + SIGNIFICANT * sd
         if held is not None:
             low[held] = high[held] = start[held]
-        minimum = LevenbergMarquardt(steps, TOLERANCE, longest=longest).minimum(
+        loop = replace(SEARCH, evaluations=steps, longest=longest)
+        return loop.minimum(
             lambda parameters: self.at(parameters, likelihood),
             start,
             (low, high),
             lambda point, count: count > 4 and point.cost > most,
-        )
-        return minimum.at, minimum.evaluations
+        ).at
 
     def best(self, start: Array, whitening: Whitening, most: float = np.inf, *, quick: bool = False) -> Fit:
         """Return the fit at the most probable φ.
@@ -206,28 +202,27 @@ class Fitting:
         quick : bool
             Whether widths are those of the curvature.
         """
-        point, likelihood, steps = self.settled(start, whitening, most)
-        return replace(self.fit_at(point, likelihood, whitening, quick=quick or point.cost > most), steps=steps)
+        point, likelihood = self.settled(start, whitening, most)
+        return self.fit_at(point, likelihood, whitening, quick=quick or point.cost > most)
 
     def settled(
         self, start: Array, whitening: Whitening, most: float = np.inf, held: int | None = None
-    ) -> tuple[Linearisation, CellLikelihood, int]:
-        """Return (the most probable φ with its exact cost, the likelihood about it, evaluations).
+    ) -> tuple[Linearisation, CellLikelihood]:
+        """Return (the most probable φ with its exact cost, the likelihood about it).
 
         The circuit is linearised anew where the last search ended, until that changes nothing. most, held : as above.
         """
-        likelihood, steps = self.about(start, whitening), 0
-        parameters, best = start, None
+        likelihood, parameters, best = self.about(start, whitening), start, None
         for _ in range(MAX_ROUNDS):
-            point, count = self.descended(parameters, likelihood, MAX_EVALUATIONS, most, held)
-            likelihood, steps = CellLikelihood.about(self.frame, whitening, point.change), steps + count
+            point = self.descended(parameters, likelihood, most=most, held=held)
+            likelihood = CellLikelihood.about(self.frame, whitening, point.change)
             parameters, exact = point.parameters, point.cost - point.misfit + likelihood.exact
             if best is None or exact < best[0].cost:
                 best = replace(point, cost=exact), likelihood
-            if abs(exact - point.cost) < TOLERANCE or min(exact, point.cost) > most:
+            if abs(exact - point.cost) < SEARCH.settled or min(exact, point.cost) > most:
                 break
         assert best is not None
-        return *best, steps
+        return best
 
     def stays(self, parameters: Array, whitening: Whitening) -> Fit:
         """Return the fit at φ as it is."""
@@ -251,7 +246,7 @@ class Fitting:
     @cached_property
     def _prior(self) -> Array:
         """Mean, standard deviation and longest step of φ, (3, parameters)."""
-        return np.array(list(self.candidate.priors(self.panel).values())).reshape(-1, 3).T
+        return np.array([prior[:3] for prior in self.candidate.priors(self.panel).values()]).reshape(-1, 3).T
 
     def pressure(self, parameters: Array, larger: float = 1.0) -> tuple[Array, Array]:
         return self.candidate.pressure(self.panel, self.patch_mm * larger, parameters)
@@ -334,9 +329,9 @@ def field_fit(frame: Observation) -> tuple[Fit, Observation]:
     field pays.
     """
     fit, most_probable = _of_two_maps(frame)
-    if fit.chi2 < MAX_CHI_SQUARE * frame.measured.size:
+    if fit.chi2 < MAX_MEAN_SQUARE * frame.measured.size:
         return fit, frame
-    calm = frame.without(outliers(Whitening(most_probable.root), most_probable.apart))
+    calm = frame.without(outliers(most_probable.whitening, most_probable.apart))
     return max((fit, frame), (_of_two_maps(calm)[0], calm), key=lambda pair: pair[0].evidence)
 
 
@@ -350,7 +345,7 @@ def _with_states(frame: Observation, start: Array) -> tuple[Fit, MostProbable]:
     panel, none = frame.baseline.scene.panel, np.zeros(0)
     of_cells = states(panel, start)
     most_probable = frame.cells(start, prior(frame, SD[of_cells].ravel()))
-    change, whitening = most_probable.state.reshape(start.shape), Whitening(most_probable.root)
+    change, whitening = most_probable.state.reshape(start.shape), most_probable.whitening
     errors, left = whitening @ most_probable.apart, frame.residual(change)
     misfit = Whitening(np.linalg.cholesky(frame.covariance(frame.slope(change)))) @ left
     cost = float(errors @ errors) / 2

@@ -1,7 +1,7 @@
 """Loads on a panel of modules, recognised where something changed.
 
 Every module is followed by a step test of its own. Where one finds a step, a window opens over the modules that the
-load may reach, is watched as one panel, and closes after it has been calm for CALM_S. No current crosses a seam, so
+load may reach, is watched as one panel, and closes after it has been calm for SETTLES_S. No current crosses a seam, so
 that the circuit of a window falls into blocks; loads lie over them. A load that several windows see counts where it
 stands nearest to the middle of one.
 """
@@ -17,13 +17,10 @@ from numpy.typing import NDArray
 
 from lampest.files.process import ONE_BLAS_THREAD
 from lampest.loads.recognition.attachment import Attachment
-from lampest.loads.recognition.watch import Panelled, Watch
+from lampest.loads.recognition.watch import NEAR_PITCHES, SETTLES_S, Panelled, Watch
 from lampest.panel.panel import Array, Modules, Panel
 from lampest.panel.response import Response
 from lampest.panel.scene import Scene
-
-REACH_PITCHES = 3.0  # pitches from a load's place to a module on which it may lie: half of the widest mouth, and a cell
-CALM_S = 60.0  # s: three times as long as the mean of frames takes to follow them
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,7 +124,7 @@ class Window:
         sizes = layout.each.columns, layout.each.rows
         for at, axis, size in zip(place, scene.panel.centres_mm(), sizes, strict=True):
             first, last = axis[::size], axis[size - 1 :: size]
-            reach = min(REACH_PITCHES * scene.panel.pitch_mm, float(last[0] - first[0]) / 2)
+            reach = min(NEAR_PITCHES * scene.panel.pitch_mm, float(last[0] - first[0]) / 2)
             away = np.maximum(first - at, at - last)
             spans.append(np.flatnonzero((away <= reach) | (away == away.min())))
         columns, rows = spans
@@ -286,7 +283,7 @@ class ImageWatch:
 
     def _closed(self, time: float) -> "ImageWatch":
         """Without the windows that have been calm for long; their modules go on from there."""
-        opened = tuple(opening for opening in self.opened if time - opening[2] < CALM_S)
+        opened = tuple(opening for opening in self.opened if time - opening[2] < SETTLES_S)
         modules, covered = list(self.modules), under_windows(opened)
         for window, watch, _ in set(self.opened) - set(opened):
             shape, layout = window.scene.panel.shape, window.scene.layout

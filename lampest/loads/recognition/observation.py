@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_solve, cholesky, lapack
 
-from lampest.files.levels import NOISE_REACH
+from lampest.files.levels import NOISE_REACH, SIGNIFICANT
 from lampest.panel.network import Network
 from lampest.panel.panel import Array, Panel
 from lampest.panel.response import PUBLISHED, RESPONSE_SD, Response
@@ -46,6 +46,9 @@ class ModelErrors:
     channel_ohm : of the on-resistance of a multiplexer's channel about its mean, one for each line.
     reference : relative error of the reference resistor: 1 % at most, uniform.
     reading_error : of the logarithm of a factor on each reading, the same in all frames.
+    swaying : of ln r and of ln y that all cells and all readings may share: temperature, waves, supply.
+    residue : of what a film keeps of a load that left, relative to its ln r/r0.
+    mapped, coarse : of ln r/r0 of cells while a load is looked for, on a map of them, and at rest in coarse fits.
 
     Source: CD74HC4067 (about 10 ohm between any two channels), ordinary 1 % resistors, films that creep by a few
     percent for each decade of time; the others are assumptions.
@@ -65,6 +68,10 @@ class ModelErrors:
     channel_ohm: float = 3.0
     reference: float = 0.006
     reading_error: float = 0.0
+    swaying: float = 0.1
+    residue: float = 0.12
+    mapped: float = 0.5
+    coarse: float = 0.2
 
     def of_scene(self, scene: Scene, reading_error: float) -> "ModelErrors":
         """With the errors that a scene specifies, and with one of each reading as estimated from the frames."""
@@ -106,11 +113,7 @@ class ModelErrors:
 # Of ln r: the longest Gauss-Newton step; and the most a load may change, beyond which a cell is open or shorted to all
 # readings, and a network soon has no inverse.
 MAX_STEP, MAX_LOG_CHANGE = 1.5, 12.0
-# Of cells in ln r/r0 while a load is looked for, on a map of them, and at rest in coarse fits; assumptions.
-MAP_SD, COARSE_SD = 0.5, 0.2
-# σ, which normal numbers pass once in 10⁶; the part of the readings that may do so
-OUTLIER_THRESHOLD, OUTLIER_SHARE = 5.0, 0.03
-MAX_CHI_SQUARE = 1.4  # χ² per reading beyond which outliers, or another position, are looked for: 3 σ of 100 readings
+OUTLIER_SHARE = 0.03  # part of the readings that may be outliers
 DROPPED_FACTOR = 1e3  # so many times its σ, or its reading, is the σ of one that does not count
 
 
@@ -135,8 +138,8 @@ class MostProbable(NamedTuple):
         P.
     across : array
         P Aᵀ (n, readings).
-    root : array
-        Of A P Aᵀ + C, lower.
+    whitening : Whitening
+        Of A P Aᵀ + C.
     apart : array
         y − f(mean) (readings).
     """
@@ -144,13 +147,13 @@ class MostProbable(NamedTuple):
     state: Array
     prior: Array
     across: Array
-    root: Array
+    whitening: "Whitening"
     apart: Array
 
     @property
     def covariance(self) -> Array:
         """Of x after the readings, (n, n)."""
-        return np.asarray(self.prior - self.across @ cho_solve((self.root, True), self.across.T))
+        return np.asarray(self.prior - self.across @ cho_solve((self.whitening.root, True), self.across.T))
 
 
 def most_probable(
@@ -170,7 +173,7 @@ def most_probable(
         state = state + step
         if np.abs(step).max() < settled:
             break
-    return MostProbable(state, prior, across, root, apart)
+    return MostProbable(state, prior, across, Whitening(root), apart)
 
 
 @dataclass(frozen=True, eq=False)
@@ -225,7 +228,7 @@ class Baseline:
             return residual, np.hstack([network.sensitivity(), spread]), np.diag(noise) + shared
 
         coarse = most_probable(model, mean, mean, prior, MAX_STEP / 10)
-        noise[outliers(Whitening(coarse.root), coarse.apart)] *= DROPPED_FACTOR**2
+        noise[outliers(coarse.whitening, coarse.apart)] *= DROPPED_FACTOR**2
         fine = most_probable(model, coarse.state, mean, prior, 1e-6)
         logarithm, shifts = fine.state[:cells].reshape(measured.shape), fine.state[cells:]
         return cls(logarithm, shifts, fine.covariance, model_errors, scene)
@@ -333,11 +336,11 @@ class Observation:
     @cached_property
     def _mapped(self) -> MostProbable:
         nothing = np.zeros(self.measured.shape)
-        return self.cells(nothing, MAP_SD**2 * np.eye(nothing.size))
+        return self.cells(nothing, self.baseline.model_errors.mapped**2 * np.eye(nothing.size))
 
     @property
     def map(self) -> Array:
-        """ln r/r0 of every cell, (rows, columns): of independent cells with a standard deviation of MAP_SD."""
+        """ln r/r0 of every cell, (rows, columns): of independent cells with that standard deviation."""
         return self._mapped.state.reshape(self.measured.shape)
 
     @cached_property
@@ -395,8 +398,8 @@ class Whitening:
     @classmethod
     def coarse(cls, frame: Observation, change: Array) -> "Whitening":
         """About ln r/r0 (rows, columns) that every cell may depart from alike."""
-        slope = frame.slope(change)
-        return cls(cholesky(frame.covariance(slope, COARSE_SD**2 * np.eye(len(slope))), lower=True))
+        slope, sd = frame.slope(change), frame.baseline.model_errors.coarse
+        return cls(cholesky(frame.covariance(slope, sd**2 * np.eye(len(slope))), lower=True))
 
     @cached_property
     def volume(self) -> float:
@@ -420,7 +423,7 @@ def outliers(whitening: Whitening, residual: Array) -> NDArray[np.intp]:
     for _ in range(max(1, int(OUTLIER_SHARE * len(residual)))):
         score = np.where(left, np.abs(pull) / np.sqrt(np.where(left, np.diag(precision), 1.0)), 0.0)
         worst = int(np.argmax(score))
-        if score[worst] <= OUTLIER_THRESHOLD:
+        if score[worst] <= SIGNIFICANT:
             break
         left[worst] = False
         column = precision[:, worst] / precision[worst, worst]

@@ -7,27 +7,54 @@ wandering and the leak are unknown and summed over. Equations are in docs/theory
 """
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.special import logsumexp
 
+from lampest.loads.recognition.fit import MAX_LOG_RATIO
 from lampest.panel.panel import Array
 
-# Jumps a second of the three kinds, and their share beforehand. Pumps: the geometric mean of 20 and 200 s. Others are
-# assumptions: a single jump must not decide, and nothing but a pump is frequent and goes upwards alone.
-RATES_HZ, RATE_ODDS = np.array([1 / 200, 1 / 30, 1 / 63]), np.array([0.45, 0.05, 0.5])
-MIN_INTERVAL_S = 10.0  # between pumps; half of the shortest published interval
-JUMP_PRIORS = np.array([[0.0, 0.6], [0.0, 0.6], [0.4, 0.3]])  # mean and standard deviation of a jump; assumptions
+
+class Jumps(NamedTuple):
+    """A hypothesis on the jumps of suction.
+
+    Attributes
+    ----------
+    share : float
+        Probability beforehand.
+    rate_hz : float
+        Jumps a second.
+    jump, jump_sd : float
+        Mean and standard deviation of the size of a jump.
+    interval_s : float
+        Time within which a jump is rarely followed by another.
+    """
+
+    share: float
+    rate_hz: float
+    jump: float
+    jump_sd: float
+    interval_s: float = 0.0
+
+
+# A quiet cup, one that is disturbed, and a mouth. Pumps: at the geometric mean of 20 and 200 s, not within half of the
+# shortest published interval. Others are assumptions: a single jump must not decide, and nothing but a pump is frequent
+# and goes upwards alone.
+KINDS = (
+    Jumps(0.45, 1 / 200, 0.0, 0.6),
+    Jumps(0.05, 1 / 30, 0.0, 0.6),
+    Jumps(0.5, 1 / 63, 0.4, 0.3, interval_s=10.0),
+)
+OF_KINDS = Jumps(*np.array(KINDS).T[..., None, None, None, None])  # the same, along the first axis of GRID
 LEAKS = np.array([0.0, 0.001, 0.003, 0.01, 0.03])  # 1/s: between pumps a tenth is lost within 200 s, or half in 20 s
 NOISES = np.geomspace(0.003, 0.2, 6)  # of a sample: from quiet readings to breathing that frames are too few to show
 DRIFTS = np.array([0.0005, 0.003, 0.015])  # of u for each root of a second: creep, warmth, aliased breathing
 HYPOTHESES = 8  # times of the last jump that are remembered for each combination
 HIDDEN_SHARE = 0.2  # of mouths whose pumps do not show, for which their absence is no evidence; an assumption
 BLOCK_S = 3.0  # of frames whose median is one sample, at least: outliers and most of the breath are gone
-MAX_LOG_RATIO = 20.0  # of ln P, by which no noise, drift or leak is ever less probable than the best: they may change
-MIN_LOG_ODDS = (
-    -5.0
-)  # ln odds below which absence counts no more, so that a mouth that rested for hours is soon recognised
+# ln odds below which absence counts no more, so that a mouth that rested for hours is soon recognised
+MIN_LOG_ODDS = -5.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,7 +85,7 @@ class Pumping:
         cls, weights: Array, reference: Array, time: float, moves: int, before: "Pumping | None" = None
     ) -> "Pumping":
         """Return the state before the first sample; before : of the same attachment in another place."""
-        kinds = np.log(RATE_ODDS)[:, None, None, None, None] + np.zeros(GRID)
+        kinds = np.log(OF_KINDS.share) + np.zeros(GRID)
         known = kinds if before is None else logsumexp(before.logarithm, axis=-1, keepdims=True) + np.zeros(GRID)
         return cls(weights, reference, time, moves, known, np.zeros(GRID), np.ones(GRID), np.zeros(GRID))
 
@@ -67,9 +94,7 @@ class Pumping:
         sample = float(self.weights @ (np.median(logarithms, axis=0) - self.reference))
         seconds = time - self.since_s
         leak, noise, drift = LEAKS[:, None, None, None], NOISES[:, None, None], DRIFTS[:, None]
-        jump, jump_sd, rate = (values[:, None, None, None, None] for values in (*JUMP_PRIORS.T, RATES_HZ))
-        pumps = np.arange(len(RATE_ODDS)).reshape(jump.shape) == len(RATE_ODDS) - 1
-        rate = np.where(pumps & (self.age_s < MIN_INTERVAL_S), RATES_HZ[0] / 2, rate)
+        rate = np.where(self.age_s < OF_KINDS.interval_s, KINDS[0].rate_hz / 2, OF_KINDS.rate_hz)
         mean = self.mean - leak * seconds
         variance = self.variance + drift**2 * seconds
         jumps = self.logarithm + np.log(-np.expm1(-rate * seconds))
@@ -79,7 +104,7 @@ class Pumping:
         share = np.exp(jumps - total)
         middle = (share * mean).sum(axis=(1, 4), keepdims=True)
         spread = (share * (variance + (mean - middle) ** 2)).sum(axis=(1, 4), keepdims=True)
-        start = (total - np.log(len(LEAKS)), middle + jump, spread + jump_sd**2, np.zeros_like(total))
+        start = (total - np.log(len(LEAKS)), middle + OF_KINDS.jump, spread + OF_KINDS.jump_sd**2, np.zeros_like(total))
         logarithm, mean, variance, age = (
             np.concatenate([np.broadcast_to(new, (*GRID[:-1], 1)), old], axis=-1)
             for new, old in zip(start, (stays, mean, variance, self.age_s + seconds), strict=True)
@@ -98,9 +123,11 @@ class Pumping:
             variance=variance * (1 - variance / wide),
             age_s=age,
         )
-        low = max(0.0, MIN_LOG_ODDS - updated._kinds)
+        # Noise, drift and leak may change: none is ever much less probable than the best.
         least = updated.logarithm.max(axis=(1, 2, 3, 4), keepdims=True) - MAX_LOG_RATIO
-        return replace(updated, logarithm=np.maximum(updated.logarithm, least) + low * pumps)
+        logarithm = np.maximum(updated.logarithm, least)
+        logarithm[-1] += max(0.0, MIN_LOG_ODDS - updated._kinds)
+        return replace(updated, logarithm=logarithm)
 
     @property
     def _kinds(self) -> float:
@@ -114,4 +141,4 @@ class Pumping:
         return float(np.logaddexp(np.log(HIDDEN_SHARE), np.log(1 - HIDDEN_SHARE) + self._kinds))
 
 
-GRID = (len(RATE_ODDS), len(LEAKS), len(NOISES), len(DRIFTS), HYPOTHESES)
+GRID = (len(KINDS), len(LEAKS), len(NOISES), len(DRIFTS), HYPOTHESES)

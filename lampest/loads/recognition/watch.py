@@ -29,20 +29,16 @@ from lampest.loads.recognition.breathing import (
 )
 from lampest.loads.recognition.candidates import FIELD, DiscSearch
 from lampest.loads.recognition.detector import Detector
-from lampest.loads.recognition.evidence import IMPOSSIBLE, MOUTH_LOG_ODDS, Verdict
+from lampest.loads.recognition.evidence import IMPOSSIBLE, RARE_LOG_ODDS, Verdict
 from lampest.loads.recognition.observation import Baseline, ModelErrors, Observation, counting, unit
 from lampest.loads.recognition.pumping import BLOCK_S, Pumping
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 
-# σ of ln r and of ln y that all cells and all readings may share: temperature, waves, supply; an assumption
-COMMON_SD = 0.1
-NEAR_PITCHES = 3.0  # pitches about a disc in which a load's pattern counts for it
+NEAR_PITCHES = 3.0  # pitches about its place that a load may reach: half of the widest mouth, and a cell
 FOLLOWS_S = 20.0  # in which the mean of frames follows them
-SETTLES_S = 60.0  # of drift that is expected within the unloaded frames
-# Of what stands there, as patterns see it: a change beyond it is another load, or one that left. And the standard
-# deviation of what a film keeps of a load that left, in its ln r/r0.
-MIN_CHANGE, RESIDUE_SD = 0.5, 0.12
+SETTLES_S = 60.0  # of drift that is expected within the unloaded frames, and in which a panel is calm again
+MIN_CHANGE = 0.5  # of what stands there, as patterns see it: a change beyond it is another load, or one that left
 UNEVENLY = "a load may lie on the panel in the unloaded frames: its cells are uneven in the shape of one"
 FIRST_S, MIN_FRAMES = 1.0, 3  # after which something is recognised first, and at least; breathing is judged again
 
@@ -107,8 +103,9 @@ class StepTest:
         """
         value, cells = frame.measured.ravel(), frame.measured.size
         slope = frame.slope(np.zeros(frame.measured.shape)) / value[:, None]
-        settled = frame.baseline.model_errors.settled**2 * slope @ slope.T
-        shared = [COMMON_SD * slope.sum(axis=1, keepdims=True), COMMON_SD * np.ones((cells, 1))]
+        errors = frame.baseline.model_errors
+        settled = errors.settled**2 * slope @ slope.T
+        shared = [errors.swaying * slope.sum(axis=1, keepdims=True), errors.swaying * np.ones((cells, 1))]
         shared += [] if frame.common is None else [frame.common / value[:, None]]
         columns = np.hstack(shared)
         root = cholesky(np.diag((frame.sigma.ravel() / value) ** 2) + settled + columns @ columns.T, lower=True)
@@ -332,14 +329,15 @@ class Watch:
             return True
         before = self._before
         common = np.median(frame.map[before == 0]) if np.any(before == 0) else 0.0
-        return bool(np.sum((frame.map - common) * before) <= NOISE_REACH * RESIDUE_SD * np.sum(before**2))
+        residue = NOISE_REACH * self.panelled.errors.residue * np.sum(before**2)
+        return bool(np.sum((frame.map - common) * before) <= residue)
 
     def _keeps(self, frame: Observation) -> Array | float:
         """Return `film_sd` once a step has changed the recognised load: by the decrease of each cell."""
         if self.known or self.seen is None:
             return self.film_sd
         less = np.maximum(np.abs(self._before) - np.abs(frame.map), 0.0).ravel()
-        return np.asarray(np.maximum(self.film_sd, RESIDUE_SD * less))
+        return np.asarray(np.maximum(self.film_sd, self.panelled.errors.residue * less))
 
     @property
     def _before(self) -> Array:
@@ -366,12 +364,9 @@ class Watch:
         frame = self._frame(median, time)
         verdict = self.panelled.detector.verdict(frame, self.verdict if self.known else None)
         change, before = verdict.best.change, self._before
-        memory = not self.known and np.sum(change**2) < NOISE_REACH * RESIDUE_SD * np.sum(
-            change * before
-        )  # where it was
-        if (
-            verdict.nothing > exp(-MOUTH_LOG_ODDS) * (1 - verdict.nothing) or memory
-        ):  # some steps are noise, or a load's end
+        least = NOISE_REACH * self.panelled.errors.residue * np.sum(change * before)
+        memory = not self.known and np.sum(change**2) < least  # of a load where it was
+        if memory or verdict.nothing > exp(-RARE_LOG_ODDS) * (1 - verdict.nothing):  # some steps are noise
             if self._left(frame) and not (self.known and np.any(clear)):
                 return self._gone(time if self.known else self.begun)
             return replace(self, known=True, next_s=again, former=None)
@@ -392,7 +387,7 @@ class Watch:
             return False
         watch = replace(self, resting=median, rested=float(len(self.window)), rest_s=time)
         backwards = self.panelled.detector.verdict(watch._frame(self.resting, time))
-        return backwards.evidence > verdict.evidence + MOUTH_LOG_ODDS
+        return backwards.evidence > verdict.evidence + RARE_LOG_ODDS
 
     def _breathed(self, time: float) -> "Watch":
         """Return the watch with the breath that the frames since the last full window show.

@@ -12,8 +12,9 @@ import numpy as np
 from lampest.loads.pressure import GRAVITY
 from lampest.panel.panel import Array
 
-POINTS = 5  # along either edge of a patch: 1.2 mm on a patch of 6 mm
-SOFT = 0.2  # of a patch's edge, half the width over which an edge is soft: real ones are, and points are so far apart
+# Along either edge of a patch: 1.2 mm on a patch of 6 mm. Edges are soft over twice the distance of two points, as real
+# ones are.
+POINTS = 5
 
 
 class Disc(NamedTuple):
@@ -46,18 +47,18 @@ class Unevenness(NamedTuple):
         Amplitude of the rim's pressure by cos 2θ and sin 2θ.
     """
 
-    along: float
-    across: float
-    lobe_along: float
-    lobe_across: float
+    along: float = 0.0
+    across: float = 0.0
+    lobe_along: float = 0.0
+    lobe_across: float = 0.0
 
 
-EVEN = Unevenness(0.0, 0.0, 0.0, 0.0)
+EVEN = Unevenness()
 
 
 def pressure_at_places(places: Array, patch_mm: float, disc: Disc, form: Unevenness = EVEN) -> tuple[Array, Array]:
     """(…) kPa mean on patches at (2, …) mm, NaN: none; and (12, …) its slopes by the numbers of `disc` and `form`."""
-    soft = SOFT * patch_mm
+    soft = patch_mm / POINTS
     reach = disc.diameter_mm / 2 * (1 + abs(form.along) + abs(form.across)) + patch_mm / 2 + soft
     means = np.zeros((13, *places.shape[1:]))
     near = (np.abs(places[0] - disc.x_mm) < reach) & (np.abs(places[1] - disc.y_mm) < reach)

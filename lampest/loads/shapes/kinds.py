@@ -24,30 +24,47 @@ from lampest.panel.panel import Array, Panel
 from lampest.panel.response import VACUUM_KPA
 
 CLOSED = 0.05  # d_i/d where the rim would leave no inside
-RIM_WIDTH_MM = 5.5  # an assumption: mouths have 4 to 7 mm, the paper's suction cup 4
-# Assumptions: 95 % of diameters within 15 and 60 mm, of tilts below a half.
-DIAMETER = Prior(log(30), 0.35, step=0.2)
-TILT = {"tilt_x": Prior(0, 0.25, step=0.3), "tilt_y": Prior(0, 0.25, step=0.3)}
-# Assumptions: 95 % have axes within a ratio of 1.22, and press within ±34 % along themselves; what is made stands as
-# round as a lathe leaves it, within 8 %, and presses within ±16 % along its rim.
-UNEVEN, MADE = (0.05, 0.05, 0.17, 0.17), (0.02, 0.02, 0.08, 0.08)
-# An assumption: films are cut to a millimetre and rims are rounded, so both edges of a disc may seem displaced.
-EDGE_MM, SOFT_EDGE_MM = 0.7, 1.1  # of manufactured loads, and of a soft rim in more lobes than are fitted
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class RoundCandidate(Candidate):
     """A disc described by φ: x, y and tilts themselves, other numbers by their logarithms.
 
-    numbers : priors of the numbers beside the centre, in order. diameter, tilt_x, tilt_y; width of the rim, or the disc
-        is full; suction, or there is none; rim, the pressure under it, or push, by which that is above p_bear.
-    uneven : standard deviations of the numbers of `Unevenness`, which come last. edge_mm : by which both edges may seem
-        to lie beside their places.
+    Attributes
+    ----------
+    diameter : Prior
+        Assumption: 95 % of diameters are within 15 and 60 mm.
+    width : Prior or None
+        Width of the rim; None: the disc is full.
+    suction : Prior or None
+        None: there is none.
+    rim, push : Prior or None
+        Pressure under the rim, or that by which it is above p_bear; one of them.
+    tilt : Prior
+        Assumption: 95 % of tilts along each axis are below a half.
+    uneven : tuple of float
+        Standard deviations of the numbers of `Unevenness`, which come last. Assumption: what is made stands as round as
+        a lathe leaves it, within 8 %, and presses within ±16 % along its rim.
+    edge_mm : float
+        By which both edges may seem to lie beside their places. Assumption: films are cut to a millimetre and rims are
+        rounded.
     """
 
-    numbers: Mapping[str, Prior]
-    uneven: tuple[float, ...] = UNEVEN
-    edge_mm: float = EDGE_MM
+    diameter: Prior = Prior(log(30), 0.35, step=0.2)
+    width: Prior | None = None
+    suction: Prior | None = None
+    rim: Prior | None = None
+    push: Prior | None = None
+    tilt: Prior = Prior(0, 0.25, step=0.3, sway=0.1)
+    uneven: tuple[float, ...] = (0.02, 0.02, 0.08, 0.08)
+    edge_mm: float = 0.7
+
+    @cached_property
+    def numbers(self) -> Mapping[str, Prior]:
+        """Priors of the numbers beside the centre and the unevenness, in order."""
+        named = {name: getattr(self, name) for name in ("diameter", "width", "suction", "rim", "push")}
+        named |= {"tilt_x": self.tilt, "tilt_y": self.tilt}
+        return {name: prior for name, prior in named.items() if prior is not None}
 
     @cached_property
     def _places(self) -> Mapping[str, int]:
@@ -59,43 +76,41 @@ class RoundCandidate(Candidate):
 
     def pressure(self, panel: Panel, patch_mm: float, parameters: Array) -> tuple[Array, Array]:
         disc, by_parameter = self.disc_with_slopes(parameters)
-        form = slice(len(self._places) - len(EVEN), None)
+        form = slice(-len(EVEN), None)
         pressure, by_number = pressure_at_places(panel.places_mm, patch_mm, disc, Unevenness(*parameters[form]))
-        slopes = (by_parameter.T @ by_number[:8].reshape(8, -1)).reshape(-1, *panel.shape)
-        slopes[form] = by_number[8:]
+        slopes = np.tensordot(by_parameter, by_number[: len(disc)], (0, 0))
+        slopes[form] = by_number[len(disc) :]
         return pressure, slopes
 
     def disc(self, parameters: Array) -> Disc:
-        return self.disc_with_slopes(parameters)[0]
+        return Disc(*self._numbers(parameters).tolist())
 
     def disc_with_slopes(self, parameters: Array) -> tuple[Disc, Array]:
-        """Return the disc of φ, and its derivatives (8, parameters)."""
-        place, at = self._places, parameters.tolist()
-        slopes = np.zeros((8, len(at)))
-        for number, name in ((0, "x"), (1, "y"), (6, "tilt_x"), (7, "tilt_y")):
-            slopes[number, place[name]] = 1.0
-        diameter, share, suction = exp(at[place["diameter"]]), 0.0, 0.0
-        slopes[2, place["diameter"]] = diameter
-        if "width" in place:  # ι = d_i/d is 1 − 2w/d, but never quite zero
-            solid = 2 * exp(at[place["width"]]) / diameter
-            root = hypot(1 - solid, CLOSED)
-            share, slope = (1 - solid + root) / 2, -solid * (1 + (1 - solid) / root) / 2
-            slopes[3, place["diameter"]], slopes[3, place["width"]] = diameter * (share - slope), diameter * slope
-        if "suction" in place:
-            suction = slopes[4, place["suction"]] = -exp(at[place["suction"]])
-        if "push" in place:
-            bearing, push = bearing_kpa(suction, share, 1.0), exp(at[place["push"]])
-            rim, by_width = bearing + push, bearing * (2 / (share * (1 - share * share))) * slope
-            slopes[5, place["push"]], slopes[5, place["suction"]] = push, bearing
-            slopes[5, place["width"]], slopes[5, place["diameter"]] = by_width, -by_width
-        else:
-            rim = slopes[5, place["rim"]] = exp(at[place["rim"]])
-        tilt = at[place["tilt_x"]], at[place["tilt_y"]]
-        return Disc(at[0], at[1], diameter, share * diameter, suction, rim, *tilt), slopes
+        """Return the disc of φ, and its derivatives (8, parameters) by complex steps.
+
+        Source: Squire, Trapp, SIAM Review 40, 110 (1998).
+        """
+        step = np.finfo(float).eps ** 2  # slopes have all digits, since nothing is subtracted
+        numbers = self._numbers(parameters[:, None] + 1j * step * np.eye(len(parameters)))
+        return Disc(*numbers[:, 0].real.tolist()), numbers.imag / step
+
+    def _numbers(self, parameters: Array) -> Array:
+        """Numbers of the disc (8, …) of φ (parameters, …), real or complex."""
+        at = dict(zip(self._places, parameters, strict=True))
+        diameter = np.exp(at["diameter"])
+        share = suction = np.zeros_like(diameter)
+        if self.width is not None:  # d_i/d is 1 − 2w/d, but never quite zero
+            hollow = 1 - 2 * np.exp(at["width"]) / diameter
+            share = (hollow + np.sqrt(hollow**2 + CLOSED**2)) / 2
+        if self.suction is not None:
+            suction = -np.exp(at["suction"])
+        bearing = -suction * share**2 / (1 - share**2)
+        rim = np.exp(at["rim"]) if self.push is None else bearing + np.exp(at["push"])
+        return np.stack([at["x"], at["y"], diameter, share * diameter, suction, rim, at["tilt_x"], at["tilt_y"]])
 
     def start(self, disc: Disc) -> Array:
         """Return φ of a disc as far as this kind has it; missing numbers are small, and a full disc presses as hard."""
-        width, bearing, mean = RIM_WIDTH_MM, 0.0, disc.rim_kpa
+        width, bearing, mean = 0.0 if self.width is None else exp(self.width.mean), 0.0, disc.rim_kpa
         if disc.inner_mm:
             hole = (disc.inner_mm / disc.diameter_mm) ** 2
             mean = disc.rim_kpa * (1 - hole) + disc.suction_kpa * hole
@@ -105,7 +120,7 @@ class RoundCandidate(Candidate):
             "diameter": log(disc.diameter_mm),
             "width": log(max(min(width, 0.4 * disc.diameter_mm), 0.5)),
             "suction": log(max(-disc.suction_kpa, 1.0)),
-            "rim": log(max(disc.rim_kpa if "width" in self.numbers else mean, 0.1)),
+            "rim": log(max(mean if self.width is None else disc.rim_kpa, 0.1)),
             "push": log(max(disc.rim_kpa - bearing, 0.5)),
             "tilt_x": disc.tilt_x,
             "tilt_y": disc.tilt_y,
@@ -172,8 +187,8 @@ class Rod(RoundShape):
         label="rod",
         templates=(Template(40.0, faint=True), Template(25.0, faint=True)),
         # Assumptions: 95 % of rods are 9 to 67 mm wide and press with 1 to 60 kPa.
-        numbers={"diameter": Prior(log(25), 0.5, step=0.2), "rim": Prior(log(8), 1.0)} | TILT,
-        uneven=MADE,
+        diameter=Prior(log(25), 0.5, step=0.2),
+        rim=Prior(log(8), 1.0),
     )
     positive: ClassVar[tuple[str, ...]] = ("diameter_mm", "mass_g")
     kind: Literal["rod"] = "rod"
@@ -197,9 +212,9 @@ class Ring(RoundShape):
     candidate: ClassVar[RoundCandidate] = RoundCandidate(
         label="ring",
         templates=(Template(22.0, 11.0, faint=True), Template(42.0, 32.0), Template(32.0, 21.0)),
-        # An assumption: 95 % of rings press with 4 to 220 kPa.
-        numbers={"diameter": DIAMETER, "width": Prior(log(RIM_WIDTH_MM), 0.45), "rim": Prior(log(30), 1.0)} | TILT,
-        uneven=MADE,
+        # Assumptions: 95 % of rings are 2.3 to 13 mm wide, and press with 4 to 220 kPa.
+        width=Prior(log(5.5), 0.45),
+        rim=Prior(log(30), 1.0),
     )
     positive: ClassVar[tuple[str, ...]] = ("inner_diameter_mm", "outer_diameter_mm", "mass_g")
     kind: Literal["ring"] = "ring"
@@ -262,16 +277,15 @@ class OralDisc(RoundShape):
         sucks=True,
         # A suction that shows as clearly as the rim.
         templates=(Template(45.0, 32.0, 1.0), Template(34.0, 22.0, 1.0), Template(24.0, 12.0, 1.0)),
-        # Assumptions: 95 % of rims are 3 to 10 mm wide and press with 0.02 to 110 kPa more than their suction needs:
-        # nearly nothing under a soft mouth, 80 kPa where bending under rim and teeth is taken in. Suctions: 1.8 to 35.
-        numbers={
-            "diameter": DIAMETER,
-            "width": Prior(log(RIM_WIDTH_MM), 0.3),
-            "suction": Prior(log(8), 0.75),
-            "push": Prior(log(1.5), 2.2, step=2.0),
-        }
-        | TILT,
-        edge_mm=SOFT_EDGE_MM,
+        # Assumptions: 95 % of rims are 3 to 10 mm wide (mouths have 4 to 7 mm, the paper's suction cup 4). They press
+        # with 0.02 to 110 kPa more than their suction needs: nearly nothing under a soft mouth, 80 kPa where bending
+        # under rim and teeth is taken in. Suctions: 1.8 to 35 kPa. 95 % of mouths have axes within a ratio of 1.22 and
+        # press within ±34 % along themselves. A soft rim has more lobes than are fitted.
+        width=Prior(log(5.5), 0.3),
+        suction=Prior(log(8), 0.75),
+        push=Prior(log(1.5), 2.2, step=2.0),
+        uneven=(0.05, 0.05, 0.17, 0.17),
+        edge_mm=1.1,
     )
     positive: ClassVar[tuple[str, ...]] = ("diameter_mm",)
     kind: Literal["oral_disc"] = "oral_disc"

@@ -4,11 +4,11 @@ import dataclasses
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 
-from lampest.files.typed import Validated, check_positive_fields, check_range
+from lampest.files.typed import Configuration, check_positive_fields, check_range
 from lampest.loads.shapes.disc import Disc
 from lampest.panel.panel import Array, Panel
 
@@ -16,11 +16,22 @@ POINTS = 8  # along either edge of a patch; an edge of a footprint is then off b
 
 
 class Prior(NamedTuple):
-    """A parameter's mean and standard deviation before anything is measured, and its longest step of Gauss-Newton."""
+    """A parameter before anything is measured.
+
+    Attributes
+    ----------
+    mean, sd : float
+        Mean and standard deviation.
+    step : float
+        Longest step of Gauss-Newton.
+    sway : float
+        Standard deviation by which the whole load may swing in it.
+    """
 
     mean: float
     sd: float
     step: float = 0.7
+    sway: float = 0.0
 
 
 class Template(NamedTuple):
@@ -99,15 +110,16 @@ class Candidate(ABC):
 
 
 def centre_priors(panel: Panel) -> dict[str, Prior]:
-    """x and y in mm: mean and standard deviation of a centre that is uniform over the panel; half a pitch a step."""
+    """x and y in mm of a centre that is uniform over the panel; half a pitch a step, and a sway of 1 mm."""
     pitch, extents = panel.pitch_mm, zip("xy", panel.extents_mm, strict=True)
     return {
-        name: Prior((least + most) / 2, (most - least + pitch) / 12**0.5, pitch / 2) for name, (least, most) in extents
+        name: Prior((least + most) / 2, (most - least + pitch) / 12**0.5, pitch / 2, sway=1.0)
+        for name, (least, most) in extents
     }
 
 
 @dataclass(frozen=True, kw_only=True)
-class Shape(Validated):
+class Shape(Configuration):
     """A load somewhere on the panel, of any footprint.
 
     A subclass adds its numbers and `kind`, and has `reach_mm` and `pressure_at`; simulation needs no more. `candidate`
@@ -122,7 +134,6 @@ class Shape(Validated):
     True
     """
 
-    __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
     candidate: ClassVar[Candidate | None] = None
     positive: ClassVar[tuple[str, ...]] = ()
     centre_mm: tuple[float, float]

@@ -4,8 +4,7 @@ Means of codes keep what quantisation leaves, so that a variance over repeated r
 """
 
 from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +14,6 @@ from lampest.files.typed import Configuration, check_range, check_ranges
 from lampest.panel.panel import Array
 from lampest.panel.readouts.lines import PerLine, Side, along, as_tuple, check_lines, lines_text
 
-USUAL_NOISE_LSB = 0.7  # LSB: noise of the shipped boards, sufficient dither for averaging
 MIN_VOLT, MAX_VOLT = 1e-3, 1e3  # V: a thermocouple's; low voltage by IEC 60038
 
 
@@ -34,7 +32,9 @@ class Converter(Configuration):
     noise_lsb : PerLine or {'estimated'}, or None
         Standard deviation of one reading before quantisation, in least significant bits; a number or one for each
         driven line (`noisy_side`). 'estimated': from the unloaded frames. None: from five or more unloaded frames, else
-        USUAL_NOISE_LSB.
+        `usual_noise_lsb`.
+    usual_noise_lsb : float
+        Noise of the shipped boards, sufficient dither for averaging.
     floor_code : int, or None
         Codes at or below it were not recorded: such a reading, zero or infinite by its unit, is a bound.
     passes_volt : tuple[float, float], or None
@@ -42,6 +42,7 @@ class Converter(Configuration):
         a bound. None: from the frames.
     """
 
+    usual_noise_lsb: ClassVar[float] = 0.7
     supply_volt: float = 5.0
     adc_bits: int = 10
     readings: int = 20
@@ -74,7 +75,7 @@ class Converter(Configuration):
     @property
     def assumed_noise(self) -> PerLine:
         """`noise_lsb` if it is specified, else the assumption until frames show it."""
-        return USUAL_NOISE_LSB if self.noise_lsb is None or self.noise_lsb == "estimated" else self.noise_lsb
+        return self.usual_noise_lsb if self.noise_lsb is None or self.noise_lsb == "estimated" else self.noise_lsb
 
     @property
     def noisy_side(self) -> Side:
@@ -136,10 +137,6 @@ class Converter(Configuration):
 
     def sigma_volt(self) -> Array:
         """Return σ of a mean reading at the converter, V, to be broadcast to (rows, columns)."""
-        return self._sigma_volt
-
-    @cached_property
-    def _sigma_volt(self) -> Array:
         return self.noise_volt(self.sigma_code())
 
     def rails(self) -> tuple[float, float]:
@@ -147,10 +144,6 @@ class Converter(Configuration):
 
         A reading beyond is a bound, not a value: a code at a rail only says that the voltage is beyond the code's edge.
         """
-        return self._rails
-
-    @cached_property
-    def _rails(self) -> tuple[float, float]:
         top = 2.0**self.adc_bits - 1
         edges = np.array([(self.floor_code or 0) + 1.0, top]) * self.lsb_volt
         if self.passes_volt is not None:

@@ -25,7 +25,7 @@ from lampest.loads.film import FilmMemory
 from lampest.loads.pressure import water_pressure
 from lampest.loads.shapes import AnyShape
 from lampest.panel.panel import Array
-from lampest.panel.response import MAX_CREEP, MAX_HYSTERESIS, PUBLISHED, AnyResponse, Film, ratio_from_pressure
+from lampest.panel.response import PUBLISHED, AnyResponse, Film, ratio_from_pressure
 from lampest.panel.scene import Scene, Water
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
 from lampest.recording.simulation.measure import OPEN_OHM, SHORT_OHM, Unmodelled, measured, random_stream, raw_sums
@@ -303,8 +303,8 @@ def _film_ratio(simulation: Simulation, time: Array, later_s: float) -> Array:
         shared, own = stream.standard_normal(), stream.standard_normal(water.shape)
         return np.minimum(value * np.exp(film.deviation * shared + film.cell_spread * own), most)
 
-    hysteresis = strength("hysteresis", film.hysteresis, MAX_HYSTERESIS)
-    creep = strength("creep", film.creep_per_decade, MAX_CREEP)
+    hysteresis = strength("hysteresis", film.hysteresis, film.most["hysteresis"])
+    creep = strength("creep", film.creep_per_decade, film.most["creep_per_decade"])
     gain = np.broadcast_to(film.answer * response.gains, water.shape)
     memory, ratios = FilmMemory.at_rest(hysteresis, creep, gain, water, response), list[Array]()
     for begin in range(0, len(time), 64):

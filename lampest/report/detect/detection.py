@@ -16,7 +16,7 @@ from lampest.estimate.warnings import warnings_of
 from lampest.files import hdf5
 from lampest.files.errors import InputError
 from lampest.files.process import ONE_BLAS_THREAD, told_reason
-from lampest.loads.pressure import DIFFERENCES_TO_SIGMA, water_pressure
+from lampest.loads.pressure import sigma_of_frames, water_pressure
 from lampest.loads.recognition.breathing import too_slow
 from lampest.loads.recognition.detector import Detector
 from lampest.loads.recognition.image import ImageWatch
@@ -249,7 +249,7 @@ def measured_frames(part: Recording, watched: Known, asked: NDArray[np.bool_]) -
 def _scattered(value: Array) -> tuple[Array, tuple[str, ...]]:
     """(σ (rows, columns) from differences of neighbouring frames, how it was found)."""
     with np.errstate(invalid="ignore"):
-        relative = DIFFERENCES_TO_SIGMA * np.nanmedian(np.abs(np.diff(np.log(value), axis=0)), axis=0)
+        relative = sigma_of_frames(np.log(value))
     size = float(np.nanmedian(relative))
     message = f"the noise is unknown: {100 * size:.2g} % a reading, from differences of neighbouring frames"
     return np.nanmedian(value, axis=0) * np.fmax(np.nan_to_num(relative), max(size, 1e-6)), (message,)
