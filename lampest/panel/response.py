@@ -221,12 +221,12 @@ class PublishedResponse(Response):
     kind: Literal["published"] = "published"
 
     def logarithm(self, pressure: ArrayLike) -> Array:
-        level = _straight_on(pressure, CURVE_KPA, _level(np.log(CURVE_RATIO)))
+        level = _straight_on(pressure, CURVE_KPA, CURVE_LEVEL)
         linear = np.clip(level, CURVE_RATIO[3], 1.0)
         return np.asarray(np.log(linear) + (level - linear))
 
     def pressure(self, logarithm: ArrayLike) -> Array:
-        return _straight_on(-_level(logarithm), -_level(np.log(CURVE_RATIO)), CURVE_KPA)
+        return _straight_on(-_level(logarithm), -CURVE_LEVEL, CURVE_KPA)
 
     @property
     def told_kpa(self) -> tuple[float, float]:
@@ -239,6 +239,9 @@ def _level(logarithm: ArrayLike) -> Array:
     logarithm = np.asarray(logarithm, dtype=float)
     linear = np.clip(logarithm, np.log(CURVE_RATIO[3]), 0.0)
     return np.asarray(np.exp(linear) + (logarithm - linear))
+
+
+CURVE_LEVEL = _level(np.log(CURVE_RATIO))
 
 
 @dataclass(frozen=True, kw_only=True)
