@@ -19,7 +19,7 @@ from lampest.estimate.calibration.response import (
 from lampest.estimate.estimates import log_change
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.sequence import reconstruct
-from lampest.files.errors import InputError
+from lampest.files.errors import InputError, listed
 from lampest.files.levels import MAD_TO_SIGMA, SIGNIFICANT
 from lampest.loads.pressure import water_pressure
 from lampest.panel.panel import Array
@@ -31,7 +31,6 @@ ODD = 4.0  # standard deviations of the usual load's answer
 MIN_JUDGED, MAX_JUDGED = 5, 60  # loads: fewer show no usual one; each costs a fit
 ALIKE = 0.02  # of ln of an answer: so well films repeat at best
 UNLIKE = 2.0  # of ln of the first guess's steepness, two standard deviations of its prior: units are wrong more often
-MAX_NAMED = 5  # loads in one warning
 UNITS = "is mass_g in gram, force_newton in newton, and diameter_mm the diameter in mm?"
 CHANGED, BESIDE = 0.25, 0.5  # of a load's answer: change within its frames, and answer of cells beside its foot
 
@@ -159,8 +158,7 @@ def _beside(change: Array, felt: NDArray[np.bool_], pressure_sd: Array, together
 def _named(sentence: str, concerned: NDArray[np.bool_]) -> str:
     """Return the sentence with the loads that it concerns; '' where it concerns none."""
     numbers = (np.flatnonzero(concerned) + 1).tolist()
-    more = f" and {len(numbers) - MAX_NAMED} more" if len(numbers) > MAX_NAMED else ""
-    loads = f"load{'s' if len(numbers) > 1 else ''} {', '.join(map(str, numbers[:MAX_NAMED]))}{more}"
+    loads = f"load{'s' if len(numbers) > 1 else ''} {listed(numbers)}"
     return sentence.format(loads) if numbers else ""
 
 

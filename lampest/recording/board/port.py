@@ -20,9 +20,11 @@ from lampest.files.errors import InputError
 from lampest.recording.board import protocol
 from lampest.recording.board.protocol import Answer, Foreign, Frame, Garbage, Hello, Kind, Message, command
 
-BOOT_SECONDS = 2.0  # a Mega's bootloader listens for one second after a reset, and must not be confused
+# Silence after which a board is asked who it is: a Mega's bootloader listens for one second after a reset, and must not
+# be confused.
+SILENCE_SECONDS = 2.0
 HELLO_SECONDS = 8.0  # longest wait for a board: a slow bootloader, and HELLOs a second apart
-ANSWER_SECONDS = 0.5  # wait for an answer
+ANSWER_SECONDS = 0.5  # wait for an answer, and between attempts
 ARDUINO_VENDORS = (0x2341, 0x2A03, 0x1A86, 0x0403)  # USB: Arduino (two), WCH and FTDI, whose chips clones have
 
 
@@ -110,7 +112,7 @@ class Board:
                 if isinstance(item, Hello) and not item.running:
                     return item
             # Whatever talks without a HELLO was not reset by opening the port.
-            patient = 0.3 if any(isinstance(item, Frame) for item in messages) else BOOT_SECONDS
+            patient = 0.3 if any(isinstance(item, Frame) for item in messages) else SILENCE_SECONDS
             if time.monotonic() > max(began + patient, requested + ANSWER_SECONDS):
                 self._port.write(command(Kind.STOP) + command(Kind.IDENTIFY))
                 requested = time.monotonic()

@@ -15,15 +15,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.files.errors import InputError, extra
+from lampest.files.errors import InputError, extra, listed
 from lampest.panel.panel import Array
 from lampest.recording.foreign.arrays import Frames, Index, Shape, Timing, check_archive, check_count, reading
 from lampest.recording.foreign.words import clock_of, has_decimal_comma, is_stamp, line_of, number_of, role_of
 
 MAX_FIELDS = 10_000_000  # 50 bytes each in memory
-SAMPLED = 50_000  # characters or fields of a file's beginning that decide how it is written
-SAMPLED_LINES = 1000
-MAX_NAMED = 10  # lines that a sentence names
+SAMPLED = 50_000  # lines, characters or fields of a file's beginning that decide how it is written
 DELIMITERS = {";": "semicolon", "\t": "tab", ",": "comma", " ": "blank"}
 COMMENT = re.compile(r"#(?!N/?A|DIV/0!|NUM!|VALUE!|REF!)|%|//", re.IGNORECASE)  # not where Excel has no number
 # '12:34:56.789 -> ' of the Arduino IDE, '12:34:56.789 > ' of PlatformIO, '[2025-01-31 12:34:56.789] ' of others
@@ -155,7 +153,7 @@ def _decoded(path: Path) -> tuple[str, list[str]]:
 
 def _delimiter(lines: Sequence[str]) -> str:
     """Return the sign that gives most numeric fields in the first lines; of equal signs the earlier in the list."""
-    sample = "\n".join(lines[:SAMPLED_LINES])[:SAMPLED].split("\n")
+    sample = "\n".join(lines[:SAMPLED])[:SAMPLED].split("\n")
 
     def numbers(sign: str) -> tuple[int, bool]:
         fields = [field.strip(' "') for line in sample for field in line.split(None if sign == " " else sign)]
@@ -218,7 +216,7 @@ def _rows_of_sheet(sheet: Any, least: int) -> Iterator[FieldLine]:
         if texts:
             count, width = count + 1, max(width, len(texts))
             yield FieldLine(number, texts)
-        if count == SAMPLED_LINES and width < least:
+        if count == SAMPLED and width < least:
             return  # no table
 
 
@@ -388,8 +386,7 @@ def readings_table(source: FieldLines, layout: str | None = None) -> ReadingsTab
     excluded = np.flatnonzero(~data & differs & ~comment & np.any(fields != "", axis=1))
     if len(excluded):
         shown = " ".join(fields[excluded[0]]).strip()[:40]
-        named = ", ".join(str(source.lines[line].number) for line in excluded[:MAX_NAMED])
-        named += f" and {len(excluded) - MAX_NAMED} more" if len(excluded) > MAX_NAMED else ""
+        named = listed([source.lines[line].number for line in excluded.tolist()])
         called = f"lines {named} (the first: {shown!r})" if len(excluded) > 1 else f"line {named} ({shown!r})"
         notes.append(f"left out: {called.replace('line', source.word)}, no readings or cut off")
     names = [""] * width if header is None else [text.lstrip("#% ") for text in fields[header, :width]]
