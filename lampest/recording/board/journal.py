@@ -64,7 +64,7 @@ class Journal:
         """Add the undamaged frames and events of another journal; damaged frames count as lost before the next one."""
         whole, lost = np.setdiff1d(np.arange(frames), damaged), self.paths.index("acquisition/lost")
         dropped = np.diff(whole, prepend=-1) - 1
-        for part in acquisition.blocks(len(whole), self.file["entry/raw/sums"][:1].size or 1):
+        for part in acquisition.blocks(len(whole), int(np.prod(self.file["entry/raw/sums"].shape[1:]))):
             numbers = whole[part]
             rows = acquisition.stored_rows(source, self.paths, slice(int(numbers[0]), int(numbers[-1]) + 1))
             values = [column[numbers - numbers[0]] for column in rows]
