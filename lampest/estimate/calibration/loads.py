@@ -1,6 +1,6 @@
 """The film's response from recordings of known loads, or one sentence why not."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -56,11 +56,10 @@ def calibrate_loads(recordings: Sequence[Recording], known: KnownLoads, toleranc
     """
     scene, loads = common_scene(recordings), known.loads
     place = _places([recording.name for recording in recordings], loads)
-    parts: dict[int, tuple[Array, Array, float]] = {}
+    (change, sd), within = np.empty((2, len(loads), *scene.panel.shape)), np.empty(len(loads))
     for index in np.unique(place):
-        own = np.flatnonzero(place == index).tolist()
-        parts |= dict(zip(own, _answers(recordings[index], [loads[number] for number in own]), strict=True))
-    change, sd, within = (np.stack([parts[number][index] for number in range(len(loads))]) for index in (0, 1, 2))
+        own = np.flatnonzero(place == index)
+        change[own], sd[own], within[own] = _answers(recordings[index], [loads[number] for number in own])
     pressure, pressure_sd = known.pressures(scene.panel)
     felt = pressure != 0
     for number, cells in enumerate(felt):
@@ -175,8 +174,8 @@ def _places(names: Sequence[str], loads: Sequence[KnownLoad]) -> NDArray[np.intp
     return np.array(places, dtype=np.intp)
 
 
-def _answers(recording: Recording, loads: Sequence[KnownLoad]) -> list[tuple[Array, Array, float]]:
-    """ln(r/r0) (rows, columns), mean over each load's frames, its standard deviation, and its change within them."""
+def _answers(recording: Recording, loads: Sequence[KnownLoad]) -> Iterator[Array]:
+    """Yield ln(r/r0) (loads, rows, columns), mean over each load's frames, its sd, and (loads) its change within."""
     for load in loads:
         if load.frames[1] >= len(recording.role):
             raise InputError(
@@ -207,4 +206,4 @@ def _answers(recording: Recording, loads: Sequence[KnownLoad]) -> list[tuple[Arr
         noticed = moved > SIGNIFICANT * float(np.median(sd[solved, row, column]))
         within = moved / max(abs(float(mean[row, column])), 1e-300) if noticed else 0.0
         parts.append((mean, np.sqrt((sd[solved] ** 2).mean(axis=0)), within))
-    return parts
+    return map(np.array, zip(*parts, strict=True))

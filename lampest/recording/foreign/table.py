@@ -21,7 +21,8 @@ from lampest.recording.foreign.arrays import Frames, Index, Shape, Timing, check
 from lampest.recording.foreign.words import clock_of, has_decimal_comma, is_stamp, line_of, number_of, role_of
 
 MAX_FIELDS = 10_000_000  # 50 bytes each in memory
-SAMPLED = 50_000  # lines, characters or fields of a file's beginning that decide how it is written
+SAMPLED = 50_000  # characters or fields of a file's beginning that decide how it is written
+SAMPLED_LINES = 1000
 DELIMITERS = {";": "semicolon", "\t": "tab", ",": "comma", " ": "blank"}
 COMMENT = re.compile(r"#(?!N/?A|DIV/0!|NUM!|VALUE!|REF!)|%|//", re.IGNORECASE)  # not where Excel has no number
 # '12:34:56.789 -> ' of the Arduino IDE, '12:34:56.789 > ' of PlatformIO, '[2025-01-31 12:34:56.789] ' of others
@@ -153,7 +154,7 @@ def _decoded(path: Path) -> tuple[str, list[str]]:
 
 def _delimiter(lines: Sequence[str]) -> str:
     """Return the sign that gives most numeric fields in the first lines; of equal signs the earlier in the list."""
-    sample = "\n".join(lines[:SAMPLED])[:SAMPLED].split("\n")
+    sample = "\n".join(lines[:SAMPLED_LINES])[:SAMPLED].split("\n")
 
     def numbers(sign: str) -> tuple[int, bool]:
         fields = [field.strip(' "') for line in sample for field in line.split(None if sign == " " else sign)]
@@ -216,7 +217,7 @@ def _rows_of_sheet(sheet: Any, least: int) -> Iterator[FieldLine]:
         if texts:
             count, width = count + 1, max(width, len(texts))
             yield FieldLine(number, texts)
-        if count == SAMPLED and width < least:
+        if count == SAMPLED_LINES and width < least:
             return  # no table
 
 
