@@ -20,8 +20,7 @@ from lampest.panel.panel import Array
 from lampest.panel.response import PUBLISHED, Response, Table, TableResponse
 
 # Ends of pieces, kPa: thirds of octaves. Within one the base curve's form is taken as it is.
-THIRDS = 0.5 * 2.0 ** (np.arange(19) / 3)
-ENDS = np.concatenate([-THIRDS[::-1], [0.0], THIRDS])
+ENDS = np.unique(np.outer((-1, 0, 1), 0.5 * 2.0 ** (np.arange(19) / 3)))
 # An assumption, of the logarithm: how much steeper than the base a film is from a piece to the next; as a whole σ is 1.
 # The published curve has a corner at 2.5 kPa at which it becomes twelve times as flat, and other films have none.
 STEP_SD = 0.6
