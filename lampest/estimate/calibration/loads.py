@@ -28,7 +28,7 @@ from lampest.recording.recording import Recording
 
 MAX_SCATTER = 0.6  # from load to load, in ln r: films scatter by a tenth, hysteresis makes it a quarter
 ODD = 4.0  # standard deviations of the usual load's answer
-MIN_JUDGED, MAX_JUDGED = 5, 60  # loads: fewer show no usual one; each costs a fit
+MIN_JUDGED = 5  # loads: fewer show no usual one
 ALIKE = 0.02  # of ln of an answer: so well films repeat at best
 UNLIKE = 2.0  # of ln of the first guess's steepness, two standard deviations of its prior: units are wrong more often
 UNITS = "is mass_g in gram, force_newton in newton, and diameter_mm the diameter in mm?"
@@ -90,7 +90,7 @@ def calibrate_loads(recordings: Sequence[Recording], known: KnownLoads, toleranc
     except ValueError as error:
         raise InputError(f"the loads make a curve that no film has: {UNITS}") from error
     doubts = (
-        _named("{} answers otherwise than the others let expect: is its weight right?", _odd_loads(loaded)),
+        _named("{} answers otherwise than the others let expect: is its weight right?", _odd_loads(loaded, fitted)),
         _unlike_first_guess(fitted, pressure, base),
         _named("readings change within the frames of {}: were they put on or taken off then?", within > CHANGED),
         _named(
@@ -117,11 +117,10 @@ def calibrate_loads(recordings: Sequence[Recording], known: KnownLoads, toleranc
     )
 
 
-def _odd_loads(loaded: Loaded) -> NDArray[np.bool_]:
+def _odd_loads(loaded: Loaded, fitted: FittedResponse) -> NDArray[np.bool_]:
     """Return (loads) whose answer is off from the fit to all others by many times the usual deviation."""
-    judged = MIN_JUDGED <= len(loaded.change) <= MAX_JUDGED
-    deviation = deviations_from_others(loaded) if judged else np.full(len(loaded.change), np.nan)
-    if np.isnan(deviation).all():
+    deviation = deviations_from_others(loaded, fitted)
+    if len(deviation) < MIN_JUDGED or np.isnan(deviation).all():
         return np.zeros(len(deviation), dtype=bool)
     deviation -= np.nanmedian(deviation)
     usual = MAD_TO_SIGMA * float(np.nanmedian(np.abs(deviation)))

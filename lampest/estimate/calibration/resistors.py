@@ -23,7 +23,6 @@ from lampest.files.errors import InputError
 from lampest.files.levels import SIGNIFICANT
 from lampest.panel.least_squares import LevenbergMarquardt, SumOfSquares
 from lampest.panel.panel import Array
-from lampest.panel.readouts import Readout
 from lampest.panel.readouts.converter import MIN_REPEATS
 from lampest.panel.readouts.lines import MAX_OHM, LineNumber, Side
 from lampest.panel.readouts.readout import with_memory
@@ -252,11 +251,6 @@ class Problem:
         lines = sum(part.stop - part.start for unknown in self.unknowns for part in unknown.lines.values())
         return np.array([unknown.start for unknown in self.unknowns] + [0.0] * lines)
 
-    @property
-    def readout(self) -> Readout:
-        """The scene's."""
-        return self.scene.circuit
-
     def volt(self, unknowns: Array, cells: Array, reference_off: float = 0.0) -> Array:
         """(rows, columns) at the converter, for cells in ohm and a reference resistor that is off by a fraction."""
         rows, columns = self.scene.panel.shape
@@ -271,11 +265,11 @@ class Problem:
             else:
                 each = common + sum(off.values())
                 # ln(1 + exp R) is R from some ohm on, never below zero, and always has a slope.
-                volts = self.readout.lsb_volt, self.readout.full_scale_volt
+                volts = self.scene.circuit.lsb_volt, self.scene.circuit.full_scale_volt
                 limits = volts if number.unit == "volt" else (SHORT_OHM, MAX_OHM)
                 each = np.clip(np.logaddexp(0, each) if off else each, *limits)
                 fields[number.name] = tuple(each.tolist()) if off else float(each)
-        circuit: Any = with_numbers(self.readout, fields)
+        circuit: Any = with_numbers(self.scene.circuit, fields)
         # Contacts and faults are the panel's, which is unplugged.
         bare = Scene(self.scene.panel, circuit, lines=self.scene.lines, converter_memory=self.scene.converter_memory)
         scene: Scene = with_numbers(bare, of_scene)
@@ -287,7 +281,7 @@ class Problem:
     def measured(self) -> Array:
         """(readings) V at the converter, within its rails: beyond, a reading is a bound, and any more is as good."""
         volt = np.concatenate([trial.volt[trial.used] for trial in self.trials])
-        return np.asarray(np.clip(volt, *usable_range(self.readout)))
+        return np.asarray(np.clip(volt, *usable_range(self.scene.circuit)))
 
     def expected(self, unknowns: Array, resistor: tuple[float, int] | None = None, reference: float = 0.0) -> Array:
         """Return (readings) V, with one resistor larger by a factor exp(STEP), or the reference by 1 + reference."""
@@ -297,7 +291,7 @@ class Problem:
             if resistor in trial.resistors:
                 cells[trial.resistors[resistor]] *= np.exp(STEP)
             volts.append(self.volt(unknowns, cells, reference)[trial.used])
-        return np.asarray(np.clip(np.concatenate(volts), *usable_range(self.readout)))
+        return np.asarray(np.clip(np.concatenate(volts), *usable_range(self.scene.circuit)))
 
     def covariance(self, unknowns: Array, own_lsb: float = 0.0) -> Array:
         """Return the covariance of the readings, (readings, readings) V².
@@ -308,7 +302,7 @@ class Problem:
         moved = [*(self.expected(unknowns, name) for name in names), self.expected(unknowns, reference=STEP)]
         off = self.tolerance / np.sqrt(3) / STEP * (np.stack(moved, axis=1) - at[:, None])
         sigma = np.concatenate([trial.sigma_volt[trial.used] for trial in self.trials])
-        own = own_lsb * self.readout.lsb_volt
+        own = own_lsb * self.scene.circuit.lsb_volt
         return np.asarray(np.diag(sigma**2 + own**2) + off @ off.T)
 
     def squares(self, root: Array, unknowns: Array) -> SumOfSquares:
@@ -372,7 +366,7 @@ def _fit(problem: Problem) -> CircuitFit:
     residual, whole = problem.measured - problem.expected(unknowns), problem.covariance(unknowns, 0.5)
     weighted = solve_triangular(np.linalg.cholesky(whole), residual, lower=True)
     # Values are readings of which neither they nor their expectations lie at a rail.
-    inside = [within_rails(problem.readout, volt) for volt in (problem.measured, problem.expected(unknowns))]
+    inside = [within_rails(problem.scene.circuit, volt) for volt in (problem.measured, problem.expected(unknowns))]
     values = int(np.sum(inside[0] | inside[1]))
     chi_square = float(weighted @ weighted + unknowns[commons:] @ unknowns[commons:])
     # (JᵀJ)⁻¹, nearly without end along what J does not see.
@@ -409,7 +403,7 @@ def _estimated(fit: CircuitFit, unknown: Unknown) -> CircuitNumber:
 
 def _check_fit(fit: CircuitFit) -> None:
     """Raise InputError where the readings are not those of the known resistors behind any such circuit."""
-    trials, readout = fit.problem.trials, fit.problem.readout
+    trials, readout = fit.problem.trials, fit.problem.scene.circuit
 
     def spoken(volt: float) -> str:
         return f"{float(readout.recorded_from_volt(np.array(volt))):.4g} {readout.unit}"
