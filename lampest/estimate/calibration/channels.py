@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from lampest.cost.losses import Student
 from lampest.cost.terms import Misfit
@@ -83,9 +84,7 @@ def _calibration(scene: Scene, errors: Array, covariance: Array, before: Array, 
     """Return the scene with these errors taken off, and with their remaining uncertainty as its systematic errors."""
     deviation, (rows, columns) = np.sqrt(np.diag(covariance)), scene.panel.shape
     mean = np.repeat([1 / rows, 1 / columns], [rows, columns])
-    centred = np.eye(rows + columns)
-    centred[:rows, :rows] -= 1 / rows
-    centred[rows:, rows:] -= 1 / columns
+    centred = block_diag(*(np.eye(lines) - 1 / lines for lines in (rows, columns)))
     apart, apart_before = (
         float(np.sqrt(np.trace(centred @ part[1:, 1:] @ centred) / (rows + columns - 2)))
         for part in (covariance, before)

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.cost.terms import Misfit
-from lampest.estimate.calibration import Calibration, common_scene
+from lampest.estimate.calibration import MIN_SAMPLE, Calibration, common_scene
 from lampest.estimate.calibration.known_loads import KnownLoad, KnownLoads
 from lampest.estimate.calibration.response import (
     FittedResponse,
@@ -28,7 +28,6 @@ from lampest.recording.recording import Recording
 
 MAX_SCATTER = 0.6  # from load to load, in ln r: films scatter by a tenth, hysteresis makes it a quarter
 ODD = 4.0  # standard deviations of the usual load's answer
-MIN_JUDGED = 5  # loads: fewer show no usual one
 ALIKE = 0.02  # of ln of an answer: so well films repeat at best
 UNLIKE = 2.0  # of ln of the first guess's steepness, two standard deviations of its prior: units are wrong more often
 UNITS = "is mass_g in gram, force_newton in newton, and diameter_mm the diameter in mm?"
@@ -120,7 +119,7 @@ def calibrate_loads(recordings: Sequence[Recording], known: KnownLoads, toleranc
 def _odd_loads(loaded: Loaded, fitted: FittedResponse) -> NDArray[np.bool_]:
     """Return (loads) whose answer is off from the fit to all others by many times the usual deviation."""
     deviation = deviations_from_others(loaded, fitted)
-    if len(deviation) < MIN_JUDGED or np.isnan(deviation).all():
+    if len(deviation) < MIN_SAMPLE or np.isnan(deviation).all():
         return np.zeros(len(deviation), dtype=bool)
     deviation -= np.nanmedian(deviation)
     usual = MAD_TO_SIGMA * float(np.nanmedian(np.abs(deviation)))

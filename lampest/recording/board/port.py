@@ -96,12 +96,6 @@ class Board:
         waiting, self._waiting = tuple(self._waiting), []
         return waiting or self._arrived()
 
-    def last_messages(self) -> tuple[Message, ...]:
-        """Stop the board; return all messages up to its answer, as far as they arrive within 2 s."""
-        self.stop()
-        waiting, self._waiting = tuple(self._waiting), []
-        return waiting
-
     def hello(self) -> Hello:
         """Wait for the board's HELLO; ask, and stop a board that did not reset. Raises NoBoardError for silence."""
         began = time.monotonic()
@@ -185,10 +179,15 @@ class Board:
         self._waiting = [item for item in self._waiting if isinstance(item, Frame)]
         return settings
 
-    def stop(self) -> None:
-        """Stop the board; a board that is gone or does not answer is ignored."""
+    def stop(self) -> tuple[Message, ...]:
+        """Stop the board; return all messages up to its answer, as far as they arrive within 2 s.
+
+        A board that is gone or does not answer is ignored.
+        """
         with contextlib.suppress(OSError, InputError):
             self.order(Kind.STOP)
+        waiting, self._waiting = tuple(self._waiting), []
+        return waiting
 
 
 @contextmanager

@@ -302,7 +302,7 @@ class _Line:
         heard = time.monotonic()
         while True:
             ending = self._ending()
-            run, samples, over = self._taken(run, board.last_messages() if ending else board.messages())
+            run, samples, over = self._taken(run, board.stop() if ending else board.messages())
             if samples:
                 heard = time.monotonic()
             yield samples
