@@ -1,6 +1,6 @@
-"""Acquisition data of a board: clocks, numbers, gaps, events, and checksums until the file is closed.
+"""Datasets of a recording, and acquisition data of a board: clocks, numbers, gaps, events, checksums.
 
-A recorder appends rows, and after them the checksum of each.
+A recorder appends rows, and after them the checksum of each, until the file is closed.
 """
 
 from collections.abc import Iterator, Sequence
