@@ -253,12 +253,13 @@ class Recording(Validated):
         flags = {"flag_values": np.array(ROLES, dtype=np.uint8), "flag_meanings": "unloaded measured"}
         for field, (path, kind, units, long_name) in stored_fields(self.scene.circuit).items():
             name, signal = path.split("/")
-            if field == "time" or (values := getattr(self, field)) is None:  # each group has a time of its own
+            values = None if field == "raw_sums" and self.raw_readings is None else getattr(self, field)
+            if values is None or field == "time":  # each group has a time of its own
                 continue
             group = entry[name] if name in entry else self._frames_group(entry, name, signal)
             meanings: dict[str, Any] = flags if field == "role" else {}
             hdf5.write_dataset(group, signal, values.astype(kind), units, long_name, axes[values.ndim], **meanings)
-        if self.raw_sums is not None:
+        if "raw" in entry:
             hdf5.set_attributes(entry["raw"], readings=np.uint16(self.raw_readings or 0))
         if self.truth_cell_resistance is not None and self.simulation is not None:
             hdf5.write_text(entry["truth"], "simulation", self.simulation)
