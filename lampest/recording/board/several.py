@@ -18,8 +18,8 @@ from lampest.files.errors import InputError
 from lampest.panel.panel import Modules
 from lampest.panel.scene import Scene
 from lampest.recording.acquisition import NO_SUM
-from lampest.recording.board.port import ANSWER_SECONDS, only_port
-from lampest.recording.board.stream import Sample, Samples, board_samples
+from lampest.recording.board.port import only_port
+from lampest.recording.board.stream import RETRY_SECONDS, Sample, Samples, board_samples
 
 LATE_SECONDS = 0.3  # s, and 1.5 periods, after which a silent board counts as missing
 Stamped = tuple[float, Sample]  # s on the host's clock, when the scan began
@@ -223,5 +223,5 @@ def _listen(board: int, port: str, own: Scene, period: float | None, arrived: Ar
             arrived.put((board, str(error) if sessions else error))
             if not sessions:
                 break
-            ended.wait(ANSWER_SECONDS)
+            ended.wait(RETRY_SECONDS)
     arrived.put((board, None))

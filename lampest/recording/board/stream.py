@@ -12,7 +12,7 @@ from lampest.panel.readouts import LoadedColumnsReadout, TwoPointReadout
 from lampest.panel.readouts.lines import as_tuple
 from lampest.panel.scene import Scene
 from lampest.recording.acquisition import COUNTER, recorded_of_sums
-from lampest.recording.board.port import ANSWER_SECONDS, SILENCE_SECONDS, Board, NoBoardError
+from lampest.recording.board.port import SILENCE_SECONDS, Board, NoBoardError
 from lampest.recording.board.protocol import Frame, Garbage, Hello, Message
 
 # Keys on which a board and a scene must agree, by the board's wiring.
@@ -21,6 +21,7 @@ SHARED = {
     "loaded_columns": ("driven", "polarity", "supply_volt", "adc_bits", "load_ohm"),
 }
 UNFIT_SECONDS = 30.0  # s without a fitting frame on a line that is not silent
+RETRY_SECONDS = 0.2  # s between attempts to open a port
 CLOCK_STOPPED = "clock stopped"  # label of the event
 
 
@@ -253,7 +254,7 @@ def board_samples(
         line.check()
         on_state(reason)
         yield ()
-        time.sleep(ANSWER_SECONDS)
+        time.sleep(RETRY_SECONDS)
 
 
 class _Line:
