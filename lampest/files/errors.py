@@ -44,7 +44,7 @@ def meant(word: str, known: Iterable[str]) -> str:
     return f"; did you mean {close[0]}?" if close else ""
 
 
-def listed(items: Sequence[Any], most: int = 10) -> str:
+def first_and_more(items: Sequence[Any], most: int = 10) -> str:
     """Return '3, 5 and 7 more': the first items, and the number of those beyond `most`."""
     more = f" and {len(items) - most} more" if len(items) > most else ""
     return ", ".join(map(str, items[:most])) + more

@@ -19,7 +19,7 @@ from lampest.estimate.calibration.response import (
 from lampest.estimate.estimates import log_change
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.sequence import reconstruct
-from lampest.files.errors import InputError, listed
+from lampest.files.errors import InputError, first_and_more
 from lampest.files.levels import MAD_TO_SIGMA, SIGNIFICANT
 from lampest.loads.pressure import water_pressure
 from lampest.panel.panel import Array
@@ -155,7 +155,7 @@ def _beside(change: Array, felt: NDArray[np.bool_], pressure_sd: Array, together
 def _named(sentence: str, concerned: NDArray[np.bool_]) -> str:
     """Return the sentence with the loads that it concerns; '' where it concerns none."""
     numbers = (np.flatnonzero(concerned) + 1).tolist()
-    loads = f"load{'s' if len(numbers) > 1 else ''} {listed(numbers)}"
+    loads = f"load{'s' if len(numbers) > 1 else ''} {first_and_more(numbers)}"
     return sentence.format(loads) if numbers else ""
 
 

@@ -312,10 +312,10 @@ class Problem:
             weighted = solve_triangular(root, self.measured - self.expected(at), lower=True)
             return np.concatenate([weighted, at[len(self.unknowns) :]])
 
-        return SumOfSquares(residual(unknowns), slopes_of(residual, unknowns))
+        return SumOfSquares(residual(unknowns), forward_differences(residual, unknowns))
 
 
-def slopes_of(function: Callable[[Array], Array], at: Array) -> Array:
+def forward_differences(function: Callable[[Array], Array], at: Array) -> Array:
     """Return the Jacobian (values, unknowns) by forward differences."""
     slopes = scipy.optimize.approx_fprime(at, function, STEP * np.maximum(1.0, np.abs(at)))
     return np.asarray(slopes).reshape(-1, len(at))
@@ -389,7 +389,7 @@ def _estimated(fit: CircuitFit, unknown: Unknown) -> CircuitNumber:
             value, centred = value + float(mean), [*centred, off - mean]
         return np.concatenate([[value], *centred])
 
-    at, slopes = values(fit.unknowns), slopes_of(values, fit.unknowns)
+    at, slopes = values(fit.unknowns), forward_differences(values, fit.unknowns)
     sigma = np.sqrt(np.maximum(np.einsum("li,ij,lj->l", slopes, fit.covariance, slopes), 0.0))
     ends = np.cumsum([1, *(len(lines) for lines in measured.values())])[:-1]
     parts = zip(measured.items(), np.split(at, ends)[1:], np.split(sigma, ends)[1:], strict=True)

@@ -22,7 +22,7 @@ from lampest.recording.board.protocol import Answer, Foreign, Frame, Garbage, He
 
 # Silence after which a board is asked who it is: a Mega's bootloader listens for one second after a reset, and must not
 # be confused.
-SILENCE_SECONDS = 2.0
+SILENCE_SECONDS = 2.5
 HELLO_SECONDS = 8.0  # longest wait for a board: a slow bootloader, and HELLOs a second apart
 ANSWER_SECONDS = 0.5  # wait for an answer
 ARDUINO_VENDORS = (0x2341, 0x2A03, 0x1A86, 0x0403)  # USB: Arduino (two), WCH and FTDI, whose chips clones have

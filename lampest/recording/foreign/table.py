@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.files.errors import InputError, extra, listed
+from lampest.files.errors import InputError, extra, first_and_more
 from lampest.panel.panel import Array
 from lampest.recording.foreign.arrays import Frames, Index, Shape, Timing, check_archive, check_count, reading
 from lampest.recording.foreign.words import clock_of, has_decimal_comma, is_stamp, line_of, number_of, role_of
@@ -387,7 +387,7 @@ def readings_table(source: FieldLines, layout: str | None = None) -> ReadingsTab
     excluded = np.flatnonzero(~data & differs & ~comment & np.any(fields != "", axis=1))
     if len(excluded):
         shown = " ".join(fields[excluded[0]]).strip()[:40]
-        named = listed([source.lines[line].number for line in excluded.tolist()])
+        named = first_and_more([source.lines[line].number for line in excluded.tolist()])
         called = f"lines {named} (the first: {shown!r})" if len(excluded) > 1 else f"line {named} ({shown!r})"
         notes.append(f"left out: {called.replace('line', source.word)}, no readings or cut off")
     names = [""] * width if header is None else [text.lstrip("#% ") for text in fields[header, :width]]
