@@ -1,6 +1,6 @@
 """The exception for users' mistakes, and the words of its messages."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from difflib import get_close_matches
 from typing import Any
@@ -42,6 +42,12 @@ def meant(word: str, known: Iterable[str]) -> str:
     """Return '; did you mean reduced?' if a known word is close to the typed word, else ''."""
     close = get_close_matches(word, list(known), 1, 0.65)  # one slip of the finger in four letters or more
     return f"; did you mean {close[0]}?" if close else ""
+
+
+def first_and_more(items: Sequence[Any], most: int = 10) -> str:
+    """Return '3, 5 and 7 more': the first items, and the number of those beyond `most`."""
+    more = f" and {len(items) - most} more" if len(items) > most else ""
+    return ", ".join(map(str, items[:most])) + more
 
 
 def in_words(value: Any) -> str:

@@ -1,11 +1,12 @@
-"""Acquisition data of a board: clocks, numbers, gaps, events, and checksums until the file is closed.
+"""Datasets of a recording, and acquisition data of a board: clocks, numbers, gaps, events, checksums.
 
-A recorder appends rows, and after them the checksum of each.
+A recorder appends rows, and after them the checksum of each, until the file is closed.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from operator import itemgetter
 from typing import Any
 from zlib import crc32
 
@@ -17,10 +18,11 @@ from lampest.files import hdf5
 from lampest.files.errors import InputError
 from lampest.files.typed import Validated
 from lampest.panel.panel import Array
+from lampest.panel.readouts import Readout
 from lampest.panel.scene import Scene
 
 PATH = "/entry/acquisition"
-LABEL_BYTES = 16
+COUNTER = 2**32  # where numbers and clocks of a board, millis() and micros() among them, begin again
 # Fields of every frame: name, type, units, long name.
 FRAME_FIELDS = (
     ("host_time", "f8", "s", "host clock when the frame arrived, since 1970-01-01 UTC"),
@@ -33,8 +35,28 @@ FRAME_FIELDS = (
 
 FRAME_CHECKSUM, EVENT_CHECKSUM = "acquisition/crc32", "acquisition/event_crc32"
 EVENT_PATHS = ("acquisition/event_time", "acquisition/event_label")
-NO_SUM = 0xFFFF  # marks a missing sum: 64 readings of 10 bits sum to at most 65,472
-BLOCK_FRAMES = 1000  # frames of a block that is checked at once, to bound memory
+LABEL = "S16"  # type of an event's label
+Dataset = tuple[str, str, str, str]  # path below /entry, type while it grows, units, long name
+NO_SUM = np.iinfo(np.uint16).max  # marks a missing sum: 64 readings of 10 bits sum to at most 65,472
+
+
+def group_of(circuit: Readout) -> str:
+    """Return the group of the recorded values: two-point resistances have one of their own."""
+    return "two_point" if circuit.unit == "ohm" else "readings"
+
+
+def stored_fields(circuit: Readout) -> dict[str, Dataset]:
+    """Return field of a `Recording` → its dataset; the first of a group is its signal."""
+    group, unit, signal = group_of(circuit), circuit.unit, circuit.signal
+    return {
+        "recorded": (f"{group}/{signal}", "f8", unit, circuit.signal_name),
+        "time": (f"{group}/time", "f8", "s", "time of the frame"),
+        "role": (f"{group}/role", "u1", "1", "0 unloaded baseline, 1 measured"),
+        "raw_sums": ("raw/sums", "u2", "1", "sums of ADC codes"),
+        "sigma": (f"{group}/sigma", "f8", unit, f"standard deviation of {signal}"),
+        "truth_cell_resistance": ("truth/cell_resistance", "f8", "ohm", "true cell resistance"),
+        "truth_pressure": ("truth/pressure", "f8", "kPa", "true pressure on the cells"),
+    }
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,10 +131,10 @@ class Acquisition(Validated):
         return cls(**fields, event_time=times[:events], event_label=labels[:events])
 
 
-def frame_paths(group: str, signal: str) -> tuple[str, ...]:
-    """Return the datasets with a row for every frame, below /entry, in the order of its checksum."""
-    acquired = (f"acquisition/{name}" for name, *_ in FRAME_FIELDS)
-    return (f"{group}/{signal}", f"{group}/time", f"{group}/role", "raw/sums", *acquired)
+def growing(circuit: Readout) -> tuple[Dataset, ...]:
+    """Return the datasets with a row for every frame, in the order of its checksum."""
+    recorded = itemgetter("recorded", "time", "role", "raw_sums")(stored_fields(circuit))
+    return (*recorded, *((f"acquisition/{name}", *described) for name, *described in FRAME_FIELDS))
 
 
 def checksums(columns: Sequence[NDArray[Any]]) -> NDArray[np.uint32]:
@@ -121,11 +143,11 @@ def checksums(columns: Sequence[NDArray[Any]]) -> NDArray[np.uint32]:
     return np.array(list(map(crc32, rows)), dtype=np.uint32)
 
 
-def undamaged_frames(file: h5py.File, scene: Scene, group: str) -> slice:
+def undamaged_frames(file: h5py.File, scene: Scene) -> slice:
     """Return the frames of a finished file, or those written so far. Raises InputError if one is damaged."""
     if "lampest_unfinished" not in file.attrs:
         return hdf5.ALL
-    frames, damaged = damaged_frames(file, scene, group)
+    frames, damaged = damaged_frames(file, scene)
     if len(damaged) or not np.all(whole_events(file)):
         fault = f"{len(damaged)} of {frames} frames are damaged, first frame {damaged[0]}" if len(damaged) else ""
         raise InputError(
@@ -134,9 +156,9 @@ def undamaged_frames(file: h5py.File, scene: Scene, group: str) -> slice:
     return slice(frames)
 
 
-def damaged_frames(file: h5py.File, scene: Scene, group: str) -> tuple[int, NDArray[np.intp]]:
+def damaged_frames(file: h5py.File, scene: Scene) -> tuple[int, NDArray[np.intp]]:
     """Return (frames written, numbers of the damaged ones) of an unfinished file."""
-    paths = frame_paths(group.removeprefix("/entry/"), scene.circuit.signal)
+    paths = [path for path, *_ in growing(scene.circuit)]
     readings = int(hdf5.read_number(file, "/entry/raw", "readings"))
     if scene.readout is None or readings < 1:
         raise InputError(f"{file.filename}: has no readout, and was never recorded from a board")
@@ -144,8 +166,7 @@ def damaged_frames(file: h5py.File, scene: Scene, group: str) -> tuple[int, NDAr
     checked = hdf5.has(file, f"/entry/{FRAME_CHECKSUM}")
     frames = hdf5.length_of(file, f"/entry/{FRAME_CHECKSUM}") if checked else written
     damaged = np.ones(frames, dtype=np.bool_)
-    for begin in range(0, min(frames, written), BLOCK_FRAMES):
-        part = slice(begin, min(begin + BLOCK_FRAMES, frames, written))
+    for part in blocks(min(frames, written), scene.panel.crossings):
         columns = stored_rows(file, paths, part)
         recorded, sums = columns[0], columns[paths.index("raw/sums")]
         if sums.shape != recorded.shape or recorded.ndim != 3:
@@ -156,9 +177,15 @@ def damaged_frames(file: h5py.File, scene: Scene, group: str) -> tuple[int, NDAr
             damaged[part] |= checksums(columns) != stored_rows(file, (FRAME_CHECKSUM,), part)[0]
         # HDF5 returns zero for unwritten values; a board's codes stand for the middle of their interval.
         elif len(unwritten := np.flatnonzero(np.any(recorded == 0, axis=(1, 2)))):
-            frames = begin + int(unwritten[0])
+            frames = part.start + int(unwritten[0])
             break
     return frames, np.flatnonzero(damaged[:frames])
+
+
+def blocks(frames: int, crossings: int) -> Iterator[slice]:
+    """Yield ranges of frames that are few enough to be held at once."""
+    length = max(1, hdf5.CHUNK // crossings)
+    return (slice(begin, min(begin + length, frames)) for begin in range(0, frames, length))
 
 
 def whole_events(file: h5py.File) -> NDArray[np.bool_]:
@@ -180,8 +207,7 @@ def stored_rows(file: h5py.File, paths: Sequence[str], part: slice) -> list[NDAr
     def rows(path: str) -> NDArray[Any]:
         if not path.endswith("label"):
             return np.asarray(hdf5.read_array(file, path, (1, 3), part=part))
-        texts = hdf5.read_texts(file, path, part=part)
-        return np.array([text.encode() for text in texts], dtype=f"S{LABEL_BYTES}")
+        return np.array([text.encode() for text in hdf5.read_texts(file, path, part=part)], dtype=LABEL)
 
     return [rows(f"/entry/{path}") for path in paths]
 

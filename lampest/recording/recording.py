@@ -2,7 +2,7 @@
 
 import re
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
@@ -20,15 +20,14 @@ from lampest.files.errors import InputError
 from lampest.files.process import check_memory
 from lampest.files.typed import Validated, typed
 from lampest.panel.panel import Array, Panel, as_panels_have
-from lampest.panel.readouts import Readout, TwoPointReadout
+from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.scene import Scene, read_scene, scene_text
-from lampest.recording.acquisition import Acquisition, undamaged_frames
+from lampest.recording.acquisition import Acquisition, group_of, stored_fields, undamaged_frames
 from lampest.recording.foreign.unit import check_shorted, check_unit, recorded_values
 from lampest.recording.readings import Readings, check_sigma
 
 FORMAT = "recording/1"
 UNLOADED, MEASURED = ROLES = 0, 1
-TRUTHS = ("/entry/truth/cell_resistance", "/entry/truth/pressure")
 MIN_SPREAD = 0.01  # relative change of readings beyond which a load may have come or gone: far above drift
 FOREIGN = (".csv", ".txt", ".log", ".tsv", ".xlsx", ".xlsm", ".npy", ".npz", ".mat")  # suffixes of `import_file`
 
@@ -111,9 +110,10 @@ class Recording(Validated):
         self._check_unit()
         if self.role.shape != (frames,) or not np.all(np.isin(self.role, ROLES)):
             raise InputError(f"{where}role must hold 0 or 1 for each frame")
-        for truth, path in zip((self.truth_cell_resistance, self.truth_pressure), TRUTHS, strict=True):
+        for field, (path, *_) in stored_fields(self.scene.circuit).items():
+            truth = getattr(self, field) if field.startswith("truth") else None
             if truth is not None and truth.shape != self.recorded.shape:
-                raise InputError(f"{self.name}: {path} has another shape than the frames")
+                raise InputError(f"{self.name}: /entry/{path} has another shape than the frames")
         if self.acquisition is not None and len(self.acquisition.host_time) != frames:
             raise InputError(f"{self.name}: /entry/acquisition has another length than the frames")
 
@@ -161,44 +161,30 @@ class Recording(Validated):
         Raises InputError with the dataset's path where it is wrong.
         """
         path = Path(path)
-        with recording_file(path) as (file, scene, group, signal):
+        with recording_file(path) as (file, scene, _, _):
+            places = {field: f"/entry/{path}" for field, (path, *_) in stored_fields(scene.circuit).items()}
+            places = {field: place for field, place in places.items() if hdf5.has(file, place)}
             chosen = part
             if part == hdf5.ALL:
-                chosen = undamaged_frames(file, scene, group)
-                _check_held(file, f"{group}/{signal}", f"{group}/sigma", *TRUTHS)
-
-            def read(path: str, dimensions: int | tuple[int, int] = 3, kind: Any = None) -> Any:
-                """Read the chosen frames; None if the file has none."""
-                if not hdf5.has(file, path):
-                    return None
-                flat = dimensions == (2, 3) and len(hdf5.shape_of(file, path)) == 2
-                return hdf5.read_array(file, path, dimensions, part=hdf5.ALL if flat else chosen, kind=kind)
-
-            def text(path: str) -> str | None:
-                return hdf5.read_text(file, path) if hdf5.has(file, path) else None
-
-            recorded = hdf5.read_array(file, f"{group}/{signal}", 3, part=chosen)
-            number = (chosen.start or 0) + np.arange(len(recorded))
-            time, role, sums = read(f"{group}/time", 1), read(f"{group}/role", 1), read("/entry/raw/sums", 3, np.uint16)
-            acquisition, start_time = Acquisition.read(file, chosen), text("/entry/start_time")
-            if acquisition is not None and start_time is None and len(recorded) and time is not None:
-                start_time = acquisition.start(float(time[0]))
-            return cls(
-                scene,
-                recorded,
-                number.astype(float) if time is None else time,
-                np.ones(len(recorded), dtype=np.uint8) if role is None else role,
-                read(f"{group}/sigma", (2, 3)),
-                read(TRUTHS[0]),
-                read(TRUTHS[1]),
-                sums,
-                None if sums is None else int(hdf5.read_number(file, "/entry/raw", "readings", 0)),
-                path.stem,
-                text("/entry/truth/simulation"),
-                acquisition,
-                start_time,
-                None if part == hdf5.ALL else number,
-            )
+                chosen = undamaged_frames(file, scene)
+                _check_held(file, places)
+            held = dict[str, Any]()
+            dimensions: dict[str, int | tuple[int, int]] = {"time": 1, "role": 1, "sigma": (2, 3)}
+            for field, place in places.items():
+                flat = field == "sigma" and len(hdf5.shape_of(file, place)) == 2
+                kind, rows = np.uint16 if field == "raw_sums" else None, hdf5.ALL if flat else chosen
+                held[field] = hdf5.read_array(file, place, dimensions.get(field, 3), part=rows, kind=kind)
+            for field, name in (("start_time", "start_time"), ("simulation", "truth/simulation")):
+                held[field] = hdf5.read_text(file, f"/entry/{name}") if hdf5.has(file, f"/entry/{name}") else None
+            if "raw_sums" in held:
+                held["raw_readings"] = int(hdf5.read_number(file, "/entry/raw", "readings", 0))
+            frames, acquisition = len(held["recorded"]), Acquisition.read(file, chosen)
+            if acquisition is not None and held["start_time"] is None and frames and "time" in held:
+                held["start_time"] = acquisition.start(float(held["time"][0]))
+            number = (chosen.start or 0) + np.arange(frames)
+            held = {"time": number.astype(float), "role": np.full(frames, MEASURED, dtype=np.uint8)} | held
+            own = None if part == hdf5.ALL else number
+            return cls(scene, name=path.stem, acquisition=acquisition, number=own, **held)
 
     @classmethod
     @typed
@@ -259,30 +245,24 @@ class Recording(Validated):
     def _write(self, file: h5py.File) -> None:
         hdf5.set_attributes(file, NX_class="NXroot", default="entry", lampest_format=FORMAT)
         entry = file.create_group("entry")
-        circuit, axes = self.scene.circuit, ("time", "row", "column")
-        hdf5.set_attributes(entry, NX_class="NXentry", default=group_of(circuit))
+        hdf5.set_attributes(entry, NX_class="NXentry", default=group_of(self.scene.circuit))
         hdf5.write_text(entry, "scene", scene_text(self.scene))
         if self.start_time is not None:
             hdf5.write_text(entry, "start_time", self.start_time)  # NeXus has it under this name
-        group = self._frames_group(entry, group_of(circuit), circuit.signal)
-        hdf5.write_dataset(group, circuit.signal, self.recorded, circuit.unit, circuit.signal_name, axes)
-        if self.sigma is not None:
-            deviation = f"standard deviation of {circuit.signal}"
-            hdf5.write_dataset(group, "sigma", self.sigma, circuit.unit, deviation, axes[-self.sigma.ndim :])
-        role, flags = self.role.astype(np.uint8), {"flag_values": np.array(ROLES, dtype=np.uint8)}
-        words = "0 unloaded baseline, 1 measured"
-        hdf5.write_dataset(group, "role", role, "1", words, ("time",), **flags, flag_meanings="unloaded measured")
-        if self.truth_cell_resistance is not None:
-            truth, cells = self._frames_group(entry, "truth", "cell_resistance"), self.truth_cell_resistance
-            hdf5.write_dataset(truth, "cell_resistance", cells, "ohm", "true cell resistance", axes)
-            if self.truth_pressure is not None:
-                hdf5.write_dataset(truth, "pressure", self.truth_pressure, "kPa", "true pressure on the cells", axes)
-            if self.simulation is not None:
-                hdf5.write_text(truth, "simulation", self.simulation)
-        if self.raw_sums is not None and self.raw_readings is not None:
-            raw = self._frames_group(entry, "raw", "sums")
-            hdf5.set_attributes(raw, readings=np.uint16(self.raw_readings))
-            hdf5.write_dataset(raw, "sums", self.raw_sums.astype(np.uint16), "1", "sums of ADC codes", axes)
+        axes = {1: ("time",), 2: ("row", "column"), 3: ("time", "row", "column")}
+        flags = {"flag_values": np.array(ROLES, dtype=np.uint8), "flag_meanings": "unloaded measured"}
+        for field, (path, kind, units, long_name) in stored_fields(self.scene.circuit).items():
+            name, signal = path.split("/")
+            values = None if field == "raw_sums" and self.raw_readings is None else getattr(self, field)
+            if values is None or field == "time":  # each group has a time of its own
+                continue
+            group = entry[name] if name in entry else self._frames_group(entry, name, signal)
+            meanings: dict[str, Any] = flags if field == "role" else {}
+            hdf5.write_dataset(group, signal, values.astype(kind), units, long_name, axes[values.ndim], **meanings)
+        if "raw" in entry:
+            hdf5.set_attributes(entry["raw"], readings=np.uint16(self.raw_readings or 0))
+        if self.truth_cell_resistance is not None and self.simulation is not None:
+            hdf5.write_text(entry["truth"], "simulation", self.simulation)
         if self.acquisition is not None:
             self.acquisition.write(entry, self.time)
 
@@ -303,7 +283,7 @@ class Recording(Validated):
         layout = self.scene.panel.modules
         if layout is None:
             return (self,)
-        names = ("recorded", "sigma", "truth_cell_resistance", "truth_pressure", "raw_sums")
+        names = set(stored_fields(self.scene.circuit)) - {"time", "role"}
         maps = {name: values for name in names if (values := getattr(self, name)) is not None}
         cells = [(..., *layout.cells(number)) for number in range(layout.count)]
         return tuple(
@@ -347,10 +327,11 @@ def _scene_of(text: str, where: str) -> Scene:
     return scene
 
 
-def _check_held(file: h5py.File, signal: str, *datasets: str) -> None:
+def _check_held(file: h5py.File, places: Mapping[str, str]) -> None:
     """Raise InputError if memory cannot hold a recording with the working copies of its readings."""
-    shape = hdf5.shape_of(file, signal)
-    held = sum(prod(hdf5.shape_of(file, path)) for path in datasets if hdf5.has(file, path))
+    shape = hdf5.shape_of(file, places["recorded"])
+    besides = set(places) - {"recorded", "time", "role", "raw_sums"}
+    held = sum(prod(hdf5.shape_of(file, places[field])) for field in besides)
     label = f"{file.filename}: {shape[0]} frames of {prod(shape[1:])} cells at once"
     check_memory(8.0 * (6 * prod(shape) + held), label)  # 49 bytes a reading were counted at 100,000,000 readings
 
@@ -368,11 +349,6 @@ def coordinates(panel: Panel) -> dict[str, tuple[tuple[str, ...], NDArray[Any], 
     x, y = panel.centres_mm()
     centres = (("y", "row", y), ("x", "column", x))
     return axes | {name: ((line,), at, "mm", f"position of the {line}") for name, line, at in centres}
-
-
-def group_of(circuit: Readout) -> str:
-    """Return the group of the recorded values: two-point resistances have one of their own."""
-    return "two_point" if circuit.unit == "ohm" else "readings"
 
 
 def frames_named(text: str, frames: int | None = None) -> range:

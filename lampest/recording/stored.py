@@ -16,8 +16,8 @@ from lampest.files.errors import InputError
 from lampest.files.parts import join_parts
 from lampest.files.whole import folder_beside
 from lampest.panel.scene import Scene
-from lampest.recording.acquisition import undamaged_frames
-from lampest.recording.recording import MEASURED, UNLOADED, Recording, group_of, recording_file
+from lampest.recording.acquisition import group_of, undamaged_frames
+from lampest.recording.recording import MEASURED, UNLOADED, Recording, recording_file
 
 MAX_READINGS = 2_000_000  # readings of a recording that is held at once: 2 GB, as error bars take 1 kB of each
 PART_READINGS = 500_000  # readings of a part, where a recording has more
@@ -39,7 +39,7 @@ class StoredRecording:
             shape = hdf5.shape_of(file, f"{group}/{signal}")
             if not shape[0]:
                 raise InputError(f"{path}: {group}/{signal} holds no frame")
-            end = undamaged_frames(file, scene, group).stop
+            end = undamaged_frames(file, scene).stop
             for axis in (f"{group}/time", f"{group}/role") if end is None else ():
                 if hdf5.has(file, axis) and hdf5.shape_of(file, axis) != shape[:1]:
                     raise InputError(f"{path}: {axis} does not have one value for each of the {shape[0]} frames")

@@ -8,6 +8,10 @@ from lampest.files.errors import InputError
 from lampest.panel.scene import Scene
 from lampest.recording.recording import Recording
 
+# Written digits: of an ohm, below what any contact repeats to; of a fraction, a hundredth of a code.
+DIGITS, FRACTION_DIGITS = 3, 5
+MIN_SAMPLE = 5  # frames or loads from which on a wild one can be told: fewer show no usual one
+
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Calibration:

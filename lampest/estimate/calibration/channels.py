@@ -10,10 +10,11 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from lampest.cost.losses import Student
 from lampest.cost.terms import Misfit
-from lampest.estimate.calibration import Calibration, common_scene
+from lampest.estimate.calibration import DIGITS, FRACTION_DIGITS, Calibration, common_scene
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.methods.joint import BELIEVED
 from lampest.estimate.methods.smoother import SmootherMethod
@@ -30,7 +31,6 @@ from lampest.recording.recording import Recording
 from lampest.solvers.multistart import BROKEN
 
 BLOCK = 50  # frames that are solved together; ten blocks cost as much as one of all
-DIGITS = 3  # of an ohm
 UNCHANGED = 0.9  # of a channel's standard deviation
 HARDLY = "these loads determine hardly any channel; press the panel at more places, or record longer"
 
@@ -84,9 +84,7 @@ def _calibration(scene: Scene, errors: Array, covariance: Array, before: Array, 
     """Return the scene with these errors taken off, and with their remaining uncertainty as its systematic errors."""
     deviation, (rows, columns) = np.sqrt(np.diag(covariance)), scene.panel.shape
     mean = np.repeat([1 / rows, 1 / columns], [rows, columns])
-    centred = np.eye(rows + columns)
-    centred[:rows, :rows] -= 1 / rows
-    centred[rows:, rows:] -= 1 / columns
+    centred = block_diag(*(np.eye(lines) - 1 / lines for lines in (rows, columns)))
     apart, apart_before = (
         float(np.sqrt(np.trace(centred @ part[1:, 1:] @ centred) / (rows + columns - 2)))
         for part in (covariance, before)
@@ -95,7 +93,7 @@ def _calibration(scene: Scene, errors: Array, covariance: Array, before: Array, 
     sizes = replace(
         scene.specified_systematic or Systematic(),
         channel_spread_ohm=round(apart, DIGITS),
-        reference_tolerance=round(float(np.sqrt(3) * deviation[0]), DIGITS + 2),
+        reference_tolerance=round(float(np.sqrt(3) * deviation[0]), FRACTION_DIGITS),
         series_ohm=round(float(np.sqrt(max(together, 0.0))), DIGITS) or None,
     )
     off = float(np.sqrt(np.mean(errors[1:] ** 2)))

@@ -1,13 +1,13 @@
 """The film's response from recordings of known loads, or one sentence why not."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lampest.cost.terms import Misfit
-from lampest.estimate.calibration import Calibration, common_scene
+from lampest.estimate.calibration import MIN_SAMPLE, Calibration, common_scene
 from lampest.estimate.calibration.known_loads import KnownLoad, KnownLoads
 from lampest.estimate.calibration.response import (
     FittedResponse,
@@ -19,7 +19,7 @@ from lampest.estimate.calibration.response import (
 from lampest.estimate.estimates import log_change
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.sequence import reconstruct
-from lampest.files.errors import InputError
+from lampest.files.errors import InputError, first_and_more
 from lampest.files.levels import MAD_TO_SIGMA, SIGNIFICANT
 from lampest.loads.pressure import water_pressure
 from lampest.panel.panel import Array
@@ -28,10 +28,8 @@ from lampest.recording.recording import Recording
 
 MAX_SCATTER = 0.6  # from load to load, in ln r: films scatter by a tenth, hysteresis makes it a quarter
 ODD = 4.0  # standard deviations of the usual load's answer
-MIN_JUDGED, MAX_JUDGED = 5, 60  # loads: fewer show no usual one; each costs a fit
 ALIKE = 0.02  # of ln of an answer: so well films repeat at best
 UNLIKE = 2.0  # of ln of the first guess's steepness, two standard deviations of its prior: units are wrong more often
-MAX_NAMED = 5  # loads in one warning
 UNITS = "is mass_g in gram, force_newton in newton, and diameter_mm the diameter in mm?"
 CHANGED, BESIDE = 0.25, 0.5  # of a load's answer: change within its frames, and answer of cells beside its foot
 
@@ -57,11 +55,10 @@ def calibrate_loads(recordings: Sequence[Recording], known: KnownLoads, toleranc
     """
     scene, loads = common_scene(recordings), known.loads
     place = _places([recording.name for recording in recordings], loads)
-    parts: dict[int, tuple[Array, Array, float]] = {}
+    (change, sd), within = np.empty((2, len(loads), *scene.panel.shape)), np.empty(len(loads))
     for index in np.unique(place):
-        own = np.flatnonzero(place == index).tolist()
-        parts |= dict(zip(own, _answers(recordings[index], [loads[number] for number in own]), strict=True))
-    change, sd, within = (np.stack([parts[number][index] for number in range(len(loads))]) for index in (0, 1, 2))
+        own = np.flatnonzero(place == index)
+        change[own], sd[own], within[own] = _answers(recordings[index], [loads[number] for number in own])
     pressure, pressure_sd = known.pressures(scene.panel)
     felt = pressure != 0
     for number, cells in enumerate(felt):
@@ -92,7 +89,7 @@ def calibrate_loads(recordings: Sequence[Recording], known: KnownLoads, toleranc
     except ValueError as error:
         raise InputError(f"the loads make a curve that no film has: {UNITS}") from error
     doubts = (
-        _named("{} answers otherwise than the others let expect: is its weight right?", _odd_loads(loaded)),
+        _named("{} answers otherwise than the others let expect: is its weight right?", _odd_loads(loaded, fitted)),
         _unlike_first_guess(fitted, pressure, base),
         _named("readings change within the frames of {}: were they put on or taken off then?", within > CHANGED),
         _named(
@@ -119,11 +116,10 @@ def calibrate_loads(recordings: Sequence[Recording], known: KnownLoads, toleranc
     )
 
 
-def _odd_loads(loaded: Loaded) -> NDArray[np.bool_]:
+def _odd_loads(loaded: Loaded, fitted: FittedResponse) -> NDArray[np.bool_]:
     """Return (loads) whose answer is off from the fit to all others by many times the usual deviation."""
-    judged = MIN_JUDGED <= len(loaded.change) <= MAX_JUDGED
-    deviation = deviations_from_others(loaded) if judged else np.full(len(loaded.change), np.nan)
-    if np.isnan(deviation).all():
+    deviation = deviations_from_others(loaded, fitted)
+    if len(deviation) < MIN_SAMPLE or np.isnan(deviation).all():
         return np.zeros(len(deviation), dtype=bool)
     deviation -= np.nanmedian(deviation)
     usual = MAD_TO_SIGMA * float(np.nanmedian(np.abs(deviation)))
@@ -159,8 +155,7 @@ def _beside(change: Array, felt: NDArray[np.bool_], pressure_sd: Array, together
 def _named(sentence: str, concerned: NDArray[np.bool_]) -> str:
     """Return the sentence with the loads that it concerns; '' where it concerns none."""
     numbers = (np.flatnonzero(concerned) + 1).tolist()
-    more = f" and {len(numbers) - MAX_NAMED} more" if len(numbers) > MAX_NAMED else ""
-    loads = f"load{'s' if len(numbers) > 1 else ''} {', '.join(map(str, numbers[:MAX_NAMED]))}{more}"
+    loads = f"load{'s' if len(numbers) > 1 else ''} {first_and_more(numbers)}"
     return sentence.format(loads) if numbers else ""
 
 
@@ -177,8 +172,8 @@ def _places(names: Sequence[str], loads: Sequence[KnownLoad]) -> NDArray[np.intp
     return np.array(places, dtype=np.intp)
 
 
-def _answers(recording: Recording, loads: Sequence[KnownLoad]) -> list[tuple[Array, Array, float]]:
-    """ln(r/r0) (rows, columns), mean over each load's frames, its standard deviation, and its change within them."""
+def _answers(recording: Recording, loads: Sequence[KnownLoad]) -> Iterator[Array]:
+    """Yield ln(r/r0) (loads, rows, columns), mean over each load's frames, its sd, and (loads) its change within."""
     for load in loads:
         if load.frames[1] >= len(recording.role):
             raise InputError(
@@ -209,4 +204,4 @@ def _answers(recording: Recording, loads: Sequence[KnownLoad]) -> list[tuple[Arr
         noticed = moved > SIGNIFICANT * float(np.median(sd[solved, row, column]))
         within = moved / max(abs(float(mean[row, column])), 1e-300) if noticed else 0.0
         parts.append((mean, np.sqrt((sd[solved] ** 2).mean(axis=0)), within))
-    return parts
+    return map(np.array, zip(*parts, strict=True))

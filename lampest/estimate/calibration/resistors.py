@@ -13,16 +13,16 @@ from operator import attrgetter
 from typing import Any, NamedTuple
 
 import numpy as np
+import scipy
 from scipy.linalg import solve_triangular
 from scipy.special import fdtrc
 
-from lampest.estimate.calibration import Calibration, common_scene
+from lampest.estimate.calibration import DIGITS, FRACTION_DIGITS, Calibration, common_scene
 from lampest.estimate.calibration.trials import BELIEF, Trial, usable_range, within_rails
 from lampest.files.errors import InputError
 from lampest.files.levels import SIGNIFICANT
 from lampest.panel.least_squares import LevenbergMarquardt, SumOfSquares
 from lampest.panel.panel import Array
-from lampest.panel.readouts import Readout
 from lampest.panel.readouts.converter import MIN_REPEATS
 from lampest.panel.readouts.lines import MAX_OHM, LineNumber, Side
 from lampest.panel.readouts.readout import with_memory
@@ -32,19 +32,19 @@ from lampest.recording.simulation.measure import SHORT_OHM
 
 BEST_OHM, TYPICAL_OHM, WORST_OHM = 40.0, 70.0, 160.0  # a channel of a CD74HC4067 at 5 V: its data sheet
 RESISTOR_TOLERANCE = 0.05  # of ordinary resistors, evenly
-# Numbers that are estimated where the scene names them, and typical values: 2.9 % of the channel before were seen of a
-# real board, and an ohm from cell to cell of conductive thread.
+# Numbers that are estimated where the scene names them.
 MEMORY = LineNumber("converter_memory", (), in_scene=True, unit="1")
 WIRE = tuple(LineNumber(f"lines.{line}_ohm_per_cell", (), in_scene=True) for line in ("row", "column"))
-TYPICAL = {MEMORY: 0.03} | dict.fromkeys(WIRE, 1.0)
+# What they are called, typical values, and σ of a determined number where 0.3 of its value is less: 2.9 % of the
+# channel before were seen of a real board, and an ohm from cell to cell of conductive thread.
+EXPECTED = {
+    "converter_memory": ("converter memory", 0.03, 0.01),
+    "lines.row_ohm_per_cell": ("wire of rows", 1.0, 0.5),
+    "lines.column_ohm_per_cell": ("wire of columns", 1.0, 0.5),
+    "diode.drop_volt": ("diode drop", None, 0.2),
+}
 STEP = 1e-5  # of an unknown, or of the logarithm of a resistor, for differences
-DIGITS, MEMORY_DIGITS = 3, 5  # of an ohm, below what any contact repeats to; of a fraction: a hundredth of a code
-# σ of a determined number: 0.3 of its value, or of a channel less than channels differ by, or these.
-MAX_SIGMA = {MEMORY.name: 0.01} | {wire.name: 0.5 for wire in WIRE} | {"diode.drop_volt": 0.2}
 PLAUSIBLE_RANGE = {True: "channels of a CD74HC4067 have 40 to 160 ohm", False: "resistors of 5 % differ by less"}
-SPOKEN = {MEMORY.name: "converter memory", "diode.drop_volt": "diode drop"} | dict(
-    zip((wire.name for wire in WIRE), ("wire of rows", "wire of columns"), strict=True)
-)
 
 
 class LineOffsets(NamedTuple):
@@ -83,11 +83,12 @@ class CircuitNumber:
     def label(self) -> str:
         """'drive resistance 70.700 ± 0.300 ohm'."""
         plain = f"{self.number.name.removesuffix('_ohm').removesuffix('_resistance')} resistance"
-        return f"{SPOKEN.get(self.number.name, plain)} {self.value:.3f} ± {self.sigma:.3f} {self.number.unit}"
+        name, *_ = EXPECTED.get(self.number.name, (plain,))
+        return f"{name} {self.value:.3f} ± {self.sigma:.3f} {self.number.unit}"
 
     def remarks(self, readings: int) -> list[str]:
         """Return the value with its uncertainty, and the lines where they differ, a sentence each."""
-        digits, unit = (MEMORY_DIGITS, "") if self.number == MEMORY else (DIGITS, f" {self.number.unit}")
+        digits, unit = (FRACTION_DIGITS, "") if self.number == MEMORY else (DIGITS, f" {self.number.unit}")
         value = f"{self.value:.{digits}f} +- {self.sigma:.{digits}f}{unit}"
         remarks = [f"{self.number.name}: {value} (one standard deviation), from {readings} readings"]
         for side, off, sigma in self.lines if self.differ else ():
@@ -196,7 +197,8 @@ class Unknown:
     @property
     def scale(self) -> float:
         """Value of q = 1, in the number's unit."""
-        return TYPICAL_OHM if self.number.channel else TYPICAL.get(self.number, self.specified)
+        _, typical, _ = EXPECTED.get(self.number.name, ("", TYPICAL_OHM if self.number.channel else None, 0.0))
+        return typical or self.specified
 
     @property
     def start(self) -> float:
@@ -249,11 +251,6 @@ class Problem:
         lines = sum(part.stop - part.start for unknown in self.unknowns for part in unknown.lines.values())
         return np.array([unknown.start for unknown in self.unknowns] + [0.0] * lines)
 
-    @property
-    def readout(self) -> Readout:
-        """The scene's."""
-        return self.scene.circuit
-
     def volt(self, unknowns: Array, cells: Array, reference_off: float = 0.0) -> Array:
         """(rows, columns) at the converter, for cells in ohm and a reference resistor that is off by a fraction."""
         rows, columns = self.scene.panel.shape
@@ -261,18 +258,18 @@ class Problem:
         fields, of_scene = dict[str, Any](), dict[str, float]()
         for unknown in self.unknowns:
             number, common, off = unknown.number, unknown.common(unknowns), unknown.offsets(unknowns)
-            if number in TYPICAL:
-                of_scene[number.name] = min(common, 0.9) if number == MEMORY else common
-            elif number.in_scene:
+            if number.in_scene and number.channel:
                 channels |= {side: common / len(off) + ohm for side, ohm in off.items()}
+            elif number.in_scene:
+                of_scene[number.name] = min(common, 0.9) if number == MEMORY else common
             else:
                 each = common + sum(off.values())
                 # ln(1 + exp R) is R from some ohm on, never below zero, and always has a slope.
-                volts = self.readout.lsb_volt, self.readout.full_scale_volt
+                volts = self.scene.circuit.lsb_volt, self.scene.circuit.full_scale_volt
                 limits = volts if number.unit == "volt" else (SHORT_OHM, MAX_OHM)
                 each = np.clip(np.logaddexp(0, each) if off else each, *limits)
                 fields[number.name] = tuple(each.tolist()) if off else float(each)
-        circuit: Any = with_numbers(self.readout, fields)
+        circuit: Any = with_numbers(self.scene.circuit, fields)
         # Contacts and faults are the panel's, which is unplugged.
         bare = Scene(self.scene.panel, circuit, lines=self.scene.lines, converter_memory=self.scene.converter_memory)
         scene: Scene = with_numbers(bare, of_scene)
@@ -284,7 +281,7 @@ class Problem:
     def measured(self) -> Array:
         """(readings) V at the converter, within its rails: beyond, a reading is a bound, and any more is as good."""
         volt = np.concatenate([trial.volt[trial.used] for trial in self.trials])
-        return np.asarray(np.clip(volt, *usable_range(self.readout)))
+        return np.asarray(np.clip(volt, *usable_range(self.scene.circuit)))
 
     def expected(self, unknowns: Array, resistor: tuple[float, int] | None = None, reference: float = 0.0) -> Array:
         """Return (readings) V, with one resistor larger by a factor exp(STEP), or the reference by 1 + reference."""
@@ -294,7 +291,7 @@ class Problem:
             if resistor in trial.resistors:
                 cells[trial.resistors[resistor]] *= np.exp(STEP)
             volts.append(self.volt(unknowns, cells, reference)[trial.used])
-        return np.asarray(np.clip(np.concatenate(volts), *usable_range(self.readout)))
+        return np.asarray(np.clip(np.concatenate(volts), *usable_range(self.scene.circuit)))
 
     def covariance(self, unknowns: Array, own_lsb: float = 0.0) -> Array:
         """Return the covariance of the readings, (readings, readings) V².
@@ -305,7 +302,7 @@ class Problem:
         moved = [*(self.expected(unknowns, name) for name in names), self.expected(unknowns, reference=STEP)]
         off = self.tolerance / np.sqrt(3) / STEP * (np.stack(moved, axis=1) - at[:, None])
         sigma = np.concatenate([trial.sigma_volt[trial.used] for trial in self.trials])
-        own = own_lsb * self.readout.lsb_volt
+        own = own_lsb * self.scene.circuit.lsb_volt
         return np.asarray(np.diag(sigma**2 + own**2) + off @ off.T)
 
     def squares(self, root: Array, unknowns: Array) -> SumOfSquares:
@@ -315,13 +312,13 @@ class Problem:
             weighted = solve_triangular(root, self.measured - self.expected(at), lower=True)
             return np.concatenate([weighted, at[len(self.unknowns) :]])
 
-        return SumOfSquares(residual(unknowns), _jacobian(residual, unknowns))
+        return SumOfSquares(residual(unknowns), forward_differences(residual, unknowns))
 
 
-def _jacobian(function: Callable[[Array], Array], at: Array) -> Array:
-    """(values, unknowns) by forward differences."""
-    base, steps = function(at), STEP * np.maximum(1.0, np.abs(at))
-    return np.stack([(function(at + step) - base) / step.sum() for step in np.diag(steps)], axis=1)
+def forward_differences(function: Callable[[Array], Array], at: Array) -> Array:
+    """Return the Jacobian (values, unknowns) by forward differences."""
+    slopes = scipy.optimize.approx_fprime(at, function, STEP * np.maximum(1.0, np.abs(at)))
+    return np.asarray(slopes).reshape(-1, len(at))
 
 
 def with_numbers(part: Any, values: dict[str, Any]) -> Any:
@@ -369,7 +366,7 @@ def _fit(problem: Problem) -> CircuitFit:
     residual, whole = problem.measured - problem.expected(unknowns), problem.covariance(unknowns, 0.5)
     weighted = solve_triangular(np.linalg.cholesky(whole), residual, lower=True)
     # Values are readings of which neither they nor their expectations lie at a rail.
-    inside = [within_rails(problem.readout, volt) for volt in (problem.measured, problem.expected(unknowns))]
+    inside = [within_rails(problem.scene.circuit, volt) for volt in (problem.measured, problem.expected(unknowns))]
     values = int(np.sum(inside[0] | inside[1]))
     chi_square = float(weighted @ weighted + unknowns[commons:] @ unknowns[commons:])
     # (JᵀJ)⁻¹, nearly without end along what J does not see.
@@ -392,7 +389,7 @@ def _estimated(fit: CircuitFit, unknown: Unknown) -> CircuitNumber:
             value, centred = value + float(mean), [*centred, off - mean]
         return np.concatenate([[value], *centred])
 
-    at, slopes = values(fit.unknowns), _jacobian(values, fit.unknowns)
+    at, slopes = values(fit.unknowns), forward_differences(values, fit.unknowns)
     sigma = np.sqrt(np.maximum(np.einsum("li,ij,lj->l", slopes, fit.covariance, slopes), 0.0))
     ends = np.cumsum([1, *(len(lines) for lines in measured.values())])[:-1]
     parts = zip(measured.items(), np.split(at, ends)[1:], np.split(sigma, ends)[1:], strict=True)
@@ -406,7 +403,7 @@ def _estimated(fit: CircuitFit, unknown: Unknown) -> CircuitNumber:
 
 def _check_fit(fit: CircuitFit) -> None:
     """Raise InputError where the readings are not those of the known resistors behind any such circuit."""
-    trials, readout = fit.problem.trials, fit.problem.readout
+    trials, readout = fit.problem.trials, fit.problem.scene.circuit
 
     def spoken(volt: float) -> str:
         return f"{float(readout.recorded_from_volt(np.array(volt))):.4g} {readout.unit}"
@@ -441,7 +438,7 @@ def _check_fit(fit: CircuitFit) -> None:
 def _check_number(where: str, estimate: CircuitNumber, specified: float) -> None:
     """Raise InputError where the readings do not determine a number, or no such electronics have it."""
     number, channels = estimate.number, len(estimate.lines)
-    enough = MAX_SIGMA.get(number.name, WORST_OHM - TYPICAL_OHM if number.channel else 0.0)
+    *_, enough = EXPECTED.get(number.name, (WORST_OHM - TYPICAL_OHM if number.channel else 0.0,))
     if estimate.sigma > max(enough, 0.3 * estimate.value):
         raise InputError(
             f"{where}the readings do not tell {number.name} ({estimate.value:.4g} ± {estimate.sigma:.2g} "
@@ -478,10 +475,10 @@ def _with_estimates(scene: Scene, numbers: Sequence[CircuitNumber], noise: float
         # Every line's share of the sum where readings have two; the mean where it was not measured.
         share = estimate.value / max(len(estimate.lines), 1)
         each = {side: tuple(map(rounded, share + np.nan_to_num(off))) for side, off, _ in estimate.lines}
-        if number in TYPICAL:
-            scene = with_numbers(scene, {number.name: round(estimate.value, MEMORY_DIGITS)})
-        elif number.in_scene:
+        if number.in_scene and number.channel:
             scene = replace(scene, series_resistance_ohm=SeriesPerLine(**each) if estimate.differ else value)
+        elif number.in_scene:
+            scene = with_numbers(scene, {number.name: round(estimate.value, FRACTION_DIGITS)})
         else:
             readout = with_numbers(readout, {number.name: next(iter(each.values())) if estimate.differ else value})
     return replace(scene, readout=readout)

@@ -20,8 +20,7 @@ from lampest.panel.panel import Array
 from lampest.panel.response import PUBLISHED, Response, Table, TableResponse
 
 # Ends of pieces, kPa: thirds of octaves. Within one the base curve's form is taken as it is.
-THIRDS = 0.5 * 2.0 ** (np.arange(19) / 3)
-ENDS = np.concatenate([-THIRDS[::-1], [0.0], THIRDS])
+ENDS = np.unique(np.outer((-1, 0, 1), 0.5 * 2.0 ** (np.arange(19) / 3)))
 # An assumption, of the logarithm: how much steeper than the base a film is from a piece to the next; as a whole σ is 1.
 # The published curve has a corner at 2.5 kPa at which it becomes twelve times as flat, and other films have none.
 STEP_SD = 0.6
@@ -60,11 +59,6 @@ class Loaded:
         on_film = self.pressure + self.water + aside * self.pressure_sd
         return _falls(on_film, self.base) - _falls(self.water, self.base)
 
-    def without(self, load: int) -> "Loaded":
-        """Return the answers to all loads but one."""
-        each = ("change", "sd", "pressure", "pressure_sd")
-        return replace(self, **{name: np.delete(getattr(self, name), load, 0) for name in each})
-
 
 def _falls(pressure: Array, base: Response) -> Array:
     """−ln f_base(p) by pieces, (..., pieces); signed as the pressure."""
@@ -89,6 +83,15 @@ class FittedResponse:
         """(cells + pieces): the mean of ln κ over touched cells, which belongs to the curve."""
         return np.concatenate([self.touched / max(self.touched.sum(), 1), np.zeros(len(self.pieces))])
 
+    @property
+    def state(self) -> Array:
+        """ln κ and ψ, (cells + pieces)."""
+        return np.concatenate([self.gains, self.pieces])
+
+    def at(self, state: Array) -> "FittedResponse":
+        """Return the fit with other ln κ and ψ."""
+        return replace(self, gains=state[: len(self.gains)], pieces=state[len(self.gains) :])
+
     def answers(self, falls: Array) -> Array:
         """Return ln(r/r0) of loads, (..., cells), of their a."""
         return np.asarray(-(falls * np.exp(self.gains[:, None] + self.pieces)).sum(axis=-1))
@@ -98,7 +101,7 @@ class FittedResponse:
         cells = len(self.gains)
         centred = np.eye(cells, cells + len(self.pieces)) - self._mean
         own = np.einsum("ij,jk,ik->i", centred, self.covariance, centred)
-        return np.exp(centred @ np.concatenate([self.gains, self.pieces])), np.sqrt(own + self.scatter**2)
+        return np.exp(centred @ self.state), np.sqrt(own + self.scatter**2)
 
     def curve(self, pressure: Array, base: Response = PUBLISHED) -> tuple[Array, Array]:
         """ln f and its relative standard deviation at pressures (n) kPa but 0."""
@@ -111,29 +114,29 @@ class FittedResponse:
 
 def fit_loads(loaded: Loaded) -> FittedResponse:
     """Return the least squares at the spread and scatter of the largest evidence."""
-    felt = np.isfinite(loaded.change) & np.isfinite(loaded.sd) & ((loaded.pressure != 0) | (loaded.pressure_sd > 0))
-    place = (loaded.falls(1.0) - loaded.falls(-1.0))[felt] / 2
-    answers = _Answers(
-        loaded.change[felt], np.maximum(loaded.sd[felt], MIN_SD), np.nonzero(felt)[1], loaded.falls()[felt], place
-    )
-    fitted = FittedResponse(
-        np.zeros(loaded.change.shape[1]), np.zeros(len(ENDS) + 1), np.zeros((0, 0)), *START, felt.any(axis=0)
-    )
+    answers = _Answers.of(loaded)
+    touched = np.bincount(answers.cell, minlength=loaded.change.shape[1]) > 0
+    fitted = FittedResponse(np.zeros(len(touched)), np.zeros(len(ENDS) + 1), np.zeros((0, 0)), *START, touched)
     for _ in range(ROUNDS):
         fitted = answers.with_evidence(answers.with_least_squares(fitted))
     return answers.with_least_squares(fitted)
 
 
-def deviations_from_others(loaded: Loaded) -> Array:
+def deviations_from_others(loaded: Loaded, fitted: FittedResponse) -> Array:
     """Return (loads) ln of each load's answer over the expectation of a fit to all others; NaN without such.
 
-    The median over its cells. Cells at the edge of the foot answer as the foot's place lets them, and do not count.
+    The median over its cells. Cells at the edge of the foot answer as the foot's place lets them, and do not count. The
+    fit to all others is one Newton step from that to all, δ = C Jᵀ (I − J C Jᵀ)⁻¹ f, with J and f of the load alone.
     """
-    deviations, falls = np.full(len(loaded.change), np.nan), loaded.falls()
+    deviations, falls, answers = np.full(len(loaded.change), np.nan), loaded.falls(), _Answers.of(loaded)
+    residual, slopes = answers.rows(fitted, answers.weight(fitted))
     for number, change in enumerate(loaded.change):
-        fitted = fit_loads(loaded.without(number))
-        expected = fitted.answers(falls[number])
-        cells = fitted.touched & (loaded.pressure[number] != 0) & (change * expected > 0)
+        own = answers.load == number
+        gain = fitted.covariance @ slopes[own].T
+        step = gain @ np.linalg.solve(np.eye(own.sum()) - slopes[own] @ gain, residual[own])
+        expected = fitted.at(fitted.state + step).answers(falls[number])
+        elsewhere = np.bincount(answers.cell[~own], minlength=len(change)) > 0
+        cells = elsewhere & (loaded.pressure[number] != 0) & (change * expected > 0)
         if cells.any():
             place = loaded.pressure_sd[number] / np.where(cells, np.abs(loaded.pressure[number]), 1.0)
             cells &= place <= np.median(place[cells])
@@ -143,13 +146,30 @@ def deviations_from_others(loaded: Loaded) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class _Answers:
-    """(n) answers: ln(r/r0), its sd, its cell; (n, pieces) a of the load, and its standard deviation by the place."""
+    """Answers of cells that felt a load.
+
+    Attributes
+    ----------
+    change, sd : array, shape (n)
+        ln(r/r0) and its standard deviation.
+    load, cell : array of int, shape (n)
+    falls, open_falls : array, shape (n, pieces)
+        a of the load, and its standard deviation by the place.
+    """
 
     change: Array
     sd: Array
+    load: NDArray[np.intp]
     cell: NDArray[np.intp]
     falls: Array
     open_falls: Array
+
+    @classmethod
+    def of(cls, loaded: Loaded) -> "_Answers":
+        felt = np.isfinite(loaded.change) & np.isfinite(loaded.sd) & ((loaded.pressure != 0) | (loaded.pressure_sd > 0))
+        load, cell = np.nonzero(felt)
+        place = (loaded.falls(1.0) - loaded.falls(-1.0))[felt] / 2
+        return cls(loaded.change[felt], np.maximum(loaded.sd[felt], MIN_SD), load, cell, loaded.falls()[felt], place)
 
     def _parts(self, fitted: FittedResponse, falls: Array) -> Array:
         """Summands of x by pieces, (n, pieces): also the slopes of x by ψ."""
@@ -160,30 +180,32 @@ class _Answers:
         place = self._parts(fitted, self.open_falls).sum(axis=1)
         return self._parts(fitted, self.falls).sum(axis=1), self.sd**2 + place**2
 
+    def weight(self, fitted: FittedResponse) -> Array:
+        """Return 1/σ of every answer at a fit, from load to load included, (n)."""
+        answer, known = self._expected(fitted)
+        return np.asarray(1 / np.sqrt(known + fitted.scatter**2 * answer**2))
+
+    def rows(self, fitted: FittedResponse, weight: Array) -> tuple[Array, Array]:
+        """Return the residuals of a fit in units of 1/weight, (n), and their slopes (n, cells + pieces)."""
+        parts = weight[:, None] * self._parts(fitted, self.falls)
+        answer = parts.sum(axis=1)
+        own = np.where(self.cell[:, None] == np.arange(len(fitted.gains)), answer[:, None], 0.0)
+        return answer - weight * self.change, np.hstack([own, parts])
+
     def with_least_squares(self, fitted: FittedResponse) -> FittedResponse:
         """Return the least squares at the spread, scatter and weights of the previous fit."""
-        cells, pieces = len(fitted.gains), len(fitted.pieces)
-        answer, known = self._expected(fitted)
-        weight = 1 / np.sqrt(known + fitted.scatter**2 * answer**2)
+        cells, pieces, weight = len(fitted.gains), len(fitted.pieces), self.weight(fitted)
         level = (np.arange(pieces) == np.searchsorted(ENDS, 0.0) + 1)[None]
         prior = np.zeros((cells + pieces, cells + pieces))
         prior[:cells, :cells] = np.eye(cells) / fitted.spread
         prior[cells:, cells:] = np.vstack([np.diff(np.eye(pieces), axis=0) / STEP_SD, level])
 
-        def split(state: Array) -> FittedResponse:
-            return replace(fitted, gains=state[:cells], pieces=state[cells:])
-
         def model(state: Array) -> SumOfSquares:
-            parts = self._parts(split(state), self.falls)
-            answer = parts.sum(axis=1)
-            own = np.zeros((len(answer), cells))
-            own[np.arange(len(answer)), self.cell] = weight * answer
-            residual = np.concatenate([weight * (answer - self.change), prior @ state])
-            return SumOfSquares(residual, np.vstack([np.hstack([own, weight[:, None] * parts]), prior]))
+            residual, slopes = self.rows(fitted.at(state), weight)
+            return SumOfSquares(np.concatenate([residual, prior @ state]), np.vstack([slopes, prior]))
 
-        least_squares = LevenbergMarquardt(evaluations=100, settled=1e-9)
-        minimum = least_squares.minimum(model, np.concatenate([fitted.gains, fitted.pieces]))
-        return replace(split(minimum.position), covariance=np.linalg.inv(minimum.at.normal))
+        minimum = LevenbergMarquardt(evaluations=100, settled=1e-9).minimum(model, fitted.state)
+        return replace(fitted.at(minimum.position), covariance=np.linalg.inv(minimum.at.normal))
 
     def with_evidence(self, fitted: FittedResponse) -> FittedResponse:
         """Return spread and scatter of the largest evidence, by cells: residuals are N(0, V + spread² x xᵀ)."""

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from lampest.estimate.calibration import MIN_SAMPLE
 from lampest.files.errors import InputError
 from lampest.files.levels import MAD_TO_SIGMA
 from lampest.files.whole import note_read
@@ -20,7 +21,6 @@ from lampest.recording.recording import Recording
 from lampest.recording.simulation.measure import OPEN_OHM, SHORT_OHM
 
 BELIEF = 4.0  # repeats that the scene's noise counts as: few frames with equal codes do not mean no noise
-MIN_FRAMES = 5  # from which on a wild reading, or one that drifts, can be told
 CHANGE = "change from frame to frame, which fixed resistors do not"
 
 
@@ -128,7 +128,7 @@ def _check_drift(name: str, readout: Readout, residual: Array) -> None:
     parts = (residual, np.diff(residual, axis=0) / np.sqrt(2))
     total, quick = ((part**2).sum() / max(len(residual) - 1, 1) for part in parts)
     lasting = np.sqrt(max(total - quick, 0.0) / residual[0].size) / 2.0**readout.adc_bits
-    if len(residual) >= MIN_FRAMES and quick < total / 2 and lasting > 1e-3:
+    if len(residual) >= MIN_SAMPLE and quick < total / 2 and lasting > 1e-3:
         raise InputError(
             f"{name}: no calibration: its readings drift by {100 * lasting:.2g} % of the supply, and {CHANGE}"
         )
@@ -137,7 +137,7 @@ def _check_drift(name: str, readout: Readout, residual: Array) -> None:
 def _valid(name: str, readout: Readout, volt: Array, across: int) -> NDArray[np.bool_]:
     """(frames, rows, columns) that were read and are not wild. Raises InputError where too many are, for spikes."""
     valid = np.isfinite(volt)
-    if len(volt) < MIN_FRAMES:
+    if len(volt) < MIN_SAMPLE:
         return valid
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # all-NaN lines

@@ -20,8 +20,9 @@ from lampest.files.whole import check_output, locked
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.recording import acquisition
+from lampest.recording.acquisition import group_of
 from lampest.recording.board.stream import Sample
-from lampest.recording.recording import FORMAT, group_of
+from lampest.recording.recording import FORMAT
 
 
 @dataclass(frozen=True)
@@ -46,7 +47,7 @@ class Journal:
             file.flush()
             file.swmr_mode = True
             with locked(path):  # HDF5's own lock ended where SWMR began
-                yield cls(file, acquisition.frame_paths(group_of(scene.circuit), scene.circuit.signal))
+                yield cls(file, tuple(path for path, *_ in acquisition.growing(scene.circuit)))
 
     def append(self, samples: Sequence[Sample], recorded: Array, roles: Sequence[int]) -> None:
         """Add frames, which then survive; recorded (frames, rows, columns). Raises InputError: the disk is full."""
@@ -56,19 +57,18 @@ class Journal:
         self._push(self.paths, (recorded, time, roles, sums, *acquired), acquisition.FRAME_CHECKSUM)
 
     def mark(self, time: float, label: str) -> None:
-        """Add an event, whose label is cut to LABEL_BYTES."""
-        text = np.bytes_(label.encode("ascii", "replace")[: acquisition.LABEL_BYTES])
-        self._push(acquisition.EVENT_PATHS, ([time], [text]), acquisition.EVENT_CHECKSUM)
+        """Add an event, whose label is cut to 16 characters."""
+        self._push(acquisition.EVENT_PATHS, ([time], [hdf5.ascii_array(label)]), acquisition.EVENT_CHECKSUM)
 
     def keep(self, source: h5py.File, damaged: NDArray[np.intp], frames: int) -> None:
         """Add the undamaged frames and events of another journal; damaged frames count as lost before the next one."""
         whole, lost = np.setdiff1d(np.arange(frames), damaged), self.paths.index("acquisition/lost")
         dropped = np.diff(whole, prepend=-1) - 1
-        for begin in range(0, len(whole), acquisition.BLOCK_FRAMES):
-            numbers = whole[begin : begin + acquisition.BLOCK_FRAMES]
+        for part in acquisition.blocks(len(whole), int(np.prod(self.file["entry/raw/sums"].shape[1:]))):
+            numbers = whole[part]
             rows = acquisition.stored_rows(source, self.paths, slice(int(numbers[0]), int(numbers[-1]) + 1))
             values = [column[numbers - numbers[0]] for column in rows]
-            values[lost] = values[lost] + dropped[begin : begin + acquisition.BLOCK_FRAMES]
+            values[lost] = values[lost] + dropped[part]
             self._push(self.paths, values, acquisition.FRAME_CHECKSUM)
         events = acquisition.whole_events(source)
         rows = acquisition.stored_rows(source, acquisition.EVENT_PATHS, slice(len(events)))
@@ -96,21 +96,18 @@ class Journal:
 
 
 def _lay_out(file: h5py.File, scene: Scene, readings: int) -> None:
-    circuit, shape, frames = scene.circuit, scene.panel.shape, group_of(scene.circuit)
+    circuit, frames, time, label = scene.circuit, group_of(scene.circuit), *acquisition.EVENT_PATHS
     growing = (
-        (f"{frames}/{circuit.signal}", "f8", circuit.unit, circuit.signal_name, shape),
-        (f"{frames}/time", "f8", "s", "time of the frame", ()),
-        (f"{frames}/role", "u1", "1", "0 unloaded baseline, 1 measured", ()),
-        ("raw/sums", "u2", "1", "sums of ADC codes", shape),
-        *((f"acquisition/{name}", *described, ()) for name, *described in acquisition.FRAME_FIELDS),
-        (acquisition.FRAME_CHECKSUM, "u4", "1", "CRC-32 of all that belongs to the frame", ()),
-        (acquisition.EVENT_CHECKSUM, "u4", "1", "CRC-32 of all that belongs to the event", ()),
-        ("acquisition/event_time", "f8", "s", "time of the event", ()),
-        ("acquisition/event_label", f"S{acquisition.LABEL_BYTES}", "1", "label of the event", ()),
+        *acquisition.growing(circuit),
+        (acquisition.FRAME_CHECKSUM, "u4", "1", "CRC-32 of all that belongs to the frame"),
+        (acquisition.EVENT_CHECKSUM, "u4", "1", "CRC-32 of all that belongs to the event"),
+        (time, "f8", "s", "time of the event"),
+        (label, acquisition.LABEL, "1", "label of the event"),
     )
     entry = file.create_group("entry")
     hdf5.write_text(entry, "scene", to_yaml(scene))
-    for path, kind, units, long_name, cells in growing:
+    for path, kind, units, long_name in growing:
+        cells = scene.panel.shape if path.endswith((f"/{circuit.signal}", "/sums")) else ()
         chunk = (16 if cells else 1024, *cells)  # a chunk is written anew with every frame
         dataset = entry.create_dataset(path, (0, *cells), kind, maxshape=(None, *cells), chunks=chunk)
         hdf5.set_attributes(dataset, units=units, long_name=long_name)

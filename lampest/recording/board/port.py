@@ -20,7 +20,9 @@ from lampest.files.errors import InputError
 from lampest.recording.board import protocol
 from lampest.recording.board.protocol import Answer, Foreign, Frame, Garbage, Hello, Kind, Message, command
 
-BOOT_SECONDS = 2.0  # a Mega's bootloader listens for one second after a reset, and must not be confused
+# Silence after which a board is asked who it is: a Mega's bootloader listens for one second after a reset, and must not
+# be confused.
+SILENCE_SECONDS = 2.5
 HELLO_SECONDS = 8.0  # longest wait for a board: a slow bootloader, and HELLOs a second apart
 ANSWER_SECONDS = 0.5  # wait for an answer
 ARDUINO_VENDORS = (0x2341, 0x2A03, 0x1A86, 0x0403)  # USB: Arduino (two), WCH and FTDI, whose chips clones have
@@ -94,12 +96,6 @@ class Board:
         waiting, self._waiting = tuple(self._waiting), []
         return waiting or self._arrived()
 
-    def last_messages(self) -> tuple[Message, ...]:
-        """Stop the board; return all messages up to its answer, as far as they arrive within 2 s."""
-        self.stop()
-        waiting, self._waiting = tuple(self._waiting), []
-        return waiting
-
     def hello(self) -> Hello:
         """Wait for the board's HELLO; ask, and stop a board that did not reset. Raises NoBoardError for silence."""
         began = time.monotonic()
@@ -110,7 +106,7 @@ class Board:
                 if isinstance(item, Hello) and not item.running:
                     return item
             # Whatever talks without a HELLO was not reset by opening the port.
-            patient = 0.3 if any(isinstance(item, Frame) for item in messages) else BOOT_SECONDS
+            patient = 0.3 if any(isinstance(item, Frame) for item in messages) else SILENCE_SECONDS
             if time.monotonic() > max(began + patient, requested + ANSWER_SECONDS):
                 self._port.write(command(Kind.STOP) + command(Kind.IDENTIFY))
                 requested = time.monotonic()
@@ -183,10 +179,15 @@ class Board:
         self._waiting = [item for item in self._waiting if isinstance(item, Frame)]
         return settings
 
-    def stop(self) -> None:
-        """Stop the board; a board that is gone or does not answer is ignored."""
+    def stop(self) -> tuple[Message, ...]:
+        """Stop the board; return all messages up to its answer, as far as they arrive within 2 s.
+
+        A board that is gone or does not answer is ignored.
+        """
         with contextlib.suppress(OSError, InputError):
             self.order(Kind.STOP)
+        waiting, self._waiting = tuple(self._waiting), []
+        return waiting
 
 
 @contextmanager

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 PROTOCOL_VERSION = 1
 BAUD = 500_000
 MAX_ROWS = MAX_COLUMNS = 16
-MAX_READINGS = 64
 MAX_CODE = 1023
+MAX_READINGS = np.iinfo(np.uint16).max // MAX_CODE  # whose sum of codes fits into 16 bits
 _HELLO = struct.Struct("<BBBBBBBBHIIHHIBBB")
 _HELLO_WIRING = struct.Struct("<BI")
 _FRAME = struct.Struct("<BBBBBIIH")
@@ -59,8 +59,8 @@ def message(body: bytes) -> bytes:
     return b"\0" + stuffed(body + struct.pack(">H", crc16(body))) + b"\0"
 
 
-MAX_BODY = _FRAME.size + 2 * MAX_ROWS * MAX_COLUMNS
-MAX_STUFFED = MAX_BODY + 2 + (MAX_BODY + 2) // 254 + 1  # bytes of the longest message between its zeros
+# Bytes of the longest message between its zeros: a frame and its CRC, without zeros to shorten the pieces.
+MAX_STUFFED = len(stuffed(b"\1" * (_FRAME.size + 2 * (MAX_ROWS * MAX_COLUMNS + 1))))
 
 
 class Kind(IntEnum):

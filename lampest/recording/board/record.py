@@ -326,8 +326,8 @@ def repair(path: Path) -> tuple[int, int]:
     if is_locked(path):
         raise InputError(f"{path}: still being recorded")
     with folder_beside(path) as folder:
-        with recording_file(path) as (file, scene, group, _):
-            frames, damaged = damaged_frames(file, scene, group)
+        with recording_file(path) as (file, scene, _, _):
+            frames, damaged = damaged_frames(file, scene)
             if not len(damaged) and np.all(whole_events(file)):
                 whole = path
             elif len(damaged) == frames:

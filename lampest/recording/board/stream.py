@@ -11,8 +11,8 @@ from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import LoadedColumnsReadout, TwoPointReadout
 from lampest.panel.readouts.lines import as_tuple
 from lampest.panel.scene import Scene
-from lampest.recording.acquisition import recorded_of_sums
-from lampest.recording.board.port import Board, NoBoardError
+from lampest.recording.acquisition import COUNTER, recorded_of_sums
+from lampest.recording.board.port import SILENCE_SECONDS, Board, NoBoardError
 from lampest.recording.board.protocol import Frame, Garbage, Hello, Message
 
 # Keys on which a board and a scene must agree, by the board's wiring.
@@ -20,10 +20,8 @@ SHARED = {
     "two_point": ("supply_volt", "reference_ohm", "measured_across", "adc_bits"),
     "loaded_columns": ("driven", "polarity", "supply_volt", "adc_bits", "load_ohm"),
 }
-ROUND = 2**32  # numbers and the board's clock begin anew after so many
 UNFIT_SECONDS = 30.0  # s without a fitting frame on a line that is not silent
 RETRY_SECONDS = 0.2  # s between attempts to open a port
-SILENCE_SECONDS = 2.5  # s of silence after which a board is asked who it is
 CLOCK_STOPPED = "clock stopped"  # label of the event
 
 
@@ -179,7 +177,7 @@ class Scanning:
         (steps, elapsed_ms), most_ms = _since(before, frame), self._most_ms(host_time)
         # The board counts its missed scans; either scan may begin up to a period late.
         most_ms = min(most_ms, 1010 * (1 + steps * (1 + frame.missed)) * self.hello.period + 2)
-        return 0 < steps < ROUND // 2 and 990 * (steps - 1) * self.hello.period - 2 <= elapsed_ms <= most_ms
+        return 0 < steps < COUNTER // 2 and 990 * (steps - 1) * self.hello.period - 2 <= elapsed_ms <= most_ms
 
     def _most_ms(self, host_time: float) -> float:
         """Return the largest possible advance of the board's clock since a time of the host's, in ms."""
@@ -196,7 +194,7 @@ class Scanning:
         steps, elapsed_ms = _since(self.before.frame, frame)
         if steps == 1 or 0 < 1e3 * steps * self.hello.period <= self._most_ms(self.before.host_time):
             return self._sample(frame, newest + (steps + frame.missed) * self.hello.period, steps - 1, jump=True)
-        if not (0 < elapsed_ms < ROUND // 2 and self._follows(after, frame, time.time())):
+        if not (0 < elapsed_ms < COUNTER // 2 and self._follows(after, frame, time.time())):
             return None
         # After a longer silence of the line the board is asked who it is.
         moved = min(elapsed_ms / 1000, SILENCE_SECONDS + max(time.time() - self.last.host_time, self.hello.period))
@@ -205,7 +203,7 @@ class Scanning:
 
 def _since(before: Frame, frame: Frame) -> tuple[int, int]:
     """Return the frames and ms from one frame to another."""
-    return (frame.sequence - before.sequence) % ROUND, (frame.device_ms - before.device_ms) % ROUND
+    return (frame.sequence - before.sequence) % COUNTER, (frame.device_ms - before.device_ms) % COUNTER
 
 
 def agreed_and_recorded(sample: Sample, scene: Scene | None) -> tuple[Scene, Array]:
@@ -305,7 +303,7 @@ class _Line:
         heard = time.monotonic()
         while True:
             ending = self._ending()
-            run, samples, over = self._taken(run, board.last_messages() if ending else board.messages())
+            run, samples, over = self._taken(run, board.stop() if ending else board.messages())
             if samples:
                 heard = time.monotonic()
             yield samples

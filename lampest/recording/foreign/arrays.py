@@ -23,8 +23,8 @@ from lampest.panel.panel import Array
 from lampest.recording.foreign.words import Clock, clock_of_numbers, role_of
 
 MAX_BYTES = 500_000_000  # of a file, unpacked, and of its values in memory (tests/attack)
-COMPRESSED = 15  # kind of a data element of a .mat file
-NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
+# Data elements of a .mat file in the order of their numbers from 0; '-' is reserved.
+ELEMENTS = "- i1 u1 i2 u2 i4 u4 f4 - f8 - - i8 u8 matrix compressed utf-8 utf-16 utf-32"
 ONE, STACKED, FRAMES = "(rows, columns)", "(rows, columns, frames)", "(frames, rows, columns)"
 FLAT = "(frames, rows·columns), row by row"
 
@@ -176,23 +176,25 @@ def _of_mat(path: Path) -> Arrays:
     arrays, at = Arrays(), 128
     while at + 8 <= len(data):
         kind, body, at = _element(memoryview(data), at, order)
-        if kind == COMPRESSED:
+        if kind == "compressed":
             head = np.frombuffer(zlib.decompressobj().decompress(body, 64), dtype=order + "u4").tolist()
             check_count(path, prod(head[8 : 8 + head[7] // 4]))  # dimensions come behind eight words
             kind, body, _ = _element(memoryview(zlib.decompressobj().decompress(body, MAX_BYTES)), 0, order)
-        arrays |= _matrix(body, order) if kind == 14 else {}
+        arrays |= _matrix(body, order) if kind == "matrix" else {}
     return arrays
 
 
-def _element(view: memoryview, at: int, order: str) -> tuple[int, memoryview, int]:
+def _element(view: memoryview, at: int, order: str) -> tuple[str, memoryview, int]:
     """Return kind and content of the data element at a position, and the position of the next one."""
     kind, size = struct.unpack_from(order + "II", view, at)
-    begin, after = at + 8, at + 8 + size + (0 if kind == COMPRESSED else -size % 8)
-    if kind >> 16:  # a small one holds both in eight bytes
-        kind, size, begin, after = kind & 0xFFFF, kind >> 16, at + 4, at + 8
+    small = kind >> 16  # its size: a small one holds both in eight bytes
+    name = ELEMENTS.split()[kind & 0xFFFF]
+    begin, after = at + 8, at + 8 + size + (0 if name == "compressed" else -size % 8)
+    if small:
+        size, begin, after = small, at + 4, at + 8
     if begin + size > len(view):
         raise ValueError("an element reaches beyond its end")
-    return kind, view[begin : begin + size], after
+    return name, view[begin : begin + size], after
 
 
 def _matrix(body: memoryview, order: str) -> Arrays:
@@ -205,7 +207,7 @@ def _matrix(body: memoryview, order: str) -> Arrays:
         return {}
     kind, values, _ = _element(body, at, order)
     shape = np.frombuffer(size, dtype=order + "u4").tolist()
-    array = np.frombuffer(values, dtype=order + NUMBERS[kind]).reshape(shape, order="F")
+    array = np.frombuffer(values, dtype=order + kind).reshape(shape, order="F")
     return {bytes(name).decode("ascii", "replace"): array}
 
 

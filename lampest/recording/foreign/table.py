@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.files.errors import InputError, extra
+from lampest.files.errors import InputError, extra, first_and_more
 from lampest.panel.panel import Array
 from lampest.recording.foreign.arrays import Frames, Index, Shape, Timing, check_archive, check_count, reading
 from lampest.recording.foreign.words import clock_of, has_decimal_comma, is_stamp, line_of, number_of, role_of
@@ -23,7 +23,6 @@ from lampest.recording.foreign.words import clock_of, has_decimal_comma, is_stam
 MAX_FIELDS = 10_000_000  # 50 bytes each in memory
 SAMPLED = 50_000  # characters or fields of a file's beginning that decide how it is written
 SAMPLED_LINES = 1000
-MAX_NAMED = 10  # lines that a sentence names
 DELIMITERS = {";": "semicolon", "\t": "tab", ",": "comma", " ": "blank"}
 COMMENT = re.compile(r"#(?!N/?A|DIV/0!|NUM!|VALUE!|REF!)|%|//", re.IGNORECASE)  # not where Excel has no number
 # '12:34:56.789 -> ' of the Arduino IDE, '12:34:56.789 > ' of PlatformIO, '[2025-01-31 12:34:56.789] ' of others
@@ -388,8 +387,7 @@ def readings_table(source: FieldLines, layout: str | None = None) -> ReadingsTab
     excluded = np.flatnonzero(~data & differs & ~comment & np.any(fields != "", axis=1))
     if len(excluded):
         shown = " ".join(fields[excluded[0]]).strip()[:40]
-        named = ", ".join(str(source.lines[line].number) for line in excluded[:MAX_NAMED])
-        named += f" and {len(excluded) - MAX_NAMED} more" if len(excluded) > MAX_NAMED else ""
+        named = first_and_more([source.lines[line].number for line in excluded.tolist()])
         called = f"lines {named} (the first: {shown!r})" if len(excluded) > 1 else f"line {named} ({shown!r})"
         notes.append(f"left out: {called.replace('line', source.word)}, no readings or cut off")
     names = [""] * width if header is None else [text.lstrip("#% ") for text in fields[header, :width]]

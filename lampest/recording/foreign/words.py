@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from lampest.files.errors import InputError
 from lampest.panel.panel import Array
+from lampest.recording.acquisition import COUNTER
 
 
 def _by_word(**words: str) -> dict[str, str]:
@@ -73,7 +74,6 @@ POINT, COMMA = (re.compile(NUMBER.format(*signs), re.ASCII) for signs in ((r"\."
 
 EPOCH = 1e9  # s since 1970 begin there, in 2001; a board's own clock would have run for thirty years
 MAX_CUT = 0.1  # of the stamps may be cut and interpolated: more are another clock, or no times
-COUNTER = 2.0**32  # where millis() and micros() of an Arduino begin again
 STAMP = re.compile(
     r"(?=\d)(?:(\d{1,4})([-/.])(\d{1,2})\2(\d{1,4})(?=[T ,]|$))?[T ,]*"
     r"(?:(\d{1,2}):(\d{2})(?::(\d{2})(?:[.,:](\d+))?)?\s*([AP]M\b)?)?\s*(Z|UTC|[+-]\d{2}:?\d{2})?",

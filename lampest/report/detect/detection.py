@@ -95,8 +95,11 @@ class Known:
         )
         kind: type[Watch] | type[ImageWatch] = ImageWatch if layout else Watch
         known, plainly = (self.unloaded, self.begin), self.sigma if self.specified is None else self.specified
-        if kind.begin(replace(panelled, common=None), self.resting, plainly, *known).touched(self.unloaded):
+        plain = kind.begin(replace(panelled, common=None), self.resting, plainly, *known)
+        if plain.touched(self.unloaded):
             raise ValueError("something touched the panel while its unloaded frames were taken")
+        if common is None and np.array_equal(plainly, self.sigma):
+            return plain
         return kind.begin(panelled, self.resting, self.sigma, *known)
 
     @ONE_BLAS_THREAD
