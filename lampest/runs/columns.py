@@ -26,8 +26,8 @@ if TYPE_CHECKING:  # readers of results need not load the solvers
     from lampest.estimate.estimates import Estimates
     from lampest.estimate.state import Step
 
-MAPS = ("time", "row", "column")
-FRAMES, CELLS = MAPS[:1], MAPS[1:]
+FRAMES, CELLS = ("time",), ("row", "column")
+MAPS = FRAMES + CELLS
 # What the groups of a results file hold besides columns.
 RESERVED = (*CELLS, "x", "y", "scene", "start_time", "cost", "weight", "weight_sigma", "model_check")
 

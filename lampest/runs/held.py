@@ -175,7 +175,7 @@ class Held(Validated):
 
 
 COLUMNS = tuple(Column(item.name, **item.metadata["column"]) for item in fields(Held) if "column" in item.metadata)
-TIME, FRAME, MEASURED = COLUMNS[:3]
+TIME, FRAME, MEASURED = (column for column in COLUMNS if column.name in ("time", "frame", "measured"))
 NAMES = frozenset(column.name for column in COLUMNS)
 REQUIRED = frozenset(item.name for item in fields(Held) if item.name in NAMES and item.default is MISSING)
 # Attribute of an estimator's group → the field that it is, and its value where the attribute is not there.

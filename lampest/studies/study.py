@@ -19,7 +19,7 @@ from lampest.report.compare import Table, comma_separated
 from lampest.report.plots.style import save
 from lampest.report.words import digits
 from lampest.runs.config import Case, Run
-from lampest.runs.executors import Executor, local
+from lampest.runs.executors import Serial, each_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -27,7 +27,6 @@ if TYPE_CHECKING:
 Settings = TypeVar("Settings")
 Measured = TypeVar("Measured")
 Kind = TypeVar("Kind")
-Task = TypeVar("Task")
 OnStep = Callable[..., None]
 Row = SimpleNamespace  # one line of a study's CSV file
 Screen = Mapping[str, str | Callable[[Any], str]]  # title → template over a row's values, or the text of a row
@@ -195,33 +194,6 @@ def read_settings(kind: type[Kind]) -> Callable[..., Kind]:
     return read
 
 
-def of_tasks(
-    function: Callable[[Task], tuple[Measured, ...]],
-    tasks: Sequence[Task],
-    executor: Executor | None,
-    lost: Callable[[Task, object], Measured],
-    on_step: OnStep,
-) -> tuple[Measured, ...]:
-    """Return the results of a function for all tasks in order; `lost` makes a result for a task that died.
-
-    Raises InputError if the executor cannot run here.
-
-    Parameters
-    ----------
-    executor : Executor or None
-        By default all cores.
-    on_step : OnStep
-        Receives the numbers of finished and of all tasks.
-    """
-    executor = executor or local(None, len(tasks))
-    executor.ready()
-    results: dict[int, tuple[Measured, ...]] = {}
-    for task, result in executor.results(function, tasks):
-        results[id(task)] = result if isinstance(result, tuple) else (lost(task, result),)
-        on_step(len(results), len(tasks))
-    return tuple(result for task in tasks for result in results[id(task)])
-
-
 @dataclass(frozen=True, eq=False)
 class Cases(Generic[Measured]):
     """Measurements of the cases of a run; left_out : sentences on omitted cases."""
@@ -237,15 +209,10 @@ def of_cases(
 
     on_step : receives the numbers of finished and of all cases. Raises InputError if all cases are omitted.
     """
-    measured: list[Measured] = []
-    left_out = {}
-    for number, case in enumerate(run.cases, 1):
-        result = function(case)
-        if isinstance(result, str):
-            left_out[f"{case.recording}/{case.name}"] = result
-        else:
-            measured += result
-        on_step(number, len(run.cases))
+    results = each_of(function, run.cases, on_step, Serial())
+    measured = [record for result in results if not isinstance(result, str) for record in result]
+    names = [f"{case.recording}/{case.name}" for case in run.cases]
+    left_out = {name: why for name, why in zip(names, results, strict=True) if isinstance(why, str)}
     if not measured:
         raise InputError(f"nothing to {purpose}: {'; '.join(f'{name}: {why}' for name, why in left_out.items())}")
     return Cases(measured, [f"{name} left out: {why}" for name, why in left_out.items()])
