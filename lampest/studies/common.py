@@ -21,7 +21,7 @@ from lampest.recording.simulation.simulation import Course
 from lampest.runs.config import Terms, terms_of
 from lampest.runs.executors import Processes
 from lampest.solvers.solution import STRICT
-from lampest.studies.study import column
+from lampest.studies.study import column, named_values
 
 MAX_SIDE = 1000  # of a simulated panel
 SERIES_OHM = 140  # two multiplexer channels, as in the shipped scenes
@@ -161,9 +161,9 @@ def pushed(stream: Stream, readings: Readings) -> Pushed:
 
 def outcome(recording: Recording, step: Step) -> dict[str, Any]:
     """Return the fields of a frame's record that come from its recording and its step."""
-    rows, columns = recording.scene.panel.shape
-    ended = {name: getattr(step.solution, name) for name in ("iterations", "solved")}
-    return {"rows": rows, "columns": columns, "recording": recording.name, "status": step.status, **ended}
+    about = {"recording": recording.name, "status": step.status}
+    panel = named_values(recording.scene.panel, "rows", "columns")
+    return about | panel | named_values(step.solution, "iterations", "solved")
 
 
 def clocked(call: Callable[[], Result]) -> tuple[Result, float]:

@@ -218,6 +218,11 @@ def of_cases(
     return Cases(measured, [f"{name} left out: {why}" for name, why in left_out.items()])
 
 
+def named_values(record: Any, *names: str) -> dict[str, Any]:
+    """Return name → value for some attributes of a record."""
+    return {name: getattr(record, name) for name in names}
+
+
 def grouped(records: Iterable[Any], key: Callable[[Any], Any]) -> dict[Any, list[Any]]:
     """Group records by a key, in order of first appearance."""
     groups: dict[Any, list[Any]] = {}
@@ -259,5 +264,5 @@ def screen_table(rows: Iterable[Any], columns: Screen) -> Table:
 def csv_of(rows: Sequence[Any], names: Iterable[str] = ()) -> str:
     """Return rows as CSV with a column for each name, by default those of the first row; empty for NaN."""
     names = list(names or vars(rows[0]))
-    table = ([getattr(row, name) for name in names] for row in rows)
+    table = (named_values(row, *names).values() for row in rows)
     return comma_separated([names, *([None if value != value else value for value in line] for line in table)])

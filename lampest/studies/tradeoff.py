@@ -25,7 +25,7 @@ from lampest.estimate.methods.method import Method
 from lampest.estimate.sequence import first_stream, reconstruct
 from lampest.files.document import read_document, validated
 from lampest.files.errors import InputError
-from lampest.files.typed import Configuration, check_positive_fields, check_ranges
+from lampest.files.typed import Configuration, check_not_negative, check_positive_fields, check_ranges
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.scene import Scene
@@ -42,15 +42,6 @@ from lampest.studies.common import TimedFrame, outcome, peak_memory
 from lampest.studies.study import OnStep, column
 
 REFERENCE = "reduced"
-LADDER: tuple[MethodName | AnyMethod, ...] = (
-    "naive",
-    "scaled",
-    "linearised",
-    *(TruncatedMethod(steps=steps) for steps in (1, 2, 4)),
-    "reduced",
-    "nodal",
-    "per_pixel",
-)
 Passage = tuple[Estimates, Array]  # through a recording: estimates, and the processor's s of each frame
 
 
@@ -145,7 +136,15 @@ class TradeoffFile(Configuration):
     estimators: dict[str, common.BoundedMethod] = field(
         default_factory=lambda: common.paper_methods(common.BoundedMethod)
     )
-    formulations: tuple[MethodName | AnyMethod, ...] = LADDER
+    formulations: tuple[MethodName | AnyMethod, ...] = (
+        "naive",
+        "scaled",
+        "linearised",
+        *(TruncatedMethod(steps=steps) for steps in (1, 2, 4)),
+        "reduced",
+        "nodal",
+        "per_pixel",
+    )
     frames: int = 5
     repeats: int = 3
     patience_s: float = 3.0
@@ -167,8 +166,7 @@ class TradeoffFile(Configuration):
             raise ValueError("formulations names a rung twice")
         check_ranges(self, 2, 1000, "frames")
         check_ranges(self, 1, 1000, "repeats")
-        if not 0 <= self.patience_s < float("inf"):
-            raise ValueError("patience_s must be zero or positive, and finite")
+        check_not_negative(self, "patience_s")
         if self.memory is not None and self.memory not in self.estimators:
             raise ValueError(f"memory: {self.memory} is none of the estimators")
 

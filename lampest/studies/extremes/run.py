@@ -251,9 +251,7 @@ def _row(own: Sequence[Solve]) -> study.Row:
     solved = [solve for solve in own if solve.solved]
     statuses = Counter(solve.status for solve in own).most_common()
     return study.Row(
-        **{name: getattr(own[0], name) for name in ("case", "decades", "rows", "columns", "noise")},
-        method=own[0].method,
-        formulation=own[0].formulation,
+        **study.named_values(own[0], "case", "decades", "rows", "columns", "noise", "method", "formulation"),
         solves=len(own),
         verified=sum(solve.verified for solve in own),
         named=sum(not solve.solved and not solve.crashed for solve in own),
