@@ -44,9 +44,10 @@ def loads(number: int, shape: common.Shape) -> tuple[tuple[AnyShape, ...], Cours
         for right, down, mass in places
     )
     third = common.lamprey_mouth((0.49 * width, 0.51 * height), 0.35 * pitch * min(shape))
-    growing = replace(common.BREATHING, start_s=-0.4, approach_s=2)
+    breathing = common.shipped_lamprey().course
+    growing = replace(breathing, start_s=-0.4, approach_s=2)
     beside = (common.lamprey_mouth((0.6 * width, 0.55 * height)), rods[0])
-    return (((third,), common.BREATHING), (rods, Course()), (beside, growing))[number % 3]
+    return (((third,), breathing), (rods, Course()), (beside, growing))[number % 3]
 
 
 @dataclass(frozen=True)
@@ -145,7 +146,9 @@ class BenchFile(Configuration):
     def recording(self, shape: common.Shape, number: int = 0) -> Recording:
         """Simulate a recording of a panel with 3 unloaded frames and the loads of `loads`."""
         touching, course = loads(number, shape)
-        scene = Scene(Panel(*shape), self.readout, common.SERIES_OHM, lines=self.lines)
+        scene = Scene(
+            Panel(*shape), self.readout, common.shipped_lamprey().scene.series_resistance_ohm, lines=self.lines
+        )
         known: dict[str, Any] = {"frames": self.frames + 1, "loads": touching, "unmodelled": self.unmodelled}
         simulation = Simulation(1, self.seed + number, scene, course=course, **known)
         return simulate(simulation, str(number))

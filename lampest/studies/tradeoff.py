@@ -94,11 +94,12 @@ class Simulated(Configuration):
 
     def recordings(self, frames: int) -> Iterator[Recording]:
         """Yield recordings <panel>_<scene>_<noise> in order of size, with three unloaded and some measured frames."""
+        lamprey = common.shipped_lamprey()
         for rows, columns in common.shapes_of(self.sizes):
             mouth = common.lamprey_mouth((10 * (columns // 2) - 6, 10 * (rows // 2) - 4), self.diameter_mm)
-            known: dict[str, Any] = {"frames": frames, "loads": (mouth,), "course": common.BREATHING}
+            known: dict[str, Any] = {"frames": frames, "loads": (mouth,), "course": lamprey.course}
             for noise, readout in self.noise.items():
-                place = Scene(Panel(rows, columns), readout, common.SERIES_OHM)
+                place = Scene(Panel(rows, columns), readout, lamprey.scene.series_resistance_ohm)
                 for scene, unmodelled in self.scenes.items():
                     simulation = Simulation(1, self.seed, place, unmodelled=unmodelled, **known)
                     yield replace(simulate(simulation, f"{rows}x{columns}"), name=f"{rows}x{columns}_{scene}_{noise}")
