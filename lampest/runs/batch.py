@@ -281,7 +281,7 @@ def solve_part(part: tuple[Task, int]) -> None:
     task, number = part
     recording = _recording(task.case.path, task.case.sha256)
     if isinstance(recording, StoredRecording):
-        deque(task.write_parts(_parts(task.case.estimator, recording).solve_part(number)))
+        list(task.write_parts(_parts(task.case.estimator, recording).solve_part(number)))
 
 
 def solve_case(task: Task) -> CaseResult | StoredCase:
@@ -298,8 +298,8 @@ def solve_case(task: Task) -> CaseResult | StoredCase:
 
 def solve_long(task: Task, stored: StoredRecording) -> StoredCase:
     """Solve a case part by part, from the first one on that is not done, and write its result atomically."""
-    solved: list[int] = []
-    if task.case.estimator.uses_previous or not set(stored.measured_blocks) <= set(task.whole_parts):
+    solved, whole = list[int](), set(task.whole_parts)
+    if task.case.estimator.uses_previous or not set(stored.measured_blocks) <= whole:
         parts = _parts(task.case.estimator, stored)
         # What stands behind a part that is solved now followed from another one, unless parts stand apart.
         waiting = parts.estimates(lambda at: None if solved and not parts.independent else task.carried_over(at))

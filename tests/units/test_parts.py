@@ -19,6 +19,7 @@ from unclosed import unclosed_recording
 import lampest
 from lampest.estimate.sequence import Parts, asked_frames
 from lampest.files import hdf5
+from lampest.files.errors import InputError
 from lampest.panel.panel import Array
 from lampest.recording import stored
 from lampest.recording.board.record import repair
@@ -171,6 +172,21 @@ def test_a_run_that_was_killed_goes_on_and_finds_the_same(tmp_path: Path) -> Non
     assert started(tmp_path, "killed", 400).returncode == 0
     same(*(content(tmp_path / name / "results.h5") for name in ("undisturbed", "killed")))
     assert not list(tmp_path.rglob("*.part")) and not list(tmp_path.rglob("*.parts"))
+
+
+@pytest.mark.parametrize("fresh", [False, True])
+def test_a_folder_of_parts_that_is_a_link_out_is_left_alone(tmp_path: Path, small: None, fresh: bool) -> None:
+    save(tmp_path, frames(40))
+    (tmp_path / "run.yaml").write_text(RUN.split("  relative:")[0])
+    run = read_run(tmp_path / "run.yaml")
+    cases, elsewhere = tmp_path / "out" / "cases", tmp_path / "elsewhere"
+    for folder in (cases, elsewhere):
+        folder.mkdir(parents=True)
+    (elsewhere / "000000.h5").write_text("mine")
+    (cases / f"{run.cases[0].case_id}.parts").symlink_to(elsewhere)
+    with pytest.raises(InputError, match="is a link that leads out"):
+        run_batch(run, tmp_path / "out", Serial(), fresh=fresh)
+    assert [file.read_text() for file in elsewhere.iterdir()] == ["mine"]
 
 
 @pytest.mark.slow
