@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import MISSING, dataclass, field, fields
-from importlib.metadata import version
 from pathlib import Path
 from string import Formatter
 from types import SimpleNamespace
@@ -20,6 +19,7 @@ from lampest.report.plots.style import save
 from lampest.report.words import digits
 from lampest.runs.config import Case, Run
 from lampest.runs.executors import Serial, each_of
+from lampest.runs.filling import library_versions
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -30,7 +30,6 @@ Kind = TypeVar("Kind")
 OnStep = Callable[..., None]
 Row = SimpleNamespace  # one line of a study's CSV file
 Screen = Mapping[str, str | Callable[[Any], str]]  # title → template over a row's values, or the text of a row
-LIBRARIES = ("lampest", "casadi", "numpy", "scipy", "h5py")
 
 
 def column(unit: str, meaning: str, default: Any = MISSING) -> Any:
@@ -163,7 +162,8 @@ class Study(Generic[Settings, Measured]):
                 entry = file.create_group("entry")
                 groups = list(self.records(measured))
                 hdf5.set_attributes(entry, NX_class="NXentry", default=groups[0].path)
-                hdf5.set_attributes(entry, **{f"{library}_version": version(library) for library in LIBRARIES})
+                versions = library_versions("scipy")
+                hdf5.set_attributes(entry, **{f"{library}_version": text for library, text in versions.items()})
                 for group in groups:
                     group.write(entry)
         for path, figure in figures.items():

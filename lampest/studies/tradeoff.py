@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 from itertools import count
 from pathlib import Path
 from time import perf_counter, process_time
-from typing import Any, Literal, NamedTuple, cast
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -23,7 +23,6 @@ from lampest.estimate.methods import AnyMethod, MethodName, named_method
 from lampest.estimate.methods.approximate import TruncatedMethod
 from lampest.estimate.methods.method import Method
 from lampest.estimate.sequence import first_stream, reconstruct
-from lampest.files.document import read_document, validated
 from lampest.files.errors import InputError
 from lampest.files.typed import Configuration, check_not_negative, check_positive_fields, check_ranges
 from lampest.panel.panel import Array, Panel
@@ -39,7 +38,7 @@ from lampest.runs.config import recording_paths
 from lampest.solvers.solution import Settings
 from lampest.studies import common
 from lampest.studies.common import TimedFrame, outcome, peak_memory
-from lampest.studies.study import OnStep, column
+from lampest.studies.study import OnStep, column, read_settings
 
 REFERENCE = "reduced"
 Passage = tuple[Estimates, Array]  # through a recording: estimates, and the processor's s of each frame
@@ -208,7 +207,7 @@ def label(formulation: Method) -> str:
 
 def read_plan(path: Path, assigned: tuple[str, ...] = ()) -> Plan:
     """Read the settings of a trade-off and its recordings. Raises InputError with line and column."""
-    settings = cast(TradeoffFile, validated(read_document(path, assigned), TradeoffFile))
+    settings = read_settings(TradeoffFile)(path, assigned)
     files = recording_paths(path, list(settings.recordings))
     recordings = [first_frames(Recording.load(file), settings.frames) for file in files]
     if settings.simulated is not None:
