@@ -6,6 +6,7 @@ Run it with: python -m docs.studies.audit [CONFIG] [--out DIR] [--set PATH=VALUE
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from itertools import chain
 from math import nan
 from typing import Any, Literal, NamedTuple
 
@@ -24,7 +25,7 @@ from lampest.recording.readings import Readings
 from lampest.recording.recording import UNLOADED, Recording
 from lampest.recording.simulation.measure import Unmodelled, random_stream
 from lampest.recording.simulation.simulation import Simulation, simulate
-from lampest.runs.executors import AnyExecutor
+from lampest.runs.executors import AnyExecutor, Processes, each_of
 from lampest.studies import study
 from lampest.studies.common import StudyMethod
 from lampest.studies.study import column
@@ -136,7 +137,9 @@ def run_audit(audit: AuditFile, on_step: study.OnStep) -> tuple[Audited, ...]:
     """Measure everything, in the order of effects and seeds."""
     seeds = range(audit.simulation.seed, audit.simulation.seed + audit.seeds)
     tasks = [AuditTask(audit, effect, seed) for effect in audit.effects for seed in seeds]
-    return study.of_tasks(audited, tasks, audit.executor, lambda task, error: _failed(task, "", error), on_step)
+    executor = audit.executor or Processes()
+    results = each_of(audited, tasks, on_step, executor, lambda task, error: (_failed(task, "", error),))
+    return tuple(chain.from_iterable(results))
 
 
 def _failed(task: AuditTask, estimator: str, error: object) -> Audited:
@@ -234,7 +237,8 @@ def _spread(own: Sequence[Audited], what: str) -> float:
 def _verdict(shares: Sequence[float]) -> str:
     """Whether recordings without a sentence keep the promise: 90 to 98 percent, and never below 80.
 
-    Intervals of pressure may be wider: beyond what the response states they reach as far as it goes.
+    Without such recordings it is 'reported'. Intervals of pressure may be wider: beyond what the response states they
+    reach as far as it goes.
     """
     known = [share for share in shares if not np.isnan(share)]
     if not known:
@@ -267,7 +271,9 @@ def _row(own: Sequence[Audited]) -> study.Row:
         **medians,
         alone=_share(good, "alone"),
         reported=len(good) - len(silent),
-        verdict=_verdict([coverage[f"silent_{what}"] for what in ("cells", "change", "pressure")]),
+        verdict=_verdict([coverage[f"silent_{what}"] for what in ("cells", "change", "pressure")])
+        if good
+        else "failed",
         sentence=_usual_sentence(good),
     )
 
@@ -289,7 +295,7 @@ SCREEN: study.Screen = {
 def audit_remarks(results: Sequence[Audited]) -> list[str]:
     """What the columns mean, where the promise is broken, and the sentences that results carry."""
     rows = audit_rows(results)
-    broken = [f"{row.effect} × {row.estimator}" for row in rows if row.verdict in ("short", "uncovered")]
+    broken = [f"{row.effect} × {row.estimator}" for row in rows if row.verdict in ("short", "uncovered", "failed")]
     cached = f"{len(rows) - len(broken)} of {len(rows)} rows keep the promise"
     lines = [
         "cells, change, press.: how many 95 % intervals cover the truth, ± their standard deviation over recordings;",

@@ -18,7 +18,7 @@ import psutil
 import lampest
 from lampest.recording.recording import Recording
 from lampest.recording.stored import PART_READINGS, save_parts
-from lampest.runs import long_case
+from lampest.runs import batch
 from lampest.runs.batch import run_batch
 from lampest.runs.config import read_run
 from lampest.runs.executors import Serial
@@ -50,7 +50,7 @@ def parts(frames: int) -> Iterator[Recording]:
 
 def run(config: Path, out: Path) -> None:
     """Run the file in this process, and say after every part how much memory there is."""
-    write, begin = long_case.write_carried, time.process_time()
+    write, begin = batch.write_carried, time.process_time()
 
     def told(path: Path, carried: object) -> None:
         seconds, process = time.process_time() - begin, psutil.Process()
@@ -58,7 +58,7 @@ def run(config: Path, out: Path) -> None:
         print(f"{path.stem}  {seconds:8.1f} s of the processor  {size:8.2f} MB  {files} files open", flush=True)
         write(path, carried)  # type: ignore[arg-type]
 
-    long_case.write_carried = told
+    batch.write_carried = told
     run_batch(read_run(config), out, Serial())
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
     print(f"done    {time.process_time() - begin:8.1f} s of the processor, at most {peak:.1f} MB", flush=True)

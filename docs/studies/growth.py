@@ -15,7 +15,6 @@ import numpy as np
 from lampest.estimate.sequence import first_stream
 from lampest.solvers.solution import Solution
 from lampest.studies.bench import BenchFile
-from lampest.studies.common import PAPER
 from lampest.studies.study import read_settings
 
 FRAMES = 3  # the first, and later ones, of which the median counts
@@ -23,12 +22,12 @@ FRAMES = 3  # the first, and later ones, of which the median counts
 
 def main() -> None:
     """Solve and print a line for each, then the exponents."""
+    bench = read_settings(BenchFile)(Path("configs/bench.yaml"))
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--sides", type=int, nargs="+", default=[32, 64, 100])
-    parser.add_argument("--methods", choices=PAPER, nargs="+", default=list(PAPER))
+    parser.add_argument("--methods", choices=bench.estimators, nargs="+", default=list(bench.estimators))
     parser.add_argument("--recording", type=int, default=2)
     stated = parser.parse_args()
-    bench = read_settings(BenchFile)(Path("configs/bench.yaml"))
     for method in stated.methods:
         spent = np.array([_spent(bench, method, side, stated.recording - 1) for side in stated.sides])
         for name, seconds in zip(("first", "later"), spent.T, strict=True):

@@ -285,6 +285,8 @@ def _sentence_of(faults: Sequence[Any]) -> str:
         if fault["type"] == "union_tag_invalid":
             known = fault["ctx"]["expected_tags"].replace("'", "")
             sentence = f"there is no kind {fault['ctx']['tag']} in lampest or an installed package; there are {known}"
+        elif fault["type"] == "union_tag_not_found":
+            sentence = "Input should be a mapping with a 'kind'"
         sentences.append(sentence)
     first, *alternatives = dict.fromkeys(sentences)
     return " or ".join([first, *(sentence.removeprefix("Input should be ") for sentence in alternatives)])

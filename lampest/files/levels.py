@@ -14,12 +14,10 @@ NOISE_REACH = 3.0
 # two lines that touch seem apart (tests/oracles/test_wires.py).
 ALIKE = 4.0
 
-# Mean square difference of two lines in units of their noise, from which a line counts as distinct (five standard
-# deviations): panels whose lines are all nearly equal name no touching lines (tests/oracles/test_wires.py).
-DISTINCT = 25.0
-
 # Standard deviations of a deviation that is named or taken off: noise alone exceeds it once in 1.7 million numbers, of
-# 32 channels once in 50,000 calibrations (tests/oracles/test_nuisances.py, tests/oracles/test_calibration.py).
+# 32 channels once in 50,000 calibrations (tests/oracles/test_nuisances.py, tests/oracles/test_calibration.py). A line
+# that differs from others by this root mean square is distinct: panels whose lines are all nearly equal name no
+# touching lines (tests/oracles/test_wires.py).
 SIGNIFICANT = 5.0
 
 # Standard deviations of one among very many numbers, readings or patterns of all frames: noise alone exceeds it once in

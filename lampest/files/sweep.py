@@ -4,7 +4,7 @@ import dataclasses
 import itertools
 import math
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
@@ -36,7 +36,12 @@ class Combination(Generic[Kind]):
     value: Kind
 
 
-def combinations(document: Document, validate: Callable[[Document], Kind], apart: str = "") -> list[Combination[Kind]]:
+def combinations(
+    document: Document,
+    validate: Callable[[Document], Kind],
+    apart: str = "",
+    fixed: Mapping[str, str] | None = None,
+) -> list[Combination[Kind]]:
     """Return every combination of a document's sweep, the last path fastest.
 
     Parameters
@@ -49,6 +54,8 @@ def combinations(document: Document, validate: Callable[[Document], Kind], apart
     apart : str
         A mapping of the document whose entries are swept apart: a path below one of them varies that entry alone, and
         every other path varies each of them. Without such a path an entry has one combination.
+    fixed : mapping
+        Entries that cannot be swept → the reason.
 
     Raises
     ------
@@ -56,7 +63,8 @@ def combinations(document: Document, validate: Callable[[Document], Kind], apart
         At its own position for a fault of the document; at the sweep's line where the sweep is malformed or too large,
         for a path that names no place, or for a value that does not fit there.
     """
-    sweep = document.content.get("sweep", {}) if isinstance(document.content, dict) else {}
+    content = document.content if isinstance(document.content, dict) else {}
+    sweep, entries = content.get("sweep", {}), content.get(apart)
     if not isinstance(sweep, dict):
         raise document.error(("sweep",), "must be a mapping of dotted paths to lists of values")
     for path, values in sweep.items():
@@ -64,7 +72,8 @@ def combinations(document: Document, validate: Callable[[Document], Kind], apart
             raise document.error(("sweep", path), "must be a list of at least one value")
         if path.split(".")[0] == "sweep" or path == apart:
             raise document.error(("sweep", path), "a sweep varies keys below, or beside, this one")
-    entries = document.content.get(apart) if apart and isinstance(document.content, dict) else None
+        if reason := (fixed or {}).get(path.split(".")[0]):
+            raise document.error(("sweep", path), reason)
     names = list(entries) if isinstance(entries, dict) and entries else [""]
     own = {
         name: {path: values for path, values in sweep.items() if _entry_of(path, apart, names) in (None, name)}

@@ -75,16 +75,18 @@ def check_ranges(owner: Any, low: float, high: float, *names: str) -> None:
 
 def check_positive_fields(owner: Any, *names: str) -> None:
     """Raise ValueError unless each named field of an object is None, or positive and finite."""
-    for name in names:
-        if (value := getattr(owner, name)) is not None and not 0 < value < float("inf"):
-            raise ValueError(f"{name} must be positive and finite")
+    _check_fields(owner, names, lambda value: 0 < value < float("inf"), "must be positive and finite")
 
 
 def check_not_negative(owner: Any, *names: str) -> None:
     """Raise ValueError unless each named field of an object is None, or zero or positive, and finite."""
+    _check_fields(owner, names, lambda value: 0 <= value < float("inf"), "must be zero or positive, and finite")
+
+
+def _check_fields(owner: Any, names: Iterable[str], fits: Callable[[Any], bool], message: str) -> None:
     for name in names:
-        if (value := getattr(owner, name)) is not None and not 0 <= value < float("inf"):
-            raise ValueError(f"{name} must be zero or positive, and finite")
+        if (value := getattr(owner, name)) is not None and not fits(value):
+            raise ValueError(f"{name} {message}")
 
 
 def real_array(values: Any, label: str) -> NDArray[Any]:

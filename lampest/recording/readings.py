@@ -10,7 +10,7 @@ import scipy
 from numpy.typing import NDArray
 
 from lampest.files.errors import InputError, in_words
-from lampest.files.levels import ALIKE, DISTINCT, NOISE_REACH
+from lampest.files.levels import ALIKE, NOISE_REACH, SIGNIFICANT
 from lampest.files.typed import real_array
 from lampest.panel.panel import Array, Modules, Panel, beyond_any_panel
 from lampest.panel.readouts.readout import without_memory
@@ -372,7 +372,7 @@ def touching_rows(readings: Readings) -> tuple[tuple[int, ...], ...]:
     similar = (unlike <= 1 + ALIKE * np.sqrt(2 / np.maximum(count, 1))) & (count >= 4)  # readings of two lines
     distant = np.where(similar | (count < 4), np.nan, unlike)
     with np.errstate(invalid="ignore"):
-        distinct = np.array([np.nanmedian(row) if np.any(row > 0) else 0.0 for row in distant]) > DISTINCT
+        distinct = np.array([np.nanmedian(row) if np.any(row > 0) else 0.0 for row in distant]) > SIGNIFICANT**2
     groups, group = scipy.sparse.csgraph.connected_components(similar & distinct & distinct[:, None], directed=False)
     members = (np.flatnonzero(group == number) for number in range(groups))
     return tuple(tuple(lines.tolist()) for lines in members if len(lines) > 1)

@@ -1,11 +1,15 @@
-"""Batches of cases: finished ones are skipped, failures are isolated, each result is a file of its own."""
+"""Batches of cases: finished ones are skipped, failures are isolated, each result is a file of its own.
+
+A recording in memory is solved whole, one that exceeds the memory part by part. Each part is a results file of its own,
+and beside it stands what the frames behind it need, until the last part is done.
+"""
 
 import fcntl
 import os
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack, closing, contextmanager, suppress
 from dataclasses import dataclass
 from functools import lru_cache
@@ -13,23 +17,26 @@ from itertools import count
 from pathlib import Path
 
 from lampest.estimate.estimates import Estimates
+from lampest.estimate.estimator import Estimator
 from lampest.estimate.prepared import Prepared
-from lampest.estimate.sequence import reconstruct
+from lampest.estimate.sequence import Parts, asked_frames, reconstruct
+from lampest.estimate.state import CarriedOver
+from lampest.files import hdf5
 from lampest.files.errors import InputError
 from lampest.files.process import told_reason
 from lampest.files.whole import inner_folder, opened_for_locking, output_folder, own, remove_own, sparing
+from lampest.recording.recording import Recording
 from lampest.recording.stored import StoredRecording, opened
 from lampest.runs.case import CaseResult, StoredCase
 from lampest.runs.config import Case, Run, digest
 from lampest.runs.executors import Executor, LostError, Pairs
 from lampest.runs.filling import case_result
-from lampest.runs.long_case import PartFiles, frames_of_parts, parts_to_solve, solve_long, solve_part
-from lampest.runs.results import read_results, stored_cases, write_results
+from lampest.runs.results import join_case, read_results, stored_cases, write_results
 
 RESULTS = "results.h5"
 CASES = "cases"
-EVERY_SECONDS = 1.0  # between two counts of the frames that are done
-KEPT_SECONDS = 2.0  # at least, between two files of the finished frames of a case
+CARRIED = "carried/1"
+EVERY_SECONDS = 1.0  # between two counts of the frames that are done, and two files of these frames at least
 KEPT_SHARE = 0.05  # of a case's time is spent on these files at most
 
 
@@ -90,11 +97,55 @@ class Task:
         """Number of frames that are done, of a case that may be under way in another process."""
         if self.file.is_file():
             return self.case.frames
-        if self.case.stored is not None:
-            return frames_of_parts(self.case, self.case.stored, self.file)
-        with suppress(OSError):
-            return self.count.stat().st_size
+        with suppress(OSError, InputError):
+            if self.case.stored is None:
+                return self.count.stat().st_size
+            # A part in which no frame is measured has no file.
+            return min(self.case.frames, len(self.whole_parts) * self.case.stored.length)
         return 0
+
+    @property
+    def parts(self) -> Path:
+        """Folder of the parts of a long case. Raises InputError if it is a link that leads out."""
+        return inner_folder(self.file.parent, f"{self.case.case_id}.parts")
+
+    def part(self, number: int) -> Path:
+        """Return the file of a part's estimates."""
+        return self.parts / f"{number:06d}.h5"
+
+    def carried(self, number: int) -> Path:
+        """Return the file of what the next part needs; it is there before the estimates are."""
+        return self.parts / f"{number:06d}_carried.h5"
+
+    @property
+    def whole_parts(self) -> list[int]:
+        """Numbers of the parts whose estimates are there."""
+        return sorted(int(file.stem) for file in self.parts.glob("[0-9]" * 6 + ".h5"))
+
+    def carried_over(self, number: int) -> CarriedOver | None:
+        """Return what a part left; None if it is not whole, so that it is solved again."""
+        with suppress(InputError):
+            if self.part(number).is_file() and self.carried(number).is_file():
+                hdf5.checked(self.part(number))
+                [held] = stored_cases(self.part(number))
+                if held.case_id == self.case.case_id:
+                    return read_carried(self.carried(number))
+        return None
+
+    def write_parts(self, solved: Iterable[tuple[int, Estimates, CarriedOver]]) -> Iterator[int]:
+        """Write parts as they are solved; yield their numbers."""
+        for number, estimates, carried in solved:
+            write_carried(self.carried(number), carried)
+            write_results(self.part(number), [case_result(self.case, estimates)])
+            yield number
+
+    def clear_parts(self) -> None:
+        """Remove all that the case leaves in the folder of its parts, and nothing else."""
+        for pattern in ("*.h5", ".*.h5.*.part"):
+            for file in self.parts.glob(pattern):
+                remove_own(file)
+        with suppress(OSError):
+            self.parts.rmdir()
 
 
 def run_batch(
@@ -130,9 +181,7 @@ def run_batch(
         own(folder / CASES)
         tasks = [Task(case, folder.absolute()) for case in run.cases]
         _clear(folder, tasks, fresh=fresh)
-        finished: dict[Path, CaseResult | StoredCase] = {
-            task.file: result for task in tasks if (result := _result(task)) is not None
-        }
+        finished = _results(tasks)
         waiting = [task for task in tasks if task.file not in finished]
         failed: list[tuple[str, str]] = []
         aside: Path | None = None
@@ -148,18 +197,15 @@ def run_batch(
         except LostError as error:
             lost = str(error)
         finally:
-            done = [result for task in tasks if (result := finished.get(task.file) or _result(task)) is not None]
-            held = [
-                result
-                for task in tasks
-                if (result := finished.get(task.file) or _result(task, unfinished=True)) is not None
-            ]
+            finished |= _results([task for task in tasks if task.file not in finished])
+            known = finished | _results([task for task in tasks if task.file not in finished], unfinished=True)
+            held = [known[task.file] for task in tasks if task.file in known]
             _clear(folder, tasks, fresh=False)
             if held:
                 aside = _put_aside(folder / RESULTS, held)
                 write_results(folder / RESULTS, held, run.published)
         skipped = len(tasks) - len(waiting)
-        not_run = len(tasks) - len(done) - len(failed) if lost else 0
+        not_run = len(tasks) - len(finished) - len(failed) if lost else 0
         solved = len(waiting) - len(failed) - not_run
         warnings = dict.fromkeys(
             f"{case.recording}: {line}"
@@ -200,10 +246,9 @@ def _counted(tasks: Sequence[Task], on_frames: Callable[[int, int], None]) -> It
 def _outcomes(executor: Executor, waiting: Sequence[Task]) -> Pairs:
     """Return the outcomes of all cases; the parts of cases that exceed the memory are solved first."""
     with ExitStack() as stack:
-        long = [(task, task.case.stored) for task in waiting if task.case.stored is not None]
-        parts = [(task, n) for task, stored in long for n in parts_to_solve(task.case, stored, task.file)]
+        parts = [(task, number) for task in waiting for number in parts_to_solve(task)]
         if parts:  # what becomes of them shows when their cases are put together
-            deque(stack.enter_context(closing(executor.results(solve_part_of, parts))), maxlen=0)
+            deque(stack.enter_context(closing(executor.results(solve_part, parts))), maxlen=0)
         yield from stack.enter_context(closing(executor.results(solve_case, waiting)))
 
 
@@ -218,12 +263,25 @@ def _put_aside(path: Path, done: Sequence[CaseResult | StoredCase]) -> Path | No
     return path.rename(next(name for name in names if not os.path.lexists(name)))
 
 
-def solve_part_of(part: tuple[Task, int]) -> None:
-    """Solve one part of a case that is too long for memory."""
+def parts_to_solve(task: Task) -> list[int]:
+    """Return the numbers of a long case's parts that may be solved in any order and are not done.
+
+    Damaged parts are removed.
+    """
+    stored, previous = task.case.stored, task.case.estimator.uses_previous
+    every = () if stored is None or previous else stored.measured_blocks
+    waiting = [number for number in every if task.carried_over(number) is None]
+    for number in waiting:
+        remove_own(task.part(number))
+    return waiting
+
+
+def solve_part(part: tuple[Task, int]) -> None:
+    """Solve one of these parts, if it does not depend on those before."""
     task, number = part
     recording = _recording(task.case.path, task.case.sha256)
     if isinstance(recording, StoredRecording):
-        solve_part(task.case, recording, task.file, number)
+        list(task.write_parts(_parts(task.case.estimator, recording).solve_part(number)))
 
 
 def solve_case(task: Task) -> CaseResult | StoredCase:
@@ -231,17 +289,61 @@ def solve_case(task: Task) -> CaseResult | StoredCase:
     recording = _recording(task.case.path, task.case.sha256)
     inner_folder(task.folder, CASES).mkdir(exist_ok=True)
     if isinstance(recording, StoredRecording):
-        return solve_long(task.case, recording, task.file)
+        return solve_long(task, recording)
     result = case_result(task.case, reconstruct(recording, task.case.estimator, _kept_frames(task)))
     inner_folder(task.folder, CASES)  # it may have become a link meanwhile
     write_results(task.file, [result])
     return result
 
 
+def solve_long(task: Task, stored: StoredRecording) -> StoredCase:
+    """Solve a case part by part, from the first one on that is not done, and write its result atomically."""
+    solved, whole = list[int](), set(task.whole_parts)
+    if task.case.estimator.uses_previous or not set(stored.measured_blocks) <= whole:
+        parts = _parts(task.case.estimator, stored)
+        # What stands behind a part that is solved now followed from another one, unless parts stand apart.
+        waiting = parts.estimates(lambda at: None if solved and not parts.independent else task.carried_over(at))
+        for number in task.write_parts(waiting):
+            solved.append(number)
+    join_case(task.file, [task.part(number) for number in task.whole_parts], task.case.recording)
+    task.clear_parts()
+    [result] = stored_cases(task.file)
+    return result
+
+
+@lru_cache(maxsize=1)  # a process solves several parts of a case
+def _parts(estimator: Estimator, stored: StoredRecording) -> Parts:
+    return Parts.of(stored, estimator, _asked(stored))
+
+
+@lru_cache(maxsize=1)  # several estimators of one recording come one after the other
+def _asked(stored: StoredRecording) -> tuple[Recording, Prepared]:
+    return asked_frames(stored)
+
+
+def write_carried(path: Path, carried: CarriedOver) -> None:
+    """Write what a part leaves, whole or not at all. Raises InputError where the place cannot be written."""
+    with hdf5.new_file(path) as file:
+        hdf5.set_attributes(file, lampest_format=CARRIED)
+        group = file.create_group("carried")
+        for name, values in carried.arrays.items():
+            unit = "ohm" if name.endswith("previous") else "1"
+            hdf5.write_dataset(group, name, values, unit, name.replace("_", " "))
+
+
+def read_carried(path: Path) -> CarriedOver:
+    """Return what a part left. Raises InputError where it cannot be read."""
+    with hdf5.existing_file(path) as file:
+        if hdf5.read_attribute(file, "/", "lampest_format") != CARRIED:
+            raise InputError(f"{path}: is not the remainder of a part of a case")
+        names = hdf5.child_datasets(file, "/carried")
+        return CarriedOver({name: hdf5.read_array(file, f"/carried/{name}", (1, 2)) for name in names})
+
+
 def _kept_frames(task: Task) -> Callable[[int, int, Callable[[], Estimates] | None], None]:
     """Return a function that counts the frames of a case that are done, and now and then keeps their estimates."""
     told = written = time.monotonic()
-    pause = KEPT_SECONDS
+    pause = EVERY_SECONDS
 
     def on_frame(done: int, frames: int, so_far: Callable[[], Estimates] | None) -> None:
         nonlocal told, written, pause
@@ -253,7 +355,7 @@ def _kept_frames(task: Task) -> Callable[[int, int, Callable[[], Estimates] | No
         if so_far is not None and done < frames and now - written >= pause:
             write_results(task.unfinished, [case_result(task.case, so_far())])
             written = time.monotonic()
-            pause = max(KEPT_SECONDS, (written - now) / KEPT_SHARE)
+            pause = max(EVERY_SECONDS, (written - now) / KEPT_SHARE)
 
     return on_frame
 
@@ -294,17 +396,20 @@ def _clear(folder: Path, tasks: Sequence[Task], *, fresh: bool) -> None:
         remove_own(task.unfinished)
     for task in tasks if fresh else ():
         remove_own(task.file)
-        PartFiles.beside(task.case, task.file).clear()
+        task.clear_parts()
 
 
-def _result(task: Task, *, unfinished: bool = False) -> CaseResult | StoredCase | None:
-    """Return the case's result if it is there and readable; a damaged one is solved again.
+def _results(tasks: Sequence[Task], *, unfinished: bool = False) -> dict[Path, CaseResult | StoredCase]:
+    """Return the readable results by file; cases with a damaged one are solved again.
 
-    One of a recording that is too long for memory stays where it is. unfinished : else that of its finished frames.
+    The result of a recording that is too long for memory stays in its file.
+    unfinished : whether those of finished frames are meant.
     """
-    for file in (task.file, task.unfinished)[: 1 + unfinished]:
+    results: dict[Path, CaseResult | StoredCase] = {}
+    for task in tasks:
+        file = task.unfinished if unfinished else task.file
         with suppress(InputError, ValueError):
             if file.is_file():
                 [held] = stored_cases(file) if task.case.stored else read_results(file).cases
-                return held if held.case_id == task.case.case_id else None
-    return None
+                results |= {task.file: held} if held.case_id == task.case.case_id else {}
+    return results

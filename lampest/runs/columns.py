@@ -6,7 +6,6 @@ entry point group `lampest.columns`, a script by handing them to `named_result`,
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import MISSING, dataclass, field, replace
 from functools import partial
@@ -26,8 +25,8 @@ if TYPE_CHECKING:  # readers of results need not load the solvers
     from lampest.estimate.estimates import Estimates
     from lampest.estimate.state import Step
 
-MAPS = ("time", "row", "column")
-FRAMES, CELLS = MAPS[:1], MAPS[1:]
+FRAMES, CELLS = ("time",), ("row", "column")
+MAPS = FRAMES + CELLS
 # What the groups of a results file hold besides columns.
 RESERVED = (*CELLS, "x", "y", "scene", "start_time", "cost", "weight", "weight_sigma", "model_check")
 
@@ -219,8 +218,6 @@ def declared(axes: tuple[str, ...], units: str, words: str, *checks: Check, defa
 
 maps, frames, cells = partial(declared, MAPS), partial(declared, FRAMES), partial(declared, CELLS, "ohm")
 counts = partial(frames, "1", dtype=np.int64)
-GIVEN: dict[str, Any] = {"shared": True}
-MAYBE: dict[str, Any] = {"default": None}  # not every case has it
 
 
 def flag(words: str, unset: str, then: str, **more: Any) -> Any:
@@ -230,12 +227,12 @@ def flag(words: str, unset: str, then: str, **more: Any) -> Any:
 
 def deviation(units: str, words: str) -> Any:
     """Return a field of standard deviations of cells."""
-    return maps(units, words, not_negative, known_if_solved, **MAYBE)
+    return maps(units, words, not_negative, known_if_solved, default=None)
 
 
 def end(units: str, which: str) -> Any:
     """Return a field of interval ends of cells."""
-    return maps(units, f"95 % interval, {which} end", known_if_solved, **MAYBE)
+    return maps(units, f"95 % interval, {which} end", known_if_solved, default=None)
 
 
 def of_steps(value: Callable[[Step], ArrayLike]) -> Callable[[Estimates], Array]:
@@ -292,12 +289,10 @@ def _of_terms(done: Estimates, values: Sequence[Array] | Sequence[tuple[float, .
     """Map terms to values of all steps; repeated kinds, which scripts can give, are `kind_2` and so on."""
     from lampest.cost.terms import term_kind  # with CasADi, which reading results does not need
 
-    by_term: dict[str, Array] = {}
-    for number, term in enumerate(done.estimator.terms):
-        kind = term_kind(term)
-        names = itertools.chain([kind], (f"{kind}_{count}" for count in itertools.count(2)))
-        by_term[next(name for name in names if name not in by_term)] = np.array([step[number] for step in values])
-    return by_term
+    kinds = [term_kind(term) for term in done.estimator.terms]
+    counts = [kinds[:number].count(kind) for number, kind in enumerate(kinds, 1)]
+    names = [kind if count == 1 else f"{kind}_{count}" for kind, count in zip(kinds, counts, strict=True)]
+    return {name: np.array([step[number] for step in values]) for number, name in enumerate(names)}
 
 
 def _chosen(done: Estimates) -> dict[str, Array]:

@@ -169,13 +169,11 @@ def read_run(path: Path, settings: tuple[str, ...] = ()) -> Run:
     cases: list[Case] = []
     published: dict[str, PublishedFigures] = {}
     executor: Executor | None = None
-    for point in sweep.combinations(document, lambda varied: validated(varied, RunFile), "estimators"):
+    fixed = {"executor": "where cases run changes no result, so it cannot be swept"}
+    for point in sweep.combinations(document, lambda varied: validated(varied, RunFile), "estimators", fixed):
         run: RunFile = point.value
         published |= run.published or {}
         executor = run.executor.beside(path.parent) if isinstance(run.executor, Dask) else run.executor
-        for key in point.assignments:
-            if key.split(".")[0] == "executor":
-                raise document.error(("sweep", key), "where cases run changes no result, so it cannot be swept")
         swept = _short_keys(point.entry, point.assignments)
         name, estimator = _varied_name(point.entry, swept), resolve(point.document, run, point.entry)
         for file in recording_paths(path, run.recordings):

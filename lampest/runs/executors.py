@@ -352,7 +352,6 @@ def _of_this_machine(distributed: Any, workers: int) -> Any:
         host="127.0.0.1",
         dashboard_address="127.0.0.1:0",  # any free port: without one it is 8787, taken by whoever came first
         silence_logs=logging.CRITICAL,
-        env=ONE_THREAD,
         preload=[__name__],
     )
 
@@ -410,11 +409,13 @@ def local(workers: int | None, tasks: int, *, separate: bool = False) -> Executo
 def each_of(
     function: Function,
     things: Sequence[Any],
-    on_done: Callable[[int, int], None] = lambda done, total: None,
-    *,
-    in_process: bool = False,
+    on_done: Callable[..., None] = lambda done, total: None,
+    executor: Executor | None = None,
+    lost: Callable[[Any, BaseException], Any] | None = None,
 ) -> list[Any]:
-    """Return the results of a function for all items in order; raises the first exception of a call.
+    """Return the results of a function for all items in order.
+
+    Raises InputError if the executor cannot run here.
 
     Parameters
     ----------
@@ -422,15 +423,18 @@ def each_of(
         Importable by other processes.
     on_done : callable
         Receives the numbers of finished and of all items.
-    in_process : bool
-        Whether all calls are made in this process, for items whose classes others cannot import.
+    executor : Executor or None
+        By default processes if there are many items. Serial for items whose classes other processes cannot import.
+    lost : callable or None
+        Makes a result from an item and the exception of its call; by default the first exception is raised.
     """
-    executor: Executor = Processes() if len(things) > MIN_TASKS and not in_process else Serial()
+    executor = executor or (Processes() if len(things) > MIN_TASKS else Serial())
+    executor.ready()
     results: dict[int, Any] = {}
     with closing(executor.results(function, things)) as ends:
-        for count, (item, outcome) in enumerate(ends, 1):
-            if isinstance(outcome, BaseException):
+        for item, outcome in ends:
+            if isinstance(outcome, BaseException) and lost is None:
                 raise outcome
-            results[id(item)] = outcome
-            on_done(count, len(things))
+            results[id(item)] = lost(item, outcome) if lost and isinstance(outcome, BaseException) else outcome
+            on_done(len(results), len(things))
     return [results[id(item)] for item in things]

@@ -62,7 +62,7 @@ def _filled(estimates: Estimates, columns: Sequence[Column], names: dict[str, st
     result = CaseResult.of(
         {column: held for column, held in values.items() if held is not None},
         **names,
-        versions=_versions(),
+        versions=library_versions(),
         scene=estimates.recording.scene,
         baseline_status=estimates.baseline.status,
         baseline_solve_time=estimates.baseline.seconds,
@@ -83,8 +83,9 @@ def _filled(estimates: Estimates, columns: Sequence[Column], names: dict[str, st
 
 
 @cache
-def _versions() -> dict[str, str]:
-    return {library: version(library) for library in LIBRARIES}
+def library_versions(*further: str) -> dict[str, str]:
+    """Return the versions of the libraries that decide results, and of further ones."""
+    return {library: version(library) for library in (*LIBRARIES, *further)}
 
 
 def _arrays_of(noise: FrameNoise | None) -> dict[str, Array]:

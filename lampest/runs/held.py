@@ -46,27 +46,28 @@ class Held(Validated):
     frame_noise: dict[str, Array] = field(default_factory=dict)
     start_time: str = ""
     # What every estimate of a recording was given: its frames, the readings with their noise, and the truth.
-    time: Array = col.frames("s", "time of the frame", col.finite, **col.GIVEN)
-    frame: NDArray[np.int64] = col.counts("index of the frame in the recording", value=col.frame_numbers, **col.GIVEN)
+    time: Array = col.frames("s", "time of the frame", col.finite, shared=True)
+    frame: NDArray[np.int64] = col.counts("index of the frame in the recording", value=col.frame_numbers, shared=True)
     measured: Array = col.maps(
         "ohm",
         "reading between the lines without series resistance; NaN where missing",
         col.positive_or_missing,
         dataset="resistance",
         as_volt="volt",
-        **col.GIVEN,
+        shared=True,
     )
     measured_baseline: Array = col.cells(
-        "mean of the unloaded frames", col.positive_or_missing, dataset="baseline", as_volt="baseline", **col.GIVEN
+        "mean of the unloaded frames", col.positive_or_missing, dataset="baseline", as_volt="baseline", shared=True
     )
     sigma: Array | None = col.maps(
-        "ohm", "standard deviation of the reading", col.positive_or_infinite, as_volt="sigma", **col.GIVEN | col.MAYBE
+        "ohm", "standard deviation of the reading", col.positive_or_infinite, as_volt="sigma", shared=True, default=None
     )
     sigma_baseline: Array | None = col.cells(
         "standard deviation of the baseline",
         col.positive_or_infinite,
         as_volt="sigma_baseline",
-        **col.GIVEN | col.MAYBE,
+        shared=True,
+        default=None,
     )
     reading_side: NDArray[np.int8] | None = col.maps(
         "1",
@@ -74,17 +75,18 @@ class Held(Validated):
         value=lambda done: done.readings.side,
         dtype=np.int8,
         flags=((-1, "truth_is_at_most_this"), (0, "value"), (1, "truth_is_at_least_this")),
-        **col.GIVEN | col.MAYBE,
+        shared=True,
+        default=None,
     )
-    missing_readings: NDArray[np.int64] | None = col.counts("readings that say nothing", **col.GIVEN | col.MAYBE)
+    missing_readings: NDArray[np.int64] | None = col.counts("readings that say nothing", shared=True, default=None)
     bound_readings: NDArray[np.int64] | None = col.counts(
-        "readings at a rail, zero, or below the series resistance", **col.GIVEN | col.MAYBE
+        "readings at a rail, zero, or below the series resistance", shared=True, default=None
     )
     truth: Array | None = col.maps(
-        "ohm", "true cell resistance", col.positive, value=col.truth, **col.GIVEN | col.MAYBE
+        "ohm", "true cell resistance", col.positive, value=col.truth, shared=True, default=None
     )
     truth_baseline: Array | None = col.cells(
-        "mean true unloaded cell resistance", col.positive, value=col.truth_baseline, **col.GIVEN | col.MAYBE
+        "mean true unloaded cell resistance", col.positive, value=col.truth_baseline, shared=True, default=None
     )
     # What an estimator made of every frame, and how each of its solves ended.
     cell_resistance: Array = col.maps("ohm", "estimated cell resistance", col.numbers_if_solved, col.not_zero_or_less)
@@ -99,7 +101,7 @@ class Held(Validated):
         as_volt="reading_model",
     )
     reading_sigma: Array | None = col.maps(
-        "ohm", "standard deviation of a reading about the model's, noise and model error included", **col.MAYBE
+        "ohm", "standard deviation of a reading about the model's, noise and model error included", default=None
     )
     open_cell: NDArray[np.uint8] = col.flag(
         "1: cannot be distinguished from an open cell", "conducts", "cannot_be_told_from_open"
@@ -113,7 +115,7 @@ class Held(Validated):
     starts: NDArray[np.int64] | None = col.counts(
         "number of starts; the estimate is the best local optimum that they reached",
         value=col.of_solutions("starts"),
-        **col.MAYBE,
+        default=None,
     )
     solve_time: Array = col.frames("s", "wall time of the solve", value=col.of_steps(lambda step: step.seconds))
     objective: Array = col.frames("1", "value of the cost function", value=col.of_solutions("objective"))
@@ -136,16 +138,16 @@ class Held(Validated):
     sigma_common: Array | None = col.deviation(
         "1", "standard deviation of ln r: error common to all cells, or to those of a line"
     )
-    resolution: Array | None = col.maps("1", "diagonal of the averaging kernel", col.known_if_solved, **col.MAYBE)
+    resolution: Array | None = col.maps("1", "diagonal of the averaging kernel", col.known_if_solved, default=None)
     data_share: Array | None = col.maps(
-        "1", "share of the estimate that comes from the data", col.known_if_solved, **col.MAYBE
+        "1", "share of the estimate that comes from the data", col.known_if_solved, default=None
     )
-    error_bar_time: Array | None = col.frames("s", "wall time of the error bars", **col.MAYBE)
+    error_bar_time: Array | None = col.frames("s", "wall time of the error bars", default=None)
     baseline_resistance_errors: Array | None = col.cells(
-        "posterior standard deviation of the unloaded cell resistance", col.not_negative, **col.MAYBE
+        "posterior standard deviation of the unloaded cell resistance", col.not_negative, default=None
     )
     # What presses on the cells, where there are error bars: without them nobody can say what the response shows.
-    pressure: Array | None = col.maps("kPa", "pressure of the load on the cell", col.known_if_solved, **col.MAYBE)
+    pressure: Array | None = col.maps("kPa", "pressure of the load on the cell", col.known_if_solved, default=None)
     pressure_errors: Array | None = col.deviation("kPa", "standard deviation of the pressure")
     pressure_own: Array | None = col.deviation("kPa", "standard deviation of the pressure: each cell's own error")
     pressure_common: Array | None = col.deviation(
@@ -156,15 +158,15 @@ class Held(Validated):
     saturated: NDArray[np.uint8] | None = col.flag(
         "1: the response leaves the pressure open",
         *("response_tells_pressure", "response_does_not_tell_pressure"),
-        **col.MAYBE,
+        default=None,
     )
     pressing: NDArray[np.uint8] | None = col.flag(
         "1: a load presses on the cell, beyond errors and what the film keeps of earlier loads",
         *("no_load_presses", "load_presses"),
-        **col.MAYBE,
+        default=None,
     )
     tared: tuple[str, ...] | None = col.frames(
-        "1", "why the zero of pressures was taken anew after the frame; empty: it was not", dtype=str, **col.MAYBE
+        "1", "why the zero of pressures was taken anew after the frame; empty: it was not", dtype=str, default=None
     )
     contacts: dict[str, Array] = field(default_factory=dict)
     costs: dict[str, Array] = field(default_factory=dict)
@@ -175,7 +177,7 @@ class Held(Validated):
 
 
 COLUMNS = tuple(Column(item.name, **item.metadata["column"]) for item in fields(Held) if "column" in item.metadata)
-TIME, FRAME, MEASURED = COLUMNS[:3]
+TIME, FRAME, MEASURED = (column for column in COLUMNS if column.name in ("time", "frame", "measured"))
 NAMES = frozenset(column.name for column in COLUMNS)
 REQUIRED = frozenset(item.name for item in fields(Held) if item.name in NAMES and item.default is MISSING)
 # Attribute of an estimator's group → the field that it is, and its value where the attribute is not there.

@@ -44,9 +44,10 @@ def loads(number: int, shape: common.Shape) -> tuple[tuple[AnyShape, ...], Cours
         for right, down, mass in places
     )
     third = common.lamprey_mouth((0.49 * width, 0.51 * height), 0.35 * pitch * min(shape))
-    growing = replace(common.BREATHING, start_s=-0.4, approach_s=2)
+    breathing = common.shipped_lamprey().course
+    growing = replace(breathing, start_s=-0.4, approach_s=2)
     beside = (common.lamprey_mouth((0.6 * width, 0.55 * height)), rods[0])
-    return (((third,), common.BREATHING), (rods, Course()), (beside, growing))[number % 3]
+    return (((third,), breathing), (rods, Course()), (beside, growing))[number % 3]
 
 
 @dataclass(frozen=True)
@@ -145,7 +146,9 @@ class BenchFile(Configuration):
     def recording(self, shape: common.Shape, number: int = 0) -> Recording:
         """Simulate a recording of a panel with 3 unloaded frames and the loads of `loads`."""
         touching, course = loads(number, shape)
-        scene = Scene(Panel(*shape), self.readout, common.SERIES_OHM, lines=self.lines)
+        scene = Scene(
+            Panel(*shape), self.readout, common.shipped_lamprey().scene.series_resistance_ohm, lines=self.lines
+        )
         known: dict[str, Any] = {"frames": self.frames + 1, "loads": touching, "unmodelled": self.unmodelled}
         simulation = Simulation(1, self.seed + number, scene, course=course, **known)
         return simulate(simulation, str(number))
@@ -183,8 +186,7 @@ class BenchPart(NamedTuple):
         """Predict the time from the largest panel up to this size, growing as (M + N)³."""
         solvers, lines = bench.solvers(self.shape), sum(self.shape)
         similar = [frame for frame in done if frame.method == self.method and frame.solver in solvers]
-        similar = [frame for frame in similar if sum(frame.shape) <= lines]
-        nearest = max((sum(frame.shape) for frame in similar), default=lines)
+        nearest = max((size for frame in similar if (size := sum(frame.shape)) <= lines), default=lines)
         similar = [frame for frame in similar if sum(frame.shape) == nearest]
         recordings = len({(frame.shape, frame.recording) for frame in similar}) or 1
         return sum(frame.seconds for frame in similar) / recordings * (lines / nearest) ** 3
@@ -300,8 +302,7 @@ def _row(method: str, own: Sequence[BenchFrame]) -> study.Row:
     low, middle, high = np.quantile([1e3 * frame.seconds for frame in own], (0.25, 0.5, 0.75)).tolist()
     kinds = {frame.kind for frame in own}
     return study.Row(
-        rows=own[0].rows,
-        columns=own[0].columns,
+        **study.named_values(own[0], "rows", "columns"),
         method=method,
         solver=own[0].solver,
         frames=kinds.pop() if len(kinds) == 1 else "first",
@@ -351,9 +352,11 @@ SCREEN: study.Screen = {
     "method": "{method}",
     "frames": "{frames}",
     "ms": "{ms:digits}",
-    "ratio": lambda row: "" if row.solver == "reduced" or row.ratio is None else study.text_of(row.ratio, "digits"),
+    "ratio": lambda row: "" if row.solver == "reduced" else study.text_of(row.ratio),
     "quartiles": lambda row: (
-        study.text_of(row.ms_quartile_1) + "–" + study.text_of(row.ms_quartile_3) if row.count > 1 else ""
+        study.text_of(row.ms_quartile_1) + "–" + study.text_of(row.ms_quartile_3)
+        if row.ms_quartile_1 < row.ms_quartile_3
+        else ""
     ),
     "inverses": "{inverses:digits}",
     "steps": "{iterations:g}",

@@ -1,40 +1,35 @@
 """Common parts of studies: methods, panels, a lamprey's mouth, timed frames, clocks, peak memory."""
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 from time import perf_counter, process_time
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
-from lampest.cost.terms import CellResistance, Gradient, GradientOfRelativeChange, Misfit, RelativeChange, Term
+from lampest.cost.terms import Term
 from lampest.estimate.estimator import Bounds
 from lampest.estimate.state import Step
 from lampest.estimate.stream import Stream
+from lampest.files.document import read_document, validated
 from lampest.files.typed import Configuration, check_range
-from lampest.loads.shapes import OralDisc
+from lampest.loads.shapes import AnyShape, OralDisc
 from lampest.panel.panel import Array
+from lampest.recording.datasets import folder as shipped_folder
 from lampest.recording.readings import Readings
 from lampest.recording.recording import Recording
-from lampest.recording.simulation.simulation import Course
+from lampest.recording.simulation.simulation import Simulation, read_simulations
 from lampest.runs.config import Terms, terms_of
 from lampest.runs.executors import Processes
 from lampest.solvers.solution import STRICT
-from lampest.studies.study import column
+from lampest.studies.study import column, named_values
 
+CONFIGS = shipped_folder() / "configs"
 MAX_SIDE = 1000  # of a simulated panel
-SERIES_OHM = 140  # two multiplexer channels, as in the shipped scenes
 Shape = tuple[int, int]
 Sizes = tuple[int | Shape, ...]  # sides of square panels, or [rows, columns]
-PAPER: dict[str, tuple[Term, ...]] = {  # the paper's five methods with its weights
-    "LSM": (Misfit(),),
-    "LSR-CR": (Misfit(), CellResistance(weight=1e-3)),
-    "LSR-dCR": (Misfit(), RelativeChange(weight=10)),
-    "LSR-gCR": (Misfit(), Gradient(weight=1e-3)),
-    "LSR-gdCR": (Misfit(), GradientOfRelativeChange(weight=10)),
-}
-BREATHING = Course(start_s=-0.8, approach_s=0.6, attachment_s=2, breathing_hz=1.15, breathing_depth=0.1)
 
 
 @dataclass(frozen=True)
@@ -74,8 +69,9 @@ Method = TypeVar("Method", bound=StudyMethod)
 
 
 def paper_methods(kind: type[Method]) -> dict[str, Method]:
-    """Return the five methods of the paper with its weights."""
-    return {name: kind(Terms(**{term.kind: term for term in terms})) for name, terms in PAPER.items()}  # type: ignore[attr-defined]
+    """Return the five methods of the paper with its weights, as the shipped run of its Table I has them."""
+    run = read_document(CONFIGS / "table1.yaml")
+    return {name: validated(replace(run, content=entry), kind) for name, entry in run.content["estimators"].items()}
 
 
 def shapes_of(sizes: Sizes) -> tuple[Shape, ...]:
@@ -91,18 +87,19 @@ def check_sides(shapes: Iterable[Shape], low: int, high: int) -> None:
         raise ValueError("sizes names a panel twice")
 
 
-def lamprey_mouth(centre_mm: tuple[float, float], diameter_mm: float = 35.0) -> OralDisc:
+@cache
+def shipped_lamprey() -> Simulation:
+    """Return the shipped simulation of a lamprey that breathes; circuit, mouth and course of studies are its own."""
+    [(_, simulation)] = read_simulations(CONFIGS / "lamprey_35mm.yaml")
+    return simulation
+
+
+def lamprey_mouth(centre_mm: tuple[float, float], diameter_mm: float = 35.0) -> AnyShape:
     """Return the mouth of the shipped lamprey, 35 mm wide with a rim of 6 mm, scaled and moved."""
-    return OralDisc(
-        kind="oral_disc",
-        centre_mm=centre_mm,
-        diameter_mm=diameter_mm,
-        rim_width_mm=diameter_mm * 6 / 35,
-        pressure_kpa=-12,
-        rim_kpa=90,
-        tilt=0.25,
-        tilt_direction_deg=60,
-    )
+    [mouth] = shipped_lamprey().loads
+    assert isinstance(mouth, OralDisc)
+    rim_width_mm = diameter_mm * mouth.rim_width_mm / mouth.diameter_mm
+    return replace(mouth, centre_mm=centre_mm, diameter_mm=diameter_mm, rim_width_mm=rim_width_mm)
 
 
 Result = TypeVar("Result")
@@ -161,9 +158,9 @@ def pushed(stream: Stream, readings: Readings) -> Pushed:
 
 def outcome(recording: Recording, step: Step) -> dict[str, Any]:
     """Return the fields of a frame's record that come from its recording and its step."""
-    rows, columns = recording.scene.panel.shape
-    ended = {name: getattr(step.solution, name) for name in ("iterations", "solved")}
-    return {"rows": rows, "columns": columns, "recording": recording.name, "status": step.status, **ended}
+    about = {"recording": recording.name, "status": step.status}
+    panel = named_values(recording.scene.panel, "rows", "columns")
+    return about | panel | named_values(step.solution, "iterations", "solved")
 
 
 def clocked(call: Callable[[], Result]) -> tuple[Result, float]:

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import MISSING, dataclass, field, fields
-from importlib.metadata import version
 from pathlib import Path
 from string import Formatter
 from types import SimpleNamespace
@@ -19,7 +18,8 @@ from lampest.report.compare import Table, comma_separated
 from lampest.report.plots.style import save
 from lampest.report.words import digits
 from lampest.runs.config import Case, Run
-from lampest.runs.executors import Executor, local
+from lampest.runs.executors import Serial, each_of
+from lampest.runs.filling import library_versions
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -27,11 +27,9 @@ if TYPE_CHECKING:
 Settings = TypeVar("Settings")
 Measured = TypeVar("Measured")
 Kind = TypeVar("Kind")
-Task = TypeVar("Task")
 OnStep = Callable[..., None]
 Row = SimpleNamespace  # one line of a study's CSV file
 Screen = Mapping[str, str | Callable[[Any], str]]  # title → template over a row's values, or the text of a row
-LIBRARIES = ("lampest", "casadi", "numpy", "scipy", "h5py")
 
 
 def column(unit: str, meaning: str, default: Any = MISSING) -> Any:
@@ -164,7 +162,8 @@ class Study(Generic[Settings, Measured]):
                 entry = file.create_group("entry")
                 groups = list(self.records(measured))
                 hdf5.set_attributes(entry, NX_class="NXentry", default=groups[0].path)
-                hdf5.set_attributes(entry, **{f"{library}_version": version(library) for library in LIBRARIES})
+                versions = library_versions("scipy")
+                hdf5.set_attributes(entry, **{f"{library}_version": text for library, text in versions.items()})
                 for group in groups:
                     group.write(entry)
         for path, figure in figures.items():
@@ -195,33 +194,6 @@ def read_settings(kind: type[Kind]) -> Callable[..., Kind]:
     return read
 
 
-def of_tasks(
-    function: Callable[[Task], tuple[Measured, ...]],
-    tasks: Sequence[Task],
-    executor: Executor | None,
-    lost: Callable[[Task, object], Measured],
-    on_step: OnStep,
-) -> tuple[Measured, ...]:
-    """Return the results of a function for all tasks in order; `lost` makes a result for a task that died.
-
-    Raises InputError if the executor cannot run here.
-
-    Parameters
-    ----------
-    executor : Executor or None
-        By default all cores.
-    on_step : OnStep
-        Receives the numbers of finished and of all tasks.
-    """
-    executor = executor or local(None, len(tasks))
-    executor.ready()
-    results: dict[int, tuple[Measured, ...]] = {}
-    for task, result in executor.results(function, tasks):
-        results[id(task)] = result if isinstance(result, tuple) else (lost(task, result),)
-        on_step(len(results), len(tasks))
-    return tuple(result for task in tasks for result in results[id(task)])
-
-
 @dataclass(frozen=True, eq=False)
 class Cases(Generic[Measured]):
     """Measurements of the cases of a run; left_out : sentences on omitted cases."""
@@ -237,18 +209,18 @@ def of_cases(
 
     on_step : receives the numbers of finished and of all cases. Raises InputError if all cases are omitted.
     """
-    measured: list[Measured] = []
-    left_out = {}
-    for number, case in enumerate(run.cases, 1):
-        result = function(case)
-        if isinstance(result, str):
-            left_out[f"{case.recording}/{case.name}"] = result
-        else:
-            measured += result
-        on_step(number, len(run.cases))
+    results = each_of(function, run.cases, on_step, Serial())
+    measured = [record for result in results if not isinstance(result, str) for record in result]
+    names = [f"{case.recording}/{case.name}" for case in run.cases]
+    left_out = {name: why for name, why in zip(names, results, strict=True) if isinstance(why, str)}
     if not measured:
         raise InputError(f"nothing to {purpose}: {'; '.join(f'{name}: {why}' for name, why in left_out.items())}")
     return Cases(measured, [f"{name} left out: {why}" for name, why in left_out.items()])
+
+
+def named_values(record: Any, *names: str) -> dict[str, Any]:
+    """Return name → value for some attributes of a record."""
+    return {name: getattr(record, name) for name in names}
 
 
 def grouped(records: Iterable[Any], key: Callable[[Any], Any]) -> dict[Any, list[Any]]:
@@ -292,5 +264,5 @@ def screen_table(rows: Iterable[Any], columns: Screen) -> Table:
 def csv_of(rows: Sequence[Any], names: Iterable[str] = ()) -> str:
     """Return rows as CSV with a column for each name, by default those of the first row; empty for NaN."""
     names = list(names or vars(rows[0]))
-    table = ([getattr(row, name) for name in names] for row in rows)
+    table = (named_values(row, *names).values() for row in rows)
     return comma_separated([names, *([None if value != value else value for value in line] for line in table)])

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 from itertools import count
 from pathlib import Path
 from time import perf_counter, process_time
-from typing import Any, Literal, NamedTuple, cast
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -23,9 +23,8 @@ from lampest.estimate.methods import AnyMethod, MethodName, named_method
 from lampest.estimate.methods.approximate import TruncatedMethod
 from lampest.estimate.methods.method import Method
 from lampest.estimate.sequence import first_stream, reconstruct
-from lampest.files.document import read_document, validated
 from lampest.files.errors import InputError
-from lampest.files.typed import Configuration, check_positive_fields, check_ranges
+from lampest.files.typed import Configuration, check_not_negative, check_positive_fields, check_ranges
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.scene import Scene
@@ -39,18 +38,9 @@ from lampest.runs.config import recording_paths
 from lampest.solvers.solution import Settings
 from lampest.studies import common
 from lampest.studies.common import TimedFrame, outcome, peak_memory
-from lampest.studies.study import OnStep, column
+from lampest.studies.study import OnStep, column, read_settings
 
 REFERENCE = "reduced"
-LADDER: tuple[MethodName | AnyMethod, ...] = (
-    "naive",
-    "scaled",
-    "linearised",
-    *(TruncatedMethod(steps=steps) for steps in (1, 2, 4)),
-    "reduced",
-    "nodal",
-    "per_pixel",
-)
 Passage = tuple[Estimates, Array]  # through a recording: estimates, and the processor's s of each frame
 
 
@@ -103,11 +93,12 @@ class Simulated(Configuration):
 
     def recordings(self, frames: int) -> Iterator[Recording]:
         """Yield recordings <panel>_<scene>_<noise> in order of size, with three unloaded and some measured frames."""
+        lamprey = common.shipped_lamprey()
         for rows, columns in common.shapes_of(self.sizes):
             mouth = common.lamprey_mouth((10 * (columns // 2) - 6, 10 * (rows // 2) - 4), self.diameter_mm)
-            known: dict[str, Any] = {"frames": frames, "loads": (mouth,), "course": common.BREATHING}
+            known: dict[str, Any] = {"frames": frames, "loads": (mouth,), "course": lamprey.course}
             for noise, readout in self.noise.items():
-                place = Scene(Panel(rows, columns), readout, common.SERIES_OHM)
+                place = Scene(Panel(rows, columns), readout, lamprey.scene.series_resistance_ohm)
                 for scene, unmodelled in self.scenes.items():
                     simulation = Simulation(1, self.seed, place, unmodelled=unmodelled, **known)
                     yield replace(simulate(simulation, f"{rows}x{columns}"), name=f"{rows}x{columns}_{scene}_{noise}")
@@ -145,7 +136,15 @@ class TradeoffFile(Configuration):
     estimators: dict[str, common.BoundedMethod] = field(
         default_factory=lambda: common.paper_methods(common.BoundedMethod)
     )
-    formulations: tuple[MethodName | AnyMethod, ...] = LADDER
+    formulations: tuple[MethodName | AnyMethod, ...] = (
+        "naive",
+        "scaled",
+        "linearised",
+        *(TruncatedMethod(steps=steps) for steps in (1, 2, 4)),
+        "reduced",
+        "nodal",
+        "per_pixel",
+    )
     frames: int = 5
     repeats: int = 3
     patience_s: float = 3.0
@@ -167,8 +166,7 @@ class TradeoffFile(Configuration):
             raise ValueError("formulations names a rung twice")
         check_ranges(self, 2, 1000, "frames")
         check_ranges(self, 1, 1000, "repeats")
-        if not 0 <= self.patience_s < float("inf"):
-            raise ValueError("patience_s must be zero or positive, and finite")
+        check_not_negative(self, "patience_s")
         if self.memory is not None and self.memory not in self.estimators:
             raise ValueError(f"memory: {self.memory} is none of the estimators")
 
@@ -209,7 +207,7 @@ def label(formulation: Method) -> str:
 
 def read_plan(path: Path, assigned: tuple[str, ...] = ()) -> Plan:
     """Read the settings of a trade-off and its recordings. Raises InputError with line and column."""
-    settings = cast(TradeoffFile, validated(read_document(path, assigned), TradeoffFile))
+    settings = read_settings(TradeoffFile)(path, assigned)
     files = recording_paths(path, list(settings.recordings))
     recordings = [first_frames(Recording.load(file), settings.frames) for file in files]
     if settings.simulated is not None:

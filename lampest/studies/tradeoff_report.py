@@ -50,8 +50,7 @@ def _row(own: Sequence[TradeoffFrame]) -> study.Row:
 
     gaps = [frame.gap if np.isfinite(frame.gap) else np.inf for frame in own]
     return study.Row(
-        rows=own[0].rows,
-        columns=own[0].columns,
+        **study.named_values(own[0], "rows", "columns"),
         **{name: common(name) for name in ("recording", "method")},
         formulation=own[0].solver,
         first_ms=1e3 * float(np.median([frame.baseline_s + frame.seconds for frame in own if not frame.frame])),

@@ -262,13 +262,10 @@ def trace(subject: WeightSubject, marks: list[float], first: Array) -> Curves:
         low, high = max(least, low), min(largest, high)
     weights = np.geomspace(min(low, *marks), max(high, *marks), 33).tolist()
     middle = int(np.argmin([abs(np.log(weight / marks[0])) for weight in weights]))
-    points: dict[float, CurvePoint] = {}
-    for side in (weights[middle:], weights[:middle][::-1]):
-        start = points[weights[middle]].cells if points else None
-        for weight in side:
-            points[weight] = solve_at(subject, weight, start)
-            start = start if points[weight].cells is None else points[weight].cells
-    return Curves(subject, tuple(points[weight] for weight in weights))
+    curves = Curves(subject, ())
+    for weight in (*weights[middle:], *reversed(weights[:middle])):
+        curves = curves.extended([weight])
+    return curves
 
 
 @dataclass(frozen=True)

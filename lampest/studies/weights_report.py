@@ -19,10 +19,10 @@ from lampest.studies.weights import Choice, Tuned, WeightSubject, tune, why_not
 
 LOOKS: dict[str, dict[str, Any]] = {
     "risk": {"color": "#0072B2", "ls": "-", "marker": "o"},
-    "evidence": {"color": "#D55E00", "ls": (0, (5, 1.5)), "marker": "s"},
-    "Morozov": {"color": "#CC79A7", "ls": (0, (1, 1)), "marker": "^"},
-    "L-curve": {"color": "#E69F00", "ls": (0, (3, 1, 1, 1, 1, 1)), "marker": "v"},
-    "given": {"color": "#7A5230", "ls": (0, (8, 2)), "marker": "P", "name": "given in the file"},
+    "evidence": {"color": "#D55E00", "ls": "--", "marker": "s"},
+    "Morozov": {"color": "#CC79A7", "ls": ":", "marker": "^"},
+    "L-curve": {"color": "#E69F00", "ls": "-.", "marker": "v"},
+    "given": {"color": "#7A5230", "ls": "-", "marker": "P", "name": "given in the file"},
     "best": {"color": "black", "ls": "-", "marker": "*", "name": "best in hindsight"},
 }
 PENALTY = "#56738C"  # the colour of its axis

@@ -16,10 +16,9 @@ from lampest.estimate.sequence import first_stream
 from lampest.estimate.weights import with_chosen_weights
 from lampest.files.document import parse_document, to_yaml, validated
 from lampest.panel.panel import EachModule, Modules
-from lampest.runs.batch import run_batch
+from lampest.runs.batch import Task, run_batch, solve_long
 from lampest.runs.config import read_run
 from lampest.runs.executors import Serial
-from lampest.runs.long_case import solve_long
 
 SCENE = """
 panel: {modules: {rows: 2, columns: 3, each: {rows: 3, columns: 4, pitch_mm: 10}, seam_mm: 3}}
@@ -205,10 +204,10 @@ def test_a_long_recording_is_solved_by_parts_and_goes_on_where_it_ended(
         lampest.write_results(path, cases)
 
     with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
-        patch.setattr("lampest.runs.long_case.write_results", killed)
-        solve_long(case, case.stored, tmp_path / "parts" / "cases" / f"{case.case_id}.h5")
+        patch.setattr("lampest.runs.batch.write_results", killed)
+        solve_long(Task(case, tmp_path / "parts"), case.stored)
     before = written[0].stat().st_mtime_ns
-    monkeypatch.setattr("lampest.runs.long_case.PartFiles.clear", lambda files: None)
+    monkeypatch.setattr("lampest.runs.batch.Task.clear_parts", lambda task: None)
     parts = run_batch(run, tmp_path / "parts", Serial())
     assert written[0].stat().st_mtime_ns == before  # the first part was not solved again
     assert whole.results is not None and parts.results is not None

@@ -1,7 +1,8 @@
-"""The table of the audit's page: what audit.csv says, between its marks."""
+"""The audit's verdict without any estimate, and the table of its page: what audit.csv says, between its marks."""
 
 from pathlib import Path
 
+from docs.studies.audit import Audited, audit_remarks, audit_rows
 from docs.studies.audit_pages import MARKED, PAGE, rows_of, table, with_table
 
 ROWS = """effect,estimator,recordings,cells,change,pressure,alone,ratio,reported
@@ -24,3 +25,10 @@ def test_the_page_has_one_place_for_it() -> None:
     text = PAGE.read_text(encoding="utf-8")
     assert len(MARKED.findall(text)) == 1
     assert with_table(text, "| new |\n").count("| new |") == 1
+
+
+def test_an_audit_in_which_every_estimator_fails_keeps_no_promise() -> None:
+    results = [Audited("nothing", seed, "LSM", failed="no error bars") for seed in (1, 2)]
+    [row] = audit_rows(results)
+    assert (row.verdict, row.failed, row.solved) == ("failed", 2, 0)
+    assert "0 of 1 rows keep the promise; not: nothing × LSM" in audit_remarks(results)

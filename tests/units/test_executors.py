@@ -284,8 +284,14 @@ def test_executor_changes_no_case(disk: SimpleNamespace) -> None:
         for text in ("", "executor: {kind: serial}\n", "executor: {kind: processes, workers: 3}\n")
     ]
     assert ids[0] == ids[1] == ids[2]
-    with pytest.raises(InputError, match="cannot be swept"):
-        read_run(disk.run(disk.text + "executor: {kind: processes}\nsweep: {executor.workers: [1, 2]}\n"))
+    for entry in ("executor: {kind: processes}\n", ""):
+        with pytest.raises(InputError, match="where cases run changes no result, so it cannot be swept"):
+            read_run(disk.run(disk.text + entry + "sweep: {executor.workers: [1, 2]}\n"))
+
+
+def test_an_executor_without_its_kind_is_one_sentence(disk: SimpleNamespace) -> None:
+    with pytest.raises(InputError, match=r"executor: Input should be a mapping with a 'kind'$"):
+        read_run(disk.run(disk.text + "executor: {workers: 2}\n"))
 
 
 def test_defaults_are_of_this_machine() -> None:

@@ -19,12 +19,13 @@ from unclosed import unclosed_recording
 import lampest
 from lampest.estimate.sequence import Parts, asked_frames
 from lampest.files import hdf5
+from lampest.files.errors import InputError
 from lampest.panel.panel import Array
 from lampest.recording import stored
 from lampest.recording.board.record import repair
 from lampest.recording.recording import Recording
 from lampest.report.info import checked_sentence
-from lampest.runs import batch, long_case
+from lampest.runs import batch
 from lampest.runs.batch import run_batch
 from lampest.runs.config import read_run
 from lampest.runs.executors import Serial
@@ -48,16 +49,16 @@ SCRIPT = """
 import os, re, signal, sys
 from pathlib import Path
 from lampest.recording import stored
-from lampest.runs import long_case
+from lampest.runs import batch
 stored.MAX_READINGS, stored.PART_READINGS, left = int(sys.argv[3]), int(sys.argv[3]), int(sys.argv[4])
-write = long_case.write_carried
+write = batch.write_carried
 def counted(path, carried):
     global left
     left -= 1
     if left < 0:
         os.kill(os.getpid(), signal.SIGKILL)
     write(path, carried)
-long_case.write_carried = counted
+batch.write_carried = counted
 from lampest.runs.batch import run_batch
 from lampest.runs.config import read_run
 from lampest.runs.executors import Serial
@@ -173,6 +174,21 @@ def test_a_run_that_was_killed_goes_on_and_finds_the_same(tmp_path: Path) -> Non
     assert not list(tmp_path.rglob("*.part")) and not list(tmp_path.rglob("*.parts"))
 
 
+@pytest.mark.parametrize("fresh", [False, True])
+def test_a_folder_of_parts_that_is_a_link_out_is_left_alone(tmp_path: Path, small: None, fresh: bool) -> None:
+    save(tmp_path, frames(40))
+    (tmp_path / "run.yaml").write_text(RUN.split("  relative:")[0])
+    run = read_run(tmp_path / "run.yaml")
+    cases, elsewhere = tmp_path / "out" / "cases", tmp_path / "elsewhere"
+    for folder in (cases, elsewhere):
+        folder.mkdir(parents=True)
+    (elsewhere / "000000.h5").write_text("mine")
+    (cases / f"{run.cases[0].case_id}.parts").symlink_to(elsewhere)
+    with pytest.raises(InputError, match="is a link that leads out"):
+        run_batch(run, tmp_path / "out", Serial(), fresh=fresh)
+    assert [file.read_text() for file in elsewhere.iterdir()] == ["mine"]
+
+
 @pytest.mark.slow
 def test_parts_are_tasks_in_any_order(tmp_path: Path, small: None) -> None:
     """An executor gets them one by one where estimates do not look back, and results are the same."""
@@ -189,7 +205,7 @@ def test_parts_are_tasks_in_any_order(tmp_path: Path, small: None) -> None:
     run_batch(run, tmp_path / "backwards", Backwards())
     assert [(task.case.name, number) for task, number in asked[:-3]] == [("auto", number) for number in range(5)]
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("lampest.runs.batch.parts_to_solve", lambda *case: [])
+        patch.setattr("lampest.runs.batch.parts_to_solve", lambda task: [])
         run_batch(run, tmp_path / "forwards", Serial())
     same(*(content(tmp_path / name / "results.h5") for name in ("forwards", "backwards")))
 
@@ -210,12 +226,12 @@ def test_how_far_a_long_case_is(tmp_path: Path, small: None, monkeypatch: pytest
     told: list[tuple[int, int]] = []
     done: list[int] = []
     seen = threading.Event()
-    write = long_case.write_results
+    write = batch.write_results
 
-    def written(*things: Any) -> None:
-        write(*things)
-        done.append(20)
-        while not told or told[-1] != (sum(done), 60):
+    def written(path: Path, *things: Any) -> None:
+        write(path, *things)
+        done.extend([20] if path.parent.suffix == ".parts" else [])
+        while path.parent.suffix == ".parts" and (not told or told[-1] != (sum(done), 60)):
             assert seen.wait(30)
             seen.clear()
 
@@ -226,7 +242,7 @@ def test_how_far_a_long_case_is(tmp_path: Path, small: None, monkeypatch: pytest
     save(tmp_path, frames(60))
     (tmp_path / "run.yaml").write_text(RUN.split("  relative:")[0])
     monkeypatch.setattr(batch, "EVERY_SECONDS", 0.01)
-    monkeypatch.setattr(long_case, "write_results", written)
+    monkeypatch.setattr(batch, "write_results", written)
     assert run_batch(read_run(tmp_path / "run.yaml"), tmp_path / "out", Serial(), on_frames=heard).done == 1
     assert {(20, 60), (40, 60), (60, 60)} <= set(told) and told == sorted(told)
 

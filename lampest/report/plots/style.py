@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 
 from lampest.files.errors import InputError
 from lampest.files.whole import whole_file
-from lampest.runs.executors import each_of
+from lampest.runs.executors import Serial, each_of
 
 WIDTH_INCH, HALF_INCH, MAX_HEIGHT_INCH = 7.2, 3.6, 9.0  # of a page of a journal
 TEXT_POINT, SMALL_POINT = 8, 6.5
@@ -83,7 +83,7 @@ def write_all(
     on_picture : receives the numbers of drawn and of all pictures. Raises InputError if a file cannot be written.
     """
     tasks = list(zip(figures, files, strict=True))
-    for file, image in zip(files, each_of(_image, tasks, on_picture, in_process=in_process), strict=True):
+    for file, image in zip(files, each_of(_image, tasks, on_picture, Serial() if in_process else None), strict=True):
         _write(image, file)
     return list(files)
 

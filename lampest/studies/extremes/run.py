@@ -6,6 +6,7 @@ The judges share no code with the solvers.
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 from math import nan
 from typing import Any, NamedTuple
 
@@ -23,10 +24,11 @@ from lampest.files.errors import InputError, extra
 from lampest.panel.panel import Array
 from lampest.panel.readouts.star_mesh import exact_two_point_resistance, two_point_resistance
 from lampest.recording.recording import Recording
+from lampest.runs.executors import Processes, each_of
 from lampest.solvers.solution import VERIFIED
 from lampest.studies import study
 from lampest.studies.extremes.scenes import CASES, AtlasFile, AtlasSample, AtlasTask, recording_of
-from lampest.studies.study import OnStep, column, of_tasks
+from lampest.studies.study import OnStep, column
 
 CRASHED, REFUSED = "crashed: ", "refused: "
 
@@ -70,10 +72,11 @@ def run_atlas(atlas: AtlasFile, on_step: OnStep = lambda done, total: None) -> t
     """
     fifty_digits(np.ones((1, 1)))
 
-    def lost(task: AtlasTask, error: object) -> Solve:
-        return _failed(task.sample, "", "", "", f"{CRASHED}{type(error).__name__}: {error}")
+    def lost(task: AtlasTask, error: BaseException) -> tuple[Solve]:
+        return (_failed(task.sample, "", "", "", f"{CRASHED}{type(error).__name__}: {error}"),)
 
-    return of_tasks(solves_of, atlas.tasks, atlas.executor, lost, on_step)
+    solves = each_of(solves_of, atlas.tasks, on_step, atlas.executor or Processes(), lost)
+    return tuple(chain.from_iterable(solves))
 
 
 def solves_of(task: AtlasTask) -> tuple[Solve, ...]:
@@ -248,9 +251,7 @@ def _row(own: Sequence[Solve]) -> study.Row:
     solved = [solve for solve in own if solve.solved]
     statuses = Counter(solve.status for solve in own).most_common()
     return study.Row(
-        **{name: getattr(own[0], name) for name in ("case", "decades", "rows", "columns", "noise")},
-        method=own[0].method,
-        formulation=own[0].formulation,
+        **study.named_values(own[0], "case", "decades", "rows", "columns", "noise", "method", "formulation"),
         solves=len(own),
         verified=sum(solve.verified for solve in own),
         named=sum(not solve.solved and not solve.crashed for solve in own),

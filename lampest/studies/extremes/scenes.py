@@ -21,7 +21,7 @@ from lampest.studies.study import column
 
 GRID = "log-uniform"
 USUAL_OHM = 3000.0  # of a cell, before a case changes it
-OPEN, SHORT = 1e9, 1e-9  # factors of a cell that is broken and not known to be
+OPEN = 1e9  # factor of a cell that is broken and not known to be; of a short its inverse
 Generator = np.random.Generator
 
 
@@ -175,8 +175,8 @@ CASES: dict[str, Extreme] = {
     "open cell": _times(OPEN, "cell"),
     "open row": _times(OPEN, "row"),
     "open column": _times(OPEN, "column"),
-    "shorted cell": _times(SHORT, "cell"),
-    "shorted row": _times(SHORT, "row"),
+    "shorted cell": _times(1 / OPEN, "cell"),
+    "shorted row": _times(1 / OPEN, "row"),
     "open cell, known": _times(np.inf, "cell", known=True),
     "dead row, known": _times(np.inf, "row", known=True),
     "dead column, known": _times(np.inf, "column", known=True),

@@ -18,7 +18,7 @@ from lampest.report.plots import style
 from lampest.report.plots.maps import Tile, banded_scale, maps_figure
 from lampest.report.words import digits
 from lampest.studies.paper.sides import FILE, MEASURED, Published, Side, StepsSeen, all_sides, read_published
-from lampest.studies.study import OnStep, Row, Study
+from lampest.studies.study import OnStep, Row, Study, named_values
 
 CHANGE = "relative change of resistance [%]"
 # Of some steps: quantity, unit, the field of the published row, and of what was seen.
@@ -77,11 +77,8 @@ def paper_study(
 def rows(paper: Paper) -> list[Row]:
     """Return every published number with ours, a column for each side."""
     beside = [dict(zip(paper.names, number.ours, strict=True)) for number in paper.numbers]
-    places = [
-        {name: getattr(number, name) for name in ("figure", "quantity", "unit", "published")}
-        for number in paper.numbers
-    ]
-    return [Row(**place, **ours) for place, ours in zip(places, beside, strict=True)]
+    names = ("figure", "quantity", "unit", "published")
+    return [Row(**named_values(number, *names), **ours) for number, ours in zip(paper.numbers, beside, strict=True)]
 
 
 def page_of(paper: Paper) -> str:
