@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lampest.cli.screen import Assign, Folder, option, print_table, progress, say, warn
+from lampest.cli.screen import Assign, Folder, option, print_table, progress, say, warn, written
 
 if TYPE_CHECKING:
     from lampest.studies.study import Reported, Study
@@ -60,7 +60,7 @@ def paper(
     config: Annotated[
         Path | None, typer.Argument(metavar="[CONFIG]", help="Published numbers; else lampest's.")
     ] = None,
-    out: Annotated[Path, option("Output folder.")] = Path("results/paper"),
+    out: Annotated[Path | None, written("--out", "Output folder. Default: results/paper.")] = None,
     jobs: Annotated[int | None, option("Number of processes, such as 2. Default: all cores.", min=1)] = None,
 ) -> None:
     """Reproduce the paper's figures and table from shipped recordings, beside the published numbers.
@@ -69,7 +69,8 @@ def paper(
     """
     from lampest.studies.paper.page import paper_study
 
-    run_study(paper_study(out, jobs), config, out, None)
+    folder = out or Path("results/paper")
+    run_study(paper_study(folder, jobs), config, folder, None)
 
 
 def print_reported(reported: "Reported") -> None:
