@@ -16,7 +16,7 @@ from lampest.panel.panel import Array
 from lampest.recording.recording import Recording
 from lampest.report.compare import data_error
 from lampest.report.strongest import strongest_index
-from lampest.report.words import digits, spanned
+from lampest.report.words import digits, median_text, spanned
 from lampest.runs.columns import FIGURES, Column
 from lampest.runs.filling import named_result
 from lampest.runs.results import CaseResult, write_results
@@ -24,8 +24,6 @@ from lampest.runs.results import CaseResult, write_results
 if TYPE_CHECKING:
     from lampest.report.plots.contours import Figure, Plot
     from lampest.runs.case import DataFrame, Dataset
-
-INTERNAL = {"of", "asked", "tared"}  # attributes that the package's own columns read
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -62,9 +60,6 @@ class Reconstruction(Estimates):
         """Penalty → λ (frames), given or chosen by the data."""
         values: Mapping[str, Array] = next(folder for folder in FIGURES if folder.name == "weights").value(self)
         return {term: weight for term, weight in values.items() if term != "misfit"}
-
-    def __dir__(self) -> list[str]:
-        return sorted({*super().__dir__()} - INTERNAL)
 
     def fit_report(self) -> str:
         """Return a summary of the fit in sections: model, statistics, weights, cells of the strongest frame, warnings.
@@ -146,9 +141,4 @@ class Reconstruction(Estimates):
 
 
 def _median(values: Array | None) -> str:
-    """Return the median of the known values in digits, with their range where they differ."""
-    known = np.zeros(0) if values is None else values[np.isfinite(values)]
-    if not known.size:
-        return "unknown"
-    least, middle, largest = (digits(float(value)) for value in np.percentile(known, [0, 50, 100]))
-    return middle if least == largest else f"{middle} ({least} to {largest})"
+    return ("" if values is None else median_text(values)) or "unknown"
