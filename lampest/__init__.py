@@ -102,15 +102,15 @@ if TYPE_CHECKING:
     from lampest.report.compare import comparison as comparison
     from lampest.report.export import Export as Export
     from lampest.report.export import export_results as export_results
-    from lampest.report.plots import CertaintyPlot as CertaintyPlot
-    from lampest.report.plots import ChangePlot as ChangePlot
-    from lampest.report.plots import ContourPlot as ContourPlot
-    from lampest.report.plots import Plot as Plot
-    from lampest.report.plots import PressurePlot as PressurePlot
-    from lampest.report.plots import ResidualPlot as ResidualPlot
-    from lampest.report.plots import ResistancePlot as ResistancePlot
-    from lampest.report.plots import SweepPlot as SweepPlot
     from lampest.report.plots import plot_results as plot_results
+    from lampest.report.plots.contours import CertaintyPlot as CertaintyPlot
+    from lampest.report.plots.contours import ChangePlot as ChangePlot
+    from lampest.report.plots.contours import ContourPlot as ContourPlot
+    from lampest.report.plots.contours import Plot as Plot
+    from lampest.report.plots.contours import PressurePlot as PressurePlot
+    from lampest.report.plots.contours import ResidualPlot as ResidualPlot
+    from lampest.report.plots.contours import ResistancePlot as ResistancePlot
+    from lampest.report.plots.contours import SweepPlot as SweepPlot
     from lampest.report.reconstruction import Reconstruction as Reconstruction
     from lampest.runs.columns import Column as Column
     from lampest.runs.config import read_run as read_run
