@@ -10,7 +10,7 @@ import typer
 from lampest.cli.screen import Assign, Folder, option, print_table, progress, say, warn, written
 
 if TYPE_CHECKING:
-    from lampest.studies.study import Reported, Study
+    from lampest.studies.study import Study
 
 Config = Annotated[Path | None, typer.Argument(metavar="[CONFIG]", help="The study's YAML file; else the shipped one.")]
 # Word → the module of the study, and what it says of itself. A further study is a module with its STUDY, named here.
@@ -50,10 +50,17 @@ def study_command(word: str) -> Callable[..., None]:
 
 
 def run_study(study: "Study[Any, Any]", config: Path | None, out: Path | None, assign: list[str] | None) -> None:
-    """Run a study and print its tables, remarks and files."""
+    """Run a study; print its tables, remarks and files, and omissions on stderr."""
     with progress(study.counts) as on_step:
         reported = study.run(config, out, tuple(assign or ()), on_step)
-    print_reported(reported)
+    for title, table in reported.tables:
+        if title:
+            say(title)
+        print_table(table)
+    for line in (*reported.remarks, *reported.files):
+        say(line)
+    for sentence in reported.left_out:
+        warn(sentence)
 
 
 def paper(
@@ -71,15 +78,3 @@ def paper(
 
     folder = out or Path("results/paper")
     run_study(paper_study(folder, jobs), config, folder, None)
-
-
-def print_reported(reported: "Reported") -> None:
-    """Print tables, remarks and files of a study, and omissions on stderr."""
-    for title, table in reported.tables:
-        if title:
-            say(title)
-        print_table(table)
-    for line in (*reported.remarks, *reported.files):
-        say(line)
-    for sentence in reported.left_out:
-        warn(sentence)
