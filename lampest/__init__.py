@@ -12,7 +12,7 @@ Names are loaded when they are first used, so that importing the package costs n
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -188,20 +188,17 @@ def reconstruct(
     >>> found.cell_resistance.shape
     (2, 2, 3)
     """
-    from lampest.estimate.estimator import AutoWeight, Bounds, Estimator
+    from lampest.estimate.estimator import Estimator
     from lampest.estimate.objective import checked_terms
     from lampest.estimate.sequence import default_terms
     from lampest.report.reconstruction import Reconstruction
-    from lampest.solvers.solution import Settings
 
+    options: dict[str, Any] = {"solver": solver, "bounds": bounds, "auto_weight": auto_weight, "tare": tare}
     estimator = Estimator(
         default_terms(recording) if terms is None else checked_terms(terms),
         formulation,
-        Settings() if solver is None else solver,
-        Bounds() if bounds is None else bounds,
-        error_bars,
-        AutoWeight() if auto_weight is None else auto_weight,
-        tare,
+        error_bars=error_bars,
+        **{name: value for name, value in options.items() if value is not None},
     )
     if progress is not True:
         return Reconstruction.of(recording, estimator, progress or (lambda done, frames: None))

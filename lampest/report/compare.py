@@ -5,6 +5,7 @@ import io
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from operator import itemgetter
 from pathlib import Path
 from string import Formatter
 from typing import TYPE_CHECKING, Any, Literal
@@ -244,10 +245,11 @@ def screen_blocks(rows: Sequence[Row], *, published: bool = False) -> list[Table
 
     published : whether the figures quoted in the run file are included.
     """
-    groups = _grouped(rows, "results", "recording")
+    groups = list(grouped(rows, itemgetter("results", "recording")).values())
     if len(groups) > 6:
         title = f"{len(groups)} recordings, medians over them (--csv FILE and --report PAGE hold all)"
-        return [screen_table(_grouped(rows, "estimator", "steps"), _with_swept(OVER_ALL, rows), title)]
+        estimators = grouped(rows, itemgetter("estimator", "steps")).values()
+        return [screen_table(estimators, _with_swept(OVER_ALL, rows), title)]
     several = len({row["results"] for row in rows}) > 1
     columns = _with_swept({**COLUMNS, **(PUBLISHED if published else {})}, rows)
     return [screen_table(group, columns, _title(group, several=several)) for group in groups]
@@ -266,11 +268,12 @@ def _swept_text(key: str, thing: Row | Sequence[Row]) -> str:
     return f"{value:g}" if isinstance(value, float) else str(value)
 
 
-def _grouped(rows: Sequence[Row], *headers: str) -> list[list[Row]]:
-    groups: dict[tuple[str, ...], list[Row]] = {}
-    for row in rows:
-        groups.setdefault(tuple(row[header] for header in headers), []).append(row)
-    return list(groups.values())
+def grouped(items: Iterable[Any], key: Callable[[Any], Any]) -> dict[Any, list[Any]]:
+    """Group items by a key, in order of first appearance."""
+    groups: dict[Any, list[Any]] = {}
+    for item in items:
+        groups.setdefault(key(item), []).append(item)
+    return groups
 
 
 def legend(rows: Sequence[Row], blocks: Sequence[Table]) -> list[str]:

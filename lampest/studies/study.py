@@ -15,6 +15,7 @@ from lampest.files.errors import InputError
 from lampest.files.whole import refuse_inputs, write_whole
 from lampest.recording.datasets import folder as shipped_folder
 from lampest.report.compare import Columns, Table, comma_separated
+from lampest.report.compare import grouped as grouped
 from lampest.report.compare import screen_table as screen_table
 from lampest.report.plots.style import save
 from lampest.report.words import text_of as text_of
@@ -249,14 +250,6 @@ def of_cases(
     if not measured:
         raise InputError(f"nothing to {purpose}: {'; '.join(f'{name}: {why}' for name, why in left_out.items())}")
     return Cases(measured, [f"{name} left out: {why}" for name, why in left_out.items()])
-
-
-def grouped(records: Iterable[Any], key: Callable[[Any], Any]) -> dict[Any, list[Any]]:
-    """Group records by a key, in order of first appearance."""
-    groups: dict[Any, list[Any]] = {}
-    for record in records:
-        groups.setdefault(key(record), []).append(record)
-    return groups
 
 
 def rows_by(key: Callable[[Any], Any], row: Callable[[Any], Row]) -> Callable[[Iterable[Any]], list[Row]]:
