@@ -27,6 +27,7 @@ Columns = Mapping[str, str | Callable[[Any], str]]  # header → template over t
 Row = Mapping[str, Any]  # header of the CSV file → figure of a case over some of its steps, None where there is none
 ASIDE = ("label", "warnings", "chosen weights")  # of a row, but not of the table
 MIN_DIFFERENCE = 1e-3  # percent or ms: less is rounding
+MAX_SHOWN = 6  # recordings, and estimators of them, that are shown in full
 STEPS = {"all": "", "initial": " first", "following": " later"}
 NOTES = {  # what a header that begins so means
     "solved": "solved: frames at a verified local optimum, the best of all starts; approximate formulations: all "
@@ -246,7 +247,7 @@ def screen_blocks(rows: Sequence[Row], *, published: bool = False) -> list[Table
     published : whether the figures quoted in the run file are included.
     """
     groups = list(grouped(rows, itemgetter("results", "recording")).values())
-    if len(groups) > 6:
+    if len(groups) > MAX_SHOWN:
         title = f"{len(groups)} recordings, medians over them (--csv FILE and --report PAGE hold all)"
         estimators = grouped(rows, itemgetter("estimator", "steps")).values()
         return [screen_table(estimators, _with_swept(OVER_ALL, rows), title)]

@@ -257,18 +257,11 @@ def checked_sentence(path: Path) -> str:
 
 def text_map(values: Array) -> list[str]:
     """Return a matrix (rows, columns) as lines of numbers, cropped to the screen."""
-    columns = values.shape[1]
     texts = [["-" if np.isnan(value) else f"{value:.4g}" for value in row] for row in values[:MAX_ROWS]]
-    lines = [[*map(str, range(columns))], *texts]
-    width = max(len(text) for line in lines for text in line) + 2
+    lines = [[*map(str, range(values.shape[1]))], *texts]
     labels = ["column", *(f"row {row}" for row in range(len(texts)))]
-    left = max(map(len, labels))
-    fitting = min(columns, max(1, (_room() - left) // width))
-    drawn = [
-        f"{label:>{left}}" + "".join(f"{text:>{width}}" for text in line[:fitting])
-        for label, line in zip(labels, lines, strict=True)
-    ]
-    return drawn + _cropped(values, fitting)
+    drawn, remark = _fitted(labels, lines, max(len(text) for line in lines for text in line) + 2, values.shape)
+    return drawn + remark
 
 
 def shaded_map(change: Array) -> list[str]:
@@ -277,10 +270,6 @@ def shaded_map(change: Array) -> list[str]:
     Falls are blocks and rises are signs; each has its own scale up to its largest value. A cell is two characters wide
     if all columns fit, else one.
     """
-    rows, columns = change.shape
-    label = max(3, len(str(rows - 1)) + 1)
-    wide = 2 if 2 * columns + label <= _room() else 1
-    fitting = min(columns, (_room() - label) // wide)
     signs, keys = np.where(np.isfinite(change), " ", UNKNOWN), []
     for name, shades, part in (("falls by", FALLS, -change), ("rises by", RISES, change)):
         known = np.where(np.isfinite(part), part, 0.0)
@@ -291,19 +280,29 @@ def shaded_map(change: Array) -> list[str]:
             parts = (f"{sign} {end * step / 4:.3g} %" for step, sign in enumerate(shades) if step)
             keys.append(f"{name} {' '.join(parts)}")
     keys += [f"{UNKNOWN} no value"] if not np.all(np.isfinite(change)) else []
-    lines = [
-        f"{row:>{label - 1}} " + "".join(wide * str(sign) for sign in line[:fitting])
-        for row, line in enumerate(signs[:MAX_ROWS])
-    ]
-    return [*(line.rstrip() for line in lines), "; ".join(keys) or "nothing changes", *_cropped(change, fitting)]
+    labels = [f"{row:>2} " for row in range(min(len(change), MAX_ROWS))]
+    width = 2 if 2 * change.shape[1] + len(labels[-1]) <= _room() else 1
+    lines = [[width * str(sign) for sign in line] for line in signs[:MAX_ROWS]]
+    drawn, remark = _fitted(labels, lines, width, change.shape)
+    return [*(line.rstrip() for line in drawn), "; ".join(keys) or "nothing changes", *remark]
 
 
 def _room() -> int:
     return max(shutil.get_terminal_size((100, 24)).columns, 20)  # where no terminal says how many signs it has
 
 
-def _cropped(values: Array, columns: int) -> list[str]:
-    rows = min(len(values), MAX_ROWS)
-    if (rows, columns) == values.shape:
-        return []
-    return [f"(the first {rows} of {values.shape[0]} rows and {columns} of {values.shape[1]} columns)"]
+def _fitted(
+    labels: Sequence[str], lines: Sequence[Sequence[str]], width: int, shape: tuple[int, ...]
+) -> tuple[list[str], list[str]]:
+    """Return lines of texts behind their labels, as far as they fit the screen, and a remark on what does not.
+
+    shape : of the whole map.
+    """
+    left = max(map(len, labels))
+    rows, columns = min(shape[0], MAX_ROWS), min(shape[1], max(1, (_room() - left) // width))
+    drawn = [
+        f"{label:>{left}}" + "".join(f"{text:>{width}}" for text in line[:columns])
+        for label, line in zip(labels, lines, strict=True)
+    ]
+    remark = f"(the first {rows} of {shape[0]} rows and {columns} of {shape[1]} columns)"
+    return drawn, [] if (rows, columns) == shape else [remark]

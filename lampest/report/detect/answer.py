@@ -19,7 +19,6 @@ LAMPREY, SUCKS, CUP, PRESSES, NOTHING, CANNOT_SAY = ANSWERS
 # Probability that a panel is bare on which nothing stepped: weak loads make no step; an assumption.
 BARE_PROBABILITY = 0.99
 MIN_PROBABILITY = 0.9  # from which on an attachment is called lamprey, or suction cup
-MAX_CONTACTS = 4  # that a sentence describes
 PAIRS = {
     "x_mm": ("mm", "centre across the columns, column 0 at 0"),
     "y_mm": ("mm", "centre across the rows, row 0 at 0"),
@@ -134,9 +133,7 @@ class Detected:
         odds = f"P = {self.probability:.2f}" if self.probability < 0.995 else "P > 0.99"
         present = [attachment for attachment in self.attachments if attachment.present]
         if self.answer == PRESSES and len(present) > 1:
-            shown = [_described(attachment) for attachment in present[:MAX_CONTACTS]]
-            shown += [f"{len(present) - MAX_CONTACTS} more"] if len(present) > MAX_CONTACTS else []
-            return f"{len(present)} contacts: {'; '.join(shown)} ({odds})"
+            return f"{len(present)} contacts: {'; '.join(map(_described, present))} ({odds})"
         name = {SUCKS: "something that sucks (lamprey or cup)", PRESSES: "contact"}.get(self.answer, self.answer)
         messages = [f"{name}{' attached' if load.sucks > 0.5 else ''} {_described(load)}"]
         if self.answer == LAMPREY and load.pumps >= MIN_PROBABILITY:

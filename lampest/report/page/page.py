@@ -13,7 +13,7 @@ from jinja2 import Environment, FunctionLoader, StrictUndefined
 from lampest.files.levels import MAD_TO_SIGMA
 from lampest.files.whole import write_whole
 from lampest.panel.panel import Array
-from lampest.report.compare import MIN_DIFFERENCE, Table, figures_of, statistics, weighted_residual
+from lampest.report.compare import MAX_SHOWN, MIN_DIFFERENCE, Table, figures_of, statistics, weighted_residual
 from lampest.report.page import compared
 from lampest.report.page.compared import HARD, NONE, Batch, Comparison, between, weights_text
 from lampest.report.plots.contours import CertaintyPlot, ContourPlot, Plot, ResidualPlot
@@ -25,7 +25,6 @@ from lampest.runs.case import CaseResult
 from lampest.runs.executors import each_of
 
 SPREAD, COVERED = "residuals: robust standard deviation [σ]", "truth within its interval [%]"
-MAX_FIGURES = 6  # recordings with all figures, and estimators in them
 
 
 def write_report(
@@ -58,7 +57,7 @@ def report(batch: Batch, on_recording: Callable[[int, int], None] = lambda done,
         doubted = doubts(advice.estimator, list(map(figures, by_estimator[advice.estimator])))
         advice = replace(advice, warnings=(*advice.warnings, *doubted))
     first = [row.estimator for row in comparison.standings] if comparison else []
-    drawn = [*dict.fromkeys((*first, *batch.estimators))][:MAX_FIGURES]
+    drawn = [*dict.fromkeys((*first, *batch.estimators))][:MAX_SHOWN]
     tasks = [(name, cases, number, drawn) for number, (name, cases) in enumerate(batch.recordings.items())]
     sections = each_of(_section, tasks, on_recording)
     return filled(
@@ -69,9 +68,9 @@ def report(batch: Batch, on_recording: Callable[[int, int], None] = lambda done,
         standings=comparison and standing_table(comparison),
         units=comparison and len(comparison.units) <= 200 and unit_table(comparison),
         together=case_table(by_estimator) if len(own) > 1 else None,
-        whole=sections[:MAX_FIGURES],
-        others=sections[MAX_FIGURES:],
-        most=MAX_FIGURES,
+        whole=sections[:MAX_SHOWN],
+        others=sections[MAX_SHOWN:],
+        most=MAX_SHOWN,
         origins={name: case for cases in [*batch.recordings.values()][::-1] for name, case in cases.items()},
         draws=compared.DRAWS,
         counted=counted,
@@ -82,7 +81,7 @@ def report(batch: Batch, on_recording: Callable[[int, int], None] = lambda done,
 def _section(task: tuple[str, Mapping[str, CaseResult], int, Sequence[str]]) -> dict[str, Any]:
     """Return the content of a recording's section: contours and a table; for the first ones, all figures."""
     name, every, number, drawn = task
-    whole = number < MAX_FIGURES
+    whole = number < MAX_SHOWN
     cases = [case for estimator, case in every.items() if estimator in drawn] or [*every.values()][:1]
     place, pairs = strongest_index(cases), disagreements(cases) if whole else ()
     with verbatim():
