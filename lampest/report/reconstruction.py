@@ -25,6 +25,8 @@ if TYPE_CHECKING:
     from lampest.report.plots.contours import Figure, Plot
     from lampest.runs.case import DataFrame, Dataset
 
+INTERNAL = {"of", "asked", "tared"}  # attributes that the package's own columns read
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Reconstruction(Estimates):
@@ -60,6 +62,9 @@ class Reconstruction(Estimates):
         """Penalty → λ (frames), given or chosen by the data."""
         values: Mapping[str, Array] = next(folder for folder in FIGURES if folder.name == "weights").value(self)
         return {term: weight for term, weight in values.items() if term != "misfit"}
+
+    def __dir__(self) -> list[str]:
+        return sorted({*super().__dir__()} - INTERNAL)
 
     def fit_report(self) -> str:
         """Return a summary of the fit in sections: model, statistics, weights, cells of the strongest frame, warnings.
