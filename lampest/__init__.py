@@ -12,7 +12,7 @@ Names are loaded when they are first used, so that importing the package costs n
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -102,15 +102,15 @@ if TYPE_CHECKING:
     from lampest.report.compare import comparison as comparison
     from lampest.report.export import Export as Export
     from lampest.report.export import export_results as export_results
-    from lampest.report.plots import CertaintyPlot as CertaintyPlot
-    from lampest.report.plots import ChangePlot as ChangePlot
-    from lampest.report.plots import ContourPlot as ContourPlot
-    from lampest.report.plots import Plot as Plot
-    from lampest.report.plots import PressurePlot as PressurePlot
-    from lampest.report.plots import ResidualPlot as ResidualPlot
-    from lampest.report.plots import ResistancePlot as ResistancePlot
-    from lampest.report.plots import SweepPlot as SweepPlot
     from lampest.report.plots import plot_results as plot_results
+    from lampest.report.plots.contours import CertaintyPlot as CertaintyPlot
+    from lampest.report.plots.contours import ChangePlot as ChangePlot
+    from lampest.report.plots.contours import ContourPlot as ContourPlot
+    from lampest.report.plots.contours import Plot as Plot
+    from lampest.report.plots.contours import PressurePlot as PressurePlot
+    from lampest.report.plots.contours import ResidualPlot as ResidualPlot
+    from lampest.report.plots.contours import ResistancePlot as ResistancePlot
+    from lampest.report.plots.contours import SweepPlot as SweepPlot
     from lampest.report.reconstruction import Reconstruction as Reconstruction
     from lampest.runs.columns import Column as Column
     from lampest.runs.config import read_run as read_run
@@ -188,20 +188,17 @@ def reconstruct(
     >>> found.cell_resistance.shape
     (2, 2, 3)
     """
-    from lampest.estimate.estimator import AutoWeight, Bounds, Estimator
+    from lampest.estimate.estimator import Estimator
     from lampest.estimate.objective import checked_terms
     from lampest.estimate.sequence import default_terms
     from lampest.report.reconstruction import Reconstruction
-    from lampest.solvers.solution import Settings
 
+    options: dict[str, Any] = {"solver": solver, "bounds": bounds, "auto_weight": auto_weight, "tare": tare}
     estimator = Estimator(
         default_terms(recording) if terms is None else checked_terms(terms),
         formulation,
-        Settings() if solver is None else solver,
-        Bounds() if bounds is None else bounds,
-        error_bars,
-        AutoWeight() if auto_weight is None else auto_weight,
-        tare,
+        error_bars=error_bars,
+        **{name: value for name, value in options.items() if value is not None},
     )
     if progress is not True:
         return Reconstruction.of(recording, estimator, progress or (lambda done, frames: None))

@@ -44,8 +44,6 @@ def _about(
 
 def _guarded(command: Callable[..., None]) -> Callable[..., None]:
     """Return the command with checks that its input files exist, before libraries load, and that it overwrites none."""
-    if command in UNGUARDED:
-        return command
     signature = inspect.signature(command, eval_str=True)
     outputs = {name for name, each in signature.parameters.items() if is_written(each.annotation)}
 
@@ -108,7 +106,6 @@ OLD = {  # word of the release before → new name
     **{word: f"show {word}" for word in ("terms", "schema")},
 }
 FLAGS = {"list": "listed", "repair": "repair"}  # of new names → parameters
-UNGUARDED = (results.terms, results.schema)  # they read and write no files
 GROUPS = {
     "show": "List what a run file may contain: cost terms, or its JSON schema.",
     "study": "Measure lampest itself: solvers, formulations, extremes, weights, the paper.",

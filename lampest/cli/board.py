@@ -1,8 +1,6 @@
 """Commands for a board on a serial port."""
 
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -13,7 +11,6 @@ from lampest.cli.screen import (
     Assign,
     AssignToScene,
     check_positive,
-    markless,
     option,
     progress,
     say,
@@ -70,7 +67,12 @@ def record(
     check_positive("--seconds", seconds)
     check_positive("--period", period)
     agreed = scene_of(scene, assign)
-    with pressed_keys() as keys, recording_line() as on_progress:
+    with pressed_keys() as keys, progress("waiting for the board") as show:
+
+        def on_progress(at: "Progress") -> None:
+            time = "" if at.sample is None else f" at {at.sample.time:.1f} s"
+            show(at.frames, count, f"{at.frames} frames{time}, {at.lost} lost{at.state and f'; {at.state}'}")
+
         done = record_board(
             port,
             out,
@@ -214,21 +216,3 @@ def report_recorded(done: "Recorded") -> None:
         behind = f"{done.behind} of the {done.frames} frames were" if done.behind else "no frame was"
         warn(f"{done.ended_by} ended the recording; {behind} still in the port then")
         raise typer.Exit(INTERRUPTED)
-
-
-@contextmanager
-def recording_line() -> Iterator[Callable[["Progress"], None]]:
-    """One line on stderr that says where a recording stands, silent where that is no terminal."""
-    if not sys.stderr.isatty():
-        yield lambda progress: None
-        return
-    from rich.console import Console
-
-    with Console(stderr=True).status("waiting for the board") as line:
-
-        def update(progress: "Progress") -> None:
-            at = "" if progress.sample is None else f" at {progress.sample.time:.1f} s"
-            state = progress.state and f"; {progress.state}"
-            line.update(markless(f"{progress.frames} frames{at}, {progress.lost} lost{state}"))
-
-        yield update

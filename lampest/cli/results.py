@@ -9,7 +9,6 @@ import typer
 
 from lampest.cli.screen import (
     WRONG_INPUT,
-    mended,
     option,
     print_notes,
     print_table,
@@ -226,7 +225,7 @@ def info(
 
 
 def check(
-    files: Annotated[list[Path], mended("FILE...", "Recordings or results.")],
+    files: Annotated[list[Path], typer.Argument(parser=Path, metavar="FILE...", help="Recordings or results.")],
     repair: Annotated[bool, option("Recover recordings after a crash.", "--repair")] = False,
 ) -> None:
     """Verify the checksums of files and name the first damaged dataset of each."""

@@ -2,7 +2,8 @@
 
 import re
 import sys
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from itertools import groupby
 from pathlib import Path
 from shutil import get_terminal_size
@@ -39,13 +40,8 @@ def written(name: str, text: str) -> Any:
     return typer.Option(name, parser=place, callback=checked, metavar="PATH", help=text)
 
 
-def mended(name: str, text: str) -> Any:
-    """Return an argument for files that a command may replace."""
-    return typer.Argument(parser=Path, metavar=name, help=text)
-
-
 def is_written(annotation: Any) -> bool:
-    """Return whether an option was made by `written` or `mended`, which alone set a parser."""
+    """Return whether an option or argument names outputs, which alone have a parser."""
     return any(getattr(each, "parser", None) is not None for each in getattr(annotation, "__metadata__", ()))
 
 
@@ -113,8 +109,11 @@ def print_notes(notes: Iterable[str]) -> None:
         print(fill(printable(note), WIDTH, subsequent_indent="    ", break_long_words=False, break_on_hyphens=False))
 
 
-class progress:  # noqa: N801
-    """Progress bar with the remaining time on stderr, hidden unless stderr is a terminal.
+@contextmanager
+def progress(label: str, *, counted: bool = False) -> Iterator[Callable[..., None]]:
+    """Show a progress bar with the remaining time on stderr, hidden unless stderr is a terminal.
+
+    Yields a function that takes the number of finished parts, their total, and a text for the label.
 
     Parameters
     ----------
@@ -123,25 +122,17 @@ class progress:  # noqa: N801
     counted : bool
         Whether the numbers of finished and of all parts are shown.
     """
+    from rich.console import Console
+    from rich.progress import MofNCompleteColumn, Progress, TextColumn
 
-    def __init__(self, label: str, *, counted: bool = False) -> None:
-        from rich.console import Console
-        from rich.progress import MofNCompleteColumn, Progress, TextColumn
+    columns = (*Progress.get_default_columns(), TextColumn("left"), *[MofNCompleteColumn()] * counted)
+    with Progress(*columns, console=Console(stderr=True), disable=not sys.stderr.isatty()) as bar:
+        task = bar.add_task(label, total=None)
 
-        columns = (*Progress.get_default_columns(), TextColumn("left"), *[MofNCompleteColumn()] * counted)
-        self._bar = Progress(*columns, console=Console(stderr=True), disable=not sys.stderr.isatty())
-        self._task = self._bar.add_task(label, total=None)
+        def show(done: int, total: int | None, text: str | None = None) -> None:
+            bar.update(task, completed=done, total=total, description=text and markless(text))
 
-    def __enter__(self) -> Any:
-        self._bar.__enter__()
-        return self._advanced
-
-    def _advanced(self, done: int, total: int, label: str | None = None) -> None:
-        """Show the number of finished parts, their total, and the name of the next one."""
-        self._bar.update(self._task, completed=done, total=total, description=label and markless(label))
-
-    def __exit__(self, *error: Any) -> None:
-        self._bar.__exit__(*error)
+        yield show
 
 
 TOGETHER = re.compile(r" (?=[±/…] )|(?<= [±/…]) ")  # blanks within a figure: '2.3 ± 1.4'

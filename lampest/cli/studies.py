@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lampest.cli.screen import Assign, Folder, option, print_table, progress, say, warn
+from lampest.cli.screen import Assign, Folder, option, print_table, progress, say, warn, written
 
 if TYPE_CHECKING:
-    from lampest.studies.study import Reported, Study
+    from lampest.studies.study import Study
 
 Config = Annotated[Path | None, typer.Argument(metavar="[CONFIG]", help="The study's YAML file; else the shipped one.")]
 # Word → the module of the study, and what it says of itself. A further study is a module with its STUDY, named here.
@@ -50,30 +50,9 @@ def study_command(word: str) -> Callable[..., None]:
 
 
 def run_study(study: "Study[Any, Any]", config: Path | None, out: Path | None, assign: list[str] | None) -> None:
-    """Run a study and print its tables, remarks and files."""
+    """Run a study; print its tables, remarks and files, and omissions on stderr."""
     with progress(study.counts) as on_step:
         reported = study.run(config, out, tuple(assign or ()), on_step)
-    print_reported(reported)
-
-
-def paper(
-    config: Annotated[
-        Path | None, typer.Argument(metavar="[CONFIG]", help="Published numbers; else lampest's.")
-    ] = None,
-    out: Annotated[Path, option("Output folder.")] = Path("results/paper"),
-    jobs: Annotated[int | None, option("Number of processes, such as 2. Default: all cores.", min=1)] = None,
-) -> None:
-    """Reproduce the paper's figures and table from shipped recordings, beside the published numbers.
-
-    Writes paper.html, numbers.csv and every figure as PNG.
-    """
-    from lampest.studies.paper.page import paper_study
-
-    run_study(paper_study(out, jobs), config, out, None)
-
-
-def print_reported(reported: "Reported") -> None:
-    """Print tables, remarks and files of a study, and omissions on stderr."""
     for title, table in reported.tables:
         if title:
             say(title)
@@ -82,3 +61,20 @@ def print_reported(reported: "Reported") -> None:
         say(line)
     for sentence in reported.left_out:
         warn(sentence)
+
+
+def paper(
+    config: Annotated[
+        Path | None, typer.Argument(metavar="[CONFIG]", help="Published numbers; else lampest's.")
+    ] = None,
+    out: Annotated[Path | None, written("--out", "Output folder. Default: results/paper.")] = None,
+    jobs: Annotated[int | None, option("Number of processes, such as 2. Default: all cores.", min=1)] = None,
+) -> None:
+    """Reproduce the paper's figures and table from shipped recordings, beside the published numbers.
+
+    Writes paper.html, numbers.csv and every figure as PNG.
+    """
+    from lampest.studies.paper.page import paper_study
+
+    folder = out or Path("results/paper")
+    run_study(paper_study(folder, jobs), config, folder, None)

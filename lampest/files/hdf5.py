@@ -79,6 +79,13 @@ def existing_file(path: Path) -> Iterator[h5py.File]:
         raise InputError(f"{path}: not a readable HDF5 file ({' '.join(str(error).split())})") from error
 
 
+def format_of(path: Path) -> str:
+    """Return the format that a file names, '' for none. Raises InputError as `existing_file`."""
+    with existing_file(path) as file:
+        form = read_attribute(file, "/", "lampest_format")
+    return form if isinstance(form, str) else ""
+
+
 @contextmanager
 def _opened(path: Path) -> Iterator[h5py.File]:
     with ExitStack() as stack:

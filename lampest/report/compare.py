@@ -5,15 +5,17 @@ import io
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from operator import itemgetter
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, TypeVar
+from string import Formatter
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lampest.files.whole import write_whole
 from lampest.panel.panel import Array
-from lampest.report.words import counted, digits, no_formula
+from lampest.report.words import counted, digits, no_formula, text_of
 from lampest.runs.case import data_frame
 from lampest.runs.results import CaseResult, PublishedFigures, Results, StepFigures, read_results
 
@@ -21,10 +23,11 @@ if TYPE_CHECKING:
     from lampest.runs.case import DataFrame
 
 Steps = Literal["all", "initial", "following"]
-T = TypeVar("T")
+Columns = Mapping[str, str | Callable[[Any], str]]  # header → template over the values of an item, or its text
 Row = Mapping[str, Any]  # header of the CSV file → figure of a case over some of its steps, None where there is none
 ASIDE = ("label", "warnings", "chosen weights")  # of a row, but not of the table
 MIN_DIFFERENCE = 1e-3  # percent or ms: less is rounding
+MAX_SHOWN = 6  # recordings, and estimators of them, that are shown in full
 STEPS = {"all": "", "initial": " first", "following": " later"}
 NOTES = {  # what a header that begins so means
     "solved": "solved: frames at a verified local optimum, the best of all starts; approximate formulations: all "
@@ -58,6 +61,30 @@ class Table:
     cells: tuple[tuple[str, ...], ...]
     title: str = ""
     best: frozenset[tuple[int, int]] = frozenset()
+
+
+class _Template(Formatter):
+    """Template over the values of a row by their names, whatever signs these have."""
+
+    def get_field(self, field_name: str, args: Sequence[Any], kwargs: Mapping[str, Any]) -> tuple[Any, str]:
+        return kwargs[field_name], field_name
+
+    def format_field(self, value: Any, format_spec: str) -> str:
+        return text_of(value, format_spec)
+
+
+def screen_table(items: Iterable[Any], columns: Columns, title: str = "") -> Table:
+    """Return a table with a row for each item, without empty columns."""
+    items, template = list(items), _Template()
+
+    def text(of: str | Callable[[Any], str], item: Any) -> str:
+        if callable(of):
+            return of(item)
+        return template.vformat(of, (), item if isinstance(item, Mapping) else vars(item)).strip(" ±/")
+
+    texts = {header: [text(of, item) for item in items] for header, of in columns.items()}
+    filled = {header: column for header, column in texts.items() if any(column)}
+    return Table(tuple(filled), tuple(zip(*filled.values(), strict=True)), title)
 
 
 STATISTICS: dict[str, Callable[[Array], float | None]] = {
@@ -219,16 +246,17 @@ def screen_blocks(rows: Sequence[Row], *, published: bool = False) -> list[Table
 
     published : whether the figures quoted in the run file are included.
     """
-    groups = _grouped(rows, "results", "recording")
-    if len(groups) > 6:
+    groups = list(grouped(rows, itemgetter("results", "recording")).values())
+    if len(groups) > MAX_SHOWN:
         title = f"{len(groups)} recordings, medians over them (--csv FILE and --report PAGE hold all)"
-        return [_table(title, _grouped(rows, "estimator", "steps"), _with_swept(OVER_ALL, rows))]
+        estimators = grouped(rows, itemgetter("estimator", "steps")).values()
+        return [screen_table(estimators, _with_swept(OVER_ALL, rows), title)]
     several = len({row["results"] for row in rows}) > 1
-    columns = _with_swept(COLUMNS | (PUBLISHED if published else {}), rows)
-    return [_table(_title(group, several=several), group, columns) for group in groups]
+    columns = _with_swept({**COLUMNS, **(PUBLISHED if published else {})}, rows)
+    return [screen_table(group, columns, _title(group, several=several)) for group in groups]
 
 
-def _with_swept(columns: Mapping[str, Callable[[Any], str]], rows: Sequence[Row]) -> dict[str, Callable[[Any], str]]:
+def _with_swept(columns: Columns, rows: Sequence[Row]) -> Columns:
     """Return the columns of rows, or of groups of them, with one for each swept key after the estimator."""
     first, *remaining = columns.items()
     return dict([first, *((key.replace(".", " "), partial(_swept_text, key)) for key in swept_keys(rows)), *remaining])
@@ -241,11 +269,12 @@ def _swept_text(key: str, thing: Row | Sequence[Row]) -> str:
     return f"{value:g}" if isinstance(value, float) else str(value)
 
 
-def _grouped(rows: Sequence[Row], *headers: str) -> list[list[Row]]:
-    groups: dict[tuple[str, ...], list[Row]] = {}
-    for row in rows:
-        groups.setdefault(tuple(row[header] for header in headers), []).append(row)
-    return list(groups.values())
+def grouped(items: Iterable[Any], key: Callable[[Any], Any]) -> dict[Any, list[Any]]:
+    """Group items by a key, in order of first appearance."""
+    groups: dict[Any, list[Any]] = {}
+    for item in items:
+        groups.setdefault(key(item), []).append(item)
+    return groups
 
 
 def legend(rows: Sequence[Row], blocks: Sequence[Table]) -> list[str]:
@@ -268,13 +297,6 @@ def _title(group: Sequence[Row], *, several: bool) -> str:
     return f"{first['results'] + ': ' if several else ''}{first['recording']}: {', '.join(parts)}"
 
 
-def _table(title: str, things: Sequence[T], columns: Mapping[str, Callable[[T], str]]) -> Table:
-    """Return a table with a row for each item, without empty columns."""
-    texts = {header: [text(item) for item in things] for header, text in columns.items()}
-    filled = {header: column for header, column in texts.items() if any(column)}
-    return Table(tuple(filled), tuple(zip(*filled.values(), strict=True)), title)
-
-
 def _plus_minus(row: Row, header: str, factor: float = 1.0) -> str:
     """'2.3 ± 1.4'. header : 'time {} [s]'."""
     mean, sd = (row[header.format(name)] for name in ("mean", "sd"))
@@ -283,11 +305,6 @@ def _plus_minus(row: Row, header: str, factor: float = 1.0) -> str:
     if 0 < mean * factor < MIN_DIFFERENCE:
         return f"< {MIN_DIFFERENCE:g}"
     return digits(factor * mean, 2) + ("" if sd is None else f" ± {digits(factor * sd, 2, like=factor * mean)}")
-
-
-def _both(row: Row, first: str, second: str, between: str, text: Callable[[float], str] = digits) -> str:
-    """Join two figures, such as '5.10 / 16.7', omitting missing ones."""
-    return between.join(text(figure) for header in (first, second) if (figure := row[header]) is not None)
 
 
 def _solved(group: Sequence[Row]) -> str:
@@ -301,29 +318,21 @@ def _over(group: Sequence[Row], header: str, *functions: Callable[[Any], float],
     return " … ".join(digits(float(function(known))) for function in functions if known)
 
 
-COLUMNS: dict[str, Callable[[Row], str]] = {
-    "estimator": lambda row: row["label"],
+COLUMNS: Columns = {
+    "estimator": "{label}",
     "solved": lambda row: _solved([row]),
     "time [ms]": lambda row: _plus_minus(row, "solve time {} [s]", 1000),
     "data error [%]": lambda row: _plus_minus(row, "data error {} [%]"),
-    "cell error [%]": lambda row: _both(row, "cell error median [%]", "cell error 95th percentile [%]", " / "),
-    "own / common sd [%]": lambda row: _both(
-        row, "own standard deviation median [%]", "common standard deviation median [%]", " / "
-    ),
-    "pressure sd [kPa]": lambda row: _both(
-        row,
-        "own standard deviation of pressed cells median [kPa]",
-        "common standard deviation of pressed cells median [kPa]",
-        " / ",
-    ),
+    "cell error [%]": "{cell error median [%]:digits} / {cell error 95th percentile [%]:digits}",
+    "own / common sd [%]": "{own standard deviation median [%]:digits} / {common standard deviation median [%]:digits}",
+    "pressure sd [kPa]": "{own standard deviation of pressed cells median [kPa]:digits} / "
+    "{common standard deviation of pressed cells median [kPa]:digits}",
 }
-PUBLISHED: dict[str, Callable[[Row], str]] = {
-    "published time [s]": lambda row: _both(row, "published time [s]", "published time sd [s]", " ± ", "{:g}".format),
-    "published error [%]": lambda row: _both(
-        row, "published data error [%]", "published data error sd [%]", " ± ", "{:g}".format
-    ),
+PUBLISHED: Columns = {
+    "published time [s]": "{published time [s]:g} ± {published time sd [s]:g}",
+    "published error [%]": "{published data error [%]:g} ± {published data error sd [%]:g}",
 }
-OVER_ALL: dict[str, Callable[[Sequence[Row]], str]] = {
+OVER_ALL: Columns = {
     "estimator": lambda group: group[0]["label"],
     "solved": _solved,
     "time [ms]": lambda group: _over(group, "solve time mean [s]", np.median, factor=1000),

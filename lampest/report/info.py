@@ -1,7 +1,7 @@
 """Descriptions of recordings, results files and imports as text with a small map."""
 
 import shutil
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -26,6 +26,7 @@ MAX_ROWS = 48  # of a map
 FALLS, RISES, UNKNOWN = " ░▒▓█", " .+*#", "?"
 READINGS = ("/entry/two_point/resistance", "/entry/readings/volt")
 SEALED = "as written: {bytes} bytes in {datasets} datasets agree with their checksums"
+Sentence = tuple[str, object]  # heading, text
 UNSEALED = "readable, but without checksums: written by an older version or another program, or never closed"
 
 
@@ -36,10 +37,9 @@ def describe(path: str | Path) -> list[str]:
     damaged file and for one that is neither a recording nor results.
     """
     path, too_long_words = Path(path), "too long for memory; frames {} to {}:"
+    form = hdf5.format_of(path)
     with hdf5.existing_file(path) as file:
-        form = hdf5.read_attribute(file, "/", "lampest_format")
-        form = form if isinstance(form, str) else None
-        if form is None and not any(hdf5.has(file, path) for path in READINGS):
+        if not form and not any(hdf5.has(file, path) for path in READINGS):
             raise InputError(f"{path}: neither a recording nor results (no lampest_format)")
     head = f"{path}: {form or 'a recording without lampest_format'}"
     if form == FORMAT:
@@ -58,46 +58,46 @@ def describe(path: str | Path) -> list[str]:
     parts = ((part.role, part.time) for part in map(recording.part, blocks))
     role, time = (np.concatenate(values) for values in zip(*parts, strict=True))
     words = too_long_words.format(blocks[0][0], blocks[0][-1])
-    return [head, *_frames_lines(role, time), words, *_recording_lines(recording.part(blocks[0]))]
+    return [head, *_lines(_frames(role, time)), words, *_recording_lines(recording.part(blocks[0]))]
 
 
-def _line(head: str, text: object) -> str:
-    """Return a line with a heading; files hold ± as ASCII."""
-    return f"{head:10} {text}".replace("+-", "±")
+def _lines(sentences: Iterable[Sentence]) -> list[str]:
+    """Return a line for each sentence that is not empty, behind its heading; files hold ± as ASCII."""
+    return [f"{head:10} {text}".replace("+-", "±") for head, text in sentences if text]
 
 
-def _frames_lines(role: NDArray[np.uint8], time: Array) -> list[str]:
-    """Return how many frames there are, and when they were taken."""
+def _frames(role: NDArray[np.uint8], time: Array) -> Iterator[Sentence]:
+    """Yield how many frames there are, and when they were taken."""
     unloaded, measured = int(np.sum(role == UNLOADED)), int(np.sum(role == MEASURED))
-    frames = f"{len(role)}: {unloaded} unloaded, {measured} measured; {time.min():g} to {time.max():g} s"
-    return [_line("frames", frames)]
+    yield "frames", f"{len(role)}: {unloaded} unloaded, {measured} measured; {time.min():g} to {time.max():g} s"
 
 
 def _recording_lines(recording: Recording) -> list[str]:
-    circuit, scene = recording.scene.circuit, recording.scene
+    circuit = recording.scene.circuit
     extras = {
         "σ": recording.sigma,
         "true cell resistance": recording.truth_cell_resistance,
         "true pressure": recording.truth_pressure,
         "sums of ADC codes": recording.raw_sums,
     }
-    held = ", ".join(name for name, values in extras.items() if values is not None)
-    lines = _frames_lines(recording.role, recording.time)
-    if recording.start_time is not None:
-        lines.append(_line("start", f"{recording.start_time} at 0 s"))
-    lines += [*_scene_lines(scene), *_noise_lines(recording)]
-    lines.append(_line("readings", f"{spanned(recording.recorded, circuit.unit)} ({circuit.signal_name})"))
-    lines += [*(_line("", sentence) for sentence in _holes(recording)), _line("besides", held or "nothing")]
-    strongest = strongest_readings(recording)
+    sentences = [
+        *_frames(recording.role, recording.time),
+        ("start", recording.start_time and f"{recording.start_time} at 0 s"),
+        *_scene(recording.scene),
+        *_noise(recording),
+        ("readings", f"{spanned(recording.recorded, circuit.unit)} ({circuit.signal_name})"),
+        *(("", sentence) for sentence in _holes(recording)),
+        ("besides", ", ".join(name for name, values in extras.items() if values is not None) or "nothing"),
+    ]
+    strongest, lines = strongest_readings(recording), _lines(sentences)
     if strongest is None:
         return [*lines, f"readings of frame 0 in {circuit.unit}:", *text_map(recording.recorded[0])]
     where = f"frame {strongest[0]} at {recording.time[strongest[0]]:g} s"
     return [*lines, f"readings of {where}, the strongest change against the unloaded ones:", *shaded_map(strongest[1])]
 
 
-def _noise_lines(recording: Recording) -> list[str]:
-    """Return sentences on lines that seem to touch, on the noise of the frames, and warnings."""
-    lines = []
+def _noise(recording: Recording) -> Iterator[Sentence]:
+    """Yield sentences on lines that seem to touch, on the noise of the frames, and warnings."""
     with suppress(InputError):  # said where an estimate is asked for; a look at the file is free
         readings, faults = recording.readings(), recording.scene.faults or Faults()
         for name, known, groups in (
@@ -107,35 +107,31 @@ def _noise_lines(recording: Recording) -> list[str]:
             for group in groups:
                 words = f"{name} {', '.join(map(str, group))} in every frame: if they touch, faults: "
                 if not any(set(group) <= set(joined) for joined in known):
-                    lines.append(_line("alike", f"{words}{{joined_{name}: [{list(group)}]}} says so"))
+                    yield "alike", f"{words}{{joined_{name}: [{list(group)}]}} says so"
     with suppress(InputError):
         from lampest.estimate.prepared import Prepared  # with all of the estimate, which results do without
 
         prepared = Prepared(recording)
-        learned = prepared.frame_noise.summary
-        lines += [_line("noise", learned)] if learned else []
-        lines += [_line("warning", joined) for joined in prepared.warnings]
-    return lines
+        yield "noise", prepared.frame_noise.summary
+        yield from (("warning", warning) for warning in prepared.warnings)
 
 
-def _scene_lines(scene: Scene) -> list[str]:
+def _scene(scene: Scene) -> Iterator[Sentence]:
     """Describe panel, readout and series resistance in words, and other entries by their keys."""
-    panel, listed = scene.panel, ""
+    panel, cells = scene.panel, ""
     if panel.cells is not None:
         wide, tall = (most - least for least, most in panel.extents_mm)
-        listed = f", {len(panel.cells)} cells at listed places over {wide:g} × {tall:g} mm"
+        cells = f", {len(panel.cells)} cells at listed places over {wide:g} × {tall:g} mm"
     if (modules := panel.modules) is not None:
         each, seam = f"{modules.each.rows} × {modules.each.columns}", f"seams of {modules.seam_mm:g} mm"
-        listed = f", {modules.rows} × {modules.columns} modules of {each} cells with {seam}"
-    texts: dict[str, object] = {
-        "panel": f"{panel.rows} rows × {panel.columns} columns{listed}, pitch {panel.pitch_mm:g} mm",
-        "readout": "unknown, resistances alone" if scene.readout is None else scene.readout.description(),
-        "assumed": scene.assumed and f"{scene.assumed_text}: the scene does not say",
-        "series": scene.circuit.unit == "ohm" and scene.series_text,
-    }
-    messages = ("panel", "readout", "assumed", "series_resistance_ohm")
-    texts |= {name: _in_words(part) or "none" for name, part in plain_content(scene).items() if name not in messages}
-    return [_line(name, text) for name, text in texts.items() if text]
+        cells = f", {modules.rows} × {modules.columns} modules of {each} cells with {seam}"
+    yield "panel", f"{panel.rows} rows × {panel.columns} columns{cells}, pitch {panel.pitch_mm:g} mm"
+    yield "readout", "unknown, resistances alone" if scene.readout is None else scene.readout.description()
+    yield "assumed", scene.assumed and f"{scene.assumed_text}: the scene does not say"
+    yield "series", scene.series_text if scene.circuit.unit == "ohm" else ""
+    for name, part in plain_content(scene).items():
+        if name not in ("panel", "readout", "assumed", "series_resistance_ohm"):
+            yield name, _in_words(part) or "none"
 
 
 def _in_words(part: Any) -> str:
@@ -164,22 +160,23 @@ def _results_lines(results: Results) -> list[str]:
         truth = "not in" if first.truth is None else "in"
         taken_off = ", series resistance taken off" if first.scene.circuit.unit == "ohm" else ""
         values = spanned(as_recorded(first.measured, first.scene), first.scene.circuit.unit)
-        lines += [
+        lines.append(
             f"recording {recording}: {frames} frames, {first.time.min():g} to {first.time.max():g} s, "
-            f"{rows} rows × {columns} columns, pitch {first.scene.panel.pitch_mm:g} mm, truth {truth} the file",
-            _line("readings", f"{values} ({first.scene.circuit.signal_name}{taken_off})"),
-        ]
+            f"{rows} rows × {columns} columns, pitch {first.scene.panel.pitch_mm:g} mm, truth {truth} the file"
+        )
         missing = np.isnan(first.measured) & first.scene.asked  # results of older versions do not say what are bounds
         bounds = np.zeros(missing.shape, bool) if first.reading_side is None else first.reading_side != 0
         shown = first.model_mark and first.model_sentence not in first.warnings
-        sentences = [
-            ("", holes_sentence(missing, bounds)),
-            ("model", shown and f"{first.model_mark}: {first.model_sentence}"),
-            *(("warning", line) for line in first.warnings.split("\n")),
-            ("film", first.film_sentence),
-            ("noise", first.noise_learned),
-        ]
-        lines += [_line(head, sentence) for head, sentence in sentences if sentence]
+        lines += _lines(
+            [
+                ("readings", f"{values} ({first.scene.circuit.signal_name}{taken_off})"),
+                ("", holes_sentence(missing, bounds)),
+                ("model", shown and f"{first.model_mark}: {first.model_sentence}"),
+                *(("warning", line) for line in first.warnings.split("\n")),
+                ("film", first.film_sentence),
+                ("noise", first.noise_learned),
+            ]
+        )
         width = max(len(case.estimator) for case in cases)
         for case in cases:
             solved = f"solved {int(np.sum(case.solved))}/{frames}{_starts(case)}"
@@ -206,16 +203,15 @@ def _starts(case: CaseResult) -> str:
     return f", verified local optima, best of {starts} start{'' if most == 1 else 's'} a frame"
 
 
-def _holes(recording: Recording) -> list[str]:
-    """Return sentences on missing and bounded readings, except those of faulty cells, and on their consequences."""
+def _holes(recording: Recording) -> Iterator[str]:
+    """Yield sentences on missing and bounded readings, except those of faulty cells, and on their consequences."""
     readings, scene = recording.readings(), recording.scene
-    sentences = [holes_sentence(readings.missing(scene), readings.bounds)]
+    yield holes_sentence(readings.missing(scene), readings.bounds)
     enough, unloaded = readings.enough(scene), recording.role == UNLOADED
     if not np.all(enough):
-        sentences.append(f"{int(np.sum(~enough))} of {len(enough)} frames have too few values to be estimated")
+        yield f"{int(np.sum(~enough))} of {len(enough)} frames have too few values to be estimated"
     if np.any(unloaded) and np.any(enough) and not readings[unloaded].mean().enough(scene):
-        sentences.append("the unloaded frames have too few values: the first frame with enough stands for them")
-    return [sentence for sentence in sentences if sentence]
+        yield "the unloaded frames have too few values: the first frame with enough stands for them"
 
 
 def holes_sentence(missing: NDArray[np.bool_], bounds: NDArray[np.bool_]) -> str:
@@ -246,8 +242,7 @@ def checked_sentence(path: Path) -> str:
 
     Raises InputError with the path of a damaged dataset.
     """
-    with hdf5.existing_file(path) as file:
-        form = hdf5.read_attribute(file, "/", "lampest_format")
+    form = hdf5.format_of(path)
     size, datasets = hdf5.checked(path)
     if form == FORMAT:
         for _ in read_each(path, MAX_READINGS):
@@ -262,18 +257,11 @@ def checked_sentence(path: Path) -> str:
 
 def text_map(values: Array) -> list[str]:
     """Return a matrix (rows, columns) as lines of numbers, cropped to the screen."""
-    columns = values.shape[1]
     texts = [["-" if np.isnan(value) else f"{value:.4g}" for value in row] for row in values[:MAX_ROWS]]
-    lines = [[*map(str, range(columns))], *texts]
-    width = max(len(text) for line in lines for text in line) + 2
+    lines = [[*map(str, range(values.shape[1]))], *texts]
     labels = ["column", *(f"row {row}" for row in range(len(texts)))]
-    left = max(map(len, labels))
-    fitting = min(columns, max(1, (_room() - left) // width))
-    drawn = [
-        f"{label:>{left}}" + "".join(f"{text:>{width}}" for text in line[:fitting])
-        for label, line in zip(labels, lines, strict=True)
-    ]
-    return drawn + _cropped(values, fitting)
+    drawn, remark = _fitted(labels, lines, max(len(text) for line in lines for text in line) + 2, values.shape)
+    return drawn + remark
 
 
 def shaded_map(change: Array) -> list[str]:
@@ -282,10 +270,6 @@ def shaded_map(change: Array) -> list[str]:
     Falls are blocks and rises are signs; each has its own scale up to its largest value. A cell is two characters wide
     if all columns fit, else one.
     """
-    rows, columns = change.shape
-    label = max(3, len(str(rows - 1)) + 1)
-    wide = 2 if 2 * columns + label <= _room() else 1
-    fitting = min(columns, (_room() - label) // wide)
     signs, keys = np.where(np.isfinite(change), " ", UNKNOWN), []
     for name, shades, part in (("falls by", FALLS, -change), ("rises by", RISES, change)):
         known = np.where(np.isfinite(part), part, 0.0)
@@ -296,19 +280,29 @@ def shaded_map(change: Array) -> list[str]:
             parts = (f"{sign} {end * step / 4:.3g} %" for step, sign in enumerate(shades) if step)
             keys.append(f"{name} {' '.join(parts)}")
     keys += [f"{UNKNOWN} no value"] if not np.all(np.isfinite(change)) else []
-    lines = [
-        f"{row:>{label - 1}} " + "".join(wide * str(sign) for sign in line[:fitting])
-        for row, line in enumerate(signs[:MAX_ROWS])
-    ]
-    return [*(line.rstrip() for line in lines), "; ".join(keys) or "nothing changes", *_cropped(change, fitting)]
+    labels = [f"{row:>2} " for row in range(min(len(change), MAX_ROWS))]
+    width = 2 if 2 * change.shape[1] + len(labels[-1]) <= _room() else 1
+    lines = [[width * str(sign) for sign in line] for line in signs[:MAX_ROWS]]
+    drawn, remark = _fitted(labels, lines, width, change.shape)
+    return [*(line.rstrip() for line in drawn), "; ".join(keys) or "nothing changes", *remark]
 
 
 def _room() -> int:
     return max(shutil.get_terminal_size((100, 24)).columns, 20)  # where no terminal says how many signs it has
 
 
-def _cropped(values: Array, columns: int) -> list[str]:
-    rows = min(len(values), MAX_ROWS)
-    if (rows, columns) == values.shape:
-        return []
-    return [f"(the first {rows} of {values.shape[0]} rows and {columns} of {values.shape[1]} columns)"]
+def _fitted(
+    labels: Sequence[str], lines: Sequence[Sequence[str]], width: int, shape: tuple[int, ...]
+) -> tuple[list[str], list[str]]:
+    """Return lines of texts behind their labels, as far as they fit the screen, and a remark on what does not.
+
+    shape : of the whole map.
+    """
+    left = max(map(len, labels))
+    rows, columns = min(shape[0], MAX_ROWS), min(shape[1], max(1, (_room() - left) // width))
+    drawn = [
+        f"{label:>{left}}" + "".join(f"{text:>{width}}" for text in line[:columns])
+        for label, line in zip(labels, lines, strict=True)
+    ]
+    remark = f"(the first {rows} of {shape[0]} rows and {columns} of {shape[1]} columns)"
+    return drawn, [] if (rows, columns) == shape else [remark]

@@ -16,7 +16,7 @@ from lampest.panel.panel import Array
 from lampest.recording.recording import Recording
 from lampest.report.compare import data_error
 from lampest.report.strongest import strongest_index
-from lampest.report.words import digits, spanned
+from lampest.report.words import digits, median_text, spanned
 from lampest.runs.columns import FIGURES, Column
 from lampest.runs.filling import named_result
 from lampest.runs.results import CaseResult, write_results
@@ -146,9 +146,4 @@ class Reconstruction(Estimates):
 
 
 def _median(values: Array | None) -> str:
-    """Return the median of the known values in digits, with their range where they differ."""
-    known = np.zeros(0) if values is None else values[np.isfinite(values)]
-    if not known.size:
-        return "unknown"
-    least, middle, largest = (digits(float(value)) for value in np.percentile(known, [0, 50, 100]))
-    return middle if least == largest else f"{middle} ({least} to {largest})"
+    return ("" if values is None else median_text(values)) or "unknown"

@@ -1,6 +1,5 @@
 """Selection of the frame with the strongest change."""
 
-import warnings
 from collections.abc import Sequence
 
 import numpy as np
@@ -33,9 +32,8 @@ def furthest(value: Array, resting: Array) -> int:
 
     The last one, because loads settle after their onset. value : (frames, rows, columns).
     """
-    change = likely_change(value, resting)
-    known = np.isfinite(change)
-    square = np.where(known, change**2, 0.0).sum(axis=(1, 2)) / np.maximum(known.sum(axis=(1, 2)), 1)
+    change = np.ma.masked_invalid(likely_change(value, resting))
+    square = np.ma.filled((change**2).mean(axis=(1, 2)), 0.0)
     return int(np.flatnonzero(square >= 0.9**2 * square.max())[-1])
 
 
@@ -48,14 +46,12 @@ def likely_change(value: Array, resting: Array) -> Array:
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         moved = np.log(value / resting)
-    moved = np.where(np.isfinite(moved), moved, np.nan)
-    rows, columns = value.shape[1:]
-    with warnings.catch_warnings(action="ignore", category=RuntimeWarning):  # a line without readings has no mean
-        mean = np.nanmean(moved, axis=(1, 2), keepdims=True)
-        across = np.nanmean(moved, axis=2, keepdims=True) - mean
-        down = np.nanmean(moved, axis=1, keepdims=True) - mean
+    moved, (rows, columns) = np.ma.masked_invalid(moved), value.shape[1:]
+    mean = moved.mean(axis=(1, 2), keepdims=True)
+    across, down = (moved.mean(axis=axis, keepdims=True) - mean for axis in (2, 1))
     own = moved - mean - across - down
-    return np.asarray(mean + (rows + columns - 1) * (across / rows + down / columns + own / 2))
+    change = mean + (rows + columns - 1) * (across / rows + down / columns + own / 2)
+    return np.asarray(change.filled(np.nan))
 
 
 def strongest_readings(recording: Recording) -> tuple[int, Array] | None:
@@ -74,6 +70,4 @@ def strongest_readings(recording: Recording) -> tuple[int, Array] | None:
 
 def mean_reading(recorded: Array) -> Array:
     """Return the mean over the frames, shape (rows, columns), ignoring missing readings."""
-    known = np.isfinite(recorded)
-    total = np.where(known, recorded, 0.0).sum(axis=0)
-    return np.where(known.any(axis=0), total / np.maximum(known.sum(axis=0), 1), np.nan)
+    return np.asarray(np.ma.masked_invalid(recorded).mean(axis=0).filled(np.nan))

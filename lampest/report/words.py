@@ -1,6 +1,6 @@
 """Formatting of numbers and lists."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -35,6 +35,22 @@ def digits(value: float, count: int = 3, like: float | None = None) -> str:
         return f"{mantissa}e{int(exponent)}".replace("-", "−")
     places = max(0, count - 1 - int(np.floor(np.log10(size)))) if size else 0
     return f"{value:,.{places}f}".replace("-", "−")
+
+
+def text_of(value: float | str | None, form: str = "digits") -> str:
+    """Format a value, '' for None and NaN; the form `digits` has three digits, with commas."""
+    if value is None or value != value:
+        return ""
+    return digits(float(value)) if form == "digits" else format(value, form)
+
+
+def median_text(values: Array, text: Callable[[float], str] = digits) -> str:
+    """Return the median of the known values, with their range where they differ; '' where none is known."""
+    known = values[np.isfinite(values)]
+    if not known.size:
+        return ""
+    least, middle, largest = map(text, np.percentile(known, [0, 50, 100]).tolist())
+    return middle if least == largest else f"{middle} ({least} to {largest})"
 
 
 def spanned(values: Array, unit: str) -> str:

@@ -3,7 +3,6 @@
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import MISSING, dataclass, field, fields
 from pathlib import Path
-from string import Formatter
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
@@ -14,9 +13,11 @@ from lampest.files.document import read_document, validated
 from lampest.files.errors import InputError
 from lampest.files.whole import refuse_inputs, write_whole
 from lampest.recording.datasets import folder as shipped_folder
-from lampest.report.compare import Table, comma_separated
+from lampest.report.compare import Columns, Table, comma_separated
+from lampest.report.compare import grouped as grouped
+from lampest.report.compare import screen_table as screen_table
 from lampest.report.plots.style import save
-from lampest.report.words import digits
+from lampest.report.words import text_of as text_of
 from lampest.runs.config import Case, Run
 from lampest.runs.executors import Serial, each_of
 from lampest.runs.filling import library_versions
@@ -28,8 +29,8 @@ Settings = TypeVar("Settings")
 Measured = TypeVar("Measured")
 Kind = TypeVar("Kind")
 OnStep = Callable[..., None]
+Screen = Columns  # of the rows
 Row = SimpleNamespace  # one line of a study's CSV file
-Screen = Mapping[str, str | Callable[[Any], str]]  # title → template over a row's values, or the text of a row
 
 
 def column(unit: str, meaning: str, default: Any = MISSING) -> Any:
@@ -218,47 +219,9 @@ def of_cases(
     return Cases(measured, [f"{name} left out: {why}" for name, why in left_out.items()])
 
 
-def named_values(record: Any, *names: str) -> dict[str, Any]:
-    """Return name → value for some attributes of a record."""
-    return {name: getattr(record, name) for name in names}
-
-
-def grouped(records: Iterable[Any], key: Callable[[Any], Any]) -> dict[Any, list[Any]]:
-    """Group records by a key, in order of first appearance."""
-    groups: dict[Any, list[Any]] = {}
-    for record in records:
-        groups.setdefault(key(record), []).append(record)
-    return groups
-
-
 def rows_by(key: Callable[[Any], Any], row: Callable[[Any], Row]) -> Callable[[Iterable[Any]], list[Row]]:
     """Return a function that makes a row of each group of records."""
     return lambda records: [row(own) for own in grouped(records, key).values()]
-
-
-def text_of(value: Any, form: str = "digits") -> str:
-    """Format a number, '' for None and NaN; the form `digits` has three digits, with commas."""
-    if value is None or value != value:
-        return ""
-    return digits(value) if form == "digits" else format(value, form)
-
-
-class _Texts(Formatter):
-    """Formatter of templates over the values of a row."""
-
-    def format_field(self, value: Any, format_spec: str) -> str:
-        return text_of(value, format_spec)
-
-
-def screen_table(rows: Iterable[Any], columns: Screen) -> Table:
-    """Return a table of rows for the screen, without empty columns."""
-    rows, texts = list(rows), _Texts()
-    shown = {
-        title: [of(row) if callable(of) else texts.vformat(of, (), vars(row)).strip(" ±") for row in rows]
-        for title, of in columns.items()
-    }
-    shown = {title: cells for title, cells in shown.items() if any(cells)}
-    return Table(tuple(shown), tuple(zip(*shown.values(), strict=True)))
 
 
 def csv_of(rows: Sequence[Any], names: Iterable[str] = ()) -> str:

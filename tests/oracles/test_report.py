@@ -8,17 +8,18 @@ import numpy as np
 import pytest
 from support import invented_case
 
-from lampest.report.page.compared import PREDICTION, Batch, advise, compared, doubts, matched, predicted
-from lampest.report.page.measures import (
-    COVERED,
-    SPREAD,
+from lampest.report.page.compared import (
+    PREDICTION,
+    Batch,
+    advise,
     block_length,
-    disagreements,
-    figures,
+    comparison_of,
+    matched,
     mean_interval,
     picks,
+    predicted,
 )
-from lampest.report.page.page import failures
+from lampest.report.page.page import COVERED, SPREAD, disagreements, doubts, failures, figures
 from lampest.runs.results import CaseResult
 
 pytestmark = pytest.mark.slow
@@ -129,7 +130,7 @@ def test_the_fastest_of_those_without_a_practical_difference_is_recommended() ->
     near = hard + 0.002 * rng.standard_normal(30)
     near += 0.0002 - np.mean(near - hard)
     given = {"best": (hard, 8.0), "near": (near, 2.0), "far": (hard + 0.01, 0.5)}
-    found = compared(cohort(30, **given), np.random.default_rng(0))
+    found = comparison_of(cohort(30, **given), np.random.default_rng(0))
     assert found is not None
     assert [row.estimator for row in found.standings] == ["best", "near", "far"]
     assert [row.told_apart for row in found.standings] == [False, False, True]
@@ -144,13 +145,13 @@ def test_the_fastest_of_those_without_a_practical_difference_is_recommended() ->
     assert "near takes 2.0 ms a frame, best 8.0 ms." in advice.reasons and not advice.warnings
     given["near"] = (near, 7.5)
     slow = cohort(30, **given)
-    assert advise(slow, compared(slow, np.random.default_rng(0))).estimator == "best"
+    assert advise(slow, comparison_of(slow, np.random.default_rng(0))).estimator == "best"
 
 
 def test_speed_makes_up_for_no_error_and_a_sure_trifle_decides_nothing() -> None:
     """Twice the error for half the time, not sure in five recordings; and a thousandth that is sure in all."""
     twice = cohort(5, slow=([0.01, 0.02, 0.01, 0.02, 0.01], 8.0), fast=([0.09, 0.01, 0.01, 0.02, 0.01], 4.0))
-    found = compared(twice, np.random.default_rng(0))
+    found = comparison_of(twice, np.random.default_rng(0))
     assert found is not None and not found.standings[1].told_apart
     advice = advise(twice, found)
     assert (
@@ -159,7 +160,7 @@ def test_speed_makes_up_for_no_error_and_a_sure_trifle_decides_nothing() -> None
     )
     hard = 0.02 + 0.001 * np.arange(30)
     trifle = cohort(30, one=(hard, 4.0), other=(hard * 1.001, 4.0))
-    found = compared(trifle, np.random.default_rng(0))
+    found = comparison_of(trifle, np.random.default_rng(0))
     assert found is not None and found.standings[1].told_apart
     assert advise(trifle, found).headline.startswith("No practical difference between one and other")
 
@@ -167,9 +168,11 @@ def test_speed_makes_up_for_no_error_and_a_sure_trifle_decides_nothing() -> None
 def test_few_recordings_and_a_single_one_are_warned_of() -> None:
     errors = [0.01, 0.02, 0.03]
     few = cohort(3, A=(errors, 1.0), B=([0.05] * 3, 1.0))
-    assert any("fewer than 5" in sentence for sentence in advise(few, compared(few, np.random.default_rng(0))).warnings)
+    assert any(
+        "fewer than 5" in sentence for sentence in advise(few, comparison_of(few, np.random.default_rng(0))).warnings
+    )
     one = cohort(1, A=(errors, 1.0), B=([0.05], 1.0))
-    found = compared(one, np.random.default_rng(0))
+    found = comparison_of(one, np.random.default_rng(0))
     assert found is not None and found.over_frames and found.values.shape == (SHAPE[0], 2)
     assert any("One recording only" in sentence for sentence in advise(one, found).warnings)
 
@@ -183,12 +186,12 @@ def test_without_truth_the_prediction_decides_and_without_noise_nothing_does() -
 
     given = (("follows all", 0.0, 1.0), ("right", 0.8, 0.3), ("too stiff", 3.0, 0.05))
     known = batch(*(case(*method[:1], f"r{number}", *method[1:]) for number in range(6) for method in given))
-    found = compared(known, np.random.default_rng(0))
+    found = comparison_of(known, np.random.default_rng(0))
     assert found is not None and found.criterion is PREDICTION
     assert [row.estimator for row in found.standings] == ["right", "follows all", "too stiff"]
     assert advise(known, found).estimator == "right"
     bare = batch(*(invented_case(name, "r", SHAPE, truth=False) for name in ("A", "B")))
-    untold = advise(bare, compared(bare, np.random.default_rng(0)))
+    untold = advise(bare, comparison_of(bare, np.random.default_rng(0)))
     assert untold.estimator is None and "cannot rank" in untold.headline
 
 
@@ -202,7 +205,7 @@ def test_who_fails_does_not_compete() -> None:
     assert match.estimators == ("A", "B") and len(match.recordings) == 3
     assert match.left_out[0] == "C, without results of the same recordings"
     assert match.left_out[1] == "1 of 4 recordings lack some of the estimators"
-    assert compared(batch(invented_case("A", "r1"), invented_case("B", "r2")), np.random.default_rng(0)) is None
+    assert comparison_of(batch(invented_case("A", "r1"), invented_case("B", "r2")), np.random.default_rng(0)) is None
     match = matched(batch(*cases).recordings)
     assert match.left_out == ("C failed in 3 of 40 frames",) and match.frames == 39
 

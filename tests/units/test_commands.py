@@ -36,6 +36,17 @@ def test_every_option_has_help_and_every_command_an_example(name: str) -> None:
             assert FIGURES.search(parameter.help), f"{name}: {parameter.name} shows no value"
 
 
+@pytest.mark.parametrize("name", sorted(name for name in COMMANDS if name.startswith("study ")))
+def test_a_study_takes_a_folder_that_is_not_there_yet(
+    name: str, tmp_path: Path, lampest: Command, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folders: list[object] = []
+    monkeypatch.setattr("lampest.cli.studies.run_study", lambda study, config, out, assign: folders.append(out))
+    ended = lampest(*name.split(), "--out", str(tmp_path / "new"))
+    assert ended.code == 0, ended.err
+    assert folders == [tmp_path / "new"]
+
+
 def test_no_help_holds_an_emoji(lampest: Command) -> None:
     """Of words between two colons the help's renderer makes a picture where it knows one."""
     for name in ("compare", "plot", "export", "detect", "tare"):

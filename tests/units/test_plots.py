@@ -9,7 +9,9 @@ from typing import Any, ClassVar
 
 import numpy as np
 import pytest
+from matplotlib import colormaps
 from matplotlib.axes import Axes
+from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from numpy.testing import assert_allclose
 from support import METHODS, invented_case
@@ -18,7 +20,7 @@ from lampest.files.errors import InputError
 from lampest.panel.panel import Panel
 from lampest.panel.readouts import LoadedColumnsReadout, TwoPointReadout
 from lampest.report.plots import PLOTS, Plot, plot_of, plot_results
-from lampest.report.plots.maps import RESOLUTION, MapPainter, Tile, banded_scale, change_scale
+from lampest.report.plots.maps import MapPainter, Scale, Tile, banded_scale, change_scale
 from lampest.report.plots.style import change_text, new_figure
 from lampest.report.words import digits
 from lampest.runs.case import CaseResult
@@ -200,7 +202,7 @@ def test_a_map_is_in_millimetre_with_crosses_where_it_says(contoured: bool) -> N
 
 
 def test_what_is_no_number_is_grey_and_what_was_not_solved_says_so() -> None:
-    painter = MapPainter(Panel(1, 2), RESOLUTION)
+    painter = MapPainter(Panel(1, 2), Scale(Normalize(0, 1), colormaps["YlGnBu"], "resolution"))
     _, cells = painted(painter, Tile("", np.array([[0.5, np.nan]]))).collections
     assert cells.get_array().mask.tolist() == [False, True]
     assert cells.get_cmap().get_bad().tolist() == pytest.approx([0.88, 0.88, 0.88, 1.0])

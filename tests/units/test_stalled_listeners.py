@@ -120,7 +120,7 @@ def test_a_websocket_that_never_reads_loses_its_place(monkeypatch: pytest.Monkey
     from websockets.sync.client import connect
 
     monkeypatch.setattr(websocket, "MAX_STREAMS", 1)
-    monkeypatch.setattr(websocket, "STALLED_SECONDS", 0.2)
+    monkeypatch.setattr(websocket, "TURN_SECONDS", 0.2)
     with publish_at("websocket://127.0.0.1:0").opened(lambda sentence: None) as (where, send):
         port = int(where.split(":")[2].strip("/"))
         with closing(small_socket()) as asleep:

@@ -19,7 +19,6 @@ LAMPREY, SUCKS, CUP, PRESSES, NOTHING, CANNOT_SAY = ANSWERS
 # Probability that a panel is bare on which nothing stepped: weak loads make no step; an assumption.
 BARE_PROBABILITY = 0.99
 MIN_PROBABILITY = 0.9  # from which on an attachment is called lamprey, or suction cup
-MAX_CONTACTS = 4  # that a sentence describes
 PAIRS = {
     "x_mm": ("mm", "centre across the columns, column 0 at 0"),
     "y_mm": ("mm", "centre across the rows, row 0 at 0"),
@@ -30,10 +29,12 @@ PAIRS = {
     "area_mm2": ("mm2", "area of the touched cells"),
     "conductance_s": ("S", "conductance of the touched cells beyond that at rest"),
 }
-NUMBERS = {
+CHANCES = {
     "sucks": ("1", "probability that it sucks"),
     "breathes": ("1", "probability that its suction changes as breathing does"),
     "pumps": ("1", "probability that its suction decays and is pumped up again"),
+}
+NUMBERS = {
     "since_s": ("s", "time at which it came"),
     "until_s": ("s", "time at which it left; NaN: still present"),
     "cells": ("1", "number of touched cells"),
@@ -96,24 +97,15 @@ class Detected:
     warnings: tuple[str, ...] = ()
 
     @classmethod
-    def of(
-        cls,
-        recording: str,
-        attachments: Sequence[Attachment],
-        rate: float,
-        notes: tuple[str, ...] = (),
-        course: Array | None = None,
-        change: Array | None = None,
-        panel: Panel | None = None,
-    ) -> "Detected":
+    def of(cls, recording: str, attachments: Sequence[Attachment], rate: float, **further: Any) -> "Detected":
         """Return the most alarming of all attachments: of these those still present, of these the last.
 
-        rate : frames a second.
+        rate : frames a second. further : the other attributes.
         """
         loads = [*filter(lambda load: load.present, reversed(attachments)), *reversed(attachments)]
         called = [answer_of(load, rate) for load in loads]
         chosen = min(called, key=lambda load: ANSWERS.index(load[0]), default=(NOTHING, BARE_PROBABILITY, ""))
-        return cls(recording, *chosen, rate, notes, tuple(attachments), course, change, panel)
+        return cls(recording, *chosen, rate, attachments=tuple(attachments), **further)
 
     @classmethod
     def unknown(cls, recording: str, why: str) -> "Detected":
@@ -141,9 +133,7 @@ class Detected:
         odds = f"P = {self.probability:.2f}" if self.probability < 0.995 else "P > 0.99"
         present = [attachment for attachment in self.attachments if attachment.present]
         if self.answer == PRESSES and len(present) > 1:
-            shown = [_described(attachment) for attachment in present[:MAX_CONTACTS]]
-            shown += [f"{len(present) - MAX_CONTACTS} more"] if len(present) > MAX_CONTACTS else []
-            return f"{len(present)} contacts: {'; '.join(shown)} ({odds})"
+            return f"{len(present)} contacts: {'; '.join(map(_described, present))} ({odds})"
         name = {SUCKS: "something that sucks (lamprey or cup)", PRESSES: "contact"}.get(self.answer, self.answer)
         messages = [f"{name}{' attached' if load.sucks > 0.5 else ''} {_described(load)}"]
         if self.answer == LAMPREY and load.pumps >= MIN_PROBABILITY:
@@ -181,24 +171,15 @@ class Detected:
             "warnings": list(self.warnings),
             "attachments": [_content(load, name) for load, name in zip(self.attachments, self.called, strict=True)],
             "events": [
-                {"event": event.kind, "time_s": _round(event.time_s), "attachment": event.number}
+                {"event": event.kind, "time_s": _rounded(event.time_s), "attachment": event.number}
                 for event in self.events
             ],
         }
 
 
 def _content(load: Attachment, answer: str) -> dict[str, Any]:
-    pairs = {name: getattr(load, name) for name in PAIRS}
-    return {
-        "answer": answer,
-        "sucks": round(load.sucks, 4),
-        "breathes": round(load.breathes, 4),
-        "pumps": round(load.pumps, 4),
-        "since_s": _round(load.since_s),
-        "until_s": None if load.until_s is None else _round(load.until_s),
-        "cells": load.cells,
-        **{name: None if pair is None else [_round(number) for number in pair] for name, pair in pairs.items()},
-    }
+    chances = {name: round(getattr(load, name), 4) for name in CHANCES}
+    return {"answer": answer} | chances | {name: _rounded(getattr(load, name)) for name in (*NUMBERS, *PAIRS)}
 
 
 def answer_of(load: Attachment, rate: float) -> tuple[str, float, str]:
@@ -242,9 +223,11 @@ def _described(load: Attachment) -> str:
     return ", ".join(messages)
 
 
-def _round(number: float) -> float:
-    """To six significant digits."""
-    return float(f"{number:.6g}")
+def _rounded(value: Pair | float | None) -> Any:
+    """Return a number, or each of a pair, with six significant digits; counts and None as they are."""
+    if isinstance(value, tuple):
+        return [_rounded(number) for number in value]
+    return float(f"{value:.6g}") if isinstance(value, float) else value
 
 
 def _shown(pair: Pair | None, unit: str = "") -> str:
@@ -322,7 +305,7 @@ def _attachment_columns(known: Sequence[dict[str, Any]]) -> dict[str, tuple[Any,
     columns: dict[str, tuple[Any, str, str]] = {
         "answer": (hdf5.ascii_array([load["answer"] for load in known]), "1", "what it is")
     }
-    for name, (units, text) in NUMBERS.items():
+    for name, (units, text) in (CHANCES | NUMBERS).items():
         columns[name] = np.array([load[name] for load in known], dtype=float), units, text
     for name, (units, text) in PAIRS.items():
         pairs = np.array([load[name] or (None, None) for load in known], dtype=float)

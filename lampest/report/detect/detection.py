@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -126,7 +127,8 @@ class Known:
             attachments = tuple(replace(load, suction_kpa=None) for load in attachments)
         slow = too_slow(rate) if any(load.sucks > 0.5 for load in attachments) else ""
         notes = (*self.notes, BY, *(() if response else (NO_RESPONSE,)), *filter(None, (slow, watch.doubt)))
-        return Detected.of(self.name, attachments, rate, notes, course, watch.change, self.scene.panel)
+        shown: dict[str, Any] = {"course": course, "change": watch.change, "panel": self.scene.panel}
+        return Detected.of(self.name, attachments, rate, notes=notes, **shown)
 
     def values(self, readings: Readings) -> tuple[Array, Array]:
         """(value, σ) (rows, columns) of one frame; σ is infinite where a reading is no value."""
@@ -141,9 +143,7 @@ def frame_rate(times: "list[float] | tuple[float, ...]") -> float:
 
 def is_results(path: Path) -> bool:
     """Whether a file holds results. Raises InputError where it cannot be read."""
-    with hdf5.existing_file(path) as file:
-        form = hdf5.read_attribute(file, "/", "lampest_format")
-    return isinstance(form, str) and form.startswith(RESULTS)
+    return hdf5.format_of(path).startswith(RESULTS)
 
 
 def detect_results(
@@ -156,13 +156,12 @@ def detect_results(
 def _of_case(task: tuple[CaseResult, float | None]) -> Detected:
     case, patch_mm = task
     side, spread, notes = np.where(case.valued, case.measured, np.nan), case.sigma, tuple[str, ...]()
-    if spread is None or case.sigma_baseline is None:
-        sigma, notes = _scattered(side)
-        spread, resting = np.broadcast_to(sigma, side.shape), None
-    else:
-        resting = case.sigma_baseline
     noise = frame_noise_of(case.frame_noise, case.scene)
-    own = spread[0] if resting is None else resting * np.sqrt(1 if noise is None else noise.unloaded)
+    if spread is None or case.sigma_baseline is None:
+        own, notes = _scattered(side)
+        spread = np.broadcast_to(own, side.shape)
+    else:
+        own = case.sigma_baseline * np.sqrt(1 if noise is None else noise.unloaded)
     baseline = case.measured_baseline
     baseline = np.where(np.isfinite(baseline), baseline, stand_in(baseline, np.isfinite(baseline)))
     begin = float(case.time[0] - (np.median(np.diff(case.time)) if len(case.time) > 1 else 0.0))

@@ -22,12 +22,11 @@ from lampest.recording.recording import MEASURED, UNLOADED
 from lampest.report.detect.answer import Detected
 from lampest.report.live.handover import Beside, Errand, Newest
 from lampest.report.live.message import HISTORY_FRAMES, UNKNOWN, Picture, Point, View, with_detected
-from lampest.report.live.state import Findings, PanelState, SecondLook, solved_picture
+from lampest.report.live.state import NOTICED_PERCENT, Findings, PanelState, SecondLook, solved_picture
 from lampest.report.live.watcher import News, Scan, Unloaded, as_recording, watcher
 from lampest.report.strongest import as_recorded, percent_change
 
 BARS_SECONDS = 0.2  # between looks that only lack error bars: what reads them is the eye
-LOADED_PERCENT = 1.0  # percent by which readings have changed on average: far above noise, and what a finger does
 LOADED_FRAMES = 3  # with which the circuit is checked: one alone may have a wrong reading
 
 
@@ -155,7 +154,7 @@ class Engine:
             state, picture = solved_scan(state, news.thing, len(unloaded) + seen, skipped)
             self.shown.change(partial(with_picture, picture=picture, zeroed=state.zeroed))
             self._look_again(state.look)
-            if len(loaded) < LOADED_FRAMES and float(np.nanmean(np.abs(picture.measured_change))) > LOADED_PERCENT:
+            if len(loaded) < LOADED_FRAMES and float(np.nanmean(np.abs(picture.measured_change))) > NOTICED_PERCENT:
                 loaded = (*loaded, news.thing)
                 if len(loaded) == LOADED_FRAMES:
                     self._check(source.scene, unloaded, loaded)

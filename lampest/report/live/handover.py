@@ -9,6 +9,7 @@ from typing import Any, Generic, NamedTuple, TypeVar
 
 from lampest.runs.executors import Worker
 
+FAREWELL_SECONDS = 1.0  # for the last item to reach a listener
 T = TypeVar("T")
 
 

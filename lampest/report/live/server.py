@@ -18,12 +18,12 @@ from threading import BoundedSemaphore, Event, Thread
 from urllib.parse import parse_qsl, urlsplit
 
 from lampest.files.errors import InputError
-from lampest.report.live.handover import Newest
+from lampest.report.live.handover import FAREWELL_SECONDS, Newest
 from lampest.report.live.message import View, view_text
 
 MAX_STREAMS = 16  # pages that look on at once, a thread each
-HEARTBEAT_SECONDS, FAREWELL_SECONDS = 2.0, 1.0  # between signs of life, for the last view to go out
-TURN_SECONDS = 60.0  # after which a page gives its seat to one that found none; it comes again by itself
+HEARTBEAT_SECONDS = 2.0  # between signs of life
+TURN_SECONDS = 60.0  # after which a page, or a listener that takes nothing, gives its seat to one that found none
 MIN_TOKEN_LENGTH = 16  # of a token: 10²⁸ of them
 HINT = ": open the address that lampest printed when it began, with its token if it has one"
 WISH = "X-Lampest"  # no foreign page may send a header of its own without having asked, and here nobody answers that

@@ -21,8 +21,7 @@ from lampest.report.live.message import BOTH, NOTHING, PRESSING, SUCKING, Pictur
 from lampest.solvers.multistart import SAME_MINIMUM
 
 ASKED = "it was asked for"
-# Percent where the noise is unknown: far above any readout's, and what a finger does.
-NOTICED_PERCENT = 1.0
+NOTICED_PERCENT = 1.0  # change of a reading: far above any readout's noise, and what a finger does
 # Of the strongest |ln r/r₀|: what penalties leave beside a load stays below, a mouth's inside lies above.
 MIN_SHARE = 0.3
 

@@ -3,6 +3,7 @@
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from math import ceil
 from pathlib import Path
 from typing import Any
 
@@ -12,12 +13,14 @@ from numpy.typing import NDArray
 from lampest.files.errors import InputError
 from lampest.panel.panel import Array
 from lampest.report.compare import weighted_residual
-from lampest.report.page import measures
-from lampest.report.page.measures import between, weights_text
-from lampest.report.words import counted, digits, listed
+from lampest.report.words import counted, digits, listed, median_text
 from lampest.runs.case import CaseResult
 from lampest.runs.results import read_results
 
+DRAWS = 2000  # of which the 2.5th percentile is known to 0.06 standard deviations
+NONE = "–"
+HARD = "\N{NO-BREAK SPACE}"
+Picks = NDArray[np.intp]
 Recordings = Mapping[str, Mapping[str, CaseResult]]  # name → estimator → case
 
 
@@ -103,8 +106,7 @@ def _renamed(case: CaseResult, before: Sequence[CaseResult], number: int) -> Cas
     same = [second for second in before if second.recording == case.recording]
     given = ("frame", "time", "measured", "measured_baseline", "truth", "truth_baseline")
     pairs = [(getattr(case, name), getattr(same[0], name)) for name in given] if same else []
-    arrays = [(first, second) for first, second in pairs if first is not None or second is not None]
-    if not all(np.array_equal(*pair, equal_nan=pair[0] is not None and pair[1] is not None) for pair in arrays):
+    if not all(np.array_equal(*pair, equal_nan=pair[0] is not None and pair[1] is not None) for pair in pairs):
         return replace(case, recording=f"{case.recording} [{number}]")
     if any(second.estimator == case.estimator for second in same):
         return replace(case, estimator=f"{case.estimator} [{number}]")
@@ -153,13 +155,64 @@ def matched(recordings: Recordings) -> Matched:
         if np.mean(solved) < 0.95:
             names.remove(name)
             left_out.append(f"{name} failed in {int(np.sum(~solved))} of {len(solved)} frames")
-    solved_by_all = {
-        recording: np.all([cases[name].solved for name in names], axis=0)
+    chosen = {
+        recording: solved
         for recording, cases in (common.items() if names else ())
+        if np.any(solved := np.all([cases[name].solved for name in names], axis=0))
     }
-    chosen = {recording: frames for recording, frames in solved_by_all.items() if np.any(frames)}
     compared = {recording: common[recording] for recording in chosen}
     return Matched(tuple(names), compared, tuple(chosen.values()), tuple(left_out))
+
+
+@dataclass(frozen=True)
+class Interval:
+    """A figure and the ends of its 95 % bootstrap interval (percentiles)."""
+
+    value: float
+    lower: float
+    upper: float
+
+
+def block_length(values: Array) -> int:
+    """Return the block length of a bootstrap: n^(1/3), or the correlation length if longer, at most n/3.
+
+    values : (frames, estimators). Memory is the first lag at which the autocorrelation of the estimators' differences
+    is below 1/e. Source of n^(1/3): Hall, Horowitz, Jing, Biometrika 82, 1995.
+    """
+    count = len(values)
+    series = values - values.mean(axis=1, keepdims=True)
+    series = series - series.mean(axis=0)
+    power, longest, memory = float(np.sum(series**2)), max(1, count // 3), 0
+    if np.isfinite(power) and power > 0:
+        while memory < longest and np.sum(series[memory:] * series[: count - memory]) > power / np.e:
+            memory += 1
+    return int(min(max(ceil(count ** (1 / 3)), memory), longest))
+
+
+def picks(count: int, block: int, generator: np.random.Generator) -> Picks:
+    """Draw units in circular blocks of neighbours, shape (draws, count); blocks of 1 are the ordinary bootstrap.
+
+    Source: Politis and Romano, in LePage and Billard (eds.), Exploring the Limits of Bootstrap, 1992.
+    """
+    starts = generator.integers(count, size=(DRAWS, ceil(count / block)))
+    return ((starts[:, :, None] + np.arange(block)) % count).reshape(DRAWS, -1)[:, :count]
+
+
+def mean_interval(values: Array, drawn: Picks) -> Interval:
+    """Return the mean of values, shape (units,), with its interval."""
+    return Interval(float(np.mean(values)), *np.percentile(values[drawn].mean(axis=1), (2.5, 97.5)).tolist())
+
+
+def between(interval: Interval, unit: str = "", sign: str = "") -> str:
+    """Format an interval, such as '2.13 (1.95 to 2.36) %', with two digits of its length.
+
+    sign : '+' for differences, printed before positive numbers.
+    """
+    length = interval.upper - interval.lower
+    like = max(length, abs(interval.value) / 10) if np.isfinite(length) else None
+    ends = (interval.value, interval.lower, interval.upper)
+    value, lower, upper = (sign * (end > 0) + digits(end, 2, like) for end in ends)
+    return f"{value} ({lower}{HARD}to{HARD}{upper}){unit and HARD + unit}"
 
 
 @dataclass(frozen=True)
@@ -170,8 +223,8 @@ class Standing:
     """
 
     estimator: str
-    mean: measures.Interval
-    difference: measures.Interval
+    mean: Interval
+    difference: Interval
     wins: int
 
     @property
@@ -240,6 +293,13 @@ class Comparison:
         return len(self.match.recordings) == 1
 
 
+def log_error(case: CaseResult) -> Array:
+    """Return 100·|ln(r/r_true)|, (frames, rows, columns) percent; NaN for failed frames. Requires the truth."""
+    assert case.truth is not None
+    positive = np.maximum(case.cell_resistance, np.finfo(float).tiny)
+    return np.asarray(100 * np.abs(np.log(positive / case.truth)))
+
+
 def predicted(case: CaseResult) -> Array:
     """Mallows' C: min(z², 25) + 2·resolution with z = (model − measured)/σ, (frames, rows, columns), unit 1.
 
@@ -257,7 +317,7 @@ CELL_ERROR = Criterion(
     "error of the cells",
     "%",
     "100·|ln(r/r_true)|, its median over cells and frames; the truth is known",
-    measures.log_error,
+    log_error,
     np.median,
 )
 PREDICTION = Criterion(
@@ -270,7 +330,7 @@ PREDICTION = Criterion(
 )
 
 
-def compared(batch: Batch, generator: np.random.Generator) -> Comparison | None:
+def comparison_of(batch: Batch, generator: np.random.Generator) -> Comparison | None:
     """Compare estimators by the best criterion that the results allow.
 
     This is the error against the truth, or else the predicted error of new readings, which requires their noise and the
@@ -288,8 +348,8 @@ def compared(batch: Batch, generator: np.random.Generator) -> Comparison | None:
     if single:
         units = tuple(f"frame {number}" for number in cases[0].frame[match.chosen[0]])
     values = _values(match, criterion.per_cell, criterion.average)
-    block = measures.block_length(values) if single else 1
-    standings = _standings(match.estimators, values, measures.picks(len(values), block, generator.spawn(1)[0]))
+    block = block_length(values) if single else 1
+    standings = _standings(match.estimators, values, picks(len(values), block, generator.spawn(1)[0]))
     times = np.exp(_values(match, lambda case: np.log(np.fmax(1e3 * case.solve_time, 1e-3)), np.median).mean(axis=0))
     milliseconds = dict(zip(match.estimators, times.tolist(), strict=True))
     return Comparison(criterion, match, units, values, block, standings, milliseconds)
@@ -306,15 +366,26 @@ def _values(match: Matched, per_cell: Callable[[CaseResult], Array], average: Ca
     return np.stack(columns, axis=1)
 
 
-def _standings(estimators: Sequence[str], values: Array, drawn: measures.Picks) -> tuple[Standing, ...]:
+def _standings(estimators: Sequence[str], values: Array, drawn: Picks) -> tuple[Standing, ...]:
     """Compare every estimator with the one of smallest mean, listed first; all use the same bootstrap draws."""
     order = np.argsort(values.mean(axis=0), kind="stable")
     wins, rows = np.sum(values == values.min(axis=1, keepdims=True), axis=0), []
     for number in order:
         own, best = values[:, number], values[:, order[0]]
-        intervals = measures.mean_interval(own, drawn), measures.mean_interval(own - best, drawn)
+        intervals = mean_interval(own, drawn), mean_interval(own - best, drawn)
         rows.append(Standing(estimators[number], *intervals, int(wins[number])))
     return tuple(rows)
+
+
+def weights_text(cases: Sequence[Mapping[str, Array]]) -> str:
+    """Return the weights of the penalties, such as 'gradient λ = 0.001', as median and range if they differ."""
+    by_term: dict[str, list[Array]] = {}
+    for weights in cases:
+        for term, values in weights.items():
+            by_term.setdefault(term.replace("_", " "), []).append(values)
+    texts = {term: median_text(np.concatenate(each), "{:.3g}".format) for term, each in by_term.items()}
+    parts = [f"{term} λ = {text or NONE}" for term, text in texts.items() if term != "misfit"]
+    return ", ".join(parts) or ("no penalty" if by_term else "")
 
 
 @dataclass(frozen=True)
@@ -391,25 +462,3 @@ def _few(comparison: Comparison) -> Iterator[str]:
     if len(comparison.units) < 5:
         noun = counted(len(comparison.units), "frame" if comparison.over_frames else "recording")
         yield f"{noun} only: intervals from fewer than 5 are unreliable, usually too short."
-
-
-def doubts(estimator: str, recordings: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:
-    """Return warnings about the recommended estimator: residuals beyond the noise and wrong error bars.
-
-    recordings : its `figures` of each recording.
-    """
-    lines = measures.SPREAD, measures.COVERED
-    spreads, coverages = ([own[line] for own in recordings if own.get(line) is not None] for line in lines)
-    spread, coverage = float(np.median(spreads or [1.0])), float(np.mean(coverages or [100.0]))
-    sentences = []
-    if spread > 1.5:
-        sentences.append(
-            f"The residuals of {estimator} are {digits(spread, 2)} times the noise of the readings: the noise is "
-            "larger than the scene states, an effect is missing in the model, or the penalty is too strong."
-        )
-    if coverage < 90:
-        sentences.append(
-            f"The 95 % intervals of {estimator} contain the truth for {digits(coverage, 2)} % of the cells: an effect "
-            "is missing in the scene, or the penalty does not suit these loads."
-        )
-    return tuple(sentences)

@@ -2,47 +2,29 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from importlib.resources import files
+from itertools import combinations
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
+from jinja2 import Environment, FunctionLoader, StrictUndefined
 
+from lampest.files.levels import MAD_TO_SIGMA
 from lampest.files.whole import write_whole
-from lampest.report.compare import MIN_DIFFERENCE, Table
-from lampest.report.page.compared import Batch, Comparison, advise, compared, doubts, read_batch, without_copies
-from lampest.report.page.measures import (
-    DRAWS,
-    HARD,
-    NONE,
-    Disagreement,
-    between,
-    disagreements,
-    figures,
-    filled,
-    frames_text,
-    weights_text,
-)
+from lampest.panel.panel import Array
+from lampest.report.compare import MAX_SHOWN, MIN_DIFFERENCE, Table, figures_of, statistics, weighted_residual
+from lampest.report.page import compared
+from lampest.report.page.compared import HARD, NONE, Batch, Comparison, between, weights_text
 from lampest.report.plots.contours import CertaintyPlot, ContourPlot, Plot, ResidualPlot
 from lampest.report.plots.maps import Tile, maps_figure, signed_scale, values_of
-from lampest.report.plots.style import HALF_INCH, data_uri, verbatim
+from lampest.report.plots.style import WIDTH_INCH, data_uri, verbatim
 from lampest.report.strongest import strongest_index
 from lampest.report.words import counted, digits
 from lampest.runs.case import CaseResult
 from lampest.runs.executors import each_of
 
-CHANGED = "Relative change of resistance against the unloaded panel."
-CERTAIN = (
-    "Posterior standard deviation of each cell, in logarithmic colours, and the resolution: the part of a cell's "
-    "change that its estimate follows. Where it is 0, the penalty alone decides."
-)
-UNEXPLAINED = (
-    "Residuals of the readings. A pattern names an effect that the model lacks, or a penalty that is too strong."
-)
-DIFFERENT = (
-    "Cells in which two estimators differ by more than their joint 95 % interval; grey: they do not. The titles give "
-    "the share of such cells over all frames. Up to 5 % are expected by chance."
-)
-MAX_FIGURES = 6  # recordings with all figures, and estimators in them
+SPREAD, COVERED = "residuals: robust standard deviation [σ]", "truth within its interval [%]"
 
 
 def write_report(
@@ -62,20 +44,20 @@ def write_report(
     frames : range or None
         As `read_results` takes them.
     """
-    write_whole(out, report(read_batch(paths, frames), on_recording))
+    write_whole(out, report(compared.read_batch(paths, frames), on_recording))
 
 
 def report(batch: Batch, on_recording: Callable[[int, int], None] = lambda done, total: None) -> str:
     """Return the page as HTML; on_recording : as in `write_report`."""
-    own, _ = without_copies(batch.recordings)
-    comparison = compared(batch, np.random.default_rng(20190604).spawn(1)[0])  # always the same draws
-    advice = advise(batch, comparison)
+    own, _ = compared.without_copies(batch.recordings)
+    comparison = compared.comparison_of(batch, np.random.default_rng(20190604).spawn(1)[0])  # always the same draws
+    advice = compared.advise(batch, comparison)
     by_estimator = {name: [cases[name] for cases in own.values() if name in cases] for name in batch.estimators}
     if advice.estimator is not None:
         doubted = doubts(advice.estimator, list(map(figures, by_estimator[advice.estimator])))
         advice = replace(advice, warnings=(*advice.warnings, *doubted))
     first = [row.estimator for row in comparison.standings] if comparison else []
-    drawn = [*dict.fromkeys((*first, *batch.estimators))][:MAX_FIGURES]
+    drawn = [*dict.fromkeys((*first, *batch.estimators))][:MAX_SHOWN]
     tasks = [(name, cases, number, drawn) for number, (name, cases) in enumerate(batch.recordings.items())]
     sections = each_of(_section, tasks, on_recording)
     return filled(
@@ -86,11 +68,11 @@ def report(batch: Batch, on_recording: Callable[[int, int], None] = lambda done,
         standings=comparison and standing_table(comparison),
         units=comparison and len(comparison.units) <= 200 and unit_table(comparison),
         together=case_table(by_estimator) if len(own) > 1 else None,
-        whole=sections[:MAX_FIGURES],
-        others=sections[MAX_FIGURES:],
-        most=MAX_FIGURES,
+        whole=sections[:MAX_SHOWN],
+        others=sections[MAX_SHOWN:],
+        most=MAX_SHOWN,
         origins={name: case for cases in [*batch.recordings.values()][::-1] for name, case in cases.items()},
-        draws=DRAWS,
+        draws=compared.DRAWS,
         counted=counted,
         digits=digits,
     )
@@ -99,16 +81,16 @@ def report(batch: Batch, on_recording: Callable[[int, int], None] = lambda done,
 def _section(task: tuple[str, Mapping[str, CaseResult], int, Sequence[str]]) -> dict[str, Any]:
     """Return the content of a recording's section: contours and a table; for the first ones, all figures."""
     name, every, number, drawn = task
-    whole = number < MAX_FIGURES
+    whole = number < MAX_SHOWN
     cases = [case for estimator, case in every.items() if estimator in drawn] or [*every.values()][:1]
     place, pairs = strongest_index(cases), disagreements(cases) if whole else ()
     with verbatim():
         words = f"Maps of relative change of {name}: measured, by every estimator, and true where known"
-        shown = wide(ContourPlot(), cases, words, CHANGED)
+        shown = wide(ContourPlot(), cases, words)
         if whole:
             frame = int(cases[0].frame[place])
-            shown += wide(CertaintyPlot(frame), cases, "Maps of standard deviation and resolution", CERTAIN)
-            shown += wide(ResidualPlot(frame), cases, "Maps of the residuals", UNEXPLAINED)
+            shown += wide(CertaintyPlot(frame), cases, "Maps of standard deviation and resolution")
+            shown += wide(ResidualPlot(frame), cases, "Maps of the residuals")
             shown += differences(cases, place, pairs)
     return {
         "name": name,
@@ -122,20 +104,39 @@ def _section(task: tuple[str, Mapping[str, CaseResult], int, Sequence[str]]) -> 
     }
 
 
+class Disagreement(NamedTuple):
+    """Significant differences between two estimators of a recording.
+
+    Attributes
+    ----------
+    significant : array, shape (frames, rows, columns)
+        Difference of relative change in percentage points, NaN if not significant.
+    share : float
+        Percentage of cells with a significant difference, in frames that both solved.
+    """
+
+    title: str
+    significant: Array
+    share: float
+
+
 @dataclass(frozen=True)
 class Illustration:
-    """Image as a data URI with alternative text and caption; wide : whether it spans the page."""
+    """Image as a data URI with alternative text; kind : its key in the captions of the page.
 
+    pairs : number of pairs that differ, of which it shows some; 0 for an image that spans the page.
+    """
+
+    kind: str
     uri: str
     alternative: str
-    caption: str
-    wide: bool = False
+    pairs: int = 0
 
 
-def wide(plot: Plot, cases: Sequence[CaseResult], words: str, caption: str) -> list[Illustration]:
+def wide(plot: Plot, cases: Sequence[CaseResult], words: str) -> list[Illustration]:
     """Draw a plot over the whole page; empty if no case has its columns."""
     drawable = plot.drawable(cases)
-    return [Illustration(data_uri(plot.draw(drawable), "png"), words, caption, wide=True)] if drawable else []
+    return [Illustration(plot.kind, data_uri(plot.draw(drawable), "png"), words)] if drawable else []
 
 
 def differences(cases: Sequence[CaseResult], place: int, pairs: Sequence[Disagreement]) -> list[Illustration]:
@@ -143,12 +144,11 @@ def differences(cases: Sequence[CaseResult], place: int, pairs: Sequence[Disagre
     tiles = [Tile(pair.title, pair.significant[place], f"{digits(pair.share, 2)} %") for pair in pairs[:9]]
     if not tiles:
         return []
-    most = f" The 9 of {len(pairs)} pairs that differ most." if len(pairs) > 9 else ""
     scale = signed_scale(values_of(tiles), "difference of relative change [percentage points]", 1.0, 100.0)
     panel = cases[0].scene.panel
     kind: Literal["svg", "png"] = "svg" if panel.crossings * len(tiles) <= 1500 else "png"
-    uri = data_uri(maps_figure(tiles, panel, scale, width=HALF_INCH), kind)
-    return [Illustration(uri, "Maps of significant differences", DIFFERENT + most)]
+    uri = data_uri(maps_figure(tiles, panel, scale, width=WIDTH_INCH / 2), kind)
+    return [Illustration("differences", uri, "Maps of significant differences", len(pairs))]
 
 
 def case_table(groups: Mapping[str, Sequence[CaseResult]]) -> Table:
@@ -227,3 +227,93 @@ def unit_table(comparison: Comparison) -> Table:
     smallest = np.argwhere(comparison.values == comparison.values.min(axis=1, keepdims=True))
     best = frozenset((int(row), int(column) + 1) for row, column in smallest)
     return Table(("", *comparison.match.estimators), tuple(rows), best=best)
+
+
+@np.errstate(over="ignore")
+def figures(case: CaseResult) -> dict[str, Any]:
+    """Map lines of a table to figures of a case: those of `lampest compare`, of noise and of intervals.
+
+    Counts are int; None if unknown.
+    """
+    residual, lower, upper = weighted_residual(case), case.cell_resistance_lower, case.cell_resistance_upper
+    spread = None if residual is None else MAD_TO_SIGMA * np.abs(residual)
+    known: dict[str, Any] = figures_of(case, np.ones(len(case.time), bool))
+    known |= statistics(None if residual is None else residual**2, "residuals: {} of ((model − measured)/σ)²", "mean")
+    known[SPREAD] = statistics(spread, "{}", "median")["median"]
+    if lower is not None and upper is not None:
+        widths = 100 * (upper - lower) / case.cell_resistance
+        known |= statistics(widths, "95 % intervals: {} width [% of the cell]", "mean")
+        known["95 % intervals with an open end"] = int(np.sum(np.isinf(widths)))
+        if case.truth is not None:
+            within = ((lower <= case.truth) & (case.truth <= upper))[case.solved]
+            known[COVERED] = 100 * float(np.mean(within)) if within.size else None
+    known |= statistics(case.data_share, "share of an estimate that comes from the data, {} [1]", "median")
+    known["cells at the lower bound"] = int(np.sum(case.at_lower_bound != 0))
+    known["saturated cells"] = None if case.saturated is None else int(np.sum(case.saturated != 0))
+    return known | statistics(case.pressure, "pressure, {} [kPa]", "smallest", "largest")
+
+
+def doubts(estimator: str, recordings: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:
+    """Return warnings about the recommended estimator: residuals beyond the noise and wrong error bars.
+
+    recordings : its `figures` of each recording.
+    """
+    lines = SPREAD, COVERED
+    spreads, coverages = ([own[line] for own in recordings if own.get(line) is not None] for line in lines)
+    spread, coverage = float(np.median(spreads or [1.0])), float(np.mean(coverages or [100.0]))
+    sentences = []
+    if spread > 1.5:
+        sentences.append(
+            f"The residuals of {estimator} are {digits(spread, 2)} times the noise of the readings: the noise is "
+            "larger than the scene states, an effect is missing in the model, or the penalty is too strong."
+        )
+    if coverage < 90:
+        sentences.append(
+            f"The 95 % intervals of {estimator} contain the truth for {digits(coverage, 2)} % of the cells: an effect "
+            "is missing in the scene, or the penalty does not suit these loads."
+        )
+    return tuple(sentences)
+
+
+def disagreements(cases: Sequence[CaseResult]) -> tuple[Disagreement, ...]:
+    """Compare each pair of cases with error bars; the pairs that differ most come first.
+
+    a − b > √((a − a_low)² + (b_high − b)²) for a > b: Zou and Donner, Stat. Med. 27, 2008; exact if independent.
+    """
+    known = [(case, arms) for case in cases if (arms := _arms(case)) is not None]
+    pairs = []
+    for (first, (first_below, first_above)), (second, (second_below, second_above)) in combinations(known, 2):
+        both, difference = first.solved & second.solved, first.relative_change - second.relative_change
+        reach = np.where(difference > 0, np.hypot(first_below, second_above), np.hypot(first_above, second_below))
+        significant = np.where(np.abs(difference) > reach, difference, np.nan)
+        if np.any(both):
+            share = 100 * float(np.mean(np.isfinite(significant[both])))
+            pairs.append(Disagreement(f"{first.estimator} − {second.estimator}", significant, share))
+    return tuple(sorted(pairs, key=lambda pair: -pair.share))
+
+
+def _arms(case: CaseResult) -> tuple[Array, Array] | None:
+    """Return distances from the estimate to the ends of its interval, percentage points, never negative."""
+    lower, upper = case.relative_change_lower, case.relative_change_upper
+    if lower is None or upper is None:
+        return None
+    return np.maximum(case.relative_change - lower, 0.0), np.maximum(upper - case.relative_change, 0.0)
+
+
+def frames_text(frames: Sequence[int]) -> str:
+    """Return frame numbers such as '3, 5 to 7'."""
+    runs = np.split(np.asarray(frames), np.flatnonzero(np.diff(frames) != 1) + 1)
+    return ", ".join(f"{run[0]} to {run[-1]}" if len(run) > 2 else ", ".join(map(str, run)) for run in runs)
+
+
+def filled(package: str, **values: Any) -> str:
+    """Render the template `page.html` of a package, which may import `parts.html`."""
+
+    def source(name: str) -> str:
+        home = "lampest.report.page" if name == "parts.html" else package
+        return files(home).joinpath(name).read_text(encoding="utf-8")
+
+    environment = Environment(
+        loader=FunctionLoader(source), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+    return environment.get_template("page.html").render(**values)

@@ -27,25 +27,11 @@ from lampest.report.plots.contours import (
     swept_numbers,
 )
 from lampest.report.plots.maps import Tile, banded_scale, maps_figure
-from lampest.report.plots.style import HALF_INCH, PICTURES, SUFFIXES, save, verbatim, write_all
+from lampest.report.plots.style import PICTURES, SUFFIXES, WIDTH_INCH, save, verbatim, write_all
 from lampest.report.strongest import strongest_readings
 from lampest.runs.columns import Column
 from lampest.runs.results import FORMAT, CaseResult, read_results, stored_cases
 
-__all__ = [
-    "PLOTS",
-    "CertaintyPlot",
-    "ChangePlot",
-    "ContourPlot",
-    "Plot",
-    "PressurePlot",
-    "ResidualPlot",
-    "ResistancePlot",
-    "SweepPlot",
-    "picture",
-    "plot_of",
-    "plot_results",
-]
 PLOTS: tuple[Plot, ...] = (
     ContourPlot(),
     ChangePlot(),
@@ -148,9 +134,7 @@ def plot_file(path: Path, picture: Path) -> Path:
 
     Raises InputError for an unreadable file, a recording without unloaded frames, or a place that cannot be written.
     """
-    with hdf5.existing_file(path) as file:
-        form = hdf5.read_attribute(file, "/", "lampest_format")
-    if form == FORMAT:
+    if hdf5.format_of(path) == FORMAT:
         return plot_results(path, picture, recordings=[stored_cases(path)[0].recording])[0]
     recording = opened(path)
     if isinstance(recording, StoredRecording):
@@ -161,7 +145,7 @@ def plot_file(path: Path, picture: Path) -> Path:
     frame, change = strongest
     tile = Tile(recording.name, change, f"readings of frame {frame} at {recording.time[frame]:g} s")
     scale = banded_scale([change], "change [%]")
-    save(maps_figure([tile], recording.scene.panel, scale, width=HALF_INCH), picture)
+    save(maps_figure([tile], recording.scene.panel, scale, width=WIDTH_INCH / 2), picture)
     return picture
 
 

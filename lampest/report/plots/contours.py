@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 import numpy as np
 from matplotlib import colormaps
 from matplotlib.axes import Axes
-from matplotlib.colors import LogNorm
+from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure as Figure
 from matplotlib.ticker import FuncFormatter, LogLocator
 from numpy.typing import NDArray
@@ -277,7 +277,8 @@ class CertaintyPlot(RowsPlot):
         cells = [case.cell_resistance[index] for case in cases]
         errors, resolutions = ([case.column(name)[index] for case in cases] for name in self.needs)
         deviations = [100 * error / own for error, own in zip(errors, cells, strict=True)]
-        rows = [(maps.log_scale(deviations, "standard deviation [%]"), deviations), (maps.RESOLUTION, resolutions)]
+        rows = [(maps.log_scale(deviations, "standard deviation [%]"), deviations)]
+        rows.append((maps.Scale(Normalize(0, 1), colormaps["YlGnBu"], "resolution"), resolutions))
         truth = cases[0].truth
         if truth is not None:
             with np.errstate(divide="ignore", invalid="ignore"):

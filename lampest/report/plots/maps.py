@@ -48,9 +48,6 @@ class Scale:
     ticks: Sequence[float] | None = None
 
 
-RESOLUTION = Scale(Normalize(0, 1), colormaps["YlGnBu"], "resolution")
-
-
 def log_scale(
     values: Sequence[Array], label: str, ends: tuple[float, float] = (0.1, 500.0), colours: str = "viridis"
 ) -> Scale:
@@ -123,8 +120,8 @@ class Tile:
         NaN is grey; None is drawn as 'not solved'.
     marked, mark
         Cells (rows, columns) with a cross, and its label.
-    outlined, outline
-        Cells (rows, columns) within a line, and its label.
+    outlined
+        Cells (rows, columns) within a line, the true outline of the load.
     """
 
     title: str
@@ -133,7 +130,6 @@ class Tile:
     marked: NDArray[np.bool_] | None = None
     mark: str = "open cell"
     outlined: NDArray[np.bool_] | None = None
-    outline: str = "true outline of the load"
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,7 +163,7 @@ class MapPainter:
         if tile.outlined is not None and np.any(tile.outlined) and self.panel.cells is None:
             edges = axes.contour(*_cornered(self.panel, tile.outlined), levels=[0.5], colors="black", linewidths=1.3)
             edges.set_path_effects([withStroke(linewidth=2.8, foreground="white")])
-            axes.plot([], [], color="black", lw=1.3, label=tile.outline)
+            axes.plot([], [], color="black", lw=1.3, label="true outline of the load")
         if tile.marked is not None and np.any(tile.marked):
             size = float(np.clip(40 / max(self.panel.shape), 0.5, 4))
             look: dict[str, Any] = {"color": "black", "ms": size, "mew": size / 4, "ls": "none", "clip_on": False}
@@ -281,12 +277,9 @@ def _refined(panel: Panel, values: Array) -> tuple[Array, Array, Array]:
 
 def _cornered(panel: Panel, chosen: NDArray[np.bool_]) -> tuple[Array, Array, Array]:
     """Return chosen cells as ones, and zeros elsewhere, on a grid so fine that the outline has the cells' corners."""
-    x, y = (
-        np.linspace(line[0] - panel.pitch_mm, line[-1] + panel.pitch_mm, 16 * (len(line) + 1))
-        for line in panel.centres_mm()
-    )
-    inside = np.pad(np.repeat(np.repeat(chosen.astype(float), 16, axis=0), 16, axis=1), 8)
-    return x, y, inside
+    pitch = panel.pitch_mm
+    x, y = (np.linspace(line[0] - pitch, line[-1] + pitch, 16 * (len(line) + 1)) for line in panel.centres_mm())
+    return x, y, np.pad(np.kron(chosen, np.ones((16, 16))), 8)
 
 
 def maps_figure(
@@ -322,11 +315,10 @@ def maps_figure(
         return abs(height(across) - width / 1.5) + 0.3 * (-len(tiles) % across)
 
     across = min(range(1, min(len(tiles), int((width - 1.0) / 0.88)) + 1), key=unfit)
+    down = ceil(len(tiles) / across)
     beyond = max(height(across) - MAX_ASPECT * width, 0.0) / proportion(panel)  # of a tall panel: the maps get narrower
-    figure = style.new_figure(
-        min(height(across), MAX_ASPECT * width), width - beyond * across / ceil(len(tiles) / across)
-    )
-    grid = figure.subplots(ceil(len(tiles) / across), across, squeeze=False, sharex=True, sharey=True)
+    figure = style.new_figure(min(height(across), MAX_ASPECT * width), width - beyond * across / down)
+    grid = figure.subplots(down, across, squeeze=False, sharex=True, sharey=True)
     signs = max(10, int(17 * wide(across)))  # that fit over a map
     painters = [MapPainter(panel, each, contoured) for each in scales]
     draw_all(grid, [replace(tile, title=fill(style.short_title(tile.title, 60), signs)) for tile in tiles], painters)

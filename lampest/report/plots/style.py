@@ -17,16 +17,16 @@ from lampest.files.errors import InputError
 from lampest.files.whole import whole_file
 from lampest.runs.executors import Serial, each_of
 
-WIDTH_INCH, HALF_INCH, MAX_HEIGHT_INCH = 7.2, 3.6, 9.0  # of a page of a journal
+WIDTH_INCH, MAX_HEIGHT_INCH = 7.2, 9.0  # of a page of a journal
 TEXT_POINT, SMALL_POINT = 8, 6.5
 BLUE, ORANGE = "#0072B2", "#D55E00"
 SUFFIXES = (".png", ".svg", ".pdf")
-PICTURES = f"pictures are written as {', '.join(SUFFIXES[:-1])} or {SUFFIXES[-1]}"
+PICTURES = "pictures are written as .png, .svg or .pdf"
 RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
 def new_figure(height: float, width: float = WIDTH_INCH) -> Figure:
-    """Return an empty figure; sizes in inches. A width of HALF_INCH fits a phone."""
+    """Return an empty figure; sizes in inches. Half of WIDTH_INCH fits a phone."""
     figure = Figure(figsize=(width, height), layout="constrained")
     FigureCanvasAgg(figure)
     return figure

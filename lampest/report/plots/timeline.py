@@ -12,7 +12,7 @@ from matplotlib.patches import Circle
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import FuncFormatter
 
-from lampest.report.detect.answer import CUP, LAMPREY, PRESSES, SUCKS, Detected, answer_of
+from lampest.report.detect.answer import CUP, LAMPREY, PRESSES, SUCKS, Detected
 from lampest.report.plots.maps import ACROSS_LABEL, DOWN_LABEL, MapPainter, Tile, stepped_scale
 from lampest.report.plots.style import SMALL_POINT, TEXT_POINT, dressed, new_figure, plain_number, write_all
 
@@ -52,8 +52,7 @@ def _course(axes: Axes, answer: Detected) -> None:
     assert answer.course is not None
     time, loudness = answer.course
     axes.semilogy(time, np.maximum(loudness, 0.1), color="#222222", lw=0.9)
-    for number, attachment in enumerate(answer.attachments):
-        name = answer_of(attachment, answer.frames_per_second or 0.0)[0]
+    for number, (attachment, name) in enumerate(zip(answer.attachments, answer.called, strict=True)):
         end = time[-1] if attachment.until_s is None else attachment.until_s
         axes.axvspan(attachment.since_s, end, color=COLOURS[name], alpha=0.35, lw=0)
         look: dict[str, Any] = {"fontsize": SMALL_POINT, "va": "top", "transform": axes.get_xaxis_transform()}

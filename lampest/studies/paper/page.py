@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from lampest.panel.panel import Array, Panel
 from lampest.panel.response import Film, ratio_from_pressure, relative_change_from_pressure
 from lampest.report.compare import Table
-from lampest.report.page.measures import filled
+from lampest.report.page.page import filled
 from lampest.report.plots import style
 from lampest.report.plots.maps import Tile, banded_scale, maps_figure
 from lampest.report.words import digits

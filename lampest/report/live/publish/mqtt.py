@@ -9,10 +9,10 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from lampest.files.errors import InputError, extra
+from lampest.report.live.handover import FAREWELL_SECONDS
 from lampest.report.live.message import Message
 from lampest.report.live.publish.publish import Publish, Say, Send, waited
 
-CONNECT_SECONDS, CLOSE_SECONDS = 5.0, 1.0  # for a broker to answer, and to take the last message
 LATEST_SECONDS = 0.2  # that a broker may take to confirm a message before those that follow are left out
 
 
@@ -36,7 +36,6 @@ class MqttPublish(Publish):
         if set(self.path) & set("+#"):
             raise InputError(f"--publish: mqtt: '{self.path}' is no topic to publish to: + and # stand for others")
         client: Any = Client(CallbackAPIVersion.VERSION2)
-        client.connect_timeout = CONNECT_SECONDS
         # A short segment does not wait until the one before is confirmed (RFC 896), up to 0.5 s later (RFC 1122).
         client.on_socket_open = lambda *event: event[2].setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         client.reconnect_delay_set(1, 10)  # s
@@ -57,7 +56,7 @@ class MqttPublish(Publish):
                 client.loop_start()
             except (OSError, ValueError) as error:
                 raise InputError(f"--publish: {self.where}: no broker answers ({error})") from error
-            if not waited(lambda: bool(answers), CONNECT_SECONDS):
+            if not waited(lambda: bool(answers), client.connect_timeout):
                 raise InputError(f"--publish: {self.where}: no broker answers (it says nothing)")
             if answers[0].is_failure:
                 raise InputError(f"--publish: {self.where}: the broker refuses ({answers[0]})")
@@ -68,7 +67,7 @@ class MqttPublish(Publish):
         finally:
             client.on_disconnect = None
             client.disconnect()
-            waited(lambda: client.socket() is None, CLOSE_SECONDS)  # the library would wait for ever
+            waited(lambda: client.socket() is None, FAREWELL_SECONDS)  # the library would wait for ever
             with suppress(OSError, AttributeError):  # it has gone meanwhile
                 client.socket().shutdown(socket.SHUT_RDWR)
             client.loop_stop()

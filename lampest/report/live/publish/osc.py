@@ -10,8 +10,6 @@ from lampest.files.errors import InputError, extra
 from lampest.report.live.message import COMPACT, Message
 from lampest.report.live.publish.publish import Publish, Say, Send
 
-MAX_BYTES = 65_507  # of a UDP datagram over IPv4
-
 
 @dataclass(frozen=True)
 class OscPublish(Publish):
@@ -53,7 +51,4 @@ class OscPublish(Publish):
             for value in values:
                 built.add_arg(value, kind)
             bundle.add_content(built.build())
-        whole = bundle.build()
-        if whole.size > MAX_BYTES:
-            raise OSError(f"a frame has {whole.size} bytes, a datagram {MAX_BYTES} at most")
-        return whole
+        return bundle.build()

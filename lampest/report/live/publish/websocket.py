@@ -12,12 +12,10 @@ from threading import Thread
 from typing import Any, ClassVar
 
 from lampest.files.errors import InputError, extra
-from lampest.report.live.handover import Newest
+from lampest.report.live.handover import FAREWELL_SECONDS, Newest
 from lampest.report.live.publish.publish import Publish, Say, Send, waited
-from lampest.report.live.server import MAX_STREAMS, Access, ip_named
+from lampest.report.live.server import MAX_STREAMS, TURN_SECONDS, Access, ip_named
 
-CLOSE_SECONDS = 1.0  # for a listener to introduce itself, and to take the last message
-STALLED_SECONDS = 40.0  # for a listener to take any other, before its place is given away
 LOCAL_PAGES = re.compile(r"https?://(localhost|127\.0\.0\.1|\[::1\])(:\d+)?")
 
 
@@ -51,7 +49,7 @@ class WebsocketPublish(Publish):
         def admitted(connection: Any, request: Any) -> Any:
             if access.token and not access.shown_by(request.path, request.headers.get("Authorization", "")):
                 return connection.respond(HTTPStatus.FORBIDDEN, "the token is missing or wrong\n")
-            cut_off(time.monotonic() - STALLED_SECONDS)
+            cut_off(time.monotonic() - TURN_SECONDS)
             full = len(listeners) >= MAX_STREAMS
             return connection.respond(HTTPStatus.SERVICE_UNAVAILABLE, "too many listen\n") if full else None
 
@@ -64,7 +62,11 @@ class WebsocketPublish(Publish):
                     listeners[connection] = math.inf
             del listeners[connection]
 
-        settings: dict[str, Any] = {"open_timeout": CLOSE_SECONDS, "close_timeout": CLOSE_SECONDS, "compression": None}
+        settings: dict[str, Any] = {
+            "open_timeout": FAREWELL_SECONDS,
+            "close_timeout": FAREWELL_SECONDS,
+            "compression": None,
+        }
         settings |= {"max_size": 1024, "origins": [None, LOCAL_PAGES] if host.is_loopback else None}
         settings |= {"family": socket.AF_INET6 if host.version == 6 else socket.AF_INET, "process_request": admitted}
         try:
@@ -79,7 +81,7 @@ class WebsocketPublish(Publish):
             yield f"ws://{where}/{access.query}", lambda message: newest.put(message.text())
         finally:
             newest.close()
-            waited(lambda: not listeners, CLOSE_SECONDS)
+            waited(lambda: not listeners, FAREWELL_SECONDS)
             cut_off(time.monotonic())
             server.shutdown()
             thread.join()
