@@ -1,4 +1,4 @@
-"""Long, noisy and killed recordings of a board, guests of a live page with a board behind it, a broker that pauses."""
+"""Lines that flood or lie, long, noisy and killed recordings of a board, guests of its page, a broker that pauses."""
 
 import http.client
 import json
@@ -9,28 +9,87 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager, suppress
 from itertools import count as from_zero
 from pathlib import Path
+from typing import Any
 from unittest import mock
 
 import numpy as np
 from attack.attack import HELD, HOUSE, MAIN, Attack, command
-from fuzz.batches import batch, killed_again_and_again
-from wild_board import WildBoard, hundred_a_second, wild_board, wire
+from wild_board import Script, WildBoard, hundred_a_second, wild_board, wire
 
-from lampest import Recording
+from lampest import InputError, Recording
 from lampest.recording.board import port, stream
-from lampest.recording.board.protocol import Hello
+from lampest.recording.board.protocol import Hello, message
 from lampest.recording.board.record import record, repair
 from lampest.report.live.publish import publish_at
+from tests.bodies import hello_body
 
 DAY_FRAMES = 864_000  # of 24 h at 10 frames a second
 PART = 1_000  # frames of a day's part
 MORE_MEGABYTES, FRAME_BYTES = 8.0, 250  # by which a recording five times as long may grow; of a frame of 3 × 4 cells
 TOKEN = "a-token-of-my-own"
+LIMIT_S, SLACK_S = 0.5, 15.0  # how long nothing may fit here, and what the rest may take on a loaded machine
 MOSQUITTO = shutil.which("mosquitto", path="/usr/sbin:/usr/bin:/usr/local/sbin:/usr/local/bin")
+
+
+Said = Callable[[Hello, int], bytes]
+
+
+def _sayings(rng: np.random.Generator) -> tuple[Said, ...]:
+    """What a line may say in place of frame `number`."""
+    return (
+        lambda hello, number: wire(hello, number),
+        lambda hello, number: wire(hello, number, shape=(int(rng.integers(1, 17)), int(rng.integers(1, 17)))),
+        lambda hello, number: rng.bytes(int(rng.integers(1, 600))),
+        lambda hello, number: bytes(int(rng.integers(1, 600))),
+        lambda hello, number: wire(hello, int(rng.integers(0, number + 1))),
+        lambda hello, number: wire(hello, number + 2**32 - 9),
+        lambda hello, number: wire(hello, int(rng.integers(0, 2**32)), device_ms=int(rng.integers(0, 2**32))),
+        lambda hello, number: wire(hello, number)[: int(rng.integers(1, 40))],
+        lambda hello, number: message(hello_body(hello)),
+    )
+
+
+def _script(rng: np.random.Generator) -> Script:
+    """Some of the sayings, in any mixture, at any rate up to as fast as the line takes them."""
+    sayings = _sayings(rng)
+    weights = rng.dirichlet(np.full(len(sayings), 0.3))
+    pause = float(rng.choice([0.0, 0.001, 0.01]))
+
+    def script(hello: Hello) -> Iterator[tuple[float, bytes]]:
+        for number in from_zero():
+            yield pause, sayings[rng.choice(len(sayings), p=weights)](hello, number)
+
+    return script
+
+
+def _floods(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:
+    """A line of random sayings: recording ends in time, with a sentence or with frames whose losses are counted."""
+    for number in range(count):
+        out = folder / f"{number}.h5"
+        wanted = {"frames": 30} if rng.random() < 0.5 else {"seconds": 0.5}
+        with mock.patch.object(stream, "UNFIT_SECONDS", LIMIT_S), wild_board(_script(rng)) as board:
+            yield _ended(board.port, out, wanted)
+
+
+def _ended(port: str, out: Path, wanted: dict[str, float]) -> str:
+    began, said = time.monotonic(), ""
+    try:
+        done = record(port, out, period=0.01, **wanted)  # type: ignore[arg-type]
+        # A frame whose number and clock lie alike may be believed as far as ten seconds ahead.
+        if done.lost > 1200 * (done.restarts + done.frames):
+            return f"{done.lost} frames are told to be lost, {done.frames} came"
+    except InputError as error:
+        said = str(error)
+    took = time.monotonic() - began
+    if took > LIMIT_S + SLACK_S:
+        return f"{wanted} took {took:.0f} s ({said})"
+    if out.exists() and not len(Recording.load(out).time):
+        return "an empty recording was left"
+    return HELD
 
 
 def _noise(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:
@@ -229,22 +288,11 @@ def _asked(host: str, where: int, method: str, path: str, headers: dict[str, str
         return answer.status, answer.read(200)
 
 
-def _run_kills(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:
-    """Runs killed at any moment, the command, a worker or all of them: each resumes to the same results."""
-    made = batch(folder, 2, (1e-4, 1e-3))
-    try:
-        kills = killed_again_and_again(folder, made, count, int(rng.integers(2**31)))["kills"]
-    except AssertionError as fault:
-        yield f"a killed run: {fault}"
-        return
-    yield from [HELD] * kills
-
-
 def _pauses(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:
     """A broker pauses for one to three seconds: what was sent meanwhile is lost, but for the first 0.2 s."""
     from paho.mqtt.client import Client
     from paho.mqtt.enums import CallbackAPIVersion
-    from units.test_stalled_listeners import message, reached
+    from units.test_stalled_listeners import message as frame
 
     if MOSQUITTO is None:
         return
@@ -256,7 +304,8 @@ def _pauses(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]
     ear = Client(CallbackAPIVersion.VERSION2)
     ear.on_message = lambda _, __, heard: ages.append(time.time() - json.loads(heard.payload)["health"]["sent"])
     with subprocess.Popen([MOSQUITTO, "-c", folder / "conf"], stderr=subprocess.DEVNULL) as broker:
-        while ear.connect_async("127.0.0.1", where) or not reached(ear):
+        ear.connect_async("127.0.0.1", where)
+        while not _reached(ear):
             time.sleep(0.05)
         ear.subscribe("panel")
         ear.loop_start()
@@ -268,7 +317,7 @@ def _pauses(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]
                 while time.monotonic() < begin + paused + 1:
                     if time.monotonic() > begin + paused:
                         broker.send_signal(signal.SIGCONT)
-                    send(message(1, 2))
+                    send(frame(1, 2))
                     time.sleep(0.03)
                 late = sum(age > 0.5 for age in ages)
                 yield HELD if late < 15 and len(ages) > 15 else f"{late} of {len(ages)} messages came late"
@@ -277,13 +326,19 @@ def _pauses(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]
         broker.terminate()
 
 
+def _reached(client: Any) -> bool:
+    with suppress(OSError):
+        return bool(client.reconnect() == 0)
+    return False
+
+
 ATTACKS = (
+    Attack("boards", "floods, replays, wraps and garbage on a serial line", _floods, quick=3, full=100),
     Attack("boards", "noise in which answers are lost, jumps of the clock", _noise, quick=1, full=20),
     Attack("boards", "recorders killed at any moment", _kills, quick=1, full=100),
     Attack("boards", "thousands of frames of a day at 10 a second", _day, quick=0, full=8),
     Attack("boards", "a long recording that was killed", _resumed_day, quick=0, full=8),
     Attack("boards", "a flood, tenths of a minute", _flood, quick=0, full=5),
     Attack("page", "guests without the token before a board, at every address", _guests, quick=20, full=500),
-    Attack("kills", "runs killed at any moment", _run_kills, quick=0, full=200),
     Attack("page", "pauses of a broker", _pauses, quick=1, full=10),
 )

@@ -6,8 +6,7 @@ from typing import Any
 
 import h5py
 import numpy as np
-from attack.attack import HELD, Attack, called, command
-from attack.targets import small_folder
+from attack.attack import HELD, Attack, called, command, small_folder
 from fuzz.mutants import good_recordings, good_results, without_checksums
 from unclosed import unclosed_recording
 

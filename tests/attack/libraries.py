@@ -4,8 +4,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
-from attack.attack import HELD, Attack, Ended, command
-from attack.targets import small_folder
+from attack.attack import HELD, Attack, Ended, command, small_folder
 
 # Command → the library without which it is refused; other commands are tried without it, too.
 NEEDED: tuple[tuple[str, tuple[str, ...]], ...] = (

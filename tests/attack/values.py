@@ -6,8 +6,7 @@ from typing import Any
 
 import h5py
 import numpy as np
-from attack.attack import HELD, Attack, Ended, called, printable
-from attack.targets import SIMULATION
+from attack.attack import HELD, SIMULATION, Attack, Ended, called, printable
 from fuzz.batches import write_recording
 from support import invented_case
 

@@ -8,8 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
-from attack.attack import HELD, Attack, called
-from attack.targets import everything, small_folder
+from attack.attack import HELD, Attack, called, everything, small_folder
 
 from lampest import Recording, Scene, TwoPointReadout, two_point_resistance
 from lampest.recording.stored import save_parts

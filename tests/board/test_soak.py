@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from board.bench import bench, scene, some_cells
-from board.test_faults import check_damaged_line, killed_while_recording
+from board.test_faults import check_damaged_line
 
 from lampest import Recording
 from lampest.recording.board.record import record
@@ -17,18 +17,6 @@ def test_ten_thousand_frames_on_a_damaged_line(tmp_path: Path) -> None:
     whole, received, wrong = check_damaged_line(tmp_path, 10_000)
     print(f"\n10000 frames sent, 1 % of bytes hurt: {whole} arrived whole, {received} accepted, {wrong} of them wrong")
     assert wrong == 0
-
-
-def test_fifty_killed_recorders_lose_no_frame(tmp_path: Path) -> None:
-    rng = np.random.default_rng(50)
-    told = kept = 0
-    with bench(tmp_path, some_cells(rng, 1)) as board:
-        for _ in range(50):
-            seen, left = killed_while_recording(tmp_path, board, int(rng.integers(1, 200)))
-            assert left.acquisition is not None and left.acquisition.sequence.tolist() == list(range(len(left.time)))
-            assert len(left.time) >= seen
-            told, kept = told + seen, kept + len(left.time)
-    print(f"\n50 recorders killed: {told} frames flushed by their word, {kept} readable, no file lost")
 
 
 def test_ten_minutes_at_thirty_frames_a_second(tmp_path: Path) -> None:

@@ -42,8 +42,6 @@ SUFFIXES = {
     "arrays": ".npz",
     "matlab_hdf5": ".mat",
 }
-KINDS = ("recording", "run", "results", "simulation", "recording", "table", "results", "scene", "numpy", "matlab")
-KINDS += ("recording", "run", "results", "setting", "table", "excel", "arrays", "matlab_hdf5")
 SCENE: dict[str, Any] = {
     "panel": {"rows": 3, "columns": 4, "pitch_mm": 10},
     "readout": {"kind": "two_point", "supply_volt": 5, "reference_ohm": 1000, "adc_bits": 10, "noise_lsb": 0.7},
@@ -135,9 +133,8 @@ class Corpus:
 
     files: dict[str, tuple[bytes, ...]]
 
-    def mutant(self, number: int, kind: str | None = None) -> Mutant:
-        """Input number `number`, the same one in every process."""
-        kind = kind or KINDS[number % len(KINDS)]
+    def mutant(self, number: int, kind: str) -> Mutant:
+        """Input number `number` of a kind, the same one in every process."""
         rng = np.random.default_rng([number, list(SUFFIXES).index(kind)])
         return Mutant(kind, changed(kind, str(rng.choice(STYLES[kind])), self.files[kind], rng))
 

@@ -287,26 +287,6 @@ def test_a_recording_holds_the_jumps_of_the_clock_as_events(tmp_path: Path, caps
     assert "3 jumps of the board's clock" in capsys.readouterr().err
 
 
-@pytest.mark.slow
-def test_garbage_on_the_line_is_no_restart(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Noise for longer than a silence is waited for, in which even the board's answers are lost."""
-    monkeypatch.setattr(stream, "SILENCE_SECONDS", 0.2)
-    monkeypatch.setattr("lampest.recording.board.port.ANSWER_SECONDS", 0.05)
-    rng = np.random.default_rng(32)
-
-    def noisy(hello: Hello) -> Sent:
-        for number in itertools.count():
-            if number % 20 == 19:
-                board.deaf = True
-                yield from ((0.01, rng.bytes(50)) for _ in range(120))
-                board.deaf = False
-            yield 0.01, wire(hello, number)
-
-    with wild_board(noisy) as board:
-        done = record(board.port, tmp_path / "r.h5", frames=50, period=0.01)
-    assert (done.frames, done.lost, done.restarts) == (50, 0, 0)
-
-
 def test_a_single_frame_out_of_order_is_dropped() -> None:
     _, found = run_of((0, 500), (1, 510), (900, 515), (2, 520), (3, 530))
     assert places(found) == [(0, 0, 0), (1, 0, 0), (2, 0, 0), (3, 0, 0)]
