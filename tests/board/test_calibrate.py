@@ -5,8 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from board.bench import bench, loaded_scene, scene, some_cells
-from board.commands import lampest
+from board.bench import bench, lampest, loaded_scene, scene, some_cells
 
 from lampest import Misfit, Recording, Scene
 from lampest.estimate.calibration.resistors import ResistorCalibration, calibrate_resistors

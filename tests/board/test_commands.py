@@ -7,8 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from board.bench import bench, some_cells
-from board.commands import COMMAND, lampest, scene_file
+from board.bench import COMMAND, bench, lampest, scene_file, some_cells
 
 from lampest import Recording, Scene, read_results
 from lampest.files.document import read_document, validated

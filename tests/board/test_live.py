@@ -11,9 +11,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from board.bench import bench
+from board.bench import COMMAND, ONE_THREAD, bench, scene_file
 from board.browser import Browser, browser
-from board.commands import COMMAND, ONE_THREAD, scene_file
 from matplotlib.image import imread
 
 from docs.studies.attachments import cells as mouth_cells

@@ -7,8 +7,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
-from board.bench import FIRMWARE, bench, built, loaded_scene, scene, some_cells
-from board.commands import lampest
+from board.bench import FIRMWARE, bench, built, lampest, loaded_scene, scene, some_cells
 from support import live_pictures
 
 from lampest import InputError, Misfit, Recording, Scene

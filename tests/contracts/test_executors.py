@@ -16,6 +16,8 @@ import pytest
 from lampest import read_results
 
 Command = Callable[..., SimpleNamespace]
+PROGRESS = r"lampest: (\d+ cases? to solve|\d+ of \d+).*\n"  # lines that a slow machine sees
+INTERRUPTED = "lampest: interrupted; what was finished is kept\n"
 
 
 @pytest.mark.slow
@@ -27,8 +29,7 @@ def test_a_running_cluster_is_used_by_its_address(disk: SimpleNamespace, lampest
     ) as cluster:
         path = disk.run(disk.text + f"executor: {{kind: dask, address: '{cluster.scheduler_address}'}}\n")
         ended = lampest("run", path, "--out", disk.folder / "out", "--set", "formulation=reduced")
-        progress = r"lampest: (\d+ cases? to solve|\d+ of \d+).*\n"  # lines that a slow machine sees
-        assert (ended.code, re.sub(progress, "", ended.err)) == (0, "")
+        assert (ended.code, re.sub(PROGRESS, "", ended.err)) == (0, "")
         assert "3 cases solved" in ended.out
         assert len(cluster.scheduler.workers) == 1
 
@@ -45,50 +46,64 @@ def test_missing_library_is_one_sentence(
     assert lampest("run", path, "--out", disk.folder / "out", "--jobs", "1").code == 0
 
 
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("{kind: procesess}", "run.yaml:10:1: executor: "),
-        ("{kind: processes, workers: 0}", "executor: workers must lie between 1 and 10000"),
-        ("{kind: serial, workers: 2}", "executor.workers: no such key"),
-        ("{kind: dask, address: 'tcp://a:1', workers: 2}", "address names a cluster that runs"),
-    ],
-)
-def test_wrong_executors_are_named(text: str, message: str, disk: SimpleNamespace, lampest: Command) -> None:
-    ended = lampest("run", disk.run(disk.text + f"executor: {text}\n"), "--out", disk.folder / "out")
-    assert (ended.code, ended.out) == (2, "")
-    assert message in ended.err
-    assert not (disk.folder / "out").exists()
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("executor", ["processes, workers: 2", "dask, workers: 2"], ids=["processes", "dask"])
-def test_interrupt_keeps_what_is_finished(executor: str, disk: SimpleNamespace) -> None:
-    """Ctrl-C reaches every process of the terminal's group."""
-    weights = [float(f"{weight:.3g}") for weight in np.geomspace(1e-5, 1e-1, 300)]
-    disk.recording(
-        disk.folder / "small.h5", disk.scene.replace("rows: 3, columns: 4", "rows: 8, columns: 8"), (9, 8, 8)
-    )
-    sweep = f"sweep: {{estimators.LSR-CR.terms.cell_resistance.weight: {weights}}}\n"
-    path = disk.run(disk.text + sweep + f"formulation: reduced\nexecutor: {{kind: {executor}}}\n")
-    out = disk.folder / "out"
+def interrupted(path: Path, out: Path, pattern: str, count: int) -> tuple[int, str, str]:
+    """Code, output and errors of a run that Ctrl-C reaches, as all of its processes, once there are so many files."""
     run = subprocess.Popen(
         [Path(sys.executable).with_name("lampest"), "run", path, "--out", out],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
         start_new_session=True,
+        # Shells start background jobs with Ctrl-C ignored, and children inherit that.
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
     )
     deadline = time.monotonic() + 60
-    while len(list((out / "cases").glob("[!.]*.h5"))) < 3:
+    while len(list((out / "cases").glob(pattern))) < count:
         assert run.poll() is None, run.communicate()
         assert time.monotonic() < deadline
         time.sleep(0.01)
     os.killpg(run.pid, signal.SIGINT)
-    written, error = run.communicate(timeout=60)
-    assert (run.returncode, written) == (130, "")
-    assert error == "lampest: interrupted; what was finished is kept\n"
+    printed, complained = run.communicate(timeout=60)
+    with pytest.raises(ProcessLookupError):  # nothing stays running
+        while time.monotonic() < deadline + 60:
+            os.killpg(run.pid, 0)
+            time.sleep(0.05)
+    return run.returncode, printed, re.sub(PROGRESS, "", complained)
+
+
+def large(disk: SimpleNamespace, frames: int) -> None:
+    scene = disk.scene.replace("rows: 3, columns: 4", "rows: 8, columns: 8")
+    disk.recording(disk.folder / "small.h5", scene, (frames, 8, 8))
+
+
+@pytest.mark.parametrize(
+    "executor",
+    ["serial", *(pytest.param(f"{kind}, workers: 2", marks=pytest.mark.slow) for kind in ("processes", "dask"))],
+)
+def test_interrupt_keeps_what_is_finished(executor: str, disk: SimpleNamespace) -> None:
+    large(disk, 9)
+    weights = [float(f"{weight:.3g}") for weight in np.geomspace(1e-5, 1e-1, 300)]
+    sweep = f"sweep: {{estimators.LSR-CR.terms.cell_resistance.weight: {weights}}}\n"
+    path, out = (
+        disk.run(disk.text + sweep + f"formulation: reduced\nexecutor: {{kind: {executor}}}\n"),
+        disk.folder / "out",
+    )
+    assert interrupted(path, out, "[!.]*.h5", 3) == (130, "", INTERRUPTED)
     finished = read_results(out / "results.h5").cases
-    assert 3 <= len(finished) < 300
+    assert 3 <= len(finished) < 302 and all(case.solved.all() for case in finished)
     assert {path.stem for path in (out / "cases").glob("[!.]*.h5")} >= {case.case_id for case in finished}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("executor", ["serial", "processes, workers: 1"])
+def test_a_case_that_is_broken_off_keeps_its_finished_frames(executor: str, disk: SimpleNamespace) -> None:
+    large(disk, 1502)
+    text = disk.text[: disk.text.index("  LSR-CR")] + f"formulation: nodal\nexecutor: {{kind: {executor}}}\n"
+    out = disk.folder / "out"
+    assert interrupted(disk.run(text), out, ".*_unfinished.h5", 1)[0] == 130
+    (case,) = read_results(out / "results.h5").cases
+    count = int(case.solved.sum())
+    assert 0 < count < len(case.solved) and case.solved[:count].all()
+    assert np.isnan(case.cell_resistance[count:]).all() and np.isfinite(case.cell_resistance[:count]).all()
+    assert set(case.status[count:]) == {"the run was broken off before this frame"}
+    assert not list((out / "cases").iterdir()), "an unfinished case is solved anew"

@@ -9,7 +9,6 @@ import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import h5py
 import numpy as np
@@ -56,18 +55,8 @@ def test_every_name_is_there_and_listed() -> None:
         assert getattr(lampest, name) is not None, name
     for kind in lampest.term_types().values():
         assert getattr(lampest, kind.__name__) is kind
-
-
-def test_importing_the_package_loads_nothing() -> None:
-    program = (
-        "import sys, lampest\nassert len(dir(lampest)) > 50\n"
-        "heavy = {'casadi', 'numpy', 'scipy', 'h5py', 'pydantic', 'ruamel', 'matplotlib', 'xarray', 'pandas'}\n"
-        "print(sorted(heavy & set(sys.modules)), [name for name in sys.modules if name.startswith('lampest.')])\n"
-        "lampest.reconstruct; lampest.Recording; lampest.Misfit; lampest.Reconstruction\n"
-        "print(sorted({'matplotlib', 'xarray', 'pandas', 'typer'} & set(sys.modules)))"
-    )
-    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=True)
-    assert ended.stdout.splitlines() == ["[] []", "[]"]
+    with pytest.raises(AttributeError, match="no attribute 'reconstrcut'"):
+        lampest.reconstrcut  # noqa: B018
 
 
 def test_a_function_says_what_it_takes() -> None:
@@ -249,15 +238,6 @@ def test_a_recording_in_kohm_is_refused(lamprey: Recording) -> None:
 
 def test_a_recording_in_one_line(lamprey: Recording) -> None:
     assert repr(lamprey) == "Recording(lamprey_35mm: 7 frames (3 unloaded) of 10 × 10 cells, 0 to 6 s)"
-
-
-def test_yaml_says_the_same(disk: SimpleNamespace, lampest: Callable[..., SimpleNamespace]) -> None:
-    run = disk.folder / "run.yaml"
-    run.write_text(run.read_text().replace("{misfit: {}}", "{gradient: {}}"))
-    ended = lampest("run", run)
-    assert ended.code == 2 and ended.err.strip().endswith(
-        "gradient needs the term misfit: without it nothing reads what was measured"
-    )
 
 
 def test_a_list_of_terms_is_as_good_as_a_tuple() -> None:

@@ -317,13 +317,6 @@ def test_errors_are_those_that_the_scene_names() -> None:
     assert errors.reading_error == 0.03
 
 
-@pytest.mark.parametrize("patch", ["0", "-6", "nan", "inf"])
-def test_an_edge_of_the_film_that_is_none_is_refused(tmp_path: Path, lampest: Command, patch: str) -> None:
-    (tmp_path / "any.h5").touch()
-    said = lampest("detect", tmp_path / "any.h5", "--patch", patch)
-    assert said.code == 2 and "--patch must be positive and finite" in said.err
-
-
 def test_a_file_that_is_neither_is_refused(tmp_path: Path) -> None:
     with h5py.File(tmp_path / "other.h5", "w") as file:
         file["x"] = 1

@@ -81,12 +81,6 @@ def test_a_solve_that_hangs_is_ended(monkeypatch: pytest.MonkeyPatch) -> None:
     assert 1 <= stream.baseline.solution.iterations <= 2
 
 
-@pytest.mark.parametrize("limit", ["0", "-1", ".nan", ".inf", "soon"])
-def test_limits_that_are_none(disk: SimpleNamespace, lampest: Callable[..., SimpleNamespace], limit: str) -> None:
-    done = lampest("run", disk.run(disk.text + f"solver: {{time_limit_s: {limit}}}\n"), "--out", disk.folder / "out")
-    assert done.code == 2 and "time_limit_s" in done.err and done.err.count("\n") == 1
-
-
 @pytest.mark.slow
 def test_a_batch_says_which_frames_were_not_solved_in_time(
     disk: SimpleNamespace, lampest: Callable[..., SimpleNamespace]

@@ -1,0 +1,128 @@
+"""The simulated board for the tests: built by firmware/Makefile, driven by a truth; the real command."""
+
+import fcntl
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from lampest import LoadedColumnsReadout, Panel, Scene, TwoPointReadout
+from lampest.files.document import to_yaml
+from lampest.panel.panel import Array
+from lampest.panel.response import PublishedResponse
+
+FIRMWARE = Path(__file__).parents[2] / "firmware"
+MULTIPLEXER_OHM = 70.0
+
+
+@cache
+def built(wiring: str = "two_point") -> Path:
+    """Build firmware/, one process at a time, and return its folder; a missing package fails the test by its name."""
+    with (FIRMWARE / "Makefile").open() as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        done = subprocess.run(["make", "-s", "-C", str(FIRMWARE), "all"], capture_output=True, text=True)
+    if done.returncode:
+        pytest.fail(done.stderr.strip(), pytrace=False)
+    return FIRMWARE / "build" / ("" if wiring == "two_point" else wiring)
+
+
+@dataclass
+class Bench:
+    """A running simulated board: the port to open, and its figures once it has stopped."""
+
+    port: str
+    process: "subprocess.Popen[str]"
+    figures: dict[str, float] = field(default_factory=dict)
+
+    def stop(self) -> dict[str, float]:
+        if not self.figures:
+            self.process.terminate()
+            self.figures = json.loads(self.process.communicate(timeout=20)[1])
+        return self.figures
+
+
+def truth_file(folder: Path, cells: Array, period: float = 1.0) -> Path:
+    sys.path.insert(0, str(FIRMWARE / "simulated_board"))
+    from truth import truth_text
+
+    path = folder / "truth.txt"
+    path.write_text(truth_text(np.arange(len(cells)) * period, cells))
+    return path
+
+
+@contextmanager
+def bench(
+    folder: Path,
+    cells: Array,
+    *options: object,
+    period: float = 1.0,
+    wiring: str = "two_point",
+    sketch: str = "lampest_board",
+) -> Iterator[Bench]:
+    """A board whose panel shows `cells` (frames, rows, columns) ohm, one frame after another every `period` s."""
+    words = [built(wiring) / "simulated_board", "--firmware", built(wiring) / f"{sketch}.elf"]
+    words += ["--truth", truth_file(folder, cells, period), "--link", folder / "port", *options]
+    with subprocess.Popen(
+        [str(word) for word in words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdout is not None
+        if not process.stdout.readline().startswith("port "):
+            pytest.fail(process.communicate()[1], pytrace=False)
+        running = Bench(str(folder / "port"), process)
+        try:
+            yield running
+        finally:
+            running.stop()
+
+
+def scene(rows: int = 10, columns: int = 10, readings: int = 20, **changes: Any) -> Scene:
+    """What the simulated board is by default: two multiplexers of 70 ohm, noise of 0.7 LSB."""
+    readout = TwoPointReadout(readings=readings, noise_lsb=0.7)
+    return Scene(Panel(rows, columns), readout, changes.get("series_resistance_ohm", 2 * MULTIPLEXER_OHM))
+
+
+def loaded_scene(rows: int = 10, columns: int = 10, readings: int = 20, **changes: Any) -> Scene:
+    """The same board wired with loaded columns: a multiplexer of 70 ohm before the rows, 10 kΩ at every column."""
+    known: dict[str, Any] = {"load_ohm": 10_000.0, "drive_ohm": MULTIPLEXER_OHM, "supply_volt": 5.0, "adc_bits": 10}
+    known["noise_lsb"] = 0.7
+    return Scene(Panel(rows, columns), LoadedColumnsReadout(readings=readings, **(known | changes)))
+
+
+def some_cells(rng: np.random.Generator, frames: int, rows: int = 10, columns: int = 10) -> Array:
+    """Pressed and stretched cells around 3 kΩ, another set in every frame."""
+    return np.exp(rng.normal(np.log(3050), 0.4, (frames, rows, columns)))
+
+
+COMMAND = Path(sys.executable).with_name("lampest")
+ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+
+
+def lampest(*words: object, code: int = 0) -> tuple[str, str]:
+    """Standard output and error of a command that ends with `code`."""
+    done = subprocess.run(
+        [str(COMMAND), *(str(word) for word in words)],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        env=os.environ | ONE_THREAD,
+        stdin=subprocess.DEVNULL,
+    )
+    assert done.returncode == code, f"{done.returncode}: {done.stdout}{done.stderr}"
+    return done.stdout, done.stderr
+
+
+def scene_file(folder: Path, rows: int = 10, columns: int = 10, readings: int = 20, **changes: float) -> Path:
+    """The simulated board's scene as YAML."""
+    path = folder / "scene.yaml"
+    made = scene(rows, columns, readings, **changes)
+    path.write_text(to_yaml(replace(made, response=PublishedResponse())))
+    return path

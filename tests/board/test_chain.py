@@ -1,0 +1,164 @@
+"""Firmware → pseudo-terminal → record → file → cells, compared with the truth on the simulated board's pins."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+import serial
+from board.bench import bench, scene, some_cells
+from support import live_pictures
+
+from lampest import Recording, import_file, two_point_resistance
+from lampest.cost.terms import Misfit
+from lampest.estimate.estimator import Estimator
+from lampest.estimate.sequence import reconstruct
+from lampest.panel.panel import Array
+from lampest.panel.scene import Faults
+from lampest.recording.board.record import record
+from lampest.recording.recording import MEASURED, UNLOADED
+from lampest.recording.simulation.measure import Unmodelled, measured
+from lampest.report.live.run import LiveBoard, recorded_from_board
+
+SHIPPED = Path(__file__).parents[2] / "data" / "lamprey_35mm.h5"
+
+
+def median_cell_error(recording: Recording, truth: Array) -> float:
+    """Median over all measured frames and cells of |r̂/r − 1|. The one place that says how cells are estimated."""
+    import lampest
+
+    found = lampest.reconstruct(recording, terms=[lampest.Misfit()])
+    return float(np.median(np.abs(found.cell_resistance / truth[found.frame] - 1)))
+
+
+@pytest.mark.slow
+def test_cells_come_back_as_well_as_from_the_same_scene_simulated_in_python(tmp_path: Path) -> None:
+    """The paper's lamprey scene, 10 × 10, 20 readings, two multiplexers of 70 ohm that the scene knows."""
+    shipped = Recording.load(SHIPPED)
+    truth, known = shipped.truth_cell_resistance, scene()
+    assert truth is not None
+    baseline = int(np.sum(shipped.role == UNLOADED))
+    with bench(tmp_path, truth) as board:
+        done = record(board.port, tmp_path / "r.h5", frames=len(truth), scene=known, baseline=baseline)
+    assert (done.frames, done.lost, done.restarts) == (len(truth), 0, 0)
+    real = Recording.load(done.path)
+    resistance, _ = measured(known, truth, Unmodelled(), seed=4)
+    simulated = Recording(known, resistance, shipped.time, shipped.role)
+    error = median_cell_error(real, truth)
+    assert error <= 0.01
+    assert error == pytest.approx(median_cell_error(simulated, truth), rel=0.1)
+
+
+@pytest.mark.slow
+def test_live_and_the_file_agree_on_a_panel_with_a_dead_row(tmp_path: Path) -> None:
+    """One unloaded frame: without repeats the file's σ is the readout's, as it is for live."""
+    truth = np.repeat(some_cells(np.random.default_rng(8), 1), 4, axis=0)
+    truth[1:, 5:8, 2:5] *= np.array([0.3, 0.2, 0.1])[:, None, None]
+    truth[:, 3] = np.inf
+    broken = replace(scene(), faults=Faults(dead_rows=(3,)))
+    estimator, out = Estimator((Misfit(),), "reduced"), tmp_path / "r.h5"
+    with bench(tmp_path, truth) as board:
+        pictures = live_pictures(
+            estimator,
+            1,
+            lambda engine: recorded_from_board(engine, LiveBoard((board.port,), broken, 1, None, out), 4),
+        )
+    found = reconstruct(Recording.load(out), estimator)
+    assert [picture.status for picture in pictures] == ["optimum verified"] * 3
+    ratio = np.array([1 + picture.relative_change / 100 for picture in pictures])
+    np.testing.assert_allclose(ratio, found.cell_resistance / found.baseline_resistance, rtol=1e-9)
+    ratio, truth = np.delete(ratio, 3, axis=1), np.delete(truth, 3, axis=1)
+    assert np.median(np.abs(ratio / (truth[1:] / truth[0]) - 1)) < 0.02
+
+
+def test_readings_scatter_around_the_truth_as_their_sigma_says(tmp_path: Path) -> None:
+    cells = np.repeat(some_cells(np.random.default_rng(5), 1), 20, axis=0)
+    with bench(tmp_path, cells) as board:
+        done = record(board.port, tmp_path / "r.h5", frames=20, scene=scene(), baseline=12)
+    found = Recording.load(done.path)
+    assert found.sigma is not None
+    deviation = (found.resistance - two_point_resistance(cells) - 140) / found.sigma
+    assert abs(deviation.mean()) < 0.1
+    assert deviation.std() == pytest.approx(1, abs=0.06)
+    assert done.noise_lsb == pytest.approx(0.7, abs=0.04)
+    assert found.role.tolist() == [UNLOADED] * 12 + [MEASURED] * 8
+
+
+@pytest.mark.parametrize(("rows", "columns", "readings"), [(1, 1, 1), (3, 7, 64), (16, 16, 4), (2, 16, 5)])
+def test_other_sizes_without_noise_are_exact_to_the_converter(
+    tmp_path: Path, rows: int, columns: int, readings: int
+) -> None:
+    """Sums are readings · ⌊1024·Rref/(R + Rref)⌋: every channel, switch and byte is where it belongs."""
+    cells = some_cells(np.random.default_rng(rows), 3, rows, columns)
+    known = scene(rows, columns, readings)
+    with bench(tmp_path, cells, "--noise-lsb", 0) as board:
+        record(board.port, tmp_path / "r.h5", frames=3, scene=known)
+    found = Recording.load(tmp_path / "r.h5")
+    codes = np.floor(1024 * 1000 / (two_point_resistance(cells) + 140 + 1000))
+    assert found.raw_sums is not None and found.raw_readings == readings
+    np.testing.assert_array_equal(found.raw_sums, readings * codes)
+
+
+def test_a_line_that_settles_slowly_carries_the_cell_before_into_the_reading(tmp_path: Path) -> None:
+    """The simulated line has a time constant: 100 us leave e^-0.5 of a step at the first sample, 2 us leave nothing."""
+    cells = np.full((1, 2, 2), 1000.0)
+    cells[0, 0, 0] = 10.0
+    sums = []
+    for settle_us in (2, 100):
+        (tmp_path / str(settle_us)).mkdir()
+        with bench(tmp_path / str(settle_us), cells, "--noise-lsb", 0, "--settle-us", settle_us) as board:
+            record(board.port, tmp_path / f"{settle_us}.h5", frames=2, scene=scene(2, 2, 1))
+        sums.append(Recording.load(tmp_path / f"{settle_us}.h5").raw_sums)
+    first, late = (np.asarray(frame[1], dtype=float) for frame in sums)
+    assert late[0, 1] > first[0, 1] + 50
+
+
+def test_what_the_file_says_about_its_origin(tmp_path: Path) -> None:
+    cells = some_cells(np.random.default_rng(1), 1, 4, 3)
+    presses = iter(["", "", "x", "", "ab"])
+    with bench(tmp_path, cells) as board:
+        record(board.port, tmp_path / "r.h5", frames=5, scene=scene(4, 3), period=0.5, keys=lambda: next(presses))
+    found = Recording.load(tmp_path / "r.h5")
+    assert found.acquisition is not None
+    np.testing.assert_allclose(found.time, [0, 0.5, 1, 1.5, 2], atol=2e-3)
+    assert found.acquisition.sequence.tolist() == [0, 1, 2, 3, 4]
+    assert np.all(np.diff(found.acquisition.device_ms.astype(int)) >= 499)
+    assert np.all(np.diff(found.acquisition.host_time) >= 0) and found.acquisition.host_time[0] > 1.7e9
+    assert not found.acquisition.lost.any() and not found.acquisition.missed.any()
+    assert found.acquisition.event_label == ("x", "a", "b")
+    np.testing.assert_allclose(found.acquisition.event_time, found.time[[2, 4, 4]])
+    with h5py.File(tmp_path / "r.h5") as file:
+        assert "lampest_unfinished" not in file.attrs
+        assert file["entry/acquisition/lost"].attrs["units"] == b"1"
+
+
+def test_without_a_scene_the_board_is_believed(tmp_path: Path) -> None:
+    with bench(tmp_path, some_cells(np.random.default_rng(2), 1)) as board:
+        record(board.port, tmp_path / "r.h5", seconds=2)
+    found = Recording.load(tmp_path / "r.h5")
+    assert found.resistance.shape == (2, 10, 10)
+    assert found.scene.series_resistance_ohm == 0
+    assert found.scene.readout is not None and found.scene.readout.readings == 20
+
+
+def test_lines_of_the_example_are_the_panel(tmp_path: Path) -> None:
+    cells = np.full((10, 10), 3000.0)
+    cells[2, 7] = 300.0
+    with bench(tmp_path, cells[None], sketch="print_table") as board, serial.Serial(board.port, timeout=30) as port:
+        lines = [port.readline() for _ in range(3)]
+    log = tmp_path / "monitor.log"
+    log.write_bytes(b"".join(lines))
+    recording, _ = import_file(log, scene=scene(), unit="code")
+    assert recording.recorded.shape == (3, 10, 10)
+    expected = two_point_resistance(cells) + 140
+    np.testing.assert_allclose(recording.recorded[-1], expected, rtol=0.02)
+    assert np.unravel_index(np.argmin(recording.recorded[-1]), (10, 10)) == (2, 7)
+
+
+def test_the_library_says_what_it_includes() -> None:
+    folder = Path(__file__).parents[2] / "firmware" / "lampest_board"
+    lines = (folder / "library.properties").read_text(encoding="utf-8").splitlines()
+    said = dict(line.split("=", 1) for line in lines)
+    assert {"name", "version", "author", "maintainer", "sentence", "paragraph", "category", "url"} <= set(said)
+    assert all((folder / header).is_file() for header in said["includes"].split(","))

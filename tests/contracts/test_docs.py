@@ -1,0 +1,289 @@
+"""The pages are true: examples run as a stranger would run them, and what is named is there.
+
+Every page of docs/howto/adding is played in a copy of the house: a block that begins with a path is written to
+it, a diff is applied, what follows a dollar sign is typed, and what it answers must stand below, with ... for any text.
+"""
+
+import doctest
+import os
+import re
+import shutil
+import subprocess
+import sys
+import textwrap
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+import lampest
+from lampest import read_run, read_scene
+
+REPOSITORY = Path(__file__).parents[2]
+README = REPOSITORY / "README.md"
+DOCS = REPOSITORY / "docs"
+ADDING = sorted((DOCS / "howto" / "adding").glob("*.md"))
+ARCHITECTURE = DOCS / "reference" / "architecture.md"
+GLOSSARY = DOCS / "theory" / "glossary.md"
+READOUTS = DOCS / "howto" / "readouts.md"
+PYTHON = DOCS / "howto" / "python.md"
+PAGES = (
+    README,
+    REPOSITORY / "CONTRIBUTING.md",
+    REPOSITORY / "firmware" / "README.md",
+    *sorted(path for path in DOCS.rglob("*.md") if "_build" not in path.parts),
+)
+COPIED = ("lampest", "tests", "pyproject.toml", "README.md", "LICENSE")
+SAME = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
+TOOLS = {
+    "lampest": f"{sys.executable} -c 'from lampest.cli import main; main()'",
+    "python": sys.executable,
+    "ruff": f"{sys.executable} -m ruff",
+    "mypy": f"{sys.executable} -m mypy",
+}
+
+
+@dataclass(frozen=True)
+class Fence:
+    """A fenced block of a page."""
+
+    language: str
+    text: str
+
+    @property
+    def file(self) -> str:
+        """The path in its first line, or nothing."""
+        named = re.match(r"# ([\w./]+\.(?:py|yaml))\n", self.text)
+        return named[1] if named else ""
+
+    def commands(self) -> Iterator[tuple[str, str]]:
+        """What is typed, and what is answered."""
+        for part in re.split(r"^\$ ", self.text, flags=re.MULTILINE)[1:]:
+            typed, _, answer = part.partition("\n")
+            yield typed, answer
+
+
+def fences(text: str) -> tuple[Fence, ...]:
+    """The blocks of a text."""
+    found = re.finditer(r"^```(\w+)\n(.*?)^```$", text, flags=re.MULTILINE | re.DOTALL)
+    return tuple(Fence(*block.groups()) for block in found)
+
+
+EXAMPLES = {page.stem: fences(page.read_text(encoding="utf-8")) for page in ADDING}
+
+
+@pytest.fixture
+def copy(tmp_path: Path) -> Path:
+    """A copy of the house with its tests, and the tools as one would type them."""
+    for name in COPIED:
+        source, target = REPOSITORY / name, tmp_path / name
+        if source.is_dir():
+            shutil.copytree(source, target)  # with what is compiled, which stays true of the copy
+        else:
+            shutil.copy(source, target)
+    (tmp_path / "data").symlink_to(REPOSITORY / "data")
+    (tmp_path / "bin").mkdir()
+    for name, command in TOOLS.items():
+        tool = tmp_path / "bin" / name
+        tool.write_text(f'#!/bin/sh\nexec {command} "$@"\n')
+        tool.chmod(0o755)
+    return tmp_path
+
+
+def typed(folder: Path, command: str) -> str:
+    """What a command answers in a copy of the house; it must succeed."""
+    paths = os.pathsep.join((str(folder / "bin"), os.environ.get("PATH", "")))
+    environment = os.environ | {"PYTHONPATH": str(folder), "PATH": paths}
+    ended = subprocess.run(
+        command, shell=True, cwd=folder, env=environment, capture_output=True, text=True, timeout=300
+    )
+    assert ended.returncode == 0, f"$ {command}\n{ended.stdout}{ended.stderr}"
+    return ended.stdout
+
+
+def applied(folder: Path, fence: Fence) -> None:
+    """A block without its commands: written where its first line says, or changed as the diff says."""
+    if fence.file:
+        (folder / fence.file).write_text(fence.text.partition("\n")[2], encoding="utf-8")
+    if fence.language == "diff":
+        change(folder, fence.text)
+
+
+def change(folder: Path, diff: str) -> None:
+    """Apply a diff without line numbers; what it takes away, with what stands around, must stand there once."""
+    first, *lines = diff.splitlines(keepends=True)
+    path = folder / first.removeprefix("--- ").strip()
+    text = path.read_text(encoding="utf-8")
+    for hunk in "".join(lines).split("@@\n"):
+        parts = [(line[0], line[1:]) for line in hunk.splitlines(keepends=True)]
+        old, new = ("".join(rest for mark, rest in parts if mark in (" ", side)) for side in "-+")
+        assert text.count(old) == 1, f"{first}{old}stands there {text.count(old)} times"
+        text = text.replace(old, new)
+    path.write_text(text, encoding="utf-8")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_example_says_what_the_page_says(name: str, copy: Path) -> None:
+    checker = doctest.OutputChecker()
+    for fence in EXAMPLES[name]:
+        applied(copy, fence)
+        for command, answer in fence.commands() if fence.language == "console" else ():
+            found = typed(copy, command)
+            assert checker.check_output(answer, found, SAME), f"$ {command}\n{found}"
+
+
+@pytest.mark.slow
+def test_all_examples_together_keep_the_rules_of_the_house(copy: Path) -> None:
+    new = []
+    for fence in (fence for blocks in EXAMPLES.values() for fence in blocks):
+        applied(copy, fence)
+        for command, _ in fence.commands() if fence.language == "console" else ():
+            if command.startswith("mv "):
+                typed(copy, command)
+                new.append(command.split()[-1])
+        new += re.findall(r"^\+class (\w+)", fence.text, flags=re.MULTILINE) if fence.language == "diff" else []
+    assert len(new) == len(EXAMPLES), "each page moves one file or one class into the house"
+    typed(copy, "python -m pytest -q -x tests/contracts/test_architecture.py -k 'keeps_the_rule or reached or twelve'")
+    typed(copy, "ruff check lampest && ruff format --check lampest")
+    typed(copy, "mypy")
+
+
+@pytest.mark.parametrize("page", ADDING, ids=lambda page: page.stem)
+def test_example_ends_in_a_checklist(page: Path) -> None:
+    assert page.read_text(encoding="utf-8").splitlines()[-1].startswith(("- [ ] ", "      "))
+
+
+def indented(page: Path) -> list[str]:
+    """The blocks of a page that are set in by four blanks, without these."""
+    blocks = re.findall(r"(?:^    .*\n|^\n(?=    ))+", page.read_text(encoding="utf-8"), flags=re.MULTILINE)
+    return [textwrap.dedent(block).strip() + "\n" for block in blocks]
+
+
+def fenced(page: Path, language: str) -> list[str]:
+    """The fenced blocks of a page in a language."""
+    return re.findall(rf"^```{language}\n(.*?)^```$", page.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
+
+
+@pytest.mark.parametrize("page", [README, PYTHON], ids=lambda page: page.name)
+def test_python_of_a_page_runs(page: Path, tmp_path: Path) -> None:
+    blocks = fenced(page, "python") + [block for block in indented(page) if block.startswith("import lampest")]
+    assert blocks
+    (tmp_path / "data").symlink_to(REPOSITORY / "data")
+    (tmp_path / "page.py").write_text("\n".join(blocks), encoding="utf-8")
+    environment = os.environ | {"PYTHONPATH": str(REPOSITORY)}
+    command = (sys.executable, "page.py")
+    ended = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=300)
+    assert ended.returncode == 0, ended.stderr
+
+
+def test_keys_of_a_run_on_any_page_are_read(tmp_path: Path) -> None:
+    """Blocks of YAML that begin with estimators, sweep or executor stand in a run's file."""
+    blocks = [block for page in PAGES for block in fenced(page, "yaml")]
+    entries = [block for block in blocks if re.match("estimators:|sweep:|executor:", block)]
+    assert len(entries) > 6
+    for block in entries:
+        for named in re.findall(r"_file: ([\w.-]+)", block):
+            (tmp_path / named).touch()
+        run = tmp_path / "run.yaml"
+        estimators = (
+            "" if block.startswith("estimators:") else "estimators: {LSR-gCR: {terms: {misfit: {}, gradient: {}}}}\n"
+        )
+        run.write_text(f"schema: 1\nrecordings: [{REPOSITORY}/data/rod.h5]\n{estimators}{block}", encoding="utf-8")
+        assert read_run(run).cases
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(REPOSITORY)))
+def test_links_lead_somewhere(page: Path) -> None:
+    for target in re.findall(r"\]\(([^)\s]+)\)", page.read_text(encoding="utf-8")):
+        path, _, anchor = target.partition("#")
+        if not re.match(r"[a-z]+:", target):
+            there = page if not path else page.parent / path
+            assert there.exists(), f"{page.name}: {target}"
+            assert not anchor or anchor in anchors(there), f"{page.name}: {target}"
+
+
+@pytest.mark.slow
+def test_the_site_is_built_without_a_warning(tmp_path: Path) -> None:
+    """Every link inside it leads somewhere, everything that its pages show has run, and nothing was fetched."""
+    command = (sys.executable, "-m", "sphinx", "-q", "-W", "--keep-going", "-b", "html", "-d", str(tmp_path / "read"))
+    ended = subprocess.run(
+        (*command, str(DOCS), str(tmp_path / "html")), capture_output=True, text=True, timeout=300, cwd=REPOSITORY
+    )
+    assert ended.returncode == 0, ended.stderr
+    pages = [path.read_text(encoding="utf-8") for path in (tmp_path / "html").rglob("*.html")]
+    assert len(pages) > 15
+    assert not [found for page in pages for found in re.findall(r"<(?:script|link|img)[^>]+https?://[^>]+>", page)]
+
+
+def anchors(page: Path) -> set[str]:
+    """What headings of a page are called in links."""
+    headings = re.findall(r"^#+ (.+)$", page.read_text(encoding="utf-8"), flags=re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(REPOSITORY)))
+def test_paths_that_are_named_exist(page: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+    made = set(
+        re.findall(r"^\$ mv \S+ (\S+)$", "".join(page.read_text(encoding="utf-8") for page in ADDING), re.MULTILINE)
+    )
+    for path in re.findall(r"(?<![\w/.-])(?:lampest|tests|configs|docs|firmware)/[\w./*-]*\w", text):
+        built = path.startswith("docs/_build/")
+        assert built or path in made or any(REPOSITORY.glob(path)), f"{page.name}: {path}"
+
+
+def test_architecture_names_every_module_once_in_its_room() -> None:
+    text = ARCHITECTURE.read_text(encoding="utf-8")
+    house = REPOSITORY / "lampest"
+    for room in sorted(path.parent for path in house.glob("*/__init__.py")):
+        _, found, chapter = text.partition(f"\n### {room.name}\n")
+        assert found, f"the room {room.name}"
+        rows = re.findall(r"^\| `([^`]+)` \|", chapter.split("\n##")[0], flags=re.MULTILINE)
+        parts = [f"{path.name}/" if path.is_dir() else path.name for path in room.iterdir()]
+        there = {part for part in parts if not part.startswith("__")}
+        assert sorted(rows) == sorted(there), room.name
+
+
+def test_glossary_says_truly_where_things_are_defined() -> None:
+    rows = re.findall(
+        r"^\|.*\| `(lampest/[\w./]+)`(?:: (.+?))? \|$", GLOSSARY.read_text(encoding="utf-8"), re.MULTILINE
+    )
+    assert len(rows) > 40
+    for path, names in rows:
+        text = (REPOSITORY / path).read_text(encoding="utf-8")
+        for name in re.findall(r"`([^`]+)`", names):
+            assert all(re.search(rf"\b{part}\b", text) for part in name.split(".")), f"{path}: {name}"
+
+
+def test_scenes_of_the_readouts_page_are_scenes(tmp_path: Path) -> None:
+    blocks = fences(READOUTS.read_text(encoding="utf-8"))
+    assert len(blocks) >= 4, "one for each kind"
+    for fence in blocks:
+        file = tmp_path / "scene.yaml"
+        file.write_text(fence.text, encoding="utf-8")
+        assert read_scene(file).readout is not None, fence.text
+
+
+def test_the_readouts_page_has_every_kind_and_its_drawings() -> None:
+    """Kinds as lampest's face has them; drawings that are there."""
+    page = READOUTS.read_text(encoding="utf-8")
+    kinds = [getattr(lampest, name).kind for name in dir(lampest) if name.endswith("Readout") and name != "Readout"]
+    assert len(kinds) >= 4 and all(f"kind: {kind}" in page for kind in kinds)
+    drawings = re.findall(r"\]\((circuits/\w+\.svg)\)", page)
+    assert drawings and all((READOUTS.parent / drawing).is_file() for drawing in drawings)
+
+
+SCRIPTS = sorted((Path(__file__).parents[2] / "docs/examples").glob("plot_*.py"))
+
+
+def test_there_are_ten() -> None:
+    assert len(SCRIPTS) == 10
+
+
+@pytest.mark.parametrize("script", SCRIPTS, ids=lambda path: path.stem)
+def test_script_is_short_and_public(script: Path) -> None:
+    text = script.read_text(encoding="utf-8")
+    assert len(text.splitlines()) < 40
+    assert not re.search(r"from lampest\.|import lampest\.", text)

@@ -1,0 +1,310 @@
+"""`lampest live` without a board: each way of `--publish` is heard by its own library, and nobody holds up frames."""
+
+import gc
+import json
+import shutil
+import socket
+import subprocess
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+ROOT = Path(__file__).parents[2]
+LAMPREY = ROOT / "data" / "lamprey_25mm.h5"
+UNLOADED = 3  # of its frames
+SCHEMA = json.loads((ROOT / "docs" / "reference" / "stream.schema.json").read_text())
+MOSQUITTO = shutil.which("mosquitto", path="/usr/sbin:/usr/bin:/usr/local/sbin:/usr/local/bin")
+Run = Callable[..., SimpleNamespace]
+# paho leaves the two sockets by which its threads wake each other to the garbage collector.
+pytestmark = pytest.mark.filterwarnings("ignore:unclosed <socket:ResourceWarning")
+needs_broker = pytest.mark.skipif(MOSQUITTO is None, reason="there is no mosquitto here: apt-get install mosquitto")
+
+
+@pytest.fixture(autouse=True)
+def _collected() -> Iterator[None]:
+    """The garbage goes before the next test."""
+    yield
+    gc.collect()
+
+
+def free_port(kind: int = socket.SOCK_STREAM) -> int:
+    """A port of this computer that nobody has."""
+    with socket.socket(socket.AF_INET, kind) as place:
+        place.bind(("127.0.0.1", 0))
+        return int(place.getsockname()[1])
+
+
+def there(port: int) -> bool:
+    """Whether somebody listens at a port."""
+    with socket.socket() as place:
+        return place.connect_ex(("127.0.0.1", port)) == 0
+
+
+@contextmanager
+def broker(folder: Path, port: int, further: str = "allow_anonymous true") -> Iterator[None]:
+    """A real broker."""
+    assert MOSQUITTO is not None
+    (folder / "broker.conf").write_text(f"listener {port} 127.0.0.1\n{further}\n")
+    with subprocess.Popen([MOSQUITTO, "-c", folder / "broker.conf"], stderr=subprocess.DEVNULL) as running:
+        try:
+            until(lambda: there(port))
+            yield
+        finally:
+            running.terminate()
+
+
+@contextmanager
+def subscribed(port: int) -> Iterator[list[dict[str, Any]]]:
+    """What a listener to the broker hears."""
+    from paho.mqtt.client import Client
+    from paho.mqtt.enums import CallbackAPIVersion
+
+    came: list[dict[str, Any]] = []
+    heard = threading.Event()
+    client = Client(CallbackAPIVersion.VERSION2)
+    client.on_message = lambda _, __, message: came.append(json.loads(message.payload))
+    client.on_subscribe = lambda *_: heard.set()
+    client.connect("127.0.0.1", port)
+    client.subscribe("panel/one")
+    client.loop_start()
+    assert heard.wait(10)
+    try:
+        yield came
+    finally:
+        client.disconnect()
+        client.loop_stop()
+
+
+def replayed(
+    lampest: Run, where: str, frames: int = 6, speed: float = 10.0, words: tuple[str, ...] = ()
+) -> SimpleNamespace:
+    """A recording, published."""
+    source = ("--recording", LAMPREY, "--speed", speed, "--count", frames)
+    return lampest("live", *source, "--http", "127.0.0.1:0", "--publish", where, *words)
+
+
+def until(true: Callable[[], bool], seconds: float = 20.0) -> None:
+    """Wait until something is true."""
+    end = time.monotonic() + seconds
+    while not true():
+        assert time.monotonic() < end, "it never came"
+        time.sleep(0.02)
+
+
+def check_message(told: dict[str, Any]) -> None:
+    """One message against the schema, and against itself."""
+    from jsonschema import Draft202012Validator
+
+    Draft202012Validator(SCHEMA).validate(told)
+    assert len(told["cells"]) == len(told["change"]) == len(told["pressure"]) == 100
+    assert told["health"]["solved"] and told["health"]["arrived"] <= told["health"]["sent"]
+    pressed = sum(min(kpa, 40.0) for kpa in told["pressure"] if kpa > 0)
+    assert 0 < told["force"] <= pressed * 1e-1 + 0.02, "kPa on 10 mm × 10 mm"
+    assert told["force_saturated"] <= len(told["health"]["saturated"]), "a cell that sucks adds no force"
+    assert (told["force_saturated"] > 0) == (max(told["pressure"]) > 40.0), "the response's curve ends at 40 kPa"
+    assert told["verdict"].startswith("pressing"), "the rim of a mouth presses"
+
+
+@pytest.mark.slow
+@needs_broker
+def test_mqtt_carries_the_message(lampest: Run, tmp_path: Path) -> None:
+    port = free_port()
+    with broker(tmp_path, port), subscribed(port) as came:
+        done = replayed(lampest, f"mqtt://127.0.0.1:{port}/panel/one")
+        assert done.code == 0 and f"mqtt://127.0.0.1:{port}/panel/one\n" in done.out
+        until(lambda: bool(came) and came[-1]["sequence"] == UNLOADED + 6)
+    numbers = [told["sequence"] for told in came]
+    assert numbers == sorted(numbers) and numbers[0] > UNLOADED, "in order, unloaded ones first"
+    signs = [(told["sequence"], told["detection"] and told["detection"]["sentence"], told["alarm"]) for told in came]
+    assert len(set(signs)) == len(signs), "again only once the answer or the alarm has changed"
+    assert came[-1]["detection"]["answer"] == "sucks", "the last answer comes after the last frame"
+    for told in came:
+        check_message(told)
+
+
+@pytest.mark.slow
+@needs_broker
+def test_a_broker_that_goes_away_is_said_and_called_again(lampest: Run, tmp_path: Path) -> None:
+    port, after = free_port(), []
+    first = broker(tmp_path, port)
+    first.__enter__()
+
+    def elsewhere() -> None:
+        time.sleep(3)
+        first.__exit__(None, None, None)
+        with broker(tmp_path, port), subscribed(port) as came:
+            until(lambda: bool(came), 40)
+            after.extend(came)
+
+    beside = threading.Thread(target=elsewhere)
+    beside.start()
+    done = replayed(lampest, f"mqtt://127.0.0.1:{port}/panel/one", frames=20, speed=2.0)
+    beside.join()
+    assert done.code == 0, done.err
+    assert "the broker is gone" in done.err and "the broker is back" in done.err
+    assert after and "password" not in done.err
+
+
+@needs_broker
+def test_a_broker_that_refuses_is_one_sentence(lampest: Run, tmp_path: Path) -> None:
+    port = free_port()
+    with broker(tmp_path, port, "allow_anonymous false"):
+        done = replayed(lampest, f"mqtt://mouse:secret@127.0.0.1:{port}/panel/one")
+    assert done.code == 2 and "the broker refuses (Not authorized)" in done.err and done.err.count("\n") == 1
+    assert "secret" not in done.err + done.out
+
+
+@pytest.mark.slow
+def test_websocket_carries_the_message_and_a_listener_that_hangs_holds_up_nobody(lampest: Run) -> None:
+    from websockets.exceptions import ConnectionClosed
+    from websockets.sync.client import connect
+
+    port, came, asleep = free_port(), [], []
+
+    def listening() -> None:
+        until(lambda: there(port))
+        asleep.append(socket.create_connection(("127.0.0.1", port)))
+        asleep[0].sendall(
+            f"GET / HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
+            "Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\nSec-WebSocket-Version: 13\r\n\r\n".encode()
+        )
+        with connect(f"ws://127.0.0.1:{port}") as connection:
+            try:
+                while True:
+                    came.append(json.loads(connection.recv()))
+            except ConnectionClosed:
+                pass
+
+    beside = threading.Thread(target=listening)
+    beside.start()
+    done = replayed(lampest, f"websocket://127.0.0.1:{port}", frames=20, speed=4.0)
+    beside.join(20)
+    asleep[0].close()
+    assert done.code == 0 and f"ws://127.0.0.1:{port}/\n" in done.out
+    assert came[-1]["sequence"] == UNLOADED + 20, "who listens gets the last frame"
+    check_message(came[-1])
+
+
+@pytest.mark.parametrize(
+    ("headers", "path", "status"),
+    [({"Origin": "http://evil.example"}, "", 403), ({"Origin": "http://127.0.0.1:8137"}, "", 101), ({}, "", 101)],
+)
+def test_a_websocket_is_for_this_computer(lampest: Run, headers: dict[str, str], path: str, status: int) -> None:
+    assert handshake(lampest, "127.0.0.1", (), headers, path) == status
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("headers", "path", "status"),
+    [
+        ({}, "", 403),
+        ({}, "?token=wrong", 403),
+        ({}, "?token=0123456789abcdef", 101),
+        ({"Authorization": "Bearer 0123456789abcdef"}, "", 101),
+    ],
+)
+def test_elsewhere_a_websocket_asks_for_a_token(lampest: Run, headers: dict[str, str], path: str, status: int) -> None:
+    assert handshake(lampest, "0.0.0.0", ("--token", "0123456789abcdef"), headers, path) == status
+
+
+def handshake(lampest: Run, host: str, words: tuple[str, ...], headers: dict[str, str], path: str) -> int:
+    """What a listener is answered."""
+    from websockets.exceptions import InvalidStatus
+    from websockets.sync.client import connect
+
+    port, answers = free_port(), []
+
+    def knocking() -> None:
+        until(lambda: there(port))
+        try:
+            with connect(f"ws://127.0.0.1:{port}/{path}", additional_headers=headers) as connection:
+                answers.append(connection.response.status_code)
+        except InvalidStatus as refused:
+            answers.append(refused.response.status_code)
+
+    beside = threading.Thread(target=knocking)
+    beside.start()
+    done = replayed(lampest, f"websocket://{host}:{port}", frames=3, words=words)
+    beside.join()
+    assert done.code == 0, done.err
+    return int(answers[0])
+
+
+@pytest.mark.slow
+def test_osc_carries_the_frame(lampest: Run) -> None:
+    from pythonosc.osc_bundle import OscBundle
+
+    port = free_port(socket.SOCK_DGRAM)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as ear:
+        ear.bind(("127.0.0.1", port))
+        ear.settimeout(10)
+        assert replayed(lampest, f"osc://127.0.0.1:{port}/panel").code == 0
+        bundle = OscBundle(ear.recv(65536))
+    told = {message.address: message.params for message in bundle}
+    assert told["/panel/size"] == [10, 10] and len(told["/panel/cells"]) == 100
+    pressed = np.clip(told["/panel/pressure"], 0, 40).sum() / 10
+    assert 0 < told["/panel/force"][0] <= pressed + 0.02, "saturated cells of the rim count with what is determined"
+    assert isinstance(told["/panel/alarm"][0], str)
+    assert told["/panel/verdict"][0].startswith("pressing") and told["/panel/solved"] == [True]
+
+
+@pytest.mark.slow
+def test_lsl_is_a_described_stream(lampest: Run) -> None:
+    import pylsl
+
+    came: dict[str, Any] = {}
+
+    def listening() -> None:
+        (found,) = pylsl.resolve_byprop("name", "lampest-test", timeout=20)
+        inlet = pylsl.StreamInlet(found)
+        came["info"] = inlet.info(10)
+        came["sample"], stamp = inlet.pull_sample(10)
+        came["age"] = pylsl.local_clock() - stamp
+        inlet.close_stream()
+
+    beside = threading.Thread(target=listening)
+    beside.start()
+    assert replayed(lampest, "lsl://lampest-test", frames=20, speed=2.0).code == 0
+    beside.join()
+    info, sample = came["info"], np.array(came["sample"])
+    assert (info.type(), info.channel_count(), info.channel_format()) == ("Pressure", 315, pylsl.cf_float32)
+    assert info.get_channel_labels()[:5] == ["sequence", "force", "verdict", "solved", "change_0_0"]
+    assert info.get_channel_units()[1:5:3] == ["newton", "percent"]
+    assert (info.get_channel_labels()[304], info.get_channel_units()[304]) == ("force_sd", "newton")
+    assert info.get_channel_labels()[305:308] == ["answer", "probability", "alarm"]
+    cell = info.desc().child("channels").first_child()
+    while cell.child_value("label") != "pressure_3_4":
+        cell = cell.next_sibling()
+    place = cell.child("location")
+    assert (float(place.child_value("X")), float(place.child_value("Y"))) == (0.04, 0.03)
+    assert sample[3] == 1 and 0 < sample[1] <= np.clip(sample[104:204], 0, 40).sum() / 10 + 0.02
+    assert 0 <= came["age"] < 60
+
+
+def test_a_port_that_is_taken_is_one_sentence(lampest: Run) -> None:
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        done = replayed(lampest, f"websocket://127.0.0.1:{taken.getsockname()[1]}")
+    assert done.code == 2 and "cannot listen at 127.0.0.1" in done.err and done.err.count("\n") == 1
+
+
+Command = Callable[..., SimpleNamespace]
+LAMPREY = Path(__file__).parents[2] / "data" / "lamprey_25mm.h5"
+
+
+def test_a_port_that_is_not_there_is_one_sentence(lampest: Command) -> None:
+    done = lampest("live", "--port", "/nowhere/port", "--http", "127.0.0.1:0")
+    assert done.code == 2 and "/nowhere/port: cannot be opened" in done.err and done.err.count("\n") == 1
+
+
+def test_live_ends_after_so_many_frames(lampest: Command) -> None:
+    done = lampest("live", "--recording", LAMPREY, "--speed", "1e6", "--count", "4", "--http", "127.0.0.1:0")
+    assert done.code == 0 and done.out.startswith("http://127.0.0.1:")

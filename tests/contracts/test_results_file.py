@@ -1,0 +1,370 @@
+"""The results file: what goes in comes out, other programs open it, texts beside numbers, faults in one sentence."""
+
+import dataclasses
+import os
+import subprocess
+import sys
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from support import METHODS, invented_case
+
+from lampest import (
+    CaseResult,
+    Experiment,
+    Faults,
+    InputError,
+    MeasuredSubject,
+    Panel,
+    PublishedFigures,
+    Recording,
+    Scene,
+    StepFigures,
+    Systematic,
+    Temperature,
+    TwoPointReadout,
+    Water,
+    read_results,
+    read_scene,
+    write_results,
+)
+
+PUBLISHED = {"LSM": PublishedFigures(all=StepFigures(16.45, 0.40, 1.33, 1.29))}
+
+
+@pytest.fixture
+def written(tmp_path: Path) -> Path:
+    path = tmp_path / "results.h5"
+    cases = [invented_case(name, recording, (4, 5, 7), failed=(1,)) for recording in ("b", "a") for name in METHODS]
+    write_results(path, cases, PUBLISHED)
+    return path
+
+
+def assert_same(found: CaseResult, wanted: CaseResult) -> None:
+    for item in dataclasses.fields(CaseResult):
+        ours, theirs = getattr(found, item.name), getattr(wanted, item.name)
+        if isinstance(theirs, np.ndarray):
+            np.testing.assert_array_equal(ours, theirs, err_msg=item.name)
+        elif item.name in ("costs", "weights"):
+            assert list(ours) == sorted(theirs)
+            for term in theirs:
+                np.testing.assert_array_equal(ours[term], theirs[term])
+        else:
+            assert ours == theirs, item.name
+
+
+@pytest.mark.parametrize("truth", [True, False])
+@pytest.mark.parametrize("shape", [(3, 10, 10), (1, 1, 1), (2, 1, 8), (70, 5, 12)])
+def test_what_goes_in_comes_out(tmp_path: Path, shape: tuple[int, int, int], truth: bool) -> None:
+    # Names out of alphabetical order: the order of the configuration must survive.
+    cases = [invented_case(name, stem, shape, truth) for stem in ("z", "b") for name in reversed(METHODS)]
+    cases[0] = dataclasses.replace(cases[0], costs={"misfit": np.ones(shape[0]), "gradient": np.zeros(shape[0])})
+    write_results(tmp_path / "r.h5", cases, PUBLISHED)
+    results = read_results(tmp_path / "r.h5")
+    assert results.recordings() == ("z", "b")
+    assert results.published == PUBLISHED
+    for found, wanted in zip(results.cases, cases, strict=True):
+        assert_same(found, wanted)
+
+
+def test_a_failed_frame_is_nan_and_a_sentence(written: Path) -> None:
+    case = read_results(written).cases[0]
+    assert np.isnan(case.cell_resistance[1]).all()
+    assert case.status[1] == "stopped: too many iterations"
+    with pytest.raises(InputError, match="/entry/b/LSM/cell_resistance must be numbers where solved is 1, and NaN"):
+        dataclasses.replace(case, solved=np.ones(4, dtype=bool))
+
+
+def test_the_same_cases_give_the_same_bytes(tmp_path: Path) -> None:
+    code = (
+        "import sys; sys.path.insert(0, sys.argv[1])\n"
+        "from support import METHODS, invented_case\nfrom lampest import write_results\n"
+        "write_results(sys.argv[2], [invented_case(name, failed=(1,)) for name in METHODS])"
+    )
+    for name in ("one.h5", "two.h5"):
+        subprocess.run([sys.executable, "-c", code, str(Path(__file__).parents[1]), tmp_path / name], check=True)
+    assert (tmp_path / "one.h5").read_bytes() == (tmp_path / "two.h5").read_bytes()
+
+
+@pytest.mark.parametrize("engine", ["h5netcdf", "netcdf4"])
+def test_xarray_opens_it_unchanged(written: Path, engine: str) -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # what the libraries say of each other at import
+        xarray = pytest.importorskip("xarray")
+        pytest.importorskip("netCDF4" if engine == "netcdf4" else engine)
+    case = read_results(written).of("a")[2]
+    with xarray.open_dataset(written, group="/entry/a/LSR-dCR", engine=engine) as data:
+        assert data["cell_resistance"].dims == ("time", "row", "column")
+        assert data["cell_resistance"].attrs["units"] == "ohm"
+        assert data.attrs["signal"] == "cell_resistance"
+        np.testing.assert_array_equal(data["cell_resistance"], case.cell_resistance)
+        np.testing.assert_array_equal(data["time"], case.time)
+        assert str(data["status"].values.astype(str)[0]) == case.status[0]
+    with xarray.open_dataset(written, group="/entry/a/recording", engine=engine) as data:
+        np.testing.assert_array_equal(data["resistance"], case.measured)
+
+
+def test_every_text_is_fixed_ascii_and_every_dataset_has_units(written: Path) -> None:
+    assert written.read_bytes()[8] == 3, "superblock of the format 1.10, the oldest with checksums of its own"
+    seen = []
+
+    def look(name: str, node: h5py.Group | h5py.Dataset) -> None:
+        seen.append(name)
+        for attribute in node.attrs:
+            if attribute in ("DIMENSION_LIST", "REFERENCE_LIST"):
+                continue  # how HDF5 attaches axes
+            kind = node.attrs.get_id(attribute).dtype
+            assert h5py.check_vlen_dtype(kind) is None and h5py.check_string_dtype(kind) != "O", (name, attribute)
+            assert kind.kind in "Siuf", (name, attribute, kind)
+        if isinstance(node, h5py.Dataset):
+            assert node.dtype.kind in "Siuf", name
+            assert {"units", "long_name"} <= set(node.attrs), name
+            if not node.is_scale:
+                assert all(len(axis) == 1 for axis in node.dims), name
+
+    with h5py.File(written) as file:
+        file.visititems(look)
+        assert file.attrs["NX_class"] == b"NXroot"
+        # A NeXus viewer follows `default` down to something to plot.
+        node = file
+        while node.attrs["NX_class"] != b"NXdata":
+            node = node[node.attrs["default"].decode()]
+        assert node.name == "/entry/b/LSM" and node.attrs["signal"] == b"cell_resistance"
+    assert "entry/a/LSM/cost/misfit" in seen
+
+
+def test_a_full_disk_leaves_nothing_behind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(InputError, match="No space left on device"):
+        write_results(tmp_path / "r.h5", [invented_case()])
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_older_file_survives_a_failed_one(written: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    before = written.read_bytes()
+
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Path, "write_bytes", full)
+    with pytest.raises(InputError):
+        write_results(written, [invented_case()])
+    assert written.read_bytes() == before and len(list(written.parent.iterdir())) == 1
+
+
+@pytest.mark.parametrize("name", ["", ".", "..", "a/b", " a", "a ", "λ", "tab\t", "a\0b", "x" * 201])
+def test_names_that_cannot_be_groups(name: str) -> None:
+    with pytest.raises(InputError, match="cannot name"):
+        invented_case(estimator=name)
+    with pytest.raises(InputError, match="cannot name"):
+        invented_case(recording=name)
+
+
+def test_an_estimator_cannot_take_the_recordings_place() -> None:
+    with pytest.raises(InputError, match="cannot be called 'recording'"):
+        invented_case("recording")
+
+
+def test_cases_that_do_not_belong_together(tmp_path: Path) -> None:
+    case = invented_case()
+    with pytest.raises(InputError, match="two cases are called mouth × LSM"):
+        write_results(tmp_path / "r.h5", [case, case])
+    other = invented_case("LSR-CR", scene=Scene(Panel(10, 10, 5.0), series_resistance_ohm=140.0))
+    with pytest.raises(InputError, match=r"different recordings of the name mouth \(scene differs\)"):
+        write_results(tmp_path / "r.h5", [case, other])
+    assert list(tmp_path.iterdir()) == []
+
+
+def whole_scene() -> Scene:
+    return Scene(
+        Panel(10, 10),
+        TwoPointReadout(noise_lsb=0.5),
+        140.0,
+        Faults(open=((0, 1),), dead_rows=(3,)),
+        Water(70.0),
+        Temperature(-0.003, 20.0, 12.0),
+        Systematic(0.01, 3.0),
+    )
+
+
+def test_the_scene_is_kept_whole(tmp_path: Path) -> None:
+    write_results(tmp_path / "r.h5", [invented_case(method, scene=whole_scene()) for method in METHODS[:2]])
+    assert [case.scene for case in read_results(tmp_path / "r.h5").cases] == [whole_scene()] * 2
+    with h5py.File(tmp_path / "r.h5") as file:
+        group = file["entry/mouth/recording"]
+        assert group["scene"].shape == () and group["scene"].dtype.kind == "S"
+    with pytest.raises(InputError, match=r"/entry/mouth/recording/resistance does not have the 4 × 5 cells"):
+        invented_case(scene=Scene(Panel(4, 5)))
+
+
+def test_cases_of_different_scenes_are_refused_and_so_is_a_file_without_a_scene(tmp_path: Path) -> None:
+    path, other = tmp_path / "r.h5", dataclasses.replace(whole_scene(), systematic=None)
+    with pytest.raises(InputError, match=r"LSR-CR and LSM were given different .* mouth \(scene differs\)"):
+        write_results(path, [invented_case("LSM", scene=whole_scene()), invented_case("LSR-CR", scene=other)])
+    write_results(path, [invented_case("LSM", scene=whole_scene())])
+    with h5py.File(path, "r+") as file:
+        del file["entry/mouth/recording/scene"]
+    with pytest.raises(InputError, match="/entry/mouth/recording/scene is missing or no text"):
+        read_results(path)
+
+
+def replace(path: str, data: object) -> Callable[[h5py.File], None]:
+    def change(file: h5py.File) -> None:
+        del file[path]
+        file[path] = data
+
+    return change
+
+
+def claim(file: h5py.File) -> None:
+    del file["/entry/a/recording/resistance"]
+    file.create_dataset("/entry/a/recording/resistance", (10**6, 5, 7), "f8", chunks=(1, 5, 7))
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda file: file.attrs.__setitem__("lampest_format", b"recording/1"), "no results file"),
+        (lambda file: file.attrs.__delitem__("lampest_format"), "no results file"),
+        (lambda file: file.__delitem__("entry"), "/entry is missing"),
+        (lambda file: file.__delitem__("/entry/a/recording"), "/entry/a/recording/scene is missing"),
+        (lambda file: file.__delitem__("/entry/a/LSM/cell_resistance"), "/entry/a/LSM/cell_resistance is missing"),
+        (lambda file: file.__delitem__("/entry/a/LSM/status"), "/entry/a/LSM/status is missing or not 4 texts"),
+        (replace("/entry/a/LSM/objective", np.zeros(3)), "/entry/a/LSM/objective is 3, not 4"),
+        (replace("/entry/a/LSM/open_cell", np.zeros((4, 5, 7))), "/entry/a/LSM/open_cell must be whole numbers"),
+        (replace("/entry/a/LSM/two_point_model", np.zeros((4, 5, 7))), "/entry/a/LSM/two_point_model must be numbers"),
+        (replace("/entry/a/LSM/solve_time", b"text"), "/entry/a/LSM/solve_time must be numeric"),
+        (replace("/entry/a/LSM/cost/misfit", np.zeros((4, 2))), "/entry/a/LSM/cost/misfit must be numeric with 1"),
+        (replace("/entry/a/recording/resistance", np.zeros((4, 5, 7))), "/entry/a/recording/resistance must be pos"),
+        (replace("/entry/a/recording/time", np.full(4, np.nan)), "/entry/a/recording/time must be finite"),
+        (replace("/entry/a/recording/scene", b"panel: {rows: 5, colums: 7}"), "scene:1:18: panel.colums: no such key"),
+        (replace("/entry/a/recording/scene", b"panel: {rows: 5, columns: 5}"), "have the 5 × 5 cells of the scene"),
+        (claim, "/entry/a/recording/resistance claims 280000000 bytes"),
+        (
+            lambda file: file["/entry/a/LSM"].attrs.__setitem__("joint_start", b"x"),
+            "/entry/a/LSM@joint_start is missing",
+        ),
+        (lambda file: file["/entry"].attrs.__setitem__("published", b'{"LSM": 3}'), "/entry@published"),
+        (lambda file: file["/entry"].attrs.__setitem__("published", b"["), "/entry@published"),
+        (
+            lambda file: file.__setitem__("/entry/a/LSM/cost/bad", h5py.SoftLink("/nowhere")),
+            "/entry/a/LSM/cost/bad is a link",
+        ),
+    ],
+)
+def test_a_mutated_file_is_one_sentence(written: Path, change: Callable[[h5py.File], None], message: str) -> None:
+    with h5py.File(written, "r+") as file:
+        change(file)
+    with pytest.raises(InputError) as caught:
+        read_results(written)
+    assert message in str(caught.value) and str(written) in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_no_file_no_hdf5_and_a_cut_file(written: Path) -> None:
+    with pytest.raises(InputError, match="no such file"):
+        read_results(written.with_name("none.h5"))
+    data = written.read_bytes()
+    for content in (b"", b"text", data[: len(data) // 2], data[:600]):
+        written.write_bytes(content)
+        with pytest.raises(InputError, match="not a readable HDF5 file"):
+            read_results(written)
+
+
+def test_damaged_values_are_found(written: Path) -> None:
+    with h5py.File(written) as file:
+        place = file["/entry/a/LSM/cell_resistance"].id.get_chunk_info(0).byte_offset
+    data = bytearray(written.read_bytes())
+    data[place + 40] ^= 255
+    written.write_bytes(data)
+    with pytest.raises(InputError, match="/entry/a/LSM/cell_resistance is damaged"):
+        read_results(written)
+
+
+def test_a_long_text_that_was_damaged_is_missed(tmp_path: Path) -> None:
+    """HDF5 keeps attributes of more than 4 kB where it has no checksum."""
+    path = tmp_path / "r.h5"
+    write_results(path, [invented_case(case_yaml="k" * 8000)])
+    path.write_bytes(path.read_bytes().replace(b"k" * 4000, b"k" * 3999 + b"j", 1))
+    with pytest.raises(InputError, match="case is damaged"):
+        read_results(path)
+
+
+LAMPREY = Path(__file__).parents[2] / "data" / "lamprey_25mm.h5"
+TOLD = """
+panel: {rows: 10, columns: 10, pitch_mm: 10}
+subject: {id: L7, species: Petromyzon marinus, length_mm: 420, mass_g: 150}
+experiment: {title: attachment, water_temperature_celsius: 12.5}
+"""
+
+
+def test_places_are_in_mm_and_flags_in_words(tmp_path: Path) -> None:
+    Recording.load(LAMPREY).save(tmp_path / "recording.h5")
+    write_results(tmp_path / "results.h5", [invented_case("LSM", "mouth", (2, 3, 4))])
+    with h5py.File(tmp_path / "recording.h5") as file:
+        group = file["entry/two_point"]
+        np.testing.assert_array_equal(group["x"], 10.0 * np.arange(10))
+        assert group["x"].attrs["units"] == b"mm" and group["x"].dims[0][0] == group["column"]
+        assert list(group["role"].attrs["flag_values"]) == [0, 1]
+        assert group["role"].attrs["flag_meanings"] == b"unloaded measured"
+    with h5py.File(tmp_path / "results.h5") as file:
+        for group in (file["entry/mouth/LSM"], file["entry/mouth/recording"]):
+            np.testing.assert_array_equal(group["y"], 10.0 * np.arange(3))
+        cells = file["entry/mouth/LSM"]
+        assert cells["open_cell"].attrs["flag_meanings"] == b"conducts cannot_be_told_from_open"
+        assert cells["cell_resistance"].attrs["coordinates"] == b"y x"
+
+
+def test_every_name_in_a_results_file_is_one_for_octave(tmp_path: Path) -> None:
+    write_results(tmp_path / "r.h5", [invented_case("LSM", "mouth")])
+    with h5py.File(tmp_path / "r.h5") as file:
+        ours: list[str] = []
+        file.visit(ours.append)
+    assert len(ours) > 20 and all(part.isidentifier() for name in ours for part in name.split("/"))
+
+
+def test_when_it_began_goes_from_recording_to_results(tmp_path: Path) -> None:
+    case, same = (invented_case(name, "mouth", start_time="2026-05-04T09:30:00+02:00") for name in ("LSM", "LSR-CR"))
+    write_results(tmp_path / "r.h5", [case, same])
+    assert [case.start_time for case in read_results(tmp_path / "r.h5").cases] == ["2026-05-04T09:30:00+02:00"] * 2
+    with pytest.raises(InputError, match="start_time differs"):
+        other = invented_case("LSR-CR", "mouth", start_time="2026-05-05T09:30:00+02:00")
+        write_results(tmp_path / "r.h5", [case, other])
+
+
+def test_who_was_measured_is_in_the_scene_and_in_files(tmp_path: Path) -> None:
+    (tmp_path / "scene.yaml").write_text(TOLD)
+    scene = read_scene(tmp_path / "scene.yaml")
+    assert scene.subject == MeasuredSubject("L7", "Petromyzon marinus", 420.0, 150.0)
+    assert scene.experiment == Experiment("attachment", water_temperature_celsius=12.5)
+    lamprey = Recording.load(LAMPREY)
+    dataclasses.replace(lamprey, scene=dataclasses.replace(lamprey.scene, subject=scene.subject)).save(
+        tmp_path / "r.h5"
+    )
+    assert Recording.load(tmp_path / "r.h5").scene.subject == scene.subject
+
+
+def test_a_board_s_recording_says_when_it_began(tmp_path: Path) -> None:
+    lamprey = Recording.load(LAMPREY)
+    lamprey.save(tmp_path / "r.h5")
+    with h5py.File(tmp_path / "r.h5", "r+") as file:
+        group, time = file["entry"].create_group("acquisition"), lamprey.time
+        group["host_time"] = 1_777_879_800.0 + time
+        for name, kind in (
+            ("device_ms", "u4"),
+            ("sequence", "u4"),
+            ("missed", "u2"),
+            ("lost", "u4"),
+            ("session", "u2"),
+        ):
+            group[name] = np.zeros(len(time), kind)
+    assert Recording.load(tmp_path / "r.h5").start_time == "2026-05-04T07:30:00.000+00:00"
+    with h5py.File(tmp_path / "r.h5", "r+") as file:
+        file["entry/acquisition/host_time"][0] = np.inf
+    assert Recording.load(tmp_path / "r.h5").start_time is None

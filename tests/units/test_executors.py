@@ -1,0 +1,389 @@
+"""Where cases run changes nothing but time: here, in processes, on a Dask cluster, with workers that die."""
+
+import ctypes
+import dataclasses
+import logging
+import multiprocessing
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from threading import Thread
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from lampest.files import process
+from lampest.files.errors import InputError
+from lampest.runs import batch, executors
+from lampest.runs.batch import Task, run_batch, solve_case
+from lampest.runs.config import json_schema, read_run
+from lampest.runs.executors import Dask, Processes, Serial, Tls, local
+from lampest.runs.results import CaseResult, read_results
+
+Command = Callable[..., SimpleNamespace]
+TIMES = ("solve_time", "baseline_solve_time", "error_bar_time")
+DEATH = "__import__('os')._exit(9)"
+EVERY = [Serial(), Processes(2), Dask(workers=2)]
+NAMES = [executor.kind for executor in EVERY]
+
+
+def same(one: CaseResult, other: CaseResult) -> None:
+    for field in dataclasses.fields(CaseResult):
+        if field.name not in TIMES:
+            np.testing.assert_equal(getattr(one, field.name), getattr(other, field.name), err_msg=field.name)
+
+
+def dying_once(task: Task) -> Any:
+    """Solves a case, but the first process that meets LSR-CR dies in the middle of writing."""
+    mark = task.folder / "died"
+    if task.case.name == "LSR-CR" and not mark.exists():
+        task.file.parent.mkdir(exist_ok=True)
+        mark.touch()
+        task.file.with_name(f".{task.file.name}.1.part").write_text("half")
+        os.kill(os.getpid(), signal.SIGKILL)
+    return solve_case(task)
+
+
+def threads(_: Any) -> list[str | None]:
+    return [os.environ.get(name) for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")]
+
+
+def test_ctrl_c_while_a_task_is_handed_over_leaves_no_worker_at_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    hand_over = executors.Worker.send
+
+    def interrupted(worker: executors.Worker, argument: Any) -> None:
+        hand_over(worker, argument)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(executors.Worker, "send", interrupted)
+    with pytest.raises(KeyboardInterrupt) as held:  # as is its frame, so that no collector ends the worker
+        list(Processes(2).results(time.sleep, [60, 60]))
+    assert held and not multiprocessing.active_children()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("executor", EVERY[1:], ids=NAMES[1:])
+def test_results_are_those_of_serial_even_where_a_worker_dies(
+    executor: Any, disk: SimpleNamespace, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    disk.recording(disk.folder / "wide.h5", disk.scene.replace("rows: 3, columns: 4", "rows: 2, columns: 5"), (3, 2, 5))
+    run = read_run(disk.run(disk.text.replace("[small.h5]", '["*.h5"]') + "formulation: reduced\n"))
+    reference = run_batch(run, disk.folder / "one", Serial())
+    monkeypatch.setattr("lampest.runs.batch.solve_case", dying_once)
+    report = run_batch(run, disk.folder / "two", executor)
+    assert (disk.folder / "two" / "died").exists()
+    assert (report.done, report.skipped, report.failed) == (6, 0, ())
+    found = [read_results(folder.results).cases for folder in (reference, report)]
+    assert len(found[1]) == 6
+    for one, other in zip(*found, strict=True):
+        same(one, other)
+    run_batch(run, disk.folder / "two", Serial())
+    assert not list((disk.folder / "two" / "cases").glob(".*"))
+
+
+@pytest.mark.parametrize("executor", EVERY, ids=NAMES)
+def test_errors_stay_with_their_task(executor: Any) -> None:
+    executor.ready()
+    found = {text: str(outcome) for text, outcome in executor.results(eval, ["1 + 1", "1 / 0", "2 + 2"])}
+    assert found == {"1 + 1": "2", "1 / 0": "division by zero", "2 + 2": "4"}
+    assert list(executor.results(eval, [])) == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("executor", EVERY[1:], ids=NAMES[1:])
+def test_task_that_kills_its_worker_costs_no_other(executor: Any) -> None:
+    tasks = [f"{number} + 0" for number in range(6)]
+    found = {text: str(outcome) for text, outcome in executor.results(eval, [tasks[0], DEATH, *tasks[1:]])}
+    assert found == {f"{number} + 0": str(number) for number in range(6)} | {DEATH: "its process died 4 times"}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("executor", EVERY[1:], ids=NAMES[1:])
+def test_workers_have_one_thread_and_the_environment_is_as_before(
+    executor: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("OMP_NUM_THREADS", "3")
+    monkeypatch.delenv("MKL_NUM_THREADS", raising=False)
+    before = dict(os.environ)
+    assert [outcome for _, outcome in executor.results(threads, [None])] == [["1", "1", "1"]]
+    assert {name: os.environ.get(name) for name in before if "THREADS" in name} == {
+        name: value for name, value in before.items() if "THREADS" in name
+    }
+
+
+@pytest.mark.slow
+def test_a_call_that_is_no_longer_wanted_is_ended(tmp_path: Path) -> None:
+    """As at Ctrl-C."""
+    never = f"[__import__('time').sleep(60), open({str(tmp_path / 'never')!r}, 'x')]"
+    outcomes = Processes(2).results(eval, ["1", never])
+    assert next(outcomes) == ("1", 1)
+    outcomes.close()
+    assert not list(tmp_path.iterdir()) and not multiprocessing.active_children()
+
+
+def test_ctrl_c_that_compiled_code_took_for_its_own_ends_a_batch() -> None:
+    def compiled(cause: BaseException | None) -> Any:
+        raise SystemError("returned a result with an exception set") from cause
+
+    with pytest.raises(KeyboardInterrupt):
+        list(Serial().results(compiled, [KeyboardInterrupt()]))
+    [(_, outcome)] = Serial().results(compiled, [ValueError()])
+    assert isinstance(outcome, SystemError)
+
+
+def test_exceptions_that_cannot_travel_arrive_as_text() -> None:
+    text = "(_ for _ in ()).throw(type('Odd', (Exception,), {})('strange'))"
+    ((_, outcome),) = Processes(1).results(eval, [text])
+    assert str(outcome) == "Odd: strange"
+
+
+def test_workers_with_several_threads_are_refused() -> None:
+    import distributed
+
+    with (
+        distributed.LocalCluster(
+            n_workers=1, threads_per_worker=2, processes=True, dashboard_address=":0", host="127.0.0.1"
+        ) as cluster,
+        pytest.raises(InputError, match="has 2 threads; start it with --nthreads 1"),
+    ):
+        list(Dask(address=cluster.scheduler_address).results(eval, ["1"]))
+
+
+def test_no_cluster_at_the_address() -> None:
+    with pytest.raises(InputError, match=r"no Dask scheduler with workers answers at tcp://127\.0\.0\.1:9"):
+        list(Dask(address="tcp://127.0.0.1:9", wait_s=0.3).results(eval, ["1"]))
+
+
+def hanging(seconds: float) -> float:
+    """Waits in a call that no Python code interrupts, under a limit that is far shorter."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(process, "HUNG_SECONDS", 0.3)
+        return _waiting(seconds)
+
+
+def _waiting(seconds: float) -> float:
+    with process.ended_where_hung(1e-3):
+        ctypes.PyDLL(None).usleep(int(1e6 * seconds))
+    return seconds
+
+
+@pytest.mark.slow
+def test_a_task_that_hangs_is_ended_and_costs_no_other() -> None:
+    begin = time.monotonic()
+    found = {seconds: str(outcome) for seconds, outcome in Processes(1).results(hanging, [0.0, 600.0, 0.01])}
+    assert time.monotonic() - begin < 300
+    assert (found[0.0], found[0.01]) == ("0.0", "0.01")
+    assert found[600.0].startswith("a frame went on far beyond solver.time_limit_s")
+
+
+def test_a_process_that_nobody_replaces_is_not_ended() -> None:
+    before = signal.getsignal(signal.SIGALRM)
+    assert hanging(0.5) == 0.5
+    assert signal.getsignal(signal.SIGALRM) == before
+
+
+def killed_thrice(folder: Path) -> int:
+    """Is killed as from outside, until there are three marks."""
+    marks = len(list(folder.iterdir()))
+    if marks < 3:
+        (folder / str(marks)).touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return marks
+
+
+@pytest.mark.slow
+def test_a_process_that_is_killed_three_times_is_tried_again(tmp_path: Path) -> None:
+    assert list(Processes(1).results(killed_thrice, [tmp_path])) == [(tmp_path, 3)]
+
+
+def slow_case(task: Task) -> Any:
+    """Solves a case; every one but the first takes long to say so."""
+    solved = solve_case(task)
+    time.sleep(0.0 if task.case.name == "LSM" else 30.0)
+    return solved
+
+
+def test_levels_of_loggers_are_as_before_once_dask_is_done() -> None:
+    log = logging.getLogger("distributed.scheduler")
+    before = log.level
+    try:
+        log.setLevel(logging.ERROR)
+        with executors._silence():
+            assert not log.isEnabledFor(logging.CRITICAL)
+        assert log.level == logging.ERROR
+    finally:
+        log.setLevel(before)
+
+
+@pytest.mark.slow
+def test_a_scheduler_that_is_gone_costs_nothing_that_is_finished(
+    disk: SimpleNamespace, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A worker has written the second case and not said so when the scheduler is killed; the third one waits."""
+    file = disk.folder / "scheduler.json"
+    words = [sys.executable, "-m", "distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", "0"]
+    words += ["--dashboard-address", "127.0.0.1:0", "--scheduler-file", str(file)]
+    worker = [sys.executable, "-m", "distributed.cli.dask_worker", "--scheduler-file", str(file), "--nthreads", "1"]
+    worker += ["--no-dashboard", "--death-timeout", "60", "--no-nanny"]
+    tests = Path(__file__).parents[1]
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(map(str, (tests.parent, tests, tests / "units")))}
+    quiet: Any = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "env": environment}
+    scheduler, helper = subprocess.Popen(words, **quiet), subprocess.Popen(worker, **quiet)
+    try:
+        run = read_run(disk.run(disk.text + "formulation: reduced\n"))
+        monkeypatch.setattr("lampest.runs.batch.solve_case", slow_case)
+        cases = disk.folder / "out" / "cases"
+
+        def kill() -> None:
+            while len(list(cases.glob("[!.]*.h5"))) < 2:
+                time.sleep(0.05)
+            scheduler.kill()
+
+        killer = Thread(target=kill)
+        killer.start()
+        while not file.exists():
+            time.sleep(0.05)
+        report = run_batch(run, disk.folder / "out", Dask(scheduler_file=str(file), wait_s=60.0))
+        killer.join()
+    finally:
+        for process in (scheduler, helper):
+            process.kill()
+            process.wait()
+    assert (report.done, report.failed, report.not_run) == (2, (), 1)
+    assert report.lost.startswith("the Dask scheduler tcp://127.0.0.1:") and report.lost.endswith("is gone")
+    assert report.results is not None and len(read_results(report.results).cases) == 2
+    monkeypatch.undo()
+    again = run_batch(run, disk.folder / "out", Serial())
+    assert (again.done, again.skipped, again.not_run) == (1, 2, 0)
+
+
+def test_a_scheduler_is_found_by_its_file(disk: SimpleNamespace) -> None:
+    import distributed
+
+    options: Any = {"n_workers": 1, "threads_per_worker": 1, "dashboard_address": ":0", "host": "127.0.0.1"}
+    with distributed.LocalCluster(**options) as cluster, distributed.Client(cluster) as client:
+        client.write_scheduler_file(disk.folder / "scheduler.json")
+        path = disk.run(disk.text + "executor: {kind: dask, scheduler_file: scheduler.json, wait_s: 60}\n")
+        executor = read_run(path).executor
+        assert executor == Dask(scheduler_file=str(disk.folder / "scheduler.json"), wait_s=60.0)
+        assert list(executor.results(eval, ["6 * 7"])) == [("6 * 7", 42)]
+    (disk.folder / "scheduler.json").unlink()
+    with pytest.raises(InputError, match=r"executor\.scheduler_file: .*scheduler\.json: cannot be read \(No such file"):
+        read_run(path)
+
+
+def test_executor_changes_no_case(disk: SimpleNamespace) -> None:
+    ids = [
+        [case.case_id for case in read_run(disk.run(disk.text + text)).cases]
+        for text in ("", "executor: {kind: serial}\n", "executor: {kind: processes, workers: 3}\n")
+    ]
+    assert ids[0] == ids[1] == ids[2]
+    with pytest.raises(InputError, match="cannot be swept"):
+        read_run(disk.run(disk.text + "executor: {kind: processes}\nsweep: {executor.workers: [1, 2]}\n"))
+
+
+def test_defaults_are_of_this_machine() -> None:
+    assert local(1, 9) == Serial()
+    assert local(4, 9) == Processes(4)
+    assert local(4, 3) == Processes(3)
+    assert local(None, 1) == Serial()
+    assert local(1, 9, separate=True) == Processes(1)
+    assert '"executor"' in str(json_schema()).replace("'", '"')
+
+
+def test_frames_are_counted_while_cases_are_solved(disk: SimpleNamespace, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(batch, "EVERY_SECONDS", 1e-4)
+    told: list[tuple[int, int]] = []
+    run = read_run(disk.folder / "run.yaml")
+    run_batch(run, disk.folder / "out", Serial(), on_frames=lambda *frames: told.append(frames))
+    frames = sum(case.frames for case in run.cases)
+    assert told[-1] == (frames, frames) and told == sorted(told) and {whole for _, whole in told} == {frames}
+    assert not list((disk.folder / "out" / "cases").glob(".*")), "what counts them is removed"
+
+
+# Of a worker: whether every process of its cluster listens on the loopback address alone.
+LISTENING = (
+    "{c.laddr.ip for p in (lambda top: [top, *top.children(recursive=True)])"
+    "(__import__('psutil').Process().parent().parent()) for c in p.net_connections('inet') if c.status == 'LISTEN'}"
+)
+
+
+@pytest.fixture(scope="module")
+def keys(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder, with a blank and quotes in its name, with an authority's certificate and one that it signed."""
+    if shutil.which("openssl") is None:
+        pytest.skip("openssl makes the certificates")
+    folder = tmp_path_factory.mktemp("it's mine")
+    for words in (
+        "req -x509 -newkey rsa:2048 -nodes -keyout ca.key -out ca.pem -days 2 -subj /CN=authority",
+        "req -newkey rsa:2048 -nodes -keyout me.key -out me.csr -subj /CN=me",
+        "x509 -req -in me.csr -CA ca.pem -CAkey ca.key -CAcreateserial -out me.pem -days 2",
+    ):
+        subprocess.run(["openssl", *words.split()], cwd=folder, check=True, capture_output=True)
+    return folder
+
+
+def tls_of(folder: Path) -> Tls:
+    return Tls("ca.pem", "me.pem", "me.key").beside(folder)
+
+
+def test_a_cluster_of_this_machine_listens_on_the_loopback_address_alone() -> None:
+    [(_, found)] = Dask(workers=1).results(eval, [LISTENING])
+    assert found == {"127.0.0.1"}
+
+
+def test_a_scheduler_with_certificates_is_used_and_one_without_the_files_is_not(keys: Path) -> None:
+    import distributed
+
+    tls = tls_of(keys)
+    options: Any = {"n_workers": 1, "threads_per_worker": 1, "dashboard_address": ":0", "host": "tls://127.0.0.1"}
+    own = {
+        f"tls_{side}_{part}": file
+        for side in ("client", "scheduler", "worker")
+        for part, file in (("cert", tls.cert_file), ("key", tls.key_file))
+    }
+    every_side = distributed.Security(tls_ca_file=tls.ca_file, require_encryption=True, **own)
+    with distributed.LocalCluster(**options, protocol="tls://", security=every_side) as cluster:
+        address = cluster.scheduler_address
+        assert address.startswith("tls://")
+        assert list(Dask(address=address, tls=tls).results(eval, ["6 * 7"])) == [("6 * 7", 42)]
+        with pytest.raises(InputError, match="no Dask scheduler with workers answers"):
+            list(Dask(address=address.replace("tls", "tcp"), wait_s=1.0).results(eval, ["1"]))
+
+
+def test_files_are_taken_from_beside_the_run(disk: SimpleNamespace, keys: Path) -> None:
+    for name in ("ca.pem", "me.pem", "me.key"):
+        shutil.copy(keys / name, disk.folder)
+    entry = (
+        "executor: {kind: dask, address: 'tls://a:1', tls: {ca_file: ca.pem, cert_file: me.pem, key_file: me.key}}\n"
+    )
+    run = read_run(disk.run(disk.text + entry))
+    assert run.executor == Dask(address="tls://a:1", tls=tls_of(disk.folder))
+    (disk.folder / "me.key").unlink()
+    with pytest.raises(InputError, match=r"executor\.tls\.key_file: .*me\.key: cannot be read \(No such file"):
+        read_run(disk.run(disk.text + entry))
+
+
+def test_a_device_is_no_scheduler_file(disk: SimpleNamespace) -> None:
+    with pytest.raises(InputError, match=r"executor\.scheduler_file: /dev/zero: is no regular file"):
+        read_run(disk.run(disk.text + "executor: {kind: dask, scheduler_file: /dev/zero}\n"))
+
+
+@pytest.mark.parametrize(
+    ("given", "sentence"),
+    [
+        ({"address": "tls://a:1"}, "tls goes with an address that begins with tls://"),
+        ({"address": "tcp://a:1", "tls": Tls("a", "b", "c")}, "tls goes with an address that begins with tls://"),
+        ({"tls": Tls("a", "b", "c")}, "listen on its loopback address alone, without tls"),
+    ],
+)
+def test_what_does_not_go_together(given: Any, sentence: str) -> None:
+    with pytest.raises(InputError, match=sentence):
+        Dask(**given).ready()

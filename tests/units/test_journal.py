@@ -1,0 +1,148 @@
+"""Files whose writer was killed: read as far as they are whole; damage in them is found, and repair drops it."""
+
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from unclosed import unclosed_recording
+
+import lampest
+from lampest.cli.results import _repaired
+from lampest.files import hdf5
+from lampest.files.checksums import is_left_open
+from lampest.files.errors import InputError
+from lampest.recording.board.record import repair
+from lampest.recording.recording import Recording
+from lampest.recording.stored import StoredRecording
+
+SCENE = lampest.Scene(lampest.Panel(3, 4), lampest.TwoPointReadout(noise_lsb=0.7), series_resistance_ohm=140.0)
+FRAMES = 12
+PLACES = ("two_point/resistance", "two_point/time", "two_point/role", "raw/sums", "acquisition/host_time")
+PLACES += ("acquisition/device_ms", "acquisition/sequence", "acquisition/lost", "acquisition/session")
+
+
+@pytest.fixture
+def killed(tmp_path: Path) -> Path:
+    return unclosed_recording(tmp_path / "killed.h5", SCENE, FRAMES, unloaded=3)
+
+
+def without_checksums(path: Path) -> None:
+    """The same as older versions left it."""
+    with h5py.File(path, "r+") as file:
+        del file["entry/acquisition/crc32"], file["entry/acquisition/event_crc32"]
+
+
+def flip(path: Path, place: str, row: int) -> None:
+    """Turn a low bit of a row of a dataset."""
+    with h5py.File(path.with_name("growing.h5")) as file:
+        dataset = file[f"entry/{place}"]
+        begin = dataset.id.get_chunk_info(0).byte_offset + row * dataset[0].nbytes
+    damaged = bytearray(path.read_bytes())
+    damaged[begin] ^= 1
+    path.write_bytes(damaged)
+
+
+@pytest.mark.parametrize("place", PLACES)
+def test_a_damaged_frame_is_named_and_repair_drops_it(killed: Path, place: str) -> None:
+    meant = Recording.load(killed)
+    flip(killed, place, 5)
+    for reader in (Recording.load, StoredRecording.of):
+        with pytest.raises(lampest.InputError, match=r"killed.h5: 1 of 12 frames .* frame 5; .*check --repair"):
+            reader(killed)
+    assert _repaired(killed) == f"11 frames: {killed}; 1 damaged frame is dropped and counts as lost"
+    found, left = Recording.load(killed), np.delete(np.arange(FRAMES), 5)
+    assert found.acquisition is not None and meant.acquisition is not None and found.raw_sums is not None
+    np.testing.assert_array_equal(found.recorded, meant.recorded[left])
+    np.testing.assert_array_equal(found.raw_sums, np.asarray(meant.raw_sums)[left])
+    np.testing.assert_array_equal(found.time, meant.time[left])
+    np.testing.assert_array_equal(found.acquisition.sequence, left)
+    np.testing.assert_array_equal(found.acquisition.lost, (left == 6).astype(int))
+    assert found.acquisition.event_label == ("touch", "leave")
+    assert sorted(file.name for file in killed.parent.iterdir()) == ["growing.h5", "killed.h5"]
+
+
+def test_a_damaged_event_is_dropped(killed: Path) -> None:
+    flip(killed, "acquisition/event_label", 0)
+    with pytest.raises(lampest.InputError, match=r"killed.h5: an event is damaged; .*check --repair"):
+        Recording.load(killed)
+    assert repair(killed) == (FRAMES, 0)
+    found = Recording.load(killed).acquisition
+    assert found is not None and found.event_label == ("leave",) and found.event_time.tolist() == [0.5]
+
+
+def test_journals_of_older_versions_are_read_and_their_sums_compared(killed: Path) -> None:
+    meant, whole = Recording.load(killed), killed.read_bytes()
+    without_checksums(killed.with_name("growing.h5"))
+    old = killed.with_name("growing.h5").read_bytes()
+    killed.write_bytes(old)
+    np.testing.assert_array_equal(Recording.load(killed).recorded, meant.recorded)
+    for place in ("two_point/resistance", "raw/sums"):
+        killed.write_bytes(old)
+        flip(killed, place, 5)
+        with pytest.raises(lampest.InputError, match="frame 5"):
+            Recording.load(killed)
+        assert repair(killed) == (FRAMES - 1, 1)
+    assert whole != old
+
+
+def test_all_damaged_is_refused_and_stays(killed: Path) -> None:
+    for row in range(FRAMES):
+        flip(killed, "raw/sums", row)
+    left = killed.read_bytes()
+    with pytest.raises(lampest.InputError, match="every frame is damaged"):
+        repair(killed)
+    assert killed.read_bytes() == left
+
+
+VALUES = np.arange(6.0)
+
+
+@pytest.fixture
+def left_open(tmp_path: Path) -> Path:
+    """What a left_open writer leaves: the bytes of a file while it is written."""
+    with h5py.File(tmp_path / "growing.h5", "w", libver=hdf5.FORMAT) as file:
+        values = file.create_dataset("some/values", (0,), "f8", maxshape=(None,), chunks=(4,))
+        file.swmr_mode = True
+        values.resize((len(VALUES),))
+        values[:] = VALUES
+        file.flush()
+        (tmp_path / "left_open.h5").write_bytes((tmp_path / "growing.h5").read_bytes())
+    return tmp_path / "left_open.h5"
+
+
+def read(path: Path) -> np.ndarray:
+    with hdf5.existing_file(path) as file:
+        return np.asarray(hdf5.read_array(file, "/some/values", 1))
+
+
+def test_what_a_killed_writer_left_is_read_and_stays(left_open: Path) -> None:
+    whole = left_open.read_bytes()
+    assert is_left_open(left_open)
+    np.testing.assert_array_equal(read(left_open), VALUES)
+    assert left_open.read_bytes() == whole
+
+
+def test_damage_in_it_is_a_sentence_that_names_it(left_open: Path) -> None:
+    """HDF5 alone waits for the right checksum without end."""
+    whole, refused, rng = left_open.read_bytes(), 0, np.random.default_rng(1)
+    with h5py.File(left_open.with_name("growing.h5")) as file:
+        header = h5py.h5o.get_info(file["some/values"].id).addr
+    for place in (9, 12, header + 6, *rng.integers(0, header + 200, 60)):
+        damaged = bytearray(whole)
+        damaged[place] ^= 16
+        left_open.write_bytes(damaged)
+        try:
+            np.testing.assert_array_equal(read(left_open), VALUES)
+        except InputError as error:
+            assert str(error).startswith(str(left_open))
+            refused += 1
+    assert refused > 10
+
+
+def test_one_that_ends_too_early_is_refused_or_read(left_open: Path) -> None:
+    whole = left_open.read_bytes()
+    for length in (20, 47, 48, 300, len(whole) - 1):
+        left_open.write_bytes(whole[:length])
+        with pytest.raises(InputError, match=r"left_open\.h5"):
+            read(left_open)

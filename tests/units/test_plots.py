@@ -1,0 +1,266 @@
+"""Kinds of pictures: the union is walked, a further one is a class in a script or a name in a package; pressures."""
+
+import dataclasses
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, ClassVar
+
+import numpy as np
+import pytest
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.testing import assert_allclose
+from support import METHODS, invented_case
+
+from lampest.files.errors import InputError
+from lampest.loads.pressure import pressure_of
+from lampest.panel.panel import Panel
+from lampest.panel.readouts import LoadedColumnsReadout, TwoPointReadout
+from lampest.panel.scene import Scene, Water
+from lampest.report.plots import PLOTS, Plot, picture, plot_of, plot_results
+from lampest.report.plots.contours import PressurePlot
+from lampest.report.plots.maps import RESOLUTION, MapPainter, Tile, banded_scale, change_scale
+from lampest.report.plots.style import change_text, new_figure, save
+from lampest.report.words import digits
+from lampest.runs.case import CaseResult
+from lampest.runs.columns import FRAMES, Column
+from lampest.runs.held import COLUMNS
+from lampest.runs.results import write_results
+
+ADDON = """\
+from dataclasses import dataclass
+from lampest.report.plots import Plot
+from lampest.report.plots.style import new_figure
+
+@dataclass(frozen=True)
+class Steps(Plot):
+    kind = "steps"
+
+    def draw(self, cases):
+        figure = new_figure(3.0)
+        axes = figure.subplots()
+        for case in cases:
+            axes.plot(case.time, case.iterations, label=case.estimator)
+        axes.set_xlabel("time [s]")
+        return figure
+
+STEPS = Steps()
+TWICE = type("Twice", (Steps,), {"kind": "contours"})()
+"""
+
+
+@pytest.mark.parametrize("plot", PLOTS, ids=lambda plot: plot.kind)
+def test_every_kind_is_drawn_by_its_word(
+    plot: Plot, disk: SimpleNamespace, lampest: Callable[..., SimpleNamespace]
+) -> None:
+    assert plot_of(plot.kind) is plot and set(plot.needs) <= {column.name for column in COLUMNS}
+    disk.recording(disk.folder / "small.h5", disk.scene + "response: {kind: published}\n")
+    sweep = "sweep: {estimators.bare.solver.tolerance: [1e-8, 1e-6]}\n"
+    run = disk.run(disk.text + "  bare: {terms: {misfit: {}}, error_bars: false}\n" + sweep)
+    assert lampest("run", run, "--out", disk.folder / "out", "--jobs", "1").code == 0
+    ended = lampest("plot", disk.folder / "out" / "results.h5", "--show", plot.kind)
+    progress = [re.match(r"lampest: \d+ of \d+ ", line) for line in ended.err.splitlines()]  # of a slow machine
+    assert ended.code == 0 and all(progress), ended.err
+    files = [Path(line) for line in ended.out.splitlines()]
+    assert all(file.read_bytes().startswith(b"\x89PNG") for file in files)
+    assert [file.name for file in files] == [f"{plot.kind}_small.png"]
+
+
+def test_a_plot_of_a_package_is_asked_for_by_its_word(package: Callable[..., None], tmp_path: Path) -> None:
+    write_results(tmp_path / "r.h5", [invented_case(method) for method in METHODS])
+    package("lampest.plots", "addon:STEPS", ADDON)
+    assert [file.name for file in plot_results(tmp_path / "r.h5", show="steps")] == ["steps_mouth.png"]
+    with pytest.raises(InputError, match=r"no plot 'step'; there are contours, change, .*certainty, sweep, steps"):
+        plot_results(tmp_path / "r.h5", show="step")
+
+
+def test_two_plots_of_one_word_are_refused(package: Callable[..., None]) -> None:
+    package("lampest.plots", "addon:TWICE", ADDON)
+    with pytest.raises(InputError, match="there are two plots 'contours'"):
+        plot_of("contours")
+
+
+@dataclass(frozen=True)
+class SharePlot(Plot):
+    kind: ClassVar[str] = "share"
+    needs: ClassVar[tuple[str, ...]] = ("share",)
+
+    def draw(self, cases: Sequence[CaseResult]) -> Figure:
+        figure = new_figure(2.0)
+        figure.subplots().plot(cases[0].time, cases[0].extra["share"])
+        return figure
+
+
+def test_a_plot_of_a_script_draws_a_column_of_a_script(tmp_path: Path) -> None:
+    share = Column("share", FRAMES, "1", "a share", lambda done: None)
+    write_results(tmp_path / "r.h5", [invented_case(extra={"share": np.ones(3)})], columns=(share,))
+    assert plot_results(tmp_path / "r.h5", show=SharePlot(), columns=(share,)) == [tmp_path / "share_mouth.png"]
+    with pytest.raises(InputError, match=r"r\.h5: holds no share to draw, which needs share"):
+        plot_results(tmp_path / "r.h5", show=SharePlot())
+
+
+def painted(painter: MapPainter, tile: Tile) -> Axes:
+    axes = new_figure(3.0).subplots()
+    painter.draw(axes, tile)
+    return axes
+
+
+@pytest.mark.parametrize(("reference", "unit"), [(1.0, "in reference resistors"), (1000.0, "[ohm]")])
+def test_resistances_over_an_unknown_reference_are_in_units_of_it(reference: float, unit: str) -> None:
+    case = invented_case()
+    scene = replace(case.scene, readout=TwoPointReadout(reference_ohm=reference))
+    figure = plot_of("resistance").draw((replace(case, scene=scene),))
+    assert {f"reading {unit}", f"resistance {unit}"} <= {axes.get_ylabel() for axes in figure.axes}
+
+
+def maps_of(figure: Figure) -> list[Axes]:
+    return [axes for axes in figure.axes if axes.get_title()]
+
+
+def test_a_loaded_cell_is_bright_and_every_map_of_resistance_has_its_own_scale() -> None:
+    case = invented_case()
+    crosstalk = replace(case, measured=case.measured / 50)
+    measured, estimated, _ = (axes.collections[1] for axes in maps_of(plot_of("resistance").draw((crosstalk,))))
+    low, high = (sum(measured.cmap(measured.norm(value))[:3]) for value in measured.norm.inverse(np.array([0.1, 0.9])))
+    assert low > high
+    assert measured.norm.vmax < estimated.norm.vmax
+
+
+def test_readings_of_pull_ups_are_shown_as_they_were_recorded() -> None:
+    case = invented_case()
+    readout = LoadedColumnsReadout(polarity="down", supply_volt=5.0, load_ohm=35e3, drive_ohm=30)
+    scene = replace(case.scene, readout=readout, series_resistance_ohm=0.0)
+    pulled_up = replace(case, scene=scene, measured=np.full_like(case.measured, 1.5))
+    measured = maps_of(plot_of("resistance").draw((pulled_up,)))[0]
+    assert_allclose(measured.collections[1].get_array(), 3.5)
+
+
+def distance(values: Any, truth: Any) -> float:
+    """Of two maps, relative to the second."""
+    return float(np.sqrt(np.sum((values - truth) ** 2) / np.sum(truth**2)))
+
+
+def test_a_map_of_change_shows_rim_and_centre_with_its_error_and_the_outline_of_the_load() -> None:
+    case = invented_case(shape=(1, 6, 6))
+    truth = np.ones((1, 6, 6))
+    truth[:, 1:5, 1:5], truth[:, 2:4, 2:4] = 0.06, 10.0
+    base = np.full((6, 6), 1000.0)
+    estimate = truth * 1.02
+    made = replace(
+        case,
+        truth=1000 * truth,
+        truth_baseline=base,
+        cell_resistance=1000 * estimate,
+        baseline_resistance=base,
+        relative_change=100 * (estimate - 1),
+        measured=np.full((1, 6, 6), 660.0),
+        measured_baseline=base,
+    )
+    figure = plot_of("change").draw((made,))
+    measured, estimated, true = maps_of(figure)
+    assert [axes.get_title().split("\n") for axes in (measured, estimated, true)] == [
+        ["measured", f"error {digits(100 * distance(np.log(0.66), np.log(truth)), 2)} %"],
+        ["estimated: LSM", f"error {digits(100 * distance(np.log(1.02 * truth), np.log(truth)), 2)} %"],
+        ["truth", "−94 … +900 %"],
+    ]
+    painted = true.collections[1]
+    colours = {value: tuple(painted.cmap(painted.norm(value))) for value in (-94.0, -67.0, -20.0, 0.0, 150.0, 901.0)}
+    assert len(set(colours.values())) == len(colours)  # rim and centre stand on one scale, neither beyond its end
+    assert "true outline of the load" in {text.get_text() for text in figure.legends[0].get_texts()}
+
+
+def test_halves_and_doubles_are_equally_strong_and_small_changes_keep_even_bands() -> None:
+    large = change_scale([np.array([-80.0, 400.0, 0.0])], "change [%]")
+    down, up = (large.norm(np.array([value]))[0] for value in (-60.0, 150.0))  # factors of 2.5
+    assert down + up == pytest.approx(large.colours.N - 1, abs=1)
+    assert change_scale([np.array([-4.0, 3.0])], "change [%]").norm.vmax == 5.0
+
+
+def test_residuals_are_those_of_the_readings_and_name_their_size() -> None:
+    case = replace(invented_case(), sigma=None, sigma_baseline=None)
+    (axes,) = maps_of(plot_of("residuals").draw((replace(case, reading_model=case.measured * 1.03),)))
+    assert axes.get_title() == "LSM\nrms 3.0 %"
+    assert_allclose(axes.collections[1].get_array(), 3.0)
+    known = replace(case, sigma=0.01 * case.measured, sigma_baseline=case.measured_baseline)
+    (axes,) = maps_of(plot_of("residuals").draw((replace(known, reading_model=case.measured * 1.03),)))
+    assert axes.get_title() == "LSM\nrms 3.0 σ"
+    (axes,) = maps_of(plot_of("residuals").draw((replace(known, reading_model=case.measured),)))
+    assert axes.get_title() == "LSM\nrms < 0.001 σ"
+
+
+@pytest.mark.parametrize("contoured", [True, False])
+def test_a_map_is_in_millimetre_with_crosses_where_it_says(contoured: bool) -> None:
+    values, marked = np.linspace(-50, 50, 12).reshape(3, 4), np.zeros((3, 4), dtype=bool)
+    marked[1, 2] = True
+    painter = MapPainter(Panel(3, 4, 5.0), banded_scale([values], "change [%]"), contoured)
+    axes = painted(painter, Tile("a name", values, "a note", marked, "open cell"))
+    (cross,) = (line for line in axes.lines if line.get_label() == "open cell")
+    assert (cross.get_xdata()[0], cross.get_ydata()[0]) == (10.0, 5.0)
+    assert axes.get_xlim() == (-2.5, 17.5) and axes.get_ylim() == (12.5, -2.5)
+    assert axes.get_title() == "a name\na note"
+
+
+def test_what_is_no_number_is_grey_and_what_was_not_solved_says_so() -> None:
+    painter = MapPainter(Panel(1, 2), RESOLUTION)
+    _, cells = painted(painter, Tile("", np.array([[0.5, np.nan]]))).collections
+    assert cells.get_array().mask.tolist() == [False, True]
+    assert cells.get_cmap().get_bad().tolist() == pytest.approx([0.88, 0.88, 0.88, 1.0])
+    axes = painted(painter, Tile("", None))
+    assert [text.get_text() for text in axes.texts] == ["not solved"] and not axes.collections
+    figure = new_figure(3.0)
+    painter.bar(figure, figure.subplots(), "right")
+    assert figure.axes[1].get_ylabel() == "resolution"
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [(3.71, "+3.7"), (-82.4, "−82"), (9502050701.0, "+9.5·10⁹"), (-1.0e5, "−1.0·10⁵"), (99999.0, "+99999")],
+)
+def test_changes_beyond_five_digits_are_powers_of_ten(value: float, text: str) -> None:
+    assert change_text(value, 10.0) == text
+
+
+def case_with_pressure(shape: tuple[int, int, int] = (3, 10, 10), sd: float = 0.1) -> CaseResult:
+    case = invented_case(shape=shape, failed=(0,) if shape[0] > 1 else ())
+    ratio = case.cell_resistance / case.baseline_resistance
+    scene = Scene(Panel(*shape[1:]), water=Water(50.0))
+    upper = np.where(case.open_cell != 0, np.inf, ratio * np.exp(1.96 * sd))
+    found = pressure_of(ratio, ratio * np.exp(-1.96 * sd), upper, scene)
+    return dataclasses.replace(
+        case,
+        pressure=found.pressure,
+        pressure_lower=found.lower,
+        pressure_upper=found.upper,
+        pressure_errors=found.errors,
+        saturated=found.saturated,
+    )
+
+
+@pytest.mark.parametrize(
+    ("shape", "sd"), [((3, 10, 10), 0.1), ((1, 1, 1), 0.0), ((1, 1, 7), np.inf), ((2, 5, 1), 0.1), ((1, 24, 16), 1.0)]
+)
+def test_pressures_of_every_shape_are_drawn(tmp_path: Path, shape: tuple[int, int, int], sd: float) -> None:
+    case = case_with_pressure(shape, sd)
+    for name in ("first.png", "second.png"):
+        save(PressurePlot().draw((case,)), tmp_path / name)
+    assert (tmp_path / "first.png").read_bytes() == (tmp_path / "second.png").read_bytes()
+
+
+def test_units_and_frame_are_told() -> None:
+    case = case_with_pressure()
+    figure = PressurePlot(6).draw((case,))
+    labels = [text for axes in figure.axes for text in (axes.get_xlabel(), axes.get_ylabel()) if text]
+    labels += [figure.get_supxlabel(), figure.get_supylabel()]
+    assert len(labels) == 4 and all("[" in label for label in labels)
+    assert "frame 6 at 6 s" in figure.get_suptitle()
+
+
+def test_nothing_to_draw_is_one_sentence() -> None:
+    case = case_with_pressure()
+    with pytest.raises(InputError, match="frame 99 has no results"):
+        PressurePlot(99).draw((case,))
+    with pytest.raises(InputError, match="holds no pressure"):
+        picture((invented_case(),), "pressure")

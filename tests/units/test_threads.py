@@ -1,0 +1,241 @@
+"""Several threads estimate at the same time: the same cells as one after the other, also beside cancellation and forks.
+
+CasADi corrupts the heap where this is wrong, so each scene runs in a process of its own whose end is looked at. The
+threads of BLAS are a state of the process.
+"""
+
+import subprocess
+import sys
+import textwrap
+from threading import Barrier, Thread
+
+import numpy as np
+import pytest
+import scipy.linalg  # noqa: F401  (its BLAS is another one than NumPy's)
+from threadpoolctl import ThreadpoolController, threadpool_limits
+
+import lampest
+from lampest.estimate.stream import Stream
+from lampest.files.process import ONE_BLAS_THREAD
+
+SCENE = """
+import gc
+import os
+import sys
+import threading
+import numpy as np
+import lampest
+
+WAYS = {
+    "squares": ({}, [lampest.Misfit(), lampest.LogGradient(weight=1.0)]),
+    "absolute": ({}, [lampest.Misfit(), lampest.TotalVariation(weight=1.0)]),
+    "program": ({"formulation": "nodal"}, [lampest.Misfit(loss=lampest.Huber(3.0)), lampest.CellResistance(1e-3)]),
+    "student": ({}, [lampest.Misfit(loss=lampest.Student(corner=3.0)), lampest.CellResistance(1e-3)]),
+}
+def recording(number):
+    # Panels of one shape share what is compiled, and each process starts without any.
+    rows = 3 + number % 2
+    cells = 1000 * np.exp(0.05 * np.random.default_rng(number).standard_normal((4, rows, 3)))
+    scene = lampest.Scene(lampest.Panel(rows, 3), readout=lampest.TwoPointReadout(noise_lsb=0.7))
+    return lampest.Recording(scene, cells, np.arange(4.0), np.array([0, 1, 1, 1], dtype=np.uint8))
+
+def estimate(number, way, more=()):
+    options, terms = WAYS[way]
+    return lampest.reconstruct(recording(number), [*terms, *more], error_bars=False, **options).cell_resistance
+
+def in_threads(count, work):
+    threads = [threading.Thread(target=work, args=(number,)) for number in range(count)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join(timeout=80)
+        assert not thread.is_alive(), "a thread hangs"
+"""
+
+
+def run(text: str, *arguments: object) -> None:
+    """Run a scene in a process of its own, which must end well."""
+    command = [sys.executable, "-X", "faulthandler", "-c", SCENE + textwrap.dedent(text), *map(str, arguments)]
+    ended = subprocess.run(command, capture_output=True, text=True, timeout=100)
+    assert (ended.returncode, ended.stderr) == (0, ""), f"{ended.returncode}: {ended.stderr[-3000:]}"
+
+
+EQUAL = """
+count, ways = int(sys.argv[1]), sys.argv[2].split(",")
+found = {}
+def work(number):
+    gc.collect()  # frees what other threads dropped
+    found[number] = estimate(number, ways[number % len(ways)])
+in_threads(count, work)
+for number in range(count):
+    np.testing.assert_allclose(found[number], estimate(number, ways[number % len(ways)]), rtol=1e-12)
+"""
+
+
+@pytest.mark.parametrize("count", [2, 8, pytest.param(32, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("ways", ["squares", "absolute,student", "program", "squares,absolute,program,student"])
+def test_threads_find_the_cells_that_one_thread_finds(count: int, ways: str) -> None:
+    run(EQUAL, count, ways)
+
+
+@pytest.mark.slow
+def test_a_thread_whose_term_raises_or_that_is_cancelled_harms_no_other() -> None:
+    run(
+        """
+        import ctypes
+        from dataclasses import dataclass
+        from typing import ClassVar, Literal
+
+        @dataclass(frozen=True)
+        class Failing(lampest.Term):
+            unit: ClassVar[str] = "ohm"
+            weight: float = 1.0
+
+            def residual(self, state):
+                symbols = [state.cell_resistance * number for number in range(200)]
+                raise RuntimeError(f"no residual from {len(symbols)}")
+
+        class Cancelled(Exception):
+            pass
+
+        found, raised = {}, []
+        estimate(0, "squares")  # an exception that comes from outside may break an import, whoever imports
+        def work(number):
+            try:
+                for _ in range(3):
+                    found[number] = estimate(number, "squares", more=[Failing()] if number % 4 == 1 else [])
+            except (lampest.InputError, Cancelled) as error:
+                raised.append(error)  # kept by a thread that is not the one that made the symbols
+
+        threads = [threading.Thread(target=work, args=(number,)) for number in range(12)]
+        for thread in threads:
+            thread.start()
+        for thread in threads[2::4]:
+            ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(thread.ident), ctypes.py_object(Cancelled))
+        for thread in threads:
+            thread.join(timeout=80)
+            assert not thread.is_alive()
+        assert sum("no residual" in str(error) for error in raised) == 3
+        raised.clear()
+        for number in range(0, 12, 4):
+            np.testing.assert_allclose(found[number], estimate(number, "squares"), rtol=1e-12)
+        """
+    )
+
+
+@pytest.mark.slow
+def test_processes_that_are_forked_while_threads_estimate_can_estimate() -> None:
+    """Also where a fork interrupts what holds a lock: Python 3.11 locks cached properties while they are computed."""
+    run(
+        """
+        import signal
+        ended, over = [], threading.Event()
+        estimate(0, "squares")  # so that the libraries, whose locks are their own, are loaded
+        def work(number):
+            while not over.is_set():
+                estimate(number, "absolute")
+        threads = [threading.Thread(target=work, args=(number,)) for number in range(4)]
+        for thread in threads:
+            thread.start()
+        for number in range(6):
+            child = os.fork()
+            if not child:
+                signal.alarm(60)  # a lock that nobody gives back would hang it
+                good = np.isfinite(estimate(number, "squares")).all()
+                os._exit(0 if good else 1)
+            ended.append(os.waitpid(child, 0)[1])
+        over.set()
+        for thread in threads:
+            thread.join(timeout=80)
+        assert ended == [0] * 6, ended
+        """
+    )
+
+
+def test_processes_that_are_forked_while_threads_limit_blas_can_limit_it() -> None:
+    run(
+        """
+        import signal
+        from lampest.files.process import ONE_BLAS_THREAD
+        ended, over = [], threading.Event()
+        def work():
+            while not over.is_set():
+                with ONE_BLAS_THREAD:
+                    pass
+        threads = [threading.Thread(target=work) for _ in range(2)]
+        for thread in threads:
+            thread.start()
+        for _ in range(20):
+            child = os.fork()
+            if not child:
+                signal.alarm(10)
+                with ONE_BLAS_THREAD:
+                    os._exit(0)
+            ended.append(os.waitpid(child, 0)[1])
+            if ended[-1]:
+                break
+        over.set()
+        assert ended == [0] * 20, ended
+        """
+    )
+
+
+def test_ctrl_c_ends_the_main_thread_while_others_go_on() -> None:
+    run(
+        """
+        import signal
+        import time
+        found = {}
+        estimate(7, "squares")  # Python's locks of modules stay taken if an exception from outside ends an import
+        def work(number):
+            found[number] = estimate(number, "squares")
+        threads = [threading.Thread(target=work, args=(number,)) for number in range(6)]
+        for thread in threads:
+            thread.start()
+        signal.setitimer(signal.ITIMER_REAL, 0.2)
+        signal.signal(signal.SIGALRM, signal.default_int_handler)
+        try:
+            while True:
+                estimate(7, "squares")
+        except KeyboardInterrupt:
+            pass
+        for thread in threads:
+            thread.join(timeout=80)
+        assert len(found) == 6
+        """
+    )
+
+
+def blas_threads() -> set[int]:
+    """How many each BLAS of this process has."""
+    return {library["num_threads"] for library in ThreadpoolController().info() if library["user_api"] == "blas"}
+
+
+def test_an_estimate_from_python_uses_one_thread_of_blas(monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = lampest.Scene(lampest.Panel(3, 4), lampest.TwoPointReadout(), series_resistance_ohm=140.0)
+    recording = lampest.Recording(scene, np.full((3, 3, 4), 640.0), np.arange(3.0), np.array([0, 0, 1], dtype=np.uint8))
+    during, push = list[set[int]](), Stream.push
+    monkeypatch.setattr(Stream, "push", lambda *given: (during.append(blas_threads()), push(*given))[1])
+    with threadpool_limits(2, "blas"):
+        lampest.reconstruct(recording, [lampest.Misfit()])
+        assert during == [{1}]
+        assert blas_threads() == {2}
+
+
+def test_the_last_thread_that_leaves_restores_the_threads_of_blas() -> None:
+    entered, left, during = Barrier(2), Barrier(2), list[set[int]]()
+
+    def first() -> None:
+        with ONE_BLAS_THREAD:
+            entered.wait()
+        left.wait()
+
+    with threadpool_limits(2, "blas"):
+        worker = Thread(target=first)
+        worker.start()
+        with ONE_BLAS_THREAD:
+            entered.wait()
+            left.wait()
+            during.append(blas_threads())
+        worker.join()
+        assert during == [{1}] and blas_threads() == {2}

@@ -1,0 +1,154 @@
+"""Tools of the tests: the mutation study, and the comparison of two results files."""
+
+import ast
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from studies.equal import compare, equal, largest, relative_difference
+from support import METHODS, invented_case
+
+from lampest import write_results
+from tests.mutation.__main__ import guards_of
+from tests.mutation.operators import Mutant, mutants_of
+
+SOURCE = """LIMIT = 2.5
+class Panel:
+    def area(self, length: Literal[4], width=3):
+        message = f"{length + 7} µm"
+        return sorted([-length * width, max(length, width)]) if length < LIMIT and not width is None else True
+"""
+
+
+def mutants(folder: Path) -> list[Mutant]:
+    (folder / "panel.py").write_text(SOURCE)
+    return mutants_of(folder, folder / "panel.py")
+
+
+def test_a_module_has_a_mutant_of_every_operator_in_every_expression_that_is_computed(tmp_path: Path) -> None:
+    made = mutants(tmp_path)
+    changes = {(mutant.operator, mutant.before, mutant.after) for mutant in made}
+    assert ("constant", "2.5", "25.0") in changes and ("constant", "3", "30") in changes
+    assert ("sign", "-length", "(length)") in changes and (
+        "arithmetic",
+        "-length * width",
+        "(-length / width)",
+    ) in changes
+    assert ("extreme", "max(length, width)", "(min(length, width))") in changes
+    assert ("comparison", "length < LIMIT", "(length >= LIMIT)") in changes
+    assert {mutant.operator for mutant in made} >= {"sorting", "logic", "negation", "truth"}
+    assert not any("7" in mutant.before or mutant.before == "4" for mutant in made)
+    for mutant in made:
+        ast.parse(mutant.apply_to(SOURCE.encode()))
+    assert {mutant.function for mutant in made} == {"", "Panel.area"}
+
+
+def test_a_mutant_is_held_against_the_tests_that_call_its_function_the_shortest_of_each_file_first(
+    tmp_path: Path,
+) -> None:
+    area = next(mutant for mutant in mutants(tmp_path) if mutant.function)
+    tests = {
+        "tests/a.py::long": {"seconds": 2.0, "functions": ["panel.py:Panel.area"]},
+        "tests/a.py::short": {"seconds": 1.0, "functions": ["panel.py:Panel.area"]},
+        "tests/b.py::medium": {"seconds": 1.5, "functions": ["panel.py:Panel.area", "panel.py:g"]},
+        "tests/c.py::of_something_else": {"seconds": 0.1, "functions": ["panel.py:g"]},
+    }
+    assert guards_of(area, tests) == ["tests/a.py::short", "tests/b.py::medium", "tests/a.py::long"]
+
+
+BASE = "/entry/mouth/LSM"
+
+
+@pytest.fixture
+def pair(tmp_path: Path) -> tuple[Path, Path]:
+    """Twice the same results."""
+    files = tmp_path / "before.h5", tmp_path / "after.h5"
+    for file in files:
+        cases = [invented_case(name, shape=(3, 4, 5), failed=(1,)) for name in METHODS[:2]]
+        write_results(file, cases)
+    return files
+
+
+def scaled(factor: float) -> Callable[[h5py.Dataset], None]:
+    def change(dataset: h5py.Dataset) -> None:
+        dataset[0, 1, 2] *= factor
+
+    return change
+
+
+def flipped(dataset: h5py.Dataset) -> None:
+    dataset[0, 1, 2] = 1 - dataset[0, 1, 2]
+
+
+def failed(dataset: h5py.Dataset) -> None:
+    dataset[0, 1, 2] = np.nan
+
+
+def renamed(dataset: h5py.Dataset) -> None:
+    dataset[2] = b"another"
+
+
+def gone(dataset: h5py.Dataset) -> None:
+    del dataset.file[dataset.name]
+
+
+@pytest.mark.parametrize(
+    ("path", "change", "alike"),
+    [
+        ("cell_resistance", scaled(1 + 1e-11), False),
+        ("cell_resistance", scaled(1 + 1e-13), True),
+        ("cell_resistance", failed, False),
+        ("cell_resistance", gone, False),
+        ("baseline_resistance", gone, False),
+        ("open_cell", flipped, False),
+        ("at_lower_bound", flipped, False),
+        ("status", renamed, False),
+        ("status", gone, False),
+        ("solved", lambda dataset: dataset.write_direct(np.zeros(3, np.uint8)), False),
+        ("solve_time", lambda dataset: dataset.write_direct(np.ones(3)), True),
+        ("cost/misfit", gone, True),
+    ],
+)
+def test_a_difference_of_cells_or_statuses_counts(
+    pair: tuple[Path, Path], path: str, change: Callable[[h5py.Dataset], None], alike: bool
+) -> None:
+    assert equal(*pair, 0.0)
+    with h5py.File(pair[1], "a") as file:
+        change(file[f"{BASE}/{path}"])
+    assert equal(*pair, 1e-12) is equal(*reversed(pair), 1e-12) is alike
+
+
+def test_rows_say_where_and_how_much(pair: tuple[Path, Path]) -> None:
+    with h5py.File(pair[1], "a") as file:
+        file[f"{BASE}/cell_resistance"][2, 3, 4] *= 1.5
+        file[f"{BASE}/weight/misfit"][0] *= 2
+        file[f"{BASE}/two_point_model"][0, 0, 0] *= 4
+        del file["/entry/mouth/LSR-CR"]
+    rows, lone = compare(*pair)
+    assert lone == ["mouth/LSR-CR"] and largest(rows) == pytest.approx(1 / 3)
+    (row,) = (row for row in rows if row.name == "mouth/LSM")
+    assert row.differences["weight"] == 0.5 and row.rest == ("two_point_model", 0.75)
+
+
+def test_relative_difference_of_odd_values() -> None:
+    odd = np.array([0.0, np.nan, np.inf, -1.0])
+    assert relative_difference(odd, odd) == 0
+    assert relative_difference(odd, -odd) == np.inf
+    assert relative_difference([0.0], [1e-300]) == 1
+    assert relative_difference([1.0], [1.0, 2.0]) == np.inf
+    assert relative_difference([1.0, np.nan], [1.0, 2.0]) == np.inf
+
+
+def test_the_exit_code_says_whether_all_is_equal(pair: tuple[Path, Path]) -> None:
+    def code(*words: object) -> int:
+        program = [sys.executable, "-m", "tests.studies.equal", *map(str, words)]
+        return subprocess.run(program, cwd=Path(__file__).parents[2], capture_output=True).returncode
+
+    assert code(*pair) == 0
+    with h5py.File(pair[1], "a") as file:
+        scaled(1.001)(file[f"{BASE}/cell_resistance"])
+    assert (code(*pair), code(*pair, "--cells", "1e-2")) == (1, 0)
