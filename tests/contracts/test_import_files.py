@@ -4,8 +4,6 @@ import datetime
 import io
 import os
 import re
-import subprocess
-import sys
 import zipfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -34,6 +32,7 @@ from lampest import (
     read_scene,
     reconstruct,
 )
+from tests.small_files import run_command
 
 T0 = datetime.datetime(2025, 1, 31, 12, 0, 0)
 VOLTS = 5.0 * 1000.0 / (FRAMES + 1000.0)  # across the reference: R = (Vcc − V)/V·Rref
@@ -461,19 +460,13 @@ def test_a_layout_of_ones_own_reads_what_it_knows(tmp_path: Path) -> None:
 # The command.
 
 
-def command(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
-    words = [sys.executable, "-c", "from lampest.cli import main; main()", *arguments]
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
-    return subprocess.run(words, cwd=folder, env=environment, capture_output=True, text=True, timeout=120)
-
-
 def test_the_command_ends_with_a_map(tmp_path: Path) -> None:
     (tmp_path / "scene.yaml").write_text("panel: {rows: 3, columns: 5, pitch_mm: 8}\n")
     frames = np.full((2, ROWS, COLUMNS), 500.0)
     frames[:, 0, 4], frames[1, 2, 0] = 251, np.nan
     (tmp_path / "m.csv").write_text("\n".join(lines(frames)))
     words = ("--scene", "scene.yaml", "--out", "m.h5", "--period", "0.5", "--baseline", "1")
-    ended = command(tmp_path, "import", "m.csv", *words)
+    ended = run_command("import", "m.csv", *words, cwd=tmp_path)
     assert (ended.returncode, ended.stderr) == (0, "")
     printed = ended.stdout.splitlines()
     assert printed[-6:] == [
@@ -498,7 +491,7 @@ def test_the_page_says_what_the_command_says(tmp_path: Path) -> None:
         if line.startswith("cat "):
             (tmp_path / line.split()[1]).write_text(answer, encoding="utf-8")
     (call,) = (line for line in answers if line.startswith("lampest import "))
-    ended = command(tmp_path, *call.split()[1:])
+    ended = run_command(*call.split()[1:], cwd=tmp_path)
     assert (ended.returncode, ended.stderr, ended.stdout) == (0, "", answers[call])
 
 

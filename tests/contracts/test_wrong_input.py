@@ -180,6 +180,7 @@ DOCUMENTS: dict[str, tuple[str, tuple[tuple[str, str, str, str], ...]]] = {
                 "",
                 "address names a cluster that runs",
             ),
+            ("estimators:", "estimatros:", "", "estimatros: no such key; did you mean estimators?"),
             ("LSM:", "recording:", "", "an estimator cannot be called 'recording'"),
             ("{misfit: {}}", "{gradient: {}}", "", "gradient needs the term misfit: without it nothing reads what was"),
         ),

@@ -103,13 +103,6 @@ def test_version_and_mistyped_commands(lampest: Command) -> None:
     assert "--set" in lampest("run", "x.yaml", "--ste", "a=1").err
 
 
-def test_mistyped_keys_and_names(disk: SimpleNamespace, lampest: Command) -> None:
-    run = disk.folder / "run.yaml"
-    run.write_text(run.read_text().replace("estimators:", "estimatros:"))
-    ended = lampest("run", run)
-    assert ended.code == 2 and "estimatros: no such key; did you mean estimators?" in ended.err
-
-
 @pytest.mark.parametrize("counted", [False, True])
 def test_progress_says_how_many_are_done_and_the_time_left(
     counted: bool, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
