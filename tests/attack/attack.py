@@ -9,9 +9,10 @@ import subprocess
 import sys
 import time
 import traceback
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 from unittest import mock
 
 import numpy as np
@@ -86,6 +87,11 @@ class Ended:
     def said(self, fault: str) -> str:
         """The fault with what the command said of it."""
         return f"{fault}: code {self.code}, {self.out[-200:]!r} {self.err[-300:]!r}"
+
+
+def drawn(rng: np.random.Generator, tries: Sequence[Any], count: int) -> Iterator[tuple[int, Any]]:
+    """Some of the tries, each with its number."""
+    yield from ((int(number), tries[number]) for number in rng.permutation(len(tries))[:count])
 
 
 def printable(text: str) -> bool:

@@ -78,7 +78,7 @@ def _floods(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]
 def _ended(port: str, out: Path, wanted: dict[str, float]) -> str:
     began, said = time.monotonic(), ""
     try:
-        done = record(port, out, period=0.01, **wanted)  # type: ignore[arg-type]
+        done = record(port, out, period=0.01, **wanted)
         # A frame whose number and clock lie alike may be believed as far as ten seconds ahead.
         if done.lost > 1200 * (done.restarts + done.frames):
             return f"{done.lost} frames are told to be lost, {done.frames} came"
@@ -103,7 +103,6 @@ def _noise(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:
         ):
             done = record(board.port, folder / f"{number}.h5", frames=150, period=0.01)
         found = Recording.load(folder / f"{number}.h5")
-        assert found.acquisition is not None
         labels = [label for label in found.acquisition.event_label if label == "clock jump"]
         wrong = done.lost or done.restarts or np.any(np.diff(found.acquisition.sequence) != 1)
         wrong = wrong or len(labels) != sum(at < 150 for at in jumps) or not np.allclose(np.diff(found.time), 0.01)
@@ -136,7 +135,6 @@ def _killed(rng: np.random.Generator, out: Path) -> str:
         "record(sys.argv[1], Path(sys.argv[2]), period=0.01, on_progress=lambda now: print(now.frames, flush=True))"
     )
     with wild_board(hundred_a_second) as board, _running("-c", script, board.port, out) as process:
-        assert process.stdout is not None
         told = int(process.stdout.readline())
         time.sleep(float(rng.uniform(0, 1)))
         process.kill()
@@ -182,7 +180,6 @@ def _day(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:
             return
         sizes[frames] = ended.peak / 1e6, out.stat().st_size / frames
     found = Recording.load(out)
-    assert found.acquisition is not None
     (before, _), (after, each) = sizes.values()
     yield HELD if after < before + MORE_MEGABYTES * max(1, count / 4) else f"{before:.0f} MB, then {after:.0f} MB"
     yield HELD if each < FRAME_BYTES else f"{each:.0f} bytes a frame: {each * DAY_FRAMES / 1e6:.0f} MB a day"
@@ -193,23 +190,6 @@ def _day(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:
 def _hurried(hello: Hello) -> Iterator[tuple[float, bytes]]:
     for number in from_zero():
         yield 0.0, wire(hello, number, 2**32 - 50_000 + 100 * number)
-
-
-def _resumed_day(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:
-    """A long recording is killed: repair keeps all of it, in little memory."""
-    out = folder / "day.h5"
-    with wild_board(_hurried) as board:
-        words = ("record", "--port", board.port, "--period", "0.1", "--out", out)
-        with _running("-c", MAIN, *words) as process:
-            while not out.exists() or out.stat().st_size < count * PART * 100:
-                assert process.poll() is None
-                time.sleep(0.05)
-    ended = command("check", "--repair", out.name, folder=folder)
-    frames = int(ended.out.split()[0]) if ended.code == 0 else 0
-    found = Recording.load(out)
-    assert found.acquisition is not None
-    whole = np.array_equal(found.acquisition.sequence, np.arange(frames)) and frames > 0
-    yield HELD if whole and ended.peak < 4e8 else ended.said(f"{frames} frames, {ended.peak / 1e6:.0f} MB")
 
 
 def _flood(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:
@@ -260,7 +240,6 @@ def _page(folder: Path, board: str) -> Iterator[int]:
         _at(folder),
         _running("-c", MAIN, *words) as process,
     ):
-        assert process.stdout is not None
         yield int(process.stdout.readline().split("/?token")[0].rpartition(":")[2])
 
 
@@ -337,7 +316,6 @@ ATTACKS = (
     Attack("boards", "noise in which answers are lost, jumps of the clock", _noise, quick=1, full=20),
     Attack("boards", "recorders killed at any moment", _kills, quick=1, full=100),
     Attack("boards", "thousands of frames of a day at 10 a second", _day, quick=0, full=8),
-    Attack("boards", "a long recording that was killed", _resumed_day, quick=0, full=8),
     Attack("boards", "a flood, tenths of a minute", _flood, quick=0, full=5),
     Attack("page", "guests without the token before a board, at every address", _guests, quick=20, full=500),
     Attack("page", "pauses of a broker", _pauses, quick=1, full=10),

@@ -181,7 +181,6 @@ def _repaired(path: Path, meant: Recording) -> str:
     except InputError:
         return HELD if path.read_bytes() == left else "repair refused, and changed the file"
     found = Recording.load(path)
-    assert found.acquisition is not None and found.raw_sums is not None and meant.raw_sums is not None
     kept = found.acquisition.sequence
     if frames + dropped != len(meant.time) or len(kept) != frames:
         return f"repair kept {frames} and dropped {dropped} of {len(meant.time)} frames"

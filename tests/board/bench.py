@@ -74,7 +74,6 @@ def bench(
     with subprocess.Popen(
         [str(word) for word in words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     ) as process:
-        assert process.stdout is not None
         if not process.stdout.readline().startswith("port "):
             pytest.fail(process.communicate()[1], pytrace=False)
         running = Bench(str(folder / "port"), process)

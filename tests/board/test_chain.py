@@ -37,7 +37,6 @@ def test_cells_come_back_as_well_as_from_the_same_scene_simulated_in_python(tmp_
     """The paper's lamprey scene, 10 × 10, 20 readings, two multiplexers of 70 ohm that the scene knows."""
     shipped = Recording.load(SHIPPED)
     truth, known = shipped.truth_cell_resistance, scene()
-    assert truth is not None
     baseline = int(np.sum(shipped.role == UNLOADED))
     with bench(tmp_path, truth) as board:
         done = record(board.port, tmp_path / "r.h5", frames=len(truth), scene=known, baseline=baseline)
@@ -55,7 +54,6 @@ def test_readings_scatter_around_the_truth_as_their_sigma_says(tmp_path: Path) -
     with bench(tmp_path, cells) as board:
         done = record(board.port, tmp_path / "r.h5", frames=20, scene=scene(), baseline=12)
     found = Recording.load(done.path)
-    assert found.sigma is not None
     deviation = (found.resistance - two_point_resistance(cells) - 140) / found.sigma
     assert abs(deviation.mean()) < 0.1
     assert deviation.std() == pytest.approx(1, abs=0.06)
@@ -83,7 +81,6 @@ def test_what_the_file_says_about_its_origin(tmp_path: Path) -> None:
     with bench(tmp_path, cells) as board:
         record(board.port, tmp_path / "r.h5", frames=5, scene=scene(4, 3), period=0.5, keys=lambda: next(presses))
     found = Recording.load(tmp_path / "r.h5")
-    assert found.acquisition is not None
     np.testing.assert_allclose(found.time, [0, 0.5, 1, 1.5, 2], atol=2e-3)
     assert found.acquisition.sequence.tolist() == [0, 1, 2, 3, 4]
     assert np.all(np.diff(found.acquisition.device_ms.astype(int)) >= 499)
@@ -149,7 +146,6 @@ def test_without_a_scene_the_board_is_believed(tmp_path: Path, wiring: str) -> N
         done = record(board.port, tmp_path / "r.h5", seconds=2)
     recording = Recording.load(tmp_path / "r.h5")
     known = scene(series_resistance_ohm=0) if wiring == "two_point" else loaded_scene()
-    assert known.readout is not None
     assert done.scene == recording.scene == replace(known, readout=replace(known.readout, noise_lsb=None))
     assert recording.recorded.shape == (2, 10, 10)
 

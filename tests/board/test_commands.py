@@ -25,7 +25,6 @@ def test_from_the_board_to_the_cells(tmp_path: Path, wiring: str) -> None:
     """The shipped lamprey: record → a file in ohm or volt → run → the truth."""
     shipped = Recording.load(LAMPREY)
     truth, baseline = shipped.truth_cell_resistance, int(np.sum(shipped.role == UNLOADED))
-    assert truth is not None
     out, known = tmp_path / "r.h5", scene() if wiring == "two_point" else loaded_scene()
     (tmp_path / "scene.yaml").write_text(to_yaml(known))
     with bench(tmp_path, truth, wiring=wiring) as board:

@@ -86,7 +86,6 @@ def test_a_readout_joins_with_one_file_and_one_name() -> None:
     readout = Divider(load_ohm=5000.0, readings=100)
     recording = simulated(readout)
     truth = recording.truth_cell_resistance
-    assert truth is not None
     found = lampest.reconstruct(recording, [Misfit(weighting="noise")], formulation="reduced")
     assert np.median(np.abs(found.cell_resistance / truth[3:] - 1)) < 0.05
     given = lampest.LoadedColumnsReadout(load_ohm=5000.0, drive_ohm=100.0, readings=100)
@@ -123,12 +122,6 @@ def test_a_method_joins_with_one_file_and_one_name(recording: Recording) -> None
     assert_allclose(twice.cell_resistance, 2 * once.cell_resistance)
     assert np.ptp(once.cell_resistance[0]) == 0 and once.cell_resistance_errors is None
     assert set(once.status) == {"approximate, as the formulation asks; not an optimum"}
-
-
-def test_a_shape_joins_with_one_file_and_one_name(recording: Recording) -> None:
-    contact, _ = ELLIPSE.mean_pressure(recording.scene.panel, 6.0)
-    assert recording.truth_pressure is not None and contact.max() == pytest.approx(15)
-    assert_allclose(recording.truth_pressure[-1], contact)
 
 
 def test_a_column_joins_with_one_file_and_one_name(recording: Recording, tmp_path: Path) -> None:

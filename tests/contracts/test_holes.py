@@ -191,7 +191,7 @@ def exactly(scene: lampest.Scene, *frames: np.ndarray, sigma: float | None = Non
 
 def solved(recording: lampest.Recording, formulation: str, weight: float | None = None, **bounds: object) -> list[str]:
     terms = [lampest.Misfit(), *([] if weight is None else [lampest.Gradient(weight=weight)])]
-    found = lampest.reconstruct(recording, terms, formulation=formulation, bounds=lampest.Bounds(**bounds))  # type: ignore[arg-type]
+    found = lampest.reconstruct(recording, terms, formulation=formulation, bounds=lampest.Bounds(**bounds))
     return list(found.status)
 
 

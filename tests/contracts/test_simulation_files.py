@@ -82,7 +82,6 @@ def test_recording_tells_how_it_was_made(tmp_path: Path, lampest: Command) -> No
     ((_, simulation),) = read_simulations(written(tmp_path, text))
     (file,) = made(lampest, written(tmp_path, text), tmp_path / "a.h5")
     told = Recording.load(file).simulation
-    assert told is not None
     assert read_simulations(written(tmp_path, told)) == [("scene.h5", simulation)]
     assert 20 <= simulation.loads[0].diameter_mm <= 25
 

@@ -147,7 +147,6 @@ def test_every_package_of_the_lock_has_hashes(name: str) -> None:
 def test_set_up_installs_nothing_without_a_hash() -> None:
     text = (ROOT / "Makefile").read_text(encoding="utf-8")
     recipes = re.search(r"\$\(VENV\)/\.installed: .*?(?=\$\(VENV\)/\.installed-supply)", text, re.DOTALL)
-    assert recipes is not None
     installs = [line for line in recipes[0].splitlines() if "pip install" in line or "$(LOCKED)" in line]
     assert len(installs) == 3
     assert all("$(LOCKED)" in line or "--no-deps --no-build-isolation --editable" in line for line in installs)

@@ -10,7 +10,6 @@ import json
 import re
 import struct
 import zipfile
-import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -19,6 +18,7 @@ from unittest.mock import patch
 import h5py
 import numpy as np
 import openpyxl
+import scipy.io
 from support import invented_case
 
 from lampest.files import hdf5
@@ -293,16 +293,9 @@ def numpy_file(array: Any) -> bytes:
 
 def matlab_file(array: Any, packed: bool) -> bytes:
     """The bytes of a .mat file of level 5 with one array `r` (rows, columns, frames)."""
-
-    def element(kind: int, body: bytes) -> bytes:
-        return struct.pack("<II", kind, len(body)) + body + bytes(-len(body) % 8)
-
-    values = np.ascontiguousarray(array.transpose(1, 2, 0)).astype("<f8")
-    parts = element(6, struct.pack("<II", 6, 0)) + element(5, struct.pack("<iii", *values.shape)) + element(1, b"r")
-    matrix = element(14, parts + element(9, values.tobytes(order="F")))
-    body = zlib.compress(matrix)
-    header = b"MATLAB 5.0 MAT-file".ljust(124) + struct.pack("<H", 0x0100) + b"IM"
-    return header + (struct.pack("<II", 15, len(body)) + body if packed else matrix)
+    stream = io.BytesIO()
+    scipy.io.savemat(stream, {"r": array.transpose(1, 2, 0)}, do_compression=packed)
+    return stream.getvalue()
 
 
 def changed(kind: str, style: str, seeds: tuple[bytes, ...], rng: np.random.Generator) -> bytes:

@@ -154,13 +154,11 @@ READERS: dict[str, Callable[[Path], Any]] = {
     "setting": _setting,
     "recording": Recording.load,
     "results": read_results,
-    "table": _imported,
-    "numpy": _imported,
-    "matlab": _imported,
-    "excel": _imported,
-    "arrays": _imported,
-    "matlab_hdf5": _imported,
 }
+
+
+IMPORTED = ("table", "numpy", "matlab", "excel", "arrays", "matlab_hdf5")
+READERS |= dict.fromkeys(IMPORTED, _imported)
 
 
 def _import(path: Path) -> list[str]:
@@ -174,10 +172,5 @@ COMMANDS: dict[str, Any] = {
     "setting": None,
     "recording": lambda path: ["info", str(path)],
     "results": lambda path: ["compare", str(path)],
-    "table": _import,
-    "numpy": _import,
-    "matlab": _import,
-    "excel": _import,
-    "arrays": _import,
-    "matlab_hdf5": _import,
 }
+COMMANDS |= dict.fromkeys(IMPORTED, _import)

@@ -1,8 +1,6 @@
 """A full disk, files that go or change under way, kill -9: what is finished stays, is right, and resumes."""
 
-import os
 import shlex
-import signal
 import subprocess
 from pathlib import Path
 
@@ -12,10 +10,8 @@ from fuzz.batches import (
     COMMAND,
     Batch,
     batch,
-    content,
     finished,
     killed_again_and_again,
-    session,
     until,
     without_progress,
     write_recording,
@@ -108,29 +104,6 @@ def test_recording_that_is_replaced_under_way(tmp_path: Path) -> None:
     assert "Traceback" not in said
     for case in read_results(tmp_path / "out" / "results.h5").cases:
         assert case.recording == "one" or np.array_equal(case.measured, before)
-
-
-@LONG
-def test_case_that_is_damaged_between_runs(made: Batch, tmp_path: Path) -> None:
-    made.finish(tmp_path / "out")
-    undisturbed = content(tmp_path / "out" / "results.h5")
-    first, second, *_ = sorted((tmp_path / "out" / "cases").glob("*.h5"))
-    first.write_bytes(second.read_bytes())
-    os.truncate(second, 1000)
-    assert "2 cases solved" in made.finish(tmp_path / "out")
-    assert content(tmp_path / "out" / "results.h5") == undisturbed
-
-
-@LONG
-def test_worker_that_is_killed_costs_nothing_but_time(tmp_path: Path) -> None:
-    """As when memory runs out: the case it was at is tried once more."""
-    made = batch(tmp_path, 8)
-    run = started(made, tmp_path / "out", 2)
-    worker = next(number for number in session(run.pid) if number != run.pid)
-    os.kill(worker, signal.SIGKILL)
-    printed, said = run.communicate(timeout=120)
-    assert (run.returncode, said) == (0, "")
-    assert f"{made.cases} cases solved, 0 were done before, 0 failed" in printed
 
 
 @pytest.mark.slow

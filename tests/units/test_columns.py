@@ -41,20 +41,9 @@ LEAST = Column(
 
 @pytest.fixture(scope="module")
 def reconstruction() -> Estimates:
-    recording = lampest.Recording.load(DATA / "cup_air_10kpa.h5")
-    kept = slice(0, 8)
-    few = dataclasses.replace(
-        recording,
-        recorded=recording.resistance[kept],
-        time=recording.time[kept],
-        role=recording.role[kept],
-        truth_cell_resistance=recording.truth_cell_resistance[kept],
-        truth_pressure=None,
-        raw_sums=None,
-    )
-    return reconstruct(
-        few, Estimator((lampest.Misfit(weighting="noise"),), "reduced", bounds=Bounds(), tare=lampest.Tare())
-    )
+    few = lampest.Recording.load(DATA / "cup_air_10kpa.h5", slice(8))
+    terms = (lampest.Misfit(weighting="noise"),)
+    return reconstruct(few, Estimator(terms, "reduced", bounds=Bounds(), tare=lampest.Tare()))
 
 
 @pytest.mark.parametrize("column", COLUMNS, ids=lambda column: column.name)

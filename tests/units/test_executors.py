@@ -189,20 +189,6 @@ def test_a_process_that_nobody_replaces_is_not_ended() -> None:
     assert signal.getsignal(signal.SIGALRM) == before
 
 
-def killed_thrice(folder: Path) -> int:
-    """Is killed as from outside, until there are three marks."""
-    marks = len(list(folder.iterdir()))
-    if marks < 3:
-        (folder / str(marks)).touch()
-        os.kill(os.getpid(), signal.SIGKILL)
-    return marks
-
-
-@pytest.mark.slow
-def test_a_process_that_is_killed_three_times_is_tried_again(tmp_path: Path) -> None:
-    assert list(Processes(1).results(killed_thrice, [tmp_path])) == [(tmp_path, 3)]
-
-
 def slow_case(task: Task) -> Any:
     """Solves a case; every one but the first takes long to say so."""
     solved = solve_case(task)

@@ -155,7 +155,7 @@ def watched(recording: Recording) -> Watched:
     """After all of it."""
     here = Watched(recording.name)
     for one in news(recording):
-        here = here.after(one)  # type: ignore[arg-type]
+        here = here.after(one)
     return here
 
 
@@ -189,7 +189,6 @@ def test_a_panel_too_large_for_patterns_is_said_at_once() -> None:
 def test_a_new_zero_ends_what_was_attached() -> None:
     recording = taken(8)
     here = watched(recording)
-    assert here.watch is not None
     here = dataclasses.replace(here, watch=dataclasses.replace(here.watch, attachments=(LAMPREY,)))
     here = here.after(2)
     for frame in (5, 6):
@@ -203,7 +202,6 @@ def test_only_the_latest_of_what_has_left_is_remembered(monkeypatch: pytest.Monk
     monkeypatch.setattr(watcher_module, "MAX_REMEMBERED", 1)
     recording = taken(4)
     here = watched(recording)
-    assert here.watch is not None
     left = [dataclasses.replace(LAMPREY, since_s=float(since), until_s=8.0) for since in (1, 2)]
     here = dataclasses.replace(here, watch=dataclasses.replace(here.watch, attachments=(CUP, *left)))
     assert here.after(scan_of(recording, 6)).detected.attachments == (CUP, left[1])
@@ -238,7 +236,6 @@ def test_streams_of_numbers_have_the_answer_too() -> None:
     view = View("here", "LSM", "receiving", Panel(2, 3), picture=drawn(np.zeros((2, 3)), UNKNOWN))
     for one, known in ((view, False), (with_detected(view, Detected.of("here", (LAMPREY,), 4.0)), True)):
         message = Message.of(one)
-        assert message is not None
         numbers = dict(zip([channel.label for channel in message.channels()], message.row(), strict=True))
         assert np.isnan(numbers["until_s"]) and np.isnan(numbers["probability"]) != known
         if known:
@@ -250,7 +247,7 @@ def test_more_than_can_be_watched_is_watched_less_often(monkeypatch: pytest.Monk
     monkeypatch.setattr(watcher_module, "MAX_WAITING", 4)
     (unloaded, *scans), waiting = news(taken(8)), []
     for one in (unloaded, *scans):
-        waiting = in_one_batch([one], waiting)  # type: ignore[list-item]
+        waiting = in_one_batch([one], waiting)
     (batch,) = waiting
     assert batch[0] is unloaded and batch[-1] is scans[-1] and len(batch) <= 5
 
@@ -260,7 +257,7 @@ def test_a_process_of_its_own_answers_and_its_death_is_said() -> None:
     answers: list[Detected] = []
     beside = watcher("mouth", answers.append)
     for one in news(taken(4)):
-        beside.ask([one])  # type: ignore[list-item]
+        beside.ask([one])
     beside.finish()
     assert answers[-1].answer == "nothing"
     beside = watcher("mouth", answers.append)

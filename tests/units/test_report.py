@@ -233,7 +233,6 @@ def test_forces_of_noisy_maps_scatter_as_they_say() -> None:
     for _ in range(200):
         noisy = pressure + errors * rng.standard_normal(SHAPE) * (pressure > 1)
         one = pressed_of(pressing(pressure=noisy, pressure_own=errors))
-        assert one is not None
         forces.append(one.values[1, -1])
     assert np.std(forces) == pytest.approx(one.errors[1, -1], rel=0.2)
 
@@ -245,7 +244,6 @@ def test_common_errors_of_pressures_add_up_in_the_force() -> None:
         pressed_of(pressing(pressure=pressure, pressure_own=errors, pressure_common=share * pressure))
         for share in (0.0, 0.3)
     )
-    assert plain is not None and common is not None
     assert common.errors[1, -1] == pytest.approx(np.hypot(plain.errors[1, -1], 0.3 * 6.4))
     np.testing.assert_allclose(common.errors[1, :3], plain.errors[1, :3])
 

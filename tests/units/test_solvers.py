@@ -111,7 +111,7 @@ def counted(monkeypatch: pytest.MonkeyPatch, method: str, number: int) -> dict[s
     counts: dict[str, int] = {}
     watch(monkeypatch, counts)
     solution = best_solution(solver, data, previous, stream.prepared)
-    assert solution.strict and solution.at is not None
+    assert solution.strict
     again = Evaluation(solution.at.cost, data, *evaluated_anew(solution.at))
     assert np.isclose(again.objective, solution.objective, rtol=1e-13, atol=0)
     return counts
@@ -128,7 +128,7 @@ def watch(monkeypatch: pytest.MonkeyPatch, counts: dict[str, int]) -> None:
 
         def called(*args: object, name: str = name, usual: object = usual) -> object:
             counts[name] += 1
-            return usual(*args)  # type: ignore[operator]
+            return usual(*args)
 
         monkeypatch.setattr(owner, name, called)
 

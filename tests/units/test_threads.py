@@ -21,6 +21,7 @@ from lampest.files.process import ONE_BLAS_THREAD
 SCENE = """
 import gc
 import os
+import signal
 import sys
 import threading
 import numpy as np
@@ -43,13 +44,25 @@ def estimate(number, way, more=()):
     options, terms = WAYS[way]
     return lampest.reconstruct(recording(number), [*terms, *more], error_bars=False, **options).cell_resistance
 
-def in_threads(count, work):
+def begun(count, work):
     threads = [threading.Thread(target=work, args=(number,)) for number in range(count)]
     for thread in threads:
         thread.start()
+    return threads
+
+def ended(threads):
     for thread in threads:
         thread.join(timeout=80)
         assert not thread.is_alive(), "a thread hangs"
+
+def forks(count, seconds, work):
+    # The codes of processes that are forked now; an alarm ends one that hangs at a lock that nobody gives back.
+    for number in range(count):
+        child = os.fork()
+        if not child:
+            signal.alarm(seconds)
+            os._exit(0 if work(number) else 1)
+        yield os.waitpid(child, 0)[1]
 """
 
 
@@ -66,7 +79,7 @@ found = {}
 def work(number):
     gc.collect()  # frees what other threads dropped
     found[number] = estimate(number, ways[number % len(ways)])
-in_threads(count, work)
+ended(begun(count, work))
 for number in range(count):
     np.testing.assert_allclose(found[number], estimate(number, ways[number % len(ways)]), rtol=1e-12)
 """
@@ -107,14 +120,10 @@ def test_a_thread_whose_term_raises_or_that_is_cancelled_harms_no_other() -> Non
             except (lampest.InputError, Cancelled) as error:
                 raised.append(error)  # kept by a thread that is not the one that made the symbols
 
-        threads = [threading.Thread(target=work, args=(number,)) for number in range(12)]
-        for thread in threads:
-            thread.start()
+        threads = begun(12, work)
         for thread in threads[2::4]:
             ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(thread.ident), ctypes.py_object(Cancelled))
-        for thread in threads:
-            thread.join(timeout=80)
-            assert not thread.is_alive()
+        ended(threads)
         assert sum("no residual" in str(error) for error in raised) == 3
         raised.clear()
         for number in range(0, 12, 4):
@@ -128,26 +137,16 @@ def test_processes_that_are_forked_while_threads_estimate_can_estimate() -> None
     """Also where a fork interrupts what holds a lock: Python 3.11 locks cached properties while they are computed."""
     run(
         """
-        import signal
-        ended, over = [], threading.Event()
+        over = threading.Event()
         estimate(0, "squares")  # so that the libraries, whose locks are their own, are loaded
         def work(number):
             while not over.is_set():
                 estimate(number, "absolute")
-        threads = [threading.Thread(target=work, args=(number,)) for number in range(4)]
-        for thread in threads:
-            thread.start()
-        for number in range(6):
-            child = os.fork()
-            if not child:
-                signal.alarm(60)  # a lock that nobody gives back would hang it
-                good = np.isfinite(estimate(number, "squares")).all()
-                os._exit(0 if good else 1)
-            ended.append(os.waitpid(child, 0)[1])
+        threads = begun(4, work)
+        codes = list(forks(6, 60, lambda number: np.isfinite(estimate(number, "squares")).all()))
         over.set()
-        for thread in threads:
-            thread.join(timeout=80)
-        assert ended == [0] * 6, ended
+        ended(threads)
+        assert codes == [0] * 6, codes
         """
     )
 
@@ -155,27 +154,18 @@ def test_processes_that_are_forked_while_threads_estimate_can_estimate() -> None
 def test_processes_that_are_forked_while_threads_limit_blas_can_limit_it() -> None:
     run(
         """
-        import signal
         from lampest.files.process import ONE_BLAS_THREAD
-        ended, over = [], threading.Event()
-        def work():
+        over = threading.Event()
+        def limited(number):
+            with ONE_BLAS_THREAD:
+                return True
+        def work(number):
             while not over.is_set():
-                with ONE_BLAS_THREAD:
-                    pass
-        threads = [threading.Thread(target=work) for _ in range(2)]
-        for thread in threads:
-            thread.start()
-        for _ in range(20):
-            child = os.fork()
-            if not child:
-                signal.alarm(10)
-                with ONE_BLAS_THREAD:
-                    os._exit(0)
-            ended.append(os.waitpid(child, 0)[1])
-            if ended[-1]:
-                break
+                limited(number)
+        begun(2, work)
+        codes = list(forks(20, 10, limited))
         over.set()
-        assert ended == [0] * 20, ended
+        assert codes == [0] * 20, codes
         """
     )
 
@@ -183,15 +173,11 @@ def test_processes_that_are_forked_while_threads_limit_blas_can_limit_it() -> No
 def test_ctrl_c_ends_the_main_thread_while_others_go_on() -> None:
     run(
         """
-        import signal
-        import time
         found = {}
         estimate(7, "squares")  # Python's locks of modules stay taken if an exception from outside ends an import
         def work(number):
             found[number] = estimate(number, "squares")
-        threads = [threading.Thread(target=work, args=(number,)) for number in range(6)]
-        for thread in threads:
-            thread.start()
+        threads = begun(6, work)
         signal.setitimer(signal.ITIMER_REAL, 0.2)
         signal.signal(signal.SIGALRM, signal.default_int_handler)
         try:
@@ -199,8 +185,7 @@ def test_ctrl_c_ends_the_main_thread_while_others_go_on() -> None:
                 estimate(7, "squares")
         except KeyboardInterrupt:
             pass
-        for thread in threads:
-            thread.join(timeout=80)
+        ended(threads)
         assert len(found) == 6
         """
     )
