@@ -10,13 +10,9 @@ from attack.attack import HELD, Attack, called, command, small_folder
 from fuzz.mutants import good_recordings, good_results, without_checksums
 from unclosed import unclosed_recording
 
+from lampest import InputError, Panel, Recording, Scene, TwoPointReadout, read_results
 from lampest.files.document import plain_content
-from lampest.files.errors import InputError
-from lampest.panel.readouts import TwoPointReadout
-from lampest.panel.scene import Panel, Scene
 from lampest.recording.board.record import repair
-from lampest.recording.recording import Recording
-from lampest.runs.results import read_results
 
 Reader = Callable[[Path], Any]
 BITS_AT_ONCE = (1, 1, 1, 2, 8)

@@ -10,8 +10,7 @@ from attack.attack import HELD, SIMULATION, Attack, Ended, called, drawn, printa
 from fuzz.batches import write_recording
 from support import invented_case
 
-from lampest.recording.recording import Recording
-from lampest.runs.results import write_results
+from lampest import Recording, write_results
 
 EXTREME = (1e300, 1e-300, 5e-324, -1e300, 1e160, 1e29, 1e-29, 0.0, -0.0, 1e12, np.inf, -np.inf, np.nan)
 # Words of the libraries behind; a user's panel has none of them.

@@ -15,10 +15,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lampest import LoadedColumnsReadout, Panel, Scene, TwoPointReadout
+from lampest import Array, LoadedColumnsReadout, Panel, PublishedResponse, Scene, TwoPointReadout
 from lampest.files.document import to_yaml
-from lampest.panel.panel import Array
-from lampest.panel.response import PublishedResponse
 
 FIRMWARE = Path(__file__).parents[2] / "firmware"
 MULTIPLEXER_OHM = 70.0

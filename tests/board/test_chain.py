@@ -10,14 +10,9 @@ import serial
 from board.bench import bench, loaded_scene, scene, some_cells
 from support import live_pictures
 
-from lampest import Recording, import_file, two_point_resistance
-from lampest.cost.terms import Misfit
-from lampest.estimate.estimator import Estimator
+from lampest import MEASURED, UNLOADED, Array, Estimator, Faults, Misfit, Recording, import_file, two_point_resistance
 from lampest.estimate.sequence import reconstruct
-from lampest.panel.panel import Array
-from lampest.panel.scene import Faults
 from lampest.recording.board.record import record
-from lampest.recording.recording import MEASURED, UNLOADED
 from lampest.recording.simulation.measure import Unmodelled, measured
 from lampest.report.live.run import LiveBoard, recorded_from_board
 

@@ -12,9 +12,8 @@ import numpy as np
 import pytest
 from board.bench import COMMAND, bench, lampest, loaded_scene, scene, scene_file, some_cells
 
-from lampest import Recording, Scene, read_results
+from lampest import UNLOADED, Recording, Scene, read_results
 from lampest.files.document import read_document, to_yaml, validated
-from lampest.recording.recording import UNLOADED
 
 LAMPREY = Path(__file__).parents[2] / "data" / "lamprey_35mm.h5"
 SOME_BYTES = 200_000  # more than a recording holds before its first frames

@@ -18,9 +18,7 @@ from matplotlib.image import imread
 from docs.studies.attachments import cells as mouth_cells
 from docs.studies.attachments import courses
 from docs.studies.mouth_scenes import MAKERS, film
-from lampest import Panel, Recording
-from lampest.panel.panel import Array
-from lampest.recording.recording import UNLOADED
+from lampest import UNLOADED, Array, Panel, Recording
 
 ROOT = Path(__file__).parents[2]
 RING, LAMPREY = ROOT / "data" / "ring.h5", ROOT / "data" / "lamprey_35mm.h5"

@@ -15,10 +15,7 @@ from typing import Any
 import h5py
 import numpy as np
 
-from lampest import two_point_resistance
-from lampest.panel.readouts import TwoPointReadout
-from lampest.panel.scene import Panel, Scene
-from lampest.recording.recording import Recording
+from lampest import Panel, Recording, Scene, TwoPointReadout, two_point_resistance
 
 COMMAND = Path(sys.executable).with_name("lampest")
 WHOM = ("command", "all", "worker")

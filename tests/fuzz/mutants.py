@@ -21,12 +21,9 @@ import openpyxl
 import scipy.io
 from support import invented_case
 
+from lampest import Panel, PublishedFigures, Recording, Scene, StepFigures, TwoPointReadout, write_results
 from lampest.files import hdf5
-from lampest.panel.readouts import TwoPointReadout
-from lampest.panel.scene import Panel, Scene
 from lampest.recording.acquisition import Acquisition
-from lampest.recording.recording import Recording
-from lampest.runs.results import PublishedFigures, StepFigures, write_results
 
 SUFFIXES = {
     "run": ".yaml",

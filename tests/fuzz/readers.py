@@ -17,15 +17,8 @@ from unittest import mock
 
 from fuzz.mutants import RUN, SUFFIXES, Mutant, text
 
-from lampest import cli
-from lampest.files.errors import InputError
-from lampest.panel.scene import read_scene
-from lampest.recording.foreign.importing import import_file
-from lampest.recording.recording import Recording
-from lampest.recording.simulation import read_simulations
+from lampest import InputError, Recording, cli, import_file, read_results, read_run, read_scene, read_simulations
 from lampest.recording.simulation import run as simulate
-from lampest.runs.config import read_run
-from lampest.runs.results import read_results
 
 FINE, REFUSED = "taken", "refused"
 MOST_SECONDS = 5.0

@@ -17,8 +17,7 @@ from fuzz.batches import (
     write_recording,
 )
 
-from lampest.recording.recording import Recording
-from lampest.runs.results import read_results
+from lampest import Recording, read_results
 
 LONG = pytest.mark.soak
 HERE = ["unshare", "--map-root-user", "--mount", "sh", "-c"]

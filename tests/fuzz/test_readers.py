@@ -18,8 +18,7 @@ from fuzz.readers import FINE, REFUSED, cleared, receive
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lampest import import_file
-from lampest.cost.losses import Huber
+from lampest import Estimator, Huber, InputError, Panel, Reconstruction, Recording, Scene, import_file, read_run
 from lampest.cost.terms import (
     Arrival,
     CellResistance,
@@ -30,18 +29,11 @@ from lampest.cost.terms import (
     Term,
     TotalVariation,
 )
-from lampest.estimate.estimator import Estimator
 from lampest.estimate.methods import MethodName
 from lampest.files.document import MAX_SIZE, parse_document
-from lampest.files.errors import InputError
-from lampest.panel.panel import Panel
 from lampest.panel.readouts import LoadedColumnsReadout, TwoPointReadout
-from lampest.panel.scene import Scene
-from lampest.recording.recording import Recording
 from lampest.recording.simulation.simulation import Simulation, simulate
-from lampest.report.reconstruction import Reconstruction
 from lampest.runs.case import check_name
-from lampest.runs.config import read_run
 
 QUICK = settings(derandomize=True, deadline=None, database=None, max_examples=100)
 FEW = settings(QUICK, max_examples=25)

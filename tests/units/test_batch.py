@@ -14,8 +14,7 @@ import numpy as np
 import pytest
 
 import lampest
-from lampest import Estimator, Gradient, LinearisedMethod, Misfit, Panel, Recording, Scene, TwoPointReadout
-from lampest.estimate.stream import Stream
+from lampest import Estimator, Gradient, LinearisedMethod, Misfit, Panel, Recording, Scene, Stream, TwoPointReadout
 from lampest.recording.readings import Readings
 from lampest.runs.results import read_results
 from lampest.solvers import projected_newton as newton_module

@@ -11,16 +11,11 @@ import pytest
 from docs.studies.bench import SolverLimits, SolversFile, Trf, _Point
 from docs.studies.bench_pages import MARKED, PAGES, sections, with_tables
 from docs.studies.mats import LEAST_S, MOST_S, PUBLISHED, MatAnswer, Mats, MatSolve, solved_mats, table
+from lampest import Huber, InputError, Misfit, Panel, Recording, Settings
 from lampest.cost.cost import Cost
-from lampest.cost.losses import Huber
-from lampest.cost.terms import Misfit
 from lampest.estimate.sequence import first_stream
-from lampest.files.errors import InputError
-from lampest.panel.panel import Panel
-from lampest.recording.recording import Recording
 from lampest.runs.config import Terms
 from lampest.solvers.multistart import evaluated
-from lampest.solvers.solution import Settings
 from lampest.studies.bench import (
     STUDY,
     Bench,

@@ -11,13 +11,10 @@ import pytest
 from support import invented_case
 
 import lampest
-from lampest.estimate.estimates import Estimates
-from lampest.estimate.estimator import Bounds, Estimator
+from lampest import Bounds, Estimates, Estimator, InputError, read_results, write_results
 from lampest.estimate.sequence import reconstruct
-from lampest.files.errors import InputError
 from lampest.runs.columns import CELLS, FRAMES, MAPS, Column, of_steps, positive
 from lampest.runs.held import COLUMNS, REQUIRED, all_columns
-from lampest.runs.results import read_results, write_results
 
 DATA = Path(__file__).parents[2] / "data"
 LEAST = Column(

@@ -9,15 +9,10 @@ import numpy as np
 import pytest
 from support import METHODS, invented_case
 
+from lampest import ContourPlot, InputError, Panel, Recording, Scene, SweepPlot, TwoPointReadout, plot_results
 from lampest.cli.screen import print_table
-from lampest.files.errors import InputError
-from lampest.panel.readouts import TwoPointReadout
-from lampest.panel.scene import Panel, Scene
-from lampest.recording.recording import Recording
 from lampest.report.compare import Table, compare, compare_files, comparison, legend, screen_blocks, write_csv
 from lampest.report.info import describe
-from lampest.report.plots import plot_results
-from lampest.report.plots.contours import ContourPlot, SweepPlot
 from lampest.report.plots.style import save
 from lampest.report.strongest import strongest_index
 from lampest.runs.results import CaseResult, PublishedFigures, Results, StepFigures, write_results

@@ -13,20 +13,14 @@ import numpy as np
 import pytest
 from support import invented_case
 
+from lampest import Block, Faults, InputError, OralDisc, Panel, Readout, Recording, Rod, Scene, Shape, Systematic, Water
 from lampest.estimate.prepared import Prepared
-from lampest.files.errors import InputError
 from lampest.loads.recognition.attachment import Attachment, continued_by
 from lampest.loads.recognition.breathing import Breath, Breathing
 from lampest.loads.recognition.detector import Detector
 from lampest.loads.recognition.observation import ModelErrors
 from lampest.loads.recognition.pumping import Pumping
-from lampest.loads.shapes import Block, OralDisc, Rod
-from lampest.loads.shapes.shape import Shape
-from lampest.panel.panel import Panel
 from lampest.panel.readouts import LoadedColumnsReadout, TwoPointReadout
-from lampest.panel.readouts.readout import Readout
-from lampest.panel.scene import Faults, Scene, Systematic, Water
-from lampest.recording.recording import Recording
 from lampest.recording.simulation import Cells, Course, Simulation, Unmodelled, simulate
 from lampest.recording.simulation.measure import measured
 from lampest.report.detect.answer import (

@@ -19,13 +19,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from lampest import CaseResult, InputError, read_results
 from lampest.files import process
-from lampest.files.errors import InputError
 from lampest.runs import batch, executors
 from lampest.runs.batch import Task, run_batch, solve_case
 from lampest.runs.config import json_schema, read_run
 from lampest.runs.executors import Dask, Processes, Serial, Tls, local
-from lampest.runs.results import CaseResult, read_results
 
 Command = Callable[..., SimpleNamespace]
 TIMES = ("solve_time", "baseline_solve_time", "error_bar_time")

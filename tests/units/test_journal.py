@@ -8,12 +8,11 @@ import pytest
 from unclosed import unclosed_recording
 
 import lampest
+from lampest import InputError, Recording
 from lampest.cli.results import _repaired
 from lampest.files import hdf5
 from lampest.files.checksums import is_left_open
-from lampest.files.errors import InputError
 from lampest.recording.board.record import repair
-from lampest.recording.recording import Recording
 from lampest.recording.stored import StoredRecording
 
 SCENE = lampest.Scene(lampest.Panel(3, 4), lampest.TwoPointReadout(noise_lsb=0.7), series_resistance_ohm=140.0)

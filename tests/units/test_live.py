@@ -13,19 +13,14 @@ import numpy as np
 import pytest
 from support import live_pictures
 
-from lampest import two_point_resistance
-from lampest.cost.terms import Arrival, Misfit
+from lampest import Arrival, InputError, Misfit, Readings, Rod, Scene, Settings, two_point_resistance
 from lampest.estimate.estimator import AutoWeight, Bounds, Estimator
 from lampest.estimate.prepared import Prepared
 from lampest.estimate.sequence import reconstruct
-from lampest.files.errors import InputError
 from lampest.loads.pressure import Pressure, Tare, total_force
-from lampest.loads.shapes import Rod
 from lampest.panel.panel import EachModule, Modules, Panel
 from lampest.panel.readouts import TwoPointReadout, VirtualGroundReadout
 from lampest.panel.response import Film, PublishedResponse
-from lampest.panel.scene import Scene
-from lampest.recording.readings import Readings
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
 from lampest.recording.simulation import Course, Simulation, Unmodelled, read_simulations, simulate
 from lampest.report.live import engine as engine_module
@@ -34,7 +29,6 @@ from lampest.report.live.message import Message, Picture, View, view_text
 from lampest.report.live.run import METHODS, chosen, from_recording
 from lampest.report.live.state import ASKED, PanelState
 from lampest.report.live.watcher import Scan
-from lampest.solvers.solution import Settings
 
 LAMPREY = Path(__file__).parents[2] / "data" / "lamprey_25mm.h5"
 LSM = Estimator((Misfit(),), "reduced")

@@ -8,16 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lampest import two_point_resistance
+from lampest import Array, Faults, OralDisc, Panel, Readings, Scene, TwoPointReadout, Water, two_point_resistance
 from lampest.loads.pressure import Force, PressureTrack, water_pressure
 from lampest.loads.recognition.attachment import Attachment
 from lampest.loads.recognition.breathing import Breathing
-from lampest.loads.shapes import OralDisc
-from lampest.panel.panel import Array, Panel
-from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.response import PublishedResponse, ratio_from_pressure
-from lampest.panel.scene import Faults, Scene, Water
-from lampest.recording.readings import Readings
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
 from lampest.recording.simulation import Course, Simulation, simulate
 from lampest.report.detect.answer import Detected

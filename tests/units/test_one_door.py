@@ -8,19 +8,13 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from support import live_pictures
 
+from lampest import UNLOADED, Array, Estimator, InputError, OralDisc, Panel, Recording, Stream, TwoPointReadout
 from lampest.cost.terms import Arrival, Misfit, RelativeChange
-from lampest.estimate.estimator import Estimator
 from lampest.estimate.sequence import reconstruct
-from lampest.estimate.stream import Stream
-from lampest.files.errors import InputError
-from lampest.loads.shapes import OralDisc
-from lampest.panel.panel import Array, Panel
-from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.scene import Faults, Scene, Systematic, Water
 from lampest.recording.board.protocol import Frame, Hello
 from lampest.recording.board.stream import Sample
 from lampest.recording.readings import AT_LEAST, AT_MOST, Readings
-from lampest.recording.recording import UNLOADED, Recording
 from lampest.recording.simulation.measure import Unmodelled, measured, raw_sums
 from lampest.recording.simulation.simulation import Simulation, simulate
 from lampest.report.live.engine import Engine

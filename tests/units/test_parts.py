@@ -18,18 +18,15 @@ from fuzz.batches import content, same
 from unclosed import unclosed_recording
 
 import lampest
+from lampest import Array, Recording, read_results, read_run
 from lampest.estimate.sequence import Parts, asked_frames
 from lampest.files import hdf5
-from lampest.panel.panel import Array
 from lampest.recording import stored
 from lampest.recording.board.record import repair
-from lampest.recording.recording import Recording
 from lampest.report.info import checked_sentence
 from lampest.runs import batch, long_case
 from lampest.runs.batch import run_batch
-from lampest.runs.config import read_run
 from lampest.runs.executors import Serial
-from lampest.runs.results import read_results
 
 Command = Callable[..., SimpleNamespace]
 SCENE = lampest.Scene(lampest.Panel(4, 5), lampest.TwoPointReadout(noise_lsb=0.7), series_resistance_ohm=140.0)

@@ -15,20 +15,15 @@ from matplotlib.figure import Figure
 from numpy.testing import assert_allclose
 from support import METHODS, invented_case
 
-from lampest.files.errors import InputError
+from lampest import CaseResult, InputError, Panel, PressurePlot, Scene, Water, write_results
 from lampest.loads.pressure import pressure_of
-from lampest.panel.panel import Panel
 from lampest.panel.readouts import LoadedColumnsReadout, TwoPointReadout
-from lampest.panel.scene import Scene, Water
 from lampest.report.plots import PLOTS, Plot, picture, plot_of, plot_results
-from lampest.report.plots.contours import PressurePlot
 from lampest.report.plots.maps import RESOLUTION, MapPainter, Tile, banded_scale, change_scale
 from lampest.report.plots.style import change_text, new_figure, save
 from lampest.report.words import digits
-from lampest.runs.case import CaseResult
 from lampest.runs.columns import FRAMES, Column
 from lampest.runs.held import COLUMNS
-from lampest.runs.results import write_results
 
 ADDON = """\
 from dataclasses import dataclass

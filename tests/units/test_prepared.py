@@ -9,14 +9,10 @@ import numpy as np
 import pytest
 
 import lampest
-from lampest import Recording
-from lampest.cost.terms import LogGradient, Misfit
+from lampest import Estimator, InputError, LogGradient, Misfit, ModelCheck, Recording
 from lampest.estimate import prepared as preparation
-from lampest.estimate.estimator import Estimator
-from lampest.estimate.model_check import ModelCheck
 from lampest.estimate.prepared import Prepared
 from lampest.estimate.sequence import reconstruct
-from lampest.files.errors import InputError
 from lampest.report.detect.detection import known_of
 
 STEPS = ("cleaned_together", "estimate_noise", "with_still_cells", "warnings_of")

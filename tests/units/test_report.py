@@ -10,13 +10,11 @@ import numpy as np
 import pytest
 from support import METHODS, invented_case
 
-from lampest.files.errors import InputError
+from lampest import CaseResult, InputError, Results, write_results
 from lampest.report.compare import figures_of
 from lampest.report.detect.pressed import pressed, pressed_of, pressed_table, write_pressed
 from lampest.report.page.compared import Batch, read_batch
 from lampest.report.page.page import report, write_report
-from lampest.runs.case import CaseResult
-from lampest.runs.results import Results, write_results
 
 EMPTY = {"meta", "link", "img", "br"}
 

@@ -6,14 +6,11 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy.optimize import least_squares
 
 import lampest
+from lampest import Array, Readings, Readout, Term
 from lampest.cost.cost import Cost
 from lampest.cost.problem import Data, Evaluation
-from lampest.cost.terms import Term
 from lampest.estimate.sequence import first_stream
 from lampest.panel.least_squares import LevenbergMarquardt, SumOfSquares
-from lampest.panel.panel import Array
-from lampest.panel.readouts import Readout
-from lampest.recording.readings import Readings
 from lampest.solvers.hessian import Hessian
 from lampest.solvers.ipopt.formulations import FORMULATIONS
 from lampest.solvers.ipopt.ipopt import Ipopt, Limits

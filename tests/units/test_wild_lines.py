@@ -11,9 +11,8 @@ import numpy as np
 import pytest
 from wild_board import IDLE, Script, WildBoard, hundred_a_second, wild_board, wire
 
-from lampest import InputError, Panel, Recording, Scene, TwoPointReadout
+from lampest import Faults, InputError, Panel, Recording, Scene, TwoPointReadout
 from lampest.cli.board import report_recorded
-from lampest.panel.conditions import Faults
 from lampest.panel.panel import EachModule, Modules
 from lampest.recording.board import stream
 from lampest.recording.board.protocol import Frame, Hello, message
