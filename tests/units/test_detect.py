@@ -1,8 +1,7 @@
-"""What `lampest detect` is made of: sentences, events, files, what it cannot say, loads at awkward times."""
+"""What `lampest detect` is made of: sentences, events, --json, detections.h5, the timeline, and what it cannot say."""
 
 import dataclasses
 import json
-import pickle
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
@@ -13,21 +12,18 @@ import numpy as np
 import pytest
 from support import invented_case
 
-from lampest import Block, Faults, InputError, OralDisc, Panel, Readout, Recording, Rod, Scene, Shape, Systematic, Water
+from lampest import Block, Faults, InputError, OralDisc, Panel, Recording, Rod, Scene, Systematic, Water
 from lampest.estimate.prepared import Prepared
 from lampest.loads.recognition.attachment import Attachment, continued_by
 from lampest.loads.recognition.breathing import Breath, Breathing
-from lampest.loads.recognition.detector import Detector
 from lampest.loads.recognition.observation import ModelErrors
 from lampest.loads.recognition.pumping import Pumping
 from lampest.panel.readouts import LoadedColumnsReadout, TwoPointReadout
-from lampest.recording.simulation import Cells, Course, Simulation, Unmodelled, simulate
-from lampest.recording.simulation.measure import measured
+from lampest.recording.simulation.simulation import Cells, Course, Simulation, simulate
 from lampest.report.detect.answer import (
     CANNOT_SAY,
     CUP,
     LAMPREY,
-    NOTHING,
     PRESSES,
     SUCKS,
     Detected,
@@ -37,8 +33,6 @@ from lampest.report.detect.answer import (
 )
 from lampest.report.detect.detection import Known, detect_recording, detect_results, known_of, measured_frames
 from lampest.report.info import describe
-from lampest.report.live.run import scan_of
-from lampest.report.live.watcher import Unloaded, Watched
 from lampest.report.plots.timeline import plot_timelines
 from lampest.runs.results import CaseResult, Results, write_results
 
@@ -323,150 +317,3 @@ def test_a_file_that_is_neither_is_refused(tmp_path: Path) -> None:
         file["x"] = 1
     with pytest.raises(InputError, match=r"other\.h5"):
         detect_recording(tmp_path / "other.h5")
-
-
-TWO_POINT = TwoPointReadout(noise_lsb=0.7)
-ROD = Rod(centre_mm=(26, 24), diameter_mm=30, mass_g=500)
-SUCKER = OralDisc(centre_mm=(26, 24), diameter_mm=33, rim_width_mm=5.5, pressure_kpa=-10)
-UNLOADED, KEPT = 5, 0.12
-Visit = tuple[Shape, int, int]  # a load, the first frame with it and the first without it
-
-
-def taken(
-    *courses: Visit, frames: int = 20, readout: Readout = TWO_POINT, side: int = 6, kept: float = KEPT
-) -> Recording:
-    """A frame a second, the first five unloaded; of a load that leaves a film keeps a part."""
-    scene = Scene(Panel(side, side), readout, 140.0 if readout is TWO_POINT else 0.0)
-    rest = simulate(Simulation(1, 5, scene, frames=1)).truth_cell_resistance
-    logarithm = np.zeros((frames, side, side))
-    for load, begin, end in courses:
-        loaded = simulate(Simulation(1, 5, scene, frames=1, loads=(load,))).truth_cell_resistance
-        change = np.log(loaded[-1] / loaded[0])
-        logarithm[max(begin, 0) : end] += change
-        logarithm[end:] += kept * change
-    recorded, _ = measured(scene, rest[0] * np.exp(logarithm), Unmodelled(), 5)
-    role = (np.arange(frames) >= UNLOADED).astype(np.uint8)
-    return Recording(scene, recorded, np.arange(float(frames)), role, name="watched")
-
-
-def answered(recording: Recording) -> Detected:
-    """As `lampest detect` does."""
-    known = known_of(Prepared(recording))
-    assert isinstance(known, Known)
-    return known.answer(measured_frames(recording, known, np.ones(len(recording.time), dtype=bool)))
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("first", [2, 3])
-def test_unloaded_frames_that_something_touched_are_none(first: int) -> None:
-    found = answered(taken((ROD, first, 12)))
-    assert found.answer == CANNOT_SAY and "while its unloaded frames were taken" in found.why
-
-
-def test_what_changes_as_little_as_a_film_settles_is_no_touch() -> None:
-    """A fiftieth of what a rod does."""
-    recording, touched = taken((ROD, 8, 20)), taken((ROD, 2, 20))
-    recording.recorded[2:5] *= (touched.recorded[3] / recording.recorded[0]) ** 0.02
-    assert answered(recording).answer == PRESSES
-
-
-@pytest.mark.slow
-def test_a_load_that_was_there_before_the_first_frame_is_none_that_comes_when_it_leaves() -> None:
-    """What cells show then is like suction."""
-    found = answered(taken((ROD, 0, 10)))
-    assert found.answer == CANNOT_SAY and found.why.endswith("in its unloaded frames, and left at 10.0 s")
-    again = answered(taken((ROD, 0, 10), (SUCKER, 14, 20)))
-    assert again.answer == SUCKS and len(again.attachments) == 1
-
-
-def test_a_load_that_never_leaves_the_unloaded_frames_is_not_nothing() -> None:
-    mouth = OralDisc(centre_mm=(44, 46), diameter_mm=35, rim_width_mm=6, pressure_kpa=-12)
-    recording = taken((mouth, -1, 9), frames=8, side=10)
-    found = answered(recording)
-    assert found.answer == CANNOT_SAY and "may lie on the panel in the unloaded frames" in found.why
-    search = Detector(recording.scene.panel, 6.0).search
-    for seed in range(60):  # uneven by 12 to 25 %, with a faulty cell
-        rng = np.random.default_rng(seed)
-        bare = rng.uniform(0.12, 0.25) * rng.standard_normal((10, 10))
-        bare[3, 4] -= 3.0
-        assert not search.lies_on(8 + bare)
-
-
-def test_an_outlier_in_an_unloaded_frame_does_not_blind(frames: int = 14) -> None:
-    recording = taken((ROD, 7, frames), frames=frames)
-    recording.recorded[2, 1, 1] *= 3
-    known = known_of(Prepared(recording))
-    assert isinstance(known, Known) and np.max(known.watch().test.least()) < 10
-    assert answered(recording).answer == PRESSES
-
-
-def test_what_comes_in_the_last_moment_is_recognised_as_far_as_it_shows() -> None:
-    found = answered(taken((SUCKER, 18, 20)))
-    assert found.answer == SUCKS and found.attachments[0].since_s == 18.0
-    live = Watched("watched").after(news := unloaded(recording := taken((SUCKER, 17, 20))))
-    for frame in range(len(news.scans), 20):
-        live = live.after(scan_of(recording, frame))
-    assert live.detected.answer == CANNOT_SAY and "touched the panel at 17.0 s" in live.detected.why
-
-
-@pytest.mark.slow
-def test_a_load_that_patterns_hardly_see_leaves_as_it_came() -> None:
-    """Pull-ups of 35 kohm: readings change little, and the step of a release is less than that of the touch."""
-    readout = LoadedColumnsReadout(polarity="down", load_ohm=35000, drive_ohm=30, supply_volt=5, noise_lsb=0.7)
-    weak = Rod(centre_mm=(26, 24), diameter_mm=22, mass_g=25)
-    found = answered(taken((weak, 8, 14), readout=readout))
-    assert [one.until_s for one in found.attachments] == [14.0]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("other", [OralDisc(centre_mm=(68, 66), diameter_mm=30, rim_width_mm=5, pressure_kpa=-7), ROD])
-def test_of_two_loads_the_one_that_leaves_is_reported_and_its_memory_is_none(other: Shape) -> None:
-    mouth = OralDisc(centre_mm=(25, 68), diameter_mm=34, rim_width_mm=5.5, pressure_kpa=-10)
-    found = answered(taken((mouth, 8, 30), (other, 16, 50), frames=50, side=10))
-    assert [one.until_s for one in found.attachments] == [30.0, None]
-
-
-@pytest.mark.slow
-def test_a_mouth_that_jumps_has_left_its_place() -> None:
-    places = ((25, 25), (68, 66))
-    first, then = (OralDisc(centre_mm=at, diameter_mm=34, rim_width_mm=5.5, pressure_kpa=-10) for at in places)
-    found = answered(taken((first, 8, 20), (then, 20, 40), frames=40, side=10))
-    assert [one.until_s for one in found.attachments] == [20.0, None]
-    assert all(one.sucks > 0.9 for one in found.attachments)
-    assert found.attachments[1].distance((68, 66)) < 3
-
-
-@pytest.mark.slow
-def test_visits_of_hours_are_seen_once_each_in_flat_memory() -> None:
-    """At a frame a second, while the temperature sways readings by 3 % in two hours."""
-    visits = ((SUCKER, 600, 2400), (ROD, 3000, 4000), (SUCKER, 4600, 5400))
-    recording = taken(*visits, frames=6000, kept=0.0)
-    recording.recorded[:] *= 1 + 0.03 * np.sin(2 * np.pi * recording.time / 7200)[:, None, None]
-    first = {name: getattr(recording, name)[:105] for name in ("recorded", "time", "role")}
-    known = known_of(Prepared(dataclasses.replace(recording, **first)))
-    assert isinstance(known, Known)
-    watch, sizes = known.watch(), list[int]()
-    for value, sigma, time in measured_frames(recording, known, np.ones(len(recording.time), dtype=bool)):
-        watch = watch.push(value, sigma, time)
-        sizes += [len(pickle.dumps(watch.window))] if time % 500 == 0 else []
-    seen = [(one.since_s, one.until_s, one.sucks > 0.5) for one in watch.attachments]
-    assert len(seen) == 3 and [sucks for *_, sucks in seen] == [True, False, True]
-    for (since, until, _), (_, begin, end) in zip(seen, visits, strict=True):
-        assert until is not None and abs(since - begin) <= 2 and abs(until - end) <= 2
-    assert max(sizes[1:]) <= 1.5 * min(sizes[1:])
-
-
-def unloaded(recording: Recording) -> Unloaded:
-    """As live hands them on."""
-    return Unloaded(recording.scene, tuple(scan_of(recording, frame) for frame in range(UNLOADED)))
-
-
-@pytest.mark.slow
-def test_live_takes_a_new_zero_where_the_first_was_touched() -> None:
-    recording = taken((ROD, 3, 8))
-    live = Watched("watched").after(unloaded(recording))
-    assert live.detected.answer == CANNOT_SAY and "unloaded frames" in live.detected.why
-    live = live.after(UNLOADED)
-    for frame in range(10, 20):
-        live = live.after(scan_of(recording, frame))
-    assert live.detected.answer == NOTHING
