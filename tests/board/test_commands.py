@@ -1,22 +1,17 @@
 """The chain through the real commands: ports, record, repair, calibrate, run."""
 
 import os
-import signal
-import subprocess
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import h5py
 import numpy as np
 import pytest
-from board.bench import COMMAND, bench, lampest, loaded_scene, scene, scene_file, some_cells
+from board.bench import bench, lampest, loaded_scene, scene, scene_file, some_cells
 
 from lampest import UNLOADED, Recording, Scene, read_results
 from lampest.files.document import read_document, to_yaml, validated
 
 LAMPREY = Path(__file__).parents[2] / "data" / "lamprey_35mm.h5"
-SOME_BYTES = 200_000  # more than a recording holds before its first frames
 
 
 @pytest.mark.parametrize("wiring", ["two_point", pytest.param("loaded_columns", marks=pytest.mark.slow)])
@@ -45,42 +40,6 @@ def test_from_the_board_to_the_cells(tmp_path: Path, wiring: str) -> None:
     assert case.solved.all() and error <= (0.01 if wiring == "two_point" else 0.02)
     naive = known.circuit.apparent_resistance(recording.recorded[baseline:])
     assert np.median(np.abs(naive / truth[baseline:] - 1)) > 5 * error
-
-
-@contextmanager
-def recording_to(out: Path, folder: Path) -> Iterator["subprocess.Popen[str]"]:
-    """A recorder of a simulated board, once there is more in its file than before the first frames."""
-    with bench(folder, some_cells(np.random.default_rng(9), 1)) as board:
-        words = [str(COMMAND), "record", "--port", board.port, "--out", str(out)]
-        with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
-            try:
-                while not out.exists() or out.stat().st_size < SOME_BYTES:
-                    assert process.poll() is None
-                yield process
-            finally:
-                process.kill()
-
-
-@pytest.mark.slow
-def test_ctrl_c_ends_a_recording_with_130_and_a_clean_file(tmp_path: Path) -> None:
-    with recording_to(tmp_path / "r.h5", tmp_path) as process:
-        process.send_signal(signal.SIGINT)
-        said, complained = process.communicate(timeout=30)
-    assert process.returncode == 130
-    assert "frames, 0 lost" in said and complained.endswith("lampest: interrupted; what was finished is kept\n")
-    assert len(Recording.load(tmp_path / "r.h5").time) >= 1
-
-
-@pytest.mark.slow
-def test_repair_brings_back_what_a_crash_left(tmp_path: Path) -> None:
-    out = tmp_path / "r.h5"
-    with recording_to(out, tmp_path):
-        pass
-    frames = len(Recording.load(out).time)
-    assert frames >= 1
-    for _ in range(2):
-        assert lampest("check", out, "--repair")[0] == f"{frames} frames: {out}\n"
-    assert not [path for path in tmp_path.iterdir() if path.name.endswith(".part")]
 
 
 @pytest.mark.slow

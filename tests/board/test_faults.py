@@ -8,24 +8,14 @@ import time
 from itertools import pairwise
 from pathlib import Path
 
-import h5py
 import numpy as np
 import pytest
-from board.bench import Bench, bench, scene, some_cells
+from board.bench import bench, scene, some_cells
 
 from lampest import InputError, Recording
 from lampest.recording.board.protocol import Frame, Receiver
 from lampest.recording.board.record import Progress, record, repair
 from tests.bodies import frame_body
-
-RECORDER = """
-import sys
-from pathlib import Path
-from lampest.recording.board.record import record
-def tell(progress):
-    print(progress.frames, flush=True)
-print(record(sys.argv[1], Path(sys.argv[2]), on_progress=tell, period=float(sys.argv[3]), baseline=3).frames)
-"""
 
 
 def sent_frames(log: Path) -> list[tuple[Frame, bool]]:
@@ -64,20 +54,6 @@ def check_damaged_line(folder: Path, frames: int, period: float = 0.25) -> tuple
     return len(whole), len(got), wrong
 
 
-def killed_while_recording(folder: Path, board: Bench, after: int) -> tuple[int, Recording]:
-    """Kill a recorder once it has told of `after` frames: how many it had told of by then, and what is left."""
-    out = folder / "killed.h5"
-    out.unlink(missing_ok=True)
-    words = [sys.executable, "-c", RECORDER, board.port, str(out), "0.25"]
-    with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as recorder:
-        told = 0
-        while told < after:
-            told = int(recorder.stdout.readline())
-        recorder.kill()
-        told = max([told, *(int(line) for line in recorder.stdout.read().splitlines()[:-1])])
-    return told, Recording.load(out)
-
-
 @pytest.mark.parametrize(
     "frames", [pytest.param(400, marks=pytest.mark.slow), pytest.param(10_000, marks=pytest.mark.soak)]
 )
@@ -114,23 +90,6 @@ def test_a_board_that_resets_is_set_and_started_again(tmp_path: Path) -> None:
     found = Recording.load(tmp_path / "r.h5")
     assert (done.frames, done.restarts, found.acquisition.session[-1]) == (40, 1, 1)
     assert found.resistance.shape == (40, 5, 5)
-
-
-@pytest.mark.slow
-def test_killed_at_any_moment_every_flushed_frame_is_readable(tmp_path: Path) -> None:
-    with bench(tmp_path, some_cells(np.random.default_rng(9), 1)) as board:
-        for after in (1, 7, 40):
-            told, left = killed_while_recording(tmp_path, board, after)
-            assert len(left.time) >= told
-            assert left.acquisition is not None and left.acquisition.sequence.tolist() == list(range(len(left.time)))
-    out = tmp_path / "killed.h5"
-    frames = len(left.time)
-    assert repair(out) == repair(out) == (frames, 0)
-    with h5py.File(out) as file:
-        assert "lampest_unfinished" not in file.attrs
-    repaired = Recording.load(out)
-    np.testing.assert_array_equal(repaired.resistance, left.resistance)
-    assert repaired.sigma is not None and repaired.role[:3].tolist() == [0, 0, 0]
 
 
 def test_while_it_runs_others_can_read_along_but_not_repair(tmp_path: Path) -> None:

@@ -198,13 +198,19 @@ def test_keys_of_a_run_on_any_page_are_read(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(REPOSITORY)))
-def test_links_lead_somewhere(page: Path) -> None:
-    for target in re.findall(r"\]\(([^)\s]+)\)", page.read_text(encoding="utf-8")):
+def test_links_lead_somewhere_and_paths_that_are_named_exist(page: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+    for target in re.findall(r"\]\(([^)\s]+)\)", text):
         path, _, anchor = target.partition("#")
         if not re.match(r"[a-z]+:", target):
-            there = page if not path else page.parent / path
-            assert there.exists(), f"{page.name}: {target}"
-            assert not anchor or anchor in anchors(there), f"{page.name}: {target}"
+            linked = page if not path else page.parent / path
+            assert linked.exists(), f"{page.name}: {target}"
+            assert not anchor or anchor in anchors(linked), f"{page.name}: {target}"
+    examples = "".join(example.read_text(encoding="utf-8") for example in ADDING)
+    made = set(re.findall(r"^\$ mv \S+ (\S+)$", examples, re.MULTILINE))
+    for path in re.findall(r"(?<![\w/.-])(?:lampest|tests|configs|docs|firmware)/[\w./*-]*\w", text):
+        built = path.startswith("docs/_build/")
+        assert built or path in made or any(REPOSITORY.glob(path)), f"{page.name}: {path}"
 
 
 @pytest.mark.slow
@@ -224,17 +230,6 @@ def anchors(page: Path) -> set[str]:
     """What headings of a page are called in links."""
     headings = re.findall(r"^#+ (.+)$", page.read_text(encoding="utf-8"), flags=re.MULTILINE)
     return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
-
-
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(REPOSITORY)))
-def test_paths_that_are_named_exist(page: Path) -> None:
-    text = page.read_text(encoding="utf-8")
-    made = set(
-        re.findall(r"^\$ mv \S+ (\S+)$", "".join(page.read_text(encoding="utf-8") for page in ADDING), re.MULTILINE)
-    )
-    for path in re.findall(r"(?<![\w/.-])(?:lampest|tests|configs|docs|firmware)/[\w./*-]*\w", text):
-        built = path.startswith("docs/_build/")
-        assert built or path in made or any(REPOSITORY.glob(path)), f"{page.name}: {path}"
 
 
 def test_architecture_names_every_module_once_in_its_room() -> None:
@@ -328,21 +323,12 @@ def names(path: Path) -> str:
 
 
 @pytest.mark.parametrize("page", PROSE, ids=names)
-def test_pages_are_plain(page: Path) -> None:
+def test_pages_are_plain_and_their_sentences_short(page: Path) -> None:
     text = page.read_text(encoding="utf-8")
     prose = re.sub(r"`[^`\n]*`", "", re.sub(r"^```.*?^```", "", text, flags=re.DOTALL | re.MULTILINE))
-    assert not [found[0] for found in NOT_PLAIN.finditer(prose)]
-
-
-@pytest.mark.parametrize("page", PROSE, ids=names)
-def test_sentences_are_short(page: Path) -> None:
-    long = [
-        sentence
-        for paragraph in paragraphs(page.read_text(encoding="utf-8"))
-        for sentence in sentences(paragraph)
-        if len(re.findall(r"\w[\w.'’-]*", sentence)) > MOST_WORDS
-    ]
-    assert not long
+    assert not [match[0] for match in NOT_PLAIN.finditer(prose)]
+    every = (sentence for paragraph in paragraphs(text) for sentence in sentences(paragraph))
+    assert not [sentence for sentence in every if len(re.findall(r"\w[\w.'’-]*", sentence)) > MOST_WORDS]
 
 
 @pytest.mark.parametrize("path", CONFIGS, ids=names)

@@ -193,18 +193,14 @@ def test_a_recording_in_kohm_is_refused(lamprey: Recording) -> None:
         replace(lamprey, recorded=lamprey.recorded / 1000)
 
 
-def test_a_recording_in_one_line(lamprey: Recording) -> None:
-    assert repr(lamprey) == "Recording(lamprey_35mm: 7 frames (3 unloaded) of 10 × 10 cells, 0 to 6 s)"
-
-
 def test_a_list_of_terms_is_as_good_as_a_tuple() -> None:
     assert lampest.Estimator([Misfit()]) == lampest.Estimator((Misfit(),))
 
 
-def test_a_reconstruction_in_one_line(found: Reconstruction) -> None:
-    assert repr(found) == (
-        "Reconstruction(lamprey_35mm: misfit + gradient, reduced, 4 of 4 frames solved, the first: optimum verified)"
-    )
+def test_a_recording_and_a_reconstruction_are_one_line_each(lamprey: Recording, found: Reconstruction) -> None:
+    assert repr(lamprey) == "Recording(lamprey_35mm: 7 frames (3 unloaded) of 10 × 10 cells, 0 to 6 s)"
+    solved = "misfit + gradient, reduced, 4 of 4 frames solved, the first: optimum verified"
+    assert repr(found) == f"Reconstruction(lamprey_35mm: {solved})"
 
 
 def test_a_result_says_what_was_chosen_and_what_speaks_against_it(found: Reconstruction) -> None:

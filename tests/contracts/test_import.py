@@ -97,8 +97,9 @@ BLOCKS = {
     "frame and row": "frame,row,c0,c1,c2,c3,c4\n"
     + "\n".join(f"{n},{row},{line}" for n, frame in enumerate(CODES) for row, line in enumerate(lines(frame))),
 }
-for name in ("ROW{}={}", "R{}: {}", "row {} = {}"):
-    BLOCKS[name] = "\n".join(name.format(row, line) for frame in CODES for row, line in enumerate(lines(frame)))
+for name, sign in (("ROW{}={}", ","), ("R{}: {}", ","), ("row {} = {}", ","), ("R{}:  {}", " ")):
+    rows = ((row, line) for frame in CODES for row, line in enumerate(lines(frame, sign)))
+    BLOCKS[name] = "\n".join(name.format(*row) for row in rows)
 TABLES |= {name: given(text, "one row a line, 3 lines a frame", **AS_CODES) for name, text in BLOCKS.items()}
 for title, times, start in (
     ("Frame {n}, t = {ms} ms", FOUR / 4, None),

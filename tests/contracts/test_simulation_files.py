@@ -109,11 +109,6 @@ def test_cohort_is_thirty_different_lampreys() -> None:
 SIMULATED = sorted(path for path in (ROOT / "data").glob("*.h5") if not path.stem.startswith("insole"))
 
 
-def test_every_configuration_for_a_shipped_recording_reads() -> None:
-    for path in SIMULATED:
-        assert len(read_simulations(ROOT / "configs" / f"{path.stem}.yaml")) == 1
-
-
 def test_a_real_scene_is_the_clean_one_on_another_panel() -> None:
     """The same loads, times and water; one panel for all eight, which the scene does not tell of."""
     panels = set()

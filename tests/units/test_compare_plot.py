@@ -116,11 +116,6 @@ def test_the_table_is_written_as_csv(tmp_path: Path) -> None:
         write_csv(tmp_path / "one.h5" / "table.csv", rows)
 
 
-def test_published_figures_are_checked() -> None:
-    with pytest.raises(ValueError, match="time_s must be zero or positive"):
-        StepFigures(time_s=-1.0)
-
-
 @pytest.mark.parametrize("truth", [True, False])
 @pytest.mark.parametrize(("rows", "columns"), [(10, 10), (5, 12), (1, 8), (8, 1), (1, 1), (2, 2)])
 def test_a_picture_for_every_shape(rows: int, columns: int, truth: bool) -> None:
