@@ -119,7 +119,7 @@ def below(line: str, *further: str) -> str:
     return "\n".join((line, *further))
 
 
-FIRST, FRAMES, SERIES, TWO = "schema: 1", "frames: 2", "  series_resistance_ohm: 140", "schema: 1\nsizes: [3]"
+FIRST, FRAMES, SERIES = "schema: 1", "frames: 2", "  series_resistance_ohm: 140"
 # The command, its file in order, and of each fault: what is replaced by what, line:column of the complaint, its words.
 DOCUMENTS: dict[str, tuple[str, tuple[tuple[str, str, str, str], ...]]] = {
     "run": (
