@@ -219,6 +219,11 @@ def of_cases(
     return Cases(measured, [f"{name} left out: {why}" for name, why in left_out.items()])
 
 
+def named_values(record: Any, *names: str) -> dict[str, Any]:
+    """Return name → value for some attributes of a record."""
+    return {name: getattr(record, name) for name in names}
+
+
 def rows_by(key: Callable[[Any], Any], row: Callable[[Any], Row]) -> Callable[[Iterable[Any]], list[Row]]:
     """Return a function that makes a row of each group of records."""
     return lambda records: [row(own) for own in grouped(records, key).values()]

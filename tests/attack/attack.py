@@ -1,4 +1,4 @@
-"""What an attack is, and how a command is met by one."""
+"""What an attack is, what it is directed at, and how a command is met by one."""
 
 import contextlib
 import io
@@ -9,12 +9,17 @@ import subprocess
 import sys
 import time
 import traceback
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 from unittest import mock
 
 import numpy as np
+from fuzz.batches import write_recording
+from support import invented_case
+
+from lampest.runs.results import write_results
 
 HOUSE = Path(__file__).parents[2]
 MAIN = "from lampest.cli import main; main()"
@@ -82,6 +87,11 @@ class Ended:
     def said(self, fault: str) -> str:
         """The fault with what the command said of it."""
         return f"{fault}: code {self.code}, {self.out[-200:]!r} {self.err[-300:]!r}"
+
+
+def drawn(rng: np.random.Generator, tries: Sequence[Any], count: int) -> Iterator[tuple[int, Any]]:
+    """Some of the tries, each with its number."""
+    yield from ((int(number), tries[number]) for number in rng.permutation(len(tries))[:count])
 
 
 def printable(text: str) -> bool:
@@ -168,3 +178,33 @@ def _awaited(process: "subprocess.Popen[bytes]", deadline: float) -> tuple[int, 
         if time.monotonic() > deadline:
             os.killpg(process.pid, signal.SIGKILL)
         time.sleep(0.01)
+
+
+RUN = "schema: 1\nrecordings: [small.h5]\nestimators: {LSM: {terms: {misfit: {}}, formulation: reduced}}\n"
+SIMULATION = (
+    "schema: 1\nseed: 1\nframes: 2\nbaseline_frames: 1\nscene:\n"
+    "  panel: {rows: 3, columns: 4}\n  readout: {kind: two_point, noise_lsb: 0.7}\n  series_resistance_ohm: 140\n"
+)
+
+
+def small_folder(folder: Path) -> Path:
+    """A folder with small.h5, run.yaml, scene.yaml, simulation.yaml, table.csv and results.h5."""
+    folder.mkdir(parents=True, exist_ok=True)
+    write_recording(folder / "small.h5", 2, 1)
+    (folder / "run.yaml").write_text(RUN)
+    (folder / "simulation.yaml").write_text(SIMULATION)
+    np.savetxt(folder / "table.csv", np.random.default_rng(1).uniform(500, 5000, (6, 4)).round(2), delimiter=",")
+    write_results(folder / "results.h5", [invented_case("LSM", "small", (2, 5, 6))])
+    return folder
+
+
+def everything(folder: Path) -> dict[str, bytes | str]:
+    """What stands in a folder: path → bytes of a file, or what else it is."""
+    found: dict[str, bytes | str] = {}
+    for path in sorted(folder.rglob("*")):
+        name = str(path.relative_to(folder))
+        if path.is_symlink():
+            found[name] = f"a link to {path.readlink()}"
+        else:
+            found[name] = path.read_bytes() if path.is_file() else "no regular file"
+    return found

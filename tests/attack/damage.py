@@ -6,18 +6,13 @@ from typing import Any
 
 import h5py
 import numpy as np
-from attack.attack import HELD, Attack, called, command
-from attack.targets import small_folder
+from attack.attack import HELD, Attack, called, command, small_folder
 from fuzz.mutants import good_recordings, good_results, without_checksums
 from unclosed import unclosed_recording
 
+from lampest import InputError, Panel, Recording, Scene, TwoPointReadout, read_results
 from lampest.files.document import plain_content
-from lampest.files.errors import InputError
-from lampest.panel.readouts import TwoPointReadout
-from lampest.panel.scene import Panel, Scene
 from lampest.recording.board.record import repair
-from lampest.recording.recording import Recording
-from lampest.runs.results import read_results
 
 Reader = Callable[[Path], Any]
 BITS_AT_ONCE = (1, 1, 1, 2, 8)
@@ -182,7 +177,6 @@ def _repaired(path: Path, meant: Recording) -> str:
     except InputError:
         return HELD if path.read_bytes() == left else "repair refused, and changed the file"
     found = Recording.load(path)
-    assert found.acquisition is not None and found.raw_sums is not None and meant.raw_sums is not None
     kept = found.acquisition.sequence
     if frames + dropped != len(meant.time) or len(kept) != frames:
         return f"repair kept {frames} and dropped {dropped} of {len(meant.time)} frames"

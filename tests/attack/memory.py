@@ -8,8 +8,7 @@ from pathlib import Path
 
 import h5py
 import numpy as np
-from attack.attack import HELD, Attack, Ended, command
-from attack.targets import small_folder
+from attack.attack import HELD, Attack, Ended, command, small_folder
 from fuzz.mutants import good_recordings
 
 MEGABYTES, SECONDS = 900, 60  # of a command; with its libraries it has 150, and machines have other things to do

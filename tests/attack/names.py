@@ -6,8 +6,7 @@ from pathlib import Path
 
 import h5py
 import numpy as np
-from attack.attack import HELD, HOUSE, Attack, called, printable
-from attack.targets import small_folder
+from attack.attack import HELD, HOUSE, Attack, called, printable, small_folder
 
 SIGNS = ("\x1b[2J", "\x1b]0;mine\x07", "\r", "\n", "\x9b31m", "\u202e", "\u2028", "\x7f", "\b\b\b", "[bold]", "\udc80")
 

@@ -6,13 +6,11 @@ from typing import Any
 
 import h5py
 import numpy as np
-from attack.attack import HELD, Attack, Ended, called, printable
-from attack.targets import SIMULATION
+from attack.attack import HELD, SIMULATION, Attack, Ended, called, drawn, printable
 from fuzz.batches import write_recording
 from support import invented_case
 
-from lampest.recording.recording import Recording
-from lampest.runs.results import write_results
+from lampest import Recording, write_results
 
 EXTREME = (1e300, 1e-300, 5e-324, -1e300, 1e160, 1e29, 1e-29, 0.0, -0.0, 1e12, np.inf, -np.inf, np.nan)
 # Words of the libraries behind; a user's panel has none of them.
@@ -51,67 +49,61 @@ RUN = (
 )
 
 
+Commands = tuple[tuple[str, ...], ...]
+RUNS: Commands = (("run", "run.yaml", "--jobs", "1", "--out", "out"), ("detect", "out/results.h5"))
+LOOKS: Commands = (("info", "small.h5"), ("calibrate", "small.h5", "--known", "1000"))
+
+
+def _tried(what: str, place: Path, commands: Commands) -> Iterator[str]:
+    """Each of the commands; results are looked at where there are some."""
+    (place / "run.yaml").write_text(RUN)
+    for arguments in commands:
+        if arguments[0] != "detect" or (place / arguments[1]).is_file():
+            fault = sensible(called(*arguments, folder=place))
+            yield f"{what}: {' '.join(arguments)}: {fault}" if fault else HELD
+
+
 def _scenes(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:
     """Scenes and simulations with such numbers: simulated, run, calibrated and looked for loads."""
     tries = [(old, new, value) for old, new in SCENES for value in EXTREME]
-    for number in rng.permutation(len(tries))[:count]:
-        old, new, value = tries[number]
+    for number, (old, new, value) in drawn(rng, tries, count):
         place = folder / f"scene{number}"
         place.mkdir()
         text = SIMULATION.replace(old, new.replace("VALUE", _yaml(value)))
         (place / "small.yaml").write_text(text)
-        (place / "run.yaml").write_text(RUN)
-        commands: list[tuple[str, ...]] = [("simulate", "small.yaml", "--out", "small.h5")]
-        if called(*commands[0], folder=place).code == 0:
-            commands += [
-                ("run", "run.yaml", "--jobs", "1", "--out", "out"),
-                ("detect", "out/results.h5"),
-                ("calibrate", "small.h5", "--known", "1000"),
-                ("info", "small.h5"),
-            ]
-        for arguments in commands:
-            if arguments[0] == "detect" and not (place / "out" / "results.h5").is_file():
-                continue
-            fault = sensible(called(*arguments, folder=place))
-            yield f"{new.splitlines()[-1]} of {value}: {' '.join(arguments)}: {fault}" if fault else HELD
+        simulate = (("simulate", "small.yaml", "--out", "small.h5"),)
+        what = f"{new.splitlines()[-1]} of {value}"
+        yield from _tried(what, place, simulate)
+        yield from _tried(what, place, RUNS + LOOKS if (place / "small.h5").is_file() else ())
 
 
 def _results(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:
     """Results that hold such numbers, in one place or in all."""
     names = ("cell_resistance", "relative_change", "measured", "measured_baseline", "baseline_resistance", "truth",
              "time", "sigma", "sigma_baseline", "reading_model", "objective", "solve_time")  # fmt: skip
+    looks = (("info",), ("compare", "--report", "r.html"), ("plot",), ("plot", "--show", "profiles"), ("detect",))
     tries = [(name, value, whole) for name in names for value in EXTREME for whole in (True, False)]
-    for number in rng.permutation(len(tries))[:count]:
-        name, value, whole = tries[number]
+    for number, (name, value, whole) in drawn(rng, tries, count):
         place = folder / f"results{number}"
         place.mkdir()
         case = invented_case("LSM", "small", (3, 5, 6))
         values: Any = np.array(getattr(case, name) if getattr(case, name) is not None else 0.01 * case.measured)
         if name == "sigma_baseline":
             values = values[0] if values.ndim == 3 else values
-        values[...] = np.where(np.ones(values.shape) if whole else rng.random(values.shape) < 0.1, value, values)
+        values[np.ones(values.shape, bool) if whole else rng.random(values.shape) < 0.1] = value
         try:
             write_results(place / "results.h5", [invented_case("LSM", "small", (3, 5, 6), **{name: values})])
         except ValueError as error:
             yield _words(str(error))
             continue
-        for arguments in (
-            ("info", "results.h5"),
-            ("compare", "results.h5", "--report", "r.html"),
-            ("plot", "results.h5"),
-            ("plot", "results.h5", "--show", "profiles"),
-            ("detect", "results.h5"),
-        ):
-            fault = sensible(called(*arguments, folder=place))
-            where = "all" if whole else "some"
-            yield f"{name} with {where} {value}: {' '.join(arguments)}: {fault}" if fault else HELD
+        commands = tuple((command, "results.h5", *words) for command, *words in looks)
+        yield from _tried(f"{name} with {'all' if whole else 'some'} {value}", place, commands)
 
 
 def _readings(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:
     """Recordings of such readings, σ and times."""
     tries = [(name, value, whole) for name in ("recorded", "sigma", "time") for value in EXTREME for whole in (1, 0)]
-    for number in rng.permutation(len(tries))[:count]:
-        name, value, whole = tries[number]
+    for number, (name, value, whole) in drawn(rng, tries, count):
         place = folder / f"readings{number}"
         place.mkdir()
         write_recording(place / "small.h5", 2, 1)
@@ -119,15 +111,7 @@ def _readings(rng: np.random.Generator, folder: Path, count: int) -> Iterator[st
         values = np.array(good.recorded * 0.01 if name == "sigma" else getattr(good, name), dtype=float)
         values[np.ones(values.shape, bool) if whole else rng.random(values.shape) < 0.2] = value
         _replace(place / "small.h5", "resistance" if name == "recorded" else name, values)
-        (place / "run.yaml").write_text(RUN)
-        commands = [
-            ("info", "small.h5"),
-            ("run", "run.yaml", "--jobs", "1", "--out", "out"),
-            ("calibrate", "small.h5", "--known", "1000"),
-        ]
-        for arguments in commands:
-            fault = sensible(called(*arguments, folder=place))
-            yield f"{name} of {value}: {' '.join(arguments)}: {fault}" if fault else HELD
+        yield from _tried(f"{name} of {value}", place, RUNS[:1] + LOOKS)
 
 
 def _next_to_nothing(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:
@@ -149,13 +133,7 @@ def _next_to_nothing(rng: np.random.Generator, folder: Path, count: int) -> Iter
             text = file["entry/scene"][()].decode()
             del file["entry/scene"]
             file["entry/scene"] = np.bytes_(f"{text}faults: {fault}\n".replace("'", ""))
-        (place / "run.yaml").write_text(RUN)
-        for arguments in (("info", "small.h5"), ("run", "run.yaml", "--jobs", "1", "--out", "out")):
-            ended = called(*arguments, folder=place)
-            yield f"{name}: {' '.join(arguments)}: {fault}" if (fault := sensible(ended)) else HELD
-        if (place / "out" / "results.h5").is_file():
-            ended = called("detect", "out/results.h5", folder=place)
-            yield f"{name}: detect: {fault}" if (fault := sensible(ended)) else HELD
+        yield from _tried(name, place, LOOKS[:1] + RUNS)
 
 
 def sensible(ended: Ended) -> str:

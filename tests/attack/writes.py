@@ -8,8 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
-from attack.attack import HELD, Attack, called
-from attack.targets import everything, small_folder
+from attack.attack import HELD, Attack, called, drawn, everything, small_folder
 
 from lampest import Recording, Scene, TwoPointReadout, two_point_resistance
 from lampest.recording.stored import save_parts
@@ -66,16 +65,13 @@ FILES = tuple(writer for writer in WRITERS if writer[0] not in ("run", "plot", "
 def _no_place(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:
     """'' and / of every command that writes."""
     made = small_folder(folder / "work")
-    tries = [(writer, place) for writer in WRITERS for place in ("", "/")]
-    for index in rng.permutation(len(tries))[:count]:
-        writer, place = tries[index]
+    for _, (writer, place) in drawn(rng, [(writer, place) for writer in WRITERS for place in ("", "/")], count):
         yield _untouched(made, (*writer, place))
 
 
 def _no_file(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:
     """A device, a pipe, a socket, a folder and a link in place of a file: opening them would wait or harm."""
-    made = small_folder(folder / "work")
-    (folder / "precious").write_text("precious")
+    made = _beside_precious(folder, "work")
     os.mkfifo(made / "pipe.h5")
     (made / "folder.h5").mkdir()
     (made / "link.h5").symlink_to(folder / "precious")
@@ -88,9 +84,7 @@ def _no_file(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str
             kinds.append("device")
         except PermissionError:
             pass
-        tries = [(writer, kind) for writer in FILES for kind in kinds]
-        for index in rng.permutation(len(tries))[:count]:
-            writer, kind = tries[index]
+        for _, (writer, kind) in drawn(rng, [(writer, kind) for writer in FILES for kind in kinds], count):
             yield _untouched(made, (*writer, f"{kind}.h5")) or _precious(folder)
 
 
@@ -99,8 +93,7 @@ def _over_inputs(rng: np.random.Generator, folder: Path, count: int) -> Iterator
     made = _inputs(folder / "work")
     shutil.copy(made / "results.h5", made / "detections.h5")
     tries = [(*writer, way) for writer in (*FILES, *OVER_INPUTS) if writer[0] != "record" for way in ("", "./", "hard")]
-    for index in rng.permutation(len(tries))[:count]:
-        *writer, way = tries[index]
+    for index, (*writer, way) in drawn(rng, tries, count):
         place = way + writer[1]
         if way == "hard":
             place = f"again{index}{Path(writer[1]).suffix}"
@@ -112,16 +105,14 @@ def _over_inputs(rng: np.random.Generator, folder: Path, count: int) -> Iterator
 def _own_inputs(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:
     """Every command's output as every one of its inputs, however it is named: none is harmed."""
     tries = [(words, read) for words in TABLES for read in words if "." in read]
-    for index in sorted(rng.permutation(len(tries))[:count]):
-        words, read = tries[index]
+    for index, (words, read) in drawn(rng, tries, count):
         made = _inputs(folder / f"work{index}")
         yield _untouched(made, tuple(read if word == "OUT" else word for word in words), read)
 
 
 def _named_inputs(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:
     """A file that a command reads under the name of one that it would write into its folder."""
-    for index in sorted(rng.permutation(len(FOLDERS))[:count]):
-        words, source, *names = FOLDERS[index]
+    for index, (words, source, *names) in drawn(rng, FOLDERS, count):
         made = _inputs(folder / f"work{index}")
         (made / "OUT").mkdir()
         name = names[0] if names else Path(next(word for word in words if word.startswith("OUT/"))).name
@@ -180,8 +171,7 @@ def _inputs(made: Path) -> Path:
 def _lock_that_is_a_link(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:
     """A run's lock that links to a file which opening it for writing would empty; or that is a pipe."""
     for kind in ("link", "pipe"):
-        made = small_folder(folder / kind)
-        (folder / "precious").write_text("precious")
+        made = _beside_precious(folder, kind)
         (made / "out").mkdir()
         if kind == "link":
             (made / "out" / ".lock").symlink_to(folder / "precious")
@@ -218,8 +208,7 @@ def _parts_of_others(rng: np.random.Generator, folder: Path, count: int) -> Iter
 
 def _results_that_are_links(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:
     """A results file and a picture that are links: what they point at stays as it is."""
-    made = small_folder(folder / "work")
-    (folder / "precious").write_text("precious")
+    made = _beside_precious(folder, "work")
     (made / "out").mkdir()
     (made / "out" / "results.h5").symlink_to(folder / "precious")
     ended = called("run", "run.yaml", "--jobs", "1", "--out", "out", folder=made)
@@ -230,10 +219,14 @@ def _results_that_are_links(rng: np.random.Generator, folder: Path, count: int) 
 
 def _simulation_through_a_link(rng: np.random.Generator, folder: Path, count: int) -> Iterator[str]:
     """A simulation's own `output` that is a link."""
-    made = small_folder(folder / "work")
-    (folder / "precious").write_text("precious")
+    made = _beside_precious(folder, "work")
     (made / "simulation.h5").symlink_to(folder / "precious")
     yield _untouched(made, ("simulate", "simulation.yaml")) or _precious(folder)
+
+
+def _beside_precious(folder: Path, name: str) -> Path:
+    (folder / "precious").write_text("precious")
+    return small_folder(folder / name)
 
 
 def _precious(folder: Path) -> str:

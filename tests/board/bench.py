@@ -1,12 +1,13 @@
-"""The simulated board for the tests: built by firmware/Makefile, driven by a truth, behind a pseudo-terminal."""
+"""The simulated board for the tests: built by firmware/Makefile, driven by a truth; the real command."""
 
 import fcntl
 import json
+import os
 import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -14,8 +15,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lampest import LoadedColumnsReadout, Panel, Scene, TwoPointReadout
-from lampest.panel.panel import Array
+from lampest import Array, LoadedColumnsReadout, Panel, PublishedResponse, Scene, TwoPointReadout
+from lampest.files.document import to_yaml
 
 FIRMWARE = Path(__file__).parents[2] / "firmware"
 MULTIPLEXER_OHM = 70.0
@@ -71,7 +72,6 @@ def bench(
     with subprocess.Popen(
         [str(word) for word in words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     ) as process:
-        assert process.stdout is not None
         if not process.stdout.readline().startswith("port "):
             pytest.fail(process.communicate()[1], pytrace=False)
         running = Bench(str(folder / "port"), process)
@@ -97,3 +97,29 @@ def loaded_scene(rows: int = 10, columns: int = 10, readings: int = 20, **change
 def some_cells(rng: np.random.Generator, frames: int, rows: int = 10, columns: int = 10) -> Array:
     """Pressed and stretched cells around 3 kΩ, another set in every frame."""
     return np.exp(rng.normal(np.log(3050), 0.4, (frames, rows, columns)))
+
+
+COMMAND = Path(sys.executable).with_name("lampest")
+ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+
+
+def lampest(*words: object, code: int = 0) -> tuple[str, str]:
+    """Standard output and error of a command that ends with `code`."""
+    done = subprocess.run(
+        [str(COMMAND), *(str(word) for word in words)],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        env=os.environ | ONE_THREAD,
+        stdin=subprocess.DEVNULL,
+    )
+    assert done.returncode == code, f"{done.returncode}: {done.stdout}{done.stderr}"
+    return done.stdout, done.stderr
+
+
+def scene_file(folder: Path, rows: int = 10, columns: int = 10, readings: int = 20, **changes: float) -> Path:
+    """The simulated board's scene as YAML."""
+    path = folder / "scene.yaml"
+    made = scene(rows, columns, readings, **changes)
+    path.write_text(to_yaml(replace(made, response=PublishedResponse())))
+    return path

@@ -102,7 +102,6 @@ def browser(folder: Path, width: int = 1280, height: int = 1000) -> Iterator[Bro
 
 def listening_port(process: "subprocess.Popen[str]") -> int:
     """The port that chromedriver says it was given."""
-    assert process.stdout is not None
     for line in process.stdout:
         if "started successfully on port" in line:
             return int(line.rsplit(" ", 1)[1].strip().rstrip("."))

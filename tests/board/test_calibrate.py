@@ -5,12 +5,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from board.bench import bench, loaded_scene, scene, some_cells
-from board.commands import lampest
+from board.bench import bench, lampest, loaded_scene, scene, some_cells
 
-from lampest import Misfit, Recording, Scene
+from lampest import Estimator, Misfit, Recording, Scene
 from lampest.estimate.calibration.resistors import ResistorCalibration, calibrate_resistors
-from lampest.estimate.estimator import Estimator
 from lampest.estimate.sequence import reconstruct
 from lampest.files.document import read_document, to_yaml, validated
 from lampest.recording.board.record import record

@@ -1,46 +1,45 @@
 """The chain through the real commands: ports, record, repair, calibrate, run."""
 
 import os
-import signal
-import subprocess
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
-from board.bench import bench, some_cells
-from board.commands import COMMAND, lampest, scene_file
+from board.bench import bench, lampest, loaded_scene, scene, scene_file, some_cells
 
-from lampest import Recording, Scene, read_results
-from lampest.files.document import read_document, validated
-from lampest.recording.recording import UNLOADED
+from lampest import UNLOADED, Recording, Scene, read_results
+from lampest.files.document import read_document, to_yaml, validated
 
 LAMPREY = Path(__file__).parents[2] / "data" / "lamprey_35mm.h5"
-SOME_BYTES = 200_000  # more than a recording holds before its first frames
-RUN = """\
-schema: 1
-recordings: [r.h5]
-estimators: {LSM: {terms: {misfit: {}}}}
-formulation: reduced
-"""
 
 
-def test_from_the_board_to_the_cells(tmp_path: Path) -> None:
+@pytest.mark.parametrize("wiring", ["two_point", pytest.param("loaded_columns", marks=pytest.mark.slow)])
+def test_from_the_board_to_the_cells(tmp_path: Path, wiring: str) -> None:
+    """The shipped lamprey: record → a file in ohm or volt → run → the truth."""
     shipped = Recording.load(LAMPREY)
-    truth = shipped.truth_cell_resistance
-    assert truth is not None
-    baseline = int(np.sum(shipped.role == UNLOADED))
-    out, scene = tmp_path / "r.h5", scene_file(tmp_path)
-    with bench(tmp_path, truth) as board:
-        words = ("--port", board.port, "--out", out, "--scene", scene, "--baseline", baseline)
+    truth, baseline = shipped.truth_cell_resistance, int(np.sum(shipped.role == UNLOADED))
+    out, known = tmp_path / "r.h5", scene() if wiring == "two_point" else loaded_scene()
+    (tmp_path / "scene.yaml").write_text(to_yaml(known))
+    with bench(tmp_path, truth, wiring=wiring) as board:
+        words = ("--port", board.port, "--out", out, "--scene", tmp_path / "scene.yaml", "--baseline", baseline)
         said, complained = lampest("record", *words, "--count", len(truth))
     assert said.startswith(f"{len(truth)} frames, 0 lost, 0 restarts of the board, noise of one reading 0.")
-    assert complained == ""
-    (tmp_path / "run.yaml").write_text(RUN)
-    lampest("run", tmp_path / "run.yaml", "--out", tmp_path / "results")
-    found = read_results(tmp_path / "results" / "results.h5").cases[0]
-    assert found.solved.all()
-    assert np.median(np.abs(found.cell_resistance / truth[baseline:] - 1)) <= 0.01
-    assert "frames     24: 3 unloaded, 21 measured" in lampest("info", out)[0]
+    assert complained == "" and "frames     24: 3 unloaded, 21 measured" in lampest("info", out)[0]
+    group, signal, unit = ("two_point", "resistance", "ohm") if wiring == "two_point" else ("readings", "volt", "volt")
+    with h5py.File(out) as file:
+        assert file["entry"].attrs["default"].decode() == group
+        assert file[f"entry/{group}"].attrs["signal"].decode() == signal
+        assert file[f"entry/{group}/{signal}"].attrs["units"].decode() == unit
+    recording = Recording.load(out)
+    assert recording.scene == known
+    (tmp_path / "run.yaml").write_text("schema: 1\nrecordings: [r.h5]\nestimators: {LSM: {terms: {misfit: {}}}}\n")
+    lampest("run", tmp_path / "run.yaml", "--out", tmp_path / "results", "--set", "formulation=reduced")
+    (case,) = read_results(tmp_path / "results" / "results.h5").cases
+    error = np.median(np.abs(case.cell_resistance / truth[baseline:] - 1))
+    assert case.solved.all() and error <= (0.01 if wiring == "two_point" else 0.02)
+    naive = known.circuit.apparent_resistance(recording.recorded[baseline:])
+    assert np.median(np.abs(naive / truth[baseline:] - 1)) > 5 * error
 
 
 @pytest.mark.slow
@@ -96,40 +95,6 @@ def test_known_resistors_that_are_none(tmp_path: Path, known: str, sentence: str
     _, complained = lampest("calibrate", LAMPREY, "--known", known, "--out", tmp_path / "s.yaml", code=2)
     assert sentence in complained and complained.count("\n") == 1
     assert not (tmp_path / "s.yaml").exists()
-
-
-@pytest.mark.slow
-def test_ctrl_c_ends_a_recording_with_130_and_a_clean_file(tmp_path: Path) -> None:
-    out = tmp_path / "r.h5"
-    with bench(tmp_path, some_cells(np.random.default_rng(9), 1)) as board:
-        words = [str(COMMAND), "record", "--port", board.port, "--out", str(out)]
-        with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
-            try:
-                while not out.exists() or out.stat().st_size < SOME_BYTES:
-                    assert process.poll() is None
-                process.send_signal(signal.SIGINT)
-                said, complained = process.communicate(timeout=30)
-            finally:
-                process.kill()
-    assert process.returncode == 130
-    assert "frames, 0 lost" in said and complained.endswith("lampest: interrupted; what was finished is kept\n")
-    assert len(Recording.load(out).time) >= 1
-
-
-@pytest.mark.slow
-def test_repair_brings_back_what_a_crash_left(tmp_path: Path) -> None:
-    out = tmp_path / "r.h5"
-    with bench(tmp_path, some_cells(np.random.default_rng(9), 1)) as board:
-        words = [str(COMMAND), "record", "--port", board.port, "--out", str(out)]
-        with subprocess.Popen(words, stdout=subprocess.DEVNULL) as process:
-            while not out.exists() or out.stat().st_size < SOME_BYTES:
-                assert process.poll() is None
-            process.kill()
-    frames = len(Recording.load(out).time)
-    assert frames >= 1
-    for _ in range(2):
-        assert lampest("check", out, "--repair")[0] == f"{frames} frames: {out}\n"
-    assert not [path for path in tmp_path.iterdir() if path.name.endswith(".part")]
 
 
 @pytest.mark.parametrize(

@@ -11,17 +11,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from board.bench import bench
+from board.bench import COMMAND, ONE_THREAD, bench, scene_file
 from board.browser import Browser, browser
-from board.commands import COMMAND, ONE_THREAD, scene_file
 from matplotlib.image import imread
 
 from docs.studies.attachments import cells as mouth_cells
 from docs.studies.attachments import courses
 from docs.studies.mouth_scenes import MAKERS, film
-from lampest import Panel, Recording
-from lampest.panel.panel import Array
-from lampest.recording.recording import UNLOADED
+from lampest import UNLOADED, Array, Panel, Recording
 
 ROOT = Path(__file__).parents[2]
 RING, LAMPREY = ROOT / "data" / "ring.h5", ROOT / "data" / "lamprey_35mm.h5"
@@ -49,7 +46,6 @@ def live(folder: Path, *words: object) -> Iterator[tuple[Browser, "subprocess.Po
             env=os.environ | ONE_THREAD,
         ) as process,
     ):
-        assert process.stdout is not None and process.stderr is not None
         line = process.stdout.readline()
         if not line:
             pytest.fail(process.stderr.read(), pytrace=False)
@@ -66,7 +62,6 @@ def live(folder: Path, *words: object) -> Iterator[tuple[Browser, "subprocess.Po
 def truth_of(path: Path) -> tuple[Array, int]:
     """True cells of all frames (frames, rows, columns) and how many of them are unloaded."""
     recording = Recording.load(path)
-    assert recording.truth_cell_resistance is not None
     return recording.truth_cell_resistance, int(np.sum(recording.role == UNLOADED))
 
 
@@ -94,7 +89,6 @@ def test_a_user_sees_the_ring(tmp_path: Path) -> None:
     """A ring of 27 to 35 mm: 11.5 N under eight cells around four that carry nothing."""
     cells, unloaded = truth_of(RING)
     pressure = Recording.load(RING).truth_pressure
-    assert pressure is not None
     with (
         bench(tmp_path, cells, "--real-time", period=0.25) as board,
         live(
@@ -231,7 +225,7 @@ def test_an_unplugged_board_is_waited_for_and_every_frame_is_recorded(tmp_path: 
             lambda text: text in ("lampest has ended", "no connection to lampest; trying again"),
         )
         assert process.wait(20) == 130
-        assert "frames, " in process.stdout.read()  # type: ignore[union-attr]
+        assert "frames, " in process.stdout.read()
         window.complaints()
     found = Recording.load(out)
     assert found.acquisition is not None and found.acquisition.session[-1] >= 1
@@ -317,7 +311,6 @@ def thirty_frames_a_second(folder: Path, seconds: float) -> int:
         window.complaints()
         figures = board.stop()
     found = Recording.load(folder / "r.h5")
-    assert found.acquisition is not None
     lost, missed = int(found.acquisition.lost.sum()), int(found.acquisition.missed.sum())
     print(
         f"\n{len(found.time)} frames, {found.time[-1]:.1f} s of board time, {lost} lost, {missed} missed; at frame "
@@ -334,11 +327,8 @@ def test_a_missing_browser_is_named_in_one_sentence(tmp_path: Path, monkeypatch:
         pass
 
 
-@pytest.mark.slow
-def test_five_seconds_at_thirty_frames_a_second_with_the_page_open(tmp_path: Path) -> None:
-    assert thirty_frames_a_second(tmp_path, 5) == 150
-
-
-@pytest.mark.soak
-def test_ten_minutes_at_thirty_frames_a_second_with_the_page_open(tmp_path: Path) -> None:
-    assert thirty_frames_a_second(tmp_path, 600) == 18_000
+@pytest.mark.parametrize(
+    "seconds", [pytest.param(5, marks=pytest.mark.slow), pytest.param(600, marks=pytest.mark.soak)]
+)
+def test_thirty_frames_a_second_with_the_page_open(tmp_path: Path, seconds: int) -> None:
+    assert thirty_frames_a_second(tmp_path, seconds) == 30 * seconds

@@ -49,8 +49,8 @@ class Inbox(ctypes.Structure):
 
 
 @cache
-def c() -> ctypes.CDLL:
-    library = ctypes.CDLL(str(built() / "libprotocol.so"))
+def c(wiring: str = "two_point") -> ctypes.CDLL:
+    library = ctypes.CDLL(str(built(wiring) / "libprotocol.so"))
     library.lampest_crc16.restype = ctypes.c_uint16
     library.lampest_start_settings.restype = Settings
     for name in ("lampest_receive", "lampest_command", "lampest_hello"):

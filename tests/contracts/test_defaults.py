@@ -19,10 +19,9 @@ PENALTIES = [kind for name, kind in lampest.term_types().items() if name not in 
 @pytest.fixture(scope="module")
 def few() -> Recording:
     """The lamprey's unloaded frames and two later ones."""
-    recording = lampest.datasets.load("lamprey_35mm")
+    whole, chosen = lampest.datasets.load("lamprey_35mm"), [0, 1, 2, 14, 15]
     parts = ("recorded", "time", "role", "truth_cell_resistance", "truth_pressure")
-    chosen = [0, 1, 2, 14, 15]
-    return replace(recording, raw_sums=None, **{part: getattr(recording, part)[chosen] for part in parts})
+    return replace(whole, raw_sums=None, **{part: getattr(whole, part)[chosen] for part in parts})
 
 
 @pytest.mark.parametrize("kind", PENALTIES, ids=lambda kind: kind.__name__)

@@ -2,8 +2,11 @@
 
 Every page of docs/howto/adding is played in a copy of the house: a block that begins with a path is written to
 it, a diff is applied, what follows a dollar sign is typed, and what it answers must stand below, with ... for any text.
+
+Text for people is plain: pages, README and CHANGELOG, comments of the shipped YAML, messages and docstrings.
 """
 
+import ast
 import doctest
 import os
 import re
@@ -195,13 +198,19 @@ def test_keys_of_a_run_on_any_page_are_read(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(REPOSITORY)))
-def test_links_lead_somewhere(page: Path) -> None:
-    for target in re.findall(r"\]\(([^)\s]+)\)", page.read_text(encoding="utf-8")):
+def test_links_lead_somewhere_and_paths_that_are_named_exist(page: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+    for target in re.findall(r"\]\(([^)\s]+)\)", text):
         path, _, anchor = target.partition("#")
         if not re.match(r"[a-z]+:", target):
-            there = page if not path else page.parent / path
-            assert there.exists(), f"{page.name}: {target}"
-            assert not anchor or anchor in anchors(there), f"{page.name}: {target}"
+            linked = page if not path else page.parent / path
+            assert linked.exists(), f"{page.name}: {target}"
+            assert not anchor or anchor in anchors(linked), f"{page.name}: {target}"
+    examples = "".join(example.read_text(encoding="utf-8") for example in ADDING)
+    made = set(re.findall(r"^\$ mv \S+ (\S+)$", examples, re.MULTILINE))
+    for path in re.findall(r"(?<![\w/.-])(?:lampest|tests|configs|docs|firmware)/[\w./*-]*\w", text):
+        built = path.startswith("docs/_build/")
+        assert built or path in made or any(REPOSITORY.glob(path)), f"{page.name}: {path}"
 
 
 @pytest.mark.slow
@@ -221,17 +230,6 @@ def anchors(page: Path) -> set[str]:
     """What headings of a page are called in links."""
     headings = re.findall(r"^#+ (.+)$", page.read_text(encoding="utf-8"), flags=re.MULTILINE)
     return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
-
-
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(REPOSITORY)))
-def test_paths_that_are_named_exist(page: Path) -> None:
-    text = page.read_text(encoding="utf-8")
-    made = set(
-        re.findall(r"^\$ mv \S+ (\S+)$", "".join(page.read_text(encoding="utf-8") for page in ADDING), re.MULTILINE)
-    )
-    for path in re.findall(r"(?<![\w/.-])(?:lampest|tests|configs|docs|firmware)/[\w./*-]*\w", text):
-        built = path.startswith("docs/_build/")
-        assert built or path in made or any(REPOSITORY.glob(path)), f"{page.name}: {path}"
 
 
 def test_architecture_names_every_module_once_in_its_room() -> None:
@@ -273,3 +271,92 @@ def test_the_readouts_page_has_every_kind_and_its_drawings() -> None:
     assert len(kinds) >= 4 and all(f"kind: {kind}" in page for kind in kinds)
     drawings = re.findall(r"\]\((circuits/\w+\.svg)\)", page)
     assert drawings and all((READOUTS.parent / drawing).is_file() for drawing in drawings)
+
+
+SCRIPTS = sorted((Path(__file__).parents[2] / "docs/examples").glob("plot_*.py"))
+
+
+def test_there_are_ten() -> None:
+    assert len(SCRIPTS) == 10
+
+
+@pytest.mark.parametrize("script", SCRIPTS, ids=lambda path: path.stem)
+def test_script_is_short_and_public(script: Path) -> None:
+    text = script.read_text(encoding="utf-8")
+    assert len(text.splitlines()) < 40
+    assert not re.search(r"from lampest\.|import lampest\.", text)
+
+
+PROSE = sorted(
+    path
+    for path in [*REPOSITORY.glob("*.md"), *(REPOSITORY / "docs").rglob("*.md"), REPOSITORY / "paper/paper.md"]
+    if "_build" not in path.parts and path.name not in ("licences.md", "CODE_OF_CONDUCT.md")
+)
+CONFIGS = sorted((REPOSITORY / "configs").glob("*.yaml"))
+CODE = sorted((REPOSITORY / "lampest").rglob("*.py"))
+NOT_PLAIN = re.compile(
+    r"\b(un?told|says nothing of|leaps?|leapt|torn|bends|gropes?|groping|what [^.,;:|\[]{1,40} what)\b",
+    re.IGNORECASE,
+)
+NAMES = "fro,numer,tung,wakin"  # people, journals, and "to and fro"
+MOST_WORDS = 25  # of a sentence of a page
+
+
+def paragraphs(page: str) -> Iterator[str]:
+    """Running text of a page in Markdown: no code, tables, headings, directives and formulas."""
+    text = re.sub(r"\A---\n.*?\n---\n", "", page, flags=re.DOTALL)
+    text = re.sub(r"^( *)(```|:::+|~~~).*?^\1\2\s*$", "", text, flags=re.DOTALL | re.MULTILINE)
+    text = re.sub(r"\$\$.*?\$\$|<!--.*?-->", "", text, flags=re.DOTALL)
+    for block in re.split(r"\n\s*\n|\n(?=\s*[-*] |\s*\d+\. |\|)", text):
+        if block.strip() and not re.match(r"\s*\||#| {4}|!\[", block.lstrip("\n")):
+            yield " ".join(block.split())
+
+
+def sentences(paragraph: str) -> Iterator[str]:
+    """Its sentences; code and the targets of links count as one word."""
+    plain = re.sub(r"\]\([^)]*\)", "]", re.sub(r"`[^`]*`", "code", paragraph))
+    yield from re.split(r"(?<=[.!?])\s+(?=[^a-z]|lampest\b|code\b)|(?<=[;:])\s+", plain)
+
+
+def names(path: Path) -> str:
+    return str(path.relative_to(REPOSITORY))
+
+
+@pytest.mark.parametrize("page", PROSE, ids=names)
+def test_pages_are_plain_and_their_sentences_short(page: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+    prose = re.sub(r"`[^`\n]*`", "", re.sub(r"^```.*?^```", "", text, flags=re.DOTALL | re.MULTILINE))
+    assert not [match[0] for match in NOT_PLAIN.finditer(prose)]
+    every = (sentence for paragraph in paragraphs(text) for sentence in sentences(paragraph))
+    assert not [sentence for sentence in every if len(re.findall(r"\w[\w.'’-]*", sentence)) > MOST_WORDS]
+
+
+@pytest.mark.parametrize("path", CONFIGS, ids=names)
+def test_comments_of_configurations_are_plain(path: Path) -> None:
+    comments = "\n".join(re.findall(r"(?:^|\s)#(.*)$", path.read_text(encoding="utf-8"), flags=re.MULTILINE))
+    assert not [found[0] for found in NOT_PLAIN.finditer(comments)]
+
+
+def test_messages_and_docstrings_are_plain() -> None:
+    found = [
+        f"{names(path)}:{node.lineno}: {word[0]}"
+        for path in CODE
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.Constant) and isinstance(node.value, str) and " " in node.value
+        for word in NOT_PLAIN.finditer(node.value)
+    ]
+    assert not found
+
+
+def test_every_word_is_spelt_right() -> None:
+    pages = ["README.md", "CHANGELOG.md", "CONTRIBUTING.md", "firmware/README.md"]
+    options = ["--ignore-words-list", NAMES, "--skip", "*_build*,*.svg,*.bib"]
+    command = [sys.executable, "-m", "codespell_lib", *options, "lampest", "docs", "configs", "paper", *pages]
+    done = subprocess.run(command, cwd=REPOSITORY, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout
+
+
+def test_the_list_finds_what_it_should() -> None:
+    assert NOT_PLAIN.search("the scene is told of it") is None or NOT_PLAIN.search("an untold error")
+    assert NOT_PLAIN.search("readings that leap") and not NOT_PLAIN.search("a bending moment")
+    assert list(sentences("One. Two `a. b` is here: Three.")) == ["One.", "Two code is here:", "Three."]

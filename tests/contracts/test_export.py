@@ -252,28 +252,6 @@ def test_nwb_is_what_pynwb_reads(lampest: Run, results: Path) -> None:
     session.read_io.close()
 
 
-@pytest.mark.parametrize(
-    ("words", "sentence"),
-    [
-        (("--to", "xlsx"), "there is no format 'xlsx'; there are csv, parquet, mat, zarr, nwb"),
-        (("--to", "nwb"), "an NWB file is one session: choose with --recording one of mouth, other"),
-        (("--to", "nwb", "--recording", "other"), "other says it nowhere: give it with --start"),
-        (("--to", "nwb", "--recording", "other", "--start", "2026-05-04T09:30"), "without a zone"),
-        (("--to", "csv", "--start", "yesterday"), "'yesterday' is no date and time"),
-        (("--to", "csv", "--start", "2026-05-05"), f"mouth says itself that it began at {START}"),
-        (("--to", "csv", "--recording", "third"), "no recording is called 'third'; there are mouth, other"),
-        (("--to", "csv", "--out", "r.h5"), "r.h5: is an input; give the output another name"),
-    ],
-)
-def test_wrong_input_of_export_is_one_sentence(
-    lampest: Run, results: Path, monkeypatch: pytest.MonkeyPatch, words: Any, sentence: str
-) -> None:
-    monkeypatch.chdir(results.parent)
-    done = lampest("export", "r.h5", *words)
-    assert done.code == 2 and sentence in done.err and done.err.count("\n") == 1
-    assert [path.name for path in results.parent.iterdir()] == ["r.h5"], "nothing is written"
-
-
 def test_a_start_that_is_given_is_kept(lampest: Run, results: Path) -> None:
     from pynwb import read_nwb
 

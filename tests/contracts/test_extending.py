@@ -2,8 +2,6 @@
 
 import os
 import shutil
-import subprocess
-import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -16,8 +14,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import lampest
 from lampest import Gradient, LogGradient, Misfit, Panel, Recording, Scene, Simulation
+from tests.small_files import run_command
 
-COMMAND = Path(sys.executable).with_name("lampest")
 EXTENSIONS = Path(__file__).with_name("extensions.py")
 ELLIPSE = Ellipse(centre_mm=(25.0, 20.0), long_mm=40.0, short_mm=20.0, pressure_kpa=15.0)
 GROUPS = {
@@ -88,7 +86,6 @@ def test_a_readout_joins_with_one_file_and_one_name() -> None:
     readout = Divider(load_ohm=5000.0, readings=100)
     recording = simulated(readout)
     truth = recording.truth_cell_resistance
-    assert truth is not None
     found = lampest.reconstruct(recording, [Misfit(weighting="noise")], formulation="reduced")
     assert np.median(np.abs(found.cell_resistance / truth[3:] - 1)) < 0.05
     given = lampest.LoadedColumnsReadout(load_ohm=5000.0, drive_ohm=100.0, readings=100)
@@ -127,17 +124,15 @@ def test_a_method_joins_with_one_file_and_one_name(recording: Recording) -> None
     assert set(once.status) == {"approximate, as the formulation asks; not an optimum"}
 
 
-def test_a_shape_joins_with_one_file_and_one_name(recording: Recording) -> None:
-    contact, _ = ELLIPSE.mean_pressure(recording.scene.panel, 6.0)
-    assert recording.truth_pressure is not None and contact.max() == pytest.approx(15)
-    assert_allclose(recording.truth_pressure[-1], contact)
-
-
 def test_a_column_joins_with_one_file_and_one_name(recording: Recording, tmp_path: Path) -> None:
     found = lampest.reconstruct(recording, [Misfit()], formulation="reduced")
     found.save(tmp_path / "r.h5", "mine", columns=[CONTRAST])
     wanted = found.cell_resistance.max(axis=(1, 2)) / found.cell_resistance.min(axis=(1, 2))
     (case,) = lampest.read_results(tmp_path / "r.h5", [CONTRAST]).cases
+    (bare,) = lampest.read_results(tmp_path / "r.h5").cases
+    assert not bare.extra, "without its column nobody knows what it is"
+    with h5py.File(tmp_path / "r.h5") as file:
+        assert file["entry/ellipse/mine/contrast"].attrs["units"] == b"1"
     assert_array_equal(case.extra["contrast"], wanted)
     for dataset in (found.to_xarray([CONTRAST]), case.to_xarray([CONTRAST])):
         assert_array_equal(dataset["contrast"], wanted)
@@ -173,9 +168,7 @@ def test_a_package_brings_all_of_them_to_yaml(tmp_path: Path) -> None:
     environment = installed(tmp_path, GROUPS)
 
     def command(*arguments: str) -> str:
-        ended = subprocess.run(
-            [COMMAND, *arguments], capture_output=True, text=True, timeout=120, cwd=tmp_path, env=environment
-        )
+        ended = run_command(*arguments, cwd=tmp_path, env=environment)
         assert (ended.returncode, ended.stderr) == (0, ""), arguments
         return ended.stdout
 
@@ -219,7 +212,6 @@ def test_a_package_brings_all_of_them_to_yaml(tmp_path: Path) -> None:
 def test_what_a_package_names_wrongly_is_one_sentence(tmp_path: Path, groups: dict[str, str], sentence: str) -> None:
     environment = installed(tmp_path, groups)
     (tmp_path / "run.yaml").write_text(RUN)
-    arguments = [COMMAND, "run", "run.yaml"]
-    ended = subprocess.run(arguments, capture_output=True, text=True, timeout=60, cwd=tmp_path, env=environment)
+    ended = run_command("run", "run.yaml", cwd=tmp_path, env=environment)
     assert ended.returncode == 2 and ended.stderr.startswith(f"lampest: {sentence}"), ended.stderr
     assert ended.stderr.count("\n") == 1

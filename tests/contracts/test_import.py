@@ -1,487 +1,557 @@
-"""Foreign measurements: every format gives the same frames, every fault is one sentence with its place."""
+"""Tables of text as people have them: frames, times and sentences, or a refusal with its place."""
 
-import os
-from collections.abc import Callable
-from dataclasses import dataclass
+import itertools
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, ClassVar
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
-import scipy.io
-
-from lampest import (
-    Bounds,
-    InputError,
-    Layout,
-    Misfit,
-    Panel,
-    Recording,
-    Scene,
-    SeriesPerLine,
-    TwoPointReadout,
-    VirtualGroundReadout,
-    import_file,
-    read_scene,
-    reconstruct,
+from contracts.imports import (
+    CODES,
+    COLUMNS,
+    DIVIDER,
+    FRAMES,
+    LOADED,
+    ROWS,
+    VOLT_OF_CODES,
+    check_refused,
+    check_taken,
+    given,
+    lines,
+    names,
 )
 
-FRAMES = np.random.default_rng(7).uniform(250, 600, (4, 3, 5)).round(3)
-ROWS, COLUMNS = 3, 5
-SCENE = Scene(Panel(ROWS, COLUMNS), TwoPointReadout(), 140.0)
+from lampest import InputError, Scene, import_file
+
+AS_CODES: dict[str, Any] = {"scene": LOADED, "expected": VOLT_OF_CODES}
+WIDE = FRAMES.reshape(4, -1)
+FOUR = np.arange(4)
 
 
-def table(path: Path, values: np.ndarray, delimiter: str = ",", header: str = "", **options: str) -> Path:
-    np.savetxt(path, values, delimiter=delimiter, header=header, comments="", fmt="%.6f", **options)
-    return path
+def with_nan(values: np.ndarray, *places: tuple[Any, ...]) -> np.ndarray:
+    holes = values.astype(float)
+    for place in places:
+        holes[place] = np.nan
+    return holes
 
 
-def long_table(frames: np.ndarray, first: int = 0, frame: bool = True, swap: bool = False) -> np.ndarray:
-    index = np.indices(frames.shape).reshape(3, -1)
-    row, column = (index[2], index[1]) if swap else (index[1], index[2])
-    fields = [row + first, column + first, frames.ravel()] + [index[0]] * frame
-    return np.column_stack(fields)
+TABLES: dict[str, SimpleNamespace] = {}
+REFUSED: dict[str, SimpleNamespace] = {}
 
+# What a terminal shows of a board.
 
-@pytest.mark.parametrize("delimiter", [",", ";", "\t", " ", "   "])
-@pytest.mark.parametrize("header", [False, True])
-@pytest.mark.parametrize("time", [False, True])
-def test_a_table_of_one_frame_a_line_is_read(tmp_path: Path, delimiter: str, header: bool, time: bool) -> None:
-    values = FRAMES.reshape(4, -1)
-    names = ["time"] * time + [f"r{row}c{column}" for row in range(3) for column in range(5)]
-    if time:
-        values = np.column_stack([[0, 0.5, 1.25, 2], values])
-    path = table(tmp_path / "m.csv", values, delimiter, delimiter.join(names) if header else "")
-    recording, notes = import_file(path, ROWS, COLUMNS, baseline_frames=1)
-    np.testing.assert_allclose(recording.resistance, FRAMES)
-    np.testing.assert_array_equal(recording.time, [0, 0.5, 1.25, 2] if time else np.arange(4))
-    np.testing.assert_array_equal(recording.role, [0, 1, 1, 1])
-    assert any("header" in note for note in notes) == header
-    assert any("row by row" in note for note in notes)
-
-
-def test_layout_says_what_columns_without_a_header_are(tmp_path: Path) -> None:
-    path = table(tmp_path / "m.csv", long_table(FRAMES)[:, [3, 2, 0, 1]])
-    recording, notes = import_file(path, ROWS, COLUMNS, layout="frame, ohm, row, column")
-    np.testing.assert_allclose(recording.resistance, FRAMES)
-    assert any("one value a line as frame, value, row, column" in note for note in notes)
-    spare = np.column_stack([FRAMES.reshape(4, -1)[:, :7], np.zeros(4), FRAMES.reshape(4, -1)[:, 7:]])
-    names = [f"r{row}c{column}" for row in range(3) for column in range(5)]
-    path = table(tmp_path / "spare.csv", spare)
-    recording, _ = import_file(path, ROWS, COLUMNS, layout=",".join([*names[:7], "-", *names[7:]]))
-    np.testing.assert_allclose(recording.resistance, FRAMES)
-
-
-def test_a_layout_that_does_not_fit_is_refused(tmp_path: Path) -> None:
-    path = table(tmp_path / "m.csv", long_table(FRAMES))
-    with pytest.raises(InputError, match="4 columns, but `layout` names 3"):
-        import_file(path, ROWS, COLUMNS, layout="row,column,value")
-    np.save(tmp_path / "m.npy", FRAMES)
-    with pytest.raises(InputError, match="`layout` is for tables"):
-        import_file(tmp_path / "m.npy", ROWS, COLUMNS, layout="row,column,value")
-
-
-def test_the_signs_and_commas_of_spreadsheets_are_read(tmp_path: Path) -> None:
-    path = tmp_path / "m.csv"
-    lines = [";".join(f"{value:.3f}".replace(".", ",") for value in frame.ravel()) for frame in FRAMES]
-    path.write_bytes("\ufeff# exported\r\n\r\n".encode() + "\r\n".join(lines).encode())
-    recording, notes = import_file(path, ROWS, COLUMNS)
-    np.testing.assert_allclose(recording.resistance, FRAMES)
-    assert "decimal commas" in notes[0]
-    path.write_text("\n".join(",".join(f'"{value}"' for value in frame.ravel()) for frame in FRAMES), encoding="utf-8")
-    np.testing.assert_allclose(import_file(path, ROWS, COLUMNS)[0].resistance, FRAMES)
-
-
-@pytest.mark.parametrize("first", [0, 1])
-@pytest.mark.parametrize("swap", [False, True])
-def test_a_table_of_one_value_a_line_is_read(tmp_path: Path, first: int, swap: bool) -> None:
-    lines = np.random.default_rng(1).permutation(long_table(FRAMES, first, swap=swap))
-    path = table(tmp_path / "m.csv", lines)
-    recording, notes = import_file(path, ROWS, COLUMNS, transpose=swap)
-    np.testing.assert_allclose(recording.resistance, FRAMES)
-    assert any(f"indices count from {first}" in note for note in notes)
-    one = table(tmp_path / "one.csv", long_table(FRAMES[:1], first, False)[:, ::-1], header="Resistance [ohm],Col,ROW")
-    np.testing.assert_allclose(import_file(one, ROWS, COLUMNS)[0].resistance, FRAMES[:1])
-
-
-@pytest.mark.parametrize(
-    ("array", "transpose"),
-    [(FRAMES, False), (FRAMES.reshape(4, -1), False), (FRAMES.transpose(0, 2, 1), True), (FRAMES.astype("f4"), False)],
-)
-def test_numpy_arrays_are_read(tmp_path: Path, array: np.ndarray, transpose: bool) -> None:
-    np.save(tmp_path / "m.npy", array)
-    recording, notes = import_file(tmp_path / "m.npy", ROWS, COLUMNS, transpose=transpose)
-    np.testing.assert_allclose(recording.resistance, FRAMES, rtol=1e-6)
-    assert notes[0].startswith("read as (frames")
-    np.save(tmp_path / "m.npy", array.reshape(4, *((5, 3) if transpose else (3, 5)))[0])
-    np.testing.assert_allclose(
-        import_file(tmp_path / "m.npy", ROWS, COLUMNS, transpose=transpose)[0].resistance, FRAMES[:1], rtol=1e-6
+CUT = [*lines(CODES[:3]), ",".join(map(str, CODES[3].ravel()[:6]))]
+LABVIEW = ["LabVIEW Measurement\t", "Channels\t15", "***End_of_Header***\t"]
+LABVIEW += ["X_Value\t" + "\t".join(["Channel", *(f"Channel_{n}" for n in range(1, 15))]) + "\tComment"]
+TABLES |= {
+    "the Arduino's monitor": given(
+        "12:34:55.100 -> ,511,600\r\n12:34:55.200 -> Panel 3x5 v1.2 ready\r\n"
+        + "".join(f"12:34:5{6 + number}.789 -> {line},\r\n" for number, line in enumerate(lines(CODES))),
+        "it began at 12:34:56.789, the date is not in the file",
+        "left out: lines 1, 2 (the first: '511 600')",
+        "unit code, guessed",
+        times=FOUR,
+        rows=None,
+        columns=None,
+        **AS_CODES,
+    ),
+    "a monitor cut within a number": given(
+        CUT,
+        "10 readings missing, in 1 of 4 frames: NaN",
+        "the last number of line 4 is cut",
+        scene=LOADED,
+        expected=with_nan(VOLT_OF_CODES, (3, 1), (3, 2)),
+    ),
+    "a monitor cut after a line": given(
+        [*CUT, ""], absent="is cut", scene=LOADED, expected=with_nan(VOLT_OF_CODES, (3, 1, slice(1, 5)), (3, 2))
+    ),
+    "empty columns beside the cells": given(
+        "\r\n".join([*LABVIEW, *(f"{n / 2:.6f}\t{line}\t" for n, line in enumerate(lines(CODES, "\t"))), ""]),
+        "empty columns left out: Comment",
+        times=FOUR / 2,
+        **AS_CODES,
+    ),
+}
+for step, unit, scale in ((500, "ms", 1e-3), (40_000, "us", 1e-6)):
+    begin = 2**32 - 2 * step
+    TABLES[f"a counter in {unit} that begins again"] = given(
+        [*(f"{(begin + step * n) % 2**32},{line}" for n, line in enumerate(lines(CODES))), ""],
+        f"first field in {unit}; the counter began again once",
+        times=scale * (begin + step * FOUR),
+        **AS_CODES,
     )
 
-
-@pytest.mark.parametrize("packed", [False, True])
-@pytest.mark.parametrize(
-    ("array", "said"),
+BLOCKS = {
+    "blank lines": "boot...\n" + "\n\n".join("\n".join(lines(frame, "\t")) for frame in CODES),
+    "windows lines": "\r\n\r\n".join("\r\n".join(lines(frame, ", ")) + ",\r\n" for frame in CODES),
+    "marks": "\n---\n".join("\n".join(lines(frame, " ")) for frame in CODES) + "\n---\n",
+    "titles": "\n".join(f"Frame {number}:\n" + "\n".join(lines(frame, ";")) for number, frame in enumerate(CODES)),
+    "numbers": "\n".join(f"{number}\n" + "\n".join(lines(frame, " ")) for number, frame in enumerate(CODES)),
+    "nothing": "\n".join("\n".join(lines(frame)) for frame in CODES),
+    "every line alone": "\n\n".join("\n\n".join(lines(frame)) for frame in CODES),
+    "python lists": "\n".join(f"[{line}]" for frame in CODES for line in lines(frame, ", ")),
+    "titles of a chip": "ets Jun  8 2016 00:22:57\n\nentry 0x400805f0\n"
+    + "\n\n".join("\n".join(lines(frame, " ")) for frame in CODES),
+    "frame and row": "frame,row,c0,c1,c2,c3,c4\n"
+    + "\n".join(f"{n},{row},{line}" for n, frame in enumerate(CODES) for row, line in enumerate(lines(frame))),
+}
+for name, sign in (("ROW{}={}", ","), ("R{}: {}", ","), ("row {} = {}", ","), ("R{}:  {}", " ")):
+    rows = ((row, line) for frame in CODES for row, line in enumerate(lines(frame, sign)))
+    BLOCKS[name] = "\n".join(name.format(*row) for row in rows)
+TABLES |= {name: given(text, "one row a line, 3 lines a frame", **AS_CODES) for name, text in BLOCKS.items()}
+for title, times, start in (
+    ("Frame {n}, t = {ms} ms", FOUR / 4, None),
+    ("time: 2025-01-31 12:00:0{n}Z", FOUR, "2025-01-31T12:00:00Z"),
+    ("millis={ms}", FOUR / 4, None),
+):
+    blocks = [title.format(n=n, ms=250 * n) + "\n" + "\n".join(lines(frame)) for n, frame in enumerate(CODES)]
+    TABLES[title] = given(blocks, times=times, start=start, **AS_CODES)
+TABLES["blocks that are cut"] = given(
     [
-        (FRAMES.transpose(1, 2, 0), "(rows, columns, frames)"),
-        (FRAMES, "(frames, rows, columns)"),
-        (FRAMES[0], "(rows, columns)"),
+        *lines(CODES[0])[1:],  # the terminal was opened between two rows
+        "",
+        *lines(CODES[1]),
+        "",
+        *lines(CODES[2])[:2],  # a row was lost: nobody knows which
+        "",
+        *lines(CODES[3])[:2],  # the terminal was closed
     ],
+    "the first block (line 1) is cut and left out",
+    "has 2 of 3 lines",
+    scene=LOADED,
+    expected=with_nan(VOLT_OF_CODES[1:], (1,), (2, 2)),
 )
-def test_matlab_arrays_of_any_order_are_read(tmp_path: Path, array: np.ndarray, said: str, packed: bool) -> None:
-    path = tmp_path / "m.mat"
-    content = {"note": "text", "fs": 1.0, "s": {"a": array}, "z": array * 1j, "R": array, "i": np.arange(3)}
-    scipy.io.savemat(path, content, do_compression=packed)
-    recording, notes = import_file(path, ROWS, COLUMNS)
-    np.testing.assert_array_equal(recording.resistance, FRAMES if array.ndim == 3 else FRAMES[:1])
-    assert notes[0] == f"array R read as {said}"
-    scipy.io.savemat(path, {"R": array, "S": array * 2})
-    with pytest.raises(InputError, match="R, S would all fit; say which with `variable`"):
-        import_file(path, ROWS, COLUMNS)
-    assert import_file(path, ROWS, COLUMNS, variable="S")[0].resistance[0, 0, 0] == 2 * FRAMES[0, 0, 0]
-    with pytest.raises(InputError, match="no numeric array 'T'; there are R, S"):
-        import_file(path, ROWS, COLUMNS, variable="T")
+REFUSED["blocks that are longer than the panel"] = given(
+    "\n\n".join("\n".join(lines(frame) + lines(frame)[:1]) for frame in CODES),
+    "m.csv:1: a block of 4 lines, where the panel has 3 rows",
+    scene=LOADED,
+)
+
+TEN = VOLT_OF_CODES[np.arange(10) % 4]
 
 
-@pytest.mark.parametrize("packed", [False, True])
-def test_a_damaged_matlab_file_is_refused_in_one_sentence(tmp_path: Path, packed: bool) -> None:
-    path = tmp_path / "m.mat"
-    scipy.io.savemat(path, {"R": FRAMES.transpose(1, 2, 0)}, do_compression=packed)
-    whole = path.read_bytes()
-    for seed in range(300):
-        generator = np.random.default_rng(seed)
-        data = bytearray(whole[: generator.integers(120, len(whole))] if seed % 3 == 0 else whole)
-        data[generator.integers(min(len(data), 300))] = generator.integers(256)
-        path.write_bytes(data)
-        try:
-            assert import_file(path, ROWS, COLUMNS)[0].resistance.shape == FRAMES.shape
-        except InputError as error:
-            assert "\n" not in str(error)
+def debugged(separator: str, debug: str) -> list[str]:
+    """Ten frames with a line of a sketch's own within the third and the seventh."""
+    frames = [lines(CODES[number % 4]) for number in range(10)]
+    for number in (2, 6):
+        frames[number].insert(1, debug)
+    titles = (separator.format(n=number, ms=100 * number) for number in range(10))
+    return "\n".join(title + "\n".join(frame) for title, frame in zip(titles, frames, strict=True)).split("\n")
 
 
-def test_volts_and_codes_become_readings_or_one_sentence(tmp_path: Path) -> None:
-    volts = 5.0 * 1000.0 / (FRAMES + 1000.0)  # across the reference: R = (Vcc − V)/V·Rref
-    np.save(tmp_path / "v.npy", volts)
-    recording, _ = import_file(tmp_path / "v.npy", ROWS, COLUMNS, SCENE, "volt")
-    np.testing.assert_allclose(recording.resistance, FRAMES)
-    assert recording.scene is SCENE
-    np.save(tmp_path / "c.npy", np.floor(volts / 5 * 1024).astype(int))
-    recording, _ = import_file(tmp_path / "c.npy", ROWS, COLUMNS, SCENE, "code")
-    np.testing.assert_allclose(recording.resistance, FRAMES, rtol=0.005)
-    for unit in ("volt", "code"):
-        with pytest.raises(InputError, match=f"{unit} values need a scene with a readout"):
-            import_file(tmp_path / "c.npy", ROWS, COLUMNS, None, unit)
-    np.save(tmp_path / "m.npy", 1000 * volts)
-    np.testing.assert_allclose(import_file(tmp_path / "m.npy", ROWS, COLUMNS, SCENE, "mV")[0].resistance, FRAMES)
-    with pytest.raises(InputError, match="the unit 'V' is unknown; there are ohm, kohm, volt, mV, code"):
-        import_file(tmp_path / "c.npy", ROWS, COLUMNS, SCENE, "V")
-    codes = np.full((1, 3, 5), 500)
-    codes[0, 1, 2] = 1024
-    np.save(tmp_path / "c.npy", codes)
-    with pytest.raises(InputError, match=r"c\.npy\[0, 1, 2\]: 1024 is no code of a 10-bit"):
-        import_file(tmp_path / "c.npy", ROWS, COLUMNS, SCENE, "code")
-    volts[2, 1, 3] = 5.5
-    path = table(tmp_path / "v.csv", volts.reshape(4, -1))
-    with pytest.raises(InputError, match=r"v\.csv:3:9: .*lies outside 0 to 5 V"):
-        import_file(path, ROWS, COLUMNS, SCENE, "volt")
-
-
-def test_what_is_at_a_rail_is_kept_as_a_bound(tmp_path: Path) -> None:
-    codes = np.full((1, 3, 5), 500)
-    codes[0, 0, :2] = 0, 1023
-    np.save(tmp_path / "c.npy", codes)
-    recording, notes = import_file(tmp_path / "c.npy", ROWS, COLUMNS, SCENE, "code")
-    assert any(note.startswith("2 readings at or beyond a rail") for note in notes)
-    np.testing.assert_array_equal(recording.readings().side[0, 0, :3], [1, -1, 0])
-    volts = np.full((1, 3, 5), 2.5)
-    volts[0, 0, :2] = 0, 5
-    np.save(tmp_path / "v.npy", volts)
-    np.testing.assert_array_equal(
-        import_file(tmp_path / "v.npy", ROWS, COLUMNS, SCENE, "volt")[0].readings().side[0, 0, :3], [1, -1, 0]
+FREE_HEAP = "DEBUG: free heap 23456 bytes"
+for separator, debug in itertools.product(
+    ("Frame {n} t={ms} ms\n", "t = {ms} ms\n", "\n", ""),
+    (FREE_HEAP, "wifi: rssi -61", "# note", "42 overruns 7 8 9 1 2 3"),
+):
+    TABLES[f"{debug} between rows after {separator!r}"] = given(
+        debugged(separator, debug),
+        *["skipped between rows: line 11, line 28"] * ("Frame" in separator and debug == FREE_HEAP),
+        scene=LOADED,
+        expected=TEN,
+        times=0.1 * np.arange(10) if "ms" in separator else None,
     )
-    ohm = np.full((1, 3, 5), 500.0)
-    ohm[0, 0, :2] = np.inf, 0
-    np.save(tmp_path / "r.npy", ohm)
-    np.testing.assert_array_equal(
-        import_file(tmp_path / "r.npy", ROWS, COLUMNS, SCENE, "ohm")[0].readings().side[0, 0, :3], [1, -1, 0]
+LOST = debugged("Frame {n} t={ms} ms\n", "DEBUG: 1")
+del LOST[LOST.index("Frame 4 t=400 ms") + 2]
+TABLES["a row that was lost"] = given(
+    LOST, "has 2 of 3 lines and is missing", scene=LOADED, expected=with_nan(TEN, (4,)), times=0.1 * np.arange(10)
+)
+
+# Headers.
+
+ORDER = np.random.default_rng(3).permutation(ROWS * COLUMNS)
+for pattern, first in (
+    ("r{r}c{c}", 0), ("R{r}C{c}", 1), ("row {r} col {c}", 0), ("c{c}_r{r}", 0), ("Z{r}S{c}", 1),
+    ("cell_{r}_{c}", 1), ("[{r}][{c}]", 0), ("x{c}y{r}", 0), ("Row{r} / Column{c}", 1),
+    ("adc r{r} c{c}", 0), ("R{r}C{c} [ohm]", 1),
+):  # fmt: skip
+    header = ",".join(np.array(names(pattern, first).split(","))[ORDER])
+    sentence = f"cells by their names, which count from {first}"
+    TABLES[f"cells called {pattern}"] = given([header, *lines(WIDE[:, ORDER])], sentence, unit="ohm")
+TURNED = [names("r{c}c{r}"), *lines(FRAMES)]
+TABLES |= {
+    "names of a transposed panel": given(TURNED, transpose=True),
+    "a cell without a column": given(
+        [names("r{r}c{c}").removesuffix(",r2c4"), *lines(WIDE[:, :14])],
+        "1 cells have no column",
+        expected=with_nan(FRAMES, (slice(None), 2, 4)),
+    ),
+    "a data frame": given(
+        [",".join(["frame", *map(str, range(15))]), *(f"{n},{line}" for n, line in enumerate(lines(FRAMES)))],
+        "left out: frame",
+        times=FOUR,
+    ),
+}
+REFUSED |= {
+    "names beyond the panel": given(
+        TURNED, "'r3c0' is beyond the panel of 3 × 5 cells, ", "; with `transpose` it would"
+    ),
+    "a name twice": given(
+        "\n".join(TURNED).replace("r0c0", "r0c1"), "'r0c1' and 'r0c1' are the same cell", transpose=True
+    ),
+}
+for first in (0, 1):
+    header = "," + ",".join(f"c{column + first}" for column in range(COLUMNS)[::-1])
+    text = "\n\n".join(
+        "\n".join([header, *(f"r{row + first},{lines(frame[:, ::-1])[row]}" for row in (1, 2, 0))]) for frame in FRAMES
     )
+    sentence = f"rows by their names, columns by their names from {first}"
+    TABLES[f"named rows and columns from {first}"] = given(text, sentence)
+    turned = text.replace("r", "?").replace("c", "r").replace("?", "c")
+    REFUSED[f"named rows and columns from {first}, transposed"] = given(turned, "`transpose` swaps")
+
+SPREADSHEET = ["% exported on Monday", "Zeit [ms];" + names("Z{r}S{c} [kΩ]", 1, ";") + ";"]
+SPREADSHEET += [f"{250 * n};{line};" for n, line in enumerate(lines(FRAMES / 1000, ";", ","))]
+for encoding in ("utf-8", "utf-8-sig", "utf-16", "utf-16-le"):
+    TABLES[f"a spreadsheet in {encoding}"] = given(
+        "\r\n".join([*SPREADSHEET, ";" * 17, ""]).encode(encoding),
+        "unit kohm, as the header says",
+        "decimal commas",
+        times=FOUR / 4,
+    )
+TABLES["decimal commas without a header"] = given(
+    "\ufeff# exported\r\n\r\n" + "\r\n".join(lines(FRAMES, ";", ",")), "decimal commas"
+)
+TABLES["numbers in quotes"] = given(line.replace(",", '","').join('""') for line in lines(FRAMES))
+for written, number in (
+    ("1.234,5", 1234.5), ('"1,234.5"', 1234.5), ("1234,5", 1234.5), ("1.2345e3", 1234.5), ("12.345.678,5", 12345678.5),
+):  # fmt: skip
+    others = lines(FRAMES, ";", "," if written.endswith(",5") else ".")
+    expected = np.concatenate([FRAMES, FRAMES[:1]])
+    expected[4, 0, 0] = number
+    text = [*others, others[0].replace(others[0].split(";")[0], written, 1)]
+    TABLES[f"thousands as {written}"] = given(text, expected=expected)
+
+# One frame a line; single values.
+
+for sign, header, stamped in itertools.product((",", ";", "\t", " ", "   "), (False, True), (False, True)):
+    head = sign.join([*["time"] * stamped, *names("r{r}c{c}").split(",")])
+    rows = np.column_stack([[0, 0.5, 1.25, 2], WIDE]) if stamped else WIDE
+    TABLES[f"a frame a line by {sign!r}{' with times' * stamped}{' and a header' * header}"] = given(
+        [head] * header + lines(rows, sign),
+        "row by row",
+        *["header"] * header,
+        absent=None if header else "header",
+        times=[0, 0.5, 1.25, 2] if stamped else FOUR,
+        role=[0, 1, 1, 1],
+        baseline_frames=1,
+    )
+
+
+def long_table(frames: np.ndarray, first: int = 0, swap: bool = False) -> np.ndarray:
+    """A line of row, column, value and frame for each value."""
+    frame, *places = np.indices(frames.shape).reshape(3, -1)
+    row, column = (place + first for place in (places[::-1] if swap else places))
+    return np.column_stack([row, column, frames.ravel(), frame])
+
+
+for first, swap in itertools.product((0, 1), (False, True)):
+    shuffled = np.random.default_rng(1).permutation(long_table(FRAMES, first, swap=swap))
+    TABLES[f"values from {first}{', transposed' * swap}"] = given(
+        lines(shuffled), f"indices count from {first}", transpose=swap
+    )
+    TABLES[f"values of a frame from {first}"] = given(
+        ["Resistance [ohm],Col,ROW", *lines(long_table(FRAMES[:1], first)[:, 2::-1])], expected=FRAMES[:1]
+    )
+NAMED = names("r{r}c{c}").split(",")
+SPARE = np.column_stack([WIDE[:, :7], np.zeros(4), WIDE[:, 7:]])
+TABLES["values in a layout of one's own"] = given(
+    lines(long_table(FRAMES)[:, [3, 2, 0, 1]]),
+    "one value a line as frame, value, row, column",
+    layout="frame, ohm, row, column",
+)
+TABLES["frames in a layout of one's own"] = given(lines(SPARE), layout=",".join([*NAMED[:7], "-", *NAMED[7:]]))
+REFUSED["a layout of other columns"] = given(
+    lines(long_table(FRAMES)), "4 columns, but `layout` names 3", layout="row,column,value"
+)
+for header, line, times in (
+    ("millis,row,col,R [ohm]", "{ms},{r},{c},{v}", FOUR / 10),
+    ("value,column,row,time", "{v},{c1},{r1},{s}", FOUR / 10),
+    ("timestamp;Zeile;Spalte;Widerstand", "2025-01-31 12:00:00,{f};R{r};C{c};{v}", FOUR / 10),
+    ("scan\trow\tcolumn\tresistance_ohm", "{f}\t{r1}\t{c1}\t{v}", FOUR),
+    ("time,row,column,value", "{each},{r},{c},{v}", 1.5 * FOUR),
+    ("time,r,c,v", "{s},{r},{c},{v}", FOUR / 10),
+    ("time,cell,value", "{s},r{r}c{c},{v}", FOUR / 10),
+    ("time,index,value", "{s},{index},{v}", FOUR / 10),
+):
+    text = [header]
+    for number, (f, r, c) in enumerate(np.ndindex(FRAMES.shape)):
+        fields = {"f": f, "ms": 100 * f, "s": f / 10, "each": number / 10, "r": r, "c": c, "r1": r + 1, "c1": c + 1}
+        text.append(line.format(v=FRAMES[f, r, c], index=5 * r + c + 1, **fields))
+    start = "2025-01-31T12:00:00.0" if "2025" in line else None
+    TABLES[header] = given(text, times=times, start=start)
+    del text[1 + 2 * 15 + 7]
+    TABLES[f"{header} without one"] = given(text, expected=with_nan(FRAMES, (2, 1, 2)), start=start)
+    REFUSED[f"{header} without one"] = given(text, "the reading of row 1, column 2 is missing", missing="refuse")
+
+# Times.
+
+
+def stamped_table(name: str, stamps: Sequence[object]) -> list[str]:
+    rows = (f'"{stamp}";{line}' for stamp, line in zip(stamps, lines(FRAMES, ";"), strict=True))
+    return [f"{name};{names('r{r}c{c}', 0, ';')}", *rows]
+
+
+for name, stamps, times, start in (
+    ("t", (0, 0.5, 1.25, 2), (0, 0.5, 1.25, 2), None),
+    ("time [ms]", (500, 750, 1000, 1500), (0.5, 0.75, 1, 1.5), None),
+    ("micros", (0, 10, 20, 40), (0, 1e-5, 2e-5, 4e-5), None),
+    ("millis", (4294967000, 4294967250, 204, 454), (4294967, 4294967.25, 4294967.5, 4294967.75), None),
+    ("t_min", (0, 1, 2, 3), (0, 60, 120, 180), None),
+    ("timestamp", [1738324800 + n / 2 for n in range(4)], (0, 0.5, 1, 1.5), "2025-01-31T12:00:00Z"),
+    ("time", [1738324800250 + 500 * n for n in range(4)], (0, 0.5, 1, 1.5), "2025-01-31T12:00:00.250000Z"),
+    ("date", [f"2025-01-31T12:00:0{n}.5" for n in range(4)], FOUR, "2025-01-31T12:00:00.5"),
+    ("time", [f"2025-01-31 12:00:0{n}+01:00" for n in range(4)], FOUR, "2025-01-31T12:00:00+01:00"),
+    ("time", ["2025-01-31T23:59:59Z", *(f"2025-02-01T00:00:0{n}Z" for n in range(3))], FOUR, "2025-01-31T23:59:59Z"),
+    ("Zeit", [f"31.01.2025 9:00:0{n},250" for n in range(4)], FOUR, "2025-01-31T09:00:00.250"),
+    ("time", [f"1/31/2025 12:00:0{n}" for n in range(4)], FOUR, "2025-01-31T12:00:00"),
+    ("time", [f"1/31/2025 {n}:00:00 PM" for n in (12, 1, 2, 3)], 3600 * FOUR, "2025-01-31T12:00:00"),
+    ("Uhrzeit", ("23:59:59.5", "0:00:00.5", "0:00:01.5", "0:00:02.5"), FOUR, None),
+):
+    text = stamped_table(name, stamps)
+    TABLES[f"{name} from {stamps[0]}"] = given(text, f"time: column '{name}' in ", times=times, start=start)
+    TABLES[f"{name} from {stamps[0]} with a period"] = given(
+        text, "those of the file are not used", times=FOUR / 10, period=0.1
+    )
+for stamps, message in (
+    ((0, 2, 1, 3), "m.csv:4:1: times must be finite and grow; `period` sets them"),
+    ((0, 1, 1, 3), "m.csv:4:1: times must be finite and grow"),
+    ((0, "", 1, 3), "m.csv:3:1: times must be finite and grow"),
+    (("1/2/2025", "2/2/2025", "3/2/2025", "4/2/2025"), "may be day/month/year or month/day/year"),
+    (("2025-01-01", "soon", "2025-01-03", "2025-01-04"), "m.csv:3:1: 'soon' is no time"),
+    (("2025-02-29", "2025-03-01", "2025-03-02", "2025-03-03"), "is no time"),
+):
+    REFUSED[f"times {stamps}"] = given(stamped_table("time", stamps), message)
+    TABLES[f"times {stamps} with a period"] = given(stamped_table("time", stamps), times=FOUR, period=1.0)
+for stamps, unit, scale, words in (
+    ((0, 103, 207, 310), None, 1e-3, "ms (guessed: whole numbers that grow by 103; --time-unit says otherwise)"),
+    ((5, 50_005, 100_006, 150_009), None, 1e-6, "us (guessed: whole numbers that grow by 50001;"),
+    ((1.2e9, 1.2e9 + 5e4, 1.2e9 + 1e5, 1.2e9 + 1.5e5), None, 1e-6, "us (guessed"),
+    ((0, 1, 2, 3), None, 1, "s (assumed; --time-unit says otherwise)"),
+    ((0, 103.5, 207, 310), None, 1, "s (assumed"),
+    ((0, 103, 207, 310), "s", 1, "s (as specified)"),
+    ((0, 1, 2, 3), "ms", 1e-3, "ms (as specified)"),
+):
+    TABLES[f"times {stamps} in {unit}"] = given(
+        stamped_table("time", stamps),
+        f"time: column 'time' in {words}",
+        times=np.multiply(scale, stamps),
+        time_unit=unit,
+    )
+DATES = [f"31.01.2025;12:00:0{n};{line}" for n, line in enumerate(lines(FRAMES, ";", ","))]
+TABLES["date and time of day in two columns"] = given(
+    [f"Datum;Uhrzeit;{names('r{r}c{c}', 0, ';')}", *DATES], times=FOUR, start="2025-01-31T12:00:00"
+)
+REFUSED["a unit of times that are none"] = given(
+    lines(FRAMES), "holds no times that could be in ms; `period` sets them", time_unit="ms"
+)
+REFUSED["a unit of dates"] = given(
+    stamped_table("time", [f"2025-01-0{n}" for n in range(1, 5)]),
+    "is no number, so that it has no time unit ms",
+    time_unit="ms",
+)
+for stamp in ("1034510448", "3034510448", "7", "", "4x"):
+    text = [f"{10_345 + 103 * n},{line}" for n, line in enumerate(lines(np.tile(FRAMES, (5, 1, 1))))]
+    text[7] = stamp + text[7][5:30]
+    TABLES[f"a line with the cut stamp {stamp!r}"] = given(
+        [*text, ""],
+        "m.csv:8:1 is missing or does not grow, and is interpolated",
+        "in 1 of 20 frames: NaN in the recording",
+        expected=None,
+        times=10.345 + 0.103 * np.arange(20),
+    )
+TABLES["lines of a sketch between frames"] = given(
+    [*[line for frame in lines(FRAMES) for line in (frame, "DEBUG heap ok")] * 5, ""],
+    f"left out: lines {', '.join(map(str, range(2, 22, 2)))} and 10 more (the first: 'DEBUG heap ok')",
+    expected=np.tile(FRAMES, (5, 1, 1)),
+)
+
+# Units.
+
+MEANS = np.random.default_rng(2).integers(4000, 18000, (4, ROWS, COLUMNS)) / 20  # of 20 codes
+VOLTS = (MEANS + 0.5) * 5 / 1024
+MIXED = [names("r{r}c{c} [ohm]").replace("r2c4 [ohm]", "r2c4 [kohm]"), *lines(FRAMES)]
+TABLES |= {
+    "a unit as specified": given(
+        lines(VOLTS.round(2)),
+        "unit volt, as specified",
+        expected=1000 * (5 / VOLTS.round(2) - 1),
+        scene=DIVIDER,
+        unit="volt",
+    ),
+    "units of a header that are overridden": given(MIXED, unit="ohm"),
+}
+REFUSED |= {
+    "ohm and kohm that both fit": given(
+        lines((FRAMES / 100).round(3)), "may be ohm or kohm; say which with `unit='ohm'` or `unit='kohm'`"
+    ),
+    "kohm and volt that both fit": given(lines(VOLTS.round(2)), "may be kohm or volt", scene=DIVIDER),
+    "a unit that is none": given(
+        [names("r{r}c{c} [MΩ]"), *lines(FRAMES)],
+        "the header's unit 'MΩ' is none of ohm, kohm, volt, mV and code; `unit` overrides",
+        absent="m.csv",
+    ),
+    "two units": given(MIXED, "name both ohm and kohm", absent="m.csv"),
+    "ohm of a readout in volt": given(
+        [names("r{r}c{c} [ohm]"), *lines(FRAMES)],
+        "the scene's readout gives volt; say unit volt, mV or code",
+        scene=LOADED,
+    ),
+}
+for header, factor, unit in (
+    ("R{r}C{c} [kOhm]", 1e3, "kohm"), ("R{r}C{c} (Ω)", 1, "ohm"), ("R{r}C{c} [mV]", None, "mV"),
+    ("adc_{r}_{c}", None, "code"),
+    ("R{r}C{c} [V]", None, "volt"), ("R{r}C{c} in kOhm", 1e3, "kohm"), ("R{r}C{c}/kΩ", 1e3, "kohm"),
+):  # fmt: skip
+    text = [names(header), *lines(CODES / 400 if unit == "volt" else CODES)]
+    volt = {"mV": CODES / 1000, "volt": CODES / 400, "code": VOLT_OF_CODES}
+    TABLES[f"the unit of {header}"] = given(
+        text,
+        f"unit {unit}, as the header says",
+        expected=CODES * factor if factor else volt[unit],
+        scene=None if factor else LOADED,
+    )
+    if not factor:
+        REFUSED[f"the unit of {header}"] = given(text, f"{unit} values need a scene with a readout")
+
+# Missing readings.
+
+for word, sign in itertools.product(
+    ("ovf", "", "NaN", "-", "----", "null", "OL", "#N/A", "n/a", "-inf", "1.#QNAN"), (",", ";", "\t")
+):
+    rows = [line.split(sign) for line in lines(FRAMES, sign)]
+    rows[1][13] = rows[2][0] = word
+    text = [sign.join(fields) for fields in rows]
+    name = f"{word!r} between {sign!r}"
+    TABLES[name] = given(
+        text,
+        "2 readings missing, in 2 of 4 frames: NaN in the recording",
+        expected=with_nan(FRAMES, (1, 2, 3), (2, 0, 0)),
+        baseline_frames=2,
+    )
+    TABLES[f"{name} without the frames"] = given(
+        text,
+        "these frames are left out",
+        "2 frames of 3 × 5 cells, the first 1 unloaded",
+        expected=FRAMES[[0, 3]],
+        times=[0, 3],
+        role=[0, 1],
+        baseline_frames=2,
+        missing="skip-frame",
+    )
+    REFUSED[name] = given(text, "m.csv:2:14: the reading of row 2, column 3 is missing", missing="refuse")
+INFINITE = FRAMES.copy()
+INFINITE[1, 0, 0] = np.inf
+TABLES["infinity in ohm"] = given(lines(INFINITE), "1 reading at or beyond a rail", expected=INFINITE, scene=DIVIDER)
+TABLES["infinity in codes"] = given(
+    [lines(CODES)[0], "inf," + ",".join(map(str, CODES[1].ravel()[1:])), *lines(CODES[2:])],
+    "1 reading missing",
+    scene=LOADED,
+    expected=with_nan(VOLT_OF_CODES, (1, 0, 0)),
+)
 
 
 def lines_with(line: int, field: int, text: str) -> str:
-    lines = [[f"{value}" for value in frame.ravel()] for frame in FRAMES]
-    lines[line][field] = text
-    return "\n".join(",".join(fields) for fields in lines)
+    rows = [list(map(str, frame)) for frame in WIDE]
+    rows[line][field] = text
+    return "\n".join(map(",".join, rows))
 
 
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("", "holds no values"),
-        ("\n# only a comment\n", "holds no values"),
-        ("a,b,c\n", "holds a header but no values"),
-        (
-            "1,2\n3,4\n",
-            ":1: 2 fields; 3 × 5 cells need 15, 16 with the time, or 3 or 4 for row, column",
-        ),
-        (lines_with(2, 6, "x3"), ":3:7: 'x3' is no number"),
-        (lines_with(0, 6, "x3"), ":1:7: 'x3' is no number"),
-        (lines_with(1, 3, ""), ":2:4: the reading of row 0, column 3 is missing"),
-        (lines_with(1, 3, "1_000"), ":2:4: '1_000' is no number"),
-        (lines_with(1, 3, "NaN"), ":2:4: the reading of row 0, column 3 is missing"),
-        (lines_with(3, 14, "-2"), ":4:15: -2 must be a positive resistance in ohm"),
-        (lines_with(3, 14, "1,2"), ":4: 16 fields, where line 1 has 15"),
-        (lines_with(3, 14, '"1'), ":4: "),
-        ("0,0,5\n0,0,6\n", ":2: the same cell as in line 1; several frames need a field"),
-        ("0,0,5\n0,1,6\n", "row 0, column 2 is missing"),
-        ("1,1,5\n3,6,6\n", ":2:2: column 6 is beyond the panel's 1 to 5"),
-        ("0,0,5\n3,0,6\n", ":2:1: row 3 is beyond the panel's 0 to 2"),
-        ("-1,0,5\n", ":1:1: row -1 is beyond"),
-        ("0,0.5,5\n", ":1:2: 0.5 is no index"),
-        ("frame,row,column,value\n4,0,0,5\n", "the reading of row 0, column 1 is missing"),
-        (",".join(["1"] * 16) + "\n" + ",".join(["1"] * 16), ":2:1: times must be finite and grow"),
-    ],
-)
-def test_a_fault_in_a_table_is_one_sentence_with_its_place(tmp_path: Path, text: str, message: str) -> None:
-    path = tmp_path / "m.csv"
-    path.write_text(text, encoding="utf-8")
-    with pytest.raises(InputError) as caught:
-        import_file(path, ROWS, COLUMNS, missing="refuse")
-    assert str(caught.value).startswith(str(path)) and message in str(caught.value) and "\n" not in str(caught.value)
-
-
-def test_one_value_for_each_listed_cell(tmp_path: Path) -> None:
-    scene = Scene(Panel(3, 2, cells=((2, 0, 0.0, 15.0), (0, 1, 7.5, 0.0), (1, 1, 7.5, 7.5))))
-    recording, notes = import_file(table(tmp_path / "m.csv", FRAMES[:, 0, :3]), scene=scene, unit="ohm")
-    np.testing.assert_allclose(recording.recorded[:, [2, 0, 1], [0, 1, 1]], FRAMES[:, 0, :3])
-    assert np.isnan(recording.recorded[:, 0, 0]).all() and any(
-        "the order of the scene's list" in note for note in notes
+REFUSED |= {
+    name: given(text, message, missing="refuse")
+    for name, text, message in (
+        ("nothing", "", "holds no values"),
+        ("a comment", "\n# only a comment\n", "holds no values"),
+        ("a header", "a,b,c\n", "holds a header but no values"),
+        ("two fields", "1,2\n3,4\n", ":1: 2 fields; 3 × 5 cells need 15, 16 with the time, or 3 or 4 for row, column"),
+        ("a word", lines_with(2, 6, "x3"), ":3:7: 'x3' is no number"),
+        ("a word in the first line", lines_with(0, 6, "x3"), ":1:7: 'x3' is no number"),
+        ("a gap", lines_with(1, 3, ""), ":2:4: the reading of row 0, column 3 is missing"),
+        ("a number with _", lines_with(1, 3, "1_000"), ":2:4: '1_000' is no number"),
+        ("NaN", lines_with(1, 3, "NaN"), ":2:4: the reading of row 0, column 3 is missing"),
+        ("a negative reading", lines_with(3, 14, "-2"), ":4:15: -2 must be a positive resistance in ohm"),
+        ("a field more", lines_with(3, 14, "1,2"), ":4: 16 fields, where line 1 has 15"),
+        ("a quote", lines_with(3, 14, '"1'), ":4: "),
+        ("a cell twice", "0,0,5\n0,0,6\n", ":2: the same cell as in line 1; several frames need a field"),
+        ("two of 15 cells", "0,0,5\n0,1,6\n", "row 0, column 2 is missing"),
+        ("a column beyond", "1,1,5\n3,6,6\n", ":2:2: column 6 is beyond the panel's 1 to 5"),
+        ("a row beyond", "0,0,5\n3,0,6\n", ":2:1: row 3 is beyond the panel's 0 to 2"),
+        ("a negative row", "-1,0,5\n", ":1:1: row -1 is beyond"),
+        ("half an index", "0,0.5,5\n", ":1:2: 0.5 is no index"),
+        ("one of 15 cells", "frame,row,column,value\n4,0,0,5\n", "the reading of row 0, column 1 is missing"),
+        ("equal times", ",".join(["1"] * 16) + "\n" + ",".join(["1"] * 16), ":2:1: times must be finite and grow"),
     )
+}
+NEGATIVE = long_table(FRAMES, 1, swap=True)
+NEGATIVE[7, 2] = -1
+REFUSED |= {
+    "a negative transposed value": given(lines(NEGATIVE), "m.csv:8:3: -1 must be a positive", transpose=True),
+    "nothing but gaps": given(lines(np.full((2, 15), np.nan)), "all readings are missing"),
+    "no frame without a gap": given(
+        lines(with_nan(FRAMES, (slice(None), 0, 0))),
+        "no frame would be left; `missing='mark'` keeps them",
+        missing="skip-frame",
+    ),
+    "another word for missing": given(
+        lines(FRAMES), "'drop' is unknown; there are mark, skip-frame, refuse", missing="drop", absent="m.csv"
+    ),
+}
 
 
-def test_the_place_of_a_transposed_value(tmp_path: Path) -> None:
-    lines = long_table(FRAMES, 1, swap=True)
-    lines[7, 2] = -1
-    with pytest.raises(InputError, match=r"m\.csv:8:3: -1 must be a positive"):
-        import_file(table(tmp_path / "m.csv", lines), ROWS, COLUMNS, transpose=True)
+@pytest.mark.parametrize("file", TABLES.values(), ids=TABLES)
+def test_a_table_gives_its_frames_times_and_sentences(file: SimpleNamespace, tmp_path: Path) -> None:
+    check_taken(file, tmp_path)
 
 
-GARBAGE = np.random.default_rng(3).bytes(4000)
-
-
-def sparse(path: Path) -> None:
-    with path.open("wb") as handle:
-        handle.truncate(600_000_000)
-
-
-def boastful(path: Path) -> None:
-    np.save(path, FRAMES)
-    path.write_bytes(path.read_bytes().replace(b"(4, 3, 5), ", b"(400000000000, 3, 5), "))
-
-
-@pytest.mark.parametrize(
-    ("name", "make", "message"),
-    [
-        ("m.csv", lambda path: path.write_bytes(GARBAGE), "no text table"),
-        ("m.csv", lambda path: path.write_bytes(b"1,2\n\xff\xfe,3"), ":2: no text table"),
-        ("m.csv", lambda path: path.write_bytes(b"1" * 2_000_000), ":1: longer than"),
-        ("m.csv", sparse, "more than 500000000 are not imported"),
-        ("m.csv", Path.mkdir, "no file"),
-        ("m.csv", lambda path: None, "No such file"),
-        ("m.npy", lambda path: path.write_bytes(GARBAGE), "no readable .npy file"),
-        ("m.npy", lambda path: path.write_bytes(b""), "no readable .npy file"),
-        ("m.npy", lambda path: (np.save(path, FRAMES), os.truncate(path, 500)), "no readable .npy file"),
-        ("m.npy", boastful, "no readable .npy file"),
-        ("m.npy", lambda path: np.save(path, np.array([{}], dtype=object), allow_pickle=True), "no readable .npy"),
-        ("m.npy", lambda path: np.save(path, FRAMES.astype(complex)), "no plain array of real numbers"),
-        ("m.npy", lambda path: np.save(path, FRAMES.transpose(0, 2, 1)), "with `transpose` it would"),
-        ("m.npy", lambda path: np.save(path, FRAMES[:, :2]), "is 4 × 2 × 5, which fits 3 × 5 cells in no way"),
-        ("m.mat", lambda path: path.write_bytes(GARBAGE), "no readable .mat file"),
-        ("m.mat", lambda path: path.write_bytes(b""), "no readable .mat file"),
-        ("m.mat", lambda path: scipy.io.savemat(path, {"x": np.ones((2, 2))}), "the numeric arrays are: x (2 × 2)"),
-        ("m.mat", lambda path: scipy.io.savemat(path, {"x": FRAMES * 1j}), "the numeric arrays are: none"),
-        ("m.mat", lambda path: path.write_bytes(b"MATLAB 7.3 MAT-file".ljust(600)), "save it with the option -v7"),
-    ],
-)
-def test_a_fault_in_a_file_is_one_sentence(
-    tmp_path: Path, name: str, make: Callable[[Path], object], message: str
+@pytest.mark.parametrize("file", REFUSED.values(), ids=REFUSED)
+def test_a_table_that_cannot_be_read_is_refused_with_the_place_of_its_fault(
+    file: SimpleNamespace, tmp_path: Path
 ) -> None:
-    path = tmp_path / name
-    make(path)
-    with pytest.raises(InputError) as caught:
-        import_file(path, ROWS, COLUMNS)
-    assert str(path) in str(caught.value) and message in str(caught.value) and "\n" not in str(caught.value)
-
-
-def test_what_is_asked_for_must_fit(tmp_path: Path) -> None:
-    np.save(tmp_path / "m.npy", FRAMES)
-    with pytest.raises(InputError, match="the scene's panel has 3 × 5 cells, not 5 × 3"):
-        import_file(tmp_path / "m.npy", 5, 3, SCENE)
-    with pytest.raises(InputError, match="5 baseline frames asked for, but the file holds 4 frames"):
-        import_file(tmp_path / "m.npy", ROWS, COLUMNS, baseline_frames=5)
-    with pytest.raises(InputError, match="a panel needs at least one row"):
-        import_file(tmp_path / "m.npy", 0, 3)
-
-
-def test_a_series_resistance_of_each_line_is_said(tmp_path: Path) -> None:
-    np.save(tmp_path / "m.npy", FRAMES)
-    scene = Scene(Panel(ROWS, COLUMNS), None, SeriesPerLine(tuple(70.0 + line for line in range(ROWS)), 71.0))
-    _, notes = import_file(tmp_path / "m.npy", scene=scene, unit="ohm")
-    assert any(f"series resistance rows from 70 to {69 + ROWS} ohm, columns 71 ohm" in note for note in notes)
-
-
-def test_a_scene_file_describes_the_panel_of_an_import(tmp_path: Path) -> None:
-    path = tmp_path / "scene.yaml"
-    path.write_text("panel: {rows: 3, columns: 5}\nseries_resistance_ohm: 140\n", encoding="utf-8")
-    assert read_scene(path) == Scene(Panel(3, 5), None, 140.0)
-    path.write_text("seed: 1\nscene:\n  panel: {rows: 3, columns: 5}\n", encoding="utf-8")
-    assert read_scene(path) == Scene(Panel(3, 5))
-    path.write_text("seed: 1\nscene:\n  panel: {rows: 3, colums: 5}\n", encoding="utf-8")
-    with pytest.raises(InputError, match=r"scene\.yaml:3:"):
-        read_scene(path)
-
-
-def test_entries_of_a_scene_are_set_at_the_import(tmp_path: Path, lampest: Callable[..., Any]) -> None:
-    scene, made = tmp_path / "scene.yaml", tmp_path / "m.h5"
-    scene.write_text("panel: {rows: 3, columns: 5}\nseries_resistance_ohm: 140\n", encoding="utf-8")
-    np.save(tmp_path / "m.npy", FRAMES)
-    words = ("import", tmp_path / "m.npy", "--unit", "ohm", "--out", made)
-    done = lampest(*words, "--scene", scene, "--set", "series_resistance_ohm=70", "--set", "panel.pitch_mm=4")
-    assert done.code == 0, done.err
-    assert Recording.load(made).scene == Scene(Panel(3, 5, 4.0), None, 70.0)
-    made.unlink()
-    wrong = lampest(*words, "--scene", scene, "--set", "panel.pitsch_mm=4")
-    assert (wrong.code, made.exists()) == (2, False) and "pitsch_mm" in wrong.err
-    nowhere = lampest(*words, "--rows", 3, "--columns", 5, "--set", "panel.pitch_mm=4")
-    assert (nowhere.code, made.exists()) == (2, False) and "--scene" in nowhere.err
-
-
-@pytest.mark.parametrize("ohm", ["1e29", "1e-9", "{rows: [140, 140, 1e29], columns: 70}"])
-def test_a_series_resistance_that_no_wire_has_is_refused_where_it_stands(tmp_path: Path, ohm: str) -> None:
-    path = tmp_path / "scene.yaml"
-    path.write_text(f"panel: {{rows: 3, columns: 5}}\nseries_resistance_ohm: {ohm}\n", encoding="utf-8")
-    with pytest.raises(InputError, match=r"scene\.yaml:.*must lie between 1e-06 and 1e\+09 ohm"):
-        read_scene(path)
-
-
-def amplifiers(**volts: float) -> Scene:
-    return Scene(Panel(ROWS, COLUMNS), VirtualGroundReadout(sense_ohm=70.0, feedback_ohm=4000.0, **volts))
-
-
-def test_the_drive_and_the_converter_of_a_virtual_ground_have_voltages_of_their_own(tmp_path: Path) -> None:
-    scene = amplifiers(drive_volt=0.5, converter_volt=2.5)
-    truth = np.random.default_rng(2).uniform(1500, 6000, (1, ROWS, COLUMNS))
-    volts = scene.circuit.exact_reading(truth)
-    path = table(tmp_path / "v.csv", volts.reshape(1, -1))
-    recording, notes = import_file(path, ROWS, COLUMNS, scene)
-    assert any(note.startswith("unit volt, guessed") for note in notes)
-    found = reconstruct(recording, [Misfit()], formulation="reduced", bounds=Bounds("none", "none"))
-    np.testing.assert_allclose(found.cell_resistance, truth, rtol=1e-2)
-    codes = np.floor(volts / 2.5 * 1024).astype(int)
-    np.save(tmp_path / "c.npy", codes)
-    np.testing.assert_allclose(import_file(tmp_path / "c.npy", scene=scene)[0].recorded, volts, atol=2.5 / 1024)
-    both = amplifiers(supply_volt=5.0).circuit.exact_reading(truth)
-    np.testing.assert_allclose(amplifiers(drive_volt=5.0).circuit.exact_reading(truth), both)
-    with pytest.raises(ValueError, match="converter_volt must lie between"):
-        amplifiers(converter_volt=0.0)
-
-
-def test_volts_beyond_a_supply_that_is_the_drive_alone_are_no_millivolts(tmp_path: Path) -> None:
-    scene = amplifiers(drive_volt=0.5, converter_volt=2.5)
-    volts = scene.circuit.exact_reading(np.full((2, ROWS, COLUMNS), 2000.0))
-    path = table(tmp_path / "v.csv", volts.reshape(2, -1))
-    with pytest.raises(InputError, match=r"fit none of volt, mV, code in this scene, whose converter ends at 0.5 V"):
-        import_file(path, scene=amplifiers(supply_volt=0.5))
-
-
-def test_readings_that_mostly_stand_at_the_rail_of_a_shorted_cell_are_refused(tmp_path: Path) -> None:
-    volts = np.full((2, ROWS, COLUMNS), 2.5)
-    volts[0, 0] = 1.0
-    path = table(tmp_path / "v.csv", volts.reshape(2, -1))
-    with pytest.raises(InputError, match=r"25 of 30 readings stand at the rail .* is readout.converter_volt, 2.5 V"):
-        import_file(path, scene=amplifiers(drive_volt=0.5, converter_volt=2.5), unit="volt")
-    volts = np.full((2, ROWS, COLUMNS), 0.0)  # open cells, which an unloaded film has
-    volts[0, 0] = 1.0
-    recording, _ = import_file(table(tmp_path / "o.csv", volts.reshape(2, -1)), scene=amplifiers(), unit="volt")
-    assert recording.recorded.shape == (2, ROWS, COLUMNS)
-
-
-def test_an_array_becomes_the_recording_that_its_file_becomes(tmp_path: Path) -> None:
-    volts = 5.0 * 1000.0 / (FRAMES + 1000.0)
-    codes = np.floor(volts / 5 * 1024).astype(int)
-    text = "panel: {rows: 3, columns: 5}\nreadout: {kind: two_point}\nseries_resistance_ohm: 140\n"
-    (tmp_path / "scene.yaml").write_text(text, encoding="utf-8")
-    for unit, values in (
-        ("ohm", FRAMES),
-        ("kohm", FRAMES / 1000),
-        ("volt", volts),
-        ("mV", 1000 * volts),
-        ("code", codes),
-    ):
-        np.save(tmp_path / "m.npy", values)
-        expected, _ = import_file(tmp_path / "m.npy", scene=SCENE, unit=unit, baseline_frames=2)
-        for scene in (SCENE, tmp_path / "scene.yaml", str(tmp_path / "scene.yaml")):
-            recording = Recording.from_array(values.tolist(), unit=unit, baseline=2, scene=scene, time=[0, 1, 2, 4])
-            np.testing.assert_array_equal(recording.recorded, expected.recorded)
-            np.testing.assert_array_equal(recording.role, [0, 0, 1, 1])
-            np.testing.assert_array_equal(recording.time, [0, 1, 2, 4])
-            assert recording.scene.panel == SCENE.panel
-    plain = Recording.from_array(FRAMES)
-    assert plain.scene == Scene(Panel(ROWS, COLUMNS)) and plain.time[-1] == 3 and np.all(plain.role == 1)
-    assert reconstruct(Recording.from_array(FRAMES, baseline=1), [Misfit()]).solved.all()
+    check_refused(file, tmp_path)
 
 
 @pytest.mark.parametrize(
-    ("given", "message"),
+    ("values", "scene", "unit"),
     [
-        ({"values": FRAMES[0]}, r"values must have the shape \(frames, rows, columns\) with at least one frame, not"),
-        ({"values": FRAMES[:, :2], "scene": SCENE}, r"values must have the shape \(frames, 3, 5\) .*not \(4, 2, 5\)"),
-        ({"values": FRAMES, "baseline": 5}, "baseline must be a number of frames from 0 to 4, not 5"),
-        ({"values": FRAMES, "unit": "V"}, "the unit 'V' is unknown; there are ohm, kohm, volt, mV, code"),
-        ({"values": FRAMES, "unit": "volt"}, "values: volt values need a scene with a readout"),
-        (
-            {"values": FRAMES, "unit": "volt", "scene": SCENE},
-            r"values\[0, 0, 0\]: 468.* lies outside 0 to 5 V, the range",
-        ),
-        ({"values": FRAMES, "time": [0, 1]}, "time must hold one finite time for each frame"),
-        ({"values": "m.csv"}, "values"),
+        (FRAMES, None, "ohm"),
+        (FRAMES.round(), None, "ohm"),
+        (FRAMES / 1000, None, "kohm"),
+        (FRAMES, DIVIDER, "ohm"),
+        (FRAMES / 1000, DIVIDER, "kohm"),
+        (FRAMES * 20, DIVIDER, "ohm"),
+        (FRAMES / 100, DIVIDER, "kohm"),
+        (FRAMES * 500, DIVIDER, "ohm"),
+        (CODES, DIVIDER, ("ohm", "code")),
+        (CODES + 1000, DIVIDER, ("ohm", "mV")),
+        (MEANS, DIVIDER, "code"),
+        (MEANS.round(1), DIVIDER, ("ohm", "code")),
+        (VOLTS, DIVIDER, "volt"),
+        (1000 * VOLTS, DIVIDER, "mV"),
+        ((1000 * VOLTS).round(2), DIVIDER, "mV"),
+        (1000 * (5 / VOLTS - 1), DIVIDER, "ohm"),
+        ((1000 * (5 / VOLTS - 1)).round(2), DIVIDER, "ohm"),
+        (CODES, LOADED, "code"),
+        (VOLT_OF_CODES, LOADED, "volt"),
+        (1000 * VOLT_OF_CODES, LOADED, "mV"),
+        (CODES % 4, LOADED, ("volt", "code")),
+        (CODES + 9000, LOADED, ()),
     ],
 )
-def test_an_array_that_does_not_fit_is_refused_in_words_of_its_arguments(given: dict[str, Any], message: str) -> None:
-    with pytest.raises(InputError, match=message) as caught:
-        Recording.from_array(**given)
-    assert "--" not in str(caught.value)
-
-
-@dataclass(frozen=True)
-class FramesInBytes(Layout):
-    kind: ClassVar[str] = "frames_in_bytes"
-
-    def read(self, path: Path, rows: int, columns: int) -> tuple[np.ndarray, np.ndarray]:
-        values = np.fromfile(path, dtype="<u2").reshape(-1, rows, columns)
-        return values, np.arange(len(values)) * 50
-
-
-def test_a_layout_of_ones_own_reads_what_it_knows(tmp_path: Path) -> None:
-    codes = np.arange(300, 300 + 2 * ROWS * COLUMNS).astype("<u2").reshape(2, ROWS, COLUMNS)
-    (tmp_path / "m.bin").write_bytes(codes.tobytes())
-    recording, notes = import_file(tmp_path / "m.bin", scene=SCENE, unit="code", layout=FramesInBytes())
-    np.testing.assert_allclose(recording.recorded, Recording.from_array(codes, unit="code", scene=SCENE).recorded)
-    assert recording.time[-1] == 0.05 and notes[0] == "layout frames_in_bytes"
-    assert any(note.startswith("time: ms (guessed") for note in notes)
-    with pytest.raises(InputError, match=r"layout frames_in_bytes gives 2 × 5 × 3, not frames × 3 × 5"):
-        import_file(tmp_path / "m.bin", scene=SCENE, unit="code", layout=Turned())
-
-
-class Turned(FramesInBytes):
-    def read(self, path: Path, rows: int, columns: int) -> tuple[np.ndarray, np.ndarray]:
-        return super().read(path, columns, rows)
-
-
-@pytest.mark.parametrize("written", ["ROW{row}={line}", "R{row}: {line}", "row {row} = {line}"])
-def test_rows_with_names_before_a_sign(tmp_path: Path, written: str) -> None:
-    lines = [
-        written.format(row=row, line=",".join(map(str, values))) for frame in FRAMES for row, values in enumerate(frame)
-    ]
-    (tmp_path / "m.log").write_text("\n".join(lines) + "\n", encoding="utf-8")
-    recording, _ = import_file(tmp_path / "m.log", ROWS, COLUMNS)
-    np.testing.assert_allclose(recording.resistance, FRAMES)
+def test_the_unit_is_guessed_from_the_values(
+    tmp_path: Path, values: np.ndarray, scene: Scene | None, unit: str | tuple[str, ...]
+) -> None:
+    np.save(tmp_path / "m.npy", values)
+    if isinstance(unit, str):
+        guess, notes = import_file(tmp_path / "m.npy", ROWS, COLUMNS, scene)
+        specified, _ = import_file(tmp_path / "m.npy", ROWS, COLUMNS, scene, unit)
+        np.testing.assert_array_equal(guess.recorded, specified.recorded)
+        assert any(
+            note.startswith((f"unit {unit}, guessed: values", f"unit {unit}, assumed: values")) for note in notes
+        )
+        return
+    with pytest.raises(InputError) as caught:
+        import_file(tmp_path / "m.npy", ROWS, COLUMNS, scene)
+    assert not unit or f"may be {' or '.join(unit)}; say which with `unit={unit[0]!r}` or" in str(caught.value)
+    assert unit or "fit none of volt, mV, code" in str(caught.value)

@@ -9,8 +9,6 @@ import h5py
 import numpy as np
 import pytest
 
-from tests.small_files import TRADEOFF
-
 Command = Callable[..., SimpleNamespace]
 Row = dict[str, str]
 
@@ -121,63 +119,6 @@ def test_a_study_writes_its_table_its_samples_with_units_and_its_pictures(
     pictures = [*out.glob("*.png")]
     assert bool(pictures) == (study in PICTURED)
     assert all(picture.read_bytes().startswith(b"\x89PNG") for picture in pictures)
-
-
-def in_bench(line: str) -> str:
-    return f"schema: 1\n{line}\n"
-
-
-def in_tradeoff(old: str, new: str) -> str:
-    assert old in TRADEOFF
-    return TRADEOFF.replace(old, new, 1)
-
-
-@pytest.mark.parametrize(
-    ("study", "text", "sentence"),
-    [
-        ("bench", in_bench("sizes: []"), "must hold at least one"),
-        ("bench", in_bench("sizes: [1]"), "a panel's side must lie between 2 and 1000"),
-        ("bench", in_bench("sizes: [3, [3, 3]]"), "names a panel twice"),
-        ("bench", in_bench("sizes: [3]\nframes: 0"), "frames must lie between 1 and 1000"),
-        ("bench", in_bench("sizes: [3]\nrecordings: 0"), "recordings must lie between 1 and 1000"),
-        ("bench", in_bench("sizes: [3]\nbudget_s: 0"), "budget_s must lie between"),
-        ("bench", in_bench("sizes: [3, [3, 30]]\nlimits: {reduced: 20}"), "limits leave no solver for 3 × 30"),
-        ("bench", in_bench("sizes: [3]\nlimits: {noddal: 3}"), "bench.yaml:3:10: limits.noddal: no such key"),
-        ("bench", in_bench("sizes: [3]\nestimators: {A: {terms: {}}}"), "a method needs at least one term"),
-        (
-            "bench",
-            in_bench("sizes: [3]\nestimators: {A: {terms: {misfit: {loss: {kind: absolute}}}}}"),
-            "only squared losses",
-        ),
-        ("extremes", in_bench("grid: {sizes: []}\nstructured: {sizes: []}"), "hold no scene"),
-        ("extremes", EXTREMES.replace("[[2, 3]]", "[99]"), "a panel's side must lie between 1 and 64"),
-        ("extremes", EXTREMES.replace("decades: [1]", "decades: [99]"), "decades must lie between 0 and 15"),
-        ("extremes", EXTREMES.replace("noise: [0]", "noise: [-1]"), "noise must lie between 0 and 100 percent"),
-        ("extremes", EXTREMES.replace("noise: [0]", "seeds: -1"), "seeds must lie between 0 and 1000"),
-        ("extremes", EXTREMES.replace("{sizes: []}", "{sise: []}"), "extremes.yaml:3:14: structured.sise: no such key"),
-        ("extremes", EXTREMES + "estimators: {}\n", "estimators must hold at least one"),
-        ("tradeoff", in_tradeoff(" reduced,", " redcued,"), "tradeoff.yaml:9:"),
-        ("tradeoff", in_tradeoff("steps: 2", "steps: 0"), "formulations.3"),
-        ("tradeoff", in_tradeoff(" reduced,", ""), "reduced"),
-        ("tradeoff", in_tradeoff("scaled,", "naive,"), "twice"),
-        ("tradeoff", in_tradeoff("frames: 3", "frames: 1"), "frames"),
-        ("tradeoff", in_tradeoff("sizes: [8,", "sizes: [3,"), "side"),
-        ("tradeoff", in_tradeoff("repeats:", "repaets:"), "tradeoff.yaml:11:1: repaets: no such key"),
-        ("tradeoff", in_tradeoff("misfit: {}}}\n", "misfitt: {}}}\n"), "no such key"),
-        ("tradeoff", in_tradeoff("  scenes: {clean: {}", "  scenes: {a/b: {}"), "a/b"),
-        ("weights", GRADIENT_ALONE.replace(", gradient: {weight: auto}", ""), "nothing to tune"),
-        ("weights", GRADIENT_ALONE.replace("weight: auto", "wieght: auto"), "no such key"),
-        ("weights", GRADIENT_ALONE.replace("small.h5", "absent.h5"), "no such file"),
-        ("weights", GRADIENT_ALONE.replace("weight: auto", "weight: -1"), "weight"),
-    ],
-)
-def test_a_mistake_in_the_file_of_a_study_is_one_sentence_and_nothing_is_written(
-    study: str, text: str, sentence: str, disk: SimpleNamespace, lampest: Command
-) -> None:
-    done, out = studied(lampest, disk, study, text)
-    assert (done.code, done.out) == (2, "")
-    assert sentence in done.err and len(done.err.strip().splitlines()) == 1
-    assert not out.exists()
 
 
 def test_weights_without_noise_and_truth_are_chosen_by_risk_alone(disk: SimpleNamespace, lampest: Command) -> None:

@@ -17,15 +17,8 @@ from unittest import mock
 
 from fuzz.mutants import RUN, SUFFIXES, Mutant, text
 
-from lampest import cli
-from lampest.files.errors import InputError
-from lampest.panel.scene import read_scene
-from lampest.recording.foreign.importing import import_file
-from lampest.recording.recording import Recording
-from lampest.recording.simulation import read_simulations
+from lampest import InputError, Recording, cli, import_file, read_results, read_run, read_scene, read_simulations
 from lampest.recording.simulation import run as simulate
-from lampest.runs.config import read_run
-from lampest.runs.results import read_results
 
 FINE, REFUSED = "taken", "refused"
 MOST_SECONDS = 5.0
@@ -154,13 +147,11 @@ READERS: dict[str, Callable[[Path], Any]] = {
     "setting": _setting,
     "recording": Recording.load,
     "results": read_results,
-    "table": _imported,
-    "numpy": _imported,
-    "matlab": _imported,
-    "excel": _imported,
-    "arrays": _imported,
-    "matlab_hdf5": _imported,
 }
+
+
+IMPORTED = ("table", "numpy", "matlab", "excel", "arrays", "matlab_hdf5")
+READERS |= dict.fromkeys(IMPORTED, _imported)
 
 
 def _import(path: Path) -> list[str]:
@@ -174,10 +165,5 @@ COMMANDS: dict[str, Any] = {
     "setting": None,
     "recording": lambda path: ["info", str(path)],
     "results": lambda path: ["compare", str(path)],
-    "table": _import,
-    "numpy": _import,
-    "matlab": _import,
-    "excel": _import,
-    "arrays": _import,
-    "matlab_hdf5": _import,
 }
+COMMANDS |= dict.fromkeys(IMPORTED, _import)

@@ -11,14 +11,10 @@ import pytest
 from support import invented_case
 
 import lampest
-from lampest.estimate.estimates import Estimates
-from lampest.estimate.estimator import Bounds, Estimator
+from lampest import Bounds, Estimates, Estimator, InputError, read_results, write_results
 from lampest.estimate.sequence import reconstruct
-from lampest.files.errors import InputError
 from lampest.runs.columns import CELLS, FRAMES, MAPS, Column, of_steps, positive
-from lampest.runs.filling import named_result
 from lampest.runs.held import COLUMNS, REQUIRED, all_columns
-from lampest.runs.results import read_results, write_results
 
 DATA = Path(__file__).parents[2] / "data"
 LEAST = Column(
@@ -29,11 +25,6 @@ LEAST = Column(
     of_steps(lambda step: step.solution.cell_resistance[-1].min()),
     (positive,),
 )
-CONTRAST = Column("contrast", MAPS, "1", "cell over the panel's median", lambda done: contrast(done))
-
-
-def contrast(done: Estimates) -> np.ndarray:
-    return done.cell_resistance / np.median(done.cell_resistance, axis=(1, 2), keepdims=True)
 
 
 ADDON = """\
@@ -47,20 +38,9 @@ LEAST = Column(
 
 @pytest.fixture(scope="module")
 def reconstruction() -> Estimates:
-    recording = lampest.Recording.load(DATA / "cup_air_10kpa.h5")
-    kept = slice(0, 8)
-    few = dataclasses.replace(
-        recording,
-        recorded=recording.resistance[kept],
-        time=recording.time[kept],
-        role=recording.role[kept],
-        truth_cell_resistance=recording.truth_cell_resistance[kept],
-        truth_pressure=None,
-        raw_sums=None,
-    )
-    return reconstruct(
-        few, Estimator((lampest.Misfit(weighting="noise"),), "reduced", bounds=Bounds(), tare=lampest.Tare())
-    )
+    few = lampest.Recording.load(DATA / "cup_air_10kpa.h5", slice(8))
+    terms = (lampest.Misfit(weighting="noise"),)
+    return reconstruct(few, Estimator(terms, "reduced", bounds=Bounds(), tare=lampest.Tare()))
 
 
 @pytest.mark.parametrize("column", COLUMNS, ids=lambda column: column.name)
@@ -76,21 +56,6 @@ def test_every_column_is_filled_from_a_reconstruction(column: Column, reconstruc
 def test_columns_have_names_of_their_own() -> None:
     assert {column.name for column in COLUMNS} > REQUIRED >= {"measured", "cell_resistance", "solved"}
     assert len({column.path for column in COLUMNS}) == len(COLUMNS)
-
-
-def test_a_column_of_a_script_goes_in_and_comes_out(tmp_path: Path, reconstruction: Estimates) -> None:
-    further = (LEAST, CONTRAST)
-    result = named_result(reconstruction, "LSM", further)
-    np.testing.assert_array_equal(result.extra["least_resistance"], reconstruction.cell_resistance.min(axis=(1, 2)))
-    write_results(tmp_path / "r.h5", [result], columns=further)
-    with h5py.File(tmp_path / "r.h5") as file:
-        dataset = file["entry/cup_air_10kpa/LSM/contrast"]
-        assert dataset.attrs["units"] == b"1" and dataset.dims[1].keys() == ["row"]
-    (found,) = read_results(tmp_path / "r.h5", further).cases
-    for name in ("least_resistance", "contrast"):
-        np.testing.assert_array_equal(found.extra[name], result.extra[name])
-    (bare,) = read_results(tmp_path / "r.h5").cases
-    assert not {"least_resistance", "contrast"} & set(bare.extra), "without its column nobody knows what it is"
 
 
 def test_a_column_of_a_package_is_in_every_run(

@@ -9,15 +9,10 @@ import numpy as np
 import pytest
 from support import METHODS, invented_case
 
+from lampest import ContourPlot, InputError, Panel, Recording, Scene, SweepPlot, TwoPointReadout, plot_results
 from lampest.cli.screen import print_table
-from lampest.files.errors import InputError
-from lampest.panel.readouts import TwoPointReadout
-from lampest.panel.scene import Panel, Scene
-from lampest.recording.recording import Recording
 from lampest.report.compare import Table, compare, compare_files, comparison, legend, screen_blocks, write_csv
 from lampest.report.info import describe
-from lampest.report.plots import plot_results
-from lampest.report.plots.contours import ContourPlot, SweepPlot
 from lampest.report.plots.style import save
 from lampest.report.strongest import strongest_index
 from lampest.runs.results import CaseResult, PublishedFigures, Results, StepFigures, write_results
@@ -119,11 +114,6 @@ def test_the_table_is_written_as_csv(tmp_path: Path) -> None:
     assert [block.title.split(": ")[0] for block in screen_blocks(rows)] == [row["results"] for row in rows[::7]]
     with pytest.raises(InputError, match="cannot be written"):
         write_csv(tmp_path / "one.h5" / "table.csv", rows)
-
-
-def test_published_figures_are_checked() -> None:
-    with pytest.raises(ValueError, match="time_s must be zero or positive"):
-        StepFigures(time_s=-1.0)
 
 
 @pytest.mark.parametrize("truth", [True, False])

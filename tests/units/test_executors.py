@@ -1,10 +1,11 @@
-"""Where cases run changes nothing but time: here, in processes, on a Dask cluster, and with workers that die."""
+"""Where cases run changes nothing but time: here, in processes, on a Dask cluster, with workers that die."""
 
 import ctypes
 import dataclasses
 import logging
 import multiprocessing
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -18,16 +19,16 @@ from typing import Any
 import numpy as np
 import pytest
 
+from lampest import CaseResult, InputError, read_results
 from lampest.files import process
-from lampest.files.errors import InputError
 from lampest.runs import batch, executors
 from lampest.runs.batch import Task, run_batch, solve_case
 from lampest.runs.config import json_schema, read_run
-from lampest.runs.executors import Dask, Processes, Serial, local
-from lampest.runs.results import CaseResult, read_results
+from lampest.runs.executors import Dask, Processes, Serial, Tls, local
 
 Command = Callable[..., SimpleNamespace]
 TIMES = ("solve_time", "baseline_solve_time", "error_bar_time")
+ONE_WORKER: Any = {"n_workers": 1, "threads_per_worker": 1, "dashboard_address": ":0", "host": "127.0.0.1"}
 DEATH = "__import__('os')._exit(9)"
 EVERY = [Serial(), Processes(2), Dask(workers=2)]
 NAMES = [executor.kind for executor in EVERY]
@@ -147,17 +148,10 @@ def test_workers_with_several_threads_are_refused() -> None:
     import distributed
 
     with (
-        distributed.LocalCluster(
-            n_workers=1, threads_per_worker=2, processes=True, dashboard_address=":0", host="127.0.0.1"
-        ) as cluster,
+        distributed.LocalCluster(**ONE_WORKER | {"threads_per_worker": 2}) as cluster,
         pytest.raises(InputError, match="has 2 threads; start it with --nthreads 1"),
     ):
         list(Dask(address=cluster.scheduler_address).results(eval, ["1"]))
-
-
-def test_no_cluster_at_the_address() -> None:
-    with pytest.raises(InputError, match=r"no Dask scheduler with workers answers at tcp://127\.0\.0\.1:9"):
-        list(Dask(address="tcp://127.0.0.1:9", wait_s=0.3).results(eval, ["1"]))
 
 
 def hanging(seconds: float) -> float:
@@ -186,20 +180,6 @@ def test_a_process_that_nobody_replaces_is_not_ended() -> None:
     before = signal.getsignal(signal.SIGALRM)
     assert hanging(0.5) == 0.5
     assert signal.getsignal(signal.SIGALRM) == before
-
-
-def killed_thrice(folder: Path) -> int:
-    """Is killed as from outside, until there are three marks."""
-    marks = len(list(folder.iterdir()))
-    if marks < 3:
-        (folder / str(marks)).touch()
-        os.kill(os.getpid(), signal.SIGKILL)
-    return marks
-
-
-@pytest.mark.slow
-def test_a_process_that_is_killed_three_times_is_tried_again(tmp_path: Path) -> None:
-    assert list(Processes(1).results(killed_thrice, [tmp_path])) == [(tmp_path, 3)]
 
 
 def slow_case(task: Task) -> Any:
@@ -266,8 +246,7 @@ def test_a_scheduler_that_is_gone_costs_nothing_that_is_finished(
 def test_a_scheduler_is_found_by_its_file(disk: SimpleNamespace) -> None:
     import distributed
 
-    options: Any = {"n_workers": 1, "threads_per_worker": 1, "dashboard_address": ":0", "host": "127.0.0.1"}
-    with distributed.LocalCluster(**options) as cluster, distributed.Client(cluster) as client:
+    with distributed.LocalCluster(**ONE_WORKER) as cluster, distributed.Client(cluster) as client:
         client.write_scheduler_file(disk.folder / "scheduler.json")
         path = disk.run(disk.text + "executor: {kind: dask, scheduler_file: scheduler.json, wait_s: 60}\n")
         executor = read_run(path).executor
@@ -303,14 +282,6 @@ def test_defaults_are_of_this_machine() -> None:
     assert '"executor"' in str(json_schema()).replace("'", '"')
 
 
-def test_dask_is_imported_only_when_it_is_used() -> None:
-    program = (
-        "import sys, lampest.runs.batch, lampest.runs.executors\nprint({'dask', 'distributed'} & set(sys.modules))"
-    )
-    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
-    assert ended.stdout == "set()\n"
-
-
 def test_frames_are_counted_while_cases_are_solved(disk: SimpleNamespace, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(batch, "EVERY_SECONDS", 1e-4)
     told: list[tuple[int, int]] = []
@@ -319,3 +290,84 @@ def test_frames_are_counted_while_cases_are_solved(disk: SimpleNamespace, monkey
     frames = sum(case.frames for case in run.cases)
     assert told[-1] == (frames, frames) and told == sorted(told) and {whole for _, whole in told} == {frames}
     assert not list((disk.folder / "out" / "cases").glob(".*")), "what counts them is removed"
+
+
+# Of a worker: whether every process of its cluster listens on the loopback address alone.
+LISTENING = (
+    "{c.laddr.ip for p in (lambda top: [top, *top.children(recursive=True)])"
+    "(__import__('psutil').Process().parent().parent()) for c in p.net_connections('inet') if c.status == 'LISTEN'}"
+)
+
+
+@pytest.fixture(scope="module")
+def keys(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder, with a blank and quotes in its name, with an authority's certificate and one that it signed."""
+    if shutil.which("openssl") is None:
+        pytest.skip("openssl makes the certificates")
+    folder = tmp_path_factory.mktemp("it's mine")
+    for words in (
+        "req -x509 -newkey rsa:2048 -nodes -keyout ca.key -out ca.pem -days 2 -subj /CN=authority",
+        "req -newkey rsa:2048 -nodes -keyout me.key -out me.csr -subj /CN=me",
+        "x509 -req -in me.csr -CA ca.pem -CAkey ca.key -CAcreateserial -out me.pem -days 2",
+    ):
+        subprocess.run(["openssl", *words.split()], cwd=folder, check=True, capture_output=True)
+    return folder
+
+
+def tls_of(folder: Path) -> Tls:
+    return Tls("ca.pem", "me.pem", "me.key").beside(folder)
+
+
+def test_a_cluster_of_this_machine_listens_on_the_loopback_address_alone() -> None:
+    [(_, found)] = Dask(workers=1).results(eval, [LISTENING])
+    assert found == {"127.0.0.1"}
+
+
+def test_a_scheduler_with_certificates_is_used_and_one_without_the_files_is_not(keys: Path) -> None:
+    import distributed
+
+    tls = tls_of(keys)
+    options = ONE_WORKER | {"host": "tls://127.0.0.1"}
+    own = {
+        f"tls_{side}_{part}": file
+        for side in ("client", "scheduler", "worker")
+        for part, file in (("cert", tls.cert_file), ("key", tls.key_file))
+    }
+    every_side = distributed.Security(tls_ca_file=tls.ca_file, require_encryption=True, **own)
+    with distributed.LocalCluster(**options, protocol="tls://", security=every_side) as cluster:
+        address = cluster.scheduler_address
+        assert address.startswith("tls://")
+        assert list(Dask(address=address, tls=tls).results(eval, ["6 * 7"])) == [("6 * 7", 42)]
+        with pytest.raises(InputError, match="no Dask scheduler with workers answers"):
+            list(Dask(address=address.replace("tls", "tcp"), wait_s=1.0).results(eval, ["1"]))
+
+
+def test_files_are_taken_from_beside_the_run(disk: SimpleNamespace, keys: Path) -> None:
+    for name in ("ca.pem", "me.pem", "me.key"):
+        shutil.copy(keys / name, disk.folder)
+    entry = (
+        "executor: {kind: dask, address: 'tls://a:1', tls: {ca_file: ca.pem, cert_file: me.pem, key_file: me.key}}\n"
+    )
+    run = read_run(disk.run(disk.text + entry))
+    assert run.executor == Dask(address="tls://a:1", tls=tls_of(disk.folder))
+    (disk.folder / "me.key").unlink()
+    with pytest.raises(InputError, match=r"executor\.tls\.key_file: .*me\.key: cannot be read \(No such file"):
+        read_run(disk.run(disk.text + entry))
+
+
+def test_a_device_is_no_scheduler_file(disk: SimpleNamespace) -> None:
+    with pytest.raises(InputError, match=r"executor\.scheduler_file: /dev/zero: is no regular file"):
+        read_run(disk.run(disk.text + "executor: {kind: dask, scheduler_file: /dev/zero}\n"))
+
+
+@pytest.mark.parametrize(
+    ("given", "sentence"),
+    [
+        ({"address": "tls://a:1"}, "tls goes with an address that begins with tls://"),
+        ({"address": "tcp://a:1", "tls": Tls("a", "b", "c")}, "tls goes with an address that begins with tls://"),
+        ({"tls": Tls("a", "b", "c")}, "listen on its loopback address alone, without tls"),
+    ],
+)
+def test_what_does_not_go_together(given: Any, sentence: str) -> None:
+    with pytest.raises(InputError, match=sentence):
+        Dask(**given).ready()

@@ -9,18 +9,11 @@ import numpy as np
 import pytest
 
 from docs.studies.extremes import extremes_figure
-from lampest import two_point_resistance
+from lampest import Data, Estimator, Panel, Recording, Scene, Settings, Status, TwoPointReadout, two_point_resistance
 from lampest.cost.given import Background, Given
-from lampest.cost.problem import Data
 from lampest.cost.terms import CellResistance, Gradient, Misfit
-from lampest.estimate.estimator import Estimator
-from lampest.panel.panel import Panel
-from lampest.panel.readouts import TwoPointReadout
-from lampest.panel.scene import Scene
 from lampest.recording.readings import AT_LEAST, AT_MOST
-from lampest.recording.recording import Recording
 from lampest.solvers.multistart import best_solution, evaluated
-from lampest.solvers.solution import Settings, Status
 from lampest.studies.extremes.run import (
     CRASHED,
     Solve,

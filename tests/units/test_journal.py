@@ -1,4 +1,4 @@
-"""Recordings that a killed recorder left, and were damaged afterwards."""
+"""Files whose writer was killed: read as far as they are whole; damage in them is found, and repair drops it."""
 
 from pathlib import Path
 
@@ -8,9 +8,11 @@ import pytest
 from unclosed import unclosed_recording
 
 import lampest
+from lampest import InputError, Recording
 from lampest.cli.results import _repaired
+from lampest.files import hdf5
+from lampest.files.checksums import is_left_open
 from lampest.recording.board.record import repair
-from lampest.recording.recording import Recording
 from lampest.recording.stored import StoredRecording
 
 SCENE = lampest.Scene(lampest.Panel(3, 4), lampest.TwoPointReadout(noise_lsb=0.7), series_resistance_ohm=140.0)
@@ -49,7 +51,6 @@ def test_a_damaged_frame_is_named_and_repair_drops_it(killed: Path, place: str) 
             reader(killed)
     assert _repaired(killed) == f"11 frames: {killed}; 1 damaged frame is dropped and counts as lost"
     found, left = Recording.load(killed), np.delete(np.arange(FRAMES), 5)
-    assert found.acquisition is not None and meant.acquisition is not None and found.raw_sums is not None
     np.testing.assert_array_equal(found.recorded, meant.recorded[left])
     np.testing.assert_array_equal(found.raw_sums, np.asarray(meant.raw_sums)[left])
     np.testing.assert_array_equal(found.time, meant.time[left])
@@ -90,3 +91,56 @@ def test_all_damaged_is_refused_and_stays(killed: Path) -> None:
     with pytest.raises(lampest.InputError, match="every frame is damaged"):
         repair(killed)
     assert killed.read_bytes() == left
+
+
+VALUES = np.arange(6.0)
+
+
+@pytest.fixture
+def left_open(tmp_path: Path) -> Path:
+    """What a left_open writer leaves: the bytes of a file while it is written."""
+    with h5py.File(tmp_path / "growing.h5", "w", libver=hdf5.FORMAT) as file:
+        values = file.create_dataset("some/values", (0,), "f8", maxshape=(None,), chunks=(4,))
+        file.swmr_mode = True
+        values.resize((len(VALUES),))
+        values[:] = VALUES
+        file.flush()
+        (tmp_path / "left_open.h5").write_bytes((tmp_path / "growing.h5").read_bytes())
+    return tmp_path / "left_open.h5"
+
+
+def read(path: Path) -> np.ndarray:
+    with hdf5.existing_file(path) as file:
+        return np.asarray(hdf5.read_array(file, "/some/values", 1))
+
+
+def test_what_a_killed_writer_left_is_read_and_stays(left_open: Path) -> None:
+    whole = left_open.read_bytes()
+    assert is_left_open(left_open)
+    np.testing.assert_array_equal(read(left_open), VALUES)
+    assert left_open.read_bytes() == whole
+
+
+def test_damage_in_it_is_a_sentence_that_names_it(left_open: Path) -> None:
+    """HDF5 alone waits for the right checksum without end."""
+    whole, refused, rng = left_open.read_bytes(), 0, np.random.default_rng(1)
+    with h5py.File(left_open.with_name("growing.h5")) as file:
+        header = h5py.h5o.get_info(file["some/values"].id).addr
+    for place in (9, 12, header + 6, *rng.integers(0, header + 200, 60)):
+        damaged = bytearray(whole)
+        damaged[place] ^= 16
+        left_open.write_bytes(damaged)
+        try:
+            np.testing.assert_array_equal(read(left_open), VALUES)
+        except InputError as error:
+            assert str(error).startswith(str(left_open))
+            refused += 1
+    assert refused > 10
+
+
+def test_one_that_ends_too_early_is_refused_or_read(left_open: Path) -> None:
+    whole = left_open.read_bytes()
+    for length in (20, 47, 48, 300, len(whole) - 1):
+        left_open.write_bytes(whole[:length])
+        with pytest.raises(InputError, match=r"left_open\.h5"):
+            read(left_open)

@@ -8,19 +8,13 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from support import live_pictures
 
+from lampest import UNLOADED, Array, Estimator, InputError, OralDisc, Panel, Recording, Stream, TwoPointReadout
 from lampest.cost.terms import Arrival, Misfit, RelativeChange
-from lampest.estimate.estimator import Estimator
 from lampest.estimate.sequence import reconstruct
-from lampest.estimate.stream import Stream
-from lampest.files.errors import InputError
-from lampest.loads.shapes import OralDisc
-from lampest.panel.panel import Array, Panel
-from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.scene import Faults, Scene, Systematic, Water
 from lampest.recording.board.protocol import Frame, Hello
 from lampest.recording.board.stream import Sample
 from lampest.recording.readings import AT_LEAST, AT_MOST, Readings
-from lampest.recording.recording import UNLOADED, Recording
 from lampest.recording.simulation.measure import Unmodelled, measured, raw_sums
 from lampest.recording.simulation.simulation import Simulation, simulate
 from lampest.report.live.engine import Engine
@@ -60,7 +54,6 @@ CASES = {
 def recording_of(case: Case) -> Recording:
     """Three unloaded frames and three of a mouth, through the scene's electronics."""
     still = simulate(Simulation(1, 5, replace(case.scene, faults=None), frames=3, loads=(MOUTH,)))
-    assert still.truth_cell_resistance is not None and case.scene.readout is not None
     cells = still.truth_cell_resistance.copy()
     cells[:, case.broken.open_cells(case.scene.panel)] = np.inf
     cells[:, case.broken.shorted_cells(case.scene.panel)] = 0.0
@@ -74,7 +67,6 @@ def recording_of(case: Case) -> Recording:
 def samples_of(recording: Recording) -> list[Sample]:
     """The same frames as a board sends them."""
     readout, (rows, columns) = recording.scene.readout, recording.scene.panel.shape
-    assert readout is not None and recording.raw_sums is not None
     hello = Hello(
         rows,
         columns,
@@ -142,7 +134,6 @@ def test_a_dead_row_leaves_the_sound_cells_of_the_live_page_right() -> None:
     recording = recording_of(case)
     pictures = live_pictures(LSM, 3, lambda engine: from_recording(engine, recording, 1e9, None))
     truth = simulate(Simulation(1, 5, WHOLE, frames=3, loads=(MOUTH,))).truth_cell_resistance
-    assert truth is not None
     sound = ~case.broken.open_cells(case.scene.panel)
     for picture, cells in zip(pictures, truth[3:], strict=True):
         error = (1 + picture.relative_change / 100) / (cells / truth[0]) - 1
@@ -242,7 +233,6 @@ def test_the_mean_is_over_what_says_something() -> None:
     assert_array_equal(mean.side[0, :8], [0, 0, 0, 0, AT_LEAST, AT_LEAST, 0, 0])
     assert_allclose(mean.value[0, [0, 1, 3, 7]], [560.0, 570.0, 560.0, 560.0])
     assert 0.9 * top - 140 < mean.value[0, 5] < top - 140
-    assert mean.sigma is not None and readings.sigma is not None
     assert_allclose(mean.sigma[0, [0, 1, 7]], readings.sigma[3, 0, 7] / np.sqrt([3, 1, 4]), rtol=0.02)
 
 

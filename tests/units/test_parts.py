@@ -14,27 +14,23 @@ from typing import Any
 import h5py
 import numpy as np
 import pytest
+from fuzz.batches import content, same
 from unclosed import unclosed_recording
 
 import lampest
+from lampest import Array, InputError, Recording, read_results, read_run
 from lampest.estimate.sequence import Parts, asked_frames
 from lampest.files import hdf5
-from lampest.files.errors import InputError
-from lampest.panel.panel import Array
 from lampest.recording import stored
 from lampest.recording.board.record import repair
-from lampest.recording.recording import Recording
 from lampest.report.info import checked_sentence
 from lampest.runs import batch
 from lampest.runs.batch import run_batch
-from lampest.runs.config import read_run
 from lampest.runs.executors import Serial
-from lampest.runs.results import read_results
 
 Command = Callable[..., SimpleNamespace]
 SCENE = lampest.Scene(lampest.Panel(4, 5), lampest.TwoPointReadout(noise_lsb=0.7), series_resistance_ohm=140.0)
 UNLOADED = 6
-TIMES = ("solve_time", "error_bar_time")
 RUN = """
 schema: 1
 recordings: [long.h5]
@@ -70,7 +66,6 @@ print(re.search(r"VmHWM:\\s+(\\d+)", Path("/proc/self/status").read_text())[1])
 def frames(count: int, scene: lampest.Scene = SCENE) -> Array:
     """Ohm as the divider gives it, of a load that comes and goes."""
     rng, readout, shape = np.random.default_rng(3), scene.readout, scene.panel.shape
-    assert readout is not None
     cells = 2000 * np.exp(0.2 * rng.standard_normal(shape)) * np.ones((count, *shape))
     pressed = 0.5 * (1 - np.cos(np.linspace(0, 2 * np.pi, count - UNLOADED)))[:, None, None]
     cells[UNLOADED:, 1:3, 2:4] *= np.exp(-pressed)
@@ -82,36 +77,6 @@ def save(folder: Path, values: Array, scene: lampest.Scene = SCENE, role: Any = 
     count = len(values)
     kinds = np.arange(count) >= UNLOADED if role is None else role
     lampest.Recording(scene, values, 0.1 * np.arange(count), kinds.astype(np.uint8)).save(folder / "long.h5")
-
-
-def content(path: Path) -> dict[str, Any]:
-    """All that a file holds, its times left out."""
-    found: dict[str, Any] = {}
-
-    def keep(name: str, node: Any) -> None:
-        if isinstance(node, h5py.Dataset) and not name.endswith(TIMES):
-            found[name] = node[()]
-        for key in node.attrs:
-            if not key.endswith(("time_s", "LIST")):
-                found[f"{name}@{key}"] = node.attrs[key]
-
-    with h5py.File(path) as file:
-        file.visititems(keep)
-    return found
-
-
-def same(ours: dict[str, Any], theirs: dict[str, Any], tolerance: float = 0.0) -> None:
-    assert set(ours) == set(theirs)
-    for name, value in ours.items():
-        if tolerance and name.endswith(("/iterations", "/starts", "/kkt_residual")):  # a kept factor saves some of them
-            continue
-        if tolerance and name.endswith("@model_check"):
-            assert b"; of a long recording 60 frames between 0 and 59 were asked" in value
-            continue
-        if np.asarray(value).dtype.kind == "f":
-            np.testing.assert_allclose(value, theirs[name], rtol=tolerance, atol=tolerance, err_msg=name)
-        else:
-            assert np.array_equal(value, theirs[name]), name
 
 
 def started(folder: Path, out: str, readings: int, parts: int = 10**6) -> "subprocess.CompletedProcess[str]":
@@ -217,7 +182,10 @@ def test_parts_differ_from_the_whole_by_the_solvers_tolerance(tmp_path: Path) ->
     (tmp_path / "run.yaml").write_text(RUN)
     for name, readings in (("parts", 640), ("whole", 10**6)):
         assert started(tmp_path, name, readings).returncode == 0
-    same(*(content(tmp_path / name / "results.h5") for name in ("parts", "whole")), 1e-5)
+    parts, whole = (content(tmp_path / name / "results.h5") for name in ("parts", "whole"))
+    same(parts, whole, 1e-5)
+    sentences = [value for name, value in parts.items() if name.endswith("@model_check")]
+    assert all(b"; of a long recording 60 frames between 0 and 59 were asked" in value for value in sentences)
 
 
 @pytest.mark.slow
@@ -297,13 +265,12 @@ def test_a_part_of_the_frames_is_read_alone(tmp_path: Path, lampest: Command) ->
     assert some.number is not None and list(some.number) == [5, 6, 7, 8]
 
 
-def test_a_long_recording_is_closed_by_parts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_long_recording_is_closed_by_parts(tmp_path: Path, request: pytest.FixtureRequest) -> None:
     for name in ("whole", "parts"):
         unclosed_recording(tmp_path / f"{name}.h5", SCENE, 50, UNLOADED)
         (tmp_path / "growing.h5").unlink()
     assert repair(tmp_path / "whole.h5") == (50, 0)
-    monkeypatch.setattr(stored, "MAX_READINGS", 600)
-    monkeypatch.setattr(stored, "PART_READINGS", 400)
+    request.getfixturevalue("small")
     assert repair(tmp_path / "parts.h5") == repair(tmp_path / "parts.h5") == (50, 0)
     same(*(content(tmp_path / f"{name}.h5") for name in ("whole", "parts")), 1e-12)
     with h5py.File(tmp_path / "whole.h5") as whole, h5py.File(tmp_path / "parts.h5") as parts:

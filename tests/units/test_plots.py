@@ -1,5 +1,6 @@
-"""Kinds of pictures: the union is walked, and a further one is a class in a script or a name in a package."""
+"""Kinds of pictures: the union is walked, a further one is a class in a script or a name in a package; pressures."""
 
+import dataclasses
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -16,17 +17,15 @@ from matplotlib.figure import Figure
 from numpy.testing import assert_allclose
 from support import METHODS, invented_case
 
-from lampest.files.errors import InputError
-from lampest.panel.panel import Panel
+from lampest import CaseResult, InputError, Panel, PressurePlot, Scene, Water, write_results
+from lampest.loads.pressure import pressure_of
 from lampest.panel.readouts import LoadedColumnsReadout, TwoPointReadout
-from lampest.report.plots import PLOTS, Plot, plot_of, plot_results
+from lampest.report.plots import PLOTS, Plot, picture, plot_of, plot_results
 from lampest.report.plots.maps import MapPainter, Scale, Tile, banded_scale, change_scale
-from lampest.report.plots.style import change_text, new_figure
+from lampest.report.plots.style import change_text, new_figure, save
 from lampest.report.words import digits
-from lampest.runs.case import CaseResult
 from lampest.runs.columns import FRAMES, Column
 from lampest.runs.held import COLUMNS
-from lampest.runs.results import write_results
 
 ADDON = """\
 from dataclasses import dataclass
@@ -219,3 +218,46 @@ def test_what_is_no_number_is_grey_and_what_was_not_solved_says_so() -> None:
 )
 def test_changes_beyond_five_digits_are_powers_of_ten(value: float, text: str) -> None:
     assert change_text(value, 10.0) == text
+
+
+def case_with_pressure(shape: tuple[int, int, int] = (3, 10, 10), sd: float = 0.1) -> CaseResult:
+    case = invented_case(shape=shape, failed=(0,) if shape[0] > 1 else ())
+    ratio = case.cell_resistance / case.baseline_resistance
+    scene = Scene(Panel(*shape[1:]), water=Water(50.0))
+    upper = np.where(case.open_cell != 0, np.inf, ratio * np.exp(1.96 * sd))
+    found = pressure_of(ratio, ratio * np.exp(-1.96 * sd), upper, scene)
+    return dataclasses.replace(
+        case,
+        pressure=found.pressure,
+        pressure_lower=found.lower,
+        pressure_upper=found.upper,
+        pressure_errors=found.errors,
+        saturated=found.saturated,
+    )
+
+
+@pytest.mark.parametrize(
+    ("shape", "sd"), [((3, 10, 10), 0.1), ((1, 1, 1), 0.0), ((1, 1, 7), np.inf), ((2, 5, 1), 0.1), ((1, 24, 16), 1.0)]
+)
+def test_pressures_of_every_shape_are_drawn(tmp_path: Path, shape: tuple[int, int, int], sd: float) -> None:
+    case = case_with_pressure(shape, sd)
+    for name in ("first.png", "second.png"):
+        save(PressurePlot().draw((case,)), tmp_path / name)
+    assert (tmp_path / "first.png").read_bytes() == (tmp_path / "second.png").read_bytes()
+
+
+def test_units_and_frame_are_told() -> None:
+    case = case_with_pressure()
+    figure = PressurePlot(6).draw((case,))
+    labels = [text for axes in figure.axes for text in (axes.get_xlabel(), axes.get_ylabel()) if text]
+    labels += [figure.get_supxlabel(), figure.get_supylabel()]
+    assert len(labels) == 4 and all("[" in label for label in labels)
+    assert "frame 6 at 6 s" in figure.get_suptitle()
+
+
+def test_nothing_to_draw_is_one_sentence() -> None:
+    case = case_with_pressure()
+    with pytest.raises(InputError, match="frame 99 has no results"):
+        PressurePlot(99).draw((case,))
+    with pytest.raises(InputError, match="holds no pressure"):
+        picture((invented_case(),), "pressure")

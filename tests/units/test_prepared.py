@@ -3,17 +3,16 @@
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 import lampest
-from lampest.cost.terms import LogGradient, Misfit
+from lampest import Estimator, InputError, LogGradient, Misfit, ModelCheck, Recording
 from lampest.estimate import prepared as preparation
-from lampest.estimate.estimator import Estimator
-from lampest.estimate.model_check import ModelCheck
 from lampest.estimate.prepared import Prepared
 from lampest.estimate.sequence import reconstruct
-from lampest.files.errors import InputError
 from lampest.report.detect.detection import known_of
 
 STEPS = ("cleaned_together", "estimate_noise", "with_still_cells", "warnings_of")
@@ -59,3 +58,14 @@ def test_a_check_that_explains_adds_the_numbers_that_no_frame_shows() -> None:
 def test_what_is_no_recording_is_refused() -> None:
     with pytest.raises(InputError, match="recording must be a Recording"):
         Prepared.of("mine.h5")
+
+
+@pytest.mark.parametrize(
+    ("step", "said"),
+    [(0.0, "frames have the time of the frame before"), (50.0, "frames are 50 s apart: are times in s?"), (0.05, "")],
+)
+def test_equal_times_and_times_in_ms_are_named(disk: SimpleNamespace, step: float, said: str) -> None:
+    small = Recording.load(disk.folder / "small.h5")
+    timed = replace(small, time=step * np.arange(len(small.time)), simulation=None, acquisition=None)
+    lines = Prepared(timed).warnings
+    assert any(said in line for line in lines) if said else not any("time" in line for line in lines)

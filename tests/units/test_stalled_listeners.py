@@ -2,20 +2,15 @@
 
 import gc
 import json
-import shutil
-import signal
 import socket
-import subprocess
 import threading
 import time
 from collections.abc import Callable
 from contextlib import closing
-from pathlib import Path
 
 import numpy as np
 import pytest
-from paho.mqtt.client import Client, MQTTMessage
-from paho.mqtt.enums import CallbackAPIVersion
+from paho.mqtt.client import Client
 
 from lampest.loads.pressure import Force
 from lampest.panel.panel import Panel
@@ -31,9 +26,6 @@ HANDSHAKE = (
     "Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\nSec-WebSocket-Version: 13\r\n\r\n"
 )
 pytestmark = pytest.mark.filterwarnings("ignore:unclosed <socket:ResourceWarning")
-
-
-MOSQUITTO = shutil.which("mosquitto", path="/usr/sbin:/usr/bin:/usr/local/sbin:/usr/local/bin")
 
 
 def message(number: int, side: int = 64) -> Message:
@@ -161,46 +153,3 @@ def test_a_broker_that_never_reads_holds_up_neither_frames_nor_the_end() -> None
         within(lambda: way.__exit__(None, None, None))
         with closing(taken[0]):
             assert read_all(taken[0]) < FRAMES * len(message(1).text()) / 2, "nothing is kept for it"
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(MOSQUITTO is None, reason="there is no mosquitto here: apt-get install mosquitto")
-def test_after_a_pause_of_the_broker_messages_are_lost_rather_than_late(tmp_path: Path) -> None:
-    """Of 60 messages in a pause of two seconds those of the first 0.2 s come late; later ones come at once."""
-    with socket.socket() as place:
-        place.bind(("127.0.0.1", 0))
-        port = int(place.getsockname()[1])
-    (tmp_path / "conf").write_text(f"listener {port} 127.0.0.1\nallow_anonymous true\n")
-    came: list[tuple[int, float]] = []
-
-    def hear(client: Client, user: object, heard: MQTTMessage) -> None:
-        told = json.loads(heard.payload)
-        came.append((told["sequence"], time.time() - told["health"]["sent"]))
-
-    listener = Client(CallbackAPIVersion.VERSION2)
-    listener.on_message = hear
-    with subprocess.Popen([str(MOSQUITTO), "-c", tmp_path / "conf"], stderr=subprocess.DEVNULL) as broker:
-        while listener.connect_async("127.0.0.1", port) or not reached(listener):
-            time.sleep(0.05)
-        listener.subscribe("panel")
-        listener.loop_start()
-        with publish_at(f"mqtt://127.0.0.1:{port}/panel").opened(lambda sentence: None) as (_, send):
-            for number in range(1, 121):
-                if number in (21, 81):
-                    broker.send_signal(signal.SIGSTOP if number == 21 else signal.SIGCONT)
-                send(message(number, 2))
-                time.sleep(1 / 30)
-        listener.disconnect()
-        listener.loop_stop()
-        broker.terminate()
-    numbers = [number for number, _ in came]
-    assert numbers == sorted(set(numbers)) and {*range(1, 20), *range(90, 120)} <= set(numbers)
-    assert sum(20 < number < 81 for number in numbers) < 15 and sum(age > 0.5 for _, age in came) < 15
-
-
-def reached(client: Client) -> bool:
-    """Whether a client could connect."""
-    try:
-        return client.reconnect() == 0
-    except OSError:
-        return False

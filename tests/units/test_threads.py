@@ -1,17 +1,30 @@
 """Several threads estimate at the same time: the same cells as one after the other, also beside cancellation and forks.
 
-CasADi corrupts the heap where this is wrong, so each scene runs in a process of its own whose end is looked at.
+CasADi corrupts the heap where this is wrong, so each scene runs in a process of its own whose end is looked at. The
+threads of BLAS are a state of the process.
 """
 
 import subprocess
 import sys
 import textwrap
+from threading import Barrier, Thread
 
+import numpy as np
 import pytest
+import scipy.linalg  # noqa: F401  (its BLAS is another one than NumPy's)
+from threadpoolctl import ThreadpoolController, threadpool_limits
+
+import lampest
+from lampest.cost.problem import Data
+from lampest.estimate.modules import begin_stream
+from lampest.estimate.stream import Stream
+from lampest.files.process import ONE_BLAS_THREAD
+from lampest.panel.panel import EachModule, Modules
 
 SCENE = """
 import gc
 import os
+import signal
 import sys
 import threading
 import numpy as np
@@ -34,13 +47,25 @@ def estimate(number, way, more=()):
     options, terms = WAYS[way]
     return lampest.reconstruct(recording(number), [*terms, *more], error_bars=False, **options).cell_resistance
 
-def in_threads(count, work):
+def begun(count, work):
     threads = [threading.Thread(target=work, args=(number,)) for number in range(count)]
     for thread in threads:
         thread.start()
+    return threads
+
+def ended(threads):
     for thread in threads:
         thread.join(timeout=80)
         assert not thread.is_alive(), "a thread hangs"
+
+def forks(count, seconds, work):
+    # The codes of processes that are forked now; an alarm ends one that hangs at a lock that nobody gives back.
+    for number in range(count):
+        child = os.fork()
+        if not child:
+            signal.alarm(seconds)
+            os._exit(0 if work(number) else 1)
+        yield os.waitpid(child, 0)[1]
 """
 
 
@@ -57,7 +82,7 @@ found = {}
 def work(number):
     gc.collect()  # frees what other threads dropped
     found[number] = estimate(number, ways[number % len(ways)])
-in_threads(count, work)
+ended(begun(count, work))
 for number in range(count):
     np.testing.assert_allclose(found[number], estimate(number, ways[number % len(ways)]), rtol=1e-12)
 """
@@ -98,14 +123,10 @@ def test_a_thread_whose_term_raises_or_that_is_cancelled_harms_no_other() -> Non
             except (lampest.InputError, Cancelled) as error:
                 raised.append(error)  # kept by a thread that is not the one that made the symbols
 
-        threads = [threading.Thread(target=work, args=(number,)) for number in range(12)]
-        for thread in threads:
-            thread.start()
+        threads = begun(12, work)
         for thread in threads[2::4]:
             ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(thread.ident), ctypes.py_object(Cancelled))
-        for thread in threads:
-            thread.join(timeout=80)
-            assert not thread.is_alive()
+        ended(threads)
         assert sum("no residual" in str(error) for error in raised) == 3
         raised.clear()
         for number in range(0, 12, 4):
@@ -119,26 +140,16 @@ def test_processes_that_are_forked_while_threads_estimate_can_estimate() -> None
     """Also where a fork interrupts what holds a lock: Python 3.11 locks cached properties while they are computed."""
     run(
         """
-        import signal
-        ended, over = [], threading.Event()
+        over = threading.Event()
         estimate(0, "squares")  # so that the libraries, whose locks are their own, are loaded
         def work(number):
             while not over.is_set():
                 estimate(number, "absolute")
-        threads = [threading.Thread(target=work, args=(number,)) for number in range(4)]
-        for thread in threads:
-            thread.start()
-        for number in range(6):
-            child = os.fork()
-            if not child:
-                signal.alarm(60)  # a lock that nobody gives back would hang it
-                good = np.isfinite(estimate(number, "squares")).all()
-                os._exit(0 if good else 1)
-            ended.append(os.waitpid(child, 0)[1])
+        threads = begun(4, work)
+        codes = list(forks(6, 60, lambda number: np.isfinite(estimate(number, "squares")).all()))
         over.set()
-        for thread in threads:
-            thread.join(timeout=80)
-        assert ended == [0] * 6, ended
+        ended(threads)
+        assert codes == [0] * 6, codes
         """
     )
 
@@ -146,27 +157,18 @@ def test_processes_that_are_forked_while_threads_estimate_can_estimate() -> None
 def test_processes_that_are_forked_while_threads_limit_blas_can_limit_it() -> None:
     run(
         """
-        import signal
         from lampest.files.process import ONE_BLAS_THREAD
-        ended, over = [], threading.Event()
-        def work():
+        over = threading.Event()
+        def limited(number):
+            with ONE_BLAS_THREAD:
+                return True
+        def work(number):
             while not over.is_set():
-                with ONE_BLAS_THREAD:
-                    pass
-        threads = [threading.Thread(target=work) for _ in range(2)]
-        for thread in threads:
-            thread.start()
-        for _ in range(20):
-            child = os.fork()
-            if not child:
-                signal.alarm(10)
-                with ONE_BLAS_THREAD:
-                    os._exit(0)
-            ended.append(os.waitpid(child, 0)[1])
-            if ended[-1]:
-                break
+                limited(number)
+        begun(2, work)
+        codes = list(forks(20, 10, limited))
         over.set()
-        assert ended == [0] * 20, ended
+        assert codes == [0] * 20, codes
         """
     )
 
@@ -174,15 +176,11 @@ def test_processes_that_are_forked_while_threads_limit_blas_can_limit_it() -> No
 def test_ctrl_c_ends_the_main_thread_while_others_go_on() -> None:
     run(
         """
-        import signal
-        import time
         found = {}
         estimate(7, "squares")  # Python's locks of modules stay taken if an exception from outside ends an import
         def work(number):
             found[number] = estimate(number, "squares")
-        threads = [threading.Thread(target=work, args=(number,)) for number in range(6)]
-        for thread in threads:
-            thread.start()
+        threads = begun(6, work)
         signal.setitimer(signal.ITIMER_REAL, 0.2)
         signal.signal(signal.SIGALRM, signal.default_int_handler)
         try:
@@ -190,8 +188,54 @@ def test_ctrl_c_ends_the_main_thread_while_others_go_on() -> None:
                 estimate(7, "squares")
         except KeyboardInterrupt:
             pass
-        for thread in threads:
-            thread.join(timeout=80)
+        ended(threads)
         assert len(found) == 6
         """
     )
+
+
+def blas_threads() -> set[int]:
+    """How many each BLAS of this process has."""
+    return {library["num_threads"] for library in ThreadpoolController().info() if library["user_api"] == "blas"}
+
+
+def test_an_estimate_from_python_uses_one_thread_of_blas(monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = lampest.Scene(lampest.Panel(3, 4), lampest.TwoPointReadout(), series_resistance_ohm=140.0)
+    recording = lampest.Recording(scene, np.full((3, 3, 4), 640.0), np.arange(3.0), np.array([0, 0, 1], dtype=np.uint8))
+    during, push = list[set[int]](), Stream.push
+    monkeypatch.setattr(Stream, "push", lambda *given: (during.append(blas_threads()), push(*given))[1])
+    with threadpool_limits(2, "blas"):
+        lampest.reconstruct(recording, [lampest.Misfit()])
+        assert during == [{1}]
+        assert blas_threads() == {2}
+
+
+@pytest.mark.parametrize("panel", [lampest.Panel(3, 4), lampest.Panel(modules=Modules(1, 2, EachModule(3, 4)))])
+def test_a_stream_uses_one_thread_of_blas(panel: lampest.Panel, monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = lampest.Scene(panel, lampest.TwoPointReadout(), series_resistance_ohm=140.0)
+    readings, during, networks = lampest.Readings.of(scene, np.full(panel.shape, 640.0)), set[int](), Data.networks
+    monkeypatch.setattr(Data, "networks", lambda *given: (during.update(blas_threads()), networks(*given))[1])
+    estimator = lampest.Estimator((lampest.Misfit(),), "reduced")
+    with threadpool_limits(2, "blas"):
+        stream = begin_stream(estimator, scene, 0.1, readings)
+        stream.tared(readings).push(readings)
+        assert during == {1} and blas_threads() == {2}
+
+
+def test_the_last_thread_that_leaves_restores_the_threads_of_blas() -> None:
+    entered, left, during = Barrier(2), Barrier(2), list[set[int]]()
+
+    def first() -> None:
+        with ONE_BLAS_THREAD:
+            entered.wait()
+        left.wait()
+
+    with threadpool_limits(2, "blas"):
+        worker = Thread(target=first)
+        worker.start()
+        with ONE_BLAS_THREAD:
+            entered.wait()
+            left.wait()
+            during.append(blas_threads())
+        worker.join()
+        assert during == [{1}] and blas_threads() == {2}

@@ -1,20 +1,128 @@
-"""A frame that takes longer than `solver.time_limit_s` ends with a status of that name, in every formulation."""
+"""A batch in which a case breaks down, and ones that would take too long: panels, and frames."""
 
+import subprocess
+import sys
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
+from unittest import mock
 
 import numpy as np
 import pytest
 
 import lampest
-from lampest.estimate.estimator import Estimator
-from lampest.estimate.stream import Stream
+from lampest import Estimator, Gradient, LinearisedMethod, Misfit, Panel, Recording, Scene, Stream, TwoPointReadout
 from lampest.recording.readings import Readings
+from lampest.runs.results import read_results
 from lampest.solvers import projected_newton as newton_module
 from lampest.solvers.solution import Settings
+
+Command = Callable[..., SimpleNamespace]
+
+
+@pytest.mark.slow
+def test_case_that_fails_stops_no_other(
+    disk: SimpleNamespace, lampest: Command, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from lampest.runs import batch
+
+    solve = batch.reconstruct
+
+    def sometimes(recording: Any, estimator: Any, on_frame: Any) -> Any:
+        if len(estimator.terms) == 1:
+            raise RuntimeError("out of\nluck")
+        return solve(recording, estimator, on_frame)
+
+    out = disk.folder / "out"
+    with monkeypatch.context() as patch:
+        patch.setattr(batch, "reconstruct", sometimes)
+        ended = lampest("run", disk.folder / "run.yaml", "--out", out, "--jobs", "1")
+    assert ended.code == 3
+    assert ended.err == "lampest: small × LSM failed: out of luck\n"
+    assert "2 cases solved, 0 were done before, 1 failed" in ended.out
+    assert [case.estimator for case in read_results(out / "results.h5").cases] == ["LSR-CR", "LSR-dCR"]
+    ended = lampest("run", disk.folder / "run.yaml", "--out", out, "--jobs", "1")
+    assert (ended.code, ended.err) == (0, "")
+    assert "1 case solved, 2 were done before" in ended.out
+    assert [case.estimator for case in read_results(out / "results.h5").cases] == ["LSM", "LSR-CR", "LSR-dCR"]
+
+
+def test_a_batch_without_any_result_names_no_file(
+    disk: SimpleNamespace, lampest: Command, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from lampest.runs import batch
+
+    def never(recording: Any, estimator: Any) -> Any:
+        raise RuntimeError("out of luck")
+
+    out = disk.folder / "nothing"
+    with monkeypatch.context() as patch:
+        patch.setattr(batch, "reconstruct", never)
+        ended = lampest("run", disk.folder / "run.yaml", "--out", out, "--jobs", "1")
+    assert ended.code == 3
+    assert ended.out.strip() == "0 cases solved, 0 were done before, 3 failed: no results"
+    assert not (out / "results.h5").exists()
+
+
+@pytest.mark.slow
+def test_starts_takes_the_weights_that_were_chosen(disk: SimpleNamespace) -> None:
+    text = "schema: 1\nrecordings: [small.h5]\nformulation: reduced\nestimators:\n"
+    text += "  one: {terms: {misfit: {}, gradient: {weight: auto}}}\n"
+    text += "  pair: {terms: {misfit: {}, relative_change: {weight: auto}}}\n"
+    words = (disk.run(text, "starts.yaml"), "--random", "2", "--out", disk.folder / "out")
+    command = [sys.executable, "-m", "docs.studies.starts", *map(str, words)]
+    ended = subprocess.run(command, cwd=Path(__file__).parents[2], capture_output=True, text=True)
+    assert ended.returncode == 0, ended.stderr
+    assert "one" in ended.stdout and "pair" in ended.stdout
+    header, *rows = (disk.folder / "out" / "starts.csv").read_text().splitlines()
+    assert header == "recording,estimator,frames,best,worst_excess,most_minima,random_solved,random"
+    assert [row.split(",")[:2] for row in rows] == [["small", "one"], ["small", "pair"]]
+
+
+RUN = "{schema: 1, recordings: [r.h5], estimators: {E: {terms: {misfit: {}%s}}}}"
+
+
+def large(folder: Path, size: int, more: str = ", gradient: {weight: 1}") -> Path:
+    """A run of one frame of that many rows and columns."""
+    scene = Scene(Panel(size, size), readout=TwoPointReadout(noise_lsb=0.7))
+    values, role = np.full((2, size, size), 1500.0), np.array([0, 1], dtype=np.uint8)
+    Recording(scene, values, np.arange(2.0), role).save(folder / "r.h5")
+    (folder / "run.yaml").write_text(RUN % more)
+    return folder / "run.yaml"
+
+
+@pytest.mark.parametrize("size", [400, 1000])
+def test_a_panel_beyond_patience_is_refused_before_anything_is_written(
+    tmp_path: Path, lampest: Command, size: int
+) -> None:
+    done = lampest("run", large(tmp_path, size), "--out", tmp_path / "out")
+    assert done.code == 2 and "min and" in done.err and "--yes" in done.err and not (tmp_path / "out").exists()
+
+
+def test_a_panel_beyond_memory_is_refused(tmp_path: Path, lampest: Command, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("LAMPEST_MEMORY", "150MB")
+    done = lampest("run", large(tmp_path, 150), "--out", tmp_path / "out")
+    assert done.code == 2 and "MiB of memory" in done.err
+
+
+@pytest.mark.parametrize(("size", "words"), [(400, ("--yes",)), (100, ())])
+def test_who_insists_and_what_is_small_is_run(
+    tmp_path: Path, lampest: Command, size: int, words: tuple[str, ...]
+) -> None:
+    with mock.patch("lampest.runs.batch.run_batch", side_effect=KeyboardInterrupt) as batch:
+        lampest("run", large(tmp_path, size), "--out", tmp_path / "out", *words)
+    assert batch.called
+
+
+def test_less_work_has_less_effort() -> None:
+    terms = (Misfit(), Gradient(weight=1.0))
+    assert Estimator(terms).effort(Panel(400, 400))[0] > 200
+    assert Estimator((Misfit(),)).effort(Panel(400, 400)) == (0, 0)
+    assert Estimator(terms, LinearisedMethod()).effort(Panel(400, 400)) == (0, 0)
+
 
 SCENE = lampest.Scene(lampest.Panel(4, 5), lampest.TwoPointReadout(noise_lsb=0.7))
 SHORT, LONG = Settings(time_limit_s=1e-9), Settings(time_limit_s=1e9)
@@ -32,7 +140,6 @@ def recorded(frames: int = 4) -> Any:
     rng = np.random.default_rng(5)
     cells = 1000 * np.exp(0.3 * rng.standard_normal((1, 4, 5)) + 0.05 * rng.standard_normal((frames, 4, 5)))
     readout = SCENE.readout
-    assert readout is not None
     return readout.to_recorded(readout.exact_reading(cells), SCENE)
 
 
@@ -79,12 +186,6 @@ def test_a_solve_that_hangs_is_ended(monkeypatch: pytest.MonkeyPatch) -> None:
     assert stream.baseline is not None
     assert stream.baseline.status == "the time limit was reached before an optimum"
     assert 1 <= stream.baseline.solution.iterations <= 2
-
-
-@pytest.mark.parametrize("limit", ["0", "-1", ".nan", ".inf", "soon"])
-def test_limits_that_are_none(disk: SimpleNamespace, lampest: Callable[..., SimpleNamespace], limit: str) -> None:
-    done = lampest("run", disk.run(disk.text + f"solver: {{time_limit_s: {limit}}}\n"), "--out", disk.folder / "out")
-    assert done.code == 2 and "time_limit_s" in done.err and done.err.count("\n") == 1
 
 
 @pytest.mark.slow

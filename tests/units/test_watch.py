@@ -6,16 +6,10 @@ import pickle
 import numpy as np
 import pytest
 
+from lampest import OralDisc, Panel, Readout, Recording, Rod, Scene, Shape, Simulation, Unmodelled, simulate
 from lampest.estimate.prepared import Prepared
 from lampest.loads.recognition.detector import Detector
-from lampest.loads.shapes import OralDisc, Rod
-from lampest.loads.shapes.shape import Shape
-from lampest.panel.panel import Panel
 from lampest.panel.readouts import LoadedColumnsReadout, TwoPointReadout
-from lampest.panel.readouts.readout import Readout
-from lampest.panel.scene import Scene
-from lampest.recording.recording import Recording
-from lampest.recording.simulation import Simulation, Unmodelled, simulate
 from lampest.recording.simulation.measure import measured
 from lampest.report.detect.answer import CANNOT_SAY, NOTHING, PRESSES, SUCKS, Detected
 from lampest.report.detect.detection import Known, known_of, measured_frames
@@ -35,11 +29,9 @@ def taken(
     """A frame a second, the first five unloaded; of a load that leaves a film keeps a part."""
     scene = Scene(Panel(side, side), readout, 140.0 if readout is TWO_POINT else 0.0)
     rest = simulate(Simulation(1, 5, scene, frames=1)).truth_cell_resistance
-    assert rest is not None
     logarithm = np.zeros((frames, side, side))
     for load, begin, end in courses:
         loaded = simulate(Simulation(1, 5, scene, frames=1, loads=(load,))).truth_cell_resistance
-        assert loaded is not None
         change = np.log(loaded[-1] / loaded[0])
         logarithm[max(begin, 0) : end] += change
         logarithm[end:] += kept * change

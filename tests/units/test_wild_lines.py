@@ -1,20 +1,23 @@
-"""A serial line that never ends or that lies: deadlines hold, counters wrap, and what is replayed is no frame."""
+"""Serial lines that never end or lie, counters that wrap, and several boards as one image."""
 
 import itertools
 import time
 from collections.abc import Iterator
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from wild_board import IDLE, Script, hundred_a_second, wild_board, wire
+from wild_board import IDLE, Script, WildBoard, hundred_a_second, wild_board, wire
 
-from lampest import InputError, Recording
+from lampest import Faults, InputError, Panel, Recording, Scene, TwoPointReadout
 from lampest.cli.board import report_recorded
+from lampest.panel.panel import EachModule, Modules
 from lampest.recording.board import stream
 from lampest.recording.board.protocol import Frame, Hello, message
 from lampest.recording.board.record import Recorded, record
+from lampest.recording.board.several import LATE_SECONDS, Alignment, samples_of
 from lampest.recording.board.stream import Sample, Scanning, board_samples
 from tests.bodies import hello_body
 
@@ -76,7 +79,6 @@ def test_what_came_before_a_flood_is_kept(tmp_path: Path, monkeypatch: pytest.Mo
     ):
         recorded(replayed, tmp_path, frames=30)
     found = Recording.load(tmp_path / "r.h5")
-    assert found.acquisition is not None
     assert found.acquisition.sequence.tolist() == list(range(20)) and not found.acquisition.lost.any()
 
 
@@ -137,10 +139,75 @@ def places(found: list[Sample]) -> list[tuple[int, int, int]]:
     return [(sample.frame.sequence, sample.lost, sample.session) for sample in found]
 
 
-def test_numbers_and_clock_wrap() -> None:
-    _, found = run_of(*((2**32 - 5 + step, 2**32 - 22 + 10 * step) for step in range(9)))
-    assert [lost for _, lost, _ in places(found)][1:] == [0] * 8
-    np.testing.assert_allclose([sample.time for sample in found], 0.01 * np.arange(9))
+def whole(count: int, session: int = 0) -> list[tuple[int, int, int]]:
+    return [(number, 0, session) for number in range(count)]
+
+
+def ticked(count: int, jumps: dict[int, int], gone: range = range(0)) -> list[tuple[int, int]]:
+    """Frames every 10 ms, without those that are gone, on a clock that jumps by so many ms at a frame."""
+    clock = (100_000 + 10 * number + sum(ms for at, ms in jumps.items() if at <= number) for number in range(count))
+    return [(number, ms) for number, ms in enumerate(clock) if number not in gone]
+
+
+SENT = ticked(20, {})
+LATE = [(n, int(1000 + 10 * (n + late))) for n, late in enumerate(np.random.default_rng(43).uniform(0, 0.95, 500))]
+# Frames (number, ms), what is made of them (number, frames lost before it, session), and where the clock jumped.
+RUNS: dict[str, tuple[list[tuple[int, int]], list[tuple[int, int, int]], list[int]]] = {
+    "numbers and clock wrap": (
+        [((2**32 - 5 + step) % 2**32, 2**32 - 22 + 10 * step) for step in range(9)],
+        [((2**32 - 5 + step) % 2**32, 0, 0) for step in range(9)],
+        [],
+    ),
+    "frames are sent again": ([*SENT, *SENT[:15], *SENT[3:9]], whole(20), []),
+    "frames are sent again, then new ones": ([*SENT, *SENT[:15], (20, 100_200)], whole(21), []),
+    "numbers begin anew": (
+        [(0, 500), (1, 510), (2, 520), (0, 530), (1, 540), (2, 550)],
+        [*whole(3), *whole(3, session=1)],
+        [],
+    ),
+    "numbers begin anew after a pause": (
+        [(0, 500), (1, 510), (2, 520), (0, 560), (1, 570)],
+        [*whole(3), (0, 3, 1), (1, 0, 1)],  # what the clock says is missing
+        [],
+    ),
+    "a frame is out of order": ([(0, 500), (1, 510), (900, 515), (2, 520), (3, 530)], whole(4), []),
+    "a clock is wild once": (
+        [(0, 500), (1, 510), (2, 5520), (3, 530), (4, 540)],
+        [*whole(2), (3, 1, 0), (4, 0, 0)],
+        [],
+    ),
+    "scans are late": (LATE, whole(500), []),
+    **{f"a jump by {ms} ms": (ticked(30, {10: ms}), whole(30), [10]) for ms in (5_000, -5_000, 2**31, -(2**31))},
+    **{
+        f"a jump by {ms} ms where {gone} are gone": (
+            ticked(30, {10: ms}, range(10, 10 + gone)),
+            [*whole(10), (10 + gone, gone, 0), *whole(30)[11 + gone :]],
+            [10],
+        )
+        for ms in (10_000, 300, -5_000)
+        for gone in (1, 4)
+    },
+}
+ADJACENT = ({10: 10_000, 11: -9_000}, {10: 5_000, 11: 5_000, 12: -3_000}, {10: -20, 11: 9_000})
+
+
+def test_frames_are_counted_and_timed_whatever_numbers_and_clock_do() -> None:
+    for name, (sent, expected, jumps) in RUNS.items():
+        _, samples = run_of(*sent)
+        assert places(samples)[1:] == expected[1:], name
+        assert [number for number, sample in enumerate(samples) if sample.clock_jump] == jumps, name
+        period = [0.01 * (1 + lost) for _, lost, _ in expected[1:]]
+        elapsed = [sample.time for sample in samples]
+        np.testing.assert_allclose(np.diff(elapsed), period, atol=0.01 if sent is LATE else 1e-9, err_msg=name)
+    for jumps in ADJACENT:
+        _, samples = run_of(*ticked(30, jumps))
+        assert places(samples) == whole(30)
+        np.testing.assert_allclose([sample.time for sample in samples], 0.01 * np.arange(30), atol=1e-9)
+
+
+def test_frames_that_are_sent_again_later_are_none() -> None:
+    run, _ = run_of(*SENT)
+    assert not [sample for step in range(5) for sample in run.taking(frame(*SENT[step]))[1]]
 
 
 def test_a_first_number_is_believed_as_far_as_the_clock_allows() -> None:
@@ -154,60 +221,6 @@ def test_no_frame_is_believed_that_its_clock_puts_days_ahead() -> None:
     assert run_of((10**8, 2 * 10**9))[1][0].lost == 0
     _, found = run_of((0, 500), (1, 510), (10**8, 510 + 10**9), (10**8 + 1, 520 + 10**9))
     assert found[2].session == 1 and found[2].lost < 10_000 and found[2].time < 100
-
-
-def test_what_is_sent_again_is_no_frame() -> None:
-    sent = [(number, 500 + 10 * number) for number in range(20)]
-    run, found = run_of(*sent, *sent[:15], *sent[3:9])
-    assert places(found) == [(number, 0, 0) for number in range(20)]
-    more = [sample for step in range(5) for sample in run.taking(frame(*sent[step]))[1]]
-    assert not more
-    _, found = run_of(*sent, *sent[:15], (20, 700))
-    assert places(found)[-1] == (20, 0, 0)
-
-
-def test_numbers_that_begin_anew_while_the_clock_goes_on_are_a_new_session() -> None:
-    _, found = run_of((0, 500), (1, 510), (2, 520), (0, 530), (1, 540), (2, 550))
-    assert places(found) == [(0, 0, 0), (1, 0, 0), (2, 0, 0), (0, 0, 1), (1, 0, 1), (2, 0, 1)]
-    np.testing.assert_allclose([sample.time for sample in found], 0.01 * np.arange(6))
-    _, found = run_of((0, 500), (1, 510), (2, 520), (0, 560), (1, 570))
-    assert places(found)[3:] == [(0, 3, 1), (1, 0, 1)], "what the clock says is missing"
-
-
-@pytest.mark.parametrize("jump_ms", [5_000, -5_000, 2**31, -(2**31)])
-def test_a_jump_of_the_clock_costs_no_frame_and_is_marked(jump_ms: int) -> None:
-    sent = [(number, 100_000 + 10 * number + (jump_ms if number >= 10 else 0)) for number in range(30)]
-    _, found = run_of(*sent)
-    assert places(found) == [(number, 0, 0) for number in range(30)]
-    np.testing.assert_allclose([sample.time for sample in found], 0.01 * np.arange(30), atol=1e-9)
-    assert [number for number, sample in enumerate(found) if sample.clock_jump] == [10]
-
-
-@pytest.mark.parametrize("jumps", [{10: 10_000, 11: -9_000}, {10: 5_000, 11: 5_000, 12: -3_000}, {10: -20, 11: 9_000}])
-def test_adjacent_jumps_of_the_clock_cost_neither_frames_nor_time(jumps: dict[int, int]) -> None:
-    clock = [100_000 + 10 * number + sum(ms for at, ms in jumps.items() if at <= number) for number in range(30)]
-    _, found = run_of(*enumerate(clock))
-    assert places(found) == [(number, 0, 0) for number in range(30)]
-    np.testing.assert_allclose([sample.time for sample in found], 0.01 * np.arange(30), atol=1e-9)
-
-
-@pytest.mark.parametrize("jump_ms", [10_000, 300, -5_000])
-@pytest.mark.parametrize("gone", [1, 4])
-def test_a_jump_beside_lost_frames_counts_those_that_are_lost(jump_ms: int, gone: int) -> None:
-    sent = [(number, 100_000 + 10 * number + (jump_ms if number >= 10 else 0)) for number in range(30)]
-    _, found = run_of(*sent[:10], *sent[10 + gone :])
-    assert [sample.lost for sample in found] == [0] * 10 + [gone] + [0] * (len(found) - 11)
-    assert [sample.session for sample in found] == [0] * (30 - gone)
-    assert found[-1].time == pytest.approx(0.29)
-
-
-def test_a_late_scan_before_one_in_time_is_no_jump() -> None:
-    random = np.random.default_rng(43)
-    sent = [(number, int(1000 + 10 * (number + random.uniform(0, 0.95)))) for number in range(500)]
-    _, found = run_of(*sent)
-    assert places(found) == [(number, 0, 0) for number in range(500)]
-    assert not any(sample.clock_jump or sample.events for sample in found)
-    assert found[-1].time == pytest.approx(4.99, abs=0.02)
 
 
 def test_a_clock_that_stands_still_costs_no_frame_and_is_named_once(tmp_path: Path) -> None:
@@ -258,12 +271,6 @@ def test_a_plug_that_is_out_loses_no_frames() -> None:
     assert (sample.lost, sample.session) == (3, 1) and sample.time == pytest.approx(60, abs=1)
 
 
-def test_a_single_wild_clock_is_no_jump() -> None:
-    _, found = run_of((0, 500), (1, 510), (2, 5520), (3, 530), (4, 540))
-    assert [(place, lost) for place, lost, _ in places(found)] == [(0, 0), (1, 0), (3, 1), (4, 0)]
-    assert not any(sample.clock_jump for sample in found)
-
-
 def test_ticks_that_the_board_missed_are_no_jump() -> None:
     run, _ = run_of((0, 500), (1, 510))
     _, (sample,) = run.taking(replace(frame(2, 5520), missed=500))
@@ -285,31 +292,6 @@ def test_a_recording_holds_the_jumps_of_the_clock_as_events(tmp_path: Path, caps
     np.testing.assert_allclose(found.event_time, (0.4, 0.8, 1.2), atol=1e-9)
     report_recorded(done)
     assert "3 jumps of the board's clock" in capsys.readouterr().err
-
-
-@pytest.mark.slow
-def test_garbage_on_the_line_is_no_restart(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Noise for longer than a silence is waited for, in which even the board's answers are lost."""
-    monkeypatch.setattr(stream, "SILENCE_SECONDS", 0.2)
-    monkeypatch.setattr("lampest.recording.board.port.ANSWER_SECONDS", 0.05)
-    rng = np.random.default_rng(32)
-
-    def noisy(hello: Hello) -> Sent:
-        for number in itertools.count():
-            if number % 20 == 19:
-                board.deaf = True
-                yield from ((0.01, rng.bytes(50)) for _ in range(120))
-                board.deaf = False
-            yield 0.01, wire(hello, number)
-
-    with wild_board(noisy) as board:
-        done = record(board.port, tmp_path / "r.h5", frames=50, period=0.01)
-    assert (done.frames, done.lost, done.restarts) == (50, 0, 0)
-
-
-def test_a_single_frame_out_of_order_is_dropped() -> None:
-    _, found = run_of((0, 500), (1, 510), (900, 515), (2, 520), (3, 530))
-    assert places(found) == [(0, 0, 0), (1, 0, 0), (2, 0, 0), (3, 0, 0)]
 
 
 def test_a_wrong_frame_that_was_believed_is_doubted_after_a_silence() -> None:
@@ -363,3 +345,130 @@ def test_counted_frames_that_never_come_end_the_recording(
         recorded(silent, tmp_path, frames=10)
     assert time.monotonic() - began < 15
     assert len(list(tmp_path.iterdir())) == (frames > 0)
+
+
+PERIOD = 0.05
+LAYOUT = Modules(2, 2, EachModule(3, 4), 4.0)
+SCENE = Scene(Panel(modules=LAYOUT), TwoPointReadout(readings=2))
+AT = replace(IDLE, period_us=round(1e6 * PERIOD))
+
+
+def steady(hello: Hello) -> Iterator[tuple[float, bytes]]:
+    for number in itertools.count():
+        yield PERIOD, wire(hello, number)
+
+
+def pausing(hello: Hello) -> Iterator[tuple[float, bytes]]:
+    """Ten frames, then none for a while."""
+    for number in itertools.count():
+        if number == 10:
+            yield 1.2, b""
+        yield PERIOD, wire(hello, number + (24 if number >= 10 else 0))
+
+
+def opened(stack: ExitStack, *scripts: Script) -> list[WildBoard]:
+    return [stack.enter_context(wild_board(script)) for script in scripts]
+
+
+@pytest.mark.slow
+def test_a_board_that_falls_silent_is_missing_alone_and_comes_back(tmp_path: Path) -> None:
+    with ExitStack() as stack:
+        boards = opened(stack, steady, pausing, steady, steady)
+        ports = [board.port for board in boards]
+        done = record(ports, tmp_path / "r.h5", frames=60, scene=SCENE, period=PERIOD, baseline=3)
+    found = Recording.load(tmp_path / "r.h5")
+    parts = np.isnan(LAYOUT.split(found.recorded))
+    gone = parts.all(axis=(2, 3))
+    assert done.frames == 60 and done.lost == 0 and not gone[:, [0, 2, 3]].any()
+    assert 15 <= gone[:, 1].sum() == done.parted <= 40 and not gone[-3:, 1].any()
+    assert found.acquisition is not None and found.acquisition.event_label[:2] == ("gone: 0,1", "back: 0,1")
+    assert np.diff(found.time) == pytest.approx(PERIOD, abs=0.6 * PERIOD)
+    assert found.readings().enough(SCENE).any()
+
+
+@pytest.mark.slow
+def test_a_board_that_answers_without_frames_for_long_comes_back(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of one board alone that is an error; beside others it is opened anew, and its clock compared anew."""
+    monkeypatch.setattr("lampest.recording.board.stream.UNFIT_SECONDS", 0.4)
+    monkeypatch.setattr("lampest.recording.board.stream.SILENCE_SECONDS", 0.2)
+    runs = itertools.count()
+
+    def hanging(hello: Hello) -> Iterator[tuple[float, bytes]]:
+        if next(runs) == 0:
+            yield from itertools.islice(steady(hello), 10)
+            yield 60.0, b""
+        yield from steady(hello)
+
+    with ExitStack() as stack:
+        ports = [board.port for board in opened(stack, steady, hanging, steady, steady)]
+        done = record(ports, tmp_path / "r.h5", frames=140, scene=SCENE, period=PERIOD, baseline=3)
+    gone = np.isnan(LAYOUT.split(Recording.load(tmp_path / "r.h5").recorded)).all(axis=(2, 3))
+    assert done.frames == 140 and done.lost == 0 and not gone[:, [0, 2, 3]].any()
+    assert 5 <= gone[:, 1].sum() == done.parted <= 110 and not gone[-3:, 1].any()
+
+
+def test_ports_and_modules_must_be_as_many() -> None:
+    dead = replace(SCENE, faults=Faults(dead_modules=((0, 1),)))
+    with pytest.raises(InputError, match=r"reads 3 modules: .* order \[0, 0\], \[1, 0\], \[1, 1\]; not 2"):
+        samples_of(("a", "b"), dead)
+    with pytest.raises(InputError, match="several boards need a scene"):
+        samples_of(("a", "b"), None)
+
+
+def sent(number: int, at: float, arrived: float | None = None) -> Sample:
+    """Frame `number` of a board whose clock began at −100 s of the host's."""
+    sums = np.full((3, 4), number, np.uint16)
+    frame = Frame(2, number, round(1e3 * (at + 100)), 0, sums)
+    return Sample(frame, AT, at + 100, at if arrived is None else arrived, 0, 0)
+
+
+def shown(here: Alignment, now: float) -> tuple[Alignment, list[tuple[int | None, ...]]]:
+    frames = []
+    while (found := here.frame(now)) is not None:
+        here, parts = found
+        frames.append(tuple(parts[b].frame.sequence if b in parts else None for b in range(len(here.shown))))
+    return here, frames
+
+
+def test_late_arrivals_are_set_right_by_the_boards_clocks() -> None:
+    """Frames of two boards that begin a fifth of a period apart arrive by up to half a period late."""
+    rng, here, seen = np.random.default_rng(1), Alignment.of(2), []
+    for number in range(30):
+        for board in range(2):
+            at = (number + 0.2 * board) * PERIOD
+            late = 0.0 if number % 5 == 0 else rng.uniform(0, 0.5 * PERIOD)
+            here = here.taking(board, sent(number, at, at + late))
+        here, frames = shown(here, (number + 1) * PERIOD)
+        seen += frames
+    assert all(one == other for one, other in seen) and len(seen) >= 29
+
+
+def test_the_next_board_leads_while_the_first_is_gone_and_nobody_waits_twice() -> None:
+    here, seen = Alignment.of(2), []
+    for number in range(20):
+        for board in range(2):
+            if board or not 5 <= number < 12:
+                here = here.taking(board, sent(number, number * PERIOD))
+        here, frames = shown(here, number * PERIOD + 0.01)
+        seen += frames
+        if number == 9:
+            here, frames = shown(here, number * PERIOD + 2.5 * PERIOD + LATE_SECONDS)
+            seen += frames
+    whole = [(number, number) for number in (*range(5), *range(12, 20))]
+    assert [one for one in seen if None not in one] == whole
+    assert [one for one in seen if None in one] == [(None, number) for number in range(5, 12)]
+
+
+def test_a_clock_that_runs_slow_loses_no_frame_of_the_other() -> None:
+    here, seen = Alignment.of(2), []
+    for number in range(400):
+        here = here.taking(0, sent(number, number * PERIOD))
+        if number < 392:
+            here = here.taking(1, sent(number, number * PERIOD * 1.02))
+        here, frames = shown(here, number * PERIOD)
+        seen += frames
+    here, frames = shown(here, 1e9)
+    assert [one for one, _ in seen + frames] == list(range(400))
+    assert sum(other is None for _, other in seen + frames) <= 12

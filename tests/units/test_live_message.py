@@ -1,27 +1,129 @@
-"""What live says of attachments: the answer of `lampest detect`, and an alarm that stays until it is acknowledged."""
+"""What live says: forces, the word for the panel's state, the history, attachments and alarms."""
 
 import dataclasses
+import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
+from lampest import Array, Faults, OralDisc, Panel, Readings, Scene, TwoPointReadout, Water, two_point_resistance
+from lampest.loads.pressure import Force, PressureTrack, water_pressure
 from lampest.loads.recognition.attachment import Attachment
 from lampest.loads.recognition.breathing import Breathing
-from lampest.loads.shapes import OralDisc
-from lampest.panel.panel import Panel
-from lampest.panel.readouts import TwoPointReadout
-from lampest.panel.response import PublishedResponse
-from lampest.panel.scene import Scene
+from lampest.panel.response import PublishedResponse, ratio_from_pressure
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
 from lampest.recording.simulation import Course, Simulation, simulate
 from lampest.report.detect.answer import Detected
 from lampest.report.detect.detection import detect_recording
 from lampest.report.live import watcher as watcher_module
-from lampest.report.live.engine import Engine
-from lampest.report.live.message import UNKNOWN, Message, Picture, View, acknowledged, with_detected
+from lampest.report.live.engine import Engine, with_picture
+from lampest.report.live.message import (
+    HISTORY_FRAMES,
+    UNKNOWN,
+    Message,
+    Picture,
+    View,
+    acknowledged,
+    view_text,
+    with_detected,
+)
 from lampest.report.live.run import METHODS, scan_of
+from lampest.report.live.state import read_load, verdict_of
 from lampest.report.live.watcher import Unloaded, Watched, in_one_batch, watcher
+
+
+def test_total_pressure_is_a_force() -> None:
+    """10 kPa on 100 cells of 10 mm × 10 mm are 100 N; where as much sucks on half of them, 50 N press."""
+    scene = Scene(Panel(10, 10), response=PublishedResponse())
+    assert force_of(scene, np.full((10, 10), 10.0)).newton == pytest.approx(100.0)
+    half = np.repeat([[10.0], [-10.0]], 5, axis=0) * np.ones((10, 10))
+    assert force_of(scene, half).newton == pytest.approx(50.0)
+
+
+def test_a_force_with_saturated_cells_is_a_lower_bound() -> None:
+    """A cell beyond what the response determines, 40 kPa, counts with that and is counted."""
+    kpa = np.zeros((10, 10))
+    kpa[2, 2:6], kpa[3, 3] = 10.0, 95.0
+    force = force_of(Scene(Panel(10, 10), response=PublishedResponse()), kpa)
+    assert force.newton == pytest.approx(4.0 + 4.0) and force.saturated == 1
+
+
+def test_a_scene_without_a_response_has_no_force() -> None:
+    pressed, force = read_load(PressureTrack.begin(Scene(Panel(2, 2))), np.full((2, 2), 0.5), None, 0.0)
+    assert pressed is None and np.isnan(force.newton)
+
+
+def force_of(scene: Scene, kpa: Array) -> Force:
+    """Of cells under such pressures, without error bars."""
+    water = water_pressure(scene.panel, scene.water)
+    ratio = ratio_from_pressure(water + kpa) / ratio_from_pressure(water)
+    return read_load(PressureTrack.begin(scene), ratio, None, 0.0)[1]
+
+
+def test_a_force_is_that_of_the_scene() -> None:
+    """Water that stood there before counts as nothing, nor does what a broken cell seems to say."""
+    response, ten = PublishedResponse(), np.full((10, 10), 10.0)
+    assert force_of(Scene(Panel(10, 10), water=Water(500.0), response=response), ten).newton == pytest.approx(100.0)
+    broken = Scene(Panel(10, 10), faults=Faults(dead_rows=(3,), shorted=((0, 0),)), response=response)
+    assert force_of(broken, ten).newton == pytest.approx(89.0)
+
+
+def drawn(change: Array, force: Force, *maps: Array, number: int = 1) -> Picture:
+    """The picture of a frame; maps : cells, pressure, saturated."""
+    return Picture(number, float(number), 0.0, change, change, change > 0, force, "fine", 0.0, 0, *maps)
+
+
+def test_the_page_is_told_where_something_presses_and_what_its_force_leaves_out() -> None:
+    pressure = np.zeros((2, 3))
+    pressure[0, 1], pressure[0, 2], pressure[1, 0] = 10.0, 30.0, -5.0
+    nothing, saturated = np.zeros((2, 3)), (pressure == 30.0).astype(np.uint8)
+    picture = drawn(nothing, Force(1.0, 0.1), nothing, pressure, saturated)
+
+    def told(verdict: str) -> dict[str, Any]:
+        view = View("here", "LSM", "receiving", Panel(2, 3), picture=dataclasses.replace(picture, verdict=verdict))
+        content: dict[str, Any] = json.loads(view_text(view, 0.0))["picture"]
+        return content
+
+    assert told("pressing")["centre"] == [17.5, 0.0] and told("pressing")["health"]["saturated"] == [2]
+    assert told("nothing")["centre"] is None and told("sucking")["centre"] is None
+
+
+@pytest.mark.parametrize(
+    ("change", "verdict"),
+    [
+        ({}, "nothing"),
+        ({(1, 1): 0.4}, "pressing"),
+        ({(1, 1): 0.4, (1, 2): 1.1}, "pressing"),
+        ({(1, 1): 3.0}, "sucking"),
+        ({(1, 1): 0.1, (2, 2): 6.0}, "pressing and sucking"),
+    ],
+)
+@pytest.mark.parametrize("noise_told", [True, False])
+def test_what_is_on_the_panel_in_a_word(change: dict[tuple[int, int], float], verdict: str, noise_told: bool) -> None:
+    """Cells times so much; as much beside a load as a penalty leaves there is no suction, nor is an open cell."""
+    scene, ratio = Scene(Panel(4, 5), TwoPointReadout() if noise_told else None), np.ones((4, 5))
+    for cell, factor in change.items():
+        ratio[cell] = factor
+    cells = np.full((4, 5), 3000.0)
+    resting, now = (Readings.of(scene, two_point_resistance(each)) for each in (cells, cells * ratio))
+    open_cell = np.zeros((4, 5), dtype=bool)
+    assert verdict_of(now, resting, ratio, open_cell) == verdict
+    open_cell[3, 4], ratio[3, 4] = True, 1e6
+    assert verdict_of(now, resting, ratio, open_cell) == verdict
+
+
+def test_the_history_keeps_its_newest_points() -> None:
+    nothing = np.full((1, 1), np.nan)
+    view = View("here", "LSM", "receiving", Panel(1, 1))
+    for number in range(1, HISTORY_FRAMES + 50):
+        view = with_picture(view, drawn(nothing, Force(1.0, 0.1), number=number))
+    assert len(view.history) == HISTORY_FRAMES and view.history[-1].number == HISTORY_FRAMES + 49
+    content = json.loads(view_text(view, 0.0, known=HISTORY_FRAMES + 46))
+    assert content["history"] == [[HISTORY_FRAMES + number, 1.0] for number in (47.0, 48.0, 49.0)]
+    assert json.loads(view_text(view, 0.0, known=HISTORY_FRAMES + 49))["picture"] is None
+
 
 SCENE = Scene(Panel(6, 6), TwoPointReadout(noise_lsb=0.7), 140.0, response=PublishedResponse())
 MOUTH = OralDisc(centre_mm=(26, 24), diameter_mm=33, rim_width_mm=5.5, pressure_kpa=-10, rim_kpa=85)
@@ -48,7 +150,7 @@ def watched(recording: Recording) -> Watched:
     """After all of it."""
     here = Watched(recording.name)
     for one in news(recording):
-        here = here.after(one)  # type: ignore[arg-type]
+        here = here.after(one)
     return here
 
 
@@ -82,7 +184,6 @@ def test_a_panel_too_large_for_patterns_is_said_at_once() -> None:
 def test_a_new_zero_ends_what_was_attached() -> None:
     recording = taken(8)
     here = watched(recording)
-    assert here.watch is not None
     here = dataclasses.replace(here, watch=dataclasses.replace(here.watch, attachments=(LAMPREY,)))
     here = here.after(2)
     for frame in (5, 6):
@@ -96,7 +197,6 @@ def test_only_the_latest_of_what_has_left_is_remembered(monkeypatch: pytest.Monk
     monkeypatch.setattr(watcher_module, "MAX_REMEMBERED", 1)
     recording = taken(4)
     here = watched(recording)
-    assert here.watch is not None
     left = [dataclasses.replace(LAMPREY, since_s=float(since), until_s=8.0) for since in (1, 2)]
     here = dataclasses.replace(here, watch=dataclasses.replace(here.watch, attachments=(CUP, *left)))
     assert here.after(scan_of(recording, 6)).detected.attachments == (CUP, left[1])
@@ -120,9 +220,7 @@ def test_an_alarm_stays_until_it_is_acknowledged_and_rises_once_for_each_lamprey
 
 
 def test_a_message_is_new_with_its_frame_its_sentence_and_its_alarm() -> None:
-    zero = np.zeros((2, 3))
-    picture = Picture(1, 0.0, 0.0, zero, zero, zero > 0, UNKNOWN, "fine", 0.0, 0)
-    view = View("here", "LSM", "receiving", Panel(2, 3), picture=picture)
+    view = View("here", "LSM", "receiving", Panel(2, 3), picture=drawn(np.zeros((2, 3)), UNKNOWN))
     raised = with_detected(view, Detected.of("here", (LAMPREY,), 4.0))
     messages = [Message.of(one) for one in (view, raised, acknowledged(raised), raised)]
     signatures = [message.signature for message in messages if message is not None]
@@ -130,12 +228,9 @@ def test_a_message_is_new_with_its_frame_its_sentence_and_its_alarm() -> None:
 
 
 def test_streams_of_numbers_have_the_answer_too() -> None:
-    zero = np.zeros((2, 3))
-    picture = Picture(1, 0.0, 0.0, zero, zero, zero > 0, UNKNOWN, "fine", 0.0, 0)
-    view = View("here", "LSM", "receiving", Panel(2, 3), picture=picture)
+    view = View("here", "LSM", "receiving", Panel(2, 3), picture=drawn(np.zeros((2, 3)), UNKNOWN))
     for one, known in ((view, False), (with_detected(view, Detected.of("here", (LAMPREY,), 4.0)), True)):
         message = Message.of(one)
-        assert message is not None
         numbers = dict(zip([channel.label for channel in message.channels()], message.row(), strict=True))
         assert np.isnan(numbers["until_s"]) and np.isnan(numbers["probability"]) != known
         if known:
@@ -147,7 +242,7 @@ def test_more_than_can_be_watched_is_watched_less_often(monkeypatch: pytest.Monk
     monkeypatch.setattr(watcher_module, "MAX_WAITING", 4)
     (unloaded, *scans), waiting = news(taken(8)), []
     for one in (unloaded, *scans):
-        waiting = in_one_batch([one], waiting)  # type: ignore[list-item]
+        waiting = in_one_batch([one], waiting)
     (batch,) = waiting
     assert batch[0] is unloaded and batch[-1] is scans[-1] and len(batch) <= 5
 
@@ -157,7 +252,7 @@ def test_a_process_of_its_own_answers_and_its_death_is_said() -> None:
     answers: list[Detected] = []
     beside = watcher("mouth", answers.append)
     for one in news(taken(4)):
-        beside.ask([one])  # type: ignore[list-item]
+        beside.ask([one])
     beside.finish()
     assert answers[-1].answer == "nothing"
     beside = watcher("mouth", answers.append)

@@ -1,0 +1,73 @@
+"""Files to import, what must come out of them, and the two checks of it. No test stands here."""
+
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from lampest import InputError, LoadedColumnsReadout, Panel, Recording, Scene, TwoPointReadout, import_file
+
+ROWS, COLUMNS = 3, 5
+FRAMES = np.random.default_rng(7).uniform(250, 600, (4, ROWS, COLUMNS)).round(3)
+CODES = np.random.default_rng(7).integers(200, 900, (4, ROWS, COLUMNS))
+DIVIDER = Scene(Panel(ROWS, COLUMNS), TwoPointReadout(), 140.0)
+LOADED = Scene(Panel(ROWS, COLUMNS), LoadedColumnsReadout(load_ohm=10_000.0, supply_volt=3.3, adc_bits=12, readings=1))
+VOLT_OF_CODES = (CODES + 0.5) * 3.3 / 4096  # the middle of what a converter calls by each code
+
+
+def lines(values: Any, sign: str = ",", decimal: str = ".") -> list[str]:
+    return [sign.join(str(value).replace(".", decimal) for value in np.ravel(line)) for line in values]
+
+
+def names(pattern: str, first: int = 0, sign: str = ",") -> str:
+    return sign.join(pattern.format(r=row + first, c=column + first) for row, column in np.ndindex(ROWS, COLUMNS))
+
+
+def given(
+    content: str | bytes | Iterable[str] | Callable[[Path], object], *notes: str, name: str = "m.csv", **how: Any
+) -> SimpleNamespace:
+    """A file, the sentences that its import says, and what is in it.
+
+    content : a text, its lines, bytes, or what writes the file. expected, times, start, role : of the recording, where
+    they are checked. absent : what no sentence says. how : arguments of the import.
+    """
+    parts = {part: how.pop(part, None) for part in ("times", "start", "role", "absent")}
+    expected = how.pop("expected", FRAMES)
+    plain = content if isinstance(content, str | bytes) or callable(content) else "\n".join(content)
+    return SimpleNamespace(content=plain, notes=notes, name=name, expected=expected, how=how, **parts)
+
+
+def imported(folder: Path, file: SimpleNamespace) -> tuple[Recording, tuple[str, ...]]:
+    path, content = folder / file.name, file.content
+    if callable(content):
+        content(path)
+    else:
+        path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    return import_file(path, **({"rows": ROWS, "columns": COLUMNS} | file.how))
+
+
+def check_taken(file: SimpleNamespace, folder: Path) -> None:
+    """Frames, times and start are the expected ones, in the recording's own file too, and every sentence is said."""
+    recording, notes = imported(folder, file)
+    assert all(any(words in note for note in notes) for words in file.notes), notes
+    assert file.absent is None or not any(file.absent in note for note in notes)
+    recording.save(folder / "saved.h5")
+    for held in (recording, Recording.load(folder / "saved.h5")):
+        if file.expected is not None:
+            np.testing.assert_allclose(held.recorded, file.expected, rtol=1e-12)
+        if file.times is not None:
+            np.testing.assert_allclose(held.time, file.times, rtol=1e-12, atol=1e-9)
+        assert held.start_time == file.start
+        assert file.role is None or held.role.tolist() == file.role
+
+
+def check_refused(file: SimpleNamespace, folder: Path) -> None:
+    """One sentence, which begins with the file unless `absent` says otherwise."""
+    with pytest.raises(InputError) as caught:
+        imported(folder, file)
+    message = str(caught.value)
+    assert "\n" not in message and all(words in message for words in file.notes), message
+    assert file.absent or message.startswith(str(folder / file.name)), message

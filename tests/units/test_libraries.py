@@ -1,0 +1,94 @@
+"""Libraries: what is said where one is missing, and which commands do without those that take long to import."""
+
+import ast
+import itertools
+import re
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from lampest.files.errors import PACKAGES, InputError, extra
+
+HOUSE = Path(__file__).parents[2]
+PROJECT = tomllib.loads((HOUSE / "pyproject.toml").read_text())["project"]
+EXTRAS = {"dask": "cluster", "hdmf": "export"}  # come with what an extra names
+
+
+def imported() -> set[str]:
+    """The first names of all modules that lampest imports and Python does not bring."""
+    names = set()
+    for path in (HOUSE / "lampest").rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.Import):
+                names |= {alias.name for alias in node.names}
+            elif isinstance(node, ast.ImportFrom) and node.module:
+                names.add(node.module)
+    return {name.partition(".")[0] for name in names} - sys.stdlib_module_names - {"lampest"}
+
+
+@pytest.mark.slow
+def test_every_library_that_may_be_missing_is_named_as_pip_knows_it() -> None:
+    requirements = [*PROJECT["dependencies"], *itertools.chain(*PROJECT["optional-dependencies"].values())]
+    known = {match[0].lower() for text in requirements if (match := re.match(r"[\w.-]+", text))} | EXTRAS.keys()
+    assert len(imported()) > 20
+    assert not {module for module in imported() if PACKAGES.get(module, module) not in known}
+
+
+def test_a_missing_pyserial_is_pyserial() -> None:
+    with pytest.raises(InputError, match=r"^serial is not installed; pip install 'pyserial' brings it$"), extra():
+        raise ModuleNotFoundError("No module named 'serial'", name="serial")
+
+
+ROOT = Path(__file__).parents[2]
+READ = "import lampest; lampest.Recording.load('data/lamprey_35mm.h5')"
+HELP = (
+    "import contextlib, io, sys; from lampest import cli; sys.argv = ['lampest', '--help']\n"
+    "with contextlib.redirect_stdout(io.StringIO()) as page, contextlib.suppress(SystemExit): cli.main()\n"
+    "words = 'run simulate import compare plot show info'.split(); "
+    "assert all(word in page.getvalue() for word in words)"
+)
+ESTIMATE = (
+    "import lampest; recording = lampest.Recording.load('tests/golden/recording.h5'); "
+    "lampest.reconstruct(recording, [lampest.Misfit(), lampest.LogGradient()])"
+)
+
+
+def loaded(code: str) -> set[str]:
+    """The modules that a fresh process holds after some code."""
+    told = subprocess.run(
+        [sys.executable, "-c", f"{code}; import sys; print(*sys.modules)"], cwd=ROOT, capture_output=True, text=True
+    )
+    assert told.returncode == 0, told.stderr
+    return set(told.stdout.split())
+
+
+HEAVY = ("casadi", "numpy", "scipy", "h5py", "pydantic", "ruamel", "matplotlib", "xarray", "pandas", "serial")
+
+
+@pytest.mark.parametrize(
+    ("code", "absent"),
+    [
+        (READ, ("scipy.linalg", "scipy.sparse", "casadi", "matplotlib", "pandas")),
+        ("import lampest.report.info, lampest.report.compare", ("scipy.linalg", "casadi", "lampest.estimate")),
+        ("import lampest.estimate.calibration.resistors", ("scipy.stats", "scipy.optimize")),
+        (ESTIMATE, ("scipy.optimize", "scipy.ndimage", "scipy.stats", "matplotlib", "pandas")),
+    ],
+)
+def test_process_does_without(code: str, absent: tuple[str, ...]) -> None:
+    assert not loaded(code) & set(absent)
+
+
+def test_the_face_the_help_and_the_executors_import_little() -> None:
+    for code, absent in (
+        ("import lampest; assert len(dir(lampest)) > 50", (*HEAVY, "lampest.panel", "lampest.cli")),
+        (
+            "import lampest; lampest.reconstruct; lampest.Recording; lampest.Misfit; lampest.Reconstruction",
+            ("matplotlib", "xarray", "pandas", "typer"),
+        ),
+        (HELP, HEAVY),
+        ("import lampest.runs.batch, lampest.runs.executors", ("dask", "distributed")),
+    ):
+        assert not loaded(code) & set(absent), code

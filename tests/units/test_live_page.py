@@ -1,0 +1,322 @@
+"""The live page's server: views, guests, addresses, tokens, and what the page itself may ask for."""
+
+import contextlib
+import dataclasses
+import http.client
+import json
+import re
+import socket
+import threading
+import time
+from collections.abc import Callable, Iterator
+from importlib.resources import files
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from lampest.files.errors import InputError
+from lampest.report.live import server as server_module
+from lampest.report.live.handover import Newest
+from lampest.report.live.message import View
+from lampest.report.live.run import Outlets, Replay, chosen, live
+from lampest.report.live.server import Asks, PageServer, address, is_local_name, serving
+
+LAMPREY = Path(__file__).parents[2] / "data" / "lamprey_25mm.h5"
+TOKEN = "a-token-of-my-own"
+Ask = Callable[..., http.client.HTTPResponse]
+
+
+@contextlib.contextmanager
+def page_at(host: str, *given: Any, **asks: Any) -> Iterator[SimpleNamespace]:
+    """A running server with what it shows; `ask` opens a connection and returns the answer, `status` its code."""
+    shown = Newest(View("here", "LSM", "receiving"))
+    with serving(host, 0, shown, *given, **asks) as server, contextlib.ExitStack() as stack:
+        port = int(server.server_address[1])
+
+        def ask(path: str = "/", method: str = "GET", **headers: str) -> http.client.HTTPResponse:
+            connection = stack.enter_context(
+                contextlib.closing(http.client.HTTPConnection("127.0.0.1", port, timeout=10))
+            )
+            named = {name.replace("_", "-"): value for name, value in headers.items()}
+            connection.request(method, path, headers=named)
+            return stack.enter_context(contextlib.closing(connection.getresponse()))
+
+        def wired(request: bytes) -> socket.socket:
+            client = stack.enter_context(socket.create_connection(("127.0.0.1", port), timeout=10))
+            client.sendall(request)
+            return client
+
+        def status(*words: str, **headers: str) -> int:
+            return ask(*words, **headers).status
+
+        yield SimpleNamespace(server=server, shown=shown, port=port, ask=ask, status=status, wired=wired)
+
+
+@pytest.fixture
+def page() -> Iterator[SimpleNamespace]:
+    with page_at("127.0.0.1") as running:
+        yield running
+
+
+@pytest.fixture
+def open_page() -> Iterator[SimpleNamespace]:
+    """A page that listens on all addresses, with a token that was given."""
+    with page_at("0.0.0.0", TOKEN) as running:
+        yield running
+
+
+def first_view(answer: http.client.HTTPResponse) -> Any:
+    line = answer.readline()
+    assert line.startswith(b"data: ")
+    return json.loads(line[6:])
+
+
+def test_the_newest_is_never_missed() -> None:
+    """A reader that is slower than the writer skips, but sees numbers grow, and the last thing."""
+    newest, seen = Newest(0), []
+
+    def read() -> None:
+        number = 0
+        while (news := newest.after(number)) is not None:
+            number = news.number
+            seen.append(news)
+            time.sleep(1e-4)
+
+    reader = threading.Thread(target=read)
+    reader.start()
+    for thing in range(1, 2001):
+        newest.put(thing)
+    newest.close()
+    reader.join(10)
+    assert all(news.number == news.thing for news in seen)
+    assert seen == sorted(seen) and seen[-1].thing == 2000
+    assert newest.after(2000, 0.01) is None and newest.closed
+
+
+def test_the_server_gives_the_page_and_the_views_and_nothing_else(page: SimpleNamespace) -> None:
+    answer = page.ask()
+    assert answer.status == 200 and answer.headers["Content-Type"] == "text/html; charset=utf-8"
+    assert "default-src 'none'" in answer.headers["Content-Security-Policy"]
+    assert answer.read() == files("lampest.report.live").joinpath("page.html").read_bytes()
+    views = page.ask("/views")
+    assert views.headers["Content-Type"] == "text/event-stream"
+    assert first_view(views)["state"] == "receiving"
+    page.shown.change(lambda view: dataclasses.replace(view, state="gone"))
+    assert views.readline() == b"\n"
+    assert first_view(views)["state"] == "gone"
+    for path in ("/favicon.ico", "/page.html", "/../setup", "/views/", "/?x"):
+        assert page.status(path) == 404
+    for method in ("HEAD", "PUT", "DELETE", "OPTIONS", "TRACE", "NONSENSE"):
+        refused = page.ask("/", method)
+        assert (refused.status, refused.headers["Allow"]) == (405, "GET, POST")
+    assert page.server.server_address[0] == "127.0.0.1"
+
+
+def test_a_new_zero_is_for_the_page_itself_to_ask_for() -> None:
+    asked: list[str] = []
+    asks = Asks(lambda: asked.append("zero"), lambda: asked.append("seen"))
+    with page_at("127.0.0.1", asks=asks) as page:
+        for path, headers, status in (
+            ("/zero", {}, 403),
+            ("/zero", {"X_Lampest": "one"}, 403),
+            ("/", {"X_Lampest": "zero"}, 404),
+            ("/zero", {"X_Lampest": "zero", "Host": "attacker.example"}, 403),
+            ("/acknowledge", {}, 403),
+            ("/acknowledge", {"X_Lampest": "zero"}, 403),
+        ):
+            assert page.status(path, "POST", **headers) == status and not asked
+        assert page.status("/zero", "POST", X_Lampest="zero") == 200
+        assert page.status("/acknowledge", "POST", X_Lampest="acknowledge") == 200
+        assert asked == ["zero", "seen"]
+        assert page.status("/record", "POST", X_Lampest="record") == 404, "there is nothing to record"
+
+
+def test_a_recording_is_for_the_page_itself_to_ask_for_and_needs_the_token() -> None:
+    asked: list[str] = []
+
+    def record(name: str) -> None:
+        if "." in name:
+            raise InputError("that is no name")
+        asked.append(name)
+
+    bearer = {"Authorization": f"Bearer {TOKEN}"}
+    with page_at("127.0.0.1", TOKEN, Asks(record=record)) as page:
+        for path, headers, status in (
+            ("/record", {"X_Lampest": "record"}, 403),
+            ("/record", {"X_Lampest": "zero", **bearer}, 403),
+            ("/record?name=x", bearer, 403),  # a foreign page's form has no such header
+            ("/record?name=../x", {"X_Lampest": "record", **bearer}, 400),
+        ):
+            assert page.status(path, "POST", **headers) == status and not asked
+        assert all(
+            page.status(path, "POST", X_Lampest="record", **bearer) == 200 for path in ("/record?name=x", "/record")
+        )
+        assert asked == ["x", ""]
+
+
+def test_on_the_loopback_the_server_answers_to_no_foreign_name(page: SimpleNamespace) -> None:
+    assert page.status(Host="localhost:8137") == 200
+    assert page.status("/views", Host="attacker.example:8137") == 403
+    assert all(is_local_name(name) for name in ("127.0.0.1", "[::1]:80", "[::1]", "localhost", "127.0.0.9:1"))
+    assert not any(is_local_name(name) for name in ("", "10.0.0.1:80", "localhost.example", "[::2]:80"))
+
+
+def test_clients_may_come_and_go_as_they_like(page: SimpleNamespace, capfd: pytest.CaptureFixture[str]) -> None:
+    for request in (b"", b"GET", b"\0\xff\r\n\r\n", b"GET /views HTTP/1.1\r\nHost: localhost\r\n\r\n") * 10:
+        with page.wired(request) as client:
+            client.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, b"\1\0\0\0\0\0\0\0")
+    for _ in range(3):
+        page.shown.change(lambda view: view)
+        time.sleep(0.05)
+    assert first_view(page.ask("/views"))["source"] == "here"
+    assert page.status() == 200
+    assert capfd.readouterr() == ("", "")
+
+
+def test_more_clients_than_seats_are_told_so(page: SimpleNamespace) -> None:
+    assert [page.status("/views") for _ in range(server_module.MAX_STREAMS)] == [200] * server_module.MAX_STREAMS
+    assert (page.status("/views"), page.status()) == (503, 200)
+
+
+def test_guests_that_never_read_give_their_seats_to_others(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name, value in {"MAX_STREAMS": 2, "TURN_SECONDS": 0.3, "HEARTBEAT_SECONDS": 0.1}.items():
+        monkeypatch.setattr(server_module, name, value)
+    with page_at("127.0.0.1") as page:
+
+        def status() -> bytes:
+            return bytes(page.wired(b"GET /views HTTP/1.1\r\nHost: localhost\r\n\r\n").recv(12)[9:])
+
+        assert [status(), status(), status()] == [b"200", b"200", b"503"]
+        until = time.monotonic() + 10
+        while (answer := status()) != b"200" and time.monotonic() < until:
+            time.sleep(0.1)
+        assert answer == b"200"
+
+
+def test_the_last_view_reaches_everybody_and_nobody_holds_up_the_end() -> None:
+    with contextlib.ExitStack() as running:
+        page = running.enter_context(page_at("127.0.0.1"))
+        page.wired(b"")  # a guest that never asks
+        connection = http.client.HTTPConnection("127.0.0.1", page.port, timeout=10)
+        connection.request("GET", "/views")
+        answer = connection.getresponse()
+        first_view(answer)
+        page.shown.change(lambda view: dataclasses.replace(view, state="lampest has ended"))
+        began = time.monotonic()
+        running.pop_all().close()
+    assert '"state":"lampest has ended"' in answer.read().decode()
+    assert time.monotonic() - began < 3
+    answer.close()
+    connection.close()
+
+
+def test_an_address_in_use_is_one_sentence(page: SimpleNamespace) -> None:
+    with pytest.raises(InputError, match=rf"cannot listen at 127\.0\.0\.1:{page.port} \(Address already in use\)"):
+        live(Replay(LAMPREY), chosen(None, None), Outlets(f"127.0.0.1:{page.port}"))
+
+
+def test_an_address_is_a_host_and_a_port() -> None:
+    assert address("localhost:0") == ("127.0.0.1", 0)
+    assert address("[::1]:81") == ("::1", 81)
+    for text in ("", "8137", "127.0.0.1", "127.0.0.1:x", "host:80", "127.0.0.1:70000", ":80"):
+        with pytest.raises(InputError, match="not of the form HOST:PORT"):
+            address(text)
+    with page_at("0.0.0.0") as open_to_all:
+        assert not open_to_all.server.local and open_to_all.server.url.startswith("http://127.0.0.1:")
+    assert PageServer.daemon_threads
+
+
+def test_the_page_loads_nothing_from_elsewhere() -> None:
+    text = files("lampest.report.live").joinpath("page.html").read_text(encoding="utf-8")
+    assert not re.findall(r"https?://|\bsrc=|@import|url\(|<link(?! rel=\"icon\" href=\"data:,\")", text)
+    assert len(text) < 30_000
+
+
+# Who may see the page: on the loopback address everybody here, elsewhere whoever brings the token.
+
+
+def test_elsewhere_nobody_comes_in_without_the_token(open_page: SimpleNamespace) -> None:
+    for path in ("/", "/views", "/nothing", "/?token=", "/?token=a-token-of-my-owN", f"/?other={TOKEN}", f"/#{TOKEN}"):
+        answer = open_page.ask(path)
+        text = answer.read()
+        assert (answer.status, answer.headers.get("Set-Cookie")) == (403, None)
+        assert b"lampest printed" in text and b"receiving" not in text
+    for headers in ({"Cookie": f"lampest={TOKEN}"}, {"Authorization": f"Basic {TOKEN}"}, {"Cookie": '="\x01'}):
+        assert open_page.status("/views", **headers) == 403
+    assert open_page.status(f"/?token={TOKEN}", "PUT") == 405
+
+
+def test_a_browser_needs_the_token_once_and_programs_bring_it_as_they_like(open_page: SimpleNamespace) -> None:
+    assert open_page.server.url == f"http://127.0.0.1:{open_page.port}/?token={TOKEN}"
+    answer = open_page.ask(f"/?token={TOKEN}")
+    cookie = answer.headers["Set-Cookie"]
+    assert answer.status == 200 and answer.read().startswith(b"<!") and TOKEN not in cookie
+    assert cookie.endswith("; HttpOnly; SameSite=Lax; Path=/")
+    crumb = cookie.split(";")[0]
+    again = open_page.ask(Cookie=crumb)
+    assert (again.status, again.headers.get("Set-Cookie")) == (200, None)
+    assert first_view(open_page.ask("/views", Cookie=f"theme=dark; {crumb}"))["state"] == "receiving"
+    assert open_page.status("/views", Cookie=crumb[:-1]) == 403
+    assert open_page.status(f"/views?token={TOKEN}") == 200
+    assert all(open_page.status("/views", Authorization=f"{kind} {TOKEN}") == 200 for kind in ("Bearer", "token"))
+
+
+def test_a_token_is_made_up_and_never_the_same() -> None:
+    tokens = set()
+    for _ in range(2):
+        with page_at("0.0.0.0") as page:
+            tokens.add(token := page.server.url.partition("?token=")[2])
+            assert (page.status(), page.status(f"/?token={token}")) == (403, 200)
+    assert len(tokens) == 2 and all(len(token) >= 32 for token in tokens)
+
+
+def test_on_the_loopback_a_token_is_asked_for_if_one_is_given(page: SimpleNamespace) -> None:
+    assert page.server.url.endswith("/") and page.status() == 200
+    with page_at("127.0.0.1", TOKEN) as guarded:
+        assert (guarded.status(), guarded.status(f"/?token={TOKEN}")) == (403, 200)
+
+
+def test_tokens_that_are_none_are_refused() -> None:
+    for token in ("short", "with a blank in it", "ä" * 20, "x" * 15):
+        with pytest.raises(InputError, match="--token: give at least 16"), page_at("127.0.0.1", token):
+            pass
+
+
+def test_tokens_are_compared_in_constant_time(open_page: SimpleNamespace, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever is brought goes through the comparison that does not tell where texts differ."""
+    compared: list[bytes] = []
+    monkeypatch.setattr(server_module, "compare_digest", lambda brought, secret: bool(compared.append(brought)))
+    access = open_page.server.access
+    assert open_page.status(f"/?token={TOKEN}") == open_page.status(Authorization=f"Bearer {TOKEN}") == 403
+    assert open_page.status(Cookie=f"{access.name}={access.secret}") == 403
+    assert len(compared) == 3
+
+
+@pytest.mark.parametrize(
+    "request_line",
+    [
+        b"GET /<script>alert(1)</script> HTTP/1.1",
+        b"<script>alert(1)</script> / HTTP/1.1",
+        b"GET / <script>alert(1)</script>",
+        b"<script>alert(1)</script>",
+        b"GET /?token=<script>alert(1)</script> HTTP/1.1",
+        b"GET /" + b"<script>" * 9000 + b" HTTP/1.1",
+        b"GET / HTTP/1.1\r\n<script>alert(1)</script>: x\r\n" + b"<script>: 1\r\n" * 200,
+        b"GET / HTTP/9.9<script>",
+    ],
+)
+@pytest.mark.parametrize("host", ["127.0.0.1", "0.0.0.0"])
+def test_error_pages_reflect_nothing_of_the_request(request_line: bytes, host: str) -> None:
+    with page_at(host) as page:
+        client = page.wired(request_line + b"\r\nHost: <script>localhost\r\n\r\n")
+        client.shutdown(socket.SHUT_WR)
+        answer = b"".join(iter(lambda: client.recv(4096), b""))
+    assert b"script" not in answer.replace(b"script-src", b"") and b"alert" not in answer
+    assert re.match(rb"(HTTP/1\.[01] )?[45]\d\d [A-Z][A-Za-z -]+\r?\n", answer), answer
+
+
+def test_a_request_with_two_names_of_the_host_is_refused(page: SimpleNamespace) -> None:
+    answer = page.wired(b"GET / HTTP/1.1\r\nHost: localhost\r\nHost: evil.example\r\n\r\n").recv(4096)
+    assert answer.startswith(b"HTTP/1.0 400 "), answer

@@ -1,0 +1,210 @@
+"""Solvers: the least-squares loop against scipy's, second derivatives that serve twice, and IPOPT's starts."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from scipy.optimize import least_squares
+
+import lampest
+from lampest import Array, Readings, Readout, Term
+from lampest.cost.cost import Cost
+from lampest.cost.problem import Data, Evaluation
+from lampest.estimate.sequence import first_stream
+from lampest.panel.least_squares import LevenbergMarquardt, SumOfSquares
+from lampest.solvers.hessian import Hessian
+from lampest.solvers.ipopt.formulations import FORMULATIONS
+from lampest.solvers.ipopt.ipopt import Ipopt, Limits
+from lampest.solvers.multistart import best_solution, evaluated
+from lampest.solvers.preconditioners import Cholesky
+from lampest.solvers.projected_newton import ProjectedNewton
+from lampest.solvers.solution import Settings, Status, check
+from lampest.studies.bench import BenchFile
+
+TIMES = np.linspace(0.0, 2.0, 9)
+LOOP = LevenbergMarquardt(evaluations=200, settled=1e-20)
+
+
+def decay(unknowns: Array) -> Array:
+    """Residuals of a decay of which the amplitude is 2, the rate 1.5 and the offset 0.3."""
+    amplitude, rate, offset = unknowns
+    return np.asarray(
+        amplitude * np.exp(-rate * TIMES) + offset - (2 * np.exp(-1.5 * TIMES) + 0.3 + 0.01 * np.sin(TIMES))
+    )
+
+
+def decayed(unknowns: Array) -> SumOfSquares:
+    amplitude, rate, _ = unknowns
+    falling = np.exp(-rate * TIMES)
+    return SumOfSquares(decay(unknowns), np.column_stack([falling, -amplitude * TIMES * falling, np.ones(len(TIMES))]))
+
+
+def rosenbrock(unknowns: Array) -> SumOfSquares:
+    x, y = unknowns
+    return SumOfSquares(np.array([10 * (y - x**2), 1 - x]), np.array([[-20 * x, 10.0], [-1.0, 0.0]]))
+
+
+@pytest.mark.parametrize("damping", [0.0, 1e-3, 10.0])
+def test_minimum_is_that_of_scipy(damping: float) -> None:
+    start = np.array([1.0, 0.5, 0.0])
+    found = LevenbergMarquardt(200, 1e-20, damping=damping).minimum(decayed, start)
+    theirs = least_squares(decay, start, ftol=1e-15, xtol=1e-15, gtol=1e-15)
+    assert np.allclose(found.position, theirs.x, rtol=1e-7) and np.isclose(found.at.cost, theirs.cost, rtol=1e-10)
+
+
+def test_curved_valley_is_followed_to_its_end() -> None:
+    found = LOOP.minimum(rosenbrock, np.array([-1.2, 1.0]))
+    assert np.allclose(found.position, 1, atol=1e-8) and found.evaluations < 60
+
+
+def test_bounds_that_are_active_hold_and_the_others_settle() -> None:
+    bounds = np.array([0.0, 0.0, 0.5]), np.array([5.0, 1.2, 5.0])
+    found = LOOP.minimum(decayed, np.array([1.0, 0.5, 1.0]), bounds)
+    theirs = least_squares(decay, [1.0, 0.5, 1.0], bounds=bounds, ftol=1e-15, xtol=1e-15, gtol=1e-15)
+    assert np.isclose(found.at.cost, theirs.cost, rtol=1e-6)
+    assert np.all(found.position >= bounds[0]) and np.all(found.position <= bounds[1])
+
+
+def test_steps_evaluations_and_end_are_kept() -> None:
+    seen: list[Array] = []
+
+    def model(unknowns: Array) -> SumOfSquares:
+        seen.append(unknowns)
+        return rosenbrock(unknowns)
+
+    loop = LevenbergMarquardt(7, 0.0, longest=np.array([0.1, 0.4]))
+    assert loop.minimum(model, np.array([-1.2, 1.0])).evaluations == len(seen) == 7
+    assert np.all(np.abs(seen[1] - seen[0]) <= [0.1 + 1e-12, 0.4 + 1e-12])
+    assert LOOP.minimum(rosenbrock, np.array([-1.2, 1.0]), ended=lambda at, count: at.cost < 1).at.cost < 1
+
+
+def test_unknown_that_no_residual_sees_stays() -> None:
+    def model(unknowns: Array) -> SumOfSquares:
+        return SumOfSquares(unknowns[:1] - 3.0, np.array([[1.0, 0.0]]), ridge=1e-9)
+
+    for loop in (LOOP, LevenbergMarquardt(9, 1e-12, damping=0.0)):
+        assert np.allclose(loop.minimum(model, np.array([1.0, 7.0])).position, [3.0, 7.0], atol=1e-6)
+
+
+def test_points_without_a_number_are_not_taken() -> None:
+    def model(unknowns: Array) -> SumOfSquares:
+        return SumOfSquares(np.log(unknowns) if unknowns[0] > 0 else np.array([np.nan]), 1 / unknowns[None])
+
+    assert np.isclose(LOOP.minimum(model, np.array([3.0])).position[0], 1.0)
+
+
+def counted(monkeypatch: pytest.MonkeyPatch, method: str, number: int) -> dict[str, int]:
+    """How often the third frame of a recording evaluates the cost, multiplies by ∇²φ, and factors it."""
+    bench = BenchFile(schema=1, sizes=(8,))
+    recording = bench.recording((8, 8), number)
+    readings, estimator = recording.readings(), bench.estimator(method, "reduced", (8, 8))
+    stream = first_stream(recording, readings, estimator)
+    first, second, third = recording.measured_frames()[:3]
+    for frame in (first, second):
+        stream, step = stream.push(readings[frame])
+        assert step.solution.strict
+    data, previous = stream.given(readings[third])
+    solver = estimator.problem(stream.scene, len(data.measured), 1.0, partial=data.partial)
+    solver.prepare()
+    counts: dict[str, int] = {}
+    watch(monkeypatch, counts)
+    solution = best_solution(solver, data, previous, stream.prepared)
+    assert solution.strict
+    again = Evaluation(solution.at.cost, data, *evaluated_anew(solution.at))
+    assert np.isclose(again.objective, solution.objective, rtol=1e-13, atol=0)
+    return counts
+
+
+def evaluated_anew(at: Evaluation) -> tuple[Array, Array, None]:
+    networks = [at.data.network(frame, cells) for frame, cells in enumerate(at.cell_resistance)]
+    return at.cell_resistance, np.stack([network.reading() for network in networks]), None
+
+
+def watch(monkeypatch: pytest.MonkeyPatch, counts: dict[str, int]) -> None:
+    for owner, name in ((Evaluation, "elsewhere"), (Hessian, "product"), (Cholesky, "of")):
+        counts[name], usual = 0, getattr(owner, name)
+
+        def called(*args: object, name: str = name, usual: object = usual) -> object:
+            counts[name] += 1
+            return usual(*args)
+
+        monkeypatch.setattr(owner, name, called)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", [0, 1])
+def test_second_derivatives_are_factored_once_and_serve(monkeypatch: pytest.MonkeyPatch, number: int) -> None:
+    counts = counted(monkeypatch, "LSR-gdCR", number)
+    assert counts["of"] == 1
+    assert counts["product"] <= 7  # 8 where ∇²φ is factored at the end alone
+    assert counts["elsewhere"] <= 4  # 5 where the last point is evaluated again
+
+
+CONVERTER = {"adc_bits": 12, "readings": 4, "noise_lsb": 1.0}
+CASES: list[tuple[str, Readout]] = [
+    ("nodal", lampest.TwoPointReadout(**CONVERTER)),
+    ("per_pixel", lampest.TwoPointReadout(**CONVERTER)),
+    ("nodal", lampest.LoadedColumnsReadout(load_ohm=1000, drive_ohm=100, **CONVERTER)),
+    ("nodal", lampest.GroundedReadout(load_ohm=1000, drive_ohm=70, **CONVERTER)),
+    ("nodal", lampest.VirtualGroundReadout(drive_ohm=70, sense_ohm=70, feedback_ohm=150, **CONVERTER)),
+]
+METHODS: dict[str, tuple[Term, ...]] = {
+    "LSM": (),
+    "LSR-CR": (lampest.CellResistance(weight=1e-7),),
+    "LSR-gdCR": (lampest.GradientOfRelativeChange(weight=1e-2),),
+}
+
+
+def problem(readout: Readout, method: str) -> tuple[Cost, Data, Array]:
+    """Of a frame's cost, its data and the optimum that Newton's method finds, (1, rows, columns) ohm."""
+    rod = lampest.Rod(centre_mm=(20.0, 25.0), diameter_mm=25.0, mass_g=400.0)
+    scene = lampest.Scene(lampest.Panel(5, 6), readout)
+    recording = lampest.simulate(lampest.Simulation(1, 5, scene, frames=3, loads=(rod,), baseline_frames=2))
+    terms = (lampest.Misfit(weighting="noise"), *METHODS[method])
+    estimator = lampest.Estimator(terms, "reduced", error_bars=False)
+    resting = Readings.of(scene, recording.recorded[recording.role == 0]).mean()
+    stream = lampest.Stream.begin(estimator, scene, 0.2, resting)
+    for frame in recording.recorded[recording.role == 1]:
+        before, (stream, step) = stream, stream.push(Readings.of(scene, frame))
+    data, _ = before.given(Readings.of(scene, recording.recorded[-1]))
+    assert step.solution.status is Status.OPTIMUM
+    return estimator.problem(scene, 1, 0.2).cost, data, step.cell_resistance[None]
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize(("kind", "readout"), CASES)
+def test_an_optimum_is_left_alone(kind: str, readout: Readout, method: str) -> None:
+    """Zero iterations: voltages, currents and bounds satisfy all conditions with the multipliers that were given."""
+    cost, data, cells = problem(readout, method)
+    optimum = ProjectedNewton(cost, Settings(1e-12)).solve(data, evaluated(cost, data, cells)).cell_resistance
+    start = evaluated(cost, data, optimum)
+    outcome = Ipopt(cost, readout, FORMULATIONS[kind], Settings()).solve(data, start)
+    assert (outcome.status, outcome.iterations) == (Status.OPTIMUM, 0)
+    assert_allclose(outcome.cell_resistance, start.cell_resistance, rtol=1e-12)
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize(("kind", "readout"), CASES)
+def test_the_same_optimum_from_near_and_far(kind: str, readout: Readout, method: str) -> None:
+    cost, data, cells = problem(readout, method)
+    solver = Ipopt(cost, readout, FORMULATIONS[kind], Settings())
+    near = cells * np.exp(0.01 * np.random.default_rng(2).standard_normal(cells.shape))
+    iterations = []
+    for place in (near, data.uniform_start):
+        start = evaluated(cost, data, place)
+        solution = check(start, solver.solve(data, start))
+        assert solution.solved
+        assert_allclose(solution.cell_resistance, cells, rtol=1e-4)
+        iterations.append(solution.iterations)
+    assert iterations[0] <= 8 and iterations[0] <= iterations[1]
+
+
+def test_a_pressed_cell_lies_on_its_bound() -> None:
+    limits = Limits(np.full(4, 1e-4), np.full(4, 2.0))
+    settled = limits.settled(np.array([1e-4 + 1e-9, 0.5, 2 - 1e-9, 1e-4 + 1e-9]), np.array([-1e-3, -1e-12, 1e-3, 1e-3]))
+    assert_array_equal(settled, [1e-4, 0.5, 2.0, 1e-4 + 1e-9])
+
+
+def test_multipliers_hold_what_presses_and_nothing_else() -> None:
+    limits = Limits(np.full(4, 0.5), np.full(4, 2.0))
+    multipliers = limits.multipliers(np.array([0.5, 0.5, 2.0, 1.0]), np.array([-3.0, 3.0, 3.0, 7.0]), 0.1)
+    assert_allclose(multipliers, [-3.0, 0.0, 3.0, 0.1 / 1.0 - 0.1 / 0.5])
