@@ -5,14 +5,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from lampest import MEASURED, UNLOADED, Array, Panel, Recording, Rod, Scene, Shape, TwoPointReadout
 from lampest.estimate.calibration.known_loads import KnownLoad
-from lampest.loads.shapes import Rod
-from lampest.loads.shapes.shape import Shape
-from lampest.panel.panel import Array, Panel
-from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.response import AnyResponse
-from lampest.panel.scene import Scene
-from lampest.recording.recording import MEASURED, UNLOADED, Recording
 from lampest.recording.simulation.measure import Unmodelled, measured
 from lampest.recording.simulation.simulation import Course, Simulation, cells_under, pressure_at
 
@@ -50,7 +45,7 @@ class Bench:
                 self.scene,
                 baseline_frames=RESTING,
                 frames=self.frames,
-                loads=tuple(group),  # type: ignore[arg-type]
+                loads=tuple(group),
                 course=course,
                 response=self.response,
                 unmodelled=Unmodelled(response_spread=self.spread),

@@ -5,8 +5,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from lampest.panel.panel import Array
-from lampest.panel.scene import Scene
+from lampest import Array, Scene
 
 Resistor = tuple[int, int, float]
 

@@ -11,22 +11,14 @@ from typing import Any
 
 import numpy as np
 
+from lampest import Data, GroundedReadout, LoadedColumnsReadout, Panel, Readout, TwoPointReadout, VirtualGroundReadout
 from lampest.cost.given import Given
 from lampest.cost.losses import Absolute, Huber, Squared
-from lampest.cost.problem import Data
 from lampest.cost.terms import Misfit, term_types
 from lampest.estimate.estimator import Bounds, Estimator
 from lampest.estimate.methods.method import OptimalMethod
 from lampest.estimate.state import Step
 from lampest.estimate.stream import Stream
-from lampest.panel.panel import Panel
-from lampest.panel.readouts import (
-    GroundedReadout,
-    LoadedColumnsReadout,
-    Readout,
-    TwoPointReadout,
-    VirtualGroundReadout,
-)
 from lampest.panel.scene import Faults, Scene
 from lampest.recording.readings import Readings
 from tests.least_cost import Array, Circuit, LeastCost, Penalty
@@ -143,7 +135,6 @@ class RandomProblem:
         """That solve."""
         if self.asked is None:
             baseline = Stream.begin(self.estimator, self.scene, 1.0, self._readings[0]).baseline
-            assert baseline is not None
             return baseline
         stream, readings = self.asked
         return stream.push(readings)[1]

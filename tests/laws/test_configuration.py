@@ -10,13 +10,10 @@ from typing import Any, get_args
 import pytest
 from laws.samples import DECIDED, configurations, examples, hints, is_settled, members_of, parts, unions, words
 
-from lampest.cost.terms import term_types
+from lampest import InputError, Panel, Scene, term_types
 from lampest.estimate.methods import AnyMethod, MethodName, named_method
 from lampest.files import typed
 from lampest.files.document import Document, parse_document, plain_content, to_yaml, validated
-from lampest.files.errors import InputError
-from lampest.panel.panel import Panel
-from lampest.panel.scene import Scene
 from lampest.runs.config import Terms
 
 KINDS = {f"{kind.__module__.removeprefix('lampest.')}.{kind.__name__}": kind for kind in configurations()}
@@ -119,8 +116,8 @@ def test_missing_key_is_refused_and_named(kind: type) -> None:
 
 @EVERY
 def test_it_is_frozen_and_holds_nothing_but_its_like(kind: type) -> None:
-    assert kind.__dataclass_params__.frozen  # type: ignore[attr-defined]
-    assert kind.__pydantic_config__ == {"extra": "forbid"}  # type: ignore[attr-defined]
+    assert kind.__dataclass_params__.frozen
+    assert kind.__pydantic_config__ == {"extra": "forbid"}
     inside = {part for hint in hints(kind).values() for part in parts(hint) if dataclasses.is_dataclass(part)}
     assert {part for part in inside if isinstance(part, type)} <= {*configurations()}
 

@@ -6,9 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
-from lampest import two_point_resistance
+from lampest import Array, two_point_resistance
 from lampest.panel.kirchhoff import current_balance, injected, laplacian
-from lampest.panel.panel import Array
 from lampest.panel.readouts.floating import FloatingNetwork, grounding, uniform_factor
 
 QUICK = settings(derandomize=True, deadline=None, max_examples=25, database=None)
@@ -182,7 +181,7 @@ def test_scaling_by_powers_of_two_is_exact(cells: Array, power: int) -> None:
 @given(panels, st.randoms(use_true_random=False))
 @QUICK
 def test_permuted_and_transposed_panels_have_permuted_and_transposed_resistances(cells: Array, random: object) -> None:
-    rng = np.random.default_rng(random.randrange(2**32))  # type: ignore[attr-defined]
+    rng = np.random.default_rng(random.randrange(2**32))
     rows, columns = (rng.permutation(size) for size in cells.shape)
     resistance = two_point_resistance(cells)
     assert_allclose(two_point_resistance(cells[rows][:, columns]), resistance[rows][:, columns], rtol=1e-11)

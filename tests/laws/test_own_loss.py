@@ -93,12 +93,11 @@ def estimated(terms: tuple[Term, ...], formulation: str = "reduced", **scene: fl
 
 def deviation(found: Reconstruction) -> Array:
     bars = found.steps[0].bars
-    assert bars is not None
     return bars.frame.deviation
 
 
 def with_gradient(loss: Loss, weight: float | Literal["auto"]) -> tuple[Term, ...]:
-    return Misfit(weighting="noise"), Gradient(weight=weight, loss=loss)  # type: ignore[arg-type]
+    return Misfit(weighting="noise"), Gradient(weight=weight, loss=loss)
 
 
 @pytest.mark.parametrize("loss", SMOOTH, ids=lambda loss: loss.kind)

@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from laws.samples import examples
 
+from lampest import Panel, Scene, Water
 from lampest.loads.pressure import pressure_of, water_pressure
-from lampest.panel.panel import Panel
 from lampest.panel.response import (
     PUBLISHED,
     PUBLISHED_KPA,
@@ -24,7 +24,6 @@ from lampest.panel.response import (
     ratio_from_pressure,
     relative_change_from_pressure,
 )
-from lampest.panel.scene import Scene, Water
 
 pressures = st.floats(-60, 500)
 

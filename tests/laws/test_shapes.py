@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from laws.recognised import PATCH_MM, frame_under, verdict_on
 
+from lampest import Panel, Scene, Simulation
 from lampest.estimate.calibration.known_loads import KnownLoad
 from lampest.files.document import adapter, parse_document, to_yaml, validated
 from lampest.loads.recognition.candidates import FIELD, LOADS, UNIFORM
@@ -21,9 +22,6 @@ from lampest.loads.shapes import OralDisc, Rod, Shape, shape_types
 from lampest.loads.shapes.disc import pressure_at_places
 from lampest.loads.shapes.kinds import RoundCandidate
 from lampest.loads.shapes.shape import POINTS, Candidate
-from lampest.panel.panel import Panel
-from lampest.panel.scene import Scene
-from lampest.recording.simulation import Simulation
 
 PANEL = Panel(10, 10)
 FINE = Panel(180, 180, 0.5)
@@ -107,7 +105,7 @@ def test_tilt_moves_the_force_and_keeps_it(kind: type[Shape]) -> None:
 @pytest.mark.parametrize("kind", RECOGNISED)
 def test_is_recognised_as_what_it_is(kind: type[Shape]) -> None:
     verdict = verdict_on(load_of(kind))
-    assert kind.candidate is not None and kind.candidate.label in verdict.best.candidate.label
+    assert kind.candidate.label in verdict.best.candidate.label
     assert kind.candidate in LOADS
     assert verdict.goodness < 1.4
 
@@ -188,4 +186,4 @@ def test_a_mouth_is_long_and_uneven_where_it_says() -> None:
 )
 def test_a_mouth_that_cannot_be_is_refused(wrong: dict[str, float]) -> None:
     with pytest.raises(ValueError, match="must"):
-        OralDisc(centre_mm=(45.0, 45.0), diameter_mm=36.0, rim_width_mm=6.0, pressure_kpa=-9.0, **wrong)  # type: ignore[arg-type]
+        OralDisc(centre_mm=(45.0, 45.0), diameter_mm=36.0, rim_width_mm=6.0, pressure_kpa=-9.0, **wrong)

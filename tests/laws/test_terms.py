@@ -11,19 +11,13 @@ from laws.samples import members_of
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.stats import t
 
-from lampest import two_point_resistance
+from lampest import Array, Bounds, Estimator, InputError, Panel, Recording, Scene, TwoPointReadout, two_point_resistance
 from lampest.cost.cost import Cost
 from lampest.cost.given import Given
 from lampest.cost.losses import Absolute, AnyLoss, Huber, Loss, Squared, Student
 from lampest.cost.problem import Data, Evaluation
 from lampest.cost.terms import Misfit, State, Term, term_kind, term_types
-from lampest.estimate.estimator import Bounds, Estimator
 from lampest.estimate.sequence import reconstruct
-from lampest.files.errors import InputError
-from lampest.panel.panel import Array, Panel
-from lampest.panel.readouts import TwoPointReadout
-from lampest.panel.scene import Scene
-from lampest.recording.recording import Recording
 from lampest.solvers.hessian import Hessian
 from lampest.solvers.ipopt.formulations import FORMULATIONS
 from lampest.solvers.ipopt.program import Program

@@ -55,7 +55,6 @@ def penalty(method: str, cells: Array, before: Array | None) -> Array:
         return cells.ravel()
     if method == "gradient":
         return np.concatenate([part.ravel() for part in nabla(cells)])
-    assert before is not None
     change = (cells - before) / before * 100
     if method == "relative_change":
         return change.ravel()

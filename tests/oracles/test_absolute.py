@@ -3,14 +3,10 @@
 import numpy as np
 import pytest
 
+from lampest import Absolute, Array, Estimator, Panel, Readings, Scene, Squared
 from lampest.cost.given import Background
-from lampest.cost.losses import Absolute, Squared
 from lampest.cost.problem import Data, Evaluation
 from lampest.cost.terms import Misfit, Term, TotalVariation, term_types
-from lampest.estimate.estimator import Estimator
-from lampest.panel.panel import Array, Panel
-from lampest.panel.scene import Scene
-from lampest.recording.readings import Readings
 from lampest.solvers.multistart import best_solution
 from lampest.solvers.projected_newton import ProjectedNewton
 from lampest.solvers.solution import Settings, Solution, Status, check

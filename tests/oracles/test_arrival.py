@@ -8,22 +8,16 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from lampest import two_point_resistance
+from lampest import Array, Estimates, Faults, InputError, OralDisc, Panel, Rod, Scene, Squared, two_point_resistance
 from lampest.cost.cost import Cost
 from lampest.cost.given import Given
-from lampest.cost.losses import Squared
 from lampest.cost.problem import Data, Evaluation
 from lampest.cost.terms import Arrival, LogRatio, Misfit, Term
-from lampest.estimate.estimates import Estimates
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.methods import MethodName
 from lampest.estimate.sequence import reconstruct
-from lampest.files.errors import InputError
-from lampest.loads.shapes import OralDisc, Rod
-from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.response import ratio_from_pressure
-from lampest.panel.scene import Faults, Scene
 from lampest.posterior.dense import DenseErrors, DenseMemory
 from lampest.posterior.linear import LinearModel
 from lampest.recording.recording import Recording
@@ -73,7 +67,6 @@ def deviation(found: Estimates) -> Array:
 def errors(found: Estimates) -> Array:
     """log r − log truth, (frames, rows, columns)."""
     truth = found.recording.truth_cell_resistance
-    assert truth is not None
     return np.asarray(np.log(found.cell_resistance / truth[found.frame]))
 
 
@@ -199,7 +192,6 @@ def test_formulations_agree_on_an_arrival() -> None:
 @pytest.mark.parametrize("faults", [Faults(open=((1, 2),)), Faults(dead_rows=(3,))], ids=["open cell", "dead row"])
 def test_what_is_broken_is_left_out(faults: Faults) -> None:
     panel, recording = Panel(6, 6), walk(4, 2.0, 5)
-    assert recording.truth_cell_resistance is not None
     sound = ~faults.open_cells(panel)
     exact = two_point_resistance(np.where(sound, recording.truth_cell_resistance, np.inf))
     measured = np.where(np.isfinite(exact), exact, 1.0)
@@ -216,7 +208,6 @@ def test_bars_know_what_huber_holds_back() -> None:
     for seed in range(6):
         found = estimated(scene("disc", seed), Arrival())
         truth = found.recording.truth_cell_resistance
-        assert truth is not None
         loaded = np.abs(np.log(truth[found.frame] / truth[0])) > 0.05
         inside.append(np.mean((np.abs(errors(found)) < 1.96 * deviation(found))[loaded]))
     assert np.mean(inside) > 0.8

@@ -5,14 +5,9 @@ import pytest
 from scipy.optimize import least_squares
 
 from docs.studies.as_published import Weights, left_by_solver, lsqnonlin
+from lampest import Array, Bounds, Estimator, OptimalMethod, Panel, Recording, Scene, TwoPointReadout
 from lampest.cost.terms import CellResistance, Gradient, Misfit, RelativeChange
-from lampest.estimate.estimator import Bounds, Estimator
-from lampest.estimate.methods.method import OptimalMethod
 from lampest.estimate.sequence import reconstruct
-from lampest.panel.panel import Array, Panel
-from lampest.panel.readouts import TwoPointReadout
-from lampest.panel.scene import Scene
-from lampest.recording.recording import Recording
 
 PANEL = Panel(4, 5)
 

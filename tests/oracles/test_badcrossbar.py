@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from lampest.panel.panel import Array
-from lampest.panel.readouts import TwoPointReadout
+from lampest import Array, TwoPointReadout
 from lampest.panel.readouts.wiring import Lines, WiredNetwork, Wiring
 
 with warnings.catch_warnings():  # it warns of what it cannot import

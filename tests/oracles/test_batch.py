@@ -144,12 +144,10 @@ def test_error_bars_made_together_are_those_made_one_by_one(penalty: tuple[Term,
         before, alone = tracks[number].advanced(LinearModel(at, np.zeros(0), weight_sigma=tuple(sigma)))
         for name, expected in vars(alone.frame).items():
             np.testing.assert_allclose(getattr(bars.frame, name), expected, rtol=1e-8, atol=1e-12)
-        assert bars.reading is not None and alone.reading is not None
         np.testing.assert_allclose(bars.reading, alone.reading, rtol=1e-8)
         assert (bars.change is None) == (alone.change is None) == (number != 5)
         if bars.change is not None and alone.change is not None:
             np.testing.assert_allclose(bars.change.deviation, alone.change.deviation, rtol=1e-8)
-        assert track.answers is not None and before.answers is not None
         np.testing.assert_allclose(track.answers[0], before.answers[0], rtol=1e-8, atol=1e-12)
         np.testing.assert_allclose(track.deviation, before.deviation, rtol=1e-8)
 
@@ -199,7 +197,6 @@ def test_frames_that_are_solved_in_blocks_are_those_that_are_solved_one_by_one(
         if step.bars is None:
             assert together.bars is None and frame == measured[5]
             continue
-        assert together.bars is not None and together.bars.change is not None and step.bars.change is not None
         for name, expected in vars(step.bars.frame).items():
             np.testing.assert_allclose(getattr(together.bars.frame, name), expected, rtol=10 * tolerance, atol=1e-9)
         for ours, theirs in (

@@ -6,13 +6,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from lampest import InputError, LoadedColumnsReadout, Panel, Recording, Scene, TwoPointReadout
+from lampest import Array, Diode, InputError, Lines, LoadedColumnsReadout, Panel, Recording, Scene, TwoPointReadout
 from lampest.estimate.calibration.resistors import ResistorCalibration, calibrate_resistors
 from lampest.files.document import parse_document, validated
-from lampest.panel.panel import Array
 from lampest.panel.readouts import AnyReadout, GroundedReadout, VirtualGroundReadout
-from lampest.panel.readouts.loaded_columns import Diode
-from lampest.panel.readouts.wiring import Lines
 from tests.oracles.netlist import Resistor, potentials
 
 SUPPLY, REFERENCE, SENSE = 5.0, 1000.0, 70.0
@@ -74,7 +71,6 @@ def recording(scene: Scene, board: Board, cells: Array, rng: np.random.Generator
     volt = np.array([[board.volt(one, j, k) for j, k in np.ndindex(one.shape)] for one in sets]).reshape(sets.shape)
     volt = np.broadcast_to(volt, (frames, *scene.panel.shape)) if len(sets) == 1 else volt
     readout = scene.readout
-    assert readout is not None
     noise = np.reshape(np.broadcast_to(np.array(readout.noise_lsb), (len(board.rows),)), (-1, 1))
     draws = volt / readout.lsb_volt + noise * rng.standard_normal((readout.readings, *volt.shape))
     codes = np.clip(np.floor(draws), 0, 2**readout.adc_bits - 1).astype(int)
@@ -121,7 +117,7 @@ def test_resistors_of_several_values_tell_every_number_of_every_line(kind: str) 
         assert np.abs(off).max() < 4 and line.sigma_ohm.max() < 0.02 * true_ohm.mean() + 2
     read = validated(parse_document(found.text(), "scene.yaml"), Scene)
     assert read == found.scene
-    mean = {"two_point": lambda: read.series_ohm.mean()}.get(kind, lambda: np.mean(read.readout.drive_ohm))()  # type: ignore[union-attr]
+    mean = {"two_point": lambda: read.series_ohm.mean()}.get(kind, lambda: np.mean(read.readout.drive_ohm))()
     assert mean == pytest.approx(found.numbers[0].value, abs=0.01)
 
 
@@ -185,7 +181,6 @@ def test_noise_of_every_driven_line_is_found() -> None:
     made = recording(told("loaded_columns", shape, noise_lsb=noisy, readings=4), board, true, rng, frames=40)
     found = calibrate_resistors([replace(made, scene=told("loaded_columns", shape, readings=4))], [printed])
     readout = found.scene.readout
-    assert readout is not None
     np.testing.assert_allclose(readout.noise_lsb, noisy, rtol=0.25)
     quiet = calibrate_resistors([recording(told("loaded_columns", shape), board, true, rng, frames=40)], [printed])
     assert quiet.scene.circuit.noise_lsb == pytest.approx(0.7, abs=0.05)
@@ -296,7 +291,7 @@ def test_three_resistors_tell_a_diode_too() -> None:
         assert abs(one.value - true) < 4 * one.sigma
     assert found.numbers[2].sigma < 0.15
     written = found.scene.readout
-    assert isinstance(written, LoadedColumnsReadout) and written.diode is not None
+    assert isinstance(written, LoadedColumnsReadout)
     assert written.diode.drop_volt == pytest.approx(found.numbers[2].value, abs=1e-3)
 
 

@@ -8,14 +8,10 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.integrate import quad
 
-from lampest import two_point_resistance
+from lampest import Absolute, Array, Estimates, Estimator, Huber, Panel, Readings, Solution, two_point_resistance
 from lampest.cost.given import Background
-from lampest.cost.losses import Absolute, Huber
 from lampest.cost.terms import CellResistance, Gradient, Misfit, RelativeChange, Term
-from lampest.estimate.estimates import Estimates
-from lampest.estimate.estimator import Estimator
 from lampest.estimate.sequence import reconstruct
-from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import TwoPointReadout, VirtualGroundReadout
 from lampest.panel.scene import Scene, Systematic
 from lampest.posterior.certainty import Certainty
@@ -23,10 +19,8 @@ from lampest.posterior.dense import DenseErrors
 from lampest.posterior.interval import one_sided
 from lampest.posterior.linear import LinearModel
 from lampest.posterior.sampled import SampledErrors
-from lampest.recording.readings import Readings
 from lampest.recording.recording import Recording
 from lampest.solvers.multistart import best_solution
-from lampest.solvers.solution import Solution
 
 pytestmark = pytest.mark.slow
 
@@ -51,7 +45,6 @@ def solved(terms: tuple[Term, ...], measured: Array, sigma: Array, start: Array 
 
 
 def model_of(solution: Solution) -> LinearModel:
-    assert solution.at is not None and solution.dual is not None
     return LinearModel(solution.at, solution.dual)
 
 
@@ -101,7 +94,7 @@ def drawn(terms: tuple[Term, ...], noise: float, draws: int) -> Iterator[tuple[A
 @pytest.mark.parametrize("weighting", ["plain", "noise"])
 def test_intervals_hold_the_truth_as_often_as_they_say(weighting: str) -> None:
     inside, standard = [], []
-    for error, certainty, free in drawn((Misfit(weighting=weighting),), 0.002, 200):  # type: ignore[arg-type]
+    for error, certainty, free in drawn((Misfit(weighting=weighting),), 0.002, 200):
         held = (error >= -certainty.above[0]) & (error <= certainty.below[0])
         inside.append(held[free])
         standard.append((error / certainty.deviation[0])[free])
@@ -169,7 +162,6 @@ def recorded(scene: Scene, cells: Array, resistance: Array, noise: float) -> Rec
 def changes_within(found: Estimates, cells: Array) -> list[bool]:
     """Of the last frame's changes against the baseline, which ones lie in their intervals."""
     change, bars = np.log(cells[-1] / cells[0]), found.steps[-1].bars
-    assert bars is not None and bars.change is not None
     estimate = np.log(found.cell_resistance[-1] / found.baseline_resistance)
     return list(((change >= estimate - bars.change.below) & (change <= estimate + bars.change.above)).ravel())
 
@@ -212,7 +204,6 @@ def test_a_method_that_looks_back_carries_its_error_along() -> None:
         carried.append(bars[-1].deviation)
     assert 0.5 < np.sqrt(np.mean(np.square(standard))) < 1.2
     alone = reconstruct(recording, replace(estimator, terms=(Misfit(),))).steps[-1].bars
-    assert alone is not None
     assert np.median(carried / alone.frame.deviation) < 1
 
 
@@ -223,7 +214,6 @@ def test_what_cells_share_of_a_change_cancels_as_far_as_both_frames_have_it() ->
     scene = Scene(Panel(*SHAPE), TwoPointReadout(), systematic=Systematic(reference_tolerance=0.05))
     recording = recorded(scene, frames, two_point_resistance(frames), 0.003)
     found = reconstruct(recording, Estimator((Misfit(),), formulation="reduced")).steps[-1].bars
-    assert found is not None and found.change is not None
     assert np.allclose(found.frame.common, 0.05 / np.sqrt(3), rtol=0.2)
     assert np.all(found.change.common < 1e-3) and np.allclose(found.change.own, found.change.deviation, rtol=1e-3)
 
@@ -279,7 +269,6 @@ def test_own_and_common_parts_make_up_the_bar() -> None:
         recording = recorded(scene, cells, exact * (1 + 2e-4 * rng.standard_normal(exact.shape)), 2e-4)
         found = reconstruct(recording, Estimator((Misfit(),), formulation="reduced"))
         own, common, whole = found.sigma_own, found.sigma_common, found.cell_resistance_errors
-        assert own is not None and common is not None and whole is not None
         free = np.isfinite(whole) & (own > 0)
         np.testing.assert_allclose(np.hypot(own, common)[free], (whole / found.cell_resistance)[free])
         assert np.median(common) > 3 * np.median(own)

@@ -10,19 +10,13 @@ import mpmath
 import numpy as np
 import pytest
 
+from lampest import Absolute, Array, Bounds, Estimator, Panel, Readings, Recording, Scene, Squared, Stream
 from lampest.cost.cost import Cost
 from lampest.cost.given import Background, Given
-from lampest.cost.losses import Absolute, Squared
 from lampest.cost.problem import Data, Evaluation
 from lampest.cost.terms import Gradient, LogRatio, Misfit, Term
-from lampest.estimate.estimator import Bounds, Estimator
 from lampest.estimate.sequence import reconstruct
-from lampest.estimate.stream import Stream
-from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import GroundedReadout, LoadedColumnsReadout, Readout
-from lampest.panel.scene import Scene
-from lampest.recording.readings import Readings
-from lampest.recording.recording import Recording
 from lampest.solvers.certificate import Definiteness, certificate
 from lampest.solvers.hessian import Hessian
 from lampest.solvers.projected_newton import ProjectedNewton
@@ -41,7 +35,7 @@ def usual() -> Array:
 
 def changed(where: object, factor: float) -> Array:
     cells = usual()
-    cells[where] *= factor  # type: ignore[index]
+    cells[where] *= factor
     return cells
 
 
@@ -107,7 +101,6 @@ def test_every_reading_of_an_extreme_is_met(name: str, formulation: str) -> None
     estimator = Estimator((Misfit(),), formulation=formulation, bounds=Bounds(upper="none"))
     scene = Scene(Panel(ROWS, COLUMNS))
     stream = Stream.begin(estimator, scene, 1.0, Readings.of(scene, measured))
-    assert stream.baseline is not None
     solution = stream.baseline.solution
     assert solution.status is Status.OPTIMUM
     assert np.abs(readings_of(solution.cell_resistance[0]) / measured - 1).max() < 1e-6
@@ -250,11 +243,10 @@ def test_a_step_that_the_noise_alone_makes_short_is_not_taken(readout: Readout, 
 def test_without_noise_a_large_panel_is_verified_by_every_reading(where: object) -> None:
     """Readings of shorts are nothing beside the others; they were off by 3·10⁻⁶, and in a row by a thousandth."""
     cells = 5000 * 10 ** np.random.default_rng([32, 5]).uniform(-0.15, 0.15, (32, 32))
-    cells[where] *= 1e-9  # type: ignore[index]
+    cells[where] *= 1e-9
     scene = Scene(Panel(32, 32))
     recorded = scene.circuit.exact_reading(cells)
     stream = Stream.begin(Estimator((Misfit(),), formulation="reduced"), scene, 1.0, Readings.of(scene, recorded))
-    assert stream.baseline is not None
     found = stream.baseline.solution
     assert found.solved
     assert found.status is not Status.OPTIMUM or np.abs(found.reading[0] / recorded - 1).max() <= 1e-6

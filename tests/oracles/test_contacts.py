@@ -9,20 +9,13 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.optimize import minimize
 
-from lampest.cost.losses import Squared
+from lampest import Array, Cells, Estimates, Estimator, Panel, Recording, Scene, Simulation, Squared, read_run, simulate
 from lampest.cost.terms import Gradient, LogRatio, Misfit, Term
-from lampest.estimate.estimates import Estimates
-from lampest.estimate.estimator import Estimator
 from lampest.estimate.sequence import reconstruct
-from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import LoadedColumnsReadout, Readout, TwoPointReadout
 from lampest.panel.readouts.wiring import ContactPrior, Contacts
-from lampest.panel.scene import Scene
-from lampest.recording.recording import Recording
-from lampest.recording.simulation import Cells, Simulation, simulate
 from lampest.recording.simulation.measure import true_contacts
 from lampest.runs.batch import run_batch
-from lampest.runs.config import read_run
 from lampest.runs.executors import Serial
 from lampest.runs.results import read_results
 from tests.netlist import impedance_of
@@ -48,7 +41,6 @@ def solved(recording: Recording, terms: tuple[Term, ...] = LSM) -> Estimates:
 def in_bars(done: Estimates) -> Array:
     """Errors of log r in their standard deviations."""
     truth, errors = done.recording.truth_cell_resistance, done.cell_resistance_errors
-    assert truth is not None and errors is not None
     return np.asarray(np.log(done.cell_resistance / truth[done.frame]) / (errors / done.cell_resistance))
 
 
@@ -73,7 +65,6 @@ def test_plain_least_squares_learns_nothing_of_contacts_and_its_bars_say_so(read
     scores = []
     for seed in range(12):
         done = solved(recorded(readout, seed))
-        assert done.contacts is not None
         assert_allclose(done.contacts.mean((5, 6)), PRIOR.mean((5, 6)), rtol=1e-3)
         assert_allclose(done.contacts.deviation((5, 6)), PRIOR.deviation((5, 6)), rtol=1e-2)
         scores.append(in_bars(done))
@@ -92,7 +83,6 @@ def test_forgotten_contacts_are_far_outside_the_bars(readout: Readout) -> None:
 def test_the_change_of_cells_hardly_knows_of_contacts(readout: Readout) -> None:
     """They are the same in both frames: bars of changes are far narrower than those of cells."""
     done = solved(recorded(readout, 5))
-    assert done.relative_change_errors is not None and done.cell_resistance_errors is not None
     assert np.median(done.relative_change_errors / 100) < 0.3 * np.median(
         done.cell_resistance_errors / done.cell_resistance
     )
@@ -105,9 +95,7 @@ def test_cells_and_contacts_end_at_the_joint_optimum(readout: Readout) -> None:
     recording = recorded(readout, 2, spread=0.02, shape=(4, 5))
     terms = (*LSM, Gradient(weight=1e-3))
     done, scene = solved(recording, terms), recording.scene
-    assert done.contacts is not None
     readings = recording.readings()[recording.role == 0].mean()
-    assert readings.sigma is not None
     mean, deviation = PRIOR.mean((4, 5)), PRIOR.deviation((4, 5))
 
     def cost(place: Array) -> float:
@@ -135,7 +123,6 @@ def test_estimates_of_contacts_are_as_far_off_as_they_say(readout: Readout) -> N
     for seed in range(15):
         recording = recorded(readout, seed, spread=0.0)
         done = solved(recording, (*LSM, Gradient(weight=1e-2)))
-        assert done.contacts is not None
         truth = true_contacts(recording.scene, seed).mean((5, 6))
         far.append((done.contacts.mean((5, 6)) - truth) / done.contacts.deviation((5, 6)))
         narrower.append(done.contacts.deviation((5, 6)) / PRIOR.deviation((5, 6)))
@@ -171,7 +158,6 @@ def test_results_hold_contacts_with_their_errors(tmp_path: Path) -> None:
 def test_known_contacts_are_not_estimated() -> None:
     scene = Scene(Panel(5, 6), READOUTS["two_point"], contacts=Contacts(ContactPrior((10.0, 20.0, 30.0, 40.0, 50.0))))
     done = solved(simulate(Simulation(1, 1, scene, frames=1)))
-    assert done.contacts is not None
     assert_allclose(done.contacts.mean((5, 6))[:5], [10, 20, 30, 40, 50])
     assert np.median(np.abs(in_bars(done))) < 1.5
 

@@ -7,9 +7,8 @@ import pytest
 from numpy.typing import NDArray
 
 import lampest
-from lampest import InputError, Recording, Scene, Simulation, simulate
+from lampest import InputError, Recording, Scene, Simulation, simulate, two_point_resistance
 from lampest.panel.panel import EachModule, Modules
-from lampest.panel.readouts.star_mesh import two_point_resistance
 
 LAYOUT = Modules(2, 2, EachModule(3, 4), 4.0, coupled=True)
 READOUT = lampest.TwoPointReadout(reference_ohm=1000, adc_bits=12, readings=20, noise_lsb=0.7)

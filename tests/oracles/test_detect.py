@@ -8,21 +8,16 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
+from lampest import Block, OralDisc, Panel, Recording, Ring, Rod, Scene, SuctionCup, TwoPointReadout, Unmodelled
 from lampest.loads.recognition.candidates import AND, FLAT, UNIFORM, Several
 from lampest.loads.recognition.candidates import LOADS as SHAPED
 from lampest.loads.recognition.detector import Detector, discs_of
 from lampest.loads.recognition.evidence import IMPOSSIBLE, MOUTH_LOG_ODDS, Verdict, prior_cost, rises
 from lampest.loads.recognition.fit import SD, field_fit, paid, prior, states
 from lampest.loads.recognition.observation import Baseline, ModelErrors, Observation, Whitening, outliers
-from lampest.loads.shapes import Block, OralDisc, Ring, Rod, SuctionCup
 from lampest.loads.shapes.disc import Disc, pressure_at_places
 from lampest.loads.shapes.kinds import RoundCandidate
 from lampest.loads.shapes.shape import Candidate
-from lampest.panel.panel import Panel
-from lampest.panel.readouts import TwoPointReadout
-from lampest.panel.scene import Scene
-from lampest.recording.recording import Recording
-from lampest.recording.simulation.measure import Unmodelled
 from lampest.recording.simulation.simulation import Course, Simulation, simulate
 from lampest.report.detect.detection import detect_recording
 
@@ -53,7 +48,6 @@ def recorded(*loads: Any, panel: Panel = PANEL, seed: int = 3, frames: int = 2, 
 def frames_of(recording: Recording, measured: Any = None, errors: ModelErrors | None = None) -> list[Observation]:
     readings, panel = recording.readings(), recording.scene.panel
     resting = readings[[0, 1, 2]].mean()
-    assert readings.sigma is not None and resting.sigma is not None
     baseline = Baseline.of(resting.value, resting.sigma, recording.scene, errors or ModelErrors())
     values = readings.value if measured is None else measured
     dry = np.zeros(panel.shape)
@@ -295,5 +289,4 @@ def test_strong_suction_leaves_no_smaller_disc_possible(tmp_path: Path) -> None:
     times = {"frames": 12, "baseline_frames": 5, "frame_period_s": 0.25, "course": Course(start_s=2.0)}
     simulate(Simulation(1, 1, scene, loads=(load,), unmodelled=off, **times)).save(tmp_path / "mouth.h5")
     (found,) = detect_recording(tmp_path / "mouth.h5").attachments
-    assert found.diameter_mm is not None
     assert found.diameter_mm[1] < 3 and abs(found.diameter_mm[0] - 32.2) < 2 * found.diameter_mm[1]

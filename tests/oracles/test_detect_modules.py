@@ -88,7 +88,7 @@ def merged(windows: list[Window], *loads: tuple[Attachment, ...]) -> tuple[Attac
     """The loads of several windows, each once."""
     watches: Any = [SimpleNamespace(attachments=own) for own in loads]
     opened = tuple((window, watch, 0.0) for window, watch in zip(windows, watches, strict=True))
-    return ImageWatch(None, (), opened)._merged()  # type: ignore[arg-type]
+    return ImageWatch(None, (), opened)._merged()
 
 
 def test_a_window_covers_the_modules_that_a_load_may_reach() -> None:

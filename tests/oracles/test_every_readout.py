@@ -9,20 +9,13 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from lampest.cost.losses import Squared
+from lampest import Array, CaseResult, Estimator, InputError, Panel, Recording, Squared, import_file, read_run
 from lampest.cost.terms import Gradient, LogRatio, Misfit
-from lampest.estimate.estimator import Estimator
 from lampest.estimate.sequence import reconstruct
-from lampest.files.errors import InputError
-from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import GroundedReadout, LoadedColumnsReadout, TwoPointReadout, VirtualGroundReadout
 from lampest.panel.scene import Faults, Scene, SeriesPerLine
-from lampest.recording.foreign.importing import import_file
-from lampest.recording.recording import Recording
 from lampest.report.info import describe
 from lampest.runs.batch import run_batch
-from lampest.runs.case import CaseResult
-from lampest.runs.config import read_run
 from lampest.runs.executors import Serial
 from lampest.runs.results import read_results
 from tests.oracles.netlist import Resistor, potentials
@@ -32,7 +25,7 @@ DRIVES, SENSES = tuple(40.0 + 9 * line for line in range(ROWS)), tuple(60.0 + 11
 TWO_POINT = TwoPointReadout(adc_bits=12, noise_lsb=1)
 LOADED = LoadedColumnsReadout(supply_volt=3.3, load_ohm=10_000, drive_ohm=1080, adc_bits=12, readings=20, noise_lsb=1)
 LOADED_LISTS = replace(LOADED, load_ohm=tuple(8000.0 + 300 * line for line in range(COLUMNS)), drive_ohm=DRIVES)
-LOADED_TURNED = replace(LOADED_LISTS, driven="columns", load_ohm=LOADED_LISTS.load_ohm[:5], drive_ohm=(*DRIVES, 99.0))  # type: ignore[index]
+LOADED_TURNED = replace(LOADED_LISTS, driven="columns", load_ohm=LOADED_LISTS.load_ohm[:5], drive_ohm=(*DRIVES, 99.0))
 ALL = GroundedReadout(load_ohm=1000, drive_ohm=70, sense_ohm=30, adc_bits=12, noise_lsb=1)
 ONE = replace(ALL, sense="one")
 LISTS = replace(ALL, drive_ohm=DRIVES, sense_ohm=SENSES, load_ohm=tuple(900.0 + 50 * line for line in range(COLUMNS)))
@@ -133,14 +126,12 @@ def panel_of(readout: Any, noise: float, seed: int = 5, shape: tuple[int, int] =
 
 
 def truth_of(recording: Recording) -> Array:
-    assert recording.truth_cell_resistance is not None
     return recording.truth_cell_resistance[3:]
 
 
 def test_every_readout_reads_what_the_netlist_says() -> None:
     for name, readout in READOUTS.items():
         recording = panel_of(readout, 0.0)
-        assert recording.truth_cell_resistance is not None
         modelled = readout.to_recorded(readout.exact_reading(recording.truth_cell_resistance), recording.scene)
         ideal = getattr(readout, "drive_ohm", 1.0) == 0
         assert_allclose(modelled, recording.recorded, rtol=1e-7 if ideal else 1e-11, err_msg=name)
@@ -159,7 +150,7 @@ def test_clean_readings_give_the_cells(readout: Any, formulation: Any) -> None:
 @pytest.mark.parametrize("terms", [LSM, SMOOTH], ids=["plain", "smooth"])
 def test_nodal_and_reduced_reach_one_optimum(readout: Any, terms: Any) -> None:
     recording = panel_of(readout, 1.0)
-    nodal, reduced = (reconstruct(recording, Estimator(terms, name)) for name in ("nodal", "reduced"))  # type: ignore[arg-type]
+    nodal, reduced = (reconstruct(recording, Estimator(terms, name)) for name in ("nodal", "reduced"))
     assert all(step.solution.solved for step in (*nodal.steps, *reduced.steps))
     held = isinstance(readout, GroundedReadout | VirtualGroundReadout)
     assert_allclose(nodal.cell_resistance, reduced.cell_resistance, rtol=1e-6 if held else 1e-5)
@@ -185,7 +176,6 @@ def test_a_weight_is_chosen(readout: Any, penalty: Any) -> None:
 def test_a_dead_driven_line_leaves_the_model(readout: Any) -> None:
     """Its cells are open, and the voltage of its readings says nothing, not even to bounds and starts of others."""
     sound = panel_of(readout, 0.0, shape=(8, COLUMNS))
-    assert sound.truth_cell_resistance is not None
     broken = np.where(np.arange(8)[:, None] == 4, 1e15, 1.0)
     volt = np.stack([volts(frame * broken, readout) for frame in sound.truth_cell_resistance])
     volt[:, 4] = 0.7
@@ -231,7 +221,6 @@ def test_error_bars_cover_the_truth(tmp_path: Path) -> None:
     for seed in range(12):
         recording = panel_of(LOADED, 1.0, seed)
         case = run_over(recording, tmp_path / str(seed))
-        assert case.cell_resistance_errors is not None
         scores.append((case.cell_resistance - truth_of(recording)) / case.cell_resistance_errors)
     assert 0.8 < np.mean(np.square(scores)) < 1.25
 

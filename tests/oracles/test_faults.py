@@ -6,15 +6,10 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from lampest import two_point_resistance
+from lampest import Array, Bounds, Estimator, Faults, Panel, Recording, Scene, TwoPointReadout, two_point_resistance
 from lampest.cost.terms import CellResistance, Gradient, GradientOfRelativeChange, Misfit, RelativeChange, Term
-from lampest.estimate.estimator import Bounds, Estimator
 from lampest.estimate.sequence import reconstruct
-from lampest.panel.panel import Array, Panel
-from lampest.panel.readouts import TwoPointReadout
-from lampest.panel.scene import Faults, Scene
 from lampest.recording.readings import AT_LEAST, AT_MOST
-from lampest.recording.recording import Recording
 
 SHAPE = (6, 7)
 SIGMA = 0.01
@@ -54,7 +49,7 @@ def test_known_fault_leaves_the_rest_exact(name: str, formulation: str) -> None:
     faults, breaks = FAULTS[name]
     truth = cells()
     breaks(truth)
-    found = reconstruct(recording(truth, faults), Estimator(LSM, formulation=formulation))  # type: ignore[arg-type]
+    found = reconstruct(recording(truth, faults), Estimator(LSM, formulation=formulation))
     sound = ~(faults.open_cells(Panel(*SHAPE)) | faults.shorted_cells(Panel(*SHAPE)))
     # The two lines of a short are one node: what joins another line to either of them is only seen in parallel.
     if faults.shorted:

@@ -5,15 +5,10 @@ import dataclasses
 import numpy as np
 import pytest
 
+from lampest import Array, InputError, Panel, Recording, Rod, Scene, SuctionCup, Unmodelled, Water
 from lampest.files.document import parse_document, to_yaml, validated
-from lampest.files.errors import InputError
 from lampest.loads.film import Creep, FilmMemory, Plays
-from lampest.loads.shapes import Rod, SuctionCup
-from lampest.panel.panel import Array, Panel
 from lampest.panel.response import PUBLISHED, Film, ratio_from_pressure
-from lampest.panel.scene import Scene, Water
-from lampest.recording.recording import Recording
-from lampest.recording.simulation.measure import Unmodelled
 from lampest.recording.simulation.simulation import Cells, Course, Simulation, simulate
 
 WALK = np.concatenate([np.linspace(*ends, 40) for ends in ((0, 30), (30, -8), (-8, -2), (-2, 12), (12, 3), (3, 25))])
@@ -107,14 +102,12 @@ def recorded(film: Film | None = None, told: Film | None = None, **changes: obje
 
 def seen(recording: Recording) -> Array:
     """Pressure as the response curve alone reads it, (frames) kPa, of a cell under the rod."""
-    assert recording.truth_cell_resistance is not None
     cell = recording.truth_cell_resistance[:, 3, 3]
     return PUBLISHED.pressure(np.log(cell / cell[0]))
 
 
 def test_simulated_film_has_the_hysteresis_that_it_is_told() -> None:
     recording = recorded(Film(hysteresis=0.24))
-    assert recording.truth_pressure is not None
     pressure, found = recording.truth_pressure[:, 3, 3], seen(recording)
     gap = found - pressure
     np.testing.assert_allclose(gap[:42], 0, atol=1e-9)
@@ -125,7 +118,6 @@ def test_simulated_film_has_the_hysteresis_that_it_is_told() -> None:
 def test_simulated_film_creeps_and_remembers() -> None:
     still = Course(release_at_s=40)
     recording = recorded(Film(creep_per_decade=0.05), course=still)
-    assert recording.truth_cell_resistance is not None
     change = np.log(recording.truth_cell_resistance / recording.truth_cell_resistance[0])[:, 3, 3]
     assert change[2 + 30] / change[2 + 3] == pytest.approx(1 + 0.05, rel=0.01)  # a decade later
     after = np.arange(3, 20)
@@ -140,7 +132,6 @@ def test_absent_film_and_one_that_does_nothing_are_the_same() -> None:
 def test_cells_differ_by_the_spread_and_films_by_the_deviation() -> None:
     def gaps(seed: int, film: Film) -> Array:
         made = recorded(film, seed=seed)
-        assert made.truth_cell_resistance is not None and made.truth_pressure is not None
         effective = PUBLISHED.pressure(np.log(made.truth_cell_resistance / made.truth_cell_resistance[0]))
         return (effective - made.truth_pressure)[44:52].max(axis=0)[2:6, 2:6]
 
@@ -158,7 +149,6 @@ def test_bent_cells_are_as_published() -> None:
         memory = FilmMemory.at_rest(np.zeros(1), np.zeros(1), np.full(1, film.answer), np.zeros(1))
         assert np.expm1(memory.answered(np.array([40.0]), 1.0)[1]) == pytest.approx([change], rel=1e-6)
     bent = recorded(Film(curvature_per_m=20), cells=Cells(spread=0.0))
-    assert bent.truth_cell_resistance is not None
     assert bent.truth_cell_resistance[0] == pytest.approx(1030 * np.ones((8, 8)))
 
 
@@ -168,14 +158,12 @@ def test_memory_under_water_begins_where_the_water_left_it() -> None:
     )
     scene = Scene(Panel(8, 8), water=Water(300.0), film=Film(0.2, 0.1))
     made = simulate(Simulation(1, 4, scene, frames=3, loads=(cup,)))
-    assert made.truth_cell_resistance is not None
     np.testing.assert_allclose(made.truth_cell_resistance[0], made.truth_cell_resistance[2], rtol=1e-12)
 
 
 def test_travelling_loads_are_remembered_where_they_were() -> None:
     travels = Unmodelled(load_speed_mm_s=2.0)
     plain, film = (recorded(film, frames=8, unmodelled=travels, course=Course()) for film in (None, Film(0.24, 0.05)))
-    assert plain.truth_cell_resistance is not None and film.truth_cell_resistance is not None
     assert np.all(film.truth_cell_resistance[3:] < plain.truth_cell_resistance[3:] * (1 + 1e-9))
 
 

@@ -7,17 +7,12 @@ import numpy as np
 import pytest
 
 from docs.studies.attachments import recording as attached
+from lampest import Array, Film, OralDisc, Panel, Recording, Rod, Scene, Shape, TwoPointReadout
 from lampest.loads.recognition.attachment import Attachment
 from lampest.loads.recognition.detector import Detector
 from lampest.loads.recognition.evidence import Verdict
 from lampest.loads.recognition.observation import ModelErrors, Observation
 from lampest.loads.recognition.watch import Panelled, Watch
-from lampest.loads.shapes import OralDisc, Rod, Shape
-from lampest.panel.panel import Array, Panel
-from lampest.panel.readouts import TwoPointReadout
-from lampest.panel.response import Film
-from lampest.panel.scene import Scene
-from lampest.recording.recording import Recording
 from lampest.recording.simulation.measure import Unmodelled, measured
 from lampest.recording.simulation.simulation import Course, Simulation, simulate
 from lampest.report.detect.detection import detect_recording
@@ -47,7 +42,6 @@ def watched(
     """
     readings = recordings[0].readings()
     resting = readings[[0, 1, 2]].mean()
-    assert readings.sigma is not None
     panelled = Panelled(SCENE, Detector(SCENE.panel, 6.0), np.zeros(SCENE.panel.shape), ModelErrors())
     watch = Watch.begin(panelled, resting.value, readings.sigma[0], readings.value[:3], 0.0)
     rng, time = np.random.default_rng(3), 0.0
@@ -58,7 +52,6 @@ def watched(
 
     for recording in recordings:
         readings = recording.readings()
-        assert readings.sigma is not None
         for number in range(3, len(readings.value)):
             time += period
             watch = pushed(watch, readings.value[number], readings.sigma[number], time)
@@ -134,7 +127,6 @@ def test_memory_of_another_kind_is_nothing_either(minutes: float) -> None:
     """15 % of what cells have answered stays and fades exponentially, each cell's by a fifth more or less."""
     recording = recorded(None, frames=60)
     cells = recording.truth_cell_resistance
-    assert cells is not None
     after = np.arange(len(cells)) - 18
     part = 0.15 * np.exp(0.2 * np.random.default_rng(3).standard_normal(SCENE.panel.shape))
     left = part * np.log(cells[12] / cells[0]) * np.exp(-np.maximum(after, 0) / (60 * minutes))[:, None, None]

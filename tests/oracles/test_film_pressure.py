@@ -7,19 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lampest.cost.terms import Misfit
-from lampest.estimate.estimates import Estimates
-from lampest.estimate.estimator import Estimator
+from lampest import Array, Estimates, Estimator, Misfit, Panel, Recording, Rod, Scene, Systematic, TwoPointReadout
 from lampest.estimate.sequence import reconstruct
 from lampest.files.hdf5 import existing_file, read_attribute
 from lampest.loads.film import Creep, FilmKnown
 from lampest.loads.pressure import Pressure, pressure_of
-from lampest.loads.shapes import Rod
-from lampest.panel.panel import Array, Panel
-from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.response import OPEN_CREEP, Film, PublishedResponse, TableResponse
-from lampest.panel.scene import Scene, Systematic
-from lampest.recording.recording import Recording
 from lampest.recording.simulation.simulation import Course, Simulation, simulate
 from lampest.runs.filling import named_result
 from lampest.runs.results import read_results, write_results
@@ -41,7 +34,6 @@ def made(truth: Film, told: Film | None, seed: int = 3, course: Course = COURSE,
 def of_truth(recording: Recording, known: FilmKnown | None = None) -> tuple[Pressure, Array]:
     """Pressures that the true cells tell, and the true ones."""
     cells, pressure = recording.truth_cell_resistance, recording.truth_pressure
-    assert cells is not None and pressure is not None
     ratio = (cells / cells[0])[3:]
     return pressure_of(ratio, ratio, ratio, recording.scene, recording.time[3:], known), pressure[3:]
 
@@ -62,7 +54,6 @@ def test_memory_is_causal(told: Film) -> None:
     recording = made(TRUE, told)
     found, _ = of_truth(recording)
     cells = recording.truth_cell_resistance
-    assert cells is not None
     ratio = (cells / cells[0])[3:33]
     part = pressure_of(ratio, ratio, ratio, recording.scene, recording.time[3:33])
     np.testing.assert_array_equal(part.pressure, found.pressure[:30])
@@ -83,7 +74,6 @@ def test_intervals_hold_films_that_differ() -> None:
 def test_failed_frames_leave_a_gap_and_no_more() -> None:
     recording = made(TRUE, TRUE)
     cells = recording.truth_cell_resistance
-    assert cells is not None and recording.truth_pressure is not None
     ratio = (cells / cells[0])[3:]
     ratio[20:23] = np.nan
     found = pressure_of(ratio, ratio, ratio, recording.scene, recording.time[3:])
@@ -112,7 +102,7 @@ def estimated(creep: float, release: bool = True) -> Estimates:
 @pytest.mark.parametrize("creep", [0.0, 0.02, 0.08])
 def test_open_creep_is_found_where_a_load_was_taken_off(creep: float) -> None:
     film = estimated(creep).film
-    assert film is not None and film.creep.sd < 0.02
+    assert film.creep.sd < 0.02
     assert film.creep.mean == pytest.approx(creep, abs=max(3 * film.creep.sd, 0.005))
     assert film.hysteresis == (0.24, pytest.approx(0.024))
 
@@ -120,14 +110,13 @@ def test_open_creep_is_found_where_a_load_was_taken_off(creep: float) -> None:
 @pytest.mark.slow
 def test_open_creep_stays_open_where_nothing_was_released() -> None:
     film = estimated(0.05, release=False).film
-    assert film is not None and film.creep.mean == pytest.approx(OPEN_CREEP[0], rel=0.5)
+    assert film.creep.mean == pytest.approx(OPEN_CREEP[0], rel=0.5)
     assert film.creep.sd == pytest.approx(OPEN_CREEP[1], rel=0.5) and "assumed" in film.sentence
 
 
 @pytest.mark.slow
 def test_pressure_within_a_twelfth_of_full_scale_at_a_hysteresis_of_24_percent() -> None:
     found = estimated(0.08)
-    assert found.pressure is not None and found.recording.truth_pressure is not None
     truth = found.recording.truth_pressure[found.frame]
     assert np.percentile(np.abs(found.pressure - truth), 99) < 0.08 * truth.max()
 

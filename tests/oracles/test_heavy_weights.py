@@ -7,15 +7,9 @@ There second derivatives hold nothing but rounding along what the penalty leaves
 import numpy as np
 import pytest
 
+from lampest import Array, Estimator, Loss, Misfit, Panel, Readings, Scene, Solution, Squared, Status, term_types
 from lampest.cost.given import Background
-from lampest.cost.losses import Loss, Squared
-from lampest.cost.terms import Misfit, term_types
-from lampest.estimate.estimator import Estimator
-from lampest.panel.panel import Array, Panel
-from lampest.panel.scene import Scene
-from lampest.recording.readings import Readings
 from lampest.solvers.multistart import best_solution
-from lampest.solvers.solution import Solution, Status
 from tests.least_cost import Circuit, LeastCost, Penalty
 
 SHAPE = (6, 5)

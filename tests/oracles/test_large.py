@@ -5,14 +5,11 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy import linalg, sparse
 
-from lampest import two_point_resistance
+from lampest import Absolute, Estimator, Huber, Panel, Recording, Scene, Settings, Status, two_point_resistance
 from lampest.cost.given import Background
-from lampest.cost.losses import Absolute, Huber
 from lampest.cost.problem import Evaluation
 from lampest.cost.terms import CellResistance, Gradient, GradientOfRelativeChange, Misfit, RelativeChange, Term
-from lampest.estimate.estimator import Estimator
 from lampest.estimate.sequence import reconstruct
-from lampest.panel.panel import Panel
 from lampest.panel.readouts import TwoPointReadout, floating
 from lampest.panel.readouts.floating import (
     FloatingNetwork,
@@ -20,13 +17,10 @@ from lampest.panel.readouts.floating import (
     grounding,
     square_by_lines,
 )
-from lampest.panel.scene import Scene
-from lampest.recording.recording import Recording
 from lampest.solvers import certificate, hessian, projected_newton
 from lampest.solvers.interior_point import by_interior_point
 from lampest.solvers.preconditioners import TwoLevel, sparse_inverse
 from lampest.solvers.smoothing import Smoothing
-from lampest.solvers.solution import Settings, Status
 
 SHAPE = (9, 11)
 ESTIMATORS: dict[str, tuple[Term, ...]] = {

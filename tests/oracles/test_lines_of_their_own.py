@@ -9,17 +9,10 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.optimize import brentq
 
-from lampest.cost.terms import Misfit
-from lampest.estimate.estimator import Estimator
+from lampest import Array, Diode, Estimator, InputError, Misfit, Panel, Recording, Simulation, read_run, simulate
 from lampest.estimate.sequence import reconstruct
-from lampest.files.errors import InputError
-from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import GroundedReadout, LoadedColumnsReadout, Readout, TwoPointReadout, VirtualGroundReadout
-from lampest.panel.readouts.loaded_columns import Diode
 from lampest.panel.scene import Scene, SeriesPerLine, Systematic
-from lampest.recording.recording import Recording
-from lampest.recording.simulation import Simulation, simulate
-from lampest.runs.config import read_run
 from lampest.solvers.solution import Settings
 from tests.oracles.netlist import Node, Resistor, potentials
 
@@ -71,12 +64,11 @@ def test_two_point_takes_off_what_each_line_has_in_series(across: Any, input_ohm
     # σ is that of the converter: what one σ of volt does to the network's resistance.
     step = 1e-3 * readout.sigma_volt()
     ends = [readout.from_recorded(readout.recorded_from_volt(volt + sign * step), scene) for sign in (1, -1)]
-    assert_allclose(recording.readings().sigma[0], np.abs(ends[0] - ends[1]) / 2e-3, rtol=1e-5)  # type: ignore[index]
+    assert_allclose(recording.readings().sigma[0], np.abs(ends[0] - ends[1]) / 2e-3, rtol=1e-5)
 
 
 def through_diode(cells: Array, readout: LoadedColumnsReadout, driven: int) -> Array:
     """Volt at the loads while a row is driven: the current at which diode and network share the supply."""
-    assert readout.diode is not None
     saturation = readout.diode.at_ampere / np.expm1(readout.diode.drop_volt / readout.diode.slope_volt)
 
     def loads(volt: float) -> dict[Node, float]:
@@ -89,7 +81,7 @@ def through_diode(cells: Array, readout: LoadedColumnsReadout, driven: int) -> A
 
     def excess(volt: float) -> float:
         current = (volt - loads(volt)[("r", driven)]) / 120.0
-        return volt + readout.diode.slope_volt * np.log1p(current / saturation) - readout.supply_volt  # type: ignore[union-attr]
+        return volt + readout.diode.slope_volt * np.log1p(current / saturation) - readout.supply_volt
 
     behind = float(brentq(excess, 0.0, readout.supply_volt, xtol=1e-15, rtol=1e-14))
     found = loads(behind)
@@ -112,7 +104,7 @@ def test_a_diode_and_the_converter_are_in_the_model(diode: Diode, driven: Any, p
     role = np.array([0, 0, 1], dtype=np.uint8)
     for frames, close in ((np.stack([recorded] * 3), truth), (noisy, None)):
         recording = Recording(scene, frames, np.arange(3.0), role)
-        one, other = (reconstruct(recording, Estimator(LSM, name, FINE)) for name in ("reduced", "nodal"))  # type: ignore[arg-type]
+        one, other = (reconstruct(recording, Estimator(LSM, name, FINE)) for name in ("reduced", "nodal"))
         assert all(step.solution.solved for step in (*one.steps, *other.steps))
         assert_allclose(one.cell_resistance, other.cell_resistance, rtol=1e-6)
         if close is not None:
@@ -145,7 +137,6 @@ def test_noise_is_that_of_the_driven_line(readout: Any, driven: str) -> None:
     noisy = replace(turned, noise_lsb=NOISY, readings=4)
     shape = (4, 5) if driven == "rows" else (5, 4)
     recording = simulate(Simulation(1, 5, Scene(Panel(*shape), noisy), frames=600))
-    assert recording.raw_sums is not None
     scatter = (recording.raw_sums / 4).std(axis=0).mean(axis=1 if driven == "rows" else 0)
     expected = [np.sqrt((noise**2 + 1 / 12) / 4) for noise in NOISY]
     assert_allclose(scatter, expected, rtol=0.05)
@@ -172,7 +163,6 @@ def test_shared_errors_move_the_estimate_as_the_bars_say(readout: Any) -> None:
         recording = Recording(told, frames, np.arange(2.0), np.array([0, 1], dtype=np.uint8))
         done = reconstruct(recording, Estimator(LSM, "reduced"))
         bars = done.steps[0].bars
-        assert bars is not None
         scores.append(np.log(done.cell_resistance[0] / cells) / bars.frame.deviation)
     assert 0.8 < np.sqrt(np.mean(np.square(scores))) < 1.2
 
@@ -198,7 +188,7 @@ def test_a_formulation_that_cannot_serve_a_readout_is_refused_before_anything(tm
 class StrangerReadout(GroundedReadout):
     """A kind that no union names."""
 
-    kind: Literal["stranger"] = "stranger"  # type: ignore[assignment]
+    kind: Literal["stranger"] = "stranger"
 
 
 def test_a_file_with_a_readout_that_nobody_knows_says_so_when_it_is_written_and_when_it_is_read(tmp_path: Path) -> None:

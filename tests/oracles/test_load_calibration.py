@@ -6,18 +6,14 @@ import numpy as np
 import pytest
 from known_loads import Bench, forces, moved_over, touches
 
-from lampest.cost.terms import Misfit
+from lampest import Array, Estimator, InputError, Misfit, Panel, Scene
 from lampest.estimate.calibration.known_loads import KnownLoad, KnownLoads
 from lampest.estimate.calibration.loads import LoadCalibration, calibrate_loads
 from lampest.estimate.calibration.response import Loaded, deviations_from_others, fit_loads, response_of
-from lampest.estimate.estimator import Estimator
 from lampest.estimate.sequence import reconstruct
-from lampest.files.errors import InputError
 from lampest.loads.film import Creep, FilmKnown
 from lampest.loads.pressure import pressure_of
-from lampest.panel.panel import Array, Panel
 from lampest.panel.response import PUBLISHED, Film, PowerResponse
-from lampest.panel.scene import Scene
 from lampest.recording.simulation.measure import random_stream
 
 OTHER = PowerResponse(exponent=0.8, scale_kpa=2.0)
@@ -39,7 +35,6 @@ def force_errors(bench: Bench, scene: Scene, count: int) -> Array:
     scene = replace(scene, response=scene.response or PUBLISHED)
     recording = bench.recorded(fresh, "fresh", scene)
     pressure, truth = reconstruct(recording, Estimator((Misfit(),), "reduced")).pressure, recording.truth_pressure
-    assert pressure is not None and truth is not None
     errors = []
     for number, loads in enumerate(fresh):
         first, _ = bench.frames_of(number)
@@ -62,7 +57,6 @@ def test_several_pressures_tell_another_film() -> None:
     bench = Bench(2, response=OTHER, repeat=0.02)
     found = calibrated(bench, [1.0, 3.0, 9.0, 20.0], 17.5)
     response = found.scene.response
-    assert response is not None
     gains = true_gains(bench)
     shift = np.exp(np.log(gains).mean())  # what all gains share belongs to the curve
     for kpa in (1.0, 3.0, 9.0, 20.0):
@@ -142,7 +136,6 @@ def test_cells_without_load_have_the_common_curve_and_the_spread() -> None:
     recording = bench.recorded([groups[number] for number in left], "left")
     found = calibrate_loads([recording], KnownLoads(schema=1, loads=tuple(some)), 0.01)
     response = found.scene.response
-    assert response is not None and response.gain_sd is not None
     untouched = ~found.fitted.touched.reshape(6, 6)
     assert untouched[:, -1].all() and not untouched[:, 0].any()
     np.testing.assert_allclose(response.gains[untouched], response.gains[untouched][0], rtol=1e-3)

@@ -6,17 +6,11 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from lampest.cost.terms import Misfit
-from lampest.estimate.estimator import Estimator
+from lampest import Array, Estimator, InputError, Misfit, Panel, Recording, Scene, Simulation, simulate
 from lampest.estimate.sequence import reconstruct
-from lampest.files.errors import InputError
-from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import LoadedColumnsReadout, Readout, TwoPointReadout
 from lampest.panel.readouts.readout import with_memory, without_memory
-from lampest.panel.scene import Scene
 from lampest.recording.readings import AT_LEAST, AT_MOST, Readings
-from lampest.recording.recording import Recording
-from lampest.recording.simulation import Simulation, simulate
 
 FRACTION = 0.029  # seen in a real 16 × 16 skin
 READOUTS = {
@@ -91,7 +85,6 @@ def test_a_rail_stays_a_bound() -> None:
 def error(recording: Recording) -> tuple[Array, Array]:
     """(error of log r, the same in error bars)."""
     done = reconstruct(recording, Estimator((Misfit(weighting="noise"),), "reduced"))
-    assert recording.truth_cell_resistance is not None and done.cell_resistance_errors is not None
     off = np.log(done.cell_resistance / recording.truth_cell_resistance[done.frame])
     return off, off / (done.cell_resistance_errors / done.cell_resistance)
 

@@ -7,21 +7,13 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from lampest import two_point_resistance
+from lampest import Estimates, Estimator, InputError, Method, Recording, Scene, Status, read_run, two_point_resistance
 from lampest.cost.losses import Absolute, Huber
 from lampest.cost.terms import CellResistance, Gradient, Misfit, RelativeChange, Term
-from lampest.estimate.estimates import Estimates
-from lampest.estimate.estimator import Estimator
-from lampest.estimate.methods import Method
 from lampest.estimate.methods.approximate import LinearisedMethod, TruncatedMethod, UncorrectedMethod
 from lampest.estimate.methods.method import OptimalMethod
 from lampest.estimate.sequence import reconstruct
-from lampest.files.errors import InputError
 from lampest.panel.panel import Array, Panel
-from lampest.panel.scene import Scene
-from lampest.recording.recording import Recording
-from lampest.runs.config import read_run
-from lampest.solvers.solution import Status
 
 SHAPE = (14, 15)
 BLOCK = (slice(5, 8), slice(6, 10))
@@ -162,5 +154,5 @@ def test_words_stand_for_methods(tmp_path: Path) -> None:
 def test_readings_as_they_are_have_a_cost_of_any_loss(formulation: str) -> None:
     """Absolute values have slopes of their own, which nothing optimised."""
     recording = Recording.load(Path("data/lamprey_35mm.h5"))
-    done = reconstruct(recording, Estimator((Misfit(loss=Absolute()),), formulation, error_bars=False))  # type: ignore[arg-type]
+    done = reconstruct(recording, Estimator((Misfit(loss=Absolute()),), formulation, error_bars=False))
     assert np.all(np.isfinite(done.cell_resistance))

@@ -77,7 +77,6 @@ def test_the_valley_is_followed_to_where_a_held_cell_leads(side: int) -> None:
     )
     data, _ = stream.given(readings[2])
     model = stream.solve(data, None).surroundings()
-    assert model is not None
     cell = int(np.flatnonzero(readings.seen[2].ravel() == 0)[0])
     errors = DenseErrors(model)
     way = ProfileInterval(errors, cell)

@@ -9,24 +9,20 @@ import pytest
 
 import lampest
 from docs.studies.model_check import named, sound, wrong
-from lampest import Misfit, Recording, Scene, Simulation, TwoPointReadout
+from lampest import Misfit, OralDisc, Readings, Recording, Results, Scene, Simulation, Systematic, TwoPointReadout
 from lampest.cli.results import compare as compare_command
 from lampest.estimate.cells_fit import MAX_CELLS, fitted
 from lampest.estimate.outliers import without_outliers
 from lampest.estimate.prepared import Prepared
 from lampest.estimate.rivals import standing_frames
 from lampest.files.typed import members_of
-from lampest.loads.shapes import OralDisc
-from lampest.panel.conditions import Systematic
 from lampest.panel.panel import EachModule, Modules, Panel
 from lampest.panel.readouts import AnyReadout, LoadedColumnsReadout, Readout, VirtualGroundReadout
 from lampest.panel.readouts.two_point import four_point_excess
-from lampest.recording.readings import Readings
 from lampest.recording.simulation import Unmodelled, simulate
 from lampest.report.compare import compare, model_notes
 from lampest.report.info import describe
 from lampest.report.page.page import write_report
-from lampest.runs.results import Results
 
 SHAPE = (5, 7)
 GENERATOR = np.random.default_rng(4)
@@ -99,7 +95,6 @@ def test_laws_of_a_circuit_hold_for_its_readings_and_not_for_others(circuit: Rea
 @pytest.mark.parametrize("seed", range(6))
 def test_a_right_circuit_is_not_called_wrong(seed: int) -> None:
     drawn = sound(seed)
-    assert drawn is not None
     check = Prepared(drawn[1]).check
     assert check.explains is not False, check.sentence
 
@@ -207,7 +202,6 @@ def test_the_misfit_of_cells_alone_is_no_larger_than_its_degrees_say() -> None:
     for seed in range(120):
         noisy = exact + sigma * np.random.default_rng(seed).standard_normal(SHAPE)
         fit = fitted(scene, Readings.of(scene, noisy, sigma), patient=True)
-        assert fit is not None
         tails.append(fit.tail)
     # 120 draws: a share of 0.05 has a standard deviation of 0.02.
     assert np.mean(np.array(tails) < 0.05) <= 0.05 + 3 * 0.02
@@ -328,7 +322,6 @@ def test_results_table_page_and_info_say_it(results: Path, tmp_path: Path, capsy
 
 def test_the_misfit_of_every_frame_is_that_of_its_residuals(results: Path) -> None:
     (case,) = lampest.read_results(results).cases
-    assert case.sigma is not None
     for frame in range(len(case.time)):
         residual = (case.reading_model[frame] - case.measured[frame]) / case.sigma[frame]
         assert np.isclose(case.misfit["chi_square"][frame], np.sum(residual**2))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import lampest
-from lampest import InputError, Recording, Scene, Simulation, simulate
+from lampest import InputError, Recording, Scene, Simulation, read_run, simulate
 from lampest.cli import main
 from lampest.estimate.modules import begin_stream
 from lampest.estimate.prepared import Prepared
@@ -17,7 +17,6 @@ from lampest.estimate.weights import with_chosen_weights
 from lampest.files.document import parse_document, to_yaml, validated
 from lampest.panel.panel import EachModule, Modules
 from lampest.runs.batch import run_batch
-from lampest.runs.config import read_run
 from lampest.runs.executors import Serial
 from lampest.runs.long_case import solve_long
 
@@ -93,7 +92,6 @@ def test_every_module_is_estimated_as_if_it_stood_alone(penalty: lampest.Term | 
         total += [step.solution.objective for step in found.steps]
         np.testing.assert_allclose(image.cell_resistance[cells], found.cell_resistance, rtol=1e-6)
         np.testing.assert_allclose(image.baseline_resistance[cells], found.baseline_resistance, rtol=1e-6)
-        assert image.cell_resistance_errors is not None and found.cell_resistance_errors is not None
         np.testing.assert_allclose(image.cell_resistance_errors[cells], found.cell_resistance_errors, rtol=1e-4)
     np.testing.assert_allclose([step.solution.objective for step in image.steps], total, rtol=1e-6)
 
@@ -114,7 +112,7 @@ def test_other_shapes_readouts_and_methods(
     recording = simulated(Scene(lampest.Panel(modules=modules), fine))
     terms = [lampest.Misfit(weighting="noise", loss=loss)]
     found = lampest.reconstruct(recording, terms, formulation=formulation)
-    assert found.solved.all() and recording.truth_cell_resistance is not None
+    assert found.solved.all()
     truth = recording.truth_cell_resistance[found.frame]
     assert float(np.median(np.abs(found.cell_resistance / truth - 1))) < 0.02
 
@@ -136,7 +134,7 @@ def test_modules_of_a_single_line_have_the_errors_that_all_readings_share() -> N
     """Each cell is at its bound, which is its reading: bars were 0.02 % where the reference may be 6 % off."""
     text = "panel: {modules: {rows: 2, columns: 2, each: {rows: 1, columns: 6}}}\n" + SCENE[SCENE.index("readout") :]
     found = lampest.reconstruct(simulated(scene_of(text), 4), [lampest.Misfit()], formulation="reduced")
-    assert found.at_lower_bound.all() and found.cell_resistance_errors is not None
+    assert found.at_lower_bound.all()
     assert (found.cell_resistance_errors > 0.06 / np.sqrt(3) * found.cell_resistance).all()
 
 
@@ -195,7 +193,6 @@ def test_a_long_recording_is_solved_by_parts_and_goes_on_where_it_ended(
     run = read_run(tmp_path / "run.yaml")
     [case] = run.cases
     (tmp_path / "parts" / "cases").mkdir(parents=True)
-    assert case.stored is not None
     written: list[Path] = []
 
     def killed(path: Path, cases: list[lampest.CaseResult]) -> None:

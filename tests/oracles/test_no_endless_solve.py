@@ -3,18 +3,10 @@
 import numpy as np
 import pytest
 
+from lampest import GroundedReadout, LoadedColumnsReadout, Panel, Readout, Stream, TwoPointReadout, VirtualGroundReadout
 from lampest.cost.losses import Huber, Student
 from lampest.cost.terms import Misfit, Term, term_types
 from lampest.estimate.estimator import Estimator
-from lampest.estimate.stream import Stream
-from lampest.panel.panel import Panel
-from lampest.panel.readouts import (
-    GroundedReadout,
-    LoadedColumnsReadout,
-    Readout,
-    TwoPointReadout,
-    VirtualGroundReadout,
-)
 from lampest.panel.scene import Scene
 from lampest.recording.readings import Readings
 from lampest.solvers.solution import Solution, Status
@@ -47,7 +39,6 @@ def ended(kind: str, terms: tuple[Term, ...]) -> Solution:
     scene, reading = skin(kind, 3)
     readings = Readings.of(scene, reading, 2e-3 * np.abs(reading) + 1e-4 * np.abs(reading).max())
     baseline = Stream.begin(Estimator(terms, error_bars=False), scene, 1.0, readings).baseline
-    assert baseline is not None
     return baseline.solution
 
 

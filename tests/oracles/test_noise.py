@@ -12,17 +12,14 @@ from numpy.typing import NDArray
 
 import lampest
 from docs.studies.audit import AuditFile, AuditTask
-from lampest import Estimator, Gradient, Misfit, Panel, Scene, two_point_resistance
+from lampest import Array, Estimator, Gradient, Misfit, Panel, Readings, Scene, Systematic, two_point_resistance
 from lampest.estimate.noise import change_within_scan, largest_change_within_scan
 from lampest.estimate.outliers import detect_outliers, without_outliers
 from lampest.estimate.prepared import Prepared
 from lampest.estimate.scatter import scatter
 from lampest.estimate.sequence import reconstruct
-from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout, TwoPointReadout
-from lampest.panel.scene import Systematic
 from lampest.posterior.frame_noise import FrameNoise
-from lampest.recording.readings import Readings
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
 from lampest.recording.simulation import Simulation, Unmodelled, simulate
 from lampest.report.info import describe
@@ -139,7 +136,7 @@ def test_frame_noise_is_what_the_converter_would_see() -> None:
 
 def recorded(
     seed: int, scene: Scene, readings: "callable", frames: int = 8, unloaded: int = 5
-) -> tuple[Recording, Array]:  # type: ignore[valid-type]
+) -> tuple[Recording, Array]:
     """Frames of a panel pressed on a few cells, of which `readings(exact, rng)` makes the recorded resistance."""
     rng = np.random.default_rng(seed)
     cells = np.repeat(3000 * np.exp(0.2 * rng.standard_normal((1, *scene.panel.shape))), frames, axis=0)
@@ -233,7 +230,6 @@ def test_own_parts_cover_what_a_frame_does_to_cells_differently(effect: dict[str
 def own_part(recording: Recording) -> tuple[float, float]:
     """Share of cells whose error beside their frame's median is within the own part, and its size over that error."""
     found = reconstruct(recording, LSM)
-    assert recording.truth_cell_resistance is not None and found.sigma_own is not None
     error = np.log(found.cell_resistance / recording.truth_cell_resistance[found.frame])
     error -= np.median(error, axis=(1, 2), keepdims=True)
     size = 1.4826 * np.median(np.abs(error))
@@ -274,7 +270,6 @@ def test_weights_allow_for_errors_of_single_readings(error: float) -> None:
     def missed(weight: Any) -> float:
         terms = Misfit(weighting="noise"), lampest.LogGradient(weight=weight)
         found = reconstruct(recording, Estimator(terms, "reduced"))
-        assert recording.truth_cell_resistance is not None
         return float(np.std(np.log(found.cell_resistance / recording.truth_cell_resistance[found.frame])))
 
     assert missed("auto") < 1.25 * min(missed(weight) for weight in (10.0, 100.0, 1e3, 1e4))
@@ -283,10 +278,8 @@ def test_weights_allow_for_errors_of_single_readings(error: float) -> None:
 def test_the_mean_of_unloaded_frames_has_all_of_an_error_that_repeats_do_not_reduce() -> None:
     recording = pressed(2, reading_error=0.04)
     noise = Prepared(recording).noise
-    assert noise.readings.sigma is not None
     resting = noise.readings[recording.role == UNLOADED].mean()
     measured = noise.readings.sigma[recording.role == MEASURED][0]
-    assert resting.sigma is not None
     assert resting.sigma[9, 9] == pytest.approx(measured[9, 9], rel=0.05)  # untouched
 
 
@@ -318,7 +311,6 @@ def test_the_size_of_static_errors_is_learned_from_cells_that_stand_still() -> N
     for seed in range(4):
         recording, cells = recorded(seed, scene_of(0.7, None), static)
         hidden = Prepared(recording).noise.possible_errors
-        assert hidden is not None
         sizes.append(hidden.sizes.reading_error or 0.0)
         shares.append(held(reconstruct(recording, LSM), cells))
     assert np.median(sizes) == pytest.approx(0.01, rel=0.4)
@@ -353,7 +345,6 @@ def test_static_errors_that_bend_the_answer_have_their_size_from_unloaded_cells_
     for seed in range(20, 23):
         recording, cells = recorded(seed, scene_of(0.7, None), static)
         hidden = Prepared(recording).noise.possible_errors
-        assert hidden is not None
         sizes.append(hidden.sizes.reading_error or 0.0)
         shares.append(held(reconstruct(recording, LSM), cells))
     assert np.median(sizes) == pytest.approx(size, rel=0.4)
@@ -382,7 +373,6 @@ def test_loads_that_leave_their_place_between_frames_tear_them_and_bars_allow_fo
         assert "motion within a scan" in Prepared(made).noise.sentence
         found = reconstruct(made, LSM)
         truth, lower, upper = made.truth_cell_resistance, found.cell_resistance_lower, found.cell_resistance_upper
-        assert truth is not None and lower is not None and upper is not None
         held.append((lower <= truth[found.frame]) & (truth[found.frame] <= upper))
     assert np.mean(held) > 0.8
 
@@ -417,7 +407,6 @@ def test_a_gentle_load_is_no_resistance_in_series() -> None:
     down, across = np.indices((10, 10)) - 4.5
     body = np.maximum(1 - (down / 5) ** 2 - ((across - 1) / 2) ** 2, 0)
     hidden = Prepared(breathing(0, body, 0.75)).noise.possible_errors
-    assert hidden is not None and hidden.root is not None
     assert np.linalg.norm(hidden.root[0]) < 1.5
 
 
@@ -441,7 +430,6 @@ def test_a_penalty_does_not_know_cells_whose_readings_are_off() -> None:
         made = lampest.simulate(lampest.Simulation(1, seed, told, frames=3, loads=(rod,), unmodelled=static))
         found = reconstruct(made, gradient)
         truth, lower, upper = made.truth_cell_resistance, found.cell_resistance_lower, found.cell_resistance_upper
-        assert truth is not None and lower is not None and upper is not None
         held.append((lower <= truth[found.frame]) & (truth[found.frame] <= upper))
     assert 0.88 < np.mean(held) < 0.995
 
@@ -461,7 +449,6 @@ def test_still_cells_show_a_series_resistance_beyond_the_usual() -> None:
     """40 ohm where 35 are usual: the rms of what is left possible is near the actual error."""
     wrong, cells = recorded(11, scene_of(0.7, None), lambda exact, rng: converted(exact + 40, rng, 0.7))
     hidden = Prepared(wrong).noise.possible_errors
-    assert hidden is not None and hidden.root is not None
     assert np.sqrt((hidden.root[0] ** 2).sum()) == pytest.approx(40 / 35, rel=0.3)
     assert min(held(reconstruct(wrong, LSM), cells)) > 0.85
 
@@ -490,7 +477,6 @@ def test_samples_and_matrices_agree_on_what_a_frame_shares() -> None:
     stream = lampest.Stream.begin(LSM, told.scene, 1.0, told.readings()[0])
     data, start = stream.given(told.readings()[6])
     model = stream.solve(data, start).surroundings()
-    assert model is not None
     noise = FrameNoise(told.scene, 5, 0.005, np.zeros((8, 0)), np.full((8, 1), 1e-3))
     drawn_columns = model.through @ noise.columns(data.measured, baseline=False)
     dense, sampled = DenseErrors(model, None, drawn_columns), SampledErrors(model, None, drawn_columns)

@@ -10,11 +10,9 @@ from numpy.typing import NDArray
 
 import lampest
 from docs.studies.audit import AuditFile, AuditTask
-from lampest import Recording, Scene, TwoPointReadout
+from lampest import Block, Cells, Course, Recording, Scene, Simulation, TwoPointReadout, simulate
 from lampest.estimate.prepared import Prepared
 from lampest.estimate.saturation import saturated
-from lampest.loads.shapes import Block
-from lampest.recording.simulation import Cells, Course, Simulation, simulate
 from lampest.report.detect.detection import Known, known_of, measured_frames
 from lampest.studies.study import read_settings
 
@@ -117,8 +115,8 @@ def test_an_outlier_while_a_load_comes_is_no_contact(seed: int) -> None:
 def test_what_a_leak_and_a_contact_do_is_taken_off_the_frames_that_have_it(effect: dict) -> None:
     """The same noise is in both recordings; what the sizes leave open is a fraction of it."""
     dirty, clean = Prepared(panel(1, **effect)).noise, panel(1).readings()
-    assert clean.sigma is not None and dirty.readings.sigma is not None and dirty.frame is not None
-    assert dirty.frame.effect_errors is not None and 0 < np.abs(dirty.frame.effect_errors[1]).max() < 0.01
+    assert clean.sigma is not None
+    assert 0 < np.abs(dirty.frame.effect_errors[1]).max() < 0.01
     open_ohm = np.hypot(dirty.readings.sigma, np.linalg.norm(dirty.frame.effect_errors[1], axis=0) * clean.value)
     off = np.abs((dirty.readings.value - clean.value) / open_ohm)
     assert np.quantile(off, 0.95, axis=(1, 2)).max() < 4  # of the sizes in 22 frames the largest
@@ -137,7 +135,6 @@ def test_detect_looks_at_frames_without_the_leak() -> None:
 
 def test_noise_grows_by_what_a_leak_takes_of_the_signal() -> None:
     wet, dry = Prepared(panel(1, leak_ohm=2e3)).noise.readings, panel(1).readings()
-    assert wet.sigma is not None and dry.sigma is not None
     assert 1.1 < np.median(wet.sigma / dry.sigma) < 2
 
 

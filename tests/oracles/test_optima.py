@@ -10,19 +10,13 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.optimize import minimize
 
-from lampest import two_point_resistance
+from lampest import Array, Bounds, Estimates, Estimator, OptimalMethod, Panel, Recording, Scene, two_point_resistance
 from lampest.cost.cost import Cost
 from lampest.cost.given import Background, Given
 from lampest.cost.losses import Absolute, Huber, Loss, Squared
 from lampest.cost.problem import Data, Evaluation
 from lampest.cost.terms import Gradient, Misfit, term_types
-from lampest.estimate.estimates import Estimates
-from lampest.estimate.estimator import Bounds, Estimator
-from lampest.estimate.methods.method import OptimalMethod
 from lampest.estimate.sequence import reconstruct
-from lampest.panel.panel import Array, Panel
-from lampest.panel.scene import Scene
-from lampest.recording.recording import Recording
 from lampest.solvers.multistart import evaluated, solved_from
 from lampest.solvers.projected_newton import ProjectedNewton
 

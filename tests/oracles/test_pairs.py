@@ -4,14 +4,9 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from lampest import two_point_resistance
+from lampest import Array, Estimator, Panel, Readings, Scene, TwoPointReadout, two_point_resistance
 from lampest.cost.given import Background
 from lampest.cost.terms import GradientOfRelativeChange, Misfit, RelativeChange, Term
-from lampest.estimate.estimator import Estimator
-from lampest.panel.panel import Array, Panel
-from lampest.panel.readouts import TwoPointReadout
-from lampest.panel.scene import Scene
-from lampest.recording.readings import Readings
 from lampest.solvers import hessian
 from lampest.solvers.multistart import best_solution
 from tests.least_cost import Circuit, LeastCost, Penalty

@@ -5,16 +5,11 @@ import dataclasses
 import numpy as np
 import pytest
 
+from lampest import Array, Cells, InputError, Panel, Simulation, SuctionCup, TwoPointReadout, simulate
 from lampest.files.document import parse_document, to_yaml, validated
-from lampest.files.errors import InputError
 from lampest.loads.pressure import pressure_of, water_pressure
-from lampest.loads.shapes import SuctionCup
-from lampest.panel.panel import Array, Panel
-from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.response import RESPONSE_SD, VACUUM_KPA, ratio_from_pressure
 from lampest.panel.scene import Scene, Systematic, Temperature, Water
-from lampest.recording.simulation import Simulation, simulate
-from lampest.recording.simulation.simulation import Cells
 
 COOLING = Temperature(-0.003, 20.0, 8.0, 0.001)
 AIR = Scene(Panel(4, 3))
@@ -54,13 +49,11 @@ def test_simulation_puts_in_what_the_scene_tells() -> None:
     simulation = Simulation(schema=1, seed=3, scene=scene, cells=Cells(), baseline_frames=1, frames=3, loads=(cup,))
     recording = simulate(simulation)
     cells, pressure = recording.truth_cell_resistance, recording.truth_pressure
-    assert cells is not None and pressure is not None
     ratio = cells[1:] / cells[0]
     found = pressure_of(ratio, ratio, ratio, scene)
     np.testing.assert_allclose(found.pressure, pressure[1:] - water_pressure(scene.panel, scene.water), atol=1e-9)
     assert found.pressure.min() < -5 and found.pressure.max() > 5
     untold = simulate(dataclasses.replace(simulation, scene=Scene(Panel(8, 8)), water=Water(50.0)))
-    assert untold.truth_cell_resistance is not None
     np.testing.assert_array_equal(untold.truth_cell_resistance[0], cells[0])
     np.testing.assert_allclose(cells[1:] / untold.truth_cell_resistance[1:], np.exp(0.036), rtol=1e-12)
 

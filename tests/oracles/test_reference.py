@@ -149,7 +149,6 @@ def test_withheld_readings_of_a_real_sensor_lie_within_their_intervals(name: str
     whole, recording, withheld = without_a_tenth(DATA / f"{name}.h5")
     found = lampest.reconstruct(recording, [Misfit(weighting="noise", loss=loss), LogGradient()])
     sigma, model = found.reading_sigma, np.stack([step.solution.reading[-1] for step in found.steps])
-    assert sigma is not None
     assert np.all(sigma[found.solved] > 0) and np.all(np.isfinite(sigma[found.solved])), "also of missing readings"
     judged = withheld & found.solved[:, None, None]
     inside = np.abs(whole.readings().value - model)[judged] < 1.96 * sigma[judged]
@@ -163,7 +162,7 @@ def test_a_missing_reading_has_a_wider_interval_that_holds_it() -> None:
     found = lampest.reconstruct(replace(recording, recorded=recorded), [WEIGHTED, LogGradient()])
     sigma, model = found.reading_sigma, np.stack([step.solution.reading[-1] for step in found.steps])
     missing, exact = np.isnan(recorded), two_point_resistance(cells)
-    assert sigma is not None and np.all(np.isfinite(sigma))
+    assert np.all(np.isfinite(sigma))
     assert np.median((sigma / exact)[missing]) > 2 * np.median((sigma / exact)[~missing])
     assert np.mean(np.abs(recording.recorded - model)[missing] < 1.96 * sigma[missing]) >= 0.8
 
@@ -176,7 +175,6 @@ def test_bars_allow_for_the_uncertainty_of_a_chosen_weight() -> None:
     given = lampest.reconstruct(recording, [WEIGHTED, LogGradient(weight=weight)])
     assert_allclose(given.cell_resistance, chosen.cell_resistance, rtol=1e-5)
     one, other = (found.sigma_own for found in (chosen, given))
-    assert one is not None and other is not None
     more = np.sqrt(np.maximum(one**2 - other**2, 0))
     assert np.all(one > 0.999 * other) and more.max() > 0.05 * other.max()
     moved = lampest.reconstruct(recording, [WEIGHTED, LogGradient(weight=weight * np.exp(0.05))])

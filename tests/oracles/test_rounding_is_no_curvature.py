@@ -7,15 +7,10 @@ import numpy as np
 import pytest
 from scipy.linalg import lapack
 
+from lampest import Array, Bounds, Estimator, Misfit, Panel, Readings, Scene, Stream
 from lampest.cost.cost import Cost
 from lampest.cost.given import Background, Given
 from lampest.cost.problem import Data, Evaluation
-from lampest.cost.terms import Misfit
-from lampest.estimate.estimator import Bounds, Estimator
-from lampest.estimate.stream import Stream
-from lampest.panel.panel import Array, Panel
-from lampest.panel.scene import Scene
-from lampest.recording.readings import Readings
 from lampest.solvers.certificate import clear_of_rounding
 from lampest.solvers.solution import Outcome, Status, check
 
@@ -37,9 +32,8 @@ def test_verified_readings_are_met(number: int, formulation: str) -> None:
     cells = drawn(number)
     scene = Scene(Panel(*cells.shape))
     measured = scene.circuit.exact_reading(cells)
-    estimator = Estimator((Misfit(),), formulation=formulation, bounds=Bounds(upper="none"))  # type: ignore[arg-type]
+    estimator = Estimator((Misfit(),), formulation=formulation, bounds=Bounds(upper="none"))
     baseline = Stream.begin(estimator, scene, 1.0, Readings.of(scene, measured)).baseline
-    assert baseline is not None
     found = baseline.solution
     assert (
         found.status is not Status.OPTIMUM

@@ -3,18 +3,11 @@
 import numpy as np
 import pytest
 
+from lampest import Estimator, OralDisc, Panel, Recording, Scene, Settings, TwoPointReadout, Unmodelled, Water
 from lampest.cost.terms import Gradient, Misfit
-from lampest.estimate.estimator import Estimator
 from lampest.estimate.sequence import first_stream
-from lampest.loads.shapes import OralDisc
-from lampest.panel.panel import Panel
-from lampest.panel.readouts import TwoPointReadout
-from lampest.panel.scene import Scene, Water
-from lampest.recording.recording import Recording
 from lampest.recording.simulation import Simulation, simulate
-from lampest.recording.simulation.measure import Unmodelled
 from lampest.recording.simulation.simulation import Cells, Course
-from lampest.solvers.solution import Settings
 from tests.least_cost import Circuit, LeastCost, Penalty
 
 TWO = (8, 9, 15, 23)  # frames that once ended 0.4 to 0.7 % above the lower minimum

@@ -8,14 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from lampest.cost.terms import Misfit
-from lampest.estimate.estimator import Bounds, Estimator
-from lampest.estimate.stream import Stream
-from lampest.panel.panel import Array, Panel
+from lampest import Array, Bounds, Estimator, Misfit, Panel, Readings, Scene, Solution, Status, Stream
 from lampest.panel.readouts import GroundedReadout, LoadedColumnsReadout, Readout, VirtualGroundReadout
-from lampest.panel.scene import Scene
-from lampest.recording.readings import Readings
-from lampest.solvers.solution import Solution, Status
 from tests.least_cost import Circuit
 
 FINE = {"adc_bits": 32, "supply_volt": 5.0}  # so that no reading is at a rail
@@ -57,7 +51,7 @@ SHORTS: dict[str, object] = {
 
 def with_short(where: object, ohm: float) -> Array:
     cells = 3000 * np.exp(0.2 * np.random.default_rng(3).standard_normal((6, 7)))
-    cells[where] = ohm * np.exp(0.2 * np.random.default_rng(4).standard_normal(cells[where].shape))  # type: ignore[index]
+    cells[where] = ohm * np.exp(0.2 * np.random.default_rng(4).standard_normal(cells[where].shape))
     return np.asarray(cells)
 
 
@@ -65,9 +59,8 @@ def solved(kind: Kind, cells: Array, formulation: str) -> tuple[Solution, float]
     """(solution, by what part of itself the reading that is met worst is off)."""
     volt, _ = kind.circuit.reading(cells)
     scene = Scene(Panel(*cells.shape), kind.readout)
-    estimator = Estimator((Misfit(),), formulation=formulation, bounds=Bounds(upper="none"))  # type: ignore[arg-type]
+    estimator = Estimator((Misfit(),), formulation=formulation, bounds=Bounds(upper="none"))
     baseline = Stream.begin(estimator, scene, 1.0, Readings.of(scene, volt)).baseline
-    assert baseline is not None
     found = baseline.solution
     off = np.abs(kind.circuit.reading(found.cell_resistance[0])[0] / volt - 1).max() if found.solved else np.nan
     return found, float(off)

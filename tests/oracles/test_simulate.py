@@ -6,14 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lampest import two_point_resistance
-from lampest.loads.shapes import OralDisc, Ring, Rod, Shape, SuctionCup
-from lampest.panel.panel import Array, Panel
+from lampest import Array, OralDisc, Panel, Recording, Ring, Rod, Scene, Shape, SuctionCup, Water, two_point_resistance
 from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.readouts.floating import uniform_factor
 from lampest.panel.response import ratio_from_pressure
-from lampest.panel.scene import Scene, Water
-from lampest.recording.recording import Recording
 from lampest.recording.simulation import Simulation, read_simulations, run, simulate
 from lampest.recording.simulation.measure import Unmodelled, raw_sums
 from lampest.recording.simulation.simulation import Cells, Course, pressure_at
@@ -74,7 +70,7 @@ def test_same_seed_same_bytes(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("across", ["reference", "sensor"])
 def test_scatter_of_readings_is_the_readouts_sigma(across: str) -> None:
-    readout = TwoPointReadout(measured_across=across)  # type: ignore[arg-type]
+    readout = TwoPointReadout(measured_across=across)
     recording = simulate(plain(scene=Scene(Panel(3, 4), readout, 140.0), frames=400))
     sigma = readout.sigma(recording.resistance.mean(axis=0))
     scatter = recording.resistance.std(axis=0)
@@ -239,7 +235,7 @@ def test_reference_tolerance_scales_what_the_divider_gives() -> None:
 
 @pytest.mark.parametrize("across", ["reference", "sensor"])
 def test_saturated_codes_stay_finite(across: str) -> None:
-    readout = TwoPointReadout(measured_across=across)  # type: ignore[arg-type]
+    readout = TwoPointReadout(measured_across=across)
     rails = np.array([0, readout.readings * 1023])
     resistance = readout.recorded_from_sums(rails, readout.readings)
     assert np.all((resistance > 0) & np.isfinite(resistance))

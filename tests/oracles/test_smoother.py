@@ -8,25 +8,18 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.optimize import approx_fprime, minimize
 
-from lampest import two_point_resistance
+from lampest import Estimates, Estimator, InputError, Recording, Settings, SmootherMethod, Stream, two_point_resistance
 from lampest.cost.given import Background
 from lampest.cost.losses import Huber, Squared, Student
 from lampest.cost.terms import Gradient, Misfit, Term
-from lampest.estimate.estimates import Estimates
-from lampest.estimate.estimator import Estimator
-from lampest.estimate.methods import SmootherMethod
 from lampest.estimate.methods.joint import Joint, JointData
 from lampest.estimate.methods.smoother import Walk, smoothed
 from lampest.estimate.sequence import reconstruct
-from lampest.estimate.stream import Stream
-from lampest.files.errors import InputError
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.scene import Scene, Systematic
 from lampest.panel.systematic import Shared
 from lampest.posterior.chain import Chain
-from lampest.recording.recording import Recording
-from lampest.solvers.solution import Settings
 
 CORNER = 4.0
 ROBUST = (Misfit(weighting="noise", loss=Student(corner=CORNER)),)
@@ -64,7 +57,6 @@ def found_of(recording: Recording, terms: tuple[Term, ...] = ROBUST) -> Estimate
 
 def errors(found: Estimates) -> Array:
     """log of the estimate over the truth."""
-    assert found.recording.truth_cell_resistance is not None
     return np.asarray(np.log(found.cell_resistance / found.recording.truth_cell_resistance[found.frame]))
 
 
@@ -126,7 +118,6 @@ def ended(made: Recording) -> tuple[Joint, Array]:
     estimator, readings = Estimator(ROBUST, "smoother"), made.readings()
     data = [estimator.data(readings[frame].alone(), Background(made.scene)) for frame in range(2, 8)]
     cost = [estimator.cost(made.scene, 1)] * len(data)
-    assert made.truth_cell_resistance is not None
     start = np.log(made.truth_cell_resistance[2:8]).reshape(len(data), -1)
     frames = JointData.alone(cost, data, Shared.of(made.scene), start)
     return smoothed(frames, start, Walk(0.2, 3.0), Settings(tolerance=1e-10))[0], start
@@ -185,7 +176,6 @@ def test_it_halves_the_error_and_its_bars_hold() -> None:
         found = found_of(made)
         assert found.solved.all() and set(found.status) == {"optimum verified"}
         lower, upper = found.cell_resistance_lower, found.cell_resistance_upper
-        assert lower is not None and upper is not None and made.truth_cell_resistance is not None
         truth = made.truth_cell_resistance[found.frame]
         held.append((lower <= truth) & (truth <= upper))
         together.append(np.abs(errors(found)))
@@ -224,14 +214,12 @@ def test_cells_near_a_soft_load_that_breathes_do_not_decide_on_channels() -> Non
     role = (np.arange(14) >= RESTING).astype(np.uint8)
     found = found_of(Recording(scene, recorded, np.arange(14.0), role, truth_cell_resistance=cells))
     lower, upper, truth = found.cell_resistance_lower, found.cell_resistance_upper, cells[found.frame]
-    assert lower is not None and upper is not None
     assert np.mean((lower <= truth) & (truth <= upper)) > 0.9
 
 
 def test_what_all_readings_share_widens_the_bars_of_cells() -> None:
     told = found_of(panel(2, systematic=Systematic(reference_tolerance=0.01, channel_spread_ohm=3.0)))
     silent = found_of(panel(2, systematic="none"))
-    assert told.cell_resistance_errors is not None and silent.cell_resistance_errors is not None
     assert np.median(told.cell_resistance_errors) > 2 * np.median(silent.cell_resistance_errors)
 
 
@@ -243,7 +231,6 @@ def test_bars_reach_as_far_as_a_circuit_may_be_wrong_of_which_the_scene_says_not
         made = panel(seed)
         found = found_of(replace(made, recorded=made.recorded + 28))
         lower, upper, truth = found.cell_resistance_lower, found.cell_resistance_upper, made.truth_cell_resistance
-        assert lower is not None and upper is not None and truth is not None
         held.append((lower <= truth[found.frame]) & (truth[found.frame] <= upper))
     assert np.mean(held) > 0.85
 
@@ -255,7 +242,6 @@ def test_what_each_line_of_a_scan_has_anew_is_averaged_over_frames() -> None:
     ripple = 0.4 * readout.lsb_volt * rng.standard_normal((len(made.recorded), 6, 1))
     volt = readout.volt_from_recorded(made.recorded) + ripple
     rippled = replace(made, recorded=readout.recorded_from_volt(volt))
-    assert made.truth_cell_resistance is not None
     together, alone = (
         np.median(np.abs(np.diff(np.log(found.cell_resistance / made.truth_cell_resistance[found.frame]), axis=0)))
         for found in (found_of(rippled), found_of(rippled, (Misfit(),)))
@@ -270,7 +256,6 @@ def test_a_gain_of_each_frame_widens_its_bars() -> None:
     told = found_of(replace(made, recorded=readout.recorded_from_volt(volt)))
     silent = found_of(made)
     assert told.noise.frame is not None
-    assert told.cell_resistance_errors is not None and silent.cell_resistance_errors is not None
     assert np.median(told.cell_resistance_errors) > 1.5 * np.median(silent.cell_resistance_errors)
 
 
@@ -285,7 +270,6 @@ def test_frames_as_they_come_are_estimated_with_those_before() -> None:
         steps.append(step)
     assert all(step.solution.optimum and step.bars is not None for step in steps)
     assert len(stream.prepared[0]) == 5
-    assert made.truth_cell_resistance is not None
     live = np.log(np.stack([step.cell_resistance for step in steps]) / made.truth_cell_resistance[RESTING:])
     assert np.median(np.abs(live)) < 0.8 * np.median(np.abs(errors(found_of(made, (Misfit(),)))))
 
@@ -317,7 +301,7 @@ def test_terms_that_it_cannot_take_are_refused(terms: tuple[Term, ...]) -> None:
 def test_numbers_out_of_range_and_unknown_noise_are_refused() -> None:
     for wrong in ({"walk": 0.0}, {"jump": float("nan")}, {"lag": 0}):
         with pytest.raises(ValueError, match=next(iter(wrong))):
-            SmootherMethod(**wrong)  # type: ignore[arg-type]
+            SmootherMethod(**wrong)
     made = panel(0)
     with pytest.raises(InputError, match="noise"):
         found_of(replace(made, scene=Scene(made.scene.panel)))

@@ -4,11 +4,10 @@ import numpy as np
 import pytest
 from laws.recognised import PATCH_MM, frame_under, verdict_on
 
+from lampest import Array, Panel, Rod
 from lampest.loads.recognition.detector import Detector
 from lampest.loads.recognition.fit import Fitting, along_diameter
 from lampest.loads.recognition.observation import Whitening
-from lampest.loads.shapes import Rod
-from lampest.panel.panel import Array, Panel
 
 PANEL = Panel(6, 6)
 STEPS, SCALES = 40000, (0.1, 0.4, 1.0)

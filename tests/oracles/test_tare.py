@@ -7,20 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from lampest import Estimates, Estimator, InputError, Panel, Recording, Scene, Stream, TwoPointReadout, Unmodelled
 from lampest.cost.terms import Misfit, RelativeChange, Term
-from lampest.estimate.estimates import Estimates
-from lampest.estimate.estimator import Estimator
 from lampest.estimate.sequence import reconstruct
-from lampest.estimate.stream import Stream
-from lampest.files.errors import InputError
 from lampest.loads.pressure import Tare, TareWatch, pressure_of
 from lampest.loads.shapes import OralDisc, Shape, SuctionCup
-from lampest.panel.panel import Panel
-from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.response import Film, PublishedResponse
-from lampest.panel.scene import Scene
-from lampest.recording.recording import Recording
-from lampest.recording.simulation.measure import Unmodelled
 from lampest.recording.simulation.simulation import Course, Simulation, simulate
 from lampest.runs.filling import named_result
 from lampest.runs.results import read_results, write_results
@@ -50,11 +42,9 @@ def found(tare: Tare | None) -> Estimates:
 @pytest.mark.slow
 def test_drift_is_taken_off_and_the_load_is_not() -> None:
     truth = found(None).recording.truth_pressure
-    assert truth is not None
     errors = []
     for tare in (None, Tare(10)):
         estimates = found(tare)
-        assert estimates.pressure is not None
         errors.append(np.abs(estimates.pressure - truth[estimates.frame]))
     before, after = errors
     assert np.percentile(after[-20:], 90) < 0.4 * np.percentile(before[-20:], 90)
@@ -69,7 +59,6 @@ def test_nothing_attached_is_never_taken_for_zero(load: Shape, approach: float, 
     """Of the true cells with noise of 0.7 %; a load that has reached 0.1 kPa somewhere is there."""
     recording = made(load, seed, film, approach=approach)
     cells, truth = recording.truth_cell_resistance, recording.truth_pressure
-    assert cells is not None and truth is not None
     noise = np.exp(0.007 * np.random.default_rng(seed).standard_normal(cells.shape))
     ratio = (cells * noise / cells[0])[3:]
     tared = pressure_of(ratio, ratio, ratio, recording.scene, recording.time[3:], tare=Tare(10)).tared
@@ -83,7 +72,7 @@ def test_results_say_at_which_frames_and_why(tmp_path: Path) -> None:
     estimates = found(Tare(10))
     write_results(tmp_path / "results.h5", [named_result(estimates, "LSM")])
     (case,) = read_results(tmp_path / "results.h5").cases
-    assert case.tared == estimates.tared and case.tared is not None
+    assert case.tared == estimates.tared
     said = [why for why in case.tared if why]
     assert said and all(why.startswith("nothing touched the panel for 10 frames (9 s)") for why in said)
     write_results(tmp_path / "plain.h5", [named_result(found(None), "LSM")])
@@ -114,9 +103,9 @@ def test_cells_that_have_not_moved_need_no_zero() -> None:
 @pytest.mark.parametrize("numbers", [{"frames": 4}, {"frames": 10, "drift_per_minute": -1.0}])
 def test_tares_that_cannot_be_are_refused(numbers: dict[str, float]) -> None:
     with pytest.raises(ValueError, match=list(numbers)[-1]):
-        Tare(**numbers)  # type: ignore[arg-type]
+        Tare(**numbers)
     with pytest.raises(InputError, match="tare must be"):
-        Estimator((Misfit(),), tare=10)  # type: ignore[arg-type]
+        Estimator((Misfit(),), tare=10)
 
 
 @pytest.mark.parametrize("terms", [(Misfit(),), (Misfit(), RelativeChange(weight=10))], ids=["absolute", "relative"])
@@ -131,7 +120,6 @@ def test_a_tared_stream_is_one_begun_anew(terms: tuple[Term, ...]) -> None:
         _, step = begun.push(readings[20])
         steps.append(step)
     np.testing.assert_array_equal(steps[0].cell_resistance, steps[1].cell_resistance)
-    assert steps[0].bars is not None and steps[1].bars is not None
     np.testing.assert_array_equal(steps[0].bars.frame.deviation, steps[1].bars.frame.deviation)
     with pytest.raises(InputError, match="one frame of 6 × 6"):
         stream.tared(readings[10:13])

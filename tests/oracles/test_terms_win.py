@@ -8,11 +8,10 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from lampest import two_point_resistance
+from lampest import Array, Course, Data, Estimates, Estimator, Panel, Recording, Scene, Settings, two_point_resistance
 from lampest.cost.cost import Cost
 from lampest.cost.given import Given
 from lampest.cost.losses import Absolute, Squared
-from lampest.cost.problem import Data
 from lampest.cost.terms import (
     AnyTerm,
     Gradient,
@@ -26,24 +25,17 @@ from lampest.cost.terms import (
     TotalVariation,
     TotalVariationOfChange,
 )
-from lampest.estimate.estimates import Estimates
-from lampest.estimate.estimator import Estimator
 from lampest.estimate.methods import MethodName
 from lampest.estimate.sequence import reconstruct
 from lampest.loads.shapes import Rod, Shape, SuctionCup
-from lampest.panel.panel import Array, Panel
 from lampest.panel.response import ratio_from_pressure
-from lampest.panel.scene import Scene
 from lampest.posterior.dense import DenseErrors, DenseMemory
 from lampest.posterior.linear import LinearModel
 from lampest.posterior.sampled import SAMPLES, SampledErrors, SampledMemory
-from lampest.recording.recording import Recording
-from lampest.recording.simulation.simulation import Course
 from lampest.solvers.ipopt.formulations import FORMULATIONS
 from lampest.solvers.multistart import best_solution, evaluated
 from lampest.solvers.multistart import solved_from as run
 from lampest.solvers.projected_newton import ProjectedNewton
-from lampest.solvers.solution import Settings
 
 pytestmark = pytest.mark.slow
 
@@ -82,7 +74,6 @@ def error(recorded: Recording, *terms: Term) -> float:
     """Root mean square of log r − log truth over all cells and frames."""
     found = estimated(recorded, *terms)
     truth = recorded.truth_cell_resistance
-    assert truth is not None
     return float(np.sqrt(np.mean(np.log(found.cell_resistance / truth[found.frame]) ** 2)))
 
 
@@ -207,7 +198,6 @@ def test_error_bars_know_the_baselines_error(reads_both: bool) -> None:
     joint = root @ root.T
     memory = DenseMemory(joint[:cells, :cells], joint[cells:, cells:], joint[:cells, cells:])
     found = best_solution(solver, data, known[:1])
-    assert found.at is not None
     model = LinearModel(found.at, np.zeros(0))
     dense = DenseErrors(model, memory)
     added = dense.covariance - DenseErrors(model).covariance

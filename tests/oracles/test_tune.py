@@ -9,15 +9,11 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.integrate import quad
 
-from lampest import two_point_resistance
+from lampest import Bounds, Estimator, Panel, Recording, Scene, two_point_resistance
 from lampest.cost.problem import Evaluation
 from lampest.cost.terms import CellResistance, Gradient, Misfit, RelativeChange, Term
-from lampest.estimate.estimator import Bounds, Estimator
 from lampest.estimate.sequence import reconstruct
-from lampest.panel.panel import Panel
-from lampest.panel.scene import Scene
 from lampest.posterior.linear import LinearModel
-from lampest.recording.recording import Recording
 from lampest.runs.config import Case
 from lampest.studies.weights import CurvePoint, Tuned, WeightSubject, bound_evidence, l_curve, solve_at, tune
 

@@ -5,13 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lampest.loads.shapes import Rod
-from lampest.panel.panel import Array, Panel
+from lampest import UNLOADED, Array, Panel, Recording, Rod, Scene, Simulation, Unmodelled, simulate
 from lampest.panel.readouts import GroundedReadout, TwoPointReadout
-from lampest.panel.scene import Scene
-from lampest.recording.recording import UNLOADED, Recording
-from lampest.recording.simulation.measure import Unmodelled
-from lampest.recording.simulation.simulation import Simulation, simulate
 
 FINE = TwoPointReadout(adc_bits=24, readings=1, noise_lsb=0.0)
 LSB = 5 / 2**24
@@ -91,7 +86,6 @@ def test_reading_errors_are_the_same_in_all_frames() -> None:
 def test_films_answer_less_and_each_otherwise() -> None:
     def answer(recording: Recording) -> Array:
         truth = recording.truth_cell_resistance
-        assert truth is not None
         return np.log(truth[-1] / truth[0])
 
     plain = answer(recorded())
@@ -126,7 +120,6 @@ def test_a_leak_joins_every_line_with_the_next_from_its_time_on() -> None:
     plain, wet = recorded(), recorded(leak_ohm=5e3, begins_s=8.0)
     assert np.array_equal(wet.recorded[:8], plain.recorded[:8])
     truth, matrix = wet.truth_cell_resistance, np.zeros((20, 20))
-    assert truth is not None
     matrix[:10, 10:] = -1 / truth[9]
     matrix[[*range(9), *range(10, 19)], [*range(1, 10), *range(11, 20)]] = -1 / 5e3
     matrix += matrix.T
@@ -146,6 +139,5 @@ def test_a_contact_adds_to_one_row_from_its_time_on() -> None:
 def test_a_stage_saturates_and_all_cells_drift_alike() -> None:
     assert volt(recorded(saturation=0.6)).max() == pytest.approx(3.0, abs=1e-5)
     truth = [one.truth_cell_resistance for one in (recorded(), recorded(common_drift_per_minute=0.6))]
-    assert truth[0] is not None and truth[1] is not None
     drift = np.log(truth[1] / truth[0])
     assert drift == pytest.approx(np.broadcast_to(0.01 * np.arange(12)[:, None, None], drift.shape))

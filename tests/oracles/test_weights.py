@@ -7,10 +7,9 @@ import pytest
 from numpy.testing import assert_allclose
 
 import lampest
-from lampest import two_point_resistance
+from lampest import AutoWeight, Data, Estimator, InputError, Readings, Recording, Scene, two_point_resistance
 from lampest.cost.given import Background
 from lampest.cost.losses import Absolute, Huber, Student
-from lampest.cost.problem import Data
 from lampest.cost.terms import (
     CellResistance,
     Gradient,
@@ -20,17 +19,12 @@ from lampest.cost.terms import (
     RelativeChange,
     Term,
 )
-from lampest.estimate.estimator import AutoWeight, Estimator
 from lampest.estimate.sequence import reconstruct
 from lampest.estimate.weights import with_chosen_weights
-from lampest.files.errors import InputError
 from lampest.panel.panel import Array, Panel
-from lampest.panel.scene import Scene
 from lampest.posterior.dense import DenseErrors, rank
 from lampest.posterior.linear import LinearModel
 from lampest.posterior.spectrum import Rule, Spectrum
-from lampest.recording.readings import Readings
-from lampest.recording.recording import Recording
 from lampest.solvers.multistart import best_solution
 
 SHAPE = (8, 7)
@@ -56,7 +50,6 @@ def spectrum_and_model(term: Term) -> tuple[Spectrum, LinearModel]:
     estimator = Estimator((Misfit(), term), formulation="reduced")
     data = measured_data(estimator, cells_of(1), 0.003, 2)
     found = best_solution(estimator.problem(Scene(Panel(*SHAPE)), 1, 1.0), data, None)
-    assert found.at is not None and found.dual is not None
     model = LinearModel(found.at, found.dual)
     return Spectrum.of(model), model
 
@@ -179,7 +172,7 @@ def recording(noise: float | None, frames: int = 4) -> Recording:
 @pytest.mark.parametrize("kind", [Gradient, CellResistance, RelativeChange, GradientOfRelativeChange])
 @pytest.mark.parametrize("per", ["recording", "frame"])
 def test_every_penalty_can_be_left_open(kind: type[Term], per: str) -> None:
-    estimator = Estimator((Misfit(), kind(weight=AUTO)), "reduced", auto_weight=AutoWeight(per=per))  # type: ignore[arg-type]
+    estimator = Estimator((Misfit(), kind(weight=AUTO)), "reduced", auto_weight=AutoWeight(per=per))
     found = reconstruct(recording(0.003), estimator)
     weights = np.array([step.weights for step in found.steps])
     assert np.all(weights[:, 0] == 1) and np.all(weights[:, 1] > 0)

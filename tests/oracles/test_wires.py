@@ -8,23 +8,15 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from lampest.cost.losses import Squared
+from lampest import Array, Estimates, InputError, Panel, Recording, Rod, Squared, Status, TruncatedMethod, read_run
 from lampest.cost.terms import LogRatio, Misfit, RelativeChange, Term
-from lampest.estimate.estimates import Estimates
 from lampest.estimate.estimator import Bounds, Estimator
-from lampest.estimate.methods import TruncatedMethod
 from lampest.estimate.sequence import reconstruct
-from lampest.files.errors import InputError
-from lampest.loads.shapes import Rod
-from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import LoadedColumnsReadout, Readout, TwoPointReadout
 from lampest.panel.readouts.wiring import Lines, Wiring, wire_responses
 from lampest.panel.scene import Faults, Scene
 from lampest.recording.readings import touching_columns, touching_rows
-from lampest.recording.recording import Recording
 from lampest.recording.simulation import Cells, Simulation, simulate
-from lampest.runs.config import read_run
-from lampest.solvers.solution import Status
 from tests.netlist import impedance_of
 
 LSM = (Misfit(weighting="noise"),)
@@ -53,12 +45,10 @@ def solved(recording: Recording, formulation: Any = "reduced", terms: Any = LSM)
 
 def error(done: Estimates) -> Array:
     truth = done.recording.truth_cell_resistance
-    assert truth is not None
     return np.asarray(np.log(done.cell_resistance / truth[done.frame]))
 
 
 def bars(done: Estimates) -> Array:
-    assert done.cell_resistance_errors is not None
     return done.cell_resistance_errors / done.cell_resistance
 
 
@@ -68,7 +58,6 @@ def test_simulates_what_the_netlist_says(readout: Readout) -> None:
     exact = replace(readout, adc_bits=32, noise_lsb=0.0, readings=1)
     scene = Scene(Panel(6, 5), exact, faults=Faults(joined_rows=((1, 2),)), lines=THREAD)
     recording = simulated(scene)
-    assert recording.truth_cell_resistance is not None
     for cells, recorded in zip(recording.truth_cell_resistance, recording.recorded, strict=True):
         impedance = impedance_of(cells, scene, exact.ties(cells))
         own = np.diag(impedance)
@@ -182,12 +171,10 @@ def test_joined_lines_leave_the_rest_exact(readout: Readout, lines: Lines | None
     assert np.median(np.abs(error(done)[sound])) < 0.01
     # With wire what touches is seen a little, and what nobody knows of it is in the bars of all others.
     assert np.all(bars(done)[sound] < (0.03 if lines is None else 0.3))
-    assert done.cell_resistance_upper is not None
     touching = np.ones(recording.scene.panel.shape, dtype=bool)
     touching[np.ix_(rows, columns)] = False
     assert np.all(bars(done)[:, touching] > 1) and np.all(np.isinf(done.cell_resistance_upper[:, touching]))
     if lines is None:  # with wire the cells' ways are not alike, and their sum is not all that is seen
-        assert recording.truth_cell_resistance is not None
         truth = 1 / recording.truth_cell_resistance[done.frame]
         found = 1 / done.cell_resistance
         assert_allclose(

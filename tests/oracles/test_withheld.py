@@ -9,10 +9,7 @@ import pytest
 import lampest
 from docs.studies import real
 from docs.studies.withheld import predictions
-from lampest.panel.panel import Panel
-from lampest.panel.readouts import TwoPointReadout
-from lampest.panel.scene import Scene
-from lampest.runs.config import read_run
+from lampest import Panel, Scene, TwoPointReadout, read_run
 
 READOUT = TwoPointReadout(adc_bits=12, readings=1, noise_lsb=1.0, reference_ohm=500.0)
 RUN = """schema: 1
