@@ -5,11 +5,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from lampest import MEASURED, UNLOADED, Array, Panel, Recording, Rod, Scene, Shape, TwoPointReadout
+from lampest import MEASURED, UNLOADED, Array, Course, Panel, Recording, Rod, Scene, Shape, TwoPointReadout, Unmodelled
 from lampest.estimate.calibration.known_loads import KnownLoad
 from lampest.panel.response import AnyResponse
-from lampest.recording.simulation.measure import Unmodelled, measured
-from lampest.recording.simulation.simulation import Course, Simulation, cells_under, pressure_at
+from lampest.recording.simulation.measure import measured
+from lampest.recording.simulation.simulation import Simulation, cells_under, pressure_at
 
 RESTING = 4
 

@@ -7,12 +7,12 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.optimize import least_squares
 
-from lampest import Estimator, InputError, Panel, Readings, Recording, Scene, Student
-from lampest.cost.terms import CellResistance, Gradient, Misfit, RelativeChange, Term
+from lampest import Estimator, Gradient, InputError, Panel, Readings, Recording, Scene, Student, TwoPointReadout
+from lampest.cost.terms import CellResistance, Misfit, RelativeChange, Term
 from lampest.estimate.methods import MethodName
 from lampest.estimate.sequence import reconstruct
 from lampest.files.typed import members_by_kind
-from lampest.panel.readouts import AnyReadout, TwoPointReadout
+from lampest.panel.readouts import AnyReadout
 
 SHAPE = (4, 5)
 FORMULATIONS = [name for name in MethodName.__args__ if name != "auto"]

@@ -11,23 +11,10 @@ import pytest
 from laws.samples import members_of
 from numpy.testing import assert_allclose
 
-from lampest import (
-    Absolute,
-    Gradient,
-    Huber,
-    InputError,
-    Misfit,
-    Reconstruction,
-    Recording,
-    Squared,
-    reconstruct,
-    two_point_resistance,
-)
-from lampest.cost.losses import AnyLoss, Loss
-from lampest.cost.terms import Term
+from lampest import Array, InputError, Panel, Reconstruction, Recording, Scene, reconstruct, two_point_resistance
+from lampest.cost.losses import Absolute, AnyLoss, Huber, Loss, Squared
+from lampest.cost.terms import Gradient, Misfit, Term
 from lampest.files.document import adapter
-from lampest.panel.panel import Array, Panel
-from lampest.panel.scene import Scene
 
 SHAPE = (4, 5)
 CORNER = 40.0

@@ -10,17 +10,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from laws.samples import examples
 
-from lampest import Panel, Scene, Water
+from lampest import Film, Panel, PowerResponse, Scene, TableResponse, Water
 from lampest.loads.pressure import pressure_of, water_pressure
 from lampest.panel.response import (
     PUBLISHED,
     PUBLISHED_KPA,
     RESPONSE_SD,
     AnyResponse,
-    Film,
-    PowerResponse,
     Response,
-    TableResponse,
     ratio_from_pressure,
     relative_change_from_pressure,
 )

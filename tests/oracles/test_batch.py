@@ -5,41 +5,25 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lampest import (
-    CellResistance,
-    Estimator,
-    Gradient,
-    LogGradient,
-    Misfit,
-    Readings,
-    RelativeChange,
-    Rod,
-    Scene,
-    Simulation,
-    Stream,
-    Term,
-    TwoPointReadout,
-    simulate,
-)
+from lampest import Estimator, LogGradient, Panel, Readings, Rod, Scene, Settings, Stream, Systematic, TwoPointReadout
 from lampest.cost.given import Background
 from lampest.cost.problem import Evaluation
+from lampest.cost.terms import CellResistance, Gradient, Misfit, RelativeChange, Term
 from lampest.estimate.prepared import Prepared
 from lampest.estimate.sequence import first_stream, reconstruct
 from lampest.panel.network import inverse_of
-from lampest.panel.panel import Panel
 from lampest.panel.readouts.floating import grounding
 from lampest.panel.readouts.star_mesh import two_point_resistance
-from lampest.panel.scene import Systematic
 from lampest.panel.systematic import Possible, Shared
 from lampest.posterior.batch import BatchErrors
 from lampest.posterior.certainty import Certainty
 from lampest.posterior.frame_noise import FrameNoise
 from lampest.posterior.linear import LinearModel
 from lampest.posterior.track import Track
+from lampest.recording.simulation.simulation import Simulation, simulate
 from lampest.solvers.multistart import best_solution
 from lampest.solvers.projected_lbfgs import BatchOutcome, InverseHessians, serves, solve
 from lampest.solvers.projected_newton import ProjectedNewton
-from lampest.solvers.solution import Settings
 
 SCENE = Scene(Panel(4, 5), TwoPointReadout(reference_ohm=1000, adc_bits=12, readings=20, noise_lsb=0.7))
 PANELS = 6

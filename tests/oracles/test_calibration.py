@@ -1,15 +1,30 @@
-"""Calibrations of circuits solved here resistor by resistor: what they find, how sure they are, what they refuse."""
+"""Calibrations: resistors, channels from ordinary recordings, and responses from known loads."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from known_loads import Bench, forces, moved_over, touches
 
-from lampest import Array, Diode, InputError, Lines, LoadedColumnsReadout, Panel, Recording, Scene, TwoPointReadout
+from lampest import Diode, Estimator, InputError, Lines, Misfit, PowerResponse, Recording, Scene, VirtualGroundReadout
+from lampest.estimate.calibration.channels import ChannelCalibration, calibrate_channels
+from lampest.estimate.calibration.known_loads import KnownLoad, KnownLoads
+from lampest.estimate.calibration.loads import LoadCalibration, calibrate_loads
 from lampest.estimate.calibration.resistors import ResistorCalibration, calibrate_resistors
+from lampest.estimate.calibration.response import Loaded, deviations_from_others, fit_loads, response_of
+from lampest.estimate.sequence import reconstruct
 from lampest.files.document import parse_document, validated
-from lampest.panel.readouts import AnyReadout, GroundedReadout, VirtualGroundReadout
+from lampest.loads.film import Creep, FilmKnown
+from lampest.loads.pressure import pressure_of
+from lampest.panel.conditions import MeasuredSubject, Systematic
+from lampest.panel.panel import Array, Panel
+from lampest.panel.readouts import AnyReadout, GroundedReadout, LoadedColumnsReadout, TwoPointReadout
+from lampest.panel.readouts.star_mesh import two_point_resistance
+from lampest.panel.response import PUBLISHED, Film
+from lampest.recording.simulation.measure import random_stream
 from tests.oracles.netlist import Resistor, potentials
 
 SUPPLY, REFERENCE, SENSE = 5.0, 1000.0, 70.0
@@ -363,3 +378,267 @@ def test_drives_of_next_to_nothing_are_found_to_be_that(kind: str) -> None:
         printed, true = some_resistors((4, 4), rng)
         drive, _ = calibrate_resistors([recording(told(kind, (4, 4)), board, true, rng)], [printed]).numbers
         assert drive.value < 5 * drive.sigma + 1
+
+
+SIDE, LOADS, SPREAD = 4, 8, 5.0
+TOLD = Systematic(reference_tolerance=0.01, channel_spread_ohm=SPREAD)
+
+
+def loaded_cells(rng: np.random.Generator, loads: int = LOADS) -> Array:
+    """Two unloaded frames, then loads of 2 × 2 cells, three frames each, or three frames without any; ohm."""
+    cells = np.tile(3000 * np.exp(0.2 * rng.standard_normal((SIDE, SIDE))), (2 + 3 * max(loads, 1), 1, 1))
+    for load in range(loads):
+        row, column = rng.integers(0, SIDE - 1, 2)
+        cells[2 + 3 * load : 5 + 3 * load, row : row + 2, column : column + 2] *= rng.uniform(0.1, 0.3)
+    return np.asarray(cells)
+
+
+def channel_recording(seed: int, channels: Array, reference: float = 0.0, loads: int = LOADS) -> Recording:
+    """Channels (8) ohm, rows first, beside the scene's 140 ohm, and a reference off by a fraction."""
+    rng, scene = np.random.default_rng(seed), Scene(Panel(SIDE, SIDE), TwoPointReadout(adc_bits=12), 140.0)
+    cells = loaded_cells(rng, loads)
+    true = two_point_resistance(cells) + 140.0 + channels[:SIDE, None] + channels[SIDE:]
+    recorded = true / (1 + reference)
+    recorded = recorded + scene.circuit.sigma(recorded) * rng.standard_normal(cells.shape)
+    role = (np.arange(len(cells)) >= 2).astype(np.uint8)
+    time = np.arange(len(cells), dtype=float)
+    return Recording(replace(scene, systematic=TOLD), recorded, time, role, truth_cell_resistance=cells)
+
+
+def chi_square(found: ChannelCalibration, channels: Array, reference: float) -> float:
+    """χ² over the number of errors."""
+    off = found.errors - np.concatenate([[reference], channels])
+    return float(off @ np.linalg.solve(found.covariance, off)) / len(off)
+
+
+@pytest.mark.slow
+def test_channels_come_back_within_their_deviations_and_cells_are_nearer() -> None:
+    channels = SPREAD * np.random.default_rng(7).standard_normal(2 * SIDE)
+    found = calibrate_channels([channel_recording(seed, channels, 0.005) for seed in (1, 2)])
+    after, before = found.apart, found.apart_before
+    assert before == pytest.approx(SPREAD) and after < 0.6 * SPREAD and not found.warnings
+    assert chi_square(found, channels, 0.005) < 1.5
+    centred = found.errors[1:] - channels
+    centred -= np.repeat([centred[:SIDE].mean(), centred[SIDE:].mean()], SIDE)
+    assert np.sqrt(np.mean(centred**2)) < 0.5 * np.std(channels)
+    read = validated(parse_document(found.text(), "scene.yaml"), Scene)
+    assert read == found.scene and read.specified_systematic != TOLD
+    fresh, errors = channel_recording(3, channels, 0.005), []
+    for scene in (fresh.scene, read):
+        cells = reconstruct(replace(fresh, scene=scene), Estimator((Misfit(),), "reduced")).cell_resistance
+        errors.append(np.median(np.abs(np.log(cells / fresh.truth_cell_resistance[2:]))))
+    assert errors[1] < 0.7 * errors[0]
+
+
+def test_without_loads_it_is_said_that_nothing_is_known() -> None:
+    made = channel_recording(1, np.zeros(2 * SIDE), loads=0)
+    other = replace(made, scene=replace(made.scene, subject=MeasuredSubject(id="another")))
+    found = calibrate_channels([made, other])
+    assert found.warnings[0].startswith("these loads determine hardly any channel")
+    assert found.apart > 0.9 * SPREAD and found.frames == 10
+
+
+@pytest.mark.slow
+def test_drives_of_loaded_columns_are_written_into_the_readout() -> None:
+    readout, rng = LoadedColumnsReadout(adc_bits=12, drive_ohm=100.0), np.random.default_rng(3)
+    scene = Scene(Panel(SIDE, SIDE), readout, systematic=Systematic(channel_spread_ohm=SPREAD))
+    cells, drives = loaded_cells(rng), SPREAD * rng.standard_normal(SIDE)
+    recorded = readout.simulated(cells, scene, drives, np.zeros(SIDE))
+    recorded = recorded + scene.circuit.sigma(recorded) * rng.standard_normal(cells.shape)
+    role = (np.arange(len(cells)) >= 2).astype(np.uint8)
+    found = calibrate_channels([Recording(scene, recorded, np.arange(len(cells), dtype=float), role)])
+    after = found.scene.readout
+    assert isinstance(after, LoadedColumnsReadout)
+    assert np.std(np.subtract(after.drive_ohm, 100.0) - drives) < np.std(drives)
+
+
+def test_recordings_that_tell_nothing_of_a_circuit_are_refused() -> None:
+    made = channel_recording(1, np.zeros(2 * SIDE), loads=0)
+    with pytest.raises(InputError, match="names no readout"):
+        calibrate_channels([replace(made, scene=Scene(made.scene.panel))])
+    with pytest.raises(InputError, match="its scene is another"):
+        calibrate_channels([made, replace(made, scene=replace(made.scene, series_resistance_ohm=100.0))])
+    with pytest.raises(InputError, match="no frame could be estimated"):
+        calibrate_channels([replace(made, recorded=np.full_like(made.recorded, np.nan))])
+
+
+def test_the_command_writes_a_scene(tmp_path: Path, lampest: Callable[..., SimpleNamespace]) -> None:
+    channel_recording(1, SPREAD * np.random.default_rng(7).standard_normal(2 * SIDE), loads=2).save(
+        tmp_path / "many.h5"
+    )
+    ended = lampest("calibrate", "--from-recording", tmp_path / "many.h5", "--out", tmp_path / "scene.yaml")
+    assert ended.code == 0 and ended.out.startswith("reference ")
+    assert "rows are off by " in (tmp_path / "scene.yaml").read_text()
+
+
+OTHER = PowerResponse(exponent=0.8, scale_kpa=2.0)
+
+
+def calibrated(bench: Bench, kpa: list[float], step: float) -> LoadCalibration:
+    groups, known = moved_over(bench, kpa, 30.0, step)
+    return calibrate_loads([bench.recorded(groups, "loads")], KnownLoads(schema=1, loads=tuple(known)), 0.01)
+
+
+def true_gains(bench: Bench) -> Array:
+    return np.asarray(np.exp(bench.spread * random_stream(bench.seed, "response").standard_normal(bench.panel.shape)))
+
+
+def force_errors(bench: Bench, scene: Scene, count: int) -> Array:
+    """|F/F_true − 1| of two or three touches in each of so many frames that no calibration has seen."""
+    rng = np.random.default_rng(bench.seed + 1000)
+    fresh = [touches(rng, bench.panel, int(rng.integers(2, 4))) for _ in range(count)]
+    scene = replace(scene, response=scene.response or PUBLISHED)
+    recording = bench.recorded(fresh, "fresh", scene)
+    pressure, truth = reconstruct(recording, Estimator((Misfit(),), "reduced")).pressure, recording.truth_pressure
+    errors = []
+    for number, loads in enumerate(fresh):
+        first, _ = bench.frames_of(number)
+        there = forces(truth[first], loads, bench.panel)
+        errors.append(forces(pressure[first - 4], loads, bench.panel) / there - 1)
+    return np.abs(np.concatenate(errors))
+
+
+def test_one_load_moved_over_the_panel_makes_forces_right() -> None:
+    """The film has the published form; 64 places of one rod tell what each cell makes of it, and 5 kPa is all."""
+    bench = Bench(1, spread=0.25, repeat=0.02)
+    found = calibrated(bench, [5.0], 10.0)
+    naive, ours = (force_errors(bench, scene, 8) for scene in (replace(bench.scene, response=PUBLISHED), found.scene))
+    assert np.mean(ours) < 0.10
+    assert np.mean(ours) < (1 - 0.269) * np.mean(naive)
+
+
+@pytest.mark.slow
+def test_several_pressures_tell_another_film() -> None:
+    bench = Bench(2, response=OTHER, repeat=0.02)
+    found = calibrated(bench, [1.0, 3.0, 9.0, 20.0], 17.5)
+    response = found.scene.response
+    gains = true_gains(bench)
+    shift = np.exp(np.log(gains).mean())  # what all gains share belongs to the curve
+    for kpa in (1.0, 3.0, 9.0, 20.0):
+        assert response.logarithm(kpa) == pytest.approx(shift * OTHER.logarithm(kpa), rel=0.08)
+    off = np.log(response.gains * shift / gains) / np.array(response.gain_sd)
+    assert np.mean(np.abs(off) < 1.96) > 0.85
+    assert found.fitted.spread == pytest.approx(0.2, abs=0.06)
+    naive, ours = (force_errors(bench, scene, 8) for scene in (replace(bench.scene, response=PUBLISHED), found.scene))
+    assert np.mean(ours) < 0.10 < 0.4 < np.mean(naive)
+
+
+def test_bars_of_gains_and_curve_hold_the_truth() -> None:
+    """The fit alone, with data that are as it supposes: 40 films of 60 cells under 4 pressures each."""
+    rng, gains, curves = np.random.default_rng(3), [], []
+    pressure = np.repeat([[1.0], [4.0], [12.0], [30.0]], 60, axis=1)
+    for _ in range(40):
+        own = np.exp(0.2 * rng.standard_normal(60))
+        scatter = np.exp(0.05 * rng.standard_normal(pressure.shape))
+        change = own * scatter * OTHER.logarithm(pressure)
+        change += 0.01 * rng.standard_normal(pressure.shape)
+        found = fit_loads(Loaded(change, np.full(pressure.shape, 0.01), pressure, 0 * pressure, np.zeros(60)))
+        gain, sd = found.gain()
+        shift = np.log(own).mean()
+        gains.append(np.abs(np.log(gain / own) + shift) < 1.96 * sd)
+        curve, curve_sd = found.curve(pressure[:, 0])
+        truth = np.exp(shift) * OTHER.logarithm(pressure[:, 0])
+        curves.append(np.abs(np.log(curve / truth)) < 1.96 * curve_sd)
+    assert np.mean(gains) > 0.9
+    assert np.mean(curves) > 0.9
+
+
+def test_one_pressure_leaves_larger_pressures_of_another_film_open() -> None:
+    """Feet of 5 kPa with their edges calibrate; pressures of 1 to 16 kPa are covered, 10 films."""
+    rng, inside, kpa = np.random.default_rng(4), [], np.array([1.5, 3.0, 8.0, 12.0, 16.0])
+    pressure = np.tile([5.0, 5.0, 4.0, 3.0, 2.0, 1.0, 5.0, 5.0], (16, 2))
+    for number in range(10):
+        film = PowerResponse(exponent=0.5 + 0.06 * number, scale_kpa=float(np.exp(rng.uniform(-1, 1))))
+        change = np.exp(0.03 * rng.standard_normal(pressure.shape)) * film.logarithm(pressure)
+        fitted = fit_loads(Loaded(change, np.full(pressure.shape, 0.01), pressure, 0 * pressure, np.zeros(16)))
+        response = replace(response_of(fitted, PUBLISHED, (4, 4), 0.0), gain=None, gain_sd=((fitted.scatter,) * 5,))
+        ratio = np.exp(film.logarithm(kpa))[None, None]
+        found = pressure_of(ratio, 0.999 * ratio, 1.001 * ratio, Scene(Panel(1, 5), response=response))
+        inside.append((found.lower <= kpa) & (kpa <= found.upper))
+    assert np.mean(inside) >= 0.9
+
+
+def test_creep_is_taken_off_before_loads_calibrate() -> None:
+    """ln(r/r0) at once, of two loads that lie for 3 and 100 s on cells that creep by 8 and 10 % a decade."""
+    strength, frames = np.array([[0.08, 0.1]]), []
+    load, film = np.r_[np.zeros(2), np.ones(3), np.zeros(5), np.ones(100)][:, None, None], Creep.at_rest(strength)
+    for now in load:
+        frames.append(film.answer(now, 1.0))
+        film = film.after(now, 1.0)
+    known = FilmKnown.specified(Film(creep_per_decade=0.08, deviation=0.25))
+    frames[4][0, 1] = np.nan
+    found, sd = known.at_once(np.array(frames), np.arange(110.0))
+    np.testing.assert_allclose(found[:, :, 0], load[:, :, 0], atol=1e-12)
+    assert np.isnan(found[4, 0, 1]) and np.all(np.abs(found - load)[20:, 0, 1] < 1.3 * sd[20:, 0, 1])
+
+
+def test_cells_under_the_edge_of_a_foot_do_not_make_a_load_odd() -> None:
+    """One load of 24 stands aside: cells at its edge feel half as much, which its place leaves open."""
+    pressure = np.tile([5.0, 5.0, 2.0, 2.0], (24, 1))
+    place = np.where(pressure == 2.0, 1.0, 0.0)
+    felt = pressure.copy()
+    felt[7, 2:] = 1.0
+    change = np.exp(0.02 * np.random.default_rng(5).standard_normal(felt.shape)) * PUBLISHED.logarithm(felt)
+    away = deviations_from_others(Loaded(change, np.full(felt.shape, 0.01), pressure, place, np.zeros(4)))
+    assert np.abs(away - np.median(away)).max() < 0.1
+
+
+def test_cells_without_load_have_the_common_curve_and_the_spread() -> None:
+    bench = Bench(4, panel=Panel(6, 6), repeat=0.02)
+    groups, known = moved_over(bench, [5.0], 30.0, 10.0)
+    left = [number for number, load in enumerate(known) if load.x_mm is not None and load.x_mm < 15]
+    some = [replace(known[number], frames=bench.frames_of(at)) for at, number in enumerate(left)]
+    recording = bench.recorded([groups[number] for number in left], "left")
+    found = calibrate_loads([recording], KnownLoads(schema=1, loads=tuple(some)), 0.01)
+    response = found.scene.response
+    untouched = ~found.fitted.touched.reshape(6, 6)
+    assert untouched[:, -1].all() and not untouched[:, 0].any()
+    np.testing.assert_allclose(response.gains[untouched], response.gains[untouched][0], rtol=1e-3)
+    sd = np.array(response.gain_sd)
+    assert sd[untouched].min() > 2 * np.median(sd[:, 0]) and sd[untouched].min() >= 0.99 * found.fitted.spread
+
+
+def test_pressures_over_the_whole_panel_suction_too() -> None:
+    """As in a bag that is pumped out or blown up; the cells' gains follow from four loads."""
+    bench = Bench(5, panel=Panel(4, 4), repeat=0.0)
+    kpa = [-6.0, 2.0, 6.0, 12.0]
+    loads = tuple(KnownLoad(frames=(n, n), pressure_kpa=one) for n, one in enumerate(kpa))
+    gains = true_gains(bench).ravel()
+    change = gains * PUBLISHED.logarithm(np.array(kpa)[:, None])
+    pressure = np.stack([load.pressure(bench.panel, 6.0).ravel() for load in loads])
+    found = fit_loads(Loaded(change, np.full(change.shape, 0.003), pressure, 0 * pressure, np.zeros(16)))
+    shift = np.exp(np.log(gains).mean())
+    np.testing.assert_allclose(found.gain()[0], gains / shift, rtol=0.01)
+    np.testing.assert_allclose(found.curve(np.array(kpa))[0], shift * PUBLISHED.logarithm(kpa), rtol=0.01)
+
+
+@pytest.mark.slow
+def test_wrong_lists_of_loads_are_refused_or_named() -> None:
+    """Units, a radius, frames that are late, lines that lie on each other, and one weight that is doubled."""
+    bench = Bench(5, Panel(5, 5), repeat=0.03, frames=3)
+    groups, known = moved_over(bench, [5.0], 25.0, 10.0)
+    recording = bench.recorded(groups, "units")
+    last = len(recording.role) - 1
+
+    def said(loads: list[KnownLoad]) -> str:
+        return "; ".join(calibrate_loads([recording], KnownLoads(schema=1, loads=tuple(loads)), 0.0).warnings)
+
+    assert said(known) == ""
+    assert "is mass_g in gram" in said([replace(one, mass_g=None, force_newton=one.mass_g) for one in known])
+    assert "diameter_mm right?" in said([replace(one, diameter_mm=12.5) for one in known])
+    late = [replace(one, frames=(one.frames[0] + 1, min(one.frames[1] + 1, last))) for one in known]
+    assert "readings change within the frames of load" in said(late)
+    doubled = replace(known[7], mass_g=2 * (known[7].mass_g or 0.0))
+    assert said([*known[:7], doubled, *known[8:]]).startswith("load 8 answers otherwise than the others")
+    with pytest.raises(InputError, match="a curve that no film has"):
+        said([replace(one, mass_g=(one.mass_g or 0.0) / 1000) for one in known])
+    with pytest.raises(InputError, match="loads 4 and 26 lie on the same cells in the same frames"):
+        said([*known, known[3]])
+
+
+def test_loads_at_other_places_are_no_calibration() -> None:
+    bench = Bench(6, panel=Panel(6, 6))
+    groups, known = moved_over(bench, [5.0], 20.0, 25.0)
+    swapped = tuple(replace(load, x_mm=50 - load.x_mm) for load in known if load.x_mm is not None)
+    with pytest.raises(InputError, match="the loads do not explain the cells"):
+        calibrate_loads([bench.recorded(groups, "loads")], KnownLoads(schema=1, loads=swapped), 0.01)

@@ -8,18 +8,18 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.integrate import quad
 
-from lampest import Absolute, Array, Estimates, Estimator, Huber, Panel, Readings, Solution, two_point_resistance
+from lampest import Estimates, Estimator, Readings, Recording, Scene, Solution, Systematic, two_point_resistance
 from lampest.cost.given import Background
+from lampest.cost.losses import Absolute, Huber
 from lampest.cost.terms import CellResistance, Gradient, Misfit, RelativeChange, Term
 from lampest.estimate.sequence import reconstruct
+from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import TwoPointReadout, VirtualGroundReadout
-from lampest.panel.scene import Scene, Systematic
 from lampest.posterior.certainty import Certainty
 from lampest.posterior.dense import DenseErrors
 from lampest.posterior.interval import one_sided
 from lampest.posterior.linear import LinearModel
 from lampest.posterior.sampled import SampledErrors
-from lampest.recording.recording import Recording
 from lampest.solvers.multistart import best_solution
 
 pytestmark = pytest.mark.slow

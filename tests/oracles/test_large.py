@@ -11,12 +11,7 @@ from lampest.cost.problem import Evaluation
 from lampest.cost.terms import CellResistance, Gradient, GradientOfRelativeChange, Misfit, RelativeChange, Term
 from lampest.estimate.sequence import reconstruct
 from lampest.panel.readouts import TwoPointReadout, floating
-from lampest.panel.readouts.floating import (
-    FloatingNetwork,
-    Stencil,
-    grounding,
-    square_by_lines,
-)
+from lampest.panel.readouts.floating import FloatingNetwork, Stencil, grounding, square_by_lines
 from lampest.solvers import certificate, hessian, projected_newton
 from lampest.solvers.interior_point import by_interior_point
 from lampest.solvers.preconditioners import TwoLevel, sparse_inverse

@@ -9,7 +9,7 @@ import pytest
 
 import lampest
 from docs.studies.model_check import named, sound, wrong
-from lampest import Misfit, OralDisc, Readings, Recording, Results, Scene, Simulation, Systematic, TwoPointReadout
+from lampest import Misfit, OralDisc, Readings, Recording, Results, Scene, Simulation, Systematic, Unmodelled, simulate
 from lampest.cli.results import compare as compare_command
 from lampest.estimate.cells_fit import MAX_CELLS, fitted
 from lampest.estimate.outliers import without_outliers
@@ -17,9 +17,8 @@ from lampest.estimate.prepared import Prepared
 from lampest.estimate.rivals import standing_frames
 from lampest.files.typed import members_of
 from lampest.panel.panel import EachModule, Modules, Panel
-from lampest.panel.readouts import AnyReadout, LoadedColumnsReadout, Readout, VirtualGroundReadout
+from lampest.panel.readouts import AnyReadout, LoadedColumnsReadout, Readout, TwoPointReadout, VirtualGroundReadout
 from lampest.panel.readouts.two_point import four_point_excess
-from lampest.recording.simulation import Unmodelled, simulate
 from lampest.report.compare import compare, model_notes
 from lampest.report.info import describe
 from lampest.report.page.page import write_report

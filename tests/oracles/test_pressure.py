@@ -5,11 +5,11 @@ import dataclasses
 import numpy as np
 import pytest
 
-from lampest import Array, Cells, InputError, Panel, Simulation, SuctionCup, TwoPointReadout, simulate
+from lampest import Array, InputError, Panel, Scene, SuctionCup, Systematic, Temperature, TwoPointReadout, Water
 from lampest.files.document import parse_document, to_yaml, validated
 from lampest.loads.pressure import pressure_of, water_pressure
 from lampest.panel.response import RESPONSE_SD, VACUUM_KPA, ratio_from_pressure
-from lampest.panel.scene import Scene, Systematic, Temperature, Water
+from lampest.recording.simulation.simulation import Cells, Simulation, simulate
 
 COOLING = Temperature(-0.003, 20.0, 8.0, 0.001)
 AIR = Scene(Panel(4, 3))

@@ -8,18 +8,16 @@ import pytest
 from numpy.testing import assert_allclose
 
 import lampest
-from lampest import AutoWeight, Bounds, Estimator, Gradient, LogGradient, Misfit, Panel, Scene, two_point_resistance
+from lampest import CellResistance, Data, Estimates, Gradient, LogGradient, Misfit, Readings, two_point_resistance
 from lampest.cost.cost import Cost
 from lampest.cost.given import Background
 from lampest.cost.losses import Absolute, Huber, Loss, Squared, Student
-from lampest.cost.problem import Data
-from lampest.cost.terms import CellResistance
-from lampest.estimate.estimates import Estimates
+from lampest.estimate.estimator import AutoWeight, Bounds, Estimator
 from lampest.estimate.outliers import impossible_readings
-from lampest.panel.panel import Array
+from lampest.panel.panel import Array, Panel
+from lampest.panel.scene import Scene
 from lampest.posterior import reference
 from lampest.posterior.reference import references
-from lampest.recording.readings import Readings
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
 
 NOISE = 0.003  # of the readings

@@ -9,15 +9,7 @@ import pytest
 from support import invented_case
 
 from lampest.report.page.compared import PREDICTION, Batch, advise, compared, doubts, matched, predicted
-from lampest.report.page.measures import (
-    COVERED,
-    SPREAD,
-    block_length,
-    disagreements,
-    figures,
-    mean_interval,
-    picks,
-)
+from lampest.report.page.measures import COVERED, SPREAD, block_length, disagreements, figures, mean_interval, picks
 from lampest.report.page.page import failures
 from lampest.runs.results import CaseResult
 

@@ -8,16 +8,16 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.optimize import approx_fprime, minimize
 
-from lampest import Estimates, Estimator, InputError, Recording, Settings, SmootherMethod, Stream, two_point_resistance
+from lampest import Array, Estimates, Estimator, InputError, Panel, Recording, Scene, Settings, Stream, TwoPointReadout
 from lampest.cost.given import Background
 from lampest.cost.losses import Huber, Squared, Student
 from lampest.cost.terms import Gradient, Misfit, Term
+from lampest.estimate.methods import SmootherMethod
 from lampest.estimate.methods.joint import Joint, JointData
 from lampest.estimate.methods.smoother import Walk, smoothed
 from lampest.estimate.sequence import reconstruct
-from lampest.panel.panel import Array, Panel
-from lampest.panel.readouts import TwoPointReadout
-from lampest.panel.scene import Scene, Systematic
+from lampest.panel.conditions import Systematic
+from lampest.panel.readouts.star_mesh import two_point_resistance
 from lampest.panel.systematic import Shared
 from lampest.posterior.chain import Chain
 

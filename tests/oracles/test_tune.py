@@ -9,10 +9,10 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.integrate import quad
 
-from lampest import Bounds, Estimator, Panel, Recording, Scene, two_point_resistance
+from lampest import Bounds, CellResistance, Estimator, Gradient, Misfit, Panel, Recording, RelativeChange, Scene, Term
 from lampest.cost.problem import Evaluation
-from lampest.cost.terms import CellResistance, Gradient, Misfit, RelativeChange, Term
 from lampest.estimate.sequence import reconstruct
+from lampest.panel.readouts.star_mesh import two_point_resistance
 from lampest.posterior.linear import LinearModel
 from lampest.runs.config import Case
 from lampest.studies.weights import CurvePoint, Tuned, WeightSubject, bound_evidence, l_curve, solve_at, tune

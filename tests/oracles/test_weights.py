@@ -1,30 +1,28 @@
-"""Weights chosen by the data: the rules against definitions, the choice against the best weight in hindsight."""
+"""Weights chosen by the data, against definitions and hindsight; error bars of draws of the prior; lost readings."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
 import lampest
-from lampest import AutoWeight, Data, Estimator, InputError, Readings, Recording, Scene, two_point_resistance
+from docs.studies import real
+from docs.studies.simulated_calibration import PRIORS, SETTINGS, calibration, prior_root, uniform_tail
+from docs.studies.withheld import predictions
+from lampest import Array, AutoWeight, Data, Estimator, Gradient, InputError, Misfit, Panel, Readings, Scene, read_run
 from lampest.cost.given import Background
 from lampest.cost.losses import Absolute, Huber, Student
-from lampest.cost.terms import (
-    CellResistance,
-    Gradient,
-    GradientOfRelativeChange,
-    LogRatio,
-    Misfit,
-    RelativeChange,
-    Term,
-)
+from lampest.cost.terms import CellResistance, GradientOfRelativeChange, LogRatio, RelativeChange, Term
 from lampest.estimate.sequence import reconstruct
 from lampest.estimate.weights import with_chosen_weights
-from lampest.panel.panel import Array, Panel
+from lampest.panel.readouts import TwoPointReadout
+from lampest.panel.readouts.star_mesh import two_point_resistance
 from lampest.posterior.dense import DenseErrors, rank
 from lampest.posterior.linear import LinearModel
 from lampest.posterior.spectrum import Rule, Spectrum
+from lampest.recording.recording import Recording
 from lampest.solvers.multistart import best_solution
 
 SHAPE = (8, 7)
@@ -229,3 +227,91 @@ def test_a_chosen_weight_that_keeps_readings_from_being_met_is_warned_of() -> No
     assert warned.startswith("with the weight that was chosen for log_gradient readings are missed by")
     chosen = lampest.reconstruct(recording, [misfit, lampest.LogGradient()], formulation="reduced")
     assert chosen.automatic and not any("readings are missed" in line for line in chosen.checks)
+
+
+DRAWS = 40
+
+
+def test_uniform_values_lie_within_their_bands_and_others_do_not() -> None:
+    rng = np.random.default_rng(1)
+    tails = [uniform_tail(rng.uniform(size=50)) for _ in range(60)]
+    assert 0 <= np.mean(np.array(tails) < 0.05) < 0.15 and np.median(tails) > 0.25
+    assert uniform_tail(rng.uniform(size=100) ** 2) < 0.01, "biased"
+    assert uniform_tail(0.5 + 0.4 * (rng.uniform(size=100) - 0.5)) < 0.01, "bars that are too wide"
+    assert uniform_tail(np.round(rng.uniform(size=100))) < 0.01, "bars that are too narrow"
+
+
+@pytest.mark.parametrize("name", PRIORS)
+def test_draws_have_the_prior_that_the_penalty_implies(name: str) -> None:
+    """E λ Σ x² = rank."""
+    root = prior_root(PRIORS[name])
+    assert root.shape == (36, 35) and np.allclose(root.sum(axis=0), 0, atol=1e-8)
+    if name == "log_gradient":
+        steps = np.diff(root.reshape(6, 6, 35), axis=0), np.diff(root.reshape(6, 6, 35), axis=1)
+        assert sum(float(np.sum(step**2)) for step in steps) == pytest.approx(35)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("chosen", [False, True], ids=["known", "chosen"])
+@pytest.mark.parametrize("level", SETTINGS)
+@pytest.mark.parametrize("name", PRIORS)
+def test_intervals_hold_draws_of_the_prior_as_often_as_they_say(name: str, level: str, chosen: bool) -> None:
+    """Of 1,440 cells; where the weight is chosen and noise large, 40 draws are 40 weights."""
+    found = calibration(PRIORS[name], *SETTINGS[level], chosen, DRAWS, 7)
+    half, most, nearly_all = found.coverage
+    if chosen:
+        assert 0.42 < half < 0.62 and 0.72 < most < 0.93 and nearly_all > 0.88
+        assert np.quantile(found.weights, 0.1) < 2 and np.quantile(found.weights, 0.9) > 0.5
+    else:
+        assert abs(half - 0.5) < 0.05 and abs(most - 0.8) < 0.04 and abs(nearly_all - 0.95) < 0.02
+        assert np.allclose(found.weights, 1)
+    assert min(found.uniformity) > 1e-3
+
+
+COARSE = TwoPointReadout(adc_bits=12, readings=1, noise_lsb=1.0, reference_ohm=500.0)
+RUN = """schema: 1
+recordings: [mine.h5]
+estimators:
+  smooth: {terms: {misfit: {weighting: noise}, log_gradient: {weight: 30.0}}, formulation: reduced}
+"""
+
+
+def going_over(folder: Path) -> lampest.Recording:
+    """Smooth loads that go over a panel."""
+    panel, rng = Panel(7, 7, 8.0), np.random.default_rng(4)
+    x, y = panel.places_mm
+    at = np.linspace(10, 40, 6)
+    cells = np.stack([2000 * np.exp(-2.5 * np.exp(-((x - here) ** 2 + (y - 24) ** 2) / 400)) for here in at])
+    codes = COARSE.volt_from_recorded(COARSE.exact_reading(cells)) / COARSE.lsb_volt
+    codes = np.round(codes + rng.standard_normal(codes.shape))
+    role, time = np.ones(len(at), dtype=np.uint8), np.arange(len(at), dtype=float)
+    recording = lampest.Recording(Scene(panel, COARSE), COARSE.recorded_from_volt(codes * COARSE.lsb_volt), time, role)
+    recording.save(folder / "mine.h5")
+    (folder / "run.yaml").write_text(RUN)
+    return replace(recording, name="mine")
+
+
+def test_withheld_readings_are_predicted_better_than_by_interpolation(tmp_path: Path) -> None:
+    recording = going_over(tmp_path)
+    (case,) = read_run(tmp_path / "run.yaml").cases
+    found = [one for one in predictions(recording, case, 0.1, 1, 0) if one.factor == 1]
+    assert len(found) == 6 and all(one.solved and one.readings == 5 for one in found)
+    assert np.median([one.error / one.interpolated for one in found]) < 0.5
+    assert np.median([one.hidden for one in found]) > 2
+
+
+@pytest.mark.slow
+def test_the_table_of_real_recordings_has_a_row_for_every_method(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    estimators = {name: real.ESTIMATORS[name] for name in ("`log_gradient`", "`cell_resistance`")}
+    monkeypatch.setattr(real, "ESTIMATORS", estimators)
+    study = real.Withheld.of(going_over(tmp_path), 0.1, 3)
+    rows = {row.method: row for row in real.rows(study)}
+    assert list(rows) == [*real.OTHERS, *estimators] and all(row.solved == 1 for row in rows.values())
+    assert np.isnan(study.recording.recorded[study.held]).all() and study.held.sum() == 6 * 5
+    assert rows["interpolation"].ratio == 1
+    ours = rows["`log_gradient`"]
+    assert ours.ratio < 0.5 and ours.covered > 0.8 and ours.weight_sigma < 1
+    assert all(rows[name].ratio < 1 for name in ("fixed point (Medrano-Sánchez)", "truncated inversion, best rank"))
+    assert ours.ratio < min(row.ratio for row in rows.values() if row is not ours)
