@@ -254,12 +254,8 @@ class LeastCost:
         smooth = 1e-6 * max(rough, default=0.0)
 
         def both(place: Array) -> tuple[float, Array]:
-            total, gradient = 0.0, np.zeros(len(place))
-            for term, x, rows in self.blocks(place):
-                value, slope = loss(term, x, smooth)
-                total += term.weight * float(np.sum(value))
-                gradient += term.weight * (rows.T @ slope)
-            return total, gradient
+            residuals, slopes = self.as_squares(place, smooth)
+            return float(residuals @ residuals), 2 * residuals @ slopes
 
         options = {"maxiter": most, "maxcor": 30, "ftol": 1e-15, "gtol": 0.0}
         return np.asarray(minimize(both, start, jac=True, method="L-BFGS-B", bounds=bounds, options=options).x)

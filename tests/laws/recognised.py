@@ -2,12 +2,12 @@
 
 import numpy as np
 
-from lampest import Panel, Scene, Simulation, TwoPointReadout, simulate
+from lampest import Panel, Scene, Shape, Simulation, TwoPointReadout, simulate
 from lampest.loads.recognition.candidates import LOADS
 from lampest.loads.recognition.detector import Detector
 from lampest.loads.recognition.evidence import Verdict
 from lampest.loads.recognition.observation import Baseline, ModelErrors, Observation
-from lampest.loads.shapes.shape import Candidate, Shape
+from lampest.loads.shapes.shape import Candidate
 
 PANEL, PATCH_MM = Panel(10, 10), 6.0
 

@@ -19,6 +19,7 @@ from lampest.report.detect.pressed import pressed_of
 from lampest.solvers.hessian import Hessian
 from lampest.solvers.multistart import evaluated
 from lampest.solvers.smoothing import Smoothing
+from tests.estimates import recording_of
 from tests.outlines import OUTLINES
 
 READOUT = lampest.TwoPointReadout(adc_bits=16, readings=100, noise_lsb=0.5)
@@ -33,9 +34,7 @@ def drawn(outline: str, seed: int) -> tuple[Panel, np.ndarray]:
 
 def solved(panel: Panel, frames: np.ndarray, *terms: lampest.Term, **settings: object) -> lampest.Reconstruction:
     """Frames (frames, rows, columns) ohm as a recording of measured frames, reconstructed."""
-    role = np.ones(len(frames), dtype=np.uint8)
-    recording = lampest.Recording(Scene(panel, READOUT), frames, np.arange(len(frames), dtype=float), role)
-    return lampest.reconstruct(recording, terms=list(terms), **settings)
+    return lampest.reconstruct(recording_of(Scene(panel, READOUT), frames), terms=list(terms), **settings)
 
 
 @pytest.mark.parametrize("outline", OUTLINES)
@@ -126,8 +125,7 @@ def test_the_weight_suits_readings_that_are_off_by_more_than_their_noise() -> No
     readings = np.where(panel.present, exact_two_point_resistance(cells) * off, np.nan)
     sigma = 3e-4 * np.nan_to_num(readings, nan=1e3)
     frames = readings + sigma * np.random.default_rng(7).standard_normal((4, *panel.shape))
-    role, scene = np.ones(4, dtype=np.uint8), Scene(panel, READOUT)
-    recording = lampest.Recording(scene, frames, np.arange(4.0), role, sigma=sigma)
+    recording = recording_of(Scene(panel, READOUT), frames, sigma=sigma)
     misfit = lampest.Misfit(weighting="noise")
 
     def error(weight: float | str) -> float:
@@ -146,9 +144,7 @@ def test_frames_of_like_loads_choose_the_weight_together() -> None:
     whole = np.array(frames) * np.exp(0.01 * rng.standard_normal((4, 6, 6)))
 
     def chosen(readings: np.ndarray) -> float:
-        time, role = np.arange(len(readings), dtype=float), np.ones(len(readings), dtype=np.uint8)
-        sigma = 0.01 * np.nan_to_num(readings, posinf=1e3)
-        recording = lampest.Recording(Scene(Panel(6, 6)), readings, time, role, sigma=sigma)
+        recording = recording_of(Scene(Panel(6, 6)), readings, sigma=0.01 * np.nan_to_num(readings, posinf=1e3))
         terms = (lampest.Misfit(weighting="noise"), lampest.LogGradient(weight="auto"))
         return float(first_stream(recording, recording.readings(), lampest.Estimator(terms)).estimator.terms[1].weight)
 
@@ -220,8 +216,8 @@ def test_a_reading_that_no_cells_allow_is_left_out() -> None:
     exact = np.stack([exact_two_point_resistance(cells)] * 4)
     spoilt = exact.copy()
     spoilt[:, 2, 3] *= 4
-    role, scene = np.array([0, 1, 1, 1], dtype=np.uint8), Scene(panel, READOUT)
-    recording = lampest.Recording(scene, spoilt, np.arange(4.0), role)
+    scene = Scene(panel, READOUT)
+    recording = recording_of(scene, spoilt, 1)
     seen = Prepared(recording).noise
     assert np.array_equal(np.argwhere(seen.outliers), [[frame, 2, 3] for frame in range(4)])
     assert any("larger than any cells allow" in one for one in seen.warnings)
@@ -229,13 +225,12 @@ def test_a_reading_that_no_cells_allow_is_left_out() -> None:
     wrong = exact.copy()
     wrong[:, 2:4, 1:5] *= 4
     assert not impossible_readings(scene.circuit, lampest.Readings.of(scene, wrong)).any()
-    assert Prepared(lampest.Recording(scene, wrong, np.arange(4.0), role)).check.mark == "no"
+    assert Prepared(recording_of(scene, wrong, 1)).check.mark == "no"
 
 
 def test_a_frame_of_bounds_is_checked_by_the_laws_alone() -> None:
     panel, cells = drawn("foot", 11)
     readings = np.where(panel.present, exact_two_point_resistance(cells), np.nan)
     recorded = np.stack([np.where(readings > np.nanmedian(readings), np.inf, readings)] * 3)
-    recording = lampest.Recording(Scene(panel, READOUT), recorded, np.arange(3.0), np.array([0, 1, 1], dtype=np.uint8))
-    check = Prepared(recording).check
+    check = Prepared(recording_of(Scene(panel, READOUT), recorded, 1)).check
     assert check.mark == "yes" and "no cells were fitted" in check.sentence

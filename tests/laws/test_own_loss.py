@@ -11,10 +11,11 @@ import pytest
 from laws.samples import members_of
 from numpy.testing import assert_allclose
 
-from lampest import Array, InputError, Panel, Reconstruction, Recording, Scene, reconstruct, two_point_resistance
+from lampest import Array, Gradient, InputError, Misfit, Panel, Reconstruction, Recording, Scene, Term, reconstruct
 from lampest.cost.losses import Absolute, AnyLoss, Huber, Loss, Squared
-from lampest.cost.terms import Gradient, Misfit, Term
 from lampest.files.document import adapter
+from lampest.panel.readouts.star_mesh import two_point_resistance
+from tests.estimates import recording_of
 
 SHAPE = (4, 5)
 CORNER = 40.0
@@ -69,7 +70,7 @@ def recording(pressed: float = 0.4, outlier: float = 1.0) -> Recording:
     exact = two_point_resistance(cells)
     measured = exact * (1 + 0.003 * np.random.default_rng(1).standard_normal(SHAPE))
     measured[1, 1] *= outlier
-    return Recording(Scene(Panel(*SHAPE)), measured[None], np.zeros(1), np.ones(1, np.uint8), sigma=0.003 * exact[None])
+    return recording_of(Scene(Panel(*SHAPE)), measured[None], sigma=0.003 * exact[None])
 
 
 def estimated(terms: tuple[Term, ...], formulation: str = "reduced", **scene: float) -> Reconstruction:

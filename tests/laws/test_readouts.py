@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from lampest import Array, Bounds, Faults, Panel, Scene
+from lampest import Array, Bounds, Contacts, Faults, Panel, Scene
 from lampest.files.typed import members_of
 from lampest.panel.network import Network
 from lampest.panel.readouts import AnyReadout
-from lampest.panel.readouts.wiring import Contacts, Lines, contact_responses
+from lampest.panel.readouts.wiring import Lines, contact_responses
 from tests.laws.samples import examples
 from tests.netlist import impedance_of
 

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from lampest import Estimator, LogGradient, Panel, Readings, Rod, Scene, Settings, Stream, Systematic, TwoPointReadout
 from lampest.cost.given import Background
@@ -75,7 +76,7 @@ def test_each_panel_ends_where_the_solver_for_one_ends(terms: tuple[Term, ...], 
         assert alone.strict
         scale = float(np.sum((one.measured / 1e3) ** 2))
         assert abs(found.points.at.objectives[number] - alone.objective) <= 1e-6 * alone.objective + 1e-6 * scale
-        np.testing.assert_allclose(found.points.at.cell_resistance[number], alone.cell_resistance, rtol=1e-5)
+        assert_allclose(found.points.at.cell_resistance[number], alone.cell_resistance, rtol=1e-5)
     again = solve(found.points.at, kept, np.arange(PANELS), Settings())
     assert again.solved[found.solved].all() and again.iterations[found.solved].max() == 0
 
@@ -87,7 +88,7 @@ def test_networks_solved_together_are_those_solved_alone() -> None:
         ties = grounding(1 / conductance)
         together = inverse_of(conductance, ties)
         for one, tie, alone in zip(conductance, ties, together, strict=True):
-            np.testing.assert_allclose(alone, inverse_of(one, tie), rtol=1e-10)
+            assert_allclose(alone, inverse_of(one, tie), rtol=1e-10)
     conductance[2, 0, 1] = 0.0
     with pytest.raises(np.linalg.LinAlgError):
         inverse_of(conductance, ties)
@@ -127,13 +128,13 @@ def test_error_bars_made_together_are_those_made_one_by_one(penalty: tuple[Term,
         at = Evaluation.at(batch.cost, batch.data.some(int(number)), found.points.at.cell_resistance[number])
         before, alone = tracks[number].advanced(LinearModel(at, np.zeros(0), weight_sigma=tuple(sigma)))
         for name, expected in vars(alone.frame).items():
-            np.testing.assert_allclose(getattr(bars.frame, name), expected, rtol=1e-8, atol=1e-12)
-        np.testing.assert_allclose(bars.reading, alone.reading, rtol=1e-8)
+            assert_allclose(getattr(bars.frame, name), expected, rtol=1e-8, atol=1e-12)
+        assert_allclose(bars.reading, alone.reading, rtol=1e-8)
         assert (bars.change is None) == (alone.change is None) == (number != 5)
         if bars.change is not None and alone.change is not None:
-            np.testing.assert_allclose(bars.change.deviation, alone.change.deviation, rtol=1e-8)
-        np.testing.assert_allclose(track.answers[0], before.answers[0], rtol=1e-8, atol=1e-12)
-        np.testing.assert_allclose(track.deviation, before.deviation, rtol=1e-8)
+            assert_allclose(bars.change.deviation, alone.change.deviation, rtol=1e-8)
+        assert_allclose(track.answers[0], before.answers[0], rtol=1e-8, atol=1e-12)
+        assert_allclose(track.deviation, before.deviation, rtol=1e-8)
 
 
 def test_a_cell_at_a_bound_gets_its_bars_alone() -> None:
@@ -177,14 +178,11 @@ def test_frames_that_are_solved_in_blocks_are_those_that_are_solved_one_by_one(
         assert together.status == step.status
         # Where a reading is missing, a solve ends within a hundredth of its cell's standard deviation.
         tolerance = 1e-3 if frame == measured[3] else 1e-7
-        np.testing.assert_allclose(together.cell_resistance, step.cell_resistance, rtol=tolerance)
+        assert_allclose(together.cell_resistance, step.cell_resistance, rtol=tolerance)
         if step.bars is None:
             assert together.bars is None and frame == measured[5]
             continue
         for name, expected in vars(step.bars.frame).items():
-            np.testing.assert_allclose(getattr(together.bars.frame, name), expected, rtol=10 * tolerance, atol=1e-9)
-        for ours, theirs in (
-            (together.bars.change.deviation, step.bars.change.deviation),
-            (together.bars.reading, step.bars.reading),
-        ):
-            np.testing.assert_allclose(ours, theirs, rtol=10 * tolerance)
+            assert_allclose(getattr(together.bars.frame, name), expected, rtol=10 * tolerance, atol=1e-9)
+        assert_allclose(together.bars.change.deviation, step.bars.change.deviation, rtol=10 * tolerance)
+        assert_allclose(together.bars.reading, step.bars.reading, rtol=10 * tolerance)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from known_loads import Bench, forces, moved_over, touches
 
-from lampest import Diode, Estimator, InputError, Lines, Misfit, PowerResponse, Recording, Scene, VirtualGroundReadout
+from lampest import Array, Diode, Estimator, InputError, Lines, Misfit, Panel, Recording, Scene, VirtualGroundReadout
 from lampest.estimate.calibration.channels import ChannelCalibration, calibrate_channels
 from lampest.estimate.calibration.known_loads import KnownLoad, KnownLoads
 from lampest.estimate.calibration.loads import LoadCalibration, calibrate_loads
@@ -20,12 +20,12 @@ from lampest.files.document import parse_document, validated
 from lampest.loads.film import Creep, FilmKnown
 from lampest.loads.pressure import pressure_of
 from lampest.panel.conditions import MeasuredSubject, Systematic
-from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import AnyReadout, GroundedReadout, LoadedColumnsReadout, TwoPointReadout
 from lampest.panel.readouts.star_mesh import two_point_resistance
-from lampest.panel.response import PUBLISHED, Film
+from lampest.panel.response import PUBLISHED, Film, PowerResponse
 from lampest.recording.simulation.measure import random_stream
-from tests.oracles.netlist import Resistor, potentials
+from tests.estimates import recording_of, rms
+from tests.netlist import Resistor, potentials
 
 SUPPLY, REFERENCE, SENSE = 5.0, 1000.0, 70.0
 KINDS = ("two_point", "loaded_columns", "grounded", "virtual_ground")
@@ -82,15 +82,15 @@ def told(kind: str, shape: tuple[int, int], **converter: object) -> Scene:
 
 def recording(scene: Scene, board: Board, cells: Array, rng: np.random.Generator, frames: int = 10) -> Recording:
     """Codes of a noisy converter, averaged; cells (rows, columns), or one set for each frame."""
-    sets = cells if cells.ndim == 3 else cells[None]
-    volt = np.array([[board.volt(one, j, k) for j, k in np.ndindex(one.shape)] for one in sets]).reshape(sets.shape)
-    volt = np.broadcast_to(volt, (frames, *scene.panel.shape)) if len(sets) == 1 else volt
+    sets = np.reshape(cells, (-1, *scene.panel.shape))
+    volt = np.array([[board.volt(ohm, j, k) for j, k in np.ndindex(ohm.shape)] for ohm in sets]).reshape(sets.shape)
+    volt = np.broadcast_to(volt, (frames if len(sets) == 1 else len(sets), *scene.panel.shape))
     readout = scene.readout
     noise = np.reshape(np.broadcast_to(np.array(readout.noise_lsb), (len(board.rows),)), (-1, 1))
     draws = volt / readout.lsb_volt + noise * rng.standard_normal((readout.readings, *volt.shape))
     codes = np.clip(np.floor(draws), 0, 2**readout.adc_bits - 1).astype(int)
     recorded = readout.recorded_from_sums(codes.sum(axis=0), readout.readings)
-    return Recording(scene, recorded, np.arange(float(len(recorded))), np.ones(len(recorded), dtype=np.uint8), name="r")
+    return recording_of(scene, recorded, name="r")
 
 
 def some_board(kind: str, shape: tuple[int, int], rng: np.random.Generator) -> Board:
@@ -245,22 +245,24 @@ def test_pressed_frames_are_refused(kind: str) -> None:
         calibrate_resistors([recording(told(kind, (4, 4)), some_board(kind, (4, 4), rng), cells, rng)], [3050.0])
 
 
-def test_channels_farther_apart_than_a_multiplexer_has_them_are_refused() -> None:
-    rng = np.random.default_rng(11)
-    rows = np.array([250.0, 70, 250, 70])
-    made = recording(told("two_point", (4, 4)), Board("two_point", rows, np.full(4, 70.0)), np.full((4, 4), SHORT), rng)
-    with pytest.raises(InputError, match=r"rows [02] and [13] would differ by 1[78]\d.* 40 to 160 ohm"):
-        calibrate_resistors([made])
-
-
-def test_a_series_resistance_beyond_two_channels_is_refused_unless_the_scene_expects_it() -> None:
-    rng = np.random.default_rng(12)
-    board, scene = Board("two_point", np.full(4, 270.0), np.full(4, 260.0)), told("two_point", (4, 4))
-    with pytest.raises(InputError, match=r"530.* ohm is more than the 320 ohm that 2 channels have at worst"):
-        calibrate_resistors([recording(scene, board, np.full((4, 4), SHORT), rng)])
-    expected = replace(scene, series_resistance_ohm=500.0)
-    (series,) = calibrate_resistors([recording(expected, board, np.full((4, 4), SHORT), rng)]).numbers
-    assert series.value == pytest.approx(530, abs=4 * series.sigma)
+@pytest.mark.parametrize(
+    ("rows", "columns", "sentence"),
+    [
+        ([250.0, 70, 250, 70], [70.0] * 4, r"rows [02] and [13] would differ by 1[78]\d.* 40 to 160 ohm"),
+        ([270.0] * 4, [260.0] * 4, r"530.* ohm is more than the 320 ohm that 2 channels have at worst"),
+    ],
+)
+def test_channels_that_no_multiplexer_has_are_refused_unless_the_scene_expects_them(
+    rows: list[float], columns: list[float], sentence: str
+) -> None:
+    board, scene = Board("two_point", np.array(rows), np.array(columns)), told("two_point", (4, 4))
+    shorts = [recording(scene, board, np.full((4, 4), SHORT), np.random.default_rng(12))]
+    with pytest.raises(InputError, match=sentence):
+        calibrate_resistors(shorts)
+    if "320 ohm" in sentence:
+        expected = replace(scene, series_resistance_ohm=500.0)
+        (series,) = calibrate_resistors([replace(shorts[0], scene=expected)]).numbers
+        assert series.value == pytest.approx(530, abs=4 * series.sigma)
 
 
 def test_one_resistor_does_not_tell_load_from_drive() -> None:
@@ -300,7 +302,7 @@ def test_three_resistors_tell_a_diode_too() -> None:
         noisy = current * load / readout.lsb_volt + 0.7 * rng.standard_normal((10, readout.readings))
         recorded = np.zeros((10, 2, 2))
         recorded[:, 0, 0] = readout.recorded_from_sums(np.floor(noisy).astype(int).sum(axis=1), readout.readings)
-        recordings.append(Recording(scene, recorded, np.arange(10.0), np.ones(10, dtype=np.uint8), name="r"))
+        recordings.append(recording_of(scene, recorded, name="r"))
     found = calibrate_resistors(recordings, known, tolerance=1e-4)
     for one, true in zip(found.numbers, (drive, load, drop), strict=True):
         assert abs(one.value - true) < 4 * one.sigma
@@ -324,8 +326,7 @@ def test_an_open_column_tells_what_the_converter_remembers() -> None:
     readout = scene.circuit
     draws = held.reshape(4, 5) / readout.lsb_volt + 0.7 * rng.standard_normal((4, 12, 4, 5))
     recorded = readout.recorded_from_sums(np.floor(draws).clip(0, 1023).astype(int).sum(axis=0), 4)
-    made = Recording(scene, recorded, np.arange(12.0), np.ones(12, dtype=np.uint8), name="r")
-    found = calibrate_resistors([made], [printed])
+    found = calibrate_resistors([recording_of(scene, recorded)], [printed])
     assert max(map(abs, pulls(replace(found, numbers=found.numbers[:2]), board))) < 4
     remembered = found.numbers[2]
     assert remembered.value == pytest.approx(memory, abs=4 * remembered.sigma) and remembered.sigma < 1e-3
@@ -357,7 +358,7 @@ def test_resistors_along_loaded_lines_tell_their_wire(kind: str) -> None:
     readout = scene.circuit
     draws = volt / readout.lsb_volt + 0.7 * rng.standard_normal((20, 10, *shape))
     recorded = readout.recorded_from_sums(np.floor(draws).astype(int).sum(axis=0), 20)
-    made = Recording(scene, recorded, np.arange(10.0), np.ones(10, dtype=np.uint8), name="r")
+    made = recording_of(scene, recorded)
     if kind == "two_point":
         # What a row's wire adds from column to column, channels of columns that differ add as well.
         with pytest.raises(InputError, match=r"do not tell lines\.row_ohm_per_cell"):
@@ -400,9 +401,7 @@ def channel_recording(seed: int, channels: Array, reference: float = 0.0, loads:
     true = two_point_resistance(cells) + 140.0 + channels[:SIDE, None] + channels[SIDE:]
     recorded = true / (1 + reference)
     recorded = recorded + scene.circuit.sigma(recorded) * rng.standard_normal(cells.shape)
-    role = (np.arange(len(cells)) >= 2).astype(np.uint8)
-    time = np.arange(len(cells), dtype=float)
-    return Recording(replace(scene, systematic=TOLD), recorded, time, role, truth_cell_resistance=cells)
+    return recording_of(replace(scene, systematic=TOLD), recorded, 2, truth_cell_resistance=cells)
 
 
 def chi_square(found: ChannelCalibration, channels: Array, reference: float) -> float:
@@ -420,7 +419,7 @@ def test_channels_come_back_within_their_deviations_and_cells_are_nearer() -> No
     assert chi_square(found, channels, 0.005) < 1.5
     centred = found.errors[1:] - channels
     centred -= np.repeat([centred[:SIDE].mean(), centred[SIDE:].mean()], SIDE)
-    assert np.sqrt(np.mean(centred**2)) < 0.5 * np.std(channels)
+    assert rms(centred) < 0.5 * np.std(channels)
     read = validated(parse_document(found.text(), "scene.yaml"), Scene)
     assert read == found.scene and read.specified_systematic != TOLD
     fresh, errors = channel_recording(3, channels, 0.005), []
@@ -445,8 +444,7 @@ def test_drives_of_loaded_columns_are_written_into_the_readout() -> None:
     cells, drives = loaded_cells(rng), SPREAD * rng.standard_normal(SIDE)
     recorded = readout.simulated(cells, scene, drives, np.zeros(SIDE))
     recorded = recorded + scene.circuit.sigma(recorded) * rng.standard_normal(cells.shape)
-    role = (np.arange(len(cells)) >= 2).astype(np.uint8)
-    found = calibrate_channels([Recording(scene, recorded, np.arange(len(cells), dtype=float), role)])
+    found = calibrate_channels([recording_of(scene, recorded, 2)])
     after = found.scene.readout
     assert isinstance(after, LoadedColumnsReadout)
     assert np.std(np.subtract(after.drive_ohm, 100.0) - drives) < np.std(drives)

@@ -8,19 +8,20 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.integrate import quad
 
-from lampest import Estimates, Estimator, Readings, Recording, Scene, Solution, Systematic, two_point_resistance
+from lampest import Absolute, Estimates, Estimator, Huber, Readings, Recording, Scene, Solution, two_point_resistance
 from lampest.cost.given import Background
-from lampest.cost.losses import Absolute, Huber
 from lampest.cost.terms import CellResistance, Gradient, Misfit, RelativeChange, Term
 from lampest.estimate.sequence import reconstruct
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import TwoPointReadout, VirtualGroundReadout
+from lampest.panel.scene import Systematic
 from lampest.posterior.certainty import Certainty
 from lampest.posterior.dense import DenseErrors
 from lampest.posterior.interval import one_sided
 from lampest.posterior.linear import LinearModel
 from lampest.posterior.sampled import SampledErrors
 from lampest.solvers.multistart import best_solution
+from tests.estimates import in_intervals, recording_of, rms
 
 pytestmark = pytest.mark.slow
 
@@ -99,7 +100,7 @@ def test_intervals_hold_the_truth_as_often_as_they_say(weighting: str) -> None:
         inside.append(held[free])
         standard.append((error / certainty.deviation[0])[free])
     assert 0.93 < np.mean(np.concatenate(inside)) < 0.97
-    assert 0.9 < np.sqrt(np.mean(np.concatenate(standard) ** 2)) < 1.1
+    assert 0.9 < rms(np.concatenate(standard)) < 1.1
 
 
 def test_a_penalty_that_does_not_suit_leaves_wider_bars() -> None:
@@ -148,15 +149,7 @@ def test_one_sided_interval_by_integration(slope: float) -> None:
 
 
 def recorded(scene: Scene, cells: Array, resistance: Array, noise: float) -> Recording:
-    frames = len(resistance)
-    return Recording(
-        scene=scene,
-        recorded=resistance,
-        time=np.arange(frames) * 1.0,
-        role=np.array([0] + [1] * (frames - 1), dtype=np.uint8),
-        sigma=noise * resistance,
-        truth_cell_resistance=cells,
-    )
+    return recording_of(scene, resistance, 1, sigma=noise * resistance, truth_cell_resistance=cells)
 
 
 def changes_within(found: Estimates, cells: Array) -> list[bool]:
@@ -202,7 +195,7 @@ def test_a_method_that_looks_back_carries_its_error_along() -> None:
         bars = [step.bars.frame for step in found.steps if step.bars is not None]
         standard.append(np.log(found.cell_resistance[-1] / cells) / bars[-1].deviation)
         carried.append(bars[-1].deviation)
-    assert 0.5 < np.sqrt(np.mean(np.square(standard))) < 1.2
+    assert 0.5 < rms(standard) < 1.2
     alone = reconstruct(recording, replace(estimator, terms=(Misfit(),))).steps[-1].bars
     assert np.median(carried / alone.frame.deviation) < 1
 
@@ -245,16 +238,15 @@ def test_a_reading_at_a_rail_gives_its_cell_no_width() -> None:
         volt = readout.volt_from_recorded(readout.to_recorded(readout.exact_reading(cells), scene))
         noise = readout.lsb_volt * rng.standard_normal((readout.readings, *volt.shape))
         codes = readout.code_from_volt(volt + noise).sum(axis=0)
-        recorded = readout.recorded_from_sums(codes, readout.readings)
-        recording = Recording(scene, recorded, np.arange(2.0), np.array([0, 1], dtype=np.uint8))
+        readings = readout.recorded_from_sums(codes, readout.readings)
+        recording = recording_of(scene, readings, 1, truth_cell_resistance=cells)
         terms = (Misfit(weighting="noise"), Gradient(weight="auto"))
         found = reconstruct(recording, Estimator(terms, formulation="reduced"))
         if found.cell_resistance_lower is None or found.cell_resistance_upper is None:
             assert not found.solved.any()
             unsolved += 1
             continue
-        inside = (found.cell_resistance_lower[0] <= cells[1]) & (cells[1] <= found.cell_resistance_upper[0])
-        held.append(inside[recording.readings().bounds[1]])
+        held.append(in_intervals(found)[0][recording.readings().bounds[1]])
     at_rails = np.concatenate(held)
     assert unsolved <= 2 and len(at_rails) > 20  # of solves that end at the limit of iterations with a sentence
     assert at_rails.mean() > 0.9
@@ -270,7 +262,7 @@ def test_own_and_common_parts_make_up_the_bar() -> None:
         found = reconstruct(recording, Estimator((Misfit(),), formulation="reduced"))
         own, common, whole = found.sigma_own, found.sigma_common, found.cell_resistance_errors
         free = np.isfinite(whole) & (own > 0)
-        np.testing.assert_allclose(np.hypot(own, common)[free], (whole / found.cell_resistance)[free])
+        assert_allclose(np.hypot(own, common)[free], (whole / found.cell_resistance)[free])
         assert np.median(common) > 3 * np.median(own)
         inside.append((np.abs(np.log(found.cell_resistance / cells[-1])) < 1.96 * own)[free])
     assert 0.92 < np.mean(np.concatenate(inside)) < 0.98

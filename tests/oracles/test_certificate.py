@@ -11,11 +11,11 @@ import pytest
 from scipy.linalg import lapack
 from scipy.optimize import brentq
 
-from lampest import Absolute, Bounds, Estimator, Readings, Recording, Scene, Settings, Solution, Squared, Status, Stream
+from lampest import Absolute, Gradient, LogRatio, Misfit, Outcome, Readings, Recording, Scene, Squared, Stream, Term
 from lampest.cost.cost import Cost
 from lampest.cost.given import Background, Given
 from lampest.cost.problem import Data, Evaluation
-from lampest.cost.terms import Gradient, LogRatio, Misfit, Term
+from lampest.estimate.estimator import Bounds, Estimator
 from lampest.estimate.sequence import reconstruct
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import GroundedReadout, LoadedColumnsReadout, Readout, VirtualGroundReadout
@@ -23,7 +23,7 @@ from lampest.solvers.certificate import Definiteness, certificate, clear_of_roun
 from lampest.solvers.hessian import Hessian
 from lampest.solvers.projected_newton import ProjectedNewton
 from lampest.solvers.smoothing import Smoothing
-from lampest.solvers.solution import Outcome, check
+from lampest.solvers.solution import Settings, Solution, Status, check
 from tests.least_cost import Circuit
 from tests.netlist import in_digits
 

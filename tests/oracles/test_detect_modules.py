@@ -10,14 +10,14 @@ import pytest
 from laws.recognised import PATCH_MM, frame_under, verdict_on
 
 from docs.studies.attachments import SLIDES_S, SLIDING, TOUCH_S, UNLOADED, recording, seen
-from lampest import Course, Faults, OralDisc, Recording, Rod, Scene, Simulation, TwoPointReadout, simulate
+from lampest import Array, Course, Faults, OralDisc, Panel, Recording, Rod, Scene, Simulation, TwoPointReadout, simulate
 from lampest.estimate.prepared import Prepared
 from lampest.loads.recognition.attachment import Attachment
 from lampest.loads.recognition.detector import Detector
 from lampest.loads.recognition.fit import Fitting, along_diameter
 from lampest.loads.recognition.image import ImageWatch, Window
 from lampest.loads.recognition.observation import ModelErrors, Whitening
-from lampest.panel.panel import Array, EachModule, Modules, Panel
+from lampest.panel.panel import EachModule, Modules
 from lampest.report.detect.answer import LAMPREY, Detected
 from lampest.report.detect.detection import Known, detect_recording, known_of, measured_frames
 

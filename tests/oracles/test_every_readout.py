@@ -10,18 +10,19 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.optimize import brentq
 
-from lampest import CaseResult, Diode, Estimator, InputError, Recording, Settings, Squared, import_file, read_results
+from lampest import Array, Diode, Estimator, Faults, InputError, Panel, Recording, Settings, Squared, read_run, simulate
 from lampest.cost.terms import Gradient, LogRatio, Misfit
 from lampest.estimate.sequence import reconstruct
-from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import GroundedReadout, LoadedColumnsReadout, Readout, TwoPointReadout, VirtualGroundReadout
-from lampest.panel.scene import Faults, Scene, SeriesPerLine, Systematic
-from lampest.recording.simulation.simulation import Simulation, simulate
+from lampest.panel.scene import Scene, SeriesPerLine, Systematic
+from lampest.recording.foreign.importing import import_file
+from lampest.recording.simulation.simulation import Simulation
 from lampest.report.info import describe
 from lampest.runs.batch import run_batch
-from lampest.runs.config import read_run
 from lampest.runs.executors import Serial
-from tests.oracles.netlist import Node, Resistor, potentials
+from lampest.runs.results import CaseResult, read_results
+from tests.estimates import recording_of
+from tests.netlist import Node, Resistor, potentials
 
 ROWS, COLUMNS = 5, 6
 DRIVES, SENSES = tuple(40.0 + 9 * line for line in range(ROWS)), tuple(60.0 + 11 * line for line in range(COLUMNS))
@@ -82,36 +83,53 @@ def volts(cells: Array, readout: Any) -> Array:
 
 def volt_of(matrix: Array, readout: Any, driven: int, sensed: int) -> float:
     """Return the voltage of one reading of a panel (driven lines, sensed lines) ohm."""
-    lines, others = matrix.shape
-    network: list[Resistor] = [(("d", line), ("s", other), ohm) for (line, other), ohm in np.ndenumerate(matrix)]
     if isinstance(readout, TwoPointReadout):
-        of_sensor, tap = readout.measured_across == "sensor", ("d" if readout.measured_across == "sensor" else "s")
-        ends = ("high", ("d", driven)) if of_sensor else (("s", sensed), "low")
-        wire = (("s", sensed), "low", 0.0) if of_sensor else ("high", ("d", driven), 0.0)
-        held = {"high": readout.supply_volt, "low": 0.0}
-        return potentials([*network, (*ends, readout.reference_ohm), wire], held)[tap, driven if of_sensor else sensed]
+        return divider(matrix, readout, driven, sensed)
+    network = network_of(matrix, readout, driven, sensed)
+    high, low = (0.0, readout.supply_volt)[:: 1 if getattr(readout, "polarity", "up") == "down" else -1]
+    volt = potentials(network, {"high": high, "low": low})
+    if isinstance(readout, VirtualGroundReadout):
+        through = [(volt["d", line] - volt["s", sensed]) / ohm for line, ohm in enumerate(matrix[:, sensed])]
+        return each(readout.feedback_ohm, matrix.shape[1])[sensed] * sum(through)
+    return volt["load", sensed]
+
+
+def cells_between(matrix: Array) -> list[Resistor]:
+    return [(("d", line), ("s", other), ohm) for (line, other), ohm in np.ndenumerate(matrix)]
+
+
+def divider(
+    matrix: Array, readout: TwoPointReadout, row: int, column: int, row_ohm: float = 0.0, column_ohm: float = 0.0
+) -> float:
+    """Volt at the converter: supply, reference, row's channel, panel, column's channel and ground in a row."""
+    across_sensor = readout.measured_across == "sensor"
+    above, below = (readout.reference_ohm, 0.0)[:: 1 if across_sensor else -1]
+    tap: Node = "row end" if across_sensor else "column end"
+    network = [*cells_between(matrix), ("high", "row end", above), ("column end", "low", below)]
+    network += [("row end", ("d", row), row_ohm), (("s", column), "column end", column_ohm)]
+    network += [] if readout.input_ohm is None else [(tap, "low", readout.input_ohm)]
+    return potentials(network, {"high": readout.supply_volt, "low": 0.0})[tap]
+
+
+def network_of(matrix: Array, readout: Any, driven: int, sensed: int) -> list[Resistor]:
+    """Drives, panel, channels and loads of a readout in volt while one line is driven and one is sensed."""
+    lines, others = (range(count) for count in matrix.shape)
     floating = isinstance(readout, LoadedColumnsReadout)
-    drive = each(readout.drive_ohm, lines)
+    drive = each(readout.drive_ohm, len(lines))
+    network = cells_between(matrix)
     network += [
         (("d", line), "high" if line == driven else "low", drive[line])
-        for line in range(lines)
+        for line in lines
         if line == driven or not floating
     ]
-    high, low = (
-        (0.0, readout.supply_volt) if getattr(readout, "polarity", "up") == "down" else (readout.supply_volt, 0.0)
-    )
+    channels = (0.0,) * len(others) if floating else each(readout.sense_ohm, len(others))
     if isinstance(readout, VirtualGroundReadout):
-        channels = each(readout.sense_ohm, others)
-        volt = potentials(
-            [*network, *((("s", line), "low", channels[line]) for line in range(others))], {"high": high, "low": low}
-        )
-        through = [(volt["d", line] - volt["s", sensed]) / matrix[line, sensed] for line in range(lines)]
-        return each(readout.feedback_ohm, others)[sensed] * sum(through)
-    loads, channels = each(readout.load_ohm, others), (0.0,) * others if floating else each(readout.sense_ohm, others)
-    for line in [sensed] if getattr(readout, "sense", "all") == "one" else range(others):
+        return [*network, *((("s", line), "low", channels[line]) for line in others)]
+    loads = each(readout.load_ohm, len(others))
+    for line in [sensed] if getattr(readout, "sense", "all") == "one" else others:
         network += [(("s", line), ("load", line), channels[line]), (("load", line), "low", loads[line])]
         network += [] if readout.input_ohm is None else [(("load", line), "low", readout.input_ohm)]
-    return potentials(network, {"high": high, "low": low})["load", sensed]
+    return network
 
 
 def panel_of(readout: Any, noise: float, seed: int = 5, shape: tuple[int, int] = (ROWS, COLUMNS)) -> Recording:
@@ -124,8 +142,7 @@ def panel_of(readout: Any, noise: float, seed: int = 5, shape: tuple[int, int] =
     truth = np.stack([resting] * 3 + [loaded] * 2)
     recorded = readout.recorded_from_volt(np.stack([volts(frame, readout) for frame in truth]))
     recorded = recorded + noise * readout.sigma(recorded) * rng.normal(size=recorded.shape)
-    role = np.array([0, 0, 0, 1, 1], dtype=np.uint8)
-    return Recording(scene, recorded, np.arange(5.0), role, truth_cell_resistance=truth, name="panel")
+    return recording_of(scene, recorded, 3, truth_cell_resistance=truth, name="panel")
 
 
 def truth_of(recording: Recording) -> Array:
@@ -243,12 +260,6 @@ def test_a_recording_and_its_results_are_in_volt(tmp_path: Path) -> None:
     assert_allclose(case.reading_model, case.measured, rtol=1e-2)
 
 
-@pytest.mark.parametrize("series", [140.0, SeriesPerLine(70.0, 70.0)])
-def test_a_series_resistance_is_refused_and_its_place_told(series: float | SeriesPerLine) -> None:
-    with pytest.raises(ValueError, match=r"belongs to readout\.kind: two_point.*drive_ohm or sense_ohm"):
-        Scene(Panel(ROWS, COLUMNS), LOADED, series)
-
-
 SHAPE = (4, 5)
 ROW_OHM, COLUMN_OHM = (70.0, 75.0, 81.0, 66.0), (60.0, 68.0, 72.0, 64.0, 77.0)
 PER_LINE = SeriesPerLine(ROW_OHM, COLUMN_OHM)
@@ -261,37 +272,19 @@ def cells_of(seed: int = 3, shape: tuple[int, int] = SHAPE) -> Array:
     return np.asarray(2500 * np.exp(0.7 * np.random.default_rng(seed).normal(size=shape)))
 
 
-def resistors_of(cells: Array) -> list[Resistor]:
-    return [(("r", row), ("c", column), ohm) for (row, column), ohm in np.ndenumerate(cells)]
-
-
-def divider(cells: Array, readout: TwoPointReadout, row: int, column: int) -> float:
-    """Volt at the converter: supply, reference, row's channel, panel, column's channel and ground in a row."""
-    network = resistors_of(cells)
-    network += [("row end", ("r", row), ROW_OHM[row]), (("c", column), "column end", COLUMN_OHM[column])]
-    rin, across_sensor = readout.input_ohm, readout.measured_across == "sensor"
-    tap: Node = "row end" if across_sensor else "column end"
-    ends = ("supply", "row end") if across_sensor else ("column end", "ground")
-    network.append((*ends, readout.reference_ohm))
-    network.append(("column end", "ground", 0.0) if across_sensor else ("supply", "row end", 0.0))
-    if rin is not None:
-        network.append((tap, "ground", rin))
-    return potentials(network, {"supply": readout.supply_volt, "ground": 0.0})[tap]
-
-
 @pytest.mark.parametrize("input_ohm", [None, 30e3])
 @pytest.mark.parametrize("across", ["reference", "sensor"])
 def test_two_point_takes_off_what_each_line_has_in_series(across: Any, input_ohm: float | None) -> None:
     readout = TwoPointReadout(measured_across=across, input_ohm=input_ohm, adc_bits=16, noise_lsb=1)
     cells, scene = cells_of(), Scene(Panel(*SHAPE), readout, PER_LINE)
-    volt = np.array([[divider(cells, readout, *at) for at in [(j, k) for k in range(5)]] for j in range(4)])
+    ohm = [(row, column, ROW_OHM[row], COLUMN_OHM[column]) for row, column in np.ndindex(SHAPE)]
+    volt = np.reshape([divider(cells, readout, *reading) for reading in ohm], SHAPE)
     ratio = (5 - volt) / volt if across == "reference" else volt / (5 - volt)
     recorded = ratio * readout.reference_ohm  # what anybody's divider equation gives
     assert_allclose(readout.recorded_from_volt(volt), recorded, rtol=1e-12)
     assert_allclose(readout.from_recorded(recorded, scene), readout.exact_reading(cells), rtol=1e-9)
     assert_allclose(readout.to_recorded(readout.exact_reading(cells), scene), recorded, rtol=1e-9)
-    frames = np.stack([recorded] * 2)
-    recording = Recording(scene, frames, np.arange(2.0), np.array([0, 1], dtype=np.uint8))
+    recording = recording_of(scene, np.stack([recorded] * 2), 1)
     assert_allclose(reconstruct(recording, Estimator(LSM, "reduced")).cell_resistance[0], cells, rtol=1e-5)
     # σ is that of the converter: what one σ of volt does to the network's resistance.
     step = 1e-3 * readout.sigma_volt()
@@ -303,21 +296,15 @@ def through_diode(cells: Array, readout: LoadedColumnsReadout, driven: int) -> A
     """Volt at the loads while a row is driven: the current at which diode and network share the supply."""
     saturation = readout.diode.at_ampere / np.expm1(readout.diode.drop_volt / readout.diode.slope_volt)
 
-    def loads(volt: float) -> dict[Node, float]:
-        network = [*resistors_of(cells), ("source", ("r", driven), 120.0)]
-        for column in range(cells.shape[1]):
-            network += [(("c", column), "ground", 4700.0)]
-            if readout.input_ohm is not None:
-                network += [(("c", column), "ground", readout.input_ohm)]
-        return potentials(network, {"source": volt, "ground": 0.0})
+    network = network_of(cells, readout, driven, 0)
 
     def excess(volt: float) -> float:
-        current = (volt - loads(volt)[("r", driven)]) / 120.0
+        current = (volt - potentials(network, {"high": volt, "low": 0.0})["d", driven]) / readout.drive_ohm
         return volt + readout.diode.slope_volt * np.log1p(current / saturation) - readout.supply_volt
 
     behind = float(brentq(excess, 0.0, readout.supply_volt, xtol=1e-15, rtol=1e-14))
-    found = loads(behind)
-    return np.array([found[("c", column)] for column in range(cells.shape[1])])
+    volt = potentials(network, {"high": behind, "low": 0.0})
+    return np.array([volt["load", column] for column in range(cells.shape[1])])
 
 
 @pytest.mark.parametrize("polarity", ["up", "down"])
@@ -333,9 +320,8 @@ def test_a_diode_and_the_converter_are_in_the_model(diode: Diode, driven: Any, p
     assert_allclose(readout.to_recorded(readout.exact_reading(truth), scene), recorded, rtol=1e-10)
     rng = np.random.default_rng(2)
     noisy = recorded + readout.sigma(recorded) * rng.normal(size=(3, *truth.shape))
-    role = np.array([0, 0, 1], dtype=np.uint8)
     for frames, close in ((np.stack([recorded] * 3), truth), (noisy, None)):
-        recording = Recording(scene, frames, np.arange(3.0), role)
+        recording = recording_of(scene, frames, 2)
         one, other = (reconstruct(recording, Estimator(LSM, name, FINE)) for name in ("reduced", "nodal"))
         assert all(step.solution.solved for step in (*one.steps, *other.steps))
         assert_allclose(one.cell_resistance, other.cell_resistance, rtol=1e-6)
@@ -392,8 +378,7 @@ def test_shared_errors_move_the_estimate_as_the_bars_say(readout: Any) -> None:
         channels = 4.0 * rng.normal(size=sum(SHAPE))
         volt = actual.volt_from_recorded(actual.simulated(cells[None], told, channels[:4], channels[4:]))
         frames = np.concatenate([quiet.recorded_from_volt(volt)] * 2)
-        recording = Recording(told, frames, np.arange(2.0), np.array([0, 1], dtype=np.uint8))
-        done = reconstruct(recording, Estimator(LSM, "reduced"))
+        done = reconstruct(recording_of(told, frames, 1), Estimator(LSM, "reduced"))
         bars = done.steps[0].bars
         scores.append(np.log(done.cell_resistance[0] / cells) / bars.frame.deviation)
     assert 0.8 < np.sqrt(np.mean(np.square(scores))) < 1.2
@@ -402,8 +387,6 @@ def test_shared_errors_move_the_estimate_as_the_bars_say(readout: Any) -> None:
 def test_series_per_line_is_one_number_where_all_are_alike() -> None:
     plain, listed = (Scene(Panel(3, 4), TwoPointReadout(), one) for one in (140.0, SeriesPerLine((80.0,) * 3, 60.0)))
     assert_allclose(np.broadcast_to(plain.series_ohm, (3, 4)), listed.series_ohm)
-    with pytest.raises(ValueError, match=r"series_resistance_ohm.rows lists 2 numbers, but there are 3 such lines"):
-        Scene(Panel(3, 4), TwoPointReadout(), SeriesPerLine((80.0,) * 2, 60.0))
 
 
 def test_a_formulation_that_cannot_serve_a_readout_is_refused_before_anything(tmp_path: Path) -> None:

@@ -13,6 +13,7 @@ from lampest.estimate.sequence import reconstruct
 from lampest.posterior.dense import DenseErrors
 from lampest.posterior.profile_interval import ProfileInterval
 from lampest.recording.readings import AT_LEAST, AT_MOST, stand_in, stand_in_spread
+from tests.estimates import in_intervals, log_errors, recording_of
 
 SHAPE = (6, 7)
 SIGMA = 0.01
@@ -30,11 +31,10 @@ def cells(seed: int = 0) -> Array:
 def recording(truth: Array, faults: Faults | None = None, readout: TwoPointReadout | None = None) -> Recording:
     """Exact readings with a small σ, one unloaded frame."""
     scene = Scene(Panel(*SHAPE), readout, 0.0, faults)
-    role = np.array([0, *([1] * (len(truth) - 1))], dtype=np.uint8)
     resistance = two_point_resistance(truth)
     sigma = np.full(resistance.shape, SIGMA)
     finite = np.where(np.isfinite(resistance) & (resistance > 0), resistance, 1.0)
-    return Recording(scene, finite, np.arange(len(truth), dtype=float), role, sigma)
+    return recording_of(scene, finite, 1, sigma=sigma)
 
 
 FAULTS = {
@@ -128,20 +128,6 @@ def test_saturated_codes_are_bounds() -> None:
     assert np.all(model[beyond[1]] >= largest * (1 - 1e-6))
 
 
-@pytest.mark.parametrize(
-    ("faults", "sentence"),
-    [
-        (Faults(open=((6, 0),)), "there is no cell"),
-        (Faults(dead_rows=(9,)), "there is no row 9"),
-        (Faults(open=((1, 1),), shorted=((1, 1),)), "open and shorted"),
-        (Faults(dead_rows=tuple(range(6))), "nothing is left"),
-    ],
-)
-def test_impossible_faults_are_refused(faults: Faults, sentence: str) -> None:
-    with pytest.raises(ValueError, match=sentence):
-        Scene(Panel(*SHAPE), None, 0.0, faults)
-
-
 def test_readings_below_the_series_resistance_are_bounds() -> None:
     """However far below: they say that the cells are small, not how small."""
     made = recording(cells())
@@ -155,8 +141,8 @@ READOUT = lampest.TwoPointReadout(supply_volt=5, reference_ohm=1000, adc_bits=16
 HOLED = lampest.Scene(lampest.Panel(*SHAPE), READOUT, systematic="none")
 
 
-def with_holes(seed: int, missing: int) -> tuple[lampest.Recording, np.ndarray]:
-    """Two unloaded frames and one with a pressed patch and so many readings less; and the cells of the latter."""
+def with_holes(seed: int, missing: int) -> lampest.Recording:
+    """Two unloaded frames and one with a pressed patch and so many readings less."""
     rng = np.random.default_rng(seed)
     resting = 1000 * np.exp(0.3 * rng.standard_normal(SHAPE))
     pressed = resting.copy()
@@ -164,27 +150,24 @@ def with_holes(seed: int, missing: int) -> tuple[lampest.Recording, np.ndarray]:
     exact = READOUT.exact_reading(np.stack([resting, resting, pressed]))
     readings = exact + READOUT.sigma(exact) * rng.standard_normal(exact.shape)
     readings[2].flat[rng.choice(42, missing, replace=False)] = np.nan
-    return lampest.Recording(HOLED, readings, np.arange(3.0), np.array([0, 0, 1], np.uint8)), pressed
+    truth = np.stack([resting, resting, pressed])
+    return recording_of(HOLED, readings, 2, truth_cell_resistance=truth)
 
 
-def holed_coverage(recording: lampest.Recording, cells: np.ndarray, terms: list[object]) -> tuple[float, float]:
+def holed_coverage(recording: lampest.Recording, terms: list[object]) -> tuple[float, float]:
     """(share of read cells within their interval, median width of it as a fraction)."""
     found = lampest.reconstruct(recording, terms, formulation="reduced")
-    lower, upper = (bound[0] for bound in (found.cell_resistance_lower, found.cell_resistance_upper))
-    read = np.isfinite(recording.recorded[2])
-    return float(((lower <= cells) & (cells <= upper))[read].mean()), float(np.median((upper / lower - 1)[read]))
+    read = np.isfinite(recording.recorded[2:])
+    width = found.cell_resistance_upper / found.cell_resistance_lower - 1
+    return float(in_intervals(found)[read].mean()), float(np.median(width[read]))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("terms", [[], [lampest.RelativeChange()], [lampest.Gradient()]])
 def test_cells_beside_one_that_was_not_read_are_held(terms: list[object]) -> None:
     """A missing reading moves all cells together, along a curve: tangents held 87 % of them over 28 such panels."""
-    found = [
-        holed_coverage(
-            *with_holes(seed, 1 + seed % 2), [lampest.Misfit(weighting="noise" if terms else "plain"), *terms]
-        )
-        for seed in range(12)
-    ]
+    misfit = lampest.Misfit(weighting="noise" if terms else "plain")
+    found = [holed_coverage(with_holes(seed, 1 + seed % 2), [misfit, *terms]) for seed in range(12)]
     assert np.mean([share for share, _ in found]) > 0.9
     assert np.median([width for _, width in found]) < 0.3
 
@@ -200,18 +183,17 @@ def test_what_was_never_read_is_stood_in_for_where_penalties_compare(term: objec
     readings = READOUT.exact_reading(truth)
     readings = readings + READOUT.sigma(readings) * rng.standard_normal(readings.shape)
     readings[:, 1, 5] = np.nan
-    recording = lampest.Recording(HOLED, readings, np.arange(4.0), np.array([0, 0, 1, 1], np.uint8))
+    recording = recording_of(HOLED, readings, 2, truth_cell_resistance=truth)
     found = lampest.reconstruct(recording, [lampest.Misfit(weighting="noise"), term], formulation="reduced")
     read = np.isfinite(readings[2:])
-    held = (found.cell_resistance_lower <= truth[2:]) & (truth[2:] <= found.cell_resistance_upper)
-    assert held[read].mean() > 0.9
-    assert np.median(np.abs(np.log(found.cell_resistance / truth[2:]))) < 0.005
+    assert in_intervals(found)[read].mean() > 0.9
+    assert np.median(np.abs(log_errors(found))) < 0.005
 
 
 @pytest.mark.parametrize("side", [-1, 1])
 def test_the_valley_is_followed_to_where_a_held_cell_leads(side: int) -> None:
     """Ends of the way are optima with that cell held: found again by a solve within bounds that leave it no choice."""
-    recording, _ = with_holes(3, 1)
+    recording = with_holes(3, 1)
     terms = (lampest.Misfit(weighting="noise"), lampest.Gradient(weight=1e-4))
     readings = recording.readings()
     stream = lampest.Stream.begin(
@@ -238,7 +220,7 @@ def test_a_missing_reading_does_not_choose_the_weight(term: object) -> None:
     weights = []
     for missing in (0, 2):
         found = lampest.reconstruct(
-            with_holes(3, missing)[0], [lampest.Misfit(weighting="noise"), term], formulation="reduced"
+            with_holes(3, missing), [lampest.Misfit(weighting="noise"), term], formulation="reduced"
         )
         weights.append(found.steps[0].weights[1])
     assert abs(np.log10(weights[1] / weights[0])) < 1.2  # it was 1e-15

@@ -16,6 +16,7 @@ from lampest.solvers import certificate, hessian, projected_newton
 from lampest.solvers.interior_point import by_interior_point
 from lampest.solvers.preconditioners import TwoLevel, sparse_inverse
 from lampest.solvers.smoothing import Smoothing
+from tests.estimates import recording_of
 
 SHAPE = (9, 11)
 ESTIMATORS: dict[str, tuple[Term, ...]] = {
@@ -40,7 +41,7 @@ def recording(noise: float) -> Recording:
     exact = two_point_resistance(truth)
     resistance = exact + noise * readout.sigma(exact) * generator.standard_normal(exact.shape)
     assert_allclose(readout.recorded_from_volt(readout.volt_from_recorded(exact)), exact)
-    return Recording(Scene(Panel(*SHAPE), readout), resistance, np.arange(3.0), np.array([0, 1, 1], dtype=np.uint8))
+    return recording_of(Scene(Panel(*SHAPE), readout), resistance, 1)
 
 
 # Absolute penalties have several minima where the noise is strong, and either way may end in another.
@@ -116,7 +117,7 @@ def crowded(deviations: float) -> Recording:
     exact = two_point_resistance(truth)
     resistance = exact + deviations * readout.sigma(exact) * generator.standard_normal(exact.shape)
     resistance = np.maximum(resistance, 10.0)
-    return Recording(Scene(Panel(18, 20), readout), resistance[None], np.zeros(1), np.ones(1, dtype=np.uint8))
+    return recording_of(Scene(Panel(18, 20), readout), resistance[None])
 
 
 @pytest.fixture
@@ -165,7 +166,7 @@ def pressed_patch() -> Evaluation:
     truth = 3000 * np.exp(0.2 * generator.standard_normal((18, 20)))
     truth[4:12, 5:13] *= 0.01
     readings = two_point_resistance(truth)[None]
-    recorded = Recording(Scene(Panel(18, 20), TwoPointReadout()), readings, np.zeros(1), np.ones(1, dtype=np.uint8))
+    recorded = recording_of(Scene(Panel(18, 20), TwoPointReadout()), readings)
     estimator = Estimator((Misfit(), Gradient(weight=1e-3)), formulation="reduced")
     data = estimator.data(recorded.readings()[0].alone(), Background(recorded.scene))
     return Evaluation.at(estimator.cost(recorded.scene, 1, partial=False), data, data.uniform_start)

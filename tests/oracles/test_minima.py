@@ -9,18 +9,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lampest import Array, Course, Estimator, OralDisc, Panel, Readings, Scene, Simulation, Status, Stream, Water
+from lampest import Array, Course, Estimator, OralDisc, Panel, Readings, Scene, Solution, Stream, Unmodelled, Water
 from lampest.cost.given import Background
 from lampest.cost.losses import Absolute, Huber, Loss, Squared, Student
 from lampest.cost.problem import Data, Evaluation
 from lampest.cost.terms import Gradient, Misfit, Term, TotalVariation, term_types
 from lampest.estimate.sequence import first_stream
 from lampest.panel.readouts import GroundedReadout, LoadedColumnsReadout, TwoPointReadout, VirtualGroundReadout
-from lampest.recording.simulation import Cells, Unmodelled, simulate
+from lampest.recording.simulation.simulation import Cells, Simulation, simulate
 from lampest.solvers import hessian
 from lampest.solvers.multistart import best_solution, evaluated, solved_from
 from lampest.solvers.projected_newton import ProjectedNewton
-from lampest.solvers.solution import Settings, Solution, check
+from lampest.solvers.solution import Settings, Status, check
 from tests.least_cost import LeastCost, Penalty
 from tests.random_problem import RandomProblem
 from tests.studies.random_problems import examine

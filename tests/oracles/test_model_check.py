@@ -22,6 +22,7 @@ from lampest.panel.readouts.two_point import four_point_excess
 from lampest.report.compare import compare, model_notes
 from lampest.report.info import describe
 from lampest.report.page.page import write_report
+from tests.estimates import recording_of
 
 SHAPE = (5, 7)
 GENERATOR = np.random.default_rng(4)
@@ -114,8 +115,7 @@ def two_point_frames(widen: float = 1.0, frames: int = 8) -> Recording:
     scene = Scene(lampest.Panel(*SHAPE, 10.0), readout, series_resistance_ohm=100.0)
     exact = np.repeat(readout.exact_reading(CELLS)[None] + 100.0, frames + 1, axis=0)
     noisy = exact + widen * readout.sigma(exact) * np.random.default_rng(5).standard_normal(exact.shape)
-    role = np.array([0] * frames + [1], dtype=np.uint8)
-    return Recording(scene, noisy, np.arange(frames + 1.0), role)
+    return recording_of(scene, noisy, frames)
 
 
 def test_noise_beyond_what_is_told_is_not_taken_for_a_wrong_circuit() -> None:
@@ -141,7 +141,7 @@ def loaded_frames(seed: int, dead_column: int | None = None) -> Recording:
     volt = readout.volt_from_recorded(exact)[..., None] + readout.lsb_volt * random.standard_normal((*exact.shape, 20))
     codes = readout.code_from_volt(volt).mean(axis=-1)
     recorded = readout.recorded_from_volt(readout.volt_from_code(codes))
-    return Recording(scene, recorded, np.arange(7.0), np.array([0] * 3 + [1] * 4, dtype=np.uint8))
+    return recording_of(scene, recorded, 3)
 
 
 def test_single_wild_readings_are_no_fault_of_the_circuit() -> None:
@@ -177,9 +177,7 @@ def test_a_short_behind_a_large_drive_resistor_is_explained() -> None:
     cells[2, 6] = 0.5
     exact = np.repeat(circuit.exact_reading(cells)[None], 4, axis=0)
     noisy = exact + circuit.sigma_volt() * np.random.default_rng(5).standard_normal(exact.shape)
-    role = np.array([0, 0, 0, 1], dtype=np.uint8)
-    recording = Recording(Scene(lampest.Panel(6, 8, 10.0), circuit), noisy, np.arange(4.0), role)
-    check = Prepared(recording).check
+    check = Prepared(recording_of(Scene(lampest.Panel(6, 8, 10.0), circuit), noisy, 3)).check
     assert check.explains, check.sentence
 
 
@@ -216,7 +214,7 @@ def test_a_large_panel_is_held_against_cells_alone() -> None:
     cells = 3000 * np.exp(0.2 * np.random.default_rng(6).standard_normal((2, side, side)))
     cells[1, 4:8, 10:14] *= 0.01
     frames = readout.exact_reading(cells)
-    right = Recording(scene, frames, np.arange(2.0), np.array([0, 1], dtype=np.uint8))
+    right = recording_of(scene, frames, 1)
     assert Prepared(right).check.mark == "yes"
     swapped = replace(scene, readout=replace(readout, driven="columns"))
     assert Prepared(replace(right, scene=swapped)).check.mark == "no"

@@ -1,7 +1,9 @@
 """A panel of modules: one scene, one recording, one image; each estimated alone, or coupled over the seams."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -9,8 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 import lampest
-from lampest import InputError, Recording, Scene, Simulation, read_run, simulate, two_point_resistance
-from lampest.cli import main
+from lampest import InputError, Recording, Scene, Simulation, read_run, read_scene, simulate, two_point_resistance
 from lampest.estimate.modules import begin_stream
 from lampest.estimate.prepared import Prepared
 from lampest.estimate.sequence import first_stream
@@ -20,6 +21,7 @@ from lampest.panel.panel import EachModule, Modules
 from lampest.runs.batch import run_batch
 from lampest.runs.executors import Serial
 from lampest.runs.long_case import solve_long
+from lampest.runs.results import read_results
 
 SCENE = """
 panel: {modules: {rows: 2, columns: 3, each: {rows: 3, columns: 4, pitch_mm: 10}, seam_mm: 3}}
@@ -216,7 +218,9 @@ def test_a_long_recording_is_solved_by_parts_and_goes_on_where_it_ended(
     assert np.isnan(other.cell_resistance[:, 3:, 8:]).all() and other.solved.all()
 
 
-def test_commands_run_from_scene_to_picture(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_commands_run_from_scene_to_picture(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, lampest: Callable[..., SimpleNamespace]
+) -> None:
     monkeypatch.chdir(tmp_path)
     scene = "".join(f"  {line}\n" for line in (SCENE + FAULTS).strip().splitlines())
     Path("mat.yaml").write_text(f"schema: 1\nseed: 2\nscene:\n{scene}frames: 3\noutput: mat.h5\n")
@@ -230,27 +234,19 @@ def test_commands_run_from_scene_to_picture(tmp_path: Path, monkeypatch: pytest.
         ["info", "results/run/results.h5"],
         ["check", "results/run/results.h5"],
     ):
-        monkeypatch.setattr("sys.argv", ["lampest", *words])
-        with pytest.raises(SystemExit) as ended:
-            main()
-        assert not ended.value.code, words
-    [case] = lampest.read_results("results/run/results.h5").cases
+        assert lampest(*words).code == 0, words
+    [case] = read_results("results/run/results.h5").cases
     assert case.cell_resistance.shape == (3, 6, 12)
     assert np.isnan(case.cell_resistance[:, 3:, 8:]).all() and np.isfinite(case.cell_resistance[:, :3]).all()
 
 
 def test_rows_and_columns_that_follow_from_modules_are_not_called_assumed(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, lampest: Callable[..., SimpleNamespace]
 ) -> None:
     (tmp_path / "scene.yaml").write_text(SCENE, encoding="utf-8")
-    assumed = lampest.read_scene(tmp_path / "scene.yaml").assumed
-    assert not [name for name in assumed if name.startswith("panel")]
+    assert not [name for name in read_scene(tmp_path / "scene.yaml").assumed if name.startswith("panel")]
     simulated(scene_of(SCENE)).save(tmp_path / "modules.h5")
-    monkeypatch.setattr("sys.argv", ["lampest", "info", str(tmp_path / "modules.h5")])
-    with pytest.raises(SystemExit) as ended:
-        main()
-    assert not ended.value.code
-    assert "2 × 3 modules of 3 × 4 cells with seams of 3 mm" in capsys.readouterr().out
+    assert "2 × 3 modules of 3 × 4 cells with seams of 3 mm" in lampest("info", tmp_path / "modules.h5").out
 
 
 def test_a_module_stuck_at_the_top_rail_does_not_fail_the_others() -> None:

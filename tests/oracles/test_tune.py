@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,6 +15,8 @@ from lampest.panel.readouts.star_mesh import two_point_resistance
 from lampest.posterior.linear import LinearModel
 from lampest.runs.config import Case
 from lampest.studies.weights import CurvePoint, Tuned, WeightSubject, bound_evidence, l_curve, solve_at, tune
+from tests.estimates import recording_of
+from tests.oracles import paper
 
 pytestmark = pytest.mark.slow
 
@@ -28,14 +29,8 @@ def recording(rows: int = 4, columns: int = 5, noise: float = NOISE) -> Recordin
     cells = 3000 * np.exp(0.1 * rng.standard_normal((3, rows, columns)))
     cells[2, 1:3, 1:4] *= 0.3
     exact = two_point_resistance(cells)
-    return Recording(
-        Scene(Panel(rows, columns)),
-        exact * np.exp(noise * rng.standard_normal(exact.shape)),
-        np.arange(3.0),
-        np.array([0, 0, 1], dtype=np.uint8),
-        sigma=noise * exact,
-        truth_cell_resistance=cells,
-    )
+    measured = exact * np.exp(noise * rng.standard_normal(exact.shape))
+    return recording_of(Scene(Panel(rows, columns)), measured, 2, sigma=noise * exact, truth_cell_resistance=cells)
 
 
 def subject(penalty: Term, held: Recording, bounds: Bounds | None = None) -> WeightSubject:
@@ -49,7 +44,7 @@ def tuned() -> Tuned:
     return tune(subject(Gradient(weight="auto"), recording()))
 
 
-def test_point_has_the_papers_misfit_and_penalty_and_the_true_error(paper: SimpleNamespace) -> None:
+def test_point_has_the_papers_misfit_and_penalty_and_the_true_error() -> None:
     made = recording()
     point = solve_at(subject(Gradient(weight="auto"), made), 2e-5, None)
     cells = point.cells[0]
@@ -61,7 +56,7 @@ def test_point_has_the_papers_misfit_and_penalty_and_the_true_error(paper: Simpl
     assert_allclose(point.error, np.sqrt(np.mean(error**2)))
 
 
-def test_evidence_is_laplaces_at_each_estimate(paper: SimpleNamespace) -> None:
+def test_evidence_is_laplaces_at_each_estimate() -> None:
     """−2 log ∫ exp(−cost/2s²) du over a Gaussian prior of rank m − 1, up to what λ does not change."""
     made = recording()
     one = subject(Gradient(weight="auto"), made, Bounds("none", "none"))

@@ -11,10 +11,10 @@ import lampest
 from docs.studies import real
 from docs.studies.simulated_calibration import PRIORS, SETTINGS, calibration, prior_root, uniform_tail
 from docs.studies.withheld import predictions
-from lampest import Array, AutoWeight, Data, Estimator, Gradient, InputError, Misfit, Panel, Readings, Scene, read_run
+from lampest import Array, AutoWeight, Data, Estimator, InputError, Misfit, Panel, Readings, Recording, Scene, read_run
 from lampest.cost.given import Background
 from lampest.cost.losses import Absolute, Huber, Student
-from lampest.cost.terms import CellResistance, GradientOfRelativeChange, LogRatio, RelativeChange, Term
+from lampest.cost.terms import CellResistance, Gradient, GradientOfRelativeChange, LogRatio, RelativeChange, Term
 from lampest.estimate.sequence import reconstruct
 from lampest.estimate.weights import with_chosen_weights
 from lampest.panel.readouts import TwoPointReadout
@@ -22,8 +22,8 @@ from lampest.panel.readouts.star_mesh import two_point_resistance
 from lampest.posterior.dense import DenseErrors, rank
 from lampest.posterior.linear import LinearModel
 from lampest.posterior.spectrum import Rule, Spectrum
-from lampest.recording.recording import Recording
 from lampest.solvers.multistart import best_solution
+from tests.estimates import recording_of, rms
 
 SHAPE = (8, 7)
 AUTO = "auto"
@@ -114,7 +114,7 @@ def test_information_is_fishers_on_log_weight() -> None:
 def error(estimator: Estimator, data: Data, cells: Array) -> float:
     found = best_solution(estimator.problem(Scene(Panel(*cells.shape)), 1, 1.0), data, None)
     assert found.solved
-    return float(np.sqrt(np.mean(np.log(found.cell_resistance[0] / cells) ** 2)))
+    return rms(np.log(found.cell_resistance[0] / cells))
 
 
 @pytest.mark.slow
@@ -161,9 +161,7 @@ def recording(noise: float | None, frames: int = 4) -> Recording:
     cells[2:, 3:5, 3:5] *= 0.3
     exact = two_point_resistance(cells)
     measured = exact * (1 + (noise or 0.002) * np.random.default_rng(1).standard_normal(exact.shape))
-    role = np.array([0] + [1] * (frames - 1), dtype=np.uint8)
-    sigma = None if noise is None else noise * exact
-    return Recording(Scene(Panel(*SHAPE)), measured, np.arange(frames) * 1.0, role, sigma=sigma)
+    return recording_of(Scene(Panel(*SHAPE)), measured, 1, sigma=None if noise is None else noise * exact)
 
 
 @pytest.mark.slow
@@ -207,11 +205,6 @@ def test_without_noise_weights_are_chosen_too() -> None:
     assert reconstruct(recording(None), huber).steps[0].weights[1] > 0
     two = replace(estimator, terms=(*estimator.terms, CellResistance(weight=AUTO)))
     assert all(step.solution.solved for step in reconstruct(recording(None), two).steps)
-
-
-def test_an_open_weight_needs_data() -> None:
-    with pytest.raises(ValueError, match="needs the term misfit"):
-        Estimator((Gradient(weight=AUTO),))
 
 
 def test_a_chosen_weight_that_keeps_readings_from_being_met_is_warned_of() -> None:
@@ -284,8 +277,7 @@ def going_over(folder: Path) -> lampest.Recording:
     cells = np.stack([2000 * np.exp(-2.5 * np.exp(-((x - here) ** 2 + (y - 24) ** 2) / 400)) for here in at])
     codes = COARSE.volt_from_recorded(COARSE.exact_reading(cells)) / COARSE.lsb_volt
     codes = np.round(codes + rng.standard_normal(codes.shape))
-    role, time = np.ones(len(at), dtype=np.uint8), np.arange(len(at), dtype=float)
-    recording = lampest.Recording(Scene(panel, COARSE), COARSE.recorded_from_volt(codes * COARSE.lsb_volt), time, role)
+    recording = recording_of(Scene(panel, COARSE), COARSE.recorded_from_volt(codes * COARSE.lsb_volt))
     recording.save(folder / "mine.h5")
     (folder / "run.yaml").write_text(RUN)
     return replace(recording, name="mine")

@@ -2,10 +2,8 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from types import SimpleNamespace
 
 import numpy as np
-import pytest
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
@@ -117,17 +115,3 @@ def minimise(
         max_nfev=500,
     )
     return np.asarray(found.x).reshape(shape)
-
-
-@pytest.fixture(scope="session")
-def paper() -> SimpleNamespace:
-    """The functions above."""
-    return SimpleNamespace(
-        forward=forward,
-        nabla=nabla,
-        misfits=misfits,
-        misfits_jacobian=misfits_jacobian,
-        pair_misfits=pair_misfits,
-        pair_jacobian=pair_jacobian,
-        minimise=minimise,
-    )
