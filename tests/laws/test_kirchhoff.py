@@ -144,14 +144,6 @@ def test_way_round_is_no_shorter(cells: Array) -> None:
     assert np.all(resistance[j, k] <= round_trip * (1 + 1e-12))
 
 
-@given(panels, st.integers(0, 2**32 - 1))
-@QUICK
-def test_larger_cells_make_no_resistance_smaller(cells: Array, seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    larger = cells * np.where(rng.random(cells.shape) < 0.3, rng.uniform(1, 100, cells.shape), 1.0)
-    assert np.all(two_point_resistance(larger) >= two_point_resistance(cells) * (1 - 1e-12))
-
-
 @given(panels, st.integers(-40, 40))
 @QUICK
 def test_scaling_by_powers_of_two_is_exact(cells: Array, power: int) -> None:
