@@ -12,15 +12,15 @@ def recording_of(scene: Scene, recorded: Array, unloaded: int = 0, **more: objec
     return Recording(scene, recorded, time, (time >= unloaded).astype(np.uint8), **more)
 
 
-def log_errors(found: Estimates) -> Array:
+def log_errors(estimate: Estimates) -> Array:
     """log r − log truth, (frames, rows, columns)."""
-    return np.asarray(np.log(found.cell_resistance / found.recording.truth_cell_resistance[found.frame]))
+    return np.asarray(np.log(estimate.cell_resistance / estimate.recording.truth_cell_resistance[estimate.frame]))
 
 
-def in_intervals(found: Estimates) -> NDArray[np.bool_]:
+def in_intervals(estimate: Estimates) -> NDArray[np.bool_]:
     """Which true cells lie within their 95 % intervals, (frames, rows, columns)."""
-    truth = found.recording.truth_cell_resistance[found.frame]
-    return (found.cell_resistance_lower <= truth) & (truth <= found.cell_resistance_upper)
+    truth = estimate.recording.truth_cell_resistance[estimate.frame]
+    return (estimate.cell_resistance_lower <= truth) & (truth <= estimate.cell_resistance_upper)
 
 
 def rms(values: object) -> float:
@@ -28,6 +28,6 @@ def rms(values: object) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
 
 
-def scores(found: Estimates) -> Array:
+def scores(estimate: Estimates) -> Array:
     """Errors of log r in their standard deviations, (frames, rows, columns)."""
-    return log_errors(found) / (found.cell_resistance_errors / found.cell_resistance)
+    return log_errors(estimate) / (estimate.cell_resistance_errors / estimate.cell_resistance)

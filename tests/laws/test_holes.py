@@ -44,26 +44,30 @@ TWO_POINT = Scene(Panel(*SHAPE), TwoPointReadout())
 def test_a_missing_reading_has_no_weight_beside_a_penalty(formulation: MethodName, penalty: Term) -> None:
     """The cost at the estimate is the one without that reading: whatever stood there changes nothing."""
     made = recording(TWO_POINT)
-    found = reconstruct(made, Estimator((Misfit(), penalty), formulation))
-    assert found.solved.all()
-    misfit = np.nansum((np.stack([step.solution.reading[-1] for step in found.steps]) - found.measured) ** 2, (1, 2))
-    first = 1 if found.joint_start else 0  # the first cost of a pair is that of both frames
-    assert_allclose([step.solution.costs[0] for step in found.steps][first:], misfit[first:], rtol=1e-9, atol=1e-12)
+    estimate = reconstruct(made, Estimator((Misfit(), penalty), formulation))
+    assert estimate.solved.all()
+    misfit = np.nansum(
+        (np.stack([step.solution.reading[-1] for step in estimate.steps]) - estimate.measured) ** 2, (1, 2)
+    )
+    first = 1 if estimate.joint_start else 0  # the first cost of a pair is that of both frames
+    assert_allclose([step.solution.costs[0] for step in estimate.steps][first:], misfit[first:], rtol=1e-9, atol=1e-12)
 
 
 def test_the_optimum_beside_a_penalty_is_that_of_the_readings_that_are_there() -> None:
     """Against scipy's least squares over those readings alone, with a network of its own."""
     made, weight = recording(TWO_POINT), 1e-4
-    found = reconstruct(made, Estimator((Misfit(), CellResistance(weight=weight)), "reduced"))
-    measured = found.measured[0].ravel()
+    estimate = reconstruct(made, Estimator((Misfit(), CellResistance(weight=weight)), "reduced"))
+    measured = estimate.measured[0].ravel()
     seen = np.isfinite(measured)
 
     def residual(log_cells: np.ndarray) -> np.ndarray:
         model = two_point_resistances(np.exp(log_cells).reshape(SHAPE)).ravel()
         return np.concatenate([(model - measured)[seen], np.sqrt(weight) * np.exp(log_cells)])
 
-    best = least_squares(residual, np.log(found.cell_resistance[0].ravel()) + 0.1, xtol=1e-15, ftol=1e-15, gtol=1e-12)
-    assert_allclose(found.cell_resistance[0].ravel(), np.exp(best.x), rtol=1e-5)
+    best = least_squares(
+        residual, np.log(estimate.cell_resistance[0].ravel()) + 0.1, xtol=1e-15, ftol=1e-15, gtol=1e-12
+    )
+    assert_allclose(estimate.cell_resistance[0].ravel(), np.exp(best.x), rtol=1e-5)
 
 
 @pytest.mark.parametrize(
@@ -84,13 +88,13 @@ def test_single_holes_leave_every_frame_an_estimate(readout: object, formulation
     scene = Scene(Panel(*SHAPE), readout)
     try:
         terms = ROBUST if formulation == "smoother" else (Misfit(),)
-        found = reconstruct(recording(scene), Estimator(terms, formulation))
+        estimate = reconstruct(recording(scene), Estimator(terms, formulation))
     except InputError as error:
         assert "knows readout.kind: two_point only" in str(error)
         return
-    assert found.solved.all() and np.isfinite(found.cell_resistance).all()
-    assert_array_equal(found.missing_readings, [2, 2])
-    assert_array_equal(np.isnan(found.measured[0]), np.isnan(found.recording.recorded[2]))
+    assert estimate.solved.all() and np.isfinite(estimate.cell_resistance).all()
+    assert_array_equal(estimate.missing_readings, [2, 2])
+    assert_array_equal(np.isnan(estimate.measured[0]), np.isnan(estimate.recording.recorded[2]))
 
 
 @pytest.mark.slow
@@ -99,12 +103,12 @@ def test_plain_least_squares_says_how_little_it_knows_of_a_cell_that_nobody_read
     other, held, width = [], [], []
     for seed in range(20):
         made = recording(TWO_POINT, seed=seed)
-        found = reconstruct(made, Estimator((Misfit(),), "reduced"))
+        estimate = reconstruct(made, Estimator((Misfit(),), "reduced"))
         whole = reconstruct(recording(TWO_POINT, [], seed), Estimator((Misfit(),), "reduced"))
-        blind = np.isnan(found.measured)
-        held.append(in_intervals(found)[blind])
-        width.append((found.cell_resistance_upper / found.cell_resistance_lower)[blind])
-        other.append(np.median(np.abs(np.expm1(log_errors(found)))[~blind]))
+        blind = np.isnan(estimate.measured)
+        held.append(in_intervals(estimate)[blind])
+        width.append((estimate.cell_resistance_upper / estimate.cell_resistance_lower)[blind])
+        other.append(np.median(np.abs(np.expm1(log_errors(estimate)))[~blind]))
         assert np.median(np.abs(np.expm1(log_errors(whole)))) < 0.05
     assert np.mean(held) > 0.85 and np.median(width) > 1.5 and np.median(other) < 0.05
 
@@ -114,9 +118,9 @@ def test_one_false_infinity_costs_its_cell_and_not_its_frame() -> None:
     made = recording(TWO_POINT, [])
     spoilt = made.recorded.copy()
     spoilt[2:, 1, 2] = np.inf
-    found = reconstruct(replace(made, recorded=spoilt), Estimator((Misfit(),), "reduced"))
-    assert found.solved.all()
-    error = np.abs(np.expm1(log_errors(found)))
+    estimate = reconstruct(replace(made, recorded=spoilt), Estimator((Misfit(),), "reduced"))
+    assert estimate.solved.all()
+    error = np.abs(np.expm1(log_errors(estimate)))
     error[:, 1, 2] = 0.0
     assert np.median(error) < 0.1 and error.max() < 1.0
 

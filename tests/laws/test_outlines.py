@@ -43,10 +43,10 @@ def test_exact_readings_give_the_cells_back(outline: str, formulation: str) -> N
     """There are as many readings as cells, and nothing else is sought."""
     panel, cells = drawn(outline, 1)
     readings = np.where(panel.present, exact_two_point_resistance(cells), np.nan)
-    found = solved(panel, readings[None], lampest.Misfit(), formulation=formulation)
-    assert found.status[0] == "optimum verified"
-    np.testing.assert_allclose(found.cell_resistance[0][panel.present], cells[panel.present], rtol=1e-6)
-    assert np.all(np.isnan(found.cell_resistance[0][~panel.present]))
+    estimate = solved(panel, readings[None], lampest.Misfit(), formulation=formulation)
+    assert estimate.status[0] == "optimum verified"
+    np.testing.assert_allclose(estimate.cell_resistance[0][panel.present], cells[panel.present], rtol=1e-6)
+    assert np.all(np.isnan(estimate.cell_resistance[0][~panel.present]))
 
 
 @pytest.mark.parametrize("outline", OUTLINES)
@@ -90,9 +90,9 @@ def test_a_cell_that_was_not_read_follows_its_neighbours(outline: str) -> None:
     readings = np.where(panel.present, exact_two_point_resistance(np.where(panel.present, 500.0, np.inf)), np.nan)
     row, column = np.argwhere(panel.present)[3]
     readings[row, column] = np.nan
-    found = solved(panel, readings[None], lampest.Misfit(), lampest.LogGradient(weight=1.0))
-    assert found.status[0] == "optimum verified"
-    np.testing.assert_allclose(found.cell_resistance[0][panel.present], 500.0, rtol=1e-4)
+    estimate = solved(panel, readings[None], lampest.Misfit(), lampest.LogGradient(weight=1.0))
+    assert estimate.status[0] == "optimum verified"
+    np.testing.assert_allclose(estimate.cell_resistance[0][panel.present], 500.0, rtol=1e-4)
 
 
 def test_a_reading_at_a_crossing_without_a_cell_is_used() -> None:
@@ -101,8 +101,8 @@ def test_a_reading_at_a_crossing_without_a_cell_is_used() -> None:
     readings = exact_two_point_resistance(cells)
     row, column = np.argwhere(panel.present)[0]
     readings[row, column] = np.nan
-    found = solved(panel, np.where(np.isfinite(readings), readings, np.nan)[None], lampest.Misfit())
-    np.testing.assert_allclose(found.cell_resistance[0][panel.present], cells[panel.present], rtol=0.2)
+    estimate = solved(panel, np.where(np.isfinite(readings), readings, np.nan)[None], lampest.Misfit())
+    np.testing.assert_allclose(estimate.cell_resistance[0][panel.present], cells[panel.present], rtol=0.2)
 
 
 def test_codes_at_or_below_the_floor_bound_their_reading() -> None:
@@ -129,9 +129,9 @@ def test_the_weight_suits_readings_that_are_off_by_more_than_their_noise() -> No
     misfit = lampest.Misfit(weighting="noise")
 
     def error(weight: float | str) -> float:
-        found = lampest.reconstruct(recording, terms=(misfit, lampest.LogGradient(weight=weight)))
-        assert found.status[0] == "optimum verified"
-        return float(np.sqrt(np.mean(np.log(found.cell_resistance[0] / cells)[panel.present] ** 2)))
+        estimate = lampest.reconstruct(recording, terms=(misfit, lampest.LogGradient(weight=weight)))
+        assert estimate.status[0] == "optimum verified"
+        return float(np.sqrt(np.mean(np.log(estimate.cell_resistance[0] / cells)[panel.present] ** 2)))
 
     assert error("auto") < 0.6 * error(1.0)
 
@@ -160,11 +160,11 @@ def test_results_and_pictures_of_an_outline(outline: str, tmp_path: Path) -> Non
     """They are written, read and drawn; an absent crossing has no number."""
     panel, cells = drawn(outline, 7)
     readings = np.where(panel.present, exact_two_point_resistance(cells), np.nan)
-    found = solved(panel, np.stack([readings, 1.01 * readings]), lampest.Misfit(), lampest.LogGradient(weight=1.0))
-    result = found.result()
+    estimate = solved(panel, np.stack([readings, 1.01 * readings]), lampest.Misfit(), lampest.LogGradient(weight=1.0))
+    result = estimate.result()
     assert np.array_equal(np.isfinite(result.cell_resistance[0]), panel.present)
     for kind in ("contours", "resistance"):
-        found.plot(kind).savefig(tmp_path / f"{kind}.png")
+        estimate.plot(kind).savefig(tmp_path / f"{kind}.png")
 
 
 @pytest.mark.slow
@@ -180,15 +180,17 @@ def test_a_load_is_simulated_recognised_and_weighed_at_its_place(tmp_path: Path)
     x, y = panel.places_mm
     under = recording.truth_pressure[-1] > 0
     assert under.any() and np.all(np.hypot(x - 20, y - 46)[under] < 8 + 6)
-    found = lampest.reconstruct(recording, terms=[lampest.Misfit(weighting="noise"), lampest.LogGradient(weight=1e-3)])
+    estimate = lampest.reconstruct(
+        recording, terms=[lampest.Misfit(weighting="noise"), lampest.LogGradient(weight=1e-3)]
+    )
     truth = recording.truth_cell_resistance[recording.role == 1]
-    np.testing.assert_allclose(found.cell_resistance[:, panel.present], truth[:, panel.present], rtol=0.02)
-    pressed = pressed_of(found.result())
+    np.testing.assert_allclose(estimate.cell_resistance[:, panel.present], truth[:, panel.present], rtol=0.02)
+    pressed = pressed_of(estimate.result())
     assert pressed is not None and np.hypot(pressed.values[-1, 0] - 20, pressed.values[-1, 1] - 46) < 3
     recording.save(tmp_path / "hand.h5")
     answer = detect_recording(tmp_path / "hand.h5")
     assert answer.attachments and np.hypot(answer.attachments[0].x_mm[0] - 20, answer.attachments[0].y_mm[0] - 46) < 6
-    assert found.result().to_xarray()["x"].dims == ("row", "column")
+    assert estimate.result().to_xarray()["x"].dims == ("row", "column")
 
 
 @pytest.mark.parametrize("outline", ["hand", "foot"])

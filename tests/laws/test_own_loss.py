@@ -79,8 +79,8 @@ def estimated(terms: tuple[Term, ...], formulation: str = "reduced", **scene: fl
     return found
 
 
-def deviation(found: Reconstruction) -> Array:
-    bars = found.steps[0].bars
+def deviation(estimate: Reconstruction) -> Array:
+    bars = estimate.steps[0].bars
     return bars.frame.deviation
 
 

@@ -81,11 +81,6 @@ def size(values: Array) -> float:
     return float(np.abs(values).max())
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_some_configuration_of_every_kind_fits(kind: type) -> None:
-    assert any(fits((Panel(*panel), readout)) for readout in examples(kind) for panel in PANELS)
-
-
 @every_scene
 def test_the_adjoint_is_the_transpose(scene: Scene) -> None:
     """⟨w, J·p⟩ = ⟨Jᵀ·w, p⟩."""

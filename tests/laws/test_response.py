@@ -110,8 +110,8 @@ def test_pressures_go_through_the_scenes_own_curve_and_gains(response: Response)
         scene = Scene(Panel(2, 3), water=water, film=film, response=own)
         depth = water_pressure(scene.panel, water)
         change = np.array(gain) * (own.logarithm(depth + pressure) - own.logarithm(depth))
-        found = pressure_of(np.exp(change), np.exp(change), np.exp(change), scene)
-        np.testing.assert_allclose(found.pressure, pressure, rtol=1e-6)
+        pressed = pressure_of(np.exp(change), np.exp(change), np.exp(change), scene)
+        np.testing.assert_allclose(pressed.pressure, pressure, rtol=1e-6)
 
 
 def test_a_table_goes_through_its_points_and_its_uncertainty_into_pressures() -> None:

@@ -357,13 +357,13 @@ def test_estimates_of_unit_free_methods_scale_with_the_data(kind: str) -> None:
     """LSR-CR, LSR-∇CR and whatever penalises ohms: in kiloohm the answer is the same in kiloohm."""
     data, _ = example(2)
     estimator = Estimator((Misfit(), term_types()[kind](weight=1e-3, loss=Squared())), bounds=Bounds(upper="none"))
-    found = [
+    estimate = [
         reconstruct(
             Recording(Scene(PANEL), data.measured * scale, np.arange(2.0), np.ones(2, np.uint8)), estimator
         ).cell_resistance
         for scale in (1.0, 2.0**-10)
     ]
-    assert_allclose(found[1] * 2.0**10, found[0], rtol=1e-9)
+    assert_allclose(estimate[1] * 2.0**10, estimate[0], rtol=1e-9)
 
 
 def values(loss: Loss, x: Array) -> Array:

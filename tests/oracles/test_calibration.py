@@ -25,7 +25,7 @@ from lampest.panel.readouts.star_mesh import two_point_resistance
 from lampest.panel.response import PUBLISHED, Film, PowerResponse
 from lampest.recording.simulation.measure import random_stream
 from tests.estimates import recording_of, rms
-from tests.netlist import Resistor, potentials
+from tests.netlist import Resistor, potentials, resistors
 
 SUPPLY, REFERENCE, SENSE = 5.0, 1000.0, 70.0
 KINDS = ("two_point", "loaded_columns", "grounded", "virtual_ground")
@@ -85,12 +85,16 @@ def recording(scene: Scene, board: Board, cells: Array, rng: np.random.Generator
     sets = np.reshape(cells, (-1, *scene.panel.shape))
     volt = np.array([[board.volt(ohm, j, k) for j, k in np.ndindex(ohm.shape)] for ohm in sets]).reshape(sets.shape)
     volt = np.broadcast_to(volt, (frames if len(sets) == 1 else len(sets), *scene.panel.shape))
-    readout = scene.readout
-    noise = np.reshape(np.broadcast_to(np.array(readout.noise_lsb), (len(board.rows),)), (-1, 1))
+    return converted(scene, volt, rng)
+
+
+def converted(scene: Scene, volt: Array, rng: np.random.Generator) -> Recording:
+    """Averaged codes of a noisy converter, from volts (frames, rows, columns)."""
+    readout = scene.circuit
+    noise = np.reshape(np.broadcast_to(np.array(readout.noise_lsb), volt.shape[1:2]), (-1, 1))
     draws = volt / readout.lsb_volt + noise * rng.standard_normal((readout.readings, *volt.shape))
     codes = np.clip(np.floor(draws), 0, 2**readout.adc_bits - 1).astype(int)
-    recorded = readout.recorded_from_sums(codes.sum(axis=0), readout.readings)
-    return recording_of(scene, recorded, name="r")
+    return recording_of(scene, readout.recorded_from_sums(codes.sum(axis=0), readout.readings), name="r")
 
 
 def some_board(kind: str, shape: tuple[int, int], rng: np.random.Generator) -> Board:
@@ -124,16 +128,16 @@ def test_resistors_of_several_values_tell_every_number_of_every_line(kind: str) 
     board, scene = some_board(kind, shape, rng), told(kind, shape)
     printed, _ = some_resistors(shape, rng)
     true = printed * rng.uniform(0.999, 1.001, shape)
-    found = calibrate_resistors([recording(scene, board, true, rng)], [printed], tolerance=1e-3)
-    assert max(map(abs, pulls(found, board))) < 4
-    lines = [line for one in found.numbers for line in one.lines]
+    calibration = calibrate_resistors([recording(scene, board, true, rng)], [printed], tolerance=1e-3)
+    assert max(map(abs, pulls(calibration, board))) < 4
+    lines = [line for one in calibration.numbers for line in one.lines]
     for line, true_ohm in zip(lines, (board.rows, board.columns), strict=True):
         off = (line.off_ohm - (true_ohm - true_ohm.mean())) / line.sigma_ohm
         assert np.abs(off).max() < 4 and line.sigma_ohm.max() < 0.02 * true_ohm.mean() + 2
-    read = validated(parse_document(found.text(), "scene.yaml"), Scene)
-    assert read == found.scene
+    read = validated(parse_document(calibration.text(), "scene.yaml"), Scene)
+    assert read == calibration.scene
     mean = {"two_point": lambda: read.series_ohm.mean()}.get(kind, lambda: np.mean(read.readout.drive_ohm))()
-    assert mean == pytest.approx(found.numbers[0].value, abs=0.01)
+    assert mean == pytest.approx(calibration.numbers[0].value, abs=0.01)
 
 
 @pytest.mark.slow
@@ -161,12 +165,12 @@ def test_three_resistors_on_a_breadboard_tell_load_and_drive() -> None:
     printed, true = np.full((8, 8), np.inf), np.full((8, 8), OPEN)
     printed[0, :3] = [1000, 3300, 10_000]
     true[0, :3] = printed[0, :3] * rng.uniform(0.99, 1.01, 3)
-    found = calibrate_resistors([recording(told("loaded_columns", (8, 8)), board, true, rng)], [printed])
-    drive, load = found.numbers
+    calibration = calibrate_resistors([recording(told("loaded_columns", (8, 8)), board, true, rng)], [printed])
+    drive, load = calibration.numbers
     assert abs(drive.value - board.rows[0]) < 3 * drive.sigma < 90
     assert abs(load.value - board.columns[:3].mean()) < 3 * load.sigma < 1000
     assert np.isnan(drive.lines[0].off_ohm[1:]).all() and np.isnan(load.lines[0].off_ohm[3:]).all()
-    assert found.readings == 3
+    assert calibration.readings == 3
 
 
 def test_the_same_resistors_moved_from_line_to_line_tell_each_line() -> None:
@@ -194,8 +198,8 @@ def test_noise_of_every_driven_line_is_found() -> None:
     printed, true = some_resistors(shape, rng)
     noisy = (0.7, 7.0, 0.7, 0.7, 7.0, 0.7)
     made = recording(told("loaded_columns", shape, noise_lsb=noisy, readings=4), board, true, rng, frames=40)
-    found = calibrate_resistors([replace(made, scene=told("loaded_columns", shape, readings=4))], [printed])
-    readout = found.scene.readout
+    calibration = calibrate_resistors([replace(made, scene=told("loaded_columns", shape, readings=4))], [printed])
+    readout = calibration.scene.readout
     np.testing.assert_allclose(readout.noise_lsb, noisy, rtol=0.25)
     quiet = calibrate_resistors([recording(told("loaded_columns", shape), board, true, rng, frames=40)], [printed])
     assert quiet.scene.circuit.noise_lsb == pytest.approx(0.7, abs=0.05)
@@ -303,13 +307,13 @@ def test_three_resistors_tell_a_diode_too() -> None:
         recorded = np.zeros((10, 2, 2))
         recorded[:, 0, 0] = readout.recorded_from_sums(np.floor(noisy).astype(int).sum(axis=1), readout.readings)
         recordings.append(recording_of(scene, recorded, name="r"))
-    found = calibrate_resistors(recordings, known, tolerance=1e-4)
-    for one, true in zip(found.numbers, (drive, load, drop), strict=True):
+    calibration = calibrate_resistors(recordings, known, tolerance=1e-4)
+    for one, true in zip(calibration.numbers, (drive, load, drop), strict=True):
         assert abs(one.value - true) < 4 * one.sigma
-    assert found.numbers[2].sigma < 0.15
-    written = found.scene.readout
+    assert calibration.numbers[2].sigma < 0.15
+    written = calibration.scene.readout
     assert isinstance(written, LoadedColumnsReadout)
-    assert written.diode.drop_volt == pytest.approx(found.numbers[2].value, abs=1e-3)
+    assert written.diode.drop_volt == pytest.approx(calibration.numbers[2].value, abs=1e-3)
 
 
 def test_an_open_column_tells_what_the_converter_remembers() -> None:
@@ -323,14 +327,12 @@ def test_an_open_column_tells_what_the_converter_remembers() -> None:
     for number in range(60):
         held[number % 20] = (1 - memory) * clean[number % 20] + memory * held[(number - 1) % 20]
     scene = replace(told("loaded_columns", (4, 5), readings=4), converter_memory=0.0)
-    readout = scene.circuit
-    draws = held.reshape(4, 5) / readout.lsb_volt + 0.7 * rng.standard_normal((4, 12, 4, 5))
-    recorded = readout.recorded_from_sums(np.floor(draws).clip(0, 1023).astype(int).sum(axis=0), 4)
-    found = calibrate_resistors([recording_of(scene, recorded)], [printed])
-    assert max(map(abs, pulls(replace(found, numbers=found.numbers[:2]), board))) < 4
-    remembered = found.numbers[2]
+    made = converted(scene, np.broadcast_to(held.reshape(4, 5), (12, 4, 5)), rng)
+    calibration = calibrate_resistors([made], [printed])
+    assert max(map(abs, pulls(replace(calibration, numbers=calibration.numbers[:2]), board))) < 4
+    remembered = calibration.numbers[2]
     assert remembered.value == pytest.approx(memory, abs=4 * remembered.sigma) and remembered.sigma < 1e-3
-    assert found.scene.converter_memory == pytest.approx(remembered.value, abs=1e-5)
+    assert calibration.scene.converter_memory == pytest.approx(remembered.value, abs=1e-5)
 
 
 @pytest.mark.parametrize("kind", ["two_point", "loaded_columns"])
@@ -340,25 +342,15 @@ def test_resistors_along_loaded_lines_tell_their_wire(kind: str) -> None:
     rows, columns = shape
     true = np.full(shape, 470.0) if kind == "two_point" else rng.choice([470.0, 1000.0, 2200.0], shape)
     volt = np.zeros(shape)
-    second = 70.0 if kind == "two_point" else 10_000.0
+    wired = list(resistors(true, Scene(Panel(*shape), lines=Lines(along_row, along_column))))
+    ends: list[Resistor] = [(rows + place, "ground", 10_000.0) for place in range(columns)]
     for row, column in np.ndindex(shape):
-        net: list[Resistor] = []
-        for j, k in np.ndindex(shape):
-            net.append((("row", j, k - 1), ("row", j, k), along_row))
-            net.append((("column", j, k), ("column", j + 1, k), along_column))
-            net.append((("row", j, k), ("column", j, k), float(true[j, k])))
-        net.append(("supply", ("row", row, -1), 70.0))
-        if kind == "two_point":
-            net += [(("column", rows, column), "sense", second), ("sense", "ground", REFERENCE)]
-        else:
-            net += [(("column", rows, k), "ground", second) for k in range(columns)]
-        found = potentials(net, {"supply": SUPPLY, "ground": 0.0})
-        volt[row, column] = found["sense" if kind == "two_point" else ("column", rows, column)]
+        sensed = "sense" if kind == "two_point" else rows + column
+        divider = [(rows + column, "sense", 70.0), ("sense", "ground", REFERENCE)]
+        network = [*wired, ("supply", row, 70.0), *(divider if kind == "two_point" else ends)]
+        volt[row, column] = potentials(network, {"supply": SUPPLY, "ground": 0.0})[sensed]
     scene = replace(told(kind, shape, adc_bits=16), lines=Lines())
-    readout = scene.circuit
-    draws = volt / readout.lsb_volt + 0.7 * rng.standard_normal((20, 10, *shape))
-    recorded = readout.recorded_from_sums(np.floor(draws).astype(int).sum(axis=0), 20)
-    made = recording_of(scene, recorded)
+    made = converted(scene, np.broadcast_to(volt, (10, *shape)), rng)
     if kind == "two_point":
         # What a row's wire adds from column to column, channels of columns that differ add as well.
         with pytest.raises(InputError, match=r"do not tell lines\.row_ohm_per_cell"):
@@ -413,15 +405,15 @@ def chi_square(found: ChannelCalibration, channels: Array, reference: float) -> 
 @pytest.mark.slow
 def test_channels_come_back_within_their_deviations_and_cells_are_nearer() -> None:
     channels = SPREAD * np.random.default_rng(7).standard_normal(2 * SIDE)
-    found = calibrate_channels([channel_recording(seed, channels, 0.005) for seed in (1, 2)])
-    after, before = found.apart, found.apart_before
-    assert before == pytest.approx(SPREAD) and after < 0.6 * SPREAD and not found.warnings
-    assert chi_square(found, channels, 0.005) < 1.5
-    centred = found.errors[1:] - channels
+    calibration = calibrate_channels([channel_recording(seed, channels, 0.005) for seed in (1, 2)])
+    after, before = calibration.apart, calibration.apart_before
+    assert before == pytest.approx(SPREAD) and after < 0.6 * SPREAD and not calibration.warnings
+    assert chi_square(calibration, channels, 0.005) < 1.5
+    centred = calibration.errors[1:] - channels
     centred -= np.repeat([centred[:SIDE].mean(), centred[SIDE:].mean()], SIDE)
     assert rms(centred) < 0.5 * np.std(channels)
-    read = validated(parse_document(found.text(), "scene.yaml"), Scene)
-    assert read == found.scene and read.specified_systematic != TOLD
+    read = validated(parse_document(calibration.text(), "scene.yaml"), Scene)
+    assert read == calibration.scene and read.specified_systematic != TOLD
     fresh, errors = channel_recording(3, channels, 0.005), []
     for scene in (fresh.scene, read):
         cells = reconstruct(replace(fresh, scene=scene), Estimator((Misfit(),), "reduced")).cell_resistance
@@ -432,9 +424,9 @@ def test_channels_come_back_within_their_deviations_and_cells_are_nearer() -> No
 def test_without_loads_it_is_said_that_nothing_is_known() -> None:
     made = channel_recording(1, np.zeros(2 * SIDE), loads=0)
     other = replace(made, scene=replace(made.scene, subject=MeasuredSubject(id="another")))
-    found = calibrate_channels([made, other])
-    assert found.warnings[0].startswith("these loads determine hardly any channel")
-    assert found.apart > 0.9 * SPREAD and found.frames == 10
+    calibration = calibrate_channels([made, other])
+    assert calibration.warnings[0].startswith("these loads determine hardly any channel")
+    assert calibration.apart > 0.9 * SPREAD and calibration.frames == 10
 
 
 @pytest.mark.slow
@@ -444,8 +436,8 @@ def test_drives_of_loaded_columns_are_written_into_the_readout() -> None:
     cells, drives = loaded_cells(rng), SPREAD * rng.standard_normal(SIDE)
     recorded = readout.simulated(cells, scene, drives, np.zeros(SIDE))
     recorded = recorded + scene.circuit.sigma(recorded) * rng.standard_normal(cells.shape)
-    found = calibrate_channels([recording_of(scene, recorded, 2)])
-    after = found.scene.readout
+    calibration = calibrate_channels([recording_of(scene, recorded, 2)])
+    after = calibration.scene.readout
     assert isinstance(after, LoadedColumnsReadout)
     assert np.std(np.subtract(after.drive_ohm, 100.0) - drives) < np.std(drives)
 
@@ -499,8 +491,10 @@ def force_errors(bench: Bench, scene: Scene, count: int) -> Array:
 def test_one_load_moved_over_the_panel_makes_forces_right() -> None:
     """The film has the published form; 64 places of one rod tell what each cell makes of it, and 5 kPa is all."""
     bench = Bench(1, spread=0.25, repeat=0.02)
-    found = calibrated(bench, [5.0], 10.0)
-    naive, ours = (force_errors(bench, scene, 8) for scene in (replace(bench.scene, response=PUBLISHED), found.scene))
+    calibration = calibrated(bench, [5.0], 10.0)
+    naive, ours = (
+        force_errors(bench, scene, 8) for scene in (replace(bench.scene, response=PUBLISHED), calibration.scene)
+    )
     assert np.mean(ours) < 0.10
     assert np.mean(ours) < (1 - 0.269) * np.mean(naive)
 
@@ -508,16 +502,18 @@ def test_one_load_moved_over_the_panel_makes_forces_right() -> None:
 @pytest.mark.slow
 def test_several_pressures_tell_another_film() -> None:
     bench = Bench(2, response=OTHER, repeat=0.02)
-    found = calibrated(bench, [1.0, 3.0, 9.0, 20.0], 17.5)
-    response = found.scene.response
+    calibration = calibrated(bench, [1.0, 3.0, 9.0, 20.0], 17.5)
+    response = calibration.scene.response
     gains = true_gains(bench)
     shift = np.exp(np.log(gains).mean())  # what all gains share belongs to the curve
     for kpa in (1.0, 3.0, 9.0, 20.0):
         assert response.logarithm(kpa) == pytest.approx(shift * OTHER.logarithm(kpa), rel=0.08)
     off = np.log(response.gains * shift / gains) / np.array(response.gain_sd)
     assert np.mean(np.abs(off) < 1.96) > 0.85
-    assert found.fitted.spread == pytest.approx(0.2, abs=0.06)
-    naive, ours = (force_errors(bench, scene, 8) for scene in (replace(bench.scene, response=PUBLISHED), found.scene))
+    assert calibration.fitted.spread == pytest.approx(0.2, abs=0.06)
+    naive, ours = (
+        force_errors(bench, scene, 8) for scene in (replace(bench.scene, response=PUBLISHED), calibration.scene)
+    )
     assert np.mean(ours) < 0.10 < 0.4 < np.mean(naive)
 
 
@@ -530,11 +526,11 @@ def test_bars_of_gains_and_curve_hold_the_truth() -> None:
         scatter = np.exp(0.05 * rng.standard_normal(pressure.shape))
         change = own * scatter * OTHER.logarithm(pressure)
         change += 0.01 * rng.standard_normal(pressure.shape)
-        found = fit_loads(Loaded(change, np.full(pressure.shape, 0.01), pressure, 0 * pressure, np.zeros(60)))
-        gain, sd = found.gain()
+        fit = fit_loads(Loaded(change, np.full(pressure.shape, 0.01), pressure, 0 * pressure, np.zeros(60)))
+        gain, sd = fit.gain()
         shift = np.log(own).mean()
         gains.append(np.abs(np.log(gain / own) + shift) < 1.96 * sd)
-        curve, curve_sd = found.curve(pressure[:, 0])
+        curve, curve_sd = fit.curve(pressure[:, 0])
         truth = np.exp(shift) * OTHER.logarithm(pressure[:, 0])
         curves.append(np.abs(np.log(curve / truth)) < 1.96 * curve_sd)
     assert np.mean(gains) > 0.9
@@ -551,8 +547,8 @@ def test_one_pressure_leaves_larger_pressures_of_another_film_open() -> None:
         fitted = fit_loads(Loaded(change, np.full(pressure.shape, 0.01), pressure, 0 * pressure, np.zeros(16)))
         response = replace(response_of(fitted, PUBLISHED, (4, 4), 0.0), gain=None, gain_sd=((fitted.scatter,) * 5,))
         ratio = np.exp(film.logarithm(kpa))[None, None]
-        found = pressure_of(ratio, 0.999 * ratio, 1.001 * ratio, Scene(Panel(1, 5), response=response))
-        inside.append((found.lower <= kpa) & (kpa <= found.upper))
+        pressed = pressure_of(ratio, 0.999 * ratio, 1.001 * ratio, Scene(Panel(1, 5), response=response))
+        inside.append((pressed.lower <= kpa) & (kpa <= pressed.upper))
     assert np.mean(inside) >= 0.9
 
 
@@ -587,13 +583,13 @@ def test_cells_without_load_have_the_common_curve_and_the_spread() -> None:
     left = [number for number, load in enumerate(known) if load.x_mm is not None and load.x_mm < 15]
     some = [replace(known[number], frames=bench.frames_of(at)) for at, number in enumerate(left)]
     recording = bench.recorded([groups[number] for number in left], "left")
-    found = calibrate_loads([recording], KnownLoads(schema=1, loads=tuple(some)), 0.01)
-    response = found.scene.response
-    untouched = ~found.fitted.touched.reshape(6, 6)
+    calibration = calibrate_loads([recording], KnownLoads(schema=1, loads=tuple(some)), 0.01)
+    response = calibration.scene.response
+    untouched = ~calibration.fitted.touched.reshape(6, 6)
     assert untouched[:, -1].all() and not untouched[:, 0].any()
     np.testing.assert_allclose(response.gains[untouched], response.gains[untouched][0], rtol=1e-3)
     sd = np.array(response.gain_sd)
-    assert sd[untouched].min() > 2 * np.median(sd[:, 0]) and sd[untouched].min() >= 0.99 * found.fitted.spread
+    assert sd[untouched].min() > 2 * np.median(sd[:, 0]) and sd[untouched].min() >= 0.99 * calibration.fitted.spread
 
 
 def test_pressures_over_the_whole_panel_suction_too() -> None:
@@ -604,10 +600,10 @@ def test_pressures_over_the_whole_panel_suction_too() -> None:
     gains = true_gains(bench).ravel()
     change = gains * PUBLISHED.logarithm(np.array(kpa)[:, None])
     pressure = np.stack([load.pressure(bench.panel, 6.0).ravel() for load in loads])
-    found = fit_loads(Loaded(change, np.full(change.shape, 0.003), pressure, 0 * pressure, np.zeros(16)))
+    fit = fit_loads(Loaded(change, np.full(change.shape, 0.003), pressure, 0 * pressure, np.zeros(16)))
     shift = np.exp(np.log(gains).mean())
-    np.testing.assert_allclose(found.gain()[0], gains / shift, rtol=0.01)
-    np.testing.assert_allclose(found.curve(np.array(kpa))[0], shift * PUBLISHED.logarithm(kpa), rtol=0.01)
+    np.testing.assert_allclose(fit.gain()[0], gains / shift, rtol=0.01)
+    np.testing.assert_allclose(fit.curve(np.array(kpa))[0], shift * PUBLISHED.logarithm(kpa), rtol=0.01)
 
 
 @pytest.mark.slow

@@ -66,10 +66,10 @@ def test_covariance_is_that_of_laplace(weight: float) -> None:
     measured = two_point_resistance(cells)
     sigma = 0.003 * measured
     terms = (Misfit(weighting="noise"), CellResistance(weight=weight))
-    found = solved(terms, measured, sigma)
-    jacobian = sensitivity(found.cell_resistance[0]) / sigma.reshape(-1, 1)
-    precision = jacobian.T @ jacobian + weight * np.diag(found.cell_resistance.ravel() ** 2)
-    errors = DenseErrors(model_of(found))
+    estimate = solved(terms, measured, sigma)
+    jacobian = sensitivity(estimate.cell_resistance[0]) / sigma.reshape(-1, 1)
+    precision = jacobian.T @ jacobian + weight * np.diag(estimate.cell_resistance.ravel() ** 2)
+    errors = DenseErrors(model_of(estimate))
     assert len(errors.model.free) == cells.size
     assert_allclose(errors.covariance, np.linalg.inv(precision), rtol=2e-3, atol=1e-7)
     assert_allclose(errors.variance, np.diag(errors.covariance))
@@ -84,11 +84,11 @@ def drawn(terms: tuple[Term, ...], noise: float, draws: int) -> Iterator[tuple[A
     exact = two_point_resistance(cells)
     for _ in range(draws):
         measured = exact * (1 + noise * rng.standard_normal(exact.shape))
-        found = solved(terms, measured, noise * exact, cells)
-        model = model_of(found)
+        estimate = solved(terms, measured, noise * exact, cells)
+        model = model_of(estimate)
         free = np.zeros(cells.size, dtype=bool)
         free[model.free] = True
-        error = np.log(found.cell_resistance[0] / cells)
+        error = np.log(estimate.cell_resistance[0] / cells)
         yield error, DenseErrors(model).certainty, free.reshape(cells.shape)
 
 
@@ -124,8 +124,8 @@ def test_a_penalty_that_does_not_suit_leaves_wider_bars() -> None:
 def test_samples_agree_with_matrices(terms: tuple[Term, ...]) -> None:
     cells, rng = panel_cells(), np.random.default_rng(3)
     exact = two_point_resistance(cells)
-    found = solved(terms, exact * (1 + 0.003 * rng.standard_normal(exact.shape)), 0.003 * exact)
-    matrices, samples = DenseErrors(model_of(found)), SampledErrors(model_of(found))
+    estimate = solved(terms, exact * (1 + 0.003 * rng.standard_normal(exact.shape)), 0.003 * exact)
+    matrices, samples = DenseErrors(model_of(estimate)), SampledErrors(model_of(estimate))
     ratio = np.sqrt(samples.variance / matrices.variance)
     assert_allclose(np.median(ratio), 1, atol=0.08)
     assert np.all(np.abs(ratio - 1) < 0.35)
@@ -174,8 +174,8 @@ def test_errors_that_readings_share_are_in_the_bars() -> None:
         resistance = (exact + series) * off * (1 + 2e-4 * rng.standard_normal(exact.shape))
         recording = recorded(scene, cells, resistance, 2e-4)
         estimator = Estimator((Misfit(),), formulation="reduced")
-        found = reconstruct(recording, estimator)
-        with_them += changes_within(found, cells)
+        estimate = reconstruct(recording, estimator)
+        with_them += changes_within(estimate, cells)
         silent = replace(recording, scene=replace(scene, systematic=None))
         held += changes_within(reconstruct(silent, estimator), cells)
     assert 0.92 < np.mean(with_them) < 0.98
@@ -191,9 +191,9 @@ def test_a_method_that_looks_back_carries_its_error_along() -> None:
     for _ in range(12):
         resistance = exact * (1 + noise * rng.standard_normal(exact.shape))
         recording = recorded(Scene(Panel(*SHAPE)), frames, resistance, noise)
-        found = reconstruct(recording, estimator)
-        bars = [step.bars.frame for step in found.steps if step.bars is not None]
-        standard.append(np.log(found.cell_resistance[-1] / cells) / bars[-1].deviation)
+        estimate = reconstruct(recording, estimator)
+        bars = [step.bars.frame for step in estimate.steps if step.bars is not None]
+        standard.append(np.log(estimate.cell_resistance[-1] / cells) / bars[-1].deviation)
         carried.append(bars[-1].deviation)
     assert 0.5 < rms(standard) < 1.2
     alone = reconstruct(recording, replace(estimator, terms=(Misfit(),))).steps[-1].bars
@@ -206,9 +206,11 @@ def test_what_cells_share_of_a_change_cancels_as_far_as_both_frames_have_it() ->
     frames = np.repeat(cells[None], 3, axis=0)
     scene = Scene(Panel(*SHAPE), TwoPointReadout(), systematic=Systematic(reference_tolerance=0.05))
     recording = recorded(scene, frames, two_point_resistance(frames), 0.003)
-    found = reconstruct(recording, Estimator((Misfit(),), formulation="reduced")).steps[-1].bars
-    assert np.allclose(found.frame.common, 0.05 / np.sqrt(3), rtol=0.2)
-    assert np.all(found.change.common < 1e-3) and np.allclose(found.change.own, found.change.deviation, rtol=1e-3)
+    estimate = reconstruct(recording, Estimator((Misfit(),), formulation="reduced")).steps[-1].bars
+    assert np.allclose(estimate.frame.common, 0.05 / np.sqrt(3), rtol=0.2)
+    assert np.all(estimate.change.common < 1e-3) and np.allclose(
+        estimate.change.own, estimate.change.deviation, rtol=1e-3
+    )
 
 
 def test_what_nobody_sees_has_no_bounds() -> None:
@@ -220,9 +222,9 @@ def test_what_nobody_sees_has_no_bounds() -> None:
     seen[0, 0, :] = 0
     data = estimator.data(replace(readings, seen=seen), Background(Scene(Panel(*SHAPE))))
     problem = estimator.problem(Scene(Panel(*SHAPE)), 1, 1.0, partial=data.partial)
-    found = best_solution(problem, data, cells[None])
-    assert found.solved
-    certainty = DenseErrors(model_of(found)).certainty
+    solution = best_solution(problem, data, cells[None])
+    assert solution.solved
+    certainty = DenseErrors(model_of(solution)).certainty
     assert np.all(certainty.deviation[0, 0] > 1)
     assert np.all(certainty.above[0, 0] > 2)
 
@@ -241,12 +243,12 @@ def test_a_reading_at_a_rail_gives_its_cell_no_width() -> None:
         readings = readout.recorded_from_sums(codes, readout.readings)
         recording = recording_of(scene, readings, 1, truth_cell_resistance=cells)
         terms = (Misfit(weighting="noise"), Gradient(weight="auto"))
-        found = reconstruct(recording, Estimator(terms, formulation="reduced"))
-        if found.cell_resistance_lower is None or found.cell_resistance_upper is None:
-            assert not found.solved.any()
+        estimate = reconstruct(recording, Estimator(terms, formulation="reduced"))
+        if estimate.cell_resistance_lower is None or estimate.cell_resistance_upper is None:
+            assert not estimate.solved.any()
             unsolved += 1
             continue
-        held.append(in_intervals(found)[0][recording.readings().bounds[1]])
+        held.append(in_intervals(estimate)[0][recording.readings().bounds[1]])
     at_rails = np.concatenate(held)
     assert unsolved <= 2 and len(at_rails) > 20  # of solves that end at the limit of iterations with a sentence
     assert at_rails.mean() > 0.9
@@ -259,10 +261,10 @@ def test_own_and_common_parts_make_up_the_bar() -> None:
     exact, inside = two_point_resistance(cells), []
     for _ in range(20):
         recording = recorded(scene, cells, exact * (1 + 2e-4 * rng.standard_normal(exact.shape)), 2e-4)
-        found = reconstruct(recording, Estimator((Misfit(),), formulation="reduced"))
-        own, common, whole = found.sigma_own, found.sigma_common, found.cell_resistance_errors
+        estimate = reconstruct(recording, Estimator((Misfit(),), formulation="reduced"))
+        own, common, whole = estimate.sigma_own, estimate.sigma_common, estimate.cell_resistance_errors
         free = np.isfinite(whole) & (own > 0)
-        assert_allclose(np.hypot(own, common)[free], (whole / found.cell_resistance)[free])
+        assert_allclose(np.hypot(own, common)[free], (whole / estimate.cell_resistance)[free])
         assert np.median(common) > 3 * np.median(own)
-        inside.append((np.abs(np.log(found.cell_resistance / cells[-1])) < 1.96 * own)[free])
+        inside.append((np.abs(np.log(estimate.cell_resistance / cells[-1])) < 1.96 * own)[free])
     assert 0.92 < np.mean(np.concatenate(inside)) < 0.98

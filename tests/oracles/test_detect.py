@@ -362,14 +362,14 @@ def test_drift_of_hours_is_little_and_mostly_common_to_all_cells() -> None:
 
 def test_a_weaker_lamprey_that_comes_back_to_its_place_is_seen() -> None:
     again = load_that_leaves(None, replace(STRONG, pressure_kpa=-4, rim_kpa=30))
-    found = watched([load_that_leaves(None), again])
-    assert len(found) == 2 and all(one.sucks > 0.9 for one in found)
+    answer = watched([load_that_leaves(None), again])
+    assert len(answer) == 2 and all(one.sucks > 0.9 for one in answer)
 
 
 def test_a_lamprey_that_sucks_less_is_still_there() -> None:
     less = load_that_leaves(None, replace(STRONG, pressure_kpa=-3, rim_kpa=20), release=60, start=-0.9)
-    found = watched([load_that_leaves(None, frames=12, release=60), less])
-    assert found[-1].present and found[-1].sucks > 0.5
+    answer = watched([load_that_leaves(None, frames=12, release=60), less])
+    assert answer[-1].present and answer[-1].sucks > 0.5
 
 
 @pytest.mark.parametrize("seed", range(2))

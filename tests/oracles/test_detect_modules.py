@@ -33,19 +33,19 @@ def test_loads_over_seams_are_one_event_each(tmp_path: Path) -> None:
     rod = Rod(centre_mm=(180, 25), diameter_mm=30, mass_g=500)
     taken = simulate(Simulation(schema=1, seed=4, scene=scene, frames=14, frame_period_s=0.25, loads=(mouth, rod)))
     taken.save(tmp_path / "mat.h5")
-    found = detect_recording(tmp_path / "mat.h5")
-    assert found.answer == "sucks" and len(found.attachments) == 2, found.why
-    over, pressed = sorted(found.attachments, key=lambda one: one.place)
+    answer = detect_recording(tmp_path / "mat.h5")
+    assert answer.answer == "sucks" and len(answer.attachments) == 2, answer.why
+    over, pressed = sorted(answer.attachments, key=lambda one: one.place)
     assert over.distance((40, 62)) < 3 and over.sucks > 0.9 and abs(over.size - 38) < 6
     assert pressed.distance((180, 25)) < 5 and pressed.sucks < 0.1
-    assert found.change is not None and found.change.shape == scene.panel.shape
+    assert answer.change is not None and answer.change.shape == scene.panel.shape
 
 
 @pytest.mark.slow
 def test_a_bare_panel_of_modules_shows_nothing(tmp_path: Path) -> None:
     simulate(Simulation(schema=1, seed=5, scene=SCENE, frames=60, frame_period_s=0.25)).save(tmp_path / "mat.h5")
-    found = detect_recording(tmp_path / "mat.h5")
-    assert found.answer == "nothing" and not found.attachments
+    answer = detect_recording(tmp_path / "mat.h5")
+    assert answer.answer == "nothing" and not answer.attachments
 
 
 def test_a_window_is_the_network_of_its_modules() -> None:

@@ -389,16 +389,6 @@ def test_series_per_line_is_one_number_where_all_are_alike() -> None:
     assert_allclose(np.broadcast_to(plain.series_ohm, (3, 4)), listed.series_ohm)
 
 
-def test_a_formulation_that_cannot_serve_a_readout_is_refused_before_anything(tmp_path: Path) -> None:
-    scene = Scene(Panel(*SHAPE), UNLIKE)
-    simulate(Simulation(1, 5, scene, frames=2)).save(tmp_path / "volt.h5")
-    (tmp_path / "run.yaml").write_text(
-        "schema: 1\nrecordings: [volt.h5]\nestimators: {LSM: {terms: {misfit: {}}}}\nformulation: per_pixel\n"
-    )
-    with pytest.raises(InputError, match=r"run.yaml: LSM × volt: formulation: .* knows readout.kind: two_point only"):
-        read_run(tmp_path / "run.yaml")
-
-
 @dataclass(frozen=True, kw_only=True)
 class StrangerReadout(GroundedReadout):
     """A kind that no union names."""

@@ -52,14 +52,14 @@ def test_known_fault_leaves_the_rest_exact(name: str, formulation: str) -> None:
     faults, breaks = FAULTS[name]
     truth = cells()
     breaks(truth)
-    found = reconstruct(recording(truth, faults), Estimator(LSM, formulation=formulation))
+    estimate = reconstruct(recording(truth, faults), Estimator(LSM, formulation=formulation))
     sound = ~(faults.open_cells(Panel(*SHAPE)) | faults.shorted_cells(Panel(*SHAPE)))
     # The two lines of a short are one node: what joins another line to either of them is only seen in parallel.
     if faults.shorted:
         ((row, column),) = faults.shorted
         sound[row], sound[:, column] = False, False
-    assert all(step.solution.solved for step in found.steps)
-    assert_allclose(found.cell_resistance[:, sound], truth[1:][:, sound], rtol=1e-4)
+    assert all(step.solution.solved for step in estimate.steps)
+    assert_allclose(estimate.cell_resistance[:, sound], truth[1:][:, sound], rtol=1e-4)
 
 
 @pytest.mark.slow
@@ -77,20 +77,20 @@ def test_penalties_do_not_see_broken_cells(terms: tuple[Term, ...]) -> None:
     """An open cell of 10⁹ times the others would drown every penalty that reads it."""
     truth = cells()
     truth[:, 1, 2] = np.inf
-    found = reconstruct(recording(truth, Faults(open=((1, 2),))), Estimator(terms, formulation="reduced"))
-    assert all(step.solution.solved for step in found.steps)
-    assert all(step.solution.objective < 1e9 for step in found.steps)
+    estimate = reconstruct(recording(truth, Faults(open=((1, 2),))), Estimator(terms, formulation="reduced"))
+    assert all(step.solution.solved for step in estimate.steps)
+    assert all(step.solution.objective < 1e9 for step in estimate.steps)
     others = np.ones(SHAPE, dtype=bool)
     others[1, 2] = False
-    assert np.all(found.cell_resistance[:, others] < 1e5)
+    assert np.all(estimate.cell_resistance[:, others] < 1e5)
 
 
 @pytest.mark.slow
 def test_unknown_open_cell_is_flagged() -> None:
     truth = cells()
     truth[:, 1, 2] = np.inf
-    found = reconstruct(recording(truth), Estimator(LSM, formulation="reduced"))
-    flags = np.stack([step.solution.open_cell[-1] for step in found.steps])
+    estimate = reconstruct(recording(truth), Estimator(LSM, formulation="reduced"))
+    flags = np.stack([step.solution.open_cell[-1] for step in estimate.steps])
     assert np.all(flags[:, 1, 2])
     assert flags.sum() == len(flags)
 
@@ -100,8 +100,8 @@ def test_unknown_short_is_flagged() -> None:
     """A reading of zero within its noise is a bound, and the cell behind it ends at the least that bounds allow."""
     truth = cells()
     truth[:, 4, 5] = 1e-3
-    found = reconstruct(recording(truth), Estimator((Misfit(), CellResistance(weight=1e-9)), formulation="reduced"))
-    for step in found.steps:
+    estimate = reconstruct(recording(truth), Estimator((Misfit(), CellResistance(weight=1e-9)), formulation="reduced"))
+    for step in estimate.steps:
         assert step.solution.solved
         assert step.solution.cell_resistance[-1][4, 5] < 10 * SIGMA
 
@@ -122,9 +122,9 @@ def test_saturated_codes_are_bounds() -> None:
     assert np.all(readings.value[beyond] == largest)
     low = replace(made, recorded=np.full_like(made.resistance, least / 2))
     assert np.all(low.readings().side == AT_MOST)
-    found = reconstruct(made, Estimator(LSM, bounds=Bounds(upper="none"), formulation="reduced"))
-    model = found.steps[0].solution.reading[-1]
-    assert found.steps[0].solution.solved
+    estimate = reconstruct(made, Estimator(LSM, bounds=Bounds(upper="none"), formulation="reduced"))
+    model = estimate.steps[0].solution.reading[-1]
+    assert estimate.steps[0].solution.solved
     assert np.all(model[beyond[1]] >= largest * (1 - 1e-6))
 
 
@@ -156,10 +156,10 @@ def with_holes(seed: int, missing: int) -> lampest.Recording:
 
 def holed_coverage(recording: lampest.Recording, terms: list[object]) -> tuple[float, float]:
     """(share of read cells within their interval, median width of it as a fraction)."""
-    found = lampest.reconstruct(recording, terms, formulation="reduced")
+    estimate = lampest.reconstruct(recording, terms, formulation="reduced")
     read = np.isfinite(recording.recorded[2:])
-    width = found.cell_resistance_upper / found.cell_resistance_lower - 1
-    return float(in_intervals(found)[read].mean()), float(np.median(width[read]))
+    width = estimate.cell_resistance_upper / estimate.cell_resistance_lower - 1
+    return float(in_intervals(estimate)[read].mean()), float(np.median(width[read]))
 
 
 @pytest.mark.slow
@@ -184,10 +184,10 @@ def test_what_was_never_read_is_stood_in_for_where_penalties_compare(term: objec
     readings = readings + READOUT.sigma(readings) * rng.standard_normal(readings.shape)
     readings[:, 1, 5] = np.nan
     recording = recording_of(HOLED, readings, 2, truth_cell_resistance=truth)
-    found = lampest.reconstruct(recording, [lampest.Misfit(weighting="noise"), term], formulation="reduced")
+    estimate = lampest.reconstruct(recording, [lampest.Misfit(weighting="noise"), term], formulation="reduced")
     read = np.isfinite(readings[2:])
-    assert in_intervals(found)[read].mean() > 0.9
-    assert np.median(np.abs(log_errors(found))) < 0.005
+    assert in_intervals(estimate)[read].mean() > 0.9
+    assert np.median(np.abs(log_errors(estimate))) < 0.005
 
 
 @pytest.mark.parametrize("side", [-1, 1])
@@ -219,10 +219,10 @@ def test_a_missing_reading_does_not_choose_the_weight(term: object) -> None:
     """The penalty decides an unread cell whatever its weight; that it does was taken for a fault of the weight."""
     weights = []
     for missing in (0, 2):
-        found = lampest.reconstruct(
+        estimate = lampest.reconstruct(
             with_holes(3, missing), [lampest.Misfit(weighting="noise"), term], formulation="reduced"
         )
-        weights.append(found.steps[0].weights[1])
+        weights.append(estimate.steps[0].weights[1])
     assert abs(np.log10(weights[1] / weights[0])) < 1.2  # it was 1e-15
 
 

@@ -247,9 +247,9 @@ def test_failed_frames_leave_a_gap_and_no_more() -> None:
     cells = recording.truth_cell_resistance
     ratio = (cells / cells[0])[3:]
     ratio[20:23] = np.nan
-    found = pressure_of(ratio, ratio, ratio, recording.scene, recording.time[3:])
-    assert np.isnan(found.pressure[20:23]).all()
-    assert np.abs(found.pressure - recording.truth_pressure[3:])[23:].max() < 0.5
+    pressed = pressure_of(ratio, ratio, ratio, recording.scene, recording.time[3:])
+    assert np.isnan(pressed.pressure[20:23]).all()
+    assert np.abs(pressed.pressure - recording.truth_pressure[3:])[23:].max() < 0.5
 
 
 def test_bent_film_is_read_as_it_answers() -> None:
@@ -287,9 +287,9 @@ def test_open_creep_stays_open_where_nothing_was_released() -> None:
 
 @pytest.mark.slow
 def test_pressure_within_a_twelfth_of_full_scale_at_a_hysteresis_of_24_percent() -> None:
-    found = estimated_creep(0.08)
-    truth = found.recording.truth_pressure[found.frame]
-    assert np.percentile(np.abs(found.pressure - truth), 99) < 0.08 * truth.max()
+    estimate = estimated_creep(0.08)
+    truth = estimate.recording.truth_pressure[estimate.frame]
+    assert np.percentile(np.abs(estimate.pressure - truth), 99) < 0.08 * truth.max()
 
 
 @pytest.mark.slow
@@ -376,8 +376,8 @@ def test_nothing_presses_once_only_what_the_film_keeps_is_left(stays: float) -> 
     """A load for ten frames, then what stays of it, with errors of a thousandth; a small load later presses."""
     ratio = np.full((30, 3, 3), 0.3)
     ratio[:3], ratio[10:25], ratio[25:] = 1.0, 0.3**stays, 0.3 ** (0.02 + 0.2)
-    found = pressures(ratio, OPEN_FILM, np.arange(30.0), sure=0.002)
-    assert found.pressing[3:10].all() and not found.pressing[12:25].any() and found.pressing[25:].all()
+    pressed = pressures(ratio, OPEN_FILM, np.arange(30.0), sure=0.002)
+    assert pressed.pressing[3:10].all() and not pressed.pressing[12:25].any() and pressed.pressing[25:].all()
 
 
 def test_drift_of_a_film_presses_nowhere_and_is_in_its_bars() -> None:

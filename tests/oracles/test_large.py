@@ -186,9 +186,9 @@ def test_gauss_newtons_matrix_is_positive_where_second_derivatives_are_not() -> 
 def test_negative_curvature_under_a_large_mouth_is_left_behind() -> None:
     """From equal cells to a verified minimum, in fewer iterations than one for every ten cells of the patch."""
     start = pressed_patch()
-    found = projected_newton.ProjectedNewton(start.cost, Settings()).solve(start.data, start)
-    assert found.status is Status.OPTIMUM and found.iterations < 40
-    assert start.elsewhere(found.cell_resistance).objective < 0.1 * start.objective
+    solution = projected_newton.ProjectedNewton(start.cost, Settings()).solve(start.data, start)
+    assert solution.status is Status.OPTIMUM and solution.iterations < 40
+    assert start.elsewhere(solution.cell_resistance).objective < 0.1 * start.objective
 
 
 def test_lines_precondition_the_crosstalk() -> None:

@@ -48,9 +48,9 @@ def recording(*cells: Array, noise: float = 0.0, sigma: float = 1e-6, unloaded: 
 
 
 def found_by(method: Method, data: Recording, terms: tuple[Term, ...] = LSM, **options: Any) -> Estimates:
-    found = reconstruct(data, Estimator(terms, method, **options))
-    assert all(step.solution.solved for step in found.steps)
-    return found
+    estimate = reconstruct(data, Estimator(terms, method, **options))
+    assert all(step.solution.solved for step in estimate.steps)
+    return estimate
 
 
 @pytest.mark.parametrize("terms", [LSM, SMOOTH, (Misfit(), RelativeChange(weight=10))])
@@ -73,8 +73,8 @@ def test_no_reconstruction_is_what_it_says(terms: tuple[Term, ...]) -> None:
     ],
 )
 def test_what_is_no_optimum_says_so(method: Method) -> None:
-    found = found_by(method, recording(resting(), pressed(resting()), noise=1e-4), SMOOTH)
-    solution = found.steps[-1].solution
+    estimate = found_by(method, recording(resting(), pressed(resting()), noise=1e-4), SMOOTH)
+    solution = estimate.steps[-1].solution
     assert solution.status is Status.APPROXIMATE
     assert solution.kkt_residual > 1e-6
     assert np.isfinite(solution.objective)
@@ -111,9 +111,9 @@ def test_one_step_sees_a_single_cell_on_a_panel_that_is_not_factored() -> None:
     shape = (30, 30)
     single = resting(shape)
     single[11, 17] *= 0.7
-    found = found_by(LinearisedMethod(), recording(resting(shape), single)).cell_resistance[0]
-    assert found[11, 17] / resting(shape)[11, 17] == pytest.approx(0.7, abs=0.07)
-    assert np.median(np.abs(found / single - 1)) < 0.01
+    estimate = found_by(LinearisedMethod(), recording(resting(shape), single)).cell_resistance[0]
+    assert estimate[11, 17] / resting(shape)[11, 17] == pytest.approx(0.7, abs=0.07)
+    assert np.median(np.abs(estimate / single - 1)) < 0.01
 
 
 @pytest.mark.parametrize(
@@ -215,10 +215,10 @@ def test_where_it_converges_it_is_the_verified_optimum(method: str, term: CellRe
     weights = Weights(absolute=1e-2, relative=1.0, start=1.5)
     left = left_by_solver(method, PANEL, told.recorded[0], told.recorded[1:], weights)
     formulation = OptimalMethod("reduced", joint=True)
-    found = reconstruct(told, Estimator((Misfit(), term), formulation, bounds=Bounds(upper="none")))
+    estimate = reconstruct(told, Estimator((Misfit(), term), formulation, bounds=Bounds(upper="none")))
     assert set(left.why) <= {"cost", "step", "gradient"} and left.joint == (method == "LSR-dCR")
-    assert left.baseline == pytest.approx(found.baseline_resistance, rel=0.02)
-    assert left.cells == pytest.approx(found.cell_resistance, rel=0.02)
-    assert left.change == pytest.approx(found.relative_change, abs=2.0)
+    assert left.baseline == pytest.approx(estimate.baseline_resistance, rel=0.02)
+    assert left.cells == pytest.approx(estimate.cell_resistance, rel=0.02)
+    assert left.change == pytest.approx(estimate.relative_change, abs=2.0)
     model = TwoPointReadout().exact_reading(left.cells)
     assert left.data_error == pytest.approx(100 * np.abs(model / told.recorded[1:] - 1), abs=1e-9)

@@ -327,9 +327,9 @@ def test_the_misfit_of_every_frame_is_that_of_its_residuals(results: Path) -> No
 
 
 def test_a_sound_recording_keeps_its_table() -> None:
-    found = lampest.reconstruct(two_point_frames(), [Misfit()], formulation="reduced")
-    assert found.model_check.mark == "yes"
-    rows = compare(Results((found.result("LSM"),)))
+    estimate = lampest.reconstruct(two_point_frames(), [Misfit()], formulation="reduced")
+    assert estimate.model_check.mark == "yes"
+    rows = compare(Results((estimate.result("LSM"),)))
     assert model_notes(rows) == []
 
 

@@ -111,11 +111,11 @@ def test_every_module_is_estimated_as_if_it_stood_alone(penalty: lampest.Term | 
     for number in range(5):
         cells = (..., *LAYOUT.cells(number))
         alone = Recording(recording.scene.of_modules[number], recording.recorded[cells], recording.time, recording.role)
-        found = lampest.reconstruct(alone, terms, formulation="reduced")
-        total += [step.solution.objective for step in found.steps]
-        np.testing.assert_allclose(image.cell_resistance[cells], found.cell_resistance, rtol=1e-6)
-        np.testing.assert_allclose(image.baseline_resistance[cells], found.baseline_resistance, rtol=1e-6)
-        np.testing.assert_allclose(image.cell_resistance_errors[cells], found.cell_resistance_errors, rtol=1e-4)
+        estimate = lampest.reconstruct(alone, terms, formulation="reduced")
+        total += [step.solution.objective for step in estimate.steps]
+        np.testing.assert_allclose(image.cell_resistance[cells], estimate.cell_resistance, rtol=1e-6)
+        np.testing.assert_allclose(image.baseline_resistance[cells], estimate.baseline_resistance, rtol=1e-6)
+        np.testing.assert_allclose(image.cell_resistance_errors[cells], estimate.cell_resistance_errors, rtol=1e-4)
     np.testing.assert_allclose([step.solution.objective for step in image.steps], total, rtol=1e-6)
 
 
@@ -134,10 +134,10 @@ def test_other_shapes_readouts_and_methods(
     fine = replace(readout, adc_bits=12, readings=20, noise_lsb=0.7)
     recording = simulated(Scene(lampest.Panel(modules=modules), fine))
     terms = [lampest.Misfit(weighting="noise", loss=loss)]
-    found = lampest.reconstruct(recording, terms, formulation=formulation)
-    assert found.solved.all()
-    truth = recording.truth_cell_resistance[found.frame]
-    assert float(np.median(np.abs(found.cell_resistance / truth - 1))) < 0.02
+    estimate = lampest.reconstruct(recording, terms, formulation=formulation)
+    assert estimate.solved.all()
+    truth = recording.truth_cell_resistance[estimate.frame]
+    assert float(np.median(np.abs(estimate.cell_resistance / truth - 1))) < 0.02
 
 
 def test_a_module_that_drops_out_is_missing_alone_and_comes_back() -> None:
@@ -156,9 +156,9 @@ def test_a_module_that_drops_out_is_missing_alone_and_comes_back() -> None:
 def test_modules_of_a_single_line_have_the_errors_that_all_readings_share() -> None:
     """Each cell is at its bound, which is its reading: bars were 0.02 % where the reference may be 6 % off."""
     text = "panel: {modules: {rows: 2, columns: 2, each: {rows: 1, columns: 6}}}\n" + SCENE[SCENE.index("readout") :]
-    found = lampest.reconstruct(simulated(scene_of(text), 4), [lampest.Misfit()], formulation="reduced")
-    assert found.at_lower_bound.all()
-    assert (found.cell_resistance_errors > 0.06 / np.sqrt(3) * found.cell_resistance).all()
+    estimate = lampest.reconstruct(simulated(scene_of(text), 4), [lampest.Misfit()], formulation="reduced")
+    assert estimate.at_lower_bound.all()
+    assert (estimate.cell_resistance_errors > 0.06 / np.sqrt(3) * estimate.cell_resistance).all()
 
 
 def test_modules_that_are_alike_share_their_weights(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -274,11 +274,11 @@ def test_a_module_stuck_at_the_top_rail_does_not_fail_the_others() -> None:
     recording = simulated(scene_of(SCENE))
     readings = recording.recorded.copy()
     readings[:, :3, :4] = 1.5
-    found = lampest.reconstruct(replace(recording, recorded=readings), [lampest.Misfit()], formulation="reduced")
+    estimate = lampest.reconstruct(replace(recording, recorded=readings), [lampest.Misfit()], formulation="reduced")
     others = np.ones(recording.scene.panel.shape, dtype=bool)
     others[:3, :4] = False
     alone = lampest.reconstruct(recording, [lampest.Misfit()], formulation="reduced")
-    np.testing.assert_allclose(found.cell_resistance[:, others], alone.cell_resistance[:, others], rtol=1e-6)
+    np.testing.assert_allclose(estimate.cell_resistance[:, others], alone.cell_resistance[:, others], rtol=1e-6)
 
 
 def disturbed(change: str) -> Recording:
@@ -316,10 +316,10 @@ def test_a_module_that_is_stuck_or_miscalibrated_is_named_and_the_others_are_est
         line for line in prepared.warnings if said and line.startswith(said)
     ]
     assert not said or any(line.startswith(said) for line in prepared.warnings)
-    found = lampest.reconstruct(recording, [lampest.Misfit()], formulation="reduced")
-    missing = np.isnan(found.cell_resistance[:, :6, 6:]).all()
+    estimate = lampest.reconstruct(recording, [lampest.Misfit()], formulation="reduced")
+    missing = np.isnan(estimate.cell_resistance[:, :6, 6:]).all()
     assert missing == (change in ("stuck", "missing"))
-    assert np.isfinite(np.delete(found.cell_resistance, np.s_[6:12], axis=2)).all()
+    assert np.isfinite(np.delete(estimate.cell_resistance, np.s_[6:12], axis=2)).all()
 
 
 def test_a_recording_of_few_modules_in_kohm_is_still_refused() -> None:
@@ -394,10 +394,10 @@ def test_modules_that_were_not_read_are_missing_and_others_stay(penalty: lampest
     recording = taken(replace(COUPLED, seam_mm=0.0), DEAD)
     gone = recording.recorded.copy()
     gone[4, :3, :4] = np.nan
-    found = coupled(replace(recording, recorded=gone), penalty)
-    assert found.solved.all()
-    assert np.isnan(found.cell_resistance[:, 3:, 4:]).all() and np.isnan(found.baseline_resistance[3:, 4:]).all()
-    parts = np.isnan(found.cell_resistance)
+    estimate = coupled(replace(recording, recorded=gone), penalty)
+    assert estimate.solved.all()
+    assert np.isnan(estimate.cell_resistance[:, 3:, 4:]).all() and np.isnan(estimate.baseline_resistance[3:, 4:]).all()
+    parts = np.isnan(estimate.cell_resistance)
     assert parts[1, :3, :4].all() and not parts[1, 3:, :4].any() and not parts[[0, 2], :3].any()
 
 
@@ -554,10 +554,10 @@ def test_frames_that_are_solved_in_blocks_are_those_that_are_solved_one_by_one(
     prepared = Prepared(replace(recording, recorded=recorded, raw_sums=None))
     pushed, push = list[Stream](), Stream.push
     monkeypatch.setattr(Stream, "push", lambda stream, readings: pushed.append(stream) or push(stream, readings))
-    found = reconstruct(prepared, Estimator(terms, "reduced"))
+    estimate = reconstruct(prepared, Estimator(terms, "reduced"))
     assert len(pushed) == 3  # the first frame, and those that are not read whole
-    stream = first_stream(prepared.recording, prepared.noise.readings, found.estimator, prepared.noise)
-    for frame, together in zip(measured, found.steps, strict=True):
+    stream = first_stream(prepared.recording, prepared.noise.readings, estimate.estimator, prepared.noise)
+    for frame, together in zip(measured, estimate.steps, strict=True):
         stream, step = stream.push(prepared.noise.readings[int(frame)])
         assert together.status == step.status
         # Where a reading is missing, a solve ends within a hundredth of its cell's standard deviation.

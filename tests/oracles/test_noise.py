@@ -208,9 +208,9 @@ def test_noise_that_is_specified_twelve_times_too_large_or_too_small_is_measured
     where = "unloaded frames" if unloaded else "readings at rest from frame to frame"
     assert sum("measured in" in line for line in noise.warnings) == 1
     assert f"LSB, measured in {where}; the scene specifies {specified:g} LSB" in noise.sentence
-    found = reconstruct(wrong, LSM)
-    assert in_intervals(found).mean() > 0.88
-    assert unloaded or not any("unloaded frames scatter" in line for line in found.checks)
+    estimate = reconstruct(wrong, LSM)
+    assert in_intervals(estimate).mean() > 0.88
+    assert unloaded or not any("unloaded frames scatter" in line for line in estimate.checks)
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
@@ -232,11 +232,11 @@ def test_own_parts_cover_what_a_frame_does_to_cells_differently(effect: dict[str
 
 def own_part(recording: Recording) -> tuple[float, float]:
     """Share of cells whose error beside their frame's median is within the own part, and its size over that error."""
-    found = reconstruct(recording, LSM)
-    error = log_errors(found)
+    estimate = reconstruct(recording, LSM)
+    error = log_errors(estimate)
     error -= np.median(error, axis=(1, 2), keepdims=True)
     size = 1.4826 * np.median(np.abs(error))
-    return float(np.mean(np.abs(error) < 1.96 * found.sigma_own)), float(np.median(found.sigma_own) / size)
+    return float(np.mean(np.abs(error) < 1.96 * estimate.sigma_own)), float(np.median(estimate.sigma_own) / size)
 
 
 def pressed(seed: int, **effects: float) -> Recording:

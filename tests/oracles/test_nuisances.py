@@ -132,8 +132,8 @@ def test_noise_grows_by_what_a_leak_takes_of_the_signal() -> None:
 
 def test_a_contact_that_another_one_explains_as_well_is_named_but_not_taken_off() -> None:
     recording = panel(8, contact=(3, 200.0, 0))
-    found = Prepared(recording).effects
-    assert found.best.name and found.pair is None and Prepared(recording).noise.corrected_effects is None
+    prepared = Prepared(recording).effects
+    assert prepared.best.name and prepared.pair is None and Prepared(recording).noise.corrected_effects is None
 
 
 def test_readings_of_a_saturated_stage_are_bounds() -> None:

@@ -33,12 +33,12 @@ def log_change(pressure: Array, scene: Scene) -> Array:
 def test_pressures_come_back_from_their_cells(name: str) -> None:
     pressure = np.linspace(-20, 235, 2001)[:, None, None] * np.ones((4, 3))
     ratio = np.exp(log_change(pressure, SCENES[name]))
-    found = pressure_of(ratio, ratio, ratio, SCENES[name])
-    np.testing.assert_allclose(found.pressure, pressure, atol=1e-9)
-    assert np.all(np.diff(found.pressure, axis=0) > 0)
-    for ends in (found.lower, found.upper):
+    pressed = pressure_of(ratio, ratio, ratio, SCENES[name])
+    np.testing.assert_allclose(pressed.pressure, pressure, atol=1e-9)
+    assert np.all(np.diff(pressed.pressure, axis=0) > 0)
+    for ends in (pressed.lower, pressed.upper):
         assert np.all(np.diff(ends, axis=0) > 0)
-    assert np.all((found.lower <= found.pressure) & (found.pressure <= found.upper))
+    assert np.all((pressed.lower <= pressed.pressure) & (pressed.pressure <= pressed.upper))
 
 
 def test_simulation_puts_in_what_the_scene_tells() -> None:
@@ -50,9 +50,9 @@ def test_simulation_puts_in_what_the_scene_tells() -> None:
     recording = simulate(simulation)
     cells, pressure = recording.truth_cell_resistance, recording.truth_pressure
     ratio = cells[1:] / cells[0]
-    found = pressure_of(ratio, ratio, ratio, scene)
-    np.testing.assert_allclose(found.pressure, pressure[1:] - water_pressure(scene.panel, scene.water), atol=1e-9)
-    assert found.pressure.min() < -5 and found.pressure.max() > 5
+    pressed = pressure_of(ratio, ratio, ratio, scene)
+    np.testing.assert_allclose(pressed.pressure, pressure[1:] - water_pressure(scene.panel, scene.water), atol=1e-9)
+    assert pressed.pressure.min() < -5 and pressed.pressure.max() > 5
     untold = simulate(dataclasses.replace(simulation, scene=Scene(Panel(8, 8)), water=Water(50.0)))
     np.testing.assert_array_equal(untold.truth_cell_resistance[0], cells[0])
     np.testing.assert_allclose(cells[1:] / untold.truth_cell_resistance[1:], np.exp(0.036), rtol=1e-12)
@@ -72,10 +72,10 @@ def test_interval_covers_the_truth(name: str, sd: float) -> None:
     if warm:
         error = warm.coefficient_sd_per_kelvin * generator.standard_normal(pressure.shape)
         change += error * (warm.measured_celsius - warm.baseline_celsius)
-    found = pressure_of(np.exp(change), np.exp(change - 1.96 * sd), np.exp(change + 1.96 * sd), scene)
-    covered = np.mean((found.lower <= pressure) & (pressure <= found.upper))
+    pressed = pressure_of(np.exp(change), np.exp(change - 1.96 * sd), np.exp(change + 1.96 * sd), scene)
+    covered = np.mean((pressed.lower <= pressure) & (pressure <= pressed.upper))
     assert 0.93 < covered < 0.97
-    assert 0.5 < np.mean(np.abs(found.pressure - pressure) < found.errors) < 0.75
+    assert 0.5 < np.mean(np.abs(pressed.pressure - pressure) < pressed.errors) < 0.75
 
 
 def test_errors_are_the_slopes() -> None:
@@ -84,8 +84,8 @@ def test_errors_are_the_slopes() -> None:
     sd, step = 1e-3, 1e-4
     change = log_change(pressure, AIR)
     slope = (log_change(pressure + step, AIR) - change) / step
-    found = pressure_of(np.exp(change), np.exp(change - 1.96 * sd), np.exp(change + 1.96 * sd), AIR)
-    np.testing.assert_allclose(found.errors, np.hypot(sd, RESPONSE_SD * change) / -slope, rtol=0.1)
+    pressed = pressure_of(np.exp(change), np.exp(change - 1.96 * sd), np.exp(change + 1.96 * sd), AIR)
+    np.testing.assert_allclose(pressed.errors, np.hypot(sd, RESPONSE_SD * change) / -slope, rtol=0.1)
 
 
 def test_water_takes_from_the_range_and_from_the_sensitivity() -> None:
@@ -114,22 +114,22 @@ def test_open_and_unseen_cells() -> None:
     lower, upper = 0.5 * ratio, np.full_like(ratio, np.inf)
     lower[0, 1] = 0.0
     for scene in (AIR, SCENES["water"]):
-        found = pressure_of(ratio, lower, upper, scene)
+        pressed = pressure_of(ratio, lower, upper, scene)
         water = water_pressure(scene.panel, scene.water)
-        np.testing.assert_allclose(found.lower[0] + water, VACUUM_KPA)
-        assert np.all(np.isinf(found.upper[0]) == (np.arange(4) == 1)[:, None])
-        assert np.all(np.isinf(found.errors[0]) == (np.arange(4) == 1)[:, None])
-        assert np.all(found.saturated == 1)
-        assert not np.any(np.isnan([found.pressure, found.lower, found.errors]))
+        np.testing.assert_allclose(pressed.lower[0] + water, VACUUM_KPA)
+        assert np.all(np.isinf(pressed.upper[0]) == (np.arange(4) == 1)[:, None])
+        assert np.all(np.isinf(pressed.errors[0]) == (np.arange(4) == 1)[:, None])
+        assert np.all(pressed.saturated == 1)
+        assert not np.any(np.isnan([pressed.pressure, pressed.lower, pressed.errors]))
 
 
 def test_failed_frames_stay_empty() -> None:
     ratio = np.ones((2, 4, 3))
     ratio[1] = np.nan
-    found = pressure_of(ratio, ratio, ratio, SCENES["cold water"])
-    for values in (found.pressure, found.lower, found.upper, found.errors):
+    pressed = pressure_of(ratio, ratio, ratio, SCENES["cold water"])
+    for values in (pressed.pressure, pressed.lower, pressed.upper, pressed.errors):
         np.testing.assert_array_equal(np.isnan(values), np.isnan(ratio))
-    assert np.all(found.saturated[1] == 0)
+    assert np.all(pressed.saturated[1] == 0)
 
 
 @pytest.mark.parametrize(("ratio", "lower", "upper"), [(0.0, 0.0, 1.0), (1.0, 1.1, 2.0), (np.inf, 1.0, np.inf)])

@@ -104,11 +104,11 @@ SAID = "their noise: an error of the model, which error bars include"
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_the_models_error_is_in_the_bars_and_in_one_sentence(seed: int) -> None:
     recording = frames_under_load(0.07, seed)
-    found = lampest.reconstruct(recording, [WEIGHTED, LogGradient()])
-    assert sum(SAID in line for line in found.checks) == 1
-    assert 10 < found.noise.model_factor < 60
-    assert in_intervals(found).mean() > 0.9
-    sigma, noise = found.reading_sigma, recording.sigma
+    estimate = lampest.reconstruct(recording, [WEIGHTED, LogGradient()])
+    assert sum(SAID in line for line in estimate.checks) == 1
+    assert 10 < estimate.noise.model_factor < 60
+    assert in_intervals(estimate).mean() > 0.9
+    sigma, noise = estimate.reading_sigma, recording.sigma
     assert sigma is not None and noise is not None and np.median(sigma / noise) > 10
 
 
@@ -116,10 +116,10 @@ def test_the_models_error_is_in_the_bars_and_in_one_sentence(seed: int) -> None:
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_clean_readings_show_no_error_of_the_model(seed: int, unloaded: int) -> None:
     recording = frames_under_load(0.0, seed, unloaded)
-    found = lampest.reconstruct(recording, [WEIGHTED, LogGradient()])
-    assert found.noise.model_factor == 1
-    assert not any(SAID in line for line in found.checks)
-    assert in_intervals(found).mean() > 0.88
+    estimate = lampest.reconstruct(recording, [WEIGHTED, LogGradient()])
+    assert estimate.noise.model_factor == 1
+    assert not any(SAID in line for line in estimate.checks)
+    assert in_intervals(estimate).mean() > 0.88
 
 
 def without_a_tenth(path: Path) -> tuple[Recording, Recording, Array]:
@@ -136,10 +136,12 @@ def without_a_tenth(path: Path) -> tuple[Recording, Recording, Array]:
 @pytest.mark.parametrize(("loss", "least"), [(Squared(), 0.88), (Student(corner=4.0), 0.9)])
 def test_withheld_readings_of_a_real_sensor_lie_within_their_intervals(name: str, loss: Loss, least: float) -> None:
     whole, recording, withheld = without_a_tenth(DATA / f"{name}.h5")
-    found = lampest.reconstruct(recording, [Misfit(weighting="noise", loss=loss), LogGradient()])
-    sigma, model = found.reading_sigma, np.stack([step.solution.reading[-1] for step in found.steps])
-    assert np.all(sigma[found.solved] > 0) and np.all(np.isfinite(sigma[found.solved])), "also of missing readings"
-    judged = withheld & found.solved[:, None, None]
+    estimate = lampest.reconstruct(recording, [Misfit(weighting="noise", loss=loss), LogGradient()])
+    sigma, model = estimate.reading_sigma, np.stack([step.solution.reading[-1] for step in estimate.steps])
+    assert np.all(sigma[estimate.solved] > 0) and np.all(np.isfinite(sigma[estimate.solved])), (
+        "also of missing readings"
+    )
+    judged = withheld & estimate.solved[:, None, None]
     inside = np.abs(whole.readings().value - model)[judged] < 1.96 * sigma[judged]
     assert judged.sum() > 300 and least <= inside.mean() <= 0.98
 
@@ -148,8 +150,8 @@ def test_a_missing_reading_has_a_wider_interval_that_holds_it() -> None:
     recording = frames_under_load(0.0, 1)
     recorded = recording.recorded.copy()
     recorded[:, 5, 5] = recorded[:, 1, 6] = np.nan
-    found = lampest.reconstruct(replace(recording, recorded=recorded), [WEIGHTED, LogGradient()])
-    sigma, model = found.reading_sigma, np.stack([step.solution.reading[-1] for step in found.steps])
+    estimate = lampest.reconstruct(replace(recording, recorded=recorded), [WEIGHTED, LogGradient()])
+    sigma, model = estimate.reading_sigma, np.stack([step.solution.reading[-1] for step in estimate.steps])
     missing, exact = np.isnan(recorded), two_point_resistance(recording.truth_cell_resistance)
     assert np.all(np.isfinite(sigma))
     assert np.median((sigma / exact)[missing]) > 2 * np.median((sigma / exact)[~missing])
@@ -173,13 +175,13 @@ def test_bars_allow_for_the_uncertainty_of_a_chosen_weight() -> None:
 
 def test_results_hold_how_well_the_data_determine_a_weight(tmp_path: Path) -> None:
     recording = frames_under_load(0.0, 1)
-    found = lampest.reconstruct(recording, [WEIGHTED, LogGradient(), CellResistance(weight=1e-9)])
-    lampest.write_results(tmp_path / "results.h5", [found.result("mine")])
+    estimate = lampest.reconstruct(recording, [WEIGHTED, LogGradient(), CellResistance(weight=1e-9)])
+    lampest.write_results(tmp_path / "results.h5", [estimate.result("mine")])
     (case,) = lampest.read_results(tmp_path / "results.h5").cases
     assert list(case.weight_sigma) == ["log_gradient"], "a weight that is a number has none"
-    assert_allclose(case.weight_sigma["log_gradient"], found.steps[0].weight_sigma[1])
+    assert_allclose(case.weight_sigma["log_gradient"], estimate.steps[0].weight_sigma[1])
     assert np.all((case.weight_sigma["log_gradient"] > 0.03) & (case.weight_sigma["log_gradient"] < 1))
-    assert_allclose(case.reading_sigma, found.reading_sigma)
+    assert_allclose(case.reading_sigma, estimate.reading_sigma)
 
 
 PENALTIES = {
@@ -197,11 +199,11 @@ def test_weights_of_any_penalties_beat_the_hundredth_and_the_hundredfold(
 ) -> None:
     recording = frames_under_load(0.0, 3)
     every = (WEIGHTED, *penalties)
-    found = lampest.reconstruct(recording, every, auto_weight=AutoWeight(per=per), error_bars=False)
-    assert found.solved.all()
-    chosen, sigma = np.array(found.steps[-1].weights), np.array(found.steps[-1].weight_sigma)
+    estimate = lampest.reconstruct(recording, every, auto_weight=AutoWeight(per=per), error_bars=False)
+    assert estimate.solved.all()
+    chosen, sigma = np.array(estimate.steps[-1].weights), np.array(estimate.steps[-1].weight_sigma)
     assert np.isnan(sigma[0]) and np.all(np.isfinite(sigma[1:]) | (chosen[1:] > 0))
-    error = rms(log_errors(found)[-1])
+    error = rms(log_errors(estimate)[-1])
     for factor in (0.01, 100.0):
         terms = [replace(term, weight=factor * weight) for term, weight in zip(penalties, chosen[1:], strict=True)]
         other = lampest.reconstruct(recording, (WEIGHTED, *terms), error_bars=False)
@@ -212,9 +214,9 @@ def test_weights_of_any_penalties_beat_the_hundredth_and_the_hundredfold(
 def test_readings_without_noise_are_judged_by_the_reference_too(static: float) -> None:
     """A table in ohm: neither σ nor a converter."""
     recording = frames_under_load(static, 1)
-    found = lampest.reconstruct(replace(recording, sigma=None), [Misfit(), Gradient()], bounds=Bounds(upper="none"))
+    estimate = lampest.reconstruct(replace(recording, sigma=None), [Misfit(), Gradient()], bounds=Bounds(upper="none"))
     told = lampest.reconstruct(recording, [Misfit(), Gradient()], bounds=Bounds(upper="none"))
-    assert rms(log_errors(found)) < 1.5 * rms(log_errors(told))
+    assert rms(log_errors(estimate)) < 1.5 * rms(log_errors(told))
 
 
 @pytest.mark.slow
@@ -225,9 +227,9 @@ def test_a_weight_of_a_large_panel_is_chosen_by_the_evidence() -> None:
     readings, sigma = with_errors(pair, 1)
     scene = Scene(Panel(36, 36), systematic="none")
     recording = recording_of(scene, readings, sigma=sigma, truth_cell_resistance=pair)
-    found = lampest.reconstruct(recording, [WEIGHTED, LogGradient()], error_bars=False)
-    assert found.solved.all() and np.isfinite(found.steps[0].weight_sigma[1])
-    weight, errors = found.steps[0].weights[1], []
+    estimate = lampest.reconstruct(recording, [WEIGHTED, LogGradient()], error_bars=False)
+    assert estimate.solved.all() and np.isfinite(estimate.steps[0].weight_sigma[1])
+    weight, errors = estimate.steps[0].weights[1], []
     for factor in (0.1, 1.0, 10.0):
         terms = [WEIGHTED, LogGradient(weight=factor * weight)]
         errors.append(rms(log_errors(lampest.reconstruct(recording, terms, error_bars=False))))

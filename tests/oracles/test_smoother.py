@@ -158,12 +158,12 @@ def test_it_halves_the_error_and_its_bars_hold() -> None:
     alone, together, held, tapped = [], [], [], []
     for seed in range(6):
         made = panel(seed, systematic="none")
-        found = found_of(made)
-        assert found.solved.all() and set(found.status) == {"optimum verified"}
-        held.append(in_intervals(found))
-        together.append(np.abs(log_errors(found)))
+        estimate = found_of(made)
+        assert estimate.solved.all() and set(estimate.status) == {"optimum verified"}
+        held.append(in_intervals(estimate))
+        together.append(np.abs(log_errors(estimate)))
         alone.append(np.abs(log_errors(found_of(made, (Misfit(),)))))
-        tapped.append(log_errors(found)[8, 4, 4])
+        tapped.append(log_errors(estimate)[8, 4, 4])
     assert np.median(together) < 0.5 * np.median(alone)
     assert np.percentile(together, 95) < 0.6 * np.percentile(alone, 95)
     assert np.mean(held) > 0.92
@@ -194,8 +194,8 @@ def test_cells_near_a_soft_load_that_breathes_do_not_decide_on_channels() -> Non
     scene, channels = Scene(Panel(8, 8), TwoPointReadout(), systematic=sizes), 3 * rng.standard_normal((2, 8))
     exact = two_point_resistance(cells) + channels[0][:, None] + channels[1]
     recorded = exact + scene.circuit.sigma(exact) * rng.standard_normal(exact.shape)
-    found = found_of(recording_of(scene, recorded, RESTING, truth_cell_resistance=cells))
-    assert np.mean(in_intervals(found)) > 0.9
+    estimate = found_of(recording_of(scene, recorded, RESTING, truth_cell_resistance=cells))
+    assert np.mean(in_intervals(estimate)) > 0.9
 
 
 def test_what_all_readings_share_widens_the_bars_of_cells() -> None:
@@ -257,8 +257,10 @@ def test_a_frame_of_which_too_little_was_read_is_left_out() -> None:
     made = panel(5)
     recorded = made.recorded.copy()
     recorded[RESTING + 2] = np.nan
-    found = found_of(replace(made, recorded=recorded))
-    assert found.solved.sum() == FRAMES - 1 and not found.solved[2] and np.isnan(found.cell_resistance[2]).all()
+    estimate = found_of(replace(made, recorded=recorded))
+    assert (
+        estimate.solved.sum() == FRAMES - 1 and not estimate.solved[2] and np.isnan(estimate.cell_resistance[2]).all()
+    )
     blind = found_of(replace(made, recorded=np.where(made.role[:, None, None] == 0, made.recorded, np.nan)))
     assert not blind.solved.any()
 

@@ -163,11 +163,11 @@ def test_known_references_leave_one_minimum(term: AnyTerm) -> None:
 def test_reference_is_what_the_term_says(reference: Reference) -> None:
     """What the term costs in the second and third frame, computed from the estimates."""
     recorded = scene(ROD, 3, 0.3, 6)
-    found = estimated(recorded, LogRatio(weight=0.03, loss=Squared(), reference=reference))
+    estimate = estimated(recorded, LogRatio(weight=0.03, loss=Squared(), reference=reference))
     for frame in (1, 2):
-        before = found.baseline_resistance if reference == "baseline" else found.cell_resistance[frame - 1]
-        expected = 0.03 * np.sum((100 * np.log(found.cell_resistance[frame] / before)) ** 2)
-        assert found.steps[frame].solution.costs[1] == pytest.approx(expected, rel=1e-10)
+        before = estimate.baseline_resistance if reference == "baseline" else estimate.cell_resistance[frame - 1]
+        expected = 0.03 * np.sum((100 * np.log(estimate.cell_resistance[frame] / before)) ** 2)
+        assert estimate.steps[frame].solution.costs[1] == pytest.approx(expected, rel=1e-10)
 
 
 @pytest.mark.parametrize("reads_both", [False, True])
@@ -193,8 +193,8 @@ def test_error_bars_know_the_baselines_error(reads_both: bool) -> None:
     root = 0.1 * rng.standard_normal((2 * cells, 2 * cells))
     joint = root @ root.T
     memory = DenseMemory(joint[:cells, :cells], joint[cells:, cells:], joint[:cells, cells:])
-    found = best_solution(solver, data, known[:1])
-    model = LinearModel(found.at, np.zeros(0))
+    solution = best_solution(solver, data, known[:1])
+    model = LinearModel(solution.at, np.zeros(0))
     dense = DenseErrors(model, memory)
     added = dense.covariance - DenseErrors(model).covariance
     expected = carried @ joint @ carried.T
@@ -249,9 +249,9 @@ def with_bars(recording: Recording, *terms: Term, formulation: MethodName = "red
     return reconstruct(recording, Estimator((Misfit(weighting="noise"), *terms), formulation, **options))
 
 
-def deviation(found: Estimates) -> Array:
+def deviation(estimate: Estimates) -> Array:
     """Of log r, all frames, as the bars have it."""
-    return np.stack([step.bars.frame.deviation for step in found.steps])
+    return np.stack([step.bars.frame.deviation for step in estimate.steps])
 
 
 def error_with_bars(recording: Recording, *terms: Term) -> float:
@@ -301,8 +301,8 @@ def test_error_bars_say_what_errors_are(
     """Where cells walk as the term says; where they rest, bars allow for a walk that is not there."""
     spread, inside = [], []
     for seed in range(20):
-        found = with_bars(walk(seed, percent), Arrival())
-        away = log_errors(found) / deviation(found)
+        estimate = with_bars(walk(seed, percent), Arrival())
+        away = log_errors(estimate) / deviation(estimate)
         spread.append(rms(away))
         inside.append(np.mean(np.abs(away) < 1.96))
     assert ratio[0] < rms(spread) < ratio[1]
@@ -332,13 +332,13 @@ def test_covariance_counts_the_previous_frame_once() -> None:
 
 
 def test_term_reads_the_error_bars_of_the_frame_before() -> None:
-    found = with_bars(arriving("rod", 1, 3), Arrival(walk_percent=3.0, loss=Squared()))
+    estimate = with_bars(arriving("rod", 1, 3), Arrival(walk_percent=3.0, loss=Squared()))
     for frame in (1, 2):
-        before, now = (found.steps[number].solution for number in (frame - 1, frame))
-        step = common_step(found.measured[frame], before.reading[-1])
+        before, now = (estimate.steps[number].solution for number in (frame - 1, frame))
+        step = common_step(estimate.measured[frame], before.reading[-1])
         change = np.log(now.cell_resistance[-1] / (step * before.cell_resistance[-1]))
-        expected = np.sum(change**2 / (np.minimum(deviation(found)[frame - 1], 10.0) ** 2 + 0.03**2))
-        assert found.steps[frame].solution.costs[1] == pytest.approx(expected, rel=1e-10)
+        expected = np.sum(change**2 / (np.minimum(deviation(estimate)[frame - 1], 10.0) ** 2 + 0.03**2))
+        assert estimate.steps[frame].solution.costs[1] == pytest.approx(expected, rel=1e-10)
 
 
 def common_step(measured: Array, expected: Array) -> float:
@@ -378,20 +378,20 @@ def test_what_is_broken_is_left_out(faults: Faults) -> None:
     exact = two_point_resistance(np.where(sound, recording.truth_cell_resistance, np.inf))
     measured = np.where(np.isfinite(exact), exact, 1.0)
     broken = replace(recording, scene=Scene(panel, faults=faults), recorded=measured, sigma=0.003 * measured)
-    found = with_bars(broken, Arrival())
-    assert all(step.solution.solved and step.bars is not None for step in found.steps)
-    truth = recording.truth_cell_resistance[found.frame]
-    assert rms(np.log(found.cell_resistance[:, sound] / truth[:, sound])) < 0.02
+    estimate = with_bars(broken, Arrival())
+    assert all(step.solution.solved and step.bars is not None for step in estimate.steps)
+    truth = recording.truth_cell_resistance[estimate.frame]
+    assert rms(np.log(estimate.cell_resistance[:, sound] / truth[:, sound])) < 0.02
 
 
 def test_bars_know_what_huber_holds_back() -> None:
     """Cells that breathe faster than they are expected to walk lag behind: their bars must say so."""
     inside = []
     for seed in range(6):
-        found = with_bars(arriving("disc", seed), Arrival())
-        truth = found.recording.truth_cell_resistance
-        loaded = np.abs(np.log(truth[found.frame] / truth[0])) > 0.05
-        inside.append(np.mean((np.abs(log_errors(found)) < 1.96 * deviation(found))[loaded]))
+        estimate = with_bars(arriving("disc", seed), Arrival())
+        truth = estimate.recording.truth_cell_resistance
+        loaded = np.abs(np.log(truth[estimate.frame] / truth[0])) > 0.05
+        inside.append(np.mean((np.abs(log_errors(estimate)) < 1.96 * deviation(estimate))[loaded]))
     assert np.mean(inside) > 0.8
 
 

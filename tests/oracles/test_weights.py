@@ -54,8 +54,8 @@ def measured_data(estimator: Estimator, cells: Array, noise: float, seed: int) -
 def spectrum_and_model(term: Term) -> tuple[Spectrum, LinearModel]:
     estimator = Estimator((Misfit(), term), formulation="reduced")
     data = measured_data(estimator, cells_of(1), 0.003, 2)
-    found = best_solution(estimator.problem(Scene(Panel(*SHAPE)), 1, 1.0), data, None)
-    model = LinearModel(found.at, found.dual)
+    solution = best_solution(estimator.problem(Scene(Panel(*SHAPE)), 1, 1.0), data, None)
+    model = LinearModel(solution.at, solution.dual)
     return Spectrum.of(model), model
 
 
@@ -119,9 +119,9 @@ def test_information_is_fishers_on_log_weight() -> None:
 
 
 def error(estimator: Estimator, data: Data, cells: Array) -> float:
-    found = best_solution(estimator.problem(Scene(Panel(*cells.shape)), 1, 1.0), data, None)
-    assert found.solved
-    return rms(np.log(found.cell_resistance[0] / cells))
+    solution = best_solution(estimator.problem(Scene(Panel(*cells.shape)), 1, 1.0), data, None)
+    assert solution.solved
+    return rms(np.log(solution.cell_resistance[0] / cells))
 
 
 @pytest.mark.slow
@@ -176,11 +176,11 @@ def recording(noise: float | None, frames: int = 4) -> Recording:
 @pytest.mark.parametrize("per", ["recording", "frame"])
 def test_every_penalty_can_be_left_open(kind: type[Term], per: str) -> None:
     estimator = Estimator((Misfit(), kind(weight=AUTO)), "reduced", auto_weight=AutoWeight(per=per))
-    found = reconstruct(recording(0.003), estimator)
-    weights = np.array([step.weights for step in found.steps])
+    estimate = reconstruct(recording(0.003), estimator)
+    weights = np.array([step.weights for step in estimate.steps])
     assert np.all(weights[:, 0] == 1) and np.all(weights[:, 1] > 0)
     assert (len(set(weights[:, 1])) == 1) == (per == "recording")
-    assert all(step.solution.solved for step in found.steps)
+    assert all(step.solution.solved for step in estimate.steps)
 
 
 @pytest.mark.parametrize(
@@ -193,10 +193,10 @@ def test_every_penalty_can_be_left_open(kind: type[Term], per: str) -> None:
     ],
 )
 def test_several_penalties_and_other_losses(penalties: tuple[Term, ...]) -> None:
-    found = reconstruct(recording(0.003), Estimator((Misfit(), *penalties), "reduced"))
-    assert all(step.solution.solved for step in found.steps)
+    estimate = reconstruct(recording(0.003), Estimator((Misfit(), *penalties), "reduced"))
+    assert all(step.solution.solved for step in estimate.steps)
     for number, term in enumerate(penalties, 1):
-        weight = found.steps[0].weights[number]
+        weight = estimate.steps[0].weights[number]
         assert weight > 0 and (term.weight == AUTO or weight == term.weight)
 
 
@@ -221,9 +221,9 @@ def test_a_chosen_weight_that_keeps_readings_from_being_met_is_warned_of() -> No
     scene = lampest.Scene(lampest.Panel(6, 6), lampest.TwoPointReadout(readings=20, noise_lsb=0.7))
     recording = lampest.Recording.from_array(values, baseline=1, scene=scene)
     misfit = lampest.Misfit(weighting="noise")
-    found = lampest.reconstruct(recording, [misfit, lampest.LogGradient(weight=1e6)], formulation="reduced")
-    assert found.solved.all() and not any("readings are missed" in line for line in found.checks)
-    warned = replace(found, automatic=True).checks[0]
+    estimate = lampest.reconstruct(recording, [misfit, lampest.LogGradient(weight=1e6)], formulation="reduced")
+    assert estimate.solved.all() and not any("readings are missed" in line for line in estimate.checks)
+    warned = replace(estimate, automatic=True).checks[0]
     assert warned.startswith("with the weight that was chosen for log_gradient readings are missed by")
     chosen = lampest.reconstruct(recording, [misfit, lampest.LogGradient()], formulation="reduced")
     assert chosen.automatic and not any("readings are missed" in line for line in chosen.checks)
@@ -425,10 +425,10 @@ def test_l_curve_finds_the_corner_of_a_hyperbola() -> None:
 @pytest.mark.parametrize("penalty", [Gradient(weight="auto"), RelativeChange(weight="auto")])
 def test_rule_in_use_is_what_a_run_goes_by(penalty: Term) -> None:
     made = bump()
-    found = tune(subject(penalty, made))
-    (used,) = (choice for choice in found.choices if choice.in_use)
+    tuned_curves = tune(subject(penalty, made))
+    (used,) = (choice for choice in tuned_curves.choices if choice.in_use)
     assert used.rule == "risk"
-    run = reconstruct(made, found.subject.estimator)
+    run = reconstruct(made, tuned_curves.subject.estimator)
     assert_allclose(run.steps[0].weights[1], used.weight)
     error = np.log(run.cell_resistance[0] / made.truth_cell_resistance[2])
     assert_allclose(used.error, np.sqrt(np.mean(error**2)), rtol=1e-4)

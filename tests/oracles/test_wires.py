@@ -97,15 +97,28 @@ def test_matrix_free_steps_reach_the_same_optimum() -> None:
     assert np.median(np.abs(log_errors(done))) < 0.02
 
 
-@pytest.mark.parametrize("formulation", ["nodal", "per_pixel"])
-@pytest.mark.parametrize("keys", [{"lines": Lines(1.0, 1.0)}, {"faults": TOUCHING}], ids=["lines", "joined"])
-def test_node_voltages_as_unknowns_say_that_they_know_no_wire(keys: Any, formulation: str, tmp_path: Path) -> None:
-    simulated(Scene(Panel(6, 6), READOUTS["two_point"], **keys)).save(tmp_path / "panel.h5")
+NEITHER = "knows neither lines, contacts nor faults"
+
+
+@pytest.mark.parametrize(
+    ("formulation", "readout", "keys", "sentence"),
+    [
+        ("nodal", "two_point", {"lines": Lines(1.0, 1.0)}, NEITHER),
+        ("nodal", "two_point", {"faults": TOUCHING}, NEITHER),
+        ("per_pixel", "two_point", {"lines": Lines(1.0, 1.0)}, NEITHER),
+        ("per_pixel", "two_point", {"faults": TOUCHING}, NEITHER),
+        ("per_pixel", "loaded", {}, "knows readout.kind: two_point only"),
+    ],
+)
+def test_a_formulation_that_cannot_serve_a_scene_is_refused_before_anything(
+    formulation: str, readout: str, keys: Any, sentence: str, tmp_path: Path
+) -> None:
+    simulated(Scene(Panel(6, 6), READOUTS[readout], **keys)).save(tmp_path / "panel.h5")
     (tmp_path / "run.yaml").write_text(
         f"schema: 1\nrecordings: [panel.h5]\nformulation: {formulation}\n"
         "estimators: {LSM: {terms: {misfit: {}}}}\n"
     )
-    with pytest.raises(InputError, match=f"formulation: {formulation} knows neither lines, contacts nor faults"):
+    with pytest.raises(InputError, match=f"run.yaml: LSM × panel: formulation: {formulation} {sentence}"):
         read_run(tmp_path / "run.yaml")
 
 
