@@ -1,20 +1,16 @@
 """Recordings of a panel on which known loads lay one after the other, or several at once; no test stands here."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from lampest import Array, Course, Panel, Recording, Rod, Scene, Shape, TwoPointReadout, Unmodelled
 from lampest.estimate.calibration.known_loads import KnownLoad
-from lampest.loads.shapes import Rod
-from lampest.loads.shapes.shape import Shape
-from lampest.panel.panel import Array, Panel
-from lampest.panel.readouts import TwoPointReadout
 from lampest.panel.response import AnyResponse
-from lampest.panel.scene import Scene
-from lampest.recording.recording import MEASURED, UNLOADED, Recording
-from lampest.recording.simulation.measure import Unmodelled, measured
-from lampest.recording.simulation.simulation import Course, Simulation, cells_under, pressure_at
+from lampest.recording.simulation.measure import measured
+from lampest.recording.simulation.simulation import Simulation, cells_under, pressure_at
+from tests.estimates import recording_of
 
 RESTING = 4
 
@@ -41,36 +37,22 @@ class Bench:
     def recorded(self, loads: Sequence[Sequence[Shape]], name: str, scene: Scene | None = None) -> Recording:
         """Each group of loads for some frames, after unloaded ones, with the true pressure."""
         rng = np.random.default_rng([self.seed, len(loads), len(name)])
-        still, course = np.arange(RESTING + self.frames, dtype=float), Course(approach_s=0.0)
+        still, spread = np.arange(RESTING + self.frames, dtype=float), Unmodelled(response_spread=self.spread)
+        plain = Simulation(1, self.seed, self.scene, baseline_frames=RESTING, frames=self.frames)
+        plain = replace(plain, course=Course(approach_s=0.0), response=self.response, unmodelled=spread)
         cells, pressure = [], []
         for group in loads:
-            made = Simulation(
-                1,
-                self.seed,
-                self.scene,
-                baseline_frames=RESTING,
-                frames=self.frames,
-                loads=tuple(group),  # type: ignore[arg-type]
-                course=course,
-                response=self.response,
-                unmodelled=Unmodelled(response_spread=self.spread),
-            )
-            under = cells_under(made, still)
+            simulation = replace(plain, loads=tuple(group))
+            under = cells_under(simulation, still)
             again = np.exp(self.repeat * rng.standard_normal(self.panel.shape))
             cells.append(under[:1] * (under[RESTING:] / under[:1]) ** again)
-            pressure.append(pressure_at(made, still - RESTING)[RESTING:])
+            pressure.append(pressure_at(simulation, still - RESTING)[RESTING:])
         resting = np.repeat(under[:1], RESTING, axis=0)
-        truth = np.concatenate([resting, *cells])
-        recorded, _ = measured(self.scene, truth, Unmodelled(), self.seed + len(name), 1.0, ())
-        return Recording(
-            scene=scene or self.scene,
-            recorded=recorded,
-            time=np.arange(len(truth), dtype=float),
-            role=np.where(np.arange(len(truth)) < RESTING, UNLOADED, MEASURED).astype(np.uint8),
-            truth_cell_resistance=truth,
-            truth_pressure=np.concatenate([0 * resting, *pressure]),
-            name=name,
-        )
+        truth = {"truth_cell_resistance": np.concatenate([resting, *cells])}
+        truth["truth_pressure"] = np.concatenate([0 * resting, *pressure])
+        noise = (Unmodelled(), self.seed + len(name), 1.0, ())
+        recorded, _ = measured(self.scene, truth["truth_cell_resistance"], *noise)
+        return recording_of(scene or self.scene, recorded, RESTING, name=name, **truth)
 
     def frames_of(self, number: int) -> tuple[int, int]:
         """The first and the last frame of a group of loads."""
@@ -92,23 +74,13 @@ def moved_over(
     """
     rng = np.random.default_rng([bench.seed, 5])
     xs, ys = (np.arange(0, 10.0 * (count - 1) + 0.1, step) for count in bench.panel.shape[::-1])
+    places = [(pressure, float(x), float(y)) for pressure in kpa for x in xs for y in ys]
     groups: list[list[Shape]] = []
     known = []
-    for one in kpa:
-        for x in xs:
-            for y in ys:
-                there = rng.normal((x, y), away)
-                groups.append([rod(float(there[0]), float(there[1]), diameter, one)])
-                load = rod(float(x), float(y), diameter, one)
-                known.append(
-                    KnownLoad(
-                        frames=bench.frames_of(len(known)),
-                        mass_g=load.mass_g,
-                        x_mm=float(x),
-                        y_mm=float(y),
-                        diameter_mm=diameter,
-                    )
-                )
+    for number, (pressure, x, y) in enumerate(places):
+        groups.append([rod(*map(float, rng.normal((x, y), away)), diameter, pressure)])
+        mass = rod(x, y, diameter, pressure).mass_g
+        known.append(KnownLoad(frames=bench.frames_of(number), mass_g=mass, x_mm=x, y_mm=y, diameter_mm=diameter))
     return groups, known
 
 

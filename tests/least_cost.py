@@ -86,6 +86,9 @@ class Circuit:
         return value.reshape(cells.shape), by_cell / cells.ravel()
 
 
+TWO_POINT = Circuit("two_point")
+
+
 def nabla(rows: int, columns: int) -> Array:
     """MATLAB's gradient as a matrix (2·cells, cells), down the rows and then along the columns."""
     units = np.eye(rows * columns).reshape(-1, rows, columns)
@@ -137,6 +140,19 @@ class LeastCost:
     previous: Array | None = None
     baseline: Array | None = None
     deviation: Array | None = None
+
+    @classmethod
+    def of(
+        cls, data: Any, *terms: Penalty, circuit: Circuit = TWO_POINT, faulty: NDArray[np.bool_] | None = None
+    ) -> "LeastCost":
+        """The cost of a problem that the package's data pose."""
+        given, shape = data.given, data.measured.shape
+        side = np.zeros(shape) if given.side is None else given.side
+        seen = np.ones(shape) if given.seen is None else given.seen
+        faulty = np.zeros(shape[1:], dtype=bool) if faulty is None else faulty
+        baseline = given.previous if given.baseline is None else given.baseline
+        readings = (given.measured, given.sigma, side, seen, data.lower, data.upper)
+        return cls(circuit, terms, *readings, faulty, given.previous, baseline, given.previous_deviation)
 
     def blocks(self, position: Array) -> Iterator[tuple[Penalty, Array, Array]]:
         """(term, residuals x, ∂x/∂u) of every term in every frame."""
@@ -190,9 +206,8 @@ class LeastCost:
         return (1.0 if term.kind == "cell_resistance" else 100.0), np.eye(rows * columns)
 
     def _misfit(self, term: Penalty, frame: int, reading: Array, response: Array) -> tuple[Array, Array]:
-        measured, sigma, side, seen = (
-            part[frame].ravel() for part in (self.measured, self.sigma, self.side, self.seen)
-        )
+        parts = (self.measured, self.sigma, self.side, self.seen)
+        measured, sigma, side, seen = (part[frame].ravel() for part in parts)
         difference = reading - measured
         counts = seen * np.where(side == 0, 1.0, side * difference < 0)
         scale = counts / (sigma if term.scaled else 1.0)
@@ -239,12 +254,8 @@ class LeastCost:
         smooth = 1e-6 * max(rough, default=0.0)
 
         def both(place: Array) -> tuple[float, Array]:
-            total, gradient = 0.0, np.zeros(len(place))
-            for term, x, rows in self.blocks(place):
-                value, slope = loss(term, x, smooth)
-                total += term.weight * float(np.sum(value))
-                gradient += term.weight * (rows.T @ slope)
-            return total, gradient
+            residuals, slopes = self.as_squares(place, smooth)
+            return float(residuals @ residuals), 2 * residuals @ slopes
 
         options = {"maxiter": most, "maxcor": 30, "ftol": 1e-15, "gtol": 0.0}
         return np.asarray(minimize(both, start, jac=True, method="L-BFGS-B", bounds=bounds, options=options).x)

@@ -1,14 +1,41 @@
-"""A panel as a list of resistors, solved as such: an oracle that shares nothing with the house. No test stands here."""
+"""Panels as lists of resistors, solved as such: oracles that share nothing with the house. No test stands here."""
 
-from collections.abc import Iterable
+from collections.abc import Hashable, Iterable
 from itertools import pairwise
 
+import mpmath
 import numpy as np
 
-from lampest.panel.panel import Array
-from lampest.panel.scene import Scene
+from lampest import Array, Scene
 
-Resistor = tuple[int, int, float]
+Node = Hashable
+Resistor = tuple[Node, Node, float]
+
+
+def laplacian(resistors: Iterable[Resistor]) -> tuple[dict[Node, int], Array]:
+    """Node → line of the matrix of conductances, and this matrix; resistors of 0 ohm join their nodes."""
+    resistors = list(resistors)
+    name = {node: node for first, second, _ in resistors for node in (first, second)}
+    for first, second, ohm in resistors:
+        if ohm == 0:
+            name = {node: name[first] if label == name[second] else label for node, label in name.items()}
+    index = {label: number for number, label in enumerate(dict.fromkeys(name.values()))}
+    matrix = np.zeros((len(index),) * 2)
+    for first, second, ohm in resistors:
+        pair = [index[name[first]], index[name[second]]]
+        if pair[0] != pair[1]:
+            matrix[np.ix_(pair, pair)] += np.array([[1, -1], [-1, 1]]) / ohm
+    return {node: index[label] for node, label in name.items()}, matrix
+
+
+def potentials(resistors: Iterable[Resistor], held: dict[Node, float]) -> dict[Node, float]:
+    """Node → volt, for nodes that ideal sources hold at a potential."""
+    number, matrix = laplacian(resistors)
+    volt, fixed = np.zeros(len(matrix)), [number[node] for node in held if node in number]
+    volt[fixed] = [held[node] for node in held if node in number]
+    free = np.setdiff1d(np.arange(len(matrix)), fixed)
+    volt[free] = np.linalg.solve(matrix[np.ix_(free, free)], -matrix[free] @ volt)
+    return {node: float(volt[line]) for node, line in number.items()}
 
 
 def resistors(cells: Array, scene: Scene) -> Iterable[Resistor]:
@@ -20,28 +47,17 @@ def resistors(cells: Array, scene: Scene) -> Iterable[Resistor]:
     rows, columns = cells.shape
     lines, faults = scene.lines, scene.faults
     row_ohm, column_ohm = (0.0, 0.0) if lines is None else (lines.row_ohm_per_cell, lines.column_ohm_per_cell)
-
-    def crossing(row: int, column: int) -> int:
-        return rows + columns + 2 * (row * columns + column)
-
+    crossing = rows + columns + 2 * np.arange(rows * columns).reshape(cells.shape)
     behind = rows + columns + 2 * rows * columns
     contacts = np.zeros(rows + columns) if scene.contacts is None else scene.contacts.mean((rows, columns))
     yield from ((line, behind + line, float(ohm)) for line, ohm in enumerate(contacts))
-    for row in range(rows):
-        order = list(range(columns))
-        if lines is not None and lines.rows_enter == "right":
-            order.reverse()
-        chain = [behind + row, *(crossing(row, column) for column in order)]
-        yield from ((one, other, row_ohm) for one, other in pairwise(chain))
-    for column in range(columns):
-        order = list(range(rows))
-        if lines is None or lines.columns_leave == "bottom":
-            order.reverse()
-        chain = [behind + rows + column, *(crossing(row, column) + 1 for row in order)]
-        yield from ((one, other, column_ohm) for one, other in pairwise(chain))
-    for row in range(rows):
-        for column in range(columns):
-            yield crossing(row, column), crossing(row, column) + 1, float(cells[row, column])
+    along = -1 if lines is not None and lines.rows_enter == "right" else 1
+    down = -1 if lines is None or lines.columns_leave == "bottom" else 1
+    chains = [((behind + row, *crossing[row, ::along].tolist()), row_ohm) for row in range(rows)]
+    ends = behind + rows
+    chains += [((ends + place, *(crossing[::down, place] + 1).tolist()), column_ohm) for place in range(columns)]
+    yield from ((first, second, ohm) for chain, ohm in chains for first, second in pairwise(chain))
+    yield from ((node, node + 1, float(ohm)) for node, ohm in zip(crossing.flat, cells.flat, strict=True))
     if faults is not None:
         yield from ((group[0], line, 0.0) for group in faults.joined_rows for line in group[1:])
         yield from ((rows + group[0], rows + line, 0.0) for group in faults.joined_columns for line in group[1:])
@@ -49,21 +65,37 @@ def resistors(cells: Array, scene: Scene) -> Iterable[Resistor]:
 
 def impedance_of(cells: Array, scene: Scene, ties: Array) -> Array:
     """Z (lines, lines) ohm between the terminals, ties (lines) siemens to ground; nodes joined by 0 ohm are one."""
-    parts = list(resistors(cells, scene))
-    lines, count = sum(cells.shape), 1 + max(max(one, other) for one, other, _ in parts)
-    name = list(range(count))
-    for one, other, ohm in parts:
-        if ohm == 0:
-            first, second = sorted((name[one], name[other]))
-            name = [first if label == second else label for label in name]
-    labels = sorted(set(name))
-    node = [labels.index(label) for label in name]
-    matrix = np.zeros((len(labels), len(labels)))
-    for one, other, ohm in parts:
-        if ohm:
-            pair = [node[one], node[other]]
-            matrix[np.ix_(pair, pair)] += np.array([[1, -1], [-1, 1]]) / ohm
-    for line in range(lines):
-        matrix[node[line], node[line]] += ties[line]
-    potentials = np.linalg.inv(matrix)
-    return np.asarray(potentials[np.ix_(node[:lines], node[:lines])])
+    number, matrix = laplacian(resistors(cells, scene))
+    lines = [number[line] for line in range(sum(cells.shape))]
+    np.add.at(matrix, (lines, lines), ties)
+    return np.asarray(np.linalg.inv(matrix)[np.ix_(lines, lines)])
+
+
+def two_point_resistances(cells: Array, leak_ohm: float = np.inf) -> Array:
+    """R between rows and columns of cells, by the pseudoinverse; a leak joins every line with the next of its kind."""
+    rows, columns = cells.shape
+    matrix = np.zeros((rows + columns,) * 2)
+    matrix[:rows, rows:] = -1 / cells
+    line = np.delete(np.arange(rows + columns - 1), rows - 1)
+    matrix[line, line + 1] -= 1 / leak_ohm
+    matrix += matrix.T
+    inverse = np.linalg.pinv(matrix - np.diag(matrix.sum(axis=1)))
+    own = np.diag(inverse)
+    return np.asarray(own[:rows, None] + own[None, rows:] - 2 * inverse[:rows, rows:])
+
+
+def in_digits(cells: Array, digits: int = 50) -> Array:
+    """R between rows and columns of cells by mpmath, with the first row grounded; inf where current has no way."""
+    rows, columns = cells.shape
+    with mpmath.workdps(digits):
+        matrix = mpmath.zeros(rows + columns)
+        for (row, column), ohm in np.ndenumerate(cells):
+            conductance, line = 1 / mpmath.mpf(float(ohm)), rows + column
+            for first, second, sign in ((row, row, 1), (line, line, 1), (row, line, -1), (line, row, -1)):
+                matrix[first, second] += sign * conductance
+        inverse = mpmath.zeros(rows + columns)
+        inverse[1:, 1:] = mpmath.inverse(matrix[1:, 1:])
+        between = [
+            inverse[j, j] + inverse[k, k] - 2 * inverse[j, k] for j in range(rows) for k in range(rows, matrix.rows)
+        ]
+    return np.array([float(resistance) for resistance in between]).reshape(cells.shape)

@@ -11,24 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from lampest.cost.given import Given
-from lampest.cost.losses import Absolute, Huber, Squared
-from lampest.cost.problem import Data
-from lampest.cost.terms import Misfit, term_types
+from lampest import Absolute, Data, Faults, Huber, Misfit, OptimalMethod, Panel, Readings, Squared, Step, term_types
 from lampest.estimate.estimator import Bounds, Estimator
-from lampest.estimate.methods.method import OptimalMethod
-from lampest.estimate.state import Step
 from lampest.estimate.stream import Stream
-from lampest.panel.panel import Panel
-from lampest.panel.readouts import (
-    GroundedReadout,
-    LoadedColumnsReadout,
-    Readout,
-    TwoPointReadout,
-    VirtualGroundReadout,
-)
-from lampest.panel.scene import Faults, Scene
-from lampest.recording.readings import Readings
+from lampest.panel.readouts import GroundedReadout, LoadedColumnsReadout, Readout, TwoPointReadout, VirtualGroundReadout
+from lampest.panel.scene import Scene
 from tests.least_cost import Array, Circuit, LeastCost, Penalty
 
 SIZES = {"line": 0.1, "to 6": 0.3, "to 10": 0.3, "to 16": 0.2, "to 24": 0.1}
@@ -143,7 +130,6 @@ class RandomProblem:
         """That solve."""
         if self.asked is None:
             baseline = Stream.begin(self.estimator, self.scene, 1.0, self._readings[0]).baseline
-            assert baseline is not None
             return baseline
         stream, readings = self.asked
         return stream.push(readings)[1]
@@ -151,20 +137,11 @@ class RandomProblem:
     @cached_property
     def oracle(self) -> LeastCost:
         """The same problem in the second statement."""
-        given: Given = self.data.given
-        shape = given.measured.shape
-        alone = self.asked is None
-        terms = tuple(one for one in self.penalties if not alone or one.kind in ABSOLUTE)
-        broken = np.zeros(shape[1:], dtype=bool)
-        if self.scene.faults is not None:
-            broken = self.scene.faults.open_cells(self.scene.panel) | self.scene.faults.shorted_cells(self.scene.panel)
-        side = np.zeros(shape) if given.side is None else given.side
-        seen = np.ones(shape) if given.seen is None else given.seen
-        baseline = given.previous if given.baseline is None else given.baseline
-        return LeastCost(
-            self.circuit, terms, given.measured, given.sigma, side, seen, self.data.lower, self.data.upper,
-            broken, given.previous, baseline, given.previous_deviation,
-        )  # fmt: skip
+        alone, faults = self.asked is None, self.scene.faults
+        terms = (penalty for penalty in self.penalties if not alone or penalty.kind in ABSOLUTE)
+        panel = self.scene.panel
+        broken = None if faults is None else faults.open_cells(panel) | faults.shorted_cells(panel)
+        return LeastCost.of(self.data, *terms, circuit=self.circuit, faulty=broken)
 
 
 ABSOLUTE = ("misfit", "cell_resistance", "gradient", "total_variation")

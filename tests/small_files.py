@@ -9,6 +9,8 @@ from typing import Any
 import h5py
 import numpy as np
 
+from tests.netlist import two_point_resistances
+
 COMMAND = Path(sys.executable).with_name("lampest")
 SCENE = "panel: {rows: 3, columns: 4, pitch_mm: 10}\nreadout: {kind: two_point}\nseries_resistance_ohm: 140\n"
 RUN = """\
@@ -40,17 +42,7 @@ limits: {nodal: 8}
 
 def exact(cells: Any) -> Any:
     """Two-point resistances of frames of cells."""
-    found = np.empty_like(cells)
-    for frame, panel in enumerate(cells):
-        rows = len(panel)
-        lines = np.zeros((sum(panel.shape),) * 2)
-        lines[:rows, rows:] = -1 / panel
-        lines += lines.T
-        np.fill_diagonal(lines, -lines.sum(axis=1))
-        inverse = np.linalg.pinv(lines)
-        diagonal = np.diag(inverse)
-        found[frame] = diagonal[:rows, None] + diagonal[None, rows:] - 2 * inverse[:rows, rows:]
-    return found
+    return np.stack([two_point_resistances(panel) for panel in cells])
 
 
 def write_recording(path: Path, scene: str = SCENE, shape: tuple[int, int, int] = (3, 3, 4), **changes: Any) -> Path:

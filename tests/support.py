@@ -7,13 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from lampest.estimate.estimator import Estimator
-from lampest.panel.panel import Array, Panel
-from lampest.panel.scene import Scene
+from lampest import Array, CaseResult, Estimator, Panel, Scene
 from lampest.report.live.engine import Engine, FrameSource
 from lampest.report.live.message import Picture
 from lampest.report.live.watcher import Scan
-from lampest.runs.results import CaseResult
 
 METHODS = ("LSM", "LSR-CR", "LSR-dCR", "LSR-gCR", "LSR-gdCR")
 

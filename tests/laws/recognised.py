@@ -2,16 +2,12 @@
 
 import numpy as np
 
+from lampest import Panel, Scene, Shape, Simulation, TwoPointReadout, simulate
 from lampest.loads.recognition.candidates import LOADS
 from lampest.loads.recognition.detector import Detector
 from lampest.loads.recognition.evidence import Verdict
 from lampest.loads.recognition.observation import Baseline, ModelErrors, Observation
-from lampest.loads.shapes import Shape
 from lampest.loads.shapes.shape import Candidate
-from lampest.panel.panel import Panel
-from lampest.panel.readouts import TwoPointReadout
-from lampest.panel.scene import Scene
-from lampest.recording.simulation import Simulation, simulate
 
 PANEL, PATCH_MM = Panel(10, 10), 6.0
 

@@ -2,7 +2,7 @@
 
 import dataclasses
 import itertools
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import cache
 from importlib.metadata import EntryPoint
 from typing import Any, get_args
@@ -10,13 +10,15 @@ from typing import Any, get_args
 import pytest
 from laws.samples import DECIDED, configurations, examples, hints, is_settled, members_of, parts, unions, words
 
-from lampest.cost.terms import term_types
-from lampest.estimate.methods import AnyMethod, MethodName, named_method
+from lampest import Course, Estimator, Huber, InputError, OralDisc, Panel, Simulation, Student, Tare, Unmodelled
+from lampest.cost.terms import Arrival, Gradient, Misfit, term_types
+from lampest.estimate.methods import AnyMethod, MethodName, SmootherMethod, named_method
 from lampest.files import typed
 from lampest.files.document import Document, parse_document, plain_content, to_yaml, validated
-from lampest.files.errors import InputError
-from lampest.panel.panel import Panel
-from lampest.panel.scene import Scene
+from lampest.panel.readouts import LoadedColumnsReadout, TwoPointReadout
+from lampest.panel.readouts.wiring import ContactPrior, Contacts
+from lampest.panel.response import Film, PowerResponse, TableResponse
+from lampest.panel.scene import Faults, Scene, SeriesPerLine, Temperature, Water
 from lampest.runs.config import Terms
 
 KINDS = {f"{kind.__module__.removeprefix('lampest.')}.{kind.__name__}": kind for kind in configurations()}
@@ -119,8 +121,8 @@ def test_missing_key_is_refused_and_named(kind: type) -> None:
 
 @EVERY
 def test_it_is_frozen_and_holds_nothing_but_its_like(kind: type) -> None:
-    assert kind.__dataclass_params__.frozen  # type: ignore[attr-defined]
-    assert kind.__pydantic_config__ == {"extra": "forbid"}  # type: ignore[attr-defined]
+    assert kind.__dataclass_params__.frozen
+    assert kind.__pydantic_config__ == {"extra": "forbid"}
     inside = {part for hint in hints(kind).values() for part in parts(hint) if dataclasses.is_dataclass(part)}
     assert {part for part in inside if isinstance(part, type)} <= {*configurations()}
 
@@ -172,3 +174,95 @@ def test_installed_kinds_stand_in_the_order_of_their_names(monkeypatch: pytest.M
     ]
     monkeypatch.setattr("importlib.metadata.entry_points", lambda group: points)
     assert typed.installed.__wrapped__("g", type) == (Scene, Panel)
+
+
+def table(pressure: tuple[float, ...], ohm: tuple[float, ...], **more: Any) -> TableResponse:
+    return TableResponse(pressure_kpa=pressure, resistance_ohm=ohm, **more)
+
+
+def mouth(**more: float) -> OralDisc:
+    return OralDisc(centre_mm=(45.0, 45.0), diameter_mm=36.0, rim_width_mm=6.0, pressure_kpa=-9.0, **more)
+
+
+def scene(**keys: Any) -> Scene:
+    return Scene(Panel(6, 7), **keys)
+
+
+NOISY, SERIES = Misfit(weighting="noise"), r"belongs to readout\.kind: two_point.*drive_ohm or sense_ohm"
+SMOOTHER, NOT_FINITE = (
+    r"smoother has one term, misfit: \{weighting: noise, loss",
+    (0.0, -1.0, float("nan"), float("inf")),
+)
+IMPOSSIBLE: list[tuple[Callable[[], object], str]] = [
+    (lambda: scene(faults=Faults(open=((6, 0),))), "there is no cell"),
+    (lambda: scene(faults=Faults(dead_rows=(9,))), "there is no row 9"),
+    (lambda: scene(faults=Faults(open=((1, 1),), shorted=((1, 1),))), "open and shorted"),
+    (lambda: scene(faults=Faults(dead_rows=tuple(range(6)))), "nothing is left"),
+    (lambda: scene(faults=Faults(joined_rows=((1,),))), "joined_rows lists groups of two or more"),
+    (lambda: scene(faults=Faults(joined_rows=((1, 2), (2, 3)))), "each row once"),
+    (lambda: scene(faults=Faults(joined_columns=((1, 9),))), "there is no column 9"),
+    (lambda: scene(faults=Faults(joined_rows=((1, 2),), dead_rows=(2,))), "cannot be dead and joined"),
+    (lambda: scene(contacts=Contacts(ContactPrior((1.0, 2.0)))), "lists 2 numbers, but there are 6 such lines"),
+    (lambda: scene(converter_memory=1.0), "must be zero or positive, and below 1"),
+    (lambda: scene(readout=LoadedColumnsReadout(), series_resistance_ohm=140.0), SERIES),
+    (lambda: scene(readout=LoadedColumnsReadout(), series_resistance_ohm=SeriesPerLine(70.0, 70.0)), SERIES),
+    (
+        lambda: scene(readout=TwoPointReadout(), series_resistance_ohm=SeriesPerLine((80.0,) * 2, 60.0)),
+        "series_resistance_ohm.rows lists 2 numbers, but there are 6 such lines",
+    ),
+    (
+        lambda: scene(response=PowerResponse(exponent=1.0, scale_kpa=1.0, gain=((1.0, 1.0),))),
+        r"response\.gain must have 6 rows of 7 numbers",
+    ),
+    (lambda: TwoPointReadout(passes_volt=(3.0, 1.0)), "passes_volt must be two voltages from 0 to 5, the lower one"),
+    (lambda: Water(-1.0), "must lie between 0 and 11000000"),
+    (lambda: Temperature(-3, 20, 8), "between -1 and 1"),
+    (lambda: Temperature(0, 20, -300), "measured_celsius"),
+    (lambda: Film(hysteresis=0.7), "hysteresis"),
+    (lambda: Film(creep_per_decade=-0.1), "creep_per_decade"),
+    (lambda: Film(deviation=2), "deviation"),
+    (lambda: Film(curvature_per_m=60), "curvature_per_m"),
+    (lambda: loaded("hysteresis: often", Film), "hysteresis"),
+    (lambda: table((0, 1, 1), (3, 2, 1)), "must rise"),
+    (lambda: table((0, 1, 2), (3, 2, 2)), "must be positive, and fall"),
+    (lambda: table((0, 1, 2), (3, 2)), "as many"),
+    (lambda: table((1, 2), (3, 2)), "from 0 or below"),
+    (lambda: table((0, 1), (3, 2), sd=(0.1,)), "sd needs one number"),
+    (lambda: table((0, 1), (3, 2), gain=((1.0, 2.0), (1.0,))), "gain needs one number"),
+    (lambda: table((0, 1), (3, 2), gain=((0.0,),)), "gain must be positive"),
+    (lambda: mouth(elongation=0.9), "elongation must"),
+    (lambda: mouth(unevenness=1.5), "unevenness must"),
+    (lambda: mouth(lobes=0), "lobes must"),
+    (lambda: mouth(extra_rim_kpa=-1.0), "extra_rim_kpa must"),
+    (lambda: mouth(rim_kpa=9, extra_rim_kpa=1), "must"),
+    (lambda: mouth(tilt=2.0), "tilt must lie between 0 and 1"),
+    (lambda: Course(pump_s=40, pump_loss=1), "pump_loss must be below 1"),
+    *(
+        (lambda effect=effect: Simulation(1, 5, scene(), unmodelled=Unmodelled(**{effect: 1.0})), "need a readout")
+        for effect in ("supply_ripple_lsb", "gain_spread", "inl_lsb")
+    ),
+    (lambda: Tare(frames=4), "frames"),
+    (lambda: Tare(frames=10, drift_per_minute=-1.0), "drift_per_minute"),
+    (lambda: Estimator((Misfit(),), tare=10), "tare must be"),
+    *((lambda corner=corner: Huber(corner=corner), "corner must be") for corner in NOT_FINITE),
+    *((lambda corner=corner: Student(corner=corner), "corner must be") for corner in NOT_FINITE),
+    *((lambda walk=walk: Arrival(walk_percent=walk), "walk_percent must be") for walk in NOT_FINITE),
+    (lambda: Estimator((NOISY, Arrival()), error_bars=False), "arrival weighs frames by their error bars"),
+    (lambda: Estimator((NOISY, Arrival()), formulation="scaled"), "arrival weighs frames by their error bars"),
+    (lambda: Estimator((Arrival(),)), "arrival needs the term misfit"),
+    (lambda: Estimator((Gradient(weight="auto"),)), "needs the term misfit"),
+    (lambda: SmootherMethod(walk=0.0), "walk"),
+    (lambda: SmootherMethod(jump=float("nan")), "jump"),
+    (lambda: SmootherMethod(lag=0), "lag"),
+    (lambda: Estimator((Misfit(loss=Student(corner=4.0)),), "smoother"), SMOOTHER),
+    (lambda: Estimator((NOISY,), "smoother"), SMOOTHER),
+    (lambda: Estimator((dataclasses.replace(NOISY, weight=2.0, loss=Huber(corner=3.0)),), "smoother"), SMOOTHER),
+    (lambda: Estimator((dataclasses.replace(NOISY, loss=Student(corner=4.0)), Gradient()), "smoother"), SMOOTHER),
+]
+
+
+@pytest.mark.parametrize(("make", "words"), IMPOSSIBLE, ids=range(len(IMPOSSIBLE)))
+def test_what_cannot_be_is_refused_in_one_sentence(make: Callable[[], object], words: str) -> None:
+    with pytest.raises(ValueError, match=words) as refusal:
+        make()
+    assert isinstance(refusal.value, InputError) or "\n" not in str(refusal.value)

@@ -5,9 +5,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from lampest import two_point_resistance
-from lampest.panel.panel import Array
-from lampest.panel.readouts import TwoPointReadout
+from lampest import Array, TwoPointReadout, two_point_resistance
 from lampest.panel.readouts.floating import FloatingNetwork, grounding
 from lampest.solvers.ipopt.formulations import FORMULATIONS
 

@@ -6,13 +6,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
-from lampest import two_point_resistance
+from lampest import Array, two_point_resistance
 from lampest.panel.kirchhoff import current_balance, injected, laplacian
-from lampest.panel.panel import Array
-from lampest.panel.readouts.floating import FloatingNetwork, grounding, uniform_factor
+from lampest.panel.readouts.floating import FloatingNetwork, grounding
 
 QUICK = settings(derandomize=True, deadline=None, max_examples=25, database=None)
-SHAPES = [(1, 1), (1, 6), (6, 1), (2, 2), (2, 7), (3, 5), (5, 3), (7, 7), (10, 10)]
+SHAPES = [(1, 1), (1, 6), (6, 1), (2, 2), (2, 7), (3, 5), (5, 3), (7, 7)]
 panels = st.builds(
     lambda rows, columns, seed, decades: random_panel((rows, columns), seed, decades),
     st.integers(1, 7),
@@ -44,14 +43,6 @@ def complex_step(cells: Array, cell: tuple[int, ...]) -> Array:
     return np.asarray(FloatingNetwork.solve(conductance, grounding(cells)).reading().imag / step)
 
 
-@pytest.mark.parametrize("shape", SHAPES)
-def test_equal_cells_have_their_closed_form(shape: tuple[int, int]) -> None:
-    rows, columns = shape
-    expected = 3050 * (rows + columns - 1) / (rows * columns)
-    assert_allclose(two_point_resistance(np.full(shape, 3050.0)), expected, rtol=1e-13)
-    assert uniform_factor(rows, columns) * 3050 == pytest.approx(expected, rel=1e-15)
-
-
 @given(st.integers(1, 9), st.integers(1, 9), st.integers(0, 2**32 - 1))
 @QUICK
 def test_a_panel_of_rank_one_has_its_closed_form(rows: int, columns: int, seed: int) -> None:
@@ -73,12 +64,6 @@ def test_a_panel_of_two_rows_is_a_cell_beside_a_ladder(columns: int) -> None:
             around = np.inf if columns == 1 else cells[1 - row, column] + 1 / others.sum()
             expected[row, column] = 1 / (1 / cells[row, column] + 1 / around)
     assert_allclose(two_point_resistance(cells), expected, rtol=1e-12)
-
-
-@pytest.mark.parametrize("shape", [(1, 1), (1, 9), (9, 1)])
-def test_single_line_shows_its_cells(shape: tuple[int, int]) -> None:
-    cells = random_panel(shape, 4, 4.0)
-    assert_allclose(two_point_resistance(cells), cells, rtol=1e-12)
 
 
 @given(panels)
@@ -103,12 +88,14 @@ def test_resistances_are_the_gradient_of_the_log_determinant(shape: tuple[int, i
 
 @given(panels)
 @QUICK
-def test_the_jacobian_times_the_cells_gives_the_resistances(cells: Array) -> None:
+def test_sensitivities_lie_between_zero_and_one_and_times_the_cells_give_the_resistances(cells: Array) -> None:
     """J r = R, since R is homogeneous of degree one."""
-    assert_allclose(jacobian(cells) @ cells.ravel(), two_point_resistance(cells).ravel(), rtol=1e-10)
+    sensitivity = jacobian(cells)
+    assert np.min(sensitivity) >= 0 and np.max(sensitivity) <= 1 + 1e-12
+    assert_allclose(sensitivity @ cells.ravel(), two_point_resistance(cells).ravel(), rtol=1e-10)
 
 
-@pytest.mark.parametrize("shape", SHAPES[:-1])
+@pytest.mark.parametrize("shape", SHAPES)
 def test_product_form_is_the_jacobian_is_the_derivative(shape: tuple[int, int]) -> None:
     cells = random_panel(shape, 6)
     solved = network(cells)
@@ -135,14 +122,6 @@ def test_product_form_is_linear_and_its_own_transpose(cells: Array, seed: int) -
 
 @given(panels)
 @QUICK
-def test_sensitivities_lie_between_zero_and_one(cells: Array) -> None:
-    sensitivity = jacobian(cells)
-    assert np.min(sensitivity) >= 0
-    assert np.max(sensitivity) <= 1 + 1e-12
-
-
-@given(panels)
-@QUICK
 def test_a_resistance_lies_between_its_cell_and_its_cell_beside_the_rest(cells: Array) -> None:
     """1/(g + ab/(a + b)) ≤ R ≤ r, a and b the rest of the row's and of the column's conductance."""
     conductance, resistance = 1 / cells, two_point_resistance(cells)
@@ -165,14 +144,6 @@ def test_way_round_is_no_shorter(cells: Array) -> None:
     assert np.all(resistance[j, k] <= round_trip * (1 + 1e-12))
 
 
-@given(panels, st.integers(0, 2**32 - 1))
-@QUICK
-def test_larger_cells_make_no_resistance_smaller(cells: Array, seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    larger = cells * np.where(rng.random(cells.shape) < 0.3, rng.uniform(1, 100, cells.shape), 1.0)
-    assert np.all(two_point_resistance(larger) >= two_point_resistance(cells) * (1 - 1e-12))
-
-
 @given(panels, st.integers(-40, 40))
 @QUICK
 def test_scaling_by_powers_of_two_is_exact(cells: Array, power: int) -> None:
@@ -182,7 +153,7 @@ def test_scaling_by_powers_of_two_is_exact(cells: Array, power: int) -> None:
 @given(panels, st.randoms(use_true_random=False))
 @QUICK
 def test_permuted_and_transposed_panels_have_permuted_and_transposed_resistances(cells: Array, random: object) -> None:
-    rng = np.random.default_rng(random.randrange(2**32))  # type: ignore[attr-defined]
+    rng = np.random.default_rng(random.randrange(2**32))
     rows, columns = (rng.permutation(size) for size in cells.shape)
     resistance = two_point_resistance(cells)
     assert_allclose(two_point_resistance(cells[rows][:, columns]), resistance[rows][:, columns], rtol=1e-11)
@@ -221,28 +192,19 @@ def test_unconnected_line_is_an_error() -> None:
 
 @given(panels)
 @QUICK
-def test_current_is_conserved_and_equal_potentials_carry_none(cells: Array) -> None:
-    conductance, (rows, columns) = 1 / cells, cells.shape
-    rng = np.random.default_rng(1)
-    from_rows, from_columns = current_balance(
-        conductance, rng.standard_normal((rows, 3)), rng.standard_normal((columns, 3))
-    )
-    assert_allclose(from_rows.sum(axis=0) + from_columns.sum(axis=0), 0, atol=1e-13 * conductance.sum())
-    resting = current_balance(conductance, np.ones((rows, 1)), np.ones((columns, 1)))
-    assert_allclose(np.vstack(resting), 0, atol=1e-13 * conductance.sum())
-    matrix = laplacian(conductance)
-    assert_array_equal(matrix, matrix.T)
-
-
-@given(panels)
-@QUICK
-def test_all_forms_of_the_law_are_one(cells: Array) -> None:
+def test_current_is_conserved_in_all_forms_of_the_law(cells: Array) -> None:
+    """Equal potentials carry none."""
     conductance, (rows, columns) = 1 / cells, cells.shape
     potentials = np.random.default_rng(2).standard_normal((rows + columns, 3))
-    expected = np.vstack(current_balance(conductance, potentials[:rows], potentials[rows:]))
-    size = 1e-13 * np.abs(conductance).sum() * np.abs(potentials).max()
-    assert_allclose(injected(conductance, potentials), expected, atol=size)
-    assert_allclose(laplacian(conductance) @ potentials, expected, atol=size)
+    potentials[:, 0] = 1.0
+    balance = np.vstack(current_balance(conductance, potentials[:rows], potentials[rows:]))
+    size = 1e-13 * conductance.sum() * np.abs(potentials).max()
+    assert_allclose(balance.sum(axis=0), 0, atol=size)
+    assert_allclose(balance[:, 0], 0, atol=size)
+    matrix = laplacian(conductance)
+    assert_array_equal(matrix, matrix.T)
+    assert_allclose(injected(conductance, potentials), balance, atol=size)
+    assert_allclose(matrix @ potentials, balance, atol=size)
 
 
 @given(panels)

@@ -7,20 +7,19 @@ import numpy as np
 import pytest
 
 import lampest
+from lampest import Cells, Panel, Scene, Simulation
 from lampest.cost.given import Background
 from lampest.estimate.outliers import impossible_readings
 from lampest.estimate.prepared import Prepared
 from lampest.estimate.sequence import first_stream
-from lampest.panel.panel import Panel
 from lampest.panel.readouts.star_mesh import exact_two_point_resistance
 from lampest.panel.response import PUBLISHED
-from lampest.panel.scene import Scene
-from lampest.recording.simulation import Cells, Simulation
 from lampest.report.detect.detection import detect_recording
 from lampest.report.detect.pressed import pressed_of
 from lampest.solvers.hessian import Hessian
 from lampest.solvers.multistart import evaluated
 from lampest.solvers.smoothing import Smoothing
+from tests.estimates import recording_of
 from tests.outlines import OUTLINES
 
 READOUT = lampest.TwoPointReadout(adc_bits=16, readings=100, noise_lsb=0.5)
@@ -35,9 +34,7 @@ def drawn(outline: str, seed: int) -> tuple[Panel, np.ndarray]:
 
 def solved(panel: Panel, frames: np.ndarray, *terms: lampest.Term, **settings: object) -> lampest.Reconstruction:
     """Frames (frames, rows, columns) ohm as a recording of measured frames, reconstructed."""
-    role = np.ones(len(frames), dtype=np.uint8)
-    recording = lampest.Recording(Scene(panel, READOUT), frames, np.arange(len(frames), dtype=float), role)
-    return lampest.reconstruct(recording, terms=list(terms), **settings)
+    return lampest.reconstruct(recording_of(Scene(panel, READOUT), frames), terms=list(terms), **settings)
 
 
 @pytest.mark.parametrize("outline", OUTLINES)
@@ -46,10 +43,10 @@ def test_exact_readings_give_the_cells_back(outline: str, formulation: str) -> N
     """There are as many readings as cells, and nothing else is sought."""
     panel, cells = drawn(outline, 1)
     readings = np.where(panel.present, exact_two_point_resistance(cells), np.nan)
-    found = solved(panel, readings[None], lampest.Misfit(), formulation=formulation)
-    assert found.status[0] == "optimum verified"
-    np.testing.assert_allclose(found.cell_resistance[0][panel.present], cells[panel.present], rtol=1e-6)
-    assert np.all(np.isnan(found.cell_resistance[0][~panel.present]))
+    estimate = solved(panel, readings[None], lampest.Misfit(), formulation=formulation)
+    assert estimate.status[0] == "optimum verified"
+    np.testing.assert_allclose(estimate.cell_resistance[0][panel.present], cells[panel.present], rtol=1e-6)
+    assert np.all(np.isnan(estimate.cell_resistance[0][~panel.present]))
 
 
 @pytest.mark.parametrize("outline", OUTLINES)
@@ -93,9 +90,9 @@ def test_a_cell_that_was_not_read_follows_its_neighbours(outline: str) -> None:
     readings = np.where(panel.present, exact_two_point_resistance(np.where(panel.present, 500.0, np.inf)), np.nan)
     row, column = np.argwhere(panel.present)[3]
     readings[row, column] = np.nan
-    found = solved(panel, readings[None], lampest.Misfit(), lampest.LogGradient(weight=1.0))
-    assert found.status[0] == "optimum verified"
-    np.testing.assert_allclose(found.cell_resistance[0][panel.present], 500.0, rtol=1e-4)
+    estimate = solved(panel, readings[None], lampest.Misfit(), lampest.LogGradient(weight=1.0))
+    assert estimate.status[0] == "optimum verified"
+    np.testing.assert_allclose(estimate.cell_resistance[0][panel.present], 500.0, rtol=1e-4)
 
 
 def test_a_reading_at_a_crossing_without_a_cell_is_used() -> None:
@@ -104,8 +101,8 @@ def test_a_reading_at_a_crossing_without_a_cell_is_used() -> None:
     readings = exact_two_point_resistance(cells)
     row, column = np.argwhere(panel.present)[0]
     readings[row, column] = np.nan
-    found = solved(panel, np.where(np.isfinite(readings), readings, np.nan)[None], lampest.Misfit())
-    np.testing.assert_allclose(found.cell_resistance[0][panel.present], cells[panel.present], rtol=0.2)
+    estimate = solved(panel, np.where(np.isfinite(readings), readings, np.nan)[None], lampest.Misfit())
+    np.testing.assert_allclose(estimate.cell_resistance[0][panel.present], cells[panel.present], rtol=0.2)
 
 
 def test_codes_at_or_below_the_floor_bound_their_reading() -> None:
@@ -128,14 +125,13 @@ def test_the_weight_suits_readings_that_are_off_by_more_than_their_noise() -> No
     readings = np.where(panel.present, exact_two_point_resistance(cells) * off, np.nan)
     sigma = 3e-4 * np.nan_to_num(readings, nan=1e3)
     frames = readings + sigma * np.random.default_rng(7).standard_normal((4, *panel.shape))
-    role, scene = np.ones(4, dtype=np.uint8), Scene(panel, READOUT)
-    recording = lampest.Recording(scene, frames, np.arange(4.0), role, sigma=sigma)
+    recording = recording_of(Scene(panel, READOUT), frames, sigma=sigma)
     misfit = lampest.Misfit(weighting="noise")
 
     def error(weight: float | str) -> float:
-        found = lampest.reconstruct(recording, terms=(misfit, lampest.LogGradient(weight=weight)))
-        assert found.status[0] == "optimum verified"
-        return float(np.sqrt(np.mean(np.log(found.cell_resistance[0] / cells)[panel.present] ** 2)))
+        estimate = lampest.reconstruct(recording, terms=(misfit, lampest.LogGradient(weight=weight)))
+        assert estimate.status[0] == "optimum verified"
+        return float(np.sqrt(np.mean(np.log(estimate.cell_resistance[0] / cells)[panel.present] ** 2)))
 
     assert error("auto") < 0.6 * error(1.0)
 
@@ -148,9 +144,7 @@ def test_frames_of_like_loads_choose_the_weight_together() -> None:
     whole = np.array(frames) * np.exp(0.01 * rng.standard_normal((4, 6, 6)))
 
     def chosen(readings: np.ndarray) -> float:
-        time, role = np.arange(len(readings), dtype=float), np.ones(len(readings), dtype=np.uint8)
-        sigma = 0.01 * np.nan_to_num(readings, posinf=1e3)
-        recording = lampest.Recording(Scene(Panel(6, 6)), readings, time, role, sigma=sigma)
+        recording = recording_of(Scene(Panel(6, 6)), readings, sigma=0.01 * np.nan_to_num(readings, posinf=1e3))
         terms = (lampest.Misfit(weighting="noise"), lampest.LogGradient(weight="auto"))
         return float(first_stream(recording, recording.readings(), lampest.Estimator(terms)).estimator.terms[1].weight)
 
@@ -166,11 +160,11 @@ def test_results_and_pictures_of_an_outline(outline: str, tmp_path: Path) -> Non
     """They are written, read and drawn; an absent crossing has no number."""
     panel, cells = drawn(outline, 7)
     readings = np.where(panel.present, exact_two_point_resistance(cells), np.nan)
-    found = solved(panel, np.stack([readings, 1.01 * readings]), lampest.Misfit(), lampest.LogGradient(weight=1.0))
-    result = found.result()
+    estimate = solved(panel, np.stack([readings, 1.01 * readings]), lampest.Misfit(), lampest.LogGradient(weight=1.0))
+    result = estimate.result()
     assert np.array_equal(np.isfinite(result.cell_resistance[0]), panel.present)
     for kind in ("contours", "resistance"):
-        found.plot(kind).savefig(tmp_path / f"{kind}.png")
+        estimate.plot(kind).savefig(tmp_path / f"{kind}.png")
 
 
 @pytest.mark.slow
@@ -182,20 +176,21 @@ def test_a_load_is_simulated_recognised_and_weighed_at_its_place(tmp_path: Path)
     recording = lampest.simulate(
         Simulation(1, 2, scene, cells=cells, baseline_frames=4, frames=6, loads=(rod,), frame_period_s=0.3)
     )
-    assert recording.truth_cell_resistance is not None and recording.truth_pressure is not None
     assert np.array_equal(np.isfinite(recording.truth_cell_resistance[0]), panel.present)
     x, y = panel.places_mm
     under = recording.truth_pressure[-1] > 0
     assert under.any() and np.all(np.hypot(x - 20, y - 46)[under] < 8 + 6)
-    found = lampest.reconstruct(recording, terms=[lampest.Misfit(weighting="noise"), lampest.LogGradient(weight=1e-3)])
+    estimate = lampest.reconstruct(
+        recording, terms=[lampest.Misfit(weighting="noise"), lampest.LogGradient(weight=1e-3)]
+    )
     truth = recording.truth_cell_resistance[recording.role == 1]
-    np.testing.assert_allclose(found.cell_resistance[:, panel.present], truth[:, panel.present], rtol=0.02)
-    pressed = pressed_of(found.result())
+    np.testing.assert_allclose(estimate.cell_resistance[:, panel.present], truth[:, panel.present], rtol=0.02)
+    pressed = pressed_of(estimate.result())
     assert pressed is not None and np.hypot(pressed.values[-1, 0] - 20, pressed.values[-1, 1] - 46) < 3
     recording.save(tmp_path / "hand.h5")
     answer = detect_recording(tmp_path / "hand.h5")
     assert answer.attachments and np.hypot(answer.attachments[0].x_mm[0] - 20, answer.attachments[0].y_mm[0] - 46) < 6
-    assert found.result().to_xarray()["x"].dims == ("row", "column")
+    assert estimate.result().to_xarray()["x"].dims == ("row", "column")
 
 
 @pytest.mark.parametrize("outline", ["hand", "foot"])
@@ -223,8 +218,8 @@ def test_a_reading_that_no_cells_allow_is_left_out() -> None:
     exact = np.stack([exact_two_point_resistance(cells)] * 4)
     spoilt = exact.copy()
     spoilt[:, 2, 3] *= 4
-    role, scene = np.array([0, 1, 1, 1], dtype=np.uint8), Scene(panel, READOUT)
-    recording = lampest.Recording(scene, spoilt, np.arange(4.0), role)
+    scene = Scene(panel, READOUT)
+    recording = recording_of(scene, spoilt, 1)
     seen = Prepared(recording).noise
     assert np.array_equal(np.argwhere(seen.outliers), [[frame, 2, 3] for frame in range(4)])
     assert any("larger than any cells allow" in one for one in seen.warnings)
@@ -232,13 +227,12 @@ def test_a_reading_that_no_cells_allow_is_left_out() -> None:
     wrong = exact.copy()
     wrong[:, 2:4, 1:5] *= 4
     assert not impossible_readings(scene.circuit, lampest.Readings.of(scene, wrong)).any()
-    assert Prepared(lampest.Recording(scene, wrong, np.arange(4.0), role)).check.mark == "no"
+    assert Prepared(recording_of(scene, wrong, 1)).check.mark == "no"
 
 
 def test_a_frame_of_bounds_is_checked_by_the_laws_alone() -> None:
     panel, cells = drawn("foot", 11)
     readings = np.where(panel.present, exact_two_point_resistance(cells), np.nan)
     recorded = np.stack([np.where(readings > np.nanmedian(readings), np.inf, readings)] * 3)
-    recording = lampest.Recording(Scene(panel, READOUT), recorded, np.arange(3.0), np.array([0, 1, 1], dtype=np.uint8))
-    check = Prepared(recording).check
+    check = Prepared(recording_of(Scene(panel, READOUT), recorded, 1)).check
     assert check.mark == "yes" and "no cells were fitted" in check.sentence

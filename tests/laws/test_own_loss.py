@@ -11,23 +11,11 @@ import pytest
 from laws.samples import members_of
 from numpy.testing import assert_allclose
 
-from lampest import (
-    Absolute,
-    Gradient,
-    Huber,
-    InputError,
-    Misfit,
-    Reconstruction,
-    Recording,
-    Squared,
-    reconstruct,
-    two_point_resistance,
-)
-from lampest.cost.losses import AnyLoss, Loss
-from lampest.cost.terms import Term
+from lampest import Array, Gradient, InputError, Misfit, Panel, Reconstruction, Recording, Scene, Term, reconstruct
+from lampest.cost.losses import Absolute, AnyLoss, Huber, Loss, Squared
 from lampest.files.document import adapter
-from lampest.panel.panel import Array, Panel
-from lampest.panel.scene import Scene
+from lampest.panel.readouts.star_mesh import two_point_resistance
+from tests.estimates import recording_of
 
 SHAPE = (4, 5)
 CORNER = 40.0
@@ -82,7 +70,7 @@ def recording(pressed: float = 0.4, outlier: float = 1.0) -> Recording:
     exact = two_point_resistance(cells)
     measured = exact * (1 + 0.003 * np.random.default_rng(1).standard_normal(SHAPE))
     measured[1, 1] *= outlier
-    return Recording(Scene(Panel(*SHAPE)), measured[None], np.zeros(1), np.ones(1, np.uint8), sigma=0.003 * exact[None])
+    return recording_of(Scene(Panel(*SHAPE)), measured[None], sigma=0.003 * exact[None])
 
 
 def estimated(terms: tuple[Term, ...], formulation: str = "reduced", **scene: float) -> Reconstruction:
@@ -91,14 +79,13 @@ def estimated(terms: tuple[Term, ...], formulation: str = "reduced", **scene: fl
     return found
 
 
-def deviation(found: Reconstruction) -> Array:
-    bars = found.steps[0].bars
-    assert bars is not None
+def deviation(estimate: Reconstruction) -> Array:
+    bars = estimate.steps[0].bars
     return bars.frame.deviation
 
 
 def with_gradient(loss: Loss, weight: float | Literal["auto"]) -> tuple[Term, ...]:
-    return Misfit(weighting="noise"), Gradient(weight=weight, loss=loss)  # type: ignore[arg-type]
+    return Misfit(weighting="noise"), Gradient(weight=weight, loss=loss)
 
 
 @pytest.mark.parametrize("loss", SMOOTH, ids=lambda loss: loss.kind)

@@ -6,13 +6,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from lampest import CellResistance, Estimator, Gradient, Misfit, Panel, Readings, Scene, Term, TwoPointReadout
 from lampest.cost.given import Background
-from lampest.cost.terms import CellResistance, Gradient, Misfit, Term
-from lampest.estimate.estimator import Estimator
-from lampest.panel.panel import Panel
-from lampest.panel.readouts import TwoPointReadout
-from lampest.panel.scene import Scene
-from lampest.recording.readings import Readings
 from lampest.solvers.hessian import Hessian
 from lampest.solvers.multistart import evaluated
 from lampest.solvers.preconditioners import Cholesky, Preconditioner, TwoLevel, Woodbury, preconditioner
@@ -44,7 +39,7 @@ def made(kind: type[Preconditioner], terms: tuple[Term, ...]) -> Preconditioner:
     hessian = hessian_of(terms)
     if kind is Cholesky:
         return preconditioner(hessian, EVERY)
-    kept: Preconditioner = (TwoLevel if kind is Woodbury else kind).of(hessian)  # type: ignore[attr-defined]
+    kept: Preconditioner = (TwoLevel if kind is Woodbury else kind).of(hessian)
     return kept
 
 

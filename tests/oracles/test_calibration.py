@@ -1,19 +1,31 @@
-"""Calibrations of circuits solved here resistor by resistor: what they find, how sure they are, what they refuse."""
+"""Calibrations: resistors, channels from ordinary recordings, and responses from known loads."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from known_loads import Bench, forces, moved_over, touches
 
-from lampest import InputError, LoadedColumnsReadout, Panel, Recording, Scene, TwoPointReadout
+from lampest import Array, Diode, Estimator, InputError, Lines, Misfit, Panel, Recording, Scene, VirtualGroundReadout
+from lampest.estimate.calibration.channels import ChannelCalibration, calibrate_channels
+from lampest.estimate.calibration.known_loads import KnownLoad, KnownLoads
+from lampest.estimate.calibration.loads import LoadCalibration, calibrate_loads
 from lampest.estimate.calibration.resistors import ResistorCalibration, calibrate_resistors
+from lampest.estimate.calibration.response import Loaded, deviations_from_others, fit_loads, response_of
+from lampest.estimate.sequence import reconstruct
 from lampest.files.document import parse_document, validated
-from lampest.panel.panel import Array
-from lampest.panel.readouts import AnyReadout, GroundedReadout, VirtualGroundReadout
-from lampest.panel.readouts.loaded_columns import Diode
-from lampest.panel.readouts.wiring import Lines
-from tests.oracles.netlist import Resistor, potentials
+from lampest.loads.film import Creep, FilmKnown
+from lampest.loads.pressure import pressure_of
+from lampest.panel.conditions import MeasuredSubject, Systematic
+from lampest.panel.readouts import AnyReadout, GroundedReadout, LoadedColumnsReadout, TwoPointReadout
+from lampest.panel.readouts.star_mesh import two_point_resistance
+from lampest.panel.response import PUBLISHED, Film, PowerResponse
+from lampest.recording.simulation.measure import random_stream
+from tests.estimates import recording_of, rms
+from tests.netlist import Resistor, potentials, resistors
 
 SUPPLY, REFERENCE, SENSE = 5.0, 1000.0, 70.0
 KINDS = ("two_point", "loaded_columns", "grounded", "virtual_ground")
@@ -70,16 +82,19 @@ def told(kind: str, shape: tuple[int, int], **converter: object) -> Scene:
 
 def recording(scene: Scene, board: Board, cells: Array, rng: np.random.Generator, frames: int = 10) -> Recording:
     """Codes of a noisy converter, averaged; cells (rows, columns), or one set for each frame."""
-    sets = cells if cells.ndim == 3 else cells[None]
-    volt = np.array([[board.volt(one, j, k) for j, k in np.ndindex(one.shape)] for one in sets]).reshape(sets.shape)
-    volt = np.broadcast_to(volt, (frames, *scene.panel.shape)) if len(sets) == 1 else volt
-    readout = scene.readout
-    assert readout is not None
-    noise = np.reshape(np.broadcast_to(np.array(readout.noise_lsb), (len(board.rows),)), (-1, 1))
+    sets = np.reshape(cells, (-1, *scene.panel.shape))
+    volt = np.array([[board.volt(ohm, j, k) for j, k in np.ndindex(ohm.shape)] for ohm in sets]).reshape(sets.shape)
+    volt = np.broadcast_to(volt, (frames if len(sets) == 1 else len(sets), *scene.panel.shape))
+    return converted(scene, volt, rng)
+
+
+def converted(scene: Scene, volt: Array, rng: np.random.Generator) -> Recording:
+    """Averaged codes of a noisy converter, from volts (frames, rows, columns)."""
+    readout = scene.circuit
+    noise = np.reshape(np.broadcast_to(np.array(readout.noise_lsb), volt.shape[1:2]), (-1, 1))
     draws = volt / readout.lsb_volt + noise * rng.standard_normal((readout.readings, *volt.shape))
     codes = np.clip(np.floor(draws), 0, 2**readout.adc_bits - 1).astype(int)
-    recorded = readout.recorded_from_sums(codes.sum(axis=0), readout.readings)
-    return Recording(scene, recorded, np.arange(float(len(recorded))), np.ones(len(recorded), dtype=np.uint8), name="r")
+    return recording_of(scene, readout.recorded_from_sums(codes.sum(axis=0), readout.readings), name="r")
 
 
 def some_board(kind: str, shape: tuple[int, int], rng: np.random.Generator) -> Board:
@@ -113,16 +128,16 @@ def test_resistors_of_several_values_tell_every_number_of_every_line(kind: str) 
     board, scene = some_board(kind, shape, rng), told(kind, shape)
     printed, _ = some_resistors(shape, rng)
     true = printed * rng.uniform(0.999, 1.001, shape)
-    found = calibrate_resistors([recording(scene, board, true, rng)], [printed], tolerance=1e-3)
-    assert max(map(abs, pulls(found, board))) < 4
-    lines = [line for one in found.numbers for line in one.lines]
+    calibration = calibrate_resistors([recording(scene, board, true, rng)], [printed], tolerance=1e-3)
+    assert max(map(abs, pulls(calibration, board))) < 4
+    lines = [line for one in calibration.numbers for line in one.lines]
     for line, true_ohm in zip(lines, (board.rows, board.columns), strict=True):
         off = (line.off_ohm - (true_ohm - true_ohm.mean())) / line.sigma_ohm
         assert np.abs(off).max() < 4 and line.sigma_ohm.max() < 0.02 * true_ohm.mean() + 2
-    read = validated(parse_document(found.text(), "scene.yaml"), Scene)
-    assert read == found.scene
-    mean = {"two_point": lambda: read.series_ohm.mean()}.get(kind, lambda: np.mean(read.readout.drive_ohm))()  # type: ignore[union-attr]
-    assert mean == pytest.approx(found.numbers[0].value, abs=0.01)
+    read = validated(parse_document(calibration.text(), "scene.yaml"), Scene)
+    assert read == calibration.scene
+    mean = {"two_point": lambda: read.series_ohm.mean()}.get(kind, lambda: np.mean(read.readout.drive_ohm))()
+    assert mean == pytest.approx(calibration.numbers[0].value, abs=0.01)
 
 
 @pytest.mark.slow
@@ -150,12 +165,12 @@ def test_three_resistors_on_a_breadboard_tell_load_and_drive() -> None:
     printed, true = np.full((8, 8), np.inf), np.full((8, 8), OPEN)
     printed[0, :3] = [1000, 3300, 10_000]
     true[0, :3] = printed[0, :3] * rng.uniform(0.99, 1.01, 3)
-    found = calibrate_resistors([recording(told("loaded_columns", (8, 8)), board, true, rng)], [printed])
-    drive, load = found.numbers
+    calibration = calibrate_resistors([recording(told("loaded_columns", (8, 8)), board, true, rng)], [printed])
+    drive, load = calibration.numbers
     assert abs(drive.value - board.rows[0]) < 3 * drive.sigma < 90
     assert abs(load.value - board.columns[:3].mean()) < 3 * load.sigma < 1000
     assert np.isnan(drive.lines[0].off_ohm[1:]).all() and np.isnan(load.lines[0].off_ohm[3:]).all()
-    assert found.readings == 3
+    assert calibration.readings == 3
 
 
 def test_the_same_resistors_moved_from_line_to_line_tell_each_line() -> None:
@@ -183,9 +198,8 @@ def test_noise_of_every_driven_line_is_found() -> None:
     printed, true = some_resistors(shape, rng)
     noisy = (0.7, 7.0, 0.7, 0.7, 7.0, 0.7)
     made = recording(told("loaded_columns", shape, noise_lsb=noisy, readings=4), board, true, rng, frames=40)
-    found = calibrate_resistors([replace(made, scene=told("loaded_columns", shape, readings=4))], [printed])
-    readout = found.scene.readout
-    assert readout is not None
+    calibration = calibrate_resistors([replace(made, scene=told("loaded_columns", shape, readings=4))], [printed])
+    readout = calibration.scene.readout
     np.testing.assert_allclose(readout.noise_lsb, noisy, rtol=0.25)
     quiet = calibrate_resistors([recording(told("loaded_columns", shape), board, true, rng, frames=40)], [printed])
     assert quiet.scene.circuit.noise_lsb == pytest.approx(0.7, abs=0.05)
@@ -235,22 +249,24 @@ def test_pressed_frames_are_refused(kind: str) -> None:
         calibrate_resistors([recording(told(kind, (4, 4)), some_board(kind, (4, 4), rng), cells, rng)], [3050.0])
 
 
-def test_channels_farther_apart_than_a_multiplexer_has_them_are_refused() -> None:
-    rng = np.random.default_rng(11)
-    rows = np.array([250.0, 70, 250, 70])
-    made = recording(told("two_point", (4, 4)), Board("two_point", rows, np.full(4, 70.0)), np.full((4, 4), SHORT), rng)
-    with pytest.raises(InputError, match=r"rows [02] and [13] would differ by 1[78]\d.* 40 to 160 ohm"):
-        calibrate_resistors([made])
-
-
-def test_a_series_resistance_beyond_two_channels_is_refused_unless_the_scene_expects_it() -> None:
-    rng = np.random.default_rng(12)
-    board, scene = Board("two_point", np.full(4, 270.0), np.full(4, 260.0)), told("two_point", (4, 4))
-    with pytest.raises(InputError, match=r"530.* ohm is more than the 320 ohm that 2 channels have at worst"):
-        calibrate_resistors([recording(scene, board, np.full((4, 4), SHORT), rng)])
-    expected = replace(scene, series_resistance_ohm=500.0)
-    (series,) = calibrate_resistors([recording(expected, board, np.full((4, 4), SHORT), rng)]).numbers
-    assert series.value == pytest.approx(530, abs=4 * series.sigma)
+@pytest.mark.parametrize(
+    ("rows", "columns", "sentence"),
+    [
+        ([250.0, 70, 250, 70], [70.0] * 4, r"rows [02] and [13] would differ by 1[78]\d.* 40 to 160 ohm"),
+        ([270.0] * 4, [260.0] * 4, r"530.* ohm is more than the 320 ohm that 2 channels have at worst"),
+    ],
+)
+def test_channels_that_no_multiplexer_has_are_refused_unless_the_scene_expects_them(
+    rows: list[float], columns: list[float], sentence: str
+) -> None:
+    board, scene = Board("two_point", np.array(rows), np.array(columns)), told("two_point", (4, 4))
+    shorts = [recording(scene, board, np.full((4, 4), SHORT), np.random.default_rng(12))]
+    with pytest.raises(InputError, match=sentence):
+        calibrate_resistors(shorts)
+    if "320 ohm" in sentence:
+        expected = replace(scene, series_resistance_ohm=500.0)
+        (series,) = calibrate_resistors([replace(shorts[0], scene=expected)]).numbers
+        assert series.value == pytest.approx(530, abs=4 * series.sigma)
 
 
 def test_one_resistor_does_not_tell_load_from_drive() -> None:
@@ -290,14 +306,14 @@ def test_three_resistors_tell_a_diode_too() -> None:
         noisy = current * load / readout.lsb_volt + 0.7 * rng.standard_normal((10, readout.readings))
         recorded = np.zeros((10, 2, 2))
         recorded[:, 0, 0] = readout.recorded_from_sums(np.floor(noisy).astype(int).sum(axis=1), readout.readings)
-        recordings.append(Recording(scene, recorded, np.arange(10.0), np.ones(10, dtype=np.uint8), name="r"))
-    found = calibrate_resistors(recordings, known, tolerance=1e-4)
-    for one, true in zip(found.numbers, (drive, load, drop), strict=True):
+        recordings.append(recording_of(scene, recorded, name="r"))
+    calibration = calibrate_resistors(recordings, known, tolerance=1e-4)
+    for one, true in zip(calibration.numbers, (drive, load, drop), strict=True):
         assert abs(one.value - true) < 4 * one.sigma
-    assert found.numbers[2].sigma < 0.15
-    written = found.scene.readout
-    assert isinstance(written, LoadedColumnsReadout) and written.diode is not None
-    assert written.diode.drop_volt == pytest.approx(found.numbers[2].value, abs=1e-3)
+    assert calibration.numbers[2].sigma < 0.15
+    written = calibration.scene.readout
+    assert isinstance(written, LoadedColumnsReadout)
+    assert written.diode.drop_volt == pytest.approx(calibration.numbers[2].value, abs=1e-3)
 
 
 def test_an_open_column_tells_what_the_converter_remembers() -> None:
@@ -311,15 +327,12 @@ def test_an_open_column_tells_what_the_converter_remembers() -> None:
     for number in range(60):
         held[number % 20] = (1 - memory) * clean[number % 20] + memory * held[(number - 1) % 20]
     scene = replace(told("loaded_columns", (4, 5), readings=4), converter_memory=0.0)
-    readout = scene.circuit
-    draws = held.reshape(4, 5) / readout.lsb_volt + 0.7 * rng.standard_normal((4, 12, 4, 5))
-    recorded = readout.recorded_from_sums(np.floor(draws).clip(0, 1023).astype(int).sum(axis=0), 4)
-    made = Recording(scene, recorded, np.arange(12.0), np.ones(12, dtype=np.uint8), name="r")
-    found = calibrate_resistors([made], [printed])
-    assert max(map(abs, pulls(replace(found, numbers=found.numbers[:2]), board))) < 4
-    remembered = found.numbers[2]
+    made = converted(scene, np.broadcast_to(held.reshape(4, 5), (12, 4, 5)), rng)
+    calibration = calibrate_resistors([made], [printed])
+    assert max(map(abs, pulls(replace(calibration, numbers=calibration.numbers[:2]), board))) < 4
+    remembered = calibration.numbers[2]
     assert remembered.value == pytest.approx(memory, abs=4 * remembered.sigma) and remembered.sigma < 1e-3
-    assert found.scene.converter_memory == pytest.approx(remembered.value, abs=1e-5)
+    assert calibration.scene.converter_memory == pytest.approx(remembered.value, abs=1e-5)
 
 
 @pytest.mark.parametrize("kind", ["two_point", "loaded_columns"])
@@ -329,25 +342,15 @@ def test_resistors_along_loaded_lines_tell_their_wire(kind: str) -> None:
     rows, columns = shape
     true = np.full(shape, 470.0) if kind == "two_point" else rng.choice([470.0, 1000.0, 2200.0], shape)
     volt = np.zeros(shape)
-    second = 70.0 if kind == "two_point" else 10_000.0
+    wired = list(resistors(true, Scene(Panel(*shape), lines=Lines(along_row, along_column))))
+    ends: list[Resistor] = [(rows + place, "ground", 10_000.0) for place in range(columns)]
     for row, column in np.ndindex(shape):
-        net: list[Resistor] = []
-        for j, k in np.ndindex(shape):
-            net.append((("row", j, k - 1), ("row", j, k), along_row))
-            net.append((("column", j, k), ("column", j + 1, k), along_column))
-            net.append((("row", j, k), ("column", j, k), float(true[j, k])))
-        net.append(("supply", ("row", row, -1), 70.0))
-        if kind == "two_point":
-            net += [(("column", rows, column), "sense", second), ("sense", "ground", REFERENCE)]
-        else:
-            net += [(("column", rows, k), "ground", second) for k in range(columns)]
-        found = potentials(net, {"supply": SUPPLY, "ground": 0.0})
-        volt[row, column] = found["sense" if kind == "two_point" else ("column", rows, column)]
+        sensed = "sense" if kind == "two_point" else rows + column
+        divider = [(rows + column, "sense", 70.0), ("sense", "ground", REFERENCE)]
+        network = [*wired, ("supply", row, 70.0), *(divider if kind == "two_point" else ends)]
+        volt[row, column] = potentials(network, {"supply": SUPPLY, "ground": 0.0})[sensed]
     scene = replace(told(kind, shape, adc_bits=16), lines=Lines())
-    readout = scene.circuit
-    draws = volt / readout.lsb_volt + 0.7 * rng.standard_normal((20, 10, *shape))
-    recorded = readout.recorded_from_sums(np.floor(draws).astype(int).sum(axis=0), 20)
-    made = Recording(scene, recorded, np.arange(10.0), np.ones(10, dtype=np.uint8), name="r")
+    made = converted(scene, np.broadcast_to(volt, (10, *shape)), rng)
     if kind == "two_point":
         # What a row's wire adds from column to column, channels of columns that differ add as well.
         with pytest.raises(InputError, match=r"do not tell lines\.row_ohm_per_cell"):
@@ -368,3 +371,269 @@ def test_drives_of_next_to_nothing_are_found_to_be_that(kind: str) -> None:
         printed, true = some_resistors((4, 4), rng)
         drive, _ = calibrate_resistors([recording(told(kind, (4, 4)), board, true, rng)], [printed]).numbers
         assert drive.value < 5 * drive.sigma + 1
+
+
+SIDE, LOADS, SPREAD = 4, 8, 5.0
+TOLD = Systematic(reference_tolerance=0.01, channel_spread_ohm=SPREAD)
+
+
+def loaded_cells(rng: np.random.Generator, loads: int = LOADS) -> Array:
+    """Two unloaded frames, then loads of 2 × 2 cells, three frames each, or three frames without any; ohm."""
+    cells = np.tile(3000 * np.exp(0.2 * rng.standard_normal((SIDE, SIDE))), (2 + 3 * max(loads, 1), 1, 1))
+    for load in range(loads):
+        row, column = rng.integers(0, SIDE - 1, 2)
+        cells[2 + 3 * load : 5 + 3 * load, row : row + 2, column : column + 2] *= rng.uniform(0.1, 0.3)
+    return np.asarray(cells)
+
+
+def channel_recording(seed: int, channels: Array, reference: float = 0.0, loads: int = LOADS) -> Recording:
+    """Channels (8) ohm, rows first, beside the scene's 140 ohm, and a reference off by a fraction."""
+    rng, scene = np.random.default_rng(seed), Scene(Panel(SIDE, SIDE), TwoPointReadout(adc_bits=12), 140.0)
+    cells = loaded_cells(rng, loads)
+    true = two_point_resistance(cells) + 140.0 + channels[:SIDE, None] + channels[SIDE:]
+    recorded = true / (1 + reference)
+    recorded = recorded + scene.circuit.sigma(recorded) * rng.standard_normal(cells.shape)
+    return recording_of(replace(scene, systematic=TOLD), recorded, 2, truth_cell_resistance=cells)
+
+
+def chi_square(found: ChannelCalibration, channels: Array, reference: float) -> float:
+    """χ² over the number of errors."""
+    off = found.errors - np.concatenate([[reference], channels])
+    return float(off @ np.linalg.solve(found.covariance, off)) / len(off)
+
+
+@pytest.mark.slow
+def test_channels_come_back_within_their_deviations_and_cells_are_nearer() -> None:
+    channels = SPREAD * np.random.default_rng(7).standard_normal(2 * SIDE)
+    calibration = calibrate_channels([channel_recording(seed, channels, 0.005) for seed in (1, 2)])
+    after, before = calibration.apart, calibration.apart_before
+    assert before == pytest.approx(SPREAD) and after < 0.6 * SPREAD and not calibration.warnings
+    assert chi_square(calibration, channels, 0.005) < 1.5
+    centred = calibration.errors[1:] - channels
+    centred -= np.repeat([centred[:SIDE].mean(), centred[SIDE:].mean()], SIDE)
+    assert rms(centred) < 0.5 * np.std(channels)
+    read = validated(parse_document(calibration.text(), "scene.yaml"), Scene)
+    assert read == calibration.scene and read.specified_systematic != TOLD
+    fresh, errors = channel_recording(3, channels, 0.005), []
+    for scene in (fresh.scene, read):
+        cells = reconstruct(replace(fresh, scene=scene), Estimator((Misfit(),), "reduced")).cell_resistance
+        errors.append(np.median(np.abs(np.log(cells / fresh.truth_cell_resistance[2:]))))
+    assert errors[1] < 0.7 * errors[0]
+
+
+def test_without_loads_it_is_said_that_nothing_is_known() -> None:
+    made = channel_recording(1, np.zeros(2 * SIDE), loads=0)
+    other = replace(made, scene=replace(made.scene, subject=MeasuredSubject(id="another")))
+    calibration = calibrate_channels([made, other])
+    assert calibration.warnings[0].startswith("these loads determine hardly any channel")
+    assert calibration.apart > 0.9 * SPREAD and calibration.frames == 10
+
+
+@pytest.mark.slow
+def test_drives_of_loaded_columns_are_written_into_the_readout() -> None:
+    readout, rng = LoadedColumnsReadout(adc_bits=12, drive_ohm=100.0), np.random.default_rng(3)
+    scene = Scene(Panel(SIDE, SIDE), readout, systematic=Systematic(channel_spread_ohm=SPREAD))
+    cells, drives = loaded_cells(rng), SPREAD * rng.standard_normal(SIDE)
+    recorded = readout.simulated(cells, scene, drives, np.zeros(SIDE))
+    recorded = recorded + scene.circuit.sigma(recorded) * rng.standard_normal(cells.shape)
+    calibration = calibrate_channels([recording_of(scene, recorded, 2)])
+    after = calibration.scene.readout
+    assert isinstance(after, LoadedColumnsReadout)
+    assert np.std(np.subtract(after.drive_ohm, 100.0) - drives) < np.std(drives)
+
+
+def test_recordings_that_tell_nothing_of_a_circuit_are_refused() -> None:
+    made = channel_recording(1, np.zeros(2 * SIDE), loads=0)
+    with pytest.raises(InputError, match="names no readout"):
+        calibrate_channels([replace(made, scene=Scene(made.scene.panel))])
+    with pytest.raises(InputError, match="its scene is another"):
+        calibrate_channels([made, replace(made, scene=replace(made.scene, series_resistance_ohm=100.0))])
+    with pytest.raises(InputError, match="no frame could be estimated"):
+        calibrate_channels([replace(made, recorded=np.full_like(made.recorded, np.nan))])
+
+
+def test_the_command_writes_a_scene(tmp_path: Path, lampest: Callable[..., SimpleNamespace]) -> None:
+    channel_recording(1, SPREAD * np.random.default_rng(7).standard_normal(2 * SIDE), loads=2).save(
+        tmp_path / "many.h5"
+    )
+    ended = lampest("calibrate", "--from-recording", tmp_path / "many.h5", "--out", tmp_path / "scene.yaml")
+    assert ended.code == 0 and ended.out.startswith("reference ")
+    assert "rows are off by " in (tmp_path / "scene.yaml").read_text()
+
+
+OTHER = PowerResponse(exponent=0.8, scale_kpa=2.0)
+
+
+def calibrated(bench: Bench, kpa: list[float], step: float) -> LoadCalibration:
+    groups, known = moved_over(bench, kpa, 30.0, step)
+    return calibrate_loads([bench.recorded(groups, "loads")], KnownLoads(schema=1, loads=tuple(known)), 0.01)
+
+
+def true_gains(bench: Bench) -> Array:
+    return np.asarray(np.exp(bench.spread * random_stream(bench.seed, "response").standard_normal(bench.panel.shape)))
+
+
+def force_errors(bench: Bench, scene: Scene, count: int) -> Array:
+    """|F/F_true − 1| of two or three touches in each of so many frames that no calibration has seen."""
+    rng = np.random.default_rng(bench.seed + 1000)
+    fresh = [touches(rng, bench.panel, int(rng.integers(2, 4))) for _ in range(count)]
+    scene = replace(scene, response=scene.response or PUBLISHED)
+    recording = bench.recorded(fresh, "fresh", scene)
+    pressure, truth = reconstruct(recording, Estimator((Misfit(),), "reduced")).pressure, recording.truth_pressure
+    errors = []
+    for number, loads in enumerate(fresh):
+        first, _ = bench.frames_of(number)
+        there = forces(truth[first], loads, bench.panel)
+        errors.append(forces(pressure[first - 4], loads, bench.panel) / there - 1)
+    return np.abs(np.concatenate(errors))
+
+
+def test_one_load_moved_over_the_panel_makes_forces_right() -> None:
+    """The film has the published form; 64 places of one rod tell what each cell makes of it, and 5 kPa is all."""
+    bench = Bench(1, spread=0.25, repeat=0.02)
+    calibration = calibrated(bench, [5.0], 10.0)
+    naive, ours = (
+        force_errors(bench, scene, 8) for scene in (replace(bench.scene, response=PUBLISHED), calibration.scene)
+    )
+    assert np.mean(ours) < 0.10
+    assert np.mean(ours) < (1 - 0.269) * np.mean(naive)
+
+
+@pytest.mark.slow
+def test_several_pressures_tell_another_film() -> None:
+    bench = Bench(2, response=OTHER, repeat=0.02)
+    calibration = calibrated(bench, [1.0, 3.0, 9.0, 20.0], 17.5)
+    response = calibration.scene.response
+    gains = true_gains(bench)
+    shift = np.exp(np.log(gains).mean())  # what all gains share belongs to the curve
+    for kpa in (1.0, 3.0, 9.0, 20.0):
+        assert response.logarithm(kpa) == pytest.approx(shift * OTHER.logarithm(kpa), rel=0.08)
+    off = np.log(response.gains * shift / gains) / np.array(response.gain_sd)
+    assert np.mean(np.abs(off) < 1.96) > 0.85
+    assert calibration.fitted.spread == pytest.approx(0.2, abs=0.06)
+    naive, ours = (
+        force_errors(bench, scene, 8) for scene in (replace(bench.scene, response=PUBLISHED), calibration.scene)
+    )
+    assert np.mean(ours) < 0.10 < 0.4 < np.mean(naive)
+
+
+def test_bars_of_gains_and_curve_hold_the_truth() -> None:
+    """The fit alone, with data that are as it supposes: 40 films of 60 cells under 4 pressures each."""
+    rng, gains, curves = np.random.default_rng(3), [], []
+    pressure = np.repeat([[1.0], [4.0], [12.0], [30.0]], 60, axis=1)
+    for _ in range(40):
+        own = np.exp(0.2 * rng.standard_normal(60))
+        scatter = np.exp(0.05 * rng.standard_normal(pressure.shape))
+        change = own * scatter * OTHER.logarithm(pressure)
+        change += 0.01 * rng.standard_normal(pressure.shape)
+        fit = fit_loads(Loaded(change, np.full(pressure.shape, 0.01), pressure, 0 * pressure, np.zeros(60)))
+        gain, sd = fit.gain()
+        shift = np.log(own).mean()
+        gains.append(np.abs(np.log(gain / own) + shift) < 1.96 * sd)
+        curve, curve_sd = fit.curve(pressure[:, 0])
+        truth = np.exp(shift) * OTHER.logarithm(pressure[:, 0])
+        curves.append(np.abs(np.log(curve / truth)) < 1.96 * curve_sd)
+    assert np.mean(gains) > 0.9
+    assert np.mean(curves) > 0.9
+
+
+def test_one_pressure_leaves_larger_pressures_of_another_film_open() -> None:
+    """Feet of 5 kPa with their edges calibrate; pressures of 1 to 16 kPa are covered, 10 films."""
+    rng, inside, kpa = np.random.default_rng(4), [], np.array([1.5, 3.0, 8.0, 12.0, 16.0])
+    pressure = np.tile([5.0, 5.0, 4.0, 3.0, 2.0, 1.0, 5.0, 5.0], (16, 2))
+    for number in range(10):
+        film = PowerResponse(exponent=0.5 + 0.06 * number, scale_kpa=float(np.exp(rng.uniform(-1, 1))))
+        change = np.exp(0.03 * rng.standard_normal(pressure.shape)) * film.logarithm(pressure)
+        fitted = fit_loads(Loaded(change, np.full(pressure.shape, 0.01), pressure, 0 * pressure, np.zeros(16)))
+        response = replace(response_of(fitted, PUBLISHED, (4, 4), 0.0), gain=None, gain_sd=((fitted.scatter,) * 5,))
+        ratio = np.exp(film.logarithm(kpa))[None, None]
+        pressed = pressure_of(ratio, 0.999 * ratio, 1.001 * ratio, Scene(Panel(1, 5), response=response))
+        inside.append((pressed.lower <= kpa) & (kpa <= pressed.upper))
+    assert np.mean(inside) >= 0.9
+
+
+def test_creep_is_taken_off_before_loads_calibrate() -> None:
+    """ln(r/r0) at once, of two loads that lie for 3 and 100 s on cells that creep by 8 and 10 % a decade."""
+    strength, frames = np.array([[0.08, 0.1]]), []
+    load, film = np.r_[np.zeros(2), np.ones(3), np.zeros(5), np.ones(100)][:, None, None], Creep.at_rest(strength)
+    for now in load:
+        frames.append(film.answer(now, 1.0))
+        film = film.after(now, 1.0)
+    known = FilmKnown.specified(Film(creep_per_decade=0.08, deviation=0.25))
+    frames[4][0, 1] = np.nan
+    found, sd = known.at_once(np.array(frames), np.arange(110.0))
+    np.testing.assert_allclose(found[:, :, 0], load[:, :, 0], atol=1e-12)
+    assert np.isnan(found[4, 0, 1]) and np.all(np.abs(found - load)[20:, 0, 1] < 1.3 * sd[20:, 0, 1])
+
+
+def test_cells_under_the_edge_of_a_foot_do_not_make_a_load_odd() -> None:
+    """One load of 24 stands aside: cells at its edge feel half as much, which its place leaves open."""
+    pressure = np.tile([5.0, 5.0, 2.0, 2.0], (24, 1))
+    place = np.where(pressure == 2.0, 1.0, 0.0)
+    felt = pressure.copy()
+    felt[7, 2:] = 1.0
+    change = np.exp(0.02 * np.random.default_rng(5).standard_normal(felt.shape)) * PUBLISHED.logarithm(felt)
+    loaded = Loaded(change, np.full(felt.shape, 0.01), pressure, place, np.zeros(4))
+    away = deviations_from_others(loaded, fit_loads(loaded))
+    assert np.abs(away - np.median(away)).max() < 0.1
+
+
+def test_cells_without_load_have_the_common_curve_and_the_spread() -> None:
+    bench = Bench(4, panel=Panel(6, 6), repeat=0.02)
+    groups, known = moved_over(bench, [5.0], 30.0, 10.0)
+    left = [number for number, load in enumerate(known) if load.x_mm is not None and load.x_mm < 15]
+    some = [replace(known[number], frames=bench.frames_of(at)) for at, number in enumerate(left)]
+    recording = bench.recorded([groups[number] for number in left], "left")
+    calibration = calibrate_loads([recording], KnownLoads(schema=1, loads=tuple(some)), 0.01)
+    response = calibration.scene.response
+    untouched = ~calibration.fitted.touched.reshape(6, 6)
+    assert untouched[:, -1].all() and not untouched[:, 0].any()
+    np.testing.assert_allclose(response.gains[untouched], response.gains[untouched][0], rtol=1e-3)
+    sd = np.array(response.gain_sd)
+    assert sd[untouched].min() > 2 * np.median(sd[:, 0]) and sd[untouched].min() >= 0.99 * calibration.fitted.spread
+
+
+def test_pressures_over_the_whole_panel_suction_too() -> None:
+    """As in a bag that is pumped out or blown up; the cells' gains follow from four loads."""
+    bench = Bench(5, panel=Panel(4, 4), repeat=0.0)
+    kpa = [-6.0, 2.0, 6.0, 12.0]
+    loads = tuple(KnownLoad(frames=(n, n), pressure_kpa=one) for n, one in enumerate(kpa))
+    gains = true_gains(bench).ravel()
+    change = gains * PUBLISHED.logarithm(np.array(kpa)[:, None])
+    pressure = np.stack([load.pressure(bench.panel, 6.0).ravel() for load in loads])
+    fit = fit_loads(Loaded(change, np.full(change.shape, 0.003), pressure, 0 * pressure, np.zeros(16)))
+    shift = np.exp(np.log(gains).mean())
+    np.testing.assert_allclose(fit.gain()[0], gains / shift, rtol=0.01)
+    np.testing.assert_allclose(fit.curve(np.array(kpa))[0], shift * PUBLISHED.logarithm(kpa), rtol=0.01)
+
+
+@pytest.mark.slow
+def test_wrong_lists_of_loads_are_refused_or_named() -> None:
+    """Units, a radius, frames that are late, lines that lie on each other, and one weight that is doubled."""
+    bench = Bench(5, Panel(5, 5), repeat=0.03, frames=3)
+    groups, known = moved_over(bench, [5.0], 25.0, 10.0)
+    recording = bench.recorded(groups, "units")
+    last = len(recording.role) - 1
+
+    def said(loads: list[KnownLoad]) -> str:
+        return "; ".join(calibrate_loads([recording], KnownLoads(schema=1, loads=tuple(loads)), 0.0).warnings)
+
+    assert said(known) == ""
+    assert "is mass_g in gram" in said([replace(one, mass_g=None, force_newton=one.mass_g) for one in known])
+    assert "diameter_mm right?" in said([replace(one, diameter_mm=12.5) for one in known])
+    late = [replace(one, frames=(one.frames[0] + 1, min(one.frames[1] + 1, last))) for one in known]
+    assert "readings change within the frames of load" in said(late)
+    doubled = replace(known[7], mass_g=2 * (known[7].mass_g or 0.0))
+    assert said([*known[:7], doubled, *known[8:]]).startswith("load 8 answers otherwise than the others")
+    with pytest.raises(InputError, match="a curve that no film has"):
+        said([replace(one, mass_g=(one.mass_g or 0.0) / 1000) for one in known])
+    with pytest.raises(InputError, match="loads 4 and 26 lie on the same cells in the same frames"):
+        said([*known, known[3]])
+
+
+def test_loads_at_other_places_are_no_calibration() -> None:
+    bench = Bench(6, panel=Panel(6, 6))
+    groups, known = moved_over(bench, [5.0], 20.0, 25.0)
+    swapped = tuple(replace(load, x_mm=50 - load.x_mm) for load in known if load.x_mm is not None)
+    with pytest.raises(InputError, match="the loads do not explain the cells"):
+        calibrate_loads([bench.recorded(groups, "loads")], KnownLoads(schema=1, loads=swapped), 0.01)

@@ -8,25 +8,20 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.integrate import quad
 
-from lampest import two_point_resistance
+from lampest import Absolute, Estimates, Estimator, Huber, Readings, Recording, Scene, Solution, two_point_resistance
 from lampest.cost.given import Background
-from lampest.cost.losses import Absolute, Huber
 from lampest.cost.terms import CellResistance, Gradient, Misfit, RelativeChange, Term
-from lampest.estimate.estimates import Estimates
-from lampest.estimate.estimator import Estimator
 from lampest.estimate.sequence import reconstruct
 from lampest.panel.panel import Array, Panel
 from lampest.panel.readouts import TwoPointReadout, VirtualGroundReadout
-from lampest.panel.scene import Scene, Systematic
+from lampest.panel.scene import Systematic
 from lampest.posterior.certainty import Certainty
 from lampest.posterior.dense import DenseErrors
 from lampest.posterior.interval import one_sided
 from lampest.posterior.linear import LinearModel
 from lampest.posterior.sampled import SampledErrors
-from lampest.recording.readings import Readings
-from lampest.recording.recording import Recording
 from lampest.solvers.multistart import best_solution
-from lampest.solvers.solution import Solution
+from tests.estimates import in_intervals, recording_of, rms
 
 pytestmark = pytest.mark.slow
 
@@ -51,7 +46,6 @@ def solved(terms: tuple[Term, ...], measured: Array, sigma: Array, start: Array 
 
 
 def model_of(solution: Solution) -> LinearModel:
-    assert solution.at is not None and solution.dual is not None
     return LinearModel(solution.at, solution.dual)
 
 
@@ -72,10 +66,10 @@ def test_covariance_is_that_of_laplace(weight: float) -> None:
     measured = two_point_resistance(cells)
     sigma = 0.003 * measured
     terms = (Misfit(weighting="noise"), CellResistance(weight=weight))
-    found = solved(terms, measured, sigma)
-    jacobian = sensitivity(found.cell_resistance[0]) / sigma.reshape(-1, 1)
-    precision = jacobian.T @ jacobian + weight * np.diag(found.cell_resistance.ravel() ** 2)
-    errors = DenseErrors(model_of(found))
+    estimate = solved(terms, measured, sigma)
+    jacobian = sensitivity(estimate.cell_resistance[0]) / sigma.reshape(-1, 1)
+    precision = jacobian.T @ jacobian + weight * np.diag(estimate.cell_resistance.ravel() ** 2)
+    errors = DenseErrors(model_of(estimate))
     assert len(errors.model.free) == cells.size
     assert_allclose(errors.covariance, np.linalg.inv(precision), rtol=2e-3, atol=1e-7)
     assert_allclose(errors.variance, np.diag(errors.covariance))
@@ -90,23 +84,23 @@ def drawn(terms: tuple[Term, ...], noise: float, draws: int) -> Iterator[tuple[A
     exact = two_point_resistance(cells)
     for _ in range(draws):
         measured = exact * (1 + noise * rng.standard_normal(exact.shape))
-        found = solved(terms, measured, noise * exact, cells)
-        model = model_of(found)
+        estimate = solved(terms, measured, noise * exact, cells)
+        model = model_of(estimate)
         free = np.zeros(cells.size, dtype=bool)
         free[model.free] = True
-        error = np.log(found.cell_resistance[0] / cells)
+        error = np.log(estimate.cell_resistance[0] / cells)
         yield error, DenseErrors(model).certainty, free.reshape(cells.shape)
 
 
 @pytest.mark.parametrize("weighting", ["plain", "noise"])
 def test_intervals_hold_the_truth_as_often_as_they_say(weighting: str) -> None:
     inside, standard = [], []
-    for error, certainty, free in drawn((Misfit(weighting=weighting),), 0.002, 200):  # type: ignore[arg-type]
+    for error, certainty, free in drawn((Misfit(weighting=weighting),), 0.002, 200):
         held = (error >= -certainty.above[0]) & (error <= certainty.below[0])
         inside.append(held[free])
         standard.append((error / certainty.deviation[0])[free])
     assert 0.93 < np.mean(np.concatenate(inside)) < 0.97
-    assert 0.9 < np.sqrt(np.mean(np.concatenate(standard) ** 2)) < 1.1
+    assert 0.9 < rms(np.concatenate(standard)) < 1.1
 
 
 def test_a_penalty_that_does_not_suit_leaves_wider_bars() -> None:
@@ -130,8 +124,8 @@ def test_a_penalty_that_does_not_suit_leaves_wider_bars() -> None:
 def test_samples_agree_with_matrices(terms: tuple[Term, ...]) -> None:
     cells, rng = panel_cells(), np.random.default_rng(3)
     exact = two_point_resistance(cells)
-    found = solved(terms, exact * (1 + 0.003 * rng.standard_normal(exact.shape)), 0.003 * exact)
-    matrices, samples = DenseErrors(model_of(found)), SampledErrors(model_of(found))
+    estimate = solved(terms, exact * (1 + 0.003 * rng.standard_normal(exact.shape)), 0.003 * exact)
+    matrices, samples = DenseErrors(model_of(estimate)), SampledErrors(model_of(estimate))
     ratio = np.sqrt(samples.variance / matrices.variance)
     assert_allclose(np.median(ratio), 1, atol=0.08)
     assert np.all(np.abs(ratio - 1) < 0.35)
@@ -155,21 +149,12 @@ def test_one_sided_interval_by_integration(slope: float) -> None:
 
 
 def recorded(scene: Scene, cells: Array, resistance: Array, noise: float) -> Recording:
-    frames = len(resistance)
-    return Recording(
-        scene=scene,
-        recorded=resistance,
-        time=np.arange(frames) * 1.0,
-        role=np.array([0] + [1] * (frames - 1), dtype=np.uint8),
-        sigma=noise * resistance,
-        truth_cell_resistance=cells,
-    )
+    return recording_of(scene, resistance, 1, sigma=noise * resistance, truth_cell_resistance=cells)
 
 
 def changes_within(found: Estimates, cells: Array) -> list[bool]:
     """Of the last frame's changes against the baseline, which ones lie in their intervals."""
     change, bars = np.log(cells[-1] / cells[0]), found.steps[-1].bars
-    assert bars is not None and bars.change is not None
     estimate = np.log(found.cell_resistance[-1] / found.baseline_resistance)
     return list(((change >= estimate - bars.change.below) & (change <= estimate + bars.change.above)).ravel())
 
@@ -189,8 +174,8 @@ def test_errors_that_readings_share_are_in_the_bars() -> None:
         resistance = (exact + series) * off * (1 + 2e-4 * rng.standard_normal(exact.shape))
         recording = recorded(scene, cells, resistance, 2e-4)
         estimator = Estimator((Misfit(),), formulation="reduced")
-        found = reconstruct(recording, estimator)
-        with_them += changes_within(found, cells)
+        estimate = reconstruct(recording, estimator)
+        with_them += changes_within(estimate, cells)
         silent = replace(recording, scene=replace(scene, systematic=None))
         held += changes_within(reconstruct(silent, estimator), cells)
     assert 0.92 < np.mean(with_them) < 0.98
@@ -206,13 +191,12 @@ def test_a_method_that_looks_back_carries_its_error_along() -> None:
     for _ in range(12):
         resistance = exact * (1 + noise * rng.standard_normal(exact.shape))
         recording = recorded(Scene(Panel(*SHAPE)), frames, resistance, noise)
-        found = reconstruct(recording, estimator)
-        bars = [step.bars.frame for step in found.steps if step.bars is not None]
-        standard.append(np.log(found.cell_resistance[-1] / cells) / bars[-1].deviation)
+        estimate = reconstruct(recording, estimator)
+        bars = [step.bars.frame for step in estimate.steps if step.bars is not None]
+        standard.append(np.log(estimate.cell_resistance[-1] / cells) / bars[-1].deviation)
         carried.append(bars[-1].deviation)
-    assert 0.5 < np.sqrt(np.mean(np.square(standard))) < 1.2
+    assert 0.5 < rms(standard) < 1.2
     alone = reconstruct(recording, replace(estimator, terms=(Misfit(),))).steps[-1].bars
-    assert alone is not None
     assert np.median(carried / alone.frame.deviation) < 1
 
 
@@ -222,10 +206,11 @@ def test_what_cells_share_of_a_change_cancels_as_far_as_both_frames_have_it() ->
     frames = np.repeat(cells[None], 3, axis=0)
     scene = Scene(Panel(*SHAPE), TwoPointReadout(), systematic=Systematic(reference_tolerance=0.05))
     recording = recorded(scene, frames, two_point_resistance(frames), 0.003)
-    found = reconstruct(recording, Estimator((Misfit(),), formulation="reduced")).steps[-1].bars
-    assert found is not None and found.change is not None
-    assert np.allclose(found.frame.common, 0.05 / np.sqrt(3), rtol=0.2)
-    assert np.all(found.change.common < 1e-3) and np.allclose(found.change.own, found.change.deviation, rtol=1e-3)
+    estimate = reconstruct(recording, Estimator((Misfit(),), formulation="reduced")).steps[-1].bars
+    assert np.allclose(estimate.frame.common, 0.05 / np.sqrt(3), rtol=0.2)
+    assert np.all(estimate.change.common < 1e-3) and np.allclose(
+        estimate.change.own, estimate.change.deviation, rtol=1e-3
+    )
 
 
 def test_what_nobody_sees_has_no_bounds() -> None:
@@ -237,9 +222,9 @@ def test_what_nobody_sees_has_no_bounds() -> None:
     seen[0, 0, :] = 0
     data = estimator.data(replace(readings, seen=seen), Background(Scene(Panel(*SHAPE))))
     problem = estimator.problem(Scene(Panel(*SHAPE)), 1, 1.0, partial=data.partial)
-    found = best_solution(problem, data, cells[None])
-    assert found.solved
-    certainty = DenseErrors(model_of(found)).certainty
+    solution = best_solution(problem, data, cells[None])
+    assert solution.solved
+    certainty = DenseErrors(model_of(solution)).certainty
     assert np.all(certainty.deviation[0, 0] > 1)
     assert np.all(certainty.above[0, 0] > 2)
 
@@ -255,16 +240,15 @@ def test_a_reading_at_a_rail_gives_its_cell_no_width() -> None:
         volt = readout.volt_from_recorded(readout.to_recorded(readout.exact_reading(cells), scene))
         noise = readout.lsb_volt * rng.standard_normal((readout.readings, *volt.shape))
         codes = readout.code_from_volt(volt + noise).sum(axis=0)
-        recorded = readout.recorded_from_sums(codes, readout.readings)
-        recording = Recording(scene, recorded, np.arange(2.0), np.array([0, 1], dtype=np.uint8))
+        readings = readout.recorded_from_sums(codes, readout.readings)
+        recording = recording_of(scene, readings, 1, truth_cell_resistance=cells)
         terms = (Misfit(weighting="noise"), Gradient(weight="auto"))
-        found = reconstruct(recording, Estimator(terms, formulation="reduced"))
-        if found.cell_resistance_lower is None or found.cell_resistance_upper is None:
-            assert not found.solved.any()
+        estimate = reconstruct(recording, Estimator(terms, formulation="reduced"))
+        if estimate.cell_resistance_lower is None or estimate.cell_resistance_upper is None:
+            assert not estimate.solved.any()
             unsolved += 1
             continue
-        inside = (found.cell_resistance_lower[0] <= cells[1]) & (cells[1] <= found.cell_resistance_upper[0])
-        held.append(inside[recording.readings().bounds[1]])
+        held.append(in_intervals(estimate)[0][recording.readings().bounds[1]])
     at_rails = np.concatenate(held)
     assert unsolved <= 2 and len(at_rails) > 20  # of solves that end at the limit of iterations with a sentence
     assert at_rails.mean() > 0.9
@@ -277,11 +261,10 @@ def test_own_and_common_parts_make_up_the_bar() -> None:
     exact, inside = two_point_resistance(cells), []
     for _ in range(20):
         recording = recorded(scene, cells, exact * (1 + 2e-4 * rng.standard_normal(exact.shape)), 2e-4)
-        found = reconstruct(recording, Estimator((Misfit(),), formulation="reduced"))
-        own, common, whole = found.sigma_own, found.sigma_common, found.cell_resistance_errors
-        assert own is not None and common is not None and whole is not None
+        estimate = reconstruct(recording, Estimator((Misfit(),), formulation="reduced"))
+        own, common, whole = estimate.sigma_own, estimate.sigma_common, estimate.cell_resistance_errors
         free = np.isfinite(whole) & (own > 0)
-        np.testing.assert_allclose(np.hypot(own, common)[free], (whole / found.cell_resistance)[free])
+        assert_allclose(np.hypot(own, common)[free], (whole / estimate.cell_resistance)[free])
         assert np.median(common) > 3 * np.median(own)
-        inside.append((np.abs(np.log(found.cell_resistance / cells[-1])) < 1.96 * own)[free])
+        inside.append((np.abs(np.log(estimate.cell_resistance / cells[-1])) < 1.96 * own)[free])
     assert 0.92 < np.mean(np.concatenate(inside)) < 0.98

@@ -1,4 +1,4 @@
-"""Loads on a panel of modules: one over a seam is one event, with its place and diameter in the whole image."""
+"""Recognition on panels of modules, of mouths that no package made, and of a load's size against a random walk."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -7,14 +7,19 @@ from typing import Any
 
 import numpy as np
 import pytest
+from laws.recognised import PATCH_MM, frame_under, verdict_on
 
-from lampest import Course, Faults, OralDisc, Panel, Rod, Scene, Simulation, TwoPointReadout, simulate
+from docs.studies.attachments import SLIDES_S, SLIDING, TOUCH_S, UNLOADED, recording, seen
+from lampest import Array, Course, Faults, OralDisc, Panel, Recording, Rod, Scene, Simulation, TwoPointReadout, simulate
+from lampest.estimate.prepared import Prepared
 from lampest.loads.recognition.attachment import Attachment
 from lampest.loads.recognition.detector import Detector
+from lampest.loads.recognition.fit import Fitting, along_diameter
 from lampest.loads.recognition.image import ImageWatch, Window
-from lampest.loads.recognition.observation import ModelErrors
+from lampest.loads.recognition.observation import ModelErrors, Whitening
 from lampest.panel.panel import EachModule, Modules
-from lampest.report.detect.detection import detect_recording
+from lampest.report.detect.answer import LAMPREY, Detected
+from lampest.report.detect.detection import Known, detect_recording, known_of, measured_frames
 
 READOUT = TwoPointReadout(reference_ohm=1000, adc_bits=12, readings=20, noise_lsb=0.7)
 SCENE = Scene(Panel(modules=Modules(2, 3, EachModule(6, 7), 4.0)), READOUT, 140.0)
@@ -28,19 +33,19 @@ def test_loads_over_seams_are_one_event_each(tmp_path: Path) -> None:
     rod = Rod(centre_mm=(180, 25), diameter_mm=30, mass_g=500)
     taken = simulate(Simulation(schema=1, seed=4, scene=scene, frames=14, frame_period_s=0.25, loads=(mouth, rod)))
     taken.save(tmp_path / "mat.h5")
-    found = detect_recording(tmp_path / "mat.h5")
-    assert found.answer == "sucks" and len(found.attachments) == 2, found.why
-    over, pressed = sorted(found.attachments, key=lambda one: one.place)
+    answer = detect_recording(tmp_path / "mat.h5")
+    assert answer.answer == "sucks" and len(answer.attachments) == 2, answer.why
+    over, pressed = sorted(answer.attachments, key=lambda one: one.place)
     assert over.distance((40, 62)) < 3 and over.sucks > 0.9 and abs(over.size - 38) < 6
     assert pressed.distance((180, 25)) < 5 and pressed.sucks < 0.1
-    assert found.change is not None and found.change.shape == scene.panel.shape
+    assert answer.change is not None and answer.change.shape == scene.panel.shape
 
 
 @pytest.mark.slow
 def test_a_bare_panel_of_modules_shows_nothing(tmp_path: Path) -> None:
     simulate(Simulation(schema=1, seed=5, scene=SCENE, frames=60, frame_period_s=0.25)).save(tmp_path / "mat.h5")
-    found = detect_recording(tmp_path / "mat.h5")
-    assert found.answer == "nothing" and not found.attachments
+    answer = detect_recording(tmp_path / "mat.h5")
+    assert answer.answer == "nothing" and not answer.attachments
 
 
 def test_a_window_is_the_network_of_its_modules() -> None:
@@ -88,7 +93,7 @@ def merged(windows: list[Window], *loads: tuple[Attachment, ...]) -> tuple[Attac
     """The loads of several windows, each once."""
     watches: Any = [SimpleNamespace(attachments=own) for own in loads]
     opened = tuple((window, watch, 0.0) for window, watch in zip(windows, watches, strict=True))
-    return ImageWatch(None, (), opened)._merged()  # type: ignore[arg-type]
+    return ImageWatch(None, (), opened)._merged()
 
 
 def test_a_window_covers_the_modules_that_a_load_may_reach() -> None:
@@ -152,3 +157,96 @@ def test_a_window_closes_when_it_has_been_calm_and_the_modules_go_on(tmp_path: P
     assert len(answer.attachments) == 2, answer.attachments
     assert all(load.distance((30, 30)) < 6 for load in answer.attachments)
     assert [len(watch.opened) for watch in found] == [1]
+
+
+def detected(whole: Recording) -> Detected:
+    """The answer to all frames."""
+    watched = known_of(Prepared(whole))
+    assert isinstance(watched, Known)
+    return watched.answer(measured_frames(whole, watched, np.ones(len(whole.time), dtype=bool)))
+
+
+def test_a_mouth_that_breathes_deeply_is_no_row_of_steps() -> None:
+    """By 14 % of its suction, so that its breath changes the readings by more than half of the load."""
+    assert seen("uneven mouth", 4.0, 501003).lamprey < 10
+
+
+def test_an_outlier_in_two_frames_of_three_does_not_begin_a_window_anew() -> None:
+    assert seen("mouth partly off", 4.0, 501001).lamprey < 8
+
+
+def test_frames_after_a_full_window_are_judged_before_the_next_is_full() -> None:
+    """The first 8 s leave a breath of 6 % at 0.7 Hz open."""
+    whole, *_ = recording("mouth", 4.0, 501005)
+    assert detected(whole).answer == LAMPREY
+
+
+def test_a_cup_that_is_shaken_is_no_lamprey_in_any_frame() -> None:
+    """Its first seconds look like breath."""
+    assert np.isnan(seen("shaken cup", 4.0, 812005).lamprey)
+
+
+@pytest.mark.parametrize("seed", range(1, 4))
+def test_a_mouth_that_slides_is_one_attachment(seed: int) -> None:
+    whole, made, _, _ = recording(SLIDING, 4.0, seed, attached_s=20.0)
+    answer = detected(whole)
+    (attachment,) = answer.attachments
+    begin = whole.time[UNLOADED] + TOUCH_S
+    assert answer.answer == LAMPREY and "pumping" not in answer.sentence
+    assert attachment.moved_s and begin + SLIDES_S[0] < attachment.moved_s[-1] < begin + SLIDES_S[1] + 0.5
+    assert abs(attachment.place[0] - made.centres_mm[0][0]) == pytest.approx(15, abs=1)
+
+
+@pytest.mark.parametrize("curve", ["straight", "delayed"])
+def test_bars_of_suction_and_breath_contain_films_that_no_one_measured(curve: str) -> None:
+    found = [seen("mouth", 4.0, seed, attached_s=9.0, curve=curve) for seed in range(9000, 9004)]
+    suction = np.array([(one.suction - one.true_suction) / one.suction_sd for one in found])
+    depth = np.array([(one.seen_depth - one.depth) / one.depth_sd for one in found])
+    assert np.abs(suction).max() < 2.3 and np.abs(depth).max() < 2.3
+
+
+SMALL = Panel(6, 6)
+STEPS, SCALES = 40000, (0.1, 0.4, 1.0)
+
+
+def walked(fitting: Fitting, whitening: Whitening, start: Array, root: Array) -> Array:
+    """ln d along a random walk through e^−cost, (samples)."""
+    rng, found, mean, sd = np.random.default_rng(5), [], fitting.candidate.mean(SMALL), fitting.candidate.sd(SMALL)
+
+    def cost_at(parameters: Array) -> float:
+        return float(fitting.about(parameters, whitening).exact + np.sum(((parameters - mean) / sd) ** 2) / 2)
+
+    here, cost = start, cost_at(start)
+    for _ in range(STEPS):
+        step = here + root @ rng.standard_normal(len(here)) * rng.choice(SCALES)
+        there = cost_at(step)
+        if np.log(rng.random()) < cost - there:
+            here, cost = step, there
+        found.append(here[2])
+    return np.array(found[STEPS // 5 :])
+
+
+@pytest.mark.slow
+def test_a_diameter_that_patches_hardly_see_is_as_wide_as_its_posterior() -> None:
+    frame, detector = frame_under(Rod(centre_mm=(20.0, 20.0), diameter_mm=10.0, mass_g=60), SMALL), Detector(SMALL, 6.0)
+    rod = next(fit for fit in detector.verdict(frame).loads if fit.candidate is Rod.candidate)
+    fitting = Fitting(SMALL, PATCH_MM, rod.candidate, frame)
+    whitening = Whitening.of(frame, detector.explained(frame, rod), rod.scatter)
+    local = fitting.best(rod.parameters, whitening)
+    wide = along_diameter(fitting, local, whitening)
+    root = np.linalg.cholesky(wide.covariance) / len(wide.parameters) ** 0.5
+    samples = walked(fitting, whitening, rod.parameters, root)
+    own = np.sqrt(wide.covariance[2, 2] - rod.candidate.blind(wide.parameters)[2] ** 2)
+    assert own == pytest.approx(np.sqrt(np.mean((samples - wide.parameters[2]) ** 2)), rel=0.35)
+    assert own > 2 * local.covariance[2, 2] ** 0.5, "curvature alone would have done"
+
+
+@pytest.mark.parametrize(
+    ("diameter_mm", "centre_mm"), [(10.0, (20.0, 30.0)), (12.0, (25.0, 20.0)), (17.5, (25.0, 25.0))]
+)
+def test_small_rods_are_as_large_as_they_are_said_to_be(diameter_mm: float, centre_mm: tuple[float, float]) -> None:
+    best = verdict_on(Rod(centre_mm=centre_mm, diameter_mm=diameter_mm, mass_g=60), panel=SMALL).best
+    value, slopes = best.candidate.report(best.parameters)["diameter_mm"]
+    error = np.sqrt(slopes @ best.covariance @ slopes)
+    assert error < 9.0
+    assert abs(value - diameter_mm) < 2 * error

@@ -1,38 +1,35 @@
-"""Every readout against a netlist that is solved resistor by resistor, with ideal sources and without Z."""
+"""Every readout against netlists that are solved resistor by resistor, with ideal sources and without Z."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import h5py
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from scipy.optimize import brentq
 
-from lampest.cost.losses import Squared
+from lampest import Array, Diode, Estimator, Faults, InputError, Panel, Recording, Settings, Squared, read_run, simulate
 from lampest.cost.terms import Gradient, LogRatio, Misfit
-from lampest.estimate.estimator import Estimator
 from lampest.estimate.sequence import reconstruct
-from lampest.files.errors import InputError
-from lampest.panel.panel import Array, Panel
-from lampest.panel.readouts import GroundedReadout, LoadedColumnsReadout, TwoPointReadout, VirtualGroundReadout
-from lampest.panel.scene import Faults, Scene, SeriesPerLine
+from lampest.panel.readouts import GroundedReadout, LoadedColumnsReadout, Readout, TwoPointReadout, VirtualGroundReadout
+from lampest.panel.scene import Scene, SeriesPerLine, Systematic
 from lampest.recording.foreign.importing import import_file
-from lampest.recording.recording import Recording
+from lampest.recording.simulation.simulation import Simulation
 from lampest.report.info import describe
 from lampest.runs.batch import run_batch
-from lampest.runs.case import CaseResult
-from lampest.runs.config import read_run
 from lampest.runs.executors import Serial
-from lampest.runs.results import read_results
-from tests.oracles.netlist import Resistor, potentials
+from lampest.runs.results import CaseResult, read_results
+from tests.estimates import recording_of
+from tests.netlist import Node, Resistor, potentials
 
 ROWS, COLUMNS = 5, 6
 DRIVES, SENSES = tuple(40.0 + 9 * line for line in range(ROWS)), tuple(60.0 + 11 * line for line in range(COLUMNS))
 TWO_POINT = TwoPointReadout(adc_bits=12, noise_lsb=1)
 LOADED = LoadedColumnsReadout(supply_volt=3.3, load_ohm=10_000, drive_ohm=1080, adc_bits=12, readings=20, noise_lsb=1)
 LOADED_LISTS = replace(LOADED, load_ohm=tuple(8000.0 + 300 * line for line in range(COLUMNS)), drive_ohm=DRIVES)
-LOADED_TURNED = replace(LOADED_LISTS, driven="columns", load_ohm=LOADED_LISTS.load_ohm[:5], drive_ohm=(*DRIVES, 99.0))  # type: ignore[index]
+LOADED_TURNED = replace(LOADED_LISTS, driven="columns", load_ohm=LOADED_LISTS.load_ohm[:5], drive_ohm=(*DRIVES, 99.0))
 ALL = GroundedReadout(load_ohm=1000, drive_ohm=70, sense_ohm=30, adc_bits=12, noise_lsb=1)
 ONE = replace(ALL, sense="one")
 LISTS = replace(ALL, drive_ohm=DRIVES, sense_ohm=SENSES, load_ohm=tuple(900.0 + 50 * line for line in range(COLUMNS)))
@@ -86,36 +83,53 @@ def volts(cells: Array, readout: Any) -> Array:
 
 def volt_of(matrix: Array, readout: Any, driven: int, sensed: int) -> float:
     """Return the voltage of one reading of a panel (driven lines, sensed lines) ohm."""
-    lines, others = matrix.shape
-    network: list[Resistor] = [(("d", line), ("s", other), ohm) for (line, other), ohm in np.ndenumerate(matrix)]
     if isinstance(readout, TwoPointReadout):
-        of_sensor, tap = readout.measured_across == "sensor", ("d" if readout.measured_across == "sensor" else "s")
-        ends = ("high", ("d", driven)) if of_sensor else (("s", sensed), "low")
-        wire = (("s", sensed), "low", 0.0) if of_sensor else ("high", ("d", driven), 0.0)
-        held = {"high": readout.supply_volt, "low": 0.0}
-        return potentials([*network, (*ends, readout.reference_ohm), wire], held)[tap, driven if of_sensor else sensed]
+        return divider(matrix, readout, driven, sensed)
+    network = network_of(matrix, readout, driven, sensed)
+    high, low = (0.0, readout.supply_volt)[:: 1 if getattr(readout, "polarity", "up") == "down" else -1]
+    volt = potentials(network, {"high": high, "low": low})
+    if isinstance(readout, VirtualGroundReadout):
+        through = [(volt["d", line] - volt["s", sensed]) / ohm for line, ohm in enumerate(matrix[:, sensed])]
+        return each(readout.feedback_ohm, matrix.shape[1])[sensed] * sum(through)
+    return volt["load", sensed]
+
+
+def cells_between(matrix: Array) -> list[Resistor]:
+    return [(("d", line), ("s", other), ohm) for (line, other), ohm in np.ndenumerate(matrix)]
+
+
+def divider(
+    matrix: Array, readout: TwoPointReadout, row: int, column: int, row_ohm: float = 0.0, column_ohm: float = 0.0
+) -> float:
+    """Volt at the converter: supply, reference, row's channel, panel, column's channel and ground in a row."""
+    across_sensor = readout.measured_across == "sensor"
+    above, below = (readout.reference_ohm, 0.0)[:: 1 if across_sensor else -1]
+    tap: Node = "row end" if across_sensor else "column end"
+    network = [*cells_between(matrix), ("high", "row end", above), ("column end", "low", below)]
+    network += [("row end", ("d", row), row_ohm), (("s", column), "column end", column_ohm)]
+    network += [] if readout.input_ohm is None else [(tap, "low", readout.input_ohm)]
+    return potentials(network, {"high": readout.supply_volt, "low": 0.0})[tap]
+
+
+def network_of(matrix: Array, readout: Any, driven: int, sensed: int) -> list[Resistor]:
+    """Drives, panel, channels and loads of a readout in volt while one line is driven and one is sensed."""
+    lines, others = (range(count) for count in matrix.shape)
     floating = isinstance(readout, LoadedColumnsReadout)
-    drive = each(readout.drive_ohm, lines)
+    drive = each(readout.drive_ohm, len(lines))
+    network = cells_between(matrix)
     network += [
         (("d", line), "high" if line == driven else "low", drive[line])
-        for line in range(lines)
+        for line in lines
         if line == driven or not floating
     ]
-    high, low = (
-        (0.0, readout.supply_volt) if getattr(readout, "polarity", "up") == "down" else (readout.supply_volt, 0.0)
-    )
+    channels = (0.0,) * len(others) if floating else each(readout.sense_ohm, len(others))
     if isinstance(readout, VirtualGroundReadout):
-        channels = each(readout.sense_ohm, others)
-        volt = potentials(
-            [*network, *((("s", line), "low", channels[line]) for line in range(others))], {"high": high, "low": low}
-        )
-        through = [(volt["d", line] - volt["s", sensed]) / matrix[line, sensed] for line in range(lines)]
-        return each(readout.feedback_ohm, others)[sensed] * sum(through)
-    loads, channels = each(readout.load_ohm, others), (0.0,) * others if floating else each(readout.sense_ohm, others)
-    for line in [sensed] if getattr(readout, "sense", "all") == "one" else range(others):
+        return [*network, *((("s", line), "low", channels[line]) for line in others)]
+    loads = each(readout.load_ohm, len(others))
+    for line in [sensed] if getattr(readout, "sense", "all") == "one" else others:
         network += [(("s", line), ("load", line), channels[line]), (("load", line), "low", loads[line])]
         network += [] if readout.input_ohm is None else [(("load", line), "low", readout.input_ohm)]
-    return potentials(network, {"high": high, "low": low})["load", sensed]
+    return network
 
 
 def panel_of(readout: Any, noise: float, seed: int = 5, shape: tuple[int, int] = (ROWS, COLUMNS)) -> Recording:
@@ -128,19 +142,16 @@ def panel_of(readout: Any, noise: float, seed: int = 5, shape: tuple[int, int] =
     truth = np.stack([resting] * 3 + [loaded] * 2)
     recorded = readout.recorded_from_volt(np.stack([volts(frame, readout) for frame in truth]))
     recorded = recorded + noise * readout.sigma(recorded) * rng.normal(size=recorded.shape)
-    role = np.array([0, 0, 0, 1, 1], dtype=np.uint8)
-    return Recording(scene, recorded, np.arange(5.0), role, truth_cell_resistance=truth, name="panel")
+    return recording_of(scene, recorded, 3, truth_cell_resistance=truth, name="panel")
 
 
 def truth_of(recording: Recording) -> Array:
-    assert recording.truth_cell_resistance is not None
     return recording.truth_cell_resistance[3:]
 
 
 def test_every_readout_reads_what_the_netlist_says() -> None:
     for name, readout in READOUTS.items():
         recording = panel_of(readout, 0.0)
-        assert recording.truth_cell_resistance is not None
         modelled = readout.to_recorded(readout.exact_reading(recording.truth_cell_resistance), recording.scene)
         ideal = getattr(readout, "drive_ohm", 1.0) == 0
         assert_allclose(modelled, recording.recorded, rtol=1e-7 if ideal else 1e-11, err_msg=name)
@@ -159,7 +170,7 @@ def test_clean_readings_give_the_cells(readout: Any, formulation: Any) -> None:
 @pytest.mark.parametrize("terms", [LSM, SMOOTH], ids=["plain", "smooth"])
 def test_nodal_and_reduced_reach_one_optimum(readout: Any, terms: Any) -> None:
     recording = panel_of(readout, 1.0)
-    nodal, reduced = (reconstruct(recording, Estimator(terms, name)) for name in ("nodal", "reduced"))  # type: ignore[arg-type]
+    nodal, reduced = (reconstruct(recording, Estimator(terms, name)) for name in ("nodal", "reduced"))
     assert all(step.solution.solved for step in (*nodal.steps, *reduced.steps))
     held = isinstance(readout, GroundedReadout | VirtualGroundReadout)
     assert_allclose(nodal.cell_resistance, reduced.cell_resistance, rtol=1e-6 if held else 1e-5)
@@ -185,7 +196,6 @@ def test_a_weight_is_chosen(readout: Any, penalty: Any) -> None:
 def test_a_dead_driven_line_leaves_the_model(readout: Any) -> None:
     """Its cells are open, and the voltage of its readings says nothing, not even to bounds and starts of others."""
     sound = panel_of(readout, 0.0, shape=(8, COLUMNS))
-    assert sound.truth_cell_resistance is not None
     broken = np.where(np.arange(8)[:, None] == 4, 1e15, 1.0)
     volt = np.stack([volts(frame * broken, readout) for frame in sound.truth_cell_resistance])
     volt[:, 4] = 0.7
@@ -231,7 +241,6 @@ def test_error_bars_cover_the_truth(tmp_path: Path) -> None:
     for seed in range(12):
         recording = panel_of(LOADED, 1.0, seed)
         case = run_over(recording, tmp_path / str(seed))
-        assert case.cell_resistance_errors is not None
         scores.append((case.cell_resistance - truth_of(recording)) / case.cell_resistance_errors)
     assert 0.8 < np.mean(np.square(scores)) < 1.25
 
@@ -251,7 +260,148 @@ def test_a_recording_and_its_results_are_in_volt(tmp_path: Path) -> None:
     assert_allclose(case.reading_model, case.measured, rtol=1e-2)
 
 
-@pytest.mark.parametrize("series", [140.0, SeriesPerLine(70.0, 70.0)])
-def test_a_series_resistance_is_refused_and_its_place_told(series: float | SeriesPerLine) -> None:
-    with pytest.raises(ValueError, match=r"belongs to readout\.kind: two_point.*drive_ohm or sense_ohm"):
-        Scene(Panel(ROWS, COLUMNS), LOADED, series)
+SHAPE = (4, 5)
+ROW_OHM, COLUMN_OHM = (70.0, 75.0, 81.0, 66.0), (60.0, 68.0, 72.0, 64.0, 77.0)
+PER_LINE = SeriesPerLine(ROW_OHM, COLUMN_OHM)
+FINE = Settings(tolerance=1e-10)  # a cell of 25 kohm beside such of 0.4 is hardly seen, and the cost is flat along it
+UNLIKE = LoadedColumnsReadout(load_ohm=4700.0, drive_ohm=120.0, adc_bits=12)
+LED = Diode(drop_volt=1.8, at_ampere=2e-3, slope_volt=0.09)
+
+
+def cells_of(seed: int = 3, shape: tuple[int, int] = SHAPE) -> Array:
+    return np.asarray(2500 * np.exp(0.7 * np.random.default_rng(seed).normal(size=shape)))
+
+
+@pytest.mark.parametrize("input_ohm", [None, 30e3])
+@pytest.mark.parametrize("across", ["reference", "sensor"])
+def test_two_point_takes_off_what_each_line_has_in_series(across: Any, input_ohm: float | None) -> None:
+    readout = TwoPointReadout(measured_across=across, input_ohm=input_ohm, adc_bits=16, noise_lsb=1)
+    cells, scene = cells_of(), Scene(Panel(*SHAPE), readout, PER_LINE)
+    ohm = [(row, column, ROW_OHM[row], COLUMN_OHM[column]) for row, column in np.ndindex(SHAPE)]
+    volt = np.reshape([divider(cells, readout, *reading) for reading in ohm], SHAPE)
+    ratio = (5 - volt) / volt if across == "reference" else volt / (5 - volt)
+    recorded = ratio * readout.reference_ohm  # what anybody's divider equation gives
+    assert_allclose(readout.recorded_from_volt(volt), recorded, rtol=1e-12)
+    assert_allclose(readout.from_recorded(recorded, scene), readout.exact_reading(cells), rtol=1e-9)
+    assert_allclose(readout.to_recorded(readout.exact_reading(cells), scene), recorded, rtol=1e-9)
+    recording = recording_of(scene, np.stack([recorded] * 2), 1)
+    assert_allclose(reconstruct(recording, Estimator(LSM, "reduced")).cell_resistance[0], cells, rtol=1e-5)
+    # σ is that of the converter: what one σ of volt does to the network's resistance.
+    step = 1e-3 * readout.sigma_volt()
+    ends = [readout.from_recorded(readout.recorded_from_volt(volt + sign * step), scene) for sign in (1, -1)]
+    assert_allclose(recording.readings().sigma[0], np.abs(ends[0] - ends[1]) / 2e-3, rtol=1e-5)
+
+
+def through_diode(cells: Array, readout: LoadedColumnsReadout, driven: int) -> Array:
+    """Volt at the loads while a row is driven: the current at which diode and network share the supply."""
+    saturation = readout.diode.at_ampere / np.expm1(readout.diode.drop_volt / readout.diode.slope_volt)
+
+    network = network_of(cells, readout, driven, 0)
+
+    def excess(volt: float) -> float:
+        current = (volt - potentials(network, {"high": volt, "low": 0.0})["d", driven]) / readout.drive_ohm
+        return volt + readout.diode.slope_volt * np.log1p(current / saturation) - readout.supply_volt
+
+    behind = float(brentq(excess, 0.0, readout.supply_volt, xtol=1e-15, rtol=1e-14))
+    volt = potentials(network, {"high": behind, "low": 0.0})
+    return np.array([volt["load", column] for column in range(cells.shape[1])])
+
+
+@pytest.mark.parametrize("polarity", ["up", "down"])
+@pytest.mark.parametrize("driven", ["rows", "columns"])
+@pytest.mark.parametrize("diode", [Diode(), LED], ids=["silicon", "led"])
+def test_a_diode_and_the_converter_are_in_the_model(diode: Diode, driven: Any, polarity: Any) -> None:
+    readout = replace(UNLIKE, diode=diode, driven=driven, polarity=polarity, input_ohm=100e3)
+    cells = cells_of()
+    volt = np.stack([through_diode(cells, readout, row) for row in range(len(cells))])
+    recorded = volt if polarity == "up" else 5 - volt
+    recorded, truth = (recorded, cells) if driven == "rows" else (recorded.T, cells.T)
+    scene = Scene(Panel(*truth.shape), readout)
+    assert_allclose(readout.to_recorded(readout.exact_reading(truth), scene), recorded, rtol=1e-10)
+    rng = np.random.default_rng(2)
+    noisy = recorded + readout.sigma(recorded) * rng.normal(size=(3, *truth.shape))
+    for frames, close in ((np.stack([recorded] * 3), truth), (noisy, None)):
+        recording = recording_of(scene, frames, 2)
+        one, other = (reconstruct(recording, Estimator(LSM, name, FINE)) for name in ("reduced", "nodal"))
+        assert all(step.solution.solved for step in (*one.steps, *other.steps))
+        assert_allclose(one.cell_resistance, other.cell_resistance, rtol=1e-6)
+        if close is not None:
+            assert_allclose(one.cell_resistance[0], close, rtol=1e-4)
+
+
+def test_a_diode_that_drops_next_to_nothing_is_none() -> None:
+    cells = cells_of()
+    ideal = replace(UNLIKE, diode=Diode(drop_volt=0.01, at_ampere=10.0, slope_volt=0.5))
+    assert_allclose(ideal.exact_reading(cells), UNLIKE.exact_reading(cells), rtol=1e-5)
+
+
+NOISY = (0.6, 3.0, 1.2, 5.0)
+KINDS: tuple[Readout, ...] = (
+    TwoPointReadout(adc_bits=12),
+    UNLIKE,
+    GroundedReadout(adc_bits=12),
+    GroundedReadout(adc_bits=12, sense="one"),
+    VirtualGroundReadout(adc_bits=12, sense_ohm=40.0, feedback_ohm=400.0),
+)
+
+
+@pytest.mark.parametrize("readout", KINDS, ids=lambda one: one.kind)
+@pytest.mark.parametrize("driven", ["rows", "columns"])
+def test_noise_is_that_of_the_driven_line(readout: Any, driven: str) -> None:
+    """Codes that are simulated scatter as σ says, line by line; of many readings each."""
+    if isinstance(readout, TwoPointReadout) and driven == "columns":
+        return
+    turned = readout if isinstance(readout, TwoPointReadout) else replace(readout, driven=driven)
+    noisy = replace(turned, noise_lsb=NOISY, readings=4)
+    shape = (4, 5) if driven == "rows" else (5, 4)
+    recording = simulate(Simulation(1, 5, Scene(Panel(*shape), noisy), frames=600))
+    scatter = (recording.raw_sums / 4).std(axis=0).mean(axis=1 if driven == "rows" else 0)
+    expected = [np.sqrt((noise**2 + 1 / 12) / 4) for noise in NOISY]
+    assert_allclose(scatter, expected, rtol=0.05)
+    along = noisy.sigma(recording.recorded) / noisy.sigma(recording.recorded)[:, :1, :1]
+    if not isinstance(readout, TwoPointReadout):
+        lines = along[0, :, 0] if driven == "rows" else along[0, 0]
+        assert_allclose(lines, np.divide(expected, expected[0]), rtol=1e-3)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("readout", KINDS, ids=lambda one: one.kind)
+def test_shared_errors_move_the_estimate_as_the_bars_say(readout: Any) -> None:
+    """All channels and the reference drawn anew for every panel: errors in units of the error bars."""
+    cells, rng, scores = cells_of(), np.random.default_rng(8), []
+    quiet = replace(readout, adc_bits=16, noise_lsb=0.5)
+    told = Scene(Panel(*SHAPE), quiet, systematic=Systematic(0.02, 4.0))
+    if isinstance(readout, TwoPointReadout):
+        told = replace(told, series_resistance_ohm=140.0)
+    for _ in range(40):
+        actual = quiet.off_by(0.02 * rng.uniform(-1, 1))
+        channels = 4.0 * rng.normal(size=sum(SHAPE))
+        volt = actual.volt_from_recorded(actual.simulated(cells[None], told, channels[:4], channels[4:]))
+        frames = np.concatenate([quiet.recorded_from_volt(volt)] * 2)
+        done = reconstruct(recording_of(told, frames, 1), Estimator(LSM, "reduced"))
+        bars = done.steps[0].bars
+        scores.append(np.log(done.cell_resistance[0] / cells) / bars.frame.deviation)
+    assert 0.8 < np.sqrt(np.mean(np.square(scores))) < 1.2
+
+
+def test_series_per_line_is_one_number_where_all_are_alike() -> None:
+    plain, listed = (Scene(Panel(3, 4), TwoPointReadout(), one) for one in (140.0, SeriesPerLine((80.0,) * 3, 60.0)))
+    assert_allclose(np.broadcast_to(plain.series_ohm, (3, 4)), listed.series_ohm)
+
+
+@dataclass(frozen=True, kw_only=True)
+class StrangerReadout(GroundedReadout):
+    """A kind that no union names."""
+
+    kind: Literal["stranger"] = "stranger"
+
+
+def test_a_file_with_a_readout_that_nobody_knows_says_so_when_it_is_written_and_when_it_is_read(tmp_path: Path) -> None:
+    recording = simulate(Simulation(1, 5, Scene(Panel(*SHAPE), UNLIKE), frames=2))
+    odd = replace(recording, scene=replace(recording.scene, readout=StrangerReadout()))
+    with pytest.warns(UserWarning, match="stranger is not among the readouts"):
+        odd.save(tmp_path / "odd.h5")
+    with pytest.raises(
+        InputError, match="readout: there is no kind stranger in lampest or an installed package; there"
+    ):
+        Recording.load(tmp_path / "odd.h5")

@@ -1,4 +1,4 @@
-"""What is broken leaves the model; what only bounds a reading is used as a bound."""
+"""What is broken leaves the model, what only bounds a reading is a bound, and intervals of missing readings hold."""
 
 from dataclasses import replace
 
@@ -6,15 +6,14 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from lampest import two_point_resistance
+import lampest
+from lampest import Array, Bounds, Estimator, Faults, Panel, Recording, Scene, TwoPointReadout, two_point_resistance
 from lampest.cost.terms import CellResistance, Gradient, GradientOfRelativeChange, Misfit, RelativeChange, Term
-from lampest.estimate.estimator import Bounds, Estimator
 from lampest.estimate.sequence import reconstruct
-from lampest.panel.panel import Array, Panel
-from lampest.panel.readouts import TwoPointReadout
-from lampest.panel.scene import Faults, Scene
-from lampest.recording.readings import AT_LEAST, AT_MOST
-from lampest.recording.recording import Recording
+from lampest.posterior.dense import DenseErrors
+from lampest.posterior.profile_interval import ProfileInterval
+from lampest.recording.readings import AT_LEAST, AT_MOST, stand_in, stand_in_spread
+from tests.estimates import in_intervals, log_errors, recording_of
 
 SHAPE = (6, 7)
 SIGMA = 0.01
@@ -32,11 +31,10 @@ def cells(seed: int = 0) -> Array:
 def recording(truth: Array, faults: Faults | None = None, readout: TwoPointReadout | None = None) -> Recording:
     """Exact readings with a small σ, one unloaded frame."""
     scene = Scene(Panel(*SHAPE), readout, 0.0, faults)
-    role = np.array([0, *([1] * (len(truth) - 1))], dtype=np.uint8)
     resistance = two_point_resistance(truth)
     sigma = np.full(resistance.shape, SIGMA)
     finite = np.where(np.isfinite(resistance) & (resistance > 0), resistance, 1.0)
-    return Recording(scene, finite, np.arange(len(truth), dtype=float), role, sigma)
+    return recording_of(scene, finite, 1, sigma=sigma)
 
 
 FAULTS = {
@@ -54,14 +52,14 @@ def test_known_fault_leaves_the_rest_exact(name: str, formulation: str) -> None:
     faults, breaks = FAULTS[name]
     truth = cells()
     breaks(truth)
-    found = reconstruct(recording(truth, faults), Estimator(LSM, formulation=formulation))  # type: ignore[arg-type]
+    estimate = reconstruct(recording(truth, faults), Estimator(LSM, formulation=formulation))
     sound = ~(faults.open_cells(Panel(*SHAPE)) | faults.shorted_cells(Panel(*SHAPE)))
     # The two lines of a short are one node: what joins another line to either of them is only seen in parallel.
     if faults.shorted:
         ((row, column),) = faults.shorted
         sound[row], sound[:, column] = False, False
-    assert all(step.solution.solved for step in found.steps)
-    assert_allclose(found.cell_resistance[:, sound], truth[1:][:, sound], rtol=1e-4)
+    assert all(step.solution.solved for step in estimate.steps)
+    assert_allclose(estimate.cell_resistance[:, sound], truth[1:][:, sound], rtol=1e-4)
 
 
 @pytest.mark.slow
@@ -79,20 +77,20 @@ def test_penalties_do_not_see_broken_cells(terms: tuple[Term, ...]) -> None:
     """An open cell of 10⁹ times the others would drown every penalty that reads it."""
     truth = cells()
     truth[:, 1, 2] = np.inf
-    found = reconstruct(recording(truth, Faults(open=((1, 2),))), Estimator(terms, formulation="reduced"))
-    assert all(step.solution.solved for step in found.steps)
-    assert all(step.solution.objective < 1e9 for step in found.steps)
+    estimate = reconstruct(recording(truth, Faults(open=((1, 2),))), Estimator(terms, formulation="reduced"))
+    assert all(step.solution.solved for step in estimate.steps)
+    assert all(step.solution.objective < 1e9 for step in estimate.steps)
     others = np.ones(SHAPE, dtype=bool)
     others[1, 2] = False
-    assert np.all(found.cell_resistance[:, others] < 1e5)
+    assert np.all(estimate.cell_resistance[:, others] < 1e5)
 
 
 @pytest.mark.slow
 def test_unknown_open_cell_is_flagged() -> None:
     truth = cells()
     truth[:, 1, 2] = np.inf
-    found = reconstruct(recording(truth), Estimator(LSM, formulation="reduced"))
-    flags = np.stack([step.solution.open_cell[-1] for step in found.steps])
+    estimate = reconstruct(recording(truth), Estimator(LSM, formulation="reduced"))
+    flags = np.stack([step.solution.open_cell[-1] for step in estimate.steps])
     assert np.all(flags[:, 1, 2])
     assert flags.sum() == len(flags)
 
@@ -102,8 +100,8 @@ def test_unknown_short_is_flagged() -> None:
     """A reading of zero within its noise is a bound, and the cell behind it ends at the least that bounds allow."""
     truth = cells()
     truth[:, 4, 5] = 1e-3
-    found = reconstruct(recording(truth), Estimator((Misfit(), CellResistance(weight=1e-9)), formulation="reduced"))
-    for step in found.steps:
+    estimate = reconstruct(recording(truth), Estimator((Misfit(), CellResistance(weight=1e-9)), formulation="reduced"))
+    for step in estimate.steps:
         assert step.solution.solved
         assert step.solution.cell_resistance[-1][4, 5] < 10 * SIGMA
 
@@ -124,24 +122,10 @@ def test_saturated_codes_are_bounds() -> None:
     assert np.all(readings.value[beyond] == largest)
     low = replace(made, recorded=np.full_like(made.resistance, least / 2))
     assert np.all(low.readings().side == AT_MOST)
-    found = reconstruct(made, Estimator(LSM, bounds=Bounds(upper="none"), formulation="reduced"))
-    model = found.steps[0].solution.reading[-1]
-    assert found.steps[0].solution.solved
+    estimate = reconstruct(made, Estimator(LSM, bounds=Bounds(upper="none"), formulation="reduced"))
+    model = estimate.steps[0].solution.reading[-1]
+    assert estimate.steps[0].solution.solved
     assert np.all(model[beyond[1]] >= largest * (1 - 1e-6))
-
-
-@pytest.mark.parametrize(
-    ("faults", "sentence"),
-    [
-        (Faults(open=((6, 0),)), "there is no cell"),
-        (Faults(dead_rows=(9,)), "there is no row 9"),
-        (Faults(open=((1, 1),), shorted=((1, 1),)), "open and shorted"),
-        (Faults(dead_rows=tuple(range(6))), "nothing is left"),
-    ],
-)
-def test_impossible_faults_are_refused(faults: Faults, sentence: str) -> None:
-    with pytest.raises(ValueError, match=sentence):
-        Scene(Panel(*SHAPE), None, 0.0, faults)
 
 
 def test_readings_below_the_series_resistance_are_bounds() -> None:
@@ -151,3 +135,108 @@ def test_readings_below_the_series_resistance_are_bounds() -> None:
     readings = wrong.readings()
     assert np.all(readings.side == AT_MOST) and np.all(readings.seen == 1)
     assert np.all((readings.value > 0) & (readings.value < made.resistance))
+
+
+READOUT = lampest.TwoPointReadout(supply_volt=5, reference_ohm=1000, adc_bits=16, noise_lsb=1)
+HOLED = lampest.Scene(lampest.Panel(*SHAPE), READOUT, systematic="none")
+
+
+def with_holes(seed: int, missing: int) -> lampest.Recording:
+    """Two unloaded frames and one with a pressed patch and so many readings less."""
+    rng = np.random.default_rng(seed)
+    resting = 1000 * np.exp(0.3 * rng.standard_normal(SHAPE))
+    pressed = resting.copy()
+    pressed[2:5, 2:4] *= 0.3
+    exact = READOUT.exact_reading(np.stack([resting, resting, pressed]))
+    readings = exact + READOUT.sigma(exact) * rng.standard_normal(exact.shape)
+    readings[2].flat[rng.choice(42, missing, replace=False)] = np.nan
+    truth = np.stack([resting, resting, pressed])
+    return recording_of(HOLED, readings, 2, truth_cell_resistance=truth)
+
+
+def holed_coverage(recording: lampest.Recording, terms: list[object]) -> tuple[float, float]:
+    """(share of read cells within their interval, median width of it as a fraction)."""
+    estimate = lampest.reconstruct(recording, terms, formulation="reduced")
+    read = np.isfinite(recording.recorded[2:])
+    width = estimate.cell_resistance_upper / estimate.cell_resistance_lower - 1
+    return float(in_intervals(estimate)[read].mean()), float(np.median(width[read]))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("terms", [[], [lampest.RelativeChange()], [lampest.Gradient()]])
+def test_cells_beside_one_that_was_not_read_are_held(terms: list[object]) -> None:
+    """A missing reading moves all cells together, along a curve: tangents held 87 % of them over 28 such panels."""
+    misfit = lampest.Misfit(weighting="noise" if terms else "plain")
+    found = [holed_coverage(with_holes(seed, 1 + seed % 2), [misfit, *terms]) for seed in range(12)]
+    assert np.mean([share for share, _ in found]) > 0.9
+    assert np.median([width for _, width in found]) < 0.3
+
+
+@pytest.mark.parametrize("term", [lampest.RelativeChange(), lampest.GradientOfRelativeChange()])
+def test_what_was_never_read_is_stood_in_for_where_penalties_compare(term: object) -> None:
+    """Nothing told the baseline of that cell: it went open, and took all others along by 1 %; bars held 45 %."""
+    rng = np.random.default_rng(8)
+    resting = 1000 * np.exp(0.2 * rng.standard_normal(SHAPE))
+    pressed = resting.copy()
+    pressed[2:5, 2:4] *= 0.4
+    truth = np.stack([resting, resting, pressed, 0.9 * pressed])
+    readings = READOUT.exact_reading(truth)
+    readings = readings + READOUT.sigma(readings) * rng.standard_normal(readings.shape)
+    readings[:, 1, 5] = np.nan
+    recording = recording_of(HOLED, readings, 2, truth_cell_resistance=truth)
+    estimate = lampest.reconstruct(recording, [lampest.Misfit(weighting="noise"), term], formulation="reduced")
+    read = np.isfinite(readings[2:])
+    assert in_intervals(estimate)[read].mean() > 0.9
+    assert np.median(np.abs(log_errors(estimate))) < 0.005
+
+
+@pytest.mark.parametrize("side", [-1, 1])
+def test_the_valley_is_followed_to_where_a_held_cell_leads(side: int) -> None:
+    """Ends of the way are optima with that cell held: found again by a solve within bounds that leave it no choice."""
+    recording = with_holes(3, 1)
+    terms = (lampest.Misfit(weighting="noise"), lampest.Gradient(weight=1e-4))
+    readings = recording.readings()
+    stream = lampest.Stream.begin(
+        lampest.Estimator(terms, formulation="reduced"), HOLED, 1.0, readings[np.array([0, 1])].mean()
+    )
+    data, _ = stream.given(readings[2])
+    model = stream.solve(data, None).surroundings()
+    cell = int(np.flatnonzero(readings.seen[2].ravel() == 0)[0])
+    errors = DenseErrors(model)
+    way = ProfileInterval(errors, cell)
+    gone = way.end(side)
+    lower, upper = data.lower.copy(), data.upper.copy()
+    lower.flat[cell] = upper.flat[cell] = np.exp(model.at.position.flat[cell] + gone[cell])
+    there = stream.solve(replace(data, lower=lower, upper=upper), np.exp(model.at.position + gone.reshape(1, *SHAPE)))
+    exact = (np.log(there.cell_resistance) - model.at.position[0]).ravel()
+    beside = np.arange(gone.size) != cell
+    assert np.abs(gone - exact)[beside].max() < 0.1 * np.abs(exact[beside]).max()
+    assert np.abs(way.tangent * side - exact)[beside].max() > 0.2 * np.abs(exact[beside]).max()
+
+
+@pytest.mark.parametrize("term", [lampest.Gradient(), lampest.RelativeChange()])
+def test_a_missing_reading_does_not_choose_the_weight(term: object) -> None:
+    """The penalty decides an unread cell whatever its weight; that it does was taken for a fault of the weight."""
+    weights = []
+    for missing in (0, 2):
+        estimate = lampest.reconstruct(
+            with_holes(3, missing), [lampest.Misfit(weighting="noise"), term], formulation="reduced"
+        )
+        weights.append(estimate.steps[0].weights[1])
+    assert abs(np.log10(weights[1] / weights[0])) < 1.2  # it was 1e-15
+
+
+def test_a_stand_in_says_how_far_readings_stray_that_it_has_not_seen() -> None:
+    """A pressed patch has lines that follow it: 13 % of readings lay beyond 1.96 spreads of what was fitted to them."""
+    beyond = []
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        cells = 1000 * np.exp(0.3 * rng.standard_normal((6, 9)))
+        cells[2:5, 3:6] *= 0.3
+        reading = lampest.two_point_resistance(cells)
+        for place in np.ndindex(reading.shape):
+            known = np.ones(reading.shape, dtype=bool)
+            known[place] = False
+            expected, spread = stand_in(reading, known), stand_in_spread(reading, known)
+            beyond.append(abs(np.log(reading[place] / expected[place])) > 1.96 * spread[place])
+    assert np.mean(beyond) < 0.09

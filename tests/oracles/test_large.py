@@ -5,28 +5,18 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy import linalg, sparse
 
-from lampest import two_point_resistance
+from lampest import Absolute, Estimator, Huber, Panel, Recording, Scene, Settings, Status, two_point_resistance
 from lampest.cost.given import Background
-from lampest.cost.losses import Absolute, Huber
 from lampest.cost.problem import Evaluation
 from lampest.cost.terms import CellResistance, Gradient, GradientOfRelativeChange, Misfit, RelativeChange, Term
-from lampest.estimate.estimator import Estimator
 from lampest.estimate.sequence import reconstruct
-from lampest.panel.panel import Panel
 from lampest.panel.readouts import TwoPointReadout, floating
-from lampest.panel.readouts.floating import (
-    FloatingNetwork,
-    Stencil,
-    grounding,
-    square_by_lines,
-)
-from lampest.panel.scene import Scene
-from lampest.recording.recording import Recording
+from lampest.panel.readouts.floating import FloatingNetwork, Stencil, grounding, square_by_lines
 from lampest.solvers import certificate, hessian, projected_newton
 from lampest.solvers.interior_point import by_interior_point
 from lampest.solvers.preconditioners import TwoLevel, sparse_inverse
 from lampest.solvers.smoothing import Smoothing
-from lampest.solvers.solution import Settings, Status
+from tests.estimates import recording_of
 
 SHAPE = (9, 11)
 ESTIMATORS: dict[str, tuple[Term, ...]] = {
@@ -51,7 +41,7 @@ def recording(noise: float) -> Recording:
     exact = two_point_resistance(truth)
     resistance = exact + noise * readout.sigma(exact) * generator.standard_normal(exact.shape)
     assert_allclose(readout.recorded_from_volt(readout.volt_from_recorded(exact)), exact)
-    return Recording(Scene(Panel(*SHAPE), readout), resistance, np.arange(3.0), np.array([0, 1, 1], dtype=np.uint8))
+    return recording_of(Scene(Panel(*SHAPE), readout), resistance, 1)
 
 
 # Absolute penalties have several minima where the noise is strong, and either way may end in another.
@@ -127,7 +117,7 @@ def crowded(deviations: float) -> Recording:
     exact = two_point_resistance(truth)
     resistance = exact + deviations * readout.sigma(exact) * generator.standard_normal(exact.shape)
     resistance = np.maximum(resistance, 10.0)
-    return Recording(Scene(Panel(18, 20), readout), resistance[None], np.zeros(1), np.ones(1, dtype=np.uint8))
+    return recording_of(Scene(Panel(18, 20), readout), resistance[None])
 
 
 @pytest.fixture
@@ -176,7 +166,7 @@ def pressed_patch() -> Evaluation:
     truth = 3000 * np.exp(0.2 * generator.standard_normal((18, 20)))
     truth[4:12, 5:13] *= 0.01
     readings = two_point_resistance(truth)[None]
-    recorded = Recording(Scene(Panel(18, 20), TwoPointReadout()), readings, np.zeros(1), np.ones(1, dtype=np.uint8))
+    recorded = recording_of(Scene(Panel(18, 20), TwoPointReadout()), readings)
     estimator = Estimator((Misfit(), Gradient(weight=1e-3)), formulation="reduced")
     data = estimator.data(recorded.readings()[0].alone(), Background(recorded.scene))
     return Evaluation.at(estimator.cost(recorded.scene, 1, partial=False), data, data.uniform_start)
@@ -196,9 +186,9 @@ def test_gauss_newtons_matrix_is_positive_where_second_derivatives_are_not() -> 
 def test_negative_curvature_under_a_large_mouth_is_left_behind() -> None:
     """From equal cells to a verified minimum, in fewer iterations than one for every ten cells of the patch."""
     start = pressed_patch()
-    found = projected_newton.ProjectedNewton(start.cost, Settings()).solve(start.data, start)
-    assert found.status is Status.OPTIMUM and found.iterations < 40
-    assert start.elsewhere(found.cell_resistance).objective < 0.1 * start.objective
+    solution = projected_newton.ProjectedNewton(start.cost, Settings()).solve(start.data, start)
+    assert solution.status is Status.OPTIMUM and solution.iterations < 40
+    assert start.elsewhere(solution.cell_resistance).objective < 0.1 * start.objective
 
 
 def test_lines_precondition_the_crosstalk() -> None:

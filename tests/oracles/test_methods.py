@@ -1,4 +1,4 @@
-"""The rungs of the ladder against closed forms and against the full solution."""
+"""The rungs of the ladder against closed forms and the full solution, and the paper's own solver."""
 
 from pathlib import Path
 from typing import Any
@@ -6,22 +6,19 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from scipy.optimize import least_squares
 
-from lampest import two_point_resistance
+from docs.studies.as_published import Weights, left_by_solver, lsqnonlin
+from lampest import Array, Estimates, InputError, Method, Panel, Recording, Scene, TwoPointReadout, two_point_resistance
 from lampest.cost.losses import Absolute, Huber
 from lampest.cost.terms import CellResistance, Gradient, Misfit, RelativeChange, Term
-from lampest.estimate.estimates import Estimates
-from lampest.estimate.estimator import Estimator
-from lampest.estimate.methods import Method
+from lampest.estimate.estimator import Bounds, Estimator
 from lampest.estimate.methods.approximate import LinearisedMethod, TruncatedMethod, UncorrectedMethod
 from lampest.estimate.methods.method import OptimalMethod
 from lampest.estimate.sequence import reconstruct
-from lampest.files.errors import InputError
-from lampest.panel.panel import Array, Panel
-from lampest.panel.scene import Scene
-from lampest.recording.recording import Recording
 from lampest.runs.config import read_run
 from lampest.solvers.solution import Status
+from tests.estimates import recording_of
 
 SHAPE = (14, 15)
 BLOCK = (slice(5, 8), slice(6, 10))
@@ -47,15 +44,13 @@ def recording(*cells: Array, noise: float = 0.0, sigma: float = 1e-6, unloaded: 
     """Frames of readings with a relative noise; σ is what is told of it."""
     exact = two_point_resistance(np.stack(cells))
     readings = exact * (1 + noise * np.random.default_rng(7).standard_normal(exact.shape))
-    role = (np.arange(len(cells)) >= unloaded).astype(np.uint8)
-    scene = Scene(Panel(*cells[0].shape))
-    return Recording(scene, readings, np.arange(float(len(cells))), role, exact * max(noise, sigma))
+    return recording_of(Scene(Panel(*cells[0].shape)), readings, unloaded, sigma=exact * max(noise, sigma))
 
 
 def found_by(method: Method, data: Recording, terms: tuple[Term, ...] = LSM, **options: Any) -> Estimates:
-    found = reconstruct(data, Estimator(terms, method, **options))
-    assert all(step.solution.solved for step in found.steps)
-    return found
+    estimate = reconstruct(data, Estimator(terms, method, **options))
+    assert all(step.solution.solved for step in estimate.steps)
+    return estimate
 
 
 @pytest.mark.parametrize("terms", [LSM, SMOOTH, (Misfit(), RelativeChange(weight=10))])
@@ -68,11 +63,6 @@ def test_no_reconstruction_is_what_it_says(terms: tuple[Term, ...]) -> None:
     assert_allclose(scaled.cell_resistance[0], measured * rows * columns / (rows + columns - 1))
 
 
-def test_scaled_is_exact_for_equal_cells() -> None:
-    equal = np.full((4, 7), 1234.5)
-    assert_allclose(found_by(UncorrectedMethod("scaled"), recording(equal, equal)).cell_resistance[0], equal)
-
-
 @pytest.mark.parametrize(
     "method",
     [
@@ -83,8 +73,8 @@ def test_scaled_is_exact_for_equal_cells() -> None:
     ],
 )
 def test_what_is_no_optimum_says_so(method: Method) -> None:
-    found = found_by(method, recording(resting(), pressed(resting()), noise=1e-4), SMOOTH)
-    solution = found.steps[-1].solution
+    estimate = found_by(method, recording(resting(), pressed(resting()), noise=1e-4), SMOOTH)
+    solution = estimate.steps[-1].solution
     assert solution.status is Status.APPROXIMATE
     assert solution.kkt_residual > 1e-6
     assert np.isfinite(solution.objective)
@@ -121,9 +111,9 @@ def test_one_step_sees_a_single_cell_on_a_panel_that_is_not_factored() -> None:
     shape = (30, 30)
     single = resting(shape)
     single[11, 17] *= 0.7
-    found = found_by(LinearisedMethod(), recording(resting(shape), single)).cell_resistance[0]
-    assert found[11, 17] / resting(shape)[11, 17] == pytest.approx(0.7, abs=0.07)
-    assert np.median(np.abs(found / single - 1)) < 0.01
+    estimate = found_by(LinearisedMethod(), recording(resting(shape), single)).cell_resistance[0]
+    assert estimate[11, 17] / resting(shape)[11, 17] == pytest.approx(0.7, abs=0.07)
+    assert np.median(np.abs(estimate / single - 1)) < 0.01
 
 
 @pytest.mark.parametrize(
@@ -162,5 +152,73 @@ def test_words_stand_for_methods(tmp_path: Path) -> None:
 def test_readings_as_they_are_have_a_cost_of_any_loss(formulation: str) -> None:
     """Absolute values have slopes of their own, which nothing optimised."""
     recording = Recording.load(Path("data/lamprey_35mm.h5"))
-    done = reconstruct(recording, Estimator((Misfit(loss=Absolute()),), formulation, error_bars=False))  # type: ignore[arg-type]
+    done = reconstruct(recording, Estimator((Misfit(loss=Absolute()),), formulation, error_bars=False))
     assert np.all(np.isfinite(done.cell_resistance))
+
+
+PANEL = Panel(4, 5)
+
+
+def valley(point: Array) -> Array:
+    """A valley that is curved twice."""
+    return np.concatenate([10 * (point[1:] - point[:-1] ** 2), 1 - point[:-1]])
+
+
+def valley_slopes(point: Array) -> Array:
+    count = len(point) - 1
+    slopes = np.zeros((2 * count, count + 1))
+    for row in range(count):
+        slopes[row, row], slopes[row, row + 1], slopes[count + row, row] = -20 * point[row], 10.0, -1.0
+    return slopes
+
+
+@pytest.mark.parametrize("lower", [-5.0, 0.2, 1.4])
+def test_it_ends_where_scipy_does(lower: float) -> None:
+    """Free, and with the bound beside and beyond the free minimum at one."""
+    bound, start = np.full(4, lower), np.full(4, 3.0)
+    ours = lsqnonlin(valley, valley_slopes, start, bound)
+    reference = least_squares(valley, start, valley_slopes, (bound, np.inf), ftol=1e-14, xtol=1e-14, gtol=1e-14)
+    assert np.all(ours.point >= bound)
+    # MATLAB's default ends where a step gains less than 1e-6 of 1 + cost.
+    assert np.sum(valley(ours.point) ** 2) <= (2 * reference.cost) * (1 + 1e-4) + 1e-4
+
+
+def test_it_stops_at_a_hundred_evaluations_for_each_unknown() -> None:
+    """A residual that falls for ever: nothing but the limit ends it, derivatives charged as differences."""
+    ended = lsqnonlin(
+        lambda point: 1e6 / point, lambda point: np.diag(-1e6 / point**2), np.full(3, 2.0), np.full(3, 1.0)
+    )
+    assert ended.why == "limit" and 300 <= ended.evaluations <= 304 and np.all(ended.point > 1e3)
+
+
+def published_recording() -> Recording:
+    """Three frames of a panel whose middle is pressed harder and harder, exact to a tenth of a percent."""
+    rng = np.random.default_rng(4)
+    resting = 2000 * np.exp(0.2 * rng.standard_normal(PANEL.shape))
+    cells = np.stack([resting] * 3)
+    cells[1:, 1:3, 1:4] *= np.array([0.6, 0.4])[:, None, None]
+    readings = TwoPointReadout().exact_reading(cells) * np.exp(1e-3 * rng.standard_normal(cells.shape))
+    return recording_of(Scene(PANEL, TwoPointReadout()), readings, 1)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("method", "term"),
+    [
+        ("LSR-CR", CellResistance(weight=1e-2)),
+        ("LSR-gCR", Gradient(weight=1e-2)),
+        ("LSR-dCR", RelativeChange(weight=1.0)),
+    ],
+)
+def test_where_it_converges_it_is_the_verified_optimum(method: str, term: CellResistance) -> None:
+    told = published_recording()
+    weights = Weights(absolute=1e-2, relative=1.0, start=1.5)
+    left = left_by_solver(method, PANEL, told.recorded[0], told.recorded[1:], weights)
+    formulation = OptimalMethod("reduced", joint=True)
+    estimate = reconstruct(told, Estimator((Misfit(), term), formulation, bounds=Bounds(upper="none")))
+    assert set(left.why) <= {"cost", "step", "gradient"} and left.joint == (method == "LSR-dCR")
+    assert left.baseline == pytest.approx(estimate.baseline_resistance, rel=0.02)
+    assert left.cells == pytest.approx(estimate.cell_resistance, rel=0.02)
+    assert left.change == pytest.approx(estimate.relative_change, abs=2.0)
+    model = TwoPointReadout().exact_reading(left.cells)
+    assert left.data_error == pytest.approx(100 * np.abs(model / told.recorded[1:] - 1), abs=1e-9)

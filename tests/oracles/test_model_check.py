@@ -9,24 +9,20 @@ import pytest
 
 import lampest
 from docs.studies.model_check import named, sound, wrong
-from lampest import Misfit, Recording, Scene, Simulation, TwoPointReadout
+from lampest import Misfit, OralDisc, Readings, Recording, Results, Scene, Simulation, Systematic, Unmodelled, simulate
 from lampest.cli.results import compare as compare_command
 from lampest.estimate.cells_fit import MAX_CELLS, fitted
 from lampest.estimate.outliers import without_outliers
 from lampest.estimate.prepared import Prepared
 from lampest.estimate.rivals import standing_frames
 from lampest.files.typed import members_of
-from lampest.loads.shapes import OralDisc
-from lampest.panel.conditions import Systematic
 from lampest.panel.panel import EachModule, Modules, Panel
-from lampest.panel.readouts import AnyReadout, LoadedColumnsReadout, Readout, VirtualGroundReadout
+from lampest.panel.readouts import AnyReadout, LoadedColumnsReadout, Readout, TwoPointReadout, VirtualGroundReadout
 from lampest.panel.readouts.two_point import four_point_excess
-from lampest.recording.readings import Readings
-from lampest.recording.simulation import Unmodelled, simulate
 from lampest.report.compare import compare, model_notes
 from lampest.report.info import describe
 from lampest.report.page.page import write_report
-from lampest.runs.results import Results
+from tests.estimates import recording_of
 
 SHAPE = (5, 7)
 GENERATOR = np.random.default_rng(4)
@@ -99,7 +95,6 @@ def test_laws_of_a_circuit_hold_for_its_readings_and_not_for_others(circuit: Rea
 @pytest.mark.parametrize("seed", range(6))
 def test_a_right_circuit_is_not_called_wrong(seed: int) -> None:
     drawn = sound(seed)
-    assert drawn is not None
     check = Prepared(drawn[1]).check
     assert check.explains is not False, check.sentence
 
@@ -120,8 +115,7 @@ def two_point_frames(widen: float = 1.0, frames: int = 8) -> Recording:
     scene = Scene(lampest.Panel(*SHAPE, 10.0), readout, series_resistance_ohm=100.0)
     exact = np.repeat(readout.exact_reading(CELLS)[None] + 100.0, frames + 1, axis=0)
     noisy = exact + widen * readout.sigma(exact) * np.random.default_rng(5).standard_normal(exact.shape)
-    role = np.array([0] * frames + [1], dtype=np.uint8)
-    return Recording(scene, noisy, np.arange(frames + 1.0), role)
+    return recording_of(scene, noisy, frames)
 
 
 def test_noise_beyond_what_is_told_is_not_taken_for_a_wrong_circuit() -> None:
@@ -147,7 +141,7 @@ def loaded_frames(seed: int, dead_column: int | None = None) -> Recording:
     volt = readout.volt_from_recorded(exact)[..., None] + readout.lsb_volt * random.standard_normal((*exact.shape, 20))
     codes = readout.code_from_volt(volt).mean(axis=-1)
     recorded = readout.recorded_from_volt(readout.volt_from_code(codes))
-    return Recording(scene, recorded, np.arange(7.0), np.array([0] * 3 + [1] * 4, dtype=np.uint8))
+    return recording_of(scene, recorded, 3)
 
 
 def test_single_wild_readings_are_no_fault_of_the_circuit() -> None:
@@ -183,9 +177,7 @@ def test_a_short_behind_a_large_drive_resistor_is_explained() -> None:
     cells[2, 6] = 0.5
     exact = np.repeat(circuit.exact_reading(cells)[None], 4, axis=0)
     noisy = exact + circuit.sigma_volt() * np.random.default_rng(5).standard_normal(exact.shape)
-    role = np.array([0, 0, 0, 1], dtype=np.uint8)
-    recording = Recording(Scene(lampest.Panel(6, 8, 10.0), circuit), noisy, np.arange(4.0), role)
-    check = Prepared(recording).check
+    check = Prepared(recording_of(Scene(lampest.Panel(6, 8, 10.0), circuit), noisy, 3)).check
     assert check.explains, check.sentence
 
 
@@ -207,7 +199,6 @@ def test_the_misfit_of_cells_alone_is_no_larger_than_its_degrees_say() -> None:
     for seed in range(120):
         noisy = exact + sigma * np.random.default_rng(seed).standard_normal(SHAPE)
         fit = fitted(scene, Readings.of(scene, noisy, sigma), patient=True)
-        assert fit is not None
         tails.append(fit.tail)
     # 120 draws: a share of 0.05 has a standard deviation of 0.02.
     assert np.mean(np.array(tails) < 0.05) <= 0.05 + 3 * 0.02
@@ -223,7 +214,7 @@ def test_a_large_panel_is_held_against_cells_alone() -> None:
     cells = 3000 * np.exp(0.2 * np.random.default_rng(6).standard_normal((2, side, side)))
     cells[1, 4:8, 10:14] *= 0.01
     frames = readout.exact_reading(cells)
-    right = Recording(scene, frames, np.arange(2.0), np.array([0, 1], dtype=np.uint8))
+    right = recording_of(scene, frames, 1)
     assert Prepared(right).check.mark == "yes"
     swapped = replace(scene, readout=replace(readout, driven="columns"))
     assert Prepared(replace(right, scene=swapped)).check.mark == "no"
@@ -328,7 +319,6 @@ def test_results_table_page_and_info_say_it(results: Path, tmp_path: Path, capsy
 
 def test_the_misfit_of_every_frame_is_that_of_its_residuals(results: Path) -> None:
     (case,) = lampest.read_results(results).cases
-    assert case.sigma is not None
     for frame in range(len(case.time)):
         residual = (case.reading_model[frame] - case.measured[frame]) / case.sigma[frame]
         assert np.isclose(case.misfit["chi_square"][frame], np.sum(residual**2))
@@ -337,9 +327,9 @@ def test_the_misfit_of_every_frame_is_that_of_its_residuals(results: Path) -> No
 
 
 def test_a_sound_recording_keeps_its_table() -> None:
-    found = lampest.reconstruct(two_point_frames(), [Misfit()], formulation="reduced")
-    assert found.model_check.mark == "yes"
-    rows = compare(Results((found.result("LSM"),)))
+    estimate = lampest.reconstruct(two_point_frames(), [Misfit()], formulation="reduced")
+    assert estimate.model_check.mark == "yes"
+    rows = compare(Results((estimate.result("LSM"),)))
     assert model_notes(rows) == []
 
 

@@ -1,24 +1,44 @@
-"""A panel of modules: one scene, one recording, one image; every module is estimated as if it stood alone."""
+"""A panel of modules: one scene, one recording, one image; estimated alone, coupled over the seams, or many at once."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
+from numpy.typing import NDArray
 
 import lampest
-from lampest import InputError, Recording, Scene, Simulation, simulate
-from lampest.cli import main
+from lampest import InputError, LogGradient, Readings, Recording, Rod, Stream, TwoPointReadout, read_results, read_scene
+from lampest.cost.given import Background
+from lampest.cost.problem import Evaluation
+from lampest.cost.terms import CellResistance, Gradient, Misfit, RelativeChange, Term
+from lampest.estimate.estimator import Estimator
 from lampest.estimate.modules import begin_stream
 from lampest.estimate.prepared import Prepared
-from lampest.estimate.sequence import first_stream
+from lampest.estimate.sequence import first_stream, reconstruct
 from lampest.estimate.weights import with_chosen_weights
 from lampest.files.document import parse_document, to_yaml, validated
-from lampest.panel.panel import EachModule, Modules
+from lampest.panel.network import inverse_of
+from lampest.panel.panel import EachModule, Modules, Panel
+from lampest.panel.readouts.floating import grounding
+from lampest.panel.readouts.star_mesh import two_point_resistance
+from lampest.panel.scene import Scene
+from lampest.panel.systematic import Shared
+from lampest.posterior.frame_noise import FrameNoise
+from lampest.posterior.linear import LinearModel
+from lampest.posterior.track import Track
+from lampest.recording.simulation import Simulation, simulate
 from lampest.runs.batch import Task, run_batch, solve_long
 from lampest.runs.config import read_run
 from lampest.runs.executors import Serial
+from lampest.solvers.multistart import best_solution
+from lampest.solvers.projected_lbfgs import BatchOutcome, InverseHessians, serves, solve
+from lampest.solvers.projected_newton import ProjectedNewton
+from lampest.solvers.solution import Settings
 
 SCENE = """
 panel: {modules: {rows: 2, columns: 3, each: {rows: 3, columns: 4, pitch_mm: 10}, seam_mm: 3}}
@@ -88,12 +108,11 @@ def test_every_module_is_estimated_as_if_it_stood_alone(penalty: lampest.Term | 
     for number in range(5):
         cells = (..., *LAYOUT.cells(number))
         alone = Recording(recording.scene.of_modules[number], recording.recorded[cells], recording.time, recording.role)
-        found = lampest.reconstruct(alone, terms, formulation="reduced")
-        total += [step.solution.objective for step in found.steps]
-        np.testing.assert_allclose(image.cell_resistance[cells], found.cell_resistance, rtol=1e-6)
-        np.testing.assert_allclose(image.baseline_resistance[cells], found.baseline_resistance, rtol=1e-6)
-        assert image.cell_resistance_errors is not None and found.cell_resistance_errors is not None
-        np.testing.assert_allclose(image.cell_resistance_errors[cells], found.cell_resistance_errors, rtol=1e-4)
+        estimate = lampest.reconstruct(alone, terms, formulation="reduced")
+        total += [step.solution.objective for step in estimate.steps]
+        np.testing.assert_allclose(image.cell_resistance[cells], estimate.cell_resistance, rtol=1e-6)
+        np.testing.assert_allclose(image.baseline_resistance[cells], estimate.baseline_resistance, rtol=1e-6)
+        np.testing.assert_allclose(image.cell_resistance_errors[cells], estimate.cell_resistance_errors, rtol=1e-4)
     np.testing.assert_allclose([step.solution.objective for step in image.steps], total, rtol=1e-6)
 
 
@@ -112,10 +131,10 @@ def test_other_shapes_readouts_and_methods(
     fine = replace(readout, adc_bits=12, readings=20, noise_lsb=0.7)
     recording = simulated(Scene(lampest.Panel(modules=modules), fine))
     terms = [lampest.Misfit(weighting="noise", loss=loss)]
-    found = lampest.reconstruct(recording, terms, formulation=formulation)
-    assert found.solved.all() and recording.truth_cell_resistance is not None
-    truth = recording.truth_cell_resistance[found.frame]
-    assert float(np.median(np.abs(found.cell_resistance / truth - 1))) < 0.02
+    estimate = lampest.reconstruct(recording, terms, formulation=formulation)
+    assert estimate.solved.all()
+    truth = recording.truth_cell_resistance[estimate.frame]
+    assert float(np.median(np.abs(estimate.cell_resistance / truth - 1))) < 0.02
 
 
 def test_a_module_that_drops_out_is_missing_alone_and_comes_back() -> None:
@@ -134,9 +153,9 @@ def test_a_module_that_drops_out_is_missing_alone_and_comes_back() -> None:
 def test_modules_of_a_single_line_have_the_errors_that_all_readings_share() -> None:
     """Each cell is at its bound, which is its reading: bars were 0.02 % where the reference may be 6 % off."""
     text = "panel: {modules: {rows: 2, columns: 2, each: {rows: 1, columns: 6}}}\n" + SCENE[SCENE.index("readout") :]
-    found = lampest.reconstruct(simulated(scene_of(text), 4), [lampest.Misfit()], formulation="reduced")
-    assert found.at_lower_bound.all() and found.cell_resistance_errors is not None
-    assert (found.cell_resistance_errors > 0.06 / np.sqrt(3) * found.cell_resistance).all()
+    estimate = lampest.reconstruct(simulated(scene_of(text), 4), [lampest.Misfit()], formulation="reduced")
+    assert estimate.at_lower_bound.all()
+    assert (estimate.cell_resistance_errors > 0.06 / np.sqrt(3) * estimate.cell_resistance).all()
 
 
 def test_modules_that_are_alike_share_their_weights(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -194,7 +213,6 @@ def test_a_long_recording_is_solved_by_parts_and_goes_on_where_it_ended(
     run = read_run(tmp_path / "run.yaml")
     [case] = run.cases
     (tmp_path / "parts" / "cases").mkdir(parents=True)
-    assert case.stored is not None
     written: list[Path] = []
 
     def killed(path: Path, cases: list[lampest.CaseResult]) -> None:
@@ -217,7 +235,9 @@ def test_a_long_recording_is_solved_by_parts_and_goes_on_where_it_ended(
     assert np.isnan(other.cell_resistance[:, 3:, 8:]).all() and other.solved.all()
 
 
-def test_commands_run_from_scene_to_picture(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_commands_run_from_scene_to_picture(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, lampest: Callable[..., SimpleNamespace]
+) -> None:
     monkeypatch.chdir(tmp_path)
     scene = "".join(f"  {line}\n" for line in (SCENE + FAULTS).strip().splitlines())
     Path("mat.yaml").write_text(f"schema: 1\nseed: 2\nscene:\n{scene}frames: 3\noutput: mat.h5\n")
@@ -231,27 +251,19 @@ def test_commands_run_from_scene_to_picture(tmp_path: Path, monkeypatch: pytest.
         ["info", "results/run/results.h5"],
         ["check", "results/run/results.h5"],
     ):
-        monkeypatch.setattr("sys.argv", ["lampest", *words])
-        with pytest.raises(SystemExit) as ended:
-            main()
-        assert not ended.value.code, words
-    [case] = lampest.read_results("results/run/results.h5").cases
+        assert lampest(*words).code == 0, words
+    [case] = read_results("results/run/results.h5").cases
     assert case.cell_resistance.shape == (3, 6, 12)
     assert np.isnan(case.cell_resistance[:, 3:, 8:]).all() and np.isfinite(case.cell_resistance[:, :3]).all()
 
 
 def test_rows_and_columns_that_follow_from_modules_are_not_called_assumed(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, lampest: Callable[..., SimpleNamespace]
 ) -> None:
     (tmp_path / "scene.yaml").write_text(SCENE, encoding="utf-8")
-    assumed = lampest.read_scene(tmp_path / "scene.yaml").assumed
-    assert not [name for name in assumed if name.startswith("panel")]
+    assert not [name for name in read_scene(tmp_path / "scene.yaml").assumed if name.startswith("panel")]
     simulated(scene_of(SCENE)).save(tmp_path / "modules.h5")
-    monkeypatch.setattr("sys.argv", ["lampest", "info", str(tmp_path / "modules.h5")])
-    with pytest.raises(SystemExit) as ended:
-        main()
-    assert not ended.value.code
-    assert "2 × 3 modules of 3 × 4 cells with seams of 3 mm" in capsys.readouterr().out
+    assert "2 × 3 modules of 3 × 4 cells with seams of 3 mm" in lampest("info", tmp_path / "modules.h5").out
 
 
 def test_a_module_stuck_at_the_top_rail_does_not_fail_the_others() -> None:
@@ -259,11 +271,11 @@ def test_a_module_stuck_at_the_top_rail_does_not_fail_the_others() -> None:
     recording = simulated(scene_of(SCENE))
     readings = recording.recorded.copy()
     readings[:, :3, :4] = 1.5
-    found = lampest.reconstruct(replace(recording, recorded=readings), [lampest.Misfit()], formulation="reduced")
+    estimate = lampest.reconstruct(replace(recording, recorded=readings), [lampest.Misfit()], formulation="reduced")
     others = np.ones(recording.scene.panel.shape, dtype=bool)
     others[:3, :4] = False
     alone = lampest.reconstruct(recording, [lampest.Misfit()], formulation="reduced")
-    np.testing.assert_allclose(found.cell_resistance[:, others], alone.cell_resistance[:, others], rtol=1e-6)
+    np.testing.assert_allclose(estimate.cell_resistance[:, others], alone.cell_resistance[:, others], rtol=1e-6)
 
 
 def disturbed(change: str) -> Recording:
@@ -301,10 +313,10 @@ def test_a_module_that_is_stuck_or_miscalibrated_is_named_and_the_others_are_est
         line for line in prepared.warnings if said and line.startswith(said)
     ]
     assert not said or any(line.startswith(said) for line in prepared.warnings)
-    found = lampest.reconstruct(recording, [lampest.Misfit()], formulation="reduced")
-    missing = np.isnan(found.cell_resistance[:, :6, 6:]).all()
+    estimate = lampest.reconstruct(recording, [lampest.Misfit()], formulation="reduced")
+    missing = np.isnan(estimate.cell_resistance[:, :6, 6:]).all()
     assert missing == (change in ("stuck", "missing"))
-    assert np.isfinite(np.delete(found.cell_resistance, np.s_[6:12], axis=2)).all()
+    assert np.isfinite(np.delete(estimate.cell_resistance, np.s_[6:12], axis=2)).all()
 
 
 def test_a_recording_of_few_modules_in_kohm_is_still_refused() -> None:
@@ -316,3 +328,219 @@ def test_a_recording_of_few_modules_in_kohm_is_still_refused() -> None:
 def test_dead_modules_are_named_among_the_warnings() -> None:
     lines = Prepared(simulated(scene_of(SCENE + FAULTS))).warnings
     assert "module [1, 2]: dead, as the scene says" in lines
+
+
+COUPLED = Modules(2, 2, EachModule(3, 4), 4.0, coupled=True)
+READOUT = lampest.TwoPointReadout(reference_ohm=1000, adc_bits=12, readings=20, noise_lsb=0.7)
+DEAD = lampest.Faults(dead_modules=((1, 1),))
+
+
+def taken(layout: Modules = COUPLED, faults: lampest.Faults | None = None) -> Recording:
+    """A rod where four modules meet."""
+    rod = lampest.Rod(centre_mm=(36, 24), diameter_mm=45, mass_g=900)
+    scene = Scene(lampest.Panel(modules=layout), READOUT, 140.0, faults=faults)
+    return simulate(Simulation(schema=1, seed=2, scene=scene, frames=3, loads=(rod,)))
+
+
+def coupled(recording: Recording, *terms: lampest.Term) -> lampest.Estimates:
+    return lampest.reconstruct(recording, [lampest.Misfit(), *terms], formulation="reduced", error_bars=False)
+
+
+def apart(recording: Recording, *terms: lampest.Term) -> lampest.Estimates:
+    layout = replace(recording.scene.panel.modules or COUPLED, coupled=False)
+    scene = replace(recording.scene, panel=lampest.Panel(modules=layout))
+    return coupled(replace(recording, scene=scene), *terms)
+
+
+def cost(recording: Recording, cells: NDArray[np.float64], frame: int, weight: float) -> float:
+    """Σ (R − R_m)² + λ Σ (ln r_b/r_a)²/d², written down anew."""
+    layout, panel = COUPLED, recording.scene.panel
+    measured = layout.split(recording.recorded[frame] - 140.0)
+    found = sum(np.sum((two_point_resistance(c) - m) ** 2) for c, m in zip(layout.split(cells), measured, strict=True))
+    x, y = (line / panel.pitch_mm for line in panel.centres_mm())
+    logarithm = np.log(cells)
+    steps = (np.diff(logarithm, axis=0) / np.diff(y)[:, None], np.diff(logarithm, axis=1) / np.diff(x))
+    return float(found + weight * sum(np.sum(step**2) for step in steps))
+
+
+def test_what_couples_no_cells_is_as_without_coupling() -> None:
+    recording = taken()
+    penalty = lampest.CellResistance(weight=1e-7)
+    one, other = coupled(recording, penalty), apart(recording, penalty)
+    assert all(status == "optimum verified" for status in one.status)
+    np.testing.assert_allclose(one.cell_resistance, other.cell_resistance, rtol=1e-5)
+    np.testing.assert_allclose(one.baseline_resistance, other.baseline_resistance, rtol=1e-5)
+
+
+def test_differences_over_seams_count_by_their_distance() -> None:
+    recording, weight = taken(), 3e4
+    found, without = (one(recording, lampest.LogGradient(weight=weight)) for one in (coupled, apart))
+    assert found.solved.all()
+    random = np.random.default_rng(1)
+    for place, frame in enumerate(found.frame):
+        cells = found.cell_resistance[place]
+        least = cost(recording, cells, frame, weight)
+        assert least == pytest.approx(found.steps[place].solution.objective, rel=1e-9)
+        beside = (cells * np.exp(1e-3 * random.standard_normal(cells.shape)) for _ in range(20))
+        assert all(cost(recording, one, frame, weight) > least for one in beside)
+        assert cost(recording, without.cell_resistance[place], frame, weight) > 1.001 * least
+
+
+@pytest.mark.parametrize("penalty", [lampest.Gradient(weight=1e-6), lampest.TotalVariation(weight=0.1)])
+def test_modules_that_were_not_read_are_missing_and_others_stay(penalty: lampest.Term) -> None:
+    recording = taken(replace(COUPLED, seam_mm=0.0), DEAD)
+    gone = recording.recorded.copy()
+    gone[4, :3, :4] = np.nan
+    estimate = coupled(replace(recording, recorded=gone), penalty)
+    assert estimate.solved.all()
+    assert np.isnan(estimate.cell_resistance[:, 3:, 4:]).all() and np.isnan(estimate.baseline_resistance[3:, 4:]).all()
+    parts = np.isnan(estimate.cell_resistance)
+    assert parts[1, :3, :4].all() and not parts[1, 3:, :4].any() and not parts[[0, 2], :3].any()
+
+
+def test_coupled_modules_have_no_error_bars_and_no_wire() -> None:
+    recording = taken()
+    with pytest.raises(InputError, match="have none"):
+        lampest.reconstruct(recording, [lampest.Misfit(), lampest.Gradient()], error_bars=True)
+    wired = replace(recording.scene, lines=lampest.Lines(row_ohm_per_cell=1.0))
+    with pytest.raises(InputError, match="is wired"):
+        coupled(replace(recording, scene=wired), lampest.Gradient(weight=1e-6))
+
+
+ALIKE = Scene(Panel(4, 5), TwoPointReadout(reference_ohm=1000, adc_bits=12, readings=20, noise_lsb=0.7))
+PANELS = 6
+
+
+def frames_of_panels(noise: float, seed: int = 1) -> Readings:
+    """One frame of each of six panels, of cells that differ by a factor of ten."""
+    random = np.random.default_rng(seed)
+    cells = 3000 * np.exp(random.uniform(-1.2, 1.2, (PANELS, 4, 5)))
+    exact = np.stack([two_point_resistance(one) for one in cells])
+    return Readings.of(ALIKE, exact * np.exp(noise * random.standard_normal(exact.shape)))
+
+
+def batch_of(terms: tuple[Term, ...], readings: Readings) -> Evaluation:
+    """The panels' problems at equal cells, with which they are compared."""
+    estimator = Estimator(terms, "reduced")
+    rest = np.full(readings.value.shape, 3000.0)
+    data = estimator.data(readings, Background(ALIKE, 1.0, rest, None, rest))
+    cost = estimator.cost(ALIKE, 1, partial=data.partial)
+    data = data.of_panels(0)
+    cells = np.clip(np.full(data.measured.shape, 3000.0), data.lower, data.upper)
+    return Evaluation.at(cost, data, cells, np.tile(cost.weights, (len(rest), 1)))
+
+
+def solved_together(batch: Evaluation) -> BatchOutcome:
+    """From equal cells."""
+    return solve(batch, InverseHessians.nothing(PANELS, 20), np.arange(PANELS), Settings())
+
+
+@pytest.mark.parametrize(
+    "terms",
+    [
+        (Misfit(),),
+        (Misfit(), CellResistance(weight=1e-4)),
+        (Misfit(weighting="noise"), Gradient(weight=1e-7)),
+        (Misfit(), RelativeChange(weight=0.1)),
+    ],
+)
+@pytest.mark.parametrize("noise", [0.0, 1e-3, 2e-2])
+def test_each_panel_ends_where_the_solver_for_one_ends(terms: tuple[Term, ...], noise: float) -> None:
+    batch = batch_of(terms, frames_of_panels(noise))
+    assert serves(batch.cost, batch.data)
+    kept = InverseHessians.nothing(PANELS, 20)
+    found = solve(batch, kept, np.arange(PANELS), Settings())
+    assert found.solved.sum() >= PANELS - 2
+    for number in np.flatnonzero(found.solved):
+        one = batch.data.some(int(number))
+        alone = best_solution(ProjectedNewton(batch.cost, Settings()), one, np.full(one.measured.shape, 3000.0))
+        assert alone.strict
+        scale = float(np.sum((one.measured / 1e3) ** 2))
+        assert abs(found.points.at.objectives[number] - alone.objective) <= 1e-6 * alone.objective + 1e-6 * scale
+        assert_allclose(found.points.at.cell_resistance[number], alone.cell_resistance, rtol=1e-5)
+    again = solve(found.points.at, kept, np.arange(PANELS), Settings())
+    assert again.solved[found.solved].all() and again.iterations[found.solved].max() == 0
+
+
+def test_networks_solved_together_are_those_solved_alone() -> None:
+    random = np.random.default_rng(3)
+    for shape in ((5, 4, 7), (5, 7, 4), (5, 1, 3)):
+        conductance = np.exp(random.uniform(-9, 0, shape))
+        ties = grounding(1 / conductance)
+        together = inverse_of(conductance, ties)
+        for one, tie, alone in zip(conductance, ties, together, strict=True):
+            assert_allclose(alone, inverse_of(one, tie), rtol=1e-10)
+    conductance[2, 0, 1] = 0.0
+    with pytest.raises(np.linalg.LinAlgError):
+        inverse_of(conductance, ties)
+
+
+def test_a_panel_that_readings_leave_open_is_handed_back_and_costs_no_other() -> None:
+    readings = frames_of_panels(1e-3)
+    readings.seen[2, 1] = 0.0
+    batch = batch_of((Misfit(),), Readings(readings.value, readings.sigma, readings.side, readings.seen))
+    batch.data.given.seen[2, :, 1] = 0.0
+    found = solved_together(batch)
+    assert not found.solved[2] and found.solved.sum() >= PANELS - 2
+
+
+@pytest.mark.parametrize("penalty", [(), (CellResistance(weight=1e-4),), (Gradient(weight=1e-7),)])
+def test_error_bars_of_a_panel_of_a_batch_are_those_of_the_panel_alone(penalty: tuple[Term, ...]) -> None:
+    batch, random = batch_of((Misfit(), *penalty), frames_of_panels(1e-3)), np.random.default_rng(4)
+    weights = batch.weights * random.uniform(0.5, 2.0, (PANELS, 1))
+    ended = solved_together(replace(batch, own_weights=weights)).points.at
+    sigma = (np.nan, *(0.3 for _ in penalty))
+    track = Track(Shared.of(ALIKE), noise=FrameNoise(ALIKE, 4, 1e-3, np.full((5, 1), 1e-3), np.full((5, 2), 1e-3)))
+    for number in range(PANELS):
+        terms = tuple(replace(term, weight=size) for term, size in zip(batch.cost.terms, weights[number], strict=True))
+        data, cells = batch.data.some(number), ended.cell_resistance[number]
+        alone = Evaluation.at(replace(batch.cost, terms=terms), data, cells)
+        bars, expected = (
+            track.advanced(LinearModel(at, np.zeros(0), weight_sigma=sigma))[1] for at in (ended.some(number), alone)
+        )
+        for name, values in vars(expected.frame).items():
+            assert_allclose(getattr(bars.frame, name), values, rtol=1e-8, atol=1e-12)
+        assert_allclose(bars.reading, expected.reading, rtol=1e-8)
+
+
+def test_inputs_that_nobody_gives_stand_as_absent_for_every_panel() -> None:
+    estimator, readings = Estimator((Misfit(),), "reduced"), frames_of_panels(0.0)
+    data = estimator.data(readings, Background(ALIKE, 1.0, None, None, None))
+    named = data.of_panels(0).flat
+    sources, given = dict(data.given.sources()), dict(data.given.named())
+    missing = sources.keys() - given.keys()
+    assert missing
+    for name in missing:
+        assert named[name].size and np.all(named[name] == sources[name].absent), name
+
+
+@pytest.mark.parametrize("terms", [(Misfit(),), (Misfit(weighting="noise"), LogGradient(weight=0.1))])
+def test_frames_that_are_solved_in_blocks_are_those_that_are_solved_one_by_one(
+    terms: tuple[Term, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rod = Rod(centre_mm=(55, 55), diameter_mm=30, mass_g=500)
+    scene = Scene(Panel(8, 8), TwoPointReadout(adc_bits=12, noise_lsb=0.7), 140.0)
+    recording = simulate(Simulation(1, 4, scene, frames=9, frame_period_s=0.25, loads=(rod,)))
+    recorded = recording.recorded.copy()
+    measured = recording.measured_frames()
+    recorded[measured[3], 2, 3] = np.nan  # such a frame is solved alone, among the others
+    recorded[measured[5]] = np.nan
+    prepared = Prepared(replace(recording, recorded=recorded, raw_sums=None))
+    pushed, push = list[Stream](), Stream.push
+    monkeypatch.setattr(Stream, "push", lambda stream, readings: pushed.append(stream) or push(stream, readings))
+    estimate = reconstruct(prepared, Estimator(terms, "reduced"))
+    assert len(pushed) == 3  # the first frame, and those that are not read whole
+    stream = first_stream(prepared.recording, prepared.noise.readings, estimate.estimator, prepared.noise)
+    for frame, together in zip(measured, estimate.steps, strict=True):
+        stream, step = stream.push(prepared.noise.readings[int(frame)])
+        assert together.status == step.status
+        # Where a reading is missing, a solve ends within a hundredth of its cell's standard deviation.
+        tolerance = 1e-3 if frame == measured[3] else 1e-7
+        assert_allclose(together.cell_resistance, step.cell_resistance, rtol=tolerance)
+        if step.bars is None:
+            assert together.bars is None and frame == measured[5]
+            continue
+        for name, expected in vars(step.bars.frame).items():
+            assert_allclose(getattr(together.bars.frame, name), expected, rtol=10 * tolerance, atol=1e-9)
+        assert_allclose(together.bars.change.deviation, step.bars.change.deviation, rtol=10 * tolerance)
+        assert_allclose(together.bars.reading, step.bars.reading, rtol=10 * tolerance)

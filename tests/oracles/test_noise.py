@@ -3,7 +3,6 @@
 import re
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -12,21 +11,22 @@ from numpy.typing import NDArray
 
 import lampest
 from docs.studies.audit import AuditFile, AuditTask
-from lampest import Estimator, Gradient, Misfit, Panel, Scene, two_point_resistance
+from lampest import Estimator, Gradient, Misfit, Readings, Readout, TwoPointReadout, Unmodelled, two_point_resistance
 from lampest.estimate.noise import change_within_scan, largest_change_within_scan
 from lampest.estimate.outliers import detect_outliers, without_outliers
 from lampest.estimate.prepared import Prepared
 from lampest.estimate.scatter import scatter
 from lampest.estimate.sequence import reconstruct
-from lampest.panel.panel import Array
-from lampest.panel.readouts import Readout, TwoPointReadout
-from lampest.panel.scene import Systematic
+from lampest.panel.panel import Array, Panel
+from lampest.panel.scene import Scene, Systematic
+from lampest.posterior.dense import DenseErrors
 from lampest.posterior.frame_noise import FrameNoise
-from lampest.recording.readings import Readings
+from lampest.posterior.sampled import SampledErrors
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
-from lampest.recording.simulation import Simulation, Unmodelled, simulate
+from lampest.recording.simulation.simulation import Simulation, simulate
 from lampest.report.info import describe
 from lampest.studies.study import read_settings
+from tests.estimates import in_intervals, log_errors, recording_of
 
 LINES, CHANNELS = 10, 10
 LSM = Estimator((Misfit(),), "reduced", error_bars=True)
@@ -99,8 +99,7 @@ def test_a_lone_leap_is_one_and_a_touch_of_one_frame_is_none() -> None:
 def test_noise_beyond_its_sigma_makes_no_outliers() -> None:
     """σ follows the reading, so that readings over their own σ vary five times less than they scatter."""
     for seed in range(8):
-        recording, _ = recorded(seed, scene_of(0.7, None), lambda exact, rng: converted(exact, rng, 3.0))
-        assert not Prepared(recording).noise.outliers.any()
+        assert not Prepared(recorded(seed, scene_of(0.7, None), 3.0)).noise.outliers.any()
 
 
 def test_leaps_are_seen_while_a_load_breathes() -> None:
@@ -138,61 +137,64 @@ def test_frame_noise_is_what_the_converter_would_see() -> None:
 
 
 def recorded(
-    seed: int, scene: Scene, readings: "callable", frames: int = 8, unloaded: int = 5
-) -> tuple[Recording, Array]:  # type: ignore[valid-type]
-    """Frames of a panel pressed on a few cells, of which `readings(exact, rng)` makes the recorded resistance."""
-    rng = np.random.default_rng(seed)
+    seed: int,
+    scene: Scene,
+    noise_lsb: float = 0.7,
+    *,
+    gain: float = 0.0,
+    static: float = 0.0,
+    series: float = 0.0,
+    reference: float = 0.0,
+    frames: int = 8,
+    unloaded: int = 5,
+) -> Recording:
+    """Frames of a panel pressed on a few cells: means of 20 readings of 12 bits of a divider across 1000 ohm.
+
+    gain : of each frame. static : of each reading, the same in all frames. series : ohm beside the scene's.
+    """
+    rng, lsb = np.random.default_rng(seed), 5 / 2**12
     cells = np.repeat(3000 * np.exp(0.2 * rng.standard_normal((1, *scene.panel.shape))), frames, axis=0)
     cells[unloaded:, 2:5, 3:6] *= 0.3
-    role = np.where(np.arange(frames) < unloaded, UNLOADED, MEASURED).astype(np.uint8)
     exact = two_point_resistance(cells) + 140
-    return Recording(scene, readings(exact, rng), np.arange(float(frames)), role), cells
-
-
-def converted(exact: Array, rng: np.random.Generator, noise_lsb: float, gain: float = 0.0) -> Array:
-    """Mean of 20 readings of 12 bits of a divider across a reference of 1000 ohm."""
-    lsb = 5 / 2**12
-    volt = 5 * 1000 / (1000 + exact) * (1 + gain * rng.standard_normal((len(exact), 1, 1)))
-    sigma = lsb * np.sqrt((noise_lsb**2 + 1 / 12) / 20)
-    seen = volt + sigma * rng.standard_normal(exact.shape)
-    return np.asarray((5 - seen) / seen * 1000)
+    exact = (exact * np.exp(static * rng.standard_normal(exact.shape[1:])) if static else exact) + series
+    volt = 5 * 1000 / (1000 + exact) * (1 + gain * rng.standard_normal((frames, 1, 1)))
+    volt += lsb * np.sqrt((noise_lsb**2 + 1 / 12) / 20) * rng.standard_normal(exact.shape)
+    readings = (5 - volt) / volt * 1000 * (1 + reference)
+    return recording_of(scene, readings, unloaded, truth_cell_resistance=cells)
 
 
 def scene_of(noise: float | str | None, systematic: Systematic | str | None = "none") -> Scene:
     return Scene(Panel(8, 8), TwoPointReadout(adc_bits=12, noise_lsb=noise), 140.0, systematic=systematic)
 
 
-def held(found: lampest.estimate.estimates.Estimates, cells: Array, unloaded: int = 5) -> tuple[float, float]:
+def held(recording: Recording) -> tuple[float, float]:
     """Shares of the true cells and true changes within their 95 % intervals."""
-    truth = cells[found.frame]
-    change = 100 * (truth / cells[0] - 1)
-    inside = (found.cell_resistance_lower <= truth) & (truth <= found.cell_resistance_upper)
+    found, cells = reconstruct(recording, LSM), recording.truth_cell_resistance
+    change = 100 * (cells[found.frame] / cells[0] - 1)
     changed = (found.relative_change_lower <= change) & (change <= found.relative_change_upper)
-    return float(inside.mean()), float(changed.mean())
+    return float(in_intervals(found).mean()), float(changed.mean())
 
 
 @pytest.mark.parametrize("told", ["estimated", None])
 def test_noise_left_open_is_that_of_the_frames(told: str | None) -> None:
-    own, _ = recorded(1, scene_of(told), lambda exact, rng: converted(exact, rng, 2.5))
-    known, _ = recorded(1, scene_of(2.5), lambda exact, rng: converted(exact, rng, 2.5))
+    own, known = (recorded(1, scene_of(noise), 2.5) for noise in (told, 2.5))
     assert not Prepared(own).noise.sentence
     ratio = reconstruct(own, LSM).cell_resistance_errors / reconstruct(known, LSM).cell_resistance_errors
     assert np.median(ratio) == pytest.approx(1, abs=0.1)
 
 
 def test_few_frames_leave_the_usual_noise() -> None:
-    own, _ = recorded(1, scene_of(None), lambda exact, rng: converted(exact, rng, 0.7), frames=6, unloaded=3)
-    assert Prepared(own).noise.sigma_factor == 1
+    assert Prepared(recorded(1, scene_of(None), frames=6, unloaded=3)).noise.sigma_factor == 1
 
 
 def test_told_noise_that_frames_contradict_is_widened_and_said() -> None:
-    wrong, cells = recorded(2, scene_of(0.7), lambda exact, rng: converted(exact, rng, 2.5))
-    seen = Prepared(wrong).noise
+    wrong = recorded(2, scene_of(0.7), 2.5)
+    noise = Prepared(wrong).noise
     expected = np.sqrt((2.5**2 + 1 / 12) / (0.7**2 + 1 / 12))
-    assert seen.factor == pytest.approx(expected, rel=0.15)
-    assert abs(seen.factor - expected) < 4 * seen.factor_error
-    assert "LSB, measured in unloaded frames; the scene specifies" in seen.sentence
-    assert held(reconstruct(wrong, LSM), cells)[0] > 0.88
+    assert noise.factor == pytest.approx(expected, rel=0.15)
+    assert abs(noise.factor - expected) < 4 * noise.factor_error
+    assert "LSB, measured in unloaded frames; the scene specifies" in noise.sentence
+    assert held(wrong)[0] > 0.88
 
 
 @pytest.mark.parametrize("unloaded", [5, 0])
@@ -200,24 +202,22 @@ def test_told_noise_that_frames_contradict_is_widened_and_said() -> None:
 def test_noise_that_is_specified_twelve_times_too_large_or_too_small_is_measured(
     true: float, specified: float, unloaded: int
 ) -> None:
-    wrong, cells = recorded(2, scene_of(specified), lambda exact, rng: converted(exact, rng, true), unloaded=unloaded)
-    right, _ = recorded(2, scene_of(true), lambda exact, rng: converted(exact, rng, true), unloaded=unloaded)
+    wrong, right = (recorded(2, scene_of(noise), true, unloaded=unloaded) for noise in (specified, true))
     noise, expected = Prepared(wrong).noise, Prepared(right).noise
     assert np.median(noise.readings.sigma / expected.readings.sigma) == pytest.approx(1, abs=0.12)
     where = "unloaded frames" if unloaded else "readings at rest from frame to frame"
     assert sum("measured in" in line for line in noise.warnings) == 1
     assert f"LSB, measured in {where}; the scene specifies {specified:g} LSB" in noise.sentence
-    found = reconstruct(wrong, LSM)
-    inside = (found.cell_resistance_lower <= cells[found.frame]) & (cells[found.frame] <= found.cell_resistance_upper)
-    assert inside.mean() > 0.88
-    assert unloaded or not any("unloaded frames scatter" in line for line in found.checks)
+    estimate = reconstruct(wrong, LSM)
+    assert in_intervals(estimate).mean() > 0.88
+    assert unloaded or not any("unloaded frames scatter" in line for line in estimate.checks)
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_bars_hold_a_gain_of_each_frame(seed: int) -> None:
-    told, cells = recorded(seed, scene_of(0.7), lambda exact, rng: converted(exact, rng, 0.7, 0.004))
+    told = recorded(seed, scene_of(0.7), gain=0.004)
     assert "gain" in Prepared(told).noise.sentence
-    assert min(held(reconstruct(told, LSM), cells)) > 0.85
+    assert min(held(told)) > 0.85
 
 
 @pytest.mark.parametrize("effect", [{"supply_ripple_lsb": 2.0}, {"gain_spread": 0.005}])
@@ -232,12 +232,11 @@ def test_own_parts_cover_what_a_frame_does_to_cells_differently(effect: dict[str
 
 def own_part(recording: Recording) -> tuple[float, float]:
     """Share of cells whose error beside their frame's median is within the own part, and its size over that error."""
-    found = reconstruct(recording, LSM)
-    assert recording.truth_cell_resistance is not None and found.sigma_own is not None
-    error = np.log(found.cell_resistance / recording.truth_cell_resistance[found.frame])
+    estimate = reconstruct(recording, LSM)
+    error = log_errors(estimate)
     error -= np.median(error, axis=(1, 2), keepdims=True)
     size = 1.4826 * np.median(np.abs(error))
-    return float(np.mean(np.abs(error) < 1.96 * found.sigma_own)), float(np.median(found.sigma_own) / size)
+    return float(np.mean(np.abs(error) < 1.96 * estimate.sigma_own)), float(np.median(estimate.sigma_own) / size)
 
 
 def pressed(seed: int, **effects: float) -> Recording:
@@ -271,11 +270,9 @@ def test_weights_allow_for_errors_of_single_readings(error: float) -> None:
     recording = pressed(41, reading_error=error)
     assert Prepared(recording).noise.reading_error == pytest.approx(error, rel=0.5)
 
-    def missed(weight: Any) -> float:
+    def missed(weight: float | str) -> float:
         terms = Misfit(weighting="noise"), lampest.LogGradient(weight=weight)
-        found = reconstruct(recording, Estimator(terms, "reduced"))
-        assert recording.truth_cell_resistance is not None
-        return float(np.std(np.log(found.cell_resistance / recording.truth_cell_resistance[found.frame])))
+        return float(np.std(log_errors(reconstruct(recording, Estimator(terms, "reduced")))))
 
     assert missed("auto") < 1.25 * min(missed(weight) for weight in (10.0, 100.0, 1e3, 1e4))
 
@@ -283,18 +280,16 @@ def test_weights_allow_for_errors_of_single_readings(error: float) -> None:
 def test_the_mean_of_unloaded_frames_has_all_of_an_error_that_repeats_do_not_reduce() -> None:
     recording = pressed(2, reading_error=0.04)
     noise = Prepared(recording).noise
-    assert noise.readings.sigma is not None
     resting = noise.readings[recording.role == UNLOADED].mean()
     measured = noise.readings.sigma[recording.role == MEASURED][0]
-    assert resting.sigma is not None
     assert resting.sigma[9, 9] == pytest.approx(measured[9, 9], rel=0.05)  # untouched
 
 
 def test_scenes_that_say_nothing_leave_usual_errors_possible_and_none_leaves_none() -> None:
-    silent, cells = recorded(4, scene_of(0.7, None), lambda exact, rng: converted(exact + 12, rng, 0.7))
+    silent = recorded(4, scene_of(0.7, None), series=12)
     none = replace(silent, scene=scene_of(0.7, "none"))
-    assert held(reconstruct(none, LSM), cells)[0] < 0.75
-    assert held(reconstruct(silent, LSM), cells)[0] > 0.85
+    assert held(none)[0] < 0.75
+    assert held(silent)[0] > 0.85
     assert not Prepared(none).noise.sentence
 
 
@@ -304,87 +299,46 @@ def test_every_recording_covers_a_series_resistance_and_a_reference_that_are_off
 ) -> None:
     """Each moves all cells together, so that a recording is covered or not as a whole."""
     for seed in (31, 32, 33):
-        wrong, cells = recorded(
-            seed, scene_of(0.7, None), lambda exact, rng: converted(exact + series, rng, 0.7) * (1 + reference)
-        )
-        assert min(held(reconstruct(wrong, LSM), cells)) > 0.9
+        assert min(held(recorded(seed, scene_of(0.7, None), series=series, reference=reference))) > 0.9
 
 
-def test_the_size_of_static_errors_is_learned_from_cells_that_stand_still() -> None:
-    def static(exact: Array, rng: np.random.Generator) -> Array:
-        return converted(exact * np.exp(0.01 * rng.standard_normal(exact.shape[1:])), rng, 0.7)
+@pytest.mark.parametrize(
+    ("size", "seeds"),
+    [(0.01, range(4)), pytest.param(0.03, range(20, 23), marks=pytest.mark.slow), (0.1, range(20, 23))],
+)
+def test_the_size_of_static_errors_is_learned_from_cells_that_stand_still(size: float, seeds: range) -> None:
+    """Large ones bend the answer and press cells against their bounds; no cells give the readings of the largest."""
+    recordings = [recorded(seed, scene_of(0.7, None), static=size) for seed in seeds]
+    sizes = [Prepared(recording).noise.possible_errors.sizes.reading_error or 0.0 for recording in recordings]
+    assert np.median(sizes) == pytest.approx(size, rel=0.4)
+    assert np.mean([held(recording) for recording in recordings], axis=0).min() > 0.85
 
-    sizes, shares = [], []
-    for seed in range(4):
-        recording, cells = recorded(seed, scene_of(0.7, None), static)
-        hidden = Prepared(recording).noise.possible_errors
-        assert hidden is not None
-        sizes.append(hidden.sizes.reading_error or 0.0)
-        shares.append(held(reconstruct(recording, LSM), cells))
-    assert np.median(sizes) == pytest.approx(0.01, rel=0.4)
-    assert np.mean(shares, axis=0).min() > 0.85
-    clean, _ = recorded(9, scene_of(0.7, None), lambda exact, rng: converted(exact, rng, 0.7))
-    hidden = Prepared(clean).noise.possible_errors
-    assert hidden is not None and not hidden.sizes.reading_error
+
+def test_readings_without_static_errors_show_none() -> None:
+    assert not Prepared(recorded(9, scene_of(0.7, None))).noise.possible_errors.sizes.reading_error
 
 
 def test_bars_allow_for_static_errors_that_may_be_chance() -> None:
     """Of 0.2 % still cells show too little to say it; 72 to 84 % were held of such recordings."""
-
-    def static(exact: Array, rng: np.random.Generator) -> Array:
-        return converted(exact * np.exp(0.002 * rng.standard_normal(exact.shape[1:])), rng, 2.5)
-
-    shares = []
-    for seed in (40, 44, 46, 47):
-        recording, cells = recorded(seed, scene_of(2.5, None), static)
-        assert not Prepared(recording).noise.sentence
-        shares.append(held(reconstruct(recording, LSM), cells))
-    assert np.mean(shares, axis=0).min() > 0.9
-
-
-@pytest.mark.parametrize("size", [pytest.param(0.03, marks=pytest.mark.slow), 0.1])
-def test_static_errors_that_bend_the_answer_have_their_size_from_unloaded_cells_and_are_held(size: float) -> None:
-    """So large ones press cells against their bounds; no cells give the readings of the larger."""
-
-    def static(exact: Array, rng: np.random.Generator) -> Array:
-        return converted(exact * np.exp(size * rng.standard_normal(exact.shape[1:])), rng, 0.7)
-
-    sizes, shares = [], []
-    for seed in range(20, 23):
-        recording, cells = recorded(seed, scene_of(0.7, None), static)
-        hidden = Prepared(recording).noise.possible_errors
-        assert hidden is not None
-        sizes.append(hidden.sizes.reading_error or 0.0)
-        shares.append(held(reconstruct(recording, LSM), cells))
-    assert np.median(sizes) == pytest.approx(size, rel=0.4)
-    assert np.mean(shares, axis=0).min() > 0.85
+    recordings = [recorded(seed, scene_of(2.5, None), 2.5, static=0.002) for seed in (40, 44, 46, 47)]
+    assert not any(Prepared(recording).noise.sentence for recording in recordings)
+    assert np.mean([held(recording) for recording in recordings], axis=0).min() > 0.9
 
 
 def test_a_told_static_error_is_not_added_to_itself() -> None:
-    def static(exact: Array, rng: np.random.Generator) -> Array:
-        return converted(exact * np.exp(0.005 * rng.standard_normal(exact.shape[1:])), rng, 0.7)
-
-    recording, _ = recorded(0, scene_of(0.7, Systematic(reading_error=0.02)), static)
-    hidden = Prepared(recording).noise.possible_errors
-    assert hidden is not None and hidden.sizes.reading_error == 0.02
+    recording = recorded(0, scene_of(0.7, Systematic(reading_error=0.02)), static=0.005)
+    assert Prepared(recording).noise.possible_errors.sizes.reading_error == 0.02
 
 
 @pytest.mark.slow
 def test_loads_that_leave_their_place_between_frames_tear_them_and_bars_allow_for_that() -> None:
     """Neighbours in time say nothing of such readings but how far they may be off."""
-    place, held = (35.0, 35.0), []
-    mouth = lampest.OralDisc(centre_mm=place, diameter_mm=30.0, rim_width_mm=6.0, pressure_kpa=-12.0, rim_kpa=90.0)
-    scene, moving = Scene(Panel(8, 8), TwoPointReadout(noise_lsb=0.7), 140.0), lampest.Unmodelled(load_speed_mm_s=25.0)
-    for seed in (1, 2):
-        made = lampest.simulate(
-            lampest.Simulation(1, seed, scene, baseline_frames=5, frames=5, loads=(mouth,), unmodelled=moving)
-        )
-        assert "motion within a scan" in Prepared(made).noise.sentence
-        found = reconstruct(made, LSM)
-        truth, lower, upper = made.truth_cell_resistance, found.cell_resistance_lower, found.cell_resistance_upper
-        assert truth is not None and lower is not None and upper is not None
-        held.append((lower <= truth[found.frame]) & (truth[found.frame] <= upper))
-    assert np.mean(held) > 0.8
+    mouth = lampest.OralDisc(centre_mm=(35, 35), diameter_mm=30, rim_width_mm=6, pressure_kpa=-12, rim_kpa=90)
+    scene, moving = Scene(Panel(8, 8), TwoPointReadout(noise_lsb=0.7), 140.0), Unmodelled(load_speed_mm_s=25.0)
+    plain = Simulation(1, 1, scene, baseline_frames=5, frames=5, loads=(mouth,), unmodelled=moving)
+    recordings = [simulate(replace(plain, seed=seed)) for seed in (1, 2)]
+    assert all("motion within a scan" in Prepared(recording).noise.sentence for recording in recordings)
+    assert np.mean([in_intervals(reconstruct(recording, LSM)) for recording in recordings]) > 0.8
 
 
 def breathing(seed: int, covered: NDArray[np.bool_], pressure: float, frames: int = 15) -> Recording:
@@ -398,8 +352,7 @@ def breathing(seed: int, covered: NDArray[np.bool_], pressure: float, frames: in
     code = volt * 1023 / 5 + 0.7 * rng.standard_normal((20, *volt.shape))
     found = np.clip(np.round(code), 0, 1023).mean(axis=0) * 5 / 1023
     scene = Scene(Panel(10, 10), TwoPointReadout(readings=20, noise_lsb=0.7), 140.0)
-    role = np.where(np.arange(len(cells)) < 5, UNLOADED, MEASURED).astype(np.uint8)
-    return Recording(scene, (5 - found) / found * 1000, np.arange(float(len(cells))), role, truth_cell_resistance=cells)
+    return recording_of(scene, (5 - found) / found * 1000, 5, truth_cell_resistance=cells)
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -416,9 +369,7 @@ def test_a_gentle_load_is_no_resistance_in_series() -> None:
     """A body that changes few cells, smoothly and by 14 %: 15 standard deviations of it were left possible."""
     down, across = np.indices((10, 10)) - 4.5
     body = np.maximum(1 - (down / 5) ** 2 - ((across - 1) / 2) ** 2, 0)
-    hidden = Prepared(breathing(0, body, 0.75)).noise.possible_errors
-    assert hidden is not None and hidden.root is not None
-    assert np.linalg.norm(hidden.root[0]) < 1.5
+    assert np.linalg.norm(Prepared(breathing(0, body, 0.75)).noise.possible_errors.root[0]) < 1.5
 
 
 def test_a_reading_that_comes_and_goes_is_swept_by_its_steps() -> None:
@@ -435,15 +386,11 @@ def test_a_reading_that_comes_and_goes_is_swept_by_its_steps() -> None:
 def test_a_penalty_does_not_know_cells_whose_readings_are_off() -> None:
     """Its weight is chosen for what repeats show; its bars allow for what they do not show."""
     gradient = Estimator((Misfit(), Gradient(weight="auto")), "reduced", error_bars=True)
-    rod, held = lampest.Rod(centre_mm=(35.0, 35.0), diameter_mm=30.0, mass_g=300.0), []
-    for seed in (1, 2):
-        told, static = Scene(Panel(8, 8), TwoPointReadout(noise_lsb=0.7), 140.0), lampest.Unmodelled(reading_error=0.1)
-        made = lampest.simulate(lampest.Simulation(1, seed, told, frames=3, loads=(rod,), unmodelled=static))
-        found = reconstruct(made, gradient)
-        truth, lower, upper = made.truth_cell_resistance, found.cell_resistance_lower, found.cell_resistance_upper
-        assert truth is not None and lower is not None and upper is not None
-        held.append((lower <= truth[found.frame]) & (truth[found.frame] <= upper))
-    assert 0.88 < np.mean(held) < 0.995
+    rod = lampest.Rod(centre_mm=(35.0, 35.0), diameter_mm=30.0, mass_g=300.0)
+    scene = Scene(Panel(8, 8), TwoPointReadout(noise_lsb=0.7), 140.0)
+    plain = Simulation(1, 1, scene, frames=3, loads=(rod,), unmodelled=Unmodelled(reading_error=0.1))
+    inside = [in_intervals(reconstruct(simulate(replace(plain, seed=seed)), gradient)) for seed in (1, 2)]
+    assert 0.88 < np.mean(inside) < 0.995
 
 
 @pytest.mark.parametrize("seed", [7, 8, 13])
@@ -451,30 +398,24 @@ def test_noisy_cells_are_not_taken_for_a_static_error(seed: int) -> None:
     """So noisy that a large error of each reading would explain the cells that moved, too."""
     rod = lampest.Rod(centre_mm=(35.0, 35.0), diameter_mm=40.0, mass_g=400.0)
     scene = Scene(Panel(8, 8), TwoPointReadout(readings=1, noise_lsb=2), 140.0)
-    hidden = Prepared(
-        lampest.simulate(lampest.Simulation(1, seed, scene, frames=3, loads=(rod,)))
-    ).noise.possible_errors
-    assert hidden is not None and not hidden.sizes.reading_error
+    recording = simulate(Simulation(1, seed, scene, frames=3, loads=(rod,)))
+    assert not Prepared(recording).noise.possible_errors.sizes.reading_error
 
 
 def test_still_cells_show_a_series_resistance_beyond_the_usual() -> None:
     """40 ohm where 35 are usual: the rms of what is left possible is near the actual error."""
-    wrong, cells = recorded(11, scene_of(0.7, None), lambda exact, rng: converted(exact + 40, rng, 0.7))
-    hidden = Prepared(wrong).noise.possible_errors
-    assert hidden is not None and hidden.root is not None
-    assert np.sqrt((hidden.root[0] ** 2).sum()) == pytest.approx(40 / 35, rel=0.3)
-    assert min(held(reconstruct(wrong, LSM), cells)) > 0.85
+    wrong = recorded(11, scene_of(0.7, None), series=40)
+    root = Prepared(wrong).noise.possible_errors.root[0]
+    assert np.sqrt((root**2).sum()) == pytest.approx(40 / 35, rel=0.3)
+    assert min(held(wrong)) > 0.85
 
 
 def test_what_frames_told_is_one_line_in_info_and_results(tmp_path: Path) -> None:
-    wrong, _ = recorded(2, scene_of(0.7, None), lambda exact, rng: converted(exact, rng, 2.5, 0.004))
+    wrong = recorded(2, scene_of(0.7, None), 2.5, gain=0.004)
     wrong.save(tmp_path / "wrong.h5")
     (line,) = [line for line in describe(tmp_path / "wrong.h5") if line.startswith("noise")]
-    assert (
-        re.search(r"[23]\.\d+ ± 0\.\d+ times as specified, rescaled by", line)
-        and "% gain" in line
-        and "outliers" in line
-    )
+    assert re.search(r"[23]\.\d+ ± 0\.\d+ times as specified, rescaled by", line)
+    assert "% gain" in line and "outliers" in line
     lampest.reconstruct(wrong, [Misfit()], formulation="reduced").save(tmp_path / "results.h5")
     lines = describe(tmp_path / "results.h5")
     (learned,) = (line for line in lines if "times as specified" in line)
@@ -483,14 +424,10 @@ def test_what_frames_told_is_one_line_in_info_and_results(tmp_path: Path) -> Non
 
 
 def test_samples_and_matrices_agree_on_what_a_frame_shares() -> None:
-    from lampest.posterior.dense import DenseErrors
-    from lampest.posterior.sampled import SampledErrors
-
-    told, _ = recorded(5, scene_of(0.7), lambda exact, rng: converted(exact, rng, 0.7))
+    told = recorded(5, scene_of(0.7))
     stream = lampest.Stream.begin(LSM, told.scene, 1.0, told.readings()[0])
     data, start = stream.given(told.readings()[6])
     model = stream.solve(data, start).surroundings()
-    assert model is not None
     noise = FrameNoise(told.scene, 5, 0.005, np.zeros((8, 0)), np.full((8, 1), 1e-3))
     drawn_columns = model.through @ noise.columns(data.measured, baseline=False)
     dense, sampled = DenseErrors(model, None, drawn_columns), SampledErrors(model, None, drawn_columns)
@@ -501,7 +438,7 @@ def test_samples_and_matrices_agree_on_what_a_frame_shares() -> None:
 
 def test_what_users_get_wrong_is_one_plain_line() -> None:
     """Roles, units, noise, and a load on the baseline; nothing of a recording as it should be."""
-    fine, _ = recorded(6, scene_of(0.7, None), lambda exact, rng: converted(exact, rng, 0.7))
+    fine = recorded(6, scene_of(0.7, None))
     assert Prepared(fine).warnings == ()
     none = replace(fine, role=np.full(8, MEASURED, dtype=np.uint8))
     alone = replace(fine, role=np.where(np.arange(8) < 1, UNLOADED, MEASURED).astype(np.uint8))
@@ -528,7 +465,7 @@ def test_what_users_get_wrong_is_one_plain_line() -> None:
 def test_a_circuit_that_is_read_in_reverse_is_named(right: Readout, wrong: dict, word: str) -> None:
     rod = lampest.Rod(centre_mm=(30.0, 40.0), diameter_mm=30, mass_g=850)
     scene = Scene(Panel(7, 8), right)
-    made = lampest.simulate(lampest.Simulation(1, 1, scene, baseline_frames=5, frames=3, loads=(rod,)))
+    made = simulate(Simulation(1, 1, scene, baseline_frames=5, frames=3, loads=(rod,)))
     other = replace(scene, readout=replace(right, **wrong))
     volt = right.volt_from_recorded(made.recorded)
     said = Prepared(replace(made, scene=other, recorded=other.circuit.recorded_from_volt(volt), raw_sums=None)).warnings

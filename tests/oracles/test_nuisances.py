@@ -1,6 +1,5 @@
 """Leaks, contacts, common creep and saturation are named, in readings of a network that is written anew here."""
 
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,29 +9,16 @@ from numpy.typing import NDArray
 
 import lampest
 from docs.studies.audit import AuditFile, AuditTask
-from lampest import Recording, Scene, TwoPointReadout
+from lampest import Block, Cells, Course, Recording, Scene, Simulation, TwoPointReadout, simulate
 from lampest.estimate.prepared import Prepared
 from lampest.estimate.saturation import saturated
-from lampest.loads.shapes import Block
-from lampest.recording.simulation import Cells, Course, Simulation, simulate
 from lampest.report.detect.detection import Known, known_of, measured_frames
 from lampest.studies.study import read_settings
+from tests.estimates import recording_of
+from tests.netlist import two_point_resistances
 
 Array = NDArray[np.float64]
 ROWS, COLUMNS, UNLOADED, FRAMES = 9, 10, 5, 6
-NEIGHBOURS = [(line, line + 1) for line in range(ROWS + COLUMNS - 1) if line != ROWS - 1]
-
-
-def two_point(cells: Array, leaks: Sequence[tuple[int, int]] = (), siemens: float = 0.0) -> Array:
-    """Resistances between rows and columns of cells (rows, columns), some lines joined by a conductance."""
-    matrix = np.zeros((ROWS + COLUMNS,) * 2)
-    matrix[:ROWS, ROWS:] = -1 / cells
-    matrix[ROWS:, :ROWS] = -1 / cells.T
-    for one, two in leaks:
-        matrix[one, two] = matrix[two, one] = -siemens
-    inverse = np.linalg.pinv(matrix - np.diag(matrix.sum(axis=1)))
-    own = np.diag(inverse)
-    return own[:ROWS, None] + own[None, ROWS:] - 2 * inverse[:ROWS, ROWS:]
 
 
 def panel(
@@ -51,19 +37,22 @@ def panel(
     cells = np.repeat(3000 * np.exp(0.15 * rng.standard_normal((1, ROWS, COLUMNS))), frames, axis=0)
     cells[UNLOADED:] *= np.exp(-2 * np.exp(-((row - down) ** 2 + (column - across) ** 2) / 3))
     cells[UNLOADED:] *= np.exp(creep * np.linspace(0, 1, FRAMES))[:, None, None]
-    ohm = np.stack([two_point(one, NEIGHBOURS, (n >= leak_from) / leak_ohm) for n, one in enumerate(cells)])
+    leaks = np.where(np.arange(frames) >= leak_from, leak_ohm, np.inf)
+    ohm = np.stack([two_point_resistances(*frame) for frame in zip(cells, leaks, strict=True)])
     ohm[contact[2] :, contact[0]] += contact[1]
     code = np.minimum(1023 * 1000 / (1140 + ohm), saturated * 1023)
     noisy = np.round(code + 0.7 * rng.standard_normal((20, *code.shape)))
     volt = np.minimum(noisy, np.round(saturated * 1023)).mean(axis=0) * 5 / 1023
     scene = Scene(lampest.Panel(ROWS, COLUMNS), TwoPointReadout(readings=20, noise_lsb=0.7), 140.0)
-    role = (np.arange(frames) >= UNLOADED).astype(np.uint8)
-    return Recording(scene, (5 - volt) / volt * 1000, np.arange(float(frames)), role)
+    return recording_of(scene, (5 - volt) / volt * 1000, UNLOADED)
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_nothing_is_said_where_nothing_is(seed: int) -> None:
-    assert Prepared(panel(seed)).warnings == ()
+def test_nothing_is_said_and_taken_off_where_nothing_is(seed: int) -> None:
+    recording = panel(seed)
+    prepared = Prepared(recording)
+    assert prepared.warnings == () and prepared.noise.corrected_effects is None
+    assert np.array_equal(prepared.noise.readings.value, recording.readings().value)
 
 
 @pytest.mark.parametrize(
@@ -75,6 +64,7 @@ def test_nothing_is_said_where_nothing_is(seed: int) -> None:
         ({"contact": (3, 200.0, UNLOADED + 3)}, "200 ohm more at the contact of row 3, since the unloaded frames"),
         ({"creep": -0.03}, "cells that nobody touched changed together by -3"),
         ({"saturated": 0.62}, "loaded channels end at the same 3.1 volt"),
+        ({"saturated": 0.585}, "of the unloaded panel too"),
     ],
 )
 def test_what_a_panel_does_is_named(effect: dict, sentence: str) -> None:
@@ -117,8 +107,8 @@ def test_an_outlier_while_a_load_comes_is_no_contact(seed: int) -> None:
 def test_what_a_leak_and_a_contact_do_is_taken_off_the_frames_that_have_it(effect: dict) -> None:
     """The same noise is in both recordings; what the sizes leave open is a fraction of it."""
     dirty, clean = Prepared(panel(1, **effect)).noise, panel(1).readings()
-    assert clean.sigma is not None and dirty.readings.sigma is not None and dirty.frame is not None
-    assert dirty.frame.effect_errors is not None and 0 < np.abs(dirty.frame.effect_errors[1]).max() < 0.01
+    assert clean.sigma is not None
+    assert 0 < np.abs(dirty.frame.effect_errors[1]).max() < 0.01
     open_ohm = np.hypot(dirty.readings.sigma, np.linalg.norm(dirty.frame.effect_errors[1], axis=0) * clean.value)
     off = np.abs((dirty.readings.value - clean.value) / open_ohm)
     assert np.quantile(off, 0.95, axis=(1, 2)).max() < 4  # of the sizes in 22 frames the largest
@@ -137,21 +127,13 @@ def test_detect_looks_at_frames_without_the_leak() -> None:
 
 def test_noise_grows_by_what_a_leak_takes_of_the_signal() -> None:
     wet, dry = Prepared(panel(1, leak_ohm=2e3)).noise.readings, panel(1).readings()
-    assert wet.sigma is not None and dry.sigma is not None
     assert 1.1 < np.median(wet.sigma / dry.sigma) < 2
 
 
 def test_a_contact_that_another_one_explains_as_well_is_named_but_not_taken_off() -> None:
     recording = panel(8, contact=(3, 200.0, 0))
-    found = Prepared(recording).effects
-    assert found.best.name and found.pair is None and Prepared(recording).noise.corrected_effects is None
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_nothing_is_taken_off_where_nothing_is(seed: int) -> None:
-    recording = panel(seed)
-    assert Prepared(recording).noise.corrected_effects is None
-    assert np.array_equal(Prepared(recording).noise.readings.value, recording.readings().value)
+    prepared = Prepared(recording).effects
+    assert prepared.best.name and prepared.pair is None and Prepared(recording).noise.corrected_effects is None
 
 
 def test_readings_of_a_saturated_stage_are_bounds() -> None:
@@ -162,19 +144,12 @@ def test_readings_of_a_saturated_stage_are_bounds() -> None:
     assert not recording.readings().bounds.any()
 
 
-def test_a_stage_that_the_unloaded_panel_saturates_is_named() -> None:
-    said = Prepared(panel(1, saturated=0.585)).warnings
-    assert sum("of the unloaded panel too" in line for line in said) == 1, said
-
-
 def test_a_scene_states_what_a_stage_passes() -> None:
     recording = panel(1, saturated=0.62)
     stated = replace(recording.scene, readout=TwoPointReadout(readings=20, noise_lsb=0.7, passes_volt=(0.0, 3.098)))
     found = replace(recording, scene=stated)
     assert np.mean(found.readings().bounds != Prepared(recording).noise.readings.bounds) < 0.01
     assert not any("saturate" in line for line in Prepared(found).warnings)
-    with pytest.raises(ValueError, match="passes_volt must be two voltages from 0 to 5, the lower one first"):
-        TwoPointReadout(passes_volt=(3.0, 1.0))
 
 
 def test_the_size_of_a_leak_is_found() -> None:

@@ -8,19 +8,16 @@ import pytest
 from numpy.testing import assert_allclose
 
 import lampest
-from lampest import AutoWeight, Bounds, Estimator, Gradient, LogGradient, Misfit, Panel, Scene, two_point_resistance
+from lampest import Array, Data, LogGradient, Panel, Readings, Recording, Scene, two_point_resistance
 from lampest.cost.cost import Cost
 from lampest.cost.given import Background
 from lampest.cost.losses import Absolute, Huber, Loss, Squared, Student
-from lampest.cost.problem import Data
-from lampest.cost.terms import CellResistance
-from lampest.estimate.estimates import Estimates
+from lampest.cost.terms import CellResistance, Gradient, Misfit
+from lampest.estimate.estimator import AutoWeight, Bounds, Estimator
 from lampest.estimate.outliers import impossible_readings
-from lampest.panel.panel import Array
 from lampest.posterior import reference
 from lampest.posterior.reference import references
-from lampest.recording.readings import Readings
-from lampest.recording.recording import MEASURED, UNLOADED, Recording
+from tests.estimates import in_intervals, log_errors, recording_of, rms
 
 NOISE = 0.003  # of the readings
 DATA = Path(__file__).parents[2] / "data"
@@ -53,7 +50,7 @@ def judged(cells: Array, seed: int, static: float = 0.0) -> tuple[Data, Cost]:
 
 
 def log_error(cells: Array, truth: Array) -> float:
-    return float(np.sqrt(np.mean(np.log(cells / truth) ** 2)))
+    return rms(np.log(cells / truth))
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
@@ -64,12 +61,10 @@ def test_cells_and_the_scale_of_errors_are_recovered_from_readings_that_are_off_
     scale, (found,) = references([data], cost)
     assert 8 <= scale.best <= 32 and scale.gain(1.0) > 6
     assert 0.4 < scale.tail / 1.96 / (0.07 / NOISE) < 1.6, "95 % of the errors"
-    plain = lampest.reconstruct(
-        Recording(Scene(Panel(8, 8)), data.measured, np.zeros(1), np.ones(1, dtype=np.uint8)), [Misfit()]
-    )
+    plain = lampest.reconstruct(recording_of(Scene(Panel(8, 8)), data.measured), [Misfit()])
     assert log_error(found.cells[0], truth) < 0.3 < 5 * 0.3 < log_error(plain.cell_resistance[0], truth)
     z = np.log(found.cells[0] / truth).ravel() / np.sqrt(np.diag(found.covariance))
-    assert 0.7 < np.sqrt(np.mean(z**2)) < 1.3
+    assert 0.7 < rms(z) < 1.3
 
 
 @pytest.mark.parametrize("factor", [0.15, 0.5, 5.0])
@@ -94,19 +89,13 @@ def test_without_heavy_tails_edges_are_mistaken_for_errors_of_the_readings(
     assert squared.best >= 2 and squared.gain(1.0) > 6
 
 
-def frames_under_load(static: float, seed: int, unloaded: int = 0) -> tuple[Recording, Array]:
+def frames_under_load(static: float, seed: int, unloaded: int = 0) -> Recording:
     """Six frames, a load that stays, on readings with a static error."""
     cells = np.repeat(loaded(factor=0.3)[None], unloaded + 6, axis=0)
     cells[:unloaded] = smooth()
     readings, sigma = with_errors(cells, seed, static)
-    role = np.where(np.arange(len(cells)) < unloaded, UNLOADED, MEASURED).astype(np.uint8)
     scene = Scene(Panel(8, 8), systematic="none")
-    return Recording(scene, readings, np.arange(float(len(cells))), role, sigma=sigma), cells
-
-
-def held(found: Estimates, cells: Array) -> float:
-    inside = (found.cell_resistance_lower <= cells) & (cells <= found.cell_resistance_upper)
-    return float(inside.mean())
+    return recording_of(scene, readings, unloaded, sigma=sigma, truth_cell_resistance=cells)
 
 
 SAID = "their noise: an error of the model, which error bars include"
@@ -114,23 +103,23 @@ SAID = "their noise: an error of the model, which error bars include"
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_the_models_error_is_in_the_bars_and_in_one_sentence(seed: int) -> None:
-    recording, cells = frames_under_load(0.07, seed)
-    found = lampest.reconstruct(recording, [WEIGHTED, LogGradient()])
-    assert sum(SAID in line for line in found.checks) == 1
-    assert 10 < found.noise.model_factor < 60
-    assert held(found, cells) > 0.9
-    sigma, noise = found.reading_sigma, recording.sigma
+    recording = frames_under_load(0.07, seed)
+    estimate = lampest.reconstruct(recording, [WEIGHTED, LogGradient()])
+    assert sum(SAID in line for line in estimate.checks) == 1
+    assert 10 < estimate.noise.model_factor < 60
+    assert in_intervals(estimate).mean() > 0.9
+    sigma, noise = estimate.reading_sigma, recording.sigma
     assert sigma is not None and noise is not None and np.median(sigma / noise) > 10
 
 
 @pytest.mark.parametrize("unloaded", [0, 3])
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_clean_readings_show_no_error_of_the_model(seed: int, unloaded: int) -> None:
-    recording, cells = frames_under_load(0.0, seed, unloaded)
-    found = lampest.reconstruct(recording, [WEIGHTED, LogGradient()])
-    assert found.noise.model_factor == 1
-    assert not any(SAID in line for line in found.checks)
-    assert held(found, cells[unloaded:]) > 0.88
+    recording = frames_under_load(0.0, seed, unloaded)
+    estimate = lampest.reconstruct(recording, [WEIGHTED, LogGradient()])
+    assert estimate.noise.model_factor == 1
+    assert not any(SAID in line for line in estimate.checks)
+    assert in_intervals(estimate).mean() > 0.88
 
 
 def without_a_tenth(path: Path) -> tuple[Recording, Recording, Array]:
@@ -147,36 +136,36 @@ def without_a_tenth(path: Path) -> tuple[Recording, Recording, Array]:
 @pytest.mark.parametrize(("loss", "least"), [(Squared(), 0.88), (Student(corner=4.0), 0.9)])
 def test_withheld_readings_of_a_real_sensor_lie_within_their_intervals(name: str, loss: Loss, least: float) -> None:
     whole, recording, withheld = without_a_tenth(DATA / f"{name}.h5")
-    found = lampest.reconstruct(recording, [Misfit(weighting="noise", loss=loss), LogGradient()])
-    sigma, model = found.reading_sigma, np.stack([step.solution.reading[-1] for step in found.steps])
-    assert sigma is not None
-    assert np.all(sigma[found.solved] > 0) and np.all(np.isfinite(sigma[found.solved])), "also of missing readings"
-    judged = withheld & found.solved[:, None, None]
+    estimate = lampest.reconstruct(recording, [Misfit(weighting="noise", loss=loss), LogGradient()])
+    sigma, model = estimate.reading_sigma, np.stack([step.solution.reading[-1] for step in estimate.steps])
+    assert np.all(sigma[estimate.solved] > 0) and np.all(np.isfinite(sigma[estimate.solved])), (
+        "also of missing readings"
+    )
+    judged = withheld & estimate.solved[:, None, None]
     inside = np.abs(whole.readings().value - model)[judged] < 1.96 * sigma[judged]
     assert judged.sum() > 300 and least <= inside.mean() <= 0.98
 
 
 def test_a_missing_reading_has_a_wider_interval_that_holds_it() -> None:
-    recording, cells = frames_under_load(0.0, 1)
+    recording = frames_under_load(0.0, 1)
     recorded = recording.recorded.copy()
     recorded[:, 5, 5] = recorded[:, 1, 6] = np.nan
-    found = lampest.reconstruct(replace(recording, recorded=recorded), [WEIGHTED, LogGradient()])
-    sigma, model = found.reading_sigma, np.stack([step.solution.reading[-1] for step in found.steps])
-    missing, exact = np.isnan(recorded), two_point_resistance(cells)
-    assert sigma is not None and np.all(np.isfinite(sigma))
+    estimate = lampest.reconstruct(replace(recording, recorded=recorded), [WEIGHTED, LogGradient()])
+    sigma, model = estimate.reading_sigma, np.stack([step.solution.reading[-1] for step in estimate.steps])
+    missing, exact = np.isnan(recorded), two_point_resistance(recording.truth_cell_resistance)
+    assert np.all(np.isfinite(sigma))
     assert np.median((sigma / exact)[missing]) > 2 * np.median((sigma / exact)[~missing])
     assert np.mean(np.abs(recording.recorded - model)[missing] < 1.96 * sigma[missing]) >= 0.8
 
 
 def test_bars_allow_for_the_uncertainty_of_a_chosen_weight() -> None:
     """The bars of the same weight, given as a number, are smaller; most where the weight matters most."""
-    recording, _ = frames_under_load(0.07, 2)
+    recording = frames_under_load(0.07, 2)
     chosen = lampest.reconstruct(recording, [WEIGHTED, LogGradient()])
     weight, sigma = chosen.steps[0].weights[1], chosen.steps[0].weight_sigma[1]
     given = lampest.reconstruct(recording, [WEIGHTED, LogGradient(weight=weight)])
     assert_allclose(given.cell_resistance, chosen.cell_resistance, rtol=1e-5)
     one, other = (found.sigma_own for found in (chosen, given))
-    assert one is not None and other is not None
     more = np.sqrt(np.maximum(one**2 - other**2, 0))
     assert np.all(one > 0.999 * other) and more.max() > 0.05 * other.max()
     moved = lampest.reconstruct(recording, [WEIGHTED, LogGradient(weight=weight * np.exp(0.05))])
@@ -185,14 +174,14 @@ def test_bars_allow_for_the_uncertainty_of_a_chosen_weight() -> None:
 
 
 def test_results_hold_how_well_the_data_determine_a_weight(tmp_path: Path) -> None:
-    recording, _ = frames_under_load(0.0, 1)
-    found = lampest.reconstruct(recording, [WEIGHTED, LogGradient(), CellResistance(weight=1e-9)])
-    lampest.write_results(tmp_path / "results.h5", [found.result("mine")])
+    recording = frames_under_load(0.0, 1)
+    estimate = lampest.reconstruct(recording, [WEIGHTED, LogGradient(), CellResistance(weight=1e-9)])
+    lampest.write_results(tmp_path / "results.h5", [estimate.result("mine")])
     (case,) = lampest.read_results(tmp_path / "results.h5").cases
     assert list(case.weight_sigma) == ["log_gradient"], "a weight that is a number has none"
-    assert_allclose(case.weight_sigma["log_gradient"], found.steps[0].weight_sigma[1])
+    assert_allclose(case.weight_sigma["log_gradient"], estimate.steps[0].weight_sigma[1])
     assert np.all((case.weight_sigma["log_gradient"] > 0.03) & (case.weight_sigma["log_gradient"] < 1))
-    assert_allclose(case.reading_sigma, found.reading_sigma)
+    assert_allclose(case.reading_sigma, estimate.reading_sigma)
 
 
 PENALTIES = {
@@ -208,41 +197,40 @@ PENALTIES = {
 def test_weights_of_any_penalties_beat_the_hundredth_and_the_hundredfold(
     penalties: tuple[lampest.Term, ...], per: str
 ) -> None:
-    recording, cells = frames_under_load(0.0, 3)
+    recording = frames_under_load(0.0, 3)
     every = (WEIGHTED, *penalties)
-    found = lampest.reconstruct(recording, every, auto_weight=AutoWeight(per=per), error_bars=False)
-    assert found.solved.all()
-    chosen, sigma = np.array(found.steps[-1].weights), np.array(found.steps[-1].weight_sigma)
+    estimate = lampest.reconstruct(recording, every, auto_weight=AutoWeight(per=per), error_bars=False)
+    assert estimate.solved.all()
+    chosen, sigma = np.array(estimate.steps[-1].weights), np.array(estimate.steps[-1].weight_sigma)
     assert np.isnan(sigma[0]) and np.all(np.isfinite(sigma[1:]) | (chosen[1:] > 0))
-    error = log_error(found.cell_resistance[-1], cells[-1])
+    error = rms(log_errors(estimate)[-1])
     for factor in (0.01, 100.0):
         terms = [replace(term, weight=factor * weight) for term, weight in zip(penalties, chosen[1:], strict=True)]
         other = lampest.reconstruct(recording, (WEIGHTED, *terms), error_bars=False)
-        assert error < 1.02 * log_error(other.cell_resistance[-1], cells[-1])
+        assert error < 1.02 * rms(log_errors(other)[-1])
 
 
 @pytest.mark.parametrize("static", [0.0, 0.07])
 def test_readings_without_noise_are_judged_by_the_reference_too(static: float) -> None:
     """A table in ohm: neither σ nor a converter."""
-    recording, cells = frames_under_load(static, 1)
-    found = lampest.reconstruct(replace(recording, sigma=None), [Misfit(), Gradient()], bounds=Bounds(upper="none"))
+    recording = frames_under_load(static, 1)
+    estimate = lampest.reconstruct(replace(recording, sigma=None), [Misfit(), Gradient()], bounds=Bounds(upper="none"))
     told = lampest.reconstruct(recording, [Misfit(), Gradient()], bounds=Bounds(upper="none"))
-    one, other = (log_error(each.cell_resistance, cells) for each in (found, told))
-    assert one < 1.5 * other
+    assert rms(log_errors(estimate)) < 1.5 * rms(log_errors(told))
 
 
 @pytest.mark.slow
 def test_a_weight_of_a_large_panel_is_chosen_by_the_evidence() -> None:
     """1,296 cells are more than the reference estimate takes."""
     cells = np.kron(loaded(), np.ones((5, 5)))[:36, :36]
-    readings, sigma = with_errors(np.stack([cells, cells]), 1)
-    scene, role = Scene(Panel(36, 36), systematic="none"), np.full(2, MEASURED, dtype=np.uint8)
-    recording = Recording(scene, readings, np.arange(2.0), role, sigma=sigma)
-    found = lampest.reconstruct(recording, [WEIGHTED, LogGradient()], error_bars=False)
-    assert found.solved.all() and np.isfinite(found.steps[0].weight_sigma[1])
-    weight, errors = found.steps[0].weights[1], []
+    pair = np.stack([cells, cells])
+    readings, sigma = with_errors(pair, 1)
+    scene = Scene(Panel(36, 36), systematic="none")
+    recording = recording_of(scene, readings, sigma=sigma, truth_cell_resistance=pair)
+    estimate = lampest.reconstruct(recording, [WEIGHTED, LogGradient()], error_bars=False)
+    assert estimate.solved.all() and np.isfinite(estimate.steps[0].weight_sigma[1])
+    weight, errors = estimate.steps[0].weights[1], []
     for factor in (0.1, 1.0, 10.0):
         terms = [WEIGHTED, LogGradient(weight=factor * weight)]
-        other = lampest.reconstruct(recording, terms, error_bars=False)
-        errors.append(log_error(other.cell_resistance, np.stack([cells, cells])))
+        errors.append(rms(log_errors(lampest.reconstruct(recording, terms, error_bars=False))))
     assert errors[1] < 1.3 * min(errors)

@@ -130,14 +130,13 @@ def test_the_fastest_of_those_without_a_practical_difference_is_recommended() ->
     near = hard + 0.002 * rng.standard_normal(30)
     near += 0.0002 - np.mean(near - hard)
     given = {"best": (hard, 8.0), "near": (near, 2.0), "far": (hard + 0.01, 0.5)}
-    found = comparison_of(cohort(30, **given), np.random.default_rng(0))
-    assert found is not None
-    assert [row.estimator for row in found.standings] == ["best", "near", "far"]
-    assert [row.told_apart for row in found.standings] == [False, False, True]
-    assert found.standings[2].difference.value == pytest.approx(1.0)
-    assert found.standings[2].wins == 0
-    assert sum(row.wins for row in found.standings) == 30
-    advice = advise(cohort(30, **given), found)
+    comparison = comparison_of(cohort(30, **given), np.random.default_rng(0))
+    assert [row.estimator for row in comparison.standings] == ["best", "near", "far"]
+    assert [row.told_apart for row in comparison.standings] == [False, False, True]
+    assert comparison.standings[2].difference.value == pytest.approx(1.0)
+    assert comparison.standings[2].wins == 0
+    assert sum(row.wins for row in comparison.standings) == 30
+    advice = advise(cohort(30, **given), comparison)
     assert (
         advice.headline
         == "No practical difference between best and near; near (gradient λ = 0.5) is the fastest of them."
@@ -151,18 +150,18 @@ def test_the_fastest_of_those_without_a_practical_difference_is_recommended() ->
 def test_speed_makes_up_for_no_error_and_a_sure_trifle_decides_nothing() -> None:
     """Twice the error for half the time, not sure in five recordings; and a thousandth that is sure in all."""
     twice = cohort(5, slow=([0.01, 0.02, 0.01, 0.02, 0.01], 8.0), fast=([0.09, 0.01, 0.01, 0.02, 0.01], 4.0))
-    found = comparison_of(twice, np.random.default_rng(0))
-    assert found is not None and not found.standings[1].told_apart
-    advice = advise(twice, found)
+    comparison = comparison_of(twice, np.random.default_rng(0))
+    assert not comparison.standings[1].told_apart
+    advice = advise(twice, comparison)
     assert (
         advice.estimator == "slow"
         and "The difference between fast and slow is not significant (95 % interval " in " ".join(advice.reasons)
     )
     hard = 0.02 + 0.001 * np.arange(30)
     trifle = cohort(30, one=(hard, 4.0), other=(hard * 1.001, 4.0))
-    found = comparison_of(trifle, np.random.default_rng(0))
-    assert found is not None and found.standings[1].told_apart
-    assert advise(trifle, found).headline.startswith("No practical difference between one and other")
+    comparison = comparison_of(trifle, np.random.default_rng(0))
+    assert comparison.standings[1].told_apart
+    assert advise(trifle, comparison).headline.startswith("No practical difference between one and other")
 
 
 def test_few_recordings_and_a_single_one_are_warned_of() -> None:
@@ -172,9 +171,9 @@ def test_few_recordings_and_a_single_one_are_warned_of() -> None:
         "fewer than 5" in sentence for sentence in advise(few, comparison_of(few, np.random.default_rng(0))).warnings
     )
     one = cohort(1, A=(errors, 1.0), B=([0.05], 1.0))
-    found = comparison_of(one, np.random.default_rng(0))
-    assert found is not None and found.over_frames and found.values.shape == (SHAPE[0], 2)
-    assert any("One recording only" in sentence for sentence in advise(one, found).warnings)
+    comparison = comparison_of(one, np.random.default_rng(0))
+    assert comparison.over_frames and comparison.values.shape == (SHAPE[0], 2)
+    assert any("One recording only" in sentence for sentence in advise(one, comparison).warnings)
 
 
 def test_without_truth_the_prediction_decides_and_without_noise_nothing_does() -> None:
@@ -186,10 +185,10 @@ def test_without_truth_the_prediction_decides_and_without_noise_nothing_does() -
 
     given = (("follows all", 0.0, 1.0), ("right", 0.8, 0.3), ("too stiff", 3.0, 0.05))
     known = batch(*(case(*method[:1], f"r{number}", *method[1:]) for number in range(6) for method in given))
-    found = comparison_of(known, np.random.default_rng(0))
-    assert found is not None and found.criterion is PREDICTION
-    assert [row.estimator for row in found.standings] == ["right", "follows all", "too stiff"]
-    assert advise(known, found).estimator == "right"
+    comparison = comparison_of(known, np.random.default_rng(0))
+    assert comparison.criterion is PREDICTION
+    assert [row.estimator for row in comparison.standings] == ["right", "follows all", "too stiff"]
+    assert advise(known, comparison).estimator == "right"
     bare = batch(*(invented_case(name, "r", SHAPE, truth=False) for name in ("A", "B")))
     untold = advise(bare, comparison_of(bare, np.random.default_rng(0)))
     assert untold.estimator is None and "cannot rank" in untold.headline

@@ -1,37 +1,36 @@
-"""Weights chosen by the data: the rules against definitions, the choice against the best weight in hindsight."""
+"""Weights chosen by the data, their curves and rules, against definitions, the paper's equations and hindsight.
+
+Error bars of draws of the prior are calibrated, and withheld readings are predicted."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from scipy.integrate import quad
 
 import lampest
-from lampest import two_point_resistance
+from docs.studies import real
+from docs.studies.simulated_calibration import PRIORS, SETTINGS, calibration, prior_root, uniform_tail
+from docs.studies.withheld import predictions
+from lampest import Array, Bounds, InputError, Misfit, Panel, Readings, Recording, Scene, read_run, two_point_resistance
 from lampest.cost.given import Background
 from lampest.cost.losses import Absolute, Huber, Student
-from lampest.cost.problem import Data
-from lampest.cost.terms import (
-    CellResistance,
-    Gradient,
-    GradientOfRelativeChange,
-    LogRatio,
-    Misfit,
-    RelativeChange,
-    Term,
-)
+from lampest.cost.problem import Data, Evaluation
+from lampest.cost.terms import CellResistance, Gradient, GradientOfRelativeChange, LogRatio, RelativeChange, Term
 from lampest.estimate.estimator import AutoWeight, Estimator
 from lampest.estimate.sequence import reconstruct
 from lampest.estimate.weights import with_chosen_weights
-from lampest.files.errors import InputError
-from lampest.panel.panel import Array, Panel
-from lampest.panel.scene import Scene
+from lampest.panel.readouts import TwoPointReadout
 from lampest.posterior.dense import DenseErrors, rank
 from lampest.posterior.linear import LinearModel
 from lampest.posterior.spectrum import Rule, Spectrum
-from lampest.recording.readings import Readings
-from lampest.recording.recording import Recording
+from lampest.runs.config import Case
 from lampest.solvers.multistart import best_solution
+from lampest.studies.weights import CurvePoint, Tuned, WeightSubject, bound_evidence, l_curve, solve_at, tune
+from tests.estimates import recording_of, rms
+from tests.oracles import paper
 
 SHAPE = (8, 7)
 AUTO = "auto"
@@ -55,9 +54,8 @@ def measured_data(estimator: Estimator, cells: Array, noise: float, seed: int) -
 def spectrum_and_model(term: Term) -> tuple[Spectrum, LinearModel]:
     estimator = Estimator((Misfit(), term), formulation="reduced")
     data = measured_data(estimator, cells_of(1), 0.003, 2)
-    found = best_solution(estimator.problem(Scene(Panel(*SHAPE)), 1, 1.0), data, None)
-    assert found.at is not None and found.dual is not None
-    model = LinearModel(found.at, found.dual)
+    solution = best_solution(estimator.problem(Scene(Panel(*SHAPE)), 1, 1.0), data, None)
+    model = LinearModel(solution.at, solution.dual)
     return Spectrum.of(model), model
 
 
@@ -121,9 +119,9 @@ def test_information_is_fishers_on_log_weight() -> None:
 
 
 def error(estimator: Estimator, data: Data, cells: Array) -> float:
-    found = best_solution(estimator.problem(Scene(Panel(*cells.shape)), 1, 1.0), data, None)
-    assert found.solved
-    return float(np.sqrt(np.mean(np.log(found.cell_resistance[0] / cells) ** 2)))
+    solution = best_solution(estimator.problem(Scene(Panel(*cells.shape)), 1, 1.0), data, None)
+    assert solution.solved
+    return rms(np.log(solution.cell_resistance[0] / cells))
 
 
 @pytest.mark.slow
@@ -170,21 +168,19 @@ def recording(noise: float | None, frames: int = 4) -> Recording:
     cells[2:, 3:5, 3:5] *= 0.3
     exact = two_point_resistance(cells)
     measured = exact * (1 + (noise or 0.002) * np.random.default_rng(1).standard_normal(exact.shape))
-    role = np.array([0] + [1] * (frames - 1), dtype=np.uint8)
-    sigma = None if noise is None else noise * exact
-    return Recording(Scene(Panel(*SHAPE)), measured, np.arange(frames) * 1.0, role, sigma=sigma)
+    return recording_of(Scene(Panel(*SHAPE)), measured, 1, sigma=None if noise is None else noise * exact)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", [Gradient, CellResistance, RelativeChange, GradientOfRelativeChange])
 @pytest.mark.parametrize("per", ["recording", "frame"])
 def test_every_penalty_can_be_left_open(kind: type[Term], per: str) -> None:
-    estimator = Estimator((Misfit(), kind(weight=AUTO)), "reduced", auto_weight=AutoWeight(per=per))  # type: ignore[arg-type]
-    found = reconstruct(recording(0.003), estimator)
-    weights = np.array([step.weights for step in found.steps])
+    estimator = Estimator((Misfit(), kind(weight=AUTO)), "reduced", auto_weight=AutoWeight(per=per))
+    estimate = reconstruct(recording(0.003), estimator)
+    weights = np.array([step.weights for step in estimate.steps])
     assert np.all(weights[:, 0] == 1) and np.all(weights[:, 1] > 0)
     assert (len(set(weights[:, 1])) == 1) == (per == "recording")
-    assert all(step.solution.solved for step in found.steps)
+    assert all(step.solution.solved for step in estimate.steps)
 
 
 @pytest.mark.parametrize(
@@ -197,10 +193,10 @@ def test_every_penalty_can_be_left_open(kind: type[Term], per: str) -> None:
     ],
 )
 def test_several_penalties_and_other_losses(penalties: tuple[Term, ...]) -> None:
-    found = reconstruct(recording(0.003), Estimator((Misfit(), *penalties), "reduced"))
-    assert all(step.solution.solved for step in found.steps)
+    estimate = reconstruct(recording(0.003), Estimator((Misfit(), *penalties), "reduced"))
+    assert all(step.solution.solved for step in estimate.steps)
     for number, term in enumerate(penalties, 1):
-        weight = found.steps[0].weights[number]
+        weight = estimate.steps[0].weights[number]
         assert weight > 0 and (term.weight == AUTO or weight == term.weight)
 
 
@@ -218,11 +214,6 @@ def test_without_noise_weights_are_chosen_too() -> None:
     assert all(step.solution.solved for step in reconstruct(recording(None), two).steps)
 
 
-def test_an_open_weight_needs_data() -> None:
-    with pytest.raises(ValueError, match="needs the term misfit"):
-        Estimator((Gradient(weight=AUTO),))
-
-
 def test_a_chosen_weight_that_keeps_readings_from_being_met_is_warned_of() -> None:
     """A penalty on log r, where half of the cells are loaded, with a weight a thousand times too large."""
     truth = np.where(np.indices((2, 6, 6))[2] < 3, 2000.0, 4000.0)
@@ -230,9 +221,227 @@ def test_a_chosen_weight_that_keeps_readings_from_being_met_is_warned_of() -> No
     scene = lampest.Scene(lampest.Panel(6, 6), lampest.TwoPointReadout(readings=20, noise_lsb=0.7))
     recording = lampest.Recording.from_array(values, baseline=1, scene=scene)
     misfit = lampest.Misfit(weighting="noise")
-    found = lampest.reconstruct(recording, [misfit, lampest.LogGradient(weight=1e6)], formulation="reduced")
-    assert found.solved.all() and not any("readings are missed" in line for line in found.checks)
-    warned = replace(found, automatic=True).checks[0]
+    estimate = lampest.reconstruct(recording, [misfit, lampest.LogGradient(weight=1e6)], formulation="reduced")
+    assert estimate.solved.all() and not any("readings are missed" in line for line in estimate.checks)
+    warned = replace(estimate, automatic=True).checks[0]
     assert warned.startswith("with the weight that was chosen for log_gradient readings are missed by")
     chosen = lampest.reconstruct(recording, [misfit, lampest.LogGradient()], formulation="reduced")
     assert chosen.automatic and not any("readings are missed" in line for line in chosen.checks)
+
+
+DRAWS = 40
+
+
+def test_uniform_values_lie_within_their_bands_and_others_do_not() -> None:
+    rng = np.random.default_rng(1)
+    tails = [uniform_tail(rng.uniform(size=50)) for _ in range(60)]
+    assert 0 <= np.mean(np.array(tails) < 0.05) < 0.15 and np.median(tails) > 0.25
+    assert uniform_tail(rng.uniform(size=100) ** 2) < 0.01, "biased"
+    assert uniform_tail(0.5 + 0.4 * (rng.uniform(size=100) - 0.5)) < 0.01, "bars that are too wide"
+    assert uniform_tail(np.round(rng.uniform(size=100))) < 0.01, "bars that are too narrow"
+
+
+@pytest.mark.parametrize("name", PRIORS)
+def test_draws_have_the_prior_that_the_penalty_implies(name: str) -> None:
+    """E λ Σ x² = rank."""
+    root = prior_root(PRIORS[name])
+    assert root.shape == (36, 35) and np.allclose(root.sum(axis=0), 0, atol=1e-8)
+    if name == "log_gradient":
+        steps = np.diff(root.reshape(6, 6, 35), axis=0), np.diff(root.reshape(6, 6, 35), axis=1)
+        assert sum(float(np.sum(step**2)) for step in steps) == pytest.approx(35)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("chosen", [False, True], ids=["known", "chosen"])
+@pytest.mark.parametrize("level", SETTINGS)
+@pytest.mark.parametrize("name", PRIORS)
+def test_intervals_hold_draws_of_the_prior_as_often_as_they_say(name: str, level: str, chosen: bool) -> None:
+    """Of 1,440 cells; where the weight is chosen and noise large, 40 draws are 40 weights."""
+    found = calibration(PRIORS[name], *SETTINGS[level], chosen, DRAWS, 7)
+    half, most, nearly_all = found.coverage
+    if chosen:
+        assert 0.42 < half < 0.62 and 0.72 < most < 0.93 and nearly_all > 0.88
+        assert np.quantile(found.weights, 0.1) < 2 and np.quantile(found.weights, 0.9) > 0.5
+    else:
+        assert abs(half - 0.5) < 0.05 and abs(most - 0.8) < 0.04 and abs(nearly_all - 0.95) < 0.02
+        assert np.allclose(found.weights, 1)
+    assert min(found.uniformity) > 1e-3
+
+
+COARSE = TwoPointReadout(adc_bits=12, readings=1, noise_lsb=1.0, reference_ohm=500.0)
+RUN = """schema: 1
+recordings: [mine.h5]
+estimators:
+  smooth: {terms: {misfit: {weighting: noise}, log_gradient: {weight: 30.0}}, formulation: reduced}
+"""
+
+
+def going_over(folder: Path) -> lampest.Recording:
+    """Smooth loads that go over a panel."""
+    panel, rng = Panel(7, 7, 8.0), np.random.default_rng(4)
+    x, y = panel.places_mm
+    at = np.linspace(10, 40, 6)
+    cells = np.stack([2000 * np.exp(-2.5 * np.exp(-((x - here) ** 2 + (y - 24) ** 2) / 400)) for here in at])
+    codes = COARSE.volt_from_recorded(COARSE.exact_reading(cells)) / COARSE.lsb_volt
+    codes = np.round(codes + rng.standard_normal(codes.shape))
+    recording = recording_of(Scene(panel, COARSE), COARSE.recorded_from_volt(codes * COARSE.lsb_volt))
+    recording.save(folder / "mine.h5")
+    (folder / "run.yaml").write_text(RUN)
+    return replace(recording, name="mine")
+
+
+def test_withheld_readings_are_predicted_better_than_by_interpolation(tmp_path: Path) -> None:
+    recording = going_over(tmp_path)
+    (case,) = read_run(tmp_path / "run.yaml").cases
+    found = [one for one in predictions(recording, case, 0.1, 1, 0) if one.factor == 1]
+    assert len(found) == 6 and all(one.solved and one.readings == 5 for one in found)
+    assert np.median([one.error / one.interpolated for one in found]) < 0.5
+    assert np.median([one.hidden for one in found]) > 2
+
+
+@pytest.mark.slow
+def test_the_table_of_real_recordings_has_a_row_for_every_method(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    estimators = {name: real.ESTIMATORS[name] for name in ("`log_gradient`", "`cell_resistance`")}
+    monkeypatch.setattr(real, "ESTIMATORS", estimators)
+    study = real.Withheld.of(going_over(tmp_path), 0.1, 3)
+    rows = {row.method: row for row in real.rows(study)}
+    assert list(rows) == [*real.OTHERS, *estimators] and all(row.solved == 1 for row in rows.values())
+    assert np.isnan(study.recording.recorded[study.held]).all() and study.held.sum() == 6 * 5
+    assert rows["interpolation"].ratio == 1
+    ours = rows["`log_gradient`"]
+    assert ours.ratio < 0.5 and ours.covered > 0.8 and ours.weight_sigma < 1
+    assert all(rows[name].ratio < 1 for name in ("fixed point (Medrano-Sánchez)", "truncated inversion, best rank"))
+    assert ours.ratio < min(row.ratio for row in rows.values() if row is not ours)
+
+
+NOISE = 0.02
+
+
+def bump(rows: int = 4, columns: int = 5, noise: float = NOISE) -> Recording:
+    """Two unloaded frames and one with a bump, with relative noise."""
+    rng = np.random.default_rng(5)
+    cells = 3000 * np.exp(0.1 * rng.standard_normal((3, rows, columns)))
+    cells[2, 1:3, 1:4] *= 0.3
+    exact = two_point_resistance(cells)
+    measured = exact * np.exp(noise * rng.standard_normal(exact.shape))
+    return recording_of(Scene(Panel(rows, columns)), measured, 2, sigma=noise * exact, truth_cell_resistance=cells)
+
+
+def subject(penalty: Term, held: Recording, bounds: Bounds | None = None) -> WeightSubject:
+    """One penalty beside the paper's misfit."""
+    estimator = Estimator((Misfit(), penalty), "reduced", bounds=bounds or Bounds())
+    return WeightSubject.of(Case(Path("bump.h5"), "", "bump", "one", estimator, "", ""), held)
+
+
+@pytest.fixture(scope="module")
+def tuned() -> Tuned:
+    return tune(subject(Gradient(weight="auto"), bump()))
+
+
+@pytest.mark.slow
+def test_point_has_the_papers_misfit_and_penalty_and_the_true_error() -> None:
+    made = bump()
+    point = solve_at(subject(Gradient(weight="auto"), made), 2e-5, None)
+    cells = point.cells[0]
+    misfit = paper.forward(cells).resistance - made.resistance[2]
+    penalty = np.concatenate([part.ravel() for part in paper.nabla(cells)])
+    assert_allclose(point.misfit, np.sum(misfit**2) / np.mean(made.sigma[2] ** 2))
+    assert_allclose(point.penalty, np.sum(penalty**2))
+    error = np.log(cells / made.truth_cell_resistance[2])
+    assert_allclose(point.error, np.sqrt(np.mean(error**2)))
+
+
+@pytest.mark.slow
+def test_evidence_is_laplaces_at_each_estimate() -> None:
+    """−2 log ∫ exp(−cost/2s²) du over a Gaussian prior of rank m − 1, up to what λ does not change."""
+    made = bump()
+    one = subject(Gradient(weight="auto"), made, Bounds("none", "none"))
+    scale = float(np.mean(made.sigma[2] ** 2))
+
+    def laplace(weight: float) -> tuple[float, float]:
+        point = solve_at(one, weight, None)
+        cells = point.cells[0]
+        jacobian = paper.misfits_jacobian(cells, "gradient", weight, None) * cells.ravel()
+        cost = np.sum(paper.misfits(cells, made.resistance[2], "gradient", weight, None) ** 2)
+        curvature = jacobian.T @ jacobian / scale + 1e-4 * np.eye(cells.size)
+        volume = np.linalg.slogdet(curvature)[1] - (cells.size - 1) * np.log(weight / scale)
+        return point.evidence, cost / scale + volume
+
+    first, second = laplace(1e-6), laplace(1e-4)
+    assert abs(first[1] - second[1]) > 1
+    assert_allclose(first[0] - second[0], first[1] - second[1], atol=1e-4)
+
+
+@pytest.mark.slow
+def test_what_a_held_cell_leaves_is_the_integral_of_its_density() -> None:
+    """The cost's slope and Gauss-Newton curvature by differences, the integral by quadrature."""
+    made = bump()
+    one = subject(CellResistance(weight="auto"), made)
+    found = solve_at(one, 0.3, None)
+    at = Evaluation.at(one.with_weight(0.3), one.data, found.cells)
+    model = LinearModel(at, np.zeros(0))
+    bound = np.flatnonzero(model.at_lower | model.at_upper)
+    assert 0 < len(bound) < 20
+    step = 1e-5
+
+    def residuals(cell: int, change: float) -> np.ndarray:
+        cells = found.cells.copy()
+        cells.flat[cell] *= np.exp(change)
+        data = two_point_resistance(cells) - one.data.measured
+        return np.concatenate([data.ravel(), np.sqrt(0.3) * cells.ravel()])
+
+    expected = 0.0
+    for cell in bound:
+        above, below = residuals(int(cell), step), residuals(int(cell), -step)
+        curvature = float(np.sum(((above - below) / (2 * step)) ** 2)) / model.scale
+        slope = abs(float(np.sum(above**2) - np.sum(below**2)) / (2 * step)) / model.scale
+        reach = 60 / max(slope, np.sqrt(curvature))
+        density, _ = quad(lambda t, g=slope, a=curvature: np.exp(-(g * t + a * t * t) / 2), 0, reach, epsabs=0)
+        expected += np.log(2 * np.pi) - 2 * np.log(density)
+    assert_allclose(bound_evidence(model), expected, rtol=1e-5)
+
+
+@pytest.mark.slow
+def test_morozovs_weight_misses_the_readings_by_their_noise(tuned: Tuned) -> None:
+    (weight,) = (choice.weight for choice in tuned.choices if choice.rule == "Morozov")
+    assert_allclose(tuned.curves.at(weight).misfit, 20, rtol=0.05)
+
+
+@pytest.mark.slow
+def test_l_curve_finds_the_corner_of_a_hyperbola() -> None:
+    """x = √(1 + t²) + t, y = √(1 + t²) − t with t = log(λ/10) is curved most at t = 0."""
+    weights = np.geomspace(1e-3, 1e5, 41)
+    t = np.log(weights / 10)
+    away = np.sqrt(1 + t**2)
+    points = [CurvePoint(*both) for both in zip(weights, [1] * 41, np.exp(away + t), np.exp(away - t), strict=True)]
+    assert_allclose(l_curve(tuple(points)), 10, rtol=1e-6)
+    turned = tuple(replace(point, misfit=1 / point.penalty, penalty=1 / point.misfit) for point in points)
+    assert l_curve(turned) is None
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("penalty", [Gradient(weight="auto"), RelativeChange(weight="auto")])
+def test_rule_in_use_is_what_a_run_goes_by(penalty: Term) -> None:
+    made = bump()
+    tuned_curves = tune(subject(penalty, made))
+    (used,) = (choice for choice in tuned_curves.choices if choice.in_use)
+    assert used.rule == "risk"
+    run = reconstruct(made, tuned_curves.subject.estimator)
+    assert_allclose(run.steps[0].weights[1], used.weight)
+    error = np.log(run.cell_resistance[0] / made.truth_cell_resistance[2])
+    assert_allclose(used.error, np.sqrt(np.mean(error**2)), rtol=1e-4)
+
+
+@pytest.mark.slow
+def test_no_choice_beats_hindsight_and_the_curves_are_in_order(tuned: Tuned) -> None:
+    weights = tuned.curves.values("weight")
+    assert np.all(np.diff(weights) > 0)
+    assert np.all(tuned.curves.values("solved") == 1)
+    assert np.all(np.diff(tuned.curves.values("misfit")) > -1e-6)
+    assert np.all(np.diff(tuned.curves.values("penalty")) < 1e-6 * tuned.curves.values("penalty")[1:])
+    assert {choice.rule for choice in tuned.choices} >= {"risk", "evidence", "Morozov", "L-curve", "best"}
+    for choice in tuned.choices:
+        if choice.excess is not None:
+            assert choice.excess >= 1

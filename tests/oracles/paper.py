@@ -2,10 +2,8 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from types import SimpleNamespace
 
 import numpy as np
-import pytest
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
@@ -55,7 +53,6 @@ def penalty(method: str, cells: Array, before: Array | None) -> Array:
         return cells.ravel()
     if method == "gradient":
         return np.concatenate([part.ravel() for part in nabla(cells)])
-    assert before is not None
     change = (cells - before) / before * 100
     if method == "relative_change":
         return change.ravel()
@@ -118,17 +115,3 @@ def minimise(
         max_nfev=500,
     )
     return np.asarray(found.x).reshape(shape)
-
-
-@pytest.fixture(scope="session")
-def paper() -> SimpleNamespace:
-    """The functions above."""
-    return SimpleNamespace(
-        forward=forward,
-        nabla=nabla,
-        misfits=misfits,
-        misfits_jacobian=misfits_jacobian,
-        pair_misfits=pair_misfits,
-        pair_jacobian=pair_jacobian,
-        minimise=minimise,
-    )

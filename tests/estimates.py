@@ -1,0 +1,33 @@
+"""Recordings of given readings, and how far their estimates are from the truth. No test stands here."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lampest import Array, Estimates, Recording, Scene
+
+
+def recording_of(scene: Scene, recorded: Array, unloaded: int = 0, **more: object) -> Recording:
+    """A frame a second, the first ones unloaded."""
+    time = np.arange(float(len(recorded)))
+    return Recording(scene, recorded, time, (time >= unloaded).astype(np.uint8), **more)
+
+
+def log_errors(estimate: Estimates) -> Array:
+    """log r − log truth, (frames, rows, columns)."""
+    return np.asarray(np.log(estimate.cell_resistance / estimate.recording.truth_cell_resistance[estimate.frame]))
+
+
+def in_intervals(estimate: Estimates) -> NDArray[np.bool_]:
+    """Which true cells lie within their 95 % intervals, (frames, rows, columns)."""
+    truth = estimate.recording.truth_cell_resistance[estimate.frame]
+    return (estimate.cell_resistance_lower <= truth) & (truth <= estimate.cell_resistance_upper)
+
+
+def rms(values: object) -> float:
+    """Root mean square."""
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+def scores(estimate: Estimates) -> Array:
+    """Errors of log r in their standard deviations, (frames, rows, columns)."""
+    return log_errors(estimate) / (estimate.cell_resistance_errors / estimate.cell_resistance)
