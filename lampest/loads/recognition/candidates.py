@@ -7,10 +7,9 @@ from itertools import accumulate, pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csc_array, csr_array, vstack
+from scipy.sparse import csc_array, csr_array, diags_array, vstack
 
 from lampest.files.levels import MAD_TO_SIGMA, SIGNIFICANT
-from lampest.loads.recognition.observation import Observation
 from lampest.loads.shapes import shape_types
 from lampest.loads.shapes.disc import Disc, pressure_at_places
 from lampest.loads.shapes.shape import Candidate, Prior, Template
@@ -144,9 +143,11 @@ class DiscSearch:
         """(faint discs, 2) their centres, mm."""
         return np.array([disc[:2] for disc in self.discs])[self.faint]
 
-    def readings(self, frame: Observation) -> Array:
-        """(cells, faint discs) ohm: their effects on the readings of a panel at rest."""
-        return np.asarray(frame.slope(np.zeros(self.panel.shape)) @ self.changes[:, self.faint])
+    def matched(self, response: Array) -> csc_array:
+        """Return faint templates t (cells, discs) of unit length |B t|, B (n, cells) their whitened response."""
+        templates = self.changes[:, self.faint]
+        square = templates.multiply((response.T @ response) @ templates).sum(axis=0)
+        return csc_array(templates @ diags_array(1 / np.sqrt(np.maximum(square, 1e-300))))
 
     def lies_on(self, logarithm: Array) -> bool:
         """Whether unloaded cells, ln r (rows, columns), are uneven in a load's shape: tᵀδ < −MAX_UNEVENNESS σ of one t.

@@ -34,7 +34,6 @@ from lampest.loads.recognition.observation import (
     Observation,
     Whitening,
     outliers,
-    unit,
 )
 from lampest.loads.shapes.disc import Disc
 from lampest.loads.shapes.shape import Candidate
@@ -103,8 +102,11 @@ class Detector:
         whitening, residual = Whitening.at_rest(frame), frame.residual()
         calm = frame.without(outliers(whitening, residual))
         errors = Whitening.at_rest(calm) @ residual
-        stands_out = unit(whitening @ self.search.readings(frame)).T @ errors
-        return calm if errors @ errors < MAX_MEAN_SQUARE * errors.size and stands_out.max() < SIGNIFICANT else None
+        if errors @ errors >= MAX_MEAN_SQUARE * errors.size:
+            return None
+        response = whitening @ frame.slope(np.zeros(frame.measured.shape))
+        stands_out = self.search.matched(response).T @ (response.T @ errors)
+        return calm if stands_out.max() < SIGNIFICANT else None
 
     def fitted(self, candidate: Candidate, frame: Observation, start: Fit | None) -> Fit:
         """One candidate whether or not anything else would do; from everywhere, unless the start of before fits."""

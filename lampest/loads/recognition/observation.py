@@ -122,11 +122,6 @@ def counting(sigma: Array, measured: Array) -> Array:
     return np.where(np.isfinite(sigma) & (sigma > 0), sigma, DROPPED_FACTOR * measured)
 
 
-def unit(columns: Array) -> Array:
-    """Columns over their length."""
-    return np.asarray(columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300))
-
-
 class MostProbable(NamedTuple):
     """x that minimises ‖y − f(x)‖² in C + ‖x − mean‖² in P, with f linearised where the last step began.
 

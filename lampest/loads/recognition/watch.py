@@ -14,6 +14,7 @@ from math import exp
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cholesky, solve_triangular
+from scipy.sparse import csc_array
 
 from lampest.files.levels import NOISE_REACH, OUTLIER_THRESHOLD
 from lampest.files.process import ONE_BLAS_THREAD
@@ -30,7 +31,7 @@ from lampest.loads.recognition.breathing import (
 from lampest.loads.recognition.candidates import FIELD, DiscSearch
 from lampest.loads.recognition.detector import Detector
 from lampest.loads.recognition.evidence import IMPOSSIBLE, RARE_LOG_ODDS, Verdict
-from lampest.loads.recognition.observation import Baseline, ModelErrors, Observation, counting, unit
+from lampest.loads.recognition.observation import Baseline, ModelErrors, Observation, counting
 from lampest.loads.recognition.pumping import BLOCK_S, Pumping
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
@@ -75,17 +76,23 @@ class StepTest:
 
     Attributes
     ----------
-    patterns : array
-        (discs, cells) t_kᵀ W, those of discs, whitened and of unit length.
+    templates : sparse array
+        (cells, discs) ln r/r0 under discs; t_k is W S of each, of unit length, S = d ln y/d ln r.
+    filter : array
+        (W S)ᵀ W (cells, cells).
+    places : array of int
+        (discs) number of the place of each.
     near : boolean array
-        (discs, discs) which are near.
+        (places, places) which are near.
     whitening : array
         W (cells, cells).
     loud : array
         (discs) v_k², the mean square in frames without a load: ripple and noise that nobody specified count.
     """
 
-    patterns: Array
+    templates: csc_array
+    filter: Array
+    places: NDArray[np.intp]
     near: NDArray[np.bool_]
     whitening: Array
     loud: Array
@@ -110,21 +117,26 @@ class StepTest:
         columns = np.hstack(shared)
         root = cholesky(np.diag((frame.sigma.ravel() / value) ** 2) + settled + columns @ columns.T, lower=True)
         whitening = solve_triangular(root, np.eye(cells), lower=True)
-        patterns = unit(whitening @ (search.readings(frame) / value[:, None])).T @ whitening
-        x, y = search.places.T / frame.baseline.scene.panel.pitch_mm
+        response = whitening @ slope
+        templates, matched = search.matched(response), response.T @ whitening
+        places, place = np.unique(search.places, axis=0, return_inverse=True)
+        x, y = places.T / frame.baseline.scene.panel.pitch_mm
         near = np.hypot(x[:, None] - x, y[:, None] - y) < NEAR_PITCHES
-        scores = unloaded @ patterns.T
+        scores = (templates.T @ (matched @ unloaded.T)).T
         spreads = [np.mean((first - second) ** 2) / 2 for first, second in combinations(scores, 2)]
         usual = np.quantile(spreads or [1.0], 0.25, method="lower")  # a frame with an outlier, or a touch, is in many
-        return cls(patterns, near, whitening, np.full(len(patterns), max(float(usual), 1.0)))
+        loud = np.full(len(place), max(float(usual), 1.0))
+        return cls(templates, matched, place, near, whitening, loud)
 
     def scores(self, change: Array) -> Array:
         """|t_kᵀ W δ| of a change of ln y (cells)."""
-        return np.abs(self.patterns @ change)
+        return np.asarray(np.abs(self.templates.T @ (self.filter @ change)))
 
     def sizes(self, change: Array) -> Array:
         """(discs) the largest score of a change within NEAR_PITCHES of each disc."""
-        return np.asarray(np.where(self.near, self.scores(change), 0.0).max(axis=1))
+        largest = np.zeros(len(self.near))
+        np.maximum.at(largest, self.places, self.scores(change))
+        return np.asarray(np.where(self.near, largest, 0.0).max(axis=1)[self.places])
 
     def least(self) -> Array:
         """(discs) scores beyond which something has happened."""
