@@ -9,16 +9,17 @@ from lampest.estimate.model_check import ModelCheck, module_factors
 from lampest.estimate.noise import NoiseEstimate
 from lampest.estimate.nuisances import TAKEN_OFF
 from lampest.estimate.rivals import changes_beyond_noise
-from lampest.estimate.saturation import MIN_CHANNELS, saturated
+from lampest.estimate.saturation import saturated
 from lampest.loads.recognition.watch import UNEVENLY
 from lampest.recording.readings import Readings
 from lampest.recording.recording import UNLOADED, Recording
 
+MIN_CHANNELS = 5  # that show less load: of fewer single outliers may do so
 MIN_STEPS_FROM_RAIL = 16  # of the converter: a median reading that close to a rail is known to 6 % at best
 MODULE_HINT = (
     "is its reference, series resistance or film another one? The scene's `modules` says what a module has of its own"
 )
-MIN_NOISE_FACTOR, MAX_NOISE_FACTOR = 0.1, 10.0  # of the specified noise: no converter is specified so badly, units are
+MAX_NOISE_FACTOR = 10.0  # over or under the specified noise: no converter is specified so badly, units are
 
 
 @np.errstate(all="ignore")
@@ -100,12 +101,8 @@ def _modules(recording: Recording, readings: Readings) -> tuple[str, ...]:
 def _scatter(recording: Recording, noise: NoiseEstimate) -> str:
     """Noise that no converter of the scene's kind has."""
     readout = recording.scene.readout
-    if (
-        readout is None
-        or not readout.noise_told
-        or MIN_NOISE_FACTOR <= noise.factor <= MAX_NOISE_FACTOR
-        or np.isnan(noise.factor)
-    ):
+    unlikely = noise.factor > MAX_NOISE_FACTOR or noise.factor * MAX_NOISE_FACTOR < 1
+    if readout is None or not readout.noise_told or not unlikely:
         return ""
     return (
         f"readings at rest scatter {noise.factor:.2g} times as much as the scene's converter does: are units, "

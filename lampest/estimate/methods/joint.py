@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from lampest.cost.cost import Cost
 from lampest.cost.problem import Data, Evaluation
+from lampest.estimate.assumptions import ASSUMED
 from lampest.estimate.state import NO_DUAL
 from lampest.panel.panel import Array
 from lampest.panel.systematic import Shared
@@ -28,7 +29,6 @@ from lampest.posterior.frame_noise import FrameNoise
 from lampest.posterior.linear import IGNORANCE, LinearModel
 from lampest.posterior.track import Bars, Change
 
-COMMON_SD = 0.1  # τ, of log r: temperature and supply move all cells by some percent from frame to frame, not by more
 ROUNDING = 1e-11  # of Φ, a sum of some thousand parts
 # Share of the frames' information on z that is believed: cells that move a little and are taken for still pull at it,
 # too.
@@ -178,7 +178,7 @@ class Joint:
     def certainty(self) -> Array:
         """1/variance of z and c before anything is read."""
         known = 1.0 if self.held is None else HELD_PRECISION
-        return np.concatenate([np.full(self._sharing, known), np.full(len(self.stiffness), COMMON_SD**-2)])
+        return np.concatenate([np.full(self._sharing, known), np.full(len(self.stiffness), ASSUMED.common_change**-2)])
 
     @property
     def ties(self) -> Array:
