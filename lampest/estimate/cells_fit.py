@@ -151,16 +151,13 @@ def fitted(
 def _fitted_near(data: Data, readings: Readings, start: Array, scene: Scene, effects: Sequence[Effect]) -> CellsFit:
     """Return the least squares that the loop reaches from cells; on panels too large for it, the start itself."""
     bounds = (data.log_bounds[0].ravel(), data.log_bounds[1].ravel())
-    position = np.clip(np.log(start).ravel(), *bounds)
 
     def model(position: Array) -> CellsFit:
         network, added = with_effects(effects, scene, data.network(0, np.exp(position).reshape(start.shape)))
-        given = replace(readings, value=readings.value - added) if effects else readings
-        return CellsFit.at(data, given, network)
+        return CellsFit.at(data, replace(readings, value=readings.value - added), network)
 
-    if start.size > MAX_CELLS:
-        return model(position)
-    return FIT.minimum(model, position, bounds, ended=lambda fit, _: fit.chi_square <= EXACT_CHI_SQUARE).at
+    loop = FIT if start.size <= MAX_CELLS else replace(FIT, evaluations=1)
+    return loop.minimum(model, np.log(start).ravel(), bounds, lambda fit, _: fit.chi_square <= EXACT_CHI_SQUARE).at
 
 
 def _residual(network: Network, readings: Readings) -> tuple[Array, Array]:

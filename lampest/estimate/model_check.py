@@ -3,14 +3,13 @@
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
-from warnings import catch_warnings, simplefilter
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lampest.estimate.cells_fit import CellsFit, JointFit, fitted
 from lampest.estimate.changed_cells import PARAMETER_COST, mostly_still
-from lampest.estimate.deciding import MAX_NEIGHBOURS
+from lampest.estimate.deciding import MAX_NEIGHBOURS, baseline_readings
 from lampest.estimate.nuisances import (
     MAX_CANDIDATES,
     MIN_EVIDENCE_GAIN,
@@ -23,19 +22,19 @@ from lampest.estimate.nuisances import (
 from lampest.estimate.rivals import Question, Rival, changes_beyond_noise, rivals_of, standing_frames
 from lampest.estimate.scatter import noted_excess
 from lampest.files.errors import InputError
-from lampest.files.levels import MAD_TO_SIGMA, SIGNIFICANCE
+from lampest.files.levels import MAD_TO_SIGMA, SIGNIFICANCE, SIGNIFICANT
 from lampest.loads.recognition.detector import Detector
 from lampest.loads.recognition.observation import patch_of
 from lampest.panel.panel import Modules
 from lampest.posterior.interval import largest_of
-from lampest.recording.readings import Readings, strongest_frame
+from lampest.recording.readings import Readings, mean_change, strongest_frame
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
 from lampest.solvers.multistart import BROKEN
 
 EXPLAINED = "the circuit explains its readings"
 # Of the log of a module's median reading at rest, beside the others': none of 1,640 simulated modules whose cells
-# scatter by 0.2 goes so far, and a reference off by 20 % does; and in robust standard deviations of the other modules.
-MIN_AWAY, MAX_SPREADS = 0.15, 4.0
+# scatter by 0.2 goes so far, and a reference off by 20 % does.
+MIN_AWAY = 0.15
 MAX_MISSING = 0.1  # of the readings: with a fifth missing or bounds, nothing shows which cells must have moved
 MAX_SERIES_SHARE = 0.98  # of the largest resistance in series: with all of it nothing is left for the panel
 SERIES_POINTS = 5  # resistances in series that are tried; values between are reached by steps
@@ -211,13 +210,9 @@ def check_of_modules(recording: Recording, layout: Modules, of_module: Callable[
     of_module : callable
         Returns the check of a module by its number.
     """
-    values, resting = layout.split(recording.readings().plain_values), recording.role == UNLOADED
-    if not resting.any():
-        resting[0] = True
-    with catch_warnings(), np.errstate(all="ignore"):
-        simplefilter("ignore")  # of a module without readings
-        change = np.abs(np.log(values[recording.role == MEASURED] / np.nanmean(values[resting], axis=0)))
-        moved = np.nan_to_num(np.nanmean(change, axis=(2, 3))).max(0, initial=0.0)
+    readings = recording.readings()
+    change = mean_change(*map(layout.split, (readings.plain_values, baseline_readings(recording, readings).value)))
+    moved = change[recording.role == MEASURED].max(axis=0, initial=0.0)
     unfit = {*recording.scene.dead_modules, *module_factors(recording, layout)}
     living = [number for number in np.argsort(moved)[::-1].tolist() if number not in unfit]
     checks = {number: of_module(number) for number in sorted(living[: 1 + MAX_NEIGHBOURS])}
@@ -249,7 +244,7 @@ def module_factors(recording: Recording, layout: Modules) -> dict[int, float]:
     for place, number in enumerate(np.flatnonzero(read).tolist() if len(levels) > 2 else ()):
         others = np.delete(levels, place)
         away = levels[place] - np.median(others)
-        if abs(away) > max(MIN_AWAY, MAX_SPREADS * MAD_TO_SIGMA * float(np.median(np.abs(others - np.median(others))))):
+        if abs(away) > max(MIN_AWAY, SIGNIFICANT * MAD_TO_SIGMA * float(np.median(np.abs(others - np.median(others))))):
             factors[number] = float(np.exp(away))
     return factors
 

@@ -24,7 +24,6 @@ from lampest.recording.readings import Readings
 from lampest.recording.recording import MEASURED, UNLOADED
 
 RESISTORS = ("reference_ohm", "load_ohm", "feedback_ohm")  # names of the resistor that a converter reads across
-WORDS = ("kind", "driven", "sense", "polarity", "measured_across")
 CALLED = {
     "driven": "rows and columns swapped",
     "polarity": "polarity reversed",
@@ -121,14 +120,20 @@ def rivals_of(specified: Rival, *, reversed_too: bool = False) -> Iterator[Rival
             )
 
 
+def choices(kind: type[Readout]) -> dict[str, tuple[str, ...]]:
+    """Return the words that each setting of a kind may have; the first setting is its name."""
+    hints = {field.name: get_type_hints(kind)[field.name] for field in fields(kind)}
+    return {name: get_args(hint) for name, hint in hints.items() if get_origin(hint) is Literal}
+
+
 def _variants(kind: type[Any], specified: Readout) -> Iterator[Any]:
     """Return circuits of a kind with the specified converter, resistor and all else that both have.
 
     There is one for every choice of words.
     """
-    names, hints = {field.name for field in fields(kind)} - {"kind"}, get_type_hints(kind)
-    words = {name: get_args(hints[name]) for name in names if get_origin(hints[name]) is Literal}
-    shared = {name: getattr(specified, name) for name in names - words.keys() if hasattr(specified, name)}
+    words, hints = choices(kind), get_type_hints(kind)
+    names = {field.name for field in fields(kind)} - words.keys()
+    shared = {name: getattr(specified, name) for name in names if hasattr(specified, name)}
     if "converter_volt" not in names:
         shared["supply_volt"] = specified.full_scale_volt
     known = [getattr(specified, name) for name in RESISTORS if hasattr(specified, name)]
@@ -140,7 +145,7 @@ def _variants(kind: type[Any], specified: Readout) -> Iterator[Any]:
 
 def _kind(circuit: Readout, specified: Readout) -> str:
     """Return the one word in which a circuit differs, with its usual name; else the kind with its words."""
-    words = {name: getattr(circuit, name) for name in WORDS if hasattr(circuit, name)}
+    words = {name: getattr(circuit, name) for name in choices(type(circuit))}
     differ = [name for name, word in words.items() if getattr(specified, name, None) != word]
     if len(differ) == 1 and differ[0] in CALLED:
         return f"readout.{differ[0]}: {words[differ[0]]} ({CALLED[differ[0]]})"

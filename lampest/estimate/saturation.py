@@ -1,4 +1,4 @@
-"""A stage before the converter that saturates: channels that end at one voltage, with none near by.
+"""A stage before the converter that saturates: more channels end at one voltage than chance allows.
 
 Such readings say only that the voltage lies beyond, exactly as readings at a rail do.
 """
@@ -63,8 +63,8 @@ def saturated(recording: Recording) -> Saturated | None:
     plain &= _differ(every, float(np.mean(width)))
     for sign in (1.0, -1.0):
         volt = np.where(plain, sign * every, np.nan)
-        resting = _largest(volt[unloaded])
-        most = _largest(volt[measured]) if measured.any() else resting
+        resting = np.fmax.reduce(volt[unloaded], axis=0)  # NaN where no reading is a value
+        most = np.fmax.reduce(volt[measured], axis=0) if measured.any() else resting
         moved = np.nan_to_num(most - resting, nan=0.0) > OUTLIER_THRESHOLD * width
         for channels, others in ((most, moved), (resting, np.isfinite(resting))):
             end = float(np.nanmax(channels, initial=-np.inf))
@@ -100,8 +100,3 @@ def _differ(volt: Array, width: float) -> NDArray[np.bool_]:
             apart = [np.any(np.abs(lines[:at] - line) > 2 * width, axis=1).all() for at, line in enumerate(lines)]
         differing.append(np.array(apart))
     return np.asarray(differing[0][:, None] & differing[1])
-
-
-def _largest(volt: Array) -> Array:
-    """Over frames, (rows, columns); NaN where there is none."""
-    return np.where(np.isnan(volt).all(axis=0), np.nan, np.nanmax(volt, axis=0, initial=-np.inf))

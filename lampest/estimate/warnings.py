@@ -1,14 +1,12 @@
 """Warnings about a recording, one plain line each: frames and units, noise, the circuit."""
 
-from typing import get_args, get_type_hints
-
 import numpy as np
 from numpy.typing import NDArray
 
 from lampest.estimate.model_check import ModelCheck, module_factors
 from lampest.estimate.noise import NoiseEstimate
 from lampest.estimate.nuisances import TAKEN_OFF
-from lampest.estimate.rivals import changes_beyond_noise
+from lampest.estimate.rivals import changes_beyond_noise, choices
 from lampest.estimate.saturation import saturated
 from lampest.loads.recognition.watch import UNEVENLY
 from lampest.recording.readings import Readings
@@ -115,12 +113,11 @@ def _less_load(recording: Recording, readings: Readings) -> str:
     circuit, change = recording.scene.circuit, changes_beyond_noise(recording.scene, readings, recording.role)
     if (change > 0).any(axis=0).sum() < MIN_CHANNELS or (change < 0).any():
         return ""
-    words = [
+    reverse = [
         f", or is it readout.{name}: {word}"
-        for name in ("polarity", "measured_across")
-        if hasattr(circuit, name)
-        for word in get_args(get_type_hints(type(circuit))[name])
-        if word != getattr(circuit, name)
+        for name, words in choices(type(circuit)).items()
+        for word in words
+        if name in ("polarity", "measured_across") and word != getattr(circuit, name)
     ]
     message = "readings only ever show less load than the unloaded frames: did something lie on the panel then"
-    return f"{message}{''.join(words)}?"
+    return f"{message}{''.join(reverse)}?"
