@@ -18,6 +18,9 @@ from lampest.recording.recording import Recording
 # Over the noise: a smaller excess changes no verdict, and films that creep have it too. First differences of noise
 # alone over second ones are 1.00 ± 0.06 with 100 readings.
 MIN_EXCESS = 1.25
+# Samples for each channel, below which the smallest eigenvalues of noise come near zero, and rounding takes them below
+# (tests/oracles/test_every_readout.py).
+MIN_SAMPLES_PER_CHANNEL = 1.5
 MEDIAN_EFFICIENCY = 0.37  # of the median size as an estimate of σ, as a share of the readings (Hampel, 1974)
 PAIR_MEDIAN = 0.7960  # of the root mean square of two differences that share a frame, over √2 σ (by simulation)
 QUIET_SHARE = 0.25  # of the triples: loads that come and go make the others restless
@@ -174,7 +177,7 @@ def _patterns(rows: Array, freedom: float) -> tuple[float, Array]:
     unsure = 1 + TWO_SIDED * np.sqrt(2 / (freedom * max(channels - 1, 1)))
     edge = unsure * ((first + second) ** 2 + NOISE_REACH * width) / freedom
     strong = 0
-    for strong in range(channels if freedom > channels else 0):
+    for strong in range(channels if freedom >= MIN_SAMPLES_PER_CHANNEL * channels else 0):
         others = size[: channels - strong - 1]
         if not len(others) or size[channels - strong - 1] <= edge * others.mean():
             break
