@@ -10,7 +10,9 @@ class Assumptions:
     Attributes
     ----------
     common_change : float
-        Of all cells alike since rest: by so much temperature and supply move them.
+        Of all cells alike since rest: by so much temperature moves them.
+    common_step : float
+        Of all cells alike from frame to frame: by some percent temperature and supply move them, not by more.
     creep : float
         Of each cell on its own, by which films creep in seconds.
     skirt, skirt_cells : float
@@ -25,6 +27,7 @@ class Assumptions:
     """
 
     common_change: float = 0.05
+    common_step: float = 0.1
     creep: float = 3e-3
     skirt: float = 0.3
     skirt_cells: float = 1.5

@@ -177,7 +177,7 @@ class Joint:
     def certainty(self) -> Array:
         """1/variance of z and c before anything is read."""
         known = 1.0 if self.held is None else HELD_PRECISION
-        return np.concatenate([np.full(self._sharing, known), np.full(len(self.stiffness), ASSUMED.common_change**-2)])
+        return np.concatenate([np.full(self._sharing, known), np.full(len(self.stiffness), ASSUMED.common_step**-2)])
 
     @property
     def ties(self) -> Array:
