@@ -16,10 +16,10 @@ import numpy as np
 
 import lampest
 from lampest import LoadedColumnsReadout, Recording, Scene, Simulation, TwoPointReadout
-from lampest.estimate.cells_fit import SIGNIFICANCE
 from lampest.estimate.model_check import Explanation, ModelCheck
 from lampest.estimate.prepared import Prepared
 from lampest.estimate.rivals import Question, Rival
+from lampest.files.levels import SIGNIFICANCE
 from lampest.recording.simulation.measure import measured
 
 SHOWN, SHOWN_FROM = ", where the data can show it", 100.0  # evidence; its noise is some ± 2 √evidence
@@ -158,7 +158,8 @@ def evidence(exact: Recording) -> float:
     unloaded, measured = np.flatnonzero(exact.role == 0), np.flatnonzero(exact.role == 1)
     change = np.log(cells[measured[0]] / cells[0])
     moved = np.abs(change - np.median(change)) > 0.01
-    question = Question(Rival(exact.scene, exact.recorded, exact.sigma), unloaded, measured)
+    named = np.arange(len(exact.role))
+    question = Question(Rival(exact.scene, exact.recorded, exact.sigma), unloaded, measured, 1.0, named)
     results = Explanation.of(question.specified, question, patient=True)
     if 2 * moved.sum() >= moved.size:
         return 0.0

@@ -19,17 +19,18 @@ from lampest.cost.terms import Misfit
 from lampest.estimate.changed_cells import MOVED_COST, PARAMETER_COST, select_changed, usual_starts
 from lampest.estimate.estimator import Bounds, Estimator
 from lampest.estimate.rivals import Question, Rival
+from lampest.estimate.state import UNKNOWN_SD
 from lampest.panel.effects import Effect, with_effects
 from lampest.panel.least_squares import LevenbergMarquardt, SumOfSquares
 from lampest.panel.network import Network
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.posterior.interval import chi_square_tail
+from lampest.posterior.reference import MAX_CELLS
 from lampest.recording.readings import Readings
 from lampest.solvers.multistart import BROKEN, best_solution, convex, evaluated, solved_from
 from lampest.solvers.solution import Settings
 
-SIGNIFICANCE = 1e-4  # P(χ²) below which cells do not explain a frame: of each of a handful of tests
 EXACT_CHI_SQUARE = 1e-2  # χ² that changes no verdict
 FIT = LevenbergMarquardt(evaluations=16, settled=EXACT_CHI_SQUARE / 2, share=0.1, damping=0.0, longest=1.5)
 # Cells at the edge of r > 0 take some 20 iterations, a circuit that cannot explain its readings hundreds.
@@ -37,11 +38,7 @@ BRIEF = Settings(max_iterations=25)
 MIN_CELL_FACTOR = 1e-3  # of the least cell of estimates: a short behind a drive resistor of a kilo-ohm is smaller
 # χ² for each reading that noise at the edge of r > 0 never leaves; without it checks take four times longer.
 MAX_CHI_SQUARE = 10.0
-MAX_CELLS = 400  # where matrices over the cells take tens of milliseconds; beyond, every reading counts as a degree
-CELL_PRECISION = 0.01  # 1/variance of log r: a cell that no reading sees may be anything within e^±10
-
-COMMON_SD = 0.05  # of log r: by so much all cells may change with temperature
-CREEP_SD = 3e-3  # of log r, by which films creep on their own in seconds
+CELL_PRECISION = UNKNOWN_SD**-2  # a cell that no reading sees may be anything within e^±10
 SERIES_UNIT = 0.1  # of the largest resistance in series: what a step of log r by 1 is to it
 
 
@@ -154,16 +151,13 @@ def fitted(
 def _fitted_near(data: Data, readings: Readings, start: Array, scene: Scene, effects: Sequence[Effect]) -> CellsFit:
     """Return the least squares that the loop reaches from cells; on panels too large for it, the start itself."""
     bounds = (data.log_bounds[0].ravel(), data.log_bounds[1].ravel())
-    position = np.clip(np.log(start).ravel(), *bounds)
 
     def model(position: Array) -> CellsFit:
         network, added = with_effects(effects, scene, data.network(0, np.exp(position).reshape(start.shape)))
-        given = replace(readings, value=readings.value - added) if effects else readings
-        return CellsFit.at(data, given, network)
+        return CellsFit.at(data, replace(readings, value=readings.value - added), network)
 
-    if start.size > MAX_CELLS:
-        return model(position)
-    return FIT.minimum(model, position, bounds, ended=lambda fit, _: fit.chi_square <= EXACT_CHI_SQUARE).at
+    loop = FIT if start.size <= MAX_CELLS else replace(FIT, evaluations=1)
+    return loop.minimum(model, np.log(start).ravel(), bounds, lambda fit, _: fit.chi_square <= EXACT_CHI_SQUARE).at
 
 
 def _residual(network: Network, readings: Readings) -> tuple[Array, Array]:

@@ -34,9 +34,14 @@ def away_from_changed(still: NDArray[np.bool_], shape: tuple[int, ...]) -> NDArr
 
     A load does not end at a cell.
     """
-    moved = np.pad(~still.reshape(-1, *shape), ((0, 0), (1, 1), (1, 1)))
-    apart = still & ~sliding_window_view(moved, (3, 3), axis=(1, 2)).any(axis=(-2, -1)).ravel()
+    apart = ~touching(~still.reshape(-1, *shape)).ravel()
     return apart if apart.mean() >= MIN_STILL_SHARE else still
+
+
+def touching(chosen: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return the chosen cells (frames, rows, columns) with those that touch one."""
+    around = np.pad(chosen, ((0, 0), (1, 1), (1, 1)))
+    return np.asarray(sliding_window_view(around, (3, 3), axis=(1, 2)).any(axis=(-2, -1)))
 
 
 def usual_starts(change: Array) -> list[Chosen]:

@@ -3,13 +3,13 @@
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
-from warnings import catch_warnings, simplefilter
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.estimate.cells_fit import SIGNIFICANCE, CellsFit, JointFit, fitted
+from lampest.estimate.cells_fit import CellsFit, JointFit, fitted
 from lampest.estimate.changed_cells import PARAMETER_COST, mostly_still
+from lampest.estimate.deciding import MAX_NEIGHBOURS, baseline_readings
 from lampest.estimate.nuisances import (
     MAX_CANDIDATES,
     MIN_EVIDENCE_GAIN,
@@ -20,23 +20,21 @@ from lampest.estimate.nuisances import (
     find_effects,
 )
 from lampest.estimate.rivals import Question, Rival, changes_beyond_noise, rivals_of, standing_frames
-from lampest.estimate.scatter import MIN_EXCESS
+from lampest.estimate.scatter import noted_excess
 from lampest.files.errors import InputError
-from lampest.files.levels import MAD_TO_SIGMA
+from lampest.files.levels import MAD_TO_SIGMA, SIGNIFICANCE, SIGNIFICANT
 from lampest.loads.recognition.detector import Detector
 from lampest.loads.recognition.observation import patch_of
 from lampest.panel.panel import Modules
-from lampest.panel.scene import Scene
-from lampest.posterior.interval import chi_square_tail, largest_of
-from lampest.recording.readings import Readings, strongest_frame
+from lampest.posterior.interval import largest_of
+from lampest.recording.readings import Readings, mean_change, strongest_frame
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
 from lampest.solvers.multistart import BROKEN
 
 EXPLAINED = "the circuit explains its readings"
-MAX_MODULES = 3  # of which the circuit is checked: one after the other takes its time
 # Of the log of a module's median reading at rest, beside the others': none of 1,640 simulated modules whose cells
-# scatter by 0.2 goes so far, and a reference off by 20 % does; and in robust standard deviations of the other modules.
-MIN_AWAY, MAX_SPREADS = 0.15, 4.0
+# scatter by 0.2 goes so far, and a reference off by 20 % does.
+MIN_AWAY = 0.15
 MAX_MISSING = 0.1  # of the readings: with a fifth missing or bounds, nothing shows which cells must have moved
 MAX_SERIES_SHARE = 0.98  # of the largest resistance in series: with all of it nothing is left for the panel
 SERIES_POINTS = 5  # resistances in series that are tried; values between are reached by steps
@@ -134,20 +132,24 @@ class ExplainedRecording:
     @cached_property
     def fault(self) -> str:
         """Why the circuit cannot have made the readings, in words; ''."""
-        specified, question = self.question.specified, self.question
-        used = replace(self.readings, seen=self.readings.seen * specified.nearly_gaussian(1))
-        unexplained = "" if self.explanation is None else _unexplained(self.explanation, question)
-        return unexplained or broken_law(specified.scene, used, question.widening, self._named) or self.below
+        unexplained = "" if self.explanation is None else _unexplained(self.explanation, self.question)
+        return unexplained or broken_law(self.question.specified, self.question) or self.below
 
     @cached_property
     def below(self) -> str:
-        """The reading below the series resistance, in words; ''."""
-        return _below_series(self.recording.scene, self.question.specified, self.readings, self._named)
-
-    @property
-    def _named(self) -> NDArray[np.intp]:
-        assert self.question.named is not None
-        return self.question.named
+        """The reading that lies below the series resistance by more than its noise, in words; ''."""
+        scene, readings, question = self.recording.scene, self.readings, self.question
+        if scene.circuit.unit != "ohm" or readings.sigma is None:
+            return ""
+        left = scene.circuit.from_recorded(question.specified.recorded, scene)
+        excess = np.where((readings.seen > 0) & np.isfinite(left), -left / readings.sigma, -np.inf)
+        if largest_of(excess.max(), excess.size) >= SIGNIFICANCE:
+            return ""
+        frame, row, column = place = np.unravel_index(np.argmax(excess), excess.shape)
+        return (
+            f"the reading of row {row}, column {column} in frame {question.named[frame]} lies {-left[place]:.3g} ohm "
+            f"below its series resistance, {excess[place]:.3g} times its noise"
+        )
 
     def check(self, besides: CircuitEffects) -> ModelCheck:
         """Return the check of the circuit, where other circuits and these effects may explain more."""
@@ -208,16 +210,12 @@ def check_of_modules(recording: Recording, layout: Modules, of_module: Callable[
     of_module : callable
         Returns the check of a module by its number.
     """
-    values, resting = layout.split(recording.readings().plain_values), recording.role == UNLOADED
-    if not resting.any():
-        resting[0] = True
-    with catch_warnings(), np.errstate(all="ignore"):
-        simplefilter("ignore")  # of a module without readings
-        change = np.abs(np.log(values[recording.role == MEASURED] / np.nanmean(values[resting], axis=0)))
-        moved = np.nan_to_num(np.nanmean(change, axis=(2, 3))).max(0, initial=0.0)
+    readings = recording.readings()
+    change = mean_change(*map(layout.split, (readings.plain_values, baseline_readings(recording, readings).value)))
+    moved = change[recording.role == MEASURED].max(axis=0, initial=0.0)
     unfit = {*recording.scene.dead_modules, *module_factors(recording, layout)}
     living = [number for number in np.argsort(moved)[::-1].tolist() if number not in unfit]
-    checks = {number: of_module(number) for number in sorted(living[:MAX_MODULES])}
+    checks = {number: of_module(number) for number in sorted(living[: 1 + MAX_NEIGHBOURS])}
     if not checks:
         return ModelCheck(None, "the circuit was not checked: no module is like the others and reads values")
     explains = [check.explains for check in checks.values()]
@@ -246,7 +244,7 @@ def module_factors(recording: Recording, layout: Modules) -> dict[int, float]:
     for place, number in enumerate(np.flatnonzero(read).tolist() if len(levels) > 2 else ()):
         others = np.delete(levels, place)
         away = levels[place] - np.median(others)
-        if abs(away) > max(MIN_AWAY, MAX_SPREADS * MAD_TO_SIGMA * float(np.median(np.abs(others - np.median(others))))):
+        if abs(away) > max(MIN_AWAY, SIGNIFICANT * MAD_TO_SIGMA * float(np.median(np.abs(others - np.median(others))))):
             factors[number] = float(np.exp(away))
     return factors
 
@@ -254,12 +252,10 @@ def module_factors(recording: Recording, layout: Modules) -> dict[int, float]:
 def noise_factor(resting: Readings) -> float:
     """√(χ²/degrees) of unloaded frames (frames, rows, columns) about their mean; 1 where that is no noted excess."""
     plain = np.all(resting.plain, axis=0)
-    degrees = (len(resting.value) - 1) * int(plain.sum())
-    if degrees == 0 or resting.sigma is None:
+    if resting.sigma is None:
         return 1.0
-    chi_square = float(np.sum(((resting.value - resting.value.mean(axis=0)) / resting.sigma)[:, plain] ** 2))
-    factor = float(np.sqrt(chi_square / degrees))
-    return factor if factor >= MIN_EXCESS and chi_square_tail(chi_square, degrees) < SIGNIFICANCE else 1.0
+    squares = ((resting.value - resting.value.mean(axis=0)) / resting.sigma)[:, plain] ** 2
+    return noted_excess(float(squares.sum()), (len(resting.value) - 1) * int(plain.sum()))
 
 
 def _unexplained(explanation: "Explanation", question: Question) -> str:
@@ -277,36 +273,16 @@ def _unexplained(explanation: "Explanation", question: Question) -> str:
     )
 
 
-def _below_series(scene: Scene, specified: Rival, readings: Readings, named: NDArray[np.intp]) -> str:
-    """Return the reading that lies below the series resistance by more than its noise, in words; '' where none does."""
-    if scene.circuit.unit != "ohm" or readings.sigma is None:
-        return ""
-    left = scene.circuit.from_recorded(specified.recorded, scene)
-    excess = np.where((readings.seen > 0) & np.isfinite(left), -left / readings.sigma, -np.inf)
-    if largest_of(excess.max(), excess.size) >= SIGNIFICANCE:
-        return ""
-    frame, row, column = (int(part) for part in np.unravel_index(np.argmax(excess), excess.shape))
-    short = f"{-left[frame, row, column]:.3g} ohm below its series resistance, {excess[frame, row, column]:.3g} times"
-    return f"the reading of row {row}, column {column} in frame {named[frame]} lies {short} its noise"
-
-
-def broken_law(scene: Scene, readings: Readings, noise: float, named: NDArray[np.intp]) -> str:
-    """Return the inequality of the circuit that readings break by more than their noise, in words; '' where none.
-
-    Parameters
-    ----------
-    noise : float
-        Factor on every σ.
-    named : integer array, shape (frames)
-        The numbers by which the words name them.
-    """
-    sigma = readings.sigma_of_values
+def broken_law(rival: Rival, question: Question) -> str:
+    """Return the inequality of a circuit that readings break by more than their noise, in words; '' where none."""
+    readings = rival.readings()
+    sigma = replace(readings, seen=readings.seen * question.specified.nearly_gaussian(1)).sigma_of_values
     assert sigma is not None
-    for test in scene.circuit.free_tests(readings.value, noise * sigma):
+    for test in rival.scene.circuit.free_tests(readings.value, question.widening * sigma):
         frame = int(np.argmax(test.excess))
         if largest_of(test.excess[frame], test.count * len(test.excess)) < SIGNIFICANCE:
             beyond = f"{test.excess[frame]:.3g} times its noise"
-            return f"readings of frame {named[frame]} break a law of the circuit by {beyond}: {test.law}"
+            return f"readings of frame {question.named[frame]} break a law of the circuit by {beyond}: {test.law}"
     return ""
 
 
@@ -387,14 +363,9 @@ def better_rival(rivals: list[Rival], question: Question, specified: Explanation
     """
     if specified is None:
         tried = (with_some_in_series(rivals[0], question), *(_explanation(rival, question) for rival in rivals[1:]))
-        better = [
-            explanation
-            for explanation in tried
-            if explanation is not None and mostly_still(explanation.moving) and _lawful(explanation.rival, question)
-        ]
-        return BetterExplanation(
-            min(((explanation.score, explanation.rival.name) for explanation in better), default=(0.0, ""))[1]
-        )
+        known = (explanation for explanation in tried if explanation is not None and mostly_still(explanation.moving))
+        lawful = (explanation for explanation in known if not broken_law(explanation.rival, question))
+        return BetterExplanation(min(((each.score, each.rival.name) for each in lawful), default=(0.0, ""))[1])
     if specified.pair is None:
         return BetterExplanation()
     given = specified.joint(question, specified.moving)
@@ -469,10 +440,3 @@ def most_in_series(rival: Rival, question: Question) -> float:
     known = [(frame.value, sigma) for frame in read if (sigma := frame.sigma_of_values) is not None]
     most = min(without.scene.circuit.most_in_series(value[None], sigma[None]) for value, sigma in known)
     return MAX_SERIES_SHARE * most if np.isfinite(most) and most > 0 else 0.0
-
-
-def _lawful(rival: Rival, question: Question) -> bool:
-    """Whether every frame keeps the inequalities of a circuit that is to take the specified one's place."""
-    readings = rival.readings()
-    used = replace(readings, seen=readings.seen * question.specified.nearly_gaussian(1))
-    return not broken_law(rival.scene, used, question.widening, np.arange(len(used.value)))

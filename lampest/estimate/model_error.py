@@ -16,21 +16,21 @@ from lampest.cost.problem import Data
 from lampest.cost.terms import LogGradient, Misfit, RelativeChange, Term
 from lampest.estimate.deciding import baseline_readings, deciding_frame, frames_beside
 from lampest.estimate.noise import NoiseEstimate
+from lampest.estimate.nuisances import MIN_EVIDENCE_GAIN
 from lampest.estimate.objective import AutoWeight, Bounds, PlainObjective
+from lampest.estimate.scatter import MIN_EXCESS
 from lampest.files.levels import TWO_SIDED
 from lampest.panel.scene import Scene
 from lampest.panel.systematic import own_errors
-from lampest.posterior.reference import MAX_CELLS, ErrorScale, references
+from lampest.posterior.interval import student_two_sided
+from lampest.posterior.reference import DEGREES_OF_FREEDOM, MAX_CELLS, ErrorScale, references
 from lampest.recording.readings import Readings
 from lampest.recording.recording import UNLOADED, Recording
 from lampest.solvers.multistart import BROKEN, best_solution
 from lampest.solvers.projected_newton import ProjectedNewton
 from lampest.solvers.solution import Settings
 
-MIN_GAIN = 30.0  # of −2 log evidence: mouths at their limits reach 23 where nothing is wrong, static errors of 7 % 76
 MIN_READINGS = 100  # of which the largest twentieth says how far tails reach; with fewer, one outlier looks like all
-MIN_FACTOR = 1.25  # as for the noise: a smaller one changes no verdict
-STUDENT_TWO_SIDED = 3.182  # standard scales that hold 95 % of Student's t with three degrees of freedom
 
 
 def error_factor(scale: ErrorScale) -> float:
@@ -38,12 +38,12 @@ def error_factor(scale: ErrorScale) -> float:
 
     An error of all readings shows in the scale of Student's t, one of few readings in the tail.
     """
-    if scale.readings < MIN_READINGS or scale.gain(1.0) < MIN_GAIN:
+    if scale.readings < MIN_READINGS or scale.gain(1.0) < MIN_EVIDENCE_GAIN:
         return 1.0
     tail = scale.tail / TWO_SIDED
-    whole = STUDENT_TWO_SIDED / TWO_SIDED * np.sqrt(scale.best**2 - 1)
+    whole = student_two_sided(DEGREES_OF_FREEDOM) / TWO_SIDED * np.sqrt(scale.best**2 - 1)
     factor = max(tail, float(np.hypot(1.0, whole)))
-    return factor if factor >= MIN_FACTOR else 1.0
+    return factor if factor >= MIN_EXCESS else 1.0
 
 
 def with_model_error(noise: NoiseEstimate, recording: Recording) -> NoiseEstimate:
@@ -83,14 +83,13 @@ def with_reading_error(noise: NoiseEstimate, recording: Recording) -> NoiseEstim
     unloaded = recording.role == UNLOADED
     repeats = np.where(unloaded, np.sqrt(unloaded.sum()), 1.0)[:, None, None]
     own = repeats * own_errors(noise.readings.value, recording.scene, noise.reading_error)
-    return replace(noise, readings=replace(noise.readings, sigma=np.hypot(sigma, own)))
+    return noise.with_sigma(np.hypot(sigma, own))
 
 
 def scaled(noise: NoiseEstimate, factor: float) -> NoiseEstimate:
     """Return the noise with σ times a factor, which is the model's error."""
     sigma = noise.readings.sigma
-    readings = noise.readings if sigma is None else replace(noise.readings, sigma=factor * sigma)
-    return replace(noise, readings=readings, model_factor=factor)
+    return noise if sigma is None else replace(noise.with_sigma(factor * sigma), model_factor=factor)
 
 
 def _judges(recording: Recording, readings: Readings) -> Iterator[tuple[list[Data], Cost]]:

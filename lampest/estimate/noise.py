@@ -6,11 +6,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.estimate.cells_fit import SIGNIFICANCE, fitted
-from lampest.estimate.nuisances import CircuitEffects, remaining_errors, without_effects_of
+from lampest.estimate.cells_fit import fitted
+from lampest.estimate.deciding import MAX_NEIGHBOURS
+from lampest.estimate.nuisances import MIN_REMAINING, CircuitEffects, remaining_errors, without_effects_of
 from lampest.estimate.outliers import MAX_SHARE, MIN_FRAMES
-from lampest.estimate.scatter import MIN_EXCESS, repeated_scatter, unloaded_scatter
+from lampest.estimate.scatter import MIN_EXCESS, noted_excess, repeated_scatter, unloaded_scatter
 from lampest.estimate.still_cells import possible_errors
+from lampest.files.levels import SIGNIFICANCE
 from lampest.panel.panel import Array, Modules
 from lampest.panel.readouts import Readout
 from lampest.panel.readouts.converter import ENDLESS, noise_of_variance, sigma_code
@@ -26,9 +28,14 @@ MIN_UNLOADED_FRAMES = 5  # unloaded frames from which on noise that a scene leav
 MAX_NAMED = 3  # modules in one sentence
 
 SCAN_SHARES = (0.25, 0.5, 0.75, 1.0)  # of the period that a scan may take
-MAX_MOVING_FRAMES = 3  # frames, those that move most, in which it is sought
 MIN_REDUCTION = 3.0  # by which χ² must fall, and the rms of Δ·τ in σ below which nobody would notice it
-MIN_REMAINING = 0.1  # of a reading, however fast it changes
+
+# What the readings of a frame share, as the summary and as warnings have it.
+SHARED = (
+    ("{:.2g} % gain", "the gain of a frame varies by {:.2g} %"),
+    ("{:.2g} LSB along a scan", "the lines of a scan vary together by {:.2g} LSB"),
+    ("{:.2g} LSB of a line", "the readings of a scanned line vary together by {:.2g} LSB"),
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,10 +58,6 @@ class NoiseEstimate:
         Factor of σ, 1 where nothing contradicts the scene.
     frame : FrameNoise or None
         Errors that the readings of a frame share, or None.
-    gain : float
-        As a fraction.
-    common_ripple_lsb, line_ripple_lsb : float
-        rms in LSB, of the part that all scanned lines of a frame share and of that of each line; 0 where not seen.
     possible_errors : Possible or None
         What still cells leave possible of errors that all frames share, or None.
     scan_share : float
@@ -73,9 +76,6 @@ class NoiseEstimate:
     factor_error: float = np.nan
     sigma_factor: float = 1.0
     frame: FrameNoise | None = None
-    gain: float = 0.0
-    common_ripple_lsb: float = 0.0
-    line_ripple_lsb: float = 0.0
     possible_errors: Possible | None = None
     scan_share: float = 0.0
     of_modules: tuple["NoiseEstimate | None", ...] = ()
@@ -98,20 +98,24 @@ class NoiseEstimate:
         return 0.0 if self.possible_errors is None else self.possible_errors.sizes.reading_error or 0.0
 
     @property
+    def shared_sizes(self) -> tuple[float, float, float]:
+        """Standard deviations of a frame's gain, %, of the ripple of all scanned lines and of that of each, LSB."""
+        if self.frame is None:
+            return 0.0, 0.0, 0.0
+        roots, lsb_volt = (self.frame.common_ripple, self.frame.line_ripple), self.frame.scene.circuit.lsb_volt
+        together, apart = (float(np.sqrt((root**2).sum() / len(root))) / lsb_volt for root in roots)
+        return 100 * self.frame.gain, together, apart
+
+    @property
     def summary(self) -> str:
         """Noise of the frames in one line, contradiction or not; '' where it is unknown."""
         if np.isnan(self.factor):
             return ""
         taken = "not rescaled" if self.sigma_factor == 1 else f"rescaled by {self.sigma_factor:.3g}"
-        shared = (
-            (100 * self.gain, "% gain"),
-            (self.common_ripple_lsb, "LSB along a scan"),
-            (self.line_ripple_lsb, "LSB of a line"),
-        )
-        frames = ", ".join(f"{size:.2g} {name}" for size, name in shared if size)
+        shared = ", ".join(text.format(size) for (text, _), size in zip(SHARED, self.shared_sizes, strict=True) if size)
         messages = (
             f"scatter {self.factor:.3g} +- {self.factor_error:.1g} times as specified, {taken}",
-            f"frames share {frames or 'nothing'}",
+            f"frames share {shared or 'nothing'}",
             f"{int(self.outliers.sum())} of {self.outliers.size} readings are outliers",
             "" if self.possible_errors is None else _sizes_in_words(self.possible_errors),
         )
@@ -120,6 +124,10 @@ class NoiseEstimate:
     def with_warnings(self, *said: str) -> "NoiseEstimate":
         """With more warnings, of which some may be ''."""
         return replace(self, warnings=(*self.warnings, *filter(None, said)))
+
+    def with_sigma(self, sigma: Array) -> "NoiseEstimate":
+        """Return the noise with other σ of the readings."""
+        return replace(self, readings=replace(self.readings, sigma=sigma))
 
     def with_motion(self, scene: Scene, share: float, measured: NDArray[np.intp]) -> "NoiseEstimate":
         """With wider σ where readings were taken while loads moved."""
@@ -132,9 +140,7 @@ class NoiseEstimate:
             f"motion within a scan: as if a scan took {share:.2g} of the time between frames, in {count} frames; "
             "error bars allow for it as far as their neighbours show"
         )
-        return replace(
-            self, readings=replace(self.readings, sigma=np.hypot(sigma, moved)), scan_share=share
-        ).with_warnings(message)
+        return replace(self.with_sigma(np.hypot(sigma, moved)), scan_share=share).with_warnings(message)
 
 
 def with_still_cells(seen: NoiseEstimate, recording: Recording, sizes: Systematic) -> NoiseEstimate:
@@ -194,31 +200,23 @@ def estimate_noise(recording: Recording, outliers: NDArray[np.bool_], cleaned: R
         parts = repeated_scatter(cleaned[~resting])
     if parts is None:
         return plain
-    used, specified = 1.0, readout is None or recording.sigma is not None or readout.noise_told
+    specified = readout is None or recording.sigma is not None or readout.noise_told
     squares, few = parts.own**2 * parts.own_freedom, MIN_UNLOADED_FRAMES if readout and readout.noise_lsb is None else 2
-    if readout is not None and not specified:
-        used = shown_factor(readout, parts.own) if unloaded >= few else 1.0
-    # Noise that differs from the specified one beyond chance, and by more than changes any verdict.
-    elif parts.own >= MIN_EXCESS and chi_square_tail(squares, parts.own_freedom) < SIGNIFICANCE:
-        used = parts.own
+    used = noted_excess(squares, parts.own_freedom) if specified else 1.0
     # Only of a converter it is known how small the noise may be: its step.
-    elif readout is not None and recording.sigma is None and parts.own <= 1 / MIN_EXCESS:
-        significant = 1 - chi_square_tail(squares, parts.own_freedom) < SIGNIFICANCE
-        used = shown_factor(readout, parts.own) if significant else 1.0
+    if readout is not None and recording.sigma is None and used == 1:
+        less = parts.own <= 1 / MIN_EXCESS and 1 - chi_square_tail(squares, parts.own_freedom) < SIGNIFICANCE
+        used = shown_factor(readout, parts.own) if (less if specified else unloaded >= few) else 1.0
     error = parts.own / np.sqrt(2 * parts.own_freedom)
     message = _noise_in_words(readout, parts.own, unloaded=unloaded > 1) if specified and used != 1 else ""
-    frame, sizes = None, (0.0, 0.0)
-    if readout is not None:
+    frame = None
+    if readout is not None and (parts.gain or parts.common_ripple.size or parts.line_ripple.size):
         volt = float(np.mean(readout.sigma_volt()))
-        roots = parts.common_ripple * volt, parts.line_ripple * volt
-        together, apart = (float(np.sqrt((root**2).sum() / len(root))) / readout.lsb_volt for root in roots)
-        sizes = together, apart
-        if parts.gain or parts.common_ripple.size or parts.line_ripple.size:
-            frame = FrameNoise(recording.scene, unloaded, parts.gain, *roots)
+        frame = FrameNoise(recording.scene, unloaded, parts.gain, parts.common_ripple * volt, parts.line_ripple * volt)
     scaled = cleaned if used == 1 else replace(cleaned, sigma=used * cleaned.sigma)
-    shared = (plain.outliers, plain.outlier_rate, plain.warnings, scaled)
-    seen = NoiseEstimate(*shared, parts.own, error, used, frame, parts.gain, *sizes)
-    return seen.with_warnings(message, _shared_in_words(parts.gain, *sizes))
+    seen = replace(plain, readings=scaled, factor=parts.own, factor_error=error, sigma_factor=used, frame=frame)
+    shared = [text.format(size) for (_, text), size in zip(SHARED, seen.shared_sizes, strict=True) if size]
+    return seen.with_warnings(message, f"{', '.join(shared)}, which error bars allow for" if shared else "")
 
 
 def noise_of_modules(recording: Recording, layout: Modules, every: Sequence[NoiseEstimate | None]) -> NoiseEstimate:
@@ -270,10 +268,7 @@ def change_within_scan(scene: Scene, readings: Readings, measured: NDArray[np.in
 
     Δ is half the difference of the frames before and after; the first and the last one have one neighbour.
     """
-    moved = np.zeros(readings.value.shape)
-    if len(measured) > 1:
-        moved[measured] = np.gradient(readings.value[measured], axis=0)
-    return moved * _late(scene, readings)
+    return np.asarray(_steps_within_scan(scene, readings, measured).mean(axis=0))
 
 
 def largest_change_within_scan(scene: Scene, readings: Readings, measured: NDArray[np.intp]) -> Array:
@@ -281,19 +276,20 @@ def largest_change_within_scan(scene: Scene, readings: Readings, measured: NDArr
 
     A load that has come and gone from one frame to the next but one leaves no difference between these.
     """
-    step = np.zeros(readings.value.shape)
+    return np.asarray(np.abs(_steps_within_scan(scene, readings, measured)).max(axis=0))
+
+
+def _steps_within_scan(scene: Scene, readings: Readings, measured: NDArray[np.intp]) -> Array:
+    """(2, frames, rows, columns) of the steps from the frame before and to the one after, times τ.
+
+    τ is how late a reading is taken, from the middle of its frame, in periods.
+    """
+    steps, channels = np.zeros((2, *readings.value.shape)), readings.value[0].size
     if len(measured) > 1:
-        steps = np.abs(np.diff(readings.value[measured], axis=0))
-        step[measured[1:]] = steps
-        step[measured[:-1]] = np.maximum(step[measured[:-1]], steps)
-    return step * np.abs(_late(scene, readings))
-
-
-def _late(scene: Scene, readings: Readings) -> Array:
-    """τ (1, rows, columns) of each reading: how late it is taken, from the middle of its frame, in periods."""
-    channels = readings.value[0].size
+        step = np.diff(readings.value[measured], axis=0)
+        steps[:, measured] = np.concatenate([step[:1], step]), np.concatenate([step, step[-1:]])
     late = (np.arange(channels) + 0.5) / channels - 0.5
-    return in_panel_order(scene.circuit, late[None], (1, *readings.value.shape[1:]))
+    return steps * in_panel_order(scene.circuit, late[None], (1, *readings.value.shape[1:]))
 
 
 def scan_share(scene: Scene, resting: Readings, readings: Readings, measured: NDArray[np.intp]) -> float:
@@ -307,7 +303,7 @@ def scan_share(scene: Scene, resting: Readings, readings: Readings, measured: ND
         return 0.0
     moved = change_within_scan(scene, readings, measured)
     size = np.sqrt(np.mean((moved / readings.sigma) ** 2, axis=(1, 2)))
-    moving = inner[np.argsort(-size[inner])][:MAX_MOVING_FRAMES]
+    moving = inner[np.argsort(-size[inner])][: 1 + MAX_NEIGHBOURS]
     if size[moving[0]] < MIN_REDUCTION:
         return 0.0
     base = fitted(scene, resting, patient=True)
@@ -328,15 +324,6 @@ def scan_share(scene: Scene, resting: Readings, readings: Readings, measured: ND
     if least < cost - len(moving) * np.log(MIN_REDUCTION):
         return best
     return float(np.median(tails) < SIGNIFICANCE)  # the whole period, or nothing
-
-
-def _shared_in_words(gain: float, together: float, apart: float) -> str:
-    messages = [
-        f"the gain of a frame varies by {100 * gain:.2g} %" if gain else "",
-        f"the lines of a scan vary together by {together:.2g} LSB" if together else "",
-        f"the readings of a scanned line vary together by {apart:.2g} LSB" if apart else "",
-    ]
-    return f"{', '.join(filter(None, messages))}, which error bars allow for" if any(messages) else ""
 
 
 def _impossible_in_words(count: int) -> str:

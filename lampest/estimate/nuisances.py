@@ -13,7 +13,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.estimate.cells_fit import COMMON_SD, CREEP_SD, SIGNIFICANCE, CellsFit, fitted
+from lampest.estimate.assumptions import ASSUMED
+from lampest.estimate.cells_fit import FIT, CellsFit, fitted
 from lampest.estimate.changed_cells import (
     PARAMETER_COST,
     away_from_changed,
@@ -23,7 +24,7 @@ from lampest.estimate.changed_cells import (
     usual_starts,
 )
 from lampest.estimate.rivals import MIN_CHANGE
-from lampest.files.levels import SIGNIFICANT
+from lampest.files.levels import SIGNIFICANCE, SIGNIFICANT
 from lampest.panel.effects import EFFECTS, Effect, LooseContact, effect_on_readings
 from lampest.panel.network import Network
 from lampest.panel.panel import Array
@@ -31,18 +32,17 @@ from lampest.panel.scene import Scene
 from lampest.panel.systematic import systematic_of
 from lampest.recording.readings import Readings
 
-# In −2 ln evidence, of another circuit or effect. 430 recordings with the right circuit gain 32 at most, and nearly all
-# less than 15: no false alarm (docs/theory/model_check.md).
+# In −2 ln evidence, of another circuit, an effect or an error of the model. 430 recordings with the right circuit gain
+# 32 at most, and nearly all less than 15: no false alarm (docs/theory/model_check.md). By an error of the model mouths
+# at their limits gain 23 where nothing is wrong, and 76 where readings are off by 7 % each.
 MIN_EVIDENCE_GAIN = 36.0
-MAX_CANDIDATES = 3  # rivals or effects: those that linear theory finds best
-CHANNEL_OHM = 3.0  # standard deviation of a multiplexer's channels (CD74HC4067, data sheet: any two differ by 10 ohm)
-MAX_STEPS, SETTLED_STEP = 12, 0.1  # of θ, each within its prior's deviation; standard deviations at which they end
+MAX_CANDIDATES = 3  # rivals or effects: those that linear theory finds best; effects beside each other
+SETTLED_STEP = 0.1  # standard deviations of θ at which its steps end, each within its prior's deviation
 MAX_BOUND_SHARE = 0.02  # of the readings: cells behind bounds have no linear theory
-MAX_EFFECTS = 3  # beside each other
 MIN_SPARED_CELLS = 2  # cells that need not have moved with an effect: a converter's curve moves one
 TAKEN_OFF = "taken off the readings, which error bars allow for"
 SECANT_STEP = 1e-3  # of a prior
-MIN_REMAINING = 0.1  # of a reading, whatever is taken off
+MIN_REMAINING = 0.1  # of a reading, whatever is taken off, however fast it changes
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,8 +155,8 @@ class FittedFrame:
     def may_fit(self) -> bool:
         """Whether effects can leave no more than noise: by linear theory, of as many as are ever taken.
 
-        Of the residual, the part that no cells follow is explained by one effect alone, and by MAX_EFFECTS of them no
-        more than so many times as much as by the best one.
+        Of the residual, the part that no cells follow is explained by one effect alone, and by MAX_CANDIDATES of them
+        no more than so many times as much as by the best one.
         """
         if self.fit.tail >= SIGNIFICANCE:
             return True
@@ -166,21 +166,13 @@ class FittedFrame:
         columns = np.stack([(self.more(effect) / sigma).ravel() for effect in dict.fromkeys(small)], axis=1)
         columns -= self.fit.jacobian @ np.linalg.solve(self.fit.normal, self.fit.jacobian.T @ columns)
         explained = (columns.T @ self.fit.residual) ** 2 / np.maximum(np.sum(columns**2, axis=0), 1e-300)
-        return bool(MAX_EFFECTS * explained.max() >= self.fit.chi_square - self.fit.degrees)
-
-    @cached_property
-    def _every_answer(self) -> dict[Effect, Array]:
-        return self._answered([_small(effect) for effect in candidates(self.fit.cells.shape)])
-
-    def _answered(self, effects: Sequence[Effect]) -> dict[Effect, Array]:
-        distinct = list(dict.fromkeys(effects))
-        responses = self.fit.response(np.stack([self.more(effect) for effect in distinct]))
-        return dict(zip(distinct, responses.T / SECANT_STEP, strict=True))
+        return bool(MAX_CANDIDATES * explained.max() >= self.fit.chi_square - self.fit.degrees)
 
     def answers(self, effects: Sequence[Effect]) -> Array:
         """Return the effect of a unit of each θ on the log cells, (cells, effects), by secants."""
-        known = self._answered(effects) if self.effects else self._every_answer
-        return np.stack([known[effect] for effect in effects], axis=1)
+        small = [_small(effect) for effect in effects]
+        each = {effect: self.more(effect) / SECANT_STEP for effect in dict.fromkeys(small)}
+        return self.fit.response(np.stack([each[effect] for effect in small]))
 
     @property
     def amplification(self) -> Array:
@@ -219,7 +211,7 @@ class FittedPair:
     def of(cls, resting: FittedFrame, frame: FittedFrame) -> "FittedPair":
         """Return the pair with channels that differ as specified, or as those of one multiplexer do."""
         sizes = systematic_of(frame.scene)
-        spread = CHANNEL_OHM if sizes is None else sizes.channel_spread_ohm or CHANNEL_OHM
+        spread = (sizes and sizes.channel_spread_ohm) or ASSUMED.channel_ohm
         return cls((resting, frame), spread * (frame.channels - resting.channels))
 
     @property
@@ -236,7 +228,7 @@ class FittedPair:
     @cached_property
     def _covariance(self) -> Array:
         """Of d where no load is, (cells, cells)."""
-        noise = sum(frame.fit.covariance for frame in self.frames) + CREEP_SD**2 * np.eye(len(self.change))
+        noise = sum(frame.fit.covariance for frame in self.frames) + ASSUMED.creep**2 * np.eye(len(self.change))
         return np.asarray(noise + self.channels @ self.channels.T)
 
     @cached_property
@@ -247,9 +239,8 @@ class FittedPair:
         """Return a of each θ in units of its prior, (cells, effects)."""
         if not effects:
             return np.zeros((len(self.change), 0))
-        small, constant = [_small(effect) for effect in effects], np.array([not effect.since for effect in effects])
-        resting, loaded = (frame.answers(small) for frame in self.frames)
-        return np.asarray(loaded - constant * resting)
+        resting, loaded = (frame.answers(effects) for frame in self.frames)
+        return np.asarray(loaded - np.array([not effect.since for effect in effects]) * resting)
 
     @cached_property
     def _prior_score(self) -> float:
@@ -261,7 +252,7 @@ class FittedPair:
 
         The last is the addition of both.
         """
-        own = np.column_stack([np.full(len(self.change), COMMON_SD), columns])
+        own = np.column_stack([np.full(len(self.change), ASSUMED.common_change), columns])
         weighted = self._precision @ own
         inner = np.eye(own.shape[1]) + own.T @ weighted
         precision = self._precision - weighted @ np.linalg.solve(inner, weighted.T)
@@ -306,9 +297,16 @@ class FittedPair:
         """Whether a single reading that is off explains to that score: an outlier as a load comes is hardly seen."""
         return bool(np.any(self.scores_with(self.columns(()), LooseContact.prior * self.frames[1].fit.gain) < score))
 
-    def with_sizes(self, sizes: Sequence[float]) -> "FittedPair | None":
-        """Return the pair with effects of other sizes; None where no cells give the readings then."""
-        effects = tuple(replace(effect, size=size) for effect, size in zip(self.effects, sizes, strict=True))
+    def _stepped(self, step: Array) -> "FittedPair | None":
+        """Return the pair a step (effects) in units of the priors further; None where no cells give the readings then.
+
+        No leak is below zero.
+        """
+        sizes = (effect.size + effect.prior * float(more) for effect, more in zip(self.effects, step, strict=True))
+        effects = tuple(
+            replace(effect, size=max(size, 0.0) if effect.positive else size)
+            for effect, size in zip(self.effects, sizes, strict=True)
+        )
         constant, (resting, frame) = tuple(effect for effect in effects if not effect.since), self.frames
         early = resting.refitted(resting.readings, constant) if constant else resting
         late = frame.refitted(frame.readings, effects)
@@ -323,7 +321,7 @@ class FittedPair:
         constant : whether those that are there in the unloaded frames are to change, too.
         """
         pair = self
-        for _ in range(MAX_STEPS):
+        for _ in range(FIT.evaluations):
             evidence = pair.explained(pair.columns(pair.effects))
             free = np.array([constant or effect.since for effect in pair.effects])
             step, sd = np.where(free, evidence.size[1:], 0.0), evidence.sd[1:]
@@ -364,13 +362,6 @@ class FittedPair:
         settled, without = pairs[0].settled(constant=False), pairs[1].without_effects
         return pairs[1] if settled is None or without.score <= settled[1].score else settled[0]
 
-    def _stepped(self, step: Array) -> "FittedPair | None":
-        """With sizes by a step (effects) in units of their priors larger; no leak is below zero."""
-        sizes = [effect.size + effect.prior * float(more) for effect, more in zip(self.effects, step, strict=True)]
-        return self.with_sizes(
-            [max(size, 0.0) if effect.positive else size for effect, size in zip(self.effects, sizes, strict=True)]
-        )
-
 
 @dataclass(frozen=True, eq=False)
 class CircuitEffects:
@@ -404,9 +395,7 @@ def find_effects(pairs: Sequence[tuple[str, FittedPair]]) -> CircuitEffects:
     """By pairs of the unloaded panel and named frames: of the frame that shows them best."""
     besides, together, most = CircuitEffects(), "", 0.0
     for name, pair in pairs:
-        if max(float(frame.readings.bounds.mean()) for frame in pair.frames) > MAX_BOUND_SHARE:
-            continue
-        if not all(frame.may_fit for frame in pair.frames):
+        if not all(frame.readings.bounds.mean() <= MAX_BOUND_SHARE and frame.may_fit for frame in pair.frames):
             continue
         plain = pair.without_effects
         together = _together(plain) or together
@@ -431,7 +420,7 @@ def _grown(pair: FittedPair, evidence: Evidence) -> tuple[FittedPair, Evidence, 
     The third item is the pair with the effects before the first that another one explains about as well.
     """
     certain, doubtful = pair, False
-    for _ in range(MAX_EFFECTS):
+    for _ in range(MAX_CANDIDATES):
         tried = sorted(_tried(pair, evidence), key=lambda candidate: candidate[1].score)
         if not tried or evidence.score - tried[0][1].score <= MIN_EVIDENCE_GAIN:
             break
@@ -468,7 +457,7 @@ def _beside_a_load(effect: Effect, moved: NDArray[np.bool_]) -> bool:
 
 def _together(plain: Evidence) -> str:
     """How all cells that no load touches changed, in words; '' where that may be chance, or a load's rim."""
-    change, sd = float(COMMON_SD * plain.size[0]), float(COMMON_SD * plain.sd[0])
+    change, sd = (float(ASSUMED.common_change * part[0]) for part in (plain.size, plain.sd))
     if not mostly_still(plain.moved) or not abs(change) > max(MIN_CHANGE, SIGNIFICANT * sd):
         return ""
     return (

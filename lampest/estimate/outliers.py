@@ -11,21 +11,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.files.levels import MAD_TO_SIGMA, OUTLIER_THRESHOLD
+from lampest.files.levels import FALSE_ALARM_RATE, MAD_TO_SIGMA, NOISE_REACH, OUTLIER_THRESHOLD
 from lampest.panel.panel import Array
 from lampest.panel.readouts import Readout
 from lampest.panel.scene import Scene
 from lampest.posterior.interval import largest_normal, largest_of
 from lampest.recording.readings import Readings
 
-MIN_RATIO_TO_SCATTER = 3.0  # deviation over the scatter of the neighbours, so that an arriving load is not flagged
 WINDOW = 4  # neighbouring frames that are compared
 # Deviation over that of half the row or half the column. A load on one cell changes these by 0.22 of its own reading
 # where all lines float: the change has rank one (10 x 10; 0.21 at 32 x 32).
 MIN_RATIO_TO_LINES = 6.0
 MAX_SHARE = 0.05  # of a frame's readings, and of twice the unloaded rate: a frame with more was touched
 MIN_FRAMES = 3  # with fewer, the deviating frame cannot be identified
-FALSE_ALARM_RATE = 0.01  # recordings without outliers in which chance makes one
 
 # (prediction of neighbours in time, its uncertainty by their scatter, and by noise as a multiple of its σ).
 Expected = tuple[Array, Array, Array]
@@ -280,7 +278,8 @@ def _exceeds_threshold(value: Array, scale: Array, expected: Expected) -> NDArra
     """Return whether a reading is far from its prediction, while its row and its column are not."""
     middle, spread, noise = expected
     away = np.abs(value - middle)
-    far: NDArray[np.bool_] = away > np.fmax(OUTLIER_THRESHOLD * noise * scale, MIN_RATIO_TO_SCATTER * spread)
+    # Within the scatter of the neighbours, so that an arriving load is not flagged.
+    far: NDArray[np.bool_] = away > np.fmax(OUTLIER_THRESHOLD * noise * scale, NOISE_REACH * spread)
     some = far.any(axis=(-2, -1))  # frames of panels
     scale = np.broadcast_to(scale, away.shape)[some]
     far[some] &= ~(away[some] <= MIN_RATIO_TO_LINES * _beside(away[some] / scale) * scale)
@@ -295,17 +294,6 @@ def _beside(values: Array) -> Array:
 
 def median(values: Array) -> Array:
     """Over the first axis, NaN not counted; NaN where all are."""
-    if len(values) == WINDOW == 4:  # at a twentieth of the time that sorting takes
-        first, second, third, fourth = values
-        inner = np.maximum(np.minimum(first, second), np.minimum(third, fourth))
-        middle = np.asarray((inner + np.minimum(np.maximum(first, second), np.maximum(third, fourth))) / 2)
-        if (missing := np.isnan(middle)).any():
-            middle[missing] = _median_of_numbers(values[:, missing])
-        return middle
-    return _median_of_numbers(values)
-
-
-def _median_of_numbers(values: Array) -> Array:
     order = np.sort(values, axis=0)  # NaN last
     count = np.sum(~np.isnan(values), axis=0)
     low, high = np.maximum(count - 1, 0) // 2, count // 2
@@ -326,4 +314,4 @@ def _pair_scale(value: Array, sigma: Array) -> Array:
     if not np.isnan(difference).any():
         return np.asarray(MAD_TO_SIGMA * np.median(difference, axis=over, keepdims=True))
     panels = np.moveaxis(difference, over, (0, 1, 2)).reshape(-1, *value.shape[1:-2])
-    return np.asarray(MAD_TO_SIGMA * _median_of_numbers(panels))[None, ..., None, None]
+    return np.asarray(MAD_TO_SIGMA * median(panels))[None, ..., None, None]

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lampest.files.errors import InputError
-from lampest.files.levels import OUTLIER_THRESHOLD
+from lampest.files.levels import FALSE_ALARM_RATE, OUTLIER_THRESHOLD
 from lampest.files.typed import members_of
 from lampest.panel.panel import Array
 from lampest.panel.readouts import AnyReadout, Readout
@@ -24,8 +24,6 @@ from lampest.recording.readings import Readings
 from lampest.recording.recording import MEASURED, UNLOADED
 
 RESISTORS = ("reference_ohm", "load_ohm", "feedback_ohm")  # names of the resistor that a converter reads across
-OWN = ("drive_ohm", "sense_ohm", "input_ohm", "drive_volt", "converter_volt")  # that some kinds have alike
-WORDS = ("kind", "driven", "sense", "polarity", "measured_across")
 CALLED = {
     "driven": "rows and columns swapped",
     "polarity": "polarity reversed",
@@ -35,7 +33,6 @@ CALLED = {
 # same curvature may shift it.
 MAX_RELATIVE_NOISE, MAX_SHIFT = 0.05, 0.1
 MIN_CHANGE = 0.01  # of a reading, or of log r: by so much loads and common errors change it at least
-MIN_TAIL = 0.01  # tail of χ² of the difference of two frames, above which they are taken for the same
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,28 +120,32 @@ def rivals_of(specified: Rival, *, reversed_too: bool = False) -> Iterator[Rival
             )
 
 
+def choices(kind: type[Readout]) -> dict[str, tuple[str, ...]]:
+    """Return the words that each setting of a kind may have; the first setting is its name."""
+    hints = {field.name: get_type_hints(kind)[field.name] for field in fields(kind)}
+    return {name: get_args(hint) for name, hint in hints.items() if get_origin(hint) is Literal}
+
+
 def _variants(kind: type[Any], specified: Readout) -> Iterator[Any]:
     """Return circuits of a kind with the specified converter, resistor and all else that both have.
 
     There is one for every choice of words.
     """
-    names, hints = {field.name for field in fields(kind)}, get_type_hints(kind)
-    common = [field.name for field in fields(Readout)]
-    common += [name for name in OWN if name in names and hasattr(specified, name)]
-    shared = {name: getattr(specified, name) for name in common}
+    words, hints = choices(kind), get_type_hints(kind)
+    names = {field.name for field in fields(kind)} - words.keys()
+    shared = {name: getattr(specified, name) for name in names if hasattr(specified, name)}
     if "converter_volt" not in names:
         shared["supply_volt"] = specified.full_scale_volt
     known = [getattr(specified, name) for name in RESISTORS if hasattr(specified, name)]
     for name in names.intersection(RESISTORS) if known else ():
         shared[name] = float(np.mean(known[0])) if hints[name] is float else known[0]
-    words = {name: get_args(hints[name]) for name in names - {"kind"} if get_origin(hints[name]) is Literal}
     for chosen in product(*words.values()):
         yield kind(**shared, **dict(zip(words, chosen, strict=True)))
 
 
 def _kind(circuit: Readout, specified: Readout) -> str:
     """Return the one word in which a circuit differs, with its usual name; else the kind with its words."""
-    words = {name: getattr(circuit, name) for name in WORDS if hasattr(circuit, name)}
+    words = {name: getattr(circuit, name) for name in choices(type(circuit))}
     differ = [name for name, word in words.items() if getattr(specified, name, None) != word]
     if len(differ) == 1 and differ[0] in CALLED:
         return f"readout.{differ[0]}: {words[differ[0]]} ({CALLED[differ[0]]})"
@@ -194,21 +195,20 @@ class Question:
         The numbers of the unloaded frames, and of measured ones that are alike but for their noise.
     widening : float
         Factor on every σ.
-    named : integer array, shape (frames) or None
-        Their numbers in sentences.
+    named : integer array, shape (frames)
+        The numbers of all frames in sentences.
     """
 
     specified: Rival
     resting: NDArray[np.intp]
     standing: NDArray[np.intp]
-    widening: float = 1.0
-    named: NDArray[np.intp] | None = None
+    widening: float
+    named: NDArray[np.intp]
 
     @property
     def loaded(self) -> str:
         """'frame 3', or 'frames 3 to 9'."""
-        ends = self.standing[[0, -1]]
-        first, last = ends if self.named is None else self.named[ends]
+        first, last = self.named[self.standing[[0, -1]]]
         return f"frame {first}" if first == last else f"frames {first} to {last}"
 
     def readings(self, rival: Rival) -> tuple[Readings, ...]:
@@ -242,6 +242,6 @@ def standing_frames(readings: Readings, frame: int, others: NDArray[np.intp], no
     plain = readings.plain & readings.plain[frame]
     spread = noise * np.hypot(readings.sigma, readings.sigma[frame])
     square = np.where(plain, (readings.value - readings.value[frame]) / spread, 0.0) ** 2
-    similar = chi_square_tail(square.sum(axis=(1, 2)), np.maximum(plain.sum(axis=(1, 2)), 1)) >= MIN_TAIL
+    similar = chi_square_tail(square.sum(axis=(1, 2)), np.maximum(plain.sum(axis=(1, 2)), 1)) >= FALSE_ALARM_RATE
     standing: NDArray[np.intp] = others[similar[others] | (others == frame)]
     return standing

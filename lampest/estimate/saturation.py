@@ -1,25 +1,20 @@
-"""A stage before the converter that saturates: channels that end at one voltage, with none near by.
+"""A stage before the converter that saturates: more channels end at one voltage than chance allows.
 
 Such readings say only that the voltage lies beyond, exactly as readings at a rail do.
 """
 
 from dataclasses import dataclass, replace
-from math import ceil, lgamma, log
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lampest.files.levels import NOISE_REACH, OUTLIER_THRESHOLD
+from lampest.files.levels import NOISE_REACH, OUTLIER_THRESHOLD, SIGNIFICANCE
 from lampest.panel.panel import Array
+from lampest.posterior.interval import binomial_tail
 from lampest.recording.readings import Readings
 from lampest.recording.recording import MEASURED, UNLOADED, Recording
 
-# Of the width of voltages that count as the same: so far beyond, fewer channels end than at one.
-NEIGHBOUR_WIDTH = 8.0 / 3.0
-MIN_EXTENT = 10.0  # of that width: over so much the other channels extend at least, else all are alike
-# An accident at the end of evenly spread channels is rarer; looked for at four ends: one in a thousand.
-MAX_PROBABILITY = 2.5e-4
-MIN_CHANNELS = 1 + ceil(log(MAX_PROBABILITY) / log(1 / MIN_EXTENT))  # channels: an accident of fewer is never so rare
+MIN_EXTENT = 10.0  # widths of voltages that count as the same: over so much other channels extend, else all are alike
 
 
 @dataclass(frozen=True)
@@ -64,24 +59,23 @@ def saturated(recording: Recording) -> Saturated | None:
     if min(scene.panel.shape) < 2:  # channels of a single line may all end at what it gives
         return None
     width, every = NOISE_REACH * readout.sigma_volt(), scene.circuit.volt_from_recorded(recording.recorded)
-    if not any(_may_pile(sign * every[role], width) for role in (unloaded, measured) for sign in (1.0, -1.0)):
-        return None
     plain = Readings.of(scene, recording.recorded, recording.sigma).plain
     plain &= _differ(every, float(np.mean(width)))
     for sign in (1.0, -1.0):
         volt = np.where(plain, sign * every, np.nan)
-        resting = _largest(volt[unloaded])
-        most = _largest(volt[measured]) if measured.any() else resting
+        resting = np.fmax.reduce(volt[unloaded], axis=0)  # NaN where no reading is a value
+        most = np.fmax.reduce(volt[measured], axis=0) if measured.any() else resting
         moved = np.nan_to_num(most - resting, nan=0.0) > OUTLIER_THRESHOLD * width
         for channels, others in ((most, moved), (resting, np.isfinite(resting))):
             end = float(np.nanmax(channels, initial=-np.inf))
             below = np.where(others, end - channels, np.inf)
-            piled, near = below <= width, (below > width) & (below <= NEIGHBOUR_WIDTH * width)
+            piled = below <= width
             apart = end - float(np.nanmin(channels, initial=end)) > MIN_EXTENT * float(np.mean(width))
             lines = min(int(piled.any(axis=axis).sum()) for axis in (0, 1))
             several, around = int(piled.sum()), int((below <= MIN_EXTENT * width).sum())
-            rare = several >= MIN_CHANNELS and _by_chance(several, around) < MAX_PROBABILITY
-            if apart and lines > 1 and rare and several > near.sum():
+            # Beside the one at the end so many of the channels around, if evenly spread, lie within the first width.
+            rare = binomial_tail(several - 1, around - 1, 1 / MIN_EXTENT) < SIGNIFICANCE
+            if apart and lines > 1 and rare:
                 level = float(np.median(volt[np.broadcast_to(piled, volt.shape) & (end - volt <= 2 * width)]))
                 resting_too = int((np.abs(resting - level) <= width).sum())
                 return Saturated(sign * level, int((piled & moved).sum()), resting_too, sign > 0)
@@ -97,27 +91,6 @@ def with_saturated_stage(recording: Recording) -> Recording:
     return replace(recording, scene=replace(recording.scene, readout=replace(readout, passes_volt=passes)))
 
 
-def _by_chance(several: int, around: int) -> float:
-    """Return the binomial probability that so many of the channels, evenly spread over MIN_EXTENT, lie in the first."""
-    others = around - 1
-    ways = [lgamma(others + 1) - lgamma(n + 1) - lgamma(others - n + 1) for n in range(several - 1, around)]
-    outside = others - np.arange(several - 1, around)
-    return float(np.sum(np.exp(ways + outside * log(MIN_EXTENT - 1) - others * log(MIN_EXTENT))))
-
-
-def _may_pile(volt: Array, width: Array) -> bool:
-    """Whether several channels (frames, rows, columns) end near the largest of all, and the others extend far below."""
-    if not len(volt):
-        return False
-    ends = np.fmax.reduce(volt, axis=0)
-    with np.errstate(invalid="ignore"):
-        below = np.nanmax(ends, initial=-np.inf) - ends
-    return bool(
-        (below <= NEIGHBOUR_WIDTH * width).sum() >= MIN_CHANNELS
-        and np.nanmax(below, initial=0.0) > MIN_EXTENT * np.mean(width)
-    )
-
-
 def _differ(volt: Array, width: float) -> NDArray[np.bool_]:
     """(rows, columns) without lines that read as an earlier one of their side in some frames: these touch."""
     differing, volt = [], volt[:: max(len(volt) // 8, 1)]
@@ -127,8 +100,3 @@ def _differ(volt: Array, width: float) -> NDArray[np.bool_]:
             apart = [np.any(np.abs(lines[:at] - line) > 2 * width, axis=1).all() for at, line in enumerate(lines)]
         differing.append(np.array(apart))
     return np.asarray(differing[0][:, None] & differing[1])
-
-
-def _largest(volt: Array) -> Array:
-    """Over frames, (rows, columns); NaN where there is none."""
-    return np.where(np.isnan(volt).all(axis=0), np.nan, np.nanmax(volt, axis=0, initial=-np.inf))

@@ -9,21 +9,21 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from lampest.files.levels import MAD_TO_SIGMA, NOISE_REACH, SIGNIFICANCE, TWO_SIDED
 from lampest.panel.panel import Array
 from lampest.posterior.interval import chi_square_tail
 from lampest.recording.readings import Readings
 from lampest.recording.recording import Recording
 
-SIGNIFICANCE = 1e-3  # of each of three tests: one clean recording in 300 gets a part that it has not
-MIN_EXCESS = 1.25  # of the noise: a smaller excess changes no verdict, and films that creep have it too
-EDGE_WIDTHS = 3.0  # widths of Tracy and Widom's law beyond the edge: noise alone goes there once in thousands
-MIN_SAMPLES_PER_CHANNEL = 1.5  # samples for each channel, below which the smallest eigenvalues of noise come near zero
-NORMAL_MEDIAN = 0.6745  # of the size of a standard normal variable
+# Over the noise: a smaller excess changes no verdict, and films that creep have it too. First differences of noise
+# alone over second ones are 1.00 ± 0.06 with 100 readings.
+MIN_EXCESS = 1.25
+# Samples for each channel, below which the smallest eigenvalues of noise come near zero, and rounding takes them below
+# (tests/oracles/test_every_readout.py).
+MIN_SAMPLES_PER_CHANNEL = 1.5
 MEDIAN_EFFICIENCY = 0.37  # of the median size as an estimate of σ, as a share of the readings (Hampel, 1974)
 PAIR_MEDIAN = 0.7960  # of the root mean square of two differences that share a frame, over √2 σ (by simulation)
-MAX_REST_RATIO = 1.25  # first differences over second ones: noise alone has 1.00 ± 0.06 with 100 readings
 QUIET_SHARE = 0.25  # of the triples: loads that come and go make the others restless
-EIGENVALUE_MARGIN = 2.0  # standard deviations by which the mean of the other eigenvalues may tell noise too small
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,6 +48,12 @@ class Scatter:
     gain: float
     common_ripple: Array
     line_ripple: Array
+
+
+def noted_excess(chi_square: float, degrees: float) -> float:
+    """√(χ²/degrees) of noise over the specified one; 1 where it exceeds that by chance, or by too little to matter."""
+    factor = float(np.sqrt(chi_square / degrees)) if degrees else 1.0
+    return factor if factor >= MIN_EXCESS and chi_square_tail(chi_square, degrees) < SIGNIFICANCE else 1.0
 
 
 def unloaded_scatter(recording: Recording, resting: Readings) -> Scatter | None:
@@ -95,8 +101,8 @@ def repeated_scatter(measured: Readings) -> Scatter | None:
         return None
     of_second, of_first = (np.nanmedian(size[enough], axis=(1, 2)) for size in (second, first))
     calmest = np.argsort(of_second)[: max(1, round(QUIET_SHARE * len(of_second)))]
-    quiet, moving = float(of_second[calmest].mean()) / NORMAL_MEDIAN, float(of_first[calmest].mean()) / PAIR_MEDIAN
-    if quiet > 1 and moving > MAX_REST_RATIO * quiet:
+    quiet, moving = float(of_second[calmest].mean()) * MAD_TO_SIGMA, float(of_first[calmest].mean()) / PAIR_MEDIAN
+    if quiet > 1 and moving > MIN_EXCESS * quiet:
         return None
     nothing, count = np.zeros((1, 0)), int(np.isfinite(second[enough]).sum() / enough.sum() * MEDIAN_EFFICIENCY)
     return Scatter(quiet, max(count, 1), 0.0, nothing, nothing)
@@ -161,14 +167,15 @@ def _patterns(rows: Array, freedom: float) -> tuple[float, Array]:
     """(variance of noise, root (channels, n) of the covariance beyond it) of rows (samples, channels).
 
     One direction after the other is taken off while it is stronger than the mean of all others lets noise be:
-    (√n + √p)²/n and EDGE_WIDTHS times its width; source: Johnstone, Annals of Statistics 29(2), 2001.
+    (√n + √p)²/n and NOISE_REACH times its width, where noise alone is once in thousands.
+    Source: Johnstone, Annals of Statistics 29(2), 2001.
     """
     channels = rows.shape[1]
     size, direction = np.linalg.eigh(rows.T @ rows / freedom)
     first, second = np.sqrt(freedom), np.sqrt(channels)
     width = (first + second) * (1 / first + 1 / second) ** (1 / 3)
-    unsure = 1 + EIGENVALUE_MARGIN * np.sqrt(2 / (freedom * max(channels - 1, 1)))
-    edge = unsure * ((first + second) ** 2 + EDGE_WIDTHS * width) / freedom
+    unsure = 1 + TWO_SIDED * np.sqrt(2 / (freedom * max(channels - 1, 1)))
+    edge = unsure * ((first + second) ** 2 + NOISE_REACH * width) / freedom
     strong = 0
     for strong in range(channels if freedom >= MIN_SAMPLES_PER_CHANNEL * channels else 0):
         others = size[: channels - strong - 1]

@@ -8,23 +8,24 @@ still cells then leave a covariance of z. Errors too large for linear theory hav
 """
 
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 
 from lampest.cost.given import Background
 from lampest.cost.problem import Data
-from lampest.estimate.cells_fit import COMMON_SD, CREEP_SD, FIT, MAX_CELLS, SIGNIFICANCE, CellsFit, cells_alone, fitted
+from lampest.estimate.assumptions import ASSUMED
+from lampest.estimate.cells_fit import FIT, CellsFit, cells_alone, fitted
 from lampest.estimate.changed_cells import MIN_STILL_SHARE, Chosen, away_from_changed, select_changed
+from lampest.files.levels import NOISE_REACH, SIGNIFICANCE
 from lampest.panel.least_squares import SumOfSquares
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene, Systematic
 from lampest.panel.systematic import Possible, hidden_columns, recorded_share
 from lampest.posterior.frame_noise import FrameNoise
+from lampest.posterior.reference import MAX_CELLS
 from lampest.recording.readings import Readings
 
 READING_ERRORS = np.geomspace(2.5e-4, 0.2, 30)  # of a reading's own that are tried, with equal odds for equal ratios
-CELL_SCATTERS = (0.03, 0.1, 0.2, 0.4)  # of unloaded cells: films of one batch scatter by a tenth, worn ones by 0.4
 # Of the evidence of cells that touch a moved one: a skirt of lightly pressed cells gains 40 by an error of readings.
 BESIDE_SHARE = 0.1
 # In −2 ln evidence, from which on an error is named, and from which on bars allow for it. Of 60 recordings without one
@@ -32,9 +33,7 @@ BESIDE_SHARE = 0.1
 MIN_ERROR_GAIN, MIN_HINT_GAIN = 6.6, 2.2
 CHANGE_THRESHOLD = 4.0  # standard deviations of a change that noise does not make
 LINEAR_LIMIT = 0.15  # of log r: so large an error moves cells by more than one per cent beside the straight line
-LOADED_CHANGE = 0.45  # of log r, by which loads move cells, and errors within the linear limit do not
-# Of log r, and in cells: the skirt of a load, or a load that covers many cells.
-SKIRT_SD, SKIRT_CELLS = 0.3, 1.5
+LOADED_CHANGE = NOISE_REACH * LINEAR_LIMIT  # of log r, by which loads move cells, and errors within the limit do not
 
 
 def possible_errors(
@@ -127,19 +126,19 @@ class CellChanges:
         covariance = np.tile(base[0], (count, count))
         for number, (error, *_) in enumerate(parts):
             part = slice(number * size, (number + 1) * size)
-            covariance[part, part] += error + CREEP_SD**2 * np.eye(size) + COMMON_SD**2
+            covariance[part, part] += error + ASSUMED.creep**2 * np.eye(size) + ASSUMED.common_change**2
         hidden, own, known = (np.vstack(columns) for columns in list(zip(*parts, strict=True))[1:])
         reach = float(np.median(np.linalg.norm(base[2], axis=1)))
         return cls(np.concatenate(change), covariance + known @ known.T, hidden, own, reach)
 
-    @cached_property
-    def _parts(self) -> tuple[Array, Array]:
-        return np.asarray(self.noise + self.a @ self.a.T), np.asarray(self.own @ self.own.T)
+    def columns(self, size: float) -> Array:
+        """Return what standard normal errors do to the changes (n, k + cells), if each reading errs by so much."""
+        return np.hstack([self.a, size * self.own]) if size else self.a
 
     def covariance(self, size: float) -> Array:
         """Of changes of still cells, if each reading errs by so much on its own."""
-        shared, own = self._parts
-        return np.asarray(shared + size**2 * own)
+        columns = self.columns(size)
+        return np.asarray(self.noise + columns @ columns.T)
 
     def cost_of(self, still: Chosen, size: float) -> float:
         """Return −2 ln likelihood of the changes of still cells alone."""
@@ -164,7 +163,7 @@ def _smooth_loads(shape: tuple[int, ...], frames: int) -> Array:
     """(n, n) covariance of changes of log r of a load's skirt: smooth from cell to cell, free in every frame."""
     row, column = (index.ravel() for index in np.indices(shape))
     square = (row[:, None] - row) ** 2 + (column[:, None] - column) ** 2
-    return np.kron(np.eye(frames), SKIRT_SD**2 * np.exp(-square / (2 * SKIRT_CELLS**2)))
+    return np.kron(np.eye(frames), ASSUMED.skirt**2 * np.exp(-square / (2 * ASSUMED.skirt_cells**2)))
 
 
 def _error_costs(moves: CellChanges) -> tuple[Array, Chosen]:
@@ -194,12 +193,10 @@ def _possible(moves: CellChanges, size: float, shape: tuple[int, ...]) -> Array:
     No cell stands still under a load, however smooth it is.
     """
     still = away_from_changed(moves.still(size)[1], shape)
-    columns = np.hstack([moves.a, size * moves.own]) if size else moves.a
-    part = columns[still]
+    part = moves.columns(size)[still]
     weight = np.linalg.solve(moves.covariance(size)[np.ix_(still, still)], part)
     mean = weight.T @ moves.change[still]
-    left = np.eye(columns.shape[1]) - part.T @ weight
-    second = left + np.outer(mean, mean)
+    second = np.eye(len(mean)) - part.T @ weight + np.outer(mean, mean)
     values, vectors = np.linalg.eigh((second + second.T) / 2)
     # Lower triangular: the columns behind those of common errors are the readings' own errors beside them.
     return np.asarray(np.linalg.qr((vectors * np.sqrt(np.maximum(values, 0.0))).T)[1].T)
@@ -228,15 +225,15 @@ def _unloaded_costs(scene: Scene, resting: Readings) -> Array:
     """
     assert resting.sigma is not None
     data, plain = cells_alone().data(resting.alone(), Background(scene)), resting.plain.ravel()
-    share, scatters = np.abs(recorded_share(resting.value, scene)), np.square(CELL_SCATTERS)[:, None]
-    cells, costs = np.log(data.uniform_start[0]), np.zeros((1, len(CELL_SCATTERS)))
+    share, scatters = np.abs(recorded_share(resting.value, scene)), np.square(ASSUMED.scatters)[:, None]
+    cells, costs = np.log(data.uniform_start[0]), np.zeros((1, len(ASSUMED.scatters)))
     for errors, before in ((READING_ERRORS[1::4], READING_ERRORS[-1:]), (READING_ERRORS, READING_ERRORS[1::4])):
         row, column = np.unravel_index(np.argmin(costs), costs.shape)
         deviation = np.where(resting.plain, np.hypot(resting.sigma, before[row] * share), np.inf)
-        cells, jacobian = _most_probable(data, resting.value, deviation, CELL_SCATTERS[column], cells)
+        cells, jacobian = _most_probable(data, resting.value, deviation, ASSUMED.scatters[column], cells)
         missed = resting.value - data.network(0, np.exp(cells)).reading()
         target = missed.ravel() + jacobian @ cells.ravel()
-        costs = np.empty((len(errors), len(CELL_SCATTERS)))
+        costs = np.empty((len(errors), len(ASSUMED.scatters)))
         for number, error in enumerate(errors):
             tau = np.hypot(resting.sigma, error * share).ravel()[plain]
             scaled = jacobian[plain] / tau[:, None]

@@ -1,24 +1,23 @@
 """Warnings about a recording, one plain line each: frames and units, noise, the circuit."""
 
-from typing import get_args, get_type_hints
-
 import numpy as np
 from numpy.typing import NDArray
 
 from lampest.estimate.model_check import ModelCheck, module_factors
 from lampest.estimate.noise import NoiseEstimate
 from lampest.estimate.nuisances import TAKEN_OFF
-from lampest.estimate.rivals import changes_beyond_noise
-from lampest.estimate.saturation import MIN_CHANNELS, saturated
+from lampest.estimate.rivals import changes_beyond_noise, choices
+from lampest.estimate.saturation import saturated
 from lampest.loads.recognition.watch import UNEVENLY
 from lampest.recording.readings import Readings
 from lampest.recording.recording import UNLOADED, Recording
 
+MIN_CHANNELS = 5  # that show less load: of fewer single outliers may do so
 MIN_STEPS_FROM_RAIL = 16  # of the converter: a median reading that close to a rail is known to 6 % at best
 MODULE_HINT = (
     "is its reference, series resistance or film another one? The scene's `modules` says what a module has of its own"
 )
-MIN_NOISE_FACTOR, MAX_NOISE_FACTOR = 0.1, 10.0  # of the specified noise: no converter is specified so badly, units are
+MAX_NOISE_FACTOR = 10.0  # over or under the specified noise: no converter is specified so badly, units are
 
 
 @np.errstate(all="ignore")
@@ -100,12 +99,8 @@ def _modules(recording: Recording, readings: Readings) -> tuple[str, ...]:
 def _scatter(recording: Recording, noise: NoiseEstimate) -> str:
     """Noise that no converter of the scene's kind has."""
     readout = recording.scene.readout
-    if (
-        readout is None
-        or not readout.noise_told
-        or MIN_NOISE_FACTOR <= noise.factor <= MAX_NOISE_FACTOR
-        or np.isnan(noise.factor)
-    ):
+    unlikely = noise.factor > MAX_NOISE_FACTOR or noise.factor * MAX_NOISE_FACTOR < 1
+    if readout is None or not readout.noise_told or not unlikely:
         return ""
     return (
         f"readings at rest scatter {noise.factor:.2g} times as much as the scene's converter does: are units, "
@@ -118,12 +113,11 @@ def _less_load(recording: Recording, readings: Readings) -> str:
     circuit, change = recording.scene.circuit, changes_beyond_noise(recording.scene, readings, recording.role)
     if (change > 0).any(axis=0).sum() < MIN_CHANNELS or (change < 0).any():
         return ""
-    words = [
+    reverse = [
         f", or is it readout.{name}: {word}"
-        for name in ("polarity", "measured_across")
-        if hasattr(circuit, name)
-        for word in get_args(get_type_hints(type(circuit))[name])
-        if word != getattr(circuit, name)
+        for name, words in choices(type(circuit)).items()
+        for word in words
+        if name in ("polarity", "measured_across") and word != getattr(circuit, name)
     ]
     message = "readings only ever show less load than the unloaded frames: did something lie on the panel then"
-    return f"{message}{''.join(words)}?"
+    return f"{message}{''.join(reverse)}?"

@@ -18,9 +18,9 @@ from lampest.cost.cost import Cost
 from lampest.cost.problem import Data
 from lampest.estimate.deciding import MAX_NEIGHBOURS
 from lampest.estimate.objective import Objective
-from lampest.estimate.scatter import NORMAL_MEDIAN
 from lampest.estimate.state import NO_DUAL
 from lampest.files.errors import InputError
+from lampest.files.levels import MAD_TO_SIGMA
 from lampest.panel.panel import Array
 from lampest.panel.scene import Scene
 from lampest.panel.trust_region import MAX_DENSE
@@ -204,4 +204,4 @@ def residual_scale(errors: DenseErrors) -> float:
     if freedom < MIN_FREEDOM:
         return 1.0
     sizes = np.abs(model.residual[counted]) / model.noise[counted]
-    return float(np.median(sizes)) / NORMAL_MEDIAN / float(np.sqrt(freedom))
+    return MAD_TO_SIGMA * float(np.median(sizes)) / float(np.sqrt(freedom))

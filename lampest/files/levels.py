@@ -29,5 +29,14 @@ OUTLIER_THRESHOLD = 6.0
 # (tests/oracles/test_tare.py, tests/oracles/test_detect.py).
 MAX_MEAN_SQUARE = 1.4
 
+# Probability under noise alone of one of a recording's handful of tests: cells that do not explain a frame, noise other
+# than specified, what the readings of a frame share, channels that end at one voltage: of a few tests each one clean
+# recording in some 2,000 fails (tests/oracles/test_model_check.py, test_noise.py and test_nuisances.py).
+SIGNIFICANCE = 1e-4
+
+# The same of tests whose false alarm costs little: readings that are left out of a recording as outliers, or two frames
+# that are alike and not averaged (tests/oracles/test_reference.py, tests/oracles/test_model_check.py).
+FALSE_ALARM_RATE = 0.01
+
 TWO_SIDED = 1.959963984540054  # standard deviations of half a 95 % interval of a normal distribution
 MAD_TO_SIGMA = 1.4826  # standard deviation of a normal distribution over its median absolute deviation

@@ -2,7 +2,7 @@
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.special import gammaincc, log_ndtr, ndtr, ndtri, ndtri_exp
+from scipy.special import bdtrc, gammaincc, log_ndtr, ndtr, ndtri, ndtri_exp, stdtrit
 
 from lampest.panel.panel import Array
 
@@ -32,6 +32,16 @@ def one_sided(slope: ArrayLike, variance: ArrayLike) -> tuple[Array, Array]:
 def chi_square_tail(chi_square: ArrayLike, degrees: ArrayLike) -> Array:
     """P(χ² of so many degrees ≥ chi_square); degrees above 0, whole or not. Any shape."""
     return np.asarray(gammaincc(np.asarray(degrees) / 2, np.asarray(chi_square) / 2))
+
+
+def binomial_tail(count: int, trials: int, chance: float) -> float:
+    """P(at least `count` of so many trials succeed, each with this chance); 1 where count is not positive."""
+    return float(bdtrc(count - 1, trials, chance)) if count > 0 else 1.0
+
+
+def student_two_sided(degrees: float) -> float:
+    """Return half the two-sided interval of Student's t of so many degrees of freedom, in units of its scale."""
+    return float(stdtrit(degrees, (1 + LEVEL) / 2))
 
 
 def largest_of(excess: ArrayLike, count: int) -> Array:

@@ -37,6 +37,7 @@ DOORS = {
         "solvers.ipopt",
     ),
     "scipy": (
+        "panel.compiled",
         "panel.readouts",
         "panel.response",
         "panel.scene",

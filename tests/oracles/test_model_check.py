@@ -11,7 +11,7 @@ import lampest
 from docs.studies.model_check import named, sound, wrong
 from lampest import Misfit, OralDisc, Readings, Recording, Results, Scene, Simulation, Systematic, Unmodelled, simulate
 from lampest.cli.results import compare as compare_command
-from lampest.estimate.cells_fit import MAX_CELLS, fitted
+from lampest.estimate.cells_fit import fitted
 from lampest.estimate.outliers import without_outliers
 from lampest.estimate.prepared import Prepared
 from lampest.estimate.rivals import standing_frames
@@ -19,6 +19,7 @@ from lampest.files.typed import members_of
 from lampest.panel.panel import EachModule, Modules, Panel
 from lampest.panel.readouts import AnyReadout, LoadedColumnsReadout, Readout, TwoPointReadout, VirtualGroundReadout
 from lampest.panel.readouts.two_point import four_point_excess
+from lampest.posterior.reference import MAX_CELLS
 from lampest.report.compare import compare, model_notes
 from lampest.report.info import describe
 from lampest.report.page.page import write_report

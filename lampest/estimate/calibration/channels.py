@@ -14,11 +14,11 @@ from scipy.linalg import block_diag
 
 from lampest.cost.losses import Student
 from lampest.cost.terms import Misfit
+from lampest.estimate.assumptions import ASSUMED
 from lampest.estimate.calibration import DIGITS, FRACTION_DIGITS, Calibration, common_scene
 from lampest.estimate.estimator import Estimator
 from lampest.estimate.methods.joint import BELIEVED
 from lampest.estimate.methods.smoother import SmootherMethod
-from lampest.estimate.nuisances import CHANNEL_OHM
 from lampest.estimate.prepared import Prepared
 from lampest.estimate.sequence import first_stream
 from lampest.files.errors import InputError
@@ -141,7 +141,7 @@ def _circuit(scene: Scene) -> Scene:
 def _with_all_errors(scene: Scene) -> Scene:
     """Return the scene with the sizes of all errors, those of channels included."""
     sizes = systematic_of(scene) or replace(USUAL, series_ohm=None, inl_lsb=None, wire_ohm_per_cell=None)
-    spread = sizes.channel_spread_ohm or CHANNEL_OHM
+    spread = sizes.channel_spread_ohm or ASSUMED.channel_ohm
     return replace(scene, systematic=replace(sizes, channel_spread_ohm=spread, reading_error=None))
 
 

@@ -9,7 +9,7 @@ c_t that all cells of a frame have in common. λ is the walk's; a, with hardly a
 reading sees.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from lampest.cost.cost import Cost
 from lampest.cost.problem import Data, Evaluation
+from lampest.estimate.assumptions import ASSUMED
 from lampest.estimate.state import NO_DUAL
 from lampest.panel.panel import Array
 from lampest.panel.systematic import Shared
@@ -28,7 +29,6 @@ from lampest.posterior.frame_noise import FrameNoise
 from lampest.posterior.linear import IGNORANCE, LinearModel
 from lampest.posterior.track import Bars, Change
 
-COMMON_SD = 0.1  # τ, of log r: temperature and supply move all cells by some percent from frame to frame, not by more
 ROUNDING = 1e-11  # of Φ, a sum of some thousand parts
 # Share of the frames' information on z that is believed: cells that move a little and are taken for still pull at it,
 # too.
@@ -155,10 +155,9 @@ class Joint:
     @cached_property
     def value(self) -> float:
         """Φ."""
-        misfit = sum(at.objective for at in self.at)
-        stray = misfit + float(np.sum(self._shifted**2 * self.certainty) + IGNORANCE * np.sum(self._strayed**2))
-        stray += float(np.sum(self.chance**2))
-        return stray + float(np.sum(self.stiffness * self.steps**2))
+        stray = np.sum(self._shifted**2 * self.certainty) + IGNORANCE * np.sum(self._strayed**2)
+        priors = stray + np.sum(self.chance**2) + np.sum(self.stiffness * self.steps**2)
+        return sum(at.objective for at in self.at) + float(priors)
 
     @property
     def _shifted(self) -> Array:
@@ -178,7 +177,7 @@ class Joint:
     def certainty(self) -> Array:
         """1/variance of z and c before anything is read."""
         known = 1.0 if self.held is None else HELD_PRECISION
-        return np.concatenate([np.full(self._sharing, known), np.full(len(self.stiffness), COMMON_SD**-2)])
+        return np.concatenate([np.full(self._sharing, known), np.full(len(self.stiffness), ASSUMED.common_step**-2)])
 
     @property
     def ties(self) -> Array:
@@ -220,11 +219,13 @@ class Joint:
     @cached_property
     def sensitivities(self) -> list[Array]:
         """√ω ∂x/∂(u, w) of every frame's data, (rows, cells + n)."""
-        sensitivities = []
-        for model, size, drawn in zip(self.models, self._sizes, self.frames.drawn, strict=True):
-            moved = np.concatenate([model.at.networks[0].sensitivity(), drawn], axis=1)
-            sensitivities.append(np.asarray(model.through @ moved) * size[:, None])
-        return sensitivities
+        slopes = [model.at.networks[0].sensitivity() for model in self.models]
+        return self._weighted([np.concatenate(pair, axis=1) for pair in zip(slopes, self.frames.drawn, strict=True)])
+
+    def _weighted(self, columns: Iterable[Array]) -> list[Array]:
+        """√ω ∂x of every frame's changes of readings (readings, n), (rows, n)."""
+        parts = zip(self.models, self._sizes, columns, strict=True)
+        return [np.asarray(model.through @ own) * size[:, None] for model, size, own in parts]
 
     @cached_property
     def _sizes(self) -> list[Array]:
@@ -260,13 +261,12 @@ class Joint:
 
         The errors are (frames, readings, m), those of (u, w) (frames, cells + n, m).
         """
-        parts = zip(self.models, self._sizes, self.sensitivities, self.frames.shared, columns, strict=True)
-        border, corner = [], []
-        for model, size, rows, known, own in parts:
-            moved = np.asarray(model.through @ own) * size[:, None]
-            border.append(rows.T @ moved)
-            corner.append((np.asarray(model.through @ known) * size[:, None]).T @ moved)
-        return np.stack(border), np.sum(corner, axis=0)
+        moved = self._weighted(columns)
+        border, corner = (
+            np.stack([rows.T @ own for rows, own in zip(unknowns, moved, strict=True)])
+            for unknowns in (self.sensitivities, self._weighted(self.frames.shared))
+        )
+        return border, corner.sum(axis=0)
 
     def answer(self, columns: Array) -> Array:
         """Return the effect on u (frames, cells, n) of errors of readings (frames, readings, n) beyond Φ."""

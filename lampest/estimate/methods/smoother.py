@@ -20,16 +20,18 @@ from time import monotonic, perf_counter
 from typing import Any, ClassVar, Literal
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from lampest.cost.losses import Squared
 from lampest.cost.problem import Data
 from lampest.cost.terms import Misfit, Term
+from lampest.estimate.assumptions import ASSUMED
+from lampest.estimate.changed_cells import touching
 from lampest.estimate.methods.joint import Joint, JointData, error_bars
 from lampest.estimate.methods.method import Method, OptimalMethod
 from lampest.estimate.state import NO_DUAL, S, SequenceState, Step
 from lampest.files.errors import InputError
+from lampest.files.levels import NOISE_REACH
 from lampest.files.process import delayed_interrupt
 from lampest.panel.panel import Array
 from lampest.panel.systematic import Shared
@@ -43,10 +45,8 @@ from lampest.solvers.solution import OPEN_FRACTION, VERIFIED, Settings, Solution
 
 MAX_LAST_CHANGE = 1e-3  # of a standard deviation: largest change of a cell by one more step
 MAX_UNLOADED_PARTS = 5  # of the unloaded frames: enough to identify a wrong reading; more cost time
-START_WIDTH = 3.0  # q at the start over the noise: as large jumps as three deviations
 MAX_ROUNDS = 40  # 15 to 40 were needed on simulated lampreys
 MAX_ROUND_CHANGE = 0.3  # of a standard deviation, by which a round may still move a cell
-JUMP_SD = 1.0  # of log r: prior standard deviation of jumps and of cells that no reading determines
 # From one walk to the next; slowly where the ties make a step's variance, which then must follow.
 FAST_DECREASE, SLOW_DECREASE = 0.6, 0.8
 # Of q²: the median of squared steps of still cells from where on that is so, and where ties have followed the walk.
@@ -237,13 +237,13 @@ def _barred(state: S, track: Track, joint: Joint, steps: list[Step]) -> tuple[S,
 class Walk:
     """Cost of steps x between the frames.
 
-        n k Σ_i log(1 + a_i) + Σ x²/JUMP_SD²,   a_i the mean over the n steps of cell i of κ² S/(κ² + S),   S = K x²/q²
+        n k Σ_i log(1 + a_i) + Σ x²/s²,   a_i the mean over the n steps of cell i of κ² S/(κ² + S),   S = K x²/q²
 
-    K averages with the steps before and after. The cost of a step grows like x²/q² at first, and hardly beyond κ²: a
-    jump costs the same however far it leads. The cost of a cell grows like the logarithm of that: of one whose steps
-    are all a little larger than noise each is taken for a step. k is such that a cell whose steps are as large as the
-    walk is tied by 1/q². The walk begins at several times the noise and is drawn down as far as still cells allow, so
-    that small jumps are seen after large ones.
+    s is the assumed deviation of a jump. K averages with the steps before and after. The cost of a step grows like
+    x²/q² at first, and hardly beyond κ²: a jump costs the same however far it leads. The cost of a cell grows like the
+    logarithm of that: of one whose steps are all a little larger than noise each is taken for a step. k is such that a
+    cell whose steps are as large as the walk is tied by 1/q². The walk begins at several times the noise and is drawn
+    down as far as still cells allow, so that small jumps are seen after large ones.
 
     Attributes
     ----------
@@ -259,12 +259,12 @@ class Walk:
     def cost(self, squares: Array) -> float:
         """Of the expected squares of all steps, (frames − 1, cells)."""
         jumps = len(squares) * self._scale * np.sum(np.log1p(self.unrest(squares)))
-        return float(jumps + np.sum(squares) / JUMP_SD**2)
+        return float(jumps + np.sum(squares) / ASSUMED.jump**2)
 
     def stiffness(self, squares: Array) -> Array:
         """∂cost/∂squares, (frames − 1, cells): the λ of Σ λ x² that has the cost's slope here, and nowhere less."""
         slope = averaged(1 / (1 + self._size(squares) / self.most**2) ** 2) / self.deviation**2
-        return np.asarray(self._scale * slope / (1 + self.unrest(squares)) + JUMP_SD**-2)
+        return np.asarray(self._scale * slope / (1 + self.unrest(squares)) + ASSUMED.jump**-2)
 
     def unrest(self, squares: Array) -> Array:
         """Return a, (cells)."""
@@ -290,8 +290,7 @@ class Walk:
     def near_loads(self, squares: Array, shape: tuple[int, ...]) -> NDArray[np.bool_]:
         """(frames − 1, cells) of a panel of a shape: where a cell, or one that it touches, jumps."""
         jumps = (self._size(squares) > self.most**2).reshape(-1, *shape)
-        around = sliding_window_view(np.pad(jumps, ((0, 0), (1, 1), (1, 1))), (3, 3), axis=(1, 2))
-        return np.asarray(around.any(axis=(-2, -1)).reshape(squares.shape))
+        return touching(jumps).reshape(squares.shape)
 
     @property
     def _scale(self) -> float:
@@ -330,9 +329,9 @@ def smoothed(frames: JointData, alone: Array, walk: Walk, settings: Settings, un
     joint = Joint(frames, start, np.zeros(len(start) - 1), np.zeros((len(start) - 1, alone.shape[1])))
     own = np.pad(np.full(alone.shape[1], IGNORANCE), (0, frames.drawn.shape[2]), constant_values=1.0)
     inverses = [positive_inverse(rows.T @ rows + np.diag(own)) for rows in joint.sensitivities]
-    variance = np.minimum([np.diag(inverse)[: alone.shape[1]] for inverse in inverses], JUMP_SD**2)
+    variance = np.minimum([np.diag(inverse)[: alone.shape[1]] for inverse in inverses], ASSUMED.jump**2)
     noise = float(np.sqrt(np.median(variance)))
-    walk, least = replace(walk, deviation=START_WIDTH * noise), walk.deviation * noise
+    walk, least = replace(walk, deviation=NOISE_REACH * noise), walk.deviation * noise
     frames = frames.sharing(joint.at)
     shift = np.zeros(frames.shared.shape[2] + len(start) - 1)
     joint = Joint(frames, start, shift, walk.stiffness(joint.steps**2 + variance[1:] + variance[:-1]))
@@ -348,7 +347,7 @@ def smoothed(frames: JointData, alone: Array, walk: Walk, settings: Settings, un
         joint, rounds = replace(joint, stiffness=walk.stiffness(squares)), rounds + 1
         moving = on or moved > MAX_ROUND_CHANGE * noise
     near = walk.near_loads(joint.expected_squares(), frames.data[0].measured.shape[-2:])
-    joint = joint.agreeing(np.where(near, JUMP_SD**-2, joint.stiffness)).stepped()
+    joint = joint.agreeing(np.where(near, ASSUMED.jump**-2, joint.stiffness)).stepped()
     for _ in range(settings.max_iterations):
         if joint.kkt_residual.max() <= settings.tolerance or monotonic() > until:
             break
